@@ -66,7 +66,7 @@ def outputs(folder: Path, *stages: str) -> dict[str, bytes]:
 
 
 @pytest.fixture(scope="module")
-def chain(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def chain(tmp_path_factory) -> Path:
     """A chain of four short drives that has run to its end, in a repository of its own; its output is chain.log."""
     folder = tmp_path_factory.mktemp("chain") / "chain"
     for name in run(ROOT, "git", "ls-files", "-co", "--exclude-standard").split():
@@ -98,12 +98,12 @@ def chain(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def folder(chain: Path, tmp_path: Path) -> Path:
+def folder(chain, tmp_path) -> Path:
     """A copy of the chain with its data, DVC's cache and its history."""
     return Path(shutil.copytree(chain, tmp_path / "copy", symlinks=True))
 
 
-def test_every_stage_runs_once_in_order_and_the_table_has_its_numbers(chain: Path) -> None:
+def test_every_stage_runs_once_in_order_and_the_table_has_its_numbers(chain):
     ran = [name.split("@")[0] for name in stages_run((chain / "chain.log").read_text())]
     assert ran.count("graphs") == 2
     assert tuple(name for name in dict.fromkeys(ran) if name in STAGES) == STAGES
@@ -114,9 +114,7 @@ def test_every_stage_runs_once_in_order_and_the_table_has_its_numbers(chain: Pat
     assert f"{accuracy:.3f}" in table
 
 
-def test_the_python_lines_of_the_readme_give_the_numbers_of_evaluate(
-    chain: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_python_lines_of_the_readme_give_the_numbers_of_evaluate(chain, monkeypatch):
     monkeypatch.chdir(chain)
     drive, names = "2026_01_03_drive_0001", dict[str, Any]()
     snippet = code_block("predict.load(").removeprefix("python\n")
@@ -150,7 +148,7 @@ def entered(call: Callable[[], object], first: str, last: str) -> set[str]:
     return found
 
 
-def test_few_functions_lie_between_a_stage_and_its_work(chain: Path, tmp_path: Path) -> None:
+def test_few_functions_lie_between_a_stage_and_its_work(chain, tmp_path):
     """Between a drive and h5py, and between a batch of graphs and its loss."""
     data, params = chain / "data", chain / "params.yaml"
     out = tmp_path / "clouds", tmp_path / "train"
@@ -173,7 +171,7 @@ EDITS: list[tuple[str, set[str]]] = [  # a file or a setting, and the stages tha
 ]
 
 
-def test_an_edit_reruns_what_dvc_yaml_promises(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_edit_reruns_what_dvc_yaml_promises(folder, monkeypatch):
     """The stages with changed deps or params; DVC runs those after them only if their inputs differ."""
     monkeypatch.chdir(folder)  # DVC names stages relative to it
     for name, expected in EDITS:
@@ -191,7 +189,7 @@ def test_an_edit_reruns_what_dvc_yaml_promises(folder: Path, monkeypatch: pytest
         path.write_bytes(before) if before else path.unlink()
 
 
-def test_faults_are_one_line_and_leave_all_outputs(chain: Path, folder: Path) -> None:
+def test_faults_are_one_line_and_leave_all_outputs(chain, folder):
     def check_refused(output: str, *parts: str) -> None:
         (line,) = (line for line in output.splitlines() if line.startswith("error: "))
         assert all(part in line for part in parts), line
@@ -216,7 +214,7 @@ def test_faults_are_one_line_and_leave_all_outputs(chain: Path, folder: Path) ->
     assert outputs(folder, *STAGES) == outputs(chain, *STAGES)
 
 
-def test_bytes_do_not_depend_on_workers(chain: Path, folder: Path) -> None:
+def test_bytes_do_not_depend_on_workers(chain, folder):
     """The chain ran with one."""
     stages = {"sample": 3, "ingest": 2, "perception": 2, "clouds": 3, "graphs semantic": 2}
     for stage, number in stages.items():
@@ -224,7 +222,7 @@ def test_bytes_do_not_depend_on_workers(chain: Path, folder: Path) -> None:
     assert outputs(folder, *STAGES) == outputs(chain, *STAGES)
 
 
-def test_a_new_drive_costs_one_drive_per_stage(folder: Path) -> None:
+def test_a_new_drive_costs_one_drive_per_stage(folder):
     ingest = yaml.safe_load((folder / "params.yaml").read_text())["ingest"]
     ingest["drives"]["val"] = ["2026_01_02_drive_0001..0002"]
     edit_params(folder, ingest=ingest)
@@ -235,7 +233,7 @@ def test_a_new_drive_costs_one_drive_per_stage(folder: Path) -> None:
     assert kept == [("4", "5")] * (len(ran) + 1)  # stage clouds makes them of images and of scans
 
 
-def test_a_network_is_added_by_a_file_and_trained_alone(folder: Path) -> None:
+def test_a_network_is_added_by_a_file_and_trained_alone(folder):
     network = code_block("class Height(nn.Module)").removeprefix("python\n")
     (folder / "models/steering/spatial/height.py").write_text(network)
     models = yaml.safe_load((folder / "params.yaml").read_text())["models"]
@@ -245,7 +243,7 @@ def test_a_network_is_added_by_a_file_and_trained_alone(folder: Path) -> None:
     assert ran == ["train@mine", "evaluate@mine"]
 
 
-def test_a_second_machine_trains_the_same_network_on_the_firsts_graphs(folder: Path, tmp_path: Path) -> None:
+def test_a_second_machine_trains_the_same_network_on_the_firsts_graphs(folder, tmp_path):
     second = tmp_path / "second"
     content = yaml.safe_load((folder / "dvc.lock").read_text())
     for name in (*NETWORK, "report"):  # all but the model is shared

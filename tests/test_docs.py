@@ -46,7 +46,7 @@ def headings(page: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("page", TEXTS, ids=lambda page: str(page.relative_to(ROOT)))
-def test_links_lead_to_files_and_headings(page: Path) -> None:
+def test_links_lead_to_files_and_headings(page):
     for link in LINK.findall(page.read_text()):
         name, _, anchor = link.partition("#")
         if not name.startswith(("http://", "https://")):
@@ -56,13 +56,13 @@ def test_links_lead_to_files_and_headings(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", TEXTS, ids=lambda page: str(page.relative_to(ROOT)))
-def test_prose_has_at_most_110_columns(page: Path) -> None:
+def test_prose_has_at_most_110_columns(page):
     prose = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
     wide = [line for line in prose.splitlines() if len(line) > 110 and not line.startswith(("|", "!"))]
     assert wide == []
 
 
-def test_tables_and_plot_are_rendered_from_the_results(tmp_path: Path) -> None:
+def test_tables_and_plot_are_rendered_from_the_results(tmp_path):
     results = make_results.read()
     assert [page.name for page, text in make_results.pages(results).items() if text != page.read_text()] == []
     street_view.save(make_results.plot(results), tmp_path / "roads.png", dpi=100)
@@ -70,7 +70,7 @@ def test_tables_and_plot_are_rendered_from_the_results(tmp_path: Path) -> None:
     assert np.abs(rendered - committed).mean() < 0.1
 
 
-def test_figures_of_a_run_are_errors_differences_and_validation_errors(tmp_path: Path) -> None:
+def test_figures_of_a_run_are_errors_differences_and_validation_errors(tmp_path):
     scene = examples.metrics("path", [0.2, 0.4], predict="path") | {"drives": {"train": ["a"] * 3}}
     scene["val"] = {column: {"nmse": nmse} for column, nmse in zip(scene["columns"], (0.1, 0.3), strict=True)}
     examples.write_model(tmp_path / "data", scene)
@@ -83,13 +83,13 @@ def test_figures_of_a_run_are_errors_differences_and_validation_errors(tmp_path:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_figures_outside_of_rendered_tables_name_their_revision(page: Path) -> None:
+def test_figures_outside_of_rendered_tables_name_their_revision(page):
     prose = CODE.sub("", make_results.TABLE.sub("", page.read_text()))
     figures = [part for part in re.split("^#", prose, flags=re.MULTILINE) if re.search(r"(?<![\d.])\d?\.\d{3}\b", part)]
     assert [part for part in figures if not re.search(r"\b[0-9a-f]{7}\b", part)] == []
 
 
-def test_there_are_seven_short_pages() -> None:
+def test_there_are_seven_short_pages():
     assert {*(ROOT / "docs").glob("*.md")} == {*PAGES[2:], ROOT / "docs/log.md"}
     assert sum(len(page.read_text().splitlines()) for page in PAGES) <= 850
     readme = PAGES[0].read_text()
@@ -98,7 +98,7 @@ def test_there_are_seven_short_pages() -> None:
 
 
 @pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: str(page.relative_to(ROOT)))
-def test_names_exist(page: Path) -> None:
+def test_names_exist(page):
     """Paths of the repository, settings, targets of make, and the commands and options of steer."""
     code = "\n".join(block or span for block, span in CODE.findall(page.read_text()))
     paths = re.findall(r"\b(?:pipeline|models|stages|tests|steer|presets|docs)/[\w/]+\.\w+", code)
@@ -119,7 +119,7 @@ def test_names_exist(page: Path) -> None:
     assert {*re.findall(r"(?<!\S)--[a-zA-Z][\w-]*", code)} <= options | OTHERS
 
 
-def test_the_dataset_of_the_documentation_yields_each_window_once(tmp_path: Path) -> None:
+def test_the_dataset_of_the_documentation_yields_each_window_once(tmp_path):
     drives = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train"}
     artefacts.write_dataset(tmp_path, drives, frames=23, points=12)
     names: dict[str, Any] = {}

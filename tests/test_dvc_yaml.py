@@ -69,7 +69,7 @@ def _imported(*modules: str) -> set[Path]:
     return {Path(*module.split(".")).with_suffix(".py") for module in found}
 
 
-def test_one_name_four_places() -> None:
+def test_one_name_four_places():
     files = {path.stem for path in (resume.ROOT / "stages").glob("*.py")}
     assert files == set(STAGES)
     for name, stage in STAGES.items():
@@ -80,7 +80,7 @@ def test_one_name_four_places() -> None:
 
 
 @pytest.mark.parametrize("name", STAGES)
-def test_what_a_stage_imports_is_covered(name: str) -> None:
+def test_what_a_stage_imports_is_covered(name):
     modules = [f"stages.{name}"]
     if name in TRAINING:
         folders = [*NETWORKS.values(), "models/steering/core/cell"]
@@ -94,18 +94,18 @@ def test_what_a_stage_imports_is_covered(name: str) -> None:
 
 
 @pytest.mark.parametrize(("file", "stages"), EDITS.items(), ids=EDITS.keys())
-def test_an_edit_runs_these_stages_again(file: str, stages: set[str]) -> None:
+def test_an_edit_runs_these_stages_again(file, stages):
     assert {name for name in STAGES if Path(file) in _covered(name)} == stages
 
 
 @pytest.mark.parametrize("network", [file for folder in NETWORKS.values() for file in sorted(_files(folder))], ids=str)
-def test_a_network_imports_only_code_that_dvc_tracks_for_it(network: Path) -> None:
+def test_a_network_imports_only_code_that_dvc_tracks_for_it(network):
     tracked = {network, Path("pipeline/camera/classes.py"), *_files("models/steering/core")}
     assert _imported(".".join(network.with_suffix("").parts)) <= tracked
 
 
 @pytest.mark.parametrize("name", STAGES)
-def test_deps_on_data_are_exactly_outs(name: str) -> None:
+def test_deps_on_data_are_exactly_outs(name):
     """Depending on a parent folder of outputs would miss the order of stages. Only report, which collects, may."""
     outs = {out for stage in STAGES.values() for out in _outs(stage)}
     sources = {f"data/{source}" for source in get_args(Variant.model_fields["source"].annotation)}
@@ -117,7 +117,7 @@ def test_deps_on_data_are_exactly_outs(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", STAGES)
-def test_sections_that_a_stage_reads_are_its_params(name: str) -> None:
+def test_sections_that_a_stage_reads_are_its_params(name):
     tree = ast.parse((resume.ROOT / "stages" / f"{name}.py").read_text())
     modules = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
     read = {module.removeprefix("pipeline.settings.") for module in modules if module.startswith("pipeline.settings.")}

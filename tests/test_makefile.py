@@ -40,7 +40,7 @@ exit {status}
 
 
 @pytest.fixture
-def checkout(tmp_path: Path) -> Path:
+def checkout(tmp_path) -> Path:
     """Return a copy of the project with this python and a dvc that only logs."""
     folder = tmp_path / "checkout"
     for name in ("pipeline", "models", "stages", "presets"):
@@ -69,7 +69,7 @@ def make(checkout: Path, *words: str, skip: str = "setup") -> subprocess.Complet
 
 
 @pytest.mark.parametrize("status", [0, 1])
-def test_setup_installs_with_uv_or_pip_and_again_where_the_checkout_moves(tmp_path: Path, status: int) -> None:
+def test_setup_installs_with_uv_or_pip_and_again_where_the_checkout_moves(tmp_path, status):
     folder = tmp_path / "a"
     folder.mkdir()
     for name in ("Makefile", "pyproject.toml", "constraints.txt"):
@@ -91,7 +91,7 @@ def test_setup_installs_with_uv_or_pip_and_again_where_the_checkout_moves(tmp_pa
 
 
 @pytest.mark.slow
-def test_a_preset_runs_in_a_copy_of_the_code(checkout: Path) -> None:
+def test_a_preset_runs_in_a_copy_of_the_code(checkout):
     params = (checkout / "params.yaml").read_text()
     done = make(checkout, "kitti")
     assert done.returncode == 0, done.stderr
@@ -125,7 +125,7 @@ def test_a_preset_runs_in_a_copy_of_the_code(checkout: Path) -> None:
     assert (checkout / "calls").read_text() == calls
 
 
-def test_a_revision_names_the_commit_and_edits_of_the_code(tmp_path: Path) -> None:
+def test_a_revision_names_the_commit_and_edits_of_the_code(tmp_path):
     assert run.revision(tmp_path) == ""
     (tmp_path / "dvc.yaml").write_text("stages: {}")
     for words in ("init -q", "add .", "-c user.name=a -c user.email=a commit -qm a"):
@@ -139,7 +139,7 @@ def test_a_revision_names_the_commit_and_edits_of_the_code(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_the_samples_encoder_is_made_by_one_command(checkout: Path) -> None:
+def test_the_samples_encoder_is_made_by_one_command(checkout):
     """With its preset, but small."""
     path = checkout / "presets/encoder.yaml"
     content = yaml.safe_load(path.read_text())

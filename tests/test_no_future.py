@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Frame
@@ -42,7 +41,7 @@ def inputs(folder: Path, images: list[np.ndarray], encoder: Path) -> dict[str, n
     return {**known, "points": np.concatenate([row.ravel() for row in rows])}
 
 
-def test_later_frames_change_no_input(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_later_frames_change_no_input(tmp_path, monkeypatch):
     encoder = write_encoder(tmp_path / "encoder", monkeypatch)
     images = [street.view(pose)[0] for pose in street.arc(FRAMES, 0.2, 8.0)]
     noise = np.random.default_rng(0).integers(0, 255, (FRAMES - KNOWN, *street.WIDE.size, 3), np.uint8)

@@ -1,7 +1,5 @@
 """Each row of `make bench` runs on small inputs, and both sides of a row compute the same."""
 
-from pathlib import Path
-
 import pytest
 import torch
 
@@ -16,13 +14,11 @@ POINTS = 150
 
 
 @pytest.fixture(scope="module")
-def street(tmp_path_factory: pytest.TempPathFactory) -> Street:
+def street(tmp_path_factory) -> Street:
     return make_street(tmp_path_factory.mktemp("street") / "graphs.h5", POINTS)
 
 
-def test_all_rows_are_measured_with_one_thread(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_all_rows_are_measured_with_one_thread(monkeypatch, capsys):
     monkeypatch.setattr(measuring, "ROUNDS", 1)
     monkeypatch.setattr(networks, "REPEATS", 1)
     torch.set_num_threads(2)
@@ -35,14 +31,14 @@ def test_all_rows_are_measured_with_one_thread(
         bench.main(["lct"])
 
 
-def test_a_row_has_medians_of_turns_and_the_factor_by_which_this_project_is_better() -> None:
+def test_a_row_has_medians_of_turns_and_the_factor_by_which_this_project_is_better():
     ours, other = iter([99.0, 1, 9, 2, 3, 2]), iter([99.0, 8, 4, 7, 7, 7])  # the first turn warms up
     row = measuring.compare(lambda: next(ours), lambda: next(other), "ms", "")
     assert (row.ours, row.alternative, row.ratio) == (2, 7, 3.5)
     assert measuring.row(8, 2, "windows/s", "").ratio == 4
 
 
-def test_frames_saved_for_pyg_hold_the_same_graph(street: Street, tmp_path: Path) -> None:
+def test_frames_saved_for_pyg_hold_the_same_graph(street, tmp_path):
     data = [torch.load(path, weights_only=False) for path in networks.save(street, tmp_path, 2)]
     batch, start = street.batch(2), len(data[0].pos)
     assert torch.equal(torch.cat([frame.pos for frame in data]), batch.xyz)
@@ -50,7 +46,7 @@ def test_frames_saved_for_pyg_hold_the_same_graph(street: Street, tmp_path: Path
 
 
 @pytest.mark.parametrize("csr", [False, True])
-def test_pyg_layers_compute_the_same(street: Street, csr: bool) -> None:
+def test_pyg_layers_compute_the_same(street, csr):
     torch.manual_seed(0)
     net, batch = GCN(1, Options(semantics=0.0)), street.batch(3)
     x, graph = node_features(batch.xyz, batch.cls, 0.0), networks.adjacency(batch, csr)

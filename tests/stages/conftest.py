@@ -12,7 +12,7 @@ from tests.small_model import EDGES_M, SPLITS, write_params
 
 
 @pytest.fixture(scope="session")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def dataset(tmp_path_factory) -> Path:
     """Small graphs with motion that is measured from the second frame on, and labels with the path ahead."""
     folder = tmp_path_factory.mktemp("dataset")
     artefacts.write_dataset(folder, SPLITS, frames=60, points=80, ahead_m=EDGES_M)
@@ -24,7 +24,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def folder(dataset: Path, tmp_path: Path) -> Path:
+def folder(dataset, tmp_path) -> Path:
     shutil.copytree(dataset, tmp_path / "data")
     write_params(tmp_path / "data")
     return tmp_path / "data"

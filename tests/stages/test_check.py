@@ -34,9 +34,7 @@ def run(folder: Path, content: dict[str, Any]) -> Path:
 
 
 @pytest.mark.parametrize("name", [None, *sorted(path.stem for path in preset.PRESETS.glob("[a-z]*.yaml"))])
-def test_the_projects_own_files_are_valid(
-    name: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_projects_own_files_are_valid(name, tmp_path, monkeypatch, capsys):
     """Without weights of real streets, which check does not download."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "models").symlink_to(ROOT / "models")
@@ -45,7 +43,7 @@ def test_the_projects_own_files_are_valid(
     assert capsys.readouterr().out == ""
 
 
-def test_table2_differs_in_scans_and_models_and_has_the_papers() -> None:
+def test_table2_differs_in_scans_and_models_and_has_the_papers():
     own, table2 = yaml.safe_load((ROOT / "params.yaml").read_text()), yaml.safe_load(preset.text("table2"))
     assert own["ingest"] | {"lidar": True} == table2["ingest"]
     assert {key for key in own if own[key] != table2[key]} == {"ingest", "graphs", "models", "train"}
@@ -54,7 +52,7 @@ def test_table2_differs_in_scans_and_models_and_has_the_papers() -> None:
     assert table2["models"].keys() >= PAPER
 
 
-def test_measured_motion_is_not_both_input_and_label(tmp_path: Path) -> None:
+def test_measured_motion_is_not_both_input_and_label(tmp_path):
     """The label of a model with a horizon, or of a path, is driven after the input."""
     content = changed("labels.source", "visual")
     net = content["models"]["sa-gnn-ncp"] | {"motion": "visual"}
@@ -107,7 +105,7 @@ def test_measured_motion_is_not_both_input_and_label(tmp_path: Path) -> None:
         ("model", {}, "model.*did you mean models"),
     ],
 )
-def test_a_fault_is_one_line_with_its_key(tmp_path: Path, where: str, value: Any, message: str) -> None:
+def test_a_fault_is_one_line_with_its_key(tmp_path, where, value, message):
     with pytest.raises(InputError, match=message) as raised:
         run(tmp_path, changed(where, value))
     assert str(raised.value).startswith(str(tmp_path / "params.yaml"))

@@ -23,7 +23,7 @@ def read(folder: Path, stage: str, drive: str = FULL) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("lidar", [True, False])
-def test_lidar_clouds_are_in_the_camera_frame(tmp_path: Path, lidar: bool) -> None:
+def test_lidar_clouds_are_in_the_camera_frame(tmp_path, lidar):
     """Of a drive with everything; one without images has no classes, one without LiDAR has no frames."""
     params = yaml.safe_load((ROOT / "params.yaml").read_text())
     params["ingest"]["lidar"] = lidar

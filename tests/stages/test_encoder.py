@@ -37,7 +37,7 @@ def write_ingest(folder: Path, **kinds: bool) -> None:
 
 
 @pytest.fixture
-def ingest(tmp_path: Path) -> Path:
+def ingest(tmp_path) -> Path:
     write_ingest(tmp_path / "ingest")
     return tmp_path / "ingest"
 
@@ -61,14 +61,14 @@ def curve(out: Path) -> list[dict[str, float]]:
 
 
 @pytest.fixture(scope="module")
-def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def fitted(tmp_path_factory) -> Path:
     """The output of a fit to dense labels."""
     folder = tmp_path_factory.mktemp("fitted")
     write_ingest(folder / "ingest")
     return run(folder / "ingest", epochs=2)
 
 
-def test_the_fit_uses_training_drives_only_and_reports_itself(ingest: Path, fitted: Path) -> None:
+def test_the_fit_uses_training_drives_only_and_reports_itself(ingest, fitted):
     out = run(ingest, epochs=2)
     assert (out / "encoder.pt").read_bytes() == (fitted / "encoder.pt").read_bytes(), "equal input, equal bytes"
     content = config(out)
@@ -78,7 +78,7 @@ def test_the_fit_uses_training_drives_only_and_reports_itself(ingest: Path, fitt
     assert curve(out)[-1]["loss"] == pytest.approx(content["losses"]["loss"], rel=1e-4)
 
 
-def test_an_encoder_learns_from_the_images_of_another_in_drives_of_any_split(ingest: Path, fitted: Path) -> None:
+def test_an_encoder_learns_from_the_images_of_another_in_drives_of_any_split(ingest, fitted):
     for drive in (VAL, TEST):
         street.write_drive(ingest, drive, 4, dense=False)
     targets = ingest.parent / "targets"
@@ -103,9 +103,7 @@ def test_an_encoder_learns_from_the_images_of_another_in_drives_of_any_split(ing
 
 
 @pytest.mark.real
-def test_the_encoder_of_streets_takes_published_files_and_names_their_terms(
-    tmp_path: Path, real_weights: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_encoder_of_streets_takes_published_files_and_names_their_terms(tmp_path, real_weights, monkeypatch):
     monkeypatch.setattr("pipeline.perception.create.WEIGHTS", real_weights)
     out = run(tmp_path / "no-drives", backbone="street", epochs=0)
     sources = config(out)["sources"]
@@ -116,7 +114,7 @@ def test_the_encoder_of_streets_takes_published_files_and_names_their_terms(
     assert config(again)["sources"] == sources
 
 
-def test_the_samples_encoder_is_the_default_and_was_fitted_by_its_preset_on_other_roads(tmp_path: Path) -> None:
+def test_the_samples_encoder_is_the_default_and_was_fitted_by_its_preset_on_other_roads(tmp_path):
     content = yaml.safe_load((ROOT / "params.yaml").read_text())
     fitted, shipped = preset.validate(preset.merged("encoder"), tmp_path), ROOT / content["encoder"]["weights"]
     assert shipped.stat().st_size <= 2_500_000

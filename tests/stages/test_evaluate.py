@@ -27,7 +27,7 @@ def read_metrics(evaluated: Path) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("predicted", COLUMNS)
-def test_metrics_are_means_over_seeds_and_files_repeat(folder: Path, predicted: str) -> None:
+def test_metrics_are_means_over_seeds_and_files_repeat(folder, predicted):
     write_params(folder, {"predict": predicted}, epochs=2, seeds=[0, 7])
     trained, evaluated = run_train(folder), run_evaluate(folder)
     metrics, before = read_metrics(evaluated), contents(evaluated)
@@ -58,7 +58,7 @@ def test_metrics_are_means_over_seeds_and_files_repeat(folder: Path, predicted: 
 
 
 @pytest.mark.parametrize("predicted", COLUMNS)
-def test_sigma_is_calibrated_on_the_validation_drive(folder: Path, predicted: str) -> None:
+def test_sigma_is_calibrated_on_the_validation_drive(folder, predicted):
     ahead = {"predict": "path"} if predicted == "path" else {"horizon": 5}  # now, motion is the angle
     write_params(folder, ahead | {"motion": "visual", "uncertainty": True}, epochs=3)
     model = predict.load(run_train(folder), "cpu")
@@ -80,9 +80,7 @@ def test_sigma_is_calibrated_on_the_validation_drive(folder: Path, predicted: st
 
 
 @pytest.mark.parametrize("fit_to", [pytest.param("others", marks=pytest.mark.slow), "train-then-others"])
-def test_a_test_drive_gets_the_network_that_was_not_fitted_to_it(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, fit_to: str
-) -> None:
+def test_a_test_drive_gets_the_network_that_was_not_fitted_to_it(folder, monkeypatch, fit_to):
     tested = write_two_test_drives(folder)
     write_params(folder, {"fit_to": fit_to}, epochs=1, seeds=[0, 7])
     starts, run = dict[str, dict[str, torch.Tensor]](), fit.Fit.run
@@ -115,9 +113,7 @@ def test_a_test_drive_gets_the_network_that_was_not_fitted_to_it(
             np.testing.assert_allclose(found, mean, atol=1e-6)
 
 
-def test_a_control_gets_the_scene_of_another_drive_in_training_and_evaluation(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_control_gets_the_scene_of_another_drive_in_training_and_evaluation(folder, monkeypatch):
     drives = [*SPLITS][:4]
     trained, tested = drives[:2], drives[2:]
     store.write_index(folder / "graphs/semantic", dict.fromkeys(trained, "train") | dict.fromkeys(tested, "test"))
@@ -140,7 +136,7 @@ def test_a_control_gets_the_scene_of_another_drive_in_training_and_evaluation(
                 model.predict(graphs)
 
 
-def test_other_ranges_than_in_training_are_refused(folder: Path) -> None:
+def test_other_ranges_than_in_training_are_refused(folder):
     write_params(folder, {"predict": "path", "spatial": "polar"}, epochs=1)
     run_train(folder)
     artefacts.write_dataset(folder, SPLITS, frames=60, points=80, ahead_m=EDGES_M[:3])

@@ -33,7 +33,7 @@ def pixels(path: Path) -> np.ndarray:
     return cv2.resize(cv2.imread(str(path)), NEW[::-1], interpolation=cv2.INTER_AREA)[..., ::-1]
 
 
-def test_rows_go_by_frame_number(tmp_path: Path) -> None:
+def test_rows_go_by_frame_number(tmp_path):
     folder = write_drive(tmp_path / "raw", frames=[2, 3, 5, 6, 7], truth=True)
     for name in ("image_02/data/0000000005.png", "velodyne_points/data/0000000003.bin", "oxts/data/0000000006.txt"):
         (folder / name).unlink()
@@ -61,7 +61,7 @@ def cut(path: Path) -> None:
     write(path, path.read_bytes()[: path.stat().st_size * 6 // 10])
 
 
-def test_damaged_files_are_listed_at_once_or_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_damaged_files_are_listed_at_once_or_left_out(tmp_path, capsys):
     folder = write_drive(tmp_path / "raw", truth=True)
     run(tmp_path)
     before = contents(tmp_path / "data/ingest")
@@ -87,7 +87,7 @@ def test_damaged_files_are_listed_at_once_or_left_out(tmp_path: Path, capsys: py
         ("oxts/timestamps.txt", "file is missing"),
     ],
 )
-def test_plainly_incomplete_drives(tmp_path: Path, missing: str, problem: str) -> None:
+def test_plainly_incomplete_drives(tmp_path, missing, problem):
     write_drive(tmp_path / "raw", OTHER)
     path = write_drive(tmp_path / "raw") / missing
     shutil.rmtree(path) if path.is_dir() else path.unlink()
@@ -95,7 +95,7 @@ def test_plainly_incomplete_drives(tmp_path: Path, missing: str, problem: str) -
         run(tmp_path)
 
 
-def test_source_both_reads_each_drive_from_its_folder(tmp_path: Path) -> None:
+def test_source_both_reads_each_drive_from_its_folder(tmp_path):
     sample = "2026_01_01_drive_0001"
     write_drive(tmp_path / "raw", DRIVE)
     write_drive(tmp_path / "sample", sample, frames=range(2), truth=True)
@@ -110,7 +110,7 @@ def test_source_both_reads_each_drive_from_its_folder(tmp_path: Path) -> None:
 
 
 @pytest.mark.real
-def test_real_drives(real_kitti: Path, tmp_path: Path) -> None:
+def test_real_drives(real_kitti, tmp_path):
     """Drive 0001 is partly extracted: 108 packets, one image and one scan. 0042 is grey and has no LiDAR."""
     partly, grey = "2011_09_26_drive_0001", "2011_10_03_drive_0042"
     params = write_params(tmp_path / "params.yaml", train=[partly], test=[grey], image_size=[96, 320])

@@ -48,7 +48,7 @@ def run(tmp_path: Path, **settings: Any) -> list[DriveReader]:
     return [DriveReader(tmp_path / f"labels/{drive}.h5", stage="labels") for drive in DRIVES]
 
 
-def test_labels_of_two_drives(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_labels_of_two_drives(tmp_path, capsys):
     write_ingest(tmp_path / "ingest", speed=[10.0, 5.0, 0.2, -3.0], yaw_rate=[0.0, 0.5, 0.01, -0.3])
     left, right = run(tmp_path)
     expected = np.arctan([0.0, 2.7 * 0.5 / 5, 2.7 * 0.01 / 0.2, 2.7 * 0.1])
@@ -61,7 +61,7 @@ def test_labels_of_two_drives(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "4 frames, 3 valid, 2 turning" in capsys.readouterr().out
 
 
-def test_the_path_ahead_is_written_only_with_edges(tmp_path: Path) -> None:
+def test_the_path_ahead_is_written_only_with_edges(tmp_path):
     write_ingest(tmp_path / "ingest", speed=[10.0] * 30, yaw_rate=[0.2] * 30)
     left, right = run(tmp_path, ahead_m=[0, 5, 20])
     np.testing.assert_allclose(left["ahead_1pm"][left["ahead_valid"] == 1], 0.02)
@@ -72,7 +72,7 @@ def test_the_path_ahead_is_written_only_with_edges(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def recorded(tmp_path: Path) -> Path:
+def recorded(tmp_path) -> Path:
     """One drive with recorded angles and without oxts, one with both; motion is measured in both."""
     for drive in DRIVES:
         rows = None if drive == FIRST else make_rows(5, vf=np.array([10.0, 10, 0.5, 10, 10]), wu=0.1)
@@ -82,7 +82,7 @@ def recorded(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_measured_and_recorded_labels_are_valid_unless_the_car_is_slow_or_stands(recorded: Path) -> None:
+def test_measured_and_recorded_labels_are_valid_unless_the_car_is_slow_or_stands(recorded):
     for file in run(recorded, source="visual"):
         np.testing.assert_allclose(file["steering_rad"], np.arctan([0, 2.7 * 0.1, 0, 2.7, 0]), rtol=0.02)
         np.testing.assert_array_equal(file["valid"], [0, 1, 0, 0, 0])
@@ -95,7 +95,7 @@ def test_measured_and_recorded_labels_are_valid_unless_the_car_is_slow_or_stands
     np.testing.assert_array_equal(with_oxts["speed_mps"], [10, 10, 0.5, 10, 10])
 
 
-def test_a_source_that_a_drive_lacks(recorded: Path) -> None:
+def test_a_source_that_a_drive_lacks(recorded):
     with pytest.raises(InputError, match=r"no oxts.*labels\.source: oxts"):
         run(recorded, source="oxts")
     write_ingest(recorded / "ingest", speed=[5.0], yaw_rate=[0.0])

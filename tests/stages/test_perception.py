@@ -25,7 +25,7 @@ def run(root: Path, **settings: object) -> dict[str, np.ndarray]:
         return {name: file[name] for name in ("frame", "depth_m", "cls")}
 
 
-def test_precomputed_files_are_matched_by_frame_number_and_scaled(tmp_path: Path) -> None:
+def test_precomputed_files_are_matched_by_frame_number_and_scaled(tmp_path):
     truth = [street.scene(frame)[1:] for frame in range(FRAMES)]
     for frame, (depth_m, cls) in enumerate(truth):
         write_png(tmp_path / f"made/{DRIVE}/depth/{frame:010d}.png", np.rint(0.4 * depth_m * 256).astype(np.uint16))

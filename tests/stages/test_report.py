@@ -20,7 +20,7 @@ def run(folder: Path, *models: str) -> str:
     return (folder / "report/table.md").read_text()
 
 
-def test_all_files_are_written_and_repeat(tmp_path: Path) -> None:
+def test_all_files_are_written_and_repeat(tmp_path):
     assert run(tmp_path, "absent").startswith("No result here: absent.")
     assert {path.name for path in (tmp_path / "report").iterdir() if path.is_dir()} == {"learning", "figures"}
     examples.write_model(tmp_path, examples.metrics("sa-gnn-ncp"))

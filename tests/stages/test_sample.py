@@ -24,7 +24,7 @@ def write_params(path: Path, lidar: bool = False, epochs: int = 0, **frames: int
     return path
 
 
-def test_drives_of_the_params(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_drives_of_the_params(tmp_path, capsys):
     """A missing drive of KITTI is an error before rendering; a second run with other settings replaces the first.
 
     Scans and the truth of training drives are rendered only where they are used.

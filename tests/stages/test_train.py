@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import h5py
@@ -28,7 +27,7 @@ def nmse(folder: Path, split: str = "test") -> float:
     return next(iter(json.loads((run_evaluate(folder) / "metrics.json").read_text())[split].values()))["nmse"]
 
 
-def test_a_trained_model_follows_the_bend_and_knows_its_settings(folder: Path) -> None:
+def test_a_trained_model_follows_the_bend_and_knows_its_settings(folder):
     write_params(folder, epochs=14, batch_spans=1)
     trained = run_train(folder)
     assert nmse(folder) < 0.45
@@ -47,14 +46,7 @@ def test_a_trained_model_follows_the_bend_and_knows_its_settings(folder: Path) -
         ({"fit_to": "train-then-others"}, 5, "net seed 0 without 2026_01_01_drive_0002: continues after epoch 1 of 3"),
     ],
 )
-def test_resumed_training_writes_the_same_bytes(
-    folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    entry: dict[str, object],
-    files: int,
-    continued: str,
-) -> None:
+def test_resumed_training_writes_the_same_bytes(folder, monkeypatch, capsys, entry, files, continued):
     monkeypatch.setenv("STEER_WORKERS", "1")
     if "fit_to" in entry:
         write_two_test_drives(folder)
@@ -83,7 +75,7 @@ def test_resumed_training_writes_the_same_bytes(
 
 
 @pytest.mark.slow
-def test_seeds_in_parallel_processes_equal_those_trained_alone(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_seeds_in_parallel_processes_equal_those_trained_alone(folder, monkeypatch):
     write_params(folder, epochs=1, seeds=[0, 7])
     monkeypatch.setenv("STEER_WORKERS", "2")
     trained = run_train(folder)
@@ -104,9 +96,7 @@ def test_seeds_in_parallel_processes_equal_those_trained_alone(folder: Path, mon
         (artefacts.write_images, {"spatial": "cnn", "alpha": 5.0, "features": 32, "temporal": "lstm"}, 10, 0.5),
     ],
 )
-def test_other_networks_and_inputs(
-    tmp_path: Path, write: Callable[..., None], entry: dict[str, object], epochs: int, limit: float
-) -> None:
+def test_other_networks_and_inputs(tmp_path, write, entry, epochs, limit):
     artefacts.write_dataset(tmp_path, SPLITS, frames=60, points=60, write=write)
     for drive in SPLITS:
         with h5py.File(tmp_path / f"labels/{drive}.h5") as file:
@@ -128,9 +118,7 @@ def test_other_networks_and_inputs(
         (20, [], 1.0, {"motion": "visual"}, "motion is not measured in any frame"),
     ],
 )
-def test_drives_that_teach_nothing_are_refused(
-    tmp_path: Path, frames: int, edges_m: list[float], scale: float, entry: dict[str, object], problem: str
-) -> None:
+def test_drives_that_teach_nothing_are_refused(tmp_path, frames, edges_m, scale, entry, problem):
     artefacts.write_dataset(tmp_path, SPLITS, frames=frames, points=20, ahead_m=edges_m)
     for drive in SPLITS:
         artefacts.add_motion(tmp_path / f"graphs/semantic/{drive}.h5", np.zeros(frames), np.zeros(frames, bool))

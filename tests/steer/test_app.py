@@ -17,7 +17,7 @@ from tests.artefacts import write_dataset
 HEAVY = ("torch", "cv2", "h5py", "open3d", "matplotlib", "scipy", "plotly", "pykitti", "tqdm", "pandas", "rich", "dvc")
 
 
-def test_help_imports_nothing_large() -> None:
+def test_help_imports_nothing_large():
     code = f"import sys, steer.app; print([name for name in {HEAVY} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
@@ -27,7 +27,7 @@ DRIVE = "2011_09_26_drive_0001"
 
 
 @pytest.fixture
-def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def data(tmp_path, monkeypatch) -> Path:
     write_dataset(tmp_path / "data", {DRIVE: "train"}, frames=5, points=30)
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
@@ -40,7 +40,7 @@ def show(*arguments: object, status: int = 0) -> str:
     return result.output
 
 
-def test_a_file_has_its_datasets_and_settings_and_a_checkpoint_everything_but_weights(data: Path) -> None:
+def test_a_file_has_its_datasets_and_settings_and_a_checkpoint_everything_but_weights(data):
     import torch
 
     content = yaml.safe_load(show(data / f"graphs/semantic/{DRIVE}.h5"))
@@ -52,7 +52,7 @@ def test_a_file_has_its_datasets_and_settings_and_a_checkpoint_everything_but_we
     assert (content["kind"], content["entry"], "net" in content) == ("steering net", {"window": 8}, False)
 
 
-def test_a_frame_is_printed_and_drawn(data: Path) -> None:
+def test_a_frame_is_printed_and_drawn(data):
     file = data / f"graphs/semantic/{DRIVE}.h5"
     assert yaml.safe_load(show(file, "--frame", 2, "--out", "a.png"))["edges_knn"] == 180
     assert cv2.imread("a.png").std() > 5
@@ -68,7 +68,7 @@ def test_a_frame_is_printed_and_drawn(data: Path) -> None:
         (["LABELS", "--frame", 1, "--out", "a.png"], "neither an image nor points"),
     ],
 )
-def test_wrong_input_is_one_line(data: Path, arguments: list[object], message: str) -> None:
+def test_wrong_input_is_one_line(data, arguments, message):
     files = {"GRAPHS": data / f"graphs/semantic/{DRIVE}.h5", "LABELS": data / f"labels/{DRIVE}.h5"}
     Path("photo.png").write_bytes(b"precious")
     text = show(*(files.get(str(argument), argument) for argument in arguments), status=1)

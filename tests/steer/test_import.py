@@ -31,7 +31,7 @@ HEAD = "time_s,speed_mps,yaw_rate_radps\n"
 
 
 @pytest.fixture
-def take(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., KittiDrive]:
+def take(tmp_path, monkeypatch) -> Callable[..., KittiDrive]:
     """Import with a field of view of 80 degrees into raw/; logs are given as text, presets/ is empty."""
     (tmp_path / "presets").mkdir()
     monkeypatch.setattr(preset, "PRESETS", tmp_path / "presets")
@@ -49,12 +49,12 @@ def take(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Kitti
 
 
 @pytest.fixture
-def video(tmp_path: Path) -> Path:
+def video(tmp_path) -> Path:
     return write_video(tmp_path / "drive.mp4", pictures(FRAMES))
 
 
 @pytest.fixture
-def longer(tmp_path: Path) -> Path:
+def longer(tmp_path) -> Path:
     """A video of 20 s, 10 images per second."""
     return write_video(tmp_path / "longer.mp4", np.resize(pictures(FRAMES), (200, *SIZE, 3)))
 
@@ -67,7 +67,7 @@ def every_second(angle: float) -> str:
 Take = Callable[..., KittiDrive]
 
 
-def test_labels_follow_the_log(tmp_path: Path, take: Take, video: Path) -> None:
+def test_labels_follow_the_log(tmp_path, take, video):
     """From an MPEG-4 video and from lossless images, through stages ingest and labels."""
     rows = np.column_stack([TIMES_S, SPEED_MPS, YAW_RATE_RADPS]).tolist()
     log = HEAD + "".join(f"{t!r},{v!r},{w!r}\n" for t, v, w in rows)
@@ -91,13 +91,11 @@ def test_labels_follow_the_log(tmp_path: Path, take: Take, video: Path) -> None:
             assert file["K"][0, 2] == 31.5
 
 
-def test_angles_of_the_wheel_are_interpolated_or_by_frame_from_start_to_end(take: Take, video: Path) -> None:
+def test_angles_of_the_wheel_are_interpolated_or_by_frame_from_start_to_end(take, video):
     drive = take(video, wheel="time_s,wheel_rad\n0.05,1.0\n0.65,-2.0\n")
-    assert drive.steering
     expected = {number: 0.1 - 0.3 * (number / 10 - 0.05) / 0.6 for number in range(1, 7)}
     assert read_steering(drive.steering) == pytest.approx(expected)
     drive = take(video, wheel="frame;wheel_rad\n4;1.5\n11;3.0\n", start=0.3, end=0.8, replace=True)
-    assert drive.steering
     assert (list(drive.images(2)), drive.oxts) == ([3, 4, 5, 6, 7], {})
     assert read_steering(drive.steering) == pytest.approx({4: 0.15})
     numbers, times = drive.timeline(2)
@@ -112,9 +110,7 @@ def test_angles_of_the_wheel_are_interpolated_or_by_frame_from_start_to_end(take
         ("wheel", {"wheel": every_second(1.0)}, "none", 0),
     ],
 )
-def test_a_split_recording_has_a_preset_that_check_accepts(
-    take: Take, longer: Path, source: str, options: dict[str, Any], base: str, horizon: int
-) -> None:
+def test_a_split_recording_has_a_preset_that_check_accepts(take, longer, source, options, base, horizon):
     first = take(longer, split="60,20,20", camera_height=1.4, **options)
     drives = [KittiDrive(path) for path in sorted(first.folder.parent.glob("*_sync"))]
     assert len(drives) == 3
@@ -133,7 +129,7 @@ def test_a_split_recording_has_a_preset_that_check_accepts(
         check.check_model(model, settings)
 
 
-def test_a_repeated_import_is_noticed(tmp_path: Path, take: Take, longer: Path) -> None:
+def test_a_repeated_import_is_noticed(tmp_path, take, longer):
     """The preset has the hash of what was imported, so that params change with it; stage ingest compares the two."""
 
     def imported(angle: float) -> Path:
@@ -163,7 +159,7 @@ def distorted(image: np.ndarray, K: np.ndarray, coefficients: np.ndarray) -> np.
     return cv2.remap(image, *np.moveaxis(ideal.reshape(*image.shape[:2], 2), -1, 0), cv2.INTER_LINEAR)
 
 
-def test_distortion_is_removed_and_images_are_cropped_around_the_horizon(tmp_path: Path, take: Take) -> None:
+def test_distortion_is_removed_and_images_are_cropped_around_the_horizon(tmp_path, take):
     K, coefficients = np.array([[50, 0, 31.5], [0, 50, 23.5], [0, 0, 1]]), np.array([-0.2, 0.03, 0, 0])
     images = np.stack([distorted(image, K, coefficients) for image in pictures(FRAMES)])
     folder, lens = write_folder(tmp_path / "images", images), {"k": "50,50,31.5,23.5", "distortion": "-0.2,0.03,0,0"}
@@ -187,9 +183,7 @@ CHANGES: list[Callable[[Path, Path], object]] = [
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_only_what_an_import_wrote_is_replaced(
-    tmp_path: Path, take: Take, longer: Path, change: Callable[[Path, Path], object]
-) -> None:
+def test_only_what_an_import_wrote_is_replaced(tmp_path, take, longer, change):
     take(longer, split="60,20,20")
     with pytest.raises(InputError, match="drive exists"):
         take(longer)
@@ -201,7 +195,7 @@ def test_only_what_an_import_wrote_is_replaced(
     assert contents(tmp_path) == before
 
 
-def test_drives_of_a_date_share_the_camera(take: Take, video: Path) -> None:
+def test_drives_of_a_date_share_the_camera(take, video):
     take(video)
     take(video, replace=True, fov=70.0)  # the only drive of its date may change it
     take(video, DRIVES[1], fov=70.0)
@@ -222,16 +216,14 @@ PLAINLY_WRONG: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("options", "problem"), PLAINLY_WRONG)
-def test_plainly_wrong_imports_write_nothing(
-    tmp_path: Path, take: Take, video: Path, options: dict[str, Any], problem: str
-) -> None:
+def test_plainly_wrong_imports_write_nothing(tmp_path, take, video, options, problem):
     with pytest.raises(InputError, match=problem):
         take(video, **options)
     assert [name for name in contents(tmp_path) if name.startswith(("raw", "presets"))] == []
 
 
 @given(st.integers(0, 200), st.integers(700, 1000), st.integers(20, 60), st.integers(20, 39))
-def test_parts_have_their_share_of_the_time_and_a_gap_between_them(first: int, last: int, train: int, val: int) -> None:
+def test_parts_have_their_share_of_the_time_and_a_gap_between_them(first, last, train, val):
     time_s, shares = np.arange(1000) / 10, (train, val, 100 - train - val)
     usable = (np.arange(1000) >= first) & (np.arange(1000) < last)
     parts = cut(usable, time_s, shares)

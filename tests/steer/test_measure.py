@@ -32,7 +32,7 @@ LENS: dict[str, Any] = {"k": "180,180,159.5,44", "fps": 10.0, "camera_height": C
 
 
 @pytest.fixture
-def encoder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def encoder(tmp_path, monkeypatch) -> Path:
     return write_encoder(tmp_path / "encoder", monkeypatch)
 
 
@@ -49,7 +49,7 @@ def column(out: Path, name: str) -> np.ndarray:
     return np.array([float(row[name] or "nan") for row in rows(out)])
 
 
-def test_known_motion_is_measured_and_drawn(tmp_path: Path, encoder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
     out, images, log = tmp_path / "out", write_folder(tmp_path / "images", drive(30)), tmp_path / "can.csv"
     log.write_text(f"time_s,speed_mps,yaw_rate_radps\n0,{SPEED / 1.2},{YAW_RATE}\n2,{SPEED / 1.2},{YAW_RATE}\n")
     measure(images, out=out, encoder=encoder, motion=log, distortion="0,0,0,0", **LENS)
@@ -71,9 +71,7 @@ def test_known_motion_is_measured_and_drawn(tmp_path: Path, encoder: Path, capsy
 
 
 @pytest.mark.parametrize("kind", ["standing", "night", "snow"])
-def test_input_without_motion_gets_no_numbers(
-    tmp_path: Path, encoder: Path, kind: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_input_without_motion_gets_no_numbers(tmp_path, encoder, kind, capsys):
     rng, shape = np.random.default_rng(0), (12, *street.WIDE.size, 3)
     view = drive(1)[0] if kind == "standing" else 3
     noisy = np.clip(view + rng.normal(0, 2, shape), 0, 255).astype(np.uint8)
@@ -87,7 +85,7 @@ def test_input_without_motion_gets_no_numbers(
     assert "horizon: not found" in text
 
 
-def test_a_cut_is_not_a_motion(tmp_path: Path, encoder: Path) -> None:
+def test_a_cut_is_not_a_motion(tmp_path, encoder):
     before = [image[:, ::-1] for image in drive(10)]
     images = write_folder(tmp_path / "images", [*before, *drive(10, start=25)])
     measure(images, out=tmp_path / "out", encoder=encoder, video=False, **LENS)
@@ -97,7 +95,7 @@ def test_a_cut_is_not_a_motion(tmp_path: Path, encoder: Path) -> None:
     assert yaw_rate[15:] == pytest.approx(YAW_RATE, abs=0.02)
 
 
-def test_a_killed_run_continues(tmp_path: Path, encoder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_killed_run_continues(tmp_path, encoder, monkeypatch):
     images, out = write_folder(tmp_path / "images", drive(4)), tmp_path / "out"
 
     def killed(*_: Any, **__: Any) -> None:
@@ -116,7 +114,7 @@ def test_a_killed_run_continues(tmp_path: Path, encoder: Path, monkeypatch: pyte
     assert sorted(path.name for path in out.iterdir()) == ["motion.csv", "overlay.mp4", "quality.json", "track.png"]
 
 
-def test_an_imported_drive_has_the_same_numbers(tmp_path: Path, encoder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_imported_drive_has_the_same_numbers(tmp_path, encoder, monkeypatch):
     """A lens with distortion above the horizon: import and the stages measure what steer measure does."""
     monkeypatch.setattr(lens, "MIN_PAIRS", 1)
     taller = [np.pad(image, [(70, 30), (0, 0), (0, 0)], mode="edge") for image in drive(14)]
@@ -138,7 +136,7 @@ def test_an_imported_drive_has_the_same_numbers(tmp_path: Path, encoder: Path, m
             np.testing.assert_allclose(stage[dataset], own[dataset], rtol=1e-5)
 
 
-def test_unsuitable_inputs(tmp_path: Path, encoder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unsuitable_inputs(tmp_path, encoder, monkeypatch):
     images = write_folder(tmp_path / "images", drive(4))
     rotated = write_folder(tmp_path / "rotated", [np.rot90(view) for view in drive(2)])
     write(tmp_path / "wheel.csv", "frame,wheel_rad\n0,0.1\n4,0.2\n")

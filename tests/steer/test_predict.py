@@ -45,7 +45,7 @@ VARIANTS = {
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory) -> Path:
     """A folder with params.yaml and data/: three drives of a few frames, and MODELS trained on them."""
     folder = tmp_path_factory.mktemp("sample")
     params = yaml.safe_load((ROOT / "params.yaml").read_text())
@@ -87,7 +87,7 @@ def column(rows: list[dict[str, str]], name: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("model", ["points", "scans", "images", "path"])
-def test_predictions_equal_those_of_the_stages(folder: Path, tmp_path: Path, model: str) -> None:
+def test_predictions_equal_those_of_the_stages(folder, tmp_path, model):
     """The model knows its chain: params.yaml is not read. Each value is that of the graphs that the stages made."""
     predict(drive(folder), model=folder / f"data/train/{model}", out=tmp_path / "out", video=model == "path")
     rows = read(tmp_path / "out/steering.csv")
@@ -105,9 +105,7 @@ def test_predictions_equal_those_of_the_stages(folder: Path, tmp_path: Path, mod
             np.testing.assert_allclose(np.stack([column(rows, name) for name in names], 1), values, atol=2e-6)
 
 
-def test_a_model_is_found_by_name_and_compared_with_oxts(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_model_is_found_by_name_and_compared_with_oxts(folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     predict(drive(folder), model=Path("scans"), out=tmp_path / "out", video=False)
     text, rows = capsys.readouterr().out, read(tmp_path / "out/steering.csv")
@@ -122,7 +120,7 @@ def test_a_model_is_found_by_name_and_compared_with_oxts(
         predict(drive(folder), model=Path("scans"), out=tmp_path / "other", fov=80.0)
 
 
-def test_a_folder_of_images(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_of_images(folder, tmp_path, capsys):
     """Images need intrinsics and are cropped; a model of scans has no input there, and one of the sample no streets."""
     images, out = tmp_path / "images", tmp_path / "out"
     images.mkdir()
@@ -141,9 +139,7 @@ def test_a_folder_of_images(folder: Path, tmp_path: Path, capsys: pytest.Capture
     assert (video.get(cv2.CAP_PROP_FRAME_WIDTH), video.get(cv2.CAP_PROP_FRAME_HEIGHT)) == (320, 216)  # not cropped
 
 
-def test_a_gap_and_a_damaged_image_start_a_new_window(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_gap_and_a_damaged_image_start_a_new_window(folder, tmp_path, capsys):
     root, out = tmp_path / TEST[:10], tmp_path / "out"
     shutil.copytree(drive(folder).parent, root)
     images, model = root / f"{TEST}_sync/image_02/data", folder / "data/train/images"

@@ -1,7 +1,5 @@
 """Published networks of real streets against truth and formulas."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -27,14 +25,14 @@ def predict(model: nn.Module, image: Tensor, K: Tensor = K) -> tuple[Tensor, Ten
         return model(image, K.expand(len(image), 3, 3))
 
 
-def test_ray_slopes_follow_the_intrinsics() -> None:
+def test_ray_slopes_follow_the_intrinsics():
     slopes = ray_slopes(K, torch.Size((41, 61)))[0]
     assert slopes[:, 20, 30].tolist() == [0, 0]
     assert slopes[0, 20, 55].item() == pytest.approx(0.5)
     assert slopes[1, 40, 30].item() == pytest.approx(0.5)
 
 
-def test_depth_of_streets_grows_with_the_focal_length_and_classes_do_not() -> None:
+def test_depth_of_streets_grows_with_the_focal_length_and_classes_do_not():
     torch.manual_seed(0)
     model, longer = Street().eval(), K.clone()
     longer[:, :2, :2] *= 1.5
@@ -45,7 +43,7 @@ def test_depth_of_streets_grows_with_the_focal_length_and_classes_do_not() -> No
     torch.testing.assert_close(same, logits)
 
 
-def test_linear_attention_is_a_mean_of_values_weighted_by_products_of_keys_and_queries() -> None:
+def test_linear_attention_is_a_mean_of_values_weighted_by_products_of_keys_and_queries():
     torch.manual_seed(0)
     layer = LinearAttention(2 * HEAD_WIDTH).eval()
     layer.proj = nn.Identity()
@@ -65,7 +63,7 @@ def grey(image: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def street(real_weights: Path) -> nn.Module:
+def street(real_weights) -> nn.Module:
     model = Street()
     model.load_published(real_weights)  # all tensors have to agree
     return model.eval()
@@ -74,12 +72,9 @@ def street(real_weights: Path) -> nn.Module:
 @pytest.mark.slow
 @pytest.mark.real
 @pytest.mark.parametrize(("drive", "most"), [("2011_09_26_drive_0005", 0.13), ("2011_10_03_drive_0042", 0.17)])
-def test_published_weights_give_metric_depth_of_real_streets(
-    street: nn.Module, real_half: Path, drive: str, most: float
-) -> None:
+def test_published_weights_give_metric_depth_of_real_streets(street, real_half, drive, most):
     raw = KittiDrive(real_half / drive[:10] / f"{drive}_sync")
     number = raw.camera_number([2, 0])
-    assert number is not None
     camera = raw.camera(number)
     scaled = camera.scaled(SIZE)
     errors, ratios, matrix = [], [], np.zeros((classes.COUNT, classes.COUNT + 1), int)
@@ -88,7 +83,6 @@ def test_published_weights_give_metric_depth_of_real_streets(
         depth, cls = perceive(street, image[None], scaled)
         truth = scan_depth(read_scan(raw.scans[frame]), scaled)
         found = depth_errors(eigen_crop(depth[0]), eigen_crop(truth))
-        assert found is not None
         errors.append(found[0])
         ratios.append(np.median(truth[truth > 0] / depth[0][truth > 0]))
         matrix += confusion(perceive(street, grey(image)[None], scaled)[1][0], cls[0])
@@ -107,9 +101,7 @@ CAMVID = np.array([3, 4, 1, VOID, 7, 2, 6, 6, 5, 5, 0, 9, 10, 8, 8, 8, VOID, 10,
 @pytest.mark.slow
 @pytest.mark.real
 @pytest.mark.parametrize(("colour", "least"), [(True, 0.65), (False, 0.62)])
-def test_published_weights_give_classes_of_camvids_streets(
-    street: nn.Module, real_camvid: Path, colour: bool, least: float
-) -> None:
+def test_published_weights_give_classes_of_camvids_streets(street, real_camvid, colour, least):
     matrix, camera = 0, Camera(np.array([[400.0, 0, 240], [0, 400, 180], [0, 0, 1]]), (360, 480))
     for path in sorted((real_camvid / "images").glob("*.jpg"))[::3]:
         label = cv2.imread(str(real_camvid / f"labels/{path.stem}.png"), cv2.IMREAD_UNCHANGED)

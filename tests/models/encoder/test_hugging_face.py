@@ -29,12 +29,12 @@ Create = Callable[..., tuple[Architecture, nn.Module]]
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory) -> Path:
     return tiny_networks.write(tmp_path_factory.mktemp("networks"))
 
 
 @pytest.fixture(scope="module")
-def create(folder: Path) -> Create:
+def create(folder) -> Create:
     def create(kind: str, more: dict[str, str] = {}, **names: str) -> tuple[Architecture, nn.Module]:  # noqa: B006
         defaults = {
             "pair": {"depth": "depth", "classes": "classes"},
@@ -60,7 +60,7 @@ def normalised(size: tuple[int, int], mean: list[float], std: list[float]) -> to
 @pytest.mark.parametrize("size", [(64, 96), (37, 63)])
 @pytest.mark.parametrize("kind", ["small", "street", "pair", "hugging_face", "hugging_face on dinov2", "dinov2"])
 @torch.no_grad()
-def test_each_pixel_has_depth_and_classes_whatever_the_batch(create: Create, kind: str, size: tuple[int, int]) -> None:
+def test_each_pixel_has_depth_and_classes_whatever_the_batch(create, kind, size):
     kind, _, model = kind.partition(" on ")
     names = {"model": model} if model else {}
     network = build({"backbone": kind}).eval() if kind in ("small", "street") else create(kind, **names)[1]
@@ -78,9 +78,7 @@ def test_each_pixel_has_depth_and_classes_whatever_the_batch(create: Create, kin
 
 @pytest.mark.parametrize("size", SIZES)
 @torch.no_grad()
-def test_a_pair_equals_the_networks_themselves(
-    create: Create, folder: Path, size: tuple[int, int], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_pair_equals_the_networks_themselves(create, folder, size, capsys):
     depth, logits = create("pair")[1](image(size), K)
     assert "that are void: zebra\n" in capsys.readouterr().out
     padded = F.pad(normalised(size, [0.4, 0.5, 0.6], [0.1, 0.2, 0.3]), (0, -size[1] % 28, 0, -size[0] % 28))
@@ -94,7 +92,7 @@ def test_a_pair_equals_the_networks_themselves(
 
 
 @torch.no_grad()
-def test_dinov2_has_the_depth_of_its_authors_formula(create: Create, folder: Path) -> None:
+def test_dinov2_has_the_depth_of_its_authors_formula(create, folder):
     """The features enlarged, then the convolution to bins; here the bins are enlarged."""
     network = create("dinov2")[1]
     padded = normalised((56, 84), [0.485, 0.456, 0.406], [0.229, 0.224, 0.225])
@@ -111,7 +109,7 @@ def test_dinov2_has_the_depth_of_its_authors_formula(create: Create, folder: Pat
 
 @pytest.mark.parametrize("kind", ["pair", "hugging_face", "dinov2"])
 @torch.no_grad()
-def test_a_saved_encoder_needs_no_folder(create: Create, kind: str, tmp_path: Path) -> None:
+def test_a_saved_encoder_needs_no_folder(create, kind, tmp_path):
     architecture, network = create(kind)
     perceive.save(tmp_path, architecture, network.state_dict())
     assert "networks" not in json.dumps(architecture)  # the folder's name
@@ -120,7 +118,7 @@ def test_a_saved_encoder_needs_no_folder(create: Create, kind: str, tmp_path: Pa
 
 
 @pytest.mark.parametrize("model", ["swin", "dinov2"])
-def test_a_fit_reaches_the_first_layer_of_a_backbone_and_both_heads(create: Create, model: str) -> None:
+def test_a_fit_reaches_the_first_layer_of_a_backbone_and_both_heads(create, model):
     network = create("hugging_face", model=model)[1]
     depth, logits = network(image((64, 96)), K)
     (depth.mean() + logits.std()).backward()
@@ -132,7 +130,7 @@ def test_a_fit_reaches_the_first_layer_of_a_backbone_and_both_heads(create: Crea
     assert min(parts.values()) > 0
 
 
-def test_a_folder_without_weights_is_a_random_backbone_but_no_pair(create: Create, folder: Path) -> None:
+def test_a_folder_without_weights_is_a_random_backbone_but_no_pair(create, folder):
     for name, source in {"bare": "swin", "bare-depth": "depth"}.items():
         (folder / name).mkdir()
         (folder / name / "config.json").write_bytes((folder / source / "config.json").read_bytes())
@@ -146,7 +144,7 @@ def test_a_folder_without_weights_is_a_random_backbone_but_no_pair(create: Creat
         create("pair", depth="bare-depth")
 
 
-def test_synonyms_are_of_cityscapes_ade20k_and_mapillary() -> None:
+def test_synonyms_are_of_cityscapes_ade20k_and_mapillary():
     assert all(NUMBERS[name] == number for number, name in enumerate(classes.NAMES))
     table = {
         "Tree": "vegetation", "grass": "terrain", "sidewalk": "sidewalk", "van": "car", "minibike": "motorcycle",
@@ -169,13 +167,13 @@ def test_synonyms_are_of_cityscapes_ade20k_and_mapillary() -> None:
         ("dinov2", {"depth": "none.pth"}, "cannot load '.*none.pth'.*No such file"),
     ],
 )
-def test_a_wrong_network_is_one_line(create: Create, kind: str, names: dict[str, Any], message: str) -> None:
+def test_a_wrong_network_is_one_line(create, kind, names, message):
     with pytest.raises(ValueError, match=message) as raised:
         create(kind, **names)
     assert "\n" not in str(raised.value)
 
 
-def test_a_network_that_needs_other_weights_than_its_folder_has_is_refused(create: Create, folder: Path) -> None:
+def test_a_network_that_needs_other_weights_than_its_folder_has_is_refused(create, folder):
     network = transformers.SegformerModel(transformers.SegformerConfig(**tiny_networks.SEGFORMER))
     network.save_pretrained(folder / "headless")
     with pytest.raises(ValueError, match=r"headless': its weights lack decode_head\.\S+, \d+ tensors in all"):
@@ -198,9 +196,7 @@ class Trap:
         ("hugging_face", {"model": "trap"}, "trap/trap.py"),
     ],
 )
-def test_files_of_a_network_run_no_code(
-    create: Create, folder: Path, tmp_path: Path, kind: str, names: dict[str, str], file: str
-) -> None:
+def test_files_of_a_network_run_no_code(create, folder, tmp_path, kind, names, file):
     trap, sprung = folder / "trap", tmp_path / "sprung"
     shutil.rmtree(trap, ignore_errors=True)
     shutil.copytree(folder / "swin", trap, ignore=shutil.ignore_patterns("*.safetensors"))
@@ -215,9 +211,7 @@ def test_files_of_a_network_run_no_code(
     assert not sprung.exists()
 
 
-def test_a_network_of_the_hub_names_its_revision_and_a_hub_out_of_reach_is_one_line(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_network_of_the_hub_names_its_revision_and_a_hub_out_of_reach_is_one_line(folder, monkeypatch):
     import huggingface_hub
 
     def refuse(name: str, **_: Any) -> str:

@@ -43,7 +43,7 @@ def build(name: str) -> tuple[Any, str]:
 
 
 @each_network
-def test_order_of_points_changes_nothing(name: str) -> None:
+def test_order_of_points_changes_nothing(name):
     net, kind = build(name)
     parts = [frames.FRAME[kind](count, count) for count in (40, 12)]
     shuffled = [frames.permuted(part, seed) for seed, part in enumerate(parts)]
@@ -53,7 +53,7 @@ def test_order_of_points_changes_nothing(name: str) -> None:
 @each_network
 @pytest.mark.parametrize("counts", [COUNTS, [12, 12, 12]])
 @pytest.mark.parametrize("device", ["cpu", "cuda"])
-def test_batch_equals_single_frames(name: str, counts: list[int], device: str) -> None:
+def test_batch_equals_single_frames(name, counts, device):
     """Of equal and unequal numbers of points, and a frame without points; the batch also on a GPU."""
     if device == "cuda" and not torch.cuda.is_available():
         pytest.skip("needs a GPU")
@@ -66,7 +66,7 @@ def test_batch_equals_single_frames(name: str, counts: list[int], device: str) -
 
 
 @each_network
-def test_both_are_the_frames_and_their_mirror_images(name: str) -> None:
+def test_both_are_the_frames_and_their_mirror_images(name):
     """And mirroring is no identity, but for a network without input."""
     net, kind = build(name)
     batch = frames.batch(COUNTS, kind)
@@ -77,7 +77,7 @@ def test_both_are_the_frames_and_their_mirror_images(name: str) -> None:
 
 
 @each_network
-def test_all_weights_learn_and_features_suit_the_recurrent_network(name: str) -> None:
+def test_all_weights_learn_and_features_suit_the_recurrent_network(name):
     net, kind = build(name)
     out = net(frames.batch(COUNTS, kind))
     if name != "cnn":  # ReLU, as in the NCP paper
@@ -89,7 +89,7 @@ def test_all_weights_learn_and_features_suit_the_recurrent_network(name: str) ->
 
 
 @each_network
-def test_mixed_precision_is_close(name: str) -> None:
+def test_mixed_precision_is_close(name):
     net, kind = build(name)
     batch, net = frames.batch(COUNTS, kind), net.float()
     with torch.autocast("cpu", dtype=torch.bfloat16):
@@ -100,7 +100,7 @@ def test_mixed_precision_is_close(name: str) -> None:
 @pytest.mark.parametrize("layers", [(30, 5, 12), (4,)])
 @pytest.mark.parametrize("block", [4, 30, 10**6])  # points: a frame each, some frames, all
 @pytest.mark.parametrize("versions", [1, 2])  # the frames; and their mirror images
-def test_gcn_equals_pyg(monkeypatch: pytest.MonkeyPatch, layers: Any, block: int, versions: int) -> None:
+def test_gcn_equals_pyg(monkeypatch, layers, block, versions):
     """Outputs, and the gradients of all weights."""
     monkeypatch.setattr(gnn.GCN, "block", block)
     batch = frames.batch([20, 0, 1, 11])
@@ -143,7 +143,7 @@ def plain_map(frame: dict[str, Any]) -> Tensor:
     return result
 
 
-def test_polar_map_equals_brute_force() -> None:
+def test_polar_map_equals_brute_force():
     parts = [frames.graph(count, seed) for seed, count in enumerate([300, 0, 1, 170])]
     parts[0]["xyz"][:5] = [[0.0, 0, 3.9], [0, 0, 40.1], [9, 0, 8.5], [0, 0, -10], [0, 0, 0]]  # outside of the map
     maps = polar.polar_map(frames.join(parts))
@@ -152,7 +152,7 @@ def test_polar_map_equals_brute_force() -> None:
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_mirroring_reverses_the_bearings_exactly(dtype: torch.dtype) -> None:
+def test_mirroring_reverses_the_bearings_exactly(dtype):
     """Also of points straight ahead and on the border of two cells."""
     frame = frames.graph(400)
     frame["xyz"][:40, 0] = 0
@@ -179,7 +179,7 @@ def plain_level(layer: Any, xyz: Tensor, f: Tensor, centres: Tensor, neighbours:
     return torch.stack(rows)
 
 
-def test_pointnet2_equals_plain_loops() -> None:
+def test_pointnet2_equals_plain_loops():
     net, kind = build("pointnet2")
     batch: Any = frames.batch([30, 18], kind)
     expected = []
@@ -193,7 +193,7 @@ def test_pointnet2_equals_plain_loops() -> None:
     torch.testing.assert_close(net(batch), torch.stack(expected), **TOLERANCE)
 
 
-def test_cnn_has_the_layers_of_the_ncp_paper() -> None:
+def test_cnn_has_the_layers_of_the_ncp_paper():
     """Reference: one image, layer and map at a time, with explicit padding."""
     net, kind = build("cnn")
     batch: Batch = frames.batch([0, 0, 0], kind)
@@ -213,7 +213,7 @@ def test_cnn_has_the_layers_of_the_ncp_paper() -> None:
     torch.testing.assert_close(net(batch), torch.stack(expected), **TOLERANCE)
 
 
-def test_classes_enter_in_proportion_to_semantics() -> None:
+def test_classes_enter_in_proportion_to_semantics():
     batch: Any = frames.batch([40])
     none, half, full = (node_features(batch.xyz, batch.cls, weight) for weight in (0.0, 0.5, 1.0))
     assert torch.equal(none[:, :GEOMETRY], full[:, :GEOMETRY])
@@ -226,6 +226,6 @@ def test_classes_enter_in_proportion_to_semantics() -> None:
     assert torch.equal(mirrored, full * torch.tensor(FEATURE_MIRROR_SIGNS))
 
 
-def test_pooling_is_mean_and_max_of_each_frame() -> None:
+def test_pooling_is_mean_and_max_of_each_frame():
     x, ptr = torch.tensor([[1.0, -4.0], [3.0, -2.0], [5.0, -9.0]]), torch.tensor([0, 2, 2, 3])
     assert mean_max_pool(x, ptr).tolist() == [[2, -3, 3, -2], [0, 0, 0, 0], [5, -9, 5, -9]]

@@ -56,7 +56,7 @@ def batch(spatial: str = "gnn") -> Any:
 
 @each_cell
 @pytest.mark.parametrize("spatial", SPATIAL)
-def test_shared_frames_equal_naive_windows(spatial: str, cell: str) -> None:
+def test_shared_frames_equal_naive_windows(spatial, cell):
     """Values and gradients: each window read and encoded for itself."""
     net, kind = build(spatial, cell), options(spatial).kind
     parts = [frames.FRAME[kind](count, seed) for seed, count in enumerate(COUNTS)]
@@ -72,7 +72,7 @@ def test_shared_frames_equal_naive_windows(spatial: str, cell: str) -> None:
 
 @each_cell
 @pytest.mark.parametrize("spatial", SPATIAL)
-def test_mirrored_input_negates_an_equivariant_network(spatial: str, cell: str) -> None:
+def test_mirrored_input_negates_an_equivariant_network(spatial, cell):
     scene = batch(spatial)
     for motion in (None, MOTION.clone().requires_grad_()):
         turned = None if motion is None else motion * MIRROR
@@ -98,7 +98,7 @@ def test_mirrored_input_negates_an_equivariant_network(spatial: str, cell: str) 
 @each_cell
 @pytest.mark.parametrize("equivariant", [False, True])
 @pytest.mark.parametrize(("ranges", "uncertainty"), [(1, True), (3, False), (3, True)])
-def test_a_path_and_uncertainties_mirror(cell: str, equivariant: bool, ranges: int, uncertainty: bool) -> None:
+def test_a_path_and_uncertainties_mirror(cell, equivariant, ranges, uncertainty):
     """A path has an output per range; a mirrored scene negates it and has the same σ, in the second half."""
     target = {"predict": "path"} if ranges > 1 else {}
     changes = {"equivariant": equivariant, "uncertainty": uncertainty, "motion": "visual", **target}
@@ -112,7 +112,7 @@ def test_a_path_and_uncertainties_mirror(cell: str, equivariant: bool, ranges: i
         torch.testing.assert_close(pairs[: len(WINDOWS)], mirrored * signs, **TOLERANCE)
 
 
-def test_uncertainty_does_not_change_what_the_mean_learns_from() -> None:
+def test_uncertainty_does_not_change_what_the_mean_learns_from():
     net = build(uncertainty=True)
     log_sigma = net(batch(), WINDOWS, DT_S)[:, 1]
     log_sigma.sum().backward()
@@ -122,13 +122,13 @@ def test_uncertainty_does_not_change_what_the_mean_learns_from() -> None:
 
 
 @pytest.mark.parametrize(("cell", "expected"), [("ltc", 0.8969497146902337), ("lstm", 0.30234394064711634)])
-def test_a_seed_gives_the_same_numbers_in_all_versions(cell: str, expected: float) -> None:
+def test_a_seed_gives_the_same_numbers_in_all_versions(cell, expected):
     """Initial weights are drawn in float32, whose logarithms differ between CPUs in the last bit."""
     assert build("gnn", cell)(batch(), WINDOWS, DT_S)[0].item() == pytest.approx(expected, rel=1e-7)
 
 
 @pytest.mark.parametrize("cell", CELLS)
-def test_mixed_precision_keeps_the_recursion_in_float32(cell: str) -> None:
+def test_mixed_precision_keeps_the_recursion_in_float32(cell):
     net = build("gnn", cell).float()
     arguments = (batch(), WINDOWS[:1], torch.full((1, 4), 0.1))
     with torch.autocast("cpu", dtype=torch.bfloat16):
@@ -139,7 +139,7 @@ def test_mixed_precision_keeps_the_recursion_in_float32(cell: str) -> None:
     torch.testing.assert_close(mixed, net(*arguments), rtol=0, atol=0.1)
 
 
-def test_a_wrong_number_of_features_is_named_with_the_network() -> None:
+def test_a_wrong_number_of_features_is_named_with_the_network():
     net = build()
     net.spatial = torch.nn.Sequential(net.spatial, torch.nn.Linear(8, 20).double())
     expected = r"models/steering/spatial/gnn\.py: the spatial network returns \[20\] per frame, expected \[8\]"
@@ -147,7 +147,7 @@ def test_a_wrong_number_of_features_is_named_with_the_network() -> None:
         net(batch(), WINDOWS, DT_S)
 
 
-def test_scaled_motion_is_of_order_one_and_mirrors() -> None:
+def test_scaled_motion_is_of_order_one_and_mirrors():
     corner, motorway = [0.5, 0.6, 4.0, 1.0], [-0.01, -0.1, 36.0, 1.0]
     motion = torch.tensor([corner, motorway, [0.0] * 4, [-1.5, 0.0, 0.1, 0.0]])
     columns = scaled(motion)
@@ -179,7 +179,7 @@ def operators(count: int) -> int:
     return counter.count
 
 
-def test_a_training_step_has_as_many_operators_for_any_number_of_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_training_step_has_as_many_operators_for_any_number_of_frames(monkeypatch):
     """Pooling or encoding frame by frame would add at least two for each; the recursion has six steps a frame."""
     monkeypatch.setattr(torch, "autocast", lambda *_, **__: nullcontext())  # this device has none, nor sparse matrices
     monkeypatch.setattr(gnn, "normalised_adjacency", lambda degree, *_: torch.empty(2 * degree.shape, device="meta"))

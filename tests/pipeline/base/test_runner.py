@@ -21,12 +21,12 @@ from tests.pipeline.base.toy_stage import DRIVES, alive, calls, outputs, start, 
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path) -> Path:
     return toy_stage.prepare(tmp_path)
 
 
 @pytest.fixture(scope="module")
-def expected(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+def expected(tmp_path_factory) -> dict[str, bytes]:
     """The files that one process writes."""
     folder = toy_stage.prepare(tmp_path_factory.mktemp("serial"))
     toy_stage.main(folder, workers=1)
@@ -34,9 +34,7 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_bytes_do_not_depend_on_workers(
-    folder: Path, expected: dict[str, bytes], workers: int, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_bytes_do_not_depend_on_workers(folder, expected, workers, capsys):
     summaries = toy_stage.main(folder, workers=workers)
     assert list(summaries.items()) == [(drive, {"frames": toy_stage.FRAMES[drive]}) for drive in DRIVES]
     assert outputs(folder) == expected
@@ -47,7 +45,7 @@ def test_bytes_do_not_depend_on_workers(
         assert [line.split(":")[0] for line in lines] == ["b", "c", "a", "empty"], "the longest first"
 
 
-def test_only_what_changed_is_made_again(folder: Path, expected: dict[str, bytes]) -> None:
+def test_only_what_changed_is_made_again(folder, expected):
     """Finished drives stay after success, although DVC deletes the output of a stage before it runs."""
     for drives, k, input_b, made in [
         (["a", "b"], 2, bytes(6), ["a", "b"]),
@@ -69,9 +67,7 @@ def test_only_what_changed_is_made_again(folder: Path, expected: dict[str, bytes
 @pytest.mark.parametrize(
     ("kind", "workers"), [("fail", 1), *(pytest.param(kind, 2, marks=pytest.mark.slow) for kind in ("die", "full"))]
 )
-def test_an_error_a_dead_worker_and_a_full_disk_keep_finished_drives(
-    folder: Path, expected: dict[str, bytes], kind: str, workers: int
-) -> None:
+def test_an_error_a_dead_worker_and_a_full_disk_keep_finished_drives(folder, expected, kind, workers):
     trouble(folder, c=kind)
     with pytest.raises((InputError, OSError)) as raised:
         toy_stage.main(folder, workers=workers)
@@ -94,9 +90,7 @@ def test_an_error_a_dead_worker_and_a_full_disk_keep_finished_drives(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
-def test_a_killed_run_keeps_finished_drives_and_leaves_no_process(
-    folder: Path, expected: dict[str, bytes], number: signal.Signals
-) -> None:
+def test_a_killed_run_keeps_finished_drives_and_leaves_no_process(folder, expected, number):
     trouble(folder, a="wait", c="wait")
     with start(folder) as process:
         paths = [folder / f"trouble/{drive} waits" for drive in "ac"]
@@ -126,7 +120,7 @@ def processes(job: int) -> tuple[int, str | None]:
 
 
 @pytest.mark.slow
-def test_with_a_number_of_threads_one_job_runs_in_a_process_too(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_with_a_number_of_threads_one_job_runs_in_a_process_too(monkeypatch):
     """Else the number of threads, which may change the last bits of a training, would depend on the workers."""
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
     ((_, (process, used)),) = run_jobs(processes, [0], workers=1, threads=1)
@@ -143,15 +137,13 @@ def cluster() -> Iterator[Any]:
 
 
 @pytest.fixture
-def dask(cluster: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
+def dask(cluster, monkeypatch) -> Any:
     monkeypatch.setenv(SCHEDULER, cluster.scheduler_address)
     return cluster
 
 
 @pytest.mark.slow
-def test_a_cluster_writes_the_bytes_of_one_process_and_repeats_jobs_of_dead_workers(
-    folder: Path, expected: dict[str, bytes], dask: Any
-) -> None:
+def test_a_cluster_writes_the_bytes_of_one_process_and_repeats_jobs_of_dead_workers(folder, expected, dask):
     trouble(folder, b="die once")
     toy_stage.main(folder)
     assert str(os.getpid()) not in (folder / "calls").read_text().split()
@@ -169,7 +161,7 @@ def pretend(code: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_worker_with_other_code_is_refused(folder: Path, dask: Any) -> None:
+def test_a_worker_with_other_code_is_refused(folder, dask):
     import distributed
 
     with distributed.Client(dask, set_as_default=False) as client:
@@ -191,7 +183,7 @@ def test_a_worker_with_other_code_is_refused(folder: Path, dask: Any) -> None:
         ("pipeline/sample/world.py", set()),
     ],
 )
-def test_the_code_that_dvc_yaml_names_is_in_a_key(monkeypatch: pytest.MonkeyPatch, file: str, stages: set[str]) -> None:
+def test_the_code_that_dvc_yaml_names_is_in_a_key(monkeypatch, file, stages):
     def keys(edited: str) -> dict[str, str]:
         monkeypatch.setattr(resume, "file_hash", lambda path: f"{path} {path == ROOT / edited}")
         resume._stage_code_hash.cache_clear()  # as in a new process
@@ -211,7 +203,7 @@ def test_the_code_that_dvc_yaml_names_is_in_a_key(monkeypatch: pytest.MonkeyPatc
     ],
     ids=repr,
 )
-def test_errors_are_one_line_and_a_status(monkeypatch: pytest.MonkeyPatch, error: BaseException, line: str) -> None:
+def test_errors_are_one_line_and_a_status(monkeypatch, error, line):
     def main() -> None:
         raise error
 

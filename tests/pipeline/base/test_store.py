@@ -2,7 +2,7 @@
 
 import errno
 import resource
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -38,7 +38,7 @@ def write(path: Path) -> Path:
     return path
 
 
-def test_round_trip(tmp_path: Path) -> None:
+def test_round_trip(tmp_path):
     with DriveReader(write(tmp_path / "a.h5"), stage="clouds") as file:
         assert (file.drive, file.attrs["split"], file.params) == (DRIVE, "train", {"clouds": {"seed": 0}})
         np.testing.assert_array_equal(file.time_s, [0, 0.2, 0.3])
@@ -58,7 +58,7 @@ def test_round_trip(tmp_path: Path) -> None:
             file["depth"]
 
 
-def test_two_writes_are_byte_identical_and_an_error_changes_nothing(tmp_path: Path) -> None:
+def test_two_writes_are_byte_identical_and_an_error_changes_nothing(tmp_path):
     path = write(tmp_path / "a.h5")
     before = path.read_bytes()
     assert write(tmp_path / "b.h5").read_bytes() == before
@@ -79,7 +79,7 @@ def files_up_to(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_a_full_disk_is_reported_instead_of_its_consequences(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_instead_of_its_consequences(tmp_path):
     """HDF5 drops errors or raises its own, depending on when the disk is full."""
     rng = np.random.default_rng(0)
     for size in range(1000, 25_000, 2000):
@@ -117,9 +117,7 @@ def to_other_filter(file: h5py.File, elsewhere: Path) -> None:
 
 
 @pytest.mark.parametrize("change", [to_link, to_soft_link, to_external_storage, to_virtual, to_other_filter])
-def test_a_file_from_elsewhere_opens_no_other_file_and_runs_no_filter_of_others(
-    tmp_path: Path, change: Callable[[h5py.File, Path], None]
-) -> None:
+def test_a_file_from_elsewhere_opens_no_other_file_and_runs_no_filter_of_others(tmp_path, change):
     path = write(tmp_path / "a.h5")
     with h5py.File(path, "r+") as file:
         del file["image"]
@@ -144,9 +142,7 @@ def to_other_schema(path: Path) -> None:
         ("a", "clouds", lambda path: path.write_bytes(path.read_bytes()[:1000]), "damaged"),
     ],
 )
-def test_files_of_other_stages_schemas_and_drives_are_refused(
-    tmp_path: Path, name: str, stage: str, change: Callable[[Path], None] | None, problem: str
-) -> None:
+def test_files_of_other_stages_schemas_and_drives_are_refused(tmp_path, name, stage, change, problem):
     path = write(tmp_path / f"{name}.h5")
     if change:
         change(path)
@@ -156,7 +152,7 @@ def test_files_of_other_stages_schemas_and_drives_are_refused(
     assert f"dvc repro {stage}" in raised.value.fix
 
 
-def test_index_round_trip(tmp_path: Path) -> None:
+def test_index_round_trip(tmp_path):
     splits = {"b": "train", "a": "test", "c": "train"}
     store.write_index(tmp_path, splits)
     with pytest.raises(InputError, match=r"no file for b, a, c.*dvc repro clouds"):
@@ -170,7 +166,7 @@ def test_index_round_trip(tmp_path: Path) -> None:
         store.read_index(tmp_path, stage="clouds")
 
 
-def test_a_file_appears_complete_or_not_at_all(tmp_path: Path) -> None:
+def test_a_file_appears_complete_or_not_at_all(tmp_path):
     path = tmp_path / "new/folder/a.h5"
     for text in ("first", "second"):
         with replacing(path) as tmp:
@@ -190,7 +186,7 @@ def publish(out: Path, *files: str, stage: str = "labels", shared: bool = False)
             write_text(folder.new / file, file)
 
 
-def test_a_stage_replaces_its_files_and_no_others(tmp_path: Path) -> None:
+def test_a_stage_replaces_its_files_and_no_others(tmp_path):
     out = tmp_path / "data/labels"
     publish(out, "a.h5", "below/old.h5")
     write_text(out / "a.h5", "earlier")
@@ -210,7 +206,7 @@ def test_a_stage_replaces_its_files_and_no_others(tmp_path: Path) -> None:
     assert files == {"a.h5": "a.h5", "b.h5": "b.h5", "below/own.txt": "foreign", "c.h5": "foreign"}
 
 
-def test_an_index_from_elsewhere_deletes_nothing_outside(tmp_path: Path) -> None:
+def test_an_index_from_elsewhere_deletes_nothing_outside(tmp_path):
     out = tmp_path / "data/labels"
     publish(out, "a.h5")
     write_text(tmp_path / "precious", "foreign")
@@ -233,9 +229,7 @@ def test_an_index_from_elsewhere_deletes_nothing_outside(tmp_path: Path) -> None
         ({".DS_Store": "foreign"}, "labels", False, ""),
     ],
 )
-def test_a_folder_of_others_is_refused(
-    tmp_path: Path, existing: dict[str, str], stage: str, shared: bool, problem: str
-) -> None:
+def test_a_folder_of_others_is_refused(tmp_path, existing, stage, shared, problem):
     out = tmp_path / "data/out"
     for name, content in existing.items():
         write_text(out / name, content)
@@ -261,9 +255,7 @@ def test_a_folder_of_others_is_refused(
         (["ride"], "ride-2"),
     ],
 )
-def test_a_command_takes_the_first_free_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, existing: list[str], expected: str
-) -> None:
+def test_a_command_takes_the_first_free_folder(tmp_path, monkeypatch, existing, expected):
     monkeypatch.chdir(tmp_path)
     for name in existing:
         write_text(Path("out") / name, "foreign")

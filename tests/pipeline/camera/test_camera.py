@@ -1,7 +1,5 @@
 """The pinhole camera forward and back, and what cropping and resizing do to it and to its images."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -20,7 +18,7 @@ sides = st.integers(16, 400)
 
 
 @given(seeds)
-def test_project_and_depth_image_undo_back_project(seed: int) -> None:
+def test_project_and_depth_image_undo_back_project(seed):
     depth = np.random.default_rng(seed).uniform(1, 80, SIZE)
     xyz = back_project(depth, K).reshape(-1, 3)
     uv, z = project(xyz, K)
@@ -30,7 +28,7 @@ def test_project_and_depth_image_undo_back_project(seed: int) -> None:
     np.testing.assert_allclose(depth_image(xyz, K, SIZE), depth)
 
 
-def test_a_plane_stays_a_plane() -> None:
+def test_a_plane_stays_a_plane():
     """Depth where each ray meets the plane n·X = h, back-projected, lies on the plane."""
     normal, height = np.array([0.02, -0.999, -0.04]), -1.65
     along = rays(K, SIZE) @ normal
@@ -40,7 +38,7 @@ def test_a_plane_stays_a_plane() -> None:
     assert points[:, 2].max() > 10, "the plane reaches far"
 
 
-def test_points_behind_have_no_pixel_and_the_nearest_counts() -> None:
+def test_points_behind_have_no_pixel_and_the_nearest_counts():
     uv, z = project(np.array([[0.0, 0, 5], [0, 0, 0], [1, 1, -5]]), K)
     np.testing.assert_allclose(uv[0], K[:2, 2])
     assert np.isnan(uv[1:]).all()
@@ -51,7 +49,7 @@ def test_points_behind_have_no_pixel_and_the_nearest_counts() -> None:
 
 
 @given(sides, sides, seeds)
-def test_scaled_and_cropped_cameras_project_to_the_moved_position(height: int, width: int, seed: int) -> None:
+def test_scaled_and_cropped_cameras_project_to_the_moved_position(height, width, seed):
     """A pixel covers [u - 1/2, u + 1/2], so edges scale and centres do not."""
     camera, new_size = Camera(K, SIZE, horizon=17.0), (height, width)
     xyz = np.random.default_rng(seed).uniform([-3, -2, 5], [3, 2, 20], (100, 3))
@@ -67,7 +65,7 @@ def test_scaled_and_cropped_cameras_project_to_the_moved_position(height: int, w
 
 
 @pytest.mark.parametrize("horizon", [None, 12.0, 30.0, 500.0])
-def test_crops_lie_around_the_horizon_or_the_principal_point(horizon: float | None) -> None:
+def test_crops_lie_around_the_horizon_or_the_principal_point(horizon):
     crop = Camera(K, SIZE, horizon=horizon).crop_to((16, 64))
     middle = (crop.rows.start + crop.rows.stop - 1) / 2
     expected = K[1, 2] if horizon is None else horizon + BELOW_HORIZON * 64
@@ -81,7 +79,7 @@ def ramps(dtype: type) -> np.ndarray:
     return np.stack([u, v, 0 * u], axis=-1).astype(dtype)
 
 
-def test_pixels_move_with_the_intrinsics() -> None:
+def test_pixels_move_with_the_intrinsics():
     back = np.linalg.inv(Camera(np.eye(3), SIZE).scaled(SMALL).K)
     v, u = np.mgrid[: SMALL[0], : SMALL[1]]
     expected = (np.stack([u, v, np.ones_like(u)], axis=-1) @ back.T)[..., :2]
@@ -110,7 +108,7 @@ NOISE = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
         (encoded(".png", np.dstack([NOISE, NOISE])[..., :4]), "4 channels"),
     ],
 )
-def test_plainly_wrong_images(tmp_path: Path, content: bytes, problem: str) -> None:
+def test_plainly_wrong_images(tmp_path, content, problem):
     (tmp_path / "a").write_bytes(content)
     with pytest.raises(DamagedFile, match=problem):
         read_pixels(tmp_path / "a")

@@ -28,7 +28,7 @@ def read(folder: Path, horizon: int = 0) -> list[LabelledDrive]:
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path) -> Path:
     artefacts.write_dataset(tmp_path, dict.fromkeys(NAMES, "test"), frames=30, points=40)
     return tmp_path
 
@@ -43,7 +43,7 @@ def scores(cases: list[metrics.Case]) -> dict[str, Any]:
     return metrics.metrics(cases, load(Evaluate, PARAMS))["steering_rad"]
 
 
-def test_invalid_and_early_frames_do_not_count(folder: Path) -> None:
+def test_invalid_and_early_frames_do_not_count(folder):
     test = read(folder)
     test[0].valid[10:15] = False
     predicted = [drive.target + 0.01 for drive in test]
@@ -71,7 +71,7 @@ def test_invalid_and_early_frames_do_not_count(folder: Path) -> None:
         assert row["nmse_ci95"] == pytest.approx(errors.interval(error, truth, number, blocks))
 
 
-def test_each_drive_has_its_own_errors_and_training_mean(folder: Path) -> None:
+def test_each_drive_has_its_own_errors_and_training_mean(folder):
     first, second = read(folder, horizon=2)
     cases = [
         case(first, first.target + 0.01, first.target + 0.03),
@@ -88,9 +88,7 @@ def test_each_drive_has_its_own_errors_and_training_mean(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("source", ["oxts", "visual"])
-def test_odometry_needs_motion_in_all_drives_and_other_labels(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, source: str
-) -> None:
+def test_odometry_needs_motion_in_all_drives_and_other_labels(folder, monkeypatch, source):
     """At horizon 0, labels from visual odometry are not compared with it."""
     monkeypatch.setitem(artefacts.LABELS["labels"], "source", source)
     without = ["zero", "train_mean", "persistence"]
@@ -112,7 +110,7 @@ def test_odometry_needs_motion_in_all_drives_and_other_labels(
     assert list(baselines(0, True, True)) == without + ["odometry", "regression"] * (source == "oxts")
 
 
-def test_scores_by_hand() -> None:
+def test_scores_by_hand():
     result = errors.scores(np.array([0.1, -0.1, 0.2]), np.array([0.1, 0.1, 0.1]))
     assert result["frames"] == 3
     assert result["mse"] == pytest.approx((0 + 0.04 + 0.01) / 3)
@@ -134,7 +132,7 @@ def interval(steering: np.ndarray, error: np.ndarray, drive: np.ndarray, block: 
     return errors.interval(np.atleast_2d(error**2).mean(axis=0), steering, drive, settings(block, samples))
 
 
-def test_interval_has_its_coverage() -> None:
+def test_interval_has_its_coverage():
     """Errors are correlated over 10 frames; the interval contains the true ratio in most repetitions."""
     hits = 0
     for seed in range(30):
@@ -146,7 +144,7 @@ def test_interval_has_its_coverage() -> None:
     assert 24 <= hits <= 30
 
 
-def test_interval_draws_drives_and_circular_blocks_within_them() -> None:
+def test_interval_draws_drives_and_circular_blocks_within_them():
     steering = np.concatenate([np.full(20, 0.1), np.full(20, 0.3)])
     error = np.concatenate([np.full(20, 0.1), np.zeros(20)])
     drive = np.repeat([0, 1], 20)
@@ -162,7 +160,7 @@ def test_interval_draws_drives_and_circular_blocks_within_them() -> None:
     assert (low, high) == (0.0, pytest.approx(3 / 60))
 
 
-def test_frames_that_do_not_count_keep_their_place_in_time() -> None:
+def test_frames_that_do_not_count_keep_their_place_in_time():
     """One frame in 20 counts, so that each of 40 blocks of 20 draws one; two blocks of counted frames draw 20 each."""
     steering, error = np.full(800, 0.1), np.full(800, np.nan)
     error[::20] = 0
@@ -172,7 +170,7 @@ def test_frames_that_do_not_count_keep_their_place_in_time() -> None:
     assert interval(steering[rows], error[rows], np.zeros(40), block=20, samples=2000) == pytest.approx([0, 2 / 40])
 
 
-def test_the_difference_of_two_models_has_a_narrower_interval() -> None:
+def test_the_difference_of_two_models_has_a_narrower_interval():
     rng = np.random.default_rng(0)
     steering, drive = np.sin(np.arange(600) / 30), np.repeat([0, 1], 300)
     hard = np.repeat(rng.uniform(0, 1, 12), 50)  # both err on the same roads
@@ -186,7 +184,7 @@ def test_the_difference_of_two_models_has_a_narrower_interval() -> None:
     assert errors.interval(*columns, drive, settings(50, 500)) == pytest.approx([low, high])
 
 
-def test_a_single_block_has_no_interval() -> None:
+def test_a_single_block_has_no_interval():
     steering, drive = np.linspace(0.1, 0.2, 51), np.zeros(51)
     error = np.linspace(0, 0.1, 51)
     assert interval(steering[:50], error[:50], drive[:50], block=50, samples=50) is None
@@ -198,7 +196,7 @@ def test_a_single_block_has_no_interval() -> None:
     assert errors.interval_text(None) == "too short for an interval"
 
 
-def test_scores_of_normal_errors_with_known_sigma() -> None:
+def test_scores_of_normal_errors_with_known_sigma():
     rng = np.random.default_rng(0)
     sigma = rng.choice([0.01, 0.01, 0.04], size=(2, 50_000))
     steering = np.zeros(50_000)
@@ -225,14 +223,14 @@ def track(steering_rad: float | np.ndarray, *onsets: int) -> Track:
     return Track(TIME_S, np.full(STEPS, 10.0), angles, np.array(onsets, int), wheelbase_m=2.7)
 
 
-def test_segments_end_at_onsets_and_missing_predictions() -> None:
+def test_segments_end_at_onsets_and_missing_predictions():
     predicted = np.zeros(STEPS)
     predicted[:7] = predicted[50] = predicted[99] = np.nan
     assert segments(track(0.0, 3, 20, 50, 70), predicted) == [(7, 20), (20, 50), (51, 70), (70, 99)]
     assert segments(track(0.0), np.full(STEPS, np.nan)) == []
 
 
-def test_drift_is_the_final_distance_per_100_m() -> None:
+def test_drift_is_the_final_distance_per_100_m():
     right, wrong = np.zeros(STEPS), np.full(STEPS, 0.01)
     assert drift([(track(0.0), right)]) == 0
     # Small angle ε from L: after s metres off by ε s² / 2 L; 100 m in one piece, or in two of 50 and 49 steps.
@@ -242,7 +240,7 @@ def test_drift_is_the_final_distance_per_100_m() -> None:
     assert drift([(track(0.0), np.full(STEPS, np.nan))]) is None
 
 
-def test_a_step_uses_speed_and_angle_of_its_end() -> None:
+def test_a_step_uses_speed_and_angle_of_its_end():
     speed, angles, time_s = np.array([9.0, 2.0, 4.0]), np.array([9.0, 0.0, 0.1]), np.array([0.0, 0.5, 1.0])
     none = np.array([], int)
     path = Track(time_s, speed, angles, none, wheelbase_m=2.7).path(angles, 0, 3)
@@ -252,7 +250,7 @@ def test_a_step_uses_speed_and_angle_of_its_end() -> None:
 
 @pytest.mark.slow
 @pytest.mark.real
-def test_paths_of_true_angles_follow_gnss(real_kitti: Path, tmp_path: Path) -> None:
+def test_paths_of_true_angles_follow_gnss(real_kitti, tmp_path):
     """Label, sign and integration at once: GNSS positions are a second route to where the car went."""
     with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
         archive.extractall(tmp_path, filter="data")
@@ -301,7 +299,7 @@ def found(curvature: np.ndarray, valid: np.ndarray | None = None) -> list[int]:
     return turns.onsets(curvature, valid, np.arange(len(curvature)) / 10, curvature * speed, speed).tolist()
 
 
-def test_a_turn_begins_where_the_curvature_leaves_straight() -> None:
+def test_a_turn_begins_where_the_curvature_leaves_straight():
     turn = np.r_[bends((20, STRAIGHT)), np.linspace(0.004, 0.1, 20), bends((20, CORNER), (20, STRAIGHT))]
     assert found(turn) == found(-turn) == [23]
     assert turn[22] < turns.STRAIGHT_1PM < turn[23]
@@ -319,11 +317,11 @@ def test_a_turn_begins_where_the_curvature_leaves_straight() -> None:
         (np.empty(0), []),
     ],
 )
-def test_only_corners_after_a_straight_second_are_onsets(curvature: np.ndarray, onsets: list[int]) -> None:
+def test_only_corners_after_a_straight_second_are_onsets(curvature, onsets):
     assert found(curvature) == onsets
 
 
-def test_a_gap_before_a_turn_hides_its_onset() -> None:
+def test_a_gap_before_a_turn_hides_its_onset():
     turn = bends((30, STRAIGHT), (20, CORNER))
     frames = np.arange(50)
 
@@ -349,13 +347,13 @@ def around_a_corner(folder: Path, **reading: object) -> LabelledDrive:
 
 
 @pytest.mark.parametrize(("horizon", "first"), [(0, 30), (10, 20)])
-def test_frames_near_an_onset_begin_a_horizon_earlier(tmp_path: Path, horizon: int, first: int) -> None:
+def test_frames_near_an_onset_begin_a_horizon_earlier(tmp_path, horizon, first):
     drive = around_a_corner(tmp_path, horizon=horizon)
     near = turns.near_onsets(drive, turns.read_turns(drive))[:, 0]
     assert np.flatnonzero(near).tolist() == list(range(first, 41))
 
 
-def test_a_path_is_masked_from_where_it_reaches_an_onset(tmp_path: Path) -> None:
+def test_a_path_is_masked_from_where_it_reaches_an_onset(tmp_path):
     """At 8 m/s and 10 Hz a frame is 0.8 m, so the far edges are 5 and 25 frames before the onset at frame 30."""
     drive = around_a_corner(tmp_path, predict="path")
     near, far = turns.near_onsets(drive, turns.read_turns(drive)).T

@@ -1,8 +1,5 @@
 """Clouds, their sampling and accumulation, kNN graphs, the neighbourhoods of PointNet++, and graph files."""
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -31,7 +28,7 @@ def rows_of(part: np.ndarray, xyz: np.ndarray) -> list[int]:
     return [int(np.flatnonzero((xyz == point).all(axis=1))[0]) for point in part]
 
 
-def test_pseudo_cloud_has_a_point_per_valid_pixel() -> None:
+def test_pseudo_cloud_has_a_point_per_valid_pixel():
     depth = np.full((20, 40), 10.0)
     cls = np.full((20, 40), classes.ROAD, np.uint8)
     depth[0, 0], depth[1, 1] = 0.0, 81.0
@@ -47,7 +44,7 @@ def test_pseudo_cloud_has_a_point_per_valid_pixel() -> None:
     assert len(xyz) == 20 * 40 - 2  # without classes, each pixel with depth is a point
 
 
-def test_lidar_points_take_the_class_of_their_pixel() -> None:
+def test_lidar_points_take_the_class_of_their_pixel():
     camera = Camera(K, (20, 40), T_cam_velo=np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]))
     cls = np.full((20, 40), classes.CAR, np.uint8)
     cls[:, 20:] = classes.SKY
@@ -60,7 +57,7 @@ def test_lidar_points_take_the_class_of_their_pixel() -> None:
     assert (cloud.lidar_cloud(scan, camera, None)[1] == classes.VOID).all()
 
 
-def test_morton_order_equals_bitwise_interleaving() -> None:
+def test_morton_order_equals_bitwise_interleaving():
     xyz, cls = np.random.default_rng(0).uniform(-60, 60, (200, 3)), np.arange(200).astype(np.uint8)
 
     def code(point: np.ndarray) -> int:
@@ -72,7 +69,7 @@ def test_morton_order_equals_bitwise_interleaving() -> None:
     assert [code(point) for point in stored] == sorted(code(point) for point in stored)
 
 
-def test_samples_depend_on_the_frame_alone_lie_in_the_crop_and_keep_order_and_class() -> None:
+def test_samples_depend_on_the_frame_alone_lie_in_the_crop_and_keep_order_and_class():
     xyz, cls = points(900)
 
     def sampled(count: int, frame: int) -> list[int]:
@@ -89,7 +86,7 @@ def test_samples_depend_on_the_frame_alone_lie_in_the_crop_and_keep_order_and_cl
     assert len(sampled(20, 6)) == 20
 
 
-def test_sampling_by_range_draws_equal_numbers_and_fills_up_from_where_points_are_left() -> None:
+def test_sampling_by_range_draws_equal_numbers_and_fills_up_from_where_points_are_left():
     """Of 1,000 points 700 are nearer than 10 m, 200 at 10 to 20 m, 90 at 20 to 40 m, 10 beyond."""
     rng = np.random.default_rng(0)
     range_m = np.repeat([7.0, 15.0, 30.0, 60.0], [700, 200, 90, 10])
@@ -125,9 +122,7 @@ def step(yaw_rad: float, forward_m: float) -> np.ndarray:
         ([3, 4], set(), [[0], [1]]),
     ],
 )
-def test_static_points_coincide_until_a_gap_or_unmeasured_motion(
-    numbers: list[int], measured: set[int], expected: list[list[int]]
-) -> None:
+def test_static_points_coincide_until_a_gap_or_unmeasured_motion(numbers, measured, expected):
     """Clouds carry their row as class, so that it shows from which frame a point is."""
     rng, T = np.random.default_rng(0), step(0.05, 1.0)
     poses = [np.linalg.matrix_power(T, row) for row in range(len(numbers))]
@@ -143,7 +138,7 @@ def test_static_points_coincide_until_a_gap_or_unmeasured_motion(
         assert transform(pose, xyz) == pytest.approx(np.concatenate([worlds[row] for row in then]), abs=1e-4)
 
 
-def test_steps_have_the_length_unit_of_the_clouds(tmp_path: Path) -> None:
+def test_steps_have_the_length_unit_of_the_clouds(tmp_path):
     with DriveWriter(tmp_path / "a.h5", stage="motion", drive="drive", params={}) as file:
         file.put("frame", np.array([4, 5], np.int32))
         file.put("valid", np.array([0, 1], np.uint8))
@@ -158,7 +153,7 @@ def test_steps_have_the_length_unit_of_the_clouds(tmp_path: Path) -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 120), st.integers(0, 8), st.sampled_from([0.0, 0.2, 1.0]), st.integers(0, 2**16))
-def test_a_graph_is_the_symmetric_knn_graph_pruned_between_classes(count: int, k: int, keep: float, seed: int) -> None:
+def test_a_graph_is_the_symmetric_knn_graph_pruned_between_classes(count, k, keep, seed):
     """Paper Fig. 3: directed edges are counted, 600 for 100 points."""
     xyz, cls = points(count, seed)
     made = graph.build(xyz, cls, k, keep, np.random.default_rng(seed))
@@ -176,7 +171,7 @@ def test_a_graph_is_the_symmetric_knn_graph_pruned_between_classes(count: int, k
     assert all((np.diff(row) > 0).all() for row in rows)  # ascending, and each neighbour once
 
 
-def test_a_hub_of_more_than_255_neighbours_is_refused() -> None:
+def test_a_hub_of_more_than_255_neighbours_is_refused():
     hub = graph.undirected(np.eye(257, 1, dtype=np.int32))  # the first point's neighbour is the second, its others' it
     with pytest.raises(InputError, match="256 neighbours"):
         graph.prune(hub, np.zeros(257, np.uint8), 1.0, np.random.default_rng(0))
@@ -209,13 +204,13 @@ def reference_ball(xyz: np.ndarray, centre: int, radius_m: float, count: int, or
 
 
 @pytest.mark.parametrize("radius_m", [0.5, 3.0, 8.0, 100.0])
-def test_balls_are_those_of_brute_force(xyz: np.ndarray, radius_m: float) -> None:
+def test_balls_are_those_of_brute_force(xyz, radius_m):
     order = np.random.default_rng(1).permutation(len(xyz))
     found = graph.ball_query(xyz, np.arange(0, 300, 15), radius_m, 12, order)
     assert found.tolist() == [reference_ball(xyz, centre, radius_m, 12, order) for centre in range(0, 300, 15)]
 
 
-def test_levels_are_farthest_points_and_build_on_each_other(xyz: np.ndarray) -> None:
+def test_levels_are_farthest_points_and_build_on_each_other(xyz):
     (first, _), (second, neighbours) = graph.levels(xyz, [(40, 5.0, 8), (10, 12.0, 6)], np.random.default_rng(0))
     assert first.tolist() == reference_fps(xyz, 40)
     assert second.tolist() == reference_fps(xyz[first], 10)
@@ -223,12 +218,12 @@ def test_levels_are_farthest_points_and_build_on_each_other(xyz: np.ndarray) -> 
 
 
 @pytest.mark.parametrize(("most", "dtype"), [(65_535, np.uint16), (65_536, np.uint32)])
-def test_indices_are_as_wide_as_the_largest_frame_needs(most: int, dtype: type) -> None:
+def test_indices_are_as_wide_as_the_largest_frame_needs(most, dtype):
     variant = Variant(source="clouds/pseudo", points=most, k=4)
     assert frame_graph.connect(points(30), variant, np.random.default_rng(0))["indices"].rows.dtype == dtype
 
 
-def test_motion_is_matched_by_frame_number(tmp_path: Path) -> None:
+def test_motion_is_matched_by_frame_number(tmp_path):
     write_motion(tmp_path, "drive", {3: (3, 0.3), 5: (5, 0.5), 9: (0, 0), 11: (11, 1.1)})
     with (
         DriveReader(tmp_path / "drive.h5", stage="motion") as motion,
@@ -236,7 +231,6 @@ def test_motion_is_matched_by_frame_number(tmp_path: Path) -> None:
     ):
         graph_file.put_motion(writer, np.array([4, 5, 9]), motion)
     with graph_file.open_graphs(tmp_path / "a.h5") as graphs:
-        assert graphs.motion
         yaw_rate, speed, valid = graphs.motion
     assert (speed.tolist(), valid.tolist(), valid.dtype) == ([0, 5, 0], [0, 1, 0], np.uint8)
     assert yaw_rate == pytest.approx([0, 0.5, 0])
@@ -247,7 +241,7 @@ SPANS = [(2, 6), (8, 9), (0, 3)]
 
 
 @pytest.mark.parametrize(("kind", "write"), KINDS.items(), ids=KINDS.keys())
-def test_a_batch_is_its_frames_with_shifted_numbers(tmp_path: Path, kind: str, write: Callable[..., None]) -> None:
+def test_a_batch_is_its_frames_with_shifted_numbers(tmp_path, kind, write):
     """Arithmetic on the numbers, independent of the module's: indices and level 1 count points, level 2 centres_1."""
     path, rows = tmp_path / "drive.h5", [row for span in SPANS for row in range(*span)]
     write(path, "drive", np.linspace(-0.1, 0.1, 9), np.arange(9), 50, np.random.default_rng(0))

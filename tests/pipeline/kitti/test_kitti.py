@@ -17,7 +17,7 @@ from pipeline.kitti.raw import KittiDrive, read_calibration, read_scan
 from tests.kitti_drive import DATE, scan, write, write_calibration, write_drive
 
 
-def test_a_fingerprint_detects_a_file_that_was_extracted_again(tmp_path: Path) -> None:
+def test_a_fingerprint_detects_a_file_that_was_extracted_again(tmp_path):
     folder = write_drive(tmp_path, truth=True)
 
     def fingerprint(by_content: bool = False) -> str:
@@ -36,11 +36,10 @@ def test_a_fingerprint_detects_a_file_that_was_extracted_again(tmp_path: Path) -
 
 
 @pytest.mark.real
-def test_real_scan_lands_on_the_depth_benchmark(real_kitti: Path) -> None:
+def test_real_scan_lands_on_the_depth_benchmark(real_kitti):
     """KITTI's depth benchmark projected the same scan, after motion compensation, so that it is only close."""
     drive = KittiDrive(real_kitti / DATE / "2011_09_26_drive_0001_sync")
     camera = drive.camera(2)
-    assert camera.T_cam_velo is not None
     png = real_kitti / "depth_benchmark/2011_09_26_drive_0001_sync_0000000005_velodyne_raw_image_02.png"
     expected = read_pixels(png) / 256
     xyz = transform(camera.T_cam_velo, read_scan(drive.scans[5])[:, :3].astype(np.float64))
@@ -58,7 +57,7 @@ def test_real_scan_lands_on_the_depth_benchmark(real_kitti: Path) -> None:
     assert all(agree(shift)[0] < 0.8 * pixels for shift in (-1.0, -0.5, 0.5, 1.0))
 
 
-def test_projection_equals_kittis_formula(tmp_path: Path) -> None:
+def test_projection_equals_kittis_formula(tmp_path):
     """Second route, from KITTI's paper: y = P_rect R_rect T_velo_to_cam x, with the files' numbers."""
     write_calibration(tmp_path)
     texts = [(tmp_path / f"calib_{name}.txt").read_text() for name in ("cam_to_cam", "velo_to_cam")]
@@ -69,7 +68,6 @@ def test_projection_equals_kittis_formula(tmp_path: Path) -> None:
     expected = np.column_stack([reference, np.ones(50)]) @ P.reshape(3, 4).T
 
     camera = read_calibration(tmp_path, 2)
-    assert camera.T_cam_velo is not None
     uv, z = project(transform(camera.T_cam_velo, xyz), camera.K)
     np.testing.assert_allclose(z, expected[:, 2], rtol=1e-9)
     np.testing.assert_allclose(uv, expected[:, :2] / expected[:, 2:], rtol=1e-9)
@@ -77,19 +75,18 @@ def test_projection_equals_kittis_formula(tmp_path: Path) -> None:
 
 
 @pytest.mark.real
-def test_real_calibration_agrees_with_pykitti(real_kitti: Path) -> None:
+def test_real_calibration_agrees_with_pykitti(real_kitti):
     import pykitti
 
     reference = pykitti.raw(str(real_kitti), "2011_09_26", "0052").calib
     camera = read_calibration(real_kitti / "2011_09_26", 2)
-    assert camera.T_cam_velo is not None
     np.testing.assert_allclose(camera.K, reference.K_cam2, rtol=1e-12)
     np.testing.assert_allclose(camera.T_cam_velo[:3, :3], reference.T_cam2_velo[:3, :3], atol=1e-12)
     # pykitti leaves out P_rect's last column but for x: millimetres.
     np.testing.assert_allclose(camera.T_cam_velo[:3, 3], reference.T_cam2_velo[:3, 3], atol=0.004)
 
 
-def test_columns_equal_pykittis() -> None:
+def test_columns_equal_pykittis():
     from pykitti.utils import OxtsPacket
 
     assert OxtsPacket._fields == oxts.COLUMNS
@@ -97,7 +94,7 @@ def test_columns_equal_pykittis() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_packets_and_times_round_trip(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
+def test_packets_and_times_round_trip(tmp_path_factory, seed):
     rng, path = np.random.default_rng(seed), tmp_path_factory.mktemp("oxts") / "a.txt"
     row = rng.uniform(-1, 1, 30)
     row[oxts.COLUMNS.index("navstat") :] = [4, 9, 4, 4, 4]
@@ -121,7 +118,7 @@ def stamps(path: Path, seconds: list[str]) -> Path:
         (["25.0", "", "25.2"], [0, 2], [0, 0.2]),  # the empty line belongs to no frame
     ],
 )
-def test_lines_and_frames(tmp_path: Path, lines: list[str], frames: list[int], expected: list[float]) -> None:
+def test_lines_and_frames(tmp_path, lines, frames, expected):
     np.testing.assert_allclose(oxts.read_times(stamps(tmp_path / "a.txt", lines), frames), expected, atol=1e-12)
 
 
@@ -155,9 +152,7 @@ PLAINLY_WRONG: list[tuple[Callable[[Path], object], str | bytes, str]] = [
 
 
 @pytest.mark.parametrize(("read", "content", "problem"), PLAINLY_WRONG)
-def test_plainly_wrong_files(
-    tmp_path: Path, read: Callable[[Path], object], content: str | bytes, problem: str
-) -> None:
+def test_plainly_wrong_files(tmp_path, read, content, problem):
     write(tmp_path / "a.txt", content)
     with pytest.raises(InputError, match=problem):
         read(tmp_path / "a.txt")

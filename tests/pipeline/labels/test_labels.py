@@ -19,13 +19,13 @@ SPEED = st.floats(0.5, 30.0)
 
 
 @given(radius=st.floats(4, 1e3), speed=SPEED)
-def test_a_left_bend_is_positive_with_the_bicycles_radius_and_in_reverse_too(radius: float, speed: float) -> None:
+def test_a_left_bend_is_positive_with_the_bicycles_radius_and_in_reverse_too(radius, speed):
     yaw_rate, speeds = np.array([1, -1, -1]) * speed / radius, np.array([1, 1, -1]) * speed
     np.testing.assert_allclose(np.tan(label.steering_angle(yaw_rate, speeds, L)), np.array([1, -1, 1]) * L / radius)
 
 
 @given(radius=st.floats(8, 100), speed=SPEED)
-def test_constant_steering_drives_a_circle(radius: float, speed: float) -> None:
+def test_constant_steering_drives_a_circle(radius, speed):
     """After a full circle the car is back; halfway it is 2R to the left of its start."""
     frames = 2001
     time_s, angle = np.linspace(0, 2 * np.pi * radius / speed, frames), np.full(frames, np.arctan(L / radius))
@@ -33,7 +33,7 @@ def test_constant_steering_drives_a_circle(radius: float, speed: float) -> None:
     np.testing.assert_allclose(xy[[-1, frames // 2]], [[0, 0], [0, 2 * radius]], atol=1e-4 * radius)
 
 
-def test_measured_angle_repeats_where_motion_is_unusable() -> None:
+def test_measured_angle_repeats_where_motion_is_unusable():
     yaw_rate, speed = np.array([9.0, 0.3, 9.0, 0.5, -0.2]), np.array([9.0, 6.0, 6.0, 0.4, -3.0])
     angle = label.measured_angle(yaw_rate, speed, np.array([0, 1, 0, 1, 1]), L, 1.0)
     left, reverse = np.arctan(L * 0.3 / 6), np.arctan(L * 0.2 / 3)
@@ -69,9 +69,7 @@ def constant(value: float) -> Function:
     ],
     ids=["circle", "clothoid", "S-bend"],
 )
-def test_the_path_ahead_is_the_mean_curvature_of_each_range(
-    speed: Function, curvature: Function, integral: Function
-) -> None:
+def test_the_path_ahead_is_the_mean_curvature_of_each_range(speed, curvature, integral):
     """Until the drive ends; second route: the heading as a function of the distance."""
     time_s, labels, at_m = drive(speed, curvature)
     found, valid = compute(time_s, labels)
@@ -89,7 +87,7 @@ def stop(t: np.ndarray) -> np.ndarray:
     return np.where((t >= 3) & (t <= 7), 0.1 * np.sin(20 * t), speed)
 
 
-def test_a_stop_on_the_way_neither_turns_nor_moves_the_car_and_a_long_one_is_no_label() -> None:
+def test_a_stop_on_the_way_neither_turns_nor_moves_the_car_and_a_long_one_is_no_label():
     """Only the ranges that end beyond it are affected, and frames in its last seconds are not."""
     time_s, labels, at_m = drive(stop, seconds=16)
     labels.yaw_rate_radps[(time_s >= 3) & (time_s <= 7)] = 0.003
@@ -104,7 +102,7 @@ def test_a_stop_on_the_way_neither_turns_nor_moves_the_car_and_a_long_one_is_no_
 
 
 @pytest.mark.parametrize("change", ["reverses", "yaw rate unknown", "speed unknown", "frame missing"])
-def test_no_path_passes_a_reversing_a_missing_or_an_unmeasured_frame(change: str) -> None:
+def test_no_path_passes_a_reversing_a_missing_or_an_unmeasured_frame(change):
     time_s, labels, at_m = drive(constant(9.3))
     _, complete = compute(time_s, labels)
     speed, yaw_rate, frame = labels.speed_mps.copy(), labels.yaw_rate_radps.copy(), np.arange(len(time_s))
@@ -121,7 +119,7 @@ def test_no_path_passes_a_reversing_a_missing_or_an_unmeasured_frame(change: str
 
 
 @given(seed=st.integers(0, 1000))
-def test_mirrored_motion_gives_the_mirrored_path_ahead(seed: int) -> None:
+def test_mirrored_motion_gives_the_mirrored_path_ahead(seed):
     rng = np.random.default_rng(seed)
     time_s, speed, yaw_rate = np.cumsum(rng.uniform(0.08, 0.12, 80)), rng.uniform(0, 12, 80), rng.normal(0, 0.2, 80)
     labels = Labels(speed, speed > 0, speed, yaw_rate)
@@ -137,7 +135,7 @@ def moved(yaw_rate: float, speed: float, measured: list[int]) -> Labels:
     return Labels(angle, valid & np.array(measured, bool), rates[1], rates[0])
 
 
-def test_scores_use_measured_frames_above_the_minimum_speed() -> None:
+def test_scores_use_measured_frames_above_the_minimum_speed():
     true, held = np.arctan(L * 0.2 / 6), np.arctan(L * 0.21 / 6.6)
     scores = comparison.score([comparison.errors(moved(0.21, 6.6, [0, 1, 0, 1, 1]), moved(0.2, 6.0, [1] * 5))])
     expected = {"drives": 1, "frames": 5, "valid": 2 / 5, "judged": 3, "speed_ratio": 1.1, "correlation": 1.0}
@@ -148,11 +146,10 @@ def test_scores_use_measured_frames_above_the_minimum_speed() -> None:
 
 
 @pytest.mark.parametrize(("sign", "nmse", "inverted"), [(1, 0.01, False), (-1, 4.41, True)])
-def test_recorded_angles_have_no_speed_and_an_inverted_sign_is_named(sign: int, nmse: float, inverted: bool) -> None:
+def test_recorded_angles_have_no_speed_and_an_inverted_sign_is_named(sign, nmse, inverted):
     true, unknown = moved(0.2, 6.0, [1] * 5), np.full(5, np.nan)
     wheel = Labels(sign * 1.1 * true.steering_rad, true.valid, unknown, unknown)
     scores = comparison.score([comparison.errors(wheel, true)])
-    assert scores
     assert (scores["yaw_rmse_degps"], scores["speed_ratio"], scores["nmse"]) == (None, None, pytest.approx(nmse))
     line = comparison.summary_line(scores, wheel=True)
     assert line.endswith("the sign of wheel_rad is inverted: left is positive") == inverted
@@ -162,7 +159,7 @@ COUNT = 300
 
 
 @given(st.lists(st.floats(0.05, 3.0), min_size=1, max_size=30), st.integers(0, 2**32 - 1))
-def test_yaw_rates_are_gaussian_means(steps_s: list[float], seed: int) -> None:
+def test_yaw_rates_are_gaussian_means(steps_s, seed):
     time_s = np.cumsum(steps_s)
     yaw_rate = np.random.default_rng(seed).normal(0, 0.3, len(time_s))
     rates = means(time_s, yaw_rate, np.full(len(time_s), 8.0), np.ones(len(time_s), bool))
@@ -172,7 +169,7 @@ def test_yaw_rates_are_gaussian_means(steps_s: list[float], seed: int) -> None:
         np.testing.assert_allclose(rates.yaw_rate_radps[row], np.average(yaw_rate[near], weights=weights), atol=1e-12)
 
 
-def test_the_angles_sigma_covers_its_error() -> None:
+def test_the_angles_sigma_covers_its_error():
     yaw_rate = 0.2 + np.random.default_rng(0).normal(0, 0.05, COUNT)
     rates = means(np.arange(COUNT) / 10, yaw_rate, np.full(COUNT, 8.0), np.ones(COUNT, bool))
     angle = steering_angle(rates.yaw_rate_radps, rates.speed_mps, 2.7)

@@ -18,15 +18,13 @@ PATH = Path("weights/a/net.pth")
 
 
 @pytest.fixture(autouse=True)
-def url(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+def url(tmp_path, monkeypatch) -> str:
     monkeypatch.chdir(tmp_path)
     Path("published.pth").write_bytes(CONTENT)
     return Path("published.pth").resolve().as_uri()
 
 
-def test_a_file_is_downloaded_once_verified_and_nothing_is_written_to_a_log(
-    url: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_is_downloaded_once_verified_and_nothing_is_written_to_a_log(url, capsys):
     fetch(PATH, url, SHA256)
     Path("published.pth").unlink()
     fetch(PATH, url, SHA256)
@@ -37,14 +35,14 @@ def test_a_file_is_downloaded_once_verified_and_nothing_is_written_to_a_log(
         fetch(PATH, url, SHA256)
 
 
-def test_a_download_with_another_hash_leaves_nothing(url: str) -> None:
+def test_a_download_with_another_hash_leaves_nothing(url):
     with pytest.raises(InputError, match="cannot download file:") as raised:
         fetch(PATH, url, "0" * 64)
     assert f"curl --create-dirs -L -o {PATH}" in raised.value.fix
     assert list(PATH.parent.iterdir()) == []
 
 
-def test_an_encoder_of_another_kind_is_refused_and_a_missing_one_named(tmp_path: Path) -> None:
+def test_an_encoder_of_another_kind_is_refused_and_a_missing_one_named(tmp_path):
     model = build({"backbone": "small"})
     perceive.save(tmp_path, {"backbone": "small"}, model.state_dict())
     fit = {"epochs": 0, "frames": 1, "batch": 1, "learning_rate": 0.1, "seed": 0}

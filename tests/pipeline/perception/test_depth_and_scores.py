@@ -1,7 +1,6 @@
 """Depth in metres, ground truth, and errors of depth and classes."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -35,7 +34,7 @@ def road(pitch_rad: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("pitch_rad", [0.0, 0.03, -0.05])
 @pytest.mark.parametrize("unit", [0.2, 17.0])
-def test_the_road_determines_the_scale_for_any_pitch(pitch_rad: float, unit: float) -> None:
+def test_the_road_determines_the_scale_for_any_pitch(pitch_rad, unit):
     depth_m, cls = road(pitch_rad)
     stones = np.random.default_rng(0).random(SIZE) < 0.02
     depth = unit * np.where(stones, 0.97, 1) * depth_m
@@ -43,14 +42,14 @@ def test_the_road_determines_the_scale_for_any_pitch(pitch_rad: float, unit: flo
     assert from_camera_height(depth, CAR, CAMERA) is None
 
 
-def test_stored_depth_is_rounded_clipped_and_empty_in_the_sky() -> None:
+def test_stored_depth_is_rounded_clipped_and_empty_in_the_sky():
     depth = np.array([[1.0, 10.002, 1000.0, 0.0001, 30.0, 0.0]], np.float32)
     cls = np.array([[0, 0, 0, 0, classes.SKY, 0]])
     process = DepthPostprocessor(Perception(batch=1, depth_scale="metric"), CAMERA)
     assert to_units(process(depth, cls)).tolist() == [[256, 2561, 65535, 1, 0, 0]]
 
 
-def test_a_frame_without_road_takes_the_previous_factor() -> None:
+def test_a_frame_without_road_takes_the_previous_factor():
     process = DepthPostprocessor(Perception(batch=1, depth_scale="camera_height"), CAMERA)
     assert not process(np.ones(SIZE, np.float32), CAR).any()  # no depth rather than a wrong one
     depth_m, cls = road()
@@ -58,7 +57,7 @@ def test_a_frame_without_road_takes_the_previous_factor() -> None:
     np.testing.assert_allclose(process(np.ones(SIZE, np.float32), CAR), 5, rtol=1e-3)
 
 
-def test_ground_is_a_plane_and_objects_have_the_depth_of_their_foot() -> None:
+def test_ground_is_a_plane_and_objects_have_the_depth_of_their_foot():
     _, truth, cls = street.scene(0)
     depth = ground_plane_depth(cls, street.CAMERA)
     ground = cls == classes.ROAD
@@ -71,7 +70,7 @@ def test_ground_is_a_plane_and_objects_have_the_depth_of_their_foot() -> None:
             np.testing.assert_allclose(depth[: foot[0], column], depth[foot[0], column])
 
 
-def test_only_traffic_is_limited() -> None:
+def test_only_traffic_is_limited():
     _, truth, cls = street.scene(0)
     cls = cls.copy()
     column = np.flatnonzero((cls == classes.ROAD).any(axis=0) & (cls == classes.BUILDING).any(axis=0))[0]
@@ -91,7 +90,7 @@ DRIVE = "2026_01_01_drive_0001"
 
 
 @pytest.mark.parametrize("dense", [True, False])
-def test_dense_truth_precedes_lidar_which_is_sparse_and_has_no_classes(tmp_path: Path, dense: bool) -> None:
+def test_dense_truth_precedes_lidar_which_is_sparse_and_has_no_classes(tmp_path, dense):
     street.write_drive(tmp_path, DRIVE, 2, dense=dense, lidar=True)
     _, depth, cls = street.scene(1)
     with store.DriveReader(tmp_path / f"{DRIVE}.h5", stage="ingest") as file:
@@ -103,7 +102,7 @@ def test_dense_truth_precedes_lidar_which_is_sparse_and_has_no_classes(tmp_path:
     assert (truth.depth_source, truth.has_cls) == (("dense", True) if dense else ("lidar", False))
 
 
-def test_hidden_points_are_dropped_and_ground_stays() -> None:
+def test_hidden_points_are_dropped_and_ground_stays():
     camera = Camera(np.array([[360.0, 0, 160], [0, 360, 40], [0, 0, 1]]), (100, 320), T_cam_velo=np.eye(4))
     rows = np.arange(100)[:, None]
     ground = np.where(rows > 45, 1.65 * 360 / np.maximum(rows - 40, 1), 0) * np.ones((1, 320))
@@ -128,11 +127,11 @@ def test_hidden_points_are_dropped_and_ground_stays() -> None:
         ([10, 20, 40], [11, 0, 40], [0.05, np.sqrt(1 / 2), 1]),  # a hole in the prediction
     ],
 )
-def test_depth_errors_equal_hand_values(truth: list[float], predicted: list[float], expected: list[float]) -> None:
+def test_depth_errors_equal_hand_values(truth, predicted, expected):
     np.testing.assert_allclose(depth_errors(np.array(predicted), np.array(truth, float)), expected)
 
 
-def test_flat_ground_is_scored_at_the_pixels_of_the_encoder() -> None:
+def test_flat_ground_is_scored_at_the_pixels_of_the_encoder():
     _, depth_m, cls = street.scene(0)
     stored = np.where(np.random.default_rng(0).random(street.SIZE) < 0.3, 0, depth_m)
     scores = Scores()
@@ -148,7 +147,7 @@ def test_flat_ground_is_scored_at_the_pixels_of_the_encoder() -> None:
     assert "mean IoU 1.000" in summary_line(report)
 
 
-def test_class_scores_equal_hand_values() -> None:
+def test_class_scores_equal_hand_values():
     scores = Scores()
     truth = np.array([0, 0, 0, 1, 1, classes.VOID, 18, 18])
     scores.add_classes(np.array([0, 0, 1, 1, 2, 5, 18, classes.VOID], np.uint8), truth)  # void is an error
@@ -159,7 +158,7 @@ def test_class_scores_equal_hand_values() -> None:
     assert report["pixel_accuracy"] == pytest.approx(4 / 7)
 
 
-def test_scores_add_up_over_drives_through_json() -> None:
+def test_scores_add_up_over_drives_through_json():
     rng = np.random.default_rng(0)
     every, total = Scores(), Scores()
     for _ in range(2):

@@ -22,7 +22,7 @@ SMALL = {"backbone": "small"}
 
 
 @pytest.fixture(scope="module")
-def ingest(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def ingest(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("ingest")
     street.write_drive(folder, DENSE, 4)
     street.write_drive(folder, LIDAR, 8, dense=False, lidar=True)
@@ -32,12 +32,12 @@ def ingest(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize(("drives", "missing"), [([BARE, BLIND], "depth or LiDAR"), ([LIDAR, BARE], "classes")])
-def test_drives_without_targets_are_refused(ingest: Path, drives: list[str], missing: str) -> None:
+def test_drives_without_targets_are_refused(ingest, drives, missing):
     with pytest.raises(InputError, match=f"no image of the training drives has {missing}"):
         Examples(ingest, drives, 10)
 
 
-def test_frames_with_an_image_and_a_target_are_chosen(ingest: Path) -> None:
+def test_frames_with_an_image_and_a_target_are_chosen(ingest):
     with Examples(ingest, [DENSE, LIDAR, BARE, BLIND], 12) as examples:
         assert examples.frames_per_drive == {DENSE: 4, LIDAR: 8, BARE: 0, BLIND: 0}
         np.testing.assert_array_equal(examples[1].cls, street.scene(1)[2])
@@ -46,7 +46,7 @@ def test_frames_with_an_image_and_a_target_are_chosen(ingest: Path) -> None:
 
 
 @given(count=st.integers(1, 3000), wanted=st.integers(1, 3000))
-def test_spread_is_even_and_without_repeats(count: int, wanted: int) -> None:
+def test_spread_is_even_and_without_repeats(count, wanted):
     rows = spread(count, wanted)
     assert len(rows) == min(count, wanted)
     steps = np.diff(rows)
@@ -59,7 +59,7 @@ def example() -> Example:
     return Example(image, street.CAMERA, depth.astype(np.float32), cls)
 
 
-def test_mirroring_negates_the_rays_and_is_its_own_inverse(example: Example) -> None:
+def test_mirroring_negates_the_rays_and_is_its_own_inverse(example):
     mirror = mirrored(example)
     x, y, _ = np.moveaxis(rays(street.K, street.SIZE), -1, 0)
     mirror_x, mirror_y, _ = np.moveaxis(rays(mirror.camera.K, street.SIZE), -1, 0)
@@ -72,14 +72,14 @@ def test_mirroring_negates_the_rays_and_is_its_own_inverse(example: Example) -> 
         np.testing.assert_array_equal(getattr(back, name), getattr(example, name))
 
 
-def test_a_share_of_the_images_loses_its_colour(example: Example) -> None:
+def test_a_share_of_the_images_loses_its_colour(example):
     rng = np.random.default_rng(0)
     results = [relit(example, rng) for _ in range(64)]
     assert 4 < sum(not np.ptp(result.image, axis=-1).any() for result in results) < 20
     assert all(result.cls is example.cls for result in results)
 
 
-def test_the_loss_ignores_unknown_pixels_and_matches_hand_values() -> None:
+def test_the_loss_ignores_unknown_pixels_and_matches_hand_values():
     logits = torch.zeros(1, 19, 1, 3)
     logits[0, 3, 0, 0] = 50.0
     depth, true_depth = torch.tensor([[[2.0, 8.0, 5.0]]]), torch.tensor([[[4.0, 8.0, 0.0]]])
@@ -87,7 +87,7 @@ def test_the_loss_ignores_unknown_pixels_and_matches_hand_values() -> None:
     np.testing.assert_allclose(loss, [(np.log(2) / 2 + 0.5 / 2) / 2, np.log(19) / 2], rtol=1e-5)
 
 
-def test_a_saved_encoder_loads_unchanged_and_its_file_is_deterministic(tmp_path: Path) -> None:
+def test_a_saved_encoder_loads_unchanged_and_its_file_is_deterministic(tmp_path):
     model = build(SMALL)
     save(tmp_path, SMALL, model.state_dict())
     assert read(tmp_path / "encoder.pt")[0] == SMALL
@@ -99,7 +99,7 @@ def test_a_saved_encoder_loads_unchanged_and_its_file_is_deterministic(tmp_path:
     assert (tmp_path / "other/encoder.pt").read_bytes() == (tmp_path / "encoder.pt").read_bytes()
 
 
-def test_passes_give_the_same_bits_for_any_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_passes_give_the_same_bits_for_any_number_of_threads(monkeypatch):
     monkeypatch.setenv("STEER_WORKERS", "5")
     matrices = np.random.default_rng(0).standard_normal((6, 300, 300), np.float32)
     results, before = [], torch.get_num_threads()

@@ -3,7 +3,6 @@
 import html
 import re
 from pathlib import Path
-from typing import Any
 
 import cv2
 import h5py
@@ -33,7 +32,7 @@ DRIVE, OTHER = examples.DRIVES
 # Groups and networks of the paper
 
 
-def test_groups_and_rows_are_sorted_with_baselines_last(tmp_path: Path) -> None:
+def test_groups_and_rows_are_sorted_with_baselines_last(tmp_path):
     found = examples.groups(
         tmp_path,
         metrics("path", predict="path"),
@@ -66,12 +65,12 @@ def test_groups_and_rows_are_sorted_with_baselines_last(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_network_of_the_paper_is_known_by_its_settings(change: dict[str, Any], network: str | None) -> None:
+def test_a_network_of_the_paper_is_known_by_its_settings(change, network):
     found = paper.find(examples.ENTRY | change)
     assert found == (paper.PAPER[network] if network else None)
 
 
-def test_predictions_have_a_row_per_model_and_frame(tmp_path: Path) -> None:
+def test_predictions_have_a_row_per_model_and_frame(tmp_path):
     net = metrics("net", 0.25, {"odometry": 0.25}) | {"seeds": [3, 7]}
     (group,) = examples.groups(tmp_path, net, metrics("other"))
     assert group.predictions.groupby("model").size().to_dict() == {"net": 60, "other": 60}
@@ -86,7 +85,7 @@ def test_predictions_have_a_row_per_model_and_frame(tmp_path: Path) -> None:
     assert (row["true_deg"], row["predicted_deg"]) == pytest.approx((np.rad2deg(0.1 * 10), np.rad2deg(0.15 * 10)))
 
 
-def test_metrics_of_dvc_have_tests_with_intervals_and_the_other_splits(tmp_path: Path) -> None:
+def test_metrics_of_dvc_have_tests_with_intervals_and_the_other_splits(tmp_path):
     net = metrics("net", [0.1, 0.3]) | {"val": {"steering_rad": {"nmse": 0.15}}}
     path = metrics("path", baselines={"odometry": 0.4}, predict="path")
     found = results.dvc_metrics(examples.groups(tmp_path, net, metrics("straight", None, horizon=5), path))
@@ -104,7 +103,7 @@ def build(data: Path, *contents: dict[str, object]) -> dict[str, tables.Table]:
     return {table.title: table for table in tables.steering_tables(examples.groups(data, *contents))}
 
 
-def test_the_first_table_fits_a_terminal(tmp_path: Path) -> None:
+def test_the_first_table_fits_a_terminal(tmp_path):
     content = metrics("pointnet2-lstm", baselines={"odometry": 0.04}, horizon=10) | {"seeds": [0, 1]}
     content["parameters"] = 1_408_259
     examples.write_model(tmp_path, content)
@@ -122,7 +121,7 @@ def test_the_first_table_fits_a_terminal(tmp_path: Path) -> None:
     assert (rows["*odometry*"]["nmse"], rows["*odometry*"]["parameters"]) == ("0.040", tables.NONE)
 
 
-def test_a_path_has_a_column_per_range(tmp_path: Path) -> None:
+def test_a_path_has_a_column_per_range(tmp_path):
     built = build(tmp_path, metrics("path", predict="path", baselines={"odometry": 0.4}))
     for part in ("Results", "Without onsets"):
         rows = {row["model"]: row for row in built[f"{part}: path ahead"].rows}
@@ -130,7 +129,7 @@ def test_a_path_has_a_column_per_range(tmp_path: Path) -> None:
     assert "MSE as in the paper's Table 2" not in built
 
 
-def test_all_rows_are_compared_on_common_frames_with_one_zero(tmp_path: Path) -> None:
+def test_all_rows_are_compared_on_common_frames_with_one_zero(tmp_path):
     """On its own frames the window of 4 is worse, since it also predicts frames 3 to 6. Odometry begins at frame 9."""
     baselines = {"odometry": 0.5, "regression": 0.5}
     short, long = (examples.predictions(nmse, baselines=baselines) for nmse in (0.3, 0.5))
@@ -153,7 +152,7 @@ def test_all_rows_are_compared_on_common_frames_with_one_zero(tmp_path: Path) ->
     )
 
 
-def test_models_without_common_frames_have_no_difference(tmp_path: Path) -> None:
+def test_models_without_common_frames_have_no_difference(tmp_path):
     table = examples.predictions()
     for model, drive in zip(("scene", "blind"), examples.DRIVES, strict=True):
         examples.write_model(tmp_path, metrics(model), table[table["drive"] == drive])
@@ -163,7 +162,7 @@ def test_models_without_common_frames_have_no_difference(tmp_path: Path) -> None
     assert sentences(groups) == []
 
 
-def test_models_that_differ_in_one_setting_have_a_difference(tmp_path: Path) -> None:
+def test_models_that_differ_in_one_setting_have_a_difference(tmp_path):
     lstm = {key: value for key, value in examples.ENTRY.items() if key != "cell"}
     found = build(
         tmp_path,
@@ -187,7 +186,7 @@ def test_models_that_differ_in_one_setting_have_a_difference(tmp_path: Path) -> 
     assert found["Differences: path ahead"].rows[1]["5-10 m"] == "-0.300 (-0.300 to -0.300)"
 
 
-def test_a_predicted_uncertainty_has_a_row(tmp_path: Path) -> None:
+def test_a_predicted_uncertainty_has_a_row(tmp_path):
     content = metrics("net")
     known = {"nll": -2.0, "nll_constant": -1.5, "coverage_68": 0.7, "coverage_95": 0.94, "mae_certain": 0.02}
     content["test"]["steering_rad"] |= {"uncertainty": known, "mae": 0.04}
@@ -195,7 +194,7 @@ def test_a_predicted_uncertainty_has_a_row(tmp_path: Path) -> None:
     assert [*row.values()] == ["net", "-2.000", "-1.500", "70.0%", "94.0%", "50%"]
 
 
-def test_perception_has_a_row_per_split_with_ground_truth() -> None:
+def test_perception_has_a_row_per_split_with_ground_truth():
     scores = {split: Scores() for split in ("train", "val", "test")}
     truth = np.full((40, 50), 10.0)
     scores["val"].add_depth("depth_lidar", 1.2 * truth, truth)
@@ -230,9 +229,7 @@ def test_perception_has_a_row_per_split_with_ground_truth() -> None:
     ],
 )
 @pytest.mark.parametrize("predict", ["angle", "path"])
-def test_the_best_model_is_compared_with_the_best_baseline_without_learning(
-    tmp_path: Path, nmse: float, baselines: dict[str, float], verdict: str, predict: str
-) -> None:
+def test_the_best_model_is_compared_with_the_best_baseline(tmp_path, nmse, baselines, verdict, predict):
     models = metrics("worse", 3.0, baselines, predict=predict), metrics("net", nmse, baselines, predict=predict)
     (text,) = sentences(examples.groups(tmp_path, *models))  # nothing about the sign without a gain
     title = {"angle": "steering angle", "path": "path ahead"}[predict]
@@ -240,7 +237,7 @@ def test_the_best_model_is_compared_with_the_best_baseline_without_learning(
     assert f"), {verdict}" in text
 
 
-def test_a_sign_is_needed_and_missing_results_are_named(tmp_path: Path) -> None:
+def test_a_sign_is_needed_and_missing_results_are_named(tmp_path):
     content = metrics("net")
     content["columns"] = {"steering_rad": content["columns"]["steering_rad"] | {"odometry_gain": -1.19}}
     _, *more = sentences(examples.groups(tmp_path, content), ["absent", "other"])
@@ -252,7 +249,7 @@ def test_a_sign_is_needed_and_missing_results_are_named(tmp_path: Path) -> None:
 # Pictures
 
 
-def test_a_graph_has_each_edge_once(tmp_path: Path) -> None:
+def test_a_graph_has_each_edge_once(tmp_path):
     path = tmp_path / "graphs/a.h5"
     write_graphs(path, DRIVE, np.zeros(3), np.array([3, 4, 6]), 40, np.random.default_rng(0))
     with DriveReader(path, stage="graphs") as file:
@@ -260,7 +257,6 @@ def test_a_graph_has_each_edge_once(tmp_path: Path) -> None:
         xyz, degree = file["xyz"][40:80], file["degree"][40:80]
         start, stop = file["indices_ptr"][1:3]
         indices = file["indices"][start:stop]
-    assert view.edges is not None
     np.testing.assert_array_equal(view.xyz, xyz)
     both = {(a, b) for a, row in enumerate(np.split(indices, np.cumsum(degree)[:-1])) for b in row.tolist()}
     edges = [(a, b) for a, b in view.edges.tolist()]
@@ -268,7 +264,7 @@ def test_a_graph_has_each_edge_once(tmp_path: Path) -> None:
     assert {*edges, *((b, a) for a, b in edges)} == both
 
 
-def test_a_later_file_replaces_what_an_earlier_one_has(tmp_path: Path) -> None:
+def test_a_later_file_replaces_what_an_earlier_one_has(tmp_path):
     """The image of ingest; depth and classes of perception, not the ground truth beside the image."""
     street.write_drive(tmp_path / "ingest", DRIVE, 3)
     street.write_perception(tmp_path / "perception", tmp_path / "ingest", DRIVE)
@@ -288,7 +284,7 @@ def test_a_later_file_replaces_what_an_earlier_one_has(tmp_path: Path) -> None:
 CAMERA = Camera(np.array([[100.0, 0, 160], [0, 100, 40], [0, 0, 1]]), (96, 320), 1.5)
 
 
-def test_a_path_of_ranges_ends_where_its_arcs_do() -> None:
+def test_a_path_of_ranges_ends_where_its_arcs_do():
     """5 m straight on, then a quarter of a circle of 10 m to the left."""
     places, heading_rad = follow(path_steps([0.0, 0.1], [0, 5, 5 + 5 * np.pi]))
     assert places[10] == pytest.approx(5.0)
@@ -296,7 +292,7 @@ def test_a_path_of_ranges_ends_where_its_arcs_do() -> None:
     assert heading_rad[-1] == pytest.approx(np.pi / 2, abs=0.05)
 
 
-def test_the_wheels_on_a_straight_road_meet_at_the_horizon() -> None:
+def test_the_wheels_on_a_straight_road_meet_at_the_horizon():
     left, right = wheel_tracks(np.zeros(200), CAMERA)
     distance_m = STEP_M * np.arange(3, 201)  # nearer steps are not drawn
     np.testing.assert_allclose(left[:, 0], 160 - 100 * HALF_TRACK_M / distance_m)
@@ -306,16 +302,14 @@ def test_the_wheels_on_a_straight_road_meet_at_the_horizon() -> None:
     np.testing.assert_allclose(uphill[:, 1], left[:, 1] - 10)
 
 
-def test_a_bend_to_the_left_is_on_the_left_and_ends_where_it_turns_back() -> None:
+def test_a_bend_to_the_left_is_on_the_left_and_ends_where_it_turns_back():
     left, right = wheel_tracks(np.full(200, 0.1), CAMERA)  # circles of radius 10 m
     assert left[-1, 0] < right[-1, 0] < 160
     assert len(left) < len(right) < 100
 
 
 @pytest.mark.parametrize("with_classes", [True, False])
-def test_pictures_show_what_the_encoder_has(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, with_classes: bool
-) -> None:
+def test_pictures_show_what_the_encoder_has(tmp_path, monkeypatch, with_classes):
     titles: list[str] = []
     monkeypatch.setattr("matplotlib.axes.Axes.set_title", lambda _, title, **style: titles.append(title))
     street.write_drive(tmp_path / "ingest", DRIVE, 9)
@@ -339,9 +333,7 @@ def test_pictures_show_what_the_encoder_has(
 
 
 @pytest.mark.parametrize("predict", ["angle", "path"])
-def test_the_largest_errors_of_the_best_model_are_drawn(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, predict: str
-) -> None:
+def test_the_largest_errors_of_the_best_model_are_drawn(tmp_path, monkeypatch, predict):
     drawn: list[tuple[str, np.ndarray]] = []
     monkeypatch.setattr(figures, "draw_path", lambda _, tracks, kind: drawn.append((kind, tracks[0])))
     street.write_drive(tmp_path / "ingest", DRIVE, 30)
@@ -362,7 +354,7 @@ def test_the_largest_errors_of_the_best_model_are_drawn(
             np.testing.assert_allclose(track, wheel_tracks(np.full(20, curvature_1pm), camera)[0])
 
 
-def test_shares_of_the_largest_errors_count_each_frame_once() -> None:
+def test_shares_of_the_largest_errors_count_each_frame_once():
     table = examples.predictions().assign(cost=0.0, elapsed_s=lambda rows: rows["frame"] / 10)
     first, frame = table["drive"] == DRIVE, table["frame"]
     for number, error in ((10, 3.0), (16, 1.0), (25, -2.0)):  # 16 is within a second of both others
@@ -386,7 +378,7 @@ SECTIONS = [
 
 
 @pytest.fixture
-def data(tmp_path: Path) -> Path:
+def data(tmp_path) -> Path:
     for content in (metrics("net"), metrics("ahead", horizon=10), metrics("path", predict="path")):
         examples.write_model(tmp_path, content)
     (tmp_path / "figures").mkdir()
@@ -404,7 +396,7 @@ def write(data: Path) -> str:
     return (data / "index.html").read_text(encoding="utf-8")
 
 
-def test_the_page_is_complete_self_contained_and_repeats(data: Path) -> None:
+def test_the_page_is_complete_self_contained_and_repeats(data):
     text = write(data)
     assert text == write(data)
     assert [html.unescape(title) for title in re.findall(r"<h2>(.*?)</h2>", text)] == SECTIONS
@@ -416,7 +408,7 @@ def test_the_page_is_complete_self_contained_and_repeats(data: Path) -> None:
     assert captions[:2] == [f"{drive}: steering angle over time" for drive in examples.DRIVES]
 
 
-def test_a_name_with_a_script_is_text(data: Path) -> None:
+def test_a_name_with_a_script_is_text(data):
     for path in data.glob("evaluate/*/predictions.csv"):
         path.write_text(path.read_text().replace(DRIVE, EVIL))
     text = write(data)
@@ -424,7 +416,7 @@ def test_a_name_with_a_script_is_text(data: Path) -> None:
     assert "<script>alert(1)" not in text
 
 
-def test_odometry_has_a_gap_where_it_is_not_measured(tmp_path: Path) -> None:
+def test_odometry_has_a_gap_where_it_is_not_measured(tmp_path):
     (group,) = examples.groups(tmp_path, metrics("net", 0.25, {"odometry": 0.01}))
     drive = group.predictions[group.predictions["drive"] == examples.DRIVES[0]]
     plot = page.over_time(drive, page.styles([group]))
@@ -434,7 +426,7 @@ def test_odometry_has_a_gap_where_it_is_not_measured(tmp_path: Path) -> None:
     assert lines["driven"]["y"][20] is None
 
 
-def test_the_legend_shows_the_references_and_the_best_models(tmp_path: Path) -> None:
+def test_the_legend_shows_the_references_and_the_best_models(tmp_path):
     """Whatever their order: the paper's networks come first, and are not the best."""
     worse = [metrics(f"cnn-{number}", 0.5 + number, input="image", spatial="cnn", window=16) for number in range(3)]
     groups = examples.groups(tmp_path, *worse, metrics("a", 0.3), metrics("b", 0.1), metrics("c", 0.2))

@@ -37,7 +37,7 @@ def edited(tmp_path: Path, key: str, value: Any) -> Path:
     return path
 
 
-def test_a_range_names_all_its_drives(tmp_path: Path) -> None:
+def test_a_range_names_all_its_drives(tmp_path):
     drives = {
         "train": ["2026_01_04_drive_0008..0010", "2011_09_26_drive_0001"],
         "test": ["2026_01_03_drive_0001..0001"],
@@ -66,9 +66,7 @@ def test_a_range_names_all_its_drives(tmp_path: Path) -> None:
         (Clouds, "clouds", {"max_point": 1, "max_depth_m": 80.0}, "did you mean max_points"),  # misspelt, so missing
     ],
 )
-def test_faults_name_file_key_and_value(
-    tmp_path: Path, section: type[params.Section], key: str, value: Any, problem: str
-) -> None:
+def test_faults_name_file_key_and_value(tmp_path, section, key, value, problem):
     path = edited(tmp_path, key, value)
     with pytest.raises(InputError, match=problem) as raised:
         params.load(section, path)
@@ -84,7 +82,7 @@ def test_faults_name_file_key_and_value(
         (None, "file is missing"),
     ],
 )
-def test_faulty_files(tmp_path: Path, content: bytes | None, problem: str) -> None:
+def test_faulty_files(tmp_path, content, problem):
     path = tmp_path / "params.yaml"
     if content is not None:
         path.write_bytes(content)
@@ -94,13 +92,13 @@ def test_faulty_files(tmp_path: Path, content: bytes | None, problem: str) -> No
 
 
 @pytest.mark.parametrize("name", ["", "..", "a b", "a/b", "-a", "x;touch pwned", "$(x)", "ä", "a\n", "x" * 300, 7])
-def test_invalid_names(tmp_path: Path, name: Any) -> None:
+def test_invalid_names(tmp_path, name):
     with pytest.raises(InputError, match="expected at most 100 letters"):
         params.load_entry(Variant, "graphs", name, edited(tmp_path, "graphs", {name: {}}))
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_preset_is_written_as_its_merged_content_with_all_comments(name: str) -> None:
+def test_a_preset_is_written_as_its_merged_content_with_all_comments(name):
     text = preset.text(name)
     assert yaml.safe_load(text) == preset.merged(name)
     _, *rest = text.splitlines()
@@ -113,7 +111,7 @@ def test_a_preset_is_written_as_its_merged_content_with_all_comments(name: str) 
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_row_and_its_controls_differ_in_the_scene_only(name: str) -> None:
+def test_a_row_and_its_controls_differ_in_the_scene_only(name):
     """The row of NAME-blind or NAME-another is NAME; path-another-others is a control of path-others."""
     models = preset.validate(preset.merged(name), preset.PARAMS).models
     for key, entry in models.items():
@@ -132,7 +130,7 @@ def test_a_row_and_its_controls_differ_in_the_scene_only(name: str) -> None:
         ("train:\n  epochs: null\n", r"train\.epochs: Field required"),
     ],
 )
-def test_a_fault_of_a_preset_is_named_with_its_file(tmp_path: Path, text: str, message: str) -> None:
+def test_a_fault_of_a_preset_is_named_with_its_file(tmp_path, text, message):
     path = tmp_path / "mine.yaml"
     path.write_text(text)
     with pytest.raises(InputError, match=message) as raised:
@@ -140,16 +138,14 @@ def test_a_fault_of_a_preset_is_named_with_its_file(tmp_path: Path, text: str, m
     assert str(path) in str(raised.value)
 
 
-def test_a_star_removes_all_earlier_entries(tmp_path: Path) -> None:
+def test_a_star_removes_all_earlier_entries(tmp_path):
     """An entry of the same name does not inherit their settings."""
     model = "{input: semantic, spatial: gnn, temporal: lstm, semantics: 0.5}"
     (tmp_path / "mine.yaml").write_text(f"models:\n  sa-gnn-ncp: {model}\n  '*': null\n")
     assert preset.merged(str(tmp_path / "mine.yaml"))["models"] == {"sa-gnn-ncp": yaml.safe_load(model)}
 
 
-def test_params_are_replaced_unless_they_have_edits_that_git_lacks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_params_are_replaced_unless_they_have_edits_that_git_lacks(tmp_path, monkeypatch):
     def git(*words: str) -> None:
         who = ["-c", "user.name=test", "-c", "user.email=test@example.org"]
         subprocess.run(["git", *who, *words], check=True)

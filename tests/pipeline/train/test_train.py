@@ -32,14 +32,14 @@ EDGES_M = [0.0, 5.0, 10.0, 20.0]
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path) -> Path:
     """Drives that a test may change."""
     artefacts.write_dataset(tmp_path, DRIVES, frames=23, points=12)
     return tmp_path
 
 
 @pytest.fixture(scope="module")
-def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def original(tmp_path_factory) -> Path:
     """Drives that no test changes."""
     folder = tmp_path_factory.mktemp("drives")
     artefacts.write_dataset(folder, DRIVES, frames=23, points=12)
@@ -59,7 +59,7 @@ def read_batch(drives: Sequence[LabelledDrive], *group: windows.Span, window: in
 # Drives, spans and batches
 
 
-def test_spans_cover_each_window_of_consecutive_frames_once(original: Path) -> None:
+def test_spans_cover_each_window_of_consecutive_frames_once(original):
     assert consecutive(np.array([3, 4, 5, 9, 10, 12])) == ((0, 3), (3, 5), (5, 6))
     assert consecutive(np.array([], int)) == ()
     drives = read(original)
@@ -70,7 +70,7 @@ def test_spans_cover_each_window_of_consecutive_frames_once(original: Path) -> N
         assert all(span.stop - span.start - 7 <= 5 for span in spans)
 
 
-def test_batch_of_two_spans_equals_single_frames(original: Path) -> None:
+def test_batch_of_two_spans_equals_single_frames(original):
     drives = read(original)
     group = [windows.Span(1, 3, 14), windows.Span(0, 0, 9)]
     batch = read_batch(drives, *group)
@@ -88,7 +88,7 @@ def test_batch_of_two_spans_equals_single_frames(original: Path) -> None:
     assert (batch["target"] == np.concatenate([drives[1].target[10:14], drives[0].target[7:9]]).astype("f4")).all()
 
 
-def test_target_is_the_label_horizon_frames_ahead_by_frame_number(folder: Path) -> None:
+def test_target_is_the_label_horizon_frames_ahead_by_frame_number(folder):
     steering, valid = np.arange(25) / 100, np.arange(25) != 20
     frame = np.setdiff1d(np.arange(26), [10])  # frame 10 has neither label nor graph
     graphs, labels = folder / f"graphs/semantic/{NAMES[0]}.h5", folder / f"labels/{NAMES[0]}.h5"
@@ -109,7 +109,7 @@ def test_target_is_the_label_horizon_frames_ahead_by_frame_number(folder: Path) 
         read(folder, names=NAMES[:1])
 
 
-def test_motion_and_base_of_a_batch(folder: Path) -> None:
+def test_motion_and_base_of_a_batch(folder):
     """Not measured in frames 0 and 5: the angle is held, and unknown before the first measurement."""
     moved = ~np.isin(np.arange(23), [0, 5])
     for drive in read(folder):
@@ -133,7 +133,7 @@ def test_motion_and_base_of_a_batch(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("others", [10, 23, 60])
-def test_the_control_gets_the_scene_of_another_drive_and_nothing_else_changes(folder: Path, others: int) -> None:
+def test_the_control_gets_the_scene_of_another_drive_and_nothing_else_changes(folder, others):
     """Also in a larger world, and with hidden motion. The first windows, which the other drive lacks, get its first."""
     artefacts.write_dataset(folder, {NAMES[1]: "train"}, frames=others, points=12)
     for name, frames in zip(NAMES, (23, others), strict=True):
@@ -162,7 +162,7 @@ def test_the_control_gets_the_scene_of_another_drive_and_nothing_else_changes(fo
 
 
 @pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
-def test_batches_are_the_same_with_each_reader(original: Path, workers: int) -> None:
+def test_batches_are_the_same_with_each_reader(original, workers):
     drives = read(original)
     groups = [(windows.Span(n % 2, n, n + 9, 1.1), windows.Span(1, 2 * n, 2 * n + 9)) for n in range(6)]
     with windows.Reader(drives, 4, workers) as reader:
@@ -174,7 +174,7 @@ def test_batches_are_the_same_with_each_reader(original: Path, workers: int) -> 
                     np.testing.assert_array_equal(tensor.numpy(), expected[name], strict=True)
 
 
-def test_hidden_motion_is_not_measured_and_has_no_base(folder: Path) -> None:
+def test_hidden_motion_is_not_measured_and_has_no_base(folder):
     for name in NAMES:
         artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", np.full(23, 0.2))
     moving = read(folder, horizon=5, motion="visual")
@@ -199,9 +199,7 @@ def test_hidden_motion_is_not_measured_and_has_no_base(folder: Path) -> None:
         (5, "visual", "blind", False),
     ],
 )
-def test_motion_is_hidden_from_half_of_the_spans_if_the_scene_shows_what_lies_ahead(
-    original: Path, ahead: int, motion: str, spatial: str, hides: bool
-) -> None:
+def test_motion_is_hidden_from_half_of_the_spans_beside_a_scene_ahead(original, ahead, motion, spatial, hides):
     model = entry(spatial=spatial, temporal="lstm", window=4, motion=motion)
     settings = Train.model_validate(yaml.safe_load(small_model.PARAMS.read_text())["train"] | {"span_windows": 1})
     fitting = fit.Fit(model.build("graph"), model, settings, 0, read(original, horizon=ahead), [])
@@ -211,7 +209,7 @@ def test_motion_is_hidden_from_half_of_the_spans_if_the_scene_shows_what_lies_ah
 
 @pytest.mark.parametrize("write", [artefacts.write_graphs, artefacts.write_sets, artefacts.write_images])
 @pytest.mark.parametrize("predicted", ["angle", "path"])
-def test_a_world_twice_as_large_has_bends_of_twice_the_radius(tmp_path: Path, predicted: str, write: object) -> None:
+def test_a_world_twice_as_large_has_bends_of_twice_the_radius(tmp_path, predicted, write):
     artefacts.write_dataset(tmp_path, DRIVES, frames=40, points=40, write=write, ahead_m=EDGES_M)
     for name in DRIVES:
         artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", np.linspace(-0.3, 0.4, 40))
@@ -235,9 +233,7 @@ def test_a_world_twice_as_large_has_bends_of_twice_the_radius(tmp_path: Path, pr
 
 
 @given(st.floats(0.5, 2.0), st.lists(st.floats(-0.2, 0.2), min_size=3, max_size=3), st.integers(0, 3))
-def test_the_path_in_a_larger_world_has_the_mean_curvature_of_its_stretched_course(
-    factor: float, values: list[float], unknown: int
-) -> None:
+def test_the_path_in_a_larger_world_has_the_mean_curvature_of_its_stretched_course(factor, values, unknown):
     curvature, valid = np.array([values]), np.arange(3)[None] != unknown
     path, known = windows.scale_path(curvature, valid, EDGES_M, factor)
     step = (np.arange(20_000) + 0.5) / 1000  # distances in the scaled world, metres
@@ -267,7 +263,7 @@ def count(stop: int, log: list[str], error: Exception | None = None) -> Generato
         log.append("closed")
 
 
-def test_items_come_in_order_from_one_other_thread_and_errors_after_them() -> None:
+def test_items_come_in_order_from_one_other_thread_and_errors_after_them():
     for stop in (0, 1, 30):
         log, received = list[str](), list[int]()
         assert list(loop.prefetch(count(stop, log), ahead=3)) == list(range(stop))
@@ -282,7 +278,7 @@ def test_items_come_in_order_from_one_other_thread_and_errors_after_them() -> No
 
 
 @pytest.mark.parametrize("parallel", [False, True])
-def test_the_number_of_items_ahead_is_bounded(parallel: bool) -> None:
+def test_the_number_of_items_ahead_is_bounded(parallel):
     log = list[str]()
     items = count(100, log)
     ready = loop.side_by_side(abs, items, threads=3, ahead=4) if parallel else loop.prefetch(items, ahead=4)
@@ -298,7 +294,7 @@ def test_the_number_of_items_ahead_is_bounded(parallel: bool) -> None:
 
 
 @pytest.fixture(params=[{"horizon": 5}, {"predict": "path"}], ids=["angle", "path"])
-def drives(request: pytest.FixtureRequest, tmp_path: Path) -> list[LabelledDrive]:
+def drives(request, tmp_path) -> list[LabelledDrive]:
     artefacts.write_dataset(tmp_path, DRIVES, frames=40, points=12, ahead_m=[0, 5, 10])
     for name, factor in zip(NAMES, (0.2, -0.3), strict=True):
         angle_rad = factor * np.sin(np.arange(40) / 5)
@@ -306,7 +302,7 @@ def drives(request: pytest.FixtureRequest, tmp_path: Path) -> list[LabelledDrive
     return read(tmp_path, motion="visual", **request.param)
 
 
-def test_scale_is_the_regression_and_spread_of_the_residual(drives: list[LabelledDrive]) -> None:
+def test_scale_is_the_regression_and_spread_of_the_residual(drives):
     scale, path = Scale.from_drives(drives), bool(drives[0].ahead_m)
     assert scale.names == (["path_0-5m_1pm", "path_5-10m_1pm"] if path else ["steering_rad"])
     truth, base = np.concatenate([d.truth for d in drives]), np.concatenate([d.base for d in drives])
@@ -327,7 +323,7 @@ def test_scale_is_the_regression_and_spread_of_the_residual(drives: list[Labelle
 
 
 @given(st.integers(1, 4), st.integers(0, 2**32 - 1))
-def test_encode_and_decode_are_inverse(columns: int, seed: int) -> None:
+def test_encode_and_decode_are_inverse(columns, seed):
     rng = np.random.default_rng(seed)
     gain, std, mean = rng.normal(size=columns), rng.uniform(1e-3, 2, (2, columns)), np.zeros(columns)
     scale = Scale.parse(Scale([f"c{n}" for n in range(columns)], gain, *std, mean).content)
@@ -340,13 +336,13 @@ def test_encode_and_decode_are_inverse(columns: int, seed: int) -> None:
     assert scale.decode(np.zeros((5, columns)), base).sigma is None
 
 
-def test_nmse_is_1_for_zero_and_ignores_unknown_frames(drives: list[LabelledDrive]) -> None:
+def test_nmse_is_1_for_zero_and_ignores_unknown_frames(drives):
     for factor, expected in ((0.0, 1.0), (0.5, 0.25), (np.nan, np.nan)):
         predicted = [Prediction(np.where(d.frame[:, None] < 4, np.nan, factor * d.target)) for d in drives]
         assert scale.nmse(drives, predicted) == pytest.approx(expected, nan_ok=True)
 
 
-def test_targets_of_a_step_are_standardised_weighted_and_mirrored() -> None:
+def test_targets_of_a_step_are_standardised_weighted_and_mirrored():
     angle = Scale(["steering_rad"], np.ones(1), np.array([0.5]), np.array([0.6]), np.zeros(1))
     batch = {
         "target": torch.tensor([[0.2], [-0.3], [0.0]]),
@@ -362,7 +358,7 @@ def test_targets_of_a_step_are_standardised_weighted_and_mirrored() -> None:
 
 
 @pytest.mark.parametrize("robust", [False, True])
-def test_uncertainty_adds_its_likelihood_and_leaves_the_mean_alone(robust: bool) -> None:
+def test_uncertainty_adds_its_likelihood_and_leaves_the_mean_alone(robust):
     def huber(x: torch.Tensor) -> torch.Tensor:
         return torch.where(x.abs() < 1, x.square() / 2, x.abs() - 0.5)
 
@@ -405,13 +401,13 @@ def write_model(folder: Path, change: dict[str, Any] | None = None, **entry: obj
 
 
 @pytest.fixture
-def drive(tmp_path: Path) -> Path:
+def drive(tmp_path) -> Path:
     path = tmp_path / "drive.h5"
     artefacts.write_graphs(path, "drive", STEERING, NUMBERS, 40, np.random.default_rng(0))
     return path
 
 
-def test_shared_frames_equal_naive_windows_and_gaps_are_nan(tmp_path: Path, drive: Path) -> None:
+def test_shared_frames_equal_naive_windows_and_gaps_are_nan(tmp_path, drive):
     model = predict.load(str(write_model(tmp_path / "net")), "cpu")
     with open_graphs(drive) as graphs:
         steering_rad = model.predict(graphs).mean[:, 0]
@@ -429,7 +425,7 @@ def test_shared_frames_equal_naive_windows_and_gaps_are_nan(tmp_path: Path, driv
 
 
 @pytest.mark.parametrize("base", ["motion", "none"])
-def test_output_zero_is_the_base_angle(tmp_path: Path, drive: Path, base: str) -> None:
+def test_output_zero_is_the_base_angle(tmp_path, drive, base):
     model = predict.load(write_model(tmp_path / "net", motion="visual", base=base, horizon=3), "cpu")
     with open_graphs(drive) as graphs, pytest.raises(InputError, match="no measured motion"):
         model.predict(graphs)
@@ -454,7 +450,7 @@ class Trap:
         return (open, (str(self.path), "w"))
 
 
-def test_code_in_a_file_does_not_run(tmp_path: Path) -> None:
+def test_code_in_a_file_does_not_run(tmp_path):
     torch.save({"kind": "thing", "trap": Trap(tmp_path / "sprung")}, tmp_path / "x.pt")
     with pytest.raises(InputError, match="more than tensors"):
         checkpoint.read(tmp_path / "x.pt", "thing")
@@ -472,7 +468,7 @@ WRONG: dict[str, tuple[dict[str, Any] | None, str]] = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_a_wrong_checkpoint_is_one_line(tmp_path: Path, case: str) -> None:
+def test_a_wrong_checkpoint_is_one_line(tmp_path, case):
     change, message = WRONG[case]
     write_model(tmp_path / "train/other")
     folder = tmp_path / "train/nott" if change is None else write_model(tmp_path / "train/net", change)
@@ -493,7 +489,7 @@ def test_a_wrong_checkpoint_is_one_line(tmp_path: Path, case: str) -> None:
         ({"bias": "two"}, "tensors by name"),
     ],
 )
-def test_a_state_must_match_exactly(change: dict[Any, object], fault: str) -> None:
+def test_a_state_must_match_exactly(change, fault):
     net = torch.nn.Linear(3, 2)
     changed = {name: value for name, value in {**net.state_dict(), **change}.items() if value is not None}
     with pytest.raises(InputError, match=fault):
@@ -506,7 +502,7 @@ def test_a_state_must_match_exactly(change: dict[Any, object], fault: str) -> No
 SPLITS = {"a": "train", "x": "test", "b": "train", "v": "val", "y": "test", "z": "test"}
 
 
-def test_runs_are_seeds_and_folds() -> None:
+def test_runs_are_seeds_and_folds():
     model = Path("data/train/gnn")
     result = runs.runs(model, [3, 0], runs.folds(SPLITS, entry()))
     assert [(str(run), run.folder) for run in result] == [("seed 3", model), ("seed 0", model / "seed-0")]
@@ -525,7 +521,7 @@ def test_runs_are_seeds_and_folds() -> None:
         runs.folds({"a": "test"}, entry(fit_to="others"))
 
 
-def test_the_scene_of_another_drive_is_one_of_the_same_split_drawn_per_seed() -> None:
+def test_the_scene_of_another_drive_is_one_of_the_same_split_drawn_per_seed():
     splits = {
         name: {"a": "train", "v": "val", "x": "test"}[name[0]] for name in ("a", "a2", "a3", "v", "v2", "x", "x2")
     }
@@ -552,5 +548,5 @@ def test_the_scene_of_another_drive_is_one_of_the_same_split_drawn_per_seed() ->
         ((), 0),
     ],
 )
-def test_the_kept_epoch(nmse: tuple[float, ...], selected: int) -> None:
+def test_the_kept_epoch(nmse, selected):
     assert fit.selected_epoch(nmse) == selected

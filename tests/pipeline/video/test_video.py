@@ -41,7 +41,7 @@ def times_of(path: Path, **options: Any) -> list[float]:
         (["b.png", "a.png", "c.JPG", "._a.png"], ["a", "b", "c"]),
     ],
 )
-def test_order_follows_the_numbers_in_names(tmp_path: Path, names: list[str], ordered: list[str]) -> None:
+def test_order_follows_the_numbers_in_names(tmp_path, names, ordered):
     for name in names:
         write_png(tmp_path / name, np.full((*SIZE, 3), 80 * ordered.index(Path(name).stem) if name[0] != "." else 9))
     (tmp_path / "notes.txt").write_text("not an image")
@@ -50,7 +50,7 @@ def test_order_follows_the_numbers_in_names(tmp_path: Path, names: list[str], or
     assert [(frame.number, frame.time_s) for frame in frames] == [(0, 0), (1, 0.25), (2, 0.5)]
 
 
-def test_frames_and_times_of_the_container(tmp_path: Path) -> None:
+def test_frames_and_times_of_the_container(tmp_path):
     images = pictures(12)
     video = open_recording(write_video(tmp_path / "a.mp4", images, fps=12.5))
     assert (video.size, video.count) == (SIZE, 12)
@@ -60,14 +60,14 @@ def test_frames_and_times_of_the_container(tmp_path: Path) -> None:
     assert len(list(video.frames())) == 12  # a second pass
 
 
-def test_names_in_nanoseconds_are_times(tmp_path: Path) -> None:
+def test_names_in_nanoseconds_are_times(tmp_path):
     for stamp in (1479424215880976321, 1479424215930976321, 1479424216040976321):
         write_png(tmp_path / f"{stamp}.png", pictures(1)[0])
     assert times_of(tmp_path) == pytest.approx([0, 0.05, 0.16], abs=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["folder", "a.mjpeg"])
-def test_times_of_a_file(tmp_path: Path, kind: str) -> None:
+def test_times_of_a_file(tmp_path, kind):
     """Also those of a raw stream; another number of them is refused."""
     path, times = tmp_path / kind, tmp_path / "times.txt"
     if kind == "folder":
@@ -118,7 +118,7 @@ def orient(path: Path) -> None:
     replace_in(path, b"\0\0\0\0IEND", chunk + struct.pack(">I", 0) + b"\0\0\0\0IEND")
 
 
-def test_a_quarter_turn_of_the_display_matrix_is_applied(tmp_path: Path) -> None:
+def test_a_quarter_turn_of_the_display_matrix_is_applied(tmp_path):
     show(tmp_path / "a.mp4", 0, 1, -1, 0)
     (image, *_) = (frame.image for frame in open_recording(tmp_path / "a.mp4").frames())
     assert np.abs(image.astype(float) - np.rot90(pictures(2)[0], -1)).mean() < 4  # clockwise
@@ -161,7 +161,7 @@ PLAINLY_WRONG: list[tuple[str, Callable[[Path], object], str]] = [
 
 
 @pytest.mark.parametrize(("name", "write", "problem"), PLAINLY_WRONG, ids=[name for name, *_ in PLAINLY_WRONG])
-def test_plainly_wrong_recordings(tmp_path: Path, name: str, write: Callable[[Path], object], problem: str) -> None:
+def test_plainly_wrong_recordings(tmp_path, name, write, problem):
     path = tmp_path / name
     write(path)
     with pytest.raises(InputError, match=problem) as raised:
@@ -183,7 +183,7 @@ PLAYLIST = "#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\n{source}\n#EXT-X-ENDLI
         ("b.mov", "\0\0\0\x14ftypqt  \0\0\0\0qt  " + PLAYLIST.replace("{source}", "http://127.0.0.1:{port}/a.ts")),
     ],
 )
-def test_a_playlist_opens_no_socket_and_no_other_file(tmp_path: Path, name: str, text: str) -> None:
+def test_a_playlist_opens_no_socket_and_no_other_file(tmp_path, name, text):
     write_video(tmp_path / "real.mp4", pictures(3))
     with socket.create_server(("127.0.0.1", 0)) as server:
         port, path = server.getsockname()[1], tmp_path / name
@@ -195,7 +195,7 @@ def test_a_playlist_opens_no_socket_and_no_other_file(tmp_path: Path, name: str,
             server.accept()
 
 
-def test_field_of_view_spans_the_edges() -> None:
+def test_field_of_view_spans_the_edges():
     K = pinhole((480, 640), fov_deg=90).K
     left, right = np.linalg.inv(K) @ [-0.5, 0, 1], np.linalg.inv(K) @ [639.5, 0, 1]  # half a pixel beyond the centres
     assert np.rad2deg(np.arctan(right[0]) - np.arctan(left[0])) == pytest.approx(90)
@@ -212,7 +212,7 @@ def test_field_of_view_spans_the_edges() -> None:
         ({"fov_deg": 90, "K": "1,1,1,1"}, ""),
     ],
 )
-def test_plainly_wrong_intrinsics(given: dict[str, Any], where: str) -> None:
+def test_plainly_wrong_intrinsics(given, where):
     with pytest.raises(InputError) as raised:
         pinhole((48, 64), **given)
     assert raised.value.where == where
@@ -238,7 +238,7 @@ def log(tmp_path: Path, text: str) -> Path:
         "\ufeffspeed_mps;time_s;yaw_rate_radps\r\n5;1;0.1\r\n6;1.5;-0.2\r\n",
     ],
 )  # fmt: skip
-def test_columns_are_found_by_name(tmp_path: Path, text: str) -> None:
+def test_columns_are_found_by_name(tmp_path, text):
     motion = read_motion(log(tmp_path, text), offset_s=10)
     np.testing.assert_array_equal(motion.time_s, [11, 11.5])
     np.testing.assert_array_equal(motion.speed_mps, [5, 6])
@@ -264,14 +264,14 @@ WHEEL = "frame,wheel_rad\n"
         ("0\n100\n200\n", "divide milliseconds by 1000"),
     ],
 )
-def test_plainly_wrong_logs(tmp_path: Path, text: str, problem: str) -> None:
+def test_plainly_wrong_logs(tmp_path, text, problem):
     path = log(tmp_path, text)
     with pytest.raises(InputError, match=problem) as raised:
         read_wheel(path, 15.0) if "wheel_rad" in text else read_motion(path) if "speed" in text else read_times(path)
     assert raised.value.where.startswith(str(path))
 
 
-def test_times_count_before_frames(tmp_path: Path) -> None:
+def test_times_count_before_frames(tmp_path):
     """A 20 Hz log of a 10 Hz video, whose column `frame` numbers the samples."""
     angles = np.linspace(0, 3, 20)
     rows = "".join(f"{sample},{sample / 20},{angle!r}\n" for sample, angle in enumerate(angles.tolist()))
@@ -280,7 +280,7 @@ def test_times_count_before_frames(tmp_path: Path) -> None:
     np.testing.assert_allclose(wheel.at(number, number / 10), angles[::2] / 10)
 
 
-def test_interpolation_ends_at_gaps_and_at_the_ends() -> None:
+def test_interpolation_ends_at_gaps_and_at_the_ends():
     samples_s = np.array([0.0, 0.5, 1.0, 4.0, 5.0])
     time_s = np.array([-0.01, -0.0005, 0.25, 1.0, 2.0, 4.0, 4.5, 5.0 + 1e-15, 5.01])
     expected = [np.nan, 0, 0.25, 1, np.nan, 4, 4.5, 5, np.nan]
@@ -300,7 +300,7 @@ def driven() -> Results:
     return Results("drive", table | {"driven_rad": truth}, problems, Truth("log.csv", "wheel_rad", truth, truth))
 
 
-def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path: Path) -> None:
+def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path):
     """Frames are 10 s apart: a gap of one frame ends the motion."""
     write_motion(tmp_path, "drive", {0: (0, 0), 1: (8.0, 0.02), 2: (8.0, 0.02), 3: (0, 0), 4: (0.5, 0.0)})
     with DriveReader(tmp_path / "drive.h5", stage="motion") as motion:
@@ -326,9 +326,7 @@ def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path: Path) -> N
         ("time_s,wheel_rad\n0,1.4\n0.2,2.8\n", "0.05,10,0.5\n0.25,20,0.5\n", [0.1, 0.15, 0.2, np.nan]),
     ],
 )
-def test_truth_is_that_of_the_logs_or_of_the_drive(
-    tmp_path: Path, wheel: str | None, motion: str | None, expected_rad: list[float]
-) -> None:
+def test_truth_is_that_of_the_logs_or_of_the_drive(tmp_path, wheel, motion, expected_rad):
     frames = [Frame(number, number / 10) for number in range(4)]
     files = [tmp_path / "wheel.csv", tmp_path / "motion.csv"]
     recorded: dict[str, Any] = {"steering_rad": {1: 0.1, 3: -0.2}}
@@ -349,13 +347,12 @@ def test_truth_is_that_of_the_logs_or_of_the_drive(
         Logs.read(files[0], None, None)
 
 
-def test_comparison_by_its_definition() -> None:
+def test_comparison_by_its_definition():
     """With the angle two frames later; the measured angle is held where it is not known."""
     results, rng = driven(), np.random.default_rng(0)
     results.table["driven_rad"] = rng.normal(0, 0.1, COUNT)
     results.table["predicted_rad"] = np.where(np.arange(COUNT) < 3, np.nan, 0.05)
     comparison = results.compare("predicted", 2)
-    assert comparison
     target = results.table["driven_rad"][5:]
     assert (comparison["truth"], comparison["frames"], comparison["horizon"]) == ("log.csv", 6, 2)
     for name, angle in (("predicted", 0.05), ("measured", 0.2), ("zero", 0.0)):
@@ -367,7 +364,7 @@ def test_comparison_by_its_definition() -> None:
 
 
 @pytest.mark.parametrize("predicted", ["angle", "path", "none"])
-def test_path_and_legend_are_inside_the_picture(tmp_path: Path, predicted: str) -> None:
+def test_path_and_legend_are_inside_the_picture(tmp_path, predicted):
     results, black = driven(), np.zeros((188, 620, 3), np.uint8)
     if predicted != "none":
         results.table["predicted_rad"] = np.full(COUNT, 0.01 if predicted == "angle" else np.nan)

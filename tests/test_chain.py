@@ -7,9 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -19,7 +17,6 @@ from dvc.repo import Repo
 from dvc.utils.serialize import modify_yaml
 
 from pipeline.base.resume import ROOT
-from stages import clouds, train
 from tests.test_docs import code_block
 
 pytestmark = pytest.mark.slow
@@ -126,40 +123,6 @@ def test_the_python_lines_of_the_readme_give_the_numbers_of_evaluate(chain, monk
         ]
     assert np.isfinite(expected).any()
     np.testing.assert_allclose(names["steering_rad"], expected, atol=1e-6)
-
-
-def entered(call: Callable[[], object], first: str, last: str) -> set[str]:
-    """Return the project's functions that a call enters in this thread, from function `first` up to `last`."""
-    found, ended = set[str](), False
-
-    def profile(frame: FrameType, event: str, _: object) -> None:
-        nonlocal ended
-        name = f"{frame.f_code.co_filename}:{frame.f_code.co_qualname}"
-        if event == "call" and not ended and (found or first in name):
-            ended = last in name
-            if not ended and Path(name).is_relative_to(ROOT) and ".venv" not in name and "<" not in name:
-                found.add(name)
-
-    sys.setprofile(profile)
-    try:
-        call()
-    finally:
-        sys.setprofile(None)
-    return found
-
-
-def test_few_functions_lie_between_a_stage_and_its_work(chain, tmp_path):
-    """Between a drive and h5py, and between a batch of graphs and its loss."""
-    data, params = chain / "data", chain / "params.yaml"
-    out = tmp_path / "clouds", tmp_path / "train"
-    to_h5py = entered(
-        lambda: clouds.main(data / "ingest", data / "perception", out[0], params), "runner.py:_make", "/h5py/"
-    )
-    assert 1 < len(to_h5py) <= 6, to_h5py
-    to_loss = entered(
-        lambda: train.main(MODEL, data / "graphs", data / "labels", out[1], params), "SteeringNet.inputs", "zero_grad"
-    )
-    assert 1 < len(to_loss) <= 15, to_loss
 
 
 EDITS: list[tuple[str, set[str]]] = [  # a file or a setting, and the stages that run again; more: test_dvc_yaml.py

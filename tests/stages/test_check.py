@@ -10,7 +10,6 @@ from stages import check
 
 ROOT = Path(__file__).resolve().parents[2]
 MODEL = "models.sa-gnn-ncp"
-PAPER = {"cnn-ncp", "gnn-lstm", "gnn-ncp", "pointnet2-lstm", "pointnet2-ncp", "do-gnn-ncp", "sa-gnn-ncp"}
 PYG = {"input": "semantic", "spatial": "pyg", "temporal": "lstm", "semantics": 1.0}
 FIT = {"epochs": 0, "frames": 1, "batch": 1, "learning_rate": 0.1, "seed": 0}
 PAIR = {"backbone": "pair", "depth": "a/b", "classes": "c/d", "focal_by_width": 0.6, **FIT}
@@ -41,15 +40,6 @@ def test_the_projects_own_files_are_valid(name, tmp_path, monkeypatch, capsys):
     content = yaml.safe_load(preset.text(name)) if name else yaml.safe_load((ROOT / "params.yaml").read_text())
     run(tmp_path, content)
     assert capsys.readouterr().out == ""
-
-
-def test_table2_differs_in_scans_and_models_and_has_the_papers():
-    own, table2 = yaml.safe_load((ROOT / "params.yaml").read_text()), yaml.safe_load(preset.text("table2"))
-    assert own["ingest"] | {"lidar": True} == table2["ingest"]
-    assert {key for key in own if own[key] != table2[key]} == {"ingest", "graphs", "models", "train"}
-    assert own["graphs"].items() <= table2["graphs"].items()
-    assert own["models"].items() <= table2["models"].items()
-    assert table2["models"].keys() >= PAPER
 
 
 def test_measured_motion_is_not_both_input_and_label(tmp_path):

@@ -7,7 +7,6 @@ import torch
 from torch import Tensor, nn
 
 from models.encoder.efficientvit import HEAD_WIDTH, LinearAttention
-from models.encoder.heads import ray_slopes
 from models.encoder.rtmonodepth_s import SIZE
 from models.encoder.street import Street
 from pipeline.camera import classes
@@ -23,13 +22,6 @@ K = torch.tensor([[[50.0, 0.0, 30.0], [0.0, 40.0, 20.0], [0.0, 0.0, 1.0]]], dtyp
 def predict(model: nn.Module, image: Tensor, K: Tensor = K) -> tuple[Tensor, Tensor]:
     with torch.no_grad():
         return model(image, K.expand(len(image), 3, 3))
-
-
-def test_ray_slopes_follow_the_intrinsics():
-    slopes = ray_slopes(K, torch.Size((41, 61)))[0]
-    assert slopes[:, 20, 30].tolist() == [0, 0]
-    assert slopes[0, 20, 55].item() == pytest.approx(0.5)
-    assert slopes[1, 40, 30].item() == pytest.approx(0.5)
 
 
 def test_depth_of_streets_grows_with_the_focal_length_and_classes_do_not():

@@ -9,7 +9,7 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from models.steering.core.options import NetworkOptions, load
-from models.steering.core.steering_net import MOTION_MIRROR_SIGNS, SteeringNet, scaled
+from models.steering.core.steering_net import MOTION_MIRROR_SIGNS, SteeringNet
 from models.steering.spatial import gnn
 from models.steering.temporal.ncp import CELLS
 from pipeline.settings.models import Entry
@@ -145,16 +145,6 @@ def test_a_wrong_number_of_features_is_named_with_the_network():
     expected = r"models/steering/spatial/gnn\.py: the spatial network returns \[20\] per frame, expected \[8\]"
     with pytest.raises(ValueError, match=expected):
         net(batch(), WINDOWS, DT_S)
-
-
-def test_scaled_motion_is_of_order_one_and_mirrors():
-    corner, motorway = [0.5, 0.6, 4.0, 1.0], [-0.01, -0.1, 36.0, 1.0]
-    motion = torch.tensor([corner, motorway, [0.0] * 4, [-1.5, 0.0, 0.1, 0.0]])
-    columns = scaled(motion)
-    assert columns[:, :2].abs().max() <= 1 < columns[:, 2:].max() < 3
-    assert columns[0, :2].min() > 0.8
-    assert not columns[2].any()
-    assert torch.equal(scaled(motion * MIRROR), columns * MIRROR)
 
 
 class Counter(TorchDispatchMode):

@@ -12,7 +12,6 @@ from pipeline.camera import classes, geometry
 from pipeline.camera.camera import Camera
 from pipeline.camera.geometry import transform
 from pipeline.graphs import cloud, frame_graph, graph, graph_file
-from pipeline.settings.graphs import Variant
 from tests import artefacts
 from tests.artefacts import write_motion
 
@@ -215,12 +214,6 @@ def test_levels_are_farthest_points_and_build_on_each_other(xyz):
     assert first.tolist() == reference_fps(xyz, 40)
     assert second.tolist() == reference_fps(xyz[first], 10)
     assert neighbours.tolist() == [reference_ball(xyz[first], int(c), 12.0, 6, np.arange(40)) for c in second]
-
-
-@pytest.mark.parametrize(("most", "dtype"), [(65_535, np.uint16), (65_536, np.uint32)])
-def test_indices_are_as_wide_as_the_largest_frame_needs(most, dtype):
-    variant = Variant(source="clouds/pseudo", points=most, k=4)
-    assert frame_graph.connect(points(30), variant, np.random.default_rng(0))["indices"].rows.dtype == dtype
 
 
 def test_motion_is_matched_by_frame_number(tmp_path):

@@ -118,16 +118,6 @@ def test_no_path_passes_a_reversing_a_missing_or_an_unmeasured_frame(change):
     assert np.isfinite(curvature).all()
 
 
-@given(seed=st.integers(0, 1000))
-def test_mirrored_motion_gives_the_mirrored_path_ahead(seed):
-    rng = np.random.default_rng(seed)
-    time_s, speed, yaw_rate = np.cumsum(rng.uniform(0.08, 0.12, 80)), rng.uniform(0, 12, 80), rng.normal(0, 0.2, 80)
-    labels = Labels(speed, speed > 0, speed, yaw_rate)
-    left, right = compute(time_s, labels), compute(time_s, labels._replace(yaw_rate_radps=-yaw_rate))
-    np.testing.assert_array_equal(left.valid, right.valid)
-    np.testing.assert_allclose(left.curvature_1pm, -right.curvature_1pm, atol=1e-15)
-
-
 def moved(yaw_rate: float, speed: float, measured: list[int]) -> Labels:
     """Return the labels of five frames, of which the last is slow."""
     rates = yaw_rate * np.array(measured), speed * np.array([1, 1, 1, 1, 0.03]) * measured

@@ -5,14 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 
 from models.encoder.unified_encoder import build
 from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.camera.geometry import rays
-from pipeline.perception.examples import Example, Examples, mirrored, relit, spread
+from pipeline.perception.examples import Example, Examples, mirrored
 from pipeline.perception.fit import depth_and_class_loss
 from pipeline.perception.perceive import load, passes, read, save
 from tests import street
@@ -45,14 +43,6 @@ def test_frames_with_an_image_and_a_target_are_chosen(ingest):
         assert examples[5].depth_m.any()
 
 
-@given(count=st.integers(1, 3000), wanted=st.integers(1, 3000))
-def test_spread_is_even_and_without_repeats(count, wanted):
-    rows = spread(count, wanted)
-    assert len(rows) == min(count, wanted)
-    steps = np.diff(rows)
-    assert not len(steps) or 1 <= steps.min() <= steps.max() <= steps.min() + 1
-
-
 @pytest.fixture
 def example() -> Example:
     image, depth, cls = street.scene(3)
@@ -70,13 +60,6 @@ def test_mirroring_negates_the_rays_and_is_its_own_inverse(example):
     np.testing.assert_allclose(back.camera.K, street.K)
     for name in ("image", "depth_m", "cls"):
         np.testing.assert_array_equal(getattr(back, name), getattr(example, name))
-
-
-def test_a_share_of_the_images_loses_its_colour(example):
-    rng = np.random.default_rng(0)
-    results = [relit(example, rng) for _ in range(64)]
-    assert 4 < sum(not np.ptp(result.image, axis=-1).any() for result in results) < 20
-    assert all(result.cls is example.cls for result in results)
 
 
 def test_the_loss_ignores_unknown_pixels_and_matches_hand_values():

@@ -16,13 +16,12 @@ from pipeline.camera.camera import Camera, read_camera
 from pipeline.camera.classes import VOID
 from pipeline.graphs.cloud import clouds_drive
 from pipeline.perception.scores import Scores
-from pipeline.report import figures, page, paper, results, tables
+from pipeline.report import figures, page, paper, tables
 from pipeline.report.page import write_page
 from pipeline.report.story import sentences
 from pipeline.report.street_view import HALF_TRACK_M, STEP_M, follow, path_steps, read_view, wheel_tracks
 from pipeline.settings.clouds import Clouds
 from tests import street
-from tests.artefacts import write_graphs
 from tests.pipeline.report import examples
 from tests.pipeline.report.examples import metrics
 
@@ -83,17 +82,6 @@ def test_predictions_have_a_row_per_model_and_frame(tmp_path):
     (group,) = examples.groups(tmp_path, metrics("path", 0.25, predict="path"))  # turns by curvature times length
     row = group.first_seed("path").iloc[10]
     assert (row["true_deg"], row["predicted_deg"]) == pytest.approx((np.rad2deg(0.1 * 10), np.rad2deg(0.15 * 10)))
-
-
-def test_metrics_of_dvc_have_tests_with_intervals_and_the_other_splits(tmp_path):
-    net = metrics("net", [0.1, 0.3]) | {"val": {"steering_rad": {"nmse": 0.15}}}
-    path = metrics("path", baselines={"odometry": 0.4}, predict="path")
-    found = results.dvc_metrics(examples.groups(tmp_path, net, metrics("straight", None, horizon=5), path))
-    (of_net,) = found["angle-0"]["net"].values()
-    assert 0.1 <= of_net.pop("low") < 0.2 < of_net.pop("high") <= 0.3
-    assert of_net == pytest.approx({"test": 0.2, "val": 0.15, "train": 0.1})
-    assert found["angle-5"]["straight"]["steering_rad"] == {"test": None, "train": 0.1}
-    assert found["path-0"]["odometry"]["path_5-10m_1pm"] == pytest.approx({"test": 0.4, "low": 0.4, "high": 0.4})
 
 
 # Tables and sentences
@@ -186,33 +174,18 @@ def test_models_that_differ_in_one_setting_have_a_difference(tmp_path):
     assert found["Differences: path ahead"].rows[1]["5-10 m"] == "-0.300 (-0.300 to -0.300)"
 
 
-def test_a_predicted_uncertainty_has_a_row(tmp_path):
-    content = metrics("net")
-    known = {"nll": -2.0, "nll_constant": -1.5, "coverage_68": 0.7, "coverage_95": 0.94, "mae_certain": 0.02}
-    content["test"]["steering_rad"] |= {"uncertainty": known, "mae": 0.04}
-    (row,) = build(tmp_path, content)["Uncertainty: steering angle"].rows
-    assert [*row.values()] == ["net", "-2.000", "-1.500", "70.0%", "94.0%", "50%"]
-
-
 def test_perception_has_a_row_per_split_with_ground_truth():
     scores = {split: Scores() for split in ("train", "val", "test")}
     truth = np.full((40, 50), 10.0)
     scores["val"].add_depth("depth_lidar", 1.2 * truth, truth)
     scores["val"].add_depth("ground_plane_lidar", 1.5 * truth, truth)
     scores["test"].add_depth("depth_dense", truth, np.where(np.arange(40)[:, None] < 2, truth, 0))  # outside the crop
-    scores["test"].add_classes(np.array([[0, 0, 1, 1]]), np.array([[0, 0, 0, 1]]))
-    measured = {"drives": 2, "frames": 153, "valid": 0.99, "judged": 140, "speed_ratio": 0.977, "nmse": 0.0005}
-    measured |= {"yaw_rmse_degps": 0.16, "yaw_median_degps": 0.11}
-    motion = {"visual": {"train": None, "val": None, "test": measured}}
-    report = {split: score.report() for split, score in scores.items()} | {"motion": motion}
-    depth, classes, motion = tables.perception_tables(report)
+    report = {split: score.report() for split, score in scores.items()} | {"motion": {}}
     encoder, flat = "0.200, 2.00, 1.000", "0.500, 5.00, 0.000"
-    assert depth.cells == [
+    assert tables.perception_tables(report)[0].cells == [
         ["val", "lidar", "1", "100.0%", encoder, flat, encoder, flat],
         ["test", "dense", "1", "100.0%", "0.000, 0.00, 1.000", tables.NONE, tables.NONE, tables.NONE],
     ]
-    assert classes.cells == [["test", "1", "0.750", "0.583", "2"]]
-    assert motion.cells == [["visual", "test", "2", "153", "99.0%", "140", "0.160", "0.110", "0.977", "0.0005"]]
 
 
 @pytest.mark.parametrize(
@@ -237,31 +210,13 @@ def test_the_best_model_is_compared_with_the_best_baseline(tmp_path, nmse, basel
     assert f"), {verdict}" in text
 
 
-def test_a_sign_is_needed_and_missing_results_are_named(tmp_path):
-    content = metrics("net")
-    content["columns"] = {"steering_rad": content["columns"]["steering_rad"] | {"odometry_gain": -1.19}}
-    _, *more = sentences(examples.groups(tmp_path, content), ["absent", "other"])
-    assert more[0] == "The sign of wheel_rad is inverted: left is positive."
-    assert more[1].startswith("No result here: absent, other.")
-    assert sentences([]) == sentences(examples.groups(tmp_path, metrics("straight", None))) == []  # without a bend
+def test_missing_results_are_named_and_straight_roads_have_no_sentence(tmp_path):
+    _, missing = sentences(examples.groups(tmp_path, metrics("net")), ["absent", "other"])
+    assert missing.startswith("No result here: absent, other.")
+    assert sentences([]) == sentences(examples.groups(tmp_path, metrics("straight", None))) == []
 
 
 # Pictures
-
-
-def test_a_graph_has_each_edge_once(tmp_path):
-    path = tmp_path / "graphs/a.h5"
-    write_graphs(path, DRIVE, np.zeros(3), np.array([3, 4, 6]), 40, np.random.default_rng(0))
-    with DriveReader(path, stage="graphs") as file:
-        view = read_view(4, file)
-        xyz, degree = file["xyz"][40:80], file["degree"][40:80]
-        start, stop = file["indices_ptr"][1:3]
-        indices = file["indices"][start:stop]
-    np.testing.assert_array_equal(view.xyz, xyz)
-    both = {(a, b) for a, row in enumerate(np.split(indices, np.cumsum(degree)[:-1])) for b in row.tolist()}
-    edges = [(a, b) for a, b in view.edges.tolist()]
-    assert len(edges) == len(set(edges)) == len(both) / 2
-    assert {*edges, *((b, a) for a, b in edges)} == both
 
 
 def test_a_later_file_replaces_what_an_earlier_one_has(tmp_path):
@@ -321,10 +276,8 @@ def test_pictures_show_what_the_encoder_has(tmp_path, monkeypatch, with_classes)
             with h5py.File(tmp_path / name, "a") as file:
                 file["cls"][:] = VOID
     table = examples.predictions().query("drive == @DRIVE and frame < 9")
-    examples.write_model(tmp_path, metrics("without", 0.1) | {"variant": {}}, table)
     examples.write_model(tmp_path, metrics("net"), table)
-    captions = figures.draw(tmp_path / "figures", examples.load(tmp_path, "without", "net"), tmp_path)
-    assert "of net, which" in captions["chain"]
+    captions = figures.draw(tmp_path / "figures", examples.load(tmp_path, "net"), tmp_path)
     assert [*captions] == ["chain", "errors-angle-0"]
     assert {path.name for path in (tmp_path / "figures").iterdir()} == {f"{name}.png" for name in captions}
     assert any("classes" in title for title in titles) == with_classes
@@ -332,26 +285,22 @@ def test_pictures_show_what_the_encoder_has(tmp_path, monkeypatch, with_classes)
     assert (" of 1,800 " in edges) == with_classes
 
 
-@pytest.mark.parametrize("predict", ["angle", "path"])
-def test_the_largest_errors_of_the_best_model_are_drawn(tmp_path, monkeypatch, predict):
+def test_the_largest_errors_of_the_best_model_are_drawn(tmp_path, monkeypatch):
     drawn: list[tuple[str, np.ndarray]] = []
     monkeypatch.setattr(figures, "draw_path", lambda _, tracks, kind: drawn.append((kind, tracks[0])))
     street.write_drive(tmp_path / "ingest", DRIVE, 30)
-    columns = examples.PATH if predict == "path" else examples.ANGLE
     for model, nmse in (("worse", 0.9), ("best", 0.0)):
-        table = examples.predictions(nmse, columns)
-        for column in columns:
+        table = examples.predictions(nmse, examples.PATH)
+        for column in examples.PATH:
             table.loc[(table["drive"] == DRIVE) & (table["frame"] == 12), f"predicted_{column}"] = 0.3
-        examples.write_model(tmp_path, metrics(model, nmse, predict=predict), table)
+        examples.write_model(tmp_path, metrics(model, nmse, predict="path"), table)
     captions = figures.draw(tmp_path / "figures", examples.load(tmp_path, "worse", "best"), tmp_path)
-    assert [*captions] == [f"errors-{predict}-0"]
-    assert captions[f"errors-{predict}-0"].startswith("Largest errors of best")
-    if predict == "path":
-        with store.DriveReader(tmp_path / f"ingest/{DRIVE}.h5", stage="ingest") as images:
-            camera = read_camera(images)
-        for (kind, track), curvature_1pm in zip(drawn, (0.12, 0.3), strict=True):
-            assert kind == ("driven" if curvature_1pm == 0.12 else "predicted")
-            np.testing.assert_allclose(track, wheel_tracks(np.full(20, curvature_1pm), camera)[0])
+    assert captions["errors-path-0"].startswith("Largest errors of best")
+    with store.DriveReader(tmp_path / f"ingest/{DRIVE}.h5", stage="ingest") as images:
+        camera = read_camera(images)
+    assert [kind for kind, _ in drawn] == ["driven", "predicted"]
+    for (_, track), curvature_1pm in zip(drawn, (0.12, 0.3), strict=True):
+        np.testing.assert_allclose(track, wheel_tracks(np.full(20, curvature_1pm), camera)[0])
 
 
 def test_shares_of_the_largest_errors_count_each_frame_once():
@@ -370,60 +319,34 @@ def test_shares_of_the_largest_errors_count_each_frame_once():
 
 
 EVIL = "x</script><script>alert(1)</script>"
-MODELS = ("net", "ahead", "path")
 SECTIONS = [
     "Results", "Test drives: steering angle", "Test drives: steering angle, 10 frames ahead",
     "Test drives: path ahead", "Largest errors", "Learning curves", "Models in detail",
 ]  # fmt: skip
 
 
-@pytest.fixture
-def data(tmp_path) -> Path:
-    for content in (metrics("net"), metrics("ahead", horizon=10), metrics("path", predict="path")):
-        examples.write_model(tmp_path, content)
+def test_the_page_is_complete_self_contained_repeats_and_runs_no_script_of_a_name(tmp_path):
+    contents = metrics("net"), metrics("ahead", horizon=10), metrics("path", predict="path")
+    groups = examples.groups(tmp_path, *contents)
+    groups[0].predictions["drive"] = groups[0].predictions["drive"].replace(DRIVE, EVIL)
     (tmp_path / "figures").mkdir()
     for name in ("errors-angle-0", "chain"):
         cv2.imwrite(str(tmp_path / f"figures/{name}.png"), np.full((60, 200, 3), 90, np.uint8))
-    return tmp_path
-
-
-def write(data: Path) -> str:
-    groups = examples.load(data, *MODELS)
-    captions = {"chain": "Figure 1.", "errors-angle-0": "Errors."}
-    built = tables.steering_tables(groups)
     curves = {"net": pd.DataFrame({"epoch": ["1", "2"], "train_loss": ["0.9", "0.5"], "val_nmse": ["0.8", None]})}
-    write_page(data / "index.html", ["A sentence <b>."], groups, built, [], captions, curves)
-    return (data / "index.html").read_text(encoding="utf-8")
-
-
-def test_the_page_is_complete_self_contained_and_repeats(data):
-    text = write(data)
-    assert text == write(data)
+    content = groups, tables.steering_tables(groups), [], {"chain": "Figure 1.", "errors-angle-0": "Errors."}, curves
+    texts = []
+    for _ in range(2):
+        write_page(tmp_path / "index.html", ["A sentence <b>."], *content)
+        texts.append((tmp_path / "index.html").read_text(encoding="utf-8"))
+    text = texts[0]
+    assert text == texts[1]
     assert [html.unescape(title) for title in re.findall(r"<h2>(.*?)</h2>", text)] == SECTIONS
     assert re.findall(r'<a href="#(.*?)">', text) == re.findall(r'<section id="(.*?)">', text)
     own = re.sub(r"<script>.*?</script>", "", text, count=1, flags=re.DOTALL)  # without plotly
     assert not re.findall(r'(?:src|href)="(?!#|data:)', own)
     assert own.index("A sentence &lt;b&gt;.") < own.index("Figure 1.") < own.index("<h2>Results")
-    captions = re.findall(r"<figcaption>(.*?)</figcaption>\s*<div class=\"plot\">", own)
-    assert captions[:2] == [f"{drive}: steering angle over time" for drive in examples.DRIVES]
-
-
-def test_a_name_with_a_script_is_text(data):
-    for path in data.glob("evaluate/*/predictions.csv"):
-        path.write_text(path.read_text().replace(DRIVE, EVIL))
-    text = write(data)
-    assert "alert(1)" in text
-    assert "<script>alert(1)" not in text
-
-
-def test_odometry_has_a_gap_where_it_is_not_measured(tmp_path):
-    (group,) = examples.groups(tmp_path, metrics("net", 0.25, {"odometry": 0.01}))
-    drive = group.predictions[group.predictions["drive"] == examples.DRIVES[0]]
-    plot = page.over_time(drive, page.styles([group]))
-    lines = {trace["name"]: trace for trace in plot["data"]}
-    assert lines["odometry"]["y"][:2] == [None, round(np.rad2deg(0.011), 4)]
-    assert lines["net"]["y"][:8] == [None] * 7 + [round(np.rad2deg(0.07 * 1.5), 4)]
-    assert lines["driven"]["y"][20] is None
+    assert "alert(1)" in own
+    assert "<script>alert(1)" not in own
 
 
 def test_the_legend_shows_the_references_and_the_best_models(tmp_path):
@@ -433,9 +356,3 @@ def test_the_legend_shows_the_references_and_the_best_models(tmp_path):
     look = page.styles(groups)
     shown = {name for name, style in look.items() if style["visible"] is True}
     assert shown == {"a", "b", "c", "driven", "odometry", "zero"}
-    bars = page.by_curvature(groups[0], "steering_rad", look)["data"]
-    truth = 0.01 * np.delete(np.arange(7, 30), 13)
-    sharp = np.tan(truth) / 2.71 >= 0.06
-    rms = [np.rad2deg(np.sqrt(np.mean(truth[rows] ** 2))) for rows in (~sharp, sharp)]
-    assert (bars[-1]["name"], bars[-1]["x"]) == ("zero", ["0 to 0.06", "≥ 0.06"])
-    np.testing.assert_allclose(bars[-1]["y"], rms, atol=1e-3)

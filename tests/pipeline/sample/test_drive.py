@@ -12,7 +12,7 @@ from pipeline.base.resume import ROOT
 from pipeline.camera import classes, geometry
 from pipeline.camera.images import read_pixels, to_metres
 from pipeline.kitti.oxts import COLUMNS, VF, WU, YAW, read_times
-from pipeline.kitti.raw import KittiDrive, cameras_in, read_calibration, read_scan
+from pipeline.kitti.raw import KittiDrive, read_scan
 from pipeline.labels.label import steering_angle
 from pipeline.sample import motion
 from pipeline.sample.drive import random_of, render_drive, theme
@@ -74,18 +74,6 @@ def test_the_label_is_the_curvature_of_the_path_a_moment_earlier(journey):
     faster = speed_mps[moving] / oxts["vf"][moving]  # the speed is not late
     np.testing.assert_allclose(np.tan(label[moving]), 2.7 * journey.route.curvature(s_m)[moving] * faster, atol=1e-12)
     assert label.min() < -0.1 < 0.1 < label.max()
-
-
-@pytest.mark.parametrize("date", ["2026_01_01", "2026_01_05"])
-def test_calibration_files_describe_the_rig(tmp_path, date):
-    rig = make_rig((188, 621), date)
-    write_calibration(rig, tmp_path / date)
-    assert cameras_in(tmp_path / date) == [0, 1, 2, 3]
-    camera = read_calibration(tmp_path / date, 2)
-    assert camera.size == (188, 621)
-    np.testing.assert_allclose(camera.K, rig.camera.K, atol=1e-9)
-    np.testing.assert_allclose(camera.T_cam_velo @ rig.T_velo_imu, rig.T_cam2_imu, atol=1e-9)
-    np.testing.assert_allclose(camera.T_cam_velo[:3, :3] @ camera.T_cam_velo[:3, :3].T, np.eye(3), atol=1e-9)
 
 
 def optics(date: str) -> tuple[float, ...]:

@@ -64,9 +64,6 @@ def every_second(angle: float) -> str:
     return "time_s,wheel_rad\n" + "".join(f"{second},{angle}\n" for second in range(-1, 30))
 
 
-Take = Callable[..., KittiDrive]
-
-
 def test_labels_follow_the_log(tmp_path, take, video):
     """From an MPEG-4 video and from lossless images, through stages ingest and labels."""
     rows = np.column_stack([TIMES_S, SPEED_MPS, YAW_RATE_RADPS]).tolist()
@@ -132,24 +129,15 @@ def test_a_split_recording_has_a_preset_that_check_accepts(take, longer, source,
 def test_a_repeated_import_is_noticed(tmp_path, take, longer):
     """The preset has the hash of what was imported, so that params change with it; stage ingest compares the two."""
 
-    def imported(angle: float) -> Path:
-        take(longer, split="60,20,20", wheel=every_second(angle), replace=True)
-        content = yaml.safe_load((preset.PRESETS / f"{DRIVES[0]}.yaml").read_text())["ingest"]
-        drives = {"train": [DRIVES[0]], "test": [DRIVES[1]]}
-        return write_params(tmp_path / "params.yaml", **drives, manifests=content["manifests"])
-
-    def ingested(params: Path) -> float:
-        folder = ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params, workers=1)
-        with DriveReader(folder / f"{DRIVES[0]}.h5", stage="ingest") as file:
-            return float(file["steering_rad"][0])
-
-    before = imported(1.0).read_text()
-    assert ingested(tmp_path / "params.yaml") == pytest.approx(0.1)
-    params = imported(-2.0)
-    assert ingested(params) == pytest.approx(-0.2)
-    params.write_text(before)
+    folders = {"raw": tmp_path / "raw", "out": tmp_path / "data/ingest"}
+    for wheel_rad in (1.0, -2.0):
+        take(longer, split="60,20,20", wheel=every_second(wheel_rad), replace=True)
+        manifests = yaml.safe_load((preset.PRESETS / f"{DRIVES[0]}.yaml").read_text())["ingest"]["manifests"]
+        params = write_params(tmp_path / f"{wheel_rad}.yaml", [DRIVES[0]], [DRIVES[1]], manifests=manifests)
+        with DriveReader(ingest.main(**folders, params=params) / f"{DRIVES[0]}.h5", stage="ingest") as file:
+            assert file["steering_rad"][0] == pytest.approx(wheel_rad / 10)
     with pytest.raises(InputError, match="imported again"):
-        ingested(params)
+        ingest.main(**folders, params=tmp_path / "1.0.yaml")
 
 
 def distorted(image: np.ndarray, K: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
@@ -204,7 +192,7 @@ def test_drives_of_a_date_share_the_camera(take, video):
             take(video, drive, replace=replace)
 
 
-PLAINLY_WRONG: list[tuple[dict[str, Any], str]] = [
+PLAINLY_WRONG = [
     ({"fov": None}, "--fov DEGREES"),
     ({"drive": "drive_1"}, "--drive"),
     ({"wheel": "frame,wheel_rad\n0,0\n12,0\n"}, "has frame 12, but the last image is 11"),

@@ -8,12 +8,15 @@ import h5py
 import numpy as np
 
 from pipeline.base import store
+from pipeline.camera.camera import Frame
 from pipeline.camera.classes import BUILDING, ROAD
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.graphs import frame_graph, graph_file
+from pipeline.kitti.ingest import ingest_drive
 from pipeline.labels import ahead, label
 from pipeline.motion.step import PROBLEMS, STANDSTILL
 from pipeline.settings.graphs import Variant
+from pipeline.settings.ingest import Reading
 
 WHEELBASE_M = 2.7
 GRAPHS = {"graphs": {"k": 6, "keep_inter_class": 0.2}}
@@ -123,6 +126,21 @@ def write_dataset(
         write_labels(root / "labels" / f"{drive}.h5", drive, steering_rad, np.arange(frames), ahead_m=ahead_m)
     store.write_index(root / "graphs" / "semantic", splits)
     store.write_index(root / "labels", splits)
+
+
+def write_recorded(
+    path: Path, frame: np.ndarray, oxts: np.ndarray | None = None, steering_rad: dict[int, float] | None = None
+) -> None:
+    """Write an ingest file without images: frames [F] at 10 Hz with packets [F,30] or recorded angles, or neither."""
+    ingest_drive(
+        [Frame(int(number), row / 10) for row, number in enumerate(frame)],
+        path,
+        drive=path.stem,
+        camera=None,
+        settings=Reading(image_size=(32, 32), cameras=[2], lidar=True, on_damaged="fail"),
+        oxts=None if oxts is None else dict(zip(frame.tolist(), oxts, strict=True)),
+        steering_rad=steering_rad,
+    )
 
 
 def write_motion(folder: Path, drive: str, rows: dict[int, tuple[float, float]], stands: Sequence[int] = ()) -> None:

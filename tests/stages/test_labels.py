@@ -8,38 +8,21 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, read_index, write_index
-from pipeline.camera.camera import Frame
-from pipeline.kitti.ingest import ingest_drive
 from pipeline.kitti.oxts import make_rows
-from pipeline.settings.ingest import Reading
 from stages import labels
-from tests.artefacts import write_motion
+from tests.artefacts import write_motion, write_recorded
 from tests.kitti_drive import write_params
 
 DRIVES = {"2011_09_26_drive_0001": "train", "2011_09_26_drive_0002": "test"}
 FIRST, SECOND = DRIVES
 
 
-def write_drive(
-    folder: Path, drive: str, oxts: np.ndarray | None, steering_rad: dict[int, float] | None = None, frames: int = 5
-) -> None:
-    """Write a drive without images as stage ingest does; its first frame is 5."""
-    ingest_drive(
-        [Frame(5 + row, row / 10) for row in range(frames if oxts is None else len(oxts))],
-        folder / f"{drive}.h5",
-        drive=drive,
-        camera=None,
-        settings=Reading(image_size=(32, 32), cameras=[2], lidar=True, on_damaged="fail"),
-        oxts=None if oxts is None else dict(enumerate(oxts, 5)),
-        steering_rad=steering_rad,
-    )
-    write_index(folder, DRIVES)
-
-
 def write_ingest(folder: Path, speed: list[float], yaw_rate: list[float]) -> None:
-    """Write two drives as stage ingest does; the second is the first's mirror image."""
+    """Write two drives whose first frame is 5; the second is the first's mirror image."""
     for sign, drive in zip((1, -1), DRIVES, strict=True):
-        write_drive(folder, drive, make_rows(len(speed), vf=np.array(speed), wu=sign * np.array(yaw_rate)))
+        oxts = make_rows(len(speed), vf=np.array(speed), wu=sign * np.array(yaw_rate))
+        write_recorded(folder / f"{drive}.h5", np.arange(5, 5 + len(oxts)), oxts)
+    write_index(folder, DRIVES)
 
 
 def run(tmp_path: Path, **settings: Any) -> list[DriveReader]:
@@ -76,9 +59,11 @@ def recorded(tmp_path) -> Path:
     """One drive with recorded angles and without oxts, one with both; motion is measured in both."""
     for drive in DRIVES:
         rows = None if drive == FIRST else make_rows(5, vf=np.array([10.0, 10, 0.5, 10, 10]), wu=0.1)
-        write_drive(tmp_path / "ingest", drive, rows, {5: 0.1, 7: 0.2, 8: 0.3, 9: 0.4})
+        angles = {5: 0.1, 7: 0.2, 8: 0.3, 9: 0.4}
+        write_recorded(tmp_path / f"ingest/{drive}.h5", np.arange(5, 10), rows, angles)
         motion = {5: (0, 0), 6: (5.0, 0.5), 8: (0.5, 0.5), 9: (0, 0)}
         write_motion(tmp_path / "motion", drive, motion, stands=[9])
+    write_index(tmp_path / "ingest", DRIVES)
     return tmp_path
 
 

@@ -7,14 +7,11 @@ import pytest
 
 from pipeline.base import store
 from pipeline.base.resume import ROOT
-from pipeline.camera.camera import Frame
-from pipeline.kitti.ingest import ingest_drive
 from pipeline.kitti.oxts import make_rows
 from pipeline.labels.label import Car
-from pipeline.settings.ingest import Reading
 from stages import scores
 from tests import street
-from tests.artefacts import write_motion
+from tests.artefacts import write_motion, write_recorded
 
 DRIVE, FRAMES = "2027_03_31_drive_0001", 20
 SPEED_MPS, YAW_RATE_RADPS = 10.0, 0.2
@@ -23,15 +20,9 @@ TRUE_RAD = float(np.arctan(2.7 * YAW_RATE_RADPS / SPEED_MPS))
 
 def score(folder: Path, oxts: bool, wheel: bool) -> dict[str, dict[str, float] | None]:
     """Return the scores of a drive whose measured speed is 10 % too high, and whose recorded angle is 0.01 rad off."""
-    ingest_drive(
-        [Frame(number, number / 10) for number in range(FRAMES)],
-        folder / f"ingest/{DRIVE}.h5",
-        drive=DRIVE,
-        camera=None,
-        settings=Reading(image_size=(32, 32), cameras=[2], lidar=True, on_damaged="fail"),
-        oxts=dict(enumerate(make_rows(FRAMES, vf=SPEED_MPS, wu=YAW_RATE_RADPS))) if oxts else None,
-        steering_rad=dict.fromkeys(range(FRAMES), TRUE_RAD + 0.01) if wheel else None,
-    )
+    oxts = make_rows(FRAMES, vf=SPEED_MPS, wu=YAW_RATE_RADPS) if oxts else None
+    angles = dict.fromkeys(range(FRAMES), TRUE_RAD + 0.01) if wheel else None
+    write_recorded(folder / f"ingest/{DRIVE}.h5", np.arange(FRAMES), oxts, angles)
     write_motion(folder / "motion", DRIVE, dict.fromkeys(range(FRAMES), (1.1 * SPEED_MPS, YAW_RATE_RADPS)))
     return scores._score_motion([DRIVE], ingest=folder / "ingest", motion=folder / "motion", car=Car(2.7, 1.0))
 

@@ -14,7 +14,7 @@ import pytest
 
 from pipeline.base import console, resume
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.base.executors import SCHEDULER, run_jobs
+from pipeline.base.executors import SCHEDULER
 from pipeline.base.resume import ROOT, stage_key
 from tests.pipeline.base import toy_stage
 from tests.pipeline.base.toy_stage import DRIVES, alive, calls, outputs, start, trouble, wait_for
@@ -113,18 +113,6 @@ def test_a_killed_run_keeps_finished_drives_and_leaves_no_process(folder, expect
     toy_stage.main(folder, workers=1)
     assert "b" not in calls(folder)
     assert outputs(folder) == expected
-
-
-def processes(job: int) -> tuple[int, str | None]:
-    return os.getpid(), os.environ.get("OMP_NUM_THREADS")
-
-
-@pytest.mark.slow
-def test_with_a_number_of_threads_one_job_runs_in_a_process_too(monkeypatch):
-    """Else the number of threads, which may change the last bits of a training, would depend on the workers."""
-    monkeypatch.setenv("OMP_NUM_THREADS", "7")
-    ((_, (process, used)),) = run_jobs(processes, [0], workers=1, threads=1)
-    assert (process != os.getpid(), used) == (True, "1")
 
 
 @pytest.fixture(scope="module")

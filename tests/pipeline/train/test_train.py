@@ -22,7 +22,7 @@ from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
 from pipeline.train import checkpoint, fit, loop, predict, runs, scale, windows
 from pipeline.train.labelled_drive import LabelledDrive, Timeline, consecutive, read_drive
-from pipeline.train.scale import Prediction, Scale
+from pipeline.train.scale import Scale
 from tests import artefacts, small_model
 from tests.small_model import entry
 
@@ -321,12 +321,6 @@ def test_encode_and_decode_are_inverse(columns, seed):
     np.testing.assert_allclose(decoded.sigma, std[[0, 0, 0, 1, 1]] * np.exp(log_sigma))
     assert scale.encode(y.astype(np.float32), base.astype(np.float32)).dtype == np.float32
     assert scale.decode(np.zeros((5, columns)), base).sigma is None
-
-
-def test_nmse_is_1_for_zero_and_ignores_unknown_frames(drives):
-    for factor, expected in ((0.0, 1.0), (0.5, 0.25), (np.nan, np.nan)):
-        predicted = [Prediction(np.where(d.frame[:, None] < 4, np.nan, factor * d.target)) for d in drives]
-        assert scale.nmse(drives, predicted) == pytest.approx(expected, nan_ok=True)
 
 
 def test_targets_of_a_step_are_standardised_weighted_and_mirrored():

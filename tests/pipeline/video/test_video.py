@@ -15,18 +15,16 @@ from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import rays
-from pipeline.kitti.ingest import ingest_drive
 from pipeline.kitti.oxts import make_rows
 from pipeline.labels.label import Car
 from pipeline.motion.step import PROBLEMS
-from pipeline.settings.ingest import Reading
 from pipeline.video.lens import pinhole, undistortion
 from pipeline.video.log import Logs, interpolate, read_motion, read_wheel
 from pipeline.video.pictures import write_overlay
 from pipeline.video.recording import open_recording, read_times
 from pipeline.video.results import Results, Truth, read_course, read_truth
 from pipeline.video.source import Source
-from tests.artefacts import write_motion
+from tests.artefacts import write_motion, write_recorded
 from tests.kitti_drive import SIZE, pictures, write_png, write_video
 
 
@@ -262,7 +260,6 @@ def test_interpolation_ends_at_gaps_and_at_the_ends():
 
 
 CAR, COUNT = Car(2.7, 1.0), 11
-READING = Reading(image_size=(32, 32), cameras=[2], lidar=False, on_damaged="fail")
 
 
 def driven() -> Results:
@@ -301,12 +298,11 @@ def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path):
     ],
 )
 def test_truth_is_that_of_the_logs_or_of_the_drive(tmp_path, wheel, motion, expected_rad):
-    frames = [Frame(number, number / 10) for number in range(4)]
     files = [tmp_path / "wheel.csv", tmp_path / "motion.csv"]
     recorded: dict[str, Any] = {"steering_rad": {1: 0.1, 3: -0.2}}
     if motion == "oxts":  # whose angles are unknown at standstill
-        motion, recorded = None, {"oxts": dict(enumerate(make_rows(4, vf=np.array([10, 0.5, 10, 0.5]), wu=0.5)))}
-    ingest_drive(frames, tmp_path / "a.h5", drive="a", camera=None, settings=READING, **recorded)
+        motion, recorded = None, {"oxts": make_rows(4, vf=np.array([10, 0.5, 10, 0.5]), wu=0.5)}
+    write_recorded(tmp_path / "a.h5", np.arange(4), **recorded)
     files[0].write_text(wheel or "")
     files[1].write_text(f"time_s,speed_mps,yaw_rate_radps\n{motion}")
     logs = Logs.read(files[0] if wheel else None, 14.0 if wheel else None, files[1] if motion else None)

@@ -31,13 +31,6 @@ def test_all_rows_are_measured_with_one_thread(monkeypatch, capsys):
         bench.main(["lct"])
 
 
-def test_a_row_has_medians_of_turns_and_the_factor_by_which_this_project_is_better():
-    ours, other = iter([99.0, 1, 9, 2, 3, 2]), iter([99.0, 8, 4, 7, 7, 7])  # the first turn warms up
-    row = measuring.compare(lambda: next(ours), lambda: next(other), "ms", "")
-    assert (row.ours, row.alternative, row.ratio) == (2, 7, 3.5)
-    assert measuring.row(8, 2, "windows/s", "").ratio == 4
-
-
 def test_frames_saved_for_pyg_hold_the_same_graph(street, tmp_path):
     data = [torch.load(path, weights_only=False) for path in networks.save(street, tmp_path, 2)]
     batch, start = street.batch(2), len(data[0].pos)

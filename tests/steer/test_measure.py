@@ -1,6 +1,5 @@
 """steer measure: known motion of a rendered street, and input that shows no motion of a car."""
 
-import csv
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -8,6 +7,7 @@ from typing import Any
 
 import av
 import numpy as np
+import pandas as pd
 import pytest
 
 from pipeline.base.errors import InputError
@@ -40,13 +40,8 @@ def drive(count: int, start: int = 0) -> list[np.ndarray]:
     return [street.view(pose)[0] for pose in street.arc(start + count, YAW_RATE, SPEED)[start:]]
 
 
-def rows(out: Path) -> list[dict[str, str]]:
-    with (out / "motion.csv").open() as file:
-        return list(csv.DictReader(file))
-
-
-def column(out: Path, name: str) -> np.ndarray:
-    return np.array([float(row[name] or "nan") for row in rows(out)])
+def read(out: Path) -> dict[str, np.ndarray]:
+    return {name: column.to_numpy() for name, column in pd.read_csv(out / "motion.csv").items()}
 
 
 def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
@@ -55,12 +50,13 @@ def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
     measure(images, out=out, encoder=encoder, motion=log, distortion="0,0,0,0", **LENS)
     assert "motion measured in 29 of 30 frames" in (text := capsys.readouterr().out)
     assert "times the one recorded in can.csv" in text
-    assert column(out, "valid").tolist() == [0] + 29 * [1]
-    assert column(out, "yaw_rate_radps")[1:] == pytest.approx(YAW_RATE, abs=0.02)
-    assert column(out, "speed_mps")[1:] == pytest.approx(SPEED, rel=0.1)
-    assert column(out, "measured_rad")[1:] == pytest.approx(np.arctan(2.7 * YAW_RATE / SPEED), abs=0.01)
-    assert column(out, "heading_rad")[-1] == pytest.approx(2.9 * YAW_RATE, rel=0.1)
-    assert column(out, "y_m")[-1] == pytest.approx(SPEED / YAW_RATE * (1 - np.cos(2.9 * YAW_RATE)), rel=0.2)  # left
+    rows = read(out)
+    assert rows["valid"].tolist() == [0] + 29 * [1]
+    assert rows["yaw_rate_radps"][1:] == pytest.approx(YAW_RATE, abs=0.02)
+    assert rows["speed_mps"][1:] == pytest.approx(SPEED, rel=0.1)
+    assert rows["measured_rad"][1:] == pytest.approx(np.arctan(2.7 * YAW_RATE / SPEED), abs=0.01)
+    assert rows["heading_rad"][-1] == pytest.approx(2.9 * YAW_RATE, rel=0.1)
+    assert rows["y_m"][-1] == pytest.approx(SPEED / YAW_RATE * (1 - np.cos(2.9 * YAW_RATE)), rel=0.2)  # left
     quality = json.loads((out / "quality.json").read_text())
     assert quality["road_height_m"] == pytest.approx(CAMERA_HEIGHT_M, rel=0.1)
     assert quality["speed_ratio"] == pytest.approx(1.2, rel=0.1)
@@ -77,9 +73,10 @@ def test_input_without_motion_gets_no_numbers(tmp_path, encoder, kind, capsys):
     noisy = np.clip(view + rng.normal(0, 2, shape), 0, 255).astype(np.uint8)
     images = write_folder(tmp_path / "images", rng.integers(0, 255, shape, np.uint8) if kind == "snow" else noisy)
     measure(images, out=tmp_path / "out", encoder=encoder, video=False, **LENS)
-    for row in rows(tmp_path / "out"):
-        assert row["valid"] == "0"
-        assert not any(row[name] for name in ("speed_mps", "yaw_rate_radps", "measured_rad", "x_m", "points"))
+    rows = read(tmp_path / "out")
+    assert not rows["valid"].any()
+    for name in ("speed_mps", "yaw_rate_radps", "measured_rad", "x_m", "points"):
+        assert np.isnan(rows[name]).all()
     text = capsys.readouterr().out
     assert "motion measured in 0 of 12 frames; not measured:" in text
     assert "horizon: not found" in text
@@ -89,8 +86,9 @@ def test_a_cut_is_not_a_motion(tmp_path, encoder):
     before = [image[:, ::-1] for image in drive(10)]
     images = write_folder(tmp_path / "images", [*before, *drive(10, start=25)])
     measure(images, out=tmp_path / "out", encoder=encoder, video=False, **LENS)
-    valid, yaw_rate = column(tmp_path / "out", "valid"), column(tmp_path / "out", "yaw_rate_radps")
-    assert valid.tolist() == [0, *9 * [1], 0, *9 * [1]]
+    rows = read(tmp_path / "out")
+    yaw_rate = rows["yaw_rate_radps"]
+    assert rows["valid"].tolist() == [0, *9 * [1], 0, *9 * [1]]
     assert yaw_rate[1:6] == pytest.approx(-YAW_RATE, abs=0.02)  # mirrored
     assert yaw_rate[15:] == pytest.approx(YAW_RATE, abs=0.02)
 
@@ -145,7 +143,8 @@ def test_unsuitable_inputs(tmp_path, encoder, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for _ in range(2):
         measure(images, encoder=encoder, max_frames=3, **log, **LENS)
-    assert len(rows(tmp_path / "out/images")) == len(rows(tmp_path / "out/images-2")) == 3
+    for name in ("images", "images-2"):
+        assert len(read(tmp_path / f"out/{name}")["frame"]) == 3
     for path, options, problem in (
         (images, {"encoder": tmp_path}, "no encoder"),
         (images, {"out": tmp_path / "kept"}, "exists already"),

@@ -1,12 +1,12 @@
 """steer predict: its numbers equal those of stage evaluate; other sources and gaps."""
 
-import csv
 import shutil
 from contextlib import chdir
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 
@@ -77,39 +77,34 @@ def drive(folder: Path) -> Path:
     return folder / f"data/sample/{TEST[:10]}/{TEST}_sync"
 
 
-def read(path: Path) -> list[dict[str, str]]:
-    with path.open() as file:
-        return list(csv.DictReader(file))
-
-
-def column(rows: list[dict[str, str]], name: str) -> np.ndarray:
-    return np.array([float(row[name] or "nan") for row in rows])
+def read(out: Path) -> pd.DataFrame:
+    return pd.read_csv(out / "steering.csv")
 
 
 @pytest.mark.parametrize("model", ["points", "scans", "images", "path"])
 def test_predictions_equal_those_of_the_stages(folder, tmp_path, model):
     """The model knows its chain: params.yaml is not read. Each value is that of the graphs that the stages made."""
     predict(drive(folder), model=folder / f"data/train/{model}", out=tmp_path / "out", video=model == "path")
-    rows = read(tmp_path / "out/steering.csv")
+    rows = read(tmp_path / "out")
     with open_graphs(folder / f"data/graphs/{MODELS[model]['input']}/{TEST}.h5") as graphs:
         expected = load(folder / f"data/train/{model}", "cpu").predict(graphs)
-        assert [int(row["frame"]) for row in rows] == graphs.frame.tolist()
+        assert rows["frame"].tolist() == graphs.frame.tolist()
     means, sigmas = ["predicted_rad"], ["sigma_rad"]
     if model == "path":
-        assert not any(row["predicted_rad"] for row in rows)
+        assert rows["predicted_rad"].isna().all()
         means, sigmas = ([f"path_{edges}m_{end}" for edges in ("0_2", "2_4")] for end in ("1pm", "sigma_1pm"))
     assert (expected.sigma is not None) == ("uncertainty" in MODELS[model])
     for names, values in ((means, expected.mean), (sigmas, expected.sigma)):
         if values is not None:
             assert np.isfinite(values).sum() >= 9
-            np.testing.assert_allclose(np.stack([column(rows, name) for name in names], 1), values, atol=2e-6)
+            np.testing.assert_allclose(rows[names], values, atol=2e-6)
 
 
 def test_a_model_is_found_by_name_and_compared_with_oxts(folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     predict(drive(folder), model=Path("scans"), out=tmp_path / "out", video=False)
-    text, rows = capsys.readouterr().out, read(tmp_path / "out/steering.csv")
-    predicted_rad, driven_rad = column(rows, "predicted_rad")[:-2], column(rows, "driven_rad")[2:]
+    text, rows = capsys.readouterr().out, read(tmp_path / "out")
+    predicted_rad, driven_rad = rows["predicted_rad"].to_numpy()[:-2], rows["driven_rad"].to_numpy()[2:]
     used = np.isfinite(predicted_rad) & np.isfinite(driven_rad)
     assert f"truth from oxts, {used.sum()} frames, 2 frames ahead" in text
     nmse = ((predicted_rad - driven_rad)[used] ** 2).mean() / (driven_rad[used] ** 2).mean()
@@ -146,13 +141,12 @@ def test_a_gap_and_a_damaged_image_start_a_new_window(folder, tmp_path, capsys):
     (images / "0000000004.png").write_bytes((images / "0000000004.png").read_bytes()[:-500])
     (images / "0000000008.png").unlink()
     predict(root / f"{TEST}_sync", model=model, out=out, video=False)
-    predicted = {int(row["frame"]): bool(row["predicted_rad"]) for row in read(out / "steering.csv")}
-    assert sorted(predicted) == [0, 1, 2, 3, 5, 6, 7, 9, 10, 11]
-    assert [frame for frame, known in predicted.items() if not known] == [0, 5, 9]
+    rows = read(out)
+    assert rows["frame"].tolist() == [0, 1, 2, 3, 5, 6, 7, 9, 10, 11]
+    assert rows["frame"][rows["predicted_rad"].isna()].tolist() == [0, 5, 9]
     assert "1 damaged files left out" in capsys.readouterr().out
     predict(root / f"{TEST}_sync", model=folder / "data/train/scans", out=tmp_path / "scans", video=False)
-    scanned = [int(row["frame"]) for row in read(tmp_path / "scans/steering.csv")]
-    assert scanned == sorted(predicted)  # frames 4 and 8 have only a scan
+    assert (read(tmp_path / "scans")["frame"] == rows["frame"]).all()  # frames 4 and 8 have only a scan
     for path in images.iterdir():
         path.write_bytes(b"nothing")
     with pytest.raises(InputError, match="no frame could be read"):

@@ -98,10 +98,6 @@ def to_link(file: h5py.File, elsewhere: Path) -> None:
     file["image"] = h5py.ExternalLink(elsewhere, "image")
 
 
-def to_soft_link(file: h5py.File, elsewhere: Path) -> None:
-    file["image"] = h5py.SoftLink("/cls")
-
-
 def to_external_storage(file: h5py.File, elsewhere: Path) -> None:
     file.create_dataset("image", (16,), np.uint8, external=[(elsewhere, 0, h5py.h5f.UNLIMITED)])
 
@@ -116,7 +112,7 @@ def to_other_filter(file: h5py.File, elsewhere: Path) -> None:
     file.create_dataset("image", data=IMAGE, **hdf5plugin.Blosc2())
 
 
-@pytest.mark.parametrize("change", [to_link, to_soft_link, to_external_storage, to_virtual, to_other_filter])
+@pytest.mark.parametrize("change", [to_link, to_external_storage, to_virtual, to_other_filter])
 def test_a_file_from_elsewhere_opens_no_other_file_and_runs_no_filter_of_others(tmp_path, change):
     path = write(tmp_path / "a.h5")
     with h5py.File(path, "r+") as file:

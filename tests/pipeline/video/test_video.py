@@ -13,17 +13,14 @@ import pytest
 
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.store import DriveReader
-from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import rays
 from pipeline.kitti.oxts import make_rows
 from pipeline.labels.label import Car
 from pipeline.motion.step import PROBLEMS
 from pipeline.video.lens import pinhole, undistortion
 from pipeline.video.log import Logs, interpolate, read_motion, read_wheel
-from pipeline.video.pictures import write_overlay
 from pipeline.video.recording import open_recording, read_times
 from pipeline.video.results import Results, Truth, read_course, read_truth
-from pipeline.video.source import Source
 from tests.artefacts import write_motion, write_recorded
 from tests.kitti_drive import SIZE, pictures, write_png, write_video
 
@@ -331,23 +328,3 @@ def test_comparison_by_its_definition():
         assert comparison[name]["rmse_deg"] == pytest.approx(np.rad2deg(np.sqrt(error)))
     results.table["driven_rad"] = np.full(COUNT, np.nan)
     assert results.compare("predicted") is None
-
-
-@pytest.mark.parametrize("predicted", ["angle", "path", "none"])
-def test_path_and_legend_are_inside_the_picture(tmp_path, predicted):
-    results, black = driven(), np.zeros((188, 620, 3), np.uint8)
-    if predicted != "none":
-        results.table["predicted_rad"] = np.full(COUNT, 0.01 if predicted == "angle" else np.nan)
-    if predicted == "path":
-        results.ahead_m, results.path_1pm = (0, 10, 30), np.full((COUNT, 2), 0.01)
-    camera = Camera(np.array([[360, 0, 305], [0, 360, 86], [0, 0, 1]]), (188, 620), 1.5)
-    frames = [Frame(number, number / 10, black) for number in range(COUNT + 1)]  # the last one has no result
-    source = Source(tmp_path, "drive", camera, lambda: iter(frames), None)
-    write_overlay(tmp_path / "a.mp4", source, results, 2.7)
-    with av.open(str(tmp_path / "a.mp4")) as file:
-        images = [picture.to_ndarray(format="rgb24") for picture in file.decode(video=0)]
-    assert len(images) == COUNT
-    for image, measured in zip(images, results.table["valid"], strict=True):
-        lit = image.max(axis=2) > 60
-        assert lit[86:].any() or not measured  # the paths, below the horizon
-        assert lit[:50].any()  # the legend

@@ -1,6 +1,6 @@
 """Small artefacts of earlier stages, made of arithmetic, so that a stage can be tested without running those before."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -59,29 +59,24 @@ def write_graphs(
 ) -> None:
     """Write a graphs file whose frames [F] show roads that bend as `steering_rad` says."""
     variant = Variant(source="clouds/pseudo", points=points, k=6, keep_inter_class=0.2)
-    clouds = (bend(float(np.tan(steering)) / WHEELBASE_M, points, rng) for steering in steering_rad)
-    _write(path, drive, frame, (frame_graph.connect(cloud, variant, rng) for cloud in clouds), variant)
+    _write(path, drive, steering_rad, frame, [points] * len(frame), variant, rng)
 
 
 def write_sets(
     path: Path, drive: str, steering_rad: np.ndarray, frame: np.ndarray, points: int, rng: np.random.Generator
 ) -> None:
-    """Write a file of variant pointnet2 whose frames [F] show roads that bend as `steering_rad` says.
-
-    The clouds differ in size, and the last one is smaller than the number of centres.
-    """
-    counts = [points - 2 * (row % 3) for row in range(len(frame) - 1)] + [7]
-    clouds = [
-        bend(float(np.tan(steering)) / WHEELBASE_M, count, rng)
-        for steering, count in zip(steering_rad, counts, strict=True)
-    ]
+    """As `write_graphs`, of variant pointnet2; clouds differ in size, and the last is smaller than its centres."""
     levels: dict[str, Any] = {"centres": [16, 5], "radius_m": [8.0, 16.0], "neighbours": [6, 4]}
-    sets = Variant(source="clouds/pseudo", neighbourhood="pointnet2", points=points, **levels)
-    _write(path, drive, frame, (frame_graph.connect(cloud, sets, rng) for cloud in clouds), sets)
+    variant = Variant(source="clouds/pseudo", neighbourhood="pointnet2", points=points, **levels)
+    counts = [points - 2 * (row % 3) for row in range(len(frame) - 1)] + [7]
+    _write(path, drive, steering_rad, frame, counts, variant, rng)
 
 
-def _write(path: Path, drive: str, frame: np.ndarray, frames: Iterable[graph_file.Columns], variant: Variant) -> None:
+def _write(path, drive, steering_rad, frame, counts, variant, rng) -> None:
+    curvature_1pm = np.tan(steering_rad) / WHEELBASE_M
+    clouds = (bend(value, count, rng) for value, count in zip(curvature_1pm, counts, strict=True))
     with store.DriveWriter(path, stage="graphs", drive=drive, params=GRAPHS) as file:
+        frames = (frame_graph.connect(cloud, variant, rng) for cloud in clouds)
         graph_file.write(file, frame, frame * 0.1, frames, frame_graph.empty_frame(variant))
 
 
@@ -116,14 +111,20 @@ def write_dataset(
     points: int = 60,
     write: Callable[..., None] = write_graphs,
     ahead_m: Sequence[float] = (),
+    motion: bool = False,
 ) -> None:
-    """Write ``root/graphs/semantic`` (as `write` does) and ``root/labels``: drives of bends both ways."""
+    """Write ``root/graphs/semantic`` (as `write` does) and ``root/labels``: drives of bends both ways.
+
+    `motion` is measured from the second frame on.
+    """
     rng = np.random.default_rng(0)
     for drive in splits:
         phase, rate = rng.uniform(0, 6), rng.uniform(0.1, 0.3)
         steering_rad = 0.12 * np.sin(phase + rate * np.arange(frames))
         write(root / "graphs" / "semantic" / f"{drive}.h5", drive, steering_rad, np.arange(frames), points, rng)
         write_labels(root / "labels" / f"{drive}.h5", drive, steering_rad, np.arange(frames), ahead_m=ahead_m)
+        if motion:
+            add_motion(root / "graphs" / "semantic" / f"{drive}.h5", steering_rad, np.arange(frames) > 0)
     store.write_index(root / "graphs" / "semantic", splits)
     store.write_index(root / "labels", splits)
 

@@ -29,7 +29,9 @@ def write_drive(
             write_png(folder / f"truth/depth/{name}.png", rng.integers(0, 20000, SIZE, np.uint16))
             write_png(folder / f"truth/cls/{name}.png", rng.integers(0, 19, SIZE, np.uint8))
         write(folder / f"velodyne_points/data/{name}.bin", scan(rng).tobytes())
-        write(folder / f"oxts/data/{name}.txt", " ".join(f"{x:.12f}" for x in packet(rng)) + "\n")
+        row = rng.normal(0, 0.1, 30)
+        row[VF], row[WU] = rng.uniform(2, 12), rng.normal(0, 0.2)
+        write(folder / f"oxts/data/{name}.txt", " ".join(f"{x:.12f}" for x in row) + "\n")
     write(folder / "oxts/timestamps.txt", "".join(f"2011-09-26 13:02:{25 + i / 10:012.9f}\n" for i in range(LINES)))
     write_calibration(folder.parent)
     return folder
@@ -54,13 +56,6 @@ def scan(rng: np.random.Generator, points: int = 200) -> np.ndarray:
     ray = np.stack([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)], -1)
     distance = rng.uniform(4, 30, (points, 1))
     return np.hstack([ray * distance, rng.uniform(0, 0.99, (points, 1))]).astype(np.float32)
-
-
-def packet(rng: np.random.Generator) -> np.ndarray:
-    """Return float64 [30]."""
-    row = rng.normal(0, 0.1, 30)
-    row[VF], row[WU] = rng.uniform(2, 12), rng.normal(0, 0.2)
-    return row
 
 
 def write_png(path: Path, pixels: np.ndarray) -> None:

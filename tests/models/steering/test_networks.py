@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from models.steering.core.batch import Batch, GraphBatch, ImageBatch
-from models.steering.core.features import FEATURE_MIRROR_SIGNS, GEOMETRY, mean_max_pool, node_features
+from models.steering.core.features import FEATURE_MIRROR_SIGNS, GEOMETRY, node_features
 from models.steering.core.options import Sizes, load, names
 from models.steering.spatial import gnn, polar, pyg
 from models.steering.spatial.pointnet2 import OFFSET_M
@@ -224,8 +224,3 @@ def test_classes_enter_in_proportion_to_semantics():
     assert torch.equal(full[:, GEOMETRY:].sum(1), known.double())  # void has no class
     mirrored = node_features(batch.mirrored().xyz, batch.cls, 1.0)
     assert torch.equal(mirrored, full * torch.tensor(FEATURE_MIRROR_SIGNS))
-
-
-def test_pooling_is_mean_and_max_of_each_frame():
-    x, ptr = torch.tensor([[1.0, -4.0], [3.0, -2.0], [5.0, -9.0]]), torch.tensor([0, 2, 2, 3])
-    assert mean_max_pool(x, ptr).tolist() == [[2, -3, 3, -2], [0, 0, 0, 0], [5, -9, 5, -9]]

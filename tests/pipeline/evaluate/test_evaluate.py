@@ -192,8 +192,6 @@ def test_a_single_block_has_no_interval():
     assert low < high
     low, high = interval(steering[:50], error[:50], np.repeat([0, 1], 25), block=50, samples=50)
     assert low < high
-    assert errors.interval_text([0.25, 0.5]) == "0.250 to 0.500"
-    assert errors.interval_text(None) == "too short for an interval"
 
 
 def test_scores_of_normal_errors_with_known_sigma():

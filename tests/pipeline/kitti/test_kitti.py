@@ -105,11 +105,6 @@ def test_packets_and_times_round_trip(tmp_path_factory, seed):
     np.testing.assert_allclose(oxts.read_times(path, [*range(5)]), time_s - time_s[0], atol=1e-9)
 
 
-def stamps(path: Path, seconds: list[str]) -> Path:
-    write(path, "".join(f"2011-09-26 13:02:{text}\n" if text else "\n" for text in seconds))
-    return path
-
-
 @pytest.mark.parametrize(
     ("lines", "frames", "expected"),
     [
@@ -119,7 +114,8 @@ def stamps(path: Path, seconds: list[str]) -> Path:
     ],
 )
 def test_lines_and_frames(tmp_path, lines, frames, expected):
-    np.testing.assert_allclose(oxts.read_times(stamps(tmp_path / "a.txt", lines), frames), expected, atol=1e-12)
+    write(tmp_path / "a.txt", "".join(f"2011-09-26 13:02:{text}\n" if text else "\n" for text in lines))
+    np.testing.assert_allclose(oxts.read_times(tmp_path / "a.txt", frames), expected, atol=1e-12)
 
 
 def read_three(path: Path) -> np.ndarray:

@@ -12,7 +12,6 @@ from pipeline.camera.camera import Frame
 from pipeline.camera.geometry import project, transform
 from pipeline.motion import step, visual
 from pipeline.motion.pose import estimate_pose
-from pipeline.motion.road import Road
 from pipeline.motion.step import TYPICAL_MPS, filter_speed
 from tests import street
 from tests.street import pose
@@ -64,20 +63,6 @@ def test_the_last_motion_is_a_start_where_most_depths_are_wrong(seed):
         errors.append(np.abs(found.T_now_before - forth).max())
     assert errors[1] < 0.004
     assert errors[1] < errors[0] / 3
-
-
-def test_the_slope_is_weighted_by_length():
-    def slope(*steps: tuple[float, float]) -> float:
-        road = Road(street.WIDE, road_scale=True)
-        for down_m, ahead_m in steps:
-            road.add_step(np.block([[np.eye(3), np.array([[0], [down_m], [ahead_m]])], [np.eye(4)[3:]]]))
-        return road.slope
-
-    short = [(0.02, 1.0)]
-    assert slope() == 0
-    assert slope(*short * 50) == pytest.approx(50 * 0.02 / (50 + 10))
-    assert slope(*short * 9, (0.5, 10.0)) == pytest.approx(0.68 / 29)
-    assert slope(*short * 9) == slope(*[(-0.02, -1.0)] * 9) > 0
 
 
 @pytest.mark.parametrize("ahead_m", [0.0, 1.5])

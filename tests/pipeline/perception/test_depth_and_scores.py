@@ -9,7 +9,6 @@ from pipeline.base import store
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, read_camera, scan_depth
 from pipeline.camera.geometry import back_project, rays
-from pipeline.camera.images import to_units
 from pipeline.perception.depth_scale import (
     DepthPostprocessor,
     from_camera_height,
@@ -40,13 +39,6 @@ def test_the_road_determines_the_scale_for_any_pitch(pitch_rad, unit):
     depth = unit * np.where(stones, 0.97, 1) * depth_m
     assert from_camera_height(depth, cls, CAMERA) == pytest.approx(1 / unit, rel=0.02)
     assert from_camera_height(depth, CAR, CAMERA) is None
-
-
-def test_stored_depth_is_rounded_clipped_and_empty_in_the_sky():
-    depth = np.array([[1.0, 10.002, 1000.0, 0.0001, 30.0, 0.0]], np.float32)
-    cls = np.array([[0, 0, 0, 0, classes.SKY, 0]])
-    process = DepthPostprocessor(Perception(batch=1, depth_scale="metric"), CAMERA)
-    assert to_units(process(depth, cls)).tolist() == [[256, 2561, 65535, 1, 0, 0]]
 
 
 def test_a_frame_without_road_takes_the_previous_factor():

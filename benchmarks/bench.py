@@ -7,7 +7,6 @@ import os
 import platform
 import tempfile
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -20,8 +19,7 @@ from pipeline.base import console
 from pipeline.base.errors import InputError, closest
 
 ROWS: dict[str, Callable[[Street], Row]] = {
-    "gcn_vs_pyg_edge_index": partial(networks.gcn, csr=False),
-    "gcn_vs_pyg_csr": partial(networks.gcn, csr=True),
+    "gcn_vs_pyg_edge_index": networks.gcn,
     "windows_vs_naive": networks.training,
     "load": networks.load,
     "bytes": networks.size,

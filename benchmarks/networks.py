@@ -14,11 +14,10 @@ from torch_geometric.nn import GCNConv
 from torch_geometric.nn.conv.gcn_conv import gcn_norm
 
 from benchmarks.street import DEVICE, FRAMES, Row, Street, compare, milliseconds, row
-from models.steering.core.batch import GraphBatch
 from models.steering.core.cell.ltc import LTC
 from models.steering.core.features import mean_max_pool, node_features
 from models.steering.core.wiring import ncp
-from models.steering.spatial.gnn import GCN, GCNLayer, Options, normalised_adjacency
+from models.steering.spatial.gnn import GCN, GCNLayer, Options
 from pipeline.settings.models import Entry
 
 GCN_FRAMES = 4  # per batch
@@ -28,32 +27,21 @@ REPEATS = 10  # of the LTC cell
 MODEL = {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": WINDOW, "semantics": 1.0}
 
 
-def gcn(street: Street, csr: bool) -> Row:
-    """Compare graph convolutions with GCNConv on edge_index, normalised once per batch for all layers, or on CSR.
-
-    The CSR matrix is made once and is not timed.
-    """
+def gcn(street: Street) -> Row:
+    """Compare graph convolutions with GCNConv on edge_index, normalised once per batch for all layers."""
     batch, net = street.batch(GCN_FRAMES), GCN(1, Options(semantics=0.0)).to(DEVICE)
-    layers, matrix = pyg_layers(net), adjacency(batch, csr=True)
+    layers = pyg_layers(net)
 
     def alternative() -> None:
-        x, graph = node_features(batch.xyz, batch.cls, 0.0), matrix if csr else adjacency(batch, csr=False)
-        _backward(features(x, layers, graph, batch.ptr, net.read_out))
+        x = node_features(batch.xyz, batch.cls, 0.0)
+        _backward(features(x, layers, gcn_norm(batch.edge_index, None, len(x)), batch.ptr, net.read_out))
 
     return compare(
         milliseconds(lambda: _backward(net(batch)), GCN_FRAMES),
         milliseconds(alternative, GCN_FRAMES),
         "ms/frame",
-        f"{street.title}: three graph convolutions / PyG GCNConv on {'CSR' if csr else 'edge_index'}, both ways",
+        f"{street.title}: three graph convolutions / PyG GCNConv on edge_index, both ways",
     )
-
-
-def adjacency(batch: GraphBatch, csr: bool) -> tuple[Tensor, ...]:
-    """Return Kipf's normalised adjacency for GCNConv: a sparse matrix [N,N], or edges [2,E+N] and weights [E+N]."""
-    if csr:
-        return (normalised_adjacency(batch.degree, batch.indices, torch.float32),)
-    index, weight = gcn_norm(batch.edge_index, None, len(batch.xyz))
-    return index, weight
 
 
 def pyg_layers(net: GCN, normalize: bool = False) -> nn.ModuleList:

@@ -43,11 +43,12 @@ def main(
         store.write_json(new / "metrics.json", results.dvc_metrics(groups))
         for name in ("learning", "figures"):  # DVC expects each output, even an empty one
             (new / name).mkdir()
-        curves = results.load_curves(data / "train", evaluated)
-        for network, curve in curves.items():  # DVC draws an empty field as 0, and nan as a gap
+        for network, curve in results.load_curves(
+            data / "train", evaluated
+        ).items():  # DVC draws an empty field as 0, and nan as a gap
             curve.to_csv(new / f"learning/{network}.csv", index=False, lineterminator="\n", na_rep="nan")
         captions = draw(new / "figures", groups, data)
-        write_page(new / "index.html", story, groups, steering, [*weights, *perceived], captions, curves)
+        write_page(new / "index.html", story, groups, steering, [*weights, *perceived], captions)
     print(text)
     return out
 

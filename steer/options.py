@@ -26,6 +26,6 @@ Fps = Annotated[float | None, number(0.01, 1000, "times: images per second; defa
 Times = Annotated[Path | None, typer.Option(help="times: a file with the seconds of each image, one per line")]
 CameraHeight = Annotated[float | None, number(0.3, 5, "height of the camera over the road, metres")]
 Motion = Annotated[Path | None, typer.Option(help="CSV with time_s, speed_mps, yaw_rate_radps (left +)")]
-Wheel = Annotated[Path | None, typer.Option(help="CSV with wheel_rad (left +) and time_s or frame")]
+Wheel = Annotated[Path | None, typer.Option(help="CSV with time_s and wheel_rad (left +)")]
 SteeringRatio = Annotated[float | None, number(1, 50, "angle of the steering wheel / angle of the front wheels")]
 Video = Annotated[bool, typer.Option(help="write overlay.mp4")]

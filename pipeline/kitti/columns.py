@@ -9,8 +9,8 @@ import numpy as np
 from pipeline.base.errors import InputError
 
 
-def read_columns(path: Path, required: Sequence[str], optional: Sequence[str], expected: str) -> dict[str, np.ndarray]:
-    """Return name → column, float64 [N]: all `required` columns, and the `optional` ones that the file has.
+def read_columns(path: Path, names: Sequence[str], expected: str) -> dict[str, np.ndarray]:
+    """Return name → column, float64 [N].
 
     The separator is a comma, a semicolon or a tab; other columns are ignored. Raises InputError for a missing file or
     column, which ends with the sentence `expected`; for values that are not numbers; and for rows with more values than
@@ -23,9 +23,9 @@ def read_columns(path: Path, required: Sequence[str], optional: Sequence[str], e
         file.seek(0)
         reader = csv.DictReader(file, delimiter=separator, skipinitialspace=True, restkey="", restval="")
         reader.fieldnames = found = [name.strip() for name in reader.fieldnames or []]
-        if missing := [name for name in required if name not in found]:
+        if missing := [name for name in names if name not in found]:
             raise InputError(f"has no column {', '.join(missing)} (got {', '.join(found)})", path, expected)
-        names, rows = [name for name in (*required, *optional) if name in found], list[list[float]]()
+        rows = list[list[float]]()
         for fields in reader:
             try:
                 rows.append([float(fields[name]) for name in names])

@@ -90,17 +90,10 @@ def read_times(path: Path, frames: Sequence[int]) -> np.ndarray:
 def read_steering(path: Path) -> dict[int, float]:
     """Return frame number → angle of the front wheels in rad, left positive. Raises InputError."""
     expected = "Expected a CSV file with frame (number of the image) and steering_rad (front wheels, left +)"
-    frame, steering_rad = read_columns(path, STEERING_COLUMNS, (), expected).values()
-    check_frames(frame, path)
+    frame, steering_rad = read_columns(path, STEERING_COLUMNS, expected).values()
+    check_increase("frame", frame, 1, path)
     check_angles(steering_rad, path)
     return dict(zip(frame.astype(np.int64).tolist(), steering_rad.tolist(), strict=True))
-
-
-def check_frames(frame: np.ndarray, path: Path) -> None:
-    """Raise InputError if frame numbers [N] are not integers, or do not increase."""
-    check_increase("frame", frame, 1, path)
-    if (wrong := (frame != np.rint(frame)) | (frame < 0)).any():
-        raise InputError(f"frame = {frame[np.argmax(wrong)]:g} (expected integers from 0)", path)
 
 
 def check_angles(steering_rad: np.ndarray, path: Path) -> None:

@@ -45,27 +45,22 @@ def write_page(
     tables: Sequence[Table],
     perception: Content,
     figures: Mapping[str, str],
-    curves: dict[str, pd.DataFrame],
 ) -> None:
     """Write the page to an HTML file.
 
     The files of `figures` (name without suffix → caption) are in folder figures beside it; the chain is shown first.
     The first of the `tables` are the results of each group. `perception`: where the encoder's weights come from, and
-    tables. `curves`: see :func:`results.load_curves`.
+    tables.
     """
     pictures = {
         name: Picture(caption, base64.b64encode((path.parent / f"figures/{name}.png").read_bytes()).decode("ascii"))
         for name, caption in figures.items()
     }
     chain, look = pictures.pop("chain", None), styles(groups)
-    first = {name.split(".")[0]: curve for name, curve in reversed(curves.items())}
-    learnt = {row["model"]: first[row["model"]] for group in groups for row in group.models if row["model"] in first}
-    caption = "Training loss (dotted) and validation nmse of each model's first network"
     sections: dict[str, Content] = {
         "Results": tables[: len(groups)],
         **{f"Test drives: {group.title}": _test_drives(group, look) for group in groups},
         "Largest errors": [*pictures.values()],
-        "Learning curves": [Plot(caption, learning(learnt, look))] if learnt else [],
         "Models in detail": tables[len(groups) :],
         "Depth, classes and motion": perception,
     }
@@ -149,17 +144,6 @@ def by_curvature(group: Group, column: str, look: Styles) -> Figure:
         hover = {"text": [f"{part['frames']} frames" for part in bins.values()], "hovertemplate": "%{y:.2f}, %{text}"}
         bars.append(look[name] | {"type": "bar", "x": x, "y": y} | hover)
     return _plot(bars, 380, xaxis=_title("|curvature| of the road in 1/m"), yaxis=_title(f"RMSE in {unit}"))
-
-
-def learning(curves: Mapping[str, pd.DataFrame], look: Styles) -> Figure:
-    """Plot training loss (dotted) and validation nmse of networks: name → epoch, train_loss, val_nmse."""
-    traces = []
-    for name, curve in curves.items():
-        for column, dash in (("train_loss", "dot"), ("val_nmse", "solid")):
-            line = {"name": f"{name}, {column}", "mode": "lines", "line": {"dash": dash}}
-            traces.append(look[name] | _points(curve.astype(float), "epoch", column) | line)
-    error = {**_title("error; 1: a constant angle"), "type": "log"}
-    return _plot(traces, 400, xaxis=_title("epoch"), yaxis=error)
 
 
 def _points(rows: pd.DataFrame, *columns: str) -> dict[str, list[float | None]]:

@@ -67,8 +67,6 @@ def import_drives(
     with ExitStack() as stack:
         unfinished = [stack.enter_context(replacing(folder)) for folder in folders]
         time_s = _write_images(unfinished[0], recording, start_s, end_s)
-        if logs.wheel and end_s == math.inf:
-            logs.wheel.check_frames(len(time_s) - 1)
         usable = time_s - time_s[0] > start_s - ROUNDING_S
         if logs.motion:
             usable &= np.isfinite(logs.motion.at(time_s)[0])
@@ -123,10 +121,10 @@ def _write_logs(folder: Path, time_s: np.ndarray, usable: np.ndarray, camera: Ca
         for number, row in zip(numbers, make_rows(len(numbers), vf=speed_mps, wu=yaw_rate_radps), strict=True):
             (folder / "oxts" / "data" / f"{number:010d}.txt").write_bytes(format_packet(row))
     if logs.wheel:
-        steering_rad = dict(zip(numbers.tolist(), logs.wheel.at(numbers, time_s[usable]).tolist(), strict=True))
+        steering_rad = dict(zip(numbers.tolist(), logs.wheel.at(time_s[usable])[0].tolist(), strict=True))
         angles = {number: angle for number, angle in steering_rad.items() if math.isfinite(angle)}
         if not angles:
-            raise InputError(f"no image of {folder.name} has an angle", "--wheel", "Check its times or frames")
+            raise InputError(f"no image of {folder.name} has an angle", "--wheel", "Check its times")
         write_steering(folder / STEERING, angles)
 
 

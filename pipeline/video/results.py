@@ -54,7 +54,7 @@ def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> 
         angles, valid = steering_labels(yaw_rate_radps, driven_mps, **vars(car))
         driven_rad = np.where(valid, angles, np.nan)
     if logs.wheel:
-        column, driven_rad = "wheel_rad", logs.wheel.at(frame, time_s)
+        column, (driven_rad,) = "wheel_rad", logs.wheel.at(time_s)
     return Truth(logs.name, column, driven_rad, driven_mps)
 
 
@@ -123,14 +123,12 @@ class Results:
         motion, with their median error `residual` in px. `frame`: numbers of the frames in the results, if their motion
         is in the files; None: all.
 
-        Raises InputError if there is no frame, or a log has angles of frames that the recording lacks.
+        Raises InputError if there is no frame.
         """
         with DriveReader(work / MOTION, stage="motion") as motion, DriveReader(work / INGEST, stage="ingest") as raw:
             rows = np.flatnonzero(np.isin(motion.frame, motion.frame if frame is None else frame))
             if not len(rows):
                 raise InputError("no frame could be read", source.path, "; ".join(source.notes[:1]))
-            if logs.wheel and source.complete:
-                logs.wheel.check_frames(int(raw.frame[-1]))
             course = read_course(motion, car, look_ahead=look_ahead, height_known=source.height_known)
             truth = read_truth(raw, motion.frame[rows], logs, car)
             valid, codes = motion["valid"], motion["problem"][rows]

@@ -40,7 +40,6 @@ class Source:
     frames: Callable[[], Iterator[Frame]]  # complete, rectified images; again with each call
     count: int | None  # number of frames, if known
     height_known: bool = True  # of the camera over the road
-    complete: bool = True  # False: only the first frames
     drive: KittiDrive | None = None  # None: a video, or a folder of images
     how: dict[str, Any] = field(default_factory=dict)  # options that it was opened with
     notes: list[str] = field(default_factory=list)  # for the user
@@ -94,7 +93,6 @@ def _open_recording(path: Path, max_frames: int | None = None, **how: Any) -> So
         lambda: islice(recording.frames(), max_frames),
         min(max_frames, recording.count or max_frames) if max_frames else recording.count,
         height_known=False,
-        complete=not max_frames,
         notes=[note],
     )
 

@@ -7,7 +7,6 @@ from pathlib import Path
 import cv2
 import h5py
 import numpy as np
-import pandas as pd
 import pytest
 
 from pipeline.base import store
@@ -320,7 +319,7 @@ def test_shares_of_the_largest_errors_count_each_frame_once():
 EVIL = "x</script><script>alert(1)</script>"
 SECTIONS = [
     "Results", "Test drives: steering angle", "Test drives: steering angle, 10 frames ahead",
-    "Test drives: path ahead", "Largest errors", "Learning curves", "Models in detail",
+    "Test drives: path ahead", "Largest errors", "Models in detail",
 ]  # fmt: skip
 
 
@@ -331,8 +330,7 @@ def test_the_page_is_complete_self_contained_repeats_and_runs_no_script_of_a_nam
     (tmp_path / "figures").mkdir()
     for name in ("errors-angle-0", "chain"):
         cv2.imwrite(str(tmp_path / f"figures/{name}.png"), np.full((60, 200, 3), 90, np.uint8))
-    curves = {"net": pd.DataFrame({"epoch": ["1", "2"], "train_loss": ["0.9", "0.5"], "val_nmse": ["0.8", None]})}
-    content = groups, tables.steering_tables(groups), [], {"chain": "Figure 1.", "errors-angle-0": "Errors."}, curves
+    content = groups, tables.steering_tables(groups), [], {"chain": "Figure 1.", "errors-angle-0": "Errors."}
     texts = []
     for _ in range(2):
         write_page(tmp_path / "index.html", ["A sentence <b>."], *content)

@@ -18,7 +18,7 @@ from pipeline.kitti.oxts import make_rows
 from pipeline.labels.label import Car
 from pipeline.motion.step import PROBLEMS
 from pipeline.video.lens import pinhole, undistortion
-from pipeline.video.log import Logs, interpolate, read_motion, read_wheel
+from pipeline.video.log import Log, Logs, read_motion, read_wheel
 from pipeline.video.recording import open_recording, read_times
 from pipeline.video.results import Results, Truth, read_course, read_truth
 from tests.artefacts import write_motion, write_recorded
@@ -211,11 +211,10 @@ def log(tmp_path: Path, text: str) -> Path:
 def test_columns_are_found_by_name(tmp_path, text):
     motion = read_motion(log(tmp_path, text), offset_s=10)
     np.testing.assert_array_equal(motion.time_s, [11, 11.5])
-    np.testing.assert_array_equal(motion.speed_mps, [5, 6])
-    np.testing.assert_array_equal(motion.yaw_rate_radps, [0.1, -0.2])
+    np.testing.assert_array_equal(motion.samples, [[5, 6], [0.1, -0.2]])
 
 
-WHEEL = "frame,wheel_rad\n"
+WHEEL = "time_s,wheel_rad\n"
 
 
 @pytest.mark.parametrize(
@@ -228,7 +227,7 @@ WHEEL = "frame,wheel_rad\n"
         (HEAD + "0,5,0\n0,5,5,0\n", "line 3: expected numbers, .*decimal point"),
         ("time_s;speed_mps;yaw_rate_radps\n0,1;5;0\n", "line 2: expected numbers"),
         (WHEEL + "1,0\n2,45\n", "steering_rad = 3 "),
-        ("wheel_rad\n0\n1\n", "neither time_s nor frame"),
+        ("frame,wheel_rad\n0,1\n", "has no column time_s"),
         (WHEEL, "has no rows"),
         ("1\n2\n2\n", "from 2 to 2"),
         ("0\n100\n200\n", "divide milliseconds by 1000"),
@@ -240,20 +239,11 @@ def test_plainly_wrong_logs(tmp_path, text, problem):
         read_wheel(path, 15.0) if "wheel_rad" in text else read_motion(path) if "speed" in text else read_times(path)
 
 
-def test_times_count_before_frames(tmp_path):
-    """A 20 Hz log of a 10 Hz video, whose column `frame` numbers the samples."""
-    angles = np.linspace(0, 3, 20)
-    rows = "".join(f"{sample},{sample / 20},{angle!r}\n" for sample, angle in enumerate(angles.tolist()))
-    wheel = read_wheel(log(tmp_path, "frame,time_s,wheel_rad\n" + rows), 10.0)
-    number = np.arange(10)
-    np.testing.assert_allclose(wheel.at(number, number / 10), angles[::2] / 10)
-
-
 def test_interpolation_ends_at_gaps_and_at_the_ends():
     samples_s = np.array([0.0, 0.5, 1.0, 4.0, 5.0])
     time_s = np.array([-0.01, -0.0005, 0.25, 1.0, 2.0, 4.0, 4.5, 5.0 + 1e-15, 5.01])
     expected = [np.nan, 0, 0.25, 1, np.nan, 4, 4.5, 5, np.nan]
-    np.testing.assert_allclose(interpolate(time_s, samples_s, samples_s), expected)
+    np.testing.assert_allclose(Log(samples_s, samples_s[None]).at(time_s), [expected])
 
 
 CAR, COUNT = Car(2.7, 1.0), 11
@@ -290,7 +280,7 @@ def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path):
         (None, None, [np.nan, 0.1, np.nan, -0.2]),
         (None, "oxts", [np.arctan(2.7 * 0.05), np.nan, np.arctan(2.7 * 0.05), np.nan]),
         (None, "0.05,10,0.5\n0.25,20,0.5\n", [np.nan, np.arctan(1.35 / 12.5), np.arctan(1.35 / 17.5), np.nan]),
-        ("frame,wheel_rad\n1,1.4\n3,-0.7\n", None, [np.nan, 0.1, np.nan, -0.05]),
+        ("time_s,wheel_rad\n0.1,1.4\n0.3,0\n", None, [np.nan, 0.1, 0.05, 0]),
         ("time_s,wheel_rad\n0,1.4\n0.2,2.8\n", "0.05,10,0.5\n0.25,20,0.5\n", [0.1, 0.15, 0.2, np.nan]),
     ],
 )

@@ -23,6 +23,16 @@ GRAPHS = {"graphs": {"k": 6, "keep_inter_class": 0.2}}
 LABELS = {"labels": {"wheelbase_m": WHEELBASE_M, "min_speed_mps": 1.0}}
 
 
+class Trap:
+    """What a pickle calls when it is loaded: it makes a file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> Any:
+        return Path.touch, (self.path,)
+
+
 def bend(curvature_1pm: float, points: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Return xyz [points,3] and cls of a road that bends left with `curvature_1pm`, and walls along it."""
     z = rng.uniform(3, 40, points)
@@ -162,7 +172,6 @@ def write_motion(folder: Path, drive: str, rows: dict[int, tuple[float, float]],
         problem = PROBLEMS.index("no common motion of the scene") * (speed == 0)
         problem[np.isin(list(rows), stands)] = PROBLEMS.index(STANDSTILL[0])
         file.put("problem", problem.astype(np.uint8))
-        file.put("road_height_m", np.ones(len(rows), np.float32))
-        file.put("speed_sigma", np.full(len(rows), 0.05, np.float32))
-        file.put("scale", np.full(len(rows), 1, np.float32))
+        for name, value in {"road_height_m": 1, "speed_sigma": 0.05, "scale": 1}.items():
+            file.put(name, np.full(len(rows), value, np.float32))
         file.put("T_before", forth)

@@ -46,17 +46,13 @@ def headings(page: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("page", TEXTS, ids=lambda page: str(page.relative_to(ROOT)))
-def test_links_lead_to_files_and_headings(page):
+def test_links_lead_to_files_and_headings_and_prose_has_110_columns(page):
     for link in LINK.findall(page.read_text()):
         name, _, anchor = link.partition("#")
         if not name.startswith(("http://", "https://")):
             target = (page.parent / name).resolve() if name else page
             assert target.exists(), link
             assert not anchor or anchor in headings(target), link
-
-
-@pytest.mark.parametrize("page", TEXTS, ids=lambda page: str(page.relative_to(ROOT)))
-def test_prose_has_at_most_110_columns(page):
     prose = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
     wide = [line for line in prose.splitlines() if len(line) > 110 and not line.startswith(("|", "!"))]
     assert wide == []

@@ -1,6 +1,5 @@
 """Test the Makefile: presets with a DVC that only logs its calls."""
 
-import json
 import os
 import re
 import shutil
@@ -97,22 +96,3 @@ def test_a_revision_names_the_commit_and_edits_of_the_code(tmp_path):
     assert run.revision(tmp_path) == commit
     (tmp_path / "dvc.yaml").write_text("stages: {a: }")
     assert run.revision(tmp_path) == f"{commit}-dirty"
-
-
-@pytest.mark.slow
-def test_the_samples_encoder_is_made_by_one_command(checkout):
-    """With its preset, but small."""
-    path = checkout / "presets/encoder.yaml"
-    content = yaml.safe_load(path.read_text())
-    content["sample"] |= {"image_size": [32, 96], "frames": dict.fromkeys(("train", "val", "test"), 1)}
-    content["ingest"] |= {"image_size": [32, 96]}
-    content["ingest"]["drives"]["train"] = content["ingest"]["drives"]["train"][0].split("..")[:1]
-    content["encoder"] |= {"epochs": 1}
-    path.write_text(yaml.safe_dump(content))
-    shutil.rmtree(checkout / "models/encoder/sample")
-    done = make(checkout, "encoder")
-    assert done.returncode == 0, done.stderr
-    made = checkout / "models/encoder/sample"
-    assert sorted(file.name for file in made.iterdir()) == ["config.json", "encoder.pt"]
-    (drive,) = content["ingest"]["drives"]["train"]
-    assert json.loads((made / "config.json").read_text())["frames_per_drive"] == {drive: 1}

@@ -61,7 +61,6 @@ def test_measured_motion_is_not_both_input_and_label(tmp_path):
     [
         (f"{MODEL}.input", "semantc", "input: unknown variant 'semantc': did you mean semantic"),
         (f"{MODEL}.spatial", "cnnn", "spatial.*cnnn.*cnn"),
-        (f"{MODEL}.temporal", "gru", "temporal.*gru.*lstm, ncp"),
         (f"{MODEL}.predict", "paths", r"predict.*'angle' or 'path'"),
         ("ingest.lidar", False, "models.gnn-lstm: input = 'lidar-50k' needs scans, but ingest.lidar is false"),
         (f"{MODEL}.roads", 1000, r"roads.*training drives"),
@@ -81,7 +80,6 @@ def test_measured_motion_is_not_both_input_and_label(tmp_path):
         ("encoder", {"backbone": "pair", "depth": "a/b", **FIT}, "pair needs classes and focal_by_width, or an enc"),
         ("encoder", PAIR | {"depth": "some/where/else"}, "depth: 'some/where/else' is not a folder with a config.json"),
         ("encoder", DINOV2, "encoder: depth: depth.pth: file is missing"),
-        ("encoder", PAIR | {"targets": "pngs"}, "targets: pngs: folder has no PNG files"),
         ("models." + "n" * 101, {"input": "depth", "spatial": "gnn", "temporal": "ncp", "window": 8}, "at most 100"),
         ("model", {}, "model.*did you mean models"),
     ],

@@ -1,4 +1,4 @@
-"""Stage perception by precomputed files; tests/test_chain.py runs it with a network."""
+"""Stages perception by precomputed files, clouds of drives with LiDAR, images or both, and the scores of motion."""
 
 from pathlib import Path
 
@@ -8,32 +8,72 @@ import pytest
 import yaml
 
 from pipeline.base import store
+from pipeline.base.resume import ROOT
+from pipeline.camera import classes
+from pipeline.kitti.oxts import make_rows
+from pipeline.labels.label import Car
+from pipeline.motion.drive import measure_drive
 from pipeline.perception.perceive import save
-from stages.perception import main
+from stages import clouds, perception, scores
 from tests import street
+from tests.artefacts import write_motion, write_recorded
 from tests.kitti_drive import write_png
 
-DRIVE = "2026_01_01_drive_0001"
-FRAMES = 5
+SPLITS = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train", "2026_01_03_drive_0001": "test"}
+FULL, BLIND, CAMERA = SPLITS
+
+
+def read(folder: Path, drive: str) -> dict[str, np.ndarray]:
+    with store.DriveReader(folder / f"{drive}.h5", stage="clouds") as file:
+        return {name: file[name] for name in file.names}
+
+
+@pytest.mark.parametrize("lidar", [True, False])
+def test_drives_without_images_or_lidar_have_clouds_of_what_they_have(tmp_path, lidar):
+    """Of a drive with everything; one without images has no classes, one without LiDAR has no frames."""
+    params = yaml.safe_load((ROOT / "params.yaml").read_text())
+    params["ingest"]["lidar"] = lidar
+    (tmp_path / "params.yaml").write_text(yaml.safe_dump(params))
+    street.write_drive(tmp_path / "ingest", FULL, 4, lidar=True)
+    street.write_drive(tmp_path / "ingest", BLIND, 3, lidar=True, images=False, dense=False)
+    street.write_drive(tmp_path / "ingest", CAMERA, 3)
+    for drive in SPLITS:
+        street.write_perception(tmp_path / "perception", tmp_path / "ingest", drive)
+    for drive in (BLIND, CAMERA):
+        files = [tmp_path / f"{stage}/{drive}.h5" for stage in ("motion", "ingest", "perception")]
+        assert measure_drive(*files)["valid"] == 0
+    store.write_index(tmp_path / "ingest", SPLITS)
+    clouds.main(tmp_path / "ingest", tmp_path / "perception", tmp_path / "clouds", tmp_path / "params.yaml", workers=1)
+    assert bool(store.read_index(tmp_path / "clouds/lidar", stage="clouds")) == lidar
+    if not lidar:
+        return
+    assert {classes.ROAD, classes.BUILDING} <= set(read(tmp_path / "clouds/lidar", FULL)["cls"].tolist())
+    blind = read(tmp_path / "clouds/lidar", BLIND)
+    assert len(blind["xyz"]) > 0
+    assert (blind["cls"] == classes.VOID).all()
+    assert len(read(tmp_path / "clouds/lidar", CAMERA)["frame"]) == 0
+
+
+HAS_IMAGE = [1, 1, 0, 1, 1]
 
 
 def run(root: Path, **settings: object) -> dict[str, np.ndarray]:
     params = root / "params.yaml"
     params.write_text(yaml.safe_dump({"perception": {"batch": 3, **settings}}))
-    folder = main(root / "ingest", root / "encoder", root / "perception", params)
-    with store.DriveReader(folder / f"{DRIVE}.h5", stage="perception") as file:
+    folder = perception.main(root / "ingest", root / "encoder", root / "perception", params)
+    with store.DriveReader(folder / f"{FULL}.h5", stage="perception") as file:
         return {name: file[name] for name in ("frame", "depth_m", "cls")}
 
 
 def test_precomputed_files_are_matched_by_frame_number_and_scaled(tmp_path):
-    truth = [street.scene(frame)[1:] for frame in range(FRAMES)]
+    truth = [street.scene(frame)[1:] for frame in range(len(HAS_IMAGE))]
     for frame, (depth_m, cls) in enumerate(truth):
-        write_png(tmp_path / f"made/{DRIVE}/depth/{frame:010d}.png", np.rint(0.4 * depth_m * 256).astype(np.uint16))
-        write_png(tmp_path / f"made/{DRIVE}/cls/{frame:010d}.png", cls)
-    street.write_drive(tmp_path / "ingest", DRIVE, FRAMES)
-    with h5py.File(tmp_path / f"ingest/{DRIVE}.h5", "r+") as file:
-        file["has_image"][:] = [1, 1, 0, 1, 1]
-    store.write_index(tmp_path / "ingest", {DRIVE: "test"})
+        write_png(tmp_path / f"made/{FULL}/depth/{frame:010d}.png", np.rint(0.4 * depth_m * 256).astype(np.uint16))
+        write_png(tmp_path / f"made/{FULL}/cls/{frame:010d}.png", cls)
+    street.write_drive(tmp_path / "ingest", FULL, len(HAS_IMAGE))
+    with h5py.File(tmp_path / f"ingest/{FULL}.h5", "r+") as file:
+        file["has_image"][:] = HAS_IMAGE
+    store.write_index(tmp_path / "ingest", {FULL: "test"})
     save(tmp_path / "encoder", {"backbone": "precomputed", "folder": str(tmp_path / "made")}, {})
     content = run(tmp_path)
     assert content["frame"].tolist() == [0, 1, 3, 4]
@@ -42,3 +82,37 @@ def test_precomputed_files_are_matched_by_frame_number_and_scaled(tmp_path):
     np.testing.assert_array_equal(content["depth_m"], np.rint(0.4 * depth_m * 256))
     found = run(tmp_path, depth_scale="camera_height", camera_height_m=1.65)["depth_m"] / 256
     assert np.median(found[depth_m > 0] / depth_m[depth_m > 0]) == pytest.approx(1.0, rel=0.01)
+
+
+DRIVE, FRAMES = "2027_03_31_drive_0001", 20
+SPEED_MPS, YAW_RATE_RADPS = 10.0, 0.2
+TRUE_RAD = float(np.arctan(2.7 * YAW_RATE_RADPS / SPEED_MPS))
+
+
+def score(folder: Path, oxts: bool, wheel: bool) -> dict[str, dict[str, float] | None]:
+    """Return the scores of a drive whose measured speed is 10 % too high, and whose recorded angle is 0.01 rad off."""
+    oxts = make_rows(FRAMES, vf=SPEED_MPS, wu=YAW_RATE_RADPS) if oxts else None
+    angles = dict.fromkeys(range(FRAMES), TRUE_RAD + 0.01) if wheel else None
+    write_recorded(folder / f"ingest/{DRIVE}.h5", np.arange(FRAMES), oxts, angles)
+    write_motion(folder / "motion", DRIVE, dict.fromkeys(range(FRAMES), (1.1 * SPEED_MPS, YAW_RATE_RADPS)))
+    return scores._score_motion([DRIVE], ingest=folder / "ingest", motion=folder / "motion", car=Car(2.7, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("oxts", "wheel", "compared"),
+    [
+        (False, False, set()),
+        (True, False, {"visual"}),
+        (False, True, {"visual-wheel"}),
+        (True, True, {"visual", "visual-wheel", "wheel"}),
+    ],
+)
+def test_only_recorded_values_are_a_reference(tmp_path, oxts, wheel, compared):
+    found = score(tmp_path, oxts, wheel)
+    assert set(found) == compared
+    for kind, result in found.items():
+        assert result["judged"] == FRAMES
+        with_rates = kind == "visual"  # a wheel has neither speed nor yaw rate, whatever its labels borrow
+        assert result["speed_ratio"] == (pytest.approx(1.1) if with_rates else None), kind
+        assert (result["yaw_rmse_degps"] is None) == (not with_rates), kind
+        assert 0 < result["nmse"] < 0.1

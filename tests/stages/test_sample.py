@@ -25,10 +25,7 @@ def write_params(path: Path, lidar: bool = False, epochs: int = 0, **frames: int
 
 
 def test_drives_of_the_params(tmp_path, capsys):
-    """A missing drive of KITTI is an error before rendering; a second run with other settings replaces the first.
-
-    Scans and the truth of training drives are rendered only where they are used.
-    """
+    """A missing drive of KITTI is an error; scans and truth of training drives are rendered only where used."""
     params, out = write_params(tmp_path / "params.yaml", train=2, val=1, test=3), tmp_path / "sample"
     kitti = tmp_path / "raw" / KITTI[:10] / f"{KITTI}_sync"
     kitti.with_name("2011_09_26_drive_0001_sync").mkdir(parents=True)

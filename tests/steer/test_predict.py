@@ -29,7 +29,6 @@ MODELS = {
         "input": "lidar", "spatial": "gnn", "temporal": "lstm", "window": 3, "motion": "visual", "base": "none",
         "horizon": 2, "semantics": 0.0,
     },
-    "images": {"input": "image", "spatial": "cnn", "temporal": "lstm", "window": 2},
     "path": {
         "input": "image", "spatial": "cnn", "temporal": "lstm", "window": 2, "predict": "path", "uncertainty": True,
     },
@@ -81,7 +80,7 @@ def read(out: Path) -> pd.DataFrame:
     return pd.read_csv(out / "steering.csv")
 
 
-@pytest.mark.parametrize("model", ["points", "scans", "images", "path"])
+@pytest.mark.parametrize("model", MODELS)
 def test_predictions_equal_those_of_the_stages(folder, tmp_path, model):
     """The model knows its chain: params.yaml is not read. Each value is that of the graphs that the stages made."""
     predict(drive(folder), model=folder / f"data/train/{model}", out=tmp_path / "out", video=model == "path")
@@ -137,13 +136,13 @@ def test_a_folder_of_images(folder, tmp_path, capsys):
 def test_a_gap_and_a_damaged_image_start_a_new_window(folder, tmp_path, capsys):
     root, out = tmp_path / TEST[:10], tmp_path / "out"
     shutil.copytree(drive(folder).parent, root)
-    images, model = root / f"{TEST}_sync/image_02/data", folder / "data/train/images"
+    images, model = root / f"{TEST}_sync/image_02/data", folder / "data/train/path"
     (images / "0000000004.png").write_bytes((images / "0000000004.png").read_bytes()[:-500])
     (images / "0000000008.png").unlink()
     predict(root / f"{TEST}_sync", model=model, out=out, video=False)
     rows = read(out)
     assert rows["frame"].tolist() == [0, 1, 2, 3, 5, 6, 7, 9, 10, 11]
-    assert rows["frame"][rows["predicted_rad"].isna()].tolist() == [0, 5, 9]
+    assert rows["frame"][rows["path_0_2m_1pm"].isna()].tolist() == [0, 5, 9]
     assert "1 damaged files left out" in capsys.readouterr().out
     predict(root / f"{TEST}_sync", model=folder / "data/train/scans", out=tmp_path / "scans", video=False)
     assert (read(tmp_path / "scans")["frame"] == rows["frame"]).all()  # frames 4 and 8 have only a scan

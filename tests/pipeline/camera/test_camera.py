@@ -101,7 +101,6 @@ NOISE = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
 @pytest.mark.parametrize(
     ("content", "problem"),
     [
-        (b"", "not a PNG or JPEG"),
         (b"GIF89a", "not a PNG or JPEG"),
         (b"\xff\xd8\xff\xd9", "decoded"),
         (encoded(".png", NOISE)[:-20], "decoded"),

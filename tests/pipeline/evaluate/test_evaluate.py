@@ -291,10 +291,10 @@ def bends(*parts: tuple[int, float]) -> np.ndarray:
     return np.concatenate([np.full(count, curvature) for count, curvature in parts])
 
 
-def found(curvature: np.ndarray, valid: np.ndarray | None = None) -> list[int]:
-    valid = np.ones(len(curvature), bool) if valid is None else valid
-    speed = np.where(valid, 8.0, 0.0)
-    return turns.onsets(curvature, valid, np.arange(len(curvature)) / 10, curvature * speed, speed).tolist()
+def found(curvature: np.ndarray, kept: np.ndarray | slice = slice(None)) -> list[int]:
+    frames, speed = np.arange(len(curvature))[kept], np.full(len(curvature), 8.0)[kept]
+    curvature, valid = curvature[kept], np.ones(len(frames), bool)
+    return frames[turns.onsets(curvature, valid, frames / 10, curvature * speed, speed)].tolist()
 
 
 def test_a_turn_begins_where_the_curvature_leaves_straight():
@@ -311,7 +311,6 @@ def test_a_turn_begins_where_the_curvature_leaves_straight():
         (bends((30, CORNER), (5, STRAIGHT), (20, CORNER)), []),  # still the same turn
         (bends((30, CORNER), (11, STRAIGHT), (20, -CORNER)), [41]),
         (bends((5, STRAIGHT), (20, CORNER)), []),  # the drive starts less than a second before
-        (bends((30, STRAIGHT)), []),
         (np.empty(0), []),
     ],
 )
@@ -320,17 +319,10 @@ def test_only_corners_after_a_straight_second_are_onsets(curvature, onsets):
 
 
 def test_a_gap_before_a_turn_hides_its_onset():
-    turn = bends((30, STRAIGHT), (20, CORNER))
-    frames = np.arange(50)
-
-    def found_at(kept: np.ndarray) -> list[int]:
-        valid, speed = np.ones(kept.sum(), bool), np.full(kept.sum(), 8.0)
-        rows = turns.onsets(turn[kept], valid, frames[kept] / 10, turn[kept] * speed, speed)
-        return frames[kept][rows].tolist()
-
-    assert found_at(frames != 25) == [30]  # a single frame
-    assert found_at((frames < 5) | (frames >= 30)) == []
-    assert found_at((frames < 5) | (frames >= 26)) == []
+    turn, frames = bends((30, STRAIGHT), (20, CORNER)), np.arange(50)
+    assert found(turn, frames != 25) == [30]  # a single frame
+    assert found(turn, (frames < 5) | (frames >= 30)) == []
+    assert found(turn, (frames < 5) | (frames >= 26)) == []
 
 
 def around_a_corner(folder: Path, **reading: object) -> LabelledDrive:

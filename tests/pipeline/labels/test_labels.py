@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.labels import ahead, comparison, label
-from pipeline.labels.label import Labels, steering_angle
+from pipeline.labels.label import Labels
 from pipeline.labels.sources import REACH, YAW_SIGMA_S, means
 
 L = 2.7
@@ -157,13 +157,3 @@ def test_yaw_rates_are_gaussian_means(steps_s, seed):
         near = np.abs(time_s - at_s) <= REACH * YAW_SIGMA_S
         weights = np.exp(-(((time_s - at_s)[near] / YAW_SIGMA_S) ** 2) / 2)
         np.testing.assert_allclose(rates.yaw_rate_radps[row], np.average(yaw_rate[near], weights=weights), atol=1e-12)
-
-
-def test_the_angles_sigma_covers_its_error():
-    yaw_rate = 0.2 + np.random.default_rng(0).normal(0, 0.05, COUNT)
-    rates = means(np.arange(COUNT) / 10, yaw_rate, np.full(COUNT, 8.0), np.ones(COUNT, bool))
-    angle = steering_angle(rates.yaw_rate_radps, rates.speed_mps, 2.7)
-    sigma = 2.7 * np.hypot(rates.yaw_sigma_radps / 8.0, 0.025 * rates.speed_sigma)
-    error = angle - np.arctan(2.7 * 0.2 / 8.0)
-    assert (np.abs(error) < 2 * sigma).mean() > 0.9
-    assert sigma.mean() < 4 * error.std()

@@ -26,17 +26,6 @@ def points(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return uv, np.column_stack([(uv - K[:2, 2]) / np.diag(K)[:2] * z[:, None], z])
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_no_pose_from_degenerate_points(seed):
-    rng = np.random.default_rng(seed)
-    uv, xyz = points(rng)
-    sigma = np.full(POINTS, 0.5)
-    coincident = np.tile(xyz[:1], (POINTS, 1)) + rng.normal(0, 1e-6, (POINTS, 3))
-    assert estimate_pose(coincident, np.tile(uv[:1], (POINTS, 1)) + rng.normal(0, 0.3, uv.shape), K, sigma) is None
-    xyz[:, 1] = 1.65
-    assert estimate_pose(xyz, rng.uniform(0, 96, (POINTS, 2)), K, sigma) is None
-
-
 def test_half_of_the_points_are_enough_only_for_a_motion_like_the_previous_one():
     _, xyz = points(np.random.default_rng(0))
     forth, lorry = np.linalg.inv(pose(0, 0, 1.0)), np.linalg.inv(pose(0.1, 0.5, -1.0))

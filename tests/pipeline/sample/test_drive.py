@@ -1,7 +1,6 @@
 """The sample: routes, motion, sensors and rays; images, depths, scans and packets show the same scene."""
 
 from itertools import product
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -118,16 +117,12 @@ SIZE = (96, 320)
 FRAMES = 8
 
 
-def render(folder: Path, name: str = NAME, seed: int = 0, frames: int = 2) -> KittiDrive:
-    path = folder / name[:10] / f"{name}_sync"
-    render_drive(path, name, frames=frames, size=SIZE, seed=seed, scan_rays=(32, 200), truth=True)
-    write_calibration(make_rig(SIZE, name[:10]), path.parent)
-    return KittiDrive(path)
-
-
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory) -> KittiDrive:
-    return render(tmp_path_factory.mktemp("sample"), frames=FRAMES)
+    path = tmp_path_factory.mktemp("sample") / NAME[:10] / f"{NAME}_sync"
+    render_drive(path, NAME, frames=FRAMES, size=SIZE, seed=0, scan_rays=(32, 200), truth=True)
+    write_calibration(make_rig(SIZE, NAME[:10]), path.parent)
+    return KittiDrive(path)
 
 
 def test_scans_agree_with_dense_depth(drive):

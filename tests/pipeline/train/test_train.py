@@ -399,34 +399,8 @@ def test_shared_frames_equal_naive_windows_and_gaps_are_nan(tmp_path, drive):
         assert np.isfinite(steering_rad).sum() == (12 - 3) + (11 - 3)
 
 
-@pytest.mark.parametrize("base", ["motion", "none"])
-def test_output_zero_is_the_base_angle(tmp_path, drive, base):
-    model = predict.load(write_model(tmp_path / "net", motion="visual", base=base, horizon=3), "cpu")
-    with open_graphs(drive) as graphs, pytest.raises(InputError, match="no measured motion"):
-        model.predict(graphs)
-    artefacts.add_motion(drive, STEERING)
-    with torch.no_grad():
-        for weights in model.net.parameters():
-            weights.zero_()
-    with open_graphs(drive) as graphs:
-        for output in (0.0, 1.0):
-            model.net.temporal.output_shift.data.fill_(output)
-            steering_rad = model.predict(graphs).mean[:, 0]
-            finite = np.isfinite(steering_rad)
-            base_rad = STEERING[finite] if base == "motion" else 0.0
-            assert steering_rad[finite] == pytest.approx(base_rad + 0.12 * output, abs=1e-6)
-
-
-class Trap:
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __reduce__(self) -> tuple[object, tuple[str, str]]:
-        return (open, (str(self.path), "w"))
-
-
 def test_code_in_a_file_does_not_run(tmp_path):
-    torch.save({"kind": "thing", "trap": Trap(tmp_path / "sprung")}, tmp_path / "x.pt")
+    torch.save({"kind": "thing", "trap": artefacts.Trap(tmp_path / "sprung")}, tmp_path / "x.pt")
     with pytest.raises(InputError, match="more than tensors"):
         checkpoint.read(tmp_path / "x.pt", "thing")
     assert not (tmp_path / "sprung").exists()

@@ -1,10 +1,11 @@
-"""Each row of `make bench` runs on small inputs, and both sides of a row compute the same."""
+"""Rows of make bench on small inputs, both sides computing the same, and the fit of Udacity's steering wheel."""
 
+import numpy as np
 import pytest
 import torch
 from torch_geometric.nn.conv.gcn_conv import gcn_norm
 
-from benchmarks import bench, networks
+from benchmarks import bench, networks, udacity
 from benchmarks import street as measuring
 from benchmarks.street import Street, make_street
 from models.steering.core.features import node_features
@@ -45,3 +46,13 @@ def test_pyg_layers_compute_the_same(street):
     x, graph = node_features(batch.xyz, batch.cls, 0.0), gcn_norm(batch.edge_index, None, len(batch.xyz))
     expected = networks.features(x, networks.pyg_layers(net), graph, batch.ptr, net.read_out)
     torch.testing.assert_close(net(batch), expected, rtol=1e-4, atol=1e-5)
+
+
+TIME_S = np.arange(600) / 10
+MEASURED = 0.2 * np.sin(TIME_S / 3)
+
+
+def test_gain_offset_and_lag_are_found():
+    wheel = udacity.Wheel(gain=42.0, offset_rad=0.02, lag_s=0.1)  # the wheel leads by a frame
+    found = udacity.fit(TIME_S, MEASURED, wheel.angle(TIME_S, MEASURED))
+    assert found == pytest.approx(wheel, rel=1e-3, abs=1e-3)

@@ -29,9 +29,7 @@ class Timeline:
     time_s: np.ndarray  # float64 [G]
     dt_s: np.ndarray  # float32 [G], time since the previous frame; nominal at the start of a stretch
     stretches: tuple[tuple[int, int], ...]  # [start, stop) rows without a missing frame
-    # float64 [G], measured value that the output is added to, see `base` of a model's entry; a later unmeasured frame
-    # repeats it. NaN before the first, and without motion.
-    base: np.ndarray
+    base: np.ndarray  # float64 [G], measured value that the output is added to, see `base` of a model's entry
     motion: np.ndarray | None  # float32 [G,4], as in windows.py; None without motion
     scene: Path  # graph file whose frames a network sees: this one, or another drive's, see `scene` of a model's entry
 
@@ -43,7 +41,7 @@ class Timeline:
         stretches = consecutive(graphs.frame)
         dt_s = np.diff(graphs.time_s, prepend=np.nan)
         dt_s[[start for start, _ in stretches]] = NOMINAL_STEP_S
-        offset, columns = np.full(len(graphs.frame), np.nan), None
+        offset, columns = np.zeros(len(graphs.frame)), None
         if entry.motion != "none":
             if (measured := graphs.motion) is None:
                 raise InputError("no measured motion", graphs.path, "Make it again: dvc repro graphs")
@@ -68,8 +66,8 @@ class LabelledDrive(Timeline):
     curvature_1pm: np.ndarray  # float64, of the road at the target; NaN without a label
     speed_mps: np.ndarray  # float64 [G], at the frame itself
     persistence: np.ndarray | None  # last valid label before the target and not after the frame; None for a path
-    # As `base`, in each column. None without motion in the file, and at horizon 0 if the labels are from the same
-    # measurement.
+    # Measured value, which a later unmeasured frame repeats; NaN before the first. None without motion in the file,
+    # and at horizon 0 if the labels are from the same measurement.
     odometry: np.ndarray | None
     settings: dict[str, Any]  # section → settings that made graphs and labels
 
@@ -124,7 +122,9 @@ def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledD
         targets = _path(truth, here) if path else _angle(truth, here, then, including=horizon > 0)
         odometry = None
         if measured and (horizon or path or section.get("source") != "visual"):
-            odometry = np.repeat(_measured(measured, car, entry.predict)[:, None], targets["target"].shape[1], axis=1)
+            usable = label.is_usable(measured.speed_mps, measured.valid, car.min_speed_mps)
+            held = np.where(np.logical_or.accumulate(usable), _measured(measured, car, entry.predict), np.nan)
+            odometry = np.repeat(held[:, None], targets["target"].shape[1], axis=1)
         return LabelledDrive(
             **vars(Timeline.read(file, car, entry)),
             name=name,
@@ -140,9 +140,8 @@ def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledD
 
 
 def _measured(motion: MeasuredMotion, car: label.Car, predict: str) -> np.ndarray:
-    """Return the measured angle [G], or the curvature for a path; NaN before the first measurement."""
-    usable = label.is_usable(motion.speed_mps, motion.valid, car.min_speed_mps)
-    angle_rad = np.where(np.logical_or.accumulate(usable), label.measured_angle(*motion, **vars(car)), np.nan)
+    """Return the measured angle [G], or the curvature for a path."""
+    angle_rad = label.measured_angle(*motion, **vars(car))
     return np.tan(angle_rad) / car.wheelbase_m if predict == "path" else angle_rad
 
 

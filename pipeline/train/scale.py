@@ -25,19 +25,18 @@ class Prediction(NamedTuple):
 
 @dataclass(frozen=True)
 class Scale:
-    """y = gain · base + std · output, in each of R columns; without a base y = std_unmeasured · output.
+    """y = gain · base + std · output, in each of R columns.
 
-    base is the measured angle or curvature of the window's last frame, see `base` of a model's entry. For an angle gain
-    is 1, for a range of the path the regression coefficient of y on base; std is the standard deviation of y - gain ·
-    base, std_unmeasured that of y. So output 0 means the best prediction from base alone, and all targets have a
-    deviation of 1. With uncertainty, σ = std · sigma_factor · exp(output R + r), and the 95 % interval is ± interval_95
-    · σ. The mean of y, and its regression coefficient on odometry, are for baselines.
+    base is the measured angle or curvature of the window's last frame, or 0, see `base` of a model's entry. For an
+    angle gain is 1, for a range of the path the regression coefficient of y on base; std is the standard deviation of
+    y - gain · base. So output 0 means the best prediction from base alone. With uncertainty, σ = std · sigma_factor ·
+    exp(output R + r), and the 95 % interval is ± interval_95 · σ. The mean of y, and its regression coefficient on
+    odometry, are for baselines.
     """
 
     names: list[str]  # LabelledDrive.columns
     gain: np.ndarray  # float64 [R], as the following
     std: np.ndarray
-    std_unmeasured: np.ndarray
     mean: np.ndarray
     odometry_gain: np.ndarray | None = None
     sigma_factor: np.ndarray = field(default_factory=lambda: np.ones(1))  # [R] or [1]
@@ -54,12 +53,10 @@ class Scale:
                 raise InputError(problem, drives[0].labels.parent, "Add longer drives, or shorten labels.ahead_m")
         base = np.concatenate([drive.base for drive in drives])[:, None]
         gain = _regress(base, y) if edges_m else np.ones(1)
-        residual = y - gain * base
-        residual = np.where(np.isfinite(residual).any(axis=0), residual, y)  # y for models without a base
-        std, unmeasured = (np.maximum(np.nanstd(values, axis=0), 1e-6) for values in (residual, y))  # 0: straight roads
+        std = np.maximum(np.nanstd(y - gain * base, axis=0), 1e-6)  # 0 for a straight road
         measured = [drive.odometry for drive in drives if drive.odometry is not None]
         odometry_gain = _regress(np.concatenate(measured), y) if len(measured) == len(drives) else None
-        return cls(drives[0].columns, gain, std, unmeasured, np.nanmean(y, axis=0), odometry_gain)
+        return cls(drives[0].columns, gain, std, np.nanmean(y, axis=0), odometry_gain)
 
     @classmethod
     def parse(cls, content: dict[str, Any]) -> "Scale":
@@ -74,24 +71,17 @@ class Scale:
 
     def encode(self, y: np.ndarray, base: np.ndarray) -> np.ndarray:
         """Return the outputs [W,R] that the network should have, in the precision of y [W,R], for base [W]."""
-        offset, std = self._line(base)
-        return np.asarray((y - offset) / std)
+        gain, std = self.gain.astype(y.dtype), self.std.astype(y.dtype)
+        return np.asarray((y - gain * base[:, None]) / std)
 
     def decode(self, output: np.ndarray, base: np.ndarray) -> Prediction:
         """Return the predictions of outputs [G,R], with uncertainty [G,2R], for base [G]."""
         columns = len(self.names)
-        offset, std = self._line(base)
-        mean = offset + std * output[:, :columns]
+        mean = self.gain * base[:, None] + self.std * output[:, :columns]
         if output.shape[1] == columns:
             return Prediction(mean)
-        sigma = std * self.sigma_factor * np.exp(output[:, columns:])
+        sigma = self.std * self.sigma_factor * np.exp(output[:, columns:])
         return Prediction(mean, sigma, self.interval_95 * sigma)
-
-    def _line(self, base: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the prediction from base [G] alone, and the deviation of its error, [G,R] in the precision of base."""
-        gain, *std = (values.astype(base.dtype) for values in (self.gain, self.std, self.std_unmeasured))
-        base = base[:, None]
-        return np.nan_to_num(gain * base), np.where(np.isfinite(base), *std)
 
     def calibrated(self, drives: Sequence[LabelledDrive], predictions: Sequence[Prediction]) -> "Scale":
         """Return the scale with σ and the 95 % interval fitted to the errors on drives of validation.

@@ -7,7 +7,7 @@ are consecutive by KITTI frame number, never by position: a missing frame ends a
 A batch is a dict of arrays: B graphs as in pipeline/graphs/graph_file.py, and for W windows of T frames
 
 - windows int64 [W,T] (rows of the batch's frames), dt_s float32 [W,T] (time since the previous frame), base float32 [W]
-  (measured value of the window's last frame that the network's output is added to, NaN without one);
+  (measured value of the window's last frame that the network's output is added to);
 - with the scene of another drive, scenes int64 [B]: the graph that each frame sees, instead of one graph per frame;
 - with motion, motion float32 [B,4] since the previous frame: the measured steering angle, yaw rate,
   speed, and whether they were measured; the first two change sign under mirroring;
@@ -43,7 +43,7 @@ class Span:
     start: int
     stop: int
     factor: float = 1.0  # of all lengths
-    hidden: bool = False  # as if motion were not measured
+    hidden: bool = False  # motion is not measured, and the base angle is 0
 
 
 def random_spans(drives: Sequence[LabelledDrive], window: int, windows: int, rng: np.random.Generator) -> list[Span]:
@@ -130,7 +130,7 @@ def _measured(timeline: Timeline, span: Span, rows: np.ndarray, window: int, poi
         if points and span.factor != 1:
             values = rescale(values, span.factor, timeline.ahead_m)
     if span.hidden:
-        values |= {"motion": np.zeros_like(values["motion"]), "base": np.full_like(values["base"], np.nan)}
+        values |= {name: np.zeros_like(values[name]) for name in ("motion", "base")}
     return values
 
 

@@ -59,8 +59,7 @@ def test_metrics_are_means_over_seeds_and_files_repeat(folder, predicted):
 
 @pytest.mark.parametrize("predicted", COLUMNS)
 def test_sigma_is_calibrated_on_the_validation_drive(folder, predicted):
-    ahead = {"predict": "path"} if predicted == "path" else {"horizon": 5}  # now, motion is the angle
-    write_params(folder, ahead | {"motion": "visual", "uncertainty": True}, epochs=3)
+    write_params(folder, {"predict": predicted, "motion": "visual", "uncertainty": True}, epochs=3)
     model = predict.load(run_train(folder), "cpu")
     drive = read_drive(folder / "graphs/semantic", folder / "labels", "2026_01_02_drive_0001", model.entry)
     with graph_file.open_graphs(drive.graphs) as graphs:

@@ -35,7 +35,7 @@ def folder(tmp_path) -> Path:
 
 def case(drive: LabelledDrive, *seeds: np.ndarray, mean: float = 0.0) -> metrics.Case:
     gain = None if drive.odometry is None else np.array([0.5])
-    scale = Scale(["steering_rad"], np.ones(1), np.ones(1), np.ones(1), np.array([mean]), gain)
+    scale = Scale(["steering_rad"], np.ones(1), np.ones(1), np.array([mean]), gain)
     return metrics.Case(drive, [Prediction(angles) for angles in seeds], scale)
 
 

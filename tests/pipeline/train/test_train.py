@@ -95,15 +95,15 @@ def test_target_is_the_label_horizon_frames_ahead_by_frame_number(folder):
 
 
 def test_motion_and_base_of_a_batch(folder):
-    """Not measured in frames 0 and 5: the angle is held, and unknown before the first measurement."""
+    """Not measured in frames 0 and 5: the angle is held, odometry is unknown before the first measurement."""
     moved = ~np.isin(np.arange(23), [0, 5])
     for drive in read(folder):
         artefacts.add_motion(drive.graphs, drive.target[:, 0], moved)
     without, drives, no_base = read(folder), read(folder, motion="visual"), read(folder, motion="visual", base="none")
     steering = drives[0].target[:, 0]
-    held = np.where(moved, steering, np.where(np.arange(23) == 0, np.nan, steering[4]))
-    assert drives[0].base == pytest.approx(held, abs=1e-6, nan_ok=True)
-    assert without[0].odometry[:, 0] == pytest.approx(held, abs=1e-6, nan_ok=True)
+    held = np.where(moved, steering, np.where(np.arange(23) == 0, 0, steering[4]))
+    assert drives[0].base == pytest.approx(held, abs=1e-6)
+    assert without[0].odometry[:, 0] == pytest.approx(np.r_[np.nan, held[1:]], abs=1e-6, nan_ok=True)
     group = [windows.Span(1, 3, 14), windows.Span(0, 0, 9)]
     batch, plain, unbased = (read_batch(read, *group) for read in (drives, without, no_base))
     assert batch["motion"].shape == (11 + 9, 4)
@@ -113,8 +113,8 @@ def test_motion_and_base_of_a_batch(folder):
     assert batch["motion"][11 + 6, 2:].tolist() == [8, 1]
     assert "motion" not in plain
     assert (unbased["motion"] == batch["motion"]).all()
-    assert np.isnan(plain["base"]).all()
-    assert np.isnan(unbased["base"]).all()
+    assert not plain["base"].any()
+    assert not unbased["base"].any()
 
 
 @pytest.mark.parametrize("others", [10, 23, 60])
@@ -128,7 +128,7 @@ def test_the_control_gets_the_scene_of_another_drive_and_nothing_else_changes(fo
     group = [windows.Span(0, 12, 23, factor=2.0, hidden=True), windows.Span(0, 0, 9)]
     own, batch = read_batch([drive], *group), read_batch([control], *group)
     for key in ("dt_s", "base", "target", "valid"):
-        np.testing.assert_array_equal(batch[key], own[key])
+        assert (batch[key] == own[key]).all()
     assert (batch["motion"][batch["windows"]] == own["motion"][own["windows"]]).all()
     with open_graphs(control.scene) as graphs:
         for window, end in zip(batch["windows"], [*range(19, 23), 7, 8], strict=True):
@@ -170,8 +170,7 @@ def test_hidden_motion_is_not_measured_and_has_no_base(folder):
     for name in ("motion", "base"):
         first = len(shown[name]) // 2
         assert (half[name][:first] == shown[name][:first]).all()
-        assert not np.nan_to_num(half[name][first:]).any()
-    assert np.isnan(half["base"]).any()
+        assert not half[name][first:].any()
     assert (half["target"] == shown["target"]).all()
 
 
@@ -278,8 +277,7 @@ def test_items_come_in_order_a_bounded_number_ahead_and_errors_after_them(thread
 def drives(request, tmp_path) -> list[LabelledDrive]:
     artefacts.write_dataset(tmp_path, DRIVES, frames=40, points=12, ahead_m=[0, 5, 10])
     for name, factor in zip(NAMES, (0.2, -0.3), strict=True):
-        angle_rad = factor * np.sin(np.arange(40) / 5)
-        artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", angle_rad, np.arange(40) >= 3)
+        artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", factor * np.sin(np.arange(40) / 5))
     return read(tmp_path, motion="visual", **request.param)
 
 
@@ -288,44 +286,38 @@ def test_scale_is_the_regression_and_spread_of_the_residual(drives):
     assert scale.names == (["path_0-5m_1pm", "path_5-10m_1pm"] if path else ["steering_rad"])
     truth, base = np.concatenate([d.truth for d in drives]), np.concatenate([d.base for d in drives])
     for number in range(len(scale.names)):
-        assert scale.mean[number] == pytest.approx(np.nanmean(truth[:, number]))
-        known = np.isfinite(truth[:, number]) & np.isfinite(base)
-        assert 0 < known.sum() < len(truth) - 6
+        known = np.isfinite(truth[:, number])
+        assert 0 < known.sum() < len(truth)
         y, x = truth[known, number], base[known]
         (best,), *_ = np.linalg.lstsq(x[:, None], y, rcond=None)
         assert scale.odometry_gain[number] == pytest.approx(best)
         assert scale.gain[number] == (pytest.approx(best) if path else 1)
         assert scale.std[number] == pytest.approx(np.std(y - scale.gain[number] * x))
-    without = [replace(drive, base=np.full(40, np.nan)) for drive in drives]
-    np.testing.assert_allclose(Scale.from_drives(without).std, np.nanstd(truth, axis=0))
-    hidden = np.full(len(base), np.nan)
-    for targets in (scale.encode(truth, base)[np.isfinite(base)], scale.encode(truth, hidden)):
-        np.testing.assert_allclose(np.nanstd(targets, axis=0), 1)
+        assert scale.mean[number] == pytest.approx(y.mean())
 
 
 @given(st.integers(1, 4), st.integers(0, 2**32 - 1))
 def test_encode_and_decode_are_inverse(columns, seed):
     rng = np.random.default_rng(seed)
-    gain, std, mean = rng.normal(size=columns), rng.uniform(1e-3, 2, (2, columns)), np.zeros(columns)
-    scale = Scale.parse(Scale([f"c{n}" for n in range(columns)], gain, *std, mean).content)
+    gain, std, mean = rng.normal(size=columns), rng.uniform(1e-3, 2, columns), np.zeros(columns)
+    scale = Scale.parse(Scale([f"c{n}" for n in range(columns)], gain, std, mean).content)
     y, base, log_sigma = rng.normal(size=(5, columns)), rng.normal(size=5), rng.normal(size=(5, columns))
-    base[3:] = np.nan
     decoded = scale.decode(np.concatenate([scale.encode(y, base), log_sigma], axis=1), base)
     np.testing.assert_allclose(decoded.mean, y)
-    np.testing.assert_allclose(decoded.sigma, std[[0, 0, 0, 1, 1]] * np.exp(log_sigma))
+    np.testing.assert_allclose(decoded.sigma, std * np.exp(log_sigma))
     assert scale.encode(y.astype(np.float32), base.astype(np.float32)).dtype == np.float32
     assert scale.decode(np.zeros((5, columns)), base).sigma is None
 
 
 def test_targets_of_a_step_are_standardised_weighted_and_mirrored():
-    angle = Scale(["steering_rad"], np.ones(1), np.array([0.5]), np.array([0.6]), np.zeros(1))
+    angle = Scale(["steering_rad"], np.ones(1), np.array([0.5]), np.zeros(1))
     batch = {
         "target": torch.tensor([[0.2], [-0.3], [0.0]]),
-        "base": torch.tensor([0.1, torch.nan, 0.0]),
+        "base": torch.tensor([0.1, 0.0, 0.0]),
         "valid": torch.tensor([[True], [True], [False]]),
     }
     residual, weight = scale.step_targets(batch, angle, alpha=2.0, mirror=False, dtype=torch.float64)
-    assert residual[:, 0].tolist() == pytest.approx([0.2, -0.5, 0.0])
+    assert residual[:, 0].tolist() == pytest.approx([0.2, -0.6, 0.0])
     assert weight[:, 0].tolist() == pytest.approx([np.exp(0.4), np.exp(0.6), 0.0])
     both = scale.step_targets(batch, angle, alpha=2.0, mirror=True, dtype=torch.float64)
     assert torch.equal(both[0], torch.cat([residual, -residual]))
@@ -367,7 +359,7 @@ def write_model(folder: Path, change: dict[str, Any] | None = None, **entry: obj
     torch.manual_seed(0)
     general = {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "semantics": 1.0, "features": 8}
     model = Entry.model_validate(general | {"window": WINDOW} | entry)
-    scale = {"names": ["steering_rad"], "gain": [1.0], "std": [0.12], "std_unmeasured": [0.12], "mean": [0.01]}
+    scale = {"names": ["steering_rad"], "gain": [1.0], "std": [0.12], "mean": [0.01], "odometry_gain": None}
     content = {"kind": predict.KIND, "name": "net", "seed": 0, "seeds": [0], "fold": None, "scale": scale}
     content |= {"contents": {"kind": "graph"}, "entry": model.model_dump(mode="json"), "settings": artefacts.LABELS}
     content |= {"drives": ["a"], "fps": 10.0, "net": model.build("graph").state_dict()}

@@ -7,13 +7,12 @@ import numpy as np
 
 from pipeline.base import console, store
 from pipeline.base.outputs import stage_folder
-from pipeline.base.params import SPLITS, load
+from pipeline.base.params import load
 from pipeline.base.runner import Job, Summary, make_drives
 from pipeline.kitti.oxts import VL
 from pipeline.labels import ahead, label, sources
 from pipeline.settings.labels import Labels
 
-FEW = 0.02  # share of frames that move, or turn, below which a split says little about errors
 TURNING_RAD = 0.02  # a radius of 135 m
 # Cars do not slide sideways: vl stays below 0.4 m/s in KITTI. Above this limit, heading or GNSS velocity is wrong, and
 # the label with it: 2011_09_26_drive_0093 has 14 m/s to the left and then 11 m/s backwards.
@@ -42,11 +41,6 @@ def main(
         # One worker, as this is less work than starting a process.
         summaries = make_drives(folder, jobs, settings, _LINE.format_map, workers=1)
         store.write_index(folder.new, splits)
-    for split in SPLITS:
-        of_split = [summaries[drive] for drive in store.drives_in(splits, split)]
-        frames, valid, turning = (sum(summary[key] for summary in of_split) for key in ("frames", "valid", "turning"))
-        if of_split and min(valid / max(frames, 1), turning / max(valid, 1)) < FEW:
-            print(f"{split}: the car moves in {valid} of {frames} frames and turns in {turning}, too few to test on")
     suspect = [drive for drive, summary in summaries.items() if summary["sideways"]]
     if suspect:
         print(f"implausible labels, oxts has the car sliding sideways: {', '.join(suspect)}")

@@ -24,7 +24,6 @@ def main(
     from pipeline.report import results, tables
     from pipeline.report.figures import draw
     from pipeline.report.page import write_page
-    from pipeline.report.story import sentences
 
     models = entries("models", params)
     evaluated = [model for model in models if (data / "evaluate" / model / "metrics.json").is_file()]
@@ -35,7 +34,7 @@ def main(
     weights = store.read_json(path, stage="encoder").get("sources", []) if path.is_file() else []
     steering = tables.steering_tables(groups)
     perceived = tables.perception_tables(scores) if scores else []
-    story = sentences(groups, [model for model in models if model not in evaluated])
+    story = tables.sentences(groups, [model for model in models if model not in evaluated])
     text = "\n\n".join([*(fill(line, 110) for line in story), *(table.markdown() for table in (*steering, *perceived))])
     with stage_folder("report", out, shared=True) as folder:
         new = folder.new

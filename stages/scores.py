@@ -15,7 +15,7 @@ from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
 from pipeline.labels import comparison, sources
 from pipeline.labels.label import Car
-from pipeline.perception.scores import Scores, read_truth, summary_line
+from pipeline.perception.scores import Scores, read_truth
 from pipeline.settings.labels import Labels
 
 
@@ -42,17 +42,15 @@ def main(
         work = partial(_score_drive, drive=drive, ingest=inputs[0], perception=inputs[1], score_motion=score_motion)
         jobs.append(Job(drive, f"{drive}/metrics.json", inputs, work))
     with stage_folder("scores", out) as folder:
-        summaries = make_drives(folder, jobs, vars(car), "{frames} frames, {line}".format_map, workers)
+        summaries = make_drives(folder, jobs, vars(car), "{frames} frames".format_map, workers)
         content: dict[str, Any] = {"motion": {}, "train": Scores().report()}
         for split in ("val", "test"):
             scores, drives = Scores(), store.drives_in(splits, split)
             for drive in drives:
                 scores.add(summaries[drive]["sums"])
             content[split] = scores.report()
-            print(f"scores, {split}: {summary_line(content[split])}", flush=True)
             for kind, motion_scores in score_motion(drives).items():
                 content["motion"].setdefault(kind, dict.fromkeys(SPLITS))[split] = motion_scores
-                print(f"{split}: {_line(kind, motion_scores)}", flush=True)
         store.write_json(folder.new / "metrics.json", content)
     return out
 
@@ -70,10 +68,8 @@ def _score_drive(
         for row, number in enumerate(perceived.frame):
             depth_m, cls = to_metres(perceived.row("depth_m", row)), perceived.row("cls", row)
             scores.add_frame(depth_m, cls, camera, read_truth(source, camera, source.row_of(number)))
-    report, motion = scores.report(), score_motion([drive])
-    store.write_json(path, {**report, "motion": motion})
-    line = "; ".join([summary_line(report), *(_line(kind, scored) for kind, scored in motion.items())])
-    return {"frames": count, "sums": {key: sums.tolist() for key, sums in scores.sums.items()}, "line": line}
+    store.write_json(path, {**scores.report(), "motion": score_motion([drive])})
+    return {"frames": count, "sums": {key: sums.tolist() for key, sums in scores.sums.items()}}
 
 
 def _score_motion(drives: list[str], *, ingest: Path, motion: Path, car: Car) -> dict[str, Any]:
@@ -102,12 +98,6 @@ def _score_motion(drives: list[str], *, ingest: Path, motion: Path, car: Car) ->
                 pair = labels[kind].at(rows[kind]), labels[reference].at(rows[kind])
                 errors.setdefault(name, []).append(comparison.errors(*pair))
     return {kind: comparison.score(errors_of_kind) for kind, errors_of_kind in errors.items()}
-
-
-def _line(kind: str, scores: dict[str, Any] | None) -> str:
-    """Return a line for the log that names the two sources of a key of the scores."""
-    source, _, reference = kind.partition("-")
-    return f"{source} against {reference or 'oxts'}: {comparison.summary_line(scores, wheel='wheel' in kind)}"
 
 
 if __name__ == "__main__":

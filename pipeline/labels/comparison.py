@@ -7,8 +7,6 @@ import numpy as np
 
 from pipeline.labels.label import Labels
 
-INVERTED = -0.5  # largest correlation with the driven angle that means an inverted sign
-
 
 def errors(measured: Labels, true: Labels) -> np.ndarray:
     """Return errors of the labels from one source against those of another, for the same frames, for :func:`score`.
@@ -28,15 +26,13 @@ def score(drives: Sequence[np.ndarray]) -> dict[str, Any] | None:
     """Return the scores over all frames of `drives`, each of :func:`errors`; None without frames. Undefined: None.
 
     ``valid``: share of valid labels; ``judged``: frames in nmse; ``speed_ratio``: median of measured / true speed;
-    ``nmse``: MSE of the last measured steering angle / MSE of predicting zero; ``correlation``: of values, not of
-    their deviations from the mean.
+    ``nmse``: MSE of the last measured steering angle / MSE of predicting zero.
     """
     measured, *compared = np.concatenate([np.zeros((5, 0)), *drives], axis=1)
     if not len(measured):
         return None
     yaw_radps, ratio, error_rad, true_rad = (values[np.isfinite(values)] for values in compared)
-    yaw_degps, zero, found = np.degrees(yaw_radps), float((true_rad**2).sum()), error_rad + true_rad
-    norm = float(np.sqrt(zero * (found**2).sum()))
+    yaw_degps, zero = np.degrees(yaw_radps), float((true_rad**2).sum())
     return {
         "drives": sum(drive.size > 0 for drive in drives),
         "frames": len(measured),
@@ -46,18 +42,4 @@ def score(drives: Sequence[np.ndarray]) -> dict[str, Any] | None:
         "yaw_median_degps": float(np.median(np.abs(yaw_degps))) if len(yaw_degps) else None,
         "speed_ratio": float(np.median(ratio)) if len(ratio) else None,
         "nmse": float((error_rad**2).sum() / zero) if zero else None,
-        "correlation": float((found * true_rad).sum() / norm) if norm else None,
     }
-
-
-def summary_line(figures: dict[str, Any] | None, wheel: bool = False) -> str:
-    """Return a line for the log about the result of :func:`score`; `wheel`: one of the two sources is recorded."""
-    if not figures or not figures["judged"]:
-        return "no frame is both measured and recorded above the minimum speed"
-    text = "{valid:.0%} of {frames} frames measured".format_map(figures)
-    if figures["speed_ratio"] is not None:
-        text += ", yaw rate to {yaw_rmse_degps:.2f} deg/s, speed x {speed_ratio:.3f}".format_map(figures)
-    if figures["nmse"] is not None:
-        text += f", steering nmse {figures['nmse']:.4f}"
-    inverted = wheel and (figures["correlation"] or 0.0) < INVERTED
-    return f"{text}: the sign of wheel_rad is inverted: left is positive" if inverted else text

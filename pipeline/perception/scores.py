@@ -158,16 +158,3 @@ class Scores:
                 "iou": present,
             }
         return scores
-
-
-def summary_line(report: Mapping[str, Any]) -> str:
-    """Return a line for the log about a :meth:`Scores.report`."""
-    parts = [
-        f"depth abs rel {depth['abs_rel']:.3f} (flat ground {report[f'ground_plane_{source}']['abs_rel']:.3f}), "
-        f"RMSE {depth['rmse_m']:.2f} m, δ1 {depth['delta1']:.3f} against {source}, coverage {depth['coverage']:.1%}"
-        for source in ("dense", "lidar")
-        if (depth := report[f"depth_{source}"])
-    ]
-    if report["classes"]:
-        parts.append(f"mean IoU {report['classes']['mean_iou']:.3f} of {len(report['classes']['iou'])} classes")
-    return ", ".join(parts) or "no ground truth of depth or classes"

@@ -38,8 +38,6 @@ def load(path: Path) -> Any:
         raise InputError("file is missing", path)
     try:
         return torch.load(path, weights_only=True, map_location="cpu")
-    except PermissionError:
-        raise
     except Exception as error:  # torch raises various kinds for a damaged file, OSError and UnpicklingError among them
         raise InputError("file is damaged, or has more than tensors and plain values", path) from error
 

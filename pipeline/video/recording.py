@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, cast
 
@@ -153,11 +152,7 @@ def _image_files(folder: Path) -> list[Path]:
     files = [path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.name[:2] != "._"]  # macOS
     if not files:
         raise InputError(f"folder has no images (expected {', '.join(_SUFFIXES)})", folder)
-    files.sort(key=_order)
-    for before, after in pairwise(files):
-        if before.stem == after.stem:
-            raise InputError(f"folder has several images {after.stem}", folder, "Keep one file for each image")
-    return files
+    return sorted(files, key=_order)
 
 
 def _order(path: Path) -> tuple[list[int | str], str]:

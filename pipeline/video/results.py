@@ -15,7 +15,6 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.evaluate import errors
 from pipeline.labels import sources
-from pipeline.labels.comparison import INVERTED
 from pipeline.labels.label import Car, steering_angle, steering_labels
 from pipeline.motion.step import PROBLEMS
 from pipeline.settings.evaluate import Evaluate
@@ -24,6 +23,7 @@ from pipeline.video.source import INGEST, MOTION, Source
 
 BRIDGED_S = 1.0  # longest gap over which the track continues with the last motion
 HEIGHT_SCALE = 0.2  # relative standard deviation of the speed if the camera's height over the road is unknown
+INVERTED = -0.5  # largest correlation with the driven angle that means an inverted sign
 BLOCK_S = 5.0  # errors of nearer frames are correlated, for the interval of nmse
 FORMATS = {"frame": ".0f", "valid": ".0f", "points": ".0f", "residual": ".3f", "driven_rad": ".9f"}  # others: ".6f"
 

@@ -268,6 +268,7 @@ def test_flat_ground_is_scored_at_the_pixels_of_the_encoder():
     assert 0.5 < report["depth_dense"]["coverage"] == report["ground_plane_dense"]["coverage"] < 0.8
     assert report["depth_lidar"] is None
     assert report["classes"]["pixel_accuracy"] == 1
+    assert report["classes"]["mean_iou"] == 1
 
 
 def test_class_scores_equal_hand_values():

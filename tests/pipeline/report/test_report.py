@@ -17,7 +17,6 @@ from pipeline.graphs.cloud import clouds_drive
 from pipeline.perception.scores import Scores
 from pipeline.report import figures, paper, tables
 from pipeline.report.page import write_page
-from pipeline.report.story import sentences
 from pipeline.report.street_view import HALF_TRACK_M, STEP_M, follow, path_steps, read_view, wheel_tracks
 from pipeline.settings.clouds import Clouds
 from tests import street
@@ -123,7 +122,7 @@ def test_all_rows_are_compared_on_common_frames_with_one_zero(tmp_path):
         {"short": 0.3, "long": 0.5, "zero": 1.0}
     )
     assert {group.scores(name, "steering_rad")["frames"] for name in group.predicted} == {2 * 22}
-    assert sentences([group])[0].startswith("short predicts the steering angle with a test nmse of 0.300")
+    assert tables.sentences([group])[0].startswith("short predicts the steering angle with a test nmse of 0.300")
     assert group.nmse("short", minus="long") == (pytest.approx(-0.2), pytest.approx([-0.2, -0.2]))
     assert group.nmse("odometry")[0] == pytest.approx(
         0.5 * (1 + (7**2 + 8**2) / sum(np.delete(np.arange(7, 30), 13) ** 2))
@@ -137,7 +136,7 @@ def test_models_without_common_frames_have_no_difference(tmp_path):
     groups = examples.load(tmp_path, "scene", "blind")
     built = {table.title: table for table in tables.steering_tables(groups)}
     assert {row["nmse"] for row in built["Differences: steering angle"].rows} == {tables.NONE}
-    assert sentences(groups) == []
+    assert tables.sentences(groups) == []
 
 
 def test_models_that_differ_in_one_setting_have_a_difference(tmp_path):
@@ -190,16 +189,16 @@ def test_perception_has_a_row_per_split_with_ground_truth():
 @pytest.mark.parametrize("predict", ["angle", "path"])
 def test_the_best_model_is_compared_with_the_best_baseline(tmp_path, nmse, baselines, verdict, predict):
     models = metrics("worse", 3.0, baselines, predict=predict), metrics("net", nmse, baselines, predict=predict)
-    (text,) = sentences(examples.groups(tmp_path, *models))  # nothing about the sign without a gain
+    (text,) = tables.sentences(examples.groups(tmp_path, *models))  # nothing about the sign without a gain
     title = {"angle": "steering angle", "path": "path ahead"}[predict]
     assert text.startswith(f"net predicts the {title} with a test nmse of {np.mean(nmse):.3f} (")
     assert f"), {verdict}" in text
 
 
 def test_missing_results_are_named_and_straight_roads_have_no_sentence(tmp_path):
-    _, missing = sentences(examples.groups(tmp_path, metrics("net")), ["absent", "other"])
+    _, missing = tables.sentences(examples.groups(tmp_path, metrics("net")), ["absent", "other"])
     assert missing.startswith("No result here: absent, other.")
-    assert sentences([]) == sentences(examples.groups(tmp_path, metrics("straight", None))) == []
+    assert tables.sentences([]) == tables.sentences(examples.groups(tmp_path, metrics("straight", None))) == []
 
 
 # Pictures

@@ -113,11 +113,6 @@ def repeated(path: Path) -> None:
     path.write_bytes(write_stream(path, codec="mpeg2video").read_bytes() * 2)
 
 
-def twice(path: Path) -> None:
-    for kind in ("png", "jpg"):
-        write_png(path / f"1.{kind}", pictures(1)[0])
-
-
 def sizes(path: Path) -> None:
     write_png(path / "1.png", pictures(1)[0])
     write_png(path / "2.png", pictures(1, (40, 64))[0])
@@ -130,7 +125,6 @@ PLAINLY_WRONG: list[tuple[str, Callable[[Path], object], str]] = [
     ("cut.mp4", cut, "of 40 frames"),
     ("repeated.ts", repeated, "do not increase"),
     ("exif", lambda path: orient(path / "1.png"), "EXIF orientation"),
-    ("twice", twice, "several images 1"),
     ("sizes", sizes, "image 1 has 64 x 40 pixels .*64 x 48"),
     ("text.mp4", lambda path: path.write_text("not a video"), "cannot be decoded as a video"),
     ("none.mp4", lambda path: None, "missing"),

@@ -14,7 +14,8 @@ PRESETS := $(filter-out encoder street,$(patsubst presets/%.yaml,%,$(wildcard pr
 
 demo: setup            ## run the complete chain on the embedded sample and print its table
 	dvc repro graphs labels
-	@dvc stage list --name-only | grep '^evaluate@' | xargs -n 1 -P 2 dvc repro || true  # models side by side
+	@for stage in train evaluate; do dvc stage list --name-only | grep "^$$stage@" | \
+	xargs -n 1 -P 2 dvc repro --single-item; done || true  # models side by side; what fails is repeated below
 	dvc repro
 	@cat data/report/table.md && echo "Open data/report/index.html in a browser."
 

@@ -5,7 +5,7 @@ no numbers. quality.json says how certain scale and focal length are.
 
 \b
 steer measure street.mp4 --fov 65
-steer measure data/sample/2026_01_10/2026_01_10_drive_0004_sync --encoder data/encoder
+steer measure data/sample/2026_01_14/2026_01_14_drive_0004_sync --encoder data/encoder
 """
 
 from pathlib import Path

@@ -5,7 +5,7 @@ LiDAR scans and oxts are needed only by models with LiDAR input. steering.csv al
 means over later frames: see steer measure.
 
 \b
-steer predict data/sample/2026_01_10/2026_01_10_drive_0004_sync
+steer predict data/sample/2026_01_14/2026_01_14_drive_0004_sync
 steer predict street.mp4 --fov 65 --model data/train/motion
 """
 

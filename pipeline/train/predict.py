@@ -4,7 +4,7 @@ from pipeline.graphs import graph_file
 from pipeline.train import predict
 
 model = predict.load("data/train/sa-gnn-ncp")
-with graph_file.open_graphs("data/graphs/semantic/2026_01_10_drive_0004.h5") as graphs:
+with graph_file.open_graphs("data/graphs/semantic/2026_01_14_drive_0004.h5") as graphs:
     steering_rad = model.predict(graphs).mean[:, 0]  # NaN without a complete window
 """
 

@@ -1,6 +1,5 @@
 """Measure networks and graph files beside PyTorch Geometric and ncps: convolutions, LTC, a training step, loading."""
 
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
@@ -13,7 +12,7 @@ from torch_geometric.data import Batch, Data
 from torch_geometric.nn import GCNConv
 from torch_geometric.nn.conv.gcn_conv import gcn_norm
 
-from benchmarks.street import DEVICE, FRAMES, Row, Street, compare, milliseconds, row
+from benchmarks.street import DEVICE, FRAMES, Row, Street, milliseconds
 from models.steering.core.cell.ltc import LTC
 from models.steering.core.features import mean_max_pool, node_features
 from models.steering.core.wiring import ncp
@@ -36,7 +35,7 @@ def gcn(street: Street) -> Row:
         x = node_features(batch.xyz, batch.cls, 0.0)
         _backward(features(x, layers, gcn_norm(batch.edge_index, None, len(x)), batch.ptr, net.read_out))
 
-    return compare(
+    return Row(
         milliseconds(lambda: _backward(net(batch)), GCN_FRAMES),
         milliseconds(alternative, GCN_FRAMES),
         "ms/frame",
@@ -70,7 +69,7 @@ def ltc() -> Row:
         for _ in range(REPEATS):
             _backward(forward()[:, -1, 0])
 
-    return compare(
+    return Row(
         milliseconds(lambda: repeat(lambda: ours(ours.project_inputs(x)[windows], dt_s)[0]), REPEATS),
         milliseconds(lambda: repeat(lambda: alternative(x[windows])[0]), REPEATS),
         "ms",
@@ -92,16 +91,15 @@ def training(street: Street) -> Row:
     A step reads frames, and does forward, backward and update.
     """
     shared, naive = Entry.model_validate(MODEL).build("graph").to(DEVICE), NaiveNet().to(DEVICE)
-    with tempfile.TemporaryDirectory() as folder:
-        paths = save(street, Path(folder), WINDOW)
-        ours = milliseconds(_step(shared, lambda: shared(street.batch(FRAMES), *_windows())), WINDOWS)
-        alternative = milliseconds(_step(naive, lambda: naive(Batch.from_data_list(_load(paths)).to(DEVICE))))
-        return compare(
-            lambda: 1e3 / ours(),
-            lambda: 1e3 / alternative(),
-            "windows/s",
-            f"{street.title}: training with shared frames / PyG + ncps, each window read and encoded for itself",
-        )
+    paths = street.frames[:WINDOW]
+    ours = milliseconds(_step(shared, lambda: shared(street.batch(FRAMES), *_windows())), WINDOWS)
+    alternative = milliseconds(_step(naive, lambda: naive(Batch.from_data_list(_load(paths)).to(DEVICE))))
+    return Row(
+        lambda: 1e3 / ours(),
+        lambda: 1e3 / alternative(),
+        "windows/s",
+        f"{street.title}: training with shared frames / PyG + ncps, each window read and encoded for itself",
+    )
 
 
 def _step(net: nn.Module, forward: Callable[[], Tensor]) -> Callable[[], None]:
@@ -144,32 +142,22 @@ def _backward(output: Tensor) -> None:
 
 def size(street: Street) -> Row:
     """Compare bytes on disk."""
-    with tempfile.TemporaryDirectory() as folder:
-        alternative = sum(path.stat().st_size for path in save(street, Path(folder), FRAMES))
-    ours = street.file.stat().st_size
+
+    def megabytes(paths: list[Path]) -> float:
+        return sum(path.stat().st_size for path in paths) / FRAMES / 1e6
+
     what = f"{street.title}: graph file / PyG Data by torch.save"
-    return row(ours / FRAMES / 1e6, alternative / FRAMES / 1e6, "MB/frame", what)
+    return Row(lambda: megabytes([street.file]), lambda: megabytes(street.frames), "MB/frame", what)
 
 
 def load(street: Street) -> Row:
     """Compare reading consecutive frames, from files in the system's cache to a batch on the device."""
-    with tempfile.TemporaryDirectory() as folder:
-        paths = save(street, Path(folder), FRAMES)
-        return compare(
-            milliseconds(lambda: street.batch(FRAMES), FRAMES),
-            milliseconds(lambda: [data.to(DEVICE) for data in _load(paths)], FRAMES),
-            "ms/frame",
-            f"{street.title}: {FRAMES} frames of a graph file / torch.load of PyG Data",
-        )
-
-
-def save(street: Street, folder: Path, count: int) -> list[Path]:
-    """Write the first `count` frames, a file each: float32 points and int64 edges, as PyG's operators need them."""
-    batch, paths = street.batch(count, "cpu"), [folder / f"{number}.pt" for number in range(count)]
-    for path, frame in zip(paths, batch.blocks(1), strict=True):
-        # Clones: a view would save the storage of all frames.
-        torch.save(Data(pos=frame.xyz.clone(), cls=frame.cls.long(), edge_index=frame.edge_index), path)
-    return paths
+    return Row(
+        milliseconds(lambda: street.batch(FRAMES), FRAMES),
+        milliseconds(lambda: [data.to(DEVICE) for data in _load(street.frames)], FRAMES),
+        "ms/frame",
+        f"{street.title}: {FRAMES} frames of a graph file / torch.load of PyG Data",
+    )
 
 
 def _load(paths: list[Path]) -> list[Data]:

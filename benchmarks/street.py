@@ -3,11 +3,12 @@
 import statistics
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
+from torch_geometric.data import Data
 
 from models.steering.core.batch import GraphBatch, from_arrays
 from pipeline.base import store
@@ -25,28 +26,19 @@ FRAMES = 31  # a span of 24 windows of 8 frames
 POINTS, K, KEEP_INTER_CLASS = 43_000, 6, 0.2  # paper, Table 1
 
 
-@dataclass(frozen=True)
-class Row:
-    """Medians in `unit`; `ratio` above 1: this project is better by that factor."""
+class Row(NamedTuple):
+    """A row of the table: two measurements in `unit`."""
 
-    ours: float
-    alternative: float
+    ours: Measurement
+    alternative: Measurement
     unit: str
-    ratio: float
     what: str
 
-
-def compare(ours: Measurement, alternative: Measurement, unit: str, what: str) -> Row:
-    """Run both once to warm up, then in turn, so that other load on the machine affects both; medians count."""
-    ours(), alternative()
-    results = [(ours(), alternative()) for _ in range(ROUNDS)]
-    first, second = (statistics.median(column) for column in zip(*results, strict=True))
-    return row(first, second, unit, what)
-
-
-def row(ours: float, alternative: float, unit: str, what: str) -> Row:
-    """Return the row of two results."""
-    return Row(ours, alternative, unit, ours / alternative if unit.endswith("/s") else alternative / ours, what)
+    def measure(self) -> list[float]:
+        """Return the medians of both, run once to warm up, then in turn, so that other load affects both."""
+        self.ours(), self.alternative()
+        results = [(self.ours(), self.alternative()) for _ in range(ROUNDS)]
+        return [statistics.median(column) for column in zip(*results, strict=True)]
 
 
 def milliseconds(work: Callable[[], object], items: int = 1) -> Measurement:
@@ -62,17 +54,12 @@ def milliseconds(work: Callable[[], object], items: int = 1) -> Measurement:
     return measure
 
 
-@dataclass(frozen=True)
-class Street:
-    """A graph file of at least FRAMES frames."""
+class Street(NamedTuple):
+    """A graph file, and its frames as PyTorch Geometric's Data, a file each."""
 
+    title: str
     file: Path
-
-    @property
-    def title(self) -> str:
-        """The number of points per frame, for the table."""
-        with graph_file.open_graphs(self.file) as file:
-            return f"{round(file.points_per_frame):,} points"
+    frames: list[Path]
 
     def batch(self, count: int, device: str = DEVICE) -> GraphBatch:
         """Return the first `count` frames as a batch of the graph network."""
@@ -82,8 +69,8 @@ class Street:
         return batch
 
 
-def make_street(path: Path, points: int) -> Street:
-    """Write FRAMES graphs of random `points` on a road and on a wall on either side, in camera axes, to `path`."""
+def make_street(folder: Path, points: int) -> Street:
+    """Write FRAMES graphs of random `points` on a road and on a wall on either side, in camera axes, to `folder`."""
     rng, frame = np.random.default_rng(0), np.arange(FRAMES)
     variant = Variant(source="clouds/pseudo", points=points, k=K, keep_inter_class=KEEP_INTER_CLASS)
 
@@ -95,6 +82,12 @@ def make_street(path: Path, points: int) -> Street:
         return xyz, np.where(wall, BUILDING, ROAD).astype(np.uint8)
 
     graphs = (frame_graph.build(cloud(), variant, "street", number) for number in range(FRAMES))
-    with store.DriveWriter(path, stage="graphs", drive="street", params={"graphs": variant.model_dump()}) as file:
+    street = Street(f"{points:,} points", folder / "graphs.h5", [folder / f"{number}.pt" for number in frame])
+    with store.DriveWriter(
+        street.file, stage="graphs", drive="street", params={"graphs": variant.model_dump()}
+    ) as file:
         graph_file.write(file, frame, frame * 0.1, graphs, frame_graph.empty_frame(variant))
-    return Street(path)
+    for path, block in zip(street.frames, street.batch(FRAMES, "cpu").blocks(1), strict=True):
+        # Float32 points and int64 edges, as PyG's operators need them. Clones: a view would save all frames.
+        torch.save(Data(pos=block.xyz.clone(), cls=block.cls.long(), edge_index=block.edge_index), path)
+    return street

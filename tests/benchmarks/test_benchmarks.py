@@ -17,7 +17,7 @@ POINTS = 150
 
 @pytest.fixture(scope="module")
 def street(tmp_path_factory) -> Street:
-    return make_street(tmp_path_factory.mktemp("street") / "graphs.h5", POINTS)
+    return make_street(tmp_path_factory.mktemp("street"), POINTS)
 
 
 def test_all_rows_are_measured_with_one_thread(monkeypatch, capsys):
@@ -33,8 +33,8 @@ def test_all_rows_are_measured_with_one_thread(monkeypatch, capsys):
         bench.main(["lct"])
 
 
-def test_frames_saved_for_pyg_hold_the_same_graph(street, tmp_path):
-    data = [torch.load(path, weights_only=False) for path in networks.save(street, tmp_path, 2)]
+def test_frames_saved_for_pyg_hold_the_same_graph(street):
+    data = [torch.load(path, weights_only=False) for path in street.frames[:2]]
     batch, start = street.batch(2), len(data[0].pos)
     assert torch.equal(torch.cat([frame.pos for frame in data]), batch.xyz)
     assert torch.equal(torch.cat([data[0].edge_index, data[1].edge_index + start], dim=1), batch.edge_index)

@@ -27,6 +27,7 @@ BUILD: dict[str, Callable[[Architecture], nn.Module]] = {
     "pair": Pair,
     "hugging_face": HuggingFace,
     "dinov2": DinoV2,
+    "precomputed": lambda architecture: nn.Module(),  # files instead of a network
 }
 
 

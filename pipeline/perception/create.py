@@ -12,7 +12,6 @@ from pipeline.base.errors import InputError, error_context
 from pipeline.base.resume import file_hash
 from pipeline.perception import perceive, precomputed
 from pipeline.settings.encoder import NEEDED, Encoder
-from pipeline.train import checkpoint
 
 WEIGHTS = Path("weights")  # downloaded files
 STREET = WEIGHTS / "street"
@@ -28,12 +27,10 @@ def create(settings: Encoder) -> tuple[Architecture, nn.Module]:
         return CREATE[settings.backbone](settings)
     with error_context("weights"):
         check_weights(settings.weights)
-        architecture, state = perceive.read(settings.weights)
+        architecture, model = perceive.load(settings.weights)
         if architecture["backbone"] != settings.backbone:
             problem = f"backbone is {architecture['backbone']!r}, expected {settings.backbone!r}"
             raise InputError(problem, settings.weights, "Name another file")
-        model = build(architecture)
-        checkpoint.load_state(model, state, settings.weights)
     return architecture, model
 
 

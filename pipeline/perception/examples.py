@@ -82,18 +82,14 @@ def _has_targets(file: DriveReader, folder: Path | None) -> np.ndarray:
     return np.stack([depth | lidar, cls], axis=1) & image[:, None]
 
 
-def augment(example: Example, rng: np.random.Generator) -> Example:
-    """Return the example with random mirroring, brightness, contrast and colour; a share GREY without colour."""
-    return relit(mirrored(example) if rng.random() < 0.5 else example, rng)
-
-
 def mirrored(example: Example) -> Example:
     """Return the mirror image; the principal point moves with the pixels."""
     return Example(example.image[:, ::-1], example.camera.mirrored(), example.depth_m[:, ::-1], example.cls[:, ::-1])
 
 
-def relit(example: Example, rng: np.random.Generator) -> Example:
-    """Return the example with random gain, contrast, gamma and gain per colour; a share GREY without colour."""
+def augment(example: Example, rng: np.random.Generator) -> Example:
+    """Return the example or its mirror image, with random gain per colour, contrast and gamma; a share GREY is grey."""
+    example = mirrored(example) if rng.random() < 0.5 else example
     gain = rng.uniform(0.75, 1.3) * rng.uniform(0.9, 1.1, 3)
     contrast, gamma = rng.uniform(0.75, 1.3), rng.uniform(0.8, 1.25)
     level = (np.arange(256) / 255) ** gamma

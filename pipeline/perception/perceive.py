@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 
 FILE = "encoder.pt"
 KIND = "unified encoder"
-AGAIN = "Make it again: dvc repro --force --single-item encoder"
 GPU_BATCH = 32  # images per pass at least; a CPU runs them one by one
 T = TypeVar("T")
 R = TypeVar("R")
@@ -54,11 +53,10 @@ def open_encoder(folder: Path, precision: str) -> Predict:
 
     Raises InputError if its file is missing, damaged or does not fit this code, or if a package is missing.
     """
-    with error_context(fix=AGAIN):
-        architecture, _ = read(folder / FILE)
+    with error_context(fix="Make it again: dvc repro --force --single-item encoder"):
+        architecture, network = load(folder / FILE)
     if architecture["backbone"] == "precomputed":
         return partial(_read_precomputed, Path(architecture["folder"]))
-    network = load(folder)
     return lambda batch: perceive(network, batch.images, batch.camera, precision)
 
 
@@ -76,24 +74,16 @@ def save(folder: Path, architecture: Architecture, state: Mapping[str, Tensor]) 
     checkpoint.write(folder / FILE, {"kind": KIND, "architecture": dict(architecture), "net": tensors})
 
 
-def read(path: Path) -> tuple[Architecture, Mapping[str, Tensor]]:
-    """Return the description and tensors by name of a file of :func:`save`. Raises InputError."""
-    content = checkpoint.read(path, KIND)
-    return content["architecture"], content["net"]
+def load(path: Path) -> tuple[Architecture, nn.Module]:
+    """Return description and network of a file of :func:`save`, in evaluation mode, on a GPU if there is one.
 
-
-def load(folder: Path) -> nn.Module:
-    """Return the encoder of stage encoder in evaluation mode, on a GPU if there is one.
-
-    Raises InputError if its file is missing, damaged or does not fit this code, or if a package is missing.
+    Raises InputError if the file is missing, damaged or does not fit this code; ValueError if a package is missing.
     """
-    path = folder / FILE
-    with error_context(fix=AGAIN):
-        architecture, state = read(path)
-        model = build(architecture)
-        checkpoint.load_state(model, state, path)
+    content = checkpoint.read(path, KIND)
+    model = build(content["architecture"])
+    checkpoint.load_state(model, content["net"], path)
     model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # 1.6x faster on a CPU, measured
-    return model.to("cuda" if torch.cuda.is_available() else "cpu").eval()
+    return content["architecture"], model.to("cuda" if torch.cuda.is_available() else "cpu").eval()
 
 
 def perceive(
@@ -113,7 +103,8 @@ def perceive(
             model(part.permute(0, 3, 1, 2), intrinsics.expand(len(part), 3, 3)) for part in torch.split(pixels, at_once)
         ]
         depth = torch.cat([depth.float() for depth, _ in outputs])
-        cls = torch.cat([likeliest(logits) for _, logits in outputs])
+        cls = torch.cat([logits.argmax(dim=1) for _, logits in outputs])
+        cls.masked_fill_(cls == classes.COUNT, classes.VOID)  # some networks have logits of void, last
         return depth.cpu().numpy(), cls.to(torch.uint8).cpu().numpy()
 
 
@@ -132,12 +123,6 @@ def passes(forward: Callable[[T], R], batches: Generator[T]) -> Generator[R]:
             yield from results
     finally:
         torch.set_num_threads(threads)
-
-
-def likeliest(logits: Tensor) -> Tensor:
-    """Return trainIds int64 [B,H,W] of logits [B,19,H,W], or [B,20,H,W] whose last is void."""
-    cls = logits.argmax(dim=1)
-    return cls.masked_fill_(cls == classes.COUNT, classes.VOID)
 
 
 def perceive_drive(

@@ -14,7 +14,6 @@ from pipeline.perception.depth_scale import ground_plane_depth
 
 MIN_DEPTH_M, MAX_DEPTH_M = 1.0, 80.0
 DEPTH_ERRORS = ("abs_rel", "rmse_m", "delta1")
-_DEPTH_SUMS = ("frames", *DEPTH_ERRORS, "covered", "known")  # pixels with a prediction, with a truth
 # The encoder's depth and the flat-ground baseline, each against dense truth and LiDAR; each over the full image and, as
 # KEY_eigen, over Eigen's crop.
 DEPTH_SCORES = ("depth_dense", "depth_lidar", "ground_plane_dense", "ground_plane_lidar")
@@ -107,7 +106,7 @@ class Scores:
 
     def __init__(self) -> None:
         keys = [key + crop for key in DEPTH_SCORES for crop in ("", "_eigen")]
-        self.sums = {key: np.zeros(len(_DEPTH_SUMS)) for key in keys}
+        self.sums = {key: np.zeros(1 + len(DEPTH_ERRORS) + 2) for key in keys}  # frames, errors, covered, known
         self.sums |= {"class_frames": np.zeros(1), "confusion": np.zeros((classes.COUNT, classes.COUNT + 1))}
 
     def add_frame(self, depth_m: np.ndarray, cls: np.ndarray, camera: Camera, truth: Truth) -> None:

@@ -84,7 +84,7 @@ def test_an_encoder_learns_from_the_images_of_another_in_drives_of_any_split(ing
     again = CliRunner().invoke(app, command)
     assert (again.exit_code, again.output.count("\n")) == (1, 1), "the folder is not free"
     with DriveReader(ingest / f"{TEST}.h5", stage="ingest") as file:
-        depth, cls = perceive.perceive(perceive.load(fitted), file["image"], read_camera(file))
+        depth, cls = perceive.perceive(perceive.load(fitted / "encoder.pt")[1], file["image"], read_camera(file))
     for frame in range(4):
         found = precomputed.read(targets, TEST, frame, street.SIZE)
         np.testing.assert_allclose(found[0], np.where(cls[frame] == classes.SKY, 0, depth[frame]), atol=1 / 256)

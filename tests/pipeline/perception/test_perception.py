@@ -24,7 +24,7 @@ from pipeline.perception.depth_scale import (
 )
 from pipeline.perception.examples import Example, Examples, mirrored
 from pipeline.perception.fit import depth_and_class_loss
-from pipeline.perception.perceive import load, passes, read, save
+from pipeline.perception.perceive import load, passes, save
 from pipeline.perception.scores import Scores, Truth, depth_errors, read_truth
 from pipeline.settings.encoder import Encoder
 from pipeline.settings.perception import Perception
@@ -126,8 +126,8 @@ def test_the_loss_ignores_unknown_pixels_and_matches_hand_values():
 def test_a_saved_encoder_loads_unchanged_and_its_file_is_deterministic(tmp_path):
     model = build(SMALL)
     save(tmp_path, SMALL, model.state_dict())
-    assert read(tmp_path / "encoder.pt")[0] == SMALL
-    loaded = load(tmp_path)
+    architecture, loaded = load(tmp_path / "encoder.pt")
+    assert architecture == SMALL
     assert not loaded.training
     for name, tensor in model.state_dict().items():
         assert torch.equal(tensor, loaded.state_dict()[name].cpu()), name

@@ -37,7 +37,7 @@ def inputs(folder: Path, images: list[np.ndarray], encoder: Path) -> dict[str, n
     with DriveReader(files["graphs"], stage="graphs") as file:
         assert file["motion_valid"][1:KNOWN].all()
         rows = [file.rows_of(name, row) for name in file.pointers for row in range(KNOWN)]
-        known = {name: file[name][:KNOWN] for name in file.names if file.shape(name)[0] == len(images)}
+        known = {name: file[name][:KNOWN] for name, data in file.datasets.items() if len(data) == len(images)}
     return {**known, "points": np.concatenate([row.ravel() for row in rows])}
 
 

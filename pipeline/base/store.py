@@ -165,10 +165,10 @@ class DriveReader:
                 raise _fault(problem, path, self._stage)
             if "_drive_" in path.stem and self.drive != path.stem:
                 raise _fault(f"contains drive {self.drive}", path, self._stage)
-            self._datasets = _datasets(self._file)
+            self.datasets = _datasets(self._file)
             # Ragged dataset → dataset with the first row of each frame; dataset of numbers of rows → that with the rows
             self.pointers, self.refers_to = (
-                {name: str(data.attrs[key]) for name, data in self._datasets.items() if key in data.attrs}
+                {name: str(data.attrs[key]) for name, data in self.datasets.items() if key in data.attrs}
                 for key in ("pointer", "refers_to")
             )
         except _H5PY_ERRORS as error:
@@ -195,22 +195,19 @@ class DriveReader:
             raise InputError(f"has no frame {number} (frames: {self.frame[:1]} to {self.frame[-1:]})", self.path)
         return int(np.searchsorted(self.frame, number))
 
-    @property
-    def names(self) -> list[str]:
-        """Names of the datasets."""
-        return list(self._datasets)
-
     def __contains__(self, name: str) -> bool:
-        return name in self._datasets
+        return name in self.datasets
 
     def __getitem__(self, name: str) -> np.ndarray:
         """Return a complete dataset."""
         return self.row(name, ())
 
     def row(self, name: str, index: int | slice | tuple[()]) -> Any:
-        """Return ``dataset[index]`` without reading the rest."""
+        """Return ``dataset[index]`` without reading the rest. Raises InputError if it is missing or damaged."""
+        if name not in self.datasets:
+            raise InputError(f"no dataset {name!r} (it has {', '.join(self.datasets)})", self.path)
         try:
-            return self.dataset(name)[index]
+            return self.datasets[name][index]
         except _H5PY_ERRORS as error:
             raise _fault(f"damaged in dataset {name!r} ({error})", self.path, self._stage) from error
 
@@ -222,15 +219,6 @@ class DriveReader:
         """Return one frame's rows of a ragged dataset. `frame_row`: the frame's row in ``frame``."""
         start, stop = self.rows(self.pointers[name], frame_row, frame_row + 2)
         return self.rows(name, start, stop)
-
-    def shape(self, name: str) -> tuple[int, ...]:
-        return self.dataset(name).shape
-
-    def dataset(self, name: str) -> h5py.Dataset:
-        """Return the h5py dataset. Raises InputError if it is missing."""
-        if name not in self._datasets:
-            raise InputError(f"no dataset {name!r} (it has {', '.join(self.names)})", self.path)
-        return self._datasets[name]
 
     def __enter__(self) -> Self:
         return self

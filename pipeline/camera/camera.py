@@ -134,7 +134,7 @@ def read_camera(file: DriveReader, height_m: float | None = None) -> Camera:
     `height_m`: over the road; None: from the calibration.
     """
     known = {name: file[name] for name in ("K", "T_cam_velo") if name in file}
-    (height, width), T_cam_velo = file.shape("image")[1:3], known.get("T_cam_velo")
+    (height, width), T_cam_velo = file.datasets["image"].shape[1:3], known.get("T_cam_velo")
     return Camera(known.get("K", np.eye(3)), (height, width), height_m or camera_height(T_cam_velo), T_cam_velo)
 
 

@@ -100,7 +100,7 @@ class Graphs(store.DriveReader):
     @cached_property
     def contents(self) -> Contents:
         if "image" in self:
-            _, height, width, _ = self.shape("image")
+            _, height, width, _ = self.datasets["image"].shape
             return Contents(kind="image", image_size=(height, width))
         if "degree" in self:
             return Contents(kind="graph")

@@ -67,7 +67,8 @@ def read_view(number: int, *files: DriveReader) -> View:
         row = file.row_of(number)
         for name, key in (("image", "rgb"), ("depth", "depth_m"), ("depth_m", "depth_m"), ("cls", "cls")):
             # In ingest, a frame may lack them; in other files, image may be of a graph, and cls of points.
-            if name in file and len(file.shape(name)) > 2 and (f"has_{name}" not in file or file[f"has_{name}"][row]):
+            present = f"has_{name}" not in file or file[f"has_{name}"][row]
+            if present and name in file and file.datasets[name].ndim > 2:
                 pixels = file.row(name, row)
                 parts[key] = to_metres(pixels) if key == "depth_m" else pixels
         if "xyz" in file:

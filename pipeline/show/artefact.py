@@ -33,13 +33,13 @@ def describe(path: Path) -> Content:
             "bytes": path.stat().st_size,
             **attributes,
             "frames": f"{len(frames)}, {frames[0]} to {frames[-1]}" if frames else "0",
-            "datasets": {name: _dataset(file, name) for name in file.names},
+            "datasets": {name: _dataset(file, name) for name in file.datasets},
             "settings": file.params,
         }
 
 
 def _dataset(file: DriveReader, name: str) -> list[str]:
-    dataset = file.dataset(name)
+    dataset = file.datasets[name]
     shape, unit = " × ".join(map(str, dataset.shape)), dataset.attrs.get("unit", "")
     rows = f"rows of a frame: {file.pointers[name]}" if name in file.pointers else ""
     return [text for text in (f"{dataset.dtype} {shape}", unit, rows, f"{dataset.id.get_storage_size()} bytes") if text]
@@ -52,7 +52,7 @@ def frame(path: Path, number: int, out: Path | None = None) -> Content:
     """
     with _open(path) as file:
         row = file.row_of(number)
-        names = [name for name in file.names if file.shape(name) == file.frame.shape]
+        names = [name for name, data in file.datasets.items() if data.shape == file.frame.shape]
         numbers = {name: file.row(name, row).item() for name in sorted(names)}
         view = street_view.read_view(number, file) if out else None
     if view and out:

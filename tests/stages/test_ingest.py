@@ -110,10 +110,10 @@ def test_real_drives(real_kitti, tmp_path):
     with DriveReader(tmp_path / f"data/ingest/{partly}.h5", stage="ingest") as file:
         np.testing.assert_array_equal(file.frame, np.arange(108))
         assert np.flatnonzero(file["has_image"]).tolist() == np.flatnonzero(file["has_lidar"]).tolist() == [5]
-        assert file.shape("lidar") == (121_948, 4)
+        assert file.datasets["lidar"].shape == (121_948, 4)
         assert file["image"][5].std() > 30
     with DriveReader(tmp_path / f"data/ingest/{grey}.h5", stage="ingest") as file:
         assert file["has_image"].all()
-        assert (file.attrs["camera"], file.shape("image")) == (0, (51, 96, 320, 3))
+        assert (file.attrs["camera"], file.datasets["image"].shape) == (0, (51, 96, 320, 3))
         assert np.ptp(file["image"], axis=-1).max() == 0
         assert np.diff(file.time_s) == pytest.approx(0.1037, abs=0.02)

@@ -25,7 +25,7 @@ FULL, BLIND, CAMERA = SPLITS
 
 def read(folder: Path, drive: str) -> dict[str, np.ndarray]:
     with store.DriveReader(folder / f"{drive}.h5", stage="clouds") as file:
-        return {name: file[name] for name in file.names}
+        return {name: file[name] for name in file.datasets}
 
 
 @pytest.mark.parametrize("lidar", [True, False])

@@ -60,7 +60,7 @@ def test_round_trip(tmp_path):
         for row, points in enumerate(XYZ):
             np.testing.assert_array_equal(file.rows_of("xyz", row), points)
         assert (file["cls"] == 7).all()
-        assert file.dataset("xyz").attrs["unit"] == "m"
+        assert file.datasets["xyz"].attrs["unit"] == "m"
         assert [file.row_of(number) for number in (0, 2, 3)] == [0, 1, 2]
         with pytest.raises(InputError, match="no frame 1"):
             file.row_of(1)

@@ -58,15 +58,12 @@ def compare(
     video: Annotated[Path, typer.Argument(help="the drive's frames")],
     wheel: Annotated[Path, typer.Argument(metavar="CSV", help="time_s and wheel_rad of the frames")],
     leaderboard: Annotated[Path, typer.Argument(help="the teams' predictions of the frames")],
-    out: Annotated[
-        Path | None, typer.Option(help="folder for motion.csv and figures.json; default: out/udacity")
-    ] = None,
 ) -> None:
-    """Measure the drive, and compare with the teams."""
+    """Measure the drive, compare with the teams, and write motion.csv and figures.json to out/udacity."""
     from steer.measure import measure
 
     truth, teams = (np.genfromtxt(path, delimiter=",", names=True) for path in (wheel, leaderboard))
-    out = claim(out, "udacity")
+    out = claim(None, "udacity")
     measure(video, out=out, k=K, distortion=DISTORTION, camera_height=CAMERA_HEIGHT_M, video=False)
     motion = np.genfromtxt(out / "motion.csv", delimiter=",", names=True, usecols=range(1, 9))
     time_s, wheel_rad = truth["time_s"], truth["wheel_rad"]

@@ -15,7 +15,7 @@ from numpy._core.multiarray import scalar
 from torch import Tensor, nn
 
 from models.encoder.heads import scaled_by_focal
-from models.encoder.hugging_face import CityscapesLogits, Network, describe, loading, local
+from models.encoder.hugging_face import CityscapesLogits, Network, describe, loading
 from models.encoder.rtmonodepth_s import KITTI_FOCAL
 
 MIN_DEPTH_M, MAX_DEPTH_M, BINS = 0.001, 80.0, 256  # of the KITTI heads; the authors' hub code has NYU's maximum of 10 m
@@ -73,12 +73,8 @@ class DinoV2(nn.Module):
 
 
 def create_dinov2(settings: Any) -> tuple[dict[str, Any], nn.Module]:
-    """Return architecture and network of section ``encoder``, where `depth` and `classes` are the heads' files.
-
-    Raises ValueError.
-    """
-    folder, sources = local(settings.model)
-    description = describe(folder)
+    """Return architecture and network of section ``encoder``, which names the heads' files. Raises ValueError."""
+    folder, description, sources = describe(settings.model)
     architecture = {"backbone": "dinov2", "model": description, "sources": sources}
     with loading(settings.model):
         if description["config"]["model_type"] != "dinov2":

@@ -97,24 +97,16 @@ def check(name: str) -> None:
         raise ValueError(f"{name!r} is not a folder with a config.json, nor a name of Hugging Face's hub")
 
 
-def local(name: str) -> tuple[Path, list[str]]:
-    """Return a folder; or the folder of a downloaded network of the hub, and a line with its revision.
-
-    Raises ValueError.
-    """
+def describe(name: str) -> tuple[Path, dict[str, Any], list[str]]:
+    """Return folder, description and, of a network that is downloaded from the hub, the revision. Raises ValueError."""
     check(name)
-    if Path(name).is_dir():
-        return Path(name), []
-    from huggingface_hub import snapshot_download
-
+    folder, sources = Path(name), []
     with loading(name):
-        folder = Path(snapshot_download(name, allow_patterns=["*config.json", "*.safetensors*", "pytorch_model*"]))
-    return folder, [f"https://huggingface.co/{name}/tree/{folder.name}"]
+        if not folder.is_dir():
+            from huggingface_hub import snapshot_download
 
-
-def describe(folder: Path) -> dict[str, Any]:
-    """Return the description of the network in a folder. Raises ValueError."""
-    with loading(folder):
+            folder = Path(snapshot_download(name, allow_patterns=["*config.json", "*.safetensors*", "pytorch_model*"]))
+            sources = [f"https://huggingface.co/{name}/tree/{folder.name}"]
         config = transformers().AutoConfig.from_pretrained(folder, trust_remote_code=False)
         content = json.loads(config.to_json_string(use_diff=False))
         file = folder / "preprocessor_config.json"
@@ -122,7 +114,7 @@ def describe(folder: Path) -> dict[str, Any]:
     del content["_name_or_path"]
     normalised = images.get("do_normalize", "image_mean" in images)
     images = IMAGENET | images if normalised else {"image_mean": [0.0] * 3, "image_std": [1.0] * 3}
-    return {"config": content, "mean": images["image_mean"], "std": images["image_std"]}
+    return folder, {"config": content, "mean": images["image_mean"], "std": images["image_std"]}, sources
 
 
 class Network(nn.Module):
@@ -227,11 +219,12 @@ class Pyramid(nn.Module):
 
 def create_pair(settings: Any) -> tuple[dict[str, Any], nn.Module]:
     """Return architecture and network of section ``encoder``. Raises ValueError, also if depth is not in metres."""
-    (depth, source), (classes, other) = local(settings.depth), local(settings.classes)
-    architecture: dict[str, Any] = {"backbone": "pair", "depth": describe(depth), "classes": describe(classes)}
-    architecture |= {"focal_by_width": settings.focal_by_width, "sources": source + other}
-    network = Pair(architecture, depth, classes)
-    unit = architecture["depth"]["config"].get("depth_estimation_type") or settings.depth_unit
+    depth_folder, depth, depth_sources = describe(settings.depth)
+    classes_folder, classes, classes_sources = describe(settings.classes)
+    architecture: dict[str, Any] = {"backbone": "pair", "depth": depth, "classes": classes}
+    architecture |= {"focal_by_width": settings.focal_by_width, "sources": depth_sources + classes_sources}
+    network = Pair(architecture, depth_folder, classes_folder)
+    unit = depth["config"].get("depth_estimation_type") or settings.depth_unit
     if unit != "metric":
         problem = "is relative" if unit else "has an unknown unit. If it is metres, set depth_unit: metric"
         raise ValueError(f"the depth of {settings.depth!r} {problem}")
@@ -241,7 +234,7 @@ def create_pair(settings: Any) -> tuple[dict[str, Any], nn.Module]:
 
 def create_backbone(settings: Any) -> tuple[dict[str, Any], nn.Module]:
     """Return architecture and network of section ``encoder``; its heads are random. Raises ValueError."""
-    folder, sources = local(settings.model)
-    architecture = {"backbone": "hugging_face", "model": describe(folder), "sources": sources}
+    folder, description, sources = describe(settings.model)
+    architecture = {"backbone": "hugging_face", "model": description, "sources": sources}
     published = any(folder.glob("*.safetensors")) or any(folder.glob("pytorch_model*.bin"))
     return architecture, HuggingFace(architecture, folder if published else None)

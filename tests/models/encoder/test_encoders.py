@@ -252,7 +252,7 @@ def test_a_hub_out_of_reach_is_one_line(monkeypatch):
 
     monkeypatch.setattr(huggingface_hub, "snapshot_download", refuse)
     with pytest.raises(ValueError, match=r"^cannot load 'a/network': cannot reach the hub$"):
-        hugging_face.local("a/network")
+        hugging_face.describe("a/network")
 
 
 def test_depth_of_streets_grows_with_the_focal_length_and_classes_do_not():

@@ -4,10 +4,10 @@ from pathlib import Path
 
 from pipeline.base import console
 from pipeline.base.errors import InputError, closest, error_context
-from pipeline.base.params import read
+from pipeline.base.params import parse, read
 from pipeline.perception import create
 from pipeline.settings.models import Entry
-from pipeline.settings.preset import Params, validate
+from pipeline.settings.preset import Params
 from pipeline.train import runs
 
 
@@ -16,7 +16,7 @@ def main(params: Path = Path("params.yaml")) -> Path:
 
     Reads and downloads no weights.
     """
-    settings = validate(read(params), params)
+    settings = parse(Params, read(params), path=params)
     with error_context(params):
         with error_context("encoder"):
             create.check(settings.encoder)

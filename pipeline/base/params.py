@@ -111,7 +111,7 @@ def read(path: Path, *, comments: bool = False) -> dict[str, Any]:
     return content
 
 
-def parse(kind: type[M], value: Any, where: str, path: Path | None = None) -> M:
+def parse(kind: type[M], value: Any, where: str = "", path: Path | None = None) -> M:
     """Validate `value` at the dotted key `where` of the file at `path`. Raises InputError."""
     try:
         return kind.model_validate(value)

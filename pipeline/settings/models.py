@@ -69,7 +69,7 @@ class Entry(Section):
         complete = dict(value)
         for network in networks:
             try:
-                options = parse(network, {name: value[name] for name in network.model_fields if name in value}, "")
+                options = parse(network, {name: value[name] for name in network.model_fields if name in value})
             except InputError as error:
                 raise ValueError(f"{error.where}: {error.problem}") from error
             complete |= options.model_dump()

@@ -48,11 +48,6 @@ class Params(Section):
     evaluate: Evaluate
 
 
-def validate(content: dict[str, Any], where: Path) -> Params:
-    """Return the content of a complete params file as :class:`Params`. Raises InputError, which names `where`."""
-    return parse(Params, content, "", where)
-
-
 def main(
     name: Annotated[str, typer.Argument(metavar="PRESET", help="a name in presets/, or a file")],
     folder: Annotated[Path, typer.Argument(help="where to write params.yaml")] = Path(),
@@ -78,9 +73,9 @@ def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:
         names = ", ".join(sorted(file.stem for file in PRESETS.glob("*.yaml")))
         raise InputError("there is no such preset", name, f"Choose one of {names}")
     content = read(params, comments=True)
-    validate(content, params)
+    parse(Params, content, path=params)
     _merge(content, read(preset))
-    validate(content, preset)
+    parse(Params, content, path=preset)
     return content
 
 

@@ -112,12 +112,12 @@ def test_the_encoder_of_streets_takes_published_files_and_names_their_terms(tmp_
 
 def test_the_samples_encoder_is_the_default_and_was_fitted_by_its_preset_on_other_roads(tmp_path):
     content = yaml.safe_load((ROOT / "params.yaml").read_text())
-    fitted, shipped = preset.validate(preset.merged("encoder"), tmp_path), ROOT / content["encoder"]["weights"]
+    fitted, shipped = preset.Params.model_validate(preset.merged("encoder")), ROOT / content["encoder"]["weights"]
     assert shipped.stat().st_size <= 2_500_000
     made = config(shipped.parent)
     assert made.items() >= fitted.encoder.model_dump(mode="json", exclude_none=True).items()
     assert made["frames_per_drive"].keys() == set(fitted.ingest.drives.train)
-    sample = preset.validate(content, tmp_path).ingest.drives
+    sample = preset.Params.model_validate(content).ingest.drives
     assert not made["frames_per_drive"].keys() & sample.splits().keys()
     assert {drive[:10] for drive in made["frames_per_drive"]} <= {drive[:10] for drive in sample.train}
     content["encoder"]["weights"] = str(shipped)

@@ -118,7 +118,7 @@ def test_a_split_recording_has_a_preset_that_check_accepts(take, longer, source,
     (path,) = preset.PRESETS.iterdir()
     content = preset.merged(str(path))
     assert list(content["models"]) == ["motion", "scene"]
-    settings = preset.validate(content, path)
+    settings = preset.Params.model_validate(content)
     assert (settings.labels.source, settings.perception.camera_height_m) == (source, 1.4)
     assert [*settings.ingest.drives.splits()] == [drive.folder.name.removesuffix("_sync") for drive in drives]
     assert (settings.models["motion"].base, settings.models["motion"].horizon) == (base, horizon)

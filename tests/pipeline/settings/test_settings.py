@@ -102,7 +102,7 @@ def test_a_preset_is_written_as_its_merged_content_with_all_comments(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_a_row_and_its_controls_differ_in_the_scene_only(name):
     """The row of NAME-blind or NAME-another is NAME; path-another-others is a control of path-others."""
-    models = preset.validate(preset.merged(name), preset.PARAMS).models
+    models = preset.Params.model_validate(preset.merged(name)).models
     for key, entry in models.items():
         kind = "blind" if entry.spatial == "blind" else entry.scene
         assert re.findall("blind|another", key) == ([] if kind == "same" else [kind]), key

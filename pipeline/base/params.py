@@ -12,15 +12,10 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pipeline.base.errors import InputError, closest, error_context
 
 
-def matches(pattern: str, expected: str) -> AfterValidator:
-    """Return a validator of text by a regular expression; its error names in words what is `expected`."""
-
-    def check(text: str) -> str:
-        if not re.fullmatch(pattern, text):
-            raise ValueError(f"expected {expected}")
-        return text
-
-    return AfterValidator(check)
+def _check_drive(name: str) -> str:
+    if re.fullmatch(r"\d{4}_\d\d_\d\d_drive_\d{4}", name):
+        return name
+    raise ValueError("expected a drive's name, such as 2011_09_26_drive_0052")
 
 
 def check_name(name: Any) -> str:
@@ -31,17 +26,15 @@ def check_name(name: Any) -> str:
 
 
 Name = Annotated[str, BeforeValidator(check_name)]
-Drive = Annotated[str, matches(r"\d{4}_\d\d_\d\d_drive_\d{4}", "a drive's name, such as 2011_09_26_drive_0052")]
+Drive = Annotated[str, AfterValidator(_check_drive)]
 Positive = Annotated[float, Field(gt=0, le=1e6)]
 Rate = Annotated[float, Field(gt=0, le=10, description="learning rate")]
 Count = Annotated[int, Field(ge=1, le=10**9)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
-Side = Annotated[int, Field(ge=32, le=4096)]
-# YAML has lists only, which a strict model would not take as tuples.
-ImageSize = Annotated[tuple[Side, Side], Field(strict=False, description="[H, W] in pixels")]
+_Side = Annotated[int, Field(ge=32, le=4096)]
+ImageSize = Annotated[tuple[_Side, _Side], Field(strict=False)]  # [H, W] in pixels; a strict tuple takes no YAML list
 FrameKind = Literal["graph", "pointnet2", "image"]  # as in models/steering/core/batch.py
-Precision = Literal["auto", "float32"]
 SPLITS = ("train", "val", "test")
 _COPY = "Copy it from the project's own params.yaml"
 

@@ -13,9 +13,7 @@ from pipeline.base.resume import file_hash
 from pipeline.perception import perceive, precomputed
 from pipeline.settings.encoder import NEEDED, Encoder
 
-WEIGHTS = Path("weights")  # downloaded files
-STREET = WEIGHTS / "street"
-"""Where make street writes the encoder of real streets."""
+WEIGHTS = Path("weights")  # downloaded files, and the folder street of make street
 
 
 def create(settings: Encoder) -> tuple[Architecture, nn.Module]:
@@ -58,7 +56,7 @@ def check(settings: Encoder) -> None:
 def check_weights(path: Path) -> None:
     """Raise InputError if there is no file at `path`."""
     if not path.is_file():
-        fix = "Make it: make street" if path.parent == STREET else "Put it there, or name another one"
+        fix = "Make it: make street" if path.parent == WEIGHTS / "street" else "Put it there, or name another one"
         raise InputError("file is missing", path, fix)
 
 

@@ -28,13 +28,6 @@ class Example:
     cls: np.ndarray
 
 
-def spread(count: int, wanted: int) -> np.ndarray:
-    """Return `wanted` evenly spaced numbers of ``range(count)``, or all of them if there are fewer."""
-    if wanted >= count:
-        return np.arange(count)
-    return (np.arange(wanted) + 0.5) * count // wanted
-
-
 class Examples(ExitStack):
     """Training frames by number, read on access; a context manager."""
 
@@ -55,7 +48,8 @@ class Examples(ExitStack):
                 fix = "Write them: steer perceive" if targets else "Name a fitted encoder.pt, and set encoder.epochs: 0"
                 raise InputError(f"no image of the training drives has {kind}", targets or ingest, fix)
         rows = [(i, int(row)) for i, drive in enumerate(self._drives) for row in np.flatnonzero(drive[2].any(axis=1))]
-        self._frames = [rows[int(i)] for i in spread(len(rows), frames)]
+        count = min(frames, len(rows))
+        self._frames = [rows[int((i + 0.5) * len(rows) // count)] for i in range(count)]  # middles of equal spans
         chosen = [i for i, _ in self._frames]
         self.frames_per_drive = {name: chosen.count(i) for i, name in enumerate(drives)}
         self.size = self._drives[0][1].size

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from pipeline.base.params import Count, Positive, Precision, Section
+from pipeline.base.params import Count, Positive, Section
 
 
 class Perception(Section):
@@ -13,4 +13,4 @@ class Perception(Section):
     depth_scale: Literal["metric", "camera_height"] = "metric"
     camera_height_m: Positive | None = None
     reach: Annotated[float, Field(ge=1)] | None = None
-    precision: Precision = "auto"
+    precision: Literal["auto", "float32"] = "auto"

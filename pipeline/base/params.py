@@ -5,7 +5,7 @@ A fault is an InputError with file, key, value and the expected values.
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
@@ -43,7 +43,6 @@ class Section(BaseModel):
     """One section of the params file, or one entry of a mapping section. Numbers in quotes and true are no numbers."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-    key: ClassVar[str]
 
     @model_validator(mode="before")
     @classmethod
@@ -60,11 +59,11 @@ M = TypeVar("M", bound=BaseModel)
 
 
 def load(section: type[S], path: Path) -> S:
-    """Read one section of the params file at `path`. Raises InputError."""
-    content = read(path)
-    if section.key not in content:
-        raise InputError(f"no section {section.key!r}: {closest(section.key, [*map(str, content)])}", path, _COPY)
-    return parse(section, content[section.key], section.key, path)
+    """Read the section of the params file at `path` that has the name of the class. Raises InputError."""
+    content, key = read(path), section.__name__.lower()
+    if key not in content:
+        raise InputError(f"no section {key!r}: {closest(key, [*map(str, content)])}", path, _COPY)
+    return parse(section, content[key], key, path)
 
 
 def load_entry(kind: type[S], mapping: str, name: str, path: Path) -> S:

@@ -4,7 +4,6 @@ from pipeline.base.params import Count, Positive, Section, Seed
 
 
 class Clouds(Section):
-    key = "clouds"
     max_points: Count
     max_depth_m: Positive
     seed: Seed

@@ -18,7 +18,6 @@ FITTED = {"small", "hugging_face"}
 
 
 class Encoder(Section):
-    key = "encoder"
     backbone: Literal["small", "street", "pair", "hugging_face", "dinov2", "precomputed"]
     weights: FilePath | None = None
     depth: Hub | None = None

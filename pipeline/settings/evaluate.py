@@ -8,7 +8,6 @@ from pipeline.base.params import Count, Positive, Section, Seed
 
 
 class Evaluate(Section):
-    key = "evaluate"
     bootstrap_samples: Annotated[int, Field(ge=1, le=100_000)]
     bootstrap_block_frames: Count
     curvature_bins_1pm: list[Positive] = Field(min_length=1, description="edges between the bins of |curvature|")

@@ -52,7 +52,6 @@ class Reading(Section):
 
 
 class Ingest(Reading):
-    key = "ingest"
     source: Literal["sample", "kitti", "both"]
     drives: Drives
     manifests: dict[Drive, str] = {}  # imported drive → hash of its manifest, see steer import

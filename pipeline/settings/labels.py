@@ -10,7 +10,6 @@ MAX_AHEAD_M = 200.0  # farther than a camera of this resolution shows a road
 
 
 class Labels(Section):
-    key = "labels"
     source: Literal["oxts", "visual", "wheel"] = "oxts"
     wheelbase_m: Positive
     min_speed_mps: Annotated[float, Field(ge=0)]

@@ -8,7 +8,6 @@ from pipeline.base.params import Count, Positive, Section
 
 
 class Perception(Section):
-    key = "perception"
     batch: Count
     depth_scale: Literal["metric", "camera_height"] = "metric"
     camera_height_m: Positive | None = None

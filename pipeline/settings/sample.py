@@ -8,7 +8,6 @@ from pipeline.base.params import Count, ImageSize, Section, Seed
 
 
 class Sample(Section):
-    key = "sample"
     seed: Seed
     image_size: ImageSize
     frames: Annotated[dict[Literal["train", "val", "test"], Count], Field(min_length=3)]  # per drive of each split

@@ -8,7 +8,6 @@ from pipeline.base.params import Count, Positive, Rate, Section, Seed
 
 
 class Train(Section):
-    key = "train"
     epochs: Count
     patience: Count
     seeds: list[Seed] = Field(min_length=1)

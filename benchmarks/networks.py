@@ -81,8 +81,7 @@ def ncps_ltc() -> nn.Module:
     """Return the LTC network of ncps on a wiring of the same sizes."""
     neurons = {"inter_neurons": 12, "command_neurons": 6, "motor_neurons": 1}
     synapses = {"sensory_fanout": 6, "inter_fanout": 4, "recurrent_command_synapses": 6, "motor_fanin": 6}
-    net: nn.Module = ncps_torch.LTC(FEATURES, NCP(**neurons, **synapses), batch_first=True)
-    return net
+    return ncps_torch.LTC(FEATURES, NCP(**neurons, **synapses), batch_first=True)
 
 
 def training(street: Street) -> Row:
@@ -126,8 +125,7 @@ class NaiveNet(nn.Module):
         """Return the output at the end of the batch's frames, which are one window: [1]."""
         x = node_features(batch.pos, batch.cls, 1.0)
         x = features(x, self.layers, (batch.edge_index,), batch.ptr.cpu(), self.read_out)
-        output: Tensor = self.temporal(x[None])[0][:, -1, 0]
-        return output
+        return self.temporal(x[None])[0][:, -1, 0]
 
 
 def _windows() -> tuple[Tensor, Tensor]:

@@ -7,7 +7,6 @@ teams' predictions for the same frames: komanda_rad, rambo_rad, autumn_rad. Thre
 measure finds, or its yaw rate alone, into the wheel's. They are fitted on the first FITTED_S; the rest is compared.
 """
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -48,12 +47,6 @@ def fit(time_s: np.ndarray, measured: np.ndarray, wheel_rad: np.ndarray) -> Whee
     return min(fits)[1]
 
 
-def errors(predicted: Mapping[str, np.ndarray], wheel_rad: np.ndarray) -> dict[str, float]:
-    """Return the RMSE of each row's predictions [F] of the wheel's angle [F], the largest first."""
-    rmse = {name: float(np.sqrt(((angle - wheel_rad) ** 2).mean())) for name, angle in predicted.items()}
-    return dict(sorted(rmse.items(), key=lambda item: -item[1]))
-
-
 def compare(
     video: Annotated[Path, typer.Argument(help="the drive's frames")],
     wheel: Annotated[Path, typer.Argument(metavar="CSV", help="time_s and wheel_rad of the frames")],
@@ -75,14 +68,11 @@ def compare(
         measured = np.interp(time_s, motion["time_s"][known], motion[column][known])
         fits[row] = fit(time_s[first], measured[first], wheel_rad[first])
         predicted[row] = fits[row].angle(time_s, measured)
-    rmse = errors({name: angle[rest] for name, angle in predicted.items()}, wheel_rad[rest])
+    rmse = {name: float(np.sqrt(((angle - wheel_rad)[rest] ** 2).mean())) for name, angle in predicted.items()}
     store.write_json(out / "figures.json", {name: {"figure": value} for name, value in rmse.items()})
-    print(
-        "| wheel's angle | RMSE rad |",
-        "|---|--:|",
-        *(f"| {name} | {value:.4f} |" for name, value in rmse.items()),
-        sep="\n",
-    )
+    print("| wheel's angle | RMSE rad |", "|---|--:|", sep="\n")
+    for name, value in sorted(rmse.items(), key=lambda item: -item[1]):
+        print(f"| {name} | {value:.4f} |")
     print(f"\nframes measured: {(motion['valid'] > 0).mean():.1%}; {fits['steer measure']}")
 
 

@@ -30,8 +30,7 @@ class EfficientViT(nn.Module):
 
     def forward(self, image: Tensor) -> Tensor:
         mean, std = self.mean_std
-        logits: Tensor = self.head(self.backbone((image - mean) / std))
-        return logits
+        return self.head(self.backbone((image - mean) / std))
 
 
 class Backbone(nn.Module):
@@ -69,8 +68,7 @@ class Head(nn.Module):
 
     def forward(self, maps: list[Tensor]) -> Tensor:
         x = sum(side(x) for side, x in zip(self.input_ops, reversed(maps), strict=True))
-        logits: Tensor = self.output_ops[0](self.middle(x))
-        return logits
+        return self.output_ops[0](self.middle(x))
 
 
 class Residual(nn.Module):

@@ -213,8 +213,7 @@ class Pyramid(nn.Module):
         """Return the head's output for maps of the image of `rays` [B,2,H,W]."""
         size = [side // STRIDE for side in rays.shape[-2:]]
         y = torch.stack([resized(side(x), size) for side, x in zip(self.sides, maps, strict=True)]).sum(dim=0)
-        result: Tensor = self.head(self.smooth(torch.cat([y, resized(rays, size)], dim=1)), rays)
-        return result
+        return self.head(self.smooth(torch.cat([y, resized(rays, size)], dim=1)), rays)
 
 
 def create_pair(settings: Any) -> tuple[dict[str, Any], nn.Module]:

@@ -25,21 +25,20 @@ from pipeline.settings.labels import Labels
 AHEAD = 10  # frames
 TESTED = 20  # drives of a test set
 LENGTHS = (40, 93)  # frames of a drive
+DRIVES, DRAWS = 6000, 2000  # whose mean error is the true one; test sets for which an interval is computed
 
 
 def main(
     out: Annotated[Path, typer.Argument(help="JSON file to write")],
-    drives: Annotated[int, typer.Option(help="whose mean error is the true one")] = 6000,
-    draws: Annotated[int, typer.Option(help="test sets for which an interval is computed")] = 2000,
     params: Path = Path("params.yaml"),
 ) -> None:
     """Write and print the share of the intervals that contain the true nmse, for drives of both lengths."""
     settings, car, figures = load(Evaluate, params), load(Labels, params), {}
     for frames in LENGTHS:
-        moved = [angles(f"2027_01_{1 + n % 28:02d}_drive_{n:04d}", frames, car) for n in range(drives)]
-        share = coverage(np.stack(moved), draws, settings)
+        moved = [angles(f"2027_01_{1 + n % 28:02d}_drive_{n:04d}", frames, car) for n in range(DRIVES)]
+        share = coverage(np.stack(moved), settings)
         figures[f"{TESTED} drives of {frames} frames"] = {"figure": share, "frames": TESTED * frames}
-        print(f"{TESTED} drives of {frames} frames: {share:.1%} of {draws} intervals", flush=True)
+        print(f"{TESTED} drives of {frames} frames: {share:.1%} of {DRAWS} intervals", flush=True)
     store.write_json(out, figures)
 
 
@@ -54,18 +53,18 @@ def angles(drive: str, frames: int, car: Labels) -> np.ndarray:
     return np.stack([angle[:-AHEAD], np.where(valid, angle, np.nan)[AHEAD:]])
 
 
-def coverage(drives: np.ndarray, draws: int, settings: Evaluate) -> float:
-    """Return the share of `draws` test sets of TESTED drives whose interval contains the nmse of all drives [D,2,F]."""
+def coverage(drives: np.ndarray, settings: Evaluate) -> float:
+    """Return the share of DRAWS test sets of TESTED drives whose interval contains the nmse of all drives [D,2,F]."""
     present, later = drives[:, 0], drives[:, 1]
     gain = np.nansum(present * later) / (present**2)[np.isfinite(later)].sum()
     error = (gain * present - later) ** 2
     true = np.nansum(error) / np.nansum(later**2)
     rng, hits, number = np.random.default_rng(0), 0, np.repeat(np.arange(TESTED), drives.shape[2])
-    for _ in range(draws):
+    for _ in range(DRAWS):
         drawn = rng.choice(len(drives), TESTED, replace=False)
         low, high = interval(error[drawn].ravel(), later[drawn].ravel(), number, settings) or (np.nan, np.nan)
         hits += low <= true <= high
-    return hits / draws
+    return hits / DRAWS
 
 
 if __name__ == "__main__":

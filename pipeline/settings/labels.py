@@ -6,14 +6,12 @@ from pydantic import Field, field_validator
 
 from pipeline.base.params import Positive, Section
 
-MAX_AHEAD_M = 200.0  # farther than a camera of this resolution shows a road
-
 
 class Labels(Section):
     source: Literal["oxts", "visual", "wheel"] = "oxts"
     wheelbase_m: Positive
     min_speed_mps: Annotated[float, Field(ge=0)]
-    ahead_m: list[Annotated[float, Field(ge=0, le=MAX_AHEAD_M)]] = []
+    ahead_m: list[Annotated[float, Field(ge=0, le=200)]] = []  # no camera shows a road farther away
     max_stand_s: Annotated[float, Field(ge=0)] = 5.0
 
     @field_validator("ahead_m")

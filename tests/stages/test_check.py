@@ -80,7 +80,6 @@ def test_measured_motion_is_not_both_input_and_label(tmp_path):
         ("encoder", {"backbone": "pair", "depth": "a/b", **FIT}, "pair needs classes and focal_by_width, or an enc"),
         ("encoder", PAIR | {"depth": "some/where/else"}, "depth: 'some/where/else' is not a folder with a config.json"),
         ("encoder", DINOV2, "encoder: depth: depth.pth: file is missing"),
-        ("models." + "n" * 101, {"input": "depth", "spatial": "gnn", "temporal": "ncp", "window": 8}, "at most 100"),
         ("model", {}, "model.*did you mean models"),
     ],
 )

@@ -55,7 +55,6 @@ def test_a_range_names_all_its_drives(tmp_path):
         (Ingest, "ingest.drives.test", ["2026_01_04_drive_0010..0008"], "expected a drive's name"),
         (Train, "train.learning_rate", True, "valid number"),
         (Train, "train.mirror", 1, "valid boolean"),
-        (Train, "train", None, "no section 'train'"),
         (Clouds, "clouds", {"max_point": 1, "max_depth_m": 80.0}, "did you mean max_points"),  # misspelt, so missing
     ],
 )

@@ -5,6 +5,7 @@ frame b to frame a. Pixel (u, v) = (column, row); integer coordinates are pixel 
 """
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 SCANNER_HEIGHT_M = 1.73  # above flat ground (KITTI's setup page); the sample uses the same
 CAMERA_HEIGHT_M = 1.65  # of a camera without calibration: KITTI's (same page)
@@ -42,6 +43,13 @@ def pixels_of(xyz: np.ndarray, K: np.ndarray, size: tuple[int, ...]) -> tuple[np
     inside = np.flatnonzero(((uv >= 0) & (uv < size[::-1])).all(axis=1))  # NaN compares as False
     column, row = uv[inside].astype(np.int64).T
     return inside, row, column
+
+
+def rigid(R: np.ndarray, t: ArrayLike) -> np.ndarray:
+    """Return the transform [4,4] with rotation `R` [3,3] and translation `t` [3]."""
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R, t
+    return T
 
 
 def transform(T: np.ndarray, xyz: np.ndarray) -> np.ndarray:

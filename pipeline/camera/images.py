@@ -135,14 +135,8 @@ def read_pixels(path: Path) -> np.ndarray:
 
 
 def write_png(path: Path, pixels: np.ndarray, *options: int) -> None:
-    """Encode grey [H,W] or RGB [H,W,3] pixels, uint8 or uint16, with OpenCV's PNG `options` (pairs of key and value).
-
-    Raises OSError.
-    """
+    """Encode grey [H,W] or RGB [H,W,3] pixels, uint8 or uint16, with OpenCV's PNG `options` (key, value, …)."""
     import cv2
 
     stored = pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
-    encoded, content = cv2.imencode(".png", stored, list(options))
-    if not encoded:
-        raise OSError(f"cannot encode an image of shape {pixels.shape}, {pixels.dtype}, as PNG: {path}")
-    path.write_bytes(content.tobytes())
+    path.write_bytes(cv2.imencode(".png", stored, list(options))[1].tobytes())

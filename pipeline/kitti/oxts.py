@@ -15,7 +15,6 @@ COLUMNS = (
 )  # fmt: skip
 # Speeds forward and to the left, m/s, parallel to the earth's surface; yaw rate about the upward axis, rad/s, left +.
 VF, VL, WU = (COLUMNS.index(name) for name in ("vf", "vl", "wu"))
-YAW = COLUMNS.index("yaw")  # rad, counter-clockwise from east
 _COUNTS = COLUMNS.index("navstat")  # integers from here on
 LIMITS = {  # largest plausible magnitudes of a car: degrees, rad, m/s, rad/s (KITTI's yaw rates reach 0.5)
     "lat": 90.0, "lon": 180.0, "roll": 1.6, "pitch": 1.6, "yaw": 6.3,

@@ -16,9 +16,11 @@ from pipeline.base.errors import DamagedFile, InputError, closest, error_context
 from pipeline.base.resume import file_hash
 from pipeline.base.store import replacing
 from pipeline.camera.camera import Camera, camera_height
+from pipeline.camera.geometry import rigid
 from pipeline.camera.images import Size
 from pipeline.kitti.oxts import STEERING
 
+CALIBRATION = "calib_cam_to_cam.txt"  # in a date's folder
 HORIZON = "calib_horizon.txt"  # in the folder of an imported drive: two recordings of a camera may have two horizons
 MANIFEST = "manifest.json"  # in the folder of an imported drive: the hashes of its files
 # The lowest laser of the HDL-64E points 24.8 degrees down and hits the road 4 m away; complete scans of KITTI reach
@@ -48,8 +50,10 @@ class KittiDrive:
 
     def camera_number(self, choices: Sequence[int]) -> int | None:
         """Return the first camera of `choices` with images; without images, the first that is calibrated, or None."""
+        path = self.calibration / CALIBRATION
+        entries = read_entries(path) if path.is_file() else {}
         numbers = [number for number in choices if self.images(number)]
-        numbers = numbers or [number for number in choices if number in cameras_in(self.calibration)]
+        numbers = numbers or [number for number in choices if f"P_rect_{number:02d}" in entries]
         return numbers[0] if numbers else None
 
     def camera(self, number: int) -> Camera:
@@ -125,16 +129,9 @@ def _frames(folder: Path, suffix: str) -> dict[int, Path]:
     return dict(sorted((int(path.stem), path) for path in folder.glob(f"*{suffix}") if path.stem.isdecimal()))
 
 
-def cameras_in(folder: Path) -> list[int]:
-    """Return the camera numbers in a date folder's ``calib_cam_to_cam.txt``; none without the file."""
-    path = folder / "calib_cam_to_cam.txt"
-    entries = read_entries(path) if path.is_file() else {}
-    return [number for number in range(4) if f"P_rect_{number:02d}" in entries]
-
-
 def read_calibration(folder: Path, number: int) -> Camera:
     """Read camera `number` from a date folder's files. Raises InputError for missing or wrong entries."""
-    path, velo = folder / "calib_cam_to_cam.txt", folder / "calib_velo_to_cam.txt"
+    path, velo = folder / CALIBRATION, folder / "calib_velo_to_cam.txt"
     with error_context(fix=_EXTRACT):
         entries = read_entries(path)
         P = matrix(entries, f"P_rect_{number:02d}", (3, 4), path)
@@ -145,17 +142,11 @@ def read_calibration(folder: Path, number: int) -> Camera:
             return Camera(K, size)
         # P_rect projects from the reference camera's frame, P = K [I | t]: t shifts points to this camera. All three
         # components count: with x alone (as in pykitti) depths are off by t_z, 3 mm.
-        shift = _rigid(np.eye(3), np.linalg.solve(K, P[:, 3]))
-        rectify = _rigid(matrix(entries, "R_rect_00", (3, 3), path), np.zeros(3))
+        shift = rigid(np.eye(3), np.linalg.solve(K, P[:, 3]))
+        rectify = rigid(matrix(entries, "R_rect_00", (3, 3), path), np.zeros(3))
         entries = read_entries(velo)
-        T_cam_velo = shift @ rectify @ _rigid(matrix(entries, "R", (3, 3), velo), matrix(entries, "T", (3,), velo))
+        T_cam_velo = shift @ rectify @ rigid(matrix(entries, "R", (3, 3), velo), matrix(entries, "T", (3,), velo))
         return Camera(K, size, camera_height(T_cam_velo), T_cam_velo)
-
-
-def _rigid(R: np.ndarray, t: np.ndarray) -> np.ndarray:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, t
-    return T
 
 
 def read_entries(path: Path) -> dict[str, np.ndarray]:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.camera.geometry import project
+from pipeline.camera.geometry import project, rigid
 
 MIN_POINTS = 20
 # Minimum inlier ratios after RANSAC and after refinement: in a queue of cars, most points may move with the cars. A
@@ -79,9 +79,7 @@ def _ransac(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray) -> np.ndarray | None
     )
     if not success or inliers is None or len(inliers) < max(MIN_POINTS, MIN_RANSAC_INLIERS * len(xyz)):
         return None
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = cv2.Rodrigues(rotation)[0], translation[:, 0]
-    return T
+    return rigid(cv2.Rodrigues(rotation)[0], translation[:, 0])
 
 
 class _Fit(NamedTuple):

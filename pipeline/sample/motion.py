@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pipeline.camera.geometry import rigid
 from pipeline.sample.plan import Character
 from pipeline.sample.route import AHEAD_M, IMU_HEIGHT_M, STEP_M, Route, draw_route, rotation
 
@@ -68,10 +69,8 @@ class Journey:
 
     def pose(self, frame: int) -> np.ndarray:
         """Return T_world_imu [4,4]."""
-        T = np.eye(4)
-        T[:3, :3] = rotation(self.body.roll_rad[frame], self.body.pitch_rad[frame], self.heading_rad[frame])
-        T[:3, 3] = *self.xy[frame], IMU_HEIGHT_M + self.body.heave_m[frame]
-        return T
+        R = rotation(self.body.roll_rad[frame], self.body.pitch_rad[frame], self.heading_rad[frame])
+        return rigid(R, [*self.xy[frame], IMU_HEIGHT_M + self.body.heave_m[frame]])
 
 
 def draw_journey(rng: np.random.Generator, frames: int, character: Character, first: str) -> Journey:

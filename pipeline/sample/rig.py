@@ -11,9 +11,9 @@ import numpy as np
 
 from pipeline.camera import classes, geometry
 from pipeline.camera.camera import Camera
-from pipeline.camera.geometry import CAMERA_HEIGHT_M, SCANNER_HEIGHT_M
+from pipeline.camera.geometry import CAMERA_HEIGHT_M, SCANNER_HEIGHT_M, rigid
 from pipeline.camera.images import MAX_UNITS, to_metres
-from pipeline.kitti.raw import write_entries
+from pipeline.kitti.raw import CALIBRATION, write_entries
 from pipeline.sample.light import Light, shade
 from pipeline.sample.route import IMU_HEIGHT_M, rotation
 from pipeline.sample.world import World, dot
@@ -69,10 +69,8 @@ class Rig:
     @property
     def T_cam2_imu(self) -> np.ndarray:
         """Transform [4,4] from the IMU to the rectified left colour camera, as computed from the files."""
-        shift, rectify = np.eye(4), np.eye(4)
-        shift[0, 3] = self.P_rect[2][0, 3] / self.P_rect[2][0, 0]
-        rectify[:3, :3] = self.R_rect
-        return shift @ rectify @ self.T_cam_velo @ self.T_velo_imu
+        shift = rigid(np.eye(3), [self.P_rect[2][0, 3] / self.P_rect[2][0, 0], 0, 0])
+        return shift @ rigid(self.R_rect, np.zeros(3)) @ self.T_cam_velo @ self.T_velo_imu
 
 
 def make_rig(size: tuple[int, int], date: str) -> Rig:
@@ -82,15 +80,12 @@ def make_rig(size: tuple[int, int], date: str) -> Rig:
     f = focal * _FOCAL_PER_WIDTH * width
     K = np.array([[f, 0, x * width], [0, f, y * height], [0, 0, 1]])
     P = {n: np.column_stack([K, [f * left, 0.0, 0.0]]) for n, left in CAMERAS_LEFT_M.items()}
-    T_velo_imu = np.eye(4)
-    T_velo_imu[:3, :3] = rotation(0.002, -0.0015, 0.001)
-    T_velo_imu[:3, 3] = -0.81, 0.30, IMU_HEIGHT_M - SCANNER_HEIGHT_M
+    T_velo_imu = rigid(rotation(0.002, -0.0015, 0.001), [-0.81, 0.30, IMU_HEIGHT_M - SCANNER_HEIGHT_M])
     R_rect = rotation(-0.004, 0.007, -0.009)
-    T_cam_velo = np.eye(4)
     # Rectified cameras point straight ahead up to mounting errors of milliradians; the tilts of raw camera and scanner
     # cancel.
-    T_cam_velo[:3, :3] = R_rect.T @ rotation(0.004, -0.002, 0.001) @ _LEVEL @ T_velo_imu[:3, :3].T
-    T_cam_velo[:3, 3] = R_rect.T @ [0.0, round(height_m - SCANNER_HEIGHT_M, 3), -0.27]
+    R = R_rect.T @ rotation(0.004, -0.002, 0.001) @ _LEVEL @ T_velo_imu[:3, :3].T
+    T_cam_velo = rigid(R, R_rect.T @ [0.0, round(height_m - SCANNER_HEIGHT_M, 3), -0.27])
     return Rig(size, P, R_rect, T_cam_velo, T_velo_imu)
 
 
@@ -102,7 +97,7 @@ def write_calibration(rig: Rig, folder: Path) -> None:
         cameras[f"S_rect_{camera:02d}"] = np.array(rig.size[::-1], float)
         cameras[f"R_rect_{camera:02d}"] = rig.R_rect
         cameras[f"P_rect_{camera:02d}"] = P
-    write_entries(folder / "calib_cam_to_cam.txt", cameras)
+    write_entries(folder / CALIBRATION, cameras)
     for name, T in (("velo_to_cam", rig.T_cam_velo), ("imu_to_velo", rig.T_velo_imu)):
         write_entries(folder / f"calib_{name}.txt", {**time, "R": T[:3, :3], "T": T[:3, 3]})
 

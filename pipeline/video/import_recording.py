@@ -20,7 +20,7 @@ from pipeline.base.store import replacing
 from pipeline.camera.camera import Camera
 from pipeline.camera.images import write_png
 from pipeline.kitti.oxts import STEERING, format_packet, format_times, make_rows, write_steering
-from pipeline.kitti.raw import HORIZON, MANIFEST, read_calibration, write_entries
+from pipeline.kitti.raw import CALIBRATION, HORIZON, MANIFEST, read_calibration, write_entries
 from pipeline.motion.visual import MAX_DEPTH_M, WIDE
 from pipeline.settings.preset import stamped
 from pipeline.video.log import ROUNDING_S, Logs
@@ -28,7 +28,6 @@ from pipeline.video.recording import Recording
 
 CAMERA = 2  # left colour camera, the default of stage ingest
 GAP_S = 2.0  # left out between the parts of a split: neighbouring images are almost the same
-_CALIBRATION = "calib_cam_to_cam.txt"
 _NOON_S = 12 * 3600.0  # time of day of the first image; nothing depends on it
 _SAME_PX = 1e-6  # rounding of a calibration file's digits
 
@@ -81,7 +80,7 @@ def import_drives(
             P = np.column_stack([camera.K, np.zeros(3)])
             size = np.array(camera.size[::-1], float)
             entries = {"R_rect_00": np.eye(3), f"S_rect_{CAMERA:02d}": size, f"P_rect_{CAMERA:02d}": P}
-            write_entries(date / _CALIBRATION, entries)
+            write_entries(date / CALIBRATION, entries)
         manifests = [_write_manifest(folder, date) for folder in unfinished]
         for folder in folders:
             shutil.rmtree(folder, ignore_errors=True)  # the earlier import
@@ -185,7 +184,7 @@ def _drive_folders(out: Path, drive: str, count: int, replace: bool) -> dict[str
 
 def _write_manifest(folder: Path, date: Path) -> str:
     """Write the hashes of a drive's files and of its date's calibration; return the hash of that file."""
-    content = {"calibration": file_hash(date / _CALIBRATION), "files": _hashes(folder)}
+    content = {"calibration": file_hash(date / CALIBRATION), "files": _hashes(folder)}
     (folder / MANIFEST).write_text(json.dumps(content, indent=1, sort_keys=True) + "\n", encoding="ascii")
     return file_hash(folder / MANIFEST)
 
@@ -201,7 +200,7 @@ def _is_calibrated(folders: Sequence[Path], camera: Camera, replace: bool) -> bo
     Raises InputError if it has the calibration of another camera; with `replace`, only if other drives share it.
     """
     date = folders[0].parent
-    if not (date / _CALIBRATION).is_file():
+    if not (date / CALIBRATION).is_file():
         return False
     stored = read_calibration(date, CAMERA)
     if stored.size == camera.size and np.allclose(stored.K, camera.K, rtol=0, atol=_SAME_PX):

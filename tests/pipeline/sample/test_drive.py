@@ -148,9 +148,7 @@ def test_static_world_moves_as_oxts_measures(drive):
     for row in rows:
         east = np.deg2rad(row[1] - rows[0][1]) * 6378137 * np.cos(np.deg2rad(rows[0][0]))
         north = np.deg2rad(row[0] - rows[0][0]) * 6378137
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = rotation(*row[3:6]), (east, north, row[2])
-        poses.append(pose)
+        poses.append(geometry.rigid(rotation(*row[3:6]), (east, north, row[2])))
     T_last_first = rig.T_cam2_imu @ np.linalg.inv(poses[1]) @ poses[0] @ np.linalg.inv(rig.T_cam2_imu)
     depths = [to_metres(read_pixels(drive.truth_depth[frame])) for frame in (0, FRAMES - 1)]
     cls = read_pixels(drive.truth_cls[0])

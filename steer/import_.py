@@ -62,7 +62,7 @@ def import_recording(
     from pipeline.video.import_recording import import_drives, write_preset
     from pipeline.video.lens import numbers
     from pipeline.video.log import Logs
-    from pipeline.video.source import open_camera
+    from pipeline.video.source import open_images
 
     shares = numbers(split, (len(SPLITS),), "--split 60,20,20") if split else [100.0]
     if min(shares) <= 0 or not math.isclose(sum(shares), 100):
@@ -72,14 +72,15 @@ def import_recording(
         raise InputError("is not as steer import wrote it", preset, "Move it away, or pass another --drive")
     logs = Logs.read(wheel, steering_ratio, motion, offset)
     lens: dict[str, Any] = {"fov_deg": fov, "K": k, "distortion": distortion, "horizon": horizon}
-    opened, camera = open_camera(recording, fps=fps, times=times, **lens)
-    imported = import_drives(opened, camera, logs, out, drive, shares, start_s=start, end_s=end, replace=replace)
+    opened = open_images(recording, fps=fps, times=times, **lens)
+    imported = import_drives(opened, logs, out, drive, shares, start_s=start, end_s=end, replace=replace)
     labels = "oxts" if logs.motion else "wheel" if logs.wheel else "visual"
     for name, images in imported.images.items():
         print(f"{out / name[:10] / name}_sync: {images} images")
-    print(f"row of the horizon: {'not found, assuming a level camera' if camera.horizon is None else camera.horizon}")
+    horizon = opened.camera.horizon
+    print(f"row of the horizon: {'not found, assuming a level camera' if horizon is None else horizon}")
     if preset:
-        write_preset(preset, imported, labels, camera, camera_height)
+        write_preset(preset, imported, labels, opened.camera, camera_height)
         print(f"next: make street && make {preset.stem}")
         return
     height = f", perception.camera_height_m: {camera_height:g}" if camera_height else ""

@@ -24,9 +24,10 @@ from pipeline.kitti.raw import CALIBRATION, HORIZON, MANIFEST, read_calibration,
 from pipeline.motion.visual import MAX_DEPTH_M, WIDE
 from pipeline.settings.preset import stamped
 from pipeline.video.log import ROUNDING_S, Logs
-from pipeline.video.recording import Recording
+from pipeline.video.source import Source
 
 CAMERA = 2  # left colour camera, the default of stage ingest
+_IMAGES = f"image_{CAMERA:02d}"
 GAP_S = 2.0  # left out between the parts of a split: neighbouring images are almost the same
 _NOON_S = 12 * 3600.0  # time of day of the first image; nothing depends on it
 _SAME_PX = 1e-6  # rounding of a calibration file's digits
@@ -41,8 +42,7 @@ class Imported(NamedTuple):
 
 
 def import_drives(
-    recording: Recording,
-    camera: Camera,
+    source: Source,
     logs: Logs,
     root: Path,
     drive: str,
@@ -60,12 +60,13 @@ def import_drives(
     Raises InputError if a drive exists, no image is left or none of a drive has an angle, a part of the split is too
     short, or the date has another camera.
     """
-    drives = _drive_folders(root, drive, len(shares), replace)
+    camera, drives = source.camera, _drive_folders(root, drive, len(shares), replace)
     folders, date = list(drives.values()), root / drive[:10]
     calibrated = _is_calibrated(folders, camera, replace)
     with ExitStack() as stack:
         unfinished = [stack.enter_context(replacing(folder)) for folder in folders]
-        time_s = _write_images(unfinished[0], recording, start_s, end_s)
+        images = unfinished[0].with_name("images")  # removed with the temporary folder
+        time_s = _write_images(images, source, start_s, end_s)
         usable = time_s - time_s[0] > start_s - ROUNDING_S
         if logs.motion:
             usable &= np.isfinite(logs.motion.at(time_s)[0])
@@ -73,8 +74,10 @@ def import_drives(
             problem = f"no image from {time_s[0]:.3f} to {time_s[-1]:.3f} s is left, or none with motion"
             raise InputError(problem, fix="Change --start, --end or --offset")
         parts = cut(usable, time_s, shares)
-        _distribute_images(unfinished, parts)
         for folder, part in zip(unfinished, parts, strict=True):
+            (data := folder / _IMAGES / "data").mkdir(parents=True)
+            for number in np.flatnonzero(part):
+                (images / f"{number:010d}.png").rename(data / f"{number:010d}.png")
             _write_logs(folder, time_s, part, camera, logs)
         if not calibrated:
             P = np.column_stack([camera.K, np.zeros(3)])
@@ -84,22 +87,22 @@ def import_drives(
         manifests = [_write_manifest(folder, date) for folder in unfinished]
         for folder in folders:
             shutil.rmtree(folder, ignore_errors=True)  # the earlier import
-    images = {drive: int(part.sum()) for drive, part in zip(drives, parts, strict=True)}
+    counts = {drive: int(part.sum()) for drive, part in zip(drives, parts, strict=True)}
     hz = (len(time_s) - 1) / float(np.ptp(time_s) or 1.0)
-    return Imported(images, dict(zip(drives, manifests, strict=True)), hz)
+    return Imported(counts, dict(zip(drives, manifests, strict=True)), hz)
 
 
-def _write_images(folder: Path, recording: Recording, start_s: float, end_s: float) -> np.ndarray:
+def _write_images(folder: Path, source: Source, start_s: float, end_s: float) -> np.ndarray:
     """Write the images from start to end as PNG files; return the times [F] of all images up to the end."""
     all_s: list[float] = []
-    _images(folder).mkdir(parents=True)
-    for frame in tqdm(recording.frames(), total=recording.count, unit=" images", disable=None):
+    folder.mkdir()
+    for frame in tqdm(source.frames(), total=source.count, unit=" images", disable=None):
         elapsed_s = frame.time_s - all_s[0] if all_s else 0.0
         if elapsed_s > end_s - ROUNDING_S:
             break
         all_s.append(frame.time_s)
-        if elapsed_s > start_s - ROUNDING_S and frame.image is not None:
-            write_png(_images(folder) / f"{frame.number:010d}.png", frame.image)
+        if elapsed_s > start_s - ROUNDING_S:
+            write_png(folder / f"{frame.number:010d}.png", frame.image)
     return np.array(all_s)
 
 
@@ -111,7 +114,7 @@ def _write_logs(folder: Path, time_s: np.ndarray, usable: np.ndarray, camera: Ca
     if camera.horizon is not None:
         write_entries(folder / HORIZON, {f"horizon_{CAMERA:02d}": np.array([camera.horizon])})
     times = format_times(time_s - time_s[0], folder.name[:10], _NOON_S)
-    (_images(folder).parent / "timestamps.txt").write_bytes(times)
+    (folder / _IMAGES / "timestamps.txt").write_bytes(times)
     numbers = np.flatnonzero(usable)
     if logs.motion:
         (folder / "oxts" / "data").mkdir(parents=True)
@@ -141,22 +144,6 @@ def cut(usable: np.ndarray, time_s: np.ndarray, shares: Sequence[float]) -> list
         fix = f"Pass a longer recording, or other shares: {GAP_S:g} s are left out between parts"
         raise InputError(problem, "--split", fix)
     return parts
-
-
-def _images(folder: Path) -> Path:
-    return folder / f"image_{CAMERA:02d}/data"
-
-
-def _distribute_images(folders: Sequence[Path], parts: Sequence[np.ndarray]) -> None:
-    """Move the images of the first drive's folder to the drive of their part, masks bool [F]; delete those of none."""
-    for folder in folders[1:]:
-        _images(folder).mkdir(parents=True)
-    for path in _images(folders[0]).iterdir():
-        homes = [folder for folder, part in zip(folders, parts, strict=True) if part[int(path.stem)]]
-        if not homes:
-            path.unlink()
-        elif homes[0] != folders[0]:
-            path.rename(_images(homes[0]) / path.name)
 
 
 def _drive_folders(out: Path, drive: str, count: int, replace: bool) -> dict[str, Path]:

@@ -1,6 +1,5 @@
 """Results of a run, frame by frame: the car's course, what was driven, a CSV file, and errors of angles."""
 
-import csv
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
@@ -144,14 +144,11 @@ class Results:
         for suffix, values in (("1pm", self.path_1pm), ("sigma_1pm", self.path_sigma_1pm)):
             if values is not None:
                 table |= {f"{name}_{suffix}": column for name, column in zip(names, values.T, strict=True)}
-        columns = [
-            ["" if math.isnan(value) else format(float(value), FORMATS.get(name, ".6f")) for value in values.tolist()]
+        texts = {
+            name: ["" if math.isnan(value) else format(value, FORMATS.get(name, ".6f")) for value in values.tolist()]
             for name, values in table.items()
-        ]
-        with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(["drive", *table])
-            writer.writerows([self.name, *row] for row in zip(*columns, strict=True))
+        }
+        pd.DataFrame({"drive": self.name, **texts}).to_csv(path, index=False)
 
     def lines(self, comparison: Mapping[str, Any] | None) -> Iterator[str]:
         """Yield text for the user: why motion could not be measured, and the result of :meth:`compare`."""
@@ -177,14 +174,12 @@ class Results:
         They are computed on the frames of `column`, predicted or measured. The measured angle repeats the last, or 0.
         """
         frame, time_s, measured_rad = (self.table[name] for name in ("frame", "time_s", "measured_rad"))
-        driven = dict(zip(frame.tolist(), self.table["driven_rad"].tolist(), strict=True))
-        target_rad = np.array([driven.get(number + horizon, math.nan) for number in frame.tolist()])
+        target_rad = pd.Series(self.table["driven_rad"], frame).reindex(frame + horizon).to_numpy(copy=True)
         used = np.isfinite(target_rad) & np.isfinite(self.table[f"{column}_rad"])
         if not used.any():
             return None
-        last = np.maximum.accumulate(np.where(np.isfinite(measured_rad), np.arange(len(frame)), 0))
-        angles = {column: self.table[f"{column}_rad"], "measured": np.nan_to_num(measured_rad[last])}
-        angles["zero"] = np.zeros(len(frame))
+        held_rad = pd.Series(measured_rad).ffill().fillna(0.0).to_numpy()
+        angles = {column: self.table[f"{column}_rad"], "measured": held_rad, "zero": np.zeros(len(frame))}
         block = max(1, round(BLOCK_S / float(np.median(np.diff(time_s))))) if len(time_s) > 1 else 1
         settings = Evaluate(bootstrap_samples=2000, bootstrap_block_frames=block, curvature_bins_1pm=[1.0], seed=0)
         target_rad[~used] = np.nan

@@ -24,7 +24,7 @@ from pipeline.perception.perceive import FILE, perceive_drive
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from pipeline.video.lens import find_horizon, pinhole, undistortion
-from pipeline.video.recording import Recording, open_recording
+from pipeline.video.recording import open_recording
 
 INGEST, PERCEPTION, MOTION = "ingest.h5", "perception.h5", "motion.h5"
 BYTES_PER_PIXEL = 6  # image 3, depth 2, class 1
@@ -49,7 +49,7 @@ def open_source(path: Path, cameras: Sequence[int], height_m: float | None = Non
     """Open a KITTI drive's folder by the first of `cameras` with images; or a folder of images, or a video.
 
     `height_m`: of the camera over the road; None: from a KITTI drive's calibration, else unknown. `how`: of other
-    recordings, ``max_frames`` and what :func:`open_camera` gets.
+    recordings, what :func:`open_images` gets.
 
     Raises InputError if it is none of them, lacks a calibration, or cannot be read.
     """
@@ -60,7 +60,7 @@ def open_source(path: Path, cameras: Sequence[int], height_m: float | None = Non
             raise InputError("a KITTI drive has its own calibration, times and frames", path, fix)
         source = _open_drive(path, drive, cameras)
     else:
-        source = replace(_open_recording(path, **how), how=how)
+        source = replace(open_images(path, **how), how=how)
     if height_m is not None:
         return replace(source, camera=replace(source.camera, height_m=height_m), height_known=True)
     return source
@@ -81,32 +81,17 @@ def _open_drive(path: Path, drive: KittiDrive, cameras: Sequence[int]) -> Source
     return Source(path, drive.folder.name.removesuffix("_sync"), camera, frames, len(images), drive=drive)
 
 
-def _open_recording(path: Path, max_frames: int | None = None, **how: Any) -> Source:
-    """Open the first `max_frames` frames of a recording; `how`: as of :func:`open_camera`."""
-    recording, camera = open_camera(path, **how)
-    found = "not found, since too few images show a drive; assuming a level camera"
-    note = f"horizon: {found if camera.horizon is None else f'row {camera.horizon:.0f} of {camera.size[0]}'}"
-    return Source(
-        path,
-        path.stem,
-        camera,
-        lambda: islice(recording.frames(), max_frames),
-        min(max_frames, recording.count or max_frames) if max_frames else recording.count,
-        height_known=False,
-        notes=[note],
-    )
-
-
-def open_camera(
+def open_images(
     path: Path,
     *,
+    max_frames: int | None = None,
     fps: float | None = None,
     times: Path | None = None,
     distortion: str | None = None,
     horizon: float | None = None,
     **lens: Any,
-) -> tuple[Recording, Camera]:
-    """Open a recording of rectified images, and return it with its camera, whose horizon is estimated if it is None.
+) -> Source:
+    """Open the first `max_frames` frames of a recording, rectified; the horizon is estimated if it is None.
 
     Other arguments as of :func:`open_recording`, :func:`undistortion` and :func:`pinhole`.
     """
@@ -119,7 +104,17 @@ def open_camera(
         recording.straighten = undistortion(camera, distortion)
     if horizon is None:
         horizon = find_horizon(recording.frames(), camera)
-    return recording, replace(camera, horizon=horizon)
+    found = "not found, since too few images show a drive; assuming a level camera"
+    note = f"horizon: {found if horizon is None else f'row {horizon:.0f} of {camera.size[0]}'}"
+    return Source(
+        path,
+        path.stem,
+        replace(camera, horizon=horizon),
+        lambda: islice(recording.frames(), max_frames),
+        min(max_frames, recording.count or max_frames) if max_frames else recording.count,
+        height_known=False,
+        notes=[note],
+    )
 
 
 def work_folder(out: Path | None, source: Source, encoder: Path, **settings: Any) -> Path:

@@ -4,8 +4,8 @@ Each row belongs to a frame number. Missing data has the fill value, and ``has_<
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -112,8 +112,16 @@ def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> 
         fix = "Extract the date's calibration archive, or set ingest.lidar: false"
         raise InputError(problem, files.calibration, fix)
     damaged, (numbers, times) = list[DamagedFile](), files.timeline(number)
-    read = {frame: _read(packets.read_row, files.oxts, frame, damaged) for frame in numbers}
-    oxts = {frame: row for frame, row in read.items() if row is not None}
+
+    def read(reader: Callable[..., np.ndarray], paths: Files, frame: int, **options: Any) -> np.ndarray | None:
+        """Return the content of a frame's file; None if there is none, or it is damaged."""
+        try:
+            return reader(paths[frame], **options) if frame in paths else None
+        except DamagedFile as error:
+            damaged.append(error)
+            return None
+
+    oxts = {frame: row for frame in numbers if (row := read(packets.read_row, files.oxts, frame)) is not None}
     if not numbers or (not files.oxts and files.oxts_times.parent.is_dir()) or (skip and files.oxts and not oxts):
         fix = "Extract it. Only if labels come from another labels.source: remove the empty folder"
         raise InputError("drive has no oxts packets", files.oxts_times.parent, fix)
@@ -121,9 +129,19 @@ def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> 
     time_s = dict(zip(numbers, packets.read_times(times, numbers).tolist(), strict=True))
     images = {} if number is None else files.images(number)
     truth = {"depth": files.truth_depth, "cls": files.truth_cls} if camera else {}
-    kept_s = {frame: time_s[frame] for frame in oxts or numbers}
+
+    def frames() -> Iterator[Frame]:
+        for number in oxts or numbers:
+            frame = Frame(number, time_s[number], scan=read(read_scan, scans, number))
+            if camera:
+                frame.image = read(read_image, images, number, size=camera.size)
+                depth = read(read_depth, truth["depth"], number, size=camera.size)
+                frame.depth_m = None if depth is None else to_metres(depth)
+                frame.cls = read(read_classes, truth["cls"], number, size=camera.size)
+            yield frame
+
     summary = ingest_drive(
-        _frames(kept_s, camera, images, truth, scans, damaged),
+        frames(),
         path,
         drive=drive,
         camera=camera,
@@ -139,33 +157,3 @@ def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> 
         raise DamagedFile(faults, f"{len(damaged)} damaged files", fix)
     left_out = len({*images, *scans} - {*numbers})
     return summary | {"camera": number, "left_out": left_out, "damaged": len(damaged)}
-
-
-def _read(
-    read: Callable[[Path], np.ndarray], files: Files, number: int, damaged: list[DamagedFile]
-) -> np.ndarray | None:
-    """Return the content of a frame's file; None if there is none or it is damaged, with its error in `damaged`."""
-    try:
-        return read(files[number]) if number in files else None
-    except DamagedFile as error:
-        damaged.append(error)
-        return None
-
-
-def _frames(
-    time_s: Mapping[int, float],
-    camera: Camera | None,
-    images: Files,
-    truth: Mapping[str, Files],
-    scans: Files,
-    damaged: list[DamagedFile],
-) -> Iterator[Frame]:
-    """Yield the frames of `time_s`, number → seconds."""
-    for number, seconds in time_s.items():
-        frame = Frame(number, seconds, scan=_read(read_scan, scans, number, damaged))
-        if camera:
-            frame.image = _read(partial(read_image, size=camera.size), images, number, damaged)
-            depth = _read(partial(read_depth, size=camera.size), truth["depth"], number, damaged)
-            frame.depth_m = None if depth is None else to_metres(depth)
-            frame.cls = _read(partial(read_classes, size=camera.size), truth["cls"], number, damaged)
-        yield frame

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
@@ -11,22 +10,16 @@ from pipeline.labels.label import REVERSING_MPS, Labels
 STANDING_MPS = 0.2  # measured speed at standstill stays below: in KITTI it reaches 0.15 m/s
 
 
-class Ahead(NamedTuple):
-    """The path ahead of F frames in R ranges."""
-
-    curvature_1pm: np.ndarray  # float64 [F,R], left positive; 0 where unknown
-    valid: np.ndarray  # bool [F,R]
-
-
 def path_ahead(
     frame: np.ndarray, time_s: np.ndarray, labels: Labels, edges_m: Sequence[float], max_stand_s: float
-) -> Ahead:
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the mean curvature of the driven path in ranges of distance ahead of each frame, along the path.
 
-    It is the change of heading between two edges, divided by the arc length between them. Heading and arc length are
-    integrals of yaw rate and speed (trapezoidal rule), and linear between frames. A value is valid if, from the frame
-    to the far edge, all frames exist and are measured, and the car never reverses and stands for at most `max_stand_s`.
-    `frame`, `time_s`: of the frames [F]; `edges_m`: R+1 ascending distances.
+    Curvature is float64 [F,R] in 1/m, left positive, 0 where it is not valid, bool [F,R]: the change of heading between
+    two edges, divided by the arc length between them. Heading and arc length are integrals of yaw rate and speed
+    (trapezoidal rule), and linear between frames. A value is valid if, from the frame to the far edge, all frames exist
+    and are measured, and the car never reverses and stands for at most `max_stand_s`. `frame`, `time_s`: of the frames
+    [F]; `edges_m`: R+1 ascending distances.
     """
     curvature = np.zeros((len(frame), len(edges_m) - 1))
     valid = np.zeros(curvature.shape, bool)
@@ -36,10 +29,12 @@ def path_ahead(
         rows = slice(first, last)
         if first < last and usable[rows].all():  # a frame that is not usable is alone
             curvature[rows], valid[rows] = _without_gap(time_s[rows], labels.at(rows), np.array(edges_m), max_stand_s)
-    return Ahead(np.where(valid, curvature, 0.0), valid)
+    return np.where(valid, curvature, 0.0), valid
 
 
-def _without_gap(time_s: np.ndarray, labels: Labels, edges_m: np.ndarray, max_stand_s: float) -> Ahead:
+def _without_gap(
+    time_s: np.ndarray, labels: Labels, edges_m: np.ndarray, max_stand_s: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Return :func:`path_ahead` of consecutive, measured frames; not valid where they end before the far edge."""
     speed_mps = np.maximum(labels.speed_mps, 0.0)  # below 0 it is noise at standstill, and arc length never decreases
     arc_m = _integral(speed_mps, time_s)
@@ -50,7 +45,7 @@ def _without_gap(time_s: np.ndarray, labels: Labels, edges_m: np.ndarray, max_st
     at_m = arc_m[:, None] + edges_m  # [F,R+1]
     curvature = np.diff(np.interp(at_m, arc_m, heading_rad), axis=1) / np.diff(edges_m)
     stands_s = np.interp(at_m[:, 1:], arc_m, stood_s) - stood_s[:, None]
-    return Ahead(curvature, (at_m[:, 1:] <= arc_m[-1]) & (stands_s <= max_stand_s))
+    return curvature, (at_m[:, 1:] <= arc_m[-1]) & (stands_s <= max_stand_s)
 
 
 def _integral(values: np.ndarray, time_s: np.ndarray) -> np.ndarray:

@@ -27,8 +27,7 @@ TOLERANCE = 0.2  # relative, of the frame rate
 
 def reading(model: Trained) -> Reading:
     """Return what the model's chain reads of a recording; damaged images are left out."""
-    variant = model.settings["graphs"]
-    lidar = variant["source"] == "clouds/lidar"
+    lidar = model.settings["graphs"]["source"] == "clouds/lidar"
     return Reading.model_validate(model.settings["ingest"] | {"on_damaged": "skip", "lidar": lidar})
 
 

@@ -152,13 +152,9 @@ def _image_files(folder: Path) -> list[Path]:
     files = [path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.name[:2] != "._"]  # macOS
     if not files:
         raise InputError(f"folder has no images (expected {', '.join(_SUFFIXES)})", folder)
-    return sorted(files, key=_order)
-
-
-def _order(path: Path) -> tuple[list[int | str], str]:
-    """Return a sort key that puts img_9 before img_10."""
-    parts = re.split(r"(\d+)", path.stem)
-    return [int(part) if odd % 2 else part for odd, part in enumerate(parts)], path.name
+    parts = {path: re.split(r"(\d+)", path.stem) for path in files}
+    words = {path: [int(part) if part.isdecimal() else part for part in parts[path]] for path in files}
+    return sorted(files, key=lambda path: (words[path], path.name))  # img_9 before img_10
 
 
 def read_times(path: Path) -> np.ndarray:

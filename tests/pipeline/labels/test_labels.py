@@ -52,7 +52,9 @@ def drive(
     return time_s, Labels(unused, unused.astype(bool), speed_mps, speed_mps * curvature(at_m)), at_m
 
 
-def compute(time_s: np.ndarray, labels: Labels, stand_s: float = 5, frame: np.ndarray | None = None) -> ahead.Ahead:
+def compute(
+    time_s: np.ndarray, labels: Labels, stand_s: float = 5, frame: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     return ahead.path_ahead(np.arange(len(time_s)) if frame is None else frame, time_s, labels, EDGES_M, stand_s)
 
 
@@ -140,9 +142,6 @@ def test_recorded_angles_have_no_speed():
     wheel = Labels(1.1 * true.steering_rad, true.valid, unknown, unknown)
     scores = comparison.score([comparison.errors(wheel, true)])
     assert (scores["yaw_rmse_degps"], scores["speed_ratio"], scores["nmse"]) == (None, None, pytest.approx(0.01))
-
-
-COUNT = 300
 
 
 @given(st.lists(st.floats(0.05, 3.0), min_size=1, max_size=30), st.integers(0, 2**32 - 1))

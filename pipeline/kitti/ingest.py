@@ -14,7 +14,7 @@ from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
 from pipeline.camera.camera import Camera, Frame, write_camera
 from pipeline.camera.classes import VOID
-from pipeline.camera.images import Crop, nearest, read_classes, read_depth, read_image, resized, to_metres, to_units
+from pipeline.camera.images import nearest, read_classes, read_depth, read_image, resized, to_metres, to_units
 from pipeline.kitti import oxts as packets
 from pipeline.kitti.raw import KittiDrive, read_scan
 from pipeline.settings.ingest import Reading
@@ -54,6 +54,8 @@ def ingest_drive(
     size, recorded = settings.image_size, steering_rad or {}
     crop = camera.crop_to(size) if camera else None
     numbers, times_s, points = list[int](), list[float](), list[int]()
+    none: dict[str, np.ndarray] = {"image": np.zeros((*size, 3), np.uint8), "depth": np.zeros(size, np.uint16)}
+    none["cls"] = np.full(size, VOID, np.uint8)
     has: dict[str, list[bool]] = {name: [] for name in UNITS}
     with DriveWriter(path, stage="ingest", drive=drive, params={"ingest": settings.model_dump(mode="json")}) as file:
         file.attrs["camera"] = number
@@ -64,7 +66,9 @@ def ingest_drive(
             for name, pixels in {"image": frame.image, "depth": depth, "cls": frame.cls}.items():
                 has[name].append(pixels is not None)
                 if name == "image" or name in truth:
-                    file.append(name, _row(name, pixels, crop, size)[None], UNITS[name])
+                    resize = resized if name == "image" else nearest
+                    row = none[name] if pixels is None or crop is None else resize(crop.pixels(pixels), size)
+                    file.append(name, row[None], UNITS[name])
             scan = np.zeros((0, 4), np.float32) if frame.scan is None else frame.scan
             file.append("lidar", scan, "m, m, m, reflectance", "lidar_ptr")
             points.append(len(scan))
@@ -87,15 +91,6 @@ def ingest_drive(
     counts = {name: sum(present) for name, present in has.items()}
     steering = sum(number in recorded for number in numbers)
     return {"frames": len(numbers), "oxts": len(numbers) if oxts else 0, "steering": steering, **counts}
-
-
-def _row(name: str, pixels: np.ndarray | None, crop: Crop | None, size: tuple[int, int]) -> np.ndarray:
-    """Return the row of dataset `name` [H,W,…] for the pixels of a complete image, if there are any."""
-    if pixels is not None and crop is not None:
-        return (resized if name == "image" else nearest)(crop.pixels(pixels), size)
-    if name == "image":
-        return np.zeros((*size, 3), np.uint8)
-    return np.zeros(size, np.uint16) if name == "depth" else np.full(size, VOID, np.uint8)
 
 
 def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> Summary:

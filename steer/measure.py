@@ -29,7 +29,6 @@ def measure(
     times: options.Times = None,
     camera_height: options.CameraHeight = None,
     wheelbase: Annotated[float, options.number(0.5, 20, "distance between the axles, metres")] = 2.7,
-    max_frames: Annotated[int | None, typer.Option(min=2, help="measure only the first frames")] = None,
     wheel: options.Wheel = None,
     steering_ratio: options.SteeringRatio = None,
     motion: options.Motion = None,
@@ -49,6 +48,6 @@ def measure(
     if not (encoder / FILE).is_file():
         raise InputError("no encoder", encoder, "Make one for real streets: make street. Or pass --encoder")
     how: dict[str, Any] = {"fov_deg": fov, "K": k, "distortion": distortion, "fps": fps, "times": times}
-    opened = open_source(source, video_measure.CAMERAS, camera_height, max_frames=max_frames, **how)
+    opened = open_source(source, video_measure.CAMERAS, camera_height, **how)
     lines, files = video_measure.measure(opened, out, encoder, Car(wheelbase, MIN_SPEED_MPS), logs, video=video)
     print(*opened.notes, *lines, ", ".join(map(str, files)), sep="\n")

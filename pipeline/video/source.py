@@ -6,7 +6,6 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -56,8 +55,8 @@ def open_source(path: Path, cameras: Sequence[int], height_m: float | None = Non
     drive = KittiDrive(path.resolve()) if path.is_dir() else None
     if drive and any(drive.images(camera) for camera in cameras):
         if any(how.values()):
-            fix = "Remove --fov, --K, --distortion, --fps, --times and --max-frames"
-            raise InputError("a KITTI drive has its own calibration, times and frames", path, fix)
+            fix = "Remove --fov, --K, --distortion, --fps and --times"
+            raise InputError("a KITTI drive has its own calibration and times", path, fix)
         source = _open_drive(path, drive, cameras)
     else:
         source = replace(open_images(path, **how), how=how)
@@ -84,14 +83,13 @@ def _open_drive(path: Path, drive: KittiDrive, cameras: Sequence[int]) -> Source
 def open_images(
     path: Path,
     *,
-    max_frames: int | None = None,
     fps: float | None = None,
     times: Path | None = None,
     distortion: str | None = None,
     horizon: float | None = None,
     **lens: Any,
 ) -> Source:
-    """Open the first `max_frames` frames of a recording, rectified; the horizon is estimated if it is None.
+    """Open a recording of rectified images; its horizon is estimated if it is None.
 
     Other arguments as of :func:`open_recording`, :func:`undistortion` and :func:`pinhole`.
     """
@@ -106,15 +104,8 @@ def open_images(
         horizon = find_horizon(recording.frames(), camera)
     found = "not found, since too few images show a drive; assuming a level camera"
     note = f"horizon: {found if horizon is None else f'row {horizon:.0f} of {camera.size[0]}'}"
-    return Source(
-        path,
-        path.stem,
-        replace(camera, horizon=horizon),
-        lambda: islice(recording.frames(), max_frames),
-        min(max_frames, recording.count or max_frames) if max_frames else recording.count,
-        height_known=False,
-        notes=[note],
-    )
+    camera = replace(camera, horizon=horizon)
+    return Source(path, path.stem, camera, recording.frames, recording.count, height_known=False, notes=[note])
 
 
 def work_folder(out: Path | None, source: Source, encoder: Path, **settings: Any) -> Path:

@@ -140,16 +140,16 @@ def test_unsuitable_inputs(tmp_path, encoder, monkeypatch):
     write(tmp_path / "kept/poses.txt", "mine")
     monkeypatch.chdir(tmp_path)
     for _ in range(2):
-        measure(images, encoder=encoder, max_frames=3, video=False, **LENS)
+        measure(images, encoder=encoder, video=False, **LENS)
     for name in ("images", "images-2"):
-        assert len(read(tmp_path / f"out/{name}")["frame"]) == 3
+        assert len(read(tmp_path / f"out/{name}")["frame"]) == 4
     for path, options, problem in (
         (images, {"encoder": tmp_path}, "no encoder"),
         (images, {"out": tmp_path / "kept"}, "exists already"),
         (rotated, {}, "taller than wide"),
-        (images, {"max_frames": 4}, r"4 frames need up to 0\.0 GB"),
+        (images, {"video": False}, r"4 frames need up to 0\.0 GB"),
     ):
-        if "max_frames" in options:
+        if "video" in options:
             monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=10**6))
         with pytest.raises(InputError, match=problem):
             measure(path, **{"encoder": encoder, **LENS, **options})

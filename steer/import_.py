@@ -29,11 +29,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS
 from steer import options
 
-Offset = Annotated[float, options.number(-1e10, 1e10, "seconds to add to the times of --motion and --wheel")]
-Start = Annotated[float, options.number(0, 1e10, "leave out earlier images, seconds since the first")]
-End = Annotated[float, options.number(0, math.inf, "leave out this and later images")]
 _SPLIT = "write three consecutive drives with these shares of the time in %, and presets/DRIVE.yaml"
-Horizon = Annotated[float | None, options.number(-10000, 10000, "row of the road's horizon; default: estimated")]
 Split = Annotated[str | None, typer.Option(metavar="TRAIN,VAL,TEST", help=_SPLIT)]
 
 
@@ -47,12 +43,12 @@ def import_recording(
     fov: options.Fov = None,
     k: options.K = None,
     distortion: options.Distortion = None,
-    horizon: Horizon = None,
+    horizon: Annotated[float | None, options.number(-1e4, 1e4, "row of the road's horizon; default: estimated")] = None,
     times: options.Times = None,
     fps: options.Fps = None,
-    offset: Offset = 0.0,
-    start: Start = 0.0,
-    end: End = math.inf,
+    offset: Annotated[float, options.number(-1e10, 1e10, "seconds to add to the times of --motion and --wheel")] = 0.0,
+    start: Annotated[float, options.number(0, 1e10, "leave out earlier images, seconds since the first")] = 0.0,
+    end: Annotated[float, options.number(0, math.inf, "leave out this and later images")] = math.inf,
     split: Split = None,
     camera_height: options.CameraHeight = None,
     replace: Annotated[bool, typer.Option("--replace", help="replace unchanged drives of an earlier import")] = False,

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Generator
+from collections.abc import Iterator
 
 import numpy as np
 import torch
@@ -37,8 +37,7 @@ def fit(
         start = time.perf_counter()
         torch.manual_seed(seed + epoch)
         sums = torch.zeros(2, dtype=torch.float64, device=device)  # read once per epoch: no step waits for a GPU
-        batches = _batches(examples, batch, np.random.default_rng([seed, epoch]), pinned=device.type == "cuda")
-        batches = prefetch(batches) if device.type == "cuda" else batches
+        batches = _batches(examples, batch, np.random.default_rng([seed, epoch]), device.type)
         bar = tqdm(batches, f"epoch {epoch + 1}/{epochs}", steps, unit="batch", leave=False, disable=None)
         for step, tensors in enumerate(bar):
             image, K, depth, cls = (tensor.to(device, non_blocking=True) for tensor in tensors)
@@ -83,11 +82,15 @@ def depth_and_class_loss(depth_m: Tensor, logits: Tensor, true_depth_m: Tensor, 
     return torch.stack([depth_loss, class_loss])
 
 
-def _batches(examples: Examples, batch: int, rng: np.random.Generator, *, pinned: bool) -> Generator[list[Tensor]]:
-    """Yield image [B,H,W,3], K, depth and classes of augmented examples in random order; `pinned` for a GPU."""
-    order = rng.permutation(len(examples))
-    for start in range(0, len(order), batch):
-        chosen = [augment(examples[int(i)], rng) for i in order[start : start + batch]]
+def _batches(examples: Examples, batch: int, rng: np.random.Generator, device: str) -> Iterator[list[Tensor]]:
+    """Return image [B,H,W,3], K, depth and classes of augmented examples in random order; ahead, pinned for a GPU."""
+
+    def read(numbers: np.ndarray) -> list[Tensor]:
+        chosen = [augment(examples[number], rng) for number in numbers.tolist()]
         arrays = zip(*((one.image, one.camera.K, one.depth_m, one.cls) for one in chosen), strict=True)
         tensors = [torch.from_numpy(np.stack(parts)) for parts in arrays]
-        yield [tensor.pin_memory() for tensor in tensors] if pinned else tensors
+        return [tensor.pin_memory() for tensor in tensors] if device == "cuda" else tensors
+
+    order = rng.permutation(len(examples))
+    groups = np.split(order, range(batch, len(order), batch))
+    return prefetch(read, groups) if device == "cuda" else map(read, groups)

@@ -22,7 +22,7 @@ from pipeline.camera.images import DEPTH_UNITS_PER_M, to_units
 from pipeline.perception import precomputed
 from pipeline.perception.depth_scale import DepthPostprocessor
 from pipeline.train import checkpoint
-from pipeline.train.loop import autocast, side_by_side
+from pipeline.train.loop import autocast, prefetch
 
 if TYPE_CHECKING:
     from pipeline.settings.perception import Perception
@@ -119,7 +119,7 @@ def passes(forward: Callable[[T], R], batches: Generator[T]) -> Generator[R]:
     workers = 1 if torch.cuda.is_available() else min(threads, default_workers())  # STEER_WORKERS limits memory
     use_one_thread()
     try:
-        with closing(side_by_side(forward, batches, workers, workers + 1, use_one_thread)) as results:
+        with closing(batches), closing(prefetch(forward, batches, workers, workers + 1, use_one_thread)) as results:
             yield from results
     finally:
         torch.set_num_threads(threads)

@@ -1,41 +1,28 @@
-"""Help loops over batches: items computed ahead in threads, learning rate, precision."""
+"""Help loops over batches: work ahead in threads, learning rate, precision."""
 
 import math
 from collections import deque
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import closing
-from itertools import count, takewhile
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     import torch
 
 T = TypeVar("T")
 R = TypeVar("R")
-_END: Any = object()
 
 
-def prefetch(items: Generator[T], ahead: int = 2) -> Generator[T]:
-    """Yield the items of a generator in order; one thread computes up to `ahead` of them in advance.
-
-    This helps where an item waits for a disk or for a library that releases Python's lock, as HDF5 and torch do.
-    Closing this generator waits for the item in progress and closes `items`.
-    """
-    turns = (number for number in count())
-    with closing(items), closing(side_by_side(lambda _: next(items, _END), turns, 1, ahead)) as results:
-        yield from takewhile(lambda item: item is not _END, results)
-
-
-def side_by_side(
-    work: Callable[[T], R], items: Generator[T], threads: int, ahead: int, start: Callable[[], object] | None = None
+def prefetch(
+    work: Callable[[T], R], items: Iterable[T], threads: int = 1, ahead: int = 2, init: Callable[[], None] | None = None
 ) -> Generator[R]:
     """Yield ``work(item)`` of each item, in order; `threads` threads work, and the caller's thread computes the items.
 
-    At most `ahead` results exist besides the one at the caller. Closing this generator waits for work in progress and
-    closes `items`. `start` is called once in each thread.
+    This helps where work waits for a disk or for a library that releases Python's lock, as HDF5 and torch do. At most
+    `ahead` results exist besides the one at the caller. Closing this generator waits for work in progress. `init` is
+    called once in each thread.
     """
-    with closing(items), ThreadPoolExecutor(threads, "prefetch", initializer=start) as pool:
+    with ThreadPoolExecutor(threads, "prefetch", initializer=init) as pool:
         ready: deque[Future[R]] = deque()
         try:
             for item in items:

@@ -77,7 +77,7 @@ class Trained:
                 raise InputError(problem, seen.path, f"Use graphs of input: {entry.input}, or train the model again")
             drive = [replace(timeline, scene=seen.path)]
             spans = windows.spans(drive, window, WINDOWS)
-            batches = prefetch(windows.read_batch(drive, {seen.path: seen}, [span], window) for span in spans)
+            batches = prefetch(lambda span: windows.read_batch(drive, {seen.path: seen}, [span], window), spans)
             return predict_spans(self.net, drive, spans, batches, self.scale)[0]
 
 

@@ -147,16 +147,17 @@ class Reader(Dataset[dict[str, Tensor]]):
         self._opened: dict[Path, Graphs] = {}
         self._files = ExitStack()
         self._epoch: list[Sequence[Span]] = []  # the loader's sampler; its processes live for several epochs
-        options: dict[str, Any] = {"pin_memory": torch.cuda.is_available()}
+        self._loader: DataLoader[Any] | None = None
         if workers:
-            options |= {"prefetch_factor": AHEAD, "persistent_workers": True, "multiprocessing_context": "forkserver"}
-        options["generator"] = torch.Generator()  # its own: the loader draws a number for its processes
-        self._loader: Any = DataLoader(self, batch_size=None, sampler=self._epoch, num_workers=workers, **options)
+            options: dict[str, Any] = {"num_workers": workers, "prefetch_factor": AHEAD, "persistent_workers": True}
+            options |= {"pin_memory": torch.cuda.is_available(), "multiprocessing_context": "forkserver"}
+            options["generator"] = torch.Generator()  # its own: the loader draws a number for its processes
+            self._loader = DataLoader(self, batch_size=None, sampler=self._epoch, **options)
 
     def batches(self, groups: Sequence[Sequence[Span]]) -> Generator[dict[str, Tensor]]:
         """Yield the groups' batches in order."""
         self._epoch[:] = groups
-        yield from self._loader if self._loader.num_workers else prefetch(batch for batch in self._loader)
+        yield from self._loader if self._loader is not None else prefetch(self.__getitem__, groups)
 
     def __getitem__(self, group: Sequence[Span]) -> dict[str, Tensor]:
         for path in {self._drives[span.drive].scene for span in group} - self._opened.keys():

@@ -21,6 +21,8 @@ def main(
 
     Models of the params file that are not evaluated on this machine are named.
     """
+    import pandas as pd
+
     from pipeline.report import results, tables
     from pipeline.report.figures import draw
     from pipeline.report.page import write_page
@@ -42,9 +44,10 @@ def main(
         store.write_json(new / "metrics.json", results.dvc_metrics(groups))
         for name in ("learning", "figures"):  # DVC expects each output, even an empty one
             (new / name).mkdir()
-        for network, curve in results.load_curves(
-            data / "train", evaluated
-        ).items():  # DVC draws an empty field as 0, and nan as a gap
+        for path in (path for model in evaluated for path in (data / "train" / model).rglob("curve.csv")):
+            network = ".".join(path.relative_to(data / "train").parts[:-1])  # MODEL.seed-N.fold-DRIVE
+            curve = pd.read_csv(path, dtype=str).drop(columns="learning_rate")
+            # DVC draws an empty field as 0, and nan as a gap.
             curve.to_csv(new / f"learning/{network}.csv", index=False, lineterminator="\n", na_rep="nan")
         captions = draw(new / "figures", groups, data)
         write_page(new / "index.html", story, groups, steering, [*weights, *perceived], captions)

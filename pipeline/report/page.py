@@ -5,7 +5,7 @@ Plots are the data and layout of Plotly, with angles in degrees, left +.
 
 import base64
 from collections.abc import Mapping, Sequence
-from itertools import cycle, pairwise
+from itertools import cycle
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ from pipeline.report.results import Group
 from pipeline.report.tables import Table
 
 COLOURS = ("#0b57a4", "#d1495b", "#2e8b57", "#8a5fbf", "#1b998b", "#7a6a53", "#c2185b")
-FIXED = {"driven": "#1b2027", "odometry": "#e08e0b", "zero": "#9aa3ad"}
+FIXED = {"driven": "#1b2027", "odometry": "#e08e0b"}
 MODELS_SHOWN = 3  # the best at first; a click in the legend adds others
 Figure = dict[str, Any]
 Styles = Mapping[str, dict[str, Any]]
@@ -82,16 +82,11 @@ def _test_drives(group: Group, look: Styles) -> Content:
     count = predictions["drive"].nunique()
     chosen = f" on the {len(drives)} of {count} drives with the largest squared error" if count > len(drives) else ""
     angle = " The angle is the turn of the path over all ranges." if any(group.labels.values()) else ""
-    error = "Error by curvature of the road"
     return [
         f"Predictions of the first seed{chosen}.{angle} Drag to zoom, double-click to reset, click the legend to hide.",
         *(
             Plot(f"{drive}: {group.title} over time", over_time(predictions[predictions["drive"] == drive], look))
             for drive in drives
-        ),
-        *(
-            Plot(f"{error}{label and f', {label} ahead'}, mean over seeds", by_curvature(group, column, look))
-            for column, label in group.labels.items()
         ),
     ]
 
@@ -126,35 +121,11 @@ def over_time(predictions: pd.DataFrame, look: Styles) -> Figure:
             outline = _points(pd.concat([edges[0], edges[1][::-1]]), "elapsed_s", "edge")
             fill = {"fill": "toself", "mode": "none", "fillcolor": f"{look[name]['marker']['color']}26"}
             traces.append(look[name] | outline | fill | {"name": f"{name} ± σ", "hoverinfo": "skip"})
-    return _plot(traces, 400, xaxis=_title("time in s"), yaxis=_title("deg, left +"))
-
-
-def by_curvature(group: Group, column: str, look: Styles) -> Figure:
-    """Plot the RMSE of models and baseline zero in the ranges of |curvature| that have frames.
-
-    In degrees for an angle, in 1/km for a curvature.
-    """
-    factor, unit = (1000, "1/km") if group.labels[column] else (180 / np.pi, "deg")
-    edges, bars = [0.0, *group.settings.curvature_bins_1pm, np.inf], []
-    for name in (*(row["model"] for row in group.models), "zero"):
-        scores = {bounds: group.scores(name, column, bounds) for bounds in pairwise(edges)}
-        bins = {bounds: part for bounds, part in scores.items() if part["frames"]}
-        x = [f"≥ {low:g}" if np.isinf(high) else f"{low:g} to {high:g}" for low, high in bins]
-        y = [round(factor * part["rmse"], 4) for part in bins.values()]
-        hover = {"text": [f"{part['frames']} frames" for part in bins.values()], "hovertemplate": "%{y:.2f}, %{text}"}
-        bars.append(look[name] | {"type": "bar", "x": x, "y": y} | hover)
-    return _plot(bars, 380, xaxis=_title("|curvature| of the road in 1/m"), yaxis=_title(f"RMSE in {unit}"))
+    axes = {axis: {"title": {"text": title}} for axis, title in (("xaxis", "time in s"), ("yaxis", "deg, left +"))}
+    return {"data": traces, "layout": {"height": 400, **axes}}
 
 
 def _points(rows: pd.DataFrame, *columns: str) -> dict[str, list[float | None]]:
     """Return the coordinates of a trace: x and y from `columns`; None, which Plotly draws as a gap, for NaN."""
     values = {axis: rows[column].round(4).tolist() for axis, column in zip("xy", columns, strict=True)}
     return {axis: [None if np.isnan(value) else value for value in column] for axis, column in values.items()}
-
-
-def _title(text: str) -> dict[str, Any]:
-    return {"title": {"text": text}}
-
-
-def _plot(data: list[dict[str, Any]], height: int, **layout: Any) -> Figure:
-    return {"data": data, "layout": {"height": height, **layout}}

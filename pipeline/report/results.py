@@ -19,7 +19,6 @@ from pipeline.report import paper
 from pipeline.settings.evaluate import Evaluate
 
 SHOWN_DRIVES = 6  # test drives that the page draws one by one; the tables have all
-_LEARNING = ["epoch", "train_loss", "val_nmse"]
 NO_LEARNING = ("zero", "train_mean", "odometry", "regression")
 BASELINES = (*NO_LEARNING, "persistence")  # which repeats true angles, that no model gets
 Row = dict[str, Any]
@@ -69,18 +68,13 @@ class Group:
         """Return squared errors [N,R], means over the seeds; NaN where they do not count."""
         return np.asarray(((self.predicted[name] - self.truth) ** 2).mean(axis=0))
 
-    def scores(self, name: str, column: str, within_1pm: Sequence[float] = (0, np.inf)) -> dict[str, Any]:
-        """Return the :func:`errors.scores` of a model or baseline, and the nmse of each seed as `by_seed`.
-
-        Of frames with a |curvature| of the road in a range.
-        """
+    def scores(self, name: str, column: str) -> dict[str, Any]:
+        """Return the :func:`errors.scores` of a model or baseline, and the nmse of each seed as `by_seed`."""
         number = [*self.labels].index(column)
-        truth, model = self.truth[:, number], self.models[0]
-        curvature_1pm = truth if self.labels[column] else np.tan(truth) / model["wheelbase_m"]
-        rows = (np.abs(curvature_1pm) >= within_1pm[0]) & (np.abs(curvature_1pm) < within_1pm[1])
-        predicted = self.predicted[name][:, rows, number]
-        by_seed = [errors.scores(truth[rows], seed)["nmse"] for seed in predicted]
-        return errors.scores(truth[rows], predicted) | {"by_seed": by_seed}
+        rows = np.isfinite(self.truth[:, number])
+        truth, predicted = self.truth[rows, number], self.predicted[name][:, rows, number]
+        by_seed = [errors.scores(truth, seed)["nmse"] for seed in predicted]
+        return errors.scores(truth, predicted) | {"by_seed": by_seed}
 
     @cached_property
     def by_error(self) -> list[Row]:
@@ -184,16 +178,3 @@ def dvc_metrics(groups: Sequence[Group]) -> dict[str, Any]:
             if row[split]:
                 result[group.key][row["model"]][column][split] = row[split][column]["nmse"]
     return result
-
-
-def load_curves(train: Path, models: Sequence[str]) -> dict[str, pd.DataFrame]:
-    """Load the learning curves of `models` from their folders below `train`: network → epoch, train_loss, val_nmse.
-
-    A network is named as its folder: ``<model>``, ``<model>.seed-<n>``, ``<model>.seed-<n>.fold-<drive>``. Numbers stay
-    text, as written.
-    """
-    paths = [path for model in models for path in sorted((train / model).rglob("curve.csv"))]
-    return {
-        ".".join(path.relative_to(train).parts[:-1]): pd.read_csv(path, usecols=_LEARNING, dtype=str)[_LEARNING]
-        for path in paths
-    }

@@ -1,6 +1,5 @@
 """Stage encoder: fit the unified encoder on the training drives, or take fitted weights."""
 
-import csv
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ def main(
 ) -> Path:
     """Write encoder.pt, config.json and curve.csv. Return the folder."""
     settings = load(Encoder, params)
+    import pandas as pd
     import torch
 
     from pipeline.perception import perceive
@@ -34,10 +34,8 @@ def main(
         parameters = sum(parameter.numel() for parameter in model.parameters())
         config |= {"sources": architecture.get("sources", []), "parameters": parameters}
         store.write_json(stage.new / "config.json", config)
-        with (stage.new / "curve.csv").open("w", newline="", encoding="utf-8") as file:
-            rows = csv.DictWriter(file, ["epoch", "loss", "depth", "classes"], lineterminator="\n")
-            rows.writeheader()
-            rows.writerows({name: f"{value:.6g}" for name, value in row.items()} for row in curve)
+        table = pd.DataFrame(curve, columns=["epoch", "loss", "depth", "classes"])
+        table.to_csv(stage.new / "curve.csv", index=False, float_format="%.6g", lineterminator="\n")
     frames = sum(config.get("frames_per_drive", {}).values())
     action = f"fitted on {frames} frames" if curve else "weights used as they are"
     for line in (f"{settings.backbone}, {parameters:,} parameters, {action}", *config["sources"]):

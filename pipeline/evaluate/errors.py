@@ -12,8 +12,6 @@ import numpy as np
 
 from pipeline.settings.evaluate import Evaluate
 
-_DRAWS_AT_ONCE = 1 << 22  # bounds the memory of the bootstrap at about 100 MB
-
 
 def scores(truth: np.ndarray, predicted: np.ndarray) -> dict[str, Any]:
     """Return frames, mse, rmse, mae and nmse of predictions for true values [N].
@@ -66,17 +64,14 @@ def interval(error: np.ndarray, truth: np.ndarray, drive: np.ndarray, settings: 
     length = np.round(rows / blocks).astype(int)
     parts = zip(np.split(values, first[1:], axis=2), length, strict=True)
     block_sums = np.concatenate([_circular_sums(part, size) for part, size in parts], axis=2)  # over the next block
-    rng, step = np.random.default_rng(settings.seed), max(1, _DRAWS_AT_ONCE // (len(first) * values.shape[1]))
-    ratios = []
-    for done in range(0, settings.bootstrap_samples, step):
-        drawn = rng.integers(len(first), size=(min(step, settings.bootstrap_samples - done), len(first)))
-        sums = np.zeros((*values.shape[:2], len(drawn)))
-        for block in range(blocks.max()):
-            start = first[drawn] + rng.integers(rows[drawn])
-            sums += (block_sums[:, :, start] * (block < blocks[drawn])).sum(axis=-1)
-        errors, zeros = np.where(sums[1] > 0, sums, np.nan)
-        ratios.append((errors / zeros).mean(axis=0))
-    low, high = np.nanpercentile(np.concatenate(ratios), [2.5, 97.5])
+    rng = np.random.default_rng(settings.seed)
+    drawn = rng.integers(len(first), size=(settings.bootstrap_samples, len(first)))
+    sums = np.zeros((*values.shape[:2], len(drawn)))
+    for block in range(blocks.max()):
+        start = first[drawn] + rng.integers(rows[drawn])
+        sums += (block_sums[:, :, start] * (block < blocks[drawn])).sum(axis=-1)
+    errors, zeros = np.where(sums[1] > 0, sums, np.nan)
+    low, high = np.nanpercentile((errors / zeros).mean(axis=0), [2.5, 97.5])
     return [float(low), float(high)]
 
 

@@ -17,7 +17,7 @@ from pipeline.report.results import Group, Row
 
 _FOLDERS = ("ingest", "perception", "clouds/pseudo")
 CHAIN_POINTS, BEND_DEG = 300, 5.0  # of the chain: points of its graph, and the least angle of a bend
-MAX_ERRORS, APART_S = 6, 1.0  # frames with the largest errors, and the least time between them
+MAX_ERRORS = 6  # frames, one of a drive
 _COLOURS = {"true": "0.15", "odometry": "tab:orange", "predicted": "tab:blue"}
 Captions = dict[str, str]
 """Name of the file without suffix → caption."""
@@ -95,31 +95,15 @@ def _draw_chain(path: Path, model: Row, view: street_view.View, steering: pd.Dat
     street_view.save(figure, path)
 
 
-def largest_errors(predictions: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows with the largest errors, APART_S apart in a drive, and their `share` of the squared error.
-
-    A frame within APART_S of such a row counts for the nearest one only.
-    """
-    rows = predictions[predictions["cost"] > 0]
-    largest: list[pd.Series] = []
-    apart_s = np.full((1, len(rows)), np.inf)  # a row for frames far from all, then one for each of `largest`
-    while len(largest) < MAX_ERRORS and (free := apart_s.min(axis=0) > APART_S).any():
-        row = rows[free].nlargest(1, "cost").iloc[0]
-        elsewhere = rows["drive"] != row["drive"]
-        apart_s = np.vstack([apart_s, (rows["elapsed_s"] - row["elapsed_s"]).abs().mask(elsewhere, np.inf)])
-        largest.append(row)
-    nearest = np.where(apart_s.min(axis=0) <= APART_S, apart_s.argmin(axis=0), 0)
-    shares = np.bincount(nearest, rows["cost"], minlength=len(largest) + 1)[1:] / rows["cost"].sum()
-    return pd.DataFrame(largest).assign(share=shares)
-
-
 def _draw_errors(path: Path, group: Group, ingest: Path) -> Captions:
-    """Draw the last image that the best model got before each of its largest errors; nothing without images.
+    """Draw the last image that the best model got before its largest error in a drive; nothing without images.
 
     On the path ahead, both paths are drawn on the street.
     """
     model, shown = group.by_error[0], []
-    for _, row in largest_errors(group.first_seed(model["model"])).iterrows():
+    predictions = group.first_seed(model["model"])
+    largest = predictions.loc[predictions[predictions["cost"] > 0].groupby("drive")["cost"].idxmax()]
+    for _, row in largest.nlargest(MAX_ERRORS, "cost").iterrows():
         if (file := ingest / f"{row['drive']}.h5").is_file():
             with store.DriveReader(file, stage="ingest") as images:
                 if row["frame"] in images.frame and images["has_image"][number := images.row_of(row["frame"])]:
@@ -139,13 +123,12 @@ def _draw_errors(path: Path, group: Group, ingest: Path) -> Captions:
             path_1pm = [row[f"{'true' if kind == 'driven' else kind}_{column}"] for column in group.labels]
             draw_path(panel, street_view.wheel_tracks(street_view.path_steps(path_1pm, edges_m), camera), kind)
         text = f"driven {row['true_deg']:.1f}°, predicted {row['predicted_deg']:.1f}°"
-        title = f"{row['drive']}, frame {row['frame']}: {text}, share {row['share']:.0%}"
-        panel.set_title(title, fontsize="small", loc="left")
+        panel.set_title(f"{row['drive']}, frame {row['frame']}: {text}", fontsize="small", loc="left")
     street_view.save(figure, path)
     about = "paths (red: driven, green: predicted) and the angles by which they turn" if on_path else "angles"
     caption = (
-        f"Largest errors of {model['model']}, {group.title}, first seed: the last image of its input, {about} (left "
-        f"+), and the share of the squared error within {APART_S:g} s."
+        f"Drives with the largest errors of {model['model']}, {group.title}, first seed: the last image of its input, "
+        f"and the {about} (left +)."
     )
     return {path.stem: caption}
 

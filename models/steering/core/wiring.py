@@ -24,13 +24,6 @@ class Wiring:
     sensory: Polarity
     internal: Polarity
     motor: int
-    command: int
-    inter: int
-
-    @property
-    def units(self) -> int:
-        """U, the number of neurons without the sensory ones."""
-        return self.motor + self.command + self.inter
 
 
 class Layout(OptionGroup):
@@ -75,7 +68,7 @@ def ncp(inputs: int, layout: Layout = Layout(), motor: int = 1) -> Wiring:
     for place in rng.choice(command**2, size=layout.recurrent_command_synapses, replace=False):
         internal[commands[place // command], commands[place % command]] = rng.choice([-1, 1])
     _fan_out(rng, internal.T, motors, commands, layout.motor_fanin)  # transposed: fan-in is fan-out of the targets
-    return Wiring(sensory, internal, motor, command, inter)
+    return Wiring(sensory, internal, motor)
 
 
 def _fan_out(rng: np.random.Generator, matrix: Polarity, sources: Neurons, targets: Neurons, fanout: int) -> None:

@@ -3,20 +3,19 @@
 from collections.abc import Callable
 from typing import Literal
 
-from models.steering.core.cell.cfc import CfC
 from models.steering.core.cell.eq4 import Eq4
 from models.steering.core.cell.ltc import LTC
 from models.steering.core.options import NetworkOptions, Sizes
 from models.steering.core.recurrent import RecurrentCell
 from models.steering.core.wiring import Layout, Wiring, ncp
 
-CELLS: dict[str, Callable[[Wiring], RecurrentCell]] = {"ltc": LTC, "eq4": Eq4, "cfc": CfC}
+CELLS: dict[str, Callable[[Wiring], RecurrentCell]] = {"ltc": LTC, "eq4": Eq4}
 
 
 class Options(NetworkOptions):
     """Options of a neural circuit policy."""
 
-    cell: Literal["ltc", "eq4", "cfc"] = "ltc"  # eq4: the paper's equation 4 as printed
+    cell: Literal["ltc", "eq4"] = "ltc"  # eq4: the paper's equation 4 as printed
     wiring: Layout = Layout()
 
     def build(self, sizes: Sizes) -> RecurrentCell:

@@ -7,12 +7,11 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ncps.torch import LTCCell, WiredCfCCell
+from ncps.torch import LTCCell
 from ncps.wirings import Wiring as PeerWiring
 from scipy.integrate import solve_ivp
 from scipy.special import expit
 
-from models.steering.core.cell.cfc import CfC
 from models.steering.core.cell.eq4 import Eq4
 from models.steering.core.cell.ltc import LTC
 from models.steering.core.recurrent import NOMINAL_STEP_S
@@ -20,7 +19,6 @@ from models.steering.core.wiring import Layout, ncp
 from models.steering.temporal import lstm
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
-HEADS = ["ff1", "ff2", "time_a", "time_b"]
 SYNAPSE = {"w": "w", "sigma": "sigma", "mu": "mu", "erev": "erev"}
 NEURON = {"capacity": "cm", "leak": "gleak", "rest": "vleak"}
 MAP = {"input_scale": "input_w", "input_shift": "input_b", "output_scale": "output_w", "output_shift": "output_b"}
@@ -43,23 +41,15 @@ def test_lstm_equals_torch():
     torch.testing.assert_close(state, torch.cat([h[0], c[0]], dim=1), **TOLERANCE)
 
 
-class Layered(PeerWiring):
-    """Our wiring as ncps describes it, with the layers inter, command and motor in this order."""
+class Peer(PeerWiring):
+    """Our wiring as ncps describes it."""
 
     def __init__(self, wiring):
-        super().__init__(wiring.units)
-        self.layers = np.split(np.arange(wiring.units), [wiring.motor, wiring.motor + wiring.command])[::-1]
+        super().__init__(len(wiring.internal))
         self.adjacency_matrix = wiring.internal.astype(np.int32)
         self.build(len(wiring.sensory))
         self.sensory_adjacency_matrix = wiring.sensory.astype(np.int32)
         self.set_output_dim(wiring.motor)
-
-    @property
-    def num_layers(self):
-        return len(self.layers)
-
-    def get_neurons_of_layer(self, layer_id):
-        return self.layers[layer_id].tolist()
 
 
 def pair(wiring):
@@ -68,7 +58,7 @@ def pair(wiring):
     with torch.no_grad():
         for parameter in (ours.input_scale, ours.input_shift, ours.output_scale, ours.output_shift):
             parameter.normal_()
-    peer = LTCCell(Layered(wiring), implicit_param_constraints=True).double()
+    peer = LTCCell(Peer(wiring), implicit_param_constraints=True).double()
 
     matches = []
     for synapses, signs, prefix in [(ours.sensory, wiring.sensory, "sensory_"), (ours.internal, wiring.internal, "")]:
@@ -99,7 +89,7 @@ def test_ltc_equals_ncps_forward_and_gradients(motor):
     x = torch.randn(3, 5, 7, dtype=torch.float64, requires_grad=True)
 
     out, v = ours(ours.project_inputs(x), DT_S)
-    expected, state = steps(peer, x, wiring.units)
+    expected, state = steps(peer, x, len(wiring.internal))
     torch.testing.assert_close((out, v), (expected, state), **TOLERANCE)
 
     upstream = torch.randn_like(out)
@@ -110,25 +100,6 @@ def test_ltc_equals_ncps_forward_and_gradients(motor):
     for gradient, peer_gradient, which in zip(gradients[1:], peers[1:], places, strict=True):
         torch.testing.assert_close(gradient, peer_gradient[which], **TOLERANCE)
         assert gradient.abs().max() > 1e-9
-
-
-@pytest.mark.parametrize("motor", [1, 2])
-def test_cfc_equals_ncps(motor):
-    torch.manual_seed(0)
-    wiring = ncp(7, LAYOUT, motor=motor)
-    ours, peer = CfC(wiring).double(), WiredCfCCell(None, Layered(wiring)).double()
-    pairs = list(zip([ours.inter, ours.command, ours.motor], peer.children(), strict=True))
-    with torch.no_grad():
-        ours.output_scale.normal_()
-        ours.output_shift.normal_()
-        for layer, cell in pairs:
-            for head, matrix, bias in zip(HEADS, layer.weight.dense().chunk(4, 1), layer.bias.chunk(4), strict=True):
-                getattr(cell, head).weight.data, getattr(cell, head).bias.data = matrix.T.clone(), bias.clone()
-    x = torch.randn(3, 5, 7, dtype=torch.float64)
-    out, state = ours(ours.project_inputs(x), DT_S)
-    motor_out, hidden = steps(peer, x, wiring.units)
-    expected = motor_out * ours.output_scale + ours.output_shift
-    torch.testing.assert_close((out, state), (expected, hidden), **TOLERANCE)
 
 
 DT_EQ4_S = torch.tensor([[0.1, 0.31, 0.02, 0.1], [0.08, 0.1, 0.12, 0.6]], dtype=torch.float64)
@@ -160,7 +131,7 @@ def solved(cell: Eq4, x: np.ndarray, dt_s: np.ndarray) -> np.ndarray:
             change[i] += w * expit(h[j])
         return change / np.exp(theta @ x_frame)
 
-    h, states = np.zeros(WIRING.units), []
+    h, states = np.zeros(len(WIRING.internal)), []
     for x_frame, dt in zip(x, dt_s, strict=True):
         solution = solve_ivp(slope, (0, dt / NOMINAL_STEP_S), h, "DOP853", args=(x_frame,), rtol=1e-12, atol=1e-13)
         h = solution.y[:, -1]
@@ -187,7 +158,7 @@ def test_small_steps_of_eq4_reach_the_ode_solvers_solution():
 
 def test_default_is_the_wiring_of_the_paper():
     wiring = ncp(32)
-    assert (wiring.motor, wiring.command, wiring.inter, wiring.units) == (1, 6, 12, 19)
+    assert (wiring.motor, len(wiring.internal)) == (1, 1 + 6 + 12)
     motor, command, inter = slice(0, 1), slice(1, 7), slice(7, 19)
     sensory, internal = np.abs(wiring.sensory), np.abs(wiring.internal)
     assert (sensory[:, inter].sum(1) == 6).all()

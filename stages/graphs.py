@@ -20,10 +20,7 @@ def main(
     params: Path = Path("params.yaml"),
     workers: int | None = None,
 ) -> Path:
-    """Sample each cloud to the variant's number of points and compute neighbours; or copy the images.
-
-    Returns the variant's folder.
-    """
+    """Sample clouds to the variant's number of points and compute neighbours, or copy images. Returns the folder."""
     variant = load_entry(Variant, "graphs", name, params)
     source, stage = data / variant.source, variant.source.split("/")[0]
     splits = store.read_index(source, stage=stage)

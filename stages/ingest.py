@@ -20,10 +20,7 @@ def main(
     params: Path = Path("params.yaml"),
     workers: int | None = None,
 ) -> Path:
-    """Read oxts, steering angles, images, LiDAR scans, calibration and dense ground truth of drives.
-
-    Returns the stage's folder.
-    """
+    """Read oxts, steering angles, images, LiDAR scans, calibration and dense ground truth. Returns the folder."""
     settings = load(Ingest, params)
     splits, sources = settings.drives.splits(), settings.sources()
     drives: dict[str, KittiDrive] = {}

@@ -26,10 +26,7 @@ def main(
     out: Path = Path("data/labels"),
     params: Path = Path("params.yaml"),
 ) -> Path:
-    """Compute the steering angle of each frame (paper section 4.1), the path ahead, and where both are valid.
-
-    Returns the stage's folder.
-    """
+    """Compute each frame's steering angle (paper section 4.1), path ahead and their validity. Returns the folder."""
     settings = load(Labels, params)
     splits = store.read_index(ingest, stage="ingest")
     jobs = []

@@ -91,7 +91,7 @@ def _draw_chain(path: Path, model: Row, view: street_view.View, steering: pd.Dat
     panel.set(xlabel="time in s", title="steering in deg, left +; grey: this frame")
     panel.margins(x=0)
     panel.legend(frameon=False)
-    street_view.class_legend(figure, view.all_classes(), columns=10)
+    street_view.class_legend(figure, view, columns=10)
     street_view.save(figure, path)
 
 

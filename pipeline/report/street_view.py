@@ -24,6 +24,7 @@ from pipeline.camera.images import to_metres
 from pipeline.graphs.graph_file import edge_pairs
 
 NEAR_M, FAR_M = 4.0, 80.0  # ends of the depth scale; depth beyond them has the colour of the end
+DEPTH_SCALE = ScalarMappable(LogNorm(NEAR_M, FAR_M), "turbo_r")  # red is near
 LEFT_M, RIGHT_M, AHEAD_M = -22.0, 22.0, 50.0  # area shown from above
 PATHS = {"predicted": (0, 200, 60), "measured": (70, 160, 255), "driven": (255, 70, 50)}  # RGB
 HALF_TRACK_M, STEP_M = 0.8, 0.5  # of a path
@@ -47,14 +48,10 @@ class View:
         """Return title → pixels of image, depth (transparent where invalid) and classes (unless all are void)."""
         depth = None
         if self.depth_m is not None:
-            depth = np.asarray(depth_scale().to_rgba(np.ma.masked_equal(self.depth_m, 0), bytes=True))
+            depth = np.asarray(DEPTH_SCALE.to_rgba(np.ma.masked_equal(self.depth_m, 0), bytes=True))
         cls = None if self.cls is None or (self.cls == classes.VOID).all() else classes.colourise(self.cls)
         images = {f"frame {self.frame}": self.rgb, "depth": depth, "classes": cls}
         return {title: pixels for title, pixels in images.items() if pixels is not None}
-
-    def all_classes(self) -> np.ndarray:
-        """Return the trainIds of all pixels and points."""
-        return np.concatenate([cls.ravel() for cls in (self.cls, self.points_cls, np.empty(0, int)) if cls is not None])
 
 
 def read_view(number: int, *files: DriveReader) -> View:
@@ -79,11 +76,6 @@ def read_view(number: int, *files: DriveReader) -> View:
     return View(number, **parts)
 
 
-def depth_scale() -> ScalarMappable:
-    """Return the colour scale of depth in metres, logarithmic from red (near) to blue (far)."""
-    return ScalarMappable(LogNorm(NEAR_M, FAR_M), "turbo_r")
-
-
 def draw_image(panel: Axes, pixels: np.ndarray, title: str, **style: Any) -> None:
     """Draw pixels without axes, with a title in a `style`."""
     panel.imshow(pixels, interpolation="nearest")
@@ -106,9 +98,10 @@ def draw_points(panel: Axes, xyz: np.ndarray, cls: np.ndarray, edges: np.ndarray
     panel.set(xlabel="x in m", ylabel="z in m", aspect="equal", xlim=(LEFT_M, RIGHT_M), ylim=(0, AHEAD_M))
 
 
-def class_legend(figure: Figure, cls: np.ndarray, columns: int) -> None:
-    """Add a legend below the figure: the colours of the classes that occur in trainIds `cls` of any shape."""
-    present = [number for number in np.unique(cls) if number < classes.COUNT]
+def class_legend(figure: Figure, view: View, columns: int) -> None:
+    """Add a legend below the figure: the colours of the classes of all pixels and points."""
+    parts = [np.unique(cls).tolist() for cls in (view.cls, view.points_cls) if cls is not None]
+    present = sorted({number for part in parts for number in part if number < classes.COUNT})
     patches = [Patch(color=classes.COLOURS[number] / 255, label=classes.NAMES[number]) for number in present]
     figure.legend(handles=patches, loc="outside lower center", ncols=columns, fontsize="small", frameon=False)
 

@@ -74,7 +74,7 @@ def _sheet(title: str, view: street_view.View) -> Figure:
     if view.depth_m is not None:
         ticks = [street_view.NEAR_M, 10, 20, street_view.FAR_M]
         scale = left.colorbar(
-            street_view.depth_scale(), ax=panels, location="left", shrink=0.3, format="%d m", ticks=ticks
+            street_view.DEPTH_SCALE, ax=panels, location="left", shrink=0.3, format="%d m", ticks=ticks
         )
         scale.minorticks_off()
     if view.xyz is not None and view.points_cls is not None:
@@ -83,7 +83,7 @@ def _sheet(title: str, view: street_view.View) -> Figure:
         name, edges = ("cloud", "") if view.edges is None else ("graph", f", {view.edge_count:,} directed edges")
         void = "; black: no class" if (view.points_cls == VOID).any() else ""
         above.set_title(f"{name} from above: {len(view.xyz):,} points{edges}{void}", **style)
-    street_view.class_legend(figure, view.all_classes(), columns=8)
+    street_view.class_legend(figure, view, columns=8)
     figure.suptitle(title)
     return figure
 

@@ -72,15 +72,6 @@ def pair(wiring):
     return ours, peer, matches
 
 
-def steps(peer, x, units):
-    """Run a cell of ncps over windows x [W,T,D]; return its outputs and its last state."""
-    state, outs = torch.zeros(len(x), units, dtype=x.dtype), []
-    for frame, dt_s in zip(x.unbind(1), DT_S.unbind(1), strict=True):
-        out, state = peer(frame, state, dt_s[:, None] / NOMINAL_STEP_S)
-        outs.append(out)
-    return torch.stack(outs, dim=1), state
-
-
 @pytest.mark.parametrize("motor", [1, 2])
 def test_ltc_equals_ncps_forward_and_gradients(motor):
     torch.manual_seed(0)
@@ -89,7 +80,11 @@ def test_ltc_equals_ncps_forward_and_gradients(motor):
     x = torch.randn(3, 5, 7, dtype=torch.float64, requires_grad=True)
 
     out, v = ours(ours.project_inputs(x), DT_S)
-    expected, state = steps(peer, x, len(wiring.internal))
+    state, outs = torch.zeros(3, len(wiring.internal), dtype=x.dtype), []
+    for frame, dt_s in zip(x.unbind(1), DT_S.unbind(1), strict=True):
+        peer_out, state = peer(frame, state, dt_s[:, None] / NOMINAL_STEP_S)
+        outs.append(peer_out)
+    expected = torch.stack(outs, dim=1)
     torch.testing.assert_close((out, v), (expected, state), **TOLERANCE)
 
     upstream = torch.randn_like(out)

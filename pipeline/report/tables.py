@@ -171,7 +171,7 @@ def _differences(group: Group) -> list[dict[str, str]]:
             pairs[first["model"], second["model"]] = f" ({changed[0]})"
     rows = []
     for (first, second), setting in pairs.items():
-        cells = {"models": f"{first} − {_name(second)}{setting}"}
+        cells = {"models": f"{first} − {second}{setting}"}
         for column, label in group.labels.items():
             nmse, bounds = group.nmse(first, minus=second, column=column)
             cells[label or "nmse"] = f"{nmse:+.3f} ({interval_text(bounds, '+.3f')})" if nmse is not None else NONE

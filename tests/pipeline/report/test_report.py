@@ -154,7 +154,7 @@ def test_models_that_differ_in_one_setting_have_a_difference(tmp_path):
         [row["models"] for row in found[f"Differences: {title}"].rows] for title in ("steering angle", "path ahead")
     )
     assert angle == [
-        "sa-gnn-lstm − *zero*", "sa-gnn-lstm − sa-gnn-ncp (temporal: lstm → ncp)", "sa-gnn-lstm − keep-100",
+        "sa-gnn-lstm − zero", "sa-gnn-lstm − sa-gnn-ncp (temporal: lstm → ncp)", "sa-gnn-lstm − keep-100",
         "sa-gnn-lstm − lambda-0", "keep-100 − sa-gnn-ncp (keep_inter_class: 1.0 → 0.2)",
         "lambda-0 − sa-gnn-ncp (semantics: 0.0 → 1.0)",
     ]  # fmt: skip

@@ -34,7 +34,7 @@ TABLE = re.compile(r"(<!-- table: (\w+) -->).*?(<!-- end -->)", re.DOTALL)
 OURS = "sa-gnn-lstm"  # our best network of images only, chosen on validation drives
 BLIND = "motion only"
 REAL = "real/path-0/10-20 m"
-CLAIMS = ("keep-100", "lambda-0", "sa-gnn-lstm")  # sa-gnn-ncp but for one setting
+CLAIMS = {"keep-100": "all edges", "lambda-0": "no classes", "sa-gnn-lstm": "an LSTM"}  # sa-gnn-ncp but for one setting
 QUESTIONS = {  # has the model PRESET/GROUP/ROW a smaller error than these, and but for claims than the best baseline?
     "angle now, rendered, the paper's network: 48 roads": ("demo/angle-0/sa-gnn-ncp",),
     "… 240 roads": ("roads/angle-0/sa-gnn-ncp",),
@@ -174,7 +174,7 @@ def shown(results: Results, model: str, rivals: list[str]) -> str:
         return NONE
     least = max(upper, key=lambda name: upper[name])
     answer = "no" if upper[least] >= 0 else "yes" if len(upper) == len(rivals) else "open"
-    words = BLIND if "blind" in least else "another scene" if "another" in least else least
+    words = BLIND if "blind" in least else "another scene" if "another" in least else CLAIMS.get(least, least)
     return f"{answer}, {difference(results, f'{model} - {least}')} to {words}"
 
 

@@ -59,14 +59,15 @@ Results = dict[str, dict[str, Any]]
 
 
 def collect(source: Path, preset: str) -> None:
-    """Replace a preset's figures by those of a run, or of a JSON file, key → figure; then render."""
+    """Replace a preset's figures, in the groups that a run or a JSON file (key → figure) has; then render."""
     copied = source / "revision"
     made = copied.read_text("ascii") if copied.is_file() else revision(source if source.is_dir() else Path())
     if not made or made.endswith("dirty"):
         raise InputError("its code is not that of a commit", source, "Commit the code and repeat the run")
     new = store.read_json(source, stage=preset) if source.is_file() else figures_of(source)
-    results = {key: old for key, old in read().items() if not key.startswith(f"{preset}/") or "/val/" in key}
+    replaced = tuple({f"{preset}/{key.partition('/')[0]}/" for key in new if not key.startswith("val/")})
     origin = {"preset": preset, "revision": made, "date": str(date.today())}
+    results = {key: old for key, old in read().items() if not key.startswith(replaced)}
     results |= {f"{preset}/{key}": values | origin for key, values in new.items()}
     lines = (f"{json.dumps(key)}: {json.dumps(results[key])}" for key in sorted(results))
     (DOCS / "results.json").write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")

@@ -65,13 +65,17 @@ def collect(source: Path, preset: str) -> None:
     if not made or made.endswith("dirty"):
         raise InputError("its code is not that of a commit", source, "Commit the code and repeat the run")
     new = store.read_json(source, stage=preset) if source.is_file() else figures_of(source)
-    replaced = tuple({f"{preset}/{key.partition('/')[0]}/" for key in new if not key.startswith("val/")})
     origin = {"preset": preset, "revision": made, "date": str(date.today())}
-    results = {key: old for key, old in read().items() if not key.startswith(replaced)}
-    results |= {f"{preset}/{key}": values | origin for key, values in new.items()}
+    results = merged(read(), {f"{preset}/{key}": values | origin for key, values in new.items()})
     lines = (f"{json.dumps(key)}: {json.dumps(results[key])}" for key in sorted(results))
     (DOCS / "results.json").write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
     render()
+
+
+def merged(results: Results, new: Results) -> Results:
+    """Return figures with all of the groups that `new` has replaced; but of validation errors, each one."""
+    groups = {tuple(key.split("/")[:2]) for key in new if "/val/" not in key}
+    return {key: old for key, old in results.items() if tuple(key.split("/")[:2]) not in groups} | new
 
 
 def render() -> None:

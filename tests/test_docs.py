@@ -78,6 +78,12 @@ def test_figures_of_a_run_are_errors_differences_and_validation_errors(tmp_path)
     assert figures["val/path/3 roads/20 epochs"]["figure"] == 0.2
 
 
+def test_a_run_of_some_rows_keeps_the_figures_of_other_groups():
+    old = {key: {} for key in ("roads/angle-0/a", "roads/path-0/a", "roads/path-0/b", "roads/val/a", "real/path-0/a")}
+    kept = make_results.merged(old, {"roads/path-0/a": {}, "roads/val/b": {}})
+    assert {*kept} == {*old, "roads/val/b"} - {"roads/path-0/b"}
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_figures_outside_of_rendered_tables_name_their_revision(page):
     prose = CODE.sub("", make_results.TABLE.sub("", page.read_text()))

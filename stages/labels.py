@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base import console, store
-from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
-from pipeline.base.runner import Job, Summary, make_drives
+from pipeline.base.runner import Summary, make_files
 from pipeline.kitti.oxts import VL
 from pipeline.labels import ahead, label, sources
 from pipeline.settings.labels import Labels
@@ -17,7 +16,6 @@ TURNING_RAD = 0.02  # a radius of 135 m
 # Cars do not slide sideways: vl stays below 0.4 m/s in KITTI. Above this limit, heading or GNSS velocity is wrong, and
 # the label with it: 2011_09_26_drive_0093 has 14 m/s to the left and then 11 m/s backwards.
 SIDEWAYS_MPS = 1.0
-_LINE = "{frames} frames, {valid} valid, {turning} turning"
 
 
 def main(
@@ -29,22 +27,17 @@ def main(
     """Compute each frame's steering angle (paper section 4.1), path ahead and their validity. Returns the folder."""
     settings = load(Labels, params)
     splits = store.read_index(ingest, stage="ingest")
-    jobs = []
-    for drive in splits:
-        inputs = [folder / f"{drive}.h5" for folder in ((ingest,) if settings.source == "oxts" else (ingest, motion))]
-        work = partial(_label, ingest=inputs[0], motion=[*inputs, None][1], settings=settings)
-        jobs.append(Job(drive, f"{drive}.h5", inputs, work))
-    with stage_folder("labels", out) as folder:
-        # One worker, as this is less work than starting a process.
-        summaries = make_drives(folder, jobs, settings, _LINE.format_map, workers=1)
-        store.write_index(folder.new, splits)
+    inputs = {"ingest": ingest} | ({} if settings.source == "oxts" else {"motion": motion})
+    work, text = partial(_label, settings=settings), "{frames} frames, {valid} valid, {turning} turning"
+    # One worker, as this is less work than starting a process.
+    summaries = make_files("labels", out, splits, inputs, work, settings, text, workers=1)
     suspect = [drive for drive, summary in summaries.items() if summary["sideways"]]
     if suspect:
         print(f"implausible labels, oxts has the car sliding sideways: {', '.join(suspect)}")
     return out
 
 
-def _label(path: Path, *, ingest: Path, motion: Path | None, settings: Labels) -> Summary:
+def _label(path: Path, ingest: Path, motion: Path | None = None, *, settings: Labels) -> Summary:
     """Write one drive's labels; count frames, those with a valid label, in bends, and implausible ones."""
     with store.DriveReader(ingest, stage="ingest") as raw:
         drive, frame, time_s = raw.drive, raw.frame, raw.time_s

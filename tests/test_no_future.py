@@ -12,7 +12,7 @@ from pipeline.kitti.ingest import ingest_drive
 from pipeline.motion.drive import measure_drive
 from pipeline.perception.perceive import perceive_drive
 from pipeline.settings.clouds import Clouds
-from pipeline.settings.graphs import Accumulate, Variant
+from pipeline.settings.graphs import Variant
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from tests import street
@@ -20,7 +20,7 @@ from tests.flat_ground import write_encoder
 
 KNOWN, FRAMES = 8, 14
 READING = Reading(image_size=street.WIDE.size, cameras=[2], lidar=False, on_damaged="fail")
-VARIANT = Variant(source="clouds/pseudo", points=200, k=4, keep_inter_class=0.2, accumulate=Accumulate(frames=3))
+VARIANT = Variant(source="clouds/pseudo", points=200, k=4, keep_inter_class=0.2, accumulate=3)
 
 
 def inputs(folder: Path, images: list[np.ndarray], encoder: Path) -> dict[str, np.ndarray]:

@@ -31,7 +31,7 @@ def graphs_drive(path: Path, source: Path, motion: Path, variant: Variant) -> Su
         else:
             rows, empty, clouds = np.arange(len(content.frame)), empty_frame(variant), _clouds(content)
             if variant.accumulate:
-                clouds = accumulated(clouds, read_steps(measured, variant.source), variant.accumulate.frames)
+                clouds = accumulated(clouds, read_steps(measured, variant.source), variant.accumulate)
             frames = (build(cloud, variant, content.drive, number) for number, cloud in clouds)
         params = measured.params | content.params | {"graphs": variant.model_dump(exclude_unset=True)}
         with DriveWriter(path, stage="graphs", drive=content.drive, params=params) as file:

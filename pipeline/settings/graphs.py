@@ -14,10 +14,6 @@ _KEYS: dict[FrameKind, tuple[str, set[str], set[str]]] = {  # kind → name in m
 }
 
 
-class Accumulate(Section):
-    frames: Annotated[int, Field(ge=2, le=64)]  # at most, including the current one
-
-
 class Variant(Section):
     """One entry of ``graphs``: an input of the networks, computed from ``data/<source>``."""
 
@@ -29,7 +25,7 @@ class Variant(Section):
     keep_inter_class: Fraction = 1.0
     # [left, near, right, far]: limits of the camera's x and z
     crop_m: Annotated[tuple[float, float, float, float] | None, Field(strict=False)] = None
-    accumulate: Accumulate | None = None
+    accumulate: Annotated[int, Field(ge=2, le=64)] | None = None  # frames in a cloud at most, the current one included
     # One value per level of PointNet++; the defaults are the published sizes (SSG). The published radii, 0.2 and 0.4,
     # are for objects in a unit sphere; a street extends about 40 m.
     centres: list[Count] = Field(default=[512, 128], min_length=1)

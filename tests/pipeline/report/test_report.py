@@ -52,7 +52,7 @@ def test_groups_and_rows_are_sorted_with_baselines_last(tmp_path):
     [
         ({}, "sa-gnn-ncp"),
         ({"cell": "eq4", "features": 64}, "sa-gnn-ncp"),
-        ({"accumulate": {"frames": 8}}, None),
+        ({"accumulate": 8}, None),
         ({"semantics": 0.0}, None),
         ({"input": "depth", "semantics": 0.0}, "do-gnn-ncp"),
         *(

@@ -36,16 +36,16 @@ BLIND = "motion only"
 REAL = "real/path-0/10-20 m"
 CLAIMS = {"keep-100": "all edges", "lambda-0": "no classes", "sa-gnn-lstm": "an LSTM"}  # sa-gnn-ncp but for one setting
 QUESTIONS = {  # has the model PRESET/GROUP/ROW a smaller error than these, and but for claims than the best baseline?
-    "angle now, rendered, the paper's network: 48 roads": ("demo/angle-0/sa-gnn-ncp",),
-    "… 240 roads": ("roads/angle-0/sa-gnn-ncp",),
-    "the same, our best network: 48 roads": (f"demo/angle-0/{OURS}",),
-    "our best network: 240 roads": (f"roads/angle-0/{OURS}",),
+    "angle now, the paper's network, 48 rendered roads": ("demo/angle-0/sa-gnn-ncp",),
+    "angle now, the paper's network, 240 rendered roads": ("roads/angle-0/sa-gnn-ncp",),
+    "angle now, our best network, 48 rendered roads": (f"demo/angle-0/{OURS}",),
+    "angle now, our best network, 240 rendered roads": (f"roads/angle-0/{OURS}",),
     "does pruning help": ("table2/angle-0/sa-gnn-ncp", "keep-100"),
     "do semantics help": ("table2/angle-0/sa-gnn-ncp", "lambda-0"),
-    "a second ahead, rendered, 240 roads": ("roads/angle-10/motion-10", "motion-10-blind", "motion-10-another"),
-    "path 10 to 20 m ahead, rendered, 240 roads": ("roads/path-0/10-20 m/path", "path-blind", "path-another"),
+    "angle a second ahead, 240 rendered roads": ("roads/angle-10/motion-10", "motion-10-blind", "motion-10-another"),
+    "path 10 to 20 m ahead, 240 rendered roads": ("roads/path-0/10-20 m/path", "path-blind", "path-another"),
     "path 10 to 20 m ahead, six real drives": (f"{REAL}/path-others", "path-blind-others", "path-another-others"),
-    "… after training on rendered roads": (f"{REAL}/path-then", "path-blind-others", "path-another-then"),
+    "… trained on rendered roads before": (f"{REAL}/path-then", "path-blind-others", "path-another-then"),
 }
 STEPS = 1200  # epochs × roads of the study of the number of roads; networks with more steps are stars
 LINES = {  # model: label, format

@@ -13,7 +13,7 @@ PRESETS := $(filter-out encoder street,$(patsubst presets/%.yaml,%,$(wildcard pr
 .PHONY: demo help $(PRESETS) encoder street udacity params test bench lint format setup system
 
 demo: setup            ## run the complete chain on the embedded sample and print its table
-	dvc repro graphs labels
+	dvc repro check graphs labels
 	@dvc stage list --name-only | grep '^train@' | xargs -n 1 -P 2 dvc repro --single-item || true  # side by side
 	dvc repro
 	@cat data/report/table.md && echo "Open data/report/index.html in a browser."

@@ -69,8 +69,8 @@ def undistortion(camera: Camera, text: str) -> Callable[[np.ndarray], np.ndarray
 def find_horizon(frames: Iterable[Frame], camera: Camera) -> float | None:
     """Return the image row of the direction of travel; None if too few images show one.
 
-    It is the median over pairs of consecutive images, spread over the first minute of a drive. The
-    row depends little on the focal length. A camera on a car travels along the road, so this is the road's horizon.
+    It is the median over pairs of consecutive images, spread over the first 600. The row depends little on the focal
+    length. A camera on a car travels along the road, so this is the road's horizon.
     """
     images = (frame.image for frame in frames if frame.image is not None)
     pairs = islice(pairwise(images), 0, PAIRS * PAIR_EVERY, PAIR_EVERY)

@@ -46,10 +46,8 @@ def angles(drive: str, frames: int, car: Labels) -> np.ndarray:
     """Return a drive's angles [2,F] in rad, present and AHEAD frames later; NaN: no valid label."""
     rng, (quarter, first) = random_of(drive, 0), theme(drive)
     journey = draw_journey(rng, frames, draw_character(rng, quarter), first).continued()
-    speed_mps, yaw_rate_radps = oxts_rows(journey, 49.0, 8.4)[: frames + AHEAD, [VF, WU]].T
-    angle, valid = steering_labels(
-        yaw_rate_radps, speed_mps, wheelbase_m=car.wheelbase_m, min_speed_mps=car.min_speed_mps
-    )
+    rates = oxts_rows(journey, 49.0, 8.4)[: frames + AHEAD, [WU, VF]].T
+    angle, valid = steering_labels(*rates, wheelbase_m=car.wheelbase_m, min_speed_mps=car.min_speed_mps)
     return np.stack([angle[:-AHEAD], np.where(valid, angle, np.nan)[AHEAD:]])
 
 

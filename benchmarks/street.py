@@ -83,9 +83,8 @@ def make_street(folder: Path, points: int) -> Street:
 
     graphs = (frame_graph.build(cloud(), variant, "street", number) for number in range(FRAMES))
     street = Street(f"{points:,} points", folder / "graphs.h5", [folder / f"{number}.pt" for number in frame])
-    with store.DriveWriter(
-        street.file, stage="graphs", drive="street", params={"graphs": variant.model_dump()}
-    ) as file:
+    params = {"graphs": variant.model_dump()}
+    with store.DriveWriter(street.file, stage="graphs", drive="street", params=params) as file:
         graph_file.write(file, frame, frame * 0.1, graphs, frame_graph.empty_frame(variant))
     for path, block in zip(street.frames, street.batch(FRAMES, "cpu").blocks(1), strict=True):
         # Float32 points and int64 edges, as PyG's operators need them. Clones: a view would save all frames.

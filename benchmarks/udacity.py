@@ -15,6 +15,7 @@ import typer
 
 from pipeline.base import console, store
 from pipeline.base.outputs import claim
+from steer.measure import measure
 
 FITTED_S = 30.0
 # Of the right-hand camera of this rig and size: sensor_info/camera_calibration/right_camera/ost.yaml of the challenge.
@@ -53,8 +54,6 @@ def compare(
     leaderboard: Annotated[Path, typer.Argument(help="the teams' predictions of the frames")],
 ) -> None:
     """Measure the drive, compare with the teams, and write motion.csv and figures.json to out/udacity."""
-    from steer.measure import measure
-
     truth, teams = (np.genfromtxt(path, delimiter=",", names=True) for path in (wheel, leaderboard))
     out = claim(None, "udacity")
     measure(video, out=out, k=K, distortion=DISTORTION, camera_height=CAMERA_HEIGHT_M, video=False)

@@ -16,7 +16,6 @@ def main(
     perception: Path = Path("data/perception"),
     out: Path = Path("data/clouds"),
     params: Path = Path("params.yaml"),
-    workers: int | None = None,
 ) -> Path:
     """Back-project depth with K⁻¹ (paper eq. 6, 7) and transform LiDAR scans into the camera frame.
 
@@ -27,7 +26,7 @@ def main(
     inputs, text = {"ingest": ingest, "perception": perception}, "{frames} frames, {points} points"
     for kind, drives in {"pseudo": splits, "lidar": splits if load(Ingest, params).lidar else {}}.items():
         work = partial(cloud.clouds_drive, kind=kind, settings=settings)
-        make_files(f"clouds@{kind}", out / kind, drives, inputs, work, settings, text, workers)
+        make_files(f"clouds@{kind}", out / kind, drives, inputs, work, settings, text)
     return out
 
 

@@ -3,10 +3,16 @@
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+import torch
+
 from pipeline.base import console, store
 from pipeline.base.errors import error_context
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
+from pipeline.perception import fit, perceive
+from pipeline.perception.create import create
+from pipeline.perception.examples import Examples
 from pipeline.settings.encoder import Encoder
 
 
@@ -15,12 +21,6 @@ def main(
 ) -> Path:
     """Write encoder.pt, config.json and curve.csv. Return the folder."""
     settings = load(Encoder, params)
-    import pandas as pd
-    import torch
-
-    from pipeline.perception import perceive
-    from pipeline.perception.create import create
-
     config: dict[str, Any] = settings.model_dump(mode="json", exclude_none=True)
     torch.manual_seed(settings.seed)
     with error_context(params), error_context("encoder"):
@@ -48,11 +48,6 @@ def _fit(model: Any, settings: Encoder, ingest: Path) -> tuple[list[dict[str, fl
 
     Returns the loss curve and the frames for config.json.
     """
-    import torch
-
-    from pipeline.perception import fit
-    from pipeline.perception.examples import Examples
-
     splits, targets = store.read_index(ingest, stage="ingest"), settings.targets
     drives = [drive for drive in splits if (targets / drive).is_dir()] if targets else store.drives_in(splits, "train")
     model.to("cuda" if torch.cuda.is_available() else "cpu")

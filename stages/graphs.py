@@ -18,7 +18,6 @@ def main(
     data: Annotated[Path, typer.Option(help="contains the variant's source and motion")] = Path("data"),
     out: Annotated[Path, typer.Option(help="VARIANT is written below it")] = Path("data/graphs"),
     params: Path = Path("params.yaml"),
-    workers: int | None = None,
 ) -> Path:
     """Sample clouds to the variant's number of points and compute neighbours, or copy images. Returns the folder."""
     variant = load_entry(Variant, "graphs", name, params)
@@ -26,7 +25,7 @@ def main(
     splits = store.read_index(source, stage=stage)
     inputs, work = {"source": source, "motion": data / "motion"}, partial(graphs_drive, variant=variant)
     text = "{frames} frames" if variant.kind == "image" else "{frames} frames, {points} points"
-    summaries = make_files(f"graphs@{name}", out / name, splits, inputs, work, variant, text, workers)
+    summaries = make_files(f"graphs@{name}", out / name, splits, inputs, work, variant, text)
     before, after = (sum(summary.get(key, 0) for summary in summaries.values()) for key in ("edges_knn", "edges_kept"))
     if before:
         print(f"{name}: {after / before:.0%} of {before} kNN edges kept")

@@ -8,7 +8,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
 from pipeline.base.runner import Job, make_drives
-from pipeline.kitti.ingest import describe, ingest_kitti
+from pipeline.kitti.ingest import SUMMARY, ingest_kitti
 from pipeline.kitti.raw import KittiDrive, find_drives
 from pipeline.settings.ingest import Ingest
 
@@ -18,7 +18,6 @@ def main(
     raw: Path = Path("data/raw"),
     out: Path = Path("data/ingest"),
     params: Path = Path("params.yaml"),
-    workers: int | None = None,
 ) -> Path:
     """Read oxts, steering angles, images, LiDAR scans, calibration and dense ground truth. Returns the folder."""
     settings = load(Ingest, params)
@@ -37,7 +36,7 @@ def main(
         work = partial(ingest_kitti, drive=drive, folder=files.folder, settings=reading)
         jobs.append(Job(drive, f"{drive}.h5", [fingerprint], work))
     with stage_folder("ingest", out) as stage:
-        make_drives(stage, jobs, reading, describe, workers)
+        make_drives(stage, jobs, reading, SUMMARY)
         store.write_index(stage.new, splits)
     return out
 

@@ -13,12 +13,11 @@ def main(
     ingest: Path = Path("data/ingest"),
     perception: Path = Path("data/perception"),
     out: Path = Path("data/motion"),
-    workers: int | None = None,
 ) -> Path:
     """Measure each drive's motion from images and depth. Returns the output folder."""
     splits = store.read_index(perception, stage="perception")
     inputs, text = {"ingest": ingest, "perception": perception}, "{frames} frames, {valid} measured"
-    made = make_files("motion", out, splits, inputs, measure_drive, {}, text, workers)
+    made = make_files("motion", out, splits, inputs, measure_drive, {}, text)
     frames, road = (sum(summary[name] for summary in made.values()) for name in ("frames", "road_frames"))
     if frames and road < MIN_ROAD * frames:
         fix = "Set base: none in models that read motion"

@@ -3,11 +3,14 @@
 from functools import partial
 from pathlib import Path
 
+import torch
+
 from pipeline.base import console, store
 from pipeline.base.executors import default_workers
 from pipeline.base.params import load
 from pipeline.base.resume import file_hash
 from pipeline.base.runner import make_files
+from pipeline.perception.perceive import FILE, open_encoder, perceive_drive
 from pipeline.settings.perception import Perception
 
 
@@ -16,18 +19,13 @@ def main(
     encoder: Path = Path("data/encoder"),
     out: Path = Path("data/perception"),
     params: Path = Path("params.yaml"),
-    workers: int | None = None,
 ) -> Path:
     """Predict depth and classes of each image, scale the depth, and store both. Returns the output folder."""
-    import torch
-
-    from pipeline.perception.perceive import FILE, open_encoder, perceive_drive
-
     settings = load(Perception, params)
     splits = store.read_index(ingest, stage="ingest")
     open_encoder(encoder, settings.precision)  # report a bad checkpoint once, not from each worker
-    if torch.cuda.is_available():  # two processes keep a GPU busy: one reads and writes while the other encodes
-        workers = min(2, workers or default_workers())
+    # Two processes keep a GPU busy: one reads and writes while the other encodes.
+    workers = min(2, default_workers()) if torch.cuda.is_available() else None
     work = partial(perceive_drive, encoder=encoder, settings=settings)
     key = settings.model_dump() | {"encoder": file_hash(encoder / FILE)}
     make_files("perception", out, splits, {"ingest": ingest}, work, key, "{frames} frames", workers)

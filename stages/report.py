@@ -4,11 +4,15 @@ from pathlib import Path
 from textwrap import fill
 from typing import Annotated
 
+import pandas as pd
 import typer
 
 from pipeline.base import console, store
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import entries, load
+from pipeline.report import results, tables
+from pipeline.report.figures import draw
+from pipeline.report.page import write_page
 from pipeline.settings.evaluate import Evaluate
 
 
@@ -21,12 +25,6 @@ def main(
 
     Models of the params file that are not evaluated on this machine are named.
     """
-    import pandas as pd
-
-    from pipeline.report import results, tables
-    from pipeline.report.figures import draw
-    from pipeline.report.page import write_page
-
     models = entries("models", params)
     evaluated = [model for model in models if (data / "evaluate" / model / "metrics.json").is_file()]
     groups = results.load_groups({model: data / "evaluate" / model for model in evaluated}, load(Evaluate, params))

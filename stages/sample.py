@@ -19,7 +19,6 @@ def main(
     out: Path = Path("data/sample"),
     params: Path = Path("params.yaml"),
     raw: Path = Path("data/raw"),
-    workers: int | None = None,
 ) -> Path:
     """Render the drives of section ingest that belong to the sample; none with ingest.source: kitti.
 
@@ -40,9 +39,8 @@ def main(
         print(f"nothing to render: ingest.drives has no drive of the sample (ingest.source: {ingest.source})")
     elif real := [drive for drive, source in sources.items() if source == "kitti"]:
         find_drives(raw, real)
-    text = "{frames} frames, {metres} m"
     with stage_folder("sample", out) as folder:
-        make_drives(folder, jobs, settings.model_dump(include={"image_size", "seed"}), text.format_map, workers)
+        make_drives(folder, jobs, settings.model_dump(include={"image_size", "seed"}), "{frames} frames, {metres} m")
         for date in {job.drive[:10] for job in jobs}:
             write_calibration(make_rig(settings.image_size, date), folder.new / date)
     return out

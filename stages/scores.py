@@ -25,7 +25,6 @@ def main(
     motion: Path = Path("data/motion"),
     out: Path = Path("data/scores"),
     params: Path = Path("params.yaml"),
-    workers: int | None = None,
 ) -> Path:
     """Write metrics.json with the scores of validation and test drives, and <drive>/metrics.json of each of them.
 
@@ -42,7 +41,7 @@ def main(
         work = partial(_score_drive, drive=drive, ingest=inputs[0], perception=inputs[1], score_motion=score_motion)
         jobs.append(Job(drive, f"{drive}/metrics.json", inputs, work))
     with stage_folder("scores", out) as folder:
-        summaries = make_drives(folder, jobs, vars(car), "{frames} frames".format_map, workers)
+        summaries = make_drives(folder, jobs, vars(car), "{frames} frames")
         content: dict[str, Any] = {"motion": {}, "train": Scores().report()}
         for split in ("val", "test"):
             scores, drives = Scores(), store.drives_in(splits, split)

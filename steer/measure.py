@@ -16,6 +16,7 @@ import typer
 from pipeline.base.errors import InputError
 from steer import options
 
+STREET = Path("weights/street")
 MIN_SPEED_MPS = 1.0  # below, the steering angle is noise
 
 
@@ -33,9 +34,7 @@ def measure(
     steering_ratio: options.SteeringRatio = None,
     motion: options.Motion = None,
     video: options.Video = True,
-    encoder: Annotated[Path, typer.Option(help="folder of an encoder; make street writes the default one")] = Path(
-        "weights/street"
-    ),
+    encoder: Annotated[Path, typer.Option(help="folder of an encoder; make street writes the default one")] = STREET,
 ) -> None:
     """Write the measured motion and print its quality; the module's docstring is the help text."""
     from pipeline.labels.label import Car

@@ -42,7 +42,7 @@ class Backbone(nn.Module):
         stages, inputs = [], first
         for level, width in enumerate(widths):
             attention = level >= 2  # its convolutions have a bias instead of a batch norm
-            blocks = [Attention(width) for _ in range(2)] if attention else [Residual(bottleneck(width, width))]
+            blocks = [attention_block(width) for _ in range(2)] if attention else [Residual(bottleneck(width, width))]
             stages.append(ops(named(main=bottleneck(inputs, width, 2, bias=attention)), *blocks))
             inputs = width
         self.stages = nn.ModuleList(stages)
@@ -78,18 +78,6 @@ class Residual(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         return x + self.main(x)
-
-
-class Attention(nn.Module):
-    """Attention over the image, then a bottleneck, each with a skip connection."""
-
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.context_module = Residual(LinearAttention(width))
-        self.local_module = Residual(bottleneck(width, width, bias=True))
-
-    def forward(self, x: Tensor) -> Tensor:
-        return self.local_module(self.context_module(x))
 
 
 class LinearAttention(nn.Module):
@@ -133,6 +121,12 @@ def bottleneck(inputs: int, outputs: int, stride: int = 1, *, bias: bool = False
         depth_conv=conv(width, width, 3, stride=stride, groups=width, bias=bias),
         point_conv=conv(width, outputs, act=False),
     )
+
+
+def attention_block(width: int) -> nn.Sequential:
+    """Return attention over the image, then a bottleneck, each with a skip connection."""
+    context = Residual(LinearAttention(width))
+    return named(context_module=context, local_module=Residual(bottleneck(width, width, bias=True)))
 
 
 def ops(*layers: nn.Module) -> nn.Sequential:

@@ -64,7 +64,7 @@ class Decoder(nn.Module):
         super().__init__()
         layers: list[nn.Module] = []
         for inputs, outputs in pairwise((WIDTHS[-1], *DECODED)):
-            layers += [ConvELU(inputs, outputs), ConvELU(outputs, outputs)]
+            layers += [conv_elu(inputs, outputs), conv_elu(outputs, outputs)]
         layers.append(nn.Sequential(OrderedDict(conv3=nn.Conv2d(DECODED[-1], 1, 3, padding=1))))
         self.decoder = nn.ModuleList(layers)
 
@@ -76,12 +76,7 @@ class Decoder(nn.Module):
         return torch.sigmoid(self.decoder[-1](x).float())  # half precision is too coarse for large depths
 
 
-class ConvELU(nn.Module):
-    """A 3x3 convolution with reflected edges, then ELU."""
-
-    def __init__(self, inputs: int, outputs: int) -> None:
-        super().__init__()
-        self.conv = nn.Conv2d(inputs, outputs, 3, padding=1, padding_mode="reflect")
-
-    def forward(self, x: Tensor) -> Tensor:
-        return F.elu(self.conv(x))
+def conv_elu(inputs: int, outputs: int) -> nn.Sequential:
+    """Return a 3x3 convolution with reflected edges, then ELU."""
+    conv = nn.Conv2d(inputs, outputs, 3, padding=1, padding_mode="reflect")
+    return nn.Sequential(OrderedDict(conv=conv, elu=nn.ELU()))

@@ -12,7 +12,8 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pipeline.base.errors import InputError, closest, error_context
 
 
-def _check_drive(name: str) -> str:
+def check_drive(name: str) -> str:
+    """Return the name of a drive. Raises ValueError."""
     if re.fullmatch(r"\d{4}_\d\d_\d\d_drive_\d{4}", name):
         return name
     raise ValueError("expected a drive's name, such as 2011_09_26_drive_0052")
@@ -26,7 +27,7 @@ def check_name(name: Any) -> str:
 
 
 Name = Annotated[str, BeforeValidator(check_name)]
-Drive = Annotated[str, AfterValidator(_check_drive)]
+Drive = Annotated[str, AfterValidator(check_drive)]
 Positive = Annotated[float, Field(gt=0, le=1e6)]
 Rate = Annotated[float, Field(gt=0, le=10, description="learning rate")]
 Count = Annotated[int, Field(ge=1, le=10**9)]

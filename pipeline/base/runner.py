@@ -36,13 +36,13 @@ def make_drives(
     folder: StageFolder,
     jobs: Sequence[Job],
     settings: BaseModel | Mapping[str, Any],
-    describe: Callable[[Summary], str],
+    describe: str,
     workers: int | None = None,
 ) -> dict[str, Summary]:
     """Make the drives that no earlier run made, add all to ``folder.new``, and return drive → summary, as in `jobs`.
 
     `settings`, a section or JSON-able, are part of every key, so without what determines single drives only. `describe`
-    turns a summary into text for the log.
+    is the format of a summary for the log.
     """
     settings = settings.model_dump(mode="json") if isinstance(settings, BaseModel) else settings
     kept = {}  # drive → path of its result
@@ -59,7 +59,7 @@ def make_drives(
     for (drive, path, _), (summary, seconds) in run_jobs(_make, tasks, workers=workers):
         size = sum(file.stat().st_size for file in path.parent.rglob("*") if file.is_file())
         rate = f", {summary['frames'] / seconds:.1f} frames/s" if summary.get("frames") else ""
-        print(f"{drive}: {describe(summary)}, {size / 1e6:.1f} MB, {seconds:.1f} s{rate}", flush=True)
+        print(f"{drive}: {describe.format_map(summary)}, {size / 1e6:.1f} MB, {seconds:.1f} s{rate}", flush=True)
     for job in jobs:
         path, target = kept[job.drive], folder.new / job.target
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -80,14 +80,14 @@ def make_files(
     """Make ``out/DRIVE.h5`` of each drive of `splits` from its files in the folders of earlier stages, and the index.
 
     `inputs`: argument of `work` → folder. `work` is called with a path and the drive's files, and its summary counts
-    the ``frames``. `describe` is the format of a summary for the log.
+    the ``frames``. Other arguments as of :func:`make_drives`.
     """
     jobs = []
     for drive in splits:
         files = {name: folder / f"{drive}.h5" for name, folder in inputs.items()}
         jobs.append(Job(drive, f"{drive}.h5", list(files.values()), partial(work, **files)))
     with stage_folder(stage, out) as folder:
-        summaries = make_drives(folder, jobs, settings, describe.format_map, workers)
+        summaries = make_drives(folder, jobs, settings, describe, workers)
         write_index(folder.new, splits)
     if without := [drive for drive, summary in summaries.items() if not summary["frames"]]:
         print(f"{out}: no frames of {', '.join(without)}")

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from pipeline.base.store import DriveReader, DriveWriter
@@ -110,8 +111,6 @@ def visible(xyz: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np
     The scanner is above the camera and looks over objects, so points behind an object project between those of the
     object. A point is hidden if another one within 0.23 degrees, about one ring of KITTI's scanner, is a fifth nearer.
     """
-    import cv2
-
     inside, row, column = pixels_of(xyz, camera.K, camera.size)
     nearest_m = depth_image(xyz, camera.K, camera.size)
     nearest_m[nearest_m == 0] = np.inf

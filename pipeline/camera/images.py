@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError
@@ -87,8 +88,6 @@ def _read(path: Path, size: Size | None, dtype: type, axes: int | None = None) -
 
 def resized(image: np.ndarray, size: Size) -> np.ndarray:
     """Resize an image uint8 [H,W,3]. `Camera.scaled` gives the new intrinsics."""
-    import cv2
-
     height, width = image.shape[:2]
     if (height, width) == size:
         return image
@@ -99,8 +98,6 @@ def resized(image: np.ndarray, size: Size) -> np.ndarray:
 
 def nearest(pixels: np.ndarray, size: Size) -> np.ndarray:
     """Resize depth or classes [H,W] by picking pixels: the mean of two depths or classes lies on neither surface."""
-    import cv2
-
     # EXACT picks by pixel centres, as Camera.scaled assumes; plain INTER_NEAREST is off by half a pixel.
     return cv2.resize(pixels, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
 
@@ -112,8 +109,6 @@ def read_pixels(path: Path) -> np.ndarray:
 
     Raises DamagedFile if the file is truncated, altered or of another kind, or is to be shown rotated or mirrored.
     """
-    import cv2
-
     content = path.read_bytes()
     if not content.startswith((_PNG, _JPEG)):
         raise DamagedFile("is not a PNG or JPEG file", path)
@@ -136,7 +131,5 @@ def read_pixels(path: Path) -> np.ndarray:
 
 def write_png(path: Path, pixels: np.ndarray, *options: int) -> None:
     """Encode grey [H,W] or RGB [H,W,3] pixels, uint8 or uint16, with OpenCV's PNG `options` (key, value, …)."""
-    import cv2
-
     stored = pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
     path.write_bytes(cv2.imencode(".png", stored, list(options))[1].tobytes())

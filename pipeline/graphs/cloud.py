@@ -5,6 +5,7 @@ Clouds are in the rectified camera frame: x right, y down, z forward. The factor
 """
 
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -86,20 +87,16 @@ def frame_rng(seed: int, drive: str, frame: int) -> np.random.Generator:
 
 
 def sample_points(
-    cloud: Cloud,
-    left_near_right_far_m: tuple[float, float, float, float] | None,
-    points: int,
-    rng: np.random.Generator,
-    sampling: str = "uniform",
+    cloud: Cloud, crop_m: Sequence[float] | None, points: int, rng: np.random.Generator, sampling: str = "uniform"
 ) -> Cloud:
     """Return at most `points` random points of a cloud inside the crop (all without one), in the cloud's order.
 
-    The crop limits x and z of the camera frame. `sampling`: uniform | range, see :func:`sample_by_range`.
+    `crop_m`: left, near, right and far limit of x and z. `sampling`: uniform | range, see :func:`sample_by_range`.
     """
     xyz, cls = cloud
     inside = np.arange(len(xyz))
-    if left_near_right_far_m is not None:
-        xz, bounds = xyz[:, [0, 2]], np.array(left_near_right_far_m)
+    if crop_m is not None:
+        xz, bounds = xyz[:, [0, 2]], np.array(crop_m)
         inside = np.flatnonzero(((bounds[:2] <= xz) & (xz <= bounds[2:])).all(axis=1))
     drawn = sample_by_range(xyz[inside], points, rng) if sampling == "range" else sample(len(inside), points, rng)
     return xyz[inside[drawn]], cls[inside[drawn]]

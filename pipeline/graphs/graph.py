@@ -3,7 +3,9 @@
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
+from scipy.sparse import csr_array
 
 from pipeline.base.errors import InputError
 
@@ -35,8 +37,6 @@ def nearest(xyz: np.ndarray, k: int) -> np.ndarray:
     k = min(k, count - 1)
     if k < 1:
         return np.empty((count, 0), np.int32)
-    import cv2
-
     points = np.ascontiguousarray(xyz, np.float32)
     neighbours, _ = cv2.flann_Index(points, _FLANN).knnSearch(points, k + 1, params=_EXACT)  # type: ignore[attr-defined]
     itself = neighbours == np.arange(count, dtype=np.int32)[:, None]  # usually the first column
@@ -50,8 +50,6 @@ def undirected(neighbours: np.ndarray) -> Any:
 
     It is 2 where two points are neighbours of each other, 1 where one is the other's; ascending in each row.
     """
-    from scipy.sparse import csr_array
-
     count, k = neighbours.shape
     starts = np.arange(count + 1, dtype=np.int32) * k
     # Transposing sorts the entries of each row without comparisons.

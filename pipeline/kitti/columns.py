@@ -8,6 +8,8 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 
+_CORRECT = "Correct or remove the sample"
+
 
 def read_columns(path: Path, names: Sequence[str], expected: str) -> dict[str, np.ndarray]:
     """Return name → column, float64 [N].
@@ -38,9 +40,6 @@ def read_columns(path: Path, names: Sequence[str], expected: str) -> dict[str, n
     if not rows:
         raise InputError("has no rows", path, expected)
     return dict(zip(names, np.array(rows, np.float64).reshape(-1, len(names)).T.copy(), strict=True))
-
-
-_CORRECT = "Correct or remove the sample"
 
 
 def check_limit(name: str, values: np.ndarray, limit: float, path: Path, fix: str = _CORRECT) -> None:

@@ -21,10 +21,10 @@ from pipeline.settings.ingest import Reading
 
 Files = Mapping[int, Path]
 UNITS = {"image": "RGB", "depth": "1/256 m, 0 = none", "cls": f"trainId, {VOID} = void"}
-describe = (
+SUMMARY = (
     "{frames} frames, {image} images of camera {camera}, {lidar} scans, {depth} depth and {cls} class maps, {steering} "
     "steering angles; {left_out} images or scans without a frame, {damaged} damaged files left out"
-).format_map
+)
 
 
 def ingest_drive(

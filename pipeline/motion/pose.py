@@ -9,6 +9,7 @@ of the step depends on depth.
 
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 from pipeline.camera.geometry import project, rigid
@@ -50,8 +51,6 @@ def estimate_pose(
     their depths; `uv`: their pixels in this frame [N,2]; `T_before_last`: the T_now_before [4,4] of the previous step,
     a second initial value.
     """
-    import cv2
-
     if len(xyz) < MIN_POINTS:
         return None
     starts = [T for T in (_ransac(xyz, uv, K), T_before_last) if T is not None]
@@ -72,8 +71,6 @@ def estimate_pose(
 
 def _ransac(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray) -> np.ndarray | None:
     """Return the motion [4,4] of most points; None if too few agree. Arguments as of :func:`estimate_pose`."""
-    import cv2
-
     success, rotation, translation, inliers = cv2.solvePnPRansac(
         xyz, uv, K, None, iterationsCount=RANSAC_ITERATIONS, reprojectionError=RANSAC_PX
     )
@@ -98,8 +95,6 @@ def _refine(T: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth
 
     None if the points do not constrain it: all behind the camera, or all at one place.
     """
-    import cv2
-
     T = T.copy()
     for _ in range(ITERATIONS):
         error, weight, jacobian = _linearise(T, xyz, uv, K, depth_sigma)

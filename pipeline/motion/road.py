@@ -51,14 +51,9 @@ class Road:
                 self._heights.append(median)
         if not self._heights:
             return np.zeros(depth_m.shape, bool), 1.0
-        median_m = self.height_m
+        median_m = float(np.median(self._heights))
         road = usable & (below > MIN_DOWN) & (np.abs(height_m / median_m - 1) < FLAT)
         return road, self._camera_height_m / median_m if self._camera_height_m else 1.0
-
-    @property
-    def height_m(self) -> float:
-        """The camera's height over the road in uncorrected depth, the median of recent frames; NaN before the first."""
-        return float(np.median(self._heights)) if self._heights else float("nan")
 
     @property
     def slope(self) -> float:

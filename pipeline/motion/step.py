@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 
 STANDSTILL = ("the image does not move", "the camera stands")
@@ -60,8 +61,6 @@ def rates(T_before: np.ndarray, duration_s: float) -> tuple[float, float]:
     Forward is the camera's axis at half of the step: along it, a camera ahead of the axle, which a turn moves sideways,
     moves as far as the axle.
     """
-    import cv2
-
     rotation = cv2.Rodrigues(T_before[:3, :3])[0][:, 0]  # rotation vector; y points down, so a left turn is negative
     halfway = cv2.Rodrigues(rotation / 2)[0]
     return float(-rotation[1] / duration_s), float(halfway[:, 2] @ T_before[:3, 3] / duration_s)

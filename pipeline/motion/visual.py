@@ -1,5 +1,6 @@
 """Visual odometry from images and their depth: track corners, lift them to 3D, estimate the pose."""
 
+import cv2
 import numpy as np
 
 from pipeline.camera import classes
@@ -44,7 +45,6 @@ class Odometry:
 
     def step(self, frame: Frame) -> Step | None:
         """Return the motion since the previous frame; None where it cannot be measured. Frames come in order."""
-        assert frame.image is not None
         grey, step = self._grey_image(frame.image), None
         self.problem = "no previous frame"
         if self._number is not None and frame.number == self._number + 1:
@@ -88,8 +88,6 @@ class Odometry:
 
     def _lift(self, frame: Frame, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Return the corners as points [N,3] in metres, relative sigma of their depths [N], factor applied to depth."""
-        assert frame.depth_m is not None
-        assert frame.cls is not None
         depth_m = frame.depth_m.astype(np.float32)
         usable, traffic = _usable_pixels(depth_m, frame.cls, self._max_depth_m)
         # What depth shows to be the road is no traffic: classes of grey images mistake shaded road for cars.
@@ -105,8 +103,6 @@ class Odometry:
 
     def _grey_image(self, image: np.ndarray) -> np.ndarray:
         """Return the image in grey, uint8 [H,W], enlarged to at least MIN_WIDTH."""
-        import cv2
-
         grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
         factor = self._enlarged
         return cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC) if factor > 1 else grey
@@ -125,8 +121,6 @@ class Odometry:
 
 def _usable_pixels(depth_m: np.ndarray, cls: np.ndarray, max_depth_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the pixels with a well-defined depth, and those of traffic and its surroundings, bool [H,W]."""
-    import cv2
-
     nearest, farthest = cv2.erode(depth_m, AROUND), cv2.dilate(depth_m, AROUND)
     usable = (nearest > MIN_DEPTH_M) & (farthest < max_depth_m) & (farthest < EDGE * nearest)
     return usable, cv2.dilate(MOVING[cls].astype(np.uint8), AROUND) > 0
@@ -136,8 +130,6 @@ class Corners:
     """The corners of an image uint8 [H,W]."""
 
     def __init__(self, grey: np.ndarray) -> None:
-        import cv2
-
         # The least eigenvalue of the structure tensor over 3 x 3 px, intensities from 0 to 1.
         quality = cv2.cornerMinEigenVal(grey, blockSize=3)
         self._quality = np.where(quality == cv2.dilate(quality, np.ones((5, 5), np.uint8)), quality, 0)
@@ -164,8 +156,6 @@ def track(before: np.ndarray, now: np.ndarray, uv: np.ndarray, uv_guess: np.ndar
     Returns positions in `now` and whether they passed the round-trip check, bool [N], for corners `uv` and initial
     positions `uv_guess`, all float32 [N,2].
     """
-    import cv2
-
     if not len(uv):
         return uv, np.zeros(0, bool)
     options = WINDOW, LEVELS, CRITERIA, cv2.OPTFLOW_USE_INITIAL_FLOW

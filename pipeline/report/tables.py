@@ -127,14 +127,10 @@ def steering_tables(groups: Sequence[Group]) -> list[Table]:
     return [table for table in tables if table.rows]
 
 
-def _name(name: str) -> str:
-    return f"*{name}*" if name in BASELINES else name
-
-
 def _results(group: Group, onsets: bool = True) -> list[dict[str, str]]:
     models, rows = {row["model"]: row for row in group.models}, []
     for name in group.predicted:
-        cells, row = {"model": _name(name)}, models.get(name, {})
+        cells, row = {"model": f"*{name}*" if name in BASELINES else name}, models.get(name, {})
         for column, label in group.labels.items():
             nmse, bounds = group.nmse(name, column=column, onsets=onsets)
             scores, deg = group.scores(name, column), 180 / np.pi

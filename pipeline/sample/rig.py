@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.camera import classes, geometry
-from pipeline.camera.camera import Camera
 from pipeline.camera.geometry import CAMERA_HEIGHT_M, SCANNER_HEIGHT_M, rigid
 from pipeline.camera.images import MAX_UNITS, to_metres
 from pipeline.kitti.raw import CALIBRATION, write_entries
@@ -62,11 +61,6 @@ class Rig:
     T_velo_imu: np.ndarray  # [4,4]
 
     @property
-    def camera(self) -> Camera:
-        """The left colour camera, without its pose."""
-        return Camera(self.P_rect[2][:, :3], self.size)
-
-    @property
     def T_cam2_imu(self) -> np.ndarray:
         """Transform [4,4] from the IMU to the rectified left colour camera, as computed from the files."""
         shift = rigid(np.eye(3), [self.P_rect[2][0, 3] / self.P_rect[2][0, 0], 0, 0])
@@ -107,7 +101,7 @@ class ImageSensor:
 
     def __init__(self, rig: Rig) -> None:
         self._size = rig.size
-        forward = geometry.rays(rig.camera.K, rig.size).reshape(-1, 3).T
+        forward = geometry.rays(rig.P_rect[2][:, :3], rig.size).reshape(-1, 3).T
         self._z_per_m = (1 / np.linalg.norm(forward, axis=0)).astype(np.float32)  # depth along the axis per distance
         self._directions = (forward * self._z_per_m).astype(np.float32)
         self._T_imu_cam = np.linalg.inv(rig.T_cam2_imu)

@@ -7,7 +7,6 @@ import numpy as np
 from pipeline.sample import shapes
 from pipeline.sample.motion import Journey
 from pipeline.sample.route import IMU_LEFT_M
-from pipeline.sample.shapes import Mesh
 
 SIGHT_M = 100.0  # farther cars are not rendered
 _ROOM_M = (4.5, 2.4)  # between the centres of two cars, along and across
@@ -18,12 +17,12 @@ _AXLE_TO_MIDDLE_M = 1.3  # the IMU is over the rear axle
 class Vehicle:
     """A car, its pose per frame, xy [F,2] and heading_rad [F], and whether it is in sight, bool [F]."""
 
-    shape: Mesh
+    shape: shapes.Mesh
     xy: np.ndarray
     heading_rad: np.ndarray
     visible: np.ndarray
 
-    def at(self, frame: int) -> Mesh:
+    def at(self, frame: int) -> shapes.Mesh:
         """Return the car's mesh at a frame."""
         return self.shape.placed(self.xy[frame], float(self.heading_rad[frame]))
 

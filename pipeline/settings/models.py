@@ -1,15 +1,12 @@
 """Section ``models``: the networks, one entry each."""
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
+from models.steering.core import options, steering_net
 from pipeline.base.errors import InputError, closest
 from pipeline.base.params import Count, Rate, Section, parse
-
-if TYPE_CHECKING:
-    from models.steering.core.options import NetworkOptions
-    from models.steering.core.steering_net import SteeringNet
 
 FRAMES = {"graph": "kNN graphs", "pointnet2": "points with neighbourhood: pointnet2", "image": "images"}
 
@@ -69,22 +66,20 @@ class Entry(Section):
         complete = dict(value)
         for network in networks:
             try:
-                options = parse(network, {name: value[name] for name in network.model_fields if name in value})
+                chosen = parse(network, {name: value[name] for name in network.model_fields if name in value})
             except InputError as error:
                 raise ValueError(f"{error.where}: {error.problem}") from error
-            complete |= options.model_dump()
+            complete |= chosen.model_dump()
         return complete
 
     def build(
         self, kind: str, levels: int = 0, image_size: tuple[int, int] | None = None, outputs: int = 1
-    ) -> "SteeringNet":
+    ) -> steering_net.SteeringNet:
         """Build the network with new weights from torch's random state.
 
         `kind`, `levels` and `image_size` describe the frames of the entry's input, see graph_file.Contents; `outputs`:
         R ranges of a path. Raises ValueError if the network reads another kind or an option is out of range.
         """
-        from models.steering.core import options, steering_net  # imports torch
-
         spatial, temporal = (
             network.model_validate({name: getattr(self, name) for name in network.model_fields})
             for network in _networks(self.spatial, self.temporal)
@@ -102,7 +97,5 @@ class Entry(Section):
         )
 
 
-def _networks(spatial: str, temporal: str) -> "tuple[type[NetworkOptions], type[NetworkOptions]]":
-    from models.steering.core import options  # imports torch
-
+def _networks(spatial: str, temporal: str) -> tuple[type[options.NetworkOptions], type[options.NetworkOptions]]:
     return options.load("spatial", spatial), options.load("temporal", temporal)

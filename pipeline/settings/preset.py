@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import typer
 from pydantic import Field
+from ruamel.yaml import YAML
 
 from pipeline.base import console
 from pipeline.base.errors import InputError
@@ -81,8 +82,6 @@ def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:
 
 def text(name: str, params: Path = PARAMS) -> str:
     """Return :func:`merged` as YAML, :func:`stamped`."""
-    from ruamel.yaml import YAML
-
     writer, stream = YAML(), io.StringIO()
     writer.default_flow_style = False  # as DVC writes, so that `dvc exp run -S` changes one line
     writer.dump(merged(name, params), stream)

@@ -7,13 +7,14 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import torch
 from torch import Tensor, nn
 
+from models.steering.core.steering_net import SteeringNet
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.executors import default_workers
 from pipeline.base.resume import stage_key
@@ -23,11 +24,7 @@ from pipeline.settings.train import Train
 from pipeline.train import checkpoint, predict, runs, windows
 from pipeline.train.labelled_drive import LabelledDrive
 from pipeline.train.loop import autocast, warm_up_cosine
-from pipeline.train.runs import Run
 from pipeline.train.scale import Prediction, Scale, nmse, step_targets, weighted_loss
-
-if TYPE_CHECKING:
-    from models.steering.core.steering_net import SteeringNet
 
 SMALL = 8_000  # points per frame
 WARM_UP = 0.05  # share of the steps
@@ -58,7 +55,7 @@ class Job:
     kept: Path  # folder for the states of networks, see StageFolder
 
 
-def fit_run(run: Run, job: Job) -> Path:
+def fit_run(run: runs.Run, job: Job) -> Path:
     """Train one network, from the state of an earlier run if there is one, and write best.pt and curve.csv.
 
     Returns the state's file. Raises InputError if the network does not fit the graphs, or if the loss is not finite.
@@ -115,7 +112,7 @@ class Fit:
     The average is validated and selected: at a high learning rate single steps fluctuate, their mean does not.
     """
 
-    net: "SteeringNet"
+    net: SteeringNet
     entry: Entry
     settings: Train
     seed: int

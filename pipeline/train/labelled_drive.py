@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from models.steering.core.recurrent import NOMINAL_STEP_S
 from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.graphs import graph_file
-from pipeline.graphs.graph_file import MeasuredMotion
 from pipeline.labels import label
 from pipeline.settings.models import Entry
 
@@ -36,8 +36,6 @@ class Timeline:
     @classmethod
     def read(cls, graphs: graph_file.Graphs, car: label.Car, entry: Entry) -> "Timeline":
         """Read the times of an open graph file, and the measured motion of a `car`, for a model."""
-        from models.steering.core.recurrent import NOMINAL_STEP_S
-
         stretches = consecutive(graphs.frame)
         dt_s = np.diff(graphs.time_s, prepend=np.nan)
         dt_s[[start for start, _ in stretches]] = NOMINAL_STEP_S
@@ -139,7 +137,7 @@ def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledD
         )
 
 
-def _measured(motion: MeasuredMotion, car: label.Car, predict: str) -> np.ndarray:
+def _measured(motion: graph_file.MeasuredMotion, car: label.Car, predict: str) -> np.ndarray:
     """Return the measured angle [G], or the curvature for a path."""
     angle_rad = label.measured_angle(*motion, **vars(car))
     return np.tan(angle_rad) / car.wheelbase_m if predict == "path" else angle_rad

@@ -4,10 +4,9 @@ import math
 from collections import deque
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
-if TYPE_CHECKING:
-    import torch
+import torch
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -41,12 +40,10 @@ def warm_up_cosine(progress: float, warm_up: float) -> float:
     return 0.5 * (1 + math.cos(math.pi * (progress - warm_up) / (1 - warm_up)))
 
 
-def autocast(device: "torch.device", precision: str) -> "torch.autocast":
+def autocast(device: torch.device, precision: str) -> torch.autocast:
     """Return the context of a forward pass.
 
     With `precision` auto products are in bfloat16 on a GPU that has it, otherwise in the weights' precision.
     """
-    import torch
-
     native = device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
     return torch.autocast(device.type, torch.bfloat16, enabled=precision == "auto" and native)

@@ -12,11 +12,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from textwrap import shorten
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 
+from models.steering.core.steering_net import SteeringNet
 from pipeline.base.errors import InputError, error_context
 from pipeline.graphs.graph_file import Contents, Graphs, open_graphs
 from pipeline.labels import label
@@ -25,9 +26,6 @@ from pipeline.train import checkpoint, windows
 from pipeline.train.labelled_drive import Timeline
 from pipeline.train.loop import prefetch
 from pipeline.train.scale import Prediction, Scale
-
-if TYPE_CHECKING:
-    from models.steering.core.steering_net import SteeringNet
 
 KIND = "steering net"  # of checkpoint
 WINDOWS = 96  # per batch of predictions; limits the memory
@@ -45,7 +43,7 @@ class Trained:
     settings: dict[str, Any]  # section → settings that made graphs and labels of its training drives
     drives: list[str]  # of training
     fps: float  # their frame rate
-    net: "SteeringNet"
+    net: SteeringNet
 
     @property
     def car(self) -> label.Car:
@@ -106,7 +104,7 @@ def load(folder: str | Path, device: torch.device | str | None = None) -> Traine
 
 
 def predict_spans(
-    net: "SteeringNet",
+    net: SteeringNet,
     timelines: Sequence[Timeline],
     spans: Sequence[windows.Span],
     batches: Iterable[Mapping[str, Any]],

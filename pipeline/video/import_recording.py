@@ -10,11 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
-from pydantic import TypeAdapter, ValidationError
 from tqdm import tqdm
 
-from pipeline.base.errors import InputError
-from pipeline.base.params import SPLITS, Drive
+from pipeline.base.errors import InputError, error_context
+from pipeline.base.params import SPLITS, check_drive
 from pipeline.base.resume import file_hash
 from pipeline.base.store import replacing
 from pipeline.camera.camera import Camera
@@ -154,10 +153,8 @@ def _drive_folders(out: Path, drive: str, count: int, replace: bool) -> dict[str
     folders = {}
     for part in range(count):
         name = f"{drive[:-4]}{int(drive[-4:]) + part:04d}" if part else drive
-        try:
-            TypeAdapter(Drive).validate_python(name)
-        except ValidationError:
-            raise InputError(f"expected names like 2027_03_31_drive_0001, got {name!r}", "--drive") from None
+        with error_context(f"--drive {name}"):
+            check_drive(name)
         folder = folders[name] = out / name[:10] / f"{name}_sync"
         if folder.exists() and not replace:
             raise InputError("drive exists", folder, "Replace it with --replace, or pass --drive another number")

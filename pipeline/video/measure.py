@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.base import store
-from pipeline.base.store import DriveReader
+from pipeline.base.store import DriveReader, write_json
 from pipeline.labels.label import Car
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
@@ -38,7 +37,7 @@ def measure(
     with DriveReader(work / MOTION, stage="motion") as motion:
         quality = _quality(motion, results, source)
     results.write_csv(work / "new/motion.csv")
-    store.write_json(work / "new/quality.json", quality | {"comparison": comparison})
+    write_json(work / "new/quality.json", quality | {"comparison": comparison})
     draw_track(work / "new/track.png", results)
     if video:
         write_overlay(work / "new/overlay.mp4", source, results, car.wheelbase_m)

@@ -53,11 +53,12 @@ def open_source(path: Path, cameras: Sequence[int], height_m: float | None = Non
     Raises InputError if it is none of them, lacks a calibration, or cannot be read.
     """
     drive = KittiDrive(path.resolve()) if path.is_dir() else None
-    if drive and any(drive.images(camera) for camera in cameras):
+    number = next((camera for camera in cameras if drive and drive.images(camera)), None)
+    if drive and number is not None:
         if any(how.values()):
             fix = "Remove --fov, --K, --distortion, --fps and --times"
             raise InputError("a KITTI drive has its own calibration and times", path, fix)
-        source = _open_drive(path, drive, cameras)
+        source = _open_drive(path, drive, number)
     else:
         source = replace(open_images(path, **how), how=how)
     if height_m is not None:
@@ -65,9 +66,7 @@ def open_source(path: Path, cameras: Sequence[int], height_m: float | None = Non
     return source
 
 
-def _open_drive(path: Path, drive: KittiDrive, cameras: Sequence[int]) -> Source:
-    number = drive.camera_number(cameras)
-    assert number is not None
+def _open_drive(path: Path, drive: KittiDrive, number: int) -> Source:
     camera, images = drive.camera(number), drive.images(number)
 
     def frames() -> Iterator[Frame]:

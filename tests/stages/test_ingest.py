@@ -18,12 +18,12 @@ OTHER = "2011_09_26_drive_0002"
 NEW = (36, 48)
 
 
-def run(tmp_path: Path, drives: tuple[str, str] = (DRIVE, OTHER), workers: int = 1, **settings: Any) -> DriveReader:
+def run(tmp_path: Path, drives: tuple[str, str] = (DRIVE, OTHER), **settings: Any) -> DriveReader:
     """Ingest the drives below ``raw`` and open the first one's file."""
     params = write_params(tmp_path / "params.yaml", train=[drives[0]], test=[drives[1]], **settings)
     if drives[1] == OTHER and not (tmp_path / "raw" / DATE / f"{OTHER}_sync").exists():
         write_drive(tmp_path / "raw", OTHER, seed=1)
-    folder = ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params, workers=workers)
+    folder = ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params)
     assert [path.name for path in folder.parent.iterdir() if not path.name.startswith(".")] == ["ingest"]
     return DriveReader(folder / f"{drives[0]}.h5", stage="ingest")
 
@@ -93,7 +93,7 @@ def test_source_both_reads_each_drive_from_its_folder(tmp_path):
     write_drive(tmp_path / "sample", sample, frames=range(2), truth=True)
     params = write_params(tmp_path / "params.yaml", train=[DRIVE], test=[sample], source="both")
     folders = {"sample": tmp_path / "sample", "raw": tmp_path / "raw", "out": tmp_path / "out"}
-    ingest.main(**folders, params=params, workers=1)
+    ingest.main(**folders, params=params)
     assert read_index(tmp_path / "out", stage="ingest") == {DRIVE: "train", sample: "test"}
     for drive, source, frames in ((DRIVE, "kitti", 4), (sample, "sample", 2)):
         with DriveReader(tmp_path / f"out/{drive}.h5", stage="ingest") as file:
@@ -106,7 +106,7 @@ def test_real_drives(real_kitti, tmp_path):
     """Drive 0001 is partly extracted: 108 packets, one image and one scan. 0042 is grey and has no LiDAR."""
     partly, grey = "2011_09_26_drive_0001", "2011_10_03_drive_0042"
     params = write_params(tmp_path / "params.yaml", train=[partly], test=[grey], image_size=[96, 320])
-    ingest.main(raw=real_kitti, out=tmp_path / "data/ingest", params=params, workers=1)
+    ingest.main(raw=real_kitti, out=tmp_path / "data/ingest", params=params)
     with DriveReader(tmp_path / f"data/ingest/{partly}.h5", stage="ingest") as file:
         np.testing.assert_array_equal(file.frame, np.arange(108))
         assert np.flatnonzero(file["has_image"]).tolist() == np.flatnonzero(file["has_lidar"]).tolist() == [5]

@@ -43,7 +43,7 @@ def test_drives_without_images_or_lidar_have_clouds_of_what_they_have(tmp_path, 
         files = [tmp_path / f"{stage}/{drive}.h5" for stage in ("motion", "ingest", "perception")]
         assert measure_drive(*files)["valid"] == 0
     store.write_index(tmp_path / "ingest", SPLITS)
-    clouds.main(tmp_path / "ingest", tmp_path / "perception", tmp_path / "clouds", tmp_path / "params.yaml", workers=1)
+    clouds.main(tmp_path / "ingest", tmp_path / "perception", tmp_path / "clouds", tmp_path / "params.yaml")
     assert bool(store.read_index(tmp_path / "clouds/lidar", stage="clouds")) == lidar
     if not lidar:
         return

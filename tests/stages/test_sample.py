@@ -30,10 +30,10 @@ def test_drives_of_the_params(tmp_path, capsys):
     kitti = tmp_path / "raw" / KITTI[:10] / f"{KITTI}_sync"
     kitti.with_name("2011_09_26_drive_0001_sync").mkdir(parents=True)
     with pytest.raises(InputError, match=f"drive {KITTI} of ingest.drives is missing"):
-        sample.main(out, params, tmp_path / "raw", workers=1)
+        sample.main(out, params, tmp_path / "raw")
     assert not out.exists()
     kitti.mkdir()
-    sample.main(out, params, tmp_path / "raw", workers=1)
+    sample.main(out, params, tmp_path / "raw")
     raw = find_drives(out, DRIVES)
     assert [len(raw[drive].images(2)) for drive in DRIVES] == [2, 2, 3]
     focal = [raw[drive].camera(2).K[0, 0] for drive in DRIVES]
@@ -42,7 +42,7 @@ def test_drives_of_the_params(tmp_path, capsys):
     assert "drive_0001: 2 frames" in capsys.readouterr().out
     for lidar, epochs in ((False, 0), (False, 1), (True, 0)):
         write_params(params, lidar, epochs, train=1, val=1, test=1)
-        sample.main(out, params, tmp_path / "raw", workers=1)
+        sample.main(out, params, tmp_path / "raw")
         for number, drive in enumerate(find_drives(out, DRIVES).values()):
             truth = epochs > 0 or number == 2
             counts = [len(files) for files in (drive.images(2), drive.scans, drive.truth_depth, drive.truth_cls)]

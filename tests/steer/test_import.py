@@ -73,7 +73,7 @@ def test_labels_follow_the_log(tmp_path, take, video):
         take(recording, drive, motion=log, times=times)
 
     params = write_params(tmp_path / "params.yaml", [DRIVES[0]], [DRIVES[1]], image_size=list(SIZE))
-    ingested = ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params, workers=1)
+    ingested = ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params)
     labelled = labels.main(ingest=ingested, out=tmp_path / "data/labels", params=params)
     steering, valid = steering_labels(YAW_RATE_RADPS, SPEED_MPS, wheelbase_m=2.7, min_speed_mps=1.0)
     for drive, lossless in zip(DRIVES, (False, True), strict=True):
@@ -154,7 +154,7 @@ def test_distortion_is_removed_and_images_are_cropped_around_the_horizon(tmp_pat
     for drive, horizon in zip(DRIVES, (10.0, 30.0), strict=True):
         take(folder, drive, fov=None, horizon=horizon, fps=10.0, **lens)
     params = write_params(tmp_path / "params.yaml", [DRIVES[0]], [DRIVES[1]], image_size=[32, 128])
-    ingested = ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params, workers=1)
+    ingested = ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params)
     for drive, first in zip(DRIVES, (3, 23), strict=True):  # 16 rows around the horizon, a little below
         with DriveReader(ingested / f"{drive}.h5", stage="ingest") as file:
             part = pictures(FRAMES)[5, first : first + 16]

@@ -78,7 +78,7 @@ def test_the_label_is_the_curvature_of_the_path_a_moment_earlier(journey):
 def optics(date: str) -> tuple[float, ...]:
     """Return focal length and principal point as shares of the image, and the height over the IMU in metres."""
     rig = make_rig((96, 320), date)
-    (f, _, x), (_, _, y), _ = (rig.camera.K / rig.size[1]).tolist()
+    (f, _, x), (_, _, y), _ = (rig.P_rect[2][:, :3] / rig.size[1]).tolist()
     return f, x, y, float(np.linalg.inv(rig.T_cam2_imu)[2, 3])
 
 

@@ -34,7 +34,8 @@ class LTC(RecurrentCell):
         self.sensory, self.internal = Synapses(wiring.sensory), Synapses(wiring.internal)
         # ncps draws cm between 0.4 and 0.6, a memory of about one frame. A single frame says little: from the features
         # of eight, a linear regression has half of the error that it has from the last.
-        self.capacity = nn.Parameter(inverse_softplus(log_uniform(units, 0.5, 20.0)))  # cm, before softplus
+        capacity = uniform(units, math.log(0.5), math.log(20.0)).exp()  # cm
+        self.capacity = nn.Parameter(inverse_softplus(capacity))  # before softplus
         self.leak = nn.Parameter(inverse_softplus(uniform(units, 0.001, 1.0)))  # g, before softplus
         self.rest = nn.Parameter(uniform(units, -0.2, 0.2))  # v_leak
         self.output_scale = nn.Parameter(torch.full((wiring.motor,), OUTPUT_SCALE))
@@ -159,11 +160,6 @@ class Synapses(nn.Module):
 def uniform(count: int, low: float, high: float) -> Tensor:
     """Return [count] uniform random numbers between low and high."""
     return torch.empty(count).uniform_(low, high)
-
-
-def log_uniform(count: int, low: float, high: float) -> Tensor:
-    """Return [count] random numbers between low and high, whose logarithms are uniform."""
-    return uniform(count, math.log(low), math.log(high)).exp()
 
 
 def inverse_softplus(y: Tensor) -> Tensor:

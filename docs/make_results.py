@@ -209,16 +209,19 @@ def origins(results: Results) -> list[list[str]]:
 
 
 def plot(results: Results) -> Figure:
-    """Return the validation nmse over the number of training roads; stars are networks of `make roads`."""
+    """Return the validation nmse over the number of training roads, medians of seeds; stars: more steps."""
     figure = Figure(figsize=(7, 3), layout="constrained")
     axes = figure.subplots()
     for model, (label, form) in LINES.items():
-        points = [values for key, values in results.items() if re.match(f"roads.*/val/{model}/", key)]
-        points.sort(key=lambda values: values["roads"])
-        for equal, marker, size in ((True, f"{form}o", 4), (False, f"{form[0]}*", 11)):
-            chosen = [values for values in points if (values["roads"] * values["epochs"] == STEPS) == equal]
-            x, y = ([values[part] for values in chosen] for part in ("roads", "figure"))
-            axes.plot(x, y, marker, markersize=size, label=label if equal else None)
+        points = [values for key, values in results.items() if re.match(f"roads/val/{model}/", key)]
+        equal = [values for values in points if values["roads"] * values["epochs"] == STEPS]
+        equal.sort(key=lambda values: values["roads"])
+        roads, seeds = [values["roads"] for values in equal], [values["seeds"] for values in equal]
+        axes.plot(roads, np.median(seeds, axis=1), form, label=label)
+        axes.plot(roads, seeds, f"{form[0]}.", markersize=4)
+        for values in points:
+            if values not in equal:
+                axes.plot(values["roads"], values["figure"], f"{form[0]}*", markersize=11)
     axes.plot([], [], "k*", markersize=9, label="make roads: 12 epochs, three seeds")
     axes.set_xscale("log")
     axes.set_xticks([30, 60, 120, 240], ["30", "60", "120", "240"])

@@ -78,8 +78,7 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 system:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' || \
 	{ echo "error: $(PYTHON): expected Python 3.11 or 3.12. Name one: make PYTHON=python3.11 …" >&2; exit 1; }
-	@missing=""; \
-	PATH="$$PATH:/sbin:/usr/sbin" ldconfig -p | grep -q libusb-1.0.so.0 || missing="libusb-1.0-0"; \
+	@missing=$$(PATH="$$PATH:/sbin:/usr/sbin" ldconfig -p | grep -q libusb-1.0.so.0 || echo libusb-1.0-0); \
 	$(PYTHON) -c 'import ensurepip' 2>/dev/null || missing="$$missing python3-venv"; \
 	[ -z "$$missing" ] || \
 	if [ "$$(id -u)" = 0 ]; then apt-get update -qq && apt-get install -y -qq $$missing; \

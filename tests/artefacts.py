@@ -12,7 +12,7 @@ from pipeline.camera.camera import Frame
 from pipeline.camera.classes import BUILDING, ROAD
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.graphs import frame_graph, graph_file
-from pipeline.kitti.ingest import ingest_drive
+from pipeline.kitti.ingest import IngestFile
 from pipeline.labels import ahead, label
 from pipeline.motion.step import PROBLEMS, STANDSTILL
 from pipeline.settings.graphs import Variant
@@ -143,15 +143,11 @@ def write_recorded(
     path: Path, frame: np.ndarray, oxts: np.ndarray | None = None, steering_rad: dict[int, float] | None = None
 ) -> None:
     """Write an ingest file without images: frames [F] at 10 Hz with packets [F,30] or recorded angles, or neither."""
-    ingest_drive(
-        [Frame(int(number), row / 10) for row, number in enumerate(frame)],
-        path,
-        drive=path.stem,
-        camera=None,
-        settings=Reading(image_size=(32, 32), cameras=[2], lidar=True, on_damaged="fail"),
-        oxts=None if oxts is None else dict(zip(frame.tolist(), oxts, strict=True)),
-        steering_rad=steering_rad,
-    )
+    settings = Reading(image_size=(32, 32), cameras=[2], lidar=True, on_damaged="fail")
+    with IngestFile(path, path.stem, None, settings) as file:
+        for row, number in enumerate(frame.tolist()):
+            file.add(Frame(number, row / 10))
+        file.finish(None if oxts is None else dict(zip(frame.tolist(), oxts, strict=True)), steering_rad)
 
 
 def write_motion(folder: Path, drive: str, rows: dict[int, tuple[float, float]], stands: Sequence[int] = ()) -> None:

@@ -11,7 +11,7 @@ from pipeline.camera import classes
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import CAMERA_HEIGHT_M, back_project, rays
 from pipeline.camera.images import to_units
-from pipeline.kitti.ingest import ingest_drive
+from pipeline.kitti.ingest import IngestFile
 from pipeline.kitti.oxts import make_rows
 from pipeline.settings.ingest import Reading
 
@@ -106,21 +106,17 @@ def write_drive(
     folder: Path, drive: str, frames: int, *, dense: bool = True, lidar: bool = False, images: bool = True
 ) -> None:
     """Write ``folder/<drive>.h5`` with `frames` frames that have what the flags say."""
-    recorded = [Frame(number, number / 10) for number in range(frames)]
-    for frame in recorded:
-        image, depth_m, cls = scene(frame.number)
-        frame.image = image if images else None
-        frame.depth_m, frame.cls = (depth_m, cls) if dense else (None, None)
-        frame.scan = scan(depth_m) if lidar else None
-    ingest_drive(
-        recorded,
-        folder / f"{drive}.h5",
-        drive=drive,
-        camera=Camera(K, SIZE, T_cam_velo=T_CAM_VELO if lidar else None),
-        settings=Reading(image_size=SIZE, cameras=[2], lidar=lidar, on_damaged="fail"),
-        truth=("depth", "cls") if dense else (),
-        oxts=dict(enumerate(make_rows(frames, vf=8.0))),
-    )
+    camera = Camera(K, SIZE, T_cam_velo=T_CAM_VELO if lidar else None)
+    settings = Reading(image_size=SIZE, cameras=[2], lidar=lidar, on_damaged="fail")
+    with IngestFile(folder / f"{drive}.h5", drive, camera, settings, ("depth", "cls") if dense else ()) as file:
+        for number in range(frames):
+            frame = Frame(number, number / 10)
+            image, depth_m, cls = scene(number)
+            frame.image = image if images else None
+            frame.depth_m, frame.cls = (depth_m, cls) if dense else (None, None)
+            frame.scan = scan(depth_m) if lidar else None
+            file.add(frame)
+        file.finish(dict(enumerate(make_rows(frames, vf=8.0))))
 
 
 def write_perception(folder: Path, ingest: Path, drive: str) -> None:

@@ -8,7 +8,7 @@ from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Frame
 from pipeline.graphs.cloud import clouds_drive
 from pipeline.graphs.frame_graph import graphs_drive
-from pipeline.kitti.ingest import ingest_drive
+from pipeline.kitti.ingest import IngestFile
 from pipeline.motion.drive import measure_drive
 from pipeline.perception.perceive import perceive_drive
 from pipeline.settings.clouds import Clouds
@@ -26,8 +26,10 @@ VARIANT = Variant(source="clouds/pseudo", points=200, k=4, keep_inter_class=0.2,
 def inputs(folder: Path, images: list[np.ndarray], encoder: Path) -> dict[str, np.ndarray]:
     """Return the datasets of the graph file of a drive, of the frames up to KNOWN."""
     files = {name: folder / f"{name}.h5" for name in ("ingest", "perception", "motion", "clouds", "graphs")}
-    frames = [Frame(number, number / 10, image) for number, image in enumerate(images)]
-    ingest_drive(frames, files["ingest"], drive="drive", camera=street.WIDE, settings=READING)
+    with IngestFile(files["ingest"], "drive", street.WIDE, READING) as ingest:
+        for number, image in enumerate(images):
+            ingest.add(Frame(number, number / 10, image))
+        ingest.finish()
     settings = Perception(batch=4)
     perceive_drive(files["perception"], files["ingest"], encoder, settings)
     measure_drive(files["motion"], files["ingest"], files["perception"])

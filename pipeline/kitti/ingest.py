@@ -3,7 +3,7 @@
 Each row belongs to a frame number. Missing data has the fill value, and ``has_<name>`` is 0.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,10 @@ from pipeline.base.store import DriveWriter
 from pipeline.camera.camera import Camera, Frame, write_camera
 from pipeline.camera.classes import VOID
 from pipeline.camera.images import nearest, read_classes, read_depth, read_image, resized, to_metres, to_units
-from pipeline.kitti import oxts as packets
+from pipeline.kitti.oxts import read_row, read_steering, read_times
 from pipeline.kitti.raw import KittiDrive, read_scan
 from pipeline.settings.ingest import Reading
 
-Files = Mapping[int, Path]
 UNITS = {"image": "RGB", "depth": "1/256 m, 0 = none", "cls": f"trainId, {VOID} = void"}
 SUMMARY = (
     "{frames} frames, {image} images of camera {camera}, {lidar} scans, {depth} depth and {cls} class maps, {steering} "
@@ -27,70 +26,71 @@ SUMMARY = (
 )
 
 
-def ingest_drive(
-    frames: Iterable[Frame],
-    path: Path,
-    *,
-    drive: str,
-    camera: Camera | None,
-    settings: Reading,
-    truth: Sequence[str] = (),
-    oxts: Mapping[int, np.ndarray] | None = None,
-    steering_rad: Mapping[int, float] | None = None,
-    number: int = -1,
-) -> Summary:
-    """Write the ingest file of a recording and return the number of frames, images, scans, …
+class IngestFile(DriveWriter):
+    """Write an ingest file: :meth:`add` the frames in order, then :meth:`finish`. A context manager."""
 
-    Args:
-        frames: in order, with complete images, depth and classes of the camera's size; read once.
-        camera: of complete images, which are cropped around the horizon; None: a recording without images and scans.
-        truth: datasets of ground truth that the file has, of "depth" and "cls".
-        oxts: frame number → packet [30]; if given, of each frame.
-        steering_rad: frame number → recorded angle of the front wheels.
-        number: of the camera, stored in the file.
+    def __init__(
+        self, path: Path, drive: str, camera: Camera | None, settings: Reading, truth: Sequence[str] = ()
+    ) -> None:
+        """`camera`: of complete images, which are cropped around the horizon; None: no images and scans.
 
-    Raises InputError if there are no frames.
-    """
-    size, recorded = settings.image_size, steering_rad or {}
-    crop = camera.crop_to(size) if camera else None
-    numbers, times_s, points = list[int](), list[float](), list[int]()
-    none: dict[str, np.ndarray] = {"image": np.zeros((*size, 3), np.uint8), "depth": np.zeros(size, np.uint16)}
-    none["cls"] = np.full(size, VOID, np.uint8)
-    has: dict[str, list[bool]] = {name: [] for name in UNITS}
-    with DriveWriter(path, stage="ingest", drive=drive, params={"ingest": settings.model_dump(mode="json")}) as file:
-        file.attrs["camera"] = number
-        for frame in frames:
-            numbers.append(frame.number)
-            times_s.append(frame.time_s)
-            depth = None if frame.depth_m is None else to_units(frame.depth_m)
-            for name, pixels in {"image": frame.image, "depth": depth, "cls": frame.cls}.items():
-                has[name].append(pixels is not None)
-                if name == "image" or name in truth:
-                    resize = resized if name == "image" else nearest
-                    row = none[name] if pixels is None or crop is None else resize(crop.pixels(pixels), size)
-                    file.append(name, row[None], UNITS[name])
-            scan = np.zeros((0, 4), np.float32) if frame.scan is None else frame.scan
-            file.append("lidar", scan, "m, m, m, reflectance", "lidar_ptr")
-            points.append(len(scan))
+        `truth`: datasets of ground truth that the file has, of "depth" and "cls".
+        """
+        super().__init__(path, stage="ingest", drive=drive, params={"ingest": settings.model_dump(mode="json")})
+        self.attrs["camera"] = -1  # its number in a KITTI drive
+        self._camera, self._size = camera, settings.image_size
+        self._crop = camera.crop_to(self._size) if camera else None
+        fill = {"image": np.zeros((*self._size, 3), np.uint8), "depth": np.zeros(self._size, np.uint16)}
+        fill["cls"] = np.full(self._size, VOID, np.uint8)
+        self._fill = {name: fill[name] for name in ("image", *truth)}
+        self._numbers, self._times_s, self._points = list[int](), list[float](), list[int]()
+        self._has: dict[str, list[bool]] = {name: [] for name in UNITS}
+
+    def add(self, frame: Frame) -> None:
+        """Write a frame with an image, depth and classes of the camera's size, or None."""
+        self._numbers.append(frame.number)
+        self._times_s.append(frame.time_s)
+        depth = None if frame.depth_m is None else to_units(frame.depth_m)
+        maps = {"image": frame.image, "depth": depth, "cls": frame.cls}
+        for name, pixels in maps.items():
+            self._has[name].append(pixels is not None)
+        for name, row in self._fill.items():
+            if maps[name] is not None and self._crop:
+                resize = resized if name == "image" else nearest
+                row = resize(self._crop.pixels(maps[name]), self._size)
+            self.append(name, row[None], UNITS[name])
+        scan = np.zeros((0, 4), np.float32) if frame.scan is None else frame.scan
+        self.append("lidar", scan, "m, m, m, reflectance", "lidar_ptr")
+        self._points.append(len(scan))
+
+    def finish(
+        self, oxts: Mapping[int, np.ndarray] | None = None, steering_rad: Mapping[int, float] | None = None
+    ) -> Summary:
+        """Write what all frames have, and return the number of frames, images, scans, …
+
+        `oxts`: frame number → packet [30], of each frame; `steering_rad`: of some, the angle of the front wheels.
+
+        Raises InputError if there are no frames.
+        """
+        numbers, steered = self._numbers, [number in (steering_rad or {}) for number in self._numbers]
         if not numbers:
-            raise InputError("recording has no frames", drive)
-        file.put("frame", np.array(numbers, np.int32))
-        file.put("time_s", np.array(times_s), "s")
+            raise InputError("recording has no frames", self.attrs["drive"])
+        self.put("frame", np.array(numbers, np.int32))
+        self.put("time_s", np.array(self._times_s), "s")
         if oxts:
-            file.put("oxts", np.array([oxts[number] for number in numbers]), "as KITTI's oxts/dataformat.txt")
-        if recorded:
-            angles = [recorded.get(number, 0.0) for number in numbers]
-            file.put("steering_rad", np.array(angles), "rad, left positive")
-            file.put("has_steering", np.array([number in recorded for number in numbers], np.uint8))
-        if camera and crop:
-            write_camera(file, camera.cropped(crop).scaled(size))
-        file.put_pointers("lidar_ptr", points, "rows of lidar")
-        has["lidar"] = [count > 0 for count in points]
+            self.put("oxts", np.array([oxts[number] for number in numbers]), "as KITTI's oxts/dataformat.txt")
+        if steering_rad:
+            angles = [steering_rad.get(number, 0.0) for number in numbers]
+            self.put("steering_rad", np.array(angles), "rad, left positive")
+            self.put("has_steering", np.array(steered, np.uint8))
+        if self._camera and self._crop:
+            write_camera(self, self._camera.cropped(self._crop).scaled(self._size))
+        self.put_pointers("lidar_ptr", self._points, "rows of lidar")
+        has = self._has | {"lidar": [count > 0 for count in self._points]}
         for name, present in has.items():
-            file.put(f"has_{name}", np.array(present, np.uint8))
-    counts = {name: sum(present) for name, present in has.items()}
-    steering = sum(number in recorded for number in numbers)
-    return {"frames": len(numbers), "oxts": len(numbers) if oxts else 0, "steering": steering, **counts}
+            self.put(f"has_{name}", np.array(present, np.uint8))
+        counts = {name: sum(present) for name, present in has.items()}
+        return {"frames": len(numbers), "oxts": len(numbers) if oxts else 0, "steering": sum(steered), **counts}
 
 
 def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> Summary:
@@ -98,57 +98,50 @@ def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> 
 
     Raises InputError if packets, times or the calibration are missing; DamagedFile that lists all damaged files.
     """
-    files, skip = KittiDrive(folder), settings.on_damaged == "skip"
-    number = files.camera_number(settings.cameras)
-    camera = None if number is None else files.camera(number)
+    files, skip, damaged = KittiDrive(folder), settings.on_damaged == "skip", list[DamagedFile]()
+    chosen = files.camera_number(settings.cameras)
+    camera, images = (None, {}) if chosen is None else (files.camera(chosen), files.images(chosen))
     scans = files.scans if settings.lidar else {}
     if scans and (camera is None or camera.T_cam_velo is None):
         problem = "drive has scans, but calib_cam_to_cam.txt or calib_velo_to_cam.txt is missing"
         fix = "Extract the date's calibration archive, or set ingest.lidar: false"
         raise InputError(problem, files.calibration, fix)
-    damaged, (numbers, times) = list[DamagedFile](), files.timeline(number)
-
-    def read(reader: Callable[..., np.ndarray], paths: Files, frame: int, **options: Any) -> np.ndarray | None:
-        """Return the content of a frame's file; None if there is none, or it is damaged."""
-        try:
-            return reader(paths[frame], **options) if frame in paths else None
-        except DamagedFile as error:
-            damaged.append(error)
-            return None
-
-    oxts = {frame: row for frame in numbers if (row := read(packets.read_row, files.oxts, frame)) is not None}
+    depths, classes = (files.truth_depth, files.truth_cls) if camera else ({}, {})
+    packets = {number: _read(read_row, packet, damaged) for number, packet in files.oxts.items()}
+    oxts = {number: row for number, row in packets.items() if row is not None}
+    numbers, times = files.timeline(chosen)
     if not numbers or (not files.oxts and files.oxts_times.parent.is_dir()) or (skip and files.oxts and not oxts):
         fix = "Extract it. Only if labels come from another labels.source: remove the empty folder"
         raise InputError("drive has no oxts packets", files.oxts_times.parent, fix)
     # Lines of timestamps.txt correspond to existing files, including damaged ones.
-    time_s = dict(zip(numbers, packets.read_times(times, numbers).tolist(), strict=True))
-    images = {} if number is None else files.images(number)
-    truth = {"depth": files.truth_depth, "cls": files.truth_cls} if camera else {}
-
-    def frames() -> Iterator[Frame]:
+    time_s = dict(zip(numbers, read_times(times, numbers).tolist(), strict=True))
+    steering_rad = read_steering(files.steering) if files.steering else None
+    truth = [name for name, paths in {"depth": depths, "cls": classes}.items() if paths]
+    with IngestFile(path, drive, camera, settings, truth) as file:
+        file.attrs["camera"] = -1 if chosen is None else chosen
         for number in oxts or numbers:
-            frame = Frame(number, time_s[number], scan=read(read_scan, scans, number))
+            frame = Frame(number, time_s[number], scan=_read(read_scan, scans.get(number), damaged))
             if camera:
-                frame.image = read(read_image, images, number, size=camera.size)
-                depth = read(read_depth, truth["depth"], number, size=camera.size)
+                frame.image = _read(read_image, images.get(number), damaged, size=camera.size)
+                depth = _read(read_depth, depths.get(number), damaged, size=camera.size)
                 frame.depth_m = None if depth is None else to_metres(depth)
-                frame.cls = read(read_classes, truth["cls"], number, size=camera.size)
-            yield frame
-
-    summary = ingest_drive(
-        frames(),
-        path,
-        drive=drive,
-        camera=camera,
-        settings=settings,
-        truth=[name for name, paths in truth.items() if paths],
-        oxts=oxts,
-        steering_rad=packets.read_steering(files.steering) if files.steering else None,
-        number=-1 if number is None else number,
-    )
-    if damaged and not skip:
-        faults = "; ".join(f"{error.where}: {error.problem}" for error in damaged)
-        fix = "Extract them again, or set ingest.on_damaged: skip to leave them out"
-        raise DamagedFile(faults, f"{len(damaged)} damaged files", fix)
+                frame.cls = _read(read_classes, classes.get(number), damaged, size=camera.size)
+            file.add(frame)
+        if damaged and not skip:
+            faults = "; ".join(f"{error.where}: {error.problem}" for error in damaged)
+            fix = "Extract them again, or set ingest.on_damaged: skip to leave them out"
+            raise DamagedFile(faults, f"{len(damaged)} damaged files", fix)
+        summary = file.finish(oxts, steering_rad)
     left_out = len({*images, *scans} - {*numbers})
-    return summary | {"camera": number, "left_out": left_out, "damaged": len(damaged)}
+    return summary | {"camera": chosen, "left_out": left_out, "damaged": len(damaged)}
+
+
+def _read(
+    reader: Callable[..., np.ndarray], path: Path | None, damaged: list[DamagedFile], **options: Any
+) -> np.ndarray | None:
+    """Return the content of a file; None if there is none, or it is damaged, which is added to `damaged`."""
+    try:
+        return reader(path, **options) if path else None
+    except DamagedFile as error:
+        damaged.append(error)
+        return None

@@ -16,7 +16,7 @@ from pipeline.base.outputs import WORK, claim
 from pipeline.base.resume import file_hash
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import format_size, read_image
-from pipeline.kitti.ingest import ingest_drive, ingest_kitti
+from pipeline.kitti.ingest import IngestFile, ingest_kitti
 from pipeline.kitti.raw import KittiDrive
 from pipeline.motion.drive import measure_drive
 from pipeline.perception.perceive import FILE, perceive_drive
@@ -161,9 +161,8 @@ def _ingest(path: Path, *, source: Source, reading: Reading, advance: Callable[[
             source.notes.append(f"{summary['damaged']} damaged files left out")
         return summary
 
-    def frames() -> Iterator[Frame]:
+    with IngestFile(path, source.name, source.camera, reading) as file:
         for frame in source.frames():
-            yield frame
+            file.add(frame)
             advance(1)
-
-    return ingest_drive(frames(), path, drive=source.name, camera=source.camera, settings=reading)
+        return file.finish()

@@ -104,7 +104,7 @@ def test_a_killed_run_continues(tmp_path, encoder, monkeypatch):
         with pytest.raises(KeyboardInterrupt):
             measure(images, out=out, encoder=encoder, **LENS)
     assert [path.name for path in out.iterdir()] == [WORK]
-    for name in ("ingest_drive", "perceive_drive"):  # are complete
+    for name in ("IngestFile", "perceive_drive"):  # are complete
         monkeypatch.setattr(source, name, killed)
     with pytest.raises(InputError, match="exists already"):
         measure(images, out=out, encoder=encoder, **LENS, distortion="0.01,0,0,0")

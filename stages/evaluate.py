@@ -47,7 +47,10 @@ def main(
             "model": name,
             "entry": entry.model_dump(mode="json"),
             "seeds": first.seeds,
-            "drives": {part: [case.drive.name for case in drives] for part, drives in cases.items()},
+            "drives": {
+                part: [case.drive.name for case in drives if case.drive.has_window(entry.window)]
+                for part, drives in cases.items()
+            },
             "parameters": sum(weights.numel() for weights in first.net.parameters()),
             "wheelbase_m": tested[0].car.wheelbase_m,
             "labels": tested[0].settings["labels"].get("source"),

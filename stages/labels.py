@@ -8,7 +8,7 @@ import numpy as np
 from pipeline.base import console, store
 from pipeline.base.params import load
 from pipeline.base.runner import Summary, make_files
-from pipeline.kitti.oxts import VL
+from pipeline.kitti.oxts import VL, interpolated, make_rows
 from pipeline.labels import ahead, label, sources
 from pipeline.settings.labels import Labels
 
@@ -28,9 +28,12 @@ def main(
     settings = load(Labels, params)
     splits = store.read_index(ingest, stage="ingest")
     inputs = {"ingest": ingest} | ({} if settings.source == "oxts" else {"motion": motion})
-    work, text = partial(_label, settings=settings), "{frames} frames, {valid} valid, {turning} turning"
+    work = partial(_label, settings=settings)
+    text = "{frames} frames, {valid} valid, {turning} turning, {interpolated} interpolated"
     # One worker, as this is less work than starting a process.
     summaries = make_files("labels", out, splits, inputs, work, settings, text, workers=1)
+    if count := sum(summary["interpolated"] for summary in summaries.values()):
+        print(f"interpolated, not measured: {count} oxts packets. They are no targets, and a path ahead ends there")
     suspect = [drive for drive, summary in summaries.items() if summary["sideways"]]
     if suspect:
         print(f"implausible labels, oxts has the car sliding sideways: {', '.join(suspect)}")
@@ -38,11 +41,11 @@ def main(
 
 
 def _label(path: Path, ingest: Path, motion: Path | None = None, *, settings: Labels) -> Summary:
-    """Write one drive's labels; count frames, those with a valid label, in bends, and implausible ones."""
+    """Write one drive's labels; count frames: all, valid, in bends, implausible, and interpolated."""
     with store.DriveReader(ingest, stage="ingest") as raw:
         drive, frame, time_s = raw.drive, raw.frame, raw.time_s
         labels = sources.read(settings.source, raw, motion, label.Car(settings.wheelbase_m, settings.min_speed_mps))
-        sideways_mps = raw["oxts"][:, VL] if settings.source == "oxts" else np.zeros(len(frame))
+        packets = raw["oxts"] if settings.source != "visual" and "oxts" in raw else make_rows(len(frame))
     with store.DriveWriter(path, stage="labels", drive=drive, params={"labels": settings.model_dump()}) as file:
         label.write(file, frame, time_s, labels, settings.wheelbase_m)
         if settings.ahead_m:
@@ -50,8 +53,10 @@ def _label(path: Path, ingest: Path, motion: Path | None = None, *, settings: La
             file.put("ahead_1pm", curvature_1pm, "1/m, left positive")
             file.put("ahead_valid", valid.astype(np.uint8))
     turning = labels.valid & (np.abs(labels.steering_rad) > TURNING_RAD)
-    sideways = np.abs(sideways_mps) > SIDEWAYS_MPS
-    counts = {"frames": np.ones(len(frame)), "valid": labels.valid, "turning": turning, "sideways": sideways}
+    guessed = interpolated(packets)
+    sideways = (np.abs(packets[:, VL]) > SIDEWAYS_MPS) & ~guessed
+    counts = {"frames": np.ones(len(frame)), "valid": labels.valid, "turning": turning}
+    counts |= {"sideways": sideways, "interpolated": guessed}
     return {name: int(mask.sum()) for name, mask in counts.items()}
 
 

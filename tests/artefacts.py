@@ -147,7 +147,7 @@ def write_recorded(
     with IngestFile(path, path.stem, None, settings) as file:
         for row, number in enumerate(frame.tolist()):
             file.add(Frame(number, row / 10))
-        file.finish(None if oxts is None else dict(zip(frame.tolist(), oxts, strict=True)), steering_rad)
+        file.finish({} if oxts is None else dict(zip(frame.tolist(), oxts, strict=True)), steering_rad or {})
 
 
 def write_motion(folder: Path, drive: str, rows: dict[int, tuple[float, float]], stands: Sequence[int] = ()) -> None:

@@ -100,9 +100,8 @@ class DriveWriter:
         self._datasets[name].attrs["unit"] = unit
 
     def put(self, name: str, array: np.ndarray, unit: str = "") -> None:
-        """Write a complete dataset, a row per frame. Arrays of three or more axes are compressed frame by frame."""
-        options = {"chunks": (1, *array.shape[1:]), **_PIXELS} if array.ndim >= 3 and array.size else {}
-        self._create(name, unit, data=array, **options)
+        """Write a complete dataset, a row per frame."""
+        self._create(name, unit, data=array)
 
     def put_pointers(self, name: str, counts: Iterable[int], unit: str = "") -> None:
         """Write the first row of each frame, and the end, int64 [F+1], for `counts` [F] of rows per frame."""

@@ -19,7 +19,12 @@ from pipeline.kitti.oxts import read_row, read_steering, read_times
 from pipeline.kitti.raw import KittiDrive, read_scan
 from pipeline.settings.ingest import Reading
 
-UNITS = {"image": "RGB", "depth": "1/256 m, 0 = none", "cls": f"trainId, {VOID} = void"}
+# Name → unit, value of missing pixels, how pixels are resized.
+MAPS: dict[str, tuple[str, np.ndarray, Callable[..., np.ndarray]]] = {
+    "image": ("RGB", np.zeros(3, np.uint8), resized),
+    "depth": ("1/256 m, 0 = none", np.array(0, np.uint16), nearest),
+    "cls": (f"trainId, {VOID} = void", np.array(VOID, np.uint8), nearest),
+}
 SUMMARY = (
     "{frames} frames, {image} images of camera {camera}, {lidar} scans, {depth} depth and {cls} class maps, {steering} "
     "steering angles; {left_out} images or scans without a frame, {damaged} damaged files left out"
@@ -29,54 +34,46 @@ SUMMARY = (
 class IngestFile(DriveWriter):
     """Write an ingest file: :meth:`add` the frames in order, then :meth:`finish`. A context manager."""
 
-    def __init__(
-        self, path: Path, drive: str, camera: Camera | None, settings: Reading, truth: Sequence[str] = ()
-    ) -> None:
+    def __init__(self, path: Path, drive: str, camera: Camera | None, settings: Reading, truth: Sequence[str] = ()):
         """`camera`: of complete images, which are cropped around the horizon; None: no images and scans.
 
         `truth`: datasets of ground truth that the file has, of "depth" and "cls".
         """
         super().__init__(path, stage="ingest", drive=drive, params={"ingest": settings.model_dump(mode="json")})
         self.attrs["camera"] = -1  # its number in a KITTI drive
-        self._camera, self._size = camera, settings.image_size
+        self._camera, self._size, self._maps = camera, settings.image_size, ("image", *truth)
         self._crop = camera.crop_to(self._size) if camera else None
-        fill = {"image": np.zeros((*self._size, 3), np.uint8), "depth": np.zeros(self._size, np.uint16)}
-        fill["cls"] = np.full(self._size, VOID, np.uint8)
-        self._fill = {name: fill[name] for name in ("image", *truth)}
-        self._numbers, self._times_s, self._points = list[int](), list[float](), list[int]()
-        self._has: dict[str, list[bool]] = {name: [] for name in UNITS}
+        self._rows = list[tuple[int, float, int]]()  # number, time and points of each frame
+        self._has: dict[str, list[bool]] = {name: [] for name in MAPS}
 
     def add(self, frame: Frame) -> None:
-        """Write a frame with an image, depth and classes of the camera's size, or None."""
-        self._numbers.append(frame.number)
-        self._times_s.append(frame.time_s)
+        """Write a frame, whose image, depth and classes have the camera's size or are None."""
         depth = None if frame.depth_m is None else to_units(frame.depth_m)
-        maps = {"image": frame.image, "depth": depth, "cls": frame.cls}
-        for name, pixels in maps.items():
+        for name, pixels in {"image": frame.image, "depth": depth, "cls": frame.cls}.items():
             self._has[name].append(pixels is not None)
-        for name, row in self._fill.items():
-            if maps[name] is not None and self._crop:
-                resize = resized if name == "image" else nearest
-                row = resize(self._crop.pixels(maps[name]), self._size)
-            self.append(name, row[None], UNITS[name])
+            if name in self._maps:
+                unit, fill, resize = MAPS[name]
+                row = np.full((*self._size, *fill.shape), fill)
+                if pixels is not None and self._crop:
+                    row = resize(self._crop.pixels(pixels), self._size)
+                self.append(name, row[None], unit)
         scan = np.zeros((0, 4), np.float32) if frame.scan is None else frame.scan
         self.append("lidar", scan, "m, m, m, reflectance", "lidar_ptr")
-        self._points.append(len(scan))
+        self._rows.append((frame.number, frame.time_s, len(scan)))
 
-    def finish(
-        self, oxts: Mapping[int, np.ndarray] | None = None, steering_rad: Mapping[int, float] | None = None
-    ) -> Summary:
-        """Write what all frames have, and return the number of frames, images, scans, …
+    def finish(self, oxts: Mapping[int, np.ndarray] = {}, steering_rad: Mapping[int, float] = {}) -> Summary:
+        """Write what is known of all frames, and return the number of frames, images, scans, …
 
-        `oxts`: frame number → packet [30], of each frame; `steering_rad`: of some, the angle of the front wheels.
+        `oxts`: frame number → packet [30], of each frame if of any; `steering_rad`: → angle of the front wheels.
 
         Raises InputError if there are no frames.
         """
-        numbers, steered = self._numbers, [number in (steering_rad or {}) for number in self._numbers]
-        if not numbers:
+        if not self._rows:
             raise InputError("recording has no frames", self.attrs["drive"])
+        numbers, times_s, points = zip(*self._rows, strict=True)
+        steered = [number in steering_rad for number in numbers]
         self.put("frame", np.array(numbers, np.int32))
-        self.put("time_s", np.array(self._times_s), "s")
+        self.put("time_s", np.array(times_s), "s")
         if oxts:
             self.put("oxts", np.array([oxts[number] for number in numbers]), "as KITTI's oxts/dataformat.txt")
         if steering_rad:
@@ -85,12 +82,12 @@ class IngestFile(DriveWriter):
             self.put("has_steering", np.array(steered, np.uint8))
         if self._camera and self._crop:
             write_camera(self, self._camera.cropped(self._crop).scaled(self._size))
-        self.put_pointers("lidar_ptr", self._points, "rows of lidar")
-        has = self._has | {"lidar": [count > 0 for count in self._points]}
+        self.put_pointers("lidar_ptr", points, "rows of lidar")
+        has = self._has | {"lidar": [count > 0 for count in points]}
         for name, present in has.items():
             self.put(f"has_{name}", np.array(present, np.uint8))
         counts = {name: sum(present) for name, present in has.items()}
-        return {"frames": len(numbers), "oxts": len(numbers) if oxts else 0, "steering": sum(steered), **counts}
+        return {"frames": len(numbers), "steering": sum(steered), **counts}
 
 
 def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> Summary:
@@ -115,7 +112,7 @@ def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> 
         raise InputError("drive has no oxts packets", files.oxts_times.parent, fix)
     # Lines of timestamps.txt correspond to existing files, including damaged ones.
     time_s = dict(zip(numbers, read_times(times, numbers).tolist(), strict=True))
-    steering_rad = read_steering(files.steering) if files.steering else None
+    steering_rad = read_steering(files.steering) if files.steering else {}
     truth = [name for name, paths in {"depth": depths, "cls": classes}.items() if paths]
     with IngestFile(path, drive, camera, settings, truth) as file:
         file.attrs["camera"] = -1 if chosen is None else chosen

@@ -1,8 +1,8 @@
 """KITTI raw's folder layout, LiDAR scans and calibration. Everything is keyed on frame numbers, never on list position.
 
 ``<root>/<date>/<date>_drive_NNNN_sync/{image_0X,velodyne_points,oxts}/data/%010d.{png,bin,txt}``, calibration in
-``<root>/<date>/``. pykitti's ``raw`` class is not used: its sorted lists shift after a missing frame, and it needs all
-four cameras.
+``<root>/<date>/``; images may be JPEG. pykitti's ``raw`` class is not used: its sorted lists shift after a missing
+frame, and it needs all four cameras.
 """
 
 import hashlib
@@ -46,15 +46,21 @@ class KittiDrive:
         self.truth_cls = _frames(folder / "truth" / "cls", ".png")
 
     def images(self, camera: int) -> dict[int, Path]:
-        return _frames(self.folder / f"image_{camera:02d}" / "data", ".png")
+        """Raise InputError if the folder has files but no image; half-extracted archives have empty folders."""
+        folder = self.folder / f"image_{camera:02d}" / "data"
+        images = _frames(folder, ".png", ".jpg", ".jpeg")
+        if names := [] if images else sorted(path.name for path in folder.glob("[!.]*")):
+            problem = f"has no image (got {names[0]}, expected names such as 0000000000.png or 0000000000.jpg)"
+            raise InputError(problem, folder, "Extract the images again, convert them, or remove the folder")
+        return images
 
     def camera_number(self, choices: Sequence[int]) -> int | None:
         """Return the first camera of `choices` with images; without images, the first that is calibrated, or None."""
-        path = self.calibration / CALIBRATION
-        entries = read_entries(path) if path.is_file() else {}
-        numbers = [number for number in choices if self.images(number)]
-        numbers = numbers or [number for number in choices if f"P_rect_{number:02d}" in entries]
-        return numbers[0] if numbers else None
+        path, number = self.calibration / CALIBRATION, next(filter(self.images, choices), None)
+        if number is None and path.is_file():
+            entries = read_entries(path)
+            number = next((choice for choice in choices if f"P_rect_{choice:02d}" in entries), None)
+        return number
 
     def camera(self, number: int) -> Camera:
         """Return a calibrated camera, with the horizon's row of an imported drive. Raises InputError."""
@@ -83,10 +89,10 @@ class KittiDrive:
         Hashing the contents of KITTI's 175 GB would take longer than ingesting them. The change time detects a file
         that was extracted again: unzip restores the modification time.
         """
-        images = [self.images(camera) for camera in cameras]
-        times = dict.fromkeys(self.timeline(camera)[1] for camera in cameras)
-        frames = [self.oxts, self.scans, self.truth_depth, self.truth_cls, *images]
-        single = [*times, *sorted(self.calibration.glob("calib_*.txt"))]
+        camera = self.camera_number(cameras)
+        images = {} if camera is None else self.images(camera)
+        frames = [self.oxts, self.scans, self.truth_depth, self.truth_cls, images]
+        single = [self.timeline(camera)[1], *sorted(self.calibration.glob("calib_*.txt"))]
         single += [self.folder / name for name in (STEERING, HORIZON)]
         digest = hashlib.sha256()
         for path in [*(path for files in frames for path in files.values()), *filter(Path.is_file, single)]:
@@ -124,9 +130,12 @@ def read_scan(path: Path) -> np.ndarray:
     return scan
 
 
-def _frames(folder: Path, suffix: str) -> dict[int, Path]:
-    # Other names are ignored: macOS adds "._0000000000.png", half-finished downloads ".part".
-    return dict(sorted((int(path.stem), path) for path in folder.glob(f"*{suffix}") if path.stem.isdecimal()))
+def _frames(folder: Path, *suffixes: str) -> dict[int, Path]:
+    # Other names are ignored: macOS adds "._0000000000.png", half-finished downloads ".part". A frame in two formats
+    # has the last path: that with the first suffix.
+    paths = [path for path in folder.glob("*") if path.stem.isdecimal() and path.suffix.lower() in suffixes]
+    paths.sort(key=lambda path: (int(path.stem), -suffixes.index(path.suffix.lower()), path))
+    return {int(path.stem): path for path in paths}
 
 
 def read_calibration(folder: Path, number: int) -> Camera:

@@ -51,7 +51,7 @@ class Examples(ExitStack):
         count = min(frames, len(rows))
         self._frames = [rows[int((i + 0.5) * len(rows) // count)] for i in range(count)]  # middles of equal spans
         chosen = [i for i, _ in self._frames]
-        self.frames_per_drive = {name: chosen.count(i) for i, name in enumerate(drives)}
+        self.frames_per_drive = {name: chosen.count(i) for i, name in enumerate(drives) if i in chosen}
         self.size = self._drives[0][1].size
 
     def __len__(self) -> int:

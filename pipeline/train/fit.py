@@ -63,7 +63,8 @@ def fit_run(run: runs.Run, job: Job) -> Path:
     entry, settings = job.entry, job.settings
     scenes = runs.scenes(run.fold, run.seed, entry.scene)
     drives = {name: replace(job.drives[name], scene=job.drives[other].graphs) for name, other in scenes.items()}
-    train, val = ([drives[name] for name in names] for names in (run.fold.train, run.fold.val))
+    usable = {name: drive for name, drive in drives.items() if drive.has_window(entry.window)}
+    train, val = ([usable[name] for name in names if name in usable] for names in (run.fold.train, run.fold.val))
     with graph_file.open_graphs(train[0].graphs) as graphs:
         contents, points = graphs.contents, graphs.points_per_frame
     device = "cuda" if torch.cuda.is_available() else "cpu"

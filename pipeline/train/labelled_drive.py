@@ -79,6 +79,10 @@ class LabelledDrive(Timeline):
         """The targets, NaN where they are not valid."""
         return np.where(self.valid, self.target, np.nan)
 
+    def has_window(self, window: int) -> bool:
+        """Return whether a window of consecutive frames ends at a valid target: the drive can train and evaluate."""
+        return any(self.valid[start + window - 1 : stop].any() for start, stop in self.stretches)
+
 
 def check(drives: Sequence[LabelledDrive], window: int) -> None:
     """Raise InputError if drives can neither train nor evaluate: no point, no window with a target, all labels 0."""
@@ -86,12 +90,11 @@ def check(drives: Sequence[LabelledDrive], window: int) -> None:
     if all(drive.empty for drive in drives):
         problem, fix = f"no point in any frame of {names}", "Widen the variant's crop_m or add drives"
         raise InputError(problem, first.graphs.parent, fix)
-    stretches = [(drive, *stretch) for drive in drives for stretch in drive.stretches]
-    if not any(drive.valid[start + window - 1 : stop].any() for drive, start, stop in stretches):
+    if not any(drive.has_window(window) for drive in drives):
         target = f"a valid label {first.horizon} frames after"
         if first.ahead_m:
             target = f"a driven path of {first.ahead_m[1]:g} m ahead of"
-        longest = max(stop - start for _, start, stop in stretches)
+        longest = max((stop - start for drive in drives for start, stop in drive.stretches), default=0)
         problem = f"no window of {window} consecutive frames with {target} its end in {names} (longest: {longest})"
         raise InputError(problem, first.graphs.parent, "Use a smaller window, other drives or another input")
     if not any(drive.target[drive.valid].any() for drive in drives):

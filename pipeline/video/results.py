@@ -14,7 +14,7 @@ import pandas as pd
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.evaluate import errors
-from pipeline.labels import sources
+from pipeline.labels import rates, sources
 from pipeline.labels.label import Car, steering_angle, steering_labels
 from pipeline.motion.step import PROBLEMS
 from pipeline.settings.evaluate import Evaluate
@@ -63,12 +63,12 @@ def read_course(motion: DriveReader, car: Car, *, look_ahead: bool, height_known
 
     x and y are the position ahead and to the left of the first frame. ``speed_sigma`` and ``measured_sigma_rad`` are
     standard deviations, that of the speed relative. Curvature and angle are also NaN below the minimum speed.
-    `look_ahead`: as of :func:`pipeline.labels.sources.measured_rates`; `height_known`: of the camera over the road.
+    `look_ahead`: as of :func:`pipeline.labels.rates.measured_rates`; `height_known`: of the camera over the road.
     """
     valid, time_s = motion["valid"].astype(bool), motion.time_s
-    yaw_rate, speed_mps, yaw_sigma, speed_sigma = sources.measured_rates(motion, look_ahead=look_ahead)
+    yaw_rate, speed_mps, yaw_sigma, speed_sigma = rates.measured_rates(motion, look_ahead=look_ahead)
     speed_sigma = np.hypot(speed_sigma, 0.0 if height_known else HEIGHT_SCALE)
-    pose = _track(time_s, valid, sources.stands(motion), yaw_rate, speed_mps)
+    pose = _track(time_s, valid, rates.stands(motion), yaw_rate, speed_mps)
     fast_mps = np.where(np.abs(np.nan_to_num(speed_mps)) >= car.min_speed_mps, speed_mps, np.nan)
     curvature, angle = yaw_rate / fast_mps, steering_angle(yaw_rate, fast_mps, car.wheelbase_m)
     angle_sigma = np.hypot(yaw_sigma / fast_mps, curvature * speed_sigma) * car.wheelbase_m * np.cos(angle) ** 2

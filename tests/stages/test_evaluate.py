@@ -135,6 +135,15 @@ def test_a_control_gets_the_scene_of_another_drive_in_training_and_evaluation(fo
                 model.predict(graphs)
 
 
+def test_drives_without_a_window_are_not_listed(folder):
+    for drive, frames in zip(SPLITS, (0, 3), strict=False):
+        path, road = folder / f"graphs/semantic/{drive}.h5", (np.zeros(frames), np.arange(frames))
+        artefacts.write_graphs(path, drive, *road, 80, np.random.default_rng(0))
+    write_params(folder, epochs=1)
+    trained = predict.load(run_train(folder))
+    assert trained.drives == read_metrics(run_evaluate(folder))["drives"]["train"] == ["2026_01_01_drive_0003"]
+
+
 def test_other_ranges_than_in_training_are_refused(folder):
     write_params(folder, {"predict": "path", "spatial": "polar"}, epochs=1)
     run_train(folder)

@@ -1,6 +1,7 @@
 """Stage ingest on small drives in KITTI raw's layout, intact and damaged."""
 
 import shutil
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, read_index
 from pipeline.camera.camera import Camera
 from stages import ingest
-from tests.kitti_drive import DATE, DRIVE, SIZE, contents, write, write_drive, write_params
+from tests.kitti_drive import DATE, DRIVE, SIZE, contents, write, write_drive, write_params, write_png
 
 OTHER = "2011_09_26_drive_0002"
 NEW = (36, 48)
@@ -32,6 +33,10 @@ def test_rows_go_by_frame_number(tmp_path):
     folder = write_drive(tmp_path / "raw", frames=[2, 3, 5, 6, 7], truth=True)
     for name in ("image_02/data/0000000005.png", "velodyne_points/data/0000000003.bin", "oxts/data/0000000006.txt"):
         (folder / name).unlink()
+    noise = np.random.default_rng(9).integers(0, 256, (*SIZE, 3), np.uint8)
+    for name in ("0000000003.JPEG", "0000000007.jpg"):  # of 7, the PNG file is read
+        write_png(folder / "image_02/data" / name, noise)
+    (folder / "image_02/data/0000000003.png").unlink()
     for junk in ("._0000000003.bin", "0000000003.bin.part", "readme.txt"):
         write(folder / "velodyne_points/data" / junk, "")
     with run(tmp_path) as file:
@@ -41,8 +46,10 @@ def test_rows_go_by_frame_number(tmp_path):
             np.testing.assert_array_equal(file[f"has_{name}"], present)
         oxts = [np.loadtxt(folder / f"oxts/data/{frame:010d}.txt") for frame in file.frame]
         np.testing.assert_array_equal(file["oxts"], oxts)
-        image = cv2.imread(str(folder / "image_02/data/0000000007.png"))[..., ::-1]
-        np.testing.assert_array_equal(file["image"][3], cv2.resize(image, NEW[::-1], interpolation=cv2.INTER_AREA))
+        for row, name in ((1, "0000000003.JPEG"), (3, "0000000007.png")):
+            image = cv2.imread(str(folder / "image_02/data" / name))[..., ::-1]
+            image = cv2.resize(image, NEW[::-1], interpolation=cv2.INTER_AREA)
+            np.testing.assert_array_equal(file["image"][row], image)
         assert not file["image"][2].any()
         np.testing.assert_array_equal(file["lidar_ptr"], [0, 200, 200, 400, 600])
         points = np.fromfile(folder / "velodyne_points/data/0000000005.bin", np.float32).reshape(-1, 4)
@@ -85,6 +92,21 @@ def test_plainly_incomplete_drives(tmp_path, missing, problem):
     shutil.rmtree(path) if path.is_dir() else path.unlink()
     with pytest.raises(InputError, match=problem):
         run(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["0000000001.tif", "0000000001.png.part", "frame_1.png", ".DS_Store"])
+def test_a_folder_without_images_is_empty(tmp_path, name):
+    """Half-extracted archives have empty folders. Files in another format or with other names are a fault."""
+    folder = write_drive(tmp_path / "raw") / "image_02"
+    image = (folder / "data/0000000001.png").read_bytes()
+    shutil.rmtree(folder)
+    write(folder / f"data/{name}", "")
+    refused = pytest.raises(InputError, match=f"{folder}/data: has no image .got {name}, exp")
+    with refused if name[0] != "." else nullcontext():
+        assert not run(tmp_path)["has_image"].any()
+    folder.rename(folder.with_name("image_00"))  # a camera that is not needed
+    write(folder / "data/0000000001.png", image)
+    assert run(tmp_path)["has_image"].tolist() == [0, 1, 0, 0]
 
 
 def test_source_both_reads_each_drive_from_its_folder(tmp_path):

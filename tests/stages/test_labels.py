@@ -1,5 +1,7 @@
 """Stage labels, down to KITTI's own packets."""
 
+import tarfile
+from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -7,8 +9,8 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.base.store import DriveReader, read_index, write_index
-from pipeline.kitti.oxts import make_rows
+from pipeline.base.store import DriveReader, DriveWriter, read_index, write_index
+from pipeline.kitti.oxts import interpolated, make_rows
 from stages import labels
 from tests.artefacts import write_motion, write_recorded
 from tests.kitti_drive import write_params
@@ -78,6 +80,44 @@ def test_measured_and_recorded_labels_are_valid_unless_the_car_is_slow_or_stands
     np.testing.assert_allclose(without["speed_mps"], [0, 5, 0, 0.5, 0], rtol=0.02)
     np.testing.assert_array_equal(with_oxts["valid"], [1, 0, 0, 1, 1])
     np.testing.assert_array_equal(with_oxts["speed_mps"], [10, 10, 0.5, 10, 10])
+
+
+@pytest.mark.parametrize("mode", ["posmode", "velmode", "orimode"])
+def test_an_interpolated_packet_is_no_target_and_ends_the_path_ahead(tmp_path, capsys, mode):
+    """A path of 5 m is that of five frames. A recorded angle does not need the packet."""
+    frame = np.arange(30)
+    for drive in DRIVES:
+        rows = make_rows(30, vf=11.0, wu=0.2, **{mode: np.where(frame == 20, -1.0, 4.0)})
+        write_recorded(tmp_path / f"ingest/{drive}.h5", frame, rows, dict.fromkeys(range(30), 0.1))
+        write_motion(tmp_path / "motion", drive, dict.fromkeys(range(30), (5.0, 0.1)))
+    write_index(tmp_path / "ingest", DRIVES)
+    for source, valid in {"oxts": frame != 20, "wheel": frame >= 0, "visual": frame >= 0}.items():
+        file, _ = run(tmp_path, source=source, ahead_m=[0, 5])
+        np.testing.assert_array_equal(file["valid"], valid)
+        text = f"{valid.sum()} valid, {valid.sum()} turning, {int(source != 'visual')} interpolated"
+        assert text in capsys.readouterr().out
+        if source != "visual":
+            assert np.flatnonzero(file["ahead_valid"]).tolist() == [*range(15), *range(21, 25)]
+
+
+@pytest.mark.real
+def test_interpolated_packets_of_kitti(real_kitti, tmp_path):
+    packets, counts = defaultdict[str, list[Any]](list), dict[str, int]()
+    with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
+        for member in archive:
+            if "/data/0" in member.name:
+                packets[member.name[11:32]].append(archive.extractfile(member).read().split())  # type: ignore[union-attr]
+    for drive, rows in packets.items():
+        with DriveWriter(tmp_path / f"ingest/{drive}.h5", stage="ingest", drive=drive, params={}) as file:
+            for name, values in (("frame", range(len(rows))), ("time_s", np.arange(len(rows)) / 10), ("oxts", rows)):
+                file.put(name, np.array(values, float))
+    write_index(tmp_path / "ingest", dict.fromkeys(packets, "train"))
+    run(tmp_path, ahead_m=[0, 0.1])
+    for drive, rows in packets.items():
+        guessed = interpolated(np.array(rows, float))
+        counts[drive], file = guessed.sum(), DriveReader(tmp_path / f"labels/{drive}.h5", stage="labels")
+        assert not (file["valid"] | file["ahead_valid"][:, 0])[guessed].any()
+    assert (len(counts), sum(counts.values()), counts["2011_10_03_drive_0027"]) == (55, 323, 134)
 
 
 def test_a_source_that_a_drive_lacks(recorded):

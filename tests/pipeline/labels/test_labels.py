@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from pipeline.labels import ahead, comparison, label
 from pipeline.labels.label import Labels
-from pipeline.labels.sources import REACH, YAW_SIGMA_S, means
+from pipeline.labels.rates import REACH, YAW_SIGMA_S, means
 
 L = 2.7
 CAR = {"wheelbase_m": L, "min_speed_mps": 1.0}
@@ -148,8 +148,8 @@ def test_recorded_angles_have_no_speed():
 def test_yaw_rates_are_gaussian_means(steps_s, seed):
     time_s = np.cumsum(steps_s)
     yaw_rate = np.random.default_rng(seed).normal(0, 0.3, len(time_s))
-    rates = means(time_s, yaw_rate, np.full(len(time_s), 8.0), np.ones(len(time_s), bool))
+    found, _ = means(time_s, yaw_rate, YAW_SIGMA_S)
     for row, at_s in enumerate(time_s):
         near = np.abs(time_s - at_s) <= REACH * YAW_SIGMA_S
         weights = np.exp(-(((time_s - at_s)[near] / YAW_SIGMA_S) ** 2) / 2)
-        np.testing.assert_allclose(rates.yaw_rate_radps[row], np.average(yaw_rate[near], weights=weights), atol=1e-12)
+        np.testing.assert_allclose(found[row], np.average(yaw_rate[near], weights=weights), atol=1e-12)

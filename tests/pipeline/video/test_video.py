@@ -270,8 +270,9 @@ def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path):
 def test_truth_is_that_of_the_logs_or_of_the_drive(tmp_path, wheel, motion, expected_rad):
     files = [tmp_path / "wheel.csv", tmp_path / "motion.csv"]
     recorded: dict[str, Any] = {"steering_rad": {1: 0.1, 3: -0.2}}
-    if motion == "oxts":  # whose angles are unknown at standstill
-        motion, recorded = None, {"oxts": make_rows(4, vf=np.array([10, 0.5, 10, 0.5]), wu=0.5)}
+    if motion == "oxts":  # whose angles are unknown at standstill, and in interpolated packets
+        packets = make_rows(4, vf=np.array([10, 0.5, 10, 10]), wu=0.5, velmode=np.array([0, 4, 4, -1]))
+        motion, recorded = None, {"oxts": packets}
     write_recorded(tmp_path / "a.h5", np.arange(4), **recorded)
     files[0].write_text(wheel or "")
     files[1].write_text(f"time_s,speed_mps,yaw_rate_radps\n{motion}")

@@ -46,7 +46,7 @@ class KittiDrive:
         self.truth_cls = _frames(folder / "truth" / "cls", ".png")
 
     def images(self, camera: int) -> dict[int, Path]:
-        """Raise InputError if the folder has files but no image; half-extracted archives have empty folders."""
+        """Return the images of a camera, as PNG or JPEG. Raises InputError if there are none, but other files."""
         folder = self.folder / f"image_{camera:02d}" / "data"
         images = _frames(folder, ".png", ".jpg", ".jpeg")
         if names := [] if images else sorted(path.name for path in folder.glob("[!.]*")):

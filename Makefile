@@ -1,4 +1,4 @@
-# make help lists the targets. Each sets up its environment first. Needs Debian or Ubuntu and Python 3.11 or 3.12.
+# make help lists the targets. Each sets up its environment first. Needs Python 3.11 to 3.14; tried on Debian 12 and 13.
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -13,8 +13,11 @@ PRESETS := $(filter-out encoder street,$(patsubst presets/%.yaml,%,$(wildcard pr
 .PHONY: demo help $(PRESETS) encoder street udacity params test bench lint format setup system
 
 demo: setup            ## run the complete chain on the embedded sample and print its table
+	@git rev-parse >/dev/null 2>&1 || dvc config --local core.no_scm true  # GitHub's ZIP
 	dvc repro check graphs labels
-	@dvc stage list --name-only | grep '^train@' | xargs -n 1 -P 2 dvc repro --single-item || true  # side by side
+	@mkdir -p .dvc/tmp && rm -f .dvc/tmp/train@*  # errors, shown after all models have ended; xargs stops at DVC's 255
+	@dvc stage list --name-only | grep '^train@' | xargs -n 1 -P 2 sh -c \
+	'dvc --wait-for-lock repro --single-item $$0 2>.dvc/tmp/$$0 || exit 1' || { cat .dvc/tmp/train@* >&2; exit 1; }
 	dvc repro
 	@cat data/report/table.md && echo "Open data/report/index.html in a browser."
 
@@ -74,12 +77,14 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PIP) $(INSTALL) torch --editable '.[dev]'
 	@echo "$(abspath $(VENV))" > $@
 
-# Open3D links against libusb, and Debian packages venv separately. Only root can install them.
+# Libraries that Open3D loads, and venv, which Debian packages separately. Only root can install them.
+LIBRARIES := libusb-1.0.so.0=libusb-1.0-0 libEGL.so.1=libegl1 libGL.so.1=libgl1
 system:
-	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' || \
-	{ echo "error: $(PYTHON): expected Python 3.11 or 3.12. Name one: make PYTHON=python3.11 …" >&2; exit 1; }
-	@missing=$$(PATH="$$PATH:/sbin:/usr/sbin" ldconfig -p | grep -q libusb-1.0.so.0 || echo libusb-1.0-0); \
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 14))' || \
+	{ echo "error: $(PYTHON): expected Python 3.11 to 3.14. Name one: make PYTHON=python3.12 …" >&2; exit 1; }
+	@command -v apt-get >/dev/null || exit 0; \
+	known=$$(PATH="$$PATH:/sbin:/usr/sbin" ldconfig -p); missing=; \
+	for pair in $(LIBRARIES); do case $$known in *$${pair%=*}*) ;; *) missing="$$missing $${pair#*=}" ;; esac; done; \
 	$(PYTHON) -c 'import ensurepip' 2>/dev/null || missing="$$missing python3-venv"; \
-	[ -z "$$missing" ] || \
-	if [ "$$(id -u)" = 0 ]; then apt-get update -qq && apt-get install -y -qq $$missing; \
-	else echo "error: packages are missing. Install them: sudo apt-get install $$missing" >&2; exit 1; fi
+	[ -z "$$missing" ] || if [ "$$(id -u)" = 0 ]; then apt-get update -qq && apt-get install -y -qq --no-install-recommends $$missing; \
+	else echo "error: packages are missing. Install them: sudo apt-get install$$missing" >&2; exit 1; fi

@@ -18,6 +18,10 @@ DVC = """#!/bin/sh
 echo "$@" >> {log}
 case "$1" in
 init) mkdir .dvc ;;
+stage) echo train@fails train@works | tr ' ' '\\n' ;;
+--wait-for-lock)
+  case "$4" in train@fails) echo "$4: loss is nan" >&2; exit 255 ;; esac
+  sleep 0.5; echo "trained $4" >> {log} ;;
 repro)
   mkdir -p data/report && touch data/report/index.html && ls stages > dvc.lock
   echo "| $(basename "$PWD") |" > data/report/table.md ;;
@@ -43,10 +47,10 @@ def checkout(tmp_path) -> Path:
     return folder
 
 
-def make(checkout: Path, preset: str) -> subprocess.CompletedProcess[str]:
+def make(checkout: Path, target: str) -> subprocess.CompletedProcess[str]:
     """Run make without the target setup, which would install packages."""
     environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "MAKEFLAGS")}
-    command = ["make", "-o", "setup", "VENV=fake", preset]
+    command = ["make", "-o", "setup", "VENV=fake", target]
     return subprocess.run(command, cwd=checkout, env=environment, capture_output=True, text=True, check=False)
 
 
@@ -83,6 +87,16 @@ def test_a_preset_runs_in_a_copy_of_the_code(checkout):
     assert done.returncode != 0
     assert "another make kitti is running" in done.stderr
     assert (checkout / "calls").read_text() == calls
+
+
+@pytest.mark.slow
+def test_the_demo_ends_all_trainings_before_it_shows_a_failure(checkout):
+    """Without git, as in GitHub's ZIP; DVC's exit status 255 would end xargs at once."""
+    done = make(checkout, "demo")
+    assert done.returncode != 0
+    calls = (checkout / "calls").read_text().splitlines()
+    assert (calls[0], calls[-1]) == ("config --local core.no_scm true", "trained train@works")
+    assert "train@fails: loss is nan" in done.stderr
 
 
 def test_a_revision_names_the_commit_and_edits_of_the_code(tmp_path):

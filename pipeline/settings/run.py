@@ -64,6 +64,8 @@ def copy_code(run: Path) -> None:
 
 def revision(checkout: Path = Path()) -> str:
     """Return the short hash of the commit, with "-dirty" if the code differs from it; empty without git."""
+    if not shutil.which("git"):
+        return ""
     git = partial(subprocess.run, cwd=checkout, capture_output=True, text=True, check=False)
     commit = git(["git", "rev-parse", "--short", "HEAD"]).stdout.strip()
     return commit + "-dirty" * bool(commit and git(["git", "diff", "--quiet", "HEAD", "--", *CODE]).returncode)

@@ -27,7 +27,7 @@ def main(params: Path = Path("params.yaml")) -> Path:
 
 
 def check_model(entry: Entry, settings: Params) -> None:
-    """Build a model's network and check that its inputs are available. Raises InputError or ValueError."""
+    """Build a model's network and check that its inputs are available. Raises InputError."""
     if entry.input not in settings.graphs:
         raise InputError(f"unknown variant {entry.input!r}: {closest(entry.input, [*settings.graphs])}", "input")
     variant = settings.graphs[entry.input]

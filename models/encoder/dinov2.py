@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from models.encoder.heads import scaled_by_focal
 from models.encoder.hugging_face import CityscapesLogits, Network, describe, loading
 from models.encoder.rtmonodepth_s import KITTI_FOCAL
+from pipeline.base.errors import InputError
 
 MIN_DEPTH_M, MAX_DEPTH_M, BINS = 0.001, 80.0, 256  # of the KITTI heads; the authors' hub code has NYU's maximum of 10 m
 ADE20K = (
@@ -73,12 +74,12 @@ class DinoV2(nn.Module):
 
 
 def create_dinov2(settings: Any) -> tuple[dict[str, Any], nn.Module]:
-    """Return architecture and network of section ``encoder``, which names the heads' files. Raises ValueError."""
+    """Return architecture and network of section ``encoder``, which names the heads' files. Raises InputError."""
     folder, description, sources = describe(settings.model)
     architecture = {"backbone": "dinov2", "model": description, "sources": sources}
     with loading(settings.model):
         if description["config"]["model_type"] != "dinov2":
-            raise ValueError("expected a network of type dinov2")
+            raise InputError("expected a network of type dinov2")
         network = DinoV2(architecture, folder)
     for head, file in ((network.depth_head, settings.depth), (network.class_head, settings.classes)):
         with loading(file):

@@ -19,6 +19,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from models.encoder.heads import CellClasses, CellDepth, ray_slopes, resized, rgb_0_1, scaled_by_focal
+from pipeline.base.errors import InputError
 from pipeline.camera.classes import COUNT, NAMES
 
 IMAGENET = {"image_mean": [0.485, 0.456, 0.406], "image_std": [0.229, 0.224, 0.225]}
@@ -69,7 +70,7 @@ def transformers() -> ModuleType:
     try:
         import transformers
     except ImportError as error:
-        raise ValueError("this backbone needs the package transformers: pip install '.[pretrained]'") from error
+        raise InputError("this backbone needs the package transformers: pip install '.[pretrained]'") from error
     transformers.logging.set_verbosity_error()  # type: ignore[no-untyped-call]
     transformers.logging.disable_progress_bar()  # type: ignore[no-untyped-call]
     logging.getLogger("huggingface_hub").setLevel(logging.ERROR)
@@ -85,7 +86,7 @@ def loading(name: str | Path) -> Iterator[None]:
         reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
         if isinstance(error, UnpicklingError):  # its text explains how to run the code
             reason = "a file is damaged, or has more than tensors"
-        raise ValueError(f"cannot load {str(name)!r}: {reason}") from error
+        raise InputError(f"cannot load {str(name)!r}: {reason}") from error
 
 
 def check(name: str) -> None:
@@ -94,7 +95,7 @@ def check(name: str) -> None:
     path = Path(name)
     is_folder = path.is_absolute() or path.parent.is_dir() or len(path.parts) > 2
     if is_folder and not (path / "config.json").is_file():
-        raise ValueError(f"{name!r} is not a folder with a config.json, nor a name of Hugging Face's hub")
+        raise InputError(f"{name!r} is not a folder with a config.json, nor a name of Hugging Face's hub")
 
 
 def describe(name: str) -> tuple[Path, dict[str, Any], list[str]]:
@@ -141,7 +142,7 @@ class Network(nn.Module):
                 )
                 missing = sorted(name for name in report["missing_keys"] if not name.startswith(UNPUBLISHED))
                 if missing:
-                    raise ValueError(f"its weights lack {missing[0]}, {len(missing)} tensors in all")
+                    raise InputError(f"its weights lack {missing[0]}, {len(missing)} tensors in all")
         mean_std = torch.tensor([description["mean"], description["std"]])[..., None, None]
         self.register_buffer("mean_std", mean_std, persistent=False)  # [2,3,1,1]
 
@@ -226,7 +227,7 @@ def create_pair(settings: Any) -> tuple[dict[str, Any], nn.Module]:
     unit = depth["config"].get("depth_estimation_type") or settings.depth_unit
     if unit != "metric":
         problem = "is relative" if unit else "has an unknown unit. If it is metres, set depth_unit: metric"
-        raise ValueError(f"the depth of {settings.depth!r} {problem}")
+        raise InputError(f"the depth of {settings.depth!r} {problem}")
     print(f"encoder: classes that are void: {', '.join(network.cityscapes.void) or 'none'}", flush=True)
     return architecture, network
 

@@ -17,6 +17,7 @@ from models.encoder.dinov2 import DinoV2
 from models.encoder.hugging_face import HuggingFace, Pair
 from models.encoder.small import Small
 from models.encoder.street import Street
+from pipeline.base.errors import InputError
 
 Architecture = Mapping[str, Any]
 """JSON-able description of an encoder, complete without a hub; ``backbone`` is a key of BUILD."""
@@ -34,8 +35,8 @@ BUILD: dict[str, Callable[[Architecture], nn.Module]] = {
 def build(architecture: Architecture) -> nn.Module:
     """Return the encoder that `architecture` describes, with random weights.
 
-    Raises ValueError if its kind is unknown, or if a package is missing.
+    Raises InputError if its kind is unknown, or if a package is missing.
     """
     if architecture["backbone"] not in BUILD:
-        raise ValueError(f"unknown backbone {architecture['backbone']!r} (known: {', '.join(BUILD)})")
+        raise InputError(f"unknown backbone {architecture['backbone']!r} (known: {', '.join(BUILD)})")
     return BUILD[architecture["backbone"]](architecture)

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 
-class InputError(Exception):
-    """A fault that the user can fix, rendered as ``<where>: <problem>. <fix>``."""
+class InputError(ValueError):
+    """A fault that the user can fix, rendered as ``<where>: <problem>. <fix>``; in a validator, one of pydantic's."""
 
     def __init__(self, problem: str, where: object = "", fix: str = "") -> None:
         """`where`: a file, parameter or drive; `fix`: a sentence or command for the user."""
@@ -25,13 +25,12 @@ class DamagedFile(InputError):
 
 @contextmanager
 def error_context(where: object = "", fix: str = "") -> Iterator[None]:
-    """Re-raise an InputError or ValueError as an InputError with `where` in front of it and a `fix`, if it has none."""
+    """Re-raise an InputError with `where` in front of it, and with a `fix` if it has none."""
     try:
         yield
-    except (InputError, ValueError) as error:
-        inner = error if isinstance(error, InputError) else InputError(str(error))
-        places = [str(place) for place in (where, inner.where) if str(place)]
-        raise type(inner)(inner.problem, ": ".join(places), inner.fix or fix) from error
+    except InputError as error:
+        places = [str(place) for place in (where, error.where) if str(place)]
+        raise type(error)(error.problem, ": ".join(places), error.fix or fix) from error
 
 
 def closest(name: str, options: Sequence[str]) -> str:

@@ -12,7 +12,7 @@ from threading import Thread
 from typing import Any, TypeVar
 
 from pipeline.base import resume
-from pipeline.base.errors import InputError, error_context
+from pipeline.base.errors import InputError
 
 SCHEDULER = "STEER_SCHEDULER"
 # A forked child would inherit the thread pools of torch, OpenCV and Open3D in an unusable state.
@@ -86,8 +86,10 @@ def _cluster(address: str) -> Iterator[Executor]:
     """Yield the workers of a cluster, which repeats the job of a worker that died up to three times."""
     from distributed import Client
 
-    with error_context(SCHEDULER):
+    try:
         client = Client(address, timeout=5, set_as_default=False)
+    except ValueError as error:
+        raise InputError(str(error), SCHEDULER) from error
     with client:
         if not client.nthreads():
             print(f"waiting for workers. Start them: dask worker {address} --nthreads 1", flush=True)

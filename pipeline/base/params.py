@@ -13,17 +13,17 @@ from pipeline.base.errors import InputError, closest, error_context
 
 
 def check_drive(name: str) -> str:
-    """Return the name of a drive. Raises ValueError."""
+    """Return the name of a drive. Raises InputError."""
     if re.fullmatch(r"\d{4}_\d\d_\d\d_drive_\d{4}", name):
         return name
-    raise ValueError("expected a drive's name, such as 2011_09_26_drive_0052")
+    raise InputError("expected a drive's name, such as 2011_09_26_drive_0052")
 
 
 def check_name(name: Any) -> str:
-    """Return the name of an entry, safe as the name of a stage and of a folder, and in a shell. Raises ValueError."""
+    """Return the name of an entry, safe as the name of a stage and of a folder, and in a shell. Raises InputError."""
     if isinstance(name, str) and re.fullmatch("[A-Za-z0-9][A-Za-z0-9_-]{,99}", name):
         return name
-    raise ValueError("expected at most 100 letters A-Z and a-z, digits, _ and -; quote names such as 1 or on")
+    raise InputError("expected at most 100 letters A-Z and a-z, digits, _ and -; quote names such as 1 or on")
 
 
 Name = Annotated[str, BeforeValidator(check_name)]

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel
 
-from pipeline.base.errors import InputError, error_context
+from pipeline.base.errors import error_context
 from pipeline.base.executors import run_jobs
 from pipeline.base.outputs import StageFolder, link, stage_folder
 from pipeline.base.resume import stage_key
@@ -98,12 +98,8 @@ def _make(task: tuple[str, Path, Callable[[Path], Summary]]) -> tuple[Summary, f
     """Make one drive, and its summary beside it; an error names the drive."""
     drive, path, work = task
     start = time.perf_counter()
-    try:
-        with replacing(path.parent) as tmp:
-            tmp.mkdir()
-            summary = work(tmp / path.name)
-            (tmp / "summary.json").write_text(json.dumps(summary))
-    except InputError:
-        with error_context(drive):
-            raise
+    with error_context(drive), replacing(path.parent) as tmp:
+        tmp.mkdir()
+        summary = work(tmp / path.name)
+        (tmp / "summary.json").write_text(json.dumps(summary))
     return summary, time.perf_counter() - start

@@ -159,11 +159,6 @@ class DriveReader:
             self._file = h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES)
             self.attrs: dict[str, Any] = dict(self._file.attrs)
             self.drive, written_by, schema = (str(self.attrs.get(name)) for name in ("drive", "stage", "schema"))
-            if (written_by, schema) != (stage or written_by, str(SCHEMA)):
-                problem = f"expected stage {self._stage!r}, schema {SCHEMA}; got stage {written_by!r}, schema {schema}"
-                raise _fault(problem, path, self._stage)
-            if "_drive_" in path.stem and self.drive != path.stem:
-                raise _fault(f"contains drive {self.drive}", path, self._stage)
             self.datasets = _datasets(self._file)
             # Ragged dataset → dataset with the first row of each frame; dataset of numbers of rows → that with the rows
             self.pointers, self.refers_to = (
@@ -172,6 +167,11 @@ class DriveReader:
             )
         except _H5PY_ERRORS as error:
             raise _fault(f"damaged ({error})", path, self._stage) from error
+        if (written_by, schema) != (stage or written_by, str(SCHEMA)):
+            problem = f"expected stage {self._stage!r}, schema {SCHEMA}; got stage {written_by!r}, schema {schema}"
+            raise _fault(problem, path, self._stage)
+        if "_drive_" in path.stem and self.drive != path.stem:
+            raise _fault(f"contains drive {self.drive}", path, self._stage)
 
     @cached_property
     def params(self) -> dict[str, Any]:

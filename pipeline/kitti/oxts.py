@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.errors import DamagedFile, InputError, error_context
+from pipeline.base.errors import DamagedFile, InputError
 from pipeline.kitti.columns import check_increase, check_limit, read_columns
 
 COLUMNS = (
@@ -86,8 +86,10 @@ def read_times(path: Path, frames: Sequence[int]) -> np.ndarray:
     numbers = list(frames) if len(lines) > frames[-1] else list(range(len(frames)))
     if len(lines) <= frames[-1] and len(lines) != len(frames):
         raise InputError(f"expected at least {frames[-1] + 1} lines for frame {frames[-1]}, got {len(lines)}", path)
-    with error_context(path):
+    try:
         stamps = np.array([lines[number].strip() for number in numbers], dtype="datetime64[ns]")
+    except ValueError as error:
+        raise InputError(str(error), path) from error
     # Differences in nanoseconds: a float64 of seconds since 1970 resolves only 0.2 microseconds.
     time_s = (stamps - stamps[0]).astype(np.int64) / 1e9
     check_increase("time_s", time_s, 1e-9, path)

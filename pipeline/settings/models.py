@@ -65,11 +65,7 @@ class Entry(Section):
                 raise ValueError(f"{name} is missing: {field.description}")
         complete = dict(value)
         for network in networks:
-            try:
-                chosen = parse(network, {name: value[name] for name in network.model_fields if name in value})
-            except InputError as error:
-                raise ValueError(f"{error.where}: {error.problem}") from error
-            complete |= chosen.model_dump()
+            complete |= parse(network, {key: value[key] for key in network.model_fields if key in value}).model_dump()
         return complete
 
     def build(
@@ -78,7 +74,7 @@ class Entry(Section):
         """Build the network with new weights from torch's random state.
 
         `kind`, `levels` and `image_size` describe the frames of the entry's input, see graph_file.Contents; `outputs`:
-        R ranges of a path. Raises ValueError if the network reads another kind or an option is out of range.
+        R ranges of a path. Raises InputError if the network reads another kind or an option is out of range.
         """
         spatial, temporal = (
             network.model_validate({name: getattr(self, name) for name in network.model_fields})
@@ -86,7 +82,7 @@ class Entry(Section):
         )
         if spatial.kind != kind:
             expects = f"spatial = {self.spatial!r} expects {FRAMES[str(spatial.kind)]}"
-            raise ValueError(f"{expects}, but input: {self.input} holds {FRAMES[kind]}")
+            raise InputError(f"{expects}, but input: {self.input} holds {FRAMES[kind]}")
         return steering_net.SteeringNet(
             spatial,
             temporal,

@@ -1,6 +1,5 @@
 """Fit a steering network to the training drives, with early stopping and resume."""
 
-import copy
 import math
 import multiprocessing
 import time
@@ -13,6 +12,7 @@ import numpy as np
 import pandas as pd
 import torch
 from torch import Tensor, nn
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from models.steering.core.steering_net import SteeringNet
 from pipeline.base.errors import InputError, error_context
@@ -85,6 +85,8 @@ def fit_run(run: runs.Run, job: Job) -> Path:
         "train": settings.model_dump(exclude={"seeds"}),
         "seed": run.seed,
         "fold": run.fold.name,
+        "drives": [*run.fold.train],
+        "val": [*run.fold.val],
     }
     metadata = {
         "kind": predict.KIND,
@@ -92,7 +94,6 @@ def fit_run(run: runs.Run, job: Job) -> Path:
         "seeds": settings.seeds,
         "contents": contents._asdict(),
         "settings": train[0].settings,
-        "drives": [drive.name for drive in train],
         "fps": float(1 / np.median(np.concatenate([np.diff(drive.time_s) for drive in train]))),
         **inputs,
     }
@@ -110,7 +111,7 @@ def fit_run(run: runs.Run, job: Job) -> Path:
 class Fit:
     """One training run: a network, the moving average of its weights, an optimiser, and the learning curve.
 
-    The average is validated and selected: at a high learning rate single steps fluctuate, their mean does not.
+    The average, with the network's buffers, is validated and selected: single steps fluctuate at a high learning rate.
     """
 
     net: SteeringNet
@@ -122,7 +123,8 @@ class Fit:
 
     def __post_init__(self) -> None:
         self.scale = Scale.from_drives(self.train)
-        self.average, self.best = copy.deepcopy(self.net), copy_weights(self.net)
+        self.average: Any = AveragedModel(self.net, multi_avg_fn=get_ema_multi_avg_fn(self.settings.average))
+        self.best = copy_weights(self.net)
         # Weight decay for matrices only: an offset or a time constant need not be small.
         matrices = [parameter for parameter in self.net.parameters() if parameter.ndim > 1]
         vectors = [parameter for parameter in self.net.parameters() if parameter.ndim <= 1]
@@ -160,7 +162,7 @@ class Fit:
                 error = nmse(val, self._predict(reader)) if val else math.nan
                 self.curve.append({"epoch": epoch, "learning_rate": rate, "train_loss": loss, "val_nmse": error})
                 if selected := self.selected == epoch:
-                    self.best = copy_weights(self.average)
+                    self.best = copy_weights(self.average.module)
                 checkpoint.write(state, self._state())
                 eta = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
                 text = f", validation nmse {error:.3f}{' (selected)' if selected else ''}" if val else ""
@@ -168,14 +170,14 @@ class Fit:
                 line = f"{title}: {epoch} of {epochs} epochs, loss {loss:.4f}{text}, ETA {eta:.0f} s\n"
                 print(line, end="", flush=True)
             if self.entry.uncertainty and val:
-                self.average.load_state_dict(self.best)
+                self.average.module.load_state_dict(self.best)
                 self.scale = self.scale.calibrated(val, self._predict(reader))
 
     def _predict(self, reader: windows.Reader) -> list[Prediction]:
         """Return the average's predictions for the validation drives, which the reader has after the others."""
         spans = windows.spans(self.val, self.entry.window, predict.WINDOWS)
         groups = [[replace(span, drive=len(self.train) + span.drive)] for span in spans]
-        return predict.predict_spans(self.average, self.val, spans, reader.batches(groups), self.scale)
+        return predict.predict_spans(self.average.module, self.val, spans, reader.batches(groups), self.scale)
 
     def _plan(self, epoch: int) -> list[list[windows.Span]]:
         """Return the spans of each step of an epoch.
@@ -197,6 +199,7 @@ class Fit:
         settings, device, net = self.settings, self.net.device, self.net
         steps, robust = self._plan(epoch), self.entry.predict == "path"
         net.train()
+        torch.manual_seed(int(np.random.SeedSequence([self.seed, epoch]).generate_state(1)[0]))  # of dropout, see _plan
         errors, masses, precision = [], [], autocast(device, settings.precision)
         for step, batch in enumerate(reader.batches(steps)):
             progress = (epoch - 1 + step / len(steps)) / settings.epochs
@@ -214,9 +217,7 @@ class Fit:
             (error / mass).backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(net.parameters(), settings.clip_norm)
             self.optimiser.step()
-            decay = settings.average if step or epoch > 1 else 0.0  # starts with the weights after the first step
-            with torch.no_grad():
-                torch._foreach_lerp_([*self.average.parameters()], [*net.parameters()], 1 - decay)
+            self.average.update_parameters(net)
             errors.append(error.detach())
             masses.append(mass)
         error_sum, mass_sum = torch.stack(errors + masses).double().view(2, -1).sum(1).tolist()

@@ -94,10 +94,10 @@ def load(folder: str | Path, device: torch.device | str | None = None) -> Traine
         try:
             entry, contents = Entry.model_validate(content["entry"]), Contents(**content["contents"])
             scale = Scale.parse(content["scale"])
-            net = entry.build(**contents._asdict(), outputs=len(scale.names))
             about = {key: content[key] for key in ("name", "seeds", "settings", "drives", "fps")}
-        except (AttributeError, InputError, LookupError, TypeError, ValueError) as error:
+        except (AttributeError, LookupError, TypeError, ValueError) as error:
             raise InputError(f"not a model of this version ({shorten(repr(error), 200)})", path) from error
+        net = entry.build(**contents._asdict(), outputs=len(scale.names))
         checkpoint.load_state(net, content["net"], path)
     net.to(device or ("cuda" if torch.cuda.is_available() else "cpu")).eval()
     return Trained(**about, entry=entry, contents=contents, scale=scale, net=net)

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from torch import nn
 
 from models.steering.core.batch import FrameKind
+from pipeline.base.errors import InputError
 
 Part = Literal["spatial", "temporal"]
 Count = Annotated[int, Field(ge=1, le=1024)]  # neurons, channels
@@ -43,7 +44,7 @@ class NetworkOptions(OptionGroup):
     """Whether the features depend on the frames."""
 
     def build(self, sizes: Sizes) -> nn.Module:
-        """Build the network with new weights from torch's random state."""
+        """Build the network with new weights from torch's random state. Raises InputError for a wrong option."""
         raise NotImplementedError
 
 
@@ -53,14 +54,15 @@ def names(part: Part) -> list[str]:
 
 
 def load(part: Part, name: str) -> type[NetworkOptions]:
-    """Return the class `Options` of a network's file. Raises ValueError if file or class is missing or incomplete."""
+    """Return the class `Options` of a network's file. Raises InputError if file or class is missing or incomplete."""
     path = f"models/steering/{part}/{name}.py"
     if name not in (known := names(part)):
-        raise ValueError(f"{part} = {name!r}: there is no {path} (known: {', '.join(known)})")
-    options = getattr(importlib.import_module(f"models.steering.{part}.{name}"), "Options", None)
+        raise InputError(f"{part} = {name!r}: there is no {path} (known: {', '.join(known)})")
+    try:
+        options = getattr(importlib.import_module(f"models.steering.{part}.{name}"), "Options", None)
+    except (AssertionError, ValueError) as error:  # a bug, which pydantic would take for a wrong option
+        raise ImportError(f"{path} raises {error!r}") from error
     kinds = get_args(FrameKind) if part == "spatial" else (None,)
     if not (isinstance(options, type) and issubclass(options, NetworkOptions) and options.kind in kinds):
-        raise ValueError(
-            f"{path} has no class Options(NetworkOptions) with one of the kinds {kinds}. See docs/models.md"
-        )
+        raise InputError(f"no class Options(NetworkOptions) with one of the kinds {kinds}", path, "See docs/models.md")
     return options

@@ -38,7 +38,7 @@ class SteeringNet(nn.Module):
         uncertainty: a network from the recurrent network's state [W,U] to log σ [W,R], the logarithm of the error's
             standard deviation. Its gradient ends at the state: it does not change what the mean is learned from.
     Raises:
-        ValueError: an option is out of range.
+        InputError: an option is out of range.
     """
 
     signs: Tensor

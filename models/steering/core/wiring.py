@@ -9,6 +9,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from models.steering.core.options import Count, OptionGroup
+from pipeline.base.errors import InputError
 
 Polarity = NDArray[np.int8]
 Neurons = NDArray[np.int64]
@@ -45,7 +46,7 @@ def ncp(inputs: int, layout: Layout = Layout(), motor: int = 1) -> Wiring:
     each motor neuron is fed by `motor_fanin` command neurons. A neuron without input after that, or a command neuron
     without output, gets the average number of synapses of its layer.
 
-    Raises ValueError if a fan-out or fan-in exceeds the size of its target layer, or for too many recurrent synapses.
+    Raises InputError if a fan-out or fan-in exceeds the size of its target layer, or for too many recurrent synapses.
     """
     inter, command = layout.inter, layout.command
     for name, count, layer, size in [
@@ -55,7 +56,7 @@ def ncp(inputs: int, layout: Layout = Layout(), motor: int = 1) -> Wiring:
         ("recurrent_command_synapses", layout.recurrent_command_synapses, "command²", command**2),
     ]:
         if count > size:
-            raise ValueError(f"wiring.{name} = {count}, expected at most {layer} = {size}")
+            raise InputError(f"wiring.{name} = {count}, expected at most {layer} = {size}")
 
     rng = np.random.default_rng(layout.seed)
     units = motor + command + inter

@@ -7,6 +7,7 @@ from torch import Tensor, nn
 
 from models.steering.core.batch import FrameKind, ImageBatch
 from models.steering.core.options import NetworkOptions, Sizes
+from pipeline.base.errors import InputError
 
 CONVOLUTIONS = [(24, 5, 2), (36, 5, 2), (48, 3, 2), (64, 3, 1), (8, 3, 1)]  # maps, kernel size, stride
 
@@ -14,14 +15,14 @@ CONVOLUTIONS = [(24, 5, 2), (36, 5, 2), (48, 3, 2), (64, 3, 1), (8, 3, 1)]  # ma
 class SteeringCNN(nn.Module):
     """Standardised image → five convolutions → one dense layer for each of the 8 maps; the NCP paper has 32 features.
 
-    Raises ValueError if `features` is not a multiple of the number of maps.
+    Raises InputError if `features` is not a multiple of the number of maps.
     """
 
     def __init__(self, features: int, image_size: tuple[int, int]) -> None:
         super().__init__()
         maps = CONVOLUTIONS[-1][0]
         if features % maps:
-            raise ValueError(f"features = {features}, expected a multiple of cnn's {maps} maps")
+            raise InputError(f"features = {features}, expected a multiple of cnn's {maps} maps")
         layers: list[nn.Module] = []
         channels, (height, width) = 3, image_size
         for after, side, stride in CONVOLUTIONS:

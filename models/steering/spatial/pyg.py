@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from models.steering.core.batch import FrameKind, GraphBatch
 from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_features
 from models.steering.core.options import NetworkOptions, Semantics, Sizes, Widths
+from pipeline.base.errors import InputError
 
 
 class Options(NetworkOptions):
@@ -32,25 +33,25 @@ class PyG(nn.Module):
     Most layers store a row per edge: the demo takes 3.3 GB to train with GATv2Conv and 0.8 GB with spatial: gnn. On a
     GPU their sums over neighbours have no fixed order, so two runs differ by rounding.
 
-    Raises ValueError if PyTorch Geometric is missing or has no such layer, or the layer refuses its options or needs
-    more than `x, edge_index`.
+    Raises InputError if PyTorch Geometric is missing or has no such layer, or the layer refuses its options, needs more
+    than `x, edge_index`, or does not compute what :func:`output_width` expects.
     """
 
     def __init__(self, features: int, options: Options) -> None:
         super().__init__()
         self.semantics, layer = options.semantics, layer_class(options.layer)
-        x, edge_index = torch.zeros(2, NODE_FEATURES), torch.tensor([[0, 1], [1, 0]])
-        takes_module = "nn" in signature(layer).parameters
-        self.layers = nn.ModuleList()
+        for key in {"cached", "edge_dim", "in_edge_channels"} & options.layer_options.keys():
+            raise InputError("each frame has other edges, without features", f"layer_options.{key}", "Remove it")
+        takes = ["nn"] if next(iter(signature(layer).parameters), "") == "nn" else ["in_channels", "out_channels"]
+        width, self.layers = NODE_FEATURES, nn.ModuleList()
         try:
             for outputs in options.layers:
-                arguments = [nn.LazyLinear(outputs)] if takes_module else [x.shape[1], outputs]
-                self.layers.append(layer(*arguments, **options.layer_options))
-                with torch.no_grad():  # a run for the width, which also gives a LazyLinear its weights
-                    x = self.layers[-1](x, edge_index)
+                given = {"in_channels": width, "out_channels": outputs, "nn": nn.LazyLinear(outputs)}
+                self.layers.append(layer(**{name: given[name] for name in takes}, **options.layer_options))
+                width = output_width(self.layers[-1], width, outputs)
         except Exception as error:  # of any type, by the layer
-            raise ValueError(f"layer {options.layer} with options {options.layer_options} fails: {error}") from error
-        self.read_out = nn.Linear(2 * x.shape[1], features)
+            raise InputError(str(error) or repr(error), f"layer {options.layer} {options.layer_options}") from error
+        self.read_out = nn.Linear(2 * width, features)
 
     def forward(self, batch: GraphBatch) -> Tensor:
         """Return [B,F]. Independent of the order of points and of the other frames in the batch."""
@@ -61,15 +62,36 @@ class PyG(nn.Module):
         return torch.tanh(self.read_out(mean_max_pool(x, batch.ptr)))  # where LTC synapses are sensitive
 
 
+def output_width(layer: nn.Module, inputs: int, outputs: int) -> int:
+    """Return the channels of a layer's output, from a run on two small graphs, which gives a LazyLinear its weights.
+
+    Raises ValueError unless it is [N, outputs] or a multiple, and depends on the edges and on nothing but the frame.
+    """
+    path, star = torch.zeros(2, 8, 8)
+    path[0, 1] = path[1, 2] = star[0, 1:] = 1  # the other points of the first have no edges
+    x = torch.arange(8 * inputs).view(8, inputs).sin()
+    graphs = (x, path), (x, star), (torch.cat([x, x.flip(0)]), torch.block_diag(path, star.flip(0, 1)))
+    with torch.no_grad():
+        first, second, both = (layer.eval()(x, (links + links.T).nonzero().T.flip(0)) for x, links in graphs)
+    layer.train()
+    if first.ndim != 2 or len(first) != 8 or first.shape[1] % outputs:
+        raise ValueError(f"its output is {list(first.shape)} for 8 points, expected [8, {outputs}]")
+    if torch.allclose(first, second, 1e-4, 1e-5):
+        raise ValueError("edges have no effect on its output")
+    if not torch.allclose(both, torch.cat([first, second.flip(0)]), 1e-4, 1e-5):
+        raise ValueError("its output depends on the order of points or on other frames of a batch")
+    return first.shape[1]
+
+
 def layer_class(name: str) -> type[nn.Module]:
-    """Return a layer of torch_geometric.nn. Raises ValueError if the package is missing or has no such layer."""
+    """Return a layer of torch_geometric.nn. Raises InputError if the package is missing or has no such layer."""
     try:
         from torch_geometric.nn import conv
     except ImportError as error:
-        raise ValueError("spatial: pyg needs the package torch_geometric: pip install '.[pyg]'") from error
-    layers: dict[str, type[nn.Module]] = {known: getattr(conv, known) for known in conv.__all__}
-    suitable = [known for known in layers if [*signature(layers[known].forward).parameters][1:3] == ["x", "edge_index"]]
+        raise InputError("spatial: pyg needs the package torch_geometric", fix="pip install '.[pyg]'") from error
+    reads = {known: [*signature(getattr(conv, known).forward).parameters] for known in conv.__all__}
+    suitable = [known for known, names in reads.items() if names[1:3] == ["x", "edge_index"]]
     if name not in suitable:
         similar = " or ".join(get_close_matches(name, suitable, cutoff=0))
-        raise ValueError(f"torch_geometric.nn has no layer {name!r} that takes x, edge_index: did you mean {similar}?")
-    return layers[name]
+        raise InputError(f"torch_geometric.nn has no layer {name!r} that takes x, edge_index: did you mean {similar}?")
+    return getattr(conv, name)

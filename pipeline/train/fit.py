@@ -85,8 +85,8 @@ def fit_run(run: runs.Run, job: Job) -> Path:
         "train": settings.model_dump(exclude={"seeds"}),
         "seed": run.seed,
         "fold": run.fold.name,
-        "drives": [*run.fold.train],
-        "val": [*run.fold.val],
+        "drives": [drive.name for drive in train],
+        "val": [drive.name for drive in val],
     }
     metadata = {
         "kind": predict.KIND,

@@ -1,9 +1,16 @@
-"""A small model on small graphs: its params.yaml, and the stages train and evaluate."""
+"""A small model on small graphs: its params.yaml, and the stages train and evaluate; and a network of a user."""
 
 from pathlib import Path
+from typing import ClassVar
 
+import pytest
 import yaml
+from torch import Tensor, nn
 
+from models.steering.core import options
+from models.steering.core.batch import FrameKind, GraphBatch
+from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_features
+from models.steering.core.options import NetworkOptions, Sizes
 from pipeline.base import store
 from pipeline.settings.models import Entry
 from stages import evaluate, train
@@ -16,12 +23,35 @@ SPLITS = {
 TEST, EDGES_M = "2026_01_03_drive_0001", [0, 5, 10, 20]
 
 
+class UsersNetwork(nn.Sequential):
+    def forward(self, batch: GraphBatch) -> Tensor:
+        return super().forward(mean_max_pool(node_features(batch.xyz, batch.cls, 1.0), batch.ptr))
+
+
+class UsersOptions(NetworkOptions):
+    kind: ClassVar[FrameKind] = "graph"
+
+    def build(self, sizes: Sizes) -> nn.Module:
+        inputs = 2 * NODE_FEATURES
+        return UsersNetwork(nn.BatchNorm1d(inputs), nn.Dropout(), nn.Linear(inputs, sizes.features), nn.Tanh())
+
+
+def add_users_network(patch: pytest.MonkeyPatch) -> None:
+    """Add `spatial: users`, as a file users.py would."""
+    load = options.load
+    patch.setattr(options, "load", lambda part, name: UsersOptions if name == "users" else load(part, name))
+
+
+def fail(*_: object) -> None:
+    raise ValueError("boom")
+
+
 def write_params(folder: Path, model: dict[str, object] | None = None, **settings: object) -> None:
     """Write params.yaml with the model `net`, whose entry is changed by `model`, and section train by `settings`."""
     content = yaml.safe_load(PARAMS.read_text())
     entry = {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": 4, "features": 8, "equivariant": True}
     entry |= model or {}
-    options = {"cnn": {}, "pointnet2": {"semantics": 1.0}, "polar": {}}.get(
+    options = {"cnn": {}, "pointnet2": {"semantics": 1.0}, "polar": {}, "users": {}}.get(
         str(entry["spatial"]), {"layers": [16, 16], "semantics": 1.0}
     )
     content["models"] = {"net": options | entry}

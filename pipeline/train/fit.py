@@ -123,7 +123,7 @@ class Fit:
 
     def __post_init__(self) -> None:
         self.scale = Scale.from_drives(self.train)
-        self.average: Any = AveragedModel(self.net, multi_avg_fn=get_ema_multi_avg_fn(self.settings.average))
+        self.average: Any = AveragedModel(self.net, multi_avg_fn=get_ema_multi_avg_fn(self.settings.average))  # type: ignore[no-untyped-call]
         self.best = copy_weights(self.net)
         # Weight decay for matrices only: an offset or a time constant need not be small.
         matrices = [parameter for parameter in self.net.parameters() if parameter.ndim > 1]

@@ -5,9 +5,12 @@ from typing import Any
 import pytest
 import yaml
 
+from models.steering.core import options
+from models.steering.spatial import polar
 from pipeline.base.errors import InputError
 from pipeline.settings import preset
 from stages import check
+from tests import small_model
 
 ROOT = Path(__file__).resolve().parents[2]
 MODEL = "models.sa-gnn-ncp"
@@ -71,7 +74,13 @@ def test_measured_motion_is_not_both_input_and_label(tmp_path):
         (MODEL, {"input": "semantic", "spatial": "gnn", "temporal": "lstm"}, "semantics is missing: weight of the cl"),
         (MODEL, PYG | {"spatial": "gnn", "predict": "path", "horizon": 10}, "predict: path has no horizon"),
         (MODEL, PYG | {"layer": "GATv2"}, "no layer 'GATv2' that takes x, edge_index: did you mean GATv2Conv"),
-        (MODEL, PYG | {"layer": "RGCNConv"}, "RGCNConv with options {} fails: .*num_relations"),
+        (MODEL, PYG | {"layer": "RGCNConv"}, "models.sa-gnn-ncp: layer RGCNConv {}: .*num_relations"),
+        (MODEL, PYG | {"layer": "APPNP", "layer_options": {"K": 25, "alpha": 0.1}}, "APPNP .*'in_channels'"),
+        (MODEL, PYG | {"layer": "GCNConv", "layer_options": {"cached": True}}, "layer_options.cached: .* Remove it"),
+        (MODEL, PYG | {"layer": "GATConv", "layer_options": {"edge_dim": 3}}, "edge_dim: .* without features"),
+        (MODEL, PYG | {"layer": "TAGConv", "layer_options": {"K": 0}}, "TAGConv {'K': 0}: edges have no effect"),
+        (MODEL, PYG | {"layer": "SAGEConv", "layer_options": {"aggr": "lstm"}}, "depends on the order of points"),
+        (f"{MODEL}.wiring", {"command": 5}, "sa-gnn-ncp: wiring.motor_fanin = 6, expected at most command = 5"),
         (MODEL, PYG, "layer is missing: a layer of torch_geometric.nn"),
         ("encoder.weights", "no.pt", "weights: no.pt: file is missing"),
         ("encoder", {"backbone": "precomputed", "weights": "pngs", **FIT}, "folder has no PNG files"),
@@ -88,3 +97,15 @@ def test_a_fault_is_one_line_with_its_key(tmp_path, where, value, message):
         run(tmp_path, changed(where, value))
     assert str(raised.value).startswith(str(tmp_path / "params.yaml"))
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "error"),
+    [(options.importlib, "import_module", ImportError), (polar.Options, "build", ValueError)],
+)
+def test_a_bug_of_a_network_is_no_fault_of_the_settings(tmp_path, monkeypatch, part, name, error):
+    content = changed("models", {"net": {"input": "semantic", "spatial": "polar", "temporal": "lstm"}})
+    monkeypatch.setattr(part, name, small_model.fail)
+    with pytest.raises(error, match="boom") as raised:
+        run(tmp_path, content)
+    assert raised.type is error

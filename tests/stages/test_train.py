@@ -10,10 +10,11 @@ import pandas as pd
 import pytest
 import torch
 
+from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.train import checkpoint
 from pipeline.train.fit import Fit
-from tests import artefacts
+from tests import artefacts, small_model
 from tests.kitti_drive import contents
 from tests.small_model import EDGES_M, SPLITS, TEST, run_evaluate, run_train, write_params, write_two_test_drives
 
@@ -43,11 +44,13 @@ def test_a_trained_model_follows_the_bend_and_knows_its_settings(folder):
     [
         ({}, 2, "net seed 0: continues after epoch 2 of 3"),
         ({"predict": "path"}, 2, "net seed 0: continues after epoch 2 of 3"),
+        ({"spatial": "users"}, 2, "net seed 0: continues after epoch 2 of 3"),
         ({"fit_to": "train-then-others"}, 5, "net seed 0 without 2026_01_01_drive_0002: continues after epoch 1 of 3"),
     ],
 )
 def test_resumed_training_writes_the_same_bytes(folder, monkeypatch, capsys, entry, files, continued):
     monkeypatch.setenv("STEER_WORKERS", "1")
+    small_model.add_users_network(monkeypatch)
     if "fit_to" in entry:
         write_two_test_drives(folder)
     write_params(folder, entry | {"motion": "visual"}, epochs=3)
@@ -72,6 +75,35 @@ def test_resumed_training_writes_the_same_bytes(folder, monkeypatch, capsys, ent
     with monkeypatch.context() as patch:  # with its networks kept, as when test drives are added, nothing is trained
         patch.setattr(Fit, "_train", None)
         assert contents(run_train(folder)) == complete
+
+
+@pytest.mark.parametrize("moved", [{"2026_01_01_drive_0003": "val"}, {"2026_01_02_drive_0001": "train"}])
+def test_training_starts_anew_where_a_drive_moves_between_training_and_validation(folder, capsys, moved):
+    """Also where no drive is left for validation."""
+    write_params(folder, epochs=1)
+    run_train(folder)
+    store.write_index(folder / "graphs/semantic", SPLITS | moved)
+    run_train(folder)
+    assert "continues" not in capsys.readouterr().out
+
+
+def test_the_averaged_network_has_the_statistics_of_the_trained_one(folder, monkeypatch):
+    small_model.add_users_network(monkeypatch)
+    write_params(folder, {"spatial": "users"}, epochs=1)
+    best = load(run_train(folder) / "best.pt")["net"]
+    (state,) = (folder / ".drives").rglob("*.pt")
+    equal = {name for name, tensor in load(state)["net"].items() if torch.equal(best[name], tensor)}
+    assert {f"spatial.0.{name}" for name in ("running_mean", "running_var", "num_batches_tracked")} <= equal < {*best}
+
+
+@pytest.mark.parametrize("part", [(small_model.UsersOptions, "build"), (small_model.UsersNetwork, "forward")])
+def test_a_bug_of_a_users_network_is_no_fault_of_the_input(folder, monkeypatch, part):
+    small_model.add_users_network(monkeypatch)
+    monkeypatch.setattr(*part, small_model.fail)
+    write_params(folder, {"spatial": "users"})
+    with pytest.raises(ValueError, match="boom") as raised:
+        run_train(folder)
+    assert raised.type is ValueError
 
 
 @pytest.mark.slow

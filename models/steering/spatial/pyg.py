@@ -70,7 +70,7 @@ def output_width(layer: nn.Module, inputs: int, outputs: int) -> int:
     path, star = torch.zeros(2, 8, 8)
     path[0, 1] = path[1, 2] = star[0, 1:] = 1  # the other points of the first have no edges
     x = torch.arange(8 * inputs).view(8, inputs).sin()
-    graphs = (x, path), (x, star), (torch.cat([x, x.flip(0)]), torch.block_diag(path, star.flip(0, 1)))
+    graphs = (x, path), (x, star), (torch.cat([x, x.flip(0)]), torch.block_diag(path, star.flip(0, 1)))  # type: ignore[no-untyped-call]
     with torch.no_grad():
         first, second, both = (layer.eval()(x, (links + links.T).nonzero().T.flip(0)) for x, links in graphs)
     layer.train()

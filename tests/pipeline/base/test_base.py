@@ -387,6 +387,12 @@ def dask(cluster, monkeypatch) -> Any:
     return cluster
 
 
+def test_a_wrong_address_of_a_cluster_is_one_line(folder, monkeypatch):
+    monkeypatch.setenv(SCHEDULER, "nowhere")
+    with pytest.raises(InputError, match=f"{SCHEDULER}: missing port number"):
+        toy_stage.main(folder)
+
+
 @pytest.mark.slow
 def test_a_cluster_writes_the_bytes_of_one_process_and_repeats_jobs_of_dead_workers(folder, expected, dask):
     trouble(folder, b="die once")

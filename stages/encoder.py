@@ -14,6 +14,7 @@ from pipeline.perception import fit, perceive
 from pipeline.perception.create import create
 from pipeline.perception.examples import Examples
 from pipeline.settings.encoder import Encoder
+from pipeline.settings.ingest import Ingest
 
 
 def main(
@@ -25,6 +26,10 @@ def main(
     torch.manual_seed(settings.seed)
     with error_context(params), error_context("encoder"):
         architecture, model = create(settings)
+    size = load(Ingest, params).image_size
+    with error_context(params), error_context(f"backbone {settings.backbone}, ingest.image_size {list(size)}"):
+        if settings.backbone != "precomputed":
+            perceive.check_size(model, size)
     curve: list[dict[str, float]] = []
     with stage_folder("encoder", out) as stage:
         if settings.epochs:

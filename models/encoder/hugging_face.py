@@ -7,6 +7,7 @@ it is built again without a hub. No code of a hub runs; weights are tensors only
 import json
 import logging
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,32 +21,48 @@ from torch import Tensor, nn
 
 from models.encoder.heads import CellClasses, CellDepth, ray_slopes, resized, rgb_0_1, scaled_by_focal
 from pipeline.base.errors import InputError
-from pipeline.camera.classes import COUNT, NAMES
+from pipeline.camera.classes import COUNT, NAMES, ROAD
 
 IMAGENET = {"image_mean": [0.485, 0.456, 0.406], "image_std": [0.229, 0.224, 0.225]}
 STRIDE, LEVELS, WIDTH = 4, 4, 64  # of the maps that our heads read: stride, number, channels
 # Weights that published files lack: a unit of DPT that its forward pass does not use, and norms that a fit trains.
 UNPUBLISHED = ("neck.fusion_stage.layers.0.residual_layer1.", "hidden_states_norms.")
+NO_DEPTH_M = {"depth_pro": "inverse until its post-processing", "prompt_depth_anything": "relative to a depth sensor's"}
 SYNONYMS = {
-    "road": "runway, dirt track, service lane, bike lane, crosswalk - plain, lane marking - crosswalk, "
-    "lane marking - general, manhole, catch basin, pothole",
-    "sidewalk": "path, floor, pedestrian area, curb, curb cut",
-    "building": "house, skyscraper, tower, hovel, booth, grandstand, awning, canopy, windowpane, door, screen door, "
-    "blind, column, stairs, stairway, step, trade name",
-    "fence": "railing, bannister, barrier",
-    "pole": "streetlight, street light, utility pole",
-    "traffic sign": "signboard, traffic sign (front)",
-    "vegetation": "tree, plant, palm, flower",
+    "road": "street, rd normal street, drivable cobblestone, driveable surface, road shoulder, runway, dirt track, "
+    "service lane, bike lane, cycling lane, crosswalk, crosswalk plain, zebra crossing, marking, lane marking, "
+    "road marking, road line, manhole, catch basin, pothole",
+    "sidewalk": "pavement, path, floor, pedestrian area, traffic island, curb, curb cut, curbstone",
+    "building": "house, skyscraper, tower, hovel, booth, grandstand, garage, awning, canopy, windowpane, door, "
+    "screen door, blind, column, stairs, stairway, step, trade name",
+    "fence": "railing, bannister, barrier, other barrier, fence guard rail",
+    "pole": "streetlight, utility pole, column pole",
+    "traffic sign": "signboard, sign symbol, traffic sign front, traffic sign direction front",
+    "vegetation": "tree, plant, palm, flower, nature object",
     "terrain": "grass, earth, field, land, sand, rock, hill, mountain",
+    "person": "pedestrian, individual, person group",
     "rider": "bicyclist, motorcyclist, other rider",
     "car": "van",
-    "train": "on rails",
-    "motorcycle": "minibike",
+    "train": "on rails, tram, tram train",
+    "motorcycle": "minibike, motorbike",
 }
-"""ADE20K's and Mapillary's names for Cityscapes' classes. All others are void, bridges among them, as in Cityscapes."""
-NUMBERS = {name: number for number, name in enumerate(NAMES)} | {
-    synonym: NAMES.index(name) for name, synonyms in SYNONYMS.items() for synonym in synonyms.split(", ")
+"""Names in ADE20K, Mapillary and others of Cityscapes' classes. The rest is void, also bridges, as in Cityscapes."""
+NUMBERS = {
+    synonym.replace(" ", "") + plural: number
+    for number, name in enumerate(NAMES)
+    for synonym in f"{name}, {SYNONYMS.get(name, name)}".split(", ")
+    for plural in ("", "s", "es")
 }
+# After any other word, as in non-road or void--car-mount, a name is another class.
+CATEGORIES = "flat|human|vehicle|construction|object|nature(?! object)|structure|barrier|support|person(?! group)|rider"
+
+
+def class_number(label: str) -> int:
+    """Return the trainId, or COUNT for void, of a label: "car, auto", "Car 1", "flat-road", "object--traffic-light"."""
+    words = " ".join(re.findall("[a-z]+", re.split("[,;]", label.lower())[0]))
+    name = re.sub(f"^(({CATEGORIES}) )+", "", words).replace(" ", "")
+    # Names go on, as in marking--discrete--symbol--bicycle and Traffic Light - Pedestrians.
+    return NUMBERS.get(re.sub("^((lane|road)?marking|trafficlight).*", r"\1", name), COUNT)
 
 
 class CityscapesLogits(nn.Module):
@@ -55,8 +72,8 @@ class CityscapesLogits(nn.Module):
 
     def __init__(self, labels: Sequence[str]) -> None:
         super().__init__()
-        self.void = [label for label in labels if label.strip().lower() not in NUMBERS]
-        numbers = torch.tensor([NUMBERS.get(label.strip().lower(), COUNT) for label in labels])
+        self.void = [label for label in labels if class_number(label) == COUNT]
+        numbers = torch.tensor([class_number(label) for label in labels])
         self.register_buffer("members", F.one_hot(numbers, COUNT + 1).float().T[..., None, None], persistent=False)
 
     def forward(self, logits: Tensor) -> Tensor:
@@ -78,7 +95,7 @@ def transformers() -> ModuleType:
 
 
 @contextmanager
-def loading(name: str | Path) -> Iterator[None]:
+def loading(name: str | Path, action: str = "load") -> Iterator[None]:
     """Raise the errors of transformers, which are of many kinds, as ValueError of one line."""
     try:
         yield
@@ -86,7 +103,7 @@ def loading(name: str | Path) -> Iterator[None]:
         reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
         if isinstance(error, UnpicklingError):  # its text explains how to run the code
             reason = "a file is damaged, or has more than tensors"
-        raise InputError(f"cannot load {str(name)!r}: {reason}") from error
+        raise InputError(f"cannot {action} {str(name)!r}: {reason}") from error
 
 
 def check(name: str) -> None:
@@ -130,7 +147,7 @@ class Network(nn.Module):
         config = library.AutoConfig.for_model(**description["config"])
         patch = getattr(getattr(config, "backbone_config", None) or config, "patch_size", None)
         # Others than a ViT halve the image up to five times.
-        self.multiple = math.lcm(patch, STRIDE) if isinstance(patch, int) and patch > STRIDE else 32
+        self.multiple = math.lcm(2 * patch, STRIDE) if isinstance(patch, int) and patch > STRIDE else 32
         if auto == "AutoBackbone":
             stages = len(getattr(config, "stage_names", ())) - 1  # without the stem
             config.out_indices = sorted({max(1, stages * level // LEVELS) for level in range(1, LEVELS + 1)})
@@ -150,9 +167,9 @@ class Network(nn.Module):
         """Return the network's output for an RGB image [B,3,H,W]."""
         rgb = rgb_0_1(image)
         (mean, std), (height, width) = self.mean_std.to(rgb.dtype), rgb.shape[-2:]
-        return self.network(
-            F.pad((rgb - mean) / std, (0, -width % self.multiple, 0, -height % self.multiple)), **options
-        )
+        padded = F.pad((rgb - mean) / std, (0, -width % self.multiple, 0, -height % self.multiple))
+        with loading(self.network.config.model_type, "run"):
+            return self.network(padded, **options)
 
     def padded(self, size: Sequence[int]) -> torch.Size:
         """Return the size of an image of `size` (H, W) after padding."""
@@ -160,7 +177,10 @@ class Network(nn.Module):
 
     def enlarged(self, x: Tensor, size: Sequence[int]) -> Tensor:
         """Interpolate a map [B,C,h,w] of the padded image and crop it to the image of `size`, [B,C,H,W]."""
-        return resized(x, self.padded(size))[..., : size[0], : size[1]]
+        (height, width), (h, w) = self.padded(size), x.shape[-2:]
+        if abs(h * width - w * height) > height + width:  # plain DPT takes 4 x 16 patches for a square of 8 x 8
+            raise InputError(f"{self.network.config.model_type!r} returns {h} x {w} pixels for {height} x {width}")
+        return resized(x, (height, width))[..., : size[0], : size[1]]
 
 
 class Pair(nn.Module):
@@ -224,11 +244,16 @@ def create_pair(settings: Any) -> tuple[dict[str, Any], nn.Module]:
     architecture: dict[str, Any] = {"backbone": "pair", "depth": depth, "classes": classes}
     architecture |= {"focal_by_width": settings.focal_by_width, "sources": depth_sources + classes_sources}
     network = Pair(architecture, depth_folder, classes_folder)
-    unit = depth["config"].get("depth_estimation_type") or settings.depth_unit
+    config = depth["config"]
+    unit = NO_DEPTH_M.get(config["model_type"]) or config.get("depth_estimation_type") or settings.depth_unit
     if unit != "metric":
-        problem = "is relative" if unit else "has an unknown unit. If it is metres, set depth_unit: metric"
+        problem = f"is {unit}" if unit else "has an unknown unit. If it is metres, not 1/metres, set depth_unit: metric"
         raise InputError(f"the depth of {settings.depth!r} {problem}")
-    print(f"encoder: classes that are void: {', '.join(network.cityscapes.void) or 'none'}", flush=True)
+    if not network.cityscapes.members[ROAD].any():
+        labels = ", ".join([*network.classes.network.config.id2label.values()][:5])
+        raise InputError(f"no class of {settings.classes!r} is road: {labels}, … Name them by id2label in config.json")
+    void = ", ".join(network.cityscapes.void) or "none"
+    print(f"encoder: max_depth: {config.get('max_depth') or 'none'}; classes that are void: {void}", flush=True)
     return architecture, network
 
 

@@ -18,7 +18,7 @@ from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, read_camera
-from pipeline.camera.images import DEPTH_UNITS_PER_M, to_units
+from pipeline.camera.images import DEPTH_UNITS_PER_M, Size, to_units
 from pipeline.perception import precomputed
 from pipeline.perception.depth_scale import DepthPostprocessor
 from pipeline.train import checkpoint
@@ -97,7 +97,7 @@ def perceive(
     tensors, at_once = [torch.from_numpy(images), torch.from_numpy(camera.K)], 1
     if device.type != "cpu":
         tensors, at_once = [tensor.pin_memory() for tensor in tensors], len(images)
-    with torch.inference_mode(), autocast(device, precision):
+    with torch.no_grad(), autocast(device, precision):  # BEiT keeps tensors, which a fit uses again
         pixels, intrinsics = (tensor.to(device, non_blocking=True) for tensor in tensors)
         outputs = [
             model(part.permute(0, 3, 1, 2), intrinsics.expand(len(part), 3, 3)) for part in torch.split(pixels, at_once)
@@ -106,6 +106,14 @@ def perceive(
         cls = torch.cat([logits.argmax(dim=1) for _, logits in outputs])
         cls.masked_fill_(cls == classes.COUNT, classes.VOID)  # some networks have logits of void, last
         return depth.cpu().numpy(), cls.to(torch.uint8).cpu().numpy()
+
+
+def check_size(model: nn.Module, size: Size) -> None:
+    """Raise ValueError unless the network predicts depth and classes of a grey image of `size` (H, W)."""
+    camera = Camera(np.array([[size[1], 0, size[1] / 2], [0, size[1], size[0] / 2], [0, 0, 1]]), size)
+    depth, cls = perceive(model.eval(), np.full((1, *size, 3), 128, np.uint8), camera)
+    if {depth.shape[1:], cls.shape[1:]} != {size} or not 0 <= depth.min() <= depth.max() < np.inf or not depth.any():
+        raise ValueError(f"depth {depth.shape[1:]} is {depth.min():.3g} to {depth.max():.3g}, classes {cls.shape[1:]}")
 
 
 def passes(forward: Callable[[T], R], batches: Generator[T]) -> Generator[R]:

@@ -1,4 +1,5 @@
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -6,11 +7,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 import yaml
 from typer.testing import CliRunner
 
 from models.encoder.street import SOURCES
 from pipeline.base import store
+from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
 from pipeline.base.store import DriveReader
 from pipeline.camera import classes
@@ -20,6 +23,7 @@ from pipeline.settings import preset
 from stages.encoder import main
 from steer.app import app
 from tests import street
+from tests.models.encoder.test_encoders import write_networks
 
 TRAIN, VAL, TEST = "2026_01_01_drive_0001", "2026_01_02_drive_0001", "2026_01_03_drive_0001"
 SWIN = ROOT / "models/encoder/swin-t"
@@ -42,9 +46,10 @@ def ingest(tmp_path) -> Path:
     return tmp_path / "ingest"
 
 
-def run(ingest: Path, name: str = "encoder", **settings: object) -> Path:
+def run(ingest: Path, name: str = "encoder", size: tuple[int, int] = street.SIZE, **settings: object) -> Path:
     params = ingest.parent / "params.yaml"
-    params.write_text(yaml.safe_dump({"encoder": {**SETTINGS, **settings}}))
+    reading = yaml.safe_load((ROOT / "params.yaml").read_text())["ingest"] | {"image_size": [*size]}
+    params.write_text(yaml.safe_dump({"ingest": reading, "encoder": {**SETTINGS, **settings}}))
     out = main(ingest, ingest.parent / name, params)
     assert out == ingest.parent / name
     return out
@@ -96,6 +101,23 @@ def test_an_encoder_learns_from_the_images_of_another_in_drives_of_any_split(ing
     shutil.rmtree(targets / VAL)
     content = config(run(ingest, "taught", targets=str(targets), backbone="hugging_face", model=str(SWIN), frames=3))
     assert content["frames_per_drive"] == {TRAIN: 2, TEST: 1}
+
+
+def test_a_network_that_does_not_take_images_of_ingest_is_one_line_before_any_drive(tmp_path):
+    names = {"depth": "dpt", "classes": "classes"}
+    pair = {key: str(write_networks(tmp_path) / name) for key, name in names.items()} | {"depth_unit": "metric"}
+    for size, problem in {(96, 320): "cannot run 'dpt': .+", (64, 256): "'dpt' returns 128 x 128 .*"}.items():
+        where = re.escape(f"params.yaml: backbone pair, ingest.image_size {[*size]}: ")
+        with pytest.raises(InputError, match=f"{where}{problem}$"):
+            run(tmp_path / "no-drives", size=size, backbone="pair", epochs=0, focal_by_width=0.5, **pair)
+
+
+@pytest.mark.parametrize("depth", [float("nan"), -1.0, 0.0])
+def test_depth_of_no_pixel_is_a_fault_of_the_network(depth):
+    model = torch.nn.Linear(1, 1)
+    model.forward = lambda image, K: (torch.full((1, 32, 64), depth), torch.zeros(1, 19, 32, 64))
+    with pytest.raises(ValueError, match=r"^depth \(32, 64\) is .*, classes \(32, 64\)$"):
+        perceive.check_size(model, (32, 64))
 
 
 @pytest.mark.real

@@ -17,7 +17,7 @@ from torch import nn
 from models.encoder import hugging_face
 from models.encoder.dinov2 import read_head
 from models.encoder.efficientvit import HEAD_WIDTH, LinearAttention
-from models.encoder.hugging_face import NUMBERS, CityscapesLogits
+from models.encoder.hugging_face import CityscapesLogits
 from models.encoder.rtmonodepth_s import KITTI_FOCAL, SIZE
 from models.encoder.street import Street
 from models.encoder.unified_encoder import Architecture, build
@@ -33,11 +33,12 @@ from tests.artefacts import Trap
 
 LABELS = ("road", "Tree", "sky", "zebra")
 DINOV2 = {"hidden_size": 24, "num_hidden_layers": 4, "num_attention_heads": 2, "image_size": 70, "patch_size": 14}
+VIT = {"hidden_size": 24, "num_hidden_layers": 4, "num_attention_heads": 2, "intermediate_size": 32, "image_size": 64}
 SEGFORMER = {"hidden_sizes": [8, 8, 16, 16], "depths": [1] * 4, "num_attention_heads": [1, 1, 2, 2]}
 
 
 def write_networks(folder: Path) -> Path:
-    """Write the folders depth, relative, glpn, classes, swin and dinov2, and two heads of DINOv2. Returns `folder`."""
+    """Write folders of networks, and two heads of DINOv2. Returns `folder`."""
     torch.manual_seed(0)
     dinov2 = transformers.Dinov2Config(**DINOV2)
     backbone = {**DINOV2, "out_indices": [1, 2, 3, 4], "apply_layernorm": True, "reshape_hidden_states": False}
@@ -48,9 +49,24 @@ def write_networks(folder: Path) -> Path:
             backbone_config=transformers.Dinov2Config(**backbone), depth_estimation_type=kind, max_depth=80, **fusion
         )
         networks[name] = transformers.DepthAnythingForDepthEstimation(config)
+    config = transformers.PromptDepthAnythingConfig(**config.to_diff_dict() | {"depth_estimation_type": "metric"})
+    networks["prompt"] = transformers.PromptDepthAnythingForDepthEstimation(config)
+    vit = {"model_type": "dinov2", **DINOV2, "image_size": 32, "patch_size": 8}
+    config = transformers.DepthProConfig(
+        fusion_hidden_size=8, patch_size=32, scaled_images_feature_dims=[8] * 3, intermediate_feature_dims=[8] * 2,
+        intermediate_hook_ids=[1, 0], image_model_config=vit, patch_model_config=vit, fov_model_config=vit,
+    )  # fmt: skip
+    networks["depth_pro"] = transformers.DepthProForDepthEstimation(config)
+    del fusion["reassemble_hidden_size"]
+    config = transformers.DPTConfig(**VIT, **fusion, backbone_out_indices=[0, 1, 2, 3], use_auxiliary_head=False)
+    networks["dpt"] = transformers.DPTForDepthEstimation(config)
     networks["glpn"] = transformers.GLPNForDepthEstimation(transformers.GLPNConfig(**SEGFORMER, decoder_hidden_size=16))
     config = transformers.SegformerConfig(**SEGFORMER, decoder_hidden_size=16, id2label=dict(enumerate(LABELS)))
     networks["classes"] = transformers.SegformerForSemanticSegmentation(config)
+    config_of_labels = {**SEGFORMER, "decoder_hidden_size": 16, "num_labels": 7}
+    networks["unnamed"] = transformers.SegformerForSemanticSegmentation(
+        transformers.SegformerConfig(**config_of_labels)
+    )
     networks["headless"] = transformers.SegformerModel(config)
     swin = transformers.SwinConfig(embed_dim=12, depths=[1] * 4, num_heads=[1, 2, 3, 4], drop_path_rate=0.0)
     networks["swin"] = transformers.SwinModel(swin)
@@ -191,15 +207,27 @@ def test_a_folder_without_weights_is_a_random_backbone_but_no_pair(create, folde
         create("pair", depth="bare-depth")
 
 
-def test_synonyms_are_of_cityscapes_ade20k_and_mapillary():
-    assert all(NUMBERS[name] == number for number, name in enumerate(classes.NAMES))
-    table = {
-        "Tree": "vegetation", "grass": "terrain", "sidewalk": "sidewalk", "van": "car", "minibike": "motorcycle",
-        "Bicyclist": "rider", "Street Light": "pole", "On Rails": "train", "signboard ": "traffic sign",
-    }  # fmt: skip
-    labels = [*table, "bridge", "LABEL_0"]
-    mapped = CityscapesLogits(labels)(50 * torch.eye(len(labels))[..., None, None]).argmax(1).flatten().tolist()
-    assert mapped == [classes.NAMES.index(name) for name in table.values()] + [classes.COUNT] * 2
+LABELLED = {
+    "road": "flat-road/Roads/RD normal street/construction--flat--road/marking--discrete--symbol--bicycle/road, route/"
+    "Lane Marking - General/crosswalk - plain", "sidewalk": "flat-sidewalk/sidewalk, pavement/path",
+    "building": "construction-building/house/construction|building", "wall": "construction--barrier--wall",
+    "fence": "construction--barrier--other-barrier/barrier", "pole": "object--support--pole/Street Light/Poles",
+    "traffic light": "object-trafficlight/Traffic Light - Cyclists", "person": "human--person--individual/pedestrian",
+    "traffic sign": "object--traffic-sign--front/signboard ", "vegetation": "nature_vegetation/Nature object/Tree",
+    "terrain": "nature-terrain/grass", "sky": "nature--sky", "rider": "human--rider--bicyclist/Bicyclist",
+    "car": "object--vehicle--car/car;auto/Car 1/van", "truck": "vehicle-truck", "bus": "Buses",
+    "train": "vehicle-tramtrain/On Rails", "motorcycle": "minibike", "bicycle": "vehicle-bicycle",
+    "void": "bridge/LABEL_0/non-road/no-car/flat-railtrack/void-static/void--car-mount/object--traffic-sign--back/cart/"
+    "construction--barrier--guard-rail/construction-vehicle/Non-drivable street/power-plant/car-door/flat/human",
+}  # fmt: skip
+
+
+def test_labels_of_published_networks_are_cityscapes_classes_or_void():
+    expected = {label.replace("|", "/"): name for name, labels in LABELLED.items() for label in labels.split("/")}
+    expected |= {name: name for name in classes.NAMES}
+    one_hot = 50 * torch.eye(len(expected))[..., None, None]
+    mapped = CityscapesLogits([*expected])(one_hot).argmax(1).flatten().tolist()
+    assert dict(zip(expected, [(*classes.NAMES, "void")[number] for number in mapped], strict=True)) == expected
 
 
 @pytest.mark.parametrize(
@@ -207,6 +235,9 @@ def test_synonyms_are_of_cityscapes_ade20k_and_mapillary():
     [
         ("pair", {"depth": "relative"}, "depth of '.*relative' is relative"),
         ("pair", {"depth": "glpn"}, "glpn' has an unknown unit.*depth_unit: metric"),
+        ("pair", {"depth": "depth_pro"}, "depth of '.*depth_pro' is inverse"),
+        ("pair", {"depth": "prompt"}, "depth of '.*prompt' is relative to a depth sensor"),
+        ("pair", {"classes": "unnamed"}, "no class of '.*unnamed' is road: LABEL_0, LABEL_1, .*LABEL_4, …"),
         ("pair", {"depth": "classes"}, "cannot load '.*classes'.*SegformerConfig"),
         ("pair", {"classes": "headless"}, r"headless': its weights lack decode_head\.\S+, \d+ tensors in all"),
         ("pair", {"depth": "nowhere"}, "nowhere' is not a folder with a config.json"),

@@ -83,7 +83,7 @@ class CityscapesLogits(nn.Module):
 
 
 def transformers() -> ModuleType:
-    """Return Hugging Face's package, without its reports. Raises ValueError if it is not installed."""
+    """Return Hugging Face's package, without its reports. Raises InputError if it is not installed."""
     try:
         import transformers
     except ImportError as error:
@@ -96,7 +96,7 @@ def transformers() -> ModuleType:
 
 @contextmanager
 def loading(name: str | Path, action: str = "load") -> Iterator[None]:
-    """Raise the errors of transformers, which are of many kinds, as ValueError of one line."""
+    """Raise the errors of transformers, which are of many kinds, as InputError of one line."""
     try:
         yield
     except Exception as error:
@@ -107,7 +107,7 @@ def loading(name: str | Path, action: str = "load") -> Iterator[None]:
 
 
 def check(name: str) -> None:
-    """Raise ValueError if `name` can only be a folder but has no configuration, or if the package is missing."""
+    """Raise InputError if `name` can only be a folder but has no configuration, or if the package is missing."""
     transformers()
     path = Path(name)
     is_folder = path.is_absolute() or path.parent.is_dir() or len(path.parts) > 2
@@ -116,7 +116,7 @@ def check(name: str) -> None:
 
 
 def describe(name: str) -> tuple[Path, dict[str, Any], list[str]]:
-    """Return folder, description and, of a network that is downloaded from the hub, the revision. Raises ValueError."""
+    """Return folder, description and, of a network that is downloaded from the hub, the revision. Raises InputError."""
     check(name)
     folder, sources = Path(name), []
     with loading(name):
@@ -238,7 +238,7 @@ class Pyramid(nn.Module):
 
 
 def create_pair(settings: Any) -> tuple[dict[str, Any], nn.Module]:
-    """Return architecture and network of section ``encoder``. Raises ValueError, also if depth is not in metres."""
+    """Return architecture and network of section ``encoder``. Raises InputError, also if depth is not in metres."""
     depth_folder, depth, depth_sources = describe(settings.depth)
     classes_folder, classes, classes_sources = describe(settings.classes)
     architecture: dict[str, Any] = {"backbone": "pair", "depth": depth, "classes": classes}
@@ -258,7 +258,7 @@ def create_pair(settings: Any) -> tuple[dict[str, Any], nn.Module]:
 
 
 def create_backbone(settings: Any) -> tuple[dict[str, Any], nn.Module]:
-    """Return architecture and network of section ``encoder``; its heads are random. Raises ValueError."""
+    """Return architecture and network of section ``encoder``; its heads are random. Raises InputError."""
     folder, description, sources = describe(settings.model)
     architecture = {"backbone": "hugging_face", "model": description, "sources": sources}
     published = any(folder.glob("*.safetensors")) or any(folder.glob("pytorch_model*.bin"))

@@ -9,10 +9,9 @@ from pipeline.base import console, store
 from pipeline.base.params import load
 from pipeline.base.runner import Summary, make_files
 from pipeline.kitti.oxts import VL, interpolated, make_rows
-from pipeline.labels import ahead, label, sources
+from pipeline.labels import ahead, comparison, label, sources
 from pipeline.settings.labels import Labels
 
-TURNING_RAD = 0.02  # a radius of 135 m
 # Cars do not slide sideways: vl stays below 0.4 m/s in KITTI. Above this limit, heading or GNSS velocity is wrong, and
 # the label with it: 2011_09_26_drive_0093 has 14 m/s to the left and then 11 m/s backwards.
 SIDEWAYS_MPS = 1.0
@@ -24,9 +23,16 @@ def main(
     out: Path = Path("data/labels"),
     params: Path = Path("params.yaml"),
 ) -> Path:
-    """Compute each frame's steering angle (paper section 4.1), path ahead and their validity. Returns the folder."""
+    """Compute each frame's steering angle (paper section 4.1), path ahead and their validity. Returns the folder.
+
+    Recorded labels are first compared with measured motion. Raises InputError if their sign or unit is wrong.
+    """
     settings = load(Labels, params)
     splits = store.read_index(ingest, stage="ingest")
+    # Not with test drives: a lag fitted to them would align the truth with odometry.
+    drives, car = store.drives_in(splits, "train", "val"), label.Car(settings.wheelbase_m, settings.min_speed_mps)
+    for line in comparison.check(settings.source, comparison.read(settings.source, drives, ingest, motion, car)):
+        print(line, flush=True)
     inputs = {"ingest": ingest} | ({} if settings.source == "oxts" else {"motion": motion})
     work = partial(_label, settings=settings)
     text = "{frames} frames, {valid} valid, {turning} turning, {interpolated} interpolated"
@@ -52,7 +58,7 @@ def _label(path: Path, ingest: Path, motion: Path | None = None, *, settings: La
             curvature_1pm, valid = ahead.path_ahead(frame, time_s, labels, settings.ahead_m, settings.max_stand_s)
             file.put("ahead_1pm", curvature_1pm, "1/m, left positive")
             file.put("ahead_valid", valid.astype(np.uint8))
-    turning = labels.valid & (np.abs(labels.steering_rad) > TURNING_RAD)
+    turning = labels.valid & (np.abs(labels.steering_rad) > comparison.TURNING_RAD)
     guessed = interpolated(packets)
     sideways = (np.abs(packets[:, VL]) > SIDEWAYS_MPS) & ~guessed
     counts = {"frames": np.ones(len(frame)), "valid": labels.valid, "turning": turning}

@@ -31,9 +31,10 @@ def main(
     path = data / "scores" / "metrics.json"
     scores = store.read_json(path, stage="scores") if path.is_file() else None
     path = data / "encoder" / "config.json"
-    weights = store.read_json(path, stage="encoder").get("sources", []) if path.is_file() else []
+    notes = store.read_json(path, stage="encoder").get("sources", []) if path.is_file() else []
     steering = tables.steering_tables(groups)
     perceived = tables.perception_tables(scores) if scores else []
+    notes += [f"{kind}: {line}" for kind, row in scores["recorded"].items() for line in row["lines"]] if scores else []
     story = tables.sentences(groups, [model for model in models if model not in evaluated])
     text = "\n\n".join([*(fill(line, 110) for line in story), *(table.markdown() for table in (*steering, *perceived))])
     with stage_folder("report", out, shared=True) as folder:
@@ -48,7 +49,7 @@ def main(
             # DVC draws an empty field as 0, and nan as a gap.
             curve.to_csv(new / f"learning/{network}.csv", index=False, lineterminator="\n", na_rep="nan")
         captions = draw(new / "figures", groups, data)
-        write_page(new / "index.html", story, groups, steering, [*weights, *perceived], captions)
+        write_page(new / "index.html", story, groups, steering, [*notes, *perceived], captions)
     print(text)
     return out
 

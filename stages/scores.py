@@ -29,12 +29,13 @@ def main(
     """Write metrics.json with the scores of validation and test drives, and <drive>/metrics.json of each of them.
 
     The scores of training drives are None. The key ``motion`` holds the scores of measured motion and of recorded
-    steering angles; angles and valid frames are defined as in the labels. Returns the output folder.
+    steering angles; angles and valid frames are defined as in the labels. ``recorded``: how what training and
+    validation drives recorded follows measured motion. Returns the output folder.
     """
     labels = load(Labels, params)
     car = Car(labels.wheelbase_m, labels.min_speed_mps)
-    splits = store.read_index(perception, stage="perception")
-    splits = {drive: split for drive, split in splits.items() if split != "train"}
+    index = store.read_index(perception, stage="perception")
+    splits = {drive: split for drive, split in index.items() if split != "train"}
     score_motion, jobs = partial(_score_motion, ingest=ingest, motion=motion, car=car), []
     for drive in splits:
         inputs = [folder / f"{drive}.h5" for folder in (ingest, perception, motion)]
@@ -42,7 +43,7 @@ def main(
         jobs.append(Job(drive, f"{drive}/metrics.json", inputs, work))
     with stage_folder("scores", out) as folder:
         summaries = make_drives(folder, jobs, vars(car), "{frames} frames")
-        content: dict[str, Any] = {"motion": {}, "train": Scores().report()}
+        content: dict[str, Any] = {"motion": {}, "recorded": {}, "train": Scores().report()}
         for split in ("val", "test"):
             scores, drives = Scores(), store.drives_in(splits, split)
             for drive in drives:
@@ -50,6 +51,11 @@ def main(
             content[split] = scores.report()
             for kind, motion_scores in score_motion(drives).items():
                 content["motion"].setdefault(kind, dict.fromkeys(SPLITS))[split] = motion_scores
+        for kind, column in comparison.COLUMNS.items():
+            sums = comparison.read(kind, store.drives_in(index, "train", "val"), ingest, motion, car)
+            compared = comparison.compare([*sums.values()])
+            errors, lines = comparison.judge(compared, column)
+            content["recorded"][kind] = compared | {"lines": [*lines, *errors]}
         store.write_json(folder.new / "metrics.json", content)
     return out
 

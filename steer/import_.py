@@ -46,7 +46,7 @@ def import_recording(
     horizon: Annotated[float | None, options.number(-1e4, 1e4, "row of the road's horizon; default: estimated")] = None,
     times: options.Times = None,
     fps: options.Fps = None,
-    offset: Annotated[float, options.number(-1e10, 1e10, "seconds to add to the times of --motion and --wheel")] = 0.0,
+    offset: options.Offset = 0.0,
     start: Annotated[float, options.number(0, 1e10, "leave out earlier images, seconds since the first")] = 0.0,
     end: Annotated[float, options.number(0, math.inf, "leave out this and later images")] = math.inf,
     split: Split = None,
@@ -68,13 +68,12 @@ def import_recording(
         raise InputError("is not as steer import wrote it", preset, "Move it away, or pass another --drive")
     logs = Logs.read(wheel, steering_ratio, motion, offset)
     lens: dict[str, Any] = {"fov_deg": fov, "K": k, "distortion": distortion, "horizon": horizon}
-    opened = open_images(recording, fps=fps, times=times, **lens)
+    opened = open_images(recording, logs, fps=fps, times=times, **lens)
     imported = import_drives(opened, logs, out, drive, shares, start_s=start, end_s=end, replace=replace)
     labels = "oxts" if logs.motion else "wheel" if logs.wheel else "visual"
     for name, images in imported.images.items():
         print(f"{out / name[:10] / name}_sync: {images} images")
-    horizon = opened.camera.horizon
-    print(f"row of the horizon: {'not found, assuming a level camera' if horizon is None else horizon}")
+    print(*opened.notes, sep="\n")
     if preset:
         write_preset(preset, imported, labels, opened.camera, camera_height)
         print(f"next: make street && make {preset.stem}")

@@ -33,6 +33,7 @@ def measure(
     wheel: options.Wheel = None,
     steering_ratio: options.SteeringRatio = None,
     motion: options.Motion = None,
+    offset: options.Offset = 0.0,
     video: options.Video = True,
     encoder: Annotated[Path, typer.Option(help="folder of an encoder; make street writes the default one")] = STREET,
 ) -> None:
@@ -43,10 +44,10 @@ def measure(
     from pipeline.video.log import Logs
     from pipeline.video.source import open_source
 
-    logs = Logs.read(wheel, steering_ratio, motion)
+    logs = Logs.read(wheel, steering_ratio, motion, offset)
     if not (encoder / FILE).is_file():
         raise InputError("no encoder", encoder, "Make one for real streets: make street. Or pass --encoder")
     how: dict[str, Any] = {"fov_deg": fov, "K": k, "distortion": distortion, "fps": fps, "times": times}
-    opened = open_source(source, video_measure.CAMERAS, camera_height, **how)
+    opened = open_source(source, video_measure.CAMERAS, camera_height, logs, **how)
     lines, files = video_measure.measure(opened, out, encoder, Car(wheelbase, MIN_SPEED_MPS), logs, video=video)
     print(*opened.notes, *lines, ", ".join(map(str, files)), sep="\n")

@@ -33,6 +33,7 @@ def predict(
     wheel: options.Wheel = None,
     steering_ratio: options.SteeringRatio = None,
     motion: options.Motion = None,
+    offset: options.Offset = 0.0,
     video: options.Video = True,
     encoder: Annotated[
         Path | None, typer.Option(help="folder of an encoder; default: data/encoder beside the model's data/train")
@@ -44,13 +45,13 @@ def predict(
     from pipeline.video.log import Logs
     from pipeline.video.source import open_source
 
-    logs = Logs.read(wheel, steering_ratio, motion)
+    logs = Logs.read(wheel, steering_ratio, motion, offset)
     named = len(model.parts) == 1 and not (model / "best.pt").is_file()
     model = TRAINED / model if named else model
     trained, encoder = load(model), encoder or _encoder_beside(model)
     how: dict[str, Any] = {"fov_deg": fov, "K": k, "distortion": distortion, "fps": fps, "times": times}
     height_m = camera_height or trained.settings["perception"]["camera_height_m"]
-    opened = open_source(source, video_predict.reading(trained).cameras, height_m, **how)
+    opened = open_source(source, video_predict.reading(trained).cameras, height_m, logs, **how)
     lines, files = video_predict.predict(trained, opened, out, encoder, logs, video=video)
     print(*opened.notes, *lines, ", ".join(map(str, files)), sep="\n")
 

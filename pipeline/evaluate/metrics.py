@@ -132,14 +132,12 @@ def _drift(cases: Sequence[Case]) -> float | None:
 
 
 def columns(cases: Sequence[Case]) -> dict[str, dict[str, Any]]:
-    """Return column → unit, range in metres, and regression coefficient on odometry, the mean over training runs."""
-    gains = [case.scale.odometry_gain for case in cases if case.scale.odometry_gain is not None]
-    mean = np.mean(gains, axis=0).tolist() if gains else None
+    """Return column → unit and range in metres."""
     ranges: list[Any] = [*pairwise(cases[0].drive.ahead_m)] or [(None, None)]
     unit = "1/m" if cases[0].drive.ahead_m else "rad"
     return {
-        name: {"unit": unit, "from_m": near, "to_m": far, "odometry_gain": mean and mean[number]}
-        for number, (name, (near, far)) in enumerate(zip(cases[0].drive.columns, ranges, strict=True))
+        name: {"unit": unit, "from_m": near, "to_m": far}
+        for name, (near, far) in zip(cases[0].drive.columns, ranges, strict=True)
     }
 
 

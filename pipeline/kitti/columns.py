@@ -1,6 +1,7 @@
 """Read columns of numbers from CSV files, and check them."""
 
 import csv
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,8 +12,8 @@ from pipeline.base.errors import InputError
 _CORRECT = "Correct or remove the sample"
 
 
-def read_columns(path: Path, names: Sequence[str], expected: str) -> dict[str, np.ndarray]:
-    """Return name → column, float64 [N].
+def read_columns(path: Path, names: Sequence[str], expected: str, sparse: Sequence[str] = ()) -> dict[str, np.ndarray]:
+    """Return name → column, float64 [N], NaN in empty cells of the `sparse` columns.
 
     The separator is a comma, a semicolon or a tab; other columns are ignored. Raises InputError for a missing file or
     column, which ends with the sentence `expected`; for values that are not numbers; and for rows with more values than
@@ -30,7 +31,10 @@ def read_columns(path: Path, names: Sequence[str], expected: str) -> dict[str, n
         rows = list[list[float]]()
         for fields in reader:
             try:
-                rows.append([float(fields[name]) for name in names])
+                empty = [name in sparse and not fields[name].strip() for name in names]
+                rows.append(
+                    [math.nan if none else float(fields[name]) for name, none in zip(names, empty, strict=True)]
+                )
                 if any(surplus.strip() for surplus in fields.get("", [])):
                     raise ValueError
             except ValueError:
@@ -50,7 +54,7 @@ def check_limit(name: str, values: np.ndarray, limit: float, path: Path, fix: st
         raise InputError(f"implausible {name} = {values[at]:g} at sample {at + 1} (limit ±{limit:g})", path, fix)
 
 
-def check_increase(name: str, values: np.ndarray, least_step: float, path: Path) -> None:
+def check_increase(name: str, values: np.ndarray, least_step: float, path: Path | str) -> None:
     """Raise InputError if one of `values` [N] is less than `least_step` above the one before."""
     wrong = ~(np.diff(values) >= least_step)
     if wrong.any():

@@ -1,11 +1,29 @@
-"""Errors of the labels from one source against those of another: speed, yaw rate and steering angle."""
+"""Compare labels from two sources: errors of measured motion, and faults of what was recorded."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.labels.label import Labels
+from pipeline.base.errors import InputError
+from pipeline.base.store import DriveReader
+from pipeline.labels import sources
+from pipeline.labels.label import Car, Labels
+
+COLUMNS = {"oxts": "", "wheel": "steering_rad"}  # recorded source → column of its angles, for :func:`judge`
+TURNING_RAD = 0.02  # a radius of 135 m
+LAGS_S = np.array(sorted(np.arange(-40, 41) / 20, key=abs))  # [L]
+STEADY = 0.2  # standard deviation / root mean square: below, no correlation is defined
+SHOWN, JUDGED = 20, 100  # turning frames that a comparison and an error need
+SURE, UNRELATED = 0.7, 0.5  # correlations
+# KITTI's and rendered drives agree to 0.05 s with a correlation of 0.997, of which a lag of 0.25 s costs 0.02. A
+# steering wheel may lead the yaw rate by 0.2 s.
+LATE_S, LATE_SURE, LATE_COST = 0.2, 0.9, 0.01
+DEGREES, SIMILAR = math.degrees(1), 0.065  # 57.3 within a factor of 1.3: healthy gains are 0.9 to 1.2
+# Logarithms of gains. Karlsruhe's cameras measure 1.2 times the speed, a camera 1.2 m above the road 1.38 times.
+UNLIKE, UNLIKE_SPEED = math.log(2), math.log(1.4)
 
 
 def errors(measured: Labels, true: Labels) -> np.ndarray:
@@ -43,3 +61,108 @@ def score(drives: Sequence[np.ndarray]) -> dict[str, Any] | None:
         "speed_ratio": float(np.median(ratio)) if len(ratio) else None,
         "nmse": float((error_rad**2).sum() / zero) if zero else None,
     }
+
+
+def sums(time_s: np.ndarray, recorded: Labels, measured: Labels) -> np.ndarray:
+    """Return sums over the frames [F] of a drive, float64 [3,7,L], for :func:`compare`; those of drives can be added.
+
+    `measured`: means that look ahead. The recording is shifted by each lag; frames count where both are valid.
+    """
+    result = np.zeros((3, 7, len(LAGS_S)))
+    for row, name in enumerate(("steering_rad", "yaw_rate_radps", "speed_mps") if len(time_s) else ()):
+        m, r = (np.where(labels.valid, getattr(labels, name), np.nan) for labels in (measured, recorded))
+        r = np.stack([np.interp(time_s + lag_s, time_s, r, np.nan, np.nan) for lag_s in LAGS_S])
+        used = np.isfinite(m) & np.isfinite(r)
+        m, r = np.where(used, m, 0.0), np.where(used, r, 0.0)
+        result[row] = np.stack([used, m, r, m * m, r * r, m * r, np.abs(m) > TURNING_RAD]).sum(axis=-1)
+    return result
+
+
+def read(source: str, drives: Sequence[str], ingest: Path, motion: Path, car: Car) -> dict[str, np.ndarray]:
+    """Return drive → :func:`sums`, without drives that lack the recorded `source` or measured motion.
+
+    `ingest`, `motion`: the folders of these stages.
+    """
+    result = {}
+    for drive in drives:
+        path = motion / f"{drive}.h5"
+        with DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw:
+            if source in sources.recorded(raw) and path.is_file():
+                recorded, measured = sources.read(source, raw, None, car), sources.read("visual", raw, path, car)
+                result[drive] = sums(raw.time_s, recorded, measured)
+    return result
+
+
+def compare(drives: Sequence[np.ndarray]) -> dict[str, Any]:
+    """Return how recorded values follow measured ones, by the :func:`sums` of drives.
+
+    ``turning``: frames that turn by the measured angle. ``angle``, ``yaw_rate`` and ``speed``, None without frames:
+    ``frames``; ``correlation``, 0 on a steady curve or at a steady speed; ``lag_s`` of the recording, positive if it is
+    late, at which the correlation has the largest magnitude, ``best``; ``gain`` there: recorded / measured RMS.
+    """
+    total, fits = np.sum([np.zeros((3, 7, len(LAGS_S))), *drives], axis=0), dict[str, Any]()
+    for name, (count, *means, _) in zip(("angle", "yaw_rate", "speed"), total, strict=True):
+        m, r, mm, rr, mr = np.array(means) / np.maximum(count, 1)
+        varies = (mm - m**2 > STEADY**2 * mm) & (rr - r**2 > STEADY**2 * rr) & (count > count[0] / 2)
+        correlation = np.where(varies, mr - m * r, 0.0) / np.sqrt(np.where(varies, (mm - m**2) * (rr - r**2), 1.0))
+        best = int(np.argmax(np.abs(correlation)))
+        values = (
+            count[0],
+            correlation[0],
+            LAGS_S[best],
+            correlation[best],
+            np.sqrt(max(rr[best], 1e-12) / max(mm[best], 1e-12)),
+        )
+        names = "frames", "correlation", "lag_s", "best", "gain"
+        fits[name] = dict(zip(names, map(float, values), strict=True)) if count[0] else None
+    return fits | {"turning": int(total[0, 6, 0])}
+
+
+def check(source: str, drives: Mapping[str, np.ndarray]) -> Iterator[str]:
+    """Yield what :func:`judge` finds in the :func:`sums` of each long drive, since they may differ, and of all drives.
+
+    Raises InputError for an error.
+    """
+    long = {drive: [own] for drive, own in drives.items() if own[0, 6, 0] >= JUDGED}
+    for where, group in {**long, "training and validation drives": [*drives.values()]}.items():
+        errors, lines = judge(compare(group), COLUMNS.get(source, ""))
+        if errors:
+            raise InputError(errors[0], where, "Correct the log and import it again, or choose another labels.source")
+        yield from (f"{where}: {line}" for line in lines)
+
+
+def judge(comparison: Mapping[str, Any], column: str) -> tuple[list[str], list[str]]:
+    """Return errors, and lines: a result of :func:`compare`, and doubts.
+
+    `column` of the recorded angles; empty: they follow from yaw rate and speed. With few turning frames there is no
+    error, with very few nothing but the speed.
+    """
+    errors, doubts, texts, turning = list[str](), list[str](), list[str](), comparison["turning"]
+    for name, key in (("yaw_rate_radps", "yaw_rate"), (column, "angle")):
+        if not (fit := comparison[key]) or turning < SHOWN:
+            continue
+        _, correlation, lag_s, best, gain = fit.values()
+        course = f", correlation {correlation:.3f}, best lag {lag_s:.2f} s" if best else ""
+        texts.append(f"{key.replace('_', ' ')} gain {gain:.2f}{course}")
+        sure, found = abs(best) > SURE, errors if turning >= JUDGED else list[str]()
+        if not name or errors:
+            continue
+        if sure and max(best, correlation) < 0:
+            found.append(f"the sign of {name} is inverted: left is positive")
+        if sure and abs(abs(math.log(gain, DEGREES)) - 1) < SIMILAR:
+            found.append(f"{name} is {gain:.3g} times what is measured: convert degrees to radians, once")
+        elif sure and abs(math.log(gain)) > UNLIKE:
+            doubts.append(
+                f"{name} is {gain:.3g} times what is measured: check its unit, its clock, the steering ratio and K"
+            )
+        if 0 < abs(best) < UNRELATED and turning >= JUDGED:
+            doubts.append(f"{name} does not follow the measured motion: is it of another drive, or more than 2 s off?")
+        if best > LATE_SURE and best - correlation > LATE_COST and abs(lag_s) > LATE_S:
+            when = f"{abs(lag_s):.2f} s {'late' if lag_s > 0 else 'early'}"
+            doubts.append(f"{name} is {when}: pass --offset {-lag_s:.2f}, added to an earlier one")
+    if (speed := comparison["speed"]) and speed["frames"] >= SHOWN:
+        texts.append(f"speed gain {speed['gain']:.2f}")
+        if abs(math.log(speed["gain"])) > UNLIKE_SPEED:
+            known = "km/h would give 3.6, mph 2.24; a wrong K or camera height changes the measured speed"
+            doubts.append(f"speed_mps is {speed['gain']:.2f} times what is measured: {known}")
+    return errors, [f"recorded / measured, {turning} turning frames: {'; '.join(texts)}", *doubts] if texts else []

@@ -84,8 +84,8 @@ def number(value: Any, form: str = "") -> str:
 
 
 def sentences(groups: Sequence[Group], absent: Sequence[str] = ()) -> list[str]:
-    """Return at most three sentences: the best model of the first group against the best baseline without learning;
-    that the labels have the wrong sign; and the models that have no result here."""
+    """Return at most two sentences: the best model of the first group against the best baseline without learning, and
+    the models that have no result here."""
     texts = []
     if groups:
         group, best = groups[0], groups[0].by_error[0]
@@ -99,9 +99,6 @@ def sentences(groups: Sequence[Group], absent: Sequence[str] = ()) -> list[str]:
                 f"{verdict} than {baseline}, the best baseline without learning ({group.nmse(baseline)[0]:.3f}): "
                 f"paired difference {difference:+.3f} ({interval_text(bounds, '+.3f')})."
             )
-        gains = [column["odometry_gain"] for column in best["columns"].values()]
-        if any(gain is not None and gain < 0 for gain in gains):
-            texts.append("The sign of wheel_rad is inverted: left is positive.")
     if absent:
         texts.append(
             f"No result here: {', '.join(absent)}. To fetch those of another machine: dvc pull --allow-missing train "

@@ -69,6 +69,7 @@ def import_drives(
         usable = time_s - time_s[0] > start_s - ROUNDING_S
         if logs.motion:
             usable &= np.isfinite(logs.motion.at(time_s)[0])
+        source.notes.extend(logs.coverage(time_s[time_s - time_s[0] > start_s - ROUNDING_S]))
         if not usable.any():
             problem = f"no image from {time_s[0]:.3f} to {time_s[-1]:.3f} s is left, or none with motion"
             raise InputError(problem, fix="Change --start, --end or --offset")

@@ -1,5 +1,6 @@
 """Read logs of a car, its motion and the angles of its steering wheel, and interpolate them at the times of images."""
 
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -7,29 +8,32 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.kitti.columns import check_limit, read_columns
-from pipeline.kitti.oxts import LIMITS, check_angles
+from pipeline.kitti.oxts import LIMIT_RAD, LIMITS
 from pipeline.video.recording import check_times
 
-MAX_GAP_S = 2.0  # between samples that are interpolated
+MAX_GAP_S = 0.5  # between samples that are interpolated
 ROUNDING_S = 1e-3  # of timestamps in videos; comparisons tolerate it
 _MOTION = "Expected a CSV file with time_s [s], speed_mps [m/s] and yaw_rate_radps [rad/s, left +]"
 _WHEEL = "Expected a CSV file with time_s [s] and wheel_rad [rad, left +]"
 
 
 class Log(NamedTuple):
-    """Samples at ascending times [N] of C quantities [C,N]."""
+    """Samples at ascending times [N] of C quantities [C,N], NaN where unknown, of the file `name`."""
 
     time_s: np.ndarray
     samples: np.ndarray
+    name: str = ""
 
     def at(self, time_s: np.ndarray) -> np.ndarray:
-        """Return quantities [C,F] at `time_s` [F], linear between samples, NaN outside and in gaps over MAX_GAP_S."""
+        """Return quantities [C,F] at `time_s` [F], linear between samples; NaN outside, in gaps over MAX_GAP_S, and if
+        one is unknown."""
         left = np.clip(np.searchsorted(self.time_s, time_s, side="right") - 1, 0, len(self.time_s) - 2)
         before_s, after_s = self.time_s[left], self.time_s[left + 1]
         gap_s = np.where((time_s == before_s) | (time_s == after_s), 0.0, after_s - before_s)
         inside = (time_s >= self.time_s[0] - ROUNDING_S) & (time_s <= self.time_s[-1] + ROUNDING_S)
         values = np.stack([np.interp(time_s, self.time_s, samples) for samples in self.samples])
-        return np.where(inside & (gap_s <= MAX_GAP_S + ROUNDING_S), values, np.nan)
+        known = inside & (gap_s <= MAX_GAP_S + ROUNDING_S) & np.isfinite(values).all(axis=0)
+        return np.where(known, values, np.nan)
 
 
 class Logs(NamedTuple):
@@ -54,17 +58,31 @@ class Logs(NamedTuple):
         angles = read_wheel(wheel, steering_ratio, offset_s) if wheel and steering_ratio else None
         return cls(angles, read_motion(motion, offset_s) if motion else None, name)
 
+    def check_overlap(self, first_s: float, last_s: float) -> None:
+        """Raise InputError for a log without a sample from the first to the last image."""
+        for log in filter(None, self[:2]):
+            begin_s, end_s = log.time_s[[0, -1]]
+            if begin_s > last_s + ROUNDING_S or end_s < first_s - ROUNDING_S:
+                problem = f"log is from {begin_s:.1f} to {end_s:.1f} s, the images from {first_s:.1f} to {last_s:.1f} s"
+                fix = (
+                    f"If both begin together, pass --offset {round(first_s - begin_s, 3):.13g}, added to an earlier one"
+                )
+                raise InputError(problem, log.name, fix)
+
+    def coverage(self, time_s: np.ndarray) -> Iterator[str]:
+        """Yield a line for each log that does not cover all images, which are at `time_s` [F]."""
+        for log in filter(None, self[:2]):
+            if not (known := np.isfinite(log.at(time_s)[0])).all():
+                yield f"{log.name} covers {known.sum():,} of {len(known):,} images"
+
 
 def read_motion(path: Path, offset_s: float = 0.0) -> Log:
     """Read a CSV file with the columns time_s, speed_mps and yaw_rate_radps; `offset_s` is added to its times.
 
-    Raises InputError if a column is missing, values are implausible, or times do not increase or are not in seconds.
+    Empty cells are interpolated. Raises InputError if a column is missing, values are implausible, or the times of a
+    column do not increase or are not in seconds.
     """
-    time_s, *samples = read_columns(path, ("time_s", "speed_mps", "yaw_rate_radps"), _MOTION).values()
-    check_times(time_s, path)
-    check_limit("speed_mps", samples[0], LIMITS["vf"], path)
-    check_limit("yaw_rate_radps", samples[1], LIMITS["wu"], path)
-    return Log(time_s + offset_s, np.stack(samples))
+    return _read(path, {"speed_mps": LIMITS["vf"], "yaw_rate_radps": LIMITS["wu"]}, _MOTION, offset_s)
 
 
 def read_wheel(path: Path, steering_ratio: float, offset_s: float = 0.0) -> Log:
@@ -72,7 +90,17 @@ def read_wheel(path: Path, steering_ratio: float, offset_s: float = 0.0) -> Log:
 
     `offset_s` is added to the times. Raises InputError as :func:`read_motion` does.
     """
-    time_s, wheel_rad = read_columns(path, ("time_s", "wheel_rad"), _WHEEL).values()
-    check_angles(wheel_rad / steering_ratio, path)
-    check_times(time_s, path)
-    return Log(time_s + offset_s, wheel_rad[None] / steering_ratio)
+    log = _read(path, {"wheel_rad": LIMIT_RAD * steering_ratio}, _WHEEL, offset_s)
+    return log._replace(samples=log.samples / steering_ratio)
+
+
+def _read(path: Path, limits: Mapping[str, float], expected: str, offset_s: float) -> Log:
+    columns = read_columns(path, ("time_s", *limits), expected, sparse=[*limits])
+    time_s, samples = np.unique(columns["time_s"]), []  # two topics in one file have their own times
+    for name, limit in limits.items():
+        known = ~np.isnan(columns[name])
+        own_s, values = columns["time_s"][known], columns[name][known]
+        check_times(own_s, f"{path} column {name}", MAX_GAP_S + ROUNDING_S)
+        check_limit(name, values, limit, path, expected)
+        samples.append(Log(own_s, values[None]).at(time_s))
+    return Log(time_s + offset_s, np.concatenate(samples), path.name)

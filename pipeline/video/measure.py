@@ -19,7 +19,6 @@ from pipeline.video.source import MOTION, Source, publish, run_chain, work_folde
 CAMERAS = [2, 0, 3, 1]  # of a KITTI drive, the first one with images
 READING = Reading(image_size=(192, 640), cameras=CAMERAS, lidar=False, on_damaged="skip")  # as the encoder was trained
 FOCAL_TOLERANCE, FOCAL_SIGMAS = 0.18, 5.0  # smaller deviations are not reported: of the logarithm, and in sigmas
-MIN_DRIVEN_MPS = 1.0  # of frames whose speeds are compared
 
 
 def measure(
@@ -37,31 +36,28 @@ def measure(
     with DriveReader(work / MOTION, stage="motion") as motion:
         quality = _quality(motion, results, source)
     results.write_csv(work / "new/motion.csv")
-    write_json(work / "new/quality.json", quality | {"comparison": comparison})
+    write_json(work / "new/quality.json", quality | {"recorded": results.agreement, "comparison": comparison})
     draw_track(work / "new/track.png", results)
     if video:
         write_overlay(work / "new/overlay.mp4", source, results, car.wheelbase_m)
-    return [*results.lines(comparison), *_remarks(quality, source.height_known, results.truth.name)], publish(work)
+    return [*results.lines(comparison), *_remarks(quality, source.height_known)], publish(work)
 
 
 def _quality(motion: DriveReader, results: Results, source: Source) -> dict[str, Any]:
     """Return the content of quality.json; None where unknown. The road's height is by the encoder's depth."""
     heights_m, (gradient, information) = motion["road_height_m"], motion.attrs["focal"]
     known, sigmas = heights_m[heights_m > 0], results.table["speed_sigma"][results.table["valid"] > 0]
-    speed_mps, driven_mps = results.table["speed_mps"], results.truth.driven_mps
-    used = np.isfinite(speed_mps) & (driven_mps >= MIN_DRIVEN_MPS)
     return {
         "horizon": source.camera.horizon,
         "road_frames": float((heights_m > 0).mean()),
         "road_height_m": float(np.median(known)) if len(known) else None,
         "speed_sigma": float(np.median(sigmas)) if len(sigmas) else None,
-        "speed_ratio": float(speed_mps[used].sum() / driven_mps[used].sum()) if used.any() else None,
         "focal_ratio": math.exp(float(np.clip(-gradient / information, -1, 1))) if information > 0 else None,
         "focal_sigma": float(information**-0.5) if information > 0 else None,
     }
 
 
-def _remarks(quality: dict[str, Any], height_known: bool, truth: str) -> Iterator[str]:
+def _remarks(quality: dict[str, Any], height_known: bool) -> Iterator[str]:
     """Yield what the scale and the focal length rest on."""
     yield f"road found in {quality['road_frames']:.0%} of the frames; elsewhere speed stays near a typical car's"
     if quality["road_height_m"] and not height_known:
@@ -69,8 +65,6 @@ def _remarks(quality: dict[str, Any], height_known: bool, truth: str) -> Iterato
         yield f"the encoder's depth puts the camera {height}. Measure it and pass --camera-height: speed follows it"
     if quality["speed_sigma"]:
         yield f"speed and curvature may be off by {quality['speed_sigma']:.0%} (one standard deviation)"
-    if quality["speed_ratio"]:
-        yield f"speed is {quality['speed_ratio']:.2f} times the one recorded in {truth}"
     deviation, sigma = math.log(quality["focal_ratio"] or 1.0), quality["focal_sigma"] or 0.0
     if abs(deviation) > max(FOCAL_TOLERANCE, FOCAL_SIGMAS * sigma):
         yield f"turns show that the focal length is wrong: pass a {'smaller' if deviation > 0 else 'larger'} --fov"

@@ -34,7 +34,7 @@ def draw_track(path: Path, results: Results) -> None:
     steering.set(ylabel="steering angle, deg, left +", xlabel="time, s")
     angles = {name: np.degrees(table[f"{name}_rad"]) for name in LINES if f"{name}_rad" in table}
     for axes, curves in (
-        (speed, {"measured": table["speed_mps"], "driven": results.truth.driven_mps}),
+        (speed, {"measured": table["speed_mps"], "driven": results.truth.driven.speed_mps}),
         (steering, angles),
     ):
         for name, values in curves.items():

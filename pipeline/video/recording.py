@@ -75,6 +75,18 @@ class Recording:
             problem = f"ends after {number + 1} of {self.count} frames"
             raise DamagedFile(problem, self.path, _CONVERT.format(name=self.path.name))
 
+    def span_s(self) -> tuple[float, float]:
+        """Return the times of the first and of the last image, without decoding any."""
+        if self.times_s is not None:
+            return float(self.times_s[0]), float(self.times_s[-1])
+        if self.path.is_dir():
+            return 0.0, ((self.count or 1) - 1) / (self.fps or 1.0)
+        with _container(self.path) as container:
+            stream = container.streams.video[0]
+            stamps = [packet.pts for packet in container.demux(stream) if packet.size]
+            last_s = float(max((stamp for stamp in stamps if stamp is not None), default=0) * (stream.time_base or 1))
+        return 0.0, (len(stamps) - 1) / self.fps if self.fps else last_s - self.start_s
+
 
 def open_recording(path: Path, fps: float | None = None, times: Path | None = None) -> Recording:
     """Open a video file or a folder of images.
@@ -163,16 +175,16 @@ def read_times(path: Path) -> np.ndarray:
         times_s = np.array(path.read_text("utf-8-sig").split(), np.float64)
     except (OSError, ValueError) as error:
         raise InputError(f"expected a file with one number per line ({error})", path) from error
-    check_times(times_s, path)
+    check_times(times_s, path, 2.0)  # milliseconds, taken as seconds, have steps of 10 and more
     return times_s
 
 
-def check_times(times_s: np.ndarray, path: Path) -> None:
-    """Raise InputError if times [N] of the file at `path` are implausible, not in seconds, or do not increase."""
+def check_times(times_s: np.ndarray, path: Path | str, longest_s: float) -> None:
+    """Raise InputError if times [N] do not increase, or by less than 1 ms or more than `longest_s` in the median."""
     check_increase("time_s", times_s, 1e-5, path)
     if len(times_s) < 2:
         raise InputError(f"expected at least 2 times, got {len(times_s)}", path)
     step_s = float(np.median(np.diff(times_s)))
-    if not 0.999e-3 <= step_s <= 2.0:  # milliseconds, taken as seconds, have steps of 10 and more
-        fix = "Times are in seconds: divide milliseconds by 1000"
-        raise InputError(f"median time step is {step_s:g} (expected 0.001 to 2 s)", path, fix)
+    if not 0.999e-3 <= step_s <= longest_s:
+        fix = "Times are in seconds: divide milliseconds by 1000. Slower samples are not interpolated"
+        raise InputError(f"median time step is {step_s:g} (expected 0.001 to {longest_s:.1g} s)", path, fix)

@@ -15,7 +15,8 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.evaluate import errors
 from pipeline.labels import rates, sources
-from pipeline.labels.label import Car, steering_angle, steering_labels
+from pipeline.labels.comparison import compare, judge, sums
+from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
 from pipeline.motion.step import PROBLEMS
 from pipeline.settings.evaluate import Evaluate
 from pipeline.video.log import Logs
@@ -23,18 +24,16 @@ from pipeline.video.source import INGEST, MOTION, Source
 
 BRIDGED_S = 1.0  # longest gap over which the track continues with the last motion
 HEIGHT_SCALE = 0.2  # relative standard deviation of the speed if the camera's height over the road is unknown
-INVERTED = -0.5  # largest correlation with the driven angle that means an inverted sign
 BLOCK_S = 5.0  # errors of nearer frames are correlated, for the interval of nmse
 FORMATS = {"frame": ".0f", "valid": ".0f", "points": ".0f", "residual": ".3f", "driven_rad": ".9f"}  # others: ".6f"
 
 
 class Truth(NamedTuple):
-    """Driven angles and speeds of F frames, NaN where unknown, where they are from, and the column of the angles."""
+    """What was driven in F frames, where it is from, and the column of recorded angles."""
 
     name: str  # empty: unknown
-    column: str
-    driven_rad: np.ndarray  # [F] of the front wheels, left positive
-    driven_mps: np.ndarray  # [F]
+    column: str  # empty: angles follow from yaw rate and speed
+    driven: Labels
 
 
 def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> Truth:
@@ -42,20 +41,17 @@ def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> 
 
     With both logs, the angle is the wheel's.
     """
-    rows, unknown = np.searchsorted(ingest.frame, frame), np.full(len(frame), np.nan)
+    rows = np.searchsorted(ingest.frame, frame)
     recorded, time_s = sources.recorded(ingest), ingest.time_s[rows]
     if not logs.name and recorded:
-        labels = sources.read(recorded[0], ingest, None, car).at(rows)
-        name, column = {"oxts": ("oxts", "wu"), "wheel": ("steering.csv", "steering_rad")}[recorded[0]]
-        return Truth(name, column, np.where(labels.valid, labels.steering_rad, np.nan), labels.speed_mps)
-    column, driven_rad, driven_mps = "yaw_rate_radps", unknown, unknown
-    if logs.motion:
-        driven_mps, yaw_rate_radps = logs.motion.at(time_s)
-        angles, valid = steering_labels(yaw_rate_radps, driven_mps, **vars(car))
-        driven_rad = np.where(valid, angles, np.nan)
+        name, column = {"oxts": ("oxts", ""), "wheel": ("steering.csv", "steering_rad")}[recorded[0]]
+        return Truth(name, column, sources.read(recorded[0], ingest, None, car).at(rows))
+    speed_mps, yaw_rate_radps = logs.motion.at(time_s) if logs.motion else np.full((2, len(frame)), np.nan)
+    angle_rad, valid = steering_labels(yaw_rate_radps, speed_mps, **vars(car))
     if logs.wheel:
-        column, (driven_rad,) = "wheel_rad", logs.wheel.at(time_s)
-    return Truth(logs.name, column, driven_rad, driven_mps)
+        (angle_rad,) = logs.wheel.at(time_s)
+        valid = np.isfinite(angle_rad)
+    return Truth(logs.name, "wheel_rad" * bool(logs.wheel), Labels(angle_rad, valid, speed_mps, yaw_rate_radps))
 
 
 def read_course(motion: DriveReader, car: Car, *, look_ahead: bool, height_known: bool) -> dict[str, np.ndarray]:
@@ -109,6 +105,7 @@ class Results:
     table: dict[str, np.ndarray]  # column → [F]; angles in rad, left positive
     problems: list[str]  # why the motion of each frame is not measured; empty where it is
     truth: Truth
+    agreement: dict[str, Any]  # of what was driven with the measured motion: pipeline.labels.comparison.compare
     ahead_m: tuple[float, ...] = ()  # edges of the ranges of the predicted path, of models of the path
     path_1pm: np.ndarray | None = None  # [F,R] predicted mean curvature in each range
     path_sigma_1pm: np.ndarray | None = None  # [F,R] its standard deviation, of models with uncertainty
@@ -131,12 +128,18 @@ class Results:
                 raise InputError("no frame could be read", source.path, "; ".join(source.notes[:1]))
             course = read_course(motion, car, look_ahead=look_ahead, height_known=source.height_known)
             truth = read_truth(raw, motion.frame[rows], logs, car)
+            measured = sources.read("visual", raw, work / MOTION, car).at(
+                np.searchsorted(raw.frame, motion.frame[rows])
+            )
+            agreement = compare([sums(motion.time_s[rows], truth.driven, measured)])
             valid, codes = motion["valid"], motion["problem"][rows]
+            source.notes.extend(logs.coverage(motion.time_s[rows]))
             points, residual = (np.where(valid, motion[name], np.nan) for name in ("inliers", "residual"))
-            measured = {"valid": valid, **course, "points": points, "residual": residual}
-            table = {"frame": motion.frame[rows], "time_s": motion.time_s[rows], "driven_rad": truth.driven_rad}
-        table |= {name: values[rows] for name, values in measured.items()}
-        return cls(source.name, table, [PROBLEMS[code] for code in codes], truth)
+            columns = {"valid": valid, **course, "points": points, "residual": residual}
+            driven_rad = np.where(truth.driven.valid, truth.driven.steering_rad, np.nan)
+            table = {"frame": motion.frame[rows], "time_s": motion.time_s[rows], "driven_rad": driven_rad}
+        table |= {name: values[rows] for name, values in columns.items()}
+        return cls(source.name, table, [PROBLEMS[code] for code in codes], truth, agreement)
 
     def write_csv(self, path: Path) -> None:
         """Write the columns, and those of a predicted path for each range."""
@@ -156,6 +159,8 @@ class Results:
         reasons = ", ".join(f"{problem} ({count})" for problem, count in counts)
         measured = f"motion measured in {int(self.table['valid'].sum())} of {len(self.problems)} frames"
         yield f"{measured}; not measured: {reasons}" if reasons else measured
+        faults, doubts = judge(self.agreement, self.truth.column)
+        yield from (*doubts, *faults)
         if comparison is None:
             return
         ahead = f", {comparison['horizon']} frames ahead" if comparison["horizon"] else ""
@@ -165,8 +170,6 @@ class Results:
                 nmse = "-" if row["nmse"] is None else f"{row['nmse']:.3f} ({errors.interval_text(row['nmse_ci95'])})"
                 text = "" if row["correlation"] is None else f", correlation {row['correlation']:.3f}"
                 yield f"  {name}: nmse {nmse}, RMSE {row['rmse_deg']:.2f} deg{text}"
-        if (comparison["measured"]["correlation"] or 0.0) < INVERTED:
-            yield f"the sign of {self.truth.column} is inverted: left is positive"
 
     def compare(self, column: str, horizon: int = 0) -> dict[str, Any] | None:
         """Return errors of angles against the driven ones `horizon` frames later; None without common frames.

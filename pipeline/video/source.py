@@ -17,12 +17,14 @@ from pipeline.base.resume import file_hash
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import format_size, read_image
 from pipeline.kitti.ingest import IngestFile, ingest_kitti
+from pipeline.kitti.oxts import read_times
 from pipeline.kitti.raw import KittiDrive
 from pipeline.motion.drive import measure_drive
 from pipeline.perception.perceive import FILE, perceive_drive
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from pipeline.video.lens import find_horizon, pinhole, undistortion
+from pipeline.video.log import Logs
 from pipeline.video.recording import open_recording
 
 INGEST, PERCEPTION, MOTION = "ingest.h5", "perception.h5", "motion.h5"
@@ -44,13 +46,16 @@ class Source:
     notes: list[str] = field(default_factory=list)  # for the user
 
 
-def open_source(path: Path, cameras: Sequence[int], height_m: float | None = None, **how: Any) -> Source:
+def open_source(
+    path: Path, cameras: Sequence[int], height_m: float | None = None, logs: Logs | None = None, **how: Any
+) -> Source:
     """Open a KITTI drive's folder by the first of `cameras` with images; or a folder of images, or a video.
 
     `height_m`: of the camera over the road; None: from a KITTI drive's calibration, else unknown. `how`: of other
     recordings, what :func:`open_images` gets.
 
-    Raises InputError if it is none of them, lacks a calibration, or cannot be read.
+    Raises InputError if it is none of them, lacks a calibration, cannot be read, or one of the `logs` has no sample in
+    its time.
     """
     drive = KittiDrive(path.resolve()) if path.is_dir() else None
     number = next((camera for camera in cameras if drive and drive.images(camera)), None)
@@ -59,8 +64,11 @@ def open_source(path: Path, cameras: Sequence[int], height_m: float | None = Non
             fix = "Remove --fov, --K, --distortion, --fps and --times"
             raise InputError("a KITTI drive has its own calibration and times", path, fix)
         source = _open_drive(path, drive, number)
+        if logs and logs.name:
+            numbers, times = drive.timeline(number)
+            logs.check_overlap(*read_times(times, numbers)[[0, -1]])
     else:
-        source = replace(open_images(path, **how), how=how)
+        source = replace(open_images(path, logs, **how), how=how)
     if height_m is not None:
         return replace(source, camera=replace(source.camera, height_m=height_m), height_known=True)
     return source
@@ -81,6 +89,7 @@ def _open_drive(path: Path, drive: KittiDrive, number: int) -> Source:
 
 def open_images(
     path: Path,
+    logs: Logs | None = None,
     *,
     fps: float | None = None,
     times: Path | None = None,
@@ -88,11 +97,13 @@ def open_images(
     horizon: float | None = None,
     **lens: Any,
 ) -> Source:
-    """Open a recording of rectified images; its horizon is estimated if it is None.
+    """Open a recording of rectified images; its horizon is estimated if it is None, after `logs` are compared with it.
 
     Other arguments as of :func:`open_recording`, :func:`undistortion` and :func:`pinhole`.
     """
     recording = open_recording(path, fps, times)
+    if logs and logs.name:
+        logs.check_overlap(*recording.span_s())
     if recording.size[0] > recording.size[1]:
         sizes = f"images are taller than wide ({format_size(recording.size)} pixels): is it rotated by 90 degrees?"
         raise InputError(sizes, path, "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)")

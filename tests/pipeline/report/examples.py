@@ -17,9 +17,9 @@ ENTRY = {
     "semantics": 1.0, "motion": "none", "horizon": 0, "fit_to": "train", "roads": None, "predict": "angle",
     "scene": "same",
 }  # fmt: skip
-ANGLE = {"steering_rad": {"unit": "rad", "from_m": None, "to_m": None, "odometry_gain": None}}
+ANGLE = {"steering_rad": {"unit": "rad", "from_m": None, "to_m": None}}
 PATH = {
-    f"path_{start}-{stop}m_1pm": {"unit": "1/m", "from_m": float(start), "to_m": float(stop), "odometry_gain": None}
+    f"path_{start}-{stop}m_1pm": {"unit": "1/m", "from_m": float(start), "to_m": float(stop)}
     for start, stop in ((0, 5), (5, 10))
 }
 

@@ -17,11 +17,11 @@ TURNING_RAD = 0.02  # a radius of 135 m
 LAGS_S = np.array(sorted(np.arange(-40, 41) / 20, key=abs))  # [L]
 STEADY = 0.2  # standard deviation / root mean square: below, no correlation is defined
 SHOWN, JUDGED = 20, 100  # turning frames that a comparison and an error need
-SURE, UNRELATED = 0.7, 0.5  # correlations
+CLEAR = 0.9  # correlation that needs fewer frames
 # KITTI's and rendered drives agree to 0.05 s with a correlation of 0.997, of which a lag of 0.25 s costs 0.02. A
 # steering wheel may lead the yaw rate by 0.2 s.
-LATE_S, LATE_SURE, LATE_COST = 0.2, 0.9, 0.01
-DEGREES, SIMILAR = math.degrees(1), 0.065  # 57.3 within a factor of 1.3: healthy gains are 0.9 to 1.2
+LATE_S, LATE_COST = 0.2, 0.01
+DEGREES, SIMILAR = math.degrees(1), 0.1  # 57.3 within a factor of 1.5: healthy gains are 0.7 to 1.2
 # Logarithms of gains. Karlsruhe's cameras measure 1.2 times the speed, a camera 1.2 m above the road 1.38 times.
 UNLIKE, UNLIKE_SPEED = math.log(2), math.log(1.4)
 
@@ -98,7 +98,8 @@ def compare(drives: Sequence[np.ndarray]) -> dict[str, Any]:
 
     ``turning``: frames that turn by the measured angle. ``angle``, ``yaw_rate`` and ``speed``, None without frames:
     ``frames``; ``correlation``, 0 on a steady curve or at a steady speed; ``lag_s`` of the recording, positive if it is
-    late, at which the correlation has the largest magnitude, ``best``; ``gain`` there: recorded / measured RMS.
+    late, at which the correlation has the largest magnitude, ``best``; ``distinct``: it explains much more than any of
+    the other sign, and its magnitude is above 0.7; ``gain``: recorded / measured root mean square there.
     """
     total, fits = np.sum([np.zeros((3, 7, len(LAGS_S))), *drives], axis=0), dict[str, Any]()
     for name, (count, *means, _) in zip(("angle", "yaw_rate", "speed"), total, strict=True):
@@ -106,15 +107,19 @@ def compare(drives: Sequence[np.ndarray]) -> dict[str, Any]:
         varies = (mm - m**2 > STEADY**2 * mm) & (rr - r**2 > STEADY**2 * rr) & (count > count[0] / 2)
         correlation = np.where(varies, mr - m * r, 0.0) / np.sqrt(np.where(varies, (mm - m**2) * (rr - r**2), 1.0))
         best = int(np.argmax(np.abs(correlation)))
-        values = (
-            count[0],
-            correlation[0],
-            LAGS_S[best],
-            correlation[best],
-            np.sqrt(max(rr[best], 1e-12) / max(mm[best], 1e-12)),
+        rival = max(0.0, (-np.sign(correlation[best]) * correlation).max())
+        fits[name] = (
+            None
+            if not count[0]
+            else {
+                "frames": int(count[0]),
+                "correlation": float(correlation[0]),
+                "lag_s": float(LAGS_S[best]),
+                "best": float(correlation[best]),
+                "distinct": bool(1 - correlation[best] ** 2 < (1 - rival**2) / 2),
+                "gain": float(np.sqrt(max(rr[best], 1e-12) / max(mm[best], 1e-12))),
+            }
         )
-        names = "frames", "correlation", "lag_s", "best", "gain"
-        fits[name] = dict(zip(names, map(float, values), strict=True)) if count[0] else None
     return fits | {"turning": int(total[0, 6, 0])}
 
 
@@ -134,30 +139,30 @@ def check(source: str, drives: Mapping[str, np.ndarray]) -> Iterator[str]:
 def judge(comparison: Mapping[str, Any], column: str) -> tuple[list[str], list[str]]:
     """Return errors, and lines: a result of :func:`compare`, and doubts.
 
-    `column` of the recorded angles; empty: they follow from yaw rate and speed. With few turning frames there is no
-    error, with very few nothing but the speed.
+    `column` of the recorded angles; empty: they follow from yaw rate and speed. With few turning frames errors are
+    doubts, with very few there is nothing but the speed.
     """
     errors, doubts, texts, turning = list[str](), list[str](), list[str](), comparison["turning"]
     for name, key in (("yaw_rate_radps", "yaw_rate"), (column, "angle")):
         if not (fit := comparison[key]) or turning < SHOWN:
             continue
-        _, correlation, lag_s, best, gain = fit.values()
+        _, correlation, lag_s, best, distinct, gain = fit.values()
         course = f", correlation {correlation:.3f}, best lag {lag_s:.2f} s" if best else ""
         texts.append(f"{key.replace('_', ' ')} gain {gain:.2f}{course}")
-        sure, found = abs(best) > SURE, errors if turning >= JUDGED else list[str]()
         if not name or errors:
             continue
-        if sure and max(best, correlation) < 0:
+        certain, found = (distinct, errors) if turning >= JUDGED else (distinct and abs(best) > CLEAR, doubts)
+        times = f"{name} is {gain:.3g} times what is measured"
+        if certain and max(best, correlation) < 0:
             found.append(f"the sign of {name} is inverted: left is positive")
-        if sure and abs(abs(math.log(gain, DEGREES)) - 1) < SIMILAR:
-            found.append(f"{name} is {gain:.3g} times what is measured: convert degrees to radians, once")
-        elif sure and abs(math.log(gain)) > UNLIKE:
-            doubts.append(
-                f"{name} is {gain:.3g} times what is measured: check its unit, its clock, the steering ratio and K"
-            )
-        if 0 < abs(best) < UNRELATED and turning >= JUDGED:
-            doubts.append(f"{name} does not follow the measured motion: is it of another drive, or more than 2 s off?")
-        if best > LATE_SURE and best - correlation > LATE_COST and abs(lag_s) > LATE_S:
+        if certain and abs(abs(math.log(gain, DEGREES)) - 1) < SIMILAR:
+            found.append(f"{times}: convert degrees to radians, once")
+        elif certain and abs(math.log(gain)) > UNLIKE:
+            doubts.append(f"{times}: check its unit, the steering ratio and K")
+        elif best and not certain and turning >= JUDGED:
+            causes = "another drive's log, a clock that is more than 2 s off, or poorly measured motion"
+            doubts.append(f"{name} does not follow the measured motion: {causes}")
+        if certain and best > CLEAR and best - correlation > LATE_COST and abs(lag_s) > LATE_S:
             when = f"{abs(lag_s):.2f} s {'late' if lag_s > 0 else 'early'}"
             doubts.append(f"{name} is {when}: pass --offset {-lag_s:.2f}, added to an earlier one")
     if (speed := comparison["speed"]) and speed["frames"] >= SHOWN:

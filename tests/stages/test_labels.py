@@ -120,6 +120,24 @@ def test_interpolated_packets_of_kitti(real_kitti, tmp_path):
     assert (len(counts), sum(counts.values()), counts["2011_10_03_drive_0027"]) == (55, 323, 134)
 
 
+def test_an_inverted_wheel_is_refused_and_test_drives_are_not_compared(tmp_path, capsys):
+    """The drive for validation has no motion."""
+    frame, angle = np.arange(1, 151), 0.1 * np.sin(np.arange(150) / 9)
+    for drive, sign in zip(DRIVES, (1, -1), strict=True):
+        write_recorded(
+            tmp_path / f"ingest/{drive}.h5", frame, None, dict(zip(frame.tolist(), sign * angle, strict=True))
+        )
+        motion = {number: (8.0, 8 * np.tan(rad) / 2.7) for number, rad in zip(frame.tolist(), angle, strict=True)}
+        write_motion(tmp_path / "motion", drive, motion)
+    write_index(tmp_path / "ingest", DRIVES)
+    run(tmp_path, source="wheel")
+    assert f"{FIRST}: recorded / measured, 130 turning frames: angle gain 1.00" in capsys.readouterr().out
+    write_index(tmp_path / "ingest", {FIRST: "test", SECOND: "val"})
+    (tmp_path / "labels/index.json").unlink()
+    with pytest.raises(InputError, match=f"{SECOND}: the sign of steering_rad is inverted"):
+        run(tmp_path, source="wheel")
+
+
 def test_a_source_that_a_drive_lacks(recorded):
     with pytest.raises(InputError, match=r"no oxts.*labels\.source: oxts"):
         run(recorded, source="oxts")

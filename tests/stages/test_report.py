@@ -32,7 +32,9 @@ def test_all_files_are_written_and_repeat(tmp_path):
     scores = {split: Scores() for split in ("train", "val", "test")}
     scores["test"].add_depth("depth_dense", np.full((40, 50), 10.0), np.full((40, 50), 10.0))
     reports = {split: score.report() for split, score in scores.items()}
-    store.write_json(tmp_path / "scores/metrics.json", reports | {"motion": {}})
+    store.write_json(
+        tmp_path / "scores/metrics.json", reports | {"motion": {}, "recorded": {"wheel": {"lines": ["gain 1.03"]}}}
+    )
     store.write_json(tmp_path / "encoder/config.json", {"sources": ["b0.pt: its URL (its terms)"]})
     made = []
     for _ in range(2):
@@ -48,3 +50,4 @@ def test_all_files_are_written_and_repeat(tmp_path):
     assert "sa-gnn-ncp.seed-1.fold-a.csv" in made[0]
     assert b"No result here: absent." in made[0]["index.html"]
     assert b"b0.pt: its URL (its terms)" in made[0]["index.html"]
+    assert b"wheel: gain 1.03" in made[0]["index.html"]

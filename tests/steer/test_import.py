@@ -61,7 +61,7 @@ def longer(tmp_path) -> Path:
 
 def every_second(angle: float) -> str:
     """Return a log of the steering wheel."""
-    return "time_s,wheel_rad\n" + "".join(f"{second},{angle}\n" for second in range(-1, 30))
+    return "time_s,wheel_rad\n" + "".join(f"{half / 2},{angle}\n" for half in range(-2, 60))
 
 
 def test_labels_follow_the_log(tmp_path, take, video):
@@ -88,10 +88,11 @@ def test_labels_follow_the_log(tmp_path, take, video):
             assert file["K"][0, 2] == 31.5
 
 
-def test_angles_of_the_wheel_are_interpolated_from_start_to_end(take, video):
-    drive = take(video, wheel="time_s,wheel_rad\n0.05,1.0\n0.65,-2.0\n")
-    expected = {number: 0.1 - 0.3 * (number / 10 - 0.05) / 0.6 for number in range(1, 7)}
+def test_angles_of_the_wheel_are_interpolated_from_start_to_end(take, video, capsys):
+    drive = take(video, wheel="time_s,wheel_rad\n0.05,1.0\n0.55,-2.0\n")
+    expected = {number: 0.1 - 0.3 * (number / 10 - 0.05) / 0.5 for number in range(1, 6)}
     assert read_steering(drive.steering) == pytest.approx(expected)
+    assert "wheel.txt covers 5 of 12 images" in capsys.readouterr().out
     drive = take(video, wheel="time_s;wheel_rad\n0.4;1.5\n0.6;3.0\n", start=0.3, end=0.8, replace=True)
     assert (list(drive.images(2)), drive.oxts) == ([3, 4, 5, 6, 7], {})
     assert read_steering(drive.steering) == pytest.approx({4: 0.15, 5: 0.225, 6: 0.3})
@@ -103,7 +104,7 @@ def test_angles_of_the_wheel_are_interpolated_from_start_to_end(take, video):
     ("source", "options", "base", "horizon"),
     [
         ("visual", {}, "motion", 10),
-        ("oxts", {"motion": HEAD + "".join(f"{second},5,{second / 300}\n" for second in range(-1, 30))}, "motion", 0),
+        ("oxts", {"motion": HEAD + "".join(f"{half / 2},5,{half / 600}\n" for half in range(-2, 60))}, "motion", 0),
         ("wheel", {"wheel": every_second(1.0)}, "none", 0),
     ],
 )
@@ -195,7 +196,8 @@ def test_drives_of_a_date_share_the_camera(take, video):
 PLAINLY_WRONG = [
     ({"fov": None}, "--fov DEGREES"),
     ({"drive": "drive_1"}, "--drive"),
-    ({"motion": HEAD + "-9,5,0\n-8,5,0\n9,5,0\n10,5,0\n"}, "--end or --offset"),
+    ({"motion": HEAD + "-.2,5,0\n-.1,5,0\n2,5,0\n2.1,5,0\n2.2,5,0\n"}, "--end or --offset"),
+    ({"motion": HEAD + "7200,5,0\n7200.1,5,0\n"}, "images from 0.0 to 1.1 s.*--offset -7200,"),
     ({"start": 3.0}, "--start"),
     ({"split": "60,20,30"}, "with the sum 100"),
     ({"split": "60,20,20"}, "fewer than 2 images"),

@@ -46,10 +46,14 @@ def read(out: Path) -> dict[str, np.ndarray]:
 
 def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
     out, images, log = tmp_path / "out", write_folder(tmp_path / "images", drive(30)), tmp_path / "can.csv"
-    log.write_text(f"time_s,speed_mps,yaw_rate_radps\n0,{SPEED / 1.2},{YAW_RATE}\n2,{SPEED / 1.2},{YAW_RATE}\n")
-    measure(images, out=out, encoder=encoder, motion=log, distortion="0,0,0,0", **LENS)
+    rows = [f"{10 + number / 2},{3.6 * SPEED},{YAW_RATE}\n" for number in range(5)]
+    log.write_text("time_s,speed_mps,yaw_rate_radps\n" + "".join(rows))
+    with pytest.raises(InputError, match=r"log is from 10\.0 to 12\.0 s, the images from 0\.0 to 2\.9 s"):
+        measure(images, out=out, encoder=encoder, motion=log, **LENS)
+    measure(images, out=out, encoder=encoder, motion=log, offset=-10, distortion="0,0,0,0", **LENS)
     assert "motion measured in 29 of 30 frames" in (text := capsys.readouterr().out)
-    assert "times the one recorded in can.csv" in text
+    assert "can.csv covers 21 of 30 images" in text
+    assert "times what is measured: km/h would give 3.6" in text
     rows = read(out)
     assert rows["valid"].tolist() == [0] + 29 * [1]
     assert rows["yaw_rate_radps"][1:] == pytest.approx(YAW_RATE, abs=0.02)
@@ -59,7 +63,7 @@ def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
     assert rows["y_m"][-1] == pytest.approx(SPEED / YAW_RATE * (1 - np.cos(2.9 * YAW_RATE)), rel=0.2)  # left
     quality = json.loads((out / "quality.json").read_text())
     assert quality["road_height_m"] == pytest.approx(CAMERA_HEIGHT_M, rel=0.1)
-    assert quality["speed_ratio"] == pytest.approx(1.2, rel=0.1)
+    assert quality["recorded"]["speed"]["gain"] == pytest.approx(3.6, rel=0.1)
     assert quality["comparison"]["frames"] == 20  # to the end of the log at 2 s
     assert quality["speed_sigma"] < 0.1
     with av.open(str(out / "overlay.mp4")) as file:

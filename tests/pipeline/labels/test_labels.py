@@ -1,5 +1,6 @@
 """The steering label, paths, the path ahead of simulated drives, means of rates, and errors of one source."""
 
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -142,6 +143,57 @@ def test_recorded_angles_have_no_speed():
     wheel = Labels(1.1 * true.steering_rad, true.valid, unknown, unknown)
     scores = comparison.score([comparison.errors(wheel, true)])
     assert (scores["yaw_rmse_degps"], scores["speed_ratio"], scores["nmse"]) == (None, None, pytest.approx(0.01))
+
+
+def course(time_s: np.ndarray, factor: float, speed: float) -> Labels:
+    """Return labels on a winding road, angles and yaw rates times `factor`."""
+    yaw_rate = factor * (0.25 * np.sin(0.9 * time_s) + 0.15 * np.sin(2.3 * time_s + 1))
+    return Labels(L * yaw_rate / 8, np.full(len(time_s), True), np.full(len(time_s), float(speed)), yaw_rate)
+
+
+RECORDED = [  # seconds, lag, factor, speed, error, doubt
+    (30, 0, 1, 8, None, None),
+    (30, 0.15, 0.75, 10, None, None),  # a camera of another height, understeer
+    (30, 0.5, 1, 8, None, "0.50 s late: pass --offset -0.50"),
+    (30, -1.25, 1, 8, None, "1.25 s early: pass --offset 1.25"),
+    (30, 0, -1, 8, "the sign of {} is inverted: left is positive", None),
+    (30, 0.5, -1, 8, "the sign of {} is inverted", None),
+    (30, 0, 46, 8, "degrees to radians", None),
+    (30, 0, 1 / 57.3, 8, "degrees to radians", None),
+    (30, 0, 15, 8, None, "{} is 15 times"),
+    (30, 0, 1, 28.8, None, "speed_mps is 3.60 times what is measured: km/h"),
+    (30, 0, 1, 3.6, None, "speed_mps is 0.45 times"),
+    (30, 10, 1, 8, None, "{} does not follow"),
+    (7, 0.5, 1, 8, None, "0.50 s late: pass --offset -0.50"),
+    (7, 0, -1, 8, None, "the sign of {} is inverted"),
+]
+
+
+@pytest.mark.parametrize("column", ["", "wheel_rad"])
+@pytest.mark.parametrize(("seconds", "lag_s", "factor", "speed", "error", "doubt"), RECORDED)
+def test_what_was_recorded_is_compared_with_measured_motion(column, seconds, lag_s, factor, speed, error, doubt):
+    """Only a wheel's angle, or only yaw rate and speed; in two parts, of which the first ends with unknown motion."""
+    parts = []
+    for time_s in np.split(np.arange(0, seconds, 0.1), 2):
+        measured, recorded = course(time_s, 1, 8), course(time_s - lag_s, factor, speed)
+        measured.steering_rad[:] += 0.002 * np.sin(1e4 * time_s)
+        measured.valid[-3:], measured.speed_mps[-3:] = False, np.nan
+        recorded = recorded._replace(yaw_rate_radps=np.nan * time_s) if column else recorded
+        parts.append(comparison.sums(time_s, recorded, measured))
+    errors, lines = comparison.judge(comparison.compare(parts), column)
+    name = column or "yaw_rate_radps"
+    assert [error.format(name) in text for text in errors] if error else not errors
+    assert [doubt.format(name) in text for text in lines[1:]] == [True] if doubt else len(lines) == 1
+    assert re.search(rf"(angle|yaw rate) gain .*speed gain {speed / 8:.2f}$", lines[0])
+
+
+def test_a_steady_bend_or_no_frame_proves_nothing():
+    time_s = np.arange(0, 30, 0.1)
+    steady = Labels(*(np.full(300, value) for value in (0.1, True, 8.0, 0.3)))
+    noisy = steady._replace(yaw_rate_radps=0.3 + 0.01 * np.sin(1e4 * time_s))
+    errors, (line,) = comparison.judge(comparison.compare([comparison.sums(time_s, steady, noisy)]), "")
+    assert (errors, "correlation" in line) == ([], False)
+    assert comparison.judge(comparison.compare([]), "") == ([], [])
 
 
 @given(st.lists(st.floats(0.05, 3.0), min_size=1, max_size=30), st.integers(0, 2**32 - 1))

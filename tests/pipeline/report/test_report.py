@@ -188,7 +188,7 @@ def test_perception_has_a_row_per_split_with_ground_truth():
 @pytest.mark.parametrize("predict", ["angle", "path"])
 def test_the_best_model_is_compared_with_the_best_baseline(tmp_path, nmse, baselines, verdict, predict):
     models = metrics("worse", 3.0, baselines, predict=predict), metrics("net", nmse, baselines, predict=predict)
-    (text,) = tables.sentences(examples.groups(tmp_path, *models))  # nothing about the sign without a gain
+    (text,) = tables.sentences(examples.groups(tmp_path, *models))
     title = {"angle": "steering angle", "path": "path ahead"}[predict]
     assert text.startswith(f"net predicts the {title} with a test nmse of {np.mean(nmse):.3f} (")
     assert f"), {verdict}" in text

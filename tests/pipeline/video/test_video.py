@@ -15,7 +15,7 @@ from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.store import DriveReader
 from pipeline.camera.geometry import rays
 from pipeline.kitti.oxts import make_rows
-from pipeline.labels.label import Car
+from pipeline.labels.label import Car, Labels
 from pipeline.video.lens import pinhole, undistortion
 from pipeline.video.log import Log, Logs, read_motion, read_wheel
 from pipeline.video.recording import open_recording, read_times
@@ -212,13 +212,15 @@ WHEEL = "time_s,wheel_rad\n"
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        (HEAD + "1,5,0\n2,1e6,0\n", r"speed_mps = 1e\+06 at sample 2"),
-        (HEAD + "1,5,0\n3,5,0\n3,5,0\n", "from 3 to 3 at sample 3"),
+        (HEAD + "1,5,0\n1.1,1e6,0\n", r"speed_mps = 1e\+06 at sample 2"),
+        (HEAD + "1,5,0\n1.3,5,0\n1.3,5,0\n", "from 1.3 to 1.3 at sample 3"),
+        (HEAD + "0,5,0\n2,5,0\n4,5,0\n", "divide milliseconds by 1000"),  # of 500 Hz
+        (HEAD + "0,5,0\n0.1,5,\n0.2,5,\n", "column yaw_rate_radps: expected at least 2 times"),
         (HEAD + "0,5,0\n100,5,0\n", "divide milliseconds by 1000"),
         (HEAD + "0,5,0\n1e-4,5,0\n", "in seconds"),
         (HEAD + "0,5,0\n0,5,5,0\n", "line 3: expected numbers, .*decimal point"),
         ("time_s;speed_mps;yaw_rate_radps\n0,1;5;0\n", "line 2: expected numbers"),
-        (WHEEL + "1,0\n2,45\n", "steering_rad = 3 "),
+        (WHEEL + "1,0\n1.1,45\n", "wheel_rad = 45 at sample 2"),
         ("frame,wheel_rad\n0,1\n", "has no column time_s"),
         (WHEEL, "has no rows"),
         ("1\n2\n2\n", "from 2 to 2"),
@@ -232,10 +234,46 @@ def test_plainly_wrong_logs(tmp_path, text, problem):
 
 
 def test_interpolation_ends_at_gaps_and_at_the_ends():
-    samples_s = np.array([0.0, 0.5, 1.0, 4.0, 5.0])
-    time_s = np.array([-0.01, -0.0005, 0.25, 1.0, 2.0, 4.0, 4.5, 5.0 + 1e-15, 5.01])
-    expected = [np.nan, 0, 0.25, 1, np.nan, 4, 4.5, 5, np.nan]
+    samples_s = np.array([0.0, 0.5, 1.0, 1.6, 2.0])
+    time_s = np.array([-0.01, -0.0005, 0.25, 1.0, 1.3, 1.6, 1.8, 2.0 + 1e-15, 2.01])
+    expected = [np.nan, 0, 0.25, 1, np.nan, 1.6, 1.8, 2, np.nan]
     np.testing.assert_allclose(Log(samples_s, samples_s[None]).at(time_s), [expected])
+
+
+def test_two_topics_in_one_log_have_their_own_samples(tmp_path):
+    """Also one below the other. The speed has a gap of 0.4 s, the yaw rate one of 0.6 s."""
+    speed = [f"{time_s},{10 * time_s}," for time_s in (0.1, 0.2, 0.3, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2)]
+    yaw_rate = [f"{time_s},,{time_s}" for time_s in (0.05, 0.25, 0.35, 0.45, 1.05, 1.15)]
+    time_s = np.array([0.05, 0.15, 0.4, 0.45, 0.7, 1.05, 1.1, 1.2])
+    expected = np.where([False, True, True, True, False, True, True, False], time_s, np.nan)
+    for rows in (speed + yaw_rate, sorted(speed + yaw_rate, key=lambda row: float(row.split(",")[0]))):
+        motion = read_motion(log(tmp_path, HEAD + "\n".join(rows)))
+        np.testing.assert_allclose(motion.at(time_s), [10 * expected, expected])
+    assert [*Logs(motion=motion).coverage(time_s)] == ["can.csv covers 5 of 8 images"]
+
+
+@pytest.mark.parametrize("kind", ["video", "raw", "images", "names", "times"])
+def test_a_log_of_another_time_is_refused_before_images_are_decoded(tmp_path, kind, monkeypatch):
+    """30 images at 10 Hz; 0.1 s of overlap suffice."""
+    path, options, start_s = tmp_path / {"video": "a.mkv", "raw": "a.h264"}.get(kind, "images"), {"fps": 10.0}, 0
+    if kind in ("video", "raw"):
+        write_stream(path)
+    for number in range(30 if path.suffix == "" else 0):
+        write_png(path / f"{1700000000000000000 + number * 10**8 if kind == 'names' else number}.png", pictures(1)[0])
+    if kind == "times":
+        start_s, options = 1700000000, {"times": tmp_path / "times.txt"}
+        options["times"].write_text("\n".join(str(1700000000 + number / 10) for number in range(30)))
+    opened = open_recording(path, **(options if kind in ("raw", "images", "times") else {}))
+    monkeypatch.setattr(opened, "frames", None)
+    assert opened.span_s() == pytest.approx((start_s, start_s + 2.9), abs=0.01)
+    text = HEAD + "".join(f"{7200 + number / 10:.1f},5,0\n" for number in range(20))
+    for offset_s, late in ((0, False), (-7202, True), (-7201.8, None), (-7197.2, None)):
+        logs = Logs.read(None, None, log(tmp_path, text), offset_s + start_s)
+        if late is None:
+            logs.check_overlap(*opened.span_s())
+            continue
+        with pytest.raises(InputError, match=rf"to {start_s + 2.9:.1f} s.*pass --offset {2 if late else -7200},"):
+            logs.check_overlap(*opened.span_s())
 
 
 CAR = Car(2.7, 1.0)
@@ -279,9 +317,9 @@ def test_truth_is_that_of_the_logs_or_of_the_drive(tmp_path, wheel, motion, expe
     logs = Logs.read(files[0] if wheel else None, 14.0 if wheel else None, files[1] if motion else None)
     with DriveReader(tmp_path / "a.h5", stage="ingest") as raw:
         truth = read_truth(raw, raw.frame, logs, CAR)
-    np.testing.assert_allclose(truth.driven_rad, expected_rad)
+    np.testing.assert_allclose(np.where(truth.driven.valid, truth.driven.steering_rad, np.nan), expected_rad)
     if motion:
-        np.testing.assert_allclose(truth.driven_mps, [np.nan, 12.5, 17.5, np.nan])
+        np.testing.assert_allclose(truth.driven.speed_mps, [np.nan, 12.5, 17.5, np.nan])
     names = [name for name, log in (("wheel.csv", wheel), ("motion.csv", motion)) if log]
     assert truth.name == (" and ".join(names) or ("oxts" if "oxts" in recorded else "steering.csv"))
     with pytest.raises(InputError, match="--steering-ratio"):
@@ -298,7 +336,8 @@ def test_comparison_by_its_definition():
         "driven_rad": driven_rad,
         "predicted_rad": np.where(frame < 3, np.nan, 0.05),
     }
-    results = Results("drive", table, [""] * 11, Truth("log.csv", "wheel_rad", driven_rad, driven_rad))
+    labels = Labels(driven_rad, frame > -1, driven_rad, driven_rad)
+    results = Results("drive", table, [""] * 11, Truth("log.csv", "wheel_rad", labels), {})
     comparison = results.compare("predicted", 2)
     target = results.table["driven_rad"][5:]
     assert (comparison["truth"], comparison["frames"], comparison["horizon"]) == ("log.csv", 6, 2)

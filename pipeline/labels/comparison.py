@@ -96,7 +96,7 @@ def read(source: str, drives: Sequence[str], ingest: Path, motion: Path, car: Ca
 def compare(drives: Sequence[np.ndarray]) -> dict[str, Any]:
     """Return how recorded values follow measured ones, by the :func:`sums` of drives.
 
-    ``turning``: frames that turn by the measured angle. ``angle``, ``yaw_rate`` and ``speed``, None without frames:
+    ``turning``: frames that turn by the measured angle. ``angle``, ``yaw_rate`` and ``speed``, where recorded:
     ``frames``; ``correlation``, 0 on a steady curve or at a steady speed; ``lag_s`` of the recording, positive if it is
     late, at which the correlation has the largest magnitude, ``best``; ``distinct``: it explains much more than any of
     the other sign, and its magnitude is above 0.7; ``gain``: recorded / measured root mean square there.
@@ -108,10 +108,8 @@ def compare(drives: Sequence[np.ndarray]) -> dict[str, Any]:
         correlation = np.where(varies, mr - m * r, 0.0) / np.sqrt(np.where(varies, (mm - m**2) * (rr - r**2), 1.0))
         best = int(np.argmax(np.abs(correlation)))
         rival = max(0.0, (-np.sign(correlation[best]) * correlation).max())
-        fits[name] = (
-            None
-            if not count[0]
-            else {
+        if count[0]:
+            fits[name] = {
                 "frames": int(count[0]),
                 "correlation": float(correlation[0]),
                 "lag_s": float(LAGS_S[best]),
@@ -119,7 +117,6 @@ def compare(drives: Sequence[np.ndarray]) -> dict[str, Any]:
                 "distinct": bool(1 - correlation[best] ** 2 < (1 - rival**2) / 2),
                 "gain": float(np.sqrt(max(rr[best], 1e-12) / max(mm[best], 1e-12))),
             }
-        )
     return fits | {"turning": int(total[0, 6, 0])}
 
 
@@ -144,7 +141,7 @@ def judge(comparison: Mapping[str, Any], column: str) -> tuple[list[str], list[s
     """
     errors, doubts, texts, turning = list[str](), list[str](), list[str](), comparison["turning"]
     for name, key in (("yaw_rate_radps", "yaw_rate"), (column, "angle")):
-        if not (fit := comparison[key]) or turning < SHOWN:
+        if not (fit := comparison.get(key)) or turning < SHOWN:
             continue
         _, correlation, lag_s, best, distinct, gain = fit.values()
         course = f", correlation {correlation:.3f}, best lag {lag_s:.2f} s" if best else ""
@@ -162,12 +159,12 @@ def judge(comparison: Mapping[str, Any], column: str) -> tuple[list[str], list[s
         elif best and not certain and turning >= JUDGED:
             causes = "another drive's log, a clock that is more than 2 s off, or poorly measured motion"
             doubts.append(f"{name} does not follow the measured motion: {causes}")
-        if certain and best > CLEAR and best - correlation > LATE_COST and abs(lag_s) > LATE_S:
-            when = f"{abs(lag_s):.2f} s {'late' if lag_s > 0 else 'early'}"
-            doubts.append(f"{name} is {when}: pass --offset {-lag_s:.2f}, added to an earlier one")
-    if (speed := comparison["speed"]) and speed["frames"] >= SHOWN:
+        if best > CLEAR and best - correlation > LATE_COST and abs(lag_s) > LATE_S:
+            when = "late" if lag_s > 0 else "early"
+            doubts.append(f"{name} is {abs(lag_s):.2f} s {when}: pass --offset {-lag_s:.2f}, added to an earlier one")
+    if (speed := comparison.get("speed")) and speed["frames"] >= SHOWN:
         texts.append(f"speed gain {speed['gain']:.2f}")
         if abs(math.log(speed["gain"])) > UNLIKE_SPEED:
-            known = "km/h would give 3.6, mph 2.24; a wrong K or camera height changes the measured speed"
-            doubts.append(f"speed_mps is {speed['gain']:.2f} times what is measured: {known}")
+            causes = "km/h would give 3.6, mph 2.24; a wrong K or camera height changes the measured speed"
+            doubts.append(f"speed_mps is {speed['gain']:.2f} times what is measured: {causes}")
     return errors, [f"recorded / measured, {turning} turning frames: {'; '.join(texts)}", *doubts] if texts else []

@@ -25,8 +25,7 @@ class Log(NamedTuple):
     name: str = ""
 
     def at(self, time_s: np.ndarray) -> np.ndarray:
-        """Return quantities [C,F] at `time_s` [F], linear between samples; NaN outside, in gaps over MAX_GAP_S, and if
-        one is unknown."""
+        """Return quantities [C,F] at `time_s` [F], linear between samples; NaN outside, and in gaps of any quantity."""
         left = np.clip(np.searchsorted(self.time_s, time_s, side="right") - 1, 0, len(self.time_s) - 2)
         before_s, after_s = self.time_s[left], self.time_s[left + 1]
         gap_s = np.where((time_s == before_s) | (time_s == after_s), 0.0, after_s - before_s)

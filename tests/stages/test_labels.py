@@ -121,12 +121,10 @@ def test_interpolated_packets_of_kitti(real_kitti, tmp_path):
 
 
 def test_an_inverted_wheel_is_refused_and_test_drives_are_not_compared(tmp_path, capsys):
-    """The drive for validation has no motion."""
     frame, angle = np.arange(1, 151), 0.1 * np.sin(np.arange(150) / 9)
     for drive, sign in zip(DRIVES, (1, -1), strict=True):
-        write_recorded(
-            tmp_path / f"ingest/{drive}.h5", frame, None, dict(zip(frame.tolist(), sign * angle, strict=True))
-        )
+        recorded = dict(zip(frame.tolist(), sign * angle, strict=True))
+        write_recorded(tmp_path / f"ingest/{drive}.h5", frame, None, recorded)
         motion = {number: (8.0, 8 * np.tan(rad) / 2.7) for number, rad in zip(frame.tolist(), angle, strict=True)}
         write_motion(tmp_path / "motion", drive, motion)
     write_index(tmp_path / "ingest", DRIVES)

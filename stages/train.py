@@ -5,6 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import torch
 import typer
 
@@ -14,7 +15,7 @@ from pipeline.base.executors import SCHEDULER, default_workers, run_jobs
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load, load_entry
 from pipeline.settings.models import Entry
-from pipeline.settings.train import Train
+from pipeline.settings.train import RATE_TOLERANCE, Train
 from pipeline.train import runs
 from pipeline.train.fit import Job, fit_run
 from pipeline.train.labelled_drive import check, read_drive
@@ -47,6 +48,10 @@ def main(
     with stage_folder(f"train@{name}", out / name) as folder:
         for part in filter(None, parts):  # errors before the first network is trained
             check([drives[drive] for drive in part], entry.window)
+        hz = {drive: 1 / np.median(np.diff(drives[drive].time_s)) for drive in names if len(drives[drive].time_s) > 1}
+        usual_hz = np.median([hz[drive] for drive in every[0].train if drive in hz])
+        if others := [f"{drive} {hz[drive]:.1f}" for drive in hz if abs(hz[drive] / usual_hz - 1) > RATE_TOLERANCE]:
+            print(f"{name}: training drives have {usual_hz:.1f} frames/s, but {', '.join(others)}", flush=True)
         for fold in every:
             Scale.from_drives([drives[drive] for drive in fold.train])
         if not every[0].val:

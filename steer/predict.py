@@ -51,7 +51,7 @@ def predict(
     trained, encoder = load(model), encoder or _encoder_beside(model)
     how: dict[str, Any] = {"fov_deg": fov, "K": k, "distortion": distortion, "fps": fps, "times": times}
     height_m = camera_height or trained.settings["perception"]["camera_height_m"]
-    opened = open_source(source, video_predict.reading(trained).cameras, height_m, logs, **how)
+    opened = open_source(source, video_predict.reading(trained).cameras, height_m, logs, trained.fps, **how)
     lines, files = video_predict.predict(trained, opened, out, encoder, logs, video=video)
     print(*opened.notes, *lines, ", ".join(map(str, files)), sep="\n")
 

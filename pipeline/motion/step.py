@@ -25,7 +25,7 @@ STANDSTILL_M = 0.02  # shorter steps count as standstill
 SIDEWAYS_M, SIDEWAYS_SHARE = 0.1, 0.5  # limits, absolute and of the forward way: a camera ahead of the axle swings out
 MAX_FORWARD_M = 10.0
 RECENT = 20  # steps that are averaged for a duration, the current one included
-SIMILAR = 1.5  # only durations that differ by at most this factor are averaged
+SIMILAR = 1.45  # only durations that differ by less are averaged: not steps of 2 and 3 frames of a faster video
 # Speeds of KITTI's 55 drives, above 1.5 m/s: geometric mean of the drives' medians; standard deviation and correlation
 # time of the logarithm in a drive.
 TYPICAL_MPS, SPREAD, SPREAD_S = 8.4, 0.4, 20.0

@@ -15,6 +15,7 @@ from pipeline.settings.clouds import Clouds
 from pipeline.settings.graphs import Variant
 from pipeline.settings.ingest import SAMPLE, Reading
 from pipeline.settings.perception import Perception
+from pipeline.settings.train import RATE_TOLERANCE
 from pipeline.train.predict import Trained
 from pipeline.video.log import Logs
 from pipeline.video.pictures import draw_track, write_overlay
@@ -22,7 +23,6 @@ from pipeline.video.results import Results
 from pipeline.video.source import INGEST, MOTION, PERCEPTION, Source, publish, run_chain, work_folder
 
 CLOUDS, GRAPHS = "clouds.h5", "graphs.h5"
-TOLERANCE = 0.2  # relative, of the frame rate
 
 
 def reading(model: Trained) -> Reading:
@@ -77,8 +77,8 @@ def _differences(model: Trained, source: Source, encoder: Path, time_s: np.ndarr
     """Yield where a source or an encoder differs from what the model was fitted to."""
     if all(drive.startswith(SAMPLE) for drive in model.drives) and not source.name.startswith(SAMPLE):
         yield f"warning: {model.name} was fitted to the rendered sample alone, so expect wrong angles on real streets"
-    step_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1 / model.fps
-    if abs(1 / step_s / model.fps - 1) > TOLERANCE:
+    step_s = float(np.median(np.diff(time_s))) if source.drive and len(time_s) > 1 else 1 / model.fps
+    if abs(1 / step_s / model.fps - 1) > RATE_TOLERANCE:  # other sources have been sampled
         yield f"warning: {model.name} was fitted to {model.fps:.1f} frames/s, got {1 / step_s:.1f}"
     if file_hash(encoder / FILE) != model.settings["encoder"]["sha256"]:
         yield f"warning: {model.name} was fitted to depth and classes of another encoder than {encoder}"

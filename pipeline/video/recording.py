@@ -1,6 +1,5 @@
 """Read a recording, a video file or a folder of images, one frame at a time, with times."""
 
-import math
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,11 +11,17 @@ from typing import Any, cast
 import av
 import numpy as np
 from av.container import InputContainer
+from av.stream import Disposition
+from av.video.reformatter import VideoReformatter
+from av.video.stream import VideoStream
+from tqdm import tqdm
 
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.camera import Frame
 from pipeline.camera.images import Size, format_size, read_image
 from pipeline.kitti.columns import check_increase
+from pipeline.settings.train import RATE_TOLERANCE
+from pipeline.video.repeats import evened, repeats
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")
 _CONVERT = "Copy the file again, or convert it: ffmpeg -i {name} -c:v libx264 converted.mp4"
@@ -30,118 +35,168 @@ _OPTIONS = {
     "enable_drefs": "0",  # references of MOV files to other files
     "use_absolute_path": "0",
 }
-Images = Iterator[tuple[float | None, np.ndarray]]
+Images = Iterator[av.VideoFrame]
+THUMB_PX = 64  # width of the images that are compared: averages noise
+INEXACT = 0.98  # a header's count of frames may be too large
 
 
 @dataclass
 class Recording:
-    """Images in order, with times: of the file of times, by a fixed rate, or the video's own timestamps."""
+    """Frames in order, with times: of the file of times, by a fixed rate, or the video's own timestamps.
+
+    They are the recording's images without repeats.
+    """
 
     path: Path
-    images: Callable[[], Images]  # timestamp in seconds, if there is one, and RGB uint8 [H,W,3] of each image
+    images: Callable[[], Images]
     size: Size
-    count: int | None  # of the images, by the header of a video; None: unknown
-    start_s: float  # the first timestamp
-    times_s: np.ndarray | None  # [F] of all images, if they are known in advance
-    fps: float | None = None  # replaces timestamps
+    kept: np.ndarray  # [F] places of the frames among the images
+    times_s: np.ndarray  # [F]
+    notes: list[str]  # for the user
     straighten: Callable[[np.ndarray], np.ndarray] = lambda image: image  # without the lens' distortion
 
     def frames(self) -> Iterator[Frame]:
         """Yield number, time and straightened image RGB uint8 [H,W,3] of the frames; a second call starts again.
 
-        Times count from the first frame, or are those of the file of times.
-
-        Raises DamagedFile if an image cannot be decoded, or images are missing at the end; InputError if the size
-        changes, there are more or fewer images than times, or a video's timestamps do not increase.
+        Times count from the first image, or are those of the file of times.
         """
-        last_s, number = -math.inf, -1
-        for number, (stamp_s, image) in enumerate(self.images()):
-            if image.shape[:2] != self.size:
-                sizes = f"{format_size(image.shape)} pixels (expected {format_size(self.size)}, as the first one)"
-                raise InputError(f"image {number} has {sizes}", self.path, "Images of one recording have one size")
-            if self.times_s is not None:
-                time_s = float(self.times_s[number]) if number < len(self.times_s) else math.nan
-            elif self.fps:
-                time_s = number / self.fps
-            else:
-                time_s = math.nan if stamp_s is None else stamp_s - self.start_s
-                if not time_s > last_s:
-                    raise DamagedFile(f"timestamps do not increase at image {number}", self.path, "Pass --fps")
-            last_s = time_s
-            yield Frame(number, time_s, self.straighten(image))
-        if self.times_s is not None and number + 1 != len(self.times_s):
-            raise InputError(f"has {number + 1} images, but {len(self.times_s)} times", self.path)
-        if self.count and number + 1 < self.count - max(2, self.count // 100):  # a header's count may be inexact
-            problem = f"ends after {number + 1} of {self.count} frames"
-            raise DamagedFile(problem, self.path, _CONVERT.format(name=self.path.name))
+        numbers = {place: number for number, place in enumerate(self.kept.tolist())}
+        for place, image in enumerate(self.images()):
+            if (number := numbers.get(place)) is not None:
+                yield Frame(number, float(self.times_s[number]), self.straighten(_upright(image, self.path)))
 
-    def span_s(self) -> tuple[float, float]:
-        """Return the times of the first and of the last image, without decoding any."""
-        if self.times_s is not None:
-            return float(self.times_s[0]), float(self.times_s[-1])
-        if self.path.is_dir():
-            return 0.0, ((self.count or 1) - 1) / (self.fps or 1.0)
-        with _container(self.path) as container:
-            stream = container.streams.video[0]
-            stamps = [packet.pts for packet in container.demux(stream) if packet.size]
-            last_s = float(max((stamp for stamp in stamps if stamp is not None), default=0) * (stream.time_base or 1))
-        return 0.0, (len(stamps) - 1) / self.fps if self.fps else last_s - self.start_s
+    def resample(self, hz: float) -> None:
+        """Keep the frames nearest to a grid of `hz`, or of each n-th frame if that is near, if the recording is faster.
+
+        Raises InputError if it is slower. RATE_TOLERANCE applies to both.
+        """
+        time_s, apart = self.times_s, min(20, len(self.times_s) - 1)  # frames: steps may be uneven
+        own_hz = apart / float(np.median(time_s[apart:] - time_s[:-apart])) if apart else hz
+        ratio, rates = own_hz / hz, f"the recording has {own_hz:.1f} frames/s, the model was fitted to {hz:.1f}"
+        if ratio < 1 - RATE_TOLERANCE:
+            raise InputError(rates, self.path, "Choose a model that was fitted to slower recordings")
+        if ratio > 1 + RATE_TOLERANCE:
+            step_s = (round(ratio) if abs(ratio / round(ratio) - 1) < RATE_TOLERANCE / 2 else ratio) / own_hz
+            grid_s = np.arange(time_s[0], time_s[-1] + step_s / 2, step_s)
+            rows = np.unique(np.searchsorted((time_s[1:] + time_s[:-1]) / 2, grid_s))
+            self.kept, self.times_s = self.kept[rows], time_s[rows]
+            self.notes.append(f"{len(rows)} of {len(time_s)} frames are used: {rates}")
 
 
-def open_recording(path: Path, fps: float | None = None, times: Path | None = None) -> Recording:
-    """Open a video file or a folder of images.
+def open_recording(
+    path: Path,
+    fps: float | None = None,
+    times: Path | None = None,
+    check_span: Callable[[float, float], object] = lambda first_s, last_s: None,
+) -> Recording:
+    """Open a video file or a folder of images, and decode it once to find repeats.
 
     `fps`, or a file of `times` for :func:`read_times`, replaces timestamps of a video and those in names of images.
+    `check_span` gets the times of the first and the last image before any is decoded.
 
-    Raises InputError if there are no images, they have no times, are mirrored or have pixels that are not square, or
-    `times` cannot be used; DamagedFile if the first image cannot be decoded.
+    Raises InputError if there are no images, they have no times, are mirrored, have several sizes or pixels that are
+    not square, or `times` cannot be used; DamagedFile if an image cannot be decoded, images are missing at the end, or
+    a video's timestamps do not increase.
     """
     if fps and times:
         raise InputError("expected one source of the images' times, got two", fix="Pass --fps or --times")
     if not path.exists():
         raise InputError("path is missing", path, "Pass a video, or a folder of images")
-    times_s, stamped = read_times(times) if times else None, False
+    times_s, stamped, stored, notes = read_times(times) if times else None, False, 0, list[str]()
     images: Callable[[], Images]
-    count: int | None
     if path.is_dir():
         files = _image_files(path)
-        images, count = lambda: ((None, read_image(file)) for file in files), len(files)
+        images = lambda: (av.VideoFrame.from_ndarray(read_image(file), "rgb24") for file in files)  # noqa: E731
         if not fps and not times and all(re.fullmatch("[12][0-9]{18}", file.stem) for file in files):
             times_s = np.array([(int(file.stem) - int(files[0].stem)) / 1e9 for file in files])  # ns since 1970
     else:
         images = partial(_decode, path)
-        with _container(path) as container:
-            stream = container.streams.video[0]
-            shape, count = float(stream.sample_aspect_ratio or 1), stream.frames or None
+        with _container(path) as (container, (stream, *others)):
+            shape, stored = float(stream.sample_aspect_ratio or 1), stream.frames
             stamped = container.format.name not in _WITHOUT_TIMES  # elsewhere FFmpeg assumes 25 frames per second
+            if others:
+                name, *names = (f"{one.index} ({one.width} x {one.height} pixels)" for one in (stream, *others))
+                notes.append(f"video stream {name} is used, not {', '.join(names)}")
         if abs(shape - 1) > 0.01:
             fix = f"Scale it: ffmpeg -i {path.name} -vf scale=iw*sar:ih,setsar=1 square.mp4"
             raise InputError(f"pixels are not square ({shape:.3f} times as wide as high)", path, fix)
     if not (fps or stamped or times_s is not None):
         raise InputError("images have no times", path, "Pass --fps N, or --times FILE")
+    if times_s is not None:
+        check_span(*times_s[[0, -1]])
+    else:
+        check_span(0.0, (len(files) - 1) / float(fps or 1) if path.is_dir() else _duration_s(path, fps))
+    size, (stamps_s, change, key) = _scan(images, path)
+    if (count := len(change)) < INEXACT * stored - 1:
+        notes.append(f"{count} of the file's {stored} frames are used: it was trimmed without encoding it again")
+    if fps:
+        times_s = np.arange(count) / fps
+    elif times_s is None:
+        times_s = stamps_s - stamps_s[0]
+        if not (steps_ok := np.diff(times_s) > 0).all():
+            raise DamagedFile(f"timestamps do not increase at image {steps_ok.argmin() + 1}", path, "Pass --fps")
+    if len(times_s) != count:
+        raise InputError(f"has {count} images, but {len(times_s)} times", path)
+    kept = np.flatnonzero(~repeats(change, key, times_s))
+    if len(kept) < count:
+        notes.append(f"{count - len(kept)} of {count} images repeat the image before and are left out")
+        times_s = evened(times_s[kept], float(np.median(np.diff(times_s))))
+    return Recording(path, images, size, kept, times_s, notes)
+
+
+def _duration_s(path: Path, fps: float | None) -> float:
+    """Return the time from the first to the last image of a video, without decoding any."""
+    with _container(path) as (container, (stream, *_)):
+        stamps = [packet.pts for packet in container.demux(stream) if packet.size]
+        known = [stamp for stamp in stamps if stamp is not None] or [0]
+        return (len(stamps) - 1) / fps if fps else float((max(known) - min(known)) * (stream.time_base or 1))
+
+
+def _scan(images: Callable[[], Images], path: Path) -> tuple[Size, np.ndarray]:
+    """Return the size of N images; their timestamps, NaN: none, and `change` and `key` of :func:`repeats` [3,N].
+
+    Raises InputError if the size changes.
+    """
     if (first := next(images(), None)) is None:
         raise DamagedFile("video has no frames", path, _CONVERT.format(name=path.name))
-    return Recording(path, images, first[1].shape[:2], count, first[0] or 0.0, times_s, fps)
+    shrink, rows, before, shape = VideoReformatter(), [], np.array(np.inf), (first.height, first.width)
+    small = min(THUMB_PX, shape[1]), max(1, shape[0] * THUMB_PX // shape[1])
+    for number, image in enumerate(tqdm(images(), "scan", unit=" images", disable=None)):
+        if (image.height, image.width) != shape:
+            sizes = f"{image.width} x {image.height} pixels (expected {format_size(shape)}, as the first one)"
+            raise InputError(f"image {number} has {sizes}", path, "Images of one recording have one size")
+        grey = shrink.reformat(image, *small, "gray", interpolation="AREA").to_ndarray().astype(np.float32)
+        rows.append((image.time, np.abs(grey - before).mean(), image.key_frame))
+        before = grey
+    return _upright(first, path).shape[:2], np.array(rows, float).T
 
 
 def _decode(path: Path) -> Images:
-    """Yield timestamps and images of a video."""
-    with _container(path) as container:
-        stream = container.streams.video[0]
+    """Yield the images of a video from the first key frame on. Raises DamagedFile if the file is cut short."""
+    with _container(path) as (container, (stream, *_)):
         stream.thread_type = "AUTO"
-        for frame in container.decode(stream):
-            yield frame.time, _upright(frame, path)
+        stored, packets, started = stream.frames, -1, False  # the last packet is empty
+        for packet in container.demux(stream):
+            packets += 1
+            if started := started or packet.is_keyframe:
+                yield from packet.decode()
+        if packets < INEXACT * stored - 1:
+            raise DamagedFile(f"ends after {packets} of {stored} frames", path, _CONVERT.format(name=path.name))
 
 
 @contextmanager
-def _container(path: Path) -> Iterator[InputContainer]:
-    """Open a file with a video stream. Raises DamagedFile, also for errors inside of the block."""
+def _container(path: Path) -> Iterator[tuple[InputContainer, list[VideoStream]]]:
+    """Open a file, also its video streams, the default first. Raises DamagedFile, also for errors inside of the block."""
     with path.open("rb") as file:  # FFmpeg interprets some names as addresses or patterns
         try:
             with av.open(file, "r", options=_OPTIONS, metadata_errors="replace") as container:
-                if not container.streams.video:
+                streams = [
+                    stream for stream in container.streams.video if not stream.disposition & Disposition.attached_pic
+                ]
+                if not streams:
                     raise DamagedFile("file has no video stream", path)
-                yield container
+                streams.sort(key=lambda stream: not stream.disposition & Disposition.default)
+                yield container, streams
         except (av.FFmpegError, OSError) as error:
             problem = "cannot be decoded as a video (expected a container like MP4, MOV, Matroska, AVI or MPEG)"
             raise DamagedFile(problem, path, _CONVERT.format(name=path.name)) from error

@@ -47,12 +47,17 @@ class Source:
 
 
 def open_source(
-    path: Path, cameras: Sequence[int], height_m: float | None = None, logs: Logs | None = None, **how: Any
+    path: Path,
+    cameras: Sequence[int],
+    height_m: float | None = None,
+    logs: Logs = Logs(),
+    hz: float | None = None,
+    **how: Any,
 ) -> Source:
     """Open a KITTI drive's folder by the first of `cameras` with images; or a folder of images, or a video.
 
     `height_m`: of the camera over the road; None: from a KITTI drive's calibration, else unknown. `how`: of other
-    recordings, what :func:`open_images` gets.
+    recordings, what :func:`open_images` gets, and so is `hz`.
 
     Raises InputError if it is none of them, lacks a calibration, cannot be read, or one of the `logs` has no sample in
     its time.
@@ -64,11 +69,11 @@ def open_source(
             fix = "Remove --fov, --K, --distortion, --fps and --times"
             raise InputError("a KITTI drive has its own calibration and times", path, fix)
         source = _open_drive(path, drive, number)
-        if logs and logs.name:
+        if logs.name:
             numbers, times = drive.timeline(number)
             logs.check_overlap(*read_times(times, numbers)[[0, -1]])
     else:
-        source = replace(open_images(path, logs, **how), how=how)
+        source = replace(open_images(path, logs, hz=hz, **how), how=how)
     if height_m is not None:
         return replace(source, camera=replace(source.camera, height_m=height_m), height_known=True)
     return source
@@ -89,33 +94,36 @@ def _open_drive(path: Path, drive: KittiDrive, number: int) -> Source:
 
 def open_images(
     path: Path,
-    logs: Logs | None = None,
+    logs: Logs = Logs(),
     *,
     fps: float | None = None,
     times: Path | None = None,
     distortion: str | None = None,
     horizon: float | None = None,
+    hz: float | None = None,
     **lens: Any,
 ) -> Source:
-    """Open a recording of rectified images; its horizon is estimated if it is None, after `logs` are compared with it.
+    """Open a recording of rectified images, `hz` of them per second, after `logs` are compared with its times.
+
+    Its horizon is estimated if it is None.
 
     Other arguments as of :func:`open_recording`, :func:`undistortion` and :func:`pinhole`.
     """
-    recording = open_recording(path, fps, times)
-    if logs and logs.name:
-        logs.check_overlap(*recording.span_s())
+    recording = open_recording(path, fps, times, logs.check_overlap)
     if recording.size[0] > recording.size[1]:
         sizes = f"images are taller than wide ({format_size(recording.size)} pixels): is it rotated by 90 degrees?"
         raise InputError(sizes, path, "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)")
     camera = pinhole(recording.size, **lens)
     if distortion:
         recording.straighten = undistortion(camera, distortion)
+    if hz:
+        recording.resample(hz)
     if horizon is None:
         horizon = find_horizon(recording.frames(), camera)
     found = "not found, since too few images show a drive; assuming a level camera"
-    note = f"horizon: {found if horizon is None else f'row {horizon:.0f} of {camera.size[0]}'}"
+    notes = [*recording.notes, f"horizon: {found if horizon is None else f'row {horizon:.0f} of {camera.size[0]}'}"]
     camera = replace(camera, horizon=horizon)
-    return Source(path, path.stem, camera, recording.frames, recording.count, height_known=False, notes=[note])
+    return Source(path, path.stem, camera, recording.frames, len(recording.kept), height_known=False, notes=notes)
 
 
 def work_folder(out: Path | None, source: Source, encoder: Path, **settings: Any) -> Path:

@@ -37,7 +37,7 @@ _OPTIONS = {
 }
 Images = Iterator[av.VideoFrame]
 THUMB_PX = 64  # width of the images that are compared: averages noise
-INEXACT = 0.98  # a header's count of frames may be too large
+INEXACT = 0.99  # a header's count of frames may be too large by this, and by one
 
 
 @dataclass
@@ -74,7 +74,7 @@ class Recording:
         own_hz = apart / float(np.median(time_s[apart:] - time_s[:-apart])) if apart else hz
         ratio, rates = own_hz / hz, f"the recording has {own_hz:.1f} frames/s, the model was fitted to {hz:.1f}"
         if ratio < 1 - RATE_TOLERANCE:
-            raise InputError(rates, self.path, "Choose a model that was fitted to slower recordings")
+            raise InputError(rates, self.path, "Pass the right --fps, or another --model")
         if ratio > 1 + RATE_TOLERANCE:
             step_s = (round(ratio) if abs(ratio / round(ratio) - 1) < RATE_TOLERANCE / 2 else ratio) / own_hz
             grid_s = np.arange(time_s[0], time_s[-1] + step_s / 2, step_s)
@@ -172,30 +172,32 @@ def _scan(images: Callable[[], Images], path: Path) -> tuple[Size, np.ndarray]:
 
 
 def _decode(path: Path) -> Images:
-    """Yield the images of a video from the first key frame on. Raises DamagedFile if the file is cut short."""
+    """Yield the images of a video from the first key frame on. Raises DamagedFile if the file is cut short.
+
+    The edit list of an MP4 or MOV file may leave out stored frames; then the others last as long as the header says.
+    """
     with _container(path) as (container, (stream, *_)):
         stream.thread_type = "AUTO"
-        stored, packets, started = stream.frames, -1, False  # the last packet is empty
+        stored, packets, started, end = stream.frames, -1, False, 0  # the last packet is empty
         for packet in container.demux(stream):
-            packets += 1
+            packets, end = packets + 1, max(end, (packet.pts or 0) + (packet.duration or 0))
             if started := started or packet.is_keyframe:
                 yield from packet.decode()
-        if packets < INEXACT * stored - 1:
+        trimmed = "mov" in container.format.name and end >= INEXACT * (stream.duration or np.inf)
+        if packets < INEXACT * stored - 1 and not trimmed:
             raise DamagedFile(f"ends after {packets} of {stored} frames", path, _CONVERT.format(name=path.name))
 
 
 @contextmanager
 def _container(path: Path) -> Iterator[tuple[InputContainer, list[VideoStream]]]:
-    """Open a file, also its video streams, the default first. Raises DamagedFile, also for errors inside of the block."""
+    """Open a file; yield also its video streams, the default first. Raises DamagedFile, also for errors in the block"""
     with path.open("rb") as file:  # FFmpeg interprets some names as addresses or patterns
         try:
             with av.open(file, "r", options=_OPTIONS, metadata_errors="replace") as container:
-                streams = [
-                    stream for stream in container.streams.video if not stream.disposition & Disposition.attached_pic
-                ]
+                streams = [one for one in container.streams.video if not one.disposition & Disposition.attached_pic]
                 if not streams:
                     raise DamagedFile("file has no video stream", path)
-                streams.sort(key=lambda stream: not stream.disposition & Disposition.default)
+                streams.sort(key=lambda one: not one.disposition & Disposition.default)
                 yield container, streams
         except (av.FFmpegError, OSError) as error:
             problem = "cannot be decoded as a video (expected a container like MP4, MOV, Matroska, AVI or MPEG)"

@@ -12,7 +12,7 @@ EVEN_S, JITTER = 3.0, 1.3  # times are evened over it; largest deviations, in st
 def repeats(change: np.ndarray, key: np.ndarray, time_s: np.ndarray) -> np.ndarray:
     """Return which of N images repeat the one before, bool [N]: in runs without change below RUN_S, between changes.
 
-    `change` [N]: mean difference to the image before, in grey levels, infinite for the first. `key` [N]: 1 of key frames.
+    `change` [N]: mean difference to the image before, in grey levels, infinite for the first. `key` [N]: 1: key frame.
     """
     result, shown_s = np.zeros(len(change), bool), np.append(time_s, time_s[-1])
     least = np.append(np.where(key > key.min(), change - KEY_NOISE, change), np.inf)

@@ -79,7 +79,6 @@ def test_resumed_training_writes_the_same_bytes(folder, monkeypatch, capsys, ent
 
 @pytest.mark.parametrize("moved", [{"2026_01_01_drive_0003": "val"}, {"2026_01_02_drive_0001": "train"}])
 def test_training_starts_anew_where_a_drive_moves_between_training_and_validation(folder, capsys, moved):
-    """Also where no drive is left for validation."""
     write_params(folder, epochs=1)
     run_train(folder)
     store.write_index(folder / "graphs/semantic", SPLITS | moved)

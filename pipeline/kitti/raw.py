@@ -27,6 +27,9 @@ MANIFEST = "manifest.json"  # in the folder of an imported drive: the hashes of 
 # below -23.6 degrees. Files list the lasers from top to bottom, so a truncated scan lacks the low ones.
 _LOWEST_DEG = -20.0
 _FOCAL_PER_WIDTH = 100.0  # largest plausible ratio
+# Largest offsets of a principal point from the middle, as shares of width and height: of either, and of both to the
+# same side, as in an image of another size. Udacity's camera has −0.08 and 0.13.
+_OFF_CENTRE, _OFF_BOTH = 0.2, 0.1
 _MAX_RANGE_M = 150.0  # the sensor's is 120 m
 _EXTRACT = "Extract the date's calibration archive (…_calib.zip) again"
 
@@ -186,9 +189,12 @@ def check_pinhole(K: np.ndarray, size: Size, where: str) -> None:
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     focal = min(fx, fy) > 1 and max(fx, fy) < _FOCAL_PER_WIDTH * width  # false for NaN
     pinhole = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    if not (focal and 0 <= cx <= width and 0 <= cy <= height and np.allclose(K, pinhole, atol=1e-3)):
+    off = np.array([cx / width, cy / height]) - 0.5
+    centred = np.abs(off).max() <= _OFF_CENTRE and not (off > _OFF_BOTH).all() and not (off < -_OFF_BOTH).all()
+    if not (focal and centred and np.allclose(K, pinhole, atol=1e-3)):
         numbers = f"focal lengths {fx:g}, {fy:g} and centre {cx:g}, {cy:g}"
-        raise InputError(f"implausible intrinsics of {width} x {height} pixels: {numbers}", where)
+        guess = "" if centred else ". K is for another image size?"
+        raise InputError(f"implausible intrinsics of {width} x {height} pixels: {numbers}{guess}", where)
 
 
 def write_entries(path: Path, entries: Mapping[str, str | np.ndarray]) -> None:

@@ -19,6 +19,7 @@ MIN_TRACKS, MIN_INLIERS = 60, 0.4
 MIN_FLOW_PX = 1.0  # below, the direction of travel is noise
 RANSAC_PX = 0.7
 PAIRS, PAIR_EVERY, MIN_PAIRS = 60, 10, 8
+MAX_TANGENTIAL = 0.01  # of p1 and p2: elements of a lens that are not parallel
 
 
 def pinhole(size: Size, fov_deg: float | None = None, K: str | None = None) -> Camera:
@@ -58,9 +59,13 @@ def numbers(text: str, counts: Sequence[int], example: str) -> list[float]:
 def undistortion(camera: Camera, text: str) -> Callable[[np.ndarray], np.ndarray]:
     """Return a function that rectifies images uint8 [H,W,3] of a camera with this distortion; K stays as it is.
 
-    `text`: "k1,k2,p1,p2" or "k1,k2,p1,p2,k3" of OpenCV's model. Raises InputError for other texts.
+    `text`: "k1,k2,p1,p2" or "k1,k2,p1,p2,k3" of OpenCV's model. Raises InputError for other texts, and for numbers of a
+    fisheye lens.
     """
     coefficients = np.array(numbers(text, (4, 5), "--distortion -0.37,0.2,0,0"))
+    if np.abs(coefficients[2:4]).max() > MAX_TANGENTIAL:
+        problem = f"p1 and p2 are {text.split(',')[2]} and {text.split(',')[3]} (expected up to {MAX_TANGENTIAL})"
+        raise InputError(f"{problem}: a fisheye lens? undistort it first", "--distortion", "Then omit --distortion")
     size = camera.size[::-1]
     maps = cv2.initUndistortRectifyMap(camera.K, coefficients, None, camera.K, size, cv2.CV_16SC2)
     return lambda image: np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR))

@@ -180,8 +180,22 @@ def test_field_of_view_spans_the_edges():
 def test_plainly_wrong_intrinsics(given):
     with pytest.raises(InputError):
         pinhole((48, 64), **given)
-    with pytest.raises(InputError, match="expected 4 or 5 numbers"):
-        undistortion(pinhole((48, 64), fov_deg=90), "0.1,0,0,x")
+    for text, problem in (("0.1,0,0,x", "expected 4 or 5 numbers"), ("0.04,0.02,-0.03,0.01", "fisheye lens")):
+        with pytest.raises(InputError, match=problem):
+            undistortion(pinhole((48, 64), fov_deg=90), text)
+
+
+UDACITY, KITTI, HALF_KITTI = "2152,2166,268,303", "721.5,721.5,609.6,172.9", "360.2,361.7,304.0,86.4"
+
+
+def test_intrinsics_are_for_the_size_of_the_images():
+    for K, size in ((UDACITY, (480, 640)), (KITTI, (375, 1242)), (HALF_KITTI, (188, 620))):
+        undistortion(pinhole(size, K=K), "-0.042,-0.89,0,0")
+        for other in (size[0] // 2, size[1] // 2), (2 * size[0], 2 * size[1]):
+            with pytest.raises(InputError, match="another image size"):
+                pinhole(other, K=K)
+    with pytest.raises(InputError, match="another image size"):
+        pinhole((500, 1656), K=KITTI)  # 4 / 3 of its size
 
 
 HEAD = "time_s,speed_mps,yaw_rate_radps\n"

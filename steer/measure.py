@@ -1,7 +1,7 @@
 """Measure the motion and the course of a car from the frames of its camera, by visual odometry.
 
 Rates and angles are in rad (curvature in 1/m), left positive. A frame whose motion cannot be measured has valid = 0 and
-no numbers. quality.json says how certain scale and focal length are.
+no numbers. quality.json says how certain the scale is.
 
 \b
 steer measure street.mp4 --fov 65

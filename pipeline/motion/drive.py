@@ -19,6 +19,7 @@ UNITS = {
     "scale": "depth was multiplied by it",
     "T_before": "m",
     "road_height_m": "m below the camera in the encoder's depth, 0 = no road found",
+    "still": "share of the lowest row that shows no street",
     "problem": f"0 = measured; {', '.join(f'{code} = {text}' for code, text in enumerate(PROBLEMS) if code)}",
 }
 
@@ -51,6 +52,7 @@ def measure_drive(
         for row, (frame, duration_s) in enumerate(zip(frames, durations(frames.frame, frames.time_s), strict=True)):
             step = odometry.step(frame)
             values = {"problem": PROBLEMS.index(odometry.problem), "road_height_m": odometry.road.frame_height_m}
+            values["still"] = odometry.still.mask[-1].mean()
             if step:
                 values |= dict(zip(("yaw_rate_radps", "speed_mps"), rates(step.T_before, duration_s), strict=True))
                 values |= step._asdict()
@@ -62,7 +64,7 @@ def measure_drive(
         measured = frames.time_s[valid], columns["speed_mps"][valid], road[valid]
         filtered_mps[valid], sigma[valid] = filter_speed(*measured, np.full(valid.sum(), LEAST_NOISE))
 
-        file.attrs |= {"slope": odometry.road.slope, "focal": odometry.focal}
+        file.attrs["slope"] = odometry.road.slope
         file.put("frame", frames.frame)
         file.put("time_s", frames.time_s, "s")
         file.put("valid", valid.astype(np.uint8))

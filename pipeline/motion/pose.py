@@ -12,7 +12,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from pipeline.camera.geometry import project, rigid
+from pipeline.camera.geometry import rigid
 
 MIN_POINTS = 20
 # Minimum inlier ratios after RANSAC and after refinement: in a queue of cars, most points may move with the cars. A
@@ -30,16 +30,11 @@ BEHIND = 1e4  # squared Mahalanobis distance of points behind the camera: outlie
 
 
 class Pose(NamedTuple):
-    """Transform of points of the previous frame to this frame's camera, its inliers and their median error.
-
-    The best focal length, given all depths, is exp(-focal_gradient / focal_information) times the assumed one.
-    """
+    """Transform of points of the previous frame to this frame's camera, its inliers and their median error."""
 
     T_now_before: np.ndarray  # [4,4]
     inliers: np.ndarray  # bool [N]
     residual_px: float
-    focal_gradient: float
-    focal_information: float
 
 
 def estimate_pose(
@@ -66,7 +61,7 @@ def estimate_pose(
     if inliers.sum() < max(MIN_POINTS, (MIN_INLIERS_SIMILAR if similar else MIN_INLIERS) * len(xyz)):
         return None
     residual_px = float(np.median(np.linalg.norm(best.error[inliers], axis=-1)))
-    return Pose(best.T, inliers, residual_px, *_focal_step(best, inliers, xyz, uv, K))
+    return Pose(best.T, inliers, residual_px)
 
 
 def _ransac(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray) -> np.ndarray | None:
@@ -80,14 +75,12 @@ def _ransac(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray) -> np.ndarray | None
 
 
 class _Fit(NamedTuple):
-    """A refined motion [4,4] and its robust cost; at it, squared Mahalanobis distances [N], results of _linearise."""
+    """A refined motion [4,4] and its robust cost; at it, squared Mahalanobis distances [N] and errors [N,2] px."""
 
     T: np.ndarray
     cost: float
     squared_distance: np.ndarray
     error: np.ndarray
-    weight: np.ndarray
-    jacobian: np.ndarray
 
 
 def _refine(T: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray) -> _Fit | None:
@@ -107,28 +100,10 @@ def _refine(T: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth
             return None
         T[:3, :3] = cv2.Rodrigues(change[:3])[0] @ T[:3, :3]
         T[:3, 3] += change[3:]
-    error, weight, jacobian = _linearise(T, xyz, uv, K, depth_sigma)
+    error, weight, _ = _linearise(T, xyz, uv, K, depth_sigma)
     squared_distance = np.where(weight.any(axis=(1, 2)), _squared_mahalanobis(error, weight), BEHIND)
     cost = float(np.log1p(squared_distance / CAUCHY**2).sum())
-    return _Fit(T, cost, squared_distance, error, weight, jacobian)
-
-
-def _focal_step(fit: _Fit, inliers: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray) -> tuple[float, float]:
-    """Return gradient and information of the logarithm of the focal length, with the pose eliminated.
-
-    Arguments as of :func:`estimate_pose`. Only turns contain information: a rotation moves pixels at the image's edge
-    by more than those at its centre, the more so the shorter the focal length is.
-    """
-    small = 1e-4
-    wider = K.copy()
-    wider[[0, 1], [0, 1]] *= 1 + small
-    pixels = project(xyz, K)[0]
-    rays = np.linalg.solve(wider, np.column_stack([pixels, np.ones(len(pixels))]).T).T
-    by_focal = (_linearise(fit.T, rays * xyz[:, 2:], uv, wider, np.ones(len(xyz)))[0] - fit.error) / small  # [N,2]
-    columns = np.concatenate([fit.jacobian, by_focal[:, :, None], fit.error[:, :, None]], axis=2)  # [N,2,8]
-    normal = np.einsum("nia,nij,njb->ab", columns, fit.weight * inliers[:, None, None], columns)
-    reduced = normal[6:, 6:] - normal[6:, :6] @ np.linalg.lstsq(normal[:6, :6], normal[:6, 6:], rcond=None)[0]
-    return float(reduced[0, 1]), float(reduced[0, 0])
+    return _Fit(T, cost, squared_distance, error)
 
 
 def _squared_mahalanobis(error: np.ndarray, weight: np.ndarray) -> np.ndarray:

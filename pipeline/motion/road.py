@@ -35,16 +35,16 @@ class Road:
         """The last frame's height of the camera over the road in uncorrected depth; 0 where no road was found."""
         self._ways: deque[tuple[float, float]] = deque(maxlen=STEPS)  # metres down and ahead, of forward steps
 
-    def find(self, depth_m: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, float]:
+    def find(self, depth_m: np.ndarray, usable: np.ndarray, still: np.ndarray) -> tuple[np.ndarray, float]:
         """Return the road mask bool [H,W] and the factor that corrects depth [H,W].
 
-        `usable` bool [H,W]: pixels with a well-defined depth. Frames come in order.
+        `usable` bool [H,W]: pixels with a well-defined depth, not `still`, which show no street. Frames come in order.
         """
         below = self._down - self.slope  # of the plane along the direction of travel
         height_m = depth_m * below.astype(np.float32)
         in_front = (below > 1 / PATCH_LENGTH) & (np.abs(self._right) < PATCH_HALF_WIDTH * below)
         patch, self.frame_height_m = height_m[usable & in_front], 0.0
-        if len(patch) > MIN_VISIBLE * in_front.sum():
+        if len(patch) > MIN_VISIBLE * (in_front & ~still).sum():
             median = float(np.median(patch))
             if (np.abs(patch / median - 1) < FLAT).mean() > MIN_FLAT:
                 self.frame_height_m = median

@@ -9,6 +9,7 @@ from pipeline.camera.geometry import project, transform
 from pipeline.motion.pose import MIN_POINTS, estimate_pose
 from pipeline.motion.road import Road
 from pipeline.motion.step import STANDSTILL, STANDSTILL_M, Step, plausible
+from pipeline.motion.still import Still
 
 MOVING = np.isin(np.arange(256), classes.TRAFFIC)
 MIN_WIDTH = 640  # px; smaller images are enlarged, since the error of tracking is a fixed fraction of a pixel
@@ -34,20 +35,21 @@ class Odometry:
         self._max_depth_m = MAX_DEPTH_M * max(1.0, camera.K[0, 0] / (WIDE * width))
         self._enlarged = -(-MIN_WIDTH // width)
         self.road = Road(camera, road_scale=road_scale)
+        self.still = Still(camera)
         self._number: int | None = None
         self._grey = np.empty(0, np.uint8)
         self._points = np.empty((0, 3)), np.empty(0), 1.0  # of the previous frame: see _lift
         self._T_before: np.ndarray | None = None  # the previous step
         self.problem = ""
         """Why the last step could not be measured; empty if it was."""
-        self.focal = np.zeros(2)
-        """Sums of :class:`Pose`'s gradient and information of the focal length."""
 
     def step(self, frame: Frame) -> Step | None:
         """Return the motion since the previous frame; None where it cannot be measured. Frames come in order."""
         grey, step = self._grey_image(frame.image), None
         self.problem = "no previous frame"
         if self._number is not None and frame.number == self._number + 1:
+            every = slice(None, None, self._enlarged)
+            self.still.add(self._grey[every, every], grey[every, every], self.road.slope)
             step = self._measure(grey)
         self._T_before = step.T_before if step else None
         if step:
@@ -64,6 +66,8 @@ class Odometry:
             uv, z = project(transform(T_before_last, xyz), self._K)
             uv_guess = np.where(z[:, None] > MIN_DEPTH_M, uv, uv_before)
         uv, tracked = track(self._grey, grey, self._larger(uv_before), self._larger(uv_guess))
+        column, row = np.rint(uv_before).astype(np.int64).T
+        tracked &= ~self.still.mask[row, column]
         xyz, uv_before, uv = xyz[tracked], uv_before[tracked], self._smaller(uv[tracked])
         if len(uv) < MIN_POINTS:
             self.problem = "too few points can be tracked"
@@ -83,15 +87,16 @@ class Odometry:
             self.problem = "a motion that is not a car's"
             return None
         self.problem = ""
-        self.focal += pose.focal_gradient, pose.focal_information
         return Step(T_before, int(pose.inliers.sum()), pose.residual_px, scale)
 
     def _lift(self, frame: Frame, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Return the corners as points [N,3] in metres, relative sigma of their depths [N], factor applied to depth."""
         depth_m = frame.depth_m.astype(np.float32)
         usable, traffic = _usable_pixels(depth_m, frame.cls, self._max_depth_m)
+        still = self.still.mask
+        usable &= ~still
         # What depth shows to be the road is no traffic: classes of grey images mistake shaded road for cars.
-        road, scale = self.road.find(depth_m, usable)
+        road, scale = self.road.find(depth_m, usable, still)
         corners = Corners(grey)
         on_road = corners.best(self._enlarge(road), *ON_ROAD)
         elsewhere = corners.best(self._enlarge(usable & ~road & ~traffic), *ELSEWHERE)

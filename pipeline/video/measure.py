@@ -1,6 +1,5 @@
 """Measure the motion of a car from the frames of a source: a CSV file, a video, the track, and their quality."""
 
-import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from pipeline.video.source import MOTION, Source, publish, run_chain, work_folde
 
 CAMERAS = [2, 0, 3, 1]  # of a KITTI drive, the first one with images
 READING = Reading(image_size=(192, 640), cameras=CAMERAS, lidar=False, on_damaged="skip")  # as the encoder was trained
-FOCAL_TOLERANCE, FOCAL_SIGMAS = 0.18, 5.0  # smaller deviations are not reported: of the logarithm, and in sigmas
+MAX_BONNET = 0.05  # share of the lowest row that shows no street: recordings without a bonnet have 0
 
 
 def measure(
@@ -45,26 +44,24 @@ def measure(
 
 def _quality(motion: DriveReader, results: Results, source: Source) -> dict[str, Any]:
     """Return the content of quality.json; None where unknown. The road's height is by the encoder's depth."""
-    heights_m, (gradient, information) = motion["road_height_m"], motion.attrs["focal"]
+    heights_m = motion["road_height_m"]
     known, sigmas = heights_m[heights_m > 0], results.table["speed_sigma"][results.table["valid"] > 0]
     return {
         "horizon": source.camera.horizon,
         "road_frames": float((heights_m > 0).mean()),
         "road_height_m": float(np.median(known)) if len(known) else None,
         "speed_sigma": float(np.median(sigmas)) if len(sigmas) else None,
-        "focal_ratio": math.exp(float(np.clip(-gradient / information, -1, 1))) if information > 0 else None,
-        "focal_sigma": float(information**-0.5) if information > 0 else None,
+        "bonnet": float(np.median(motion["still"])),
     }
 
 
 def _remarks(quality: dict[str, Any], height_known: bool) -> Iterator[str]:
-    """Yield what the scale and the focal length rest on."""
+    """Yield what the scale rests on, and what disturbs it."""
     yield f"road found in {quality['road_frames']:.0%} of the frames; elsewhere speed stays near a typical car's"
     if quality["road_height_m"] and not height_known:
         height = f"{quality['road_height_m']:.2f} m above the road"
         yield f"the encoder's depth puts the camera {height}. Measure it and pass --camera-height: speed follows it"
     if quality["speed_sigma"]:
         yield f"speed and curvature may be off by {quality['speed_sigma']:.0%} (one standard deviation)"
-    deviation, sigma = math.log(quality["focal_ratio"] or 1.0), quality["focal_sigma"] or 0.0
-    if abs(deviation) > max(FOCAL_TOLERANCE, FOCAL_SIGMAS * sigma):
-        yield f"turns show that the focal length is wrong: pass a {'smaller' if deviation > 0 else 'larger'} --fov"
+    if quality["bonnet"] > MAX_BONNET:
+        yield "the lowest rows show a bonnet, or text, whose surroundings get a wrong depth: crop the images above it"

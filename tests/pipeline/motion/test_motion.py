@@ -1,6 +1,7 @@
 """Measured motion: poses, the road's slope and scale, rates, the filtered speed, and odometry on a rendered street."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from pipeline.camera.geometry import project, transform
 from pipeline.motion import step, visual
 from pipeline.motion.pose import estimate_pose
 from pipeline.motion.step import TYPICAL_MPS, filter_speed
+from pipeline.motion.still import Still
 from tests import street
 from tests.street import pose
 
@@ -171,6 +173,28 @@ def test_a_wrong_scale_is_corrected_by_the_camera_height_also_where_road_has_the
     assert rates(uncorrected)[:, 1] == pytest.approx(0.7 * 6.0, rel=0.03)
     assert [one.scale for one in uncorrected[1:] if one] == [1.0] * 3
     assert rates(uncorrected)[:, 0] == pytest.approx(0.2, abs=0.01)
+
+
+@pytest.mark.parametrize("reflection", [0.0, 0.4])
+def test_a_bonnet_is_left_out(reflection):
+    """Its texture stays in place under the reflection of a scene that moves; depth shows it 3 m away."""
+    frames, bonnet = views(*street.arc(5, 0.2, 6.0)), slice(82, 96)
+    texture = np.random.default_rng(0).integers(0, 255, (14, 320, 1), dtype=np.uint8)
+    for frame in frames:
+        mirrored = (1 - reflection) * texture + reflection * frame.image[13::-1]
+        frame.image[bonnet], frame.depth_m[bonnet], frame.cls[bonnet] = mirrored, 3.0, classes.ROAD
+    assert rates(measured(frames))[:, 1] == pytest.approx(6.0, rel=0.03)
+    assert rates(measured(frames))[:, 0] == pytest.approx(0.2, abs=0.005)
+
+
+@pytest.mark.parametrize(("speed", "yaw_rate"), [(0.0, 0.0), (0.3, 0.0), (8.0, 0.0), (8.0, 0.3)])
+def test_a_street_is_no_bonnet(speed, yaw_rate):
+    """Neither while the car stands, in noise, nor when it turns or moves slowly."""
+    rng, still = np.random.default_rng(0), Still(street.WIDE)
+    images = [street.view(pose)[0][..., 0] + rng.normal(0, 2, (96, 320)) for pose in street.arc(4, yaw_rate, speed)]
+    for before, now in pairwise(np.clip(images, 0, 255).astype(np.uint8)):
+        still.add(before, now, 0.0)
+        assert not still.mask.any()
 
 
 def test_traffic_is_excluded_by_its_class():

@@ -1,0 +1,45 @@
+"""Find what stays in place in the image while the street moves: a bonnet, text."""
+
+import cv2
+import numpy as np
+
+from pipeline.camera.camera import Camera
+
+SAMPLED = slice(2, None, 4)  # rows and columns
+AROUND, SMALL, NEAR = (5, 5), np.ones((3, 3), np.uint8), np.ones((7, 7), np.uint8)  # samples: of means, cut off, added
+STEP = 0.1  # camera heights, a short way of a car from image to image
+KEEP = 0.9  # share of the sums that remains at the next image
+LEAST = 400.0  # squared grey levels; smaller expected changes are noise
+STILL = 0.2  # largest ratio of changes to expected changes where nothing moves
+QUANTILE, MOVES = 0.75, 0.9  # the car moves if this quantile of the ratios is larger than that
+
+
+class Still:
+    """Sums of the changes of a drive's images, and of those that a STEP straight ahead would make.
+
+    No pixel below the horizon shows anything farther than the ground. So whatever its depth, it changes as the ground
+    there, or more, when the car moves, unless it shows a part of the car, or text.
+    """
+
+    def __init__(self, camera: Camera) -> None:
+        self._K, (height, width) = camera.K, camera.size
+        self._uv = np.mgrid[:height, :width][::-1, SAMPLED, SAMPLED]
+        self._sums = np.zeros((2, *self._uv.shape[1:]), np.float32)
+        self.mask = np.zeros((height, width), bool)
+        """Pixels in and near places where nothing moves."""
+
+    def add(self, before: np.ndarray, now: np.ndarray, slope: float) -> None:
+        """Compare consecutive images uint8 [H,W]; `slope`: of the road, metres down per metre ahead."""
+        focal = self._K[1, 1]
+        from_expansion = self._uv - (self._K[:2, 2] + [0, focal * slope])[:, None, None]  # from its focus
+        nearer = STEP * np.maximum(from_expansion[1] / focal, 0)  # of the ground, as a share of its distance
+        u, v = (self._uv - from_expansion * nearer / (1 + nearer)).astype(np.float32)
+        expected = cv2.remap(before, u, v, cv2.INTER_LINEAR)
+        here = now[SAMPLED, SAMPLED].astype(np.float32)
+        changes = np.stack([cv2.blur((here - there) ** 2, AROUND) for there in (before[SAMPLED, SAMPLED], expected)])
+        clear = changes[1] > LEAST
+        if clear.any() and np.quantile(changes[0][clear] / changes[1][clear], QUANTILE) > MOVES:
+            self._sums = KEEP * self._sums + changes
+            still = (self._sums[1] > LEAST) & (self._sums[0] < STILL * self._sums[1])
+            places = cv2.dilate(cv2.erode(still.astype(np.uint8), SMALL), NEAR)
+            self.mask = cv2.resize(places, self.mask.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0

@@ -77,7 +77,7 @@ class Recording:
             raise InputError(rates, self.path, "Pass the right --fps, or another --model")
         if ratio > 1 + RATE_TOLERANCE:
             step_s = (round(ratio) if abs(ratio / round(ratio) - 1) < RATE_TOLERANCE / 2 else ratio) / own_hz
-            grid_s = np.arange(time_s[0], time_s[-1] + step_s / 2, step_s)
+            grid_s = np.arange(time_s[0], time_s[-1], step_s)
             rows = np.unique(np.searchsorted((time_s[1:] + time_s[:-1]) / 2, grid_s))
             self.kept, self.times_s = self.kept[rows], time_s[rows]
             self.notes.append(f"{len(rows)} of {len(time_s)} frames are used: {rates}")

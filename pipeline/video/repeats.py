@@ -6,6 +6,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 RUN_S = 0.5  # a longer run of unchanged images is a standing car
 UNCHANGED = 0.3  # change of a repeat, relative to those around its run: at most 0.2, on real streets at least 0.5
 NOISE, KEY_NOISE = 0.7, 2.5  # grey levels: of an encoder, and what its key frames add at a low bit rate
+SOME = 0.03  # share of repeats in a conversion
 EVEN_S, JITTER = 3.0, 1.3  # times are evened over it; largest deviations, in steps of the grid: cameras jitter
 
 
@@ -16,11 +17,14 @@ def repeats(change: np.ndarray, key: np.ndarray, time_s: np.ndarray) -> np.ndarr
     """
     result, shown_s = np.zeros(len(change), bool), np.append(time_s, time_s[-1])
     least = np.append(np.where(key > key.min(), change - KEY_NOISE, change), np.inf)
-    for first in np.flatnonzero(least[1:-1] < UNCHANGED * least[:-2]) + 1:
-        for after in range(first + 1, np.searchsorted(shown_s, shown_s[first - 1] + RUN_S)):
-            around, run = min(least[first - 1], least[after]), slice(first, after)
-            if NOISE < around < np.inf and max(least[run].max(), change[run].min()) < UNCHANGED * around:
-                result[run] = True
+    for surely in (change, least):  # a key frame alone counts only among other repeats
+        for first in np.flatnonzero(least[1:-1] < UNCHANGED * least[:-2]) + 1:
+            for after in range(first + 1, np.searchsorted(shown_s, shown_s[first - 1] + RUN_S)):
+                around, run = min(least[first - 1], least[after]), slice(first, after)
+                if NOISE < around < np.inf and max(least[run].max(), surely[run].min()) < UNCHANGED * around:
+                    result[run] = True
+        if result.mean() < SOME:
+            break
     return result
 
 
@@ -33,7 +37,7 @@ def evened(time_s: np.ndarray, grid_s: float) -> np.ndarray:
     """
     count = min(len(time_s), 2 * round(EVEN_S / 2 / float(np.median(np.diff(time_s)))) + 1)
     windows, place = sliding_window_view(time_s, count), np.arange(count) - (count - 1) / 2
-    mean, slope = windows.mean(axis=1), windows @ place / (place @ place)
+    mean, slope = windows.mean(axis=1), windows @ place / max(place @ place, 1)
     spread = np.ptp(windows - mean[:, None] - slope[:, None] * place, axis=1) / grid_s
     result, least = time_s.copy(), np.full(len(time_s), np.inf)
     for column in range(count):

@@ -106,6 +106,14 @@ def test_a_bug_of_a_users_network_is_no_fault_of_the_input(folder, monkeypatch, 
 
 
 @pytest.mark.slow
+def test_drives_of_another_frame_rate_are_named(folder, capsys):
+    with h5py.File(folder / f"graphs/semantic/{TEST}.h5", "a") as file:
+        file["time_s"][:] *= 2
+    write_params(folder, epochs=1)
+    run_train(folder)
+    assert f"training drives have 10.0 frames/s, but {TEST} 5.0" in capsys.readouterr().out
+
+
 def test_seeds_in_parallel_processes_equal_those_trained_alone(folder, monkeypatch):
     write_params(folder, epochs=1, seeds=[0, 7])
     monkeypatch.setenv("STEER_WORKERS", "2")

@@ -126,9 +126,11 @@ def test_a_folder_of_images(folder, tmp_path, capsys):
     with pytest.raises(InputError, match="model scans needs LiDAR scans"):
         predict(images, model=folder / "data/train/scans", out=out, fov=81.0, fps=10.0)
     assert not out.exists()
-    predict(images, model=folder / "data/train/points", out=out, fov=81.0, fps=5.0)
+    with pytest.raises(InputError, match=r"has 5\.0 frames/s, the model was fitted to 10\.0"):
+        predict(images, model=folder / "data/train/points", out=out, fov=81.0, fps=5.0)
+    predict(images, model=folder / "data/train/points", out=out, fov=81.0, fps=20.0)
     text = capsys.readouterr().out
-    assert all(part in text for part in ("9 predictions for 12 frames", "rendered sample alone", "frames/s, got 5.0"))
+    assert all(part in text for part in ("3 predictions for 6 frames", "rendered sample alone", "6 of 12 frames are"))
     video = cv2.VideoCapture(str(out / "overlay.mp4"))
     assert (video.get(cv2.CAP_PROP_FRAME_WIDTH), video.get(cv2.CAP_PROP_FRAME_HEIGHT)) == (320, 216)  # not cropped
 

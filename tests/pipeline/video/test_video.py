@@ -2,28 +2,33 @@
 
 import socket
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import nullcontext
 from fractions import Fraction
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import av
+import cv2
 import numpy as np
 import pytest
+from av.stream import Disposition
 
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.store import DriveReader
 from pipeline.camera.geometry import rays
 from pipeline.kitti.oxts import make_rows
 from pipeline.labels.label import Car, Labels
+from pipeline.motion.step import durations
 from pipeline.video import recording
 from pipeline.video.lens import pinhole, undistortion
 from pipeline.video.log import Log, Logs, read_motion, read_wheel
 from pipeline.video.recording import open_recording, read_times
 from pipeline.video.results import Results, Truth, read_course, read_truth
+from tests import street
 from tests.artefacts import write_motion, write_recorded
-from tests.kitti_drive import SIZE, pictures, write_png, write_video
+from tests.kitti_drive import SIZE, pictures, write_folder, write_png, write_video
 
 
 def times_of(path: Path, **options: Any) -> list[float]:
@@ -65,16 +70,116 @@ def test_times_are_those_of_a_file_or_of_names_in_nanoseconds(tmp_path):
 
 def write_stream(path: Path, frames: int = 30, codec: str = "libx264", shape: int = 1, **options: str) -> Path:
     """Write a video with PyAV; `shape`: width / height of a pixel."""
+    return write_streams(path, {"codec": codec, "shape": shape, "images": pictures(frames)}, **options)
+
+
+def write_streams(path: Path, *streams: dict[str, Any], **options: str) -> Path:
+    """Write video streams, each a dict of the images and how they are stored."""
     with av.open(str(path), "w", options=options) as file:
-        stream = file.add_stream(codec, rate=10)
-        stream.height, stream.width, stream.pix_fmt = *SIZE, "yuv420p"
-        stream.sample_aspect_ratio = Fraction(shape)
-        for number, image in enumerate(pictures(frames)):
-            frame = av.VideoFrame.from_ndarray(image, format="rgb24")
-            frame.pts, frame.time_base = number * 100, Fraction(1, 1000)
-            file.mux(stream.encode(frame))
-        file.mux(stream.encode())
+        written = []
+        for one in streams:
+            stream = file.add_stream(
+                one.get("codec", "libx264"), rate=one.get("fps", 10), options=one.get("options", {})
+            )
+            (stream.height, stream.width), stream.pix_fmt = one["images"][0].shape[:2], one.get("pixels", "yuv420p")
+            stream.sample_aspect_ratio, stream.disposition = Fraction(one.get("shape", 1)), one.get("disposition", 1)
+            written.append(stream)
+        for stream, one in zip(written, streams, strict=True):
+            for number, image in enumerate(one["images"]):
+                frame = av.VideoFrame.from_ndarray(image, format="rgb24")
+                frame.pts, frame.time_base = number, Fraction(1, one.get("fps", 10))
+                file.mux(stream.encode(frame))
+            file.mux(stream.encode())
     return path
+
+
+@cache
+def images_of_a_street() -> list[np.ndarray]:
+    return [street.view(pose)[0] for pose in street.arc(120, 0.1, 8.0)]
+
+
+@pytest.mark.parametrize("how", [{}, {"crf": "28", "g": "15", "preset": "veryfast"}, ".jpg", ".png"], ids=str)
+@pytest.mark.parametrize(("hz", "fps"), [(10, 12), (9.6, 29), (10, 24), (10, 30), (15, 25), (10, 60)])
+def test_repeats_are_left_out_and_the_others_have_their_times(tmp_path, how, hz, fps):
+    """In a conversion to a higher frame rate; the camera loses three images in a row."""
+    taken_s = np.delete(np.arange(123) / hz, [60, 61, 62])
+    shown = np.searchsorted(taken_s, np.arange(int(122 / hz * fps)) / fps + 1e-9, side="right") - 1
+    images = [images_of_a_street()[place] for place in shown]
+    if isinstance(how, str):
+        path, options = tmp_path / "images", {"fps": fps}
+        path.mkdir()
+        for number, image in enumerate(images):
+            cv2.imwrite(str(path / f"{number}{how}"), image)
+    else:
+        path, options = write_streams(tmp_path / "a.mp4", {"images": images, "fps": fps, "options": how}), {}
+    recording = open_recording(path, **options)
+    first = np.flatnonzero(np.diff(shown, prepend=-1))
+    assert recording.kept.tolist() == first.tolist()
+    assert recording.notes[0].startswith(f"{len(shown) - len(first)} of {len(shown)} images repeat")
+    true_s = taken_s[: len(first)]
+    assert recording.times_s == pytest.approx(true_s + np.mean(recording.times_s - true_s), abs=0.6 / fps)
+    steps_s = durations(np.arange(len(first)), recording.times_s)[1:]
+    assert steps_s == pytest.approx(np.diff(true_s), rel=0.06)
+    assert [frame.number for frame in recording.frames()] == list(range(len(first)))
+
+
+UNCHANGED: dict[str, Callable[[list[np.ndarray]], Iterable[np.ndarray]]] = {
+    "standing": lambda images: images[:1] * 20,
+    "traffic light": lambda images: [*images[:15], *images[15:16] * 20, *images[16:30]],
+    "slow": lambda images: pictures(60),
+    "night": lambda images: [image // 12 for image in images[:40]],
+    "noise": lambda images: np.random.default_rng(0).normal(100, 5, (40, *SIZE, 3)).astype(np.uint8),
+}
+
+
+@pytest.mark.parametrize("images", UNCHANGED.values(), ids=UNCHANGED)
+@pytest.mark.parametrize("fps", [10, 30])
+def test_other_unchanged_images_are_no_repeats(tmp_path, images, fps):
+    for options in ({}, {"g": "4", "crf": "30"}):
+        stream = {"images": list(images(images_of_a_street())), "fps": fps, "options": options}
+        recording = open_recording(write_streams(tmp_path / "a.mp4", stream))
+        assert (len(recording.kept), recording.notes) == (len(stream["images"]), [])
+        np.testing.assert_allclose(recording.times_s, np.arange(len(recording.kept)) / fps, atol=1e-3)
+
+
+def test_frames_nearest_to_a_rate(tmp_path):
+    for hz, fps, steps in ((10, 30, {3}), (9.64, 29, {3}), (10, 25, {2, 3}), (10, 24, {2, 3}), (10, 11, {1})):
+        recording = open_recording(write_folder(tmp_path / "images", pictures(60)), fps=fps)
+        recording.resample(hz)
+        assert {*np.diff(recording.kept).tolist()} == steps
+        assert recording.times_s.tolist() == (recording.kept / fps).tolist()
+        assert len(recording.times_s) == pytest.approx(60 / fps * (fps if steps == {1} else hz), abs=1)
+        assert len(list(recording.frames())) == len(recording.kept)
+    with pytest.raises(InputError, match=r"has 7.0 frames/s, the model was fitted to 10.0"):
+        open_recording(tmp_path / "images", fps=7).resample(10)
+
+
+def test_the_default_stream_is_read_and_no_cover_art(tmp_path):
+    small = {"images": pictures(40, (24, 32)), "disposition": 0}
+    art = {"images": pictures(1), "codec": "png", "pixels": "rgb24", "disposition": Disposition.attached_pic}
+    for path, streams in ((tmp_path / "art.mp4", [art]), (tmp_path / "two.mkv", [small])):
+        recording = open_recording(write_streams(path, *streams, {"images": pictures(40)}))
+        assert (recording.size, len(recording.kept)) == (SIZE, 40)
+        used = "video stream 1 (64 x 48 pixels) is used, not 0 (32 x 24 pixels)"
+        assert recording.notes == ([used] if streams == [small] else [])
+
+
+@pytest.mark.parametrize(("skipped", "left"), [(20, 20), (5, 28)])
+def test_a_trim_without_encoding_is_complete(tmp_path, skipped, left):
+    """By an edit list, which shows images from a time on; or by packets that are missing before a key frame."""
+    write_stream(tmp_path / "a.mp4", 40, "mpeg4")  # a key frame every 12 frames
+    options = {"avoid_negative_ts": "disabled"}
+    with av.open(str(tmp_path / "a.mp4")) as file, av.open(str(tmp_path / "b.mp4"), "w", options=options) as trimmed:
+        stream = trimmed.add_stream_from_template(file.streams.video[0])
+        for number, packet in enumerate(file.demux(video=0)):
+            if packet.dts is not None and (left == 20 or number >= skipped):
+                packet.pts -= skipped * packet.duration
+                packet.dts -= skipped * packet.duration
+                packet.stream = stream
+                trimmed.mux(packet)
+    recording = open_recording(tmp_path / "b.mp4")
+    assert recording.notes[0].startswith(f"{left} of the file's {40 if left == 20 else 35} frames")
+    np.testing.assert_allclose(recording.times_s, np.arange(left) / 10, atol=1e-3)
 
 
 def replace_in(path: Path, old: bytes, new: bytes) -> None:

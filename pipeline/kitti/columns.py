@@ -1,7 +1,6 @@
 """Read columns of numbers from CSV files, and check them."""
 
 import csv
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -31,10 +30,8 @@ def read_columns(path: Path, names: Sequence[str], expected: str, sparse: Sequen
         rows = list[list[float]]()
         for fields in reader:
             try:
-                empty = [name in sparse and not fields[name].strip() for name in names]
-                rows.append(
-                    [math.nan if none else float(fields[name]) for name, none in zip(names, empty, strict=True)]
-                )
+                words = [fields[name].strip() or "nan" * (name in sparse) for name in names]
+                rows.append([float(word) for word in words])
                 if any(surplus.strip() for surplus in fields.get("", [])):
                     raise ValueError
             except ValueError:

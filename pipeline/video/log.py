@@ -18,7 +18,7 @@ _WHEEL = "Expected a CSV file with time_s [s] and wheel_rad [rad, left +]"
 
 
 class Log(NamedTuple):
-    """Samples at ascending times [N] of C quantities [C,N], NaN where unknown, of the file `name`."""
+    """Samples at ascending times [N] of C quantities [C,N], NaN where unknown, of a file of this name."""
 
     time_s: np.ndarray
     samples: np.ndarray
@@ -63,10 +63,8 @@ class Logs(NamedTuple):
             begin_s, end_s = log.time_s[[0, -1]]
             if begin_s > last_s + ROUNDING_S or end_s < first_s - ROUNDING_S:
                 problem = f"log is from {begin_s:.1f} to {end_s:.1f} s, the images from {first_s:.1f} to {last_s:.1f} s"
-                fix = (
-                    f"If both begin together, pass --offset {round(first_s - begin_s, 3):.13g}, added to an earlier one"
-                )
-                raise InputError(problem, log.name, fix)
+                offset = f"--offset {round(first_s - begin_s, 3):.13g}, added to an earlier one"
+                raise InputError(problem, log.name, f"If both begin together, pass {offset}")
 
     def coverage(self, time_s: np.ndarray) -> Iterator[str]:
         """Yield a line for each log that does not cover all images, which are at `time_s` [F]."""

@@ -128,9 +128,8 @@ class Results:
                 raise InputError("no frame could be read", source.path, "; ".join(source.notes[:1]))
             course = read_course(motion, car, look_ahead=look_ahead, height_known=source.height_known)
             truth = read_truth(raw, motion.frame[rows], logs, car)
-            measured = sources.read("visual", raw, work / MOTION, car).at(
-                np.searchsorted(raw.frame, motion.frame[rows])
-            )
+            looking_ahead = sources.read("visual", raw, work / MOTION, car)
+            measured = looking_ahead.at(np.searchsorted(raw.frame, motion.frame[rows]))
             agreement = compare([sums(motion.time_s[rows], truth.driven, measured)])
             valid, codes = motion["valid"], motion["problem"][rows]
             source.notes.extend(logs.coverage(motion.time_s[rows]))

@@ -20,9 +20,10 @@ from matplotlib.figure import Figure
 from pipeline.base import console, store
 from pipeline.base.errors import InputError
 from pipeline.base.params import load
+from pipeline.evaluate import errors
 from pipeline.report import street_view
 from pipeline.report.paper import PAPER
-from pipeline.report.results import NO_LEARNING, load_groups
+from pipeline.report.results import NO_LEARNING, load_groups, validation_nmse
 from pipeline.report.tables import NONE, number
 from pipeline.settings.evaluate import Evaluate
 from pipeline.settings.run import revision
@@ -104,12 +105,13 @@ def figures_of(run: Path) -> Results:
                 figures[f"{part}/{name}"] = entry(*group.nmse(name, column=column), frames, seeds=seeds, mse=mse)
             for first in {model.rpartition("/")[2] for model, *_ in QUESTIONS.values()}.intersection(rows):
                 for other in {*rows} - {first}:
-                    difference = group.nmse(first, minus=other, column=column)
-                    figures[f"{part}/{first} - {other}"] = entry(*difference, frames)
-        for row in (row for row in group.models if row["val"]):
+                    value, bounds = group.nmse(first, minus=other, column=column)
+                    verdict = group.verdict(bounds, first, other, column)
+                    figures[f"{part}/{first} - {other}"] = entry(value, bounds, frames, verdict=verdict)
+        for row in (row for row in group.models if validation_nmse(row) < np.inf):
             roads, epochs = row["entry"]["roads"] or len(row["drives"]["train"]), load(Train, params).epochs
-            error = float(np.mean([scores["nmse"] for scores in row["val"].values()]))
-            figures[f"val/{row['model']}/{roads} roads/{epochs} epochs"] = entry(error, roads=roads, epochs=epochs)
+            key = f"val/{row['model']}/{roads} roads/{epochs} epochs"
+            figures[key] = entry(validation_nmse(row), roads=roads, epochs=epochs)
     if (path := run / "data/scores/metrics.json").is_file():
         for kind, splits in store.read_json(path, stage="scores")["motion"].items():
             if splits["test"]:
@@ -172,13 +174,15 @@ def overview(results: Results) -> list[list[str]]:
 
 
 def shown(results: Results, model: str, rivals: list[str]) -> str:
-    """Return whether the differences to all rivals are below 0, and the least certain one."""
+    """Return the difference to the rival whose interval has the greatest upper bound, and what it shows."""
     bounds = {name: get(results, f"{model} - {name}", "interval") for name in rivals}
     upper = {name: interval[1] for name, interval in bounds.items() if interval}
     if not upper:
         return NONE
     least = max(upper, key=lambda name: upper[name])
-    answer = "no" if upper[least] >= 0 else "yes" if len(upper) == len(rivals) else "open"
+    former = errors.verdict(bounds[least], seeds=2, drives=errors.LEAST_DRIVES)  # of figures without a verdict
+    answer = get(results, f"{model} - {least}", "verdict") or former
+    answer = "open" if answer == "better" and len(upper) < len(rivals) else answer
     words = BLIND if "blind" in least else "another scene" if "another" in least else CLAIMS.get(least, least)
     return f"{answer}, {difference(results, f'{model} - {least}')} to {words}"
 
@@ -195,10 +199,12 @@ def table2(results: Results) -> list[list[str]]:
 
 
 def coverage(results: Results) -> list[list[str]]:
-    """Return how often intervals contain the true error."""
-    keys = [key for key in results if key.startswith("coverage/")]
-    rows = [[key.partition("/")[2], text(results, key, form=".1%")] for key in keys]
-    return [["test set", "intervals that contain the true nmse"], *rows]
+    """Return how often intervals contain the true difference."""
+    keys = [key.split("/")[1:] for key in results if key.startswith("coverage/")]
+    sets, worlds = (dict.fromkeys(names) for names in zip(*keys, strict=True))
+    tested = sorted(sets, key=lambda name: int(name.split()[0]))
+    rows = [[name, *(text(results, f"coverage/{name}/{world}", form=".1%") for world in worlds)] for name in tested]
+    return [["test set", *worlds], *rows]
 
 
 def origins(results: Results) -> list[list[str]]:

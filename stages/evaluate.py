@@ -52,8 +52,6 @@ def main(
                 for part, drives in cases.items()
             },
             "parameters": sum(weights.numel() for weights in first.net.parameters()),
-            "wheelbase_m": tested[0].car.wheelbase_m,
-            "labels": tested[0].settings["labels"].get("source"),
             "columns": columns(cases["test"]),
             **inputs(tested),
             **{part: metrics(drives, settings) if drives else None for part, drives in cases.items()},

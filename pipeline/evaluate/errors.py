@@ -12,6 +12,8 @@ import numpy as np
 
 from pipeline.settings.evaluate import Evaluate
 
+LEAST_DRIVES = 10  # for a verdict
+
 
 def scores(truth: np.ndarray, predicted: np.ndarray) -> dict[str, Any]:
     """Return frames, mse, rmse, mae and nmse of predictions for true values [N].
@@ -32,59 +34,90 @@ def scores(truth: np.ndarray, predicted: np.ndarray) -> dict[str, Any]:
     }
 
 
-def interval(error: np.ndarray, truth: np.ndarray, drive: np.ndarray, settings: Evaluate) -> list[float] | None:
-    """Return the 95 % interval of Σ error / Σ truth² over other roads, from a circular block bootstrap of drives.
+def interval(
+    error: np.ndarray, truth: np.ndarray, drive: np.ndarray, settings: Evaluate, other: np.ndarray | None = None
+) -> list[float] | None:
+    """Return the 95 % interval of Σ error / Σ truth² over other roads and seeds, from a bootstrap.
 
-    None if the counted frames fit into one block: each draw would be the same, and an interval of zero width claims
-    certainty. None also if every true value is 0.
+    With `other`, of the paired difference of two models: it is narrower if both have their errors on the same roads.
 
-    Drives are drawn with replacement, and within each drawn drive blocks of consecutive frames, since errors of
-    neighbouring frames are correlated. A block that passes the end of its drive continues at its start, so that all
-    frames are drawn equally often. A drive that is not longer than a block is drawn completely.
+    :func:`parts` of drives are drawn with replacement, the same for both models, and independently the seeds of each
+    model. n values have a variance that is (n - 1) / n of that of their population, so deviations from the mean are
+    multiplied by √(n / (n - 1)), for seeds as for parts. With one seed, the interval is of these networks.
+
+    None with a single part, whose draws would all be equal, and if every true value is 0.
 
     Args:
-        error: [N] for all frames in time order, NaN for those that do not count: they keep their place in a block.
-            Squared errors of a model, for the interval of its nmse. For the interval of a difference in nmse, the
-            difference of two models' squared errors: it is narrower if both have their errors on the same roads. Means
-            over seeds give an interval for these networks. [N,R] for the interval of the mean over R columns.
+        error: squared errors [S,N] of S seeds, for all frames in time order, NaN for those that do not count; [S,N,R]
+            for the interval of the mean over R columns.
         truth: [N] or [N,R], true values.
         drive: [N], the number of each frame's drive.
+        other: squared errors of the second model, whose number of seeds may differ.
     """
-    counted = np.isfinite(error)
-    values = np.where(counted, [error, truth**2], 0.0).reshape(2, len(drive), -1).swapaxes(1, 2)  # [2,R,N]
-    values = values[:, values[1].any(axis=1)]
-    if not values.size:
+    models = [truth[None] ** 2, error] if other is None else [truth[None] ** 2, error, other]
+    models = [values.reshape(*values.shape[:2], -1) for values in models]  # [S,N,R]
+    counted = np.all([np.isfinite(values).all(axis=0) for values in models], axis=0)  # [N,R]
+    rows = counted.any(axis=1)
+    part = parts(drive, settings.bootstrap_block_frames)[rows]
+    first = np.flatnonzero(np.diff(part, prepend=-1))  # [D] first row of each part
+    if len(first) < 2:
         return None
-    first = np.flatnonzero(np.diff(drive, prepend=drive[0] - 1))  # [D] first row of each drive
-    rows = np.diff(first, append=len(drive))  # [D]
-    blocks = -(-rows // settings.bootstrap_block_frames)  # [D] of equal length, which together cover the drive
-    counts = np.add.reduceat(counted.reshape(len(drive), -1).any(axis=1), first, dtype=int)  # [D]
-    if (-(-counts // settings.bootstrap_block_frames)).sum() < 2:
+    models = [np.add.reduceat(np.where(counted, values, 0.0)[:, rows], first, axis=1) for values in models]  # [S,D,R]
+    zero, *sums = (values[..., models[0].any(axis=(0, 1))] for values in models)
+    if not zero.size:
         return None
-    length = np.round(rows / blocks).astype(int)
-    parts = zip(np.split(values, first[1:], axis=2), length, strict=True)
-    block_sums = np.concatenate([_circular_sums(part, size) for part, size in parts], axis=2)  # over the next block
     rng = np.random.default_rng(settings.seed)
-    drawn = rng.integers(len(first), size=(settings.bootstrap_samples, len(first)))
-    sums = np.zeros((*values.shape[:2], len(drawn)))
-    for block in range(blocks.max()):
-        start = first[drawn] + rng.integers(rows[drawn])
-        sums += (block_sums[:, :, start] * (block < blocks[drawn])).sum(axis=-1)
-    errors, zeros = np.where(sums[1] > 0, sums, np.nan)
-    low, high = np.nanpercentile((errors / zeros).mean(axis=0), [2.5, 97.5])
-    return [float(low), float(high)]
+    weights = _draws(rng, len(first), settings.bootstrap_samples)  # [B,D]
+    drawn, mean = np.zeros((2, len(weights), zero.shape[2]))  # [B,R]
+    for sign, values in zip((1, -1), sums, strict=False):
+        seeds = 1 + _widening(len(values)) * (_draws(rng, len(values), len(weights)) - 1)
+        drawn += sign * np.einsum("bs,bsr->br", seeds, np.einsum("bd,sdr->bsr", weights, values)) / len(values)
+        mean += sign * values.mean(axis=0).sum(axis=0)
+    zeros = np.einsum("bd,dr->br", weights, zero[0])
+    value = (mean[0] / zero[0].sum(axis=0)).mean()
+    drawn = np.divide(drawn, zeros, out=np.full_like(drawn, np.nan), where=zeros > 0).mean(axis=1)
+    bounds = value + _widening(len(first)) * (np.nanpercentile(drawn, [2.5, 97.5]) - value)
+    return [float(bound) for bound in (bounds if other is not None else bounds.clip(min=0.0))]
+
+
+def parts(drive: np.ndarray, block_frames: int) -> np.ndarray:
+    """Return the number of the part [N] to which each frame belongs, for the numbers [N] of the frames' drives.
+
+    A drive of two or more blocks is cut into equal parts of at least one block, which count as drives: errors that far
+    apart are hardly correlated. A shorter drive is one part.
+    """
+    first = np.flatnonzero(np.diff(drive, prepend=-1))
+    rows = np.diff(first, append=len(drive))
+    count = np.maximum(rows // block_frames, 1)
+    row = np.arange(len(drive)) - np.repeat(first, rows)
+    return np.repeat(np.cumsum(count) - count, rows) + row * np.repeat(count, rows) // np.repeat(rows, rows)
+
+
+def _draws(rng: np.random.Generator, count: int, samples: int) -> np.ndarray:
+    """Return how often each of `count` values is drawn [samples, count], in as many draws with replacement."""
+    return rng.multinomial(count, np.full(count, 1 / count), samples).astype(float)
+
+
+def _widening(count: int) -> float:
+    return math.sqrt(count / max(count - 1, 1))
+
+
+def verdict(bounds: Sequence[float] | None, seeds: int, drives: int) -> str:
+    """Return what the :func:`interval` of a paired difference shows about the first of two methods.
+
+    With one seed it is about these networks only. `seeds`: of the model that has fewer; `drives`: the :func:`parts`.
+    """
+    if seeds < 2:
+        return "these networks only"
+    if drives < LEAST_DRIVES:
+        return "too few drives"
+    low, high = bounds or (-math.inf, math.inf)
+    return "better" if high < 0 else "worse" if low > 0 else "no difference shown"
 
 
 def interval_text(bounds: Sequence[float] | None, form: str = ".3f") -> str:
     """Return the bounds of an :func:`interval` as text, the reason if it is None."""
     return "too short for an interval" if bounds is None else " to ".join(format(bound, form) for bound in bounds)
-
-
-def _circular_sums(values: np.ndarray, length: int) -> np.ndarray:
-    """Return the sums of `length` consecutive values along the last axis, from each one, continued at the first."""
-    before = np.zeros_like(values[..., :1])
-    repeated = np.concatenate([before, values, values[..., : length - 1]], axis=-1).cumsum(axis=-1)
-    return repeated[..., length:] - repeated[..., : values.shape[-1]]
 
 
 def uncertainty(

@@ -61,20 +61,16 @@ class Case:
 
 
 def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, Any]]:
-    """Return column → errors, confidence interval, baselines, and errors by curvature, by drive, without decisions.
-
-    Only frames with a valid target and a prediction are scored; `without_decisions` leaves out `near_onsets`.
-    """
+    """Return column → errors, confidence interval and baselines, of frames with a valid target and a prediction."""
     baselines = [case.baselines() for case in cases]
     common = [name for name in baselines[0] if all(name in others for others in baselines)]
     parts = [_values(case) | {name: of[name] for name in common} for case, of in zip(cases, baselines, strict=True)]
     values = {name: np.concatenate([part[name] for part in parts], axis=-2) for name in parts[0]}  # [...,N,R]
     drive = np.repeat(np.arange(len(cases)), [len(case.drive.frame) for case in cases])
-    names = [case.drive.name for case in cases]
     result = {}
     for number, column in enumerate(cases[0].drive.columns):
         of_column = {name: array[..., number] for name, array in values.items()}
-        result[column] = _scores(of_column, drive, names, common, settings)
+        result[column] = _scores(of_column, drive, common, settings)
         result[column]["drift_m_per_100m"] = _drift(cases)
     return result
 
@@ -82,38 +78,25 @@ def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, An
 def _values(case: Case) -> dict[str, np.ndarray]:
     """Return arrays [G,R]; predictions, σ and halves of 95 % intervals of the seeds [S,G,R]."""
     mean, sigma, half_95 = zip(*case.predictions, strict=True)
-    values = {"truth": case.drive.truth, "curvature": case.drive.curvature_1pm, "predicted": np.stack(mean)}
+    values = {"truth": case.drive.truth, "predicted": np.stack(mean)}
     if sigma[0] is not None:
         values |= {"sigma": np.stack(sigma), "half_95": np.stack(half_95)}
-    return values | {"near_onset": near_onsets(case.drive, case.turns)}
+    return values
 
 
 def _scores(
-    values: dict[str, np.ndarray], drive: np.ndarray, names: Sequence[str], baselines: Sequence[str], settings: Evaluate
+    values: dict[str, np.ndarray], drive: np.ndarray, baselines: Sequence[str], settings: Evaluate
 ) -> dict[str, Any]:
     """Return the metrics of a column: `values` [N] or [S,N] of all frames, and the numbers of their drives."""
-    truth, predicted, curvature = values["truth"], values["predicted"], np.abs(values["curvature"])
-    error = ((predicted - truth) ** 2).mean(axis=0)
-    known = np.isfinite(error)
+    truth, predicted = values["truth"], values["predicted"]
+    error = (predicted - truth) ** 2
+    known = np.isfinite(error).all(axis=0)
     by_seed = [errors.scores(truth[known], one_seed[known])["nmse"] for one_seed in predicted]
-
-    def scores(rows: np.ndarray) -> dict[str, Any]:
-        others = {name: errors.scores(truth[rows], values[name][rows]) for name in baselines}
-        return errors.scores(truth[rows], predicted[:, rows]) | {"baselines": others}
-
-    def with_interval(rows: np.ndarray) -> dict[str, Any]:
-        return scores(rows) | {"nmse_ci95": errors.interval(np.where(rows, error, np.nan), truth, drive, settings)}
-
     certain = [values[name][:, known] for name in ("predicted", "sigma", "half_95") if name in values]
-    return with_interval(known) | {
+    return errors.scores(truth[known], predicted[:, known]) | {
+        "baselines": {name: errors.scores(truth[known], values[name][known]) for name in baselines},
+        "nmse_ci95": errors.interval(error, truth, drive, settings),
         "nmse_std": float(np.std(by_seed, ddof=1)) if len(by_seed) > 1 and None not in by_seed else None,
-        "by_curvature": [
-            {"from_1pm": low, "to_1pm": None if np.isinf(high) else high}
-            | with_interval(known & (curvature >= low) & (curvature < high))
-            for low, high in pairwise([0.0, *settings.curvature_bins_1pm, np.inf])
-        ],
-        "by_drive": {name: scores(known & (drive == number)) for number, name in enumerate(names)},
-        "without_decisions": with_interval(known & (values["near_onset"] == 0)),
         "uncertainty": errors.uncertainty(truth[known], *certain) if len(certain) > 1 else None,
     }
 

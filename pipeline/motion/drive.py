@@ -64,7 +64,6 @@ def measure_drive(
         measured = frames.time_s[valid], columns["speed_mps"][valid], road[valid]
         filtered_mps[valid], sigma[valid] = filter_speed(*measured, np.full(valid.sum(), LEAST_NOISE))
 
-        file.attrs["slope"] = odometry.road.slope
         file.put("frame", frames.frame)
         file.put("time_s", frames.time_s, "s")
         file.put("valid", valid.astype(np.uint8))

@@ -53,20 +53,23 @@ class Group:
 
         Of one column, or the mean of all that are not 0 everywhere; without `onsets` of the frames away from them.
         """
-        columns = slice(None) if column is None else [[*self.labels].index(column)]
-        truth, error = self.truth[:, columns], self._error(name)[:, columns]
-        if minus is not None:
-            error = error - self._error(minus)[:, columns]
-        if not onsets:
-            error = np.where(self.near_onset[:, columns], np.nan, error)
-        zero = np.where(np.isnan(error), 0.0, truth**2).sum(axis=0)
+        columns = self._columns(column)
+        truth = (self.truth if onsets else np.where(self.near_onset, np.nan, self.truth))[:, columns]
+        error, *other = ((self.predicted[of][..., columns] - truth) ** 2 for of in (name, minus) if of is not None)
+        mean, zero = error.mean(axis=0) - sum(values.mean(axis=0) for values in other), np.nansum(truth**2, axis=0)
         known = zero > 0
-        value = float((np.nansum(error, axis=0)[known] / zero[known]).mean()) if known.any() else None
-        return value, errors.interval(error, truth, self.drive, self.settings)
+        value = float((np.nansum(mean, axis=0)[known] / zero[known]).mean()) if known.any() else None
+        return value, errors.interval(error, truth, self.drive, self.settings, *other)
 
-    def _error(self, name: str) -> np.ndarray:
-        """Return squared errors [N,R], means over the seeds; NaN where they do not count."""
-        return np.asarray(((self.predicted[name] - self.truth) ** 2).mean(axis=0))
+    def verdict(self, bounds: list[float] | None, name: str, minus: str, column: str | None = None) -> str:
+        """Return the :func:`errors.verdict` for the interval of a paired difference."""
+        seeds = min(len(self.predicted[of]) for of in (name, minus) if of not in BASELINES)
+        part = errors.parts(self.drive, self.settings.bootstrap_block_frames)
+        counted = np.isfinite(self.truth[:, self._columns(column)]).any(axis=1)
+        return errors.verdict(bounds, seeds, len(np.unique(part[counted])))
+
+    def _columns(self, column: str | None) -> list[int]:
+        return [*range(len(self.labels))] if column is None else [[*self.labels].index(column)]
 
     def scores(self, name: str, column: str) -> dict[str, Any]:
         """Return the :func:`errors.scores` of a model or baseline, and the nmse of each seed as `by_seed`."""
@@ -78,8 +81,13 @@ class Group:
 
     @cached_property
     def by_error(self) -> list[Row]:
-        """The models by nmse, the best first."""
-        return sorted(self.models, key=lambda row: self._rank(row["model"]))
+        """The models by validation error, the least first; by test error if a model has no validation error."""
+        return sorted(self.models, key=validation_nmse if self.validated else lambda row: self._rank(row["model"]))
+
+    @property
+    def validated(self) -> bool:
+        """Whether all models have a validation error."""
+        return bool(np.isfinite([*map(validation_nmse, self.models)]).all())
 
     @property
     def best_baseline(self) -> str:
@@ -95,9 +103,15 @@ class Group:
         return self.predictions[self.predictions["model"] == model]
 
     def worst_drives(self) -> list[str]:
-        """Return the SHOWN_DRIVES test drives on which the best model has most squared error, in the CSV's order."""
+        """Return the SHOWN_DRIVES test drives on which the first model has most squared error, in the CSV's order."""
         cost = self.first_seed(self.by_error[0]["model"]).groupby("drive", sort=False)["cost"].sum()
         return [drive for drive in cost.index if drive in cost.nlargest(SHOWN_DRIVES).index]
+
+
+def validation_nmse(row: Row) -> float:
+    """Return a model's nmse on the validation drives, mean over its columns; inf if it is unknown."""
+    known = [scores["nmse"] for scores in (row["val"] or {}).values() if scores["nmse"] is not None]
+    return float(np.mean(known)) if known else np.inf
 
 
 def load_groups(folders: Mapping[str, Path], settings: Evaluate) -> list[Group]:

@@ -18,9 +18,10 @@ NONE = "–"  # cell without a value
 _WIDTH = 110  # characters per line of a note
 _RESULTS = (
     "nmse = MSE / MSE of always predicting zero: 0 is perfect, 1 is useless; ± one standard deviation between seeds; "
-    "in parentheses the 95 % interval for other roads (block bootstrap), given these networks. no onsets: without the "
-    "frames around the onset of a turn. drift: of a path of measured speed and predicted angles in m per 100 m (Figure "
-    "5 of the paper), on all frames that the model predicts. edges: directed kNN edges per frame after pruning. "
+    "in parentheses the 95 % interval for other roads and seeds (bootstrap; of one seed, for other roads and these "
+    "networks). no onsets: without the frames around the onset of a turn. drift: of a path of measured speed and "
+    "predicted angles in m per 100 m (Figure 5 of the paper), on all frames that the model predicts. edges: directed "
+    "kNN edges per frame after pruning. "
     "Baselines: zero and train_mean are constants; persistence repeats the last true angle, which no model gets; "
     "odometry repeats the present measured motion; regression multiplies it by its coefficient on the training drives."
 )
@@ -35,9 +36,10 @@ _UNCERTAINTY = (
     "errors. certain half: mean error of the frames with the smaller σ over that of all frames that the model predicts."
 )
 _DIFFERENCES = (
-    "Paired difference in nmse on the frames of the results, mean over the seeds, with its 95 % interval: below 0, the "
-    "first is better. The best model against the best baseline without learning and the other models; and models that "
-    "differ in one setting."
+    "Paired difference in nmse on the frames of the results, mean over the seeds, with its 95 % interval: the first is "
+    "better below 0, worse above 0. With one seed, the interval is of these networks only; fewer than ten drives are "
+    "too few to compare methods. The model with the least validation error (without validation: test error) against "
+    "the best baseline without learning and the other models; and models that differ in one setting."
 )
 _DEPTH = (
     "Each depth as abs rel, RMSE in metres, δ1, from 1 to 80 m: means over frames. Only pixels with a predicted depth "
@@ -84,20 +86,21 @@ def number(value: Any, form: str = "") -> str:
 
 
 def sentences(groups: Sequence[Group], absent: Sequence[str] = ()) -> list[str]:
-    """Return at most two sentences: the best model of the first group against the best baseline without learning, and
+    """Return at most two texts: the first model of the first group against the best baseline without learning, and
     the models that have no result here."""
     texts = []
     if groups:
         group, best = groups[0], groups[0].by_error[0]
         name, baseline = best["model"], group.best_baseline
         (nmse, interval), (difference, bounds) = group.nmse(name), group.nmse(name, minus=baseline)
-        low, high = bounds or (-np.inf, np.inf)
-        verdict = "shown to be better" if high < 0 else "shown to be worse" if low > 0 else "not shown to be better"
+        verdict = group.verdict(bounds, name, baseline)
+        choice = "validation error" if group.validated else "test error (there is no validation)"
         if difference is not None:  # there is a bend in the test drives
             texts.append(
-                f"{name} predicts the {group.title} with a test nmse of {nmse:.3f} ({interval_text(interval)}), "
-                f"{verdict} than {baseline}, the best baseline without learning ({group.nmse(baseline)[0]:.3f}): "
-                f"paired difference {difference:+.3f} ({interval_text(bounds, '+.3f')})."
+                f"{name}, of least {choice}, predicts the {group.title} with a test nmse of {nmse:.3f} "
+                f"({interval_text(interval)}); {baseline}, the best baseline without learning, with "
+                f"{group.nmse(baseline)[0]:.3f}. Paired difference: {difference:+.3f} "
+                f"({interval_text(bounds, '+.3f')}), {verdict}."
             )
     if absent:
         texts.append(
@@ -167,7 +170,8 @@ def _differences(group: Group) -> list[dict[str, str]]:
         cells = {"models": f"{first} − {second}{setting}"}
         for column, label in group.labels.items():
             nmse, bounds = group.nmse(first, minus=second, column=column)
-            cells[label or "nmse"] = f"{nmse:+.3f} ({interval_text(bounds, '+.3f')})" if nmse is not None else NONE
+            text = f"({interval_text(bounds, '+.3f')}) {group.verdict(bounds, first, second, column)}"
+            cells[label or "nmse"] = NONE if nmse is None else f"{nmse:+.3f} {text}"
         rows.append(cells)
     return rows
 

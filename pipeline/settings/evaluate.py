@@ -4,11 +4,10 @@ from typing import Annotated
 
 from pydantic import Field
 
-from pipeline.base.params import Count, Positive, Section, Seed
+from pipeline.base.params import Count, Section, Seed
 
 
 class Evaluate(Section):
     bootstrap_samples: Annotated[int, Field(ge=1, le=100_000)]
     bootstrap_block_frames: Count
-    curvature_bins_1pm: list[Positive] = Field(min_length=1, description="edges between the bins of |curvature|")
     seed: Seed

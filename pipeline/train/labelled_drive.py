@@ -61,7 +61,6 @@ class LabelledDrive(Timeline):
     ahead_m: tuple[float, ...]  # R+1 edges of the ranges of the path ahead; none with predict: angle
     target: np.ndarray  # float64, NaN without a label
     valid: np.ndarray  # bool; False without a label
-    curvature_1pm: np.ndarray  # float64, of the road at the target; NaN without a label
     speed_mps: np.ndarray  # float64 [G], at the frame itself
     persistence: np.ndarray | None  # last valid label before the target and not after the frame; None for a path
     # Measured value, which a later unmeasured frame repeats; NaN before the first. None without motion in the file,
@@ -152,7 +151,7 @@ def _path(labels: store.DriveReader, here: np.ndarray) -> dict[str, Any]:
         fix = "Set labels.ahead_m and make the labels again: dvc repro labels"
         raise InputError("no path ahead (ahead_1pm), which predict: path needs", labels.path, fix)
     path_1pm = np.where(labels["ahead_valid"].astype(bool), labels["ahead_1pm"], np.nan)[here]
-    fields = {"target": path_1pm, "valid": np.isfinite(path_1pm), "curvature_1pm": path_1pm, "persistence": None}
+    fields = {"target": path_1pm, "valid": np.isfinite(path_1pm), "persistence": None}
     return fields | {"ahead_m": tuple(labels.params["labels"]["ahead_m"])}
 
 
@@ -168,7 +167,6 @@ def _angle(labels: store.DriveReader, here: np.ndarray, then: np.ndarray, includ
     columns = {
         "target": np.where(known, steering_rad[then], np.nan),
         "valid": known & valid[then],
-        "curvature_1pm": np.where(known, labels["curvature_1pm"][then], np.nan),
         "persistence": np.where(last >= 0, steering_rad[here][last], 0.0),
     }
     return {name: values[:, None] for name, values in columns.items()} | {"ahead_m": ()}

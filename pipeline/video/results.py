@@ -183,7 +183,7 @@ class Results:
         held_rad = pd.Series(measured_rad).ffill().fillna(0.0).to_numpy()
         angles = {column: self.table[f"{column}_rad"], "measured": held_rad, "zero": np.zeros(len(frame))}
         block = max(1, round(BLOCK_S / float(np.median(np.diff(time_s))))) if len(time_s) > 1 else 1
-        settings = Evaluate(bootstrap_samples=2000, bootstrap_block_frames=block, curvature_bins_1pm=[1.0], seed=0)
+        settings = Evaluate(bootstrap_samples=2000, bootstrap_block_frames=block, seed=0)
         target_rad[~used] = np.nan
         scores = {name: _errors(target_rad, angle, settings) for name, angle in angles.items()}
         return {"truth": self.truth.name, "frames": int(used.sum()), "horizon": horizon, **scores}
@@ -194,7 +194,8 @@ def _errors(target_rad: np.ndarray, angle_rad: np.ndarray, settings: Evaluate) -
 
     Frames without a target do not count.
     """
-    bounds = errors.interval((angle_rad - target_rad) ** 2, target_rad, np.zeros(len(target_rad), int), settings)
+    error = (angle_rad - target_rad)[None] ** 2
+    bounds = errors.interval(error, target_rad, np.zeros(len(target_rad), int), settings)
     known = np.isfinite(target_rad)
     target_rad, angle_rad = target_rad[known], angle_rad[known]
     scores = errors.scores(target_rad, angle_rad)

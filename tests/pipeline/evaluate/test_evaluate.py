@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks import coverage
 from pipeline.base.params import load
 from pipeline.evaluate import errors, metrics, turns
 from pipeline.evaluate.turns import Track, drift, segments
@@ -58,33 +59,18 @@ def test_invalid_and_early_frames_do_not_count(folder):
     assert found["nmse_ci95"][0] <= found["nmse"] <= found["nmse_ci95"][1]
     assert found["baselines"]["train_mean"] == found["baselines"]["zero"]
     assert found["nmse_std"] is None
-    assert [row["from_1pm"] for row in found["by_curvature"]] == [0.0, 0.005, 0.03]
-    for row in found["by_curvature"]:
-        inside = [d.valid & (np.abs(d.curvature_1pm) >= row["from_1pm"]) for d in test]
-        inside = [m & (np.abs(d.curvature_1pm) < (row["to_1pm"] or 9)) for m, d in zip(inside, test, strict=True)]
-        angles = np.concatenate([d.target[3:][m[3:]] for m, d in zip(inside, test, strict=True)])
-        assert row["frames"] == len(angles) > 0
-        assert row["baselines"]["zero"]["mse"] == pytest.approx(np.mean(angles**2))
-        counts = np.concatenate([m & (np.arange(30) >= 3)[:, None] for m in inside])[:, 0]  # others keep their place
-        truth, number = np.concatenate([drive.target[:, 0] for drive in test]), np.repeat([0, 1], 30)
-        error = np.where(counts, 0.01**2, np.nan)
-        assert row["nmse_ci95"] == pytest.approx(errors.interval(error, truth, number, blocks))
 
 
-def test_each_drive_has_its_own_errors_and_training_mean(folder):
-    first, second = read(folder, horizon=2)
-    cases = [
-        case(first, first.target + 0.01, first.target + 0.03),
-        case(second, second.target, second.target, mean=0.05),
-    ]
-    found = scores(cases)["by_drive"]
-    assert list(found) == NAMES
-    assert found[NAMES[0]]["frames"] == 28  # the last two have no label 2 frames ahead
-    assert found[NAMES[0]]["mse"] == pytest.approx((0.01**2 + 0.03**2) / 2)
-    assert found[NAMES[1]]["nmse"] == 0
-    truth, baselines = second.target[:28], found[NAMES[1]]["baselines"]
-    assert baselines["train_mean"]["mse"] == pytest.approx(np.mean((truth - 0.05) ** 2))
-    assert baselines["persistence"]["mse"] == pytest.approx(np.mean((truth - second.persistence[:28]) ** 2))
+def test_seeds_are_averaged_and_each_drive_has_its_own_training_mean(folder):
+    first, second = read(folder, horizon=2)  # the last two frames have no label 2 frames ahead
+    found = scores(
+        [case(first, first.target + 0.01, first.target + 0.03), case(second, *[second.target] * 2, mean=0.05)]
+    )
+    assert found["mse"] == pytest.approx((0.01**2 + 0.03**2) / 2 / 2)
+    truth = np.stack([drive.target[:28] for drive in (first, second)])
+    held = np.stack([drive.persistence[:28] for drive in (first, second)])
+    for name, constant in {"train_mean": np.array([0, 0.05])[:, None, None], "persistence": held}.items():
+        assert found["baselines"][name]["mse"] == pytest.approx(np.mean((truth - constant) ** 2))
 
 
 @pytest.mark.parametrize("source", ["oxts", "visual"])
@@ -124,50 +110,73 @@ def test_scores_by_hand():
 
 
 def settings(block: int, samples: int) -> Evaluate:
-    return Evaluate(bootstrap_block_frames=block, bootstrap_samples=samples, curvature_bins_1pm=[0.1], seed=0)
+    return Evaluate(bootstrap_block_frames=block, bootstrap_samples=samples, seed=0)
 
 
-def interval(steering: np.ndarray, error: np.ndarray, drive: np.ndarray, block: int, samples: int) -> list[float]:
+def interval(
+    steering: np.ndarray,
+    error: np.ndarray,
+    drive: np.ndarray,
+    block: int,
+    samples: int,
+    other: np.ndarray | None = None,
+) -> list[float] | None:
     """Return the interval for errors [N] or [S,N] in rad."""
-    return errors.interval(np.atleast_2d(error**2).mean(axis=0), steering, drive, settings(block, samples))
+    squared = [np.atleast_2d(values) ** 2 for values in (error, other) if values is not None]
+    return errors.interval(squared[0], steering, drive, settings(block, samples), *squared[1:])
 
 
-def test_interval_has_its_coverage():
-    """Errors are correlated over 10 frames; the interval contains the true ratio in most repetitions."""
-    hits = 0
-    for seed in range(30):
-        rng = np.random.default_rng(seed)
-        noise = np.convolve(rng.normal(size=620), np.ones(10) / np.sqrt(10), "valid")[:600]
-        steering = np.convolve(rng.normal(size=620), np.ones(10) / np.sqrt(10), "valid")[:600]
-        low, high = interval(steering, 0.5 * noise, np.zeros(600), 50, 400)
-        hits += low <= 0.25 <= high
-    assert 24 <= hits <= 30
+def test_intervals_of_paired_differences_have_their_coverage(monkeypatch):
+    """Errors and factors of drives, seeds and both are as in the benchmark, the drives of white noise."""
+    monkeypatch.setattr(coverage, "DRAWS", 60)
+    moved = [*np.random.default_rng(0).normal(size=(200, 2, 30))]
+    for joined in (False, True):
+        assert 0.85 <= coverage.coverage(coverage.predict(moved), 20, 5, settings(30, 300), joined) <= 1
 
 
-def test_interval_draws_drives_and_circular_blocks_within_them():
+def test_drives_of_two_or_more_blocks_are_cut_into_equal_parts():
+    part = errors.parts(np.repeat([4, 7, 2, 3], [5, 9, 10, 27]), 5)
+    assert np.bincount(part).tolist() == [5, 9, 5, 5, 6, 5, 6, 5, 5]
+    assert (np.diff(part) >= 0).all()
+
+
+def test_interval_draws_parts_and_widens_their_deviation():
     steering = np.concatenate([np.full(20, 0.1), np.full(20, 0.3)])
     error = np.concatenate([np.full(20, 0.1), np.zeros(20)])
-    drive = np.repeat([0, 1], 20)
-    low, high = interval(steering, error, drive, block=20, samples=500)
-    # Two drives are drawn, each complete: error ratios 1, 0.1 (one of each) and 0.
-    assert (low, high) == (0.0, pytest.approx(1.0))
-    assert interval(steering, error, drive, block=500, samples=500) == [low, high]
-    # All of the error is in the last row: blocks that do not wrap around would rarely contain it.
-    steering, drive = np.full(60, 0.1), np.zeros(60)
-    error = np.zeros(60)
-    error[-1] = 0.1
-    low, high = interval(steering, error, drive, block=20, samples=2000)
-    assert (low, high) == (0.0, pytest.approx(3 / 60))
+    # Two drives are drawn, each complete: error ratios 1, 0.1 (one of each) and 0. No nmse is below 0.
+    bounds = [0, pytest.approx(0.1 + np.sqrt(2) * 0.9)]
+    assert interval(steering, error, np.repeat([0, 1], 20), block=20, samples=500) == bounds
+    assert interval(steering, error, np.zeros(40), block=20, samples=500) == bounds
+    # A difference may be below 0.
+    low, high = interval(steering, 0 * error, np.zeros(40), block=20, samples=500, other=error)
+    assert (low, high) == pytest.approx((-0.1 - np.sqrt(2) * 0.9, -0.1 + np.sqrt(2) * 0.1))
+
+
+def test_seeds_of_each_model_are_drawn_independently_of_the_other_model():
+    """All roads are equal, so that the interval is that of the mean over seeds, with the deviation for n - 1."""
+    steering, drive, squared = (
+        np.full(60, 0.1),
+        np.repeat(range(20), 3),
+        np.array([4, 5, 6, 7, 9, 10, 12, 13, 15, 19.0]),
+    )
+    error = 0.1 * np.sqrt(squared)[:, None] * np.ones(60)
+    sigma = np.std(squared, ddof=1) / np.sqrt(10)
+    low, high = interval(steering, error, drive, 50, 20_000)
+    assert (low, high) == pytest.approx((10 - 1.96 * sigma, 10 + 1.96 * sigma), rel=0.05)
+    low, high = interval(steering, error, drive, 50, 20_000, other=error)
+    assert (low, high) == pytest.approx((-1.96 * sigma * np.sqrt(2), 1.96 * sigma * np.sqrt(2)), rel=0.05)
+    assert interval(steering, error[:1], drive, 50, 500) == pytest.approx([4, 4])
 
 
 def test_frames_that_do_not_count_keep_their_place_in_time():
-    """One frame in 20 counts, so that each of 40 blocks of 20 draws one; two blocks of counted frames draw 20 each."""
+    """One frame in 20 counts, two in each of 20 parts; 40 frames alone would be one part."""
     steering, error = np.full(800, 0.1), np.full(800, np.nan)
-    error[::20] = 0
-    error[0] = 0.1
-    assert interval(steering, error, np.zeros(800), block=20, samples=2000) == pytest.approx([0, 3 / 40])
+    error[::20] = 0.1
+    assert interval(steering, error, np.zeros(800), block=40, samples=200) == pytest.approx([1, 1])
     rows = np.isfinite(error)
-    assert interval(steering[rows], error[rows], np.zeros(40), block=20, samples=2000) == pytest.approx([0, 2 / 40])
+    assert interval(steering[rows], error[rows], np.zeros(40), block=40, samples=200) is None
+    assert interval(steering[:60], error[:60], np.repeat([0, 1, 2], [10, 10, 40]), block=40, samples=9) is not None
+    assert interval(0 * steering, error, np.zeros(800), block=40, samples=9) is None
 
 
 def test_the_difference_of_two_models_has_a_narrower_interval():
@@ -175,23 +184,28 @@ def test_the_difference_of_two_models_has_a_narrower_interval():
     steering, drive = np.sin(np.arange(600) / 30), np.repeat([0, 1], 300)
     hard = np.repeat(rng.uniform(0, 1, 12), 50)  # both err on the same roads
     one, other = (hard * rng.normal(size=(2, 600)) * size for size in (0.5, 0.55))
-    difference = (one**2 - other**2).mean(axis=0)
-    low, high = errors.interval(difference, steering, drive, settings(50, 500))
-    alone = interval(steering, one, drive, 50, 500)
+    low, high = interval(steering, one[:1], drive, 50, 500, other=other[:1])
+    alone = interval(steering, one[:1], drive, 50, 500)
     assert high - low < 0.5 * (alone[1] - alone[0])
-    assert errors.interval(0 * difference, steering, drive, settings(50, 500)) == [0.0, 0.0]
-    columns = np.stack([difference] * 3, axis=1), np.stack([steering] * 3, axis=1)  # drawn together
-    assert errors.interval(*columns, drive, settings(50, 500)) == pytest.approx([low, high])
+    assert interval(steering, one[:1], drive, 50, 500, other=one[:1]) == [0.0, 0.0]
+    columns = (np.stack([values] * 3, axis=-1) for values in (one[:1] ** 2, steering))  # drawn together
+    paired = errors.interval(*columns, drive, settings(50, 500), np.stack([other[:1] ** 2] * 3, axis=-1))
+    assert paired == pytest.approx([low, high])
 
 
-def test_a_single_block_has_no_interval():
-    steering, drive = np.linspace(0.1, 0.2, 51), np.zeros(51)
-    error = np.linspace(0, 0.1, 51)
-    assert interval(steering[:50], error[:50], drive[:50], block=50, samples=50) is None
-    low, high = interval(steering, error, drive, block=50, samples=50)
-    assert low < high
-    low, high = interval(steering[:50], error[:50], np.repeat([0, 1], 25), block=50, samples=50)
-    assert low < high
+@pytest.mark.parametrize(
+    ("bounds", "seeds", "drives", "verdict"),
+    [
+        ([-0.2, -0.1], 2, 10, "better"),
+        ([0.1, 0.2], 5, 20, "worse"),
+        ([-0.1, 0.2], 5, 20, "no difference shown"),
+        ([-0.2, -0.1], 1, 20, "these networks only"),
+        ([-0.2, -0.1], 5, 9, "too few drives"),
+        (None, 5, 1, "too few drives"),
+    ],
+)
+def test_methods_are_compared_with_two_seeds_and_ten_drives(bounds, seeds, drives, verdict):
+    assert errors.verdict(bounds, seeds, drives) == verdict
 
 
 def test_scores_of_normal_errors_with_known_sigma():

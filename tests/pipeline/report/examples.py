@@ -10,7 +10,7 @@ from pipeline.base import store
 from pipeline.report.results import Group, load_groups
 from pipeline.settings.evaluate import Evaluate
 
-SETTINGS = Evaluate(bootstrap_samples=50, bootstrap_block_frames=5, curvature_bins_1pm=[0.06], seed=0)
+SETTINGS = Evaluate(bootstrap_samples=50, bootstrap_block_frames=5, seed=0)
 DRIVES = ("2026_01_03_drive_0002", "2026_01_03_drive_0003")
 ENTRY = {
     "input": "semantic", "spatial": "gnn", "temporal": "ncp", "cell": "ltc", "window": 8, "equivariant": False,
@@ -33,8 +33,8 @@ def metrics(
     if not entry.get("horizon") and columns is ANGLE:
         test["drift_m_per_100m"] = 3.0
     return {
-        "model": model, "entry": ENTRY | entry, "seeds": [0], "parameters": 9259, "wheelbase_m": 2.71,
-        "labels": "oxts", "variant": {"k": 6, "keep_inter_class": 0.2},
+        "model": model, "entry": ENTRY | entry, "seeds": [0], "parameters": 9259,
+        "variant": {"k": 6, "keep_inter_class": 0.2},
         "points_per_frame": 1000.0, "edges_per_frame": 5160.0, "edges_per_frame_unpruned": 6000.0,
         "columns": columns, "val": None, "train": {column: {"nmse": 0.1, "mse": 0.001} for column in columns},
         "test": dict.fromkeys(columns, test),

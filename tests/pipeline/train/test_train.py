@@ -85,7 +85,6 @@ def test_target_is_the_label_horizon_frames_ahead_by_frame_number(folder):
         known = int(number) in ahead
         assert drive.valid[row, 0] == (known and bool(valid[ahead[int(number)]]))
         assert drive.target[row, 0] == pytest.approx(steering[ahead[int(number)]] if known else np.nan, nan_ok=True)
-        assert np.isnan(drive.curvature_1pm[row, 0]) != known
     batch = read_batch([drive], windows.Span(0, 0, 10), window=4)  # windows end at frames 3 to 9
     assert batch["target"][:, 0] == pytest.approx([0.08, 0.09, 0.0, 0.10, 0.11, 0.12, 0.13])  # no NaN, but not valid
     assert batch["valid"][:, 0].tolist() == [True, True, False, True, True, True, True]

@@ -39,67 +39,59 @@ def interval(
 ) -> list[float] | None:
     """Return the 95 % interval of Σ error / Σ truth² over other roads and seeds, from a bootstrap.
 
-    With `other`, of the paired difference of two models: it is narrower if both have their errors on the same roads.
-
-    :func:`parts` of drives are drawn with replacement, the same for both models, and independently the seeds of each
-    model. n values have a variance that is (n - 1) / n of that of their population, so deviations from the mean are
-    multiplied by √(n / (n - 1)), for seeds as for parts. With one seed, the interval is of these networks.
-
-    None with a single part, whose draws would all be equal, and if every true value is 0.
+    The :func:`parts` of drives are drawn with replacement, and independently the seeds of each model. n values have a
+    variance that is too small by (n - 1) / n, so deviations from the mean are multiplied by √(n / (n - 1)), for seeds
+    as for parts. With one seed the interval is of these networks. None with one part, and if every true value is 0.
 
     Args:
         error: squared errors [S,N] of S seeds, for all frames in time order, NaN for those that do not count; [S,N,R]
             for the interval of the mean over R columns.
         truth: [N] or [N,R], true values.
         drive: [N], the number of each frame's drive.
-        other: squared errors of the second model, whose number of seeds may differ.
+        other: squared errors of a second model, for the interval of the paired difference: it is narrower if both have
+            their errors on the same roads.
     """
     models = [truth[None] ** 2, error] if other is None else [truth[None] ** 2, error, other]
     models = [values.reshape(*values.shape[:2], -1) for values in models]  # [S,N,R]
     counted = np.all([np.isfinite(values).all(axis=0) for values in models], axis=0)  # [N,R]
     rows = counted.any(axis=1)
-    part = parts(drive, settings.bootstrap_block_frames)[rows]
-    first = np.flatnonzero(np.diff(part, prepend=-1))  # [D] first row of each part
+    _, first = np.unique(parts(drive, settings.bootstrap_block_frames)[rows], return_index=True)
     if len(first) < 2:
         return None
     models = [np.add.reduceat(np.where(counted, values, 0.0)[:, rows], first, axis=1) for values in models]  # [S,D,R]
-    zero, *sums = (values[..., models[0].any(axis=(0, 1))] for values in models)
+    (zero,), *sums = (values[..., models[0].any(axis=(0, 1))] for values in models)
     if not zero.size:
         return None
-    rng = np.random.default_rng(settings.seed)
-    weights = _draws(rng, len(first), settings.bootstrap_samples)  # [B,D]
-    drawn, mean = np.zeros((2, len(weights), zero.shape[2]))  # [B,R]
+    rng, samples = np.random.default_rng(settings.seed), settings.bootstrap_samples
+    drives = _draw(rng, len(zero), samples)
+    drawn, mean = np.zeros((samples, zero.shape[1])), 0.0
     for sign, values in zip((1, -1), sums, strict=False):
-        seeds = 1 + _widening(len(values)) * (_draws(rng, len(values), len(weights)) - 1)
-        drawn += sign * np.einsum("bs,bsr->br", seeds, np.einsum("bd,sdr->bsr", weights, values)) / len(values)
-        mean += sign * values.mean(axis=0).sum(axis=0)
-    zeros = np.einsum("bd,dr->br", weights, zero[0])
-    value = (mean[0] / zero[0].sum(axis=0)).mean()
+        seeds = 1 + _widening(len(values)) * (_draw(rng, len(values), samples) - 1)
+        drawn += sign * np.einsum("bs,bsr->br", seeds, np.einsum("bd,sdr->bsr", drives, values)) / len(values)
+        mean += sign * (values.mean(axis=0).sum(axis=0) / zero.sum(axis=0)).mean()
+    zeros = np.einsum("bd,dr->br", drives, zero)
     drawn = np.divide(drawn, zeros, out=np.full_like(drawn, np.nan), where=zeros > 0).mean(axis=1)
-    bounds = value + _widening(len(first)) * (np.nanpercentile(drawn, [2.5, 97.5]) - value)
-    return [float(bound) for bound in (bounds if other is not None else bounds.clip(min=0.0))]
+    bounds = mean + _widening(len(zero)) * (np.nanpercentile(drawn, [2.5, 97.5]) - mean)
+    return [float(bound) for bound in (bounds.clip(min=0.0) if other is None else bounds)]
 
 
-def parts(drive: np.ndarray, block_frames: int) -> np.ndarray:
-    """Return the number of the part [N] to which each frame belongs, for the numbers [N] of the frames' drives.
-
-    A drive of two or more blocks is cut into equal parts of at least one block, which count as drives: errors that far
-    apart are hardly correlated. A shorter drive is one part.
-    """
-    first = np.flatnonzero(np.diff(drive, prepend=-1))
-    rows = np.diff(first, append=len(drive))
-    count = np.maximum(rows // block_frames, 1)
-    row = np.arange(len(drive)) - np.repeat(first, rows)
-    return np.repeat(np.cumsum(count) - count, rows) + row * np.repeat(count, rows) // np.repeat(rows, rows)
-
-
-def _draws(rng: np.random.Generator, count: int, samples: int) -> np.ndarray:
-    """Return how often each of `count` values is drawn [samples, count], in as many draws with replacement."""
+def _draw(rng: np.random.Generator, count: int, samples: int) -> np.ndarray:
+    """Return how often each of `count` values is drawn [samples, count]."""
     return rng.multinomial(count, np.full(count, 1 / count), samples).astype(float)
 
 
 def _widening(count: int) -> float:
     return math.sqrt(count / max(count - 1, 1))
+
+
+def parts(drive: np.ndarray, block_frames: int) -> np.ndarray:
+    """Return the number [N] of the part of each frame, for the numbers [N] of the frames' drives.
+
+    A drive of two or more blocks is cut into equal parts of at least one block, which count as drives.
+    """
+    drives = np.split(drive, np.flatnonzero(np.diff(drive)) + 1)
+    lengths = [len(part) for rows in drives for part in np.array_split(rows, max(len(rows) // block_frames, 1))]
+    return np.repeat(np.arange(len(lengths)), lengths)
 
 
 def verdict(bounds: Sequence[float] | None, seeds: int, drives: int) -> str:

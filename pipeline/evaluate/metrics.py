@@ -61,43 +61,34 @@ class Case:
 
 
 def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, Any]]:
-    """Return column → errors, confidence interval and baselines, of frames with a valid target and a prediction."""
-    baselines = [case.baselines() for case in cases]
-    common = [name for name in baselines[0] if all(name in others for others in baselines)]
-    parts = [_values(case) | {name: of[name] for name in common} for case, of in zip(cases, baselines, strict=True)]
+    """Return column → errors with confidence interval, of frames with a valid target and a prediction."""
+    parts = [_values(case) for case in cases]
     values = {name: np.concatenate([part[name] for part in parts], axis=-2) for name in parts[0]}  # [...,N,R]
     drive = np.repeat(np.arange(len(cases)), [len(case.drive.frame) for case in cases])
     result = {}
     for number, column in enumerate(cases[0].drive.columns):
-        of_column = {name: array[..., number] for name, array in values.items()}
-        result[column] = _scores(of_column, drive, common, settings)
+        result[column] = _scores({name: array[..., number] for name, array in values.items()}, drive, settings)
         result[column]["drift_m_per_100m"] = _drift(cases)
     return result
 
 
 def _values(case: Case) -> dict[str, np.ndarray]:
-    """Return arrays [G,R]; predictions, σ and halves of 95 % intervals of the seeds [S,G,R]."""
-    mean, sigma, half_95 = zip(*case.predictions, strict=True)
-    values = {"truth": case.drive.truth, "predicted": np.stack(mean)}
-    if sigma[0] is not None:
-        values |= {"sigma": np.stack(sigma), "half_95": np.stack(half_95)}
-    return values
+    """Return the truth [G,R]; predictions, σ and halves of 95 % intervals of the seeds [S,G,R]."""
+    names, of_seeds = ("predicted", "sigma", "half_95"), zip(*case.predictions, strict=True)
+    known = {name: np.stack(seeds) for name, seeds in zip(names, of_seeds, strict=True) if seeds[0] is not None}
+    return {"truth": case.drive.truth} | known
 
 
-def _scores(
-    values: dict[str, np.ndarray], drive: np.ndarray, baselines: Sequence[str], settings: Evaluate
-) -> dict[str, Any]:
+def _scores(values: dict[str, np.ndarray], drive: np.ndarray, settings: Evaluate) -> dict[str, Any]:
     """Return the metrics of a column: `values` [N] or [S,N] of all frames, and the numbers of their drives."""
-    truth, predicted = values["truth"], values["predicted"]
-    error = (predicted - truth) ** 2
+    error = (values["predicted"] - values["truth"]) ** 2
     known = np.isfinite(error).all(axis=0)
-    by_seed = [errors.scores(truth[known], one_seed[known])["nmse"] for one_seed in predicted]
-    certain = [values[name][:, known] for name in ("predicted", "sigma", "half_95") if name in values]
-    return errors.scores(truth[known], predicted[:, known]) | {
-        "baselines": {name: errors.scores(truth[known], values[name][known]) for name in baselines},
-        "nmse_ci95": errors.interval(error, truth, drive, settings),
+    truth, predicted, *certain = (array[..., known] for array in values.values())
+    by_seed = [errors.scores(truth, one_seed)["nmse"] for one_seed in predicted]
+    return errors.scores(truth, predicted) | {
+        "nmse_ci95": errors.interval(error, values["truth"], drive, settings),
         "nmse_std": float(np.std(by_seed, ddof=1)) if len(by_seed) > 1 and None not in by_seed else None,
-        "uncertainty": errors.uncertainty(truth[known], *certain) if len(certain) > 1 else None,
+        "uncertainty": errors.uncertainty(truth, predicted, *certain) if certain else None,
     }
 
 

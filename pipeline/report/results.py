@@ -55,7 +55,7 @@ class Group:
         """
         columns = self._columns(column)
         truth = (self.truth if onsets else np.where(self.near_onset, np.nan, self.truth))[:, columns]
-        error, *other = ((self.predicted[of][..., columns] - truth) ** 2 for of in (name, minus) if of is not None)
+        error, *other = ((self.predicted[of][..., columns] - truth) ** 2 for of in (name, minus) if of)
         mean, zero = error.mean(axis=0) - sum(values.mean(axis=0) for values in other), np.nansum(truth**2, axis=0)
         known = zero > 0
         value = float((np.nansum(mean, axis=0)[known] / zero[known]).mean()) if known.any() else None
@@ -87,7 +87,7 @@ class Group:
     @property
     def validated(self) -> bool:
         """Whether all models have a validation error."""
-        return bool(np.isfinite([*map(validation_nmse, self.models)]).all())
+        return max(map(validation_nmse, self.models)) < np.inf
 
     @property
     def best_baseline(self) -> str:

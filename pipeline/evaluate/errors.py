@@ -63,25 +63,17 @@ def interval(
     if not zero.size:
         return None
     rng, samples = np.random.default_rng(settings.seed), settings.bootstrap_samples
-    drives = _draw(rng, len(zero), samples)
-    drawn, mean = np.zeros((samples, zero.shape[1])), 0.0
+    count, drawn, mean = len(zero), np.zeros((samples, zero.shape[1])), 0.0
+    drives = rng.multinomial(count, np.full(count, 1 / count), samples)  # how often each is drawn
     for sign, values in zip((1, -1), sums, strict=False):
-        seeds = 1 + _widening(len(values)) * (_draw(rng, len(values), samples) - 1)
-        drawn += sign * np.einsum("bs,bsr->br", seeds, np.einsum("bd,sdr->bsr", drives, values)) / len(values)
+        n = len(values)
+        seeds = 1 + math.sqrt(n / max(n - 1, 1)) * (rng.multinomial(n, np.full(n, 1 / n), samples) - 1)
+        drawn += sign * np.einsum("bs,bsr->br", seeds, np.einsum("bd,sdr->bsr", drives, values)) / n
         mean += sign * (values.mean(axis=0).sum(axis=0) / zero.sum(axis=0)).mean()
     zeros = np.einsum("bd,dr->br", drives, zero)
     drawn = np.divide(drawn, zeros, out=np.full_like(drawn, np.nan), where=zeros > 0).mean(axis=1)
-    bounds = mean + _widening(len(zero)) * (np.nanpercentile(drawn, [2.5, 97.5]) - mean)
+    bounds = mean + math.sqrt(count / (count - 1)) * (np.nanpercentile(drawn, [2.5, 97.5]) - mean)
     return [float(bound) for bound in (bounds.clip(min=0.0) if other is None else bounds)]
-
-
-def _draw(rng: np.random.Generator, count: int, samples: int) -> np.ndarray:
-    """Return how often each of `count` values is drawn [samples, count]."""
-    return rng.multinomial(count, np.full(count, 1 / count), samples).astype(float)
-
-
-def _widening(count: int) -> float:
-    return math.sqrt(count / max(count - 1, 1))
 
 
 def parts(drive: np.ndarray, block_frames: int) -> np.ndarray:

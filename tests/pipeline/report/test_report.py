@@ -121,9 +121,7 @@ def test_all_rows_are_compared_on_common_frames_with_one_zero(tmp_path):
         {"short": 0.3, "long": 0.5, "zero": 1.0}
     )
     assert {group.scores(name, "steering_rad")["frames"] for name in group.predicted} == {2 * 22}
-    assert tables.sentences([group])[0].startswith(
-        "short, of least test error (there is no validation), predicts the steering"
-    )
+    assert tables.sentences([group])[0].startswith("short, of least test error (there is no validation), predicts")
     assert group.nmse("short", minus="long") == (pytest.approx(-0.2), pytest.approx([-0.2, -0.2]))
     assert group.nmse("odometry")[0] == pytest.approx(
         0.5 * (1 + (7**2 + 8**2) / sum(np.delete(np.arange(7, 30), 13) ** 2))
@@ -188,17 +186,16 @@ def test_perception_has_a_row_per_split_with_ground_truth():
     ],
 )
 @pytest.mark.parametrize("predict", ["angle", "path"])
-def test_the_model_of_least_validation_error_is_compared_with_the_best_baseline(
-    tmp_path, monkeypatch, nmse, baselines, verdict, predict
-):
+def test_the_best_validated_model_has_a_verdict(tmp_path, monkeypatch, nmse, baselines, verdict, predict):
     """Methods are compared with two seeds; the two drives have ten parts that count as drives."""
     models = metrics("other", 0.01, baselines, predict=predict), metrics("net", nmse, baselines, predict=predict)
     for model, columns in zip(models, ((0.4, 0.4), (0.5, 0.1)), strict=True):
         model["val"] = {name: {"nmse": value} for name, value in zip(model["columns"], columns[::-1], strict=False)}
     (text,) = tables.sentences(examples.groups(tmp_path, *models))
     title = {"angle": "steering angle", "path": "path ahead"}[predict]
-    start = f"net, of least validation error, predicts the {title} with a test nmse of {np.mean(nmse):.3f} ("
-    assert text.startswith(start)
+    assert text.startswith(
+        f"net, of least validation error, predicts the {title} with a test nmse of {np.mean(nmse):.3f}"
+    )
     assert text.endswith(", these networks only.")
     for model in models:
         model["seeds"] = [0, 1]

@@ -1,6 +1,6 @@
 """Shade surfaces: sun and shadow, surface patterns, haze, sky, exposure. One draw per drive."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,8 +14,7 @@ _STEPS = 4095
 _BLUE, _GREY = np.array([0.22, 0.42, 0.80]), np.array([0.60, 0.64, 0.70])
 
 
-@dataclass(frozen=True)
-class Light:
+class Light(NamedTuple):
     """One drive's light. Colours are linear RGB."""
 
     sun: np.ndarray  # [3] direction towards the sun

@@ -1,7 +1,6 @@
 """Move the ego along its route over time, and its body on its springs: its pose in every frame."""
 
-from dataclasses import dataclass
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,8 +22,7 @@ _SPRING_FRAMES = 5  # response of the body to a step of the acceleration
 _GRID_M = 0.25
 
 
-@dataclass(frozen=True)
-class Travel:
+class Travel(NamedTuple):
     """The ego's progress per frame: time_s, s_m (along the route), speed_mps, acceleration_mps2, all [F]."""
 
     time_s: np.ndarray
@@ -33,8 +31,7 @@ class Travel:
     acceleration_mps2: np.ndarray
 
 
-@dataclass(frozen=True)
-class Body:
+class Body(NamedTuple):
     """Per frame [F]: roll_rad (positive: left side up), pitch_rad (positive: front down), as in oxts; heave_m."""
 
     roll_rad: np.ndarray
@@ -42,8 +39,7 @@ class Body:
     heave_m: np.ndarray
 
 
-@dataclass(frozen=True)
-class Journey:
+class Journey(NamedTuple):
     """The IMU's `motion` along the route for F frames, and how it continues `after` them for FRAMES_AFTER frames."""
 
     route: Route
@@ -51,26 +47,17 @@ class Journey:
     after: Travel
     body: Body
 
-    @cached_property
-    def xy(self) -> np.ndarray:
-        """Positions [F,2]."""
-        return self.route.at(self.motion.s_m)[0]
-
-    @cached_property
-    def heading_rad(self) -> np.ndarray:
-        """Headings [F]."""
-        return self.route.at(self.motion.s_m)[1]
-
     def continued(self) -> "Journey":
         """Return the journey with the frames `after`, on which the body leans as in the last frame."""
-        values = zip(vars(self.motion).values(), vars(self.after).values(), strict=True)
-        body = Body(*(np.pad(lean, (0, len(self.after.s_m)), mode="edge") for lean in vars(self.body).values()))
-        return Journey(self.route, Travel(*map(np.concatenate, values)), self.after, body)
+        motion = Travel(*map(np.concatenate, zip(self.motion, self.after, strict=True)))
+        body = Body(*(np.pad(lean, (0, len(self.after.s_m)), mode="edge") for lean in self.body))
+        return Journey(self.route, motion, self.after, body)
 
     def pose(self, frame: int) -> np.ndarray:
         """Return T_world_imu [4,4]."""
-        R = rotation(self.body.roll_rad[frame], self.body.pitch_rad[frame], self.heading_rad[frame])
-        return rigid(R, [*self.xy[frame], IMU_HEIGHT_M + self.body.heave_m[frame]])
+        xy, heading_rad = self.route.at(self.motion.s_m[frame])
+        R = rotation(self.body.roll_rad[frame], self.body.pitch_rad[frame], float(heading_rad))
+        return rigid(R, [*xy, IMU_HEIGHT_M + self.body.heave_m[frame]])
 
 
 def draw_journey(rng: np.random.Generator, frames: int, character: Character, first: str) -> Journey:

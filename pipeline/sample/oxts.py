@@ -37,7 +37,8 @@ def oxts_rows(journey: Journey, latitude_deg: float, longitude_deg: float) -> np
     ax, ay, az = np.stack([R.T @ row for R, row in zip(tilts, level, strict=True)]).T
     roll_rate, pitch_rate, climb = (_rate(values, motion.time_s) for values in (roll, pitch, body.heave_m))
     roll_rate, pitch_rate = (_late(rate, motion.time_s) for rate in (roll_rate, pitch_rate))
-    (east_m, north_m), heading_rad = (journey.xy - journey.xy[0]).T, journey.heading_rad
+    xy, heading_rad = route.at(motion.s_m)
+    east_m, north_m = (xy - xy[0]).T
     return make_rows(
         len(v),
         lat=latitude_deg + np.rad2deg(north_m / EARTH_RADIUS_M),

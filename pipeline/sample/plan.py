@@ -3,7 +3,7 @@
 Roads are at z = 0; pavement and grass are one kerb higher.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -16,10 +16,10 @@ KERB_M = 0.12
 GRASS, PAVEMENT, ASPHALT, MARKING, BAY, KERBSTONE = range(6)
 CORNER_M = 4.0  # kerb radius at junctions
 BAY_M = 2.1  # width for a parked car
+_EVERY = slice(None, None, round(0.5 / STEP_M))  # samples of the route that are painted
 
 
-@dataclass(frozen=True)
-class Character:
+class Character(NamedTuple):
     """Dimensions and densities of a quarter's streets."""
 
     lane_m: float
@@ -54,8 +54,7 @@ def draw_character(rng: np.random.Generator, quarter: str) -> Character:
     return table[quarter]
 
 
-@dataclass(frozen=True)
-class Plan:
+class Plan(NamedTuple):
     """`kind` uint8 [Y,X] of GRASS ... KERBSTONE; `to_road_m` float32 [Y,X]; `origin` [2] world x, y of cell (0, 0)."""
 
     kind: np.ndarray
@@ -87,13 +86,11 @@ def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> P
     origin = points.min(axis=0) - MARGIN_M
     width, height = np.ceil((points.max(axis=0) + MARGIN_M - origin) / CELL_M).astype(int)
     road = np.zeros((height, width), np.uint8)
-    every = slice(None, None, round(0.5 / STEP_M))
-    s = route.s_m[every]
-
     parking = _may_park(route, character.kerbside)
     bays = {side: _bay_width(route, parking, rng, character) for side in (1, -1)}
-    left = route.at(s, route.left_m + bays[1][every])[0]
-    right = route.at(s, route.right_m - bays[-1][every])[0]
+    s = route.s_m[_EVERY]
+    left = route.at(s, route.left_m + bays[1][_EVERY])[0]
+    right = route.at(s, route.right_m - bays[-1][_EVERY])[0]
     _paint_band(road, left, right, origin, 1)
     for arm in route.arms:
         along = arm.xy + np.array([[0.0], [arm.length_m]]) * unit(arm.heading_rad)
@@ -106,11 +103,10 @@ def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> P
     kind[to_road < character.pavement_m] = PAVEMENT
     kind[to_road < 0.25] = KERBSTONE
     kind[road > 0] = ASPHALT
-    paint = np.zeros_like(kind)
     if not character.kerbside:
+        paint = np.zeros_like(kind)
         _paint_markings(paint, route, bays, origin, rng)
-    painted = (paint > 0) & (road > 0)
-    kind[painted] = paint[painted]
+        kind = np.where((paint > 0) & (road > 0), paint, kind)
     return Plan(kind, to_road, origin, bays, parking)
 
 
@@ -118,10 +114,9 @@ def _paint_markings(
     paint: np.ndarray, route: Route, bays: dict[int, np.ndarray], origin: np.ndarray, rng: np.random.Generator
 ) -> None:
     """Paint bays, the line between the lanes, and in some drives lines along the edges."""
-    every = slice(None, None, round(0.5 / STEP_M))
-    s = route.s_m[every]
+    s = route.s_m[_EVERY]
     for sign, edge in ((1, route.left_m), (-1, route.right_m)):
-        _paint_band(paint, route.at(s, edge)[0], route.at(s, edge + sign * bays[sign][every])[0], origin, BAY)
+        _paint_band(paint, route.at(s, edge)[0], route.at(s, edge + sign * bays[sign][_EVERY])[0], origin, BAY)
     clear = np.all([np.abs(s - junction) > 11 for junction in route.junctions_m], axis=0) | np.zeros(len(s), bool)
     for i in np.flatnonzero(clear[:-1] & ((s[:-1] % 5) < 2.5)):  # dashed: 2.5 m on, 2.5 m off
         _paint_line(paint, route.at(s[i : i + 2], route.centre_m)[0], origin)
@@ -143,10 +138,8 @@ def _may_park(route: Route, kerbside: bool) -> np.ndarray:
 
 def _bay_width(route: Route, parking: np.ndarray, rng: np.random.Generator, character: Character) -> np.ndarray:
     """Draw the width for parked cars [N]: bays come in stretches; kerbs are free throughout."""
-    width = np.zeros(len(route.s_m))
-    if character.kerbside:
-        width[:] = BAY_M
-    elif rng.random() < character.bays:
+    width = np.full(len(route.s_m), BAY_M if character.kerbside else 0.0)
+    if not character.kerbside and rng.random() < character.bays:
         start = route.s_m[0]
         while start < route.s_m[-1]:
             end = start + rng.uniform(20, 60)

@@ -4,8 +4,8 @@ The rig resembles KITTI's: the scanner is 0.8 m in front of the IMU, the cameras
 dates have other cameras, as other cars would. ``T_a_b`` takes points from frame b to frame a.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,7 +28,6 @@ _RESOLUTION_M = 1 / 1024  # of points: finer than the noise, and stored scans ar
 _REFLECTANCE = np.full(256, 0.3, np.float32)
 _REFLECTANCE[[classes.ROAD, classes.SIDEWALK, classes.TERRAIN, classes.VEGETATION]] = 0.18, 0.28, 0.35, 0.3
 
-
 _FOCAL_PER_WIDTH = 360.8 / 621  # KITTI's
 # Focal length relative to KITTI's, principal point as shares of width and height, height over the road in metres. The
 # scanner's height is constant, so that T_cam_velo determines the camera's.
@@ -50,8 +49,7 @@ _CAMERAS_OF_DATE = {
 }
 
 
-@dataclass(frozen=True)
-class Rig:
+class Rig(NamedTuple):
     """Calibration for one image size."""
 
     size: tuple[int, int]  # [H, W] pixels
@@ -128,10 +126,9 @@ class Scanner:
         rings, per_ring = rays
         elevation = np.deg2rad(np.linspace(*ELEVATION_DEG, rings))[:, None]
         azimuth = np.arange(per_ring)[None] * 2 * np.pi / per_ring
-        level = np.stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth])
-        up = np.array([0.0, 0.0, 1.0])[:, None, None]
-        directions = np.cos(elevation) * level + np.sin(elevation) * up  # [3,rings,per_ring]
-        self._directions = directions.reshape(3, -1).astype(np.float32)
+        forward, up = np.cos(elevation), np.sin(elevation)
+        directions = np.broadcast_arrays(forward * np.cos(azimuth), forward * np.sin(azimuth), up)  # [rings,per_ring]
+        self._directions = np.stack(directions).reshape(3, -1).astype(np.float32)
         self._T_imu_velo = np.linalg.inv(rig.T_velo_imu)
 
     def take(self, world: World, T_world_imu: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -149,6 +146,5 @@ def _rays(T_world_sensor: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Return the rays [6,N] of a sensor with viewing `directions` float32 [3,N]."""
     rays = np.empty((6, directions.shape[1]), np.float32)
     rays[:3] = T_world_sensor[:3, 3:]
-    for axis, row in enumerate(T_world_sensor[:3, :3].astype(np.float32)):
-        rays[3 + axis] = dot(directions, row)
+    rays[3:] = [dot(directions, row) for row in T_world_sensor[:3, :3].astype(np.float32)]
     return rays

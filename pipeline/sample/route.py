@@ -4,7 +4,7 @@ World frame: x east, y north, z up, metres; headings counter-clockwise from east
 axle): its curvature is continuous and piecewise linear in arc length, which makes the steering label exact.
 """
 
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,8 +24,7 @@ Piece = tuple[float, float, float]
 """Length in metres, curvature in 1/m at its start and at its end."""
 
 
-@dataclass(frozen=True)
-class Arm:
+class Arm(NamedTuple):
     """A side road, from the centre of a junction outwards."""
 
     xy: np.ndarray  # [2] centre of the junction
@@ -35,8 +34,7 @@ class Arm:
     half_m: float  # half its width
 
 
-@dataclass(frozen=True)
-class Route:
+class Route(NamedTuple):
     """The path sampled every ``STEP_M``: s [N] from -BEHIND_M, xy [N,2], heading_rad [N], curvature_1pm [N]."""
 
     s_m: np.ndarray
@@ -151,7 +149,7 @@ def _draw(rng: np.random.Generator, length_m: float, lane_m: float, first: str) 
         ways = _draw_arms(route, kind, start, end, rng)
         arms += ways
         junctions += [(start + end) / 2] * bool(ways)
-    return replace(route, junctions_m=tuple(junctions), arms=tuple(arms))
+    return route._replace(junctions_m=tuple(junctions), arms=tuple(arms))
 
 
 def _manoeuvre(card: str, lane_m: float, rng: np.random.Generator) -> list[Piece]:

@@ -1,8 +1,8 @@
 """Build objects from coloured triangles: boxes, houses, cylinders, trees, cars."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,8 +12,7 @@ from pipeline.sample.route import unit
 Colour = tuple[float, float, float]
 
 
-@dataclass(frozen=True)
-class Mesh:
+class Mesh(NamedTuple):
     """vertices float32 [V,3], triangles uint32 [T,3], colour float32 [T,3] in 0..1, cls uint8 [T] (trainId)."""
 
     vertices: np.ndarray
@@ -41,15 +40,10 @@ def mesh(vertices: np.ndarray, triangles: np.ndarray, colour: Colour | np.ndarra
 
 def merge(parts: Iterable[Mesh]) -> Mesh:
     """Join meshes into one."""
-    parts = list(parts)
-    starts = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    triangles = [part.triangles + np.uint32(start) for part, start in zip(parts, starts, strict=False)]
-    return Mesh(
-        np.concatenate([part.vertices for part in parts]),
-        np.concatenate(triangles),
-        np.concatenate([part.colour for part in parts]),
-        np.concatenate([part.cls for part in parts]),
-    )
+    vertices, triangles, colour, cls = zip(*parts, strict=True)
+    starts = np.cumsum([0, *map(len, vertices[:-1])])
+    renumbered = [part + np.uint32(start) for part, start in zip(triangles, starts, strict=True)]
+    return Mesh(*map(np.concatenate, (vertices, renumbered, colour, cls)))
 
 
 _BOX_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
@@ -112,12 +106,8 @@ def tree(rng: np.random.Generator, height_m: float, leaves: Colour) -> Mesh:
     wide, high = height_m * rng.uniform(0.22, 0.32), (height_m - trunk_m) / 2 * 1.1
     crown = vertices * [wide, wide, high] + [0, 0, trunk_m + high * 0.85]
     shade = rng.uniform(0.75, 1.2, (len(faces), 1))
-    return merge(
-        [
-            mesh(crown, faces, np.asarray(leaves) * shade, classes.VEGETATION),
-            cylinder(0.035 * height_m, trunk_m * 1.2, (0.30, 0.22, 0.15), classes.VEGETATION),
-        ]
-    )
+    trunk = cylinder(0.035 * height_m, trunk_m * 1.2, (0.30, 0.22, 0.15), classes.VEGETATION)
+    return merge([mesh(crown, faces, np.asarray(leaves) * shade, classes.VEGETATION), trunk])
 
 
 def lamp_post(height_m: float) -> Mesh:

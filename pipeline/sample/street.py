@@ -1,6 +1,6 @@
 """Build the static street: kerbs, barriers, houses, trees, posts, hedges, parked cars, woods on the horizon."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -43,8 +43,7 @@ class Ground:
         return True
 
 
-@dataclass(frozen=True)
-class Frontage:
+class Frontage(NamedTuple):
     """One side of a road: the line of its edge, [N,2] every half metre, and the outward headings [N]."""
 
     edge: np.ndarray
@@ -182,8 +181,7 @@ def _hedge(rng: np.random.Generator) -> Mesh:
 
 
 def _leaves(rng: np.random.Generator) -> shapes.Colour:
-    r, g, b = np.array(_LEAVES[rng.integers(len(_LEAVES))]) * rng.uniform(0.8, 1.2)
-    return (float(r), float(g), float(b))
+    return tuple(np.array(_LEAVES[rng.integers(len(_LEAVES))]) * rng.uniform(0.8, 1.2))
 
 
 def frontages(route: Route, plan: Plan) -> list[Frontage]:

@@ -1,6 +1,6 @@
 """Draw moving cars: oncoming ones, and sometimes one ahead."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,8 +13,7 @@ _ROOM_M = (4.5, 2.4)  # between the centres of two cars, along and across
 _AXLE_TO_MIDDLE_M = 1.3  # the IMU is over the rear axle
 
 
-@dataclass(frozen=True)
-class Vehicle:
+class Vehicle(NamedTuple):
     """A car, its pose per frame, xy [F,2] and heading_rad [F], and whether it is in sight, bool [F]."""
 
     shape: shapes.Mesh
@@ -56,9 +55,10 @@ def _in_sight(xy: np.ndarray, journey: Journey) -> np.ndarray:
     In narrow streets, a vehicle might touch the ego. It is then hidden for the entire encounter, so that it neither
     appears nor vanishes in sight.
     """
-    to = xy - journey.xy
+    ego, heading_rad = journey.route.at(journey.motion.s_m)
+    to = xy - ego
     in_sight = np.linalg.norm(to, axis=1) < SIGHT_M
-    c, s = np.cos(journey.heading_rad), np.sin(journey.heading_rad)
+    c, s = np.cos(heading_rad), np.sin(heading_rad)
     along, across = to[:, 0] * c + to[:, 1] * s - _AXLE_TO_MIDDLE_M, to[:, 1] * c - to[:, 0] * s + IMU_LEFT_M
     touches = (np.abs(along) < _ROOM_M[0]) & (np.abs(across) < _ROOM_M[1])
     encounter = np.cumsum(np.diff(in_sight, prepend=False)) * in_sight  # numbered; 0: out of sight

@@ -1,7 +1,6 @@
 """Cast rays at the sample: objects and traffic as triangles (Open3D's ray casting), the ground as two planes."""
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,8 +16,7 @@ FAR_M = 500.0  # beyond it, the ground is sky
 _SHADOW_M = 150.0  # longest shadow
 
 
-@dataclass(frozen=True)
-class Hits:
+class Hits(NamedTuple):
     """Per ray: distance [N] (inf: sky), cls uint8 [N], colour [3,N] albedo, normal [3,N] towards the viewer (sky: 0),
     ground int8 [N]: the plan's kind, -1 for objects and sky."""
 

@@ -100,9 +100,10 @@ def test_ego_touches_nothing(drive):
     journey = draw_journey(rng, 60, character, first)
     plan = draw_plan(journey.route, rng, character)
     world = World(plan, build_street(journey.route, plan, character, rng), draw_ground_colours(rng))
-    ahead, left = unit(journey.heading_rad), unit(journey.heading_rad + np.pi / 2)
+    xy, heading_rad = journey.route.at(journey.motion.s_m)
+    ahead, left = unit(heading_rad), unit(heading_rad + np.pi / 2)
     for forward, aside in product((-0.8, 1.3, 3.5), (-0.85, 0.0, 0.85)):  # from the centre of the rear axle
-        places = journey.xy + forward * ahead + (aside - IMU_LEFT_M) * left
+        places = xy + forward * ahead + (aside - IMU_LEFT_M) * left
         assert (plan.to_road_m[plan.cells(*places.T)] == 0).all()
         steps = np.diff(places, axis=0)
         length = np.linalg.norm(steps, axis=1)

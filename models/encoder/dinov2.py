@@ -20,22 +20,7 @@ from models.encoder.rtmonodepth_s import KITTI_FOCAL
 from pipeline.base.errors import InputError
 
 MIN_DEPTH_M, MAX_DEPTH_M, BINS = 0.001, 80.0, 256  # of the KITTI heads; the authors' hub code has NYU's maximum of 10 m
-ADE20K = (
-    "wall", "building", "sky", "floor", "tree", "ceiling", "road", "bed", "windowpane", "grass", "cabinet", "sidewalk",
-    "person", "earth", "door", "table", "mountain", "plant", "curtain", "chair", "car", "water", "painting", "sofa",
-    "shelf", "house", "sea", "mirror", "rug", "field", "armchair", "seat", "fence", "desk", "rock", "wardrobe", "lamp",
-    "bathtub", "railing", "cushion", "base", "box", "column", "signboard", "chest of drawers", "counter", "sand",
-    "sink", "skyscraper", "fireplace", "refrigerator", "grandstand", "path", "stairs", "runway", "case", "pool table",
-    "pillow", "screen door", "stairway", "river", "bridge", "bookcase", "blind", "coffee table", "toilet", "flower",
-    "book", "hill", "bench", "countertop", "stove", "palm", "kitchen island", "computer", "swivel chair", "boat",
-    "bar", "arcade machine", "hovel", "bus", "towel", "light", "truck", "tower", "chandelier", "awning", "streetlight",
-    "booth", "television", "airplane", "dirt track", "apparel", "pole", "land", "bannister", "escalator", "ottoman",
-    "bottle", "buffet", "poster", "stage", "van", "ship", "fountain", "conveyer belt", "canopy", "washer", "plaything",
-    "swimming pool", "stool", "barrel", "basket", "waterfall", "tent", "bag", "minibike", "cradle", "oven", "ball",
-    "food", "step", "tank", "trade name", "microwave", "pot", "animal", "bicycle", "lake", "dishwasher", "screen",
-    "blanket", "sculpture", "hood", "sconce", "vase", "traffic light", "tray", "ashcan", "fan", "pier", "crt screen",
-    "plate", "monitor", "bulletin board", "shower", "radiator", "glass", "clock", "flag",
-)  # fmt: skip
+ADE20K = Path(__file__).with_name("ade20k.txt")  # names of its 150 classes, a line each, as the heads number them
 
 
 class DinoV2(nn.Module):
@@ -45,10 +30,10 @@ class DinoV2(nn.Module):
         """`folder` holds the backbone's weights; without it they are random. The heads' weights always are."""
         super().__init__()
         self.backbone = Network("AutoModel", architecture["model"], folder)
-        width = self.backbone.network.config.hidden_size
+        width, names = self.backbone.network.config.hidden_size, ADE20K.read_text(encoding="utf-8").splitlines()
         self.depth_head = nn.ModuleDict({"conv_depth": nn.Conv2d(2 * width, BINS, 1)})
-        self.class_head = nn.ModuleDict({"bn": nn.BatchNorm2d(width), "conv_seg": nn.Conv2d(width, len(ADE20K), 1)})
-        self.cityscapes = CityscapesLogits(ADE20K)
+        self.class_head = nn.ModuleDict({"bn": nn.BatchNorm2d(width), "conv_seg": nn.Conv2d(width, len(names), 1)})
+        self.cityscapes = CityscapesLogits(names)
 
     def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
         size, patch = image.shape[-2:], self.backbone.network.config.patch_size

@@ -2,7 +2,6 @@
 
 import math
 from pathlib import Path
-from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -12,41 +11,29 @@ from models.encoder.heads import resized, rgb_0_1
 from models.encoder.rtmonodepth_s import RTMonoDepthS
 
 ENLARGED = 1.5  # of the image before it is classified: small images have too few pixels for a stride of 32
-
-
-class Source(NamedTuple):
-    """A published file, by its path below weights/."""
-
-    path: str
-    url: str
-    sha256: str
-    terms: str
-
-
 _RTMONODEPTH = (
     "https://github.com/Ashwani564/RT-Monodepth-Construction/raw/d9a171f0a98b4c7ccd4713197af5e26689b0adfb/"
     "weights/RTMonoDepth/s/ms_640_192/"
 )
-SOURCES = (
-    Source(
-        "rtmonodepth-s/encoder.pth",
+_MONODEPTH2 = "Monodepth2's terms: non-commercial use only"
+SOURCES = {
+    "rtmonodepth-s/encoder.pth": (
         _RTMONODEPTH + "encoder.pth",
         "6cdff9dfd76b0b804a6954508ebc57fbd8ff4713642282e861d47d9939190917",
-        "Monodepth2's terms: non-commercial use only",
+        _MONODEPTH2,
     ),
-    Source(
-        "rtmonodepth-s/depth.pth",
+    "rtmonodepth-s/depth.pth": (
         _RTMONODEPTH + "depth.pth",
         "6e0267e403190269cc67b89cd6da8c0819d179fd0fa77f6082ba51a1593aaffc",
-        "Monodepth2's terms: non-commercial use only",
+        _MONODEPTH2,
     ),
-    Source(
-        "efficientvit_b0/b0.pt",
+    "efficientvit_b0/b0.pt": (
         "https://github.com/Earth2Adam/EfficientViTSeg/raw/2c435b6eb93f43cafa8724af6f2adf79faa4726a/ckpts/b0.pt",
         "923d6fdd5e93640cc0c2f3f213764f34e80b477cd98a6b294d870ea6df5acc50",
         "Apache-2.0; Cityscapes' terms: non-commercial use only",
     ),
-)
+}
+"""Path of a published file below weights/ → URL, SHA-256, terms."""
 
 
 class Street(nn.Module):
@@ -63,7 +50,7 @@ class Street(nn.Module):
 
     def load_published(self, folder: Path) -> None:
         """Load the files of SOURCES below a folder."""
-        files = (folder / source.path for source in SOURCES)
+        files = (folder / path for path in SOURCES)
         encoder, decoder, classes = (torch.load(file, weights_only=True, map_location="cpu") for file in files)
         self.depth.encoder.load_state_dict({name: x for name, x in encoder.items() if isinstance(x, Tensor)})
         coarser = ("decoder.9.", "decoder.10.")  # heads at 1/2 and 1/4, for its training only

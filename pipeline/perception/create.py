@@ -61,11 +61,11 @@ def check_weights(path: Path) -> None:
 
 
 def _create_street(settings: Encoder) -> tuple[Architecture, nn.Module]:
-    for source in street.SOURCES:
-        fetch(WEIGHTS / source.path, source.url, source.sha256)
+    for path, (url, sha256, _) in street.SOURCES.items():
+        fetch(WEIGHTS / path, url, sha256)
     model = street.Street()
     model.load_published(WEIGHTS)
-    sources = [f"{source.path}: {source.url} ({source.terms})" for source in street.SOURCES]
+    sources = [f"{path}: {url} ({terms})" for path, (url, _, terms) in street.SOURCES.items()]
     return {"backbone": settings.backbone, "sources": sources}, model
 
 

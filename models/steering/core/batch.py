@@ -4,7 +4,7 @@ import dataclasses
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Literal, NamedTuple, Self
 
 import numpy as np
 import torch
@@ -67,8 +67,7 @@ class GraphBatch(_Points):
             first = last
 
 
-@dataclass(frozen=True)
-class Level:
+class Level(NamedTuple):
     """One sampling and grouping of B frames' points: M centres with n neighbours each.
 
     centres int32 [M], neighbours int32 [M,n]: row numbers in the batch's points, or in the previous level's centres;

@@ -3,7 +3,7 @@
 import importlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, get_args
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 from torch import nn
@@ -54,15 +54,12 @@ def names(part: Part) -> list[str]:
 
 
 def load(part: Part, name: str) -> type[NetworkOptions]:
-    """Return the class `Options` of a network's file. Raises InputError if file or class is missing or incomplete."""
+    """Return the class `Options` of a network's file. Raises InputError if there is no such file."""
     path = f"models/steering/{part}/{name}.py"
     if name not in (known := names(part)):
         raise InputError(f"{part} = {name!r}: there is no {path} (known: {', '.join(known)})")
     try:
-        options = getattr(importlib.import_module(f"models.steering.{part}.{name}"), "Options", None)
+        options: type[NetworkOptions] = importlib.import_module(f"models.steering.{part}.{name}").Options
     except (AssertionError, ValueError) as error:  # a bug, which pydantic would take for a wrong option
         raise ImportError(f"{path} raises {error!r}") from error
-    kinds = get_args(FrameKind) if part == "spatial" else (None,)
-    if not (isinstance(options, type) and issubclass(options, NetworkOptions) and options.kind in kinds):
-        raise InputError(f"no class Options(NetworkOptions) with one of the kinds {kinds}", path, "See docs/models.md")
     return options

@@ -1,7 +1,6 @@
 """Wiring of a neural circuit policy: signed synapses between neurons (Lechner et al. 2020), and their weights."""
 
-from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +14,7 @@ Polarity = NDArray[np.int8]
 Neurons = NDArray[np.int64]
 
 
-@dataclass(frozen=True)
-class Wiring:
+class Wiring(NamedTuple):
     """Signed synapses as matrices [from, to]: +1 excites, -1 inhibits, 0 is no synapse.
 
     Neurons are numbered motor, command, inter, as in ncps. sensory [D,U]: from input features; internal [U,U].

@@ -140,12 +140,11 @@ def _backward(output: Tensor) -> None:
 
 def size(street: Street) -> Row:
     """Compare bytes on disk."""
-
-    def megabytes(paths: list[Path]) -> float:
-        return sum(path.stat().st_size for path in paths) / FRAMES / 1e6
-
+    ours, alternative = (
+        sum(path.stat().st_size for path in paths) / FRAMES / 1e6 for paths in ([street.file], street.frames)
+    )
     what = f"{street.title}: graph file / PyG Data by torch.save"
-    return Row(lambda: megabytes([street.file]), lambda: megabytes(street.frames), "MB/frame", what)
+    return Row(lambda: ours, lambda: alternative, "MB/frame", what)
 
 
 def load(street: Street) -> Row:

@@ -68,13 +68,12 @@ def _score_drive(
         store.DriveReader(ingest, stage="ingest") as source,
         store.DriveReader(perception, stage="perception") as perceived,
     ):
-        count = len(perceived.frame)
         camera = read_camera(source, float(perceived.attrs["camera_height_m"]))
         for row, number in enumerate(perceived.frame):
             depth_m, cls = to_metres(perceived.row("depth_m", row)), perceived.row("cls", row)
             scores.add_frame(depth_m, cls, camera, read_truth(source, camera, source.row_of(number)))
     store.write_json(path, {**scores.report(), "motion": score_motion([drive])})
-    return {"frames": count, "sums": {key: sums.tolist() for key, sums in scores.sums.items()}}
+    return {"frames": len(perceived.frame), "sums": {key: sums.tolist() for key, sums in scores.sums.items()}}
 
 
 def _score_motion(drives: list[str], *, ingest: Path, motion: Path, car: Car) -> dict[str, Any]:
@@ -86,11 +85,9 @@ def _score_motion(drives: list[str], *, ingest: Path, motion: Path, car: Car) ->
     errors: dict[str, list[np.ndarray]] = {}
     for drive in drives:
         with store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw:
-            references = sources.recorded(raw)
-            measured = motion / f"{drive}.h5"
-            labels = {
-                kind: sources.read(kind, raw, measured, car, look_ahead=False) for kind in ("visual", *references)
-            }
+            references, measured = sources.recorded(raw), motion / f"{drive}.h5"
+            kinds = ("visual", *references)
+            labels = {kind: sources.read(kind, raw, measured, car, look_ahead=False) for kind in kinds}
             with store.DriveReader(measured, stage="motion") as file:
                 rows = {"visual": np.searchsorted(raw.frame, file.frame)}
             if "wheel" in references:

@@ -35,8 +35,7 @@ def claim(out: Path | None, stem: str, key: str = "") -> Path:
         check_free(out, key)
         return out
     killed = (work.parent for work in sorted(Path("out").glob(f"*/{WORK}")) if work.parent.name.startswith(stem))
-    names = (f"{stem}-{number}" if number > 1 else stem for number in count(1))
-    numbered = (Path("out") / name for name in names)
+    numbered = (Path("out", f"{stem}-{number}" if number > 1 else stem) for number in count(1))
     return next(folder for folder in chain(killed, numbered) if _is_free(folder, key))
 
 

@@ -35,9 +35,7 @@ class Camera:
         Resizing maps the left edge -0.5 to -0.5, so centres move: ``u' = s (u + 0.5) - 0.5``.
         """
         sy, sx = size[0] / self.size[0], size[1] / self.size[1]
-        K = self.K.astype(np.float64).copy()
-        K[0] *= sx
-        K[1] *= sy
+        K = self.K * np.array([[sx], [sy], [1.0]])
         K[0, 2] = sx * (self.K[0, 2] + 0.5) - 0.5
         K[1, 2] = sy * (self.K[1, 2] + 0.5) - 0.5
         horizon = None if self.horizon is None else sy * (self.horizon + 0.5) - 0.5

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,8 +18,7 @@ LUMA = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601
 GREY = 0.15  # share of augmented images without colour: some drives have a grey camera
 
 
-@dataclass(frozen=True)
-class Example:
+class Example(NamedTuple):
     """A training image uint8 [H,W,3] and its camera; depth and classes as in Truth."""
 
     image: np.ndarray
@@ -91,4 +90,4 @@ def augment(example: Example, rng: np.random.Generator) -> Example:
     image = np.stack([table[channel][example.image[..., channel]] for channel in range(3)], axis=-1)
     if rng.random() < GREY:
         image = np.repeat((image @ LUMA).astype(np.uint8)[..., None], 3, axis=-1)
-    return replace(example, image=image)
+    return example._replace(image=image)

@@ -68,9 +68,7 @@ def _read_precomputed(folder: Path, batch: EncoderInput) -> tuple[np.ndarray, np
 def save(folder: Path, architecture: Architecture, state: Mapping[str, Tensor]) -> None:
     """Write ``encoder.pt`` in one step."""
     # Strides are part of the file; a contiguous clone removes channels last.
-    tensors = {
-        name: tensor.detach().cpu().clone(memory_format=torch.contiguous_format) for name, tensor in state.items()
-    }
+    tensors = {name: x.detach().cpu().clone(memory_format=torch.contiguous_format) for name, x in state.items()}
     checkpoint.write(folder / FILE, {"kind": KIND, "architecture": dict(architecture), "net": tensors})
 
 

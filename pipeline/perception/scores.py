@@ -1,8 +1,7 @@
 """Ground truth of depth and classes, from dense labels or a LiDAR scan, and errors of predictions against it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -21,8 +20,7 @@ EIGEN_ROWS, EIGEN_COLUMNS = (0.3324324, 0.91351351), (0.0359477, 0.96405229)  # 
 DepthSource = Literal["dense", "lidar"]
 
 
-@dataclass(frozen=True)
-class Truth:
+class Truth(NamedTuple):
     """Depth [H,W] in metres, 0 where unknown, and trainIds uint8 [H,W], 255 where unknown, of a frame."""
 
     depth_m: np.ndarray

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from pipeline.base.errors import InputError
@@ -27,7 +28,8 @@ def describe(path: Path) -> Content:
 
         return {"bytes": path.stat().st_size if path.is_file() else 0, **_without_tensors(checkpoint.load(path))}
     with _open(path) as file:
-        attributes = {name: _plain(value) for name, value in sorted(file.attrs.items()) if name != "params"}
+        names = sorted(file.attrs.keys() - {"params"})
+        attributes = {name: np.asarray(file.attrs[name]).tolist() for name in names}
         frames = file.frame.tolist()
         return {
             "bytes": path.stat().st_size,
@@ -72,10 +74,8 @@ def _sheet(title: str, view: street_view.View) -> Figure:
     for panel, (name, pixels) in zip(panels, images.items(), strict=True):
         street_view.draw_image(panel, pixels, name, **style)
     if view.depth_m is not None:
-        ticks = [street_view.NEAR_M, 10, 20, street_view.FAR_M]
-        scale = left.colorbar(
-            street_view.DEPTH_SCALE, ax=panels, location="left", shrink=0.3, format="%d m", ticks=ticks
-        )
+        scale = left.colorbar(street_view.DEPTH_SCALE, ax=panels, location="left", shrink=0.3, format="%d m")
+        scale.set_ticks([street_view.NEAR_M, 10, 20, street_view.FAR_M])
         scale.minorticks_off()
     if view.xyz is not None and view.points_cls is not None:
         above = right.subplots()
@@ -92,10 +92,6 @@ def _open(path: Path) -> DriveReader:
     if path.is_dir() or path.suffix != ".h5":
         raise InputError("expected a drive's file (.h5) or a checkpoint (.pt)", path, "Pass one from a folder in data/")
     return DriveReader(path, stage=None)
-
-
-def _plain(value: Any) -> Any:
-    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def _without_tensors(content: Mapping[str, Any]) -> Content:

@@ -85,10 +85,7 @@ def ncps_ltc() -> nn.Module:
 
 
 def training(street: Street) -> Row:
-    """Compare training on windows that share frames with PyG and ncps on one window after the other.
-
-    A step reads frames, and does forward, backward and update.
-    """
+    """Compare training steps, reading included, on windows that share frames with PyG and ncps on one at a time."""
     shared, naive = Entry.model_validate(MODEL).build("graph").to(DEVICE), NaiveNet().to(DEVICE)
     paths = street.frames[:WINDOW]
     ours = milliseconds(_step(shared, lambda: shared(street.batch(FRAMES), *_windows())), WINDOWS)

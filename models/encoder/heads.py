@@ -42,10 +42,7 @@ def ray_slopes(K: Tensor, size: torch.Size) -> Tensor:
 
 
 class Pointwise(nn.Conv2d):
-    """A 1x1 convolution as a matrix product on channels last.
-
-    On one thread, torch's own convolution copies input and gradient to another memory layout and back.
-    """
+    """A 1x1 convolution as a product on channels last. On one thread, torch's own copies to another layout and back."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__(inputs, outputs, 1)
@@ -56,10 +53,7 @@ class Pointwise(nn.Conv2d):
 
 
 class CellDepth(nn.Module):
-    """Depth of all pixels of a feature's cell (sub-pixel convolution).
-
-    Interpolated depth would put points between a car and its background; here edges stay sharp.
-    """
+    """Depth of all pixels of a feature's cell (sub-pixel convolution). Interpolation would blur edges of objects."""
 
     def __init__(self, channels: int, stride: int) -> None:
         super().__init__()

@@ -33,10 +33,7 @@ BUILD: dict[str, Callable[[Architecture], nn.Module]] = {
 
 
 def build(architecture: Architecture) -> nn.Module:
-    """Return the encoder that `architecture` describes, with random weights.
-
-    Raises InputError if its kind is unknown, or if a package is missing.
-    """
+    """Return the described encoder, with random weights. Raises InputError for an unknown kind or a missing package."""
     if architecture["backbone"] not in BUILD:
         raise InputError(f"unknown backbone {architecture['backbone']!r} (known: {', '.join(BUILD)})")
     return BUILD[architecture["backbone"]](architecture)

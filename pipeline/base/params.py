@@ -1,7 +1,4 @@
-"""Read ``params.yaml``: each section is a typed class in ``pipeline/settings/``, and a stage loads only its own.
-
-A fault is an InputError with file, key, value and the expected values.
-"""
+"""Read ``params.yaml``: each section is a typed class in ``pipeline/settings/``, and a stage loads only its own."""
 
 import re
 from pathlib import Path

@@ -16,10 +16,7 @@ PACKAGES = ("pipeline", "models", "stages")
 
 
 def stage_key(stage: str, settings: Mapping[str, Any], inputs: Sequence[Path | str]) -> str:
-    """Return a hash of the code that the stage's entry in dvc.yaml names, of JSON-able settings, and of inputs.
-
-    Inputs are files, whose contents count, or strings that identify an input.
-    """
+    """Return a hash of the code that dvc.yaml names for the stage, of JSON-able settings, and of files or strings."""
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode() + _stage_code_hash(stage).encode())
     for item in inputs:
         digest.update((item if isinstance(item, str) else file_hash(item)).encode() + b"\0")

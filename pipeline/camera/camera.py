@@ -88,13 +88,10 @@ class Frame:
 
 
 def camera_height(T_cam_velo: np.ndarray | None) -> float:
-    """Return a camera's height above flat ground in metres from its calibration [4,4]; KITTI's if it is None.
-
-    KITTI's scanner has a fixed height.
-    """
+    """Return a camera's height over flat ground in metres from its calibration [4,4]; KITTI's if it is None."""
     if T_cam_velo is None:
         return CAMERA_HEIGHT_M
-    return SCANNER_HEIGHT_M + float(np.linalg.inv(T_cam_velo)[2, 3])  # the scanner's z points up
+    return SCANNER_HEIGHT_M + float(np.linalg.inv(T_cam_velo)[2, 3])  # fixed on KITTI's cars; its z points up
 
 
 def scan_depth(scan: np.ndarray, camera: Camera) -> np.ndarray:

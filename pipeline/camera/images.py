@@ -56,10 +56,7 @@ def format_size(shape: Sequence[int]) -> str:
 
 
 def read_image(path: Path, size: Size | None = None) -> np.ndarray:
-    """Read an image of `size` (H, W), None: any, as RGB uint8 [H,W,3], grey repeated.
-
-    Raises DamagedFile; InputError if the file has another size or pixel type.
-    """
+    """Read RGB uint8 [H,W,3], grey repeated. Raises DamagedFile; InputError for another `size` (H, W) or pixel type."""
     pixels = _read(path, size, np.uint8)
     return np.repeat(pixels[..., None], 3, axis=-1) if pixels.ndim == 2 else pixels
 

@@ -81,10 +81,7 @@ Grouping = tuple[np.ndarray, np.ndarray]
 
 
 def levels(xyz: np.ndarray, sizes: Iterable[LevelSize], rng: np.random.Generator) -> list[Grouping]:
-    """Sample and group the points [P,3], then the resulting centres, and so on: a set abstraction for each size.
-
-    Paper eq. 1; Qi et al. 2017.
-    """
+    """Sample and group the points [P,3], then the resulting centres, and so on (paper eq. 1; Qi et al. 2017)."""
     result = []
     # Points are stored in Morton order, so the first points of a ball would be one corner of it. In the reference the
     # order is random, hence the permutation. Later levels are in the order of farthest point sampling, in which the
@@ -128,8 +125,5 @@ def ball_query(xyz: np.ndarray, centres: np.ndarray, radius_m: float, neighbours
 
 
 def _squared_distances(axes: np.ndarray, centre: int) -> np.ndarray:
-    """Return squared distances [P] of points [3,P], exact in float64 for the multiples of 1/1024 m that are stored.
-
-    Rows of coordinates are four times faster than points in rows.
-    """
+    """Return squared distances [P] of points [3,P], exact for stored coordinates. Rows of points are 4 times slower."""
     return np.asarray(((axes - axes[:, centre, None]) ** 2).sum(axis=0))

@@ -17,10 +17,7 @@ WEIGHTS = Path("weights")  # downloaded files, and the folder street of make str
 
 
 def create(settings: Encoder) -> tuple[Architecture, nn.Module]:
-    """Return the encoder of section ``encoder`` and its description.
-
-    Raises InputError if a file is missing, has another hash, or is of another encoder.
-    """
+    """Return description and network of section ``encoder``. Raises InputError if a file is missing or not its own."""
     if settings.weights is None or settings.backbone == "precomputed":
         return CREATE[settings.backbone](settings)
     with error_context("weights"):

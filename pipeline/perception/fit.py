@@ -23,10 +23,7 @@ MAX_RELATIVE_ERROR = 6.0
 def fit(
     model: nn.Module, examples: Examples, *, epochs: int, batch: int, learning_rate: float, seed: int
 ) -> list[dict[str, float]]:
-    """Fit an encoder in place. Returns a row per epoch: means of :func:`depth_and_class_loss`, and their sum.
-
-    Raises InputError if the loss is not finite.
-    """
+    """Fit an encoder in place. Returns a row of mean losses per epoch. Raises InputError if the loss is not finite."""
     device = next(model.parameters()).device
     model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     optimiser = torch.optim.AdamW(model.parameters(), weight_decay=WEIGHT_DECAY, fused=True)

@@ -49,10 +49,7 @@ Predict = Callable[[EncoderInput], tuple[np.ndarray, np.ndarray]]
 
 @cache  # one for all drives of a process
 def open_encoder(folder: Path, precision: str) -> Predict:
-    """Return the function of the encoder in the folder of stage encoder; `precision` as in section perception.
-
-    Raises InputError if its file is missing, damaged or does not fit this code, or if a package is missing.
-    """
+    """Return the function of an encoder's folder; `precision` as in section perception. Raises InputError as `load`."""
     with error_context(fix="Make it again: dvc repro --force --single-item encoder"):
         architecture, network = load(folder / FILE)
     if architecture["backbone"] == "precomputed":

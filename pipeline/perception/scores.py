@@ -30,10 +30,7 @@ class Truth(NamedTuple):
 
 
 def read_truth(drive: DriveReader, camera: Camera, row: int) -> Truth:
-    """Return the ground truth of the frame in `row` of a file of stage ingest.
-
-    Dense depth takes precedence over projected LiDAR.
-    """
+    """Return the ground truth of a row of an ingest file. Dense depth takes precedence over projected LiDAR."""
     depth_m = np.zeros(camera.size, np.float32)
     source: DepthSource | None = None
     if drive.row("has_depth", row):

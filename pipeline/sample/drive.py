@@ -77,10 +77,7 @@ def render_drive(
 
 
 def theme(drive: str) -> tuple[str, str]:
-    """Return the quarter that a drive crosses and the manoeuvre it begins with.
-
-    They vary with number and date, so that a few short drives cover all.
-    """
+    """Return a drive's quarter and first manoeuvre. They vary with number and date: a few short drives cover all."""
     day, number = int(drive[8:10]), int(drive[-4:])
     return QUARTERS[(number - 2 * day) % len(QUARTERS)], DECK[(number - day) % len(DECK)]
 

@@ -1,7 +1,4 @@
-"""Draw the quarter that a drive crosses, and its ground plan: a raster of ground kinds and of distances to the road.
-
-Roads are at z = 0; pavement and grass are one kerb higher.
-"""
+"""Draw the quarter that a drive crosses, and its ground plan: a raster of ground kinds and distances to the road."""
 
 from typing import NamedTuple
 
@@ -12,7 +9,7 @@ from pipeline.sample.route import STEP_M, Route, unit
 
 CELL_M = 0.1
 MARGIN_M = 45.0
-KERB_M = 0.12
+KERB_M = 0.12  # height of pavement and grass over roads, which are at z = 0
 GRASS, PAVEMENT, ASPHALT, MARKING, BAY, KERBSTONE = range(6)
 CORNER_M = 4.0  # kerb radius at junctions
 BAY_M = 2.1  # width for a parked car

@@ -50,9 +50,8 @@ class Eq4(RecurrentCell):
         share = -torch.expm1(-z)  # relaxation of h towards N per step, [W,T,U]
         correction = 1 - share / z  # weight of N's change during the step, [W,T,U]
         states = []
-        for drive_frame, share_frame, correction_frame in zip(
-            drive.unbind(1), share.unbind(1), correction.unbind(1), strict=True
-        ):
+        frames = zip(drive.unbind(1), share.unbind(1), correction.unbind(1), strict=True)
+        for drive_frame, share_frame, correction_frame in frames:
             for _ in range(self.unfolds):
                 n = torch.addmm(drive_frame, h.sigmoid(), internal)  # [W,U]
                 a = torch.lerp(h, n, share_frame)

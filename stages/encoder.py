@@ -49,10 +49,7 @@ def main(
 
 
 def _fit(model: Any, settings: Encoder, ingest: Path) -> tuple[list[dict[str, float]], dict[str, Any]]:
-    """Fit the encoder to the training drives, or to all that have targets, as an image needs no label.
-
-    Returns the loss curve and the frames for config.json.
-    """
+    """Fit to training drives, or to all with targets, as images need no label. Return the curve and config's keys."""
     splits, targets = store.read_index(ingest, stage="ingest"), settings.targets
     drives = [drive for drive in splits if (targets / drive).is_dir()] if targets else store.drives_in(splits, "train")
     model.to("cuda" if torch.cuda.is_available() else "cpu")

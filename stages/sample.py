@@ -15,11 +15,7 @@ from pipeline.settings.ingest import Ingest
 from pipeline.settings.sample import Sample
 
 
-def main(
-    out: Path = Path("data/sample"),
-    params: Path = Path("params.yaml"),
-    raw: Path = Path("data/raw"),
-) -> Path:
+def main(out: Path = Path("data/sample"), params: Path = Path("params.yaml"), raw: Path = Path("data/raw")) -> Path:
     """Render the drives of section ingest that belong to the sample; none with ingest.source: kitti.
 
     Returns the stage's folder. Raises InputError if `raw` lacks a drive of section ingest, which stage `ingest` would

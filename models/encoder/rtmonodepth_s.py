@@ -41,15 +41,10 @@ class Encoder(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.conv1 = nn.Conv2d(3, WIDTHS[0], 7, stride=2, padding=3, bias=False)
-        self.convs = nn.ModuleList(
-            nn.Sequential(
-                nn.Conv2d(inputs, outputs, 3, stride=2, padding=1),
-                nn.LeakyReLU(0.1),
-                nn.Conv2d(outputs, outputs, 3, padding=1),
-                nn.LeakyReLU(0.1),
-            )
-            for inputs, outputs in pairwise(WIDTHS)
-        )
+        self.convs = nn.ModuleList()
+        for inputs, outputs in pairwise(WIDTHS):
+            first, second = nn.Conv2d(inputs, outputs, 3, 2, padding=1), nn.Conv2d(outputs, outputs, 3, padding=1)
+            self.convs.append(nn.Sequential(first, nn.LeakyReLU(0.1), second, nn.LeakyReLU(0.1)))
 
     def forward(self, image: Tensor) -> Tensor:
         """Return the map at 1/16 of the image: the published decoder has no skip connections."""

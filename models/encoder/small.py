@@ -48,8 +48,7 @@ class UNet(nn.Module):
         x4 = self.down4(x3)  # [B,d,H/16,W/16]
         y = self.up3(x3 + _resized(self.side3(x4), x3))
         y = self.up2(x2 + _resized(self.side2(y), x2))
-        y = self.up1(x1 + _resized(self.side1(y), x1))  # [B,channels,H/2,W/2]
-        return y
+        return self.up1(x1 + _resized(self.side1(y), x1))  # [B,channels,H/2,W/2]
 
 
 class Residual(nn.Module):
@@ -58,10 +57,7 @@ class Residual(nn.Module):
     def __init__(self, channels: int, dilation: int = 1) -> None:
         super().__init__()
         self.first = conv(channels, channels, dilation=dilation)
-        self.second = nn.Sequential(
-            nn.Conv2d(channels, channels, 3, padding=dilation, dilation=dilation, bias=False),
-            nn.BatchNorm2d(channels),
-        )
+        self.second = conv(channels, channels, dilation=dilation)[:-1]  # ReLU follows the sum
 
     def forward(self, x: Tensor) -> Tensor:
         return F.relu(x + self.second(self.first(x)))

@@ -16,7 +16,7 @@ import io
 import json
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -84,11 +84,12 @@ class Sink(io.FileIO):
             raise self.error
 
 
-class DriveWriter:
+class DriveWriter(ExitStack):
     """Write one drive's file, a context manager. The file appears when the block ends without error."""
 
     def __init__(self, path: Path, *, stage: str, drive: str, params: Mapping[str, Any]) -> None:
         """`params`: JSON-able, section of params.yaml → its content."""
+        super().__init__()
         self.path = path
         self.attrs: dict[str, Any] = {"schema": SCHEMA, "stage": stage, "drive": drive}
         self.attrs["params"] = json.dumps(params, sort_keys=True)
@@ -136,15 +137,11 @@ class DriveWriter:
                 self._sink.check(self.path)
 
     def __enter__(self) -> Self:
-        self._context = self._open()
-        self._context.__enter__()
-        return self
-
-    def __exit__(self, *error: Any) -> bool | None:
-        return self._context.__exit__(*error)
+        self.enter_context(self._open())
+        return super().__enter__()
 
 
-class DriveReader:
+class DriveReader(ExitStack):
     """Read one drive's file, a context manager.
 
     Raises InputError if the file is missing, damaged, of another `stage` (None: any), schema or drive, or refers to
@@ -152,14 +149,15 @@ class DriveReader:
     """
 
     def __init__(self, path: Path, *, stage: str | None) -> None:
+        super().__init__()
         self.path, self._stage = path, stage or "STAGE"
         if not path.is_file():
             raise _fault("file is missing", path, self._stage)
         try:
-            self._file = h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES)
-            self.attrs: dict[str, Any] = dict(self._file.attrs)
+            file = self.enter_context(h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES))
+            self.attrs: dict[str, Any] = dict(file.attrs)
             self.drive, written_by, schema = (str(self.attrs.get(name)) for name in ("drive", "stage", "schema"))
-            self.datasets = _datasets(self._file)
+            self.datasets = _datasets(file)
             # Ragged dataset → dataset with the first row of each frame; dataset of numbers of rows → that with the rows
             self.pointers, self.refers_to = (
                 {name: str(data.attrs[key]) for name, data in self.datasets.items() if key in data.attrs}
@@ -218,12 +216,6 @@ class DriveReader:
         """Return one frame's rows of a ragged dataset. `frame_row`: the frame's row in ``frame``."""
         start, stop = self.rows(self.pointers[name], frame_row, frame_row + 2)
         return self.rows(name, start, stop)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
 
 
 def _datasets(file: h5py.File) -> dict[str, h5py.Dataset]:

@@ -123,10 +123,7 @@ def write_camera(file: DriveWriter, camera: Camera) -> None:
 
 
 def read_camera(file: DriveReader, height_m: float | None = None) -> Camera:
-    """Return the camera of an ingest file's images; its K is the identity in a drive without images and scans.
-
-    `height_m`: over the road; None: from the calibration.
-    """
+    """Return an ingest file's camera; K is the identity without images and scans. `height_m` None: as calibrated."""
     known = {name: file[name] for name in ("K", "T_cam_velo") if name in file}
     (height, width), T_cam_velo = file.datasets["image"].shape[1:3], known.get("T_cam_velo")
     return Camera(known.get("K", np.eye(3)), (height, width), height_m or camera_height(T_cam_velo), T_cam_velo)

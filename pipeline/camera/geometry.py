@@ -35,10 +35,7 @@ def project(xyz: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def pixels_of(xyz: np.ndarray, K: np.ndarray, size: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the indices [M] of the points [N,3] inside an image of `size` (H, W), and their pixels' rows and columns.
-
-    Points are in the camera frame.
-    """
+    """Return the camera-frame points [N,3] inside an image of `size` (H, W): indices [M], pixels' rows and columns."""
     uv = np.rint(project(xyz, K)[0])
     inside = np.flatnonzero(((uv >= 0) & (uv < size[::-1])).all(axis=1))  # NaN compares as False
     column, row = uv[inside].astype(np.int64).T

@@ -46,10 +46,7 @@ def nearest(xyz: np.ndarray, k: int) -> np.ndarray:
 
 
 def undirected(neighbours: np.ndarray) -> Any:
-    """Return the symmetric matrix of the `neighbours` [P,k] of each point: scipy's csr_array uint8 [P,P].
-
-    It is 2 where two points are neighbours of each other, 1 where one is the other's; ascending in each row.
-    """
+    """Return `neighbours` [P,k] as a symmetric csr_array uint8 [P,P], rows ascending: 2 if mutual, otherwise 1."""
     count, k = neighbours.shape
     starts = np.arange(count + 1, dtype=np.int32) * k
     # Transposing sorts the entries of each row without comparisons.

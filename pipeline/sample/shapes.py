@@ -29,13 +29,8 @@ class Mesh(NamedTuple):
 
 def mesh(vertices: np.ndarray, triangles: np.ndarray, colour: Colour | np.ndarray, cls: int) -> Mesh:
     """Return a mesh of one class, with one colour or a colour per triangle."""
-    count = len(triangles)
-    return Mesh(
-        np.asarray(vertices, np.float32),
-        np.asarray(triangles, np.uint32),
-        np.broadcast_to(np.asarray(colour, np.float32), (count, 3)).copy(),
-        np.full(count, cls, np.uint8),
-    )
+    colours = np.broadcast_to(np.asarray(colour, np.float32), (len(triangles), 3)).copy()
+    return Mesh(vertices.astype(np.float32), triangles.astype(np.uint32), colours, np.full(len(colours), cls, np.uint8))
 
 
 def merge(parts: Iterable[Mesh]) -> Mesh:

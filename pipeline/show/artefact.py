@@ -48,10 +48,7 @@ def _dataset(file: DriveReader, name: str) -> list[str]:
 
 
 def frame(path: Path, number: int, out: Path | None = None) -> Content:
-    """Return the numbers of one frame of a drive's file by dataset, and draw its images and points to `out`.
-
-    Raises InputError if there is no such frame, or nothing to draw.
-    """
+    """Return a frame's numbers by dataset; draw it to `out`. Raises InputError if it is missing or has no picture."""
     with _open(path) as file:
         row = file.row_of(number)
         names = [name for name, data in file.datasets.items() if data.shape == file.frame.shape]

@@ -157,8 +157,7 @@ class Network(nn.Module):
                 self.network, report = type(self.network).from_pretrained(
                     folder, config=config, dtype=torch.float32, weights_only=True, output_loading_info=True
                 )
-                missing = sorted(name for name in report["missing_keys"] if not name.startswith(UNPUBLISHED))
-                if missing:
+                if missing := sorted(name for name in report["missing_keys"] if not name.startswith(UNPUBLISHED)):
                     raise InputError(f"its weights lack {missing[0]}, {len(missing)} tensors in all")
         mean_std = torch.tensor([description["mean"], description["std"]])[..., None, None]
         self.register_buffer("mean_std", mean_std, persistent=False)  # [2,3,1,1]

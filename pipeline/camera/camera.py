@@ -143,15 +143,14 @@ class DriveFrames:
     def __iter__(self) -> Iterator[Frame]:
         """Yield frames with image, depth and classes; or with a scan, and classes where there is an image."""
         image_row = {number: row for row, number in enumerate(self._perception.frame.tolist())}
-        ingest_row = {number: row for row, number in enumerate(self._ingest.frame.tolist())}
         for number, time_s in zip(self.frame.tolist(), self.time_s.tolist(), strict=True):
             frame, row = Frame(number, time_s), image_row.get(number)
             if row is not None:
                 frame.cls = self._perception.row("cls", row)
             if self._scans:
-                frame.scan = self._ingest.rows_of("lidar", ingest_row[number])
+                frame.scan = self._ingest.rows_of("lidar", self._ingest.row_of(number))
             else:
-                frame.image = self._ingest.row("image", ingest_row[number])
+                frame.image = self._ingest.row("image", self._ingest.row_of(number))
                 frame.depth_m = to_metres(self._perception.row("depth_m", image_row[number]))
             yield frame
 

@@ -143,8 +143,7 @@ class Scores:
                 scores[key] = {"frames": int(frames), **means, "coverage": covered / known}
         matrix = self.sums["confusion"]
         ious = zip(classes.NAMES, class_ious(matrix).tolist(), strict=True)
-        present = {name: iou for name, iou in ious if not np.isnan(iou)}
-        if present:
+        if present := {name: iou for name, iou in ious if not np.isnan(iou)}:
             scores["classes"] = {
                 "frames": int(self.sums["class_frames"][0]),
                 "mean_iou": float(np.mean([*present.values()])),  # over the classes in the truth

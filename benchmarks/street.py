@@ -20,8 +20,7 @@ from pipeline.settings.graphs import Variant
 
 ROUNDS = 5
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
-Measurement = Callable[[], float]
-"""Do the work once and return the result in the unit of the row."""
+Measurement = Callable[[], float]  # does the work once and returns the result in the unit of the row
 FRAMES = 31  # a span of 24 windows of 8 frames
 POINTS, K, KEEP_INTER_CLASS = 43_000, 6, 0.2  # paper, Table 1
 

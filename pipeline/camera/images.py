@@ -13,8 +13,7 @@ import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError
 
-Size = tuple[int, int]
-"""(H, W) pixels."""
+Size = tuple[int, int]  # (H, W) pixels
 DEPTH_UNITS_PER_M = 256  # of stored depth, as in KITTI's depth benchmark; 0: no depth
 MAX_UNITS = np.iinfo(np.uint16).max
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8"

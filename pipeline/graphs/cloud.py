@@ -19,8 +19,7 @@ from pipeline.camera.camera import Camera, open_frames, visible
 if TYPE_CHECKING:
     from pipeline.settings.clouds import Clouds
 
-Cloud = tuple[np.ndarray, np.ndarray]
-"""xyz float32 [P,3] in metres, cls uint8 [P] (trainIds)."""
+Cloud = tuple[np.ndarray, np.ndarray]  # xyz float32 [P,3] in metres, cls uint8 [P] (trainIds)
 
 STRATA_M = (10.0, 20.0, 40.0)
 """Limits of the four intervals of horizontal range from which `sampling: range` draws equal numbers of points."""

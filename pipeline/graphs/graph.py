@@ -71,8 +71,7 @@ def prune(matrix: Any, cls: np.ndarray, keep_inter_class: float, rng: np.random.
     return Graph(degree.astype(np.uint8), column[~removed], edges_knn, edges_kept)
 
 
-LevelSize = tuple[int, float, int]
-"""Centres, radius in metres, neighbours per centre."""
+LevelSize = tuple[int, float, int]  # centres, radius in metres, neighbours per centre
 Grouping = tuple[np.ndarray, np.ndarray]
 """Centres int64 [M], the sampled points, and neighbours int64 [M,n], the points in the ball around each centre."""
 

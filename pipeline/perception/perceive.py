@@ -43,8 +43,8 @@ class EncoderInput(NamedTuple):
     camera: Camera
 
 
+# → depth float32 [B,H,W] in the encoder's unit, trainIds uint8 [B,H,W]
 Predict = Callable[[EncoderInput], tuple[np.ndarray, np.ndarray]]
-"""EncoderInput → depth float32 [B,H,W] in the encoder's unit, trainIds uint8 [B,H,W]."""
 
 
 @cache  # one for all drives of a process

@@ -35,8 +35,8 @@ def oxts_rows(journey: Journey, latitude_deg: float, longitude_deg: float) -> np
     level = np.stack([a, sideways, np.full(len(v), GRAVITY_MPS2)], axis=-1)
     tilts = [rotation(x, y, 0.0) for x, y in zip(roll, pitch, strict=True)]
     ax, ay, az = np.stack([R.T @ row for R, row in zip(tilts, level, strict=True)]).T
-    roll_rate, pitch_rate, climb = (_rate(values, motion.time_s) for values in (roll, pitch, body.heave_m))
-    roll_rate, pitch_rate = (_late(rate, motion.time_s) for rate in (roll_rate, pitch_rate))
+    rates = np.gradient([*body], motion.time_s, axis=1) if len(v) > 1 else np.zeros((3, 1))  # of roll, pitch, heave
+    roll_rate, pitch_rate = (_late(rate, motion.time_s) for rate in rates[:2])
     xy, heading_rad = route.at(motion.s_m)
     east_m, north_m = (xy - xy[0]).T
     return make_rows(
@@ -47,17 +47,12 @@ def oxts_rows(journey: Journey, latitude_deg: float, longitude_deg: float) -> np
         vn=v * np.sin(heading_rad), ve=v * np.cos(heading_rad), vf=v,
         af=a, al=sideways, au=GRAVITY_MPS2, wz=yaw_rate, wu=yaw_rate,
         alt=ALTITUDE_M + IMU_HEIGHT_M + body.heave_m,
-        roll=roll, pitch=pitch, vu=climb,
+        roll=roll, pitch=pitch, vu=rates[2],
         ax=ax, ay=ay, az=az,
         # Below a degree, the body's rates about its own axes and about the road's are equal.
         wx=roll_rate, wy=pitch_rate, wf=roll_rate, wl=pitch_rate,
         pos_accuracy=0.05, vel_accuracy=0.02, navstat=4, numsats=9, posmode=4, velmode=4, orimode=4,
     )  # fmt: skip
-
-
-def _rate(values: np.ndarray, time_s: np.ndarray) -> np.ndarray:
-    """Return the time derivative [F] of values [F]; 0 for a single frame."""
-    return np.gradient(values, time_s) if len(values) > 1 else np.zeros(1)
 
 
 def _late(values: np.ndarray, time_s: np.ndarray) -> np.ndarray:

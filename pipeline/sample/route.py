@@ -20,8 +20,7 @@ DECK = ("right", "bend+", "crossing", "left", "sweep-", "corner+", "bend-", "swe
 _APART_M, _ROOM_M = 60.0, 32.0  # stretches farther apart along the road keep this distance
 _ARM_M, _ARM_HALF_M = (28.0, 45.0), (2.6, 4.2)  # length and half the width of side roads
 
-Piece = tuple[float, float, float]
-"""Length in metres, curvature in 1/m at its start and at its end."""
+Piece = tuple[float, float, float]  # length in metres, curvature in 1/m at its start and at its end
 
 
 class Arm(NamedTuple):

@@ -11,8 +11,7 @@ import torch
 from torch import Tensor, nn
 
 Array = np.ndarray | Tensor
-FrameKind = Literal["graph", "pointnet2", "image"]
-"""Kinds of frames: GraphBatch, SetBatch, ImageBatch."""
+FrameKind = Literal["graph", "pointnet2", "image"]  # GraphBatch, SetBatch, ImageBatch
 
 
 @dataclass(frozen=True)

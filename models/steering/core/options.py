@@ -13,8 +13,7 @@ from pipeline.base.errors import InputError
 
 Part = Literal["spatial", "temporal"]
 Count = Annotated[int, Field(ge=1, le=1024)]  # neurons, channels
-Widths = Annotated[tuple[Count, ...], Field(min_length=1, max_length=32, strict=False)]
-"""Channels after each layer."""
+Widths = Annotated[tuple[Count, ...], Field(min_length=1, max_length=32, strict=False)]  # channels after each layer
 Semantics = Annotated[float, Field(ge=0, le=1, description="weight of the classes, paper eq. 7; 0: geometry alone")]
 
 
@@ -38,10 +37,8 @@ class Sizes:
 class NetworkOptions(OptionGroup):
     """Base class of the class `Options` in a network's file: an option per field, and how to build the network."""
 
-    kind: ClassVar[FrameKind | None] = None
-    """Frames that the network reads. Spatial networks only."""
-    sees: ClassVar[bool] = True
-    """Whether the features depend on the frames."""
+    kind: ClassVar[FrameKind | None] = None  # frames that the network reads; spatial networks only
+    sees: ClassVar[bool] = True  # whether the features depend on the frames
 
     def build(self, sizes: Sizes) -> nn.Module:
         """Build the network with new weights from torch's random state. Raises InputError for a wrong option."""

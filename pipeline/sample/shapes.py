@@ -61,11 +61,8 @@ def house(size: tuple[float, float, float], colour: Colour, roof: Colour, roof_m
     walls = box(size, colour, classes.BUILDING)
     if roof_m == 0:
         return walls
-    x, y = length / 2 + 0.3, depth / 2 + 0.4
-    ridge = np.array(
-        [[-x, -y, height], [x, -y, height], [x, y, height], [-x, y, height], [-x, 0, height + roof_m],
-         [x, 0, height + roof_m]]
-    )  # fmt: skip
+    x, y, top = length / 2 + 0.3, depth / 2 + 0.4, height + roof_m
+    ridge = np.array([[-x, -y, height], [x, -y, height], [x, y, height], [-x, y, height], [-x, 0, top], [x, 0, top]])
     slopes = mesh(ridge, np.array([[0, 1, 5], [0, 5, 4], [2, 3, 4], [2, 4, 5]]), roof, classes.BUILDING)
     gables = mesh(ridge, np.array([[1, 2, 5], [3, 0, 4]]), colour, classes.BUILDING)
     return merge([walls, slopes, gables])

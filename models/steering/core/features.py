@@ -7,8 +7,7 @@ from pipeline.camera import classes
 
 GEOMETRY = 6  # columns of node_features that depend on the point's position alone
 NODE_FEATURES = GEOMETRY + classes.COUNT
-FEATURE_MIRROR_SIGNS = (-1.0, 1.0, 1.0, -1.0, 1.0, 1.0) + (1.0,) * classes.COUNT
-"""Factor of each column of node_features under left-right mirroring."""
+FEATURE_MIRROR_SIGNS = (-1.0, 1.0, 1.0, -1.0, 1.0, 1.0) + (1.0,) * classes.COUNT  # of node_features' columns
 GROUND_Y_M = 1.65  # approximate height of KITTI's ground; an offset that centres y
 
 

@@ -53,6 +53,8 @@ class Logs(NamedTuple):
         if (wheel is None) != (steering_ratio is None):
             fix = "Pass both; a ratio of 1 if the log holds angles of the front wheels"
             raise InputError("--wheel and --steering-ratio need each other", fix=fix)
+        if offset_s and not (wheel or motion):
+            raise InputError("--offset needs a log", fix="Pass --motion or --wheel, too")
         name = " and ".join(path.name for path in (wheel, motion) if path)
         angles = read_wheel(wheel, steering_ratio, offset_s) if wheel and steering_ratio else None
         return cls(angles, read_motion(motion, offset_s) if motion else None, name)

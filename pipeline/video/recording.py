@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, cast
 
@@ -36,8 +37,11 @@ _OPTIONS = {
     "use_absolute_path": "0",
 }
 Images = Iterator[av.VideoFrame]
+BAR, LIT, LIT_SHARE = 8, 32, 0.95  # grey levels of most pixels: at most in a black bar, at least 2 pixels beside it
+SAMPLED = 20  # images
 THUMB_PX = 64  # width of the images that are compared: averages noise
 INEXACT = 0.99  # a header's count of frames may be too large by this, and by one
+LAST_S = 0.2  # duration of a last image that does not tell it
 
 
 @dataclass
@@ -105,9 +109,13 @@ def open_recording(
     times_s, stamped, stored, notes = read_times(times) if times else None, False, 0, list[str]()
     images: Callable[[], Images]
     if path.is_dir():
-        files = _image_files(path)
+        files, places = _image_files(path)
         images = lambda: (av.VideoFrame.from_ndarray(read_image(file), "rgb24") for file in files)  # noqa: E731
-        if not fps and not times and all(re.fullmatch("[12][0-9]{18}", file.stem) for file in files):
+        if fps:
+            times_s = places / fps
+            if missing := places[-1] + 1 - len(files):
+                notes.append(f"{missing} numbers are missing in the names of {len(files)} images: times leave gaps")
+        elif not times and all(re.fullmatch("[12][0-9]{18}", file.stem) for file in files):
             times_s = np.array([(int(file.stem) - int(files[0].stem)) / 1e9 for file in files])  # ns since 1970
     else:
         images = partial(_decode, path)
@@ -122,17 +130,12 @@ def open_recording(
             raise InputError(f"pixels are not square ({shape:.3f} times as wide as high)", path, fix)
     if not (fps or stamped or times_s is not None):
         raise InputError("images have no times", path, "Pass --fps N, or --times FILE")
-    if times_s is not None:
-        check_span(*times_s[[0, -1]])
-    else:
-        check_span(0.0, (len(files) - 1) / float(fps or 1) if path.is_dir() else _duration_s(path, fps))
+    check_span(*(times_s[[0, -1]] if times_s is not None else (0.0, _duration_s(path, fps))))
     size, (stamps_s, change, key) = _scan(images, path)
     if (count := len(change)) < INEXACT * stored - 1:
         notes.append(f"{count} of the file's {stored} frames are used: it was trimmed without encoding it again")
-    if fps:
-        times_s = np.arange(count) / fps
-    elif times_s is None:
-        times_s = stamps_s - stamps_s[0]
+    if times_s is None:
+        times_s = np.arange(count) / fps if fps else stamps_s - stamps_s[0]
         if not (steps_ok := np.diff(times_s) > 0).all():
             raise DamagedFile(f"timestamps do not increase at image {steps_ok.argmin() + 1}", path, "Pass --fps")
     if len(times_s) != count:
@@ -155,11 +158,12 @@ def _duration_s(path: Path, fps: float | None) -> float:
 def _scan(images: Callable[[], Images], path: Path) -> tuple[Size, np.ndarray]:
     """Return the size of N images; their timestamps, NaN: none, and `change` and `key` of :func:`repeats` [3,N].
 
-    Raises InputError if the size changes.
+    Raises InputError if the size changes, or of black bars.
     """
     if (first := next(images(), None)) is None:
         raise DamagedFile("video has no frames", path, _CONVERT.format(name=path.name))
     shrink, rows, before, shape = VideoReformatter(), [], np.array(np.inf), (first.height, first.width)
+    light = np.zeros(shape, np.uint8)
     small = min(THUMB_PX, shape[1]), max(1, shape[0] * THUMB_PX // shape[1])
     for number, image in enumerate(tqdm(images(), "scan", unit=" images", disable=None)):
         if (image.height, image.width) != shape:
@@ -168,24 +172,50 @@ def _scan(images: Callable[[], Images], path: Path) -> tuple[Size, np.ndarray]:
         grey = shrink.reformat(image, *small, "gray", interpolation="AREA").to_ndarray().astype(np.float32)
         rows.append((image.time, np.abs(grey - before).mean(), image.key_frame))
         before = grey
+        if number % SAMPLED == 0:
+            light = np.maximum(light, image.to_ndarray(format="gray"))
+    _check_bars(light, path)
     return _upright(first, path).shape[:2], np.array(rows, float).T
+
+
+def _check_bars(light: np.ndarray, path: Path) -> None:
+    """Raise InputError for black bars on two opposite sides of images; `light` [H,W]: their lightest values."""
+    crop = list[int]()
+    for axis in (0, 1):
+        level = np.quantile(light, LIT_SHARE, axis=axis)
+        lit = np.flatnonzero(level > BAR)
+        first, last = lit[[0, -1]] if len(lit) else (0, 0)
+        bars = first > 2 and last < len(level) - 3 and min(level[first + 2], level[last - 2]) > LIT
+        crop += [last + 1 - first, first] if bars else [len(level), 0]
+    width, left, height, top = crop
+    if (height, width) != light.shape:
+        fix = f"Crop them: ffmpeg -i {path.name} -vf crop={width}:{height}:{left}:{top} cropped.mp4"
+        raise InputError("images have black bars", path, f"{fix}, and subtract {left} and {top} from cx and cy of --K")
 
 
 def _decode(path: Path) -> Images:
     """Yield the images of a video from the first key frame on. Raises DamagedFile if the file is cut short.
 
     The edit list of an MP4 or MOV file may leave out stored frames; then the others last as long as the header says.
+    Matroska has no count of frames, but a duration, that of its longest stream.
     """
     with _container(path) as (container, (stream, *_)):
         stream.thread_type = "AUTO"
-        stored, packets, started, end = stream.frames, -1, False, 0  # the last packet is empty
-        for packet in container.demux(stream):
-            packets, end = packets + 1, max(end, (packet.pts or 0) + (packet.duration or 0))
-            if started := started or packet.is_keyframe:
-                yield from packet.decode()
-        trimmed = "mov" in container.format.name and end >= INEXACT * (stream.duration or np.inf)
-        if packets < INEXACT * stored - 1 and not trimmed:
-            raise DamagedFile(f"ends after {packets} of {stored} frames", path, _CONVERT.format(name=path.name))
+        stored, packets, started, end_s = stream.frames, 0, False, 0.0
+        for packet in container.demux():
+            if not packet.is_corrupt:  # cut short
+                end_s = max(end_s, float(((packet.pts or 0) + (packet.duration or 0)) * (packet.time_base or 0)))
+            if packet.stream is stream:
+                packets += packet.size > 0
+                if started := started or packet.is_keyframe:
+                    yield from packet.decode()
+        total_s, kind = (container.duration or 0) / av.time_base, container.format.name
+        cut = packets < INEXACT * stored - 1
+        if "matroska" in kind or (cut and "mov" in kind):
+            cut = end_s < INEXACT * total_s - LAST_S
+        if cut:
+            end = f"{packets} of {stored} frames" if stored else f"{end_s:.1f} of {total_s:.1f} s"
+            raise DamagedFile(f"ends after {end}", path, _CONVERT.format(name=path.name))
 
 
 @contextmanager
@@ -216,14 +246,28 @@ def _upright(frame: av.VideoFrame, path: Path) -> np.ndarray:
     return np.ascontiguousarray(image)
 
 
-def _image_files(folder: Path) -> list[Path]:
-    """Return the PNG and JPEG files of a folder, in the order of the numbers in their names, then of the names."""
+def _image_files(folder: Path) -> tuple[list[Path], np.ndarray]:
+    """Return the PNG and JPEG files of a folder by the numbers in their names, then the names, and their places [F].
+
+    Places leave room for missing numbers; of names without consecutive numbers they are 0, 1, …
+    """
     files = [path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.name[:2] != "._"]  # macOS
     if not files:
         raise InputError(f"folder has no images (expected {', '.join(_SUFFIXES)})", folder)
     parts = {path: re.split(r"(\d+)", path.stem) for path in files}
     words = {path: [int(part) if part.isdecimal() else part for part in parts[path]] for path in files}
-    return sorted(files, key=lambda path: (words[path], path.name))  # img_9 before img_10
+    files.sort(key=lambda path: (words[path], path.name))  # img_9 before img_10
+    first = dict[tuple[Any, ...], Path]()
+    for path in files:
+        if (other := first.setdefault(tuple(words[path][1::2]) or (path,), path)) is not path:
+            problem = f"{other.name} and {path.name} have the same number (two cameras, or two formats?)"
+            raise InputError(problem, folder, "Pass a folder with one image per number")
+    numbers: list[Any] = [words[path][-2] for path in files if words[path][1:]]
+    steps = [after - before for before, after in pairwise(numbers)] or [0]
+    names = {(*words[path][:-2], words[path][-1]) for path in files}  # apart from the last number
+    if len(names) > 1 or not 0 < (step := min(steps)) == sorted(steps)[len(steps) // 2] or any(n % step for n in steps):
+        return files, np.arange(len(files))
+    return files, np.array([(number - numbers[0]) // step for number in numbers])
 
 
 def read_times(path: Path) -> np.ndarray:

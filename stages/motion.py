@@ -5,6 +5,7 @@ from pathlib import Path
 from pipeline.base import console, store
 from pipeline.base.runner import make_files
 from pipeline.motion.drive import measure_drive
+from pipeline.motion.still import warnings
 
 MIN_ROAD = 0.5  # share of frames with a road, below which the scale is called uncertain
 
@@ -18,6 +19,9 @@ def main(
     splits = store.read_index(perception, stage="perception")
     inputs, text = {"ingest": ingest, "perception": perception}, "{frames} frames, {valid} measured"
     made = make_files("motion", out, splits, inputs, measure_drive, {}, text)
+    for drive, summary in made.items():
+        for text in warnings(summary["still"]):
+            print(f"{drive}: {text}")
     frames, road = (sum(summary[name] for summary in made.values()) for name in ("frames", "road_frames"))
     if frames and road < MIN_ROAD * frames:
         fix = "Set base: none in models that read motion"

@@ -17,7 +17,6 @@ from pipeline.video.source import MOTION, Source, publish, run_chain, work_folde
 
 CAMERAS = [2, 0, 3, 1]  # of a KITTI drive, the first one with images
 READING = Reading(image_size=(192, 640), cameras=CAMERAS, lidar=False, on_damaged="skip")  # as the encoder was trained
-MAX_BONNET = 0.05  # share of the lowest row that shows no street: recordings without a bonnet have 0
 
 
 def measure(
@@ -63,5 +62,3 @@ def _remarks(quality: dict[str, Any], height_known: bool) -> Iterator[str]:
         yield f"the encoder's depth puts the camera {height}. Measure it and pass --camera-height: speed follows it"
     if quality["speed_sigma"]:
         yield f"speed and curvature may be off by {quality['speed_sigma']:.0%} (one standard deviation)"
-    if quality["bonnet"] > MAX_BONNET:
-        yield "the lowest rows show a bonnet, or text, whose surroundings get a wrong depth: crop the images above it"

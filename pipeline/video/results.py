@@ -18,6 +18,7 @@ from pipeline.labels import rates, sources
 from pipeline.labels.comparison import compare, judge, sums
 from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
 from pipeline.motion.step import PROBLEMS
+from pipeline.motion.still import warnings
 from pipeline.settings.evaluate import Evaluate
 from pipeline.video.log import Logs
 from pipeline.video.source import INGEST, MOTION, Source
@@ -132,7 +133,7 @@ class Results:
             measured = looking_ahead.at(np.searchsorted(raw.frame, motion.frame[rows]))
             agreement = compare([sums(motion.time_s[rows], truth.driven, measured)])
             valid, codes = motion["valid"], motion["problem"][rows]
-            source.notes.extend(logs.coverage(motion.time_s[rows]))
+            source.notes.extend([*logs.coverage(motion.time_s[rows]), *warnings(float(np.median(motion["still"])))])
             points, residual = (np.where(valid, motion[name], np.nan) for name in ("inliers", "residual"))
             columns = {"valid": valid, **course, "points": points, "residual": residual}
             driven_rad = np.where(truth.driven.valid, truth.driven.steering_rad, np.nan)

@@ -71,5 +71,5 @@ def measure_drive(
             file.put(name, columns[name], unit)
         file.put("filtered_mps", filtered_mps, "m/s, speed_mps after a causal filter of the error of depth's scale")
         file.put("speed_sigma", sigma, "relative standard deviation of filtered_mps")
-    still = float(np.median(columns["still"]))
+    still = float(np.median(columns["still"])) if count else 0.0
     return {"frames": count, "valid": int(valid.sum()), "road_frames": int(road.sum()), "still": still}

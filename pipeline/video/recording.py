@@ -131,7 +131,8 @@ def open_recording(
     if not (fps or stamped or times_s is not None):
         raise InputError("images have no times", path, "Pass --fps N, or --times FILE")
     check_span(*(times_s[[0, -1]] if times_s is not None else (0.0, _duration_s(path, fps))))
-    size, (stamps_s, change, key) = _scan(images, path)
+    size, (stamps_s, change, key), found = _scan(images, path)
+    notes += found
     if (count := len(change)) < INEXACT * stored - 1:
         notes.append(f"{count} of the file's {stored} frames are used: it was trimmed without encoding it again")
     if times_s is None:
@@ -155,10 +156,10 @@ def _duration_s(path: Path, fps: float | None) -> float:
         return (len(stamps) - 1) / fps if fps else float((max(known) - min(known)) * (stream.time_base or 1))
 
 
-def _scan(images: Callable[[], Images], path: Path) -> tuple[Size, np.ndarray]:
-    """Return the size of N images; their timestamps, NaN: none, and `change` and `key` of :func:`repeats` [3,N].
+def _scan(images: Callable[[], Images], path: Path) -> tuple[Size, np.ndarray, list[str]]:
+    """Return the size of N images; timestamps, NaN: none, `change` and `key` of :func:`repeats` [3,N]; and notes.
 
-    Raises InputError if the size changes, or of black bars.
+    Raises InputError if the size changes.
     """
     if (first := next(images(), None)) is None:
         raise DamagedFile("video has no frames", path, _CONVERT.format(name=path.name))
@@ -174,12 +175,11 @@ def _scan(images: Callable[[], Images], path: Path) -> tuple[Size, np.ndarray]:
         before = grey
         if number % SAMPLED == 0:
             light = np.maximum(light, image.to_ndarray(format="gray"))
-    _check_bars(light, path)
-    return _upright(first, path).shape[:2], np.array(rows, float).T
+    return _upright(first, path).shape[:2], np.array(rows, float).T, _bars(light, path)
 
 
-def _check_bars(light: np.ndarray, path: Path) -> None:
-    """Raise InputError for black bars on two opposite sides of images; `light` [H,W]: their lightest values."""
+def _bars(light: np.ndarray, path: Path) -> list[str]:
+    """Return a note on black bars on two opposite sides of images; `light` [H,W]: their lightest values."""
     crop = list[int]()
     for axis in (0, 1):
         level = np.quantile(light, LIT_SHARE, axis=axis)
@@ -188,9 +188,8 @@ def _check_bars(light: np.ndarray, path: Path) -> None:
         bars = first > 2 and last < len(level) - 3 and min(level[first + 2], level[last - 2]) > LIT
         crop += [last + 1 - first, first] if bars else [len(level), 0]
     width, left, height, top = crop
-    if (height, width) != light.shape:
-        fix = f"Crop them: ffmpeg -i {path.name} -vf crop={width}:{height}:{left}:{top} cropped.mp4"
-        raise InputError("images have black bars", path, f"{fix}, and subtract {left} and {top} from cx and cy of --K")
+    fix = f"ffmpeg -i {path.name} -vf crop={width}:{height}:{left}:{top} cropped.mp4, cx - {left} and cy - {top} in --K"
+    return [] if (height, width) == light.shape else [f"black bars make the speed wrong. Crop the images: {fix}"]
 
 
 def _decode(path: Path) -> Images:

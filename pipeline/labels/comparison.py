@@ -22,7 +22,6 @@ CLEAR = 0.9  # correlation that needs fewer frames
 # steering wheel may lead the yaw rate by 0.2 s.
 LATE_S, LATE_COST = 0.2, 0.01
 DEGREES, SIMILAR = math.degrees(1), 0.1  # 57.3 within a factor of 1.5: healthy gains are 0.7 to 1.2
-FEW = 1.4  # factor of UNLIKE_SPEED with few frames, whose scale is uncertain
 # Logarithms of gains. Karlsruhe's cameras measure 1.2 times the speed, a camera 1.2 m above the road 1.38 times.
 UNLIKE, UNLIKE_SPEED = math.log(2), math.log(1.4)
 
@@ -165,7 +164,7 @@ def judge(comparison: Mapping[str, Any], column: str) -> tuple[list[str], list[s
             doubts.append(f"{name} is {abs(lag_s):.2f} s {when}: pass --offset {-lag_s:.2f}, added to an earlier one")
     if (speed := comparison.get("speed")) and speed["frames"] >= SHOWN:
         texts.append(f"speed gain {speed['gain']:.2f}")
-        if abs(math.log(speed["gain"])) > UNLIKE_SPEED * (1 if speed["frames"] >= JUDGED else FEW):
+        if abs(math.log(speed["gain"])) > UNLIKE_SPEED * (1.4 if speed["frames"] < JUDGED else 1):  # noisy
             causes = "km/h would give 3.6, mph 2.24; a wrong K or camera height changes the measured speed"
             doubts.append(f"speed_mps is {speed['gain']:.2f} times what is measured: {causes}")
     return errors, [f"recorded / measured, {turning} turning frames: {'; '.join(texts)}", *doubts] if texts else []

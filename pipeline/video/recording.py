@@ -37,7 +37,7 @@ _OPTIONS = {
     "use_absolute_path": "0",
 }
 Images = Iterator[av.VideoFrame]
-BAR, LIT, LIT_SHARE = 8, 32, 0.95  # grey levels of most pixels: at most in a black bar, at least 2 pixels beside it
+BAR, LIT, MOST = 8, 32, 0.95  # largest grey level of most pixels in a row of a black bar; smallest 2 rows beside it
 SAMPLED = 20  # images
 THUMB_PX = 64  # width of the images that are compared: averages noise
 INEXACT = 0.99  # a header's count of frames may be too large by this, and by one
@@ -46,10 +46,7 @@ LAST_S = 0.2  # duration of a last image that does not tell it
 
 @dataclass
 class Recording:
-    """Frames in order, with times: of the file of times, by a fixed rate, or the video's own timestamps.
-
-    They are the recording's images without repeats.
-    """
+    """Images in order, without repeats; their times are of a file, by a fixed rate, or the video's own."""
 
     path: Path
     images: Callable[[], Images]
@@ -182,9 +179,8 @@ def _bars(light: np.ndarray, path: Path) -> list[str]:
     """Return a note on black bars on two opposite sides of images; `light` [H,W]: their lightest values."""
     crop = list[int]()
     for axis in (0, 1):
-        level = np.quantile(light, LIT_SHARE, axis=axis)
-        lit = np.flatnonzero(level > BAR)
-        first, last = lit[[0, -1]] if len(lit) else (0, 0)
+        level = np.quantile(light, MOST, axis=axis)
+        first, last = np.flatnonzero(level > BAR)[[0, -1]] if level.max() > BAR else (0, 0)
         bars = first > 2 and last < len(level) - 3 and min(level[first + 2], level[last - 2]) > LIT
         crop += [last + 1 - first, first] if bars else [len(level), 0]
     width, left, height, top = crop
@@ -256,11 +252,10 @@ def _image_files(folder: Path) -> tuple[list[Path], np.ndarray]:
     parts = {path: re.split(r"(\d+)", path.stem) for path in files}
     words = {path: [int(part) if part.isdecimal() else part for part in parts[path]] for path in files}
     files.sort(key=lambda path: (words[path], path.name))  # img_9 before img_10
-    first = dict[tuple[Any, ...], Path]()
-    for path in files:
-        if (other := first.setdefault(tuple(words[path][1::2]) or (path,), path)) is not path:
-            problem = f"{other.name} and {path.name} have the same number (two cameras, or two formats?)"
-            raise InputError(problem, folder, "Pass a folder with one image per number")
+    for before, after in pairwise(files):
+        if words[before][1:] and cast(Any, words[after][1::2]) <= words[before][1::2]:
+            problem = f"{after.name} would follow {before.name}: images of two cameras, or in two formats?"
+            raise InputError(problem, folder, "Pass a folder with the images of one")
     numbers: list[Any] = [words[path][-2] for path in files if words[path][1:]]
     steps = [after - before for before, after in pairwise(numbers)] or [0]
     names = {(*words[path][:-2], words[path][-1]) for path in files}  # apart from the last number

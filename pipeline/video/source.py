@@ -105,9 +105,7 @@ def open_images(
 ) -> Source:
     """Open a recording of rectified images, `hz` of them per second, after `logs` are compared with its times.
 
-    Its horizon is estimated if it is None.
-
-    Other arguments as of :func:`open_recording`, :func:`undistortion` and :func:`pinhole`.
+    `horizon` is estimated if it is None. Others as of :func:`open_recording`, :func:`undistortion`, :func:`pinhole`.
     """
     recording = open_recording(path, fps, times, logs.check_overlap)
     if recording.size[0] > recording.size[1]:

@@ -1,5 +1,6 @@
 """Recordings: frames, times, intrinsics, logs, plainly wrong files; results: course, truth, comparison, pictures."""
 
+import re
 import socket
 import struct
 from collections.abc import Callable, Iterable
@@ -35,13 +36,28 @@ def times_of(path: Path, **options: Any) -> list[float]:
     return [frame.time_s for frame in open_recording(path, **options).frames()]
 
 
-def test_order_follows_the_numbers_in_names(tmp_path):
-    for name, grey in {"img_10.png": 80, "img_9.png": 0, "img_100.JPG": 160, "._img_9.png": 9}.items():
+def test_order_and_times_follow_the_numbers_in_names(tmp_path):
+    for name, grey in {
+        "img_10.png": 80,
+        "img_9.png": 0,
+        "img_13.JPG": 160,
+        "img_11.png": 200,
+        "._img_9.png": 9,
+    }.items():
         write_png(tmp_path / name, np.full((*SIZE, 3), grey))
     (tmp_path / "notes.txt").write_text("not an image")
     frames = list(open_recording(tmp_path, fps=4).frames())
-    assert [frame.image.mean() for frame in frames if frame.image is not None] == [0, 80, 160]
-    assert [(frame.number, frame.time_s) for frame in frames] == [(0, 0), (1, 0.25), (2, 0.5)]
+    assert [frame.image.mean() for frame in frames if frame.image is not None] == [0, 80, 200, 160]
+    assert [(frame.number, frame.time_s) for frame in frames] == [(0, 0), (1, 0.25), (2, 0.5), (3, 1.0)]
+    write_png(tmp_path / "rear_9.png", np.zeros((*SIZE, 3)))
+    with pytest.raises(InputError, match=r"rear_9.png would follow img_13.JPG: .*two cameras"):
+        open_recording(tmp_path, fps=4)
+
+
+def test_black_bars_are_said(tmp_path):
+    images = [np.pad(image, [(8, 6), (0, 0), (0, 0)]) for image in images_of_a_street()[:5]]
+    (note,) = open_recording(write_streams(tmp_path / "a.mp4", {"images": images})).notes
+    assert re.search(r"crop=320:9\d:0:8 cropped.mp4, cx - 0 and cy - 8", note)
 
 
 def test_frames_and_times_of_the_container(tmp_path):
@@ -230,6 +246,7 @@ PLAINLY_WRONG: list[tuple[str, Callable[[Path], object], str]] = [
     ("avchd.mp4", lambda path: write_stream(path, codec="mpeg4", shape=2), "not square"),
     ("raw.h264", lambda path: write_stream(path), "no times"),  # FFmpeg assumes 25 frames per second
     ("cut.mp4", cut, "of 40 frames"),
+    ("cut.mkv", cut, r"of 4\.0 s"),
     ("repeated.ts", repeated, "do not increase"),
     ("exif", lambda path: orient(path / "1.png"), "EXIF orientation"),
     ("sizes", sizes, "image 1 has 64 x 40 pixels .*64 x 48"),
@@ -442,8 +459,9 @@ def test_truth_is_that_of_the_logs_or_of_the_drive(tmp_path, wheel, motion, expe
         np.testing.assert_allclose(truth.driven.speed_mps, [np.nan, 12.5, 17.5, np.nan])
     names = [name for name, log in (("wheel.csv", wheel), ("motion.csv", motion)) if log]
     assert truth.name == (" and ".join(names) or ("oxts" if "oxts" in recorded else "steering.csv"))
-    with pytest.raises(InputError, match="--steering-ratio"):
-        Logs.read(files[0], None, None)
+    for files, offset_s, problem in ([files[0], 0, "--steering-ratio"], [None, 1, "--offset needs a log"]):
+        with pytest.raises(InputError, match=problem):
+            Logs.read(files, None, None, offset_s)
 
 
 def test_comparison_by_its_definition():

@@ -203,7 +203,7 @@ def _decode(path: Path) -> Images:
             if packet.stream is stream:
                 packets += packet.size > 0
                 if started := started or packet.is_keyframe:
-                    yield from packet.decode()
+                    yield from stream.decode(packet)
         total_s, kind = (container.duration or 0) / av.time_base, container.format.name
         cut = packets < INEXACT * stored - 1
         if "matroska" in kind or (cut and "mov" in kind):

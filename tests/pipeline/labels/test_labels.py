@@ -136,9 +136,6 @@ def test_scores_use_measured_frames_above_the_minimum_speed():
     expected["nmse"] = (held - true) ** 2 / true**2  # frames 1 to 3: the first is not measured yet, the last too slow
     assert scores == pytest.approx(expected)
     assert comparison.score([]) is None
-
-
-def test_recorded_angles_have_no_speed():
     true, unknown = moved(0.2, 6.0, [1] * 5), np.full(5, np.nan)
     wheel = Labels(1.1 * true.steering_rad, true.valid, unknown, unknown)
     scores = comparison.score([comparison.errors(wheel, true)])

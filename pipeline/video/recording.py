@@ -131,9 +131,7 @@ def open_recording(
     size, (stamps_s, change, key), found = _scan(images, path)
     notes += found
     if (count := len(change)) < INEXACT * stored - 1:
-        notes.append(
-            f"{count} of the file's {stored} frames are used, with times from 0: it was trimmed without encoding"
-        )
+        notes.append(f"{count} of the file's {stored} frames are used: it was trimmed, and times begin there")
     if times_s is None:
         times_s = np.arange(count) / fps if fps else stamps_s - stamps_s[0]
         if not (steps_ok := np.diff(times_s) > 0).all():

@@ -8,8 +8,6 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 
-_CORRECT = "Correct or remove the sample"
-
 
 def read_columns(path: Path, names: Sequence[str], expected: str, sparse: Sequence[str] = ()) -> dict[str, np.ndarray]:
     """Return name → column, float64 [N], NaN in empty cells of the `sparse` columns.
@@ -43,7 +41,7 @@ def read_columns(path: Path, names: Sequence[str], expected: str, sparse: Sequen
     return dict(zip(names, np.array(rows, np.float64).reshape(-1, len(names)).T.copy(), strict=True))
 
 
-def check_limit(name: str, values: np.ndarray, limit: float, path: Path, fix: str = _CORRECT) -> None:
+def check_limit(name: str, values: np.ndarray, limit: float, path: Path, fix: str) -> None:
     """Raise InputError if one of `values` [N] is not finite or its magnitude exceeds `limit`."""
     wrong = ~(np.abs(values) <= limit)
     if wrong.any():
@@ -57,4 +55,6 @@ def check_increase(name: str, values: np.ndarray, least_step: float, path: Path 
     if wrong.any():
         at = int(np.argmax(wrong))
         problem = f"{name} goes from {values[at]:.15g} to {values[at + 1]:.15g} at sample {at + 2}"
-        raise InputError(f"{problem} (expected an increase of {least_step:g} or more)", path, _CORRECT)
+        raise InputError(
+            f"{problem} (expected an increase of {least_step:g} or more)", path, "Correct or remove the sample"
+        )

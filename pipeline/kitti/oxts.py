@@ -101,14 +101,9 @@ def read_steering(path: Path) -> dict[int, float]:
     expected = "Expected a CSV file with frame (number of the image) and steering_rad (front wheels, left +)"
     frame, steering_rad = read_columns(path, STEERING_COLUMNS, expected).values()
     check_increase("frame", frame, 1, path)
-    check_angles(steering_rad, path)
-    return dict(zip(frame.astype(np.int64).tolist(), steering_rad.tolist(), strict=True))
-
-
-def check_angles(steering_rad: np.ndarray, path: Path) -> None:
-    """Raise InputError if one of the angles [N] is not finite or exceeds LIMIT_RAD."""
     fix = "Divide angles of the steering wheel by the steering ratio"
     check_limit("steering_rad", steering_rad, LIMIT_RAD, path, fix)
+    return dict(zip(frame.astype(np.int64).tolist(), steering_rad.tolist(), strict=True))
 
 
 def write_steering(path: Path, steering_rad: Mapping[int, float]) -> None:

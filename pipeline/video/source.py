@@ -39,7 +39,7 @@ class Source:
     name: str  # random draws depend on it
     camera: Camera  # of complete images; height_m is KITTI's unless height_known
     frames: Callable[[], Iterator[Frame]]  # complete, rectified images; again with each call
-    count: int | None  # number of frames, if known
+    count: int  # number of frames
     height_known: bool = True  # of the camera over the road
     drive: KittiDrive | None = None  # None: a video, or a folder of images
     how: dict[str, Any] = field(default_factory=dict)  # options that it was opened with
@@ -152,7 +152,7 @@ def run_chain(source: Source, work: Path, reading: Reading, perception: Percepti
     can be read, or the disk is too small.
     """
     height, width = reading.image_size
-    needed, free = (source.count or 0) * height * width * BYTES_PER_PIXEL, shutil.disk_usage(work).free
+    needed, free = source.count * height * width * BYTES_PER_PIXEL, shutil.disk_usage(work).free
     if needed > free:
         problem = f"{source.count} frames need up to {needed / 1e9:.1f} GB, but {free / 1e9:.1f} GB are free"
         raise InputError(problem, work, "Pass an --out on another disk")
@@ -177,7 +177,6 @@ def _ingest(path: Path, *, source: Source, reading: Reading, advance: Callable[[
         if summary["damaged"]:
             source.notes.append(f"{summary['damaged']} damaged files left out")
         return summary
-
     with IngestFile(path, source.name, source.camera, reading) as file:
         for frame in source.frames():
             file.add(frame)

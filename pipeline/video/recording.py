@@ -1,5 +1,6 @@
 """Read a recording, a video file or a folder of images, one frame at a time, with times."""
 
+import math
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -281,5 +282,7 @@ def check_times(times_s: np.ndarray, path: Path | str, longest_s: float) -> None
         raise InputError(f"expected at least 2 times, got {len(times_s)}", path)
     step_s = float(np.median(np.diff(times_s)))
     if not 0.999e-3 <= step_s <= longest_s:
-        fix = "Times are in seconds: divide milliseconds by 1000. Slower samples are not interpolated"
+        power = min(max(math.ceil(math.log(step_s / longest_s, 1000)), 1), 3)
+        unit = f"{('milli', 'micro', 'nano')[power - 1]}seconds by {1000**power}"
+        fix = f"Times are in seconds: divide {unit}. Slower samples are not interpolated"
         raise InputError(f"median time step is {step_s:g} (expected 0.001 to {longest_s:.1g} s)", path, fix)

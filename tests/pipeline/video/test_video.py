@@ -349,6 +349,7 @@ WHEEL = "time_s,wheel_rad\n"
         (HEAD + "0,5,0\n2,5,0\n4,5,0\n", "divide milliseconds by 1000"),  # of 500 Hz
         (HEAD + "0,5,0\n0.1,5,\n0.2,5,\n", "column yaw_rate_radps: expected at least 2 times"),
         (HEAD + "0,5,0\n100,5,0\n", "divide milliseconds by 1000"),
+        (HEAD + "0,5,0\n1e8,5,0\n", "divide nanoseconds by 1000000000"),
         (HEAD + "0,5,0\n1e-4,5,0\n", "in seconds"),
         (HEAD + "0,5,0\n0,5,5,0\n", "line 3: expected numbers, .*decimal point"),
         ("time_s;speed_mps;yaw_rate_radps\n0,1;5;0\n", "line 2: expected numbers"),

@@ -54,7 +54,6 @@ def check_increase(name: str, values: np.ndarray, least_step: float, path: Path 
     wrong = ~(np.diff(values) >= least_step)
     if wrong.any():
         at = int(np.argmax(wrong))
-        problem = f"{name} goes from {values[at]:.15g} to {values[at + 1]:.15g} at sample {at + 2}"
-        raise InputError(
-            f"{problem} (expected an increase of {least_step:g} or more)", path, "Correct or remove the sample"
-        )
+        steps = f"{name} goes from {values[at]:.15g} to {values[at + 1]:.15g} at sample {at + 2}"
+        problem = f"{steps} (expected an increase of {least_step:g} or more)"
+        raise InputError(problem, path, "Correct or remove the sample")

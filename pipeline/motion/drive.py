@@ -45,10 +45,7 @@ def measure_drive(
         count, odometry = len(frames.frame), Odometry(frames.camera, road_scale=road_scale)
         columns = dict(zip(UNITS, np.zeros((len(UNITS), count), np.float32), strict=True))
         columns |= {"inliers": np.zeros(count, np.int32), "problem": np.zeros(count, np.uint8)}
-        columns |= {
-            "scale": np.ones(count, np.float32),
-            "T_before": np.tile(np.eye(4, dtype=np.float32), (count, 1, 1)),
-        }
+        columns |= {"scale": np.ones(count, np.float32), "T_before": np.tile(np.eye(4, dtype="f4"), (count, 1, 1))}
         for row, (frame, duration_s) in enumerate(zip(frames, durations(frames.frame, frames.time_s), strict=True)):
             step = odometry.step(frame)
             values = {"problem": PROBLEMS.index(odometry.problem), "road_height_m": odometry.road.frame_height_m}

@@ -90,8 +90,8 @@ def _refine(T: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth
     """
     T = T.copy()
     for _ in range(ITERATIONS):
-        error, weight, jacobian = _linearise(T, xyz, uv, K, depth_sigma)
-        robust = weight / (1 + _squared_mahalanobis(error, weight) / CAUCHY**2)[:, None, None]
+        error, weight, squared_distance, jacobian = _linearise(T, xyz, uv, K, depth_sigma)
+        robust = weight / (1 + squared_distance / CAUCHY**2)[:, None, None]
         weighted = np.einsum("nia,nij->naj", jacobian, robust)
         normal, gradient = np.einsum("naj,njb->ab", weighted, jacobian), np.einsum("naj,nj->a", weighted, error)
         try:
@@ -100,21 +100,18 @@ def _refine(T: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth
             return None
         T[:3, :3] = cv2.Rodrigues(change[:3])[0] @ T[:3, :3]
         T[:3, 3] += change[3:]
-    error, weight, _ = _linearise(T, xyz, uv, K, depth_sigma)
-    squared_distance = np.where(weight.any(axis=(1, 2)), _squared_mahalanobis(error, weight), BEHIND)
+    error, _, squared_distance, _ = _linearise(T, xyz, uv, K, depth_sigma)
     cost = float(np.log1p(squared_distance / CAUCHY**2).sum())
     return _Fit(T, cost, squared_distance, error)
 
 
-def _squared_mahalanobis(error: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return squared Mahalanobis distances [N] of errors [N,2] with inverse covariances [N,2,2]."""
-    return np.einsum("ni,nij,nj->n", error, weight, error)
-
-
 def _linearise(
     T: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return errors [N,2] px, inverse covariances [N,2,2], Jacobians [N,2,6] by rotation and translation."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return errors [N,2] px, inverse covariances [N,2,2], squared Mahalanobis distances [N], Jacobians [N,2,6].
+
+    Jacobians are by rotation and translation.
+    """
     rotated = xyz @ T[:3, :3].T
     x, y, z = (rotated + T[:3, 3]).T
     behind = z < MIN_DEPTH_M
@@ -131,4 +128,5 @@ def _linearise(
     shrink = per_sigma[:, :, None] * per_sigma[:, None, :] / total[:, None, None]
     weight = (np.eye(2) - shrink) / PIXEL_SIGMA**2
     weight[behind] = 0
-    return error, weight, np.concatenate([by_point @ by_rotation, by_point], axis=-1)
+    squared_distance = np.where(behind, BEHIND, np.einsum("ni,nij,nj->n", error, weight, error))
+    return error, weight, squared_distance, np.concatenate([by_point @ by_rotation, by_point], axis=-1)

@@ -45,19 +45,20 @@ class Odometry:
 
     def step(self, frame: Frame) -> Step | None:
         """Return the motion since the previous frame; None where it cannot be measured. Frames come in order."""
-        grey, step = self._grey_image(frame.image), None
-        self.problem = "no previous frame"
+        grey, result = self._grey_image(frame.image), "no previous frame"
         if self._number is not None and frame.number == self._number + 1:
             every = slice(None, None, self._enlarged)
             self.still.add(self._grey[every, every], grey[every, every], self.road.slope)
-            step = self._measure(grey)
+            result = self._measure(grey)
+        step, self.problem = (None, result) if isinstance(result, str) else (result, "")
         self._T_before = step.T_before if step else None
         if step:
             self.road.add_step(step.T_before)
         self._number, self._grey, self._points = frame.number, grey, self._lift(frame, grey)
         return step
 
-    def _measure(self, grey: np.ndarray) -> Step | None:
+    def _measure(self, grey: np.ndarray) -> Step | str:
+        """Return the motion since the previous frame, or why it cannot be measured: one of PROBLEMS."""
         xyz, depth_sigma, scale = self._points
         uv_before = project(xyz, self._K)[0]
         uv_guess, T_before_last = uv_before, None
@@ -70,31 +71,26 @@ class Odometry:
         tracked &= ~self.still.mask[row, column]
         xyz, uv_before, uv = xyz[tracked], uv_before[tracked], self._smaller(uv[tracked])
         if len(uv) < MIN_POINTS:
-            self.problem = "too few points can be tracked"
-            return None
+            return "too few points can be tracked"
         if np.median(np.abs(uv - uv_before).max(axis=1)) < STANDSTILL_PX:
-            self.problem = STANDSTILL[0]
-            return None
+            return STANDSTILL[0]
         pose = estimate_pose(xyz, uv, self._K, depth_sigma[tracked], T_before_last)
         if pose is None:
-            self.problem = "no common motion of the scene"
-            return None
+            return "no common motion of the scene"
         T_before = np.linalg.inv(pose.T_now_before)
         if np.linalg.norm(T_before[:3, 3]) < STANDSTILL_M:
-            self.problem = STANDSTILL[1]
-            return None
+            return STANDSTILL[1]
         if not plausible(T_before):
-            self.problem = "a motion that is not a car's"
-            return None
-        self.problem = ""
+            return "a motion that is not a car's"
         return Step(T_before, int(pose.inliers.sum()), pose.residual_px, scale)
 
     def _lift(self, frame: Frame, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Return the corners as points [N,3] in metres, relative sigma of their depths [N], factor applied to depth."""
         depth_m = frame.depth_m.astype(np.float32)
-        usable, traffic = _usable_pixels(depth_m, frame.cls, self._max_depth_m)
-        still = self.still.mask
-        usable &= ~still
+        nearest, farthest = cv2.erode(depth_m, AROUND), cv2.dilate(depth_m, AROUND)
+        usable = (nearest > MIN_DEPTH_M) & (farthest < self._max_depth_m) & (farthest < EDGE * nearest)
+        usable &= ~(still := self.still.mask)
+        traffic = cv2.dilate(MOVING[frame.cls].astype(np.uint8), AROUND) > 0  # and its surroundings
         # What depth shows to be the road is no traffic: classes of grey images mistake shaded road for cars.
         road, scale = self.road.find(depth_m, usable, still)
         corners = Corners(grey)
@@ -122,13 +118,6 @@ class Odometry:
 
     def _smaller(self, uv: np.ndarray) -> np.ndarray:
         return (uv.astype(np.float64) + 0.5) / self._enlarged - 0.5
-
-
-def _usable_pixels(depth_m: np.ndarray, cls: np.ndarray, max_depth_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pixels with a well-defined depth, and those of traffic and its surroundings, bool [H,W]."""
-    nearest, farthest = cv2.erode(depth_m, AROUND), cv2.dilate(depth_m, AROUND)
-    usable = (nearest > MIN_DEPTH_M) & (farthest < max_depth_m) & (farthest < EDGE * nearest)
-    return usable, cv2.dilate(MOVING[cls].astype(np.uint8), AROUND) > 0
 
 
 class Corners:

@@ -67,9 +67,9 @@ def import_drives(
         images = unfinished[0].with_name("images")  # removed with the temporary folder
         time_s = _write_images(images, source, start_s, end_s)
         usable = time_s - time_s[0] > start_s - ROUNDING_S
+        source.notes.extend(logs.coverage(time_s[usable]))
         if logs.motion:
             usable &= np.isfinite(logs.motion.at(time_s)[0])
-        source.notes.extend(logs.coverage(time_s[time_s - time_s[0] > start_s - ROUNDING_S]))
         if not usable.any():
             problem = f"no image from {time_s[0]:.3f} to {time_s[-1]:.3f} s is left, or none with motion"
             raise InputError(problem, fix="Change --start, --end or --offset")
@@ -84,7 +84,10 @@ def import_drives(
             size = np.array(camera.size[::-1], float)
             entries = {"R_rect_00": np.eye(3), f"S_rect_{CAMERA:02d}": size, f"P_rect_{CAMERA:02d}": P}
             write_entries(date / CALIBRATION, entries)
-        manifests = [_write_manifest(folder, date) for folder in unfinished]
+        for folder in unfinished:
+            content = {"calibration": file_hash(date / CALIBRATION), "files": _hashes(folder)}
+            (folder / MANIFEST).write_text(json.dumps(content, indent=1, sort_keys=True) + "\n", encoding="ascii")
+        manifests = [file_hash(folder / MANIFEST) for folder in unfinished]
         for folder in folders:
             shutil.rmtree(folder, ignore_errors=True)  # the earlier import
     counts = {drive: int(part.sum()) for drive, part in zip(drives, parts, strict=True)}
@@ -123,8 +126,8 @@ def _write_logs(folder: Path, time_s: np.ndarray, usable: np.ndarray, camera: Ca
         for number, row in zip(numbers, make_rows(len(numbers), vf=speed_mps, wu=yaw_rate_radps), strict=True):
             (folder / "oxts" / "data" / f"{number:010d}.txt").write_bytes(format_packet(row))
     if logs.wheel:
-        steering_rad = dict(zip(numbers.tolist(), logs.wheel.at(time_s[usable])[0].tolist(), strict=True))
-        angles = {number: angle for number, angle in steering_rad.items() if math.isfinite(angle)}
+        steering_rad = zip(numbers.tolist(), logs.wheel.at(time_s[usable])[0].tolist(), strict=True)
+        angles = {number: angle for number, angle in steering_rad if math.isfinite(angle)}
         if not angles:
             raise InputError(f"no image of {folder.name} has an angle", "--wheel", "Check its times")
         write_steering(folder / STEERING, angles)
@@ -165,13 +168,6 @@ def _drive_folders(out: Path, drive: str, count: int, replace: bool) -> dict[str
             problem = f"{others[0]} is not as steer import wrote it ({len(others)} such files)"
             raise InputError(problem, folder, "Move the folder away, or pass --drive another number")
     return folders
-
-
-def _write_manifest(folder: Path, date: Path) -> str:
-    """Write the hashes of a drive's files and of its date's calibration; return the hash of that file."""
-    content = {"calibration": file_hash(date / CALIBRATION), "files": _hashes(folder)}
-    (folder / MANIFEST).write_text(json.dumps(content, indent=1, sort_keys=True) + "\n", encoding="ascii")
-    return file_hash(folder / MANIFEST)
 
 
 def _hashes(folder: Path) -> dict[str, str]:

@@ -13,6 +13,7 @@ from pipeline.video.recording import check_times
 
 MAX_GAP_S = 0.5  # between samples that are interpolated
 ROUNDING_S = 1e-3  # of timestamps in videos; comparisons tolerate it
+_RATES = {"speed_mps": LIMITS["vf"], "yaw_rate_radps": LIMITS["wu"]}  # largest plausible magnitudes
 _MOTION = "Expected a CSV file with time_s [s], speed_mps [m/s] and yaw_rate_radps [rad/s, left +]"
 _WHEEL = "Expected a CSV file with time_s [s] and wheel_rad [rad, left +]"
 
@@ -48,7 +49,9 @@ class Logs(NamedTuple):
     ) -> "Logs":
         """Read a log of the steering wheel's angles, its ratio to the front wheels', and a log of the motion.
 
-        `offset_s` is added to their times. Raises InputError for unusable logs.
+        They are CSV files with time_s and wheel_rad, left positive, and with time_s, speed_mps and yaw_rate_radps.
+        `offset_s` is added to their times. Empty cells are interpolated. Raises InputError if a column is missing,
+        values are implausible, or the times of a column do not increase or are not in seconds.
         """
         if (wheel is None) != (steering_ratio is None):
             fix = "Pass both; a ratio of 1 if the log holds angles of the front wheels"
@@ -56,8 +59,11 @@ class Logs(NamedTuple):
         if offset_s and not (wheel or motion):
             raise InputError("--offset needs a log", fix="Pass --motion or --wheel, too")
         name = " and ".join(path.name for path in (wheel, motion) if path)
-        angles = read_wheel(wheel, steering_ratio, offset_s) if wheel and steering_ratio else None
-        return cls(angles, read_motion(motion, offset_s) if motion else None, name)
+        angles, rates = None, _read(motion, _RATES, _MOTION, offset_s) if motion else None
+        if wheel and steering_ratio:
+            angles = _read(wheel, {"wheel_rad": LIMIT_RAD * steering_ratio}, _WHEEL, offset_s)
+            angles = angles._replace(samples=angles.samples / steering_ratio)
+        return cls(angles, rates, name)
 
     def check_overlap(self, first_s: float, last_s: float) -> None:
         """Raise InputError for a log without a sample from the first to the last image."""
@@ -73,24 +79,6 @@ class Logs(NamedTuple):
         for log in filter(None, self[:2]):
             if not (known := np.isfinite(log.at(time_s)[0])).all():
                 yield f"{log.name} covers {known.sum():,} of {len(known):,} images"
-
-
-def read_motion(path: Path, offset_s: float = 0.0) -> Log:
-    """Read a CSV file with the columns time_s, speed_mps and yaw_rate_radps; `offset_s` is added to its times.
-
-    Empty cells are interpolated. Raises InputError if a column is missing, values are implausible, or the times of a
-    column do not increase or are not in seconds.
-    """
-    return _read(path, {"speed_mps": LIMITS["vf"], "yaw_rate_radps": LIMITS["wu"]}, _MOTION, offset_s)
-
-
-def read_wheel(path: Path, steering_ratio: float, offset_s: float = 0.0) -> Log:
-    """Read a CSV file with time_s and wheel_rad, left positive, and divide by the steering ratio.
-
-    `offset_s` is added to the times. Raises InputError as :func:`read_motion` does.
-    """
-    log = _read(path, {"wheel_rad": LIMIT_RAD * steering_ratio}, _WHEEL, offset_s)
-    return log._replace(samples=log.samples / steering_ratio)
 
 
 def _read(path: Path, limits: Mapping[str, float], expected: str, offset_s: float) -> Log:

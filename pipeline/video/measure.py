@@ -1,6 +1,5 @@
 """Measure the motion of a car from the frames of a source: a CSV file, a video, the track, and their quality."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -33,12 +32,19 @@ def measure(
     comparison = results.compare("measured")
     with DriveReader(work / MOTION, stage="motion") as motion:
         quality = _quality(motion, results, source)
+    road = f"road found in {quality['road_frames']:.0%} of the frames"
+    lines = [*results.lines(comparison), f"{road}; elsewhere speed stays near a typical car's"]
+    if quality["road_height_m"] and not source.height_known:
+        height = f"{quality['road_height_m']:.2f} m above the road. Measure it"
+        lines.append(f"the encoder's depth puts the camera {height} and pass --camera-height: speed follows it")
+    if quality["speed_sigma"]:
+        lines.append(f"speed and curvature may be off by {quality['speed_sigma']:.0%} (one standard deviation)")
     results.write_csv(work / "new/motion.csv")
     write_json(work / "new/quality.json", quality | {"recorded": results.agreement, "comparison": comparison})
     draw_track(work / "new/track.png", results)
     if video:
         write_overlay(work / "new/overlay.mp4", source, results, car.wheelbase_m)
-    return [*results.lines(comparison), *_remarks(quality, source.height_known)], publish(work)
+    return lines, publish(work)
 
 
 def _quality(motion: DriveReader, results: Results, source: Source) -> dict[str, Any]:
@@ -52,13 +58,3 @@ def _quality(motion: DriveReader, results: Results, source: Source) -> dict[str,
         "speed_sigma": float(np.median(sigmas)) if len(sigmas) else None,
         "bonnet": float(np.median(motion["still"])),
     }
-
-
-def _remarks(quality: dict[str, Any], height_known: bool) -> Iterator[str]:
-    """Yield what the scale rests on, and what disturbs it."""
-    yield f"road found in {quality['road_frames']:.0%} of the frames; elsewhere speed stays near a typical car's"
-    if quality["road_height_m"] and not height_known:
-        height = f"{quality['road_height_m']:.2f} m above the road"
-        yield f"the encoder's depth puts the camera {height}. Measure it and pass --camera-height: speed follows it"
-    if quality["speed_sigma"]:
-        yield f"speed and curvature may be off by {quality['speed_sigma']:.0%} (one standard deviation)"

@@ -104,7 +104,8 @@ def open_recording(
         raise InputError("expected one source of the images' times, got two", fix="Pass --fps or --times")
     if not path.exists():
         raise InputError("path is missing", path, "Pass a video, or a folder of images")
-    times_s, stamped, stored, notes = read_times(times) if times else None, False, 0, list[str]()
+    times_s, notes = read_times(times) if times else None, list[str]()
+    stamped, stored, last_s = False, 0, 0.0
     images: Callable[[], Images]
     if path.is_dir():
         files, places = _image_files(path)
@@ -120,6 +121,9 @@ def open_recording(
         with _container(path) as (container, (stream, *others)):
             shape, stored = float(stream.sample_aspect_ratio or 1), stream.frames
             stamped = container.format.name not in _WITHOUT_TIMES  # elsewhere FFmpeg assumes 25 frames per second
+            stamps = [packet.pts for packet in container.demux(stream) if packet.size]  # without decoding
+            known = [stamp for stamp in stamps if stamp is not None] or [0]
+            last_s = (len(stamps) - 1) / fps if fps else float((max(known) - min(known)) * (stream.time_base or 1))
             if others:
                 name, *names = (f"{one.index} ({one.width} x {one.height} pixels)" for one in (stream, *others))
                 notes.append(f"video stream {name} is used, not {', '.join(names)}")
@@ -128,7 +132,7 @@ def open_recording(
             raise InputError(f"pixels are not square ({shape:.3f} times as wide as high)", path, fix)
     if not (fps or stamped or times_s is not None):
         raise InputError("images have no times", path, "Pass --fps N, or --times FILE")
-    check_span(*(times_s[[0, -1]] if times_s is not None else (0.0, _duration_s(path, fps))))
+    check_span(*(times_s[[0, -1]] if times_s is not None else (0.0, last_s)))
     size, (stamps_s, change, key), found = _scan(images, path)
     notes += found
     if (count := len(change)) < INEXACT * stored - 1:
@@ -144,14 +148,6 @@ def open_recording(
         notes.append(f"{count - len(kept)} of {count} images repeat the image before and are left out")
         times_s = evened(times_s[kept], float(np.median(np.diff(times_s))))
     return Recording(path, images, size, kept, times_s, notes)
-
-
-def _duration_s(path: Path, fps: float | None) -> float:
-    """Return the time from the first to the last image of a video, without decoding any."""
-    with _container(path) as (container, (stream, *_)):
-        stamps = [packet.pts for packet in container.demux(stream) if packet.size]
-        known = [stamp for stamp in stamps if stamp is not None] or [0]
-        return (len(stamps) - 1) / fps if fps else float((max(known) - min(known)) * (stream.time_base or 1))
 
 
 def _scan(images: Callable[[], Images], path: Path) -> tuple[Size, np.ndarray, list[str]]:

@@ -62,40 +62,29 @@ def read_course(motion: DriveReader, car: Car, *, look_ahead: bool, height_known
     standard deviations, that of the speed relative. Curvature and angle are also NaN below the minimum speed.
     `look_ahead`: as of :func:`pipeline.labels.rates.measured_rates`; `height_known`: of the camera over the road.
     """
-    valid, time_s = motion["valid"].astype(bool), motion.time_s
+    valid, time_s, rows = motion["valid"].astype(bool), motion.time_s, np.arange(len(motion.time_s))
     yaw_rate, speed_mps, yaw_sigma, speed_sigma = rates.measured_rates(motion, look_ahead=look_ahead)
     speed_sigma = np.hypot(speed_sigma, 0.0 if height_known else HEIGHT_SCALE)
-    pose = _track(time_s, valid, rates.stands(motion), yaw_rate, speed_mps)
     fast_mps = np.where(np.abs(np.nan_to_num(speed_mps)) >= car.min_speed_mps, speed_mps, np.nan)
     curvature, angle = yaw_rate / fast_mps, steering_angle(yaw_rate, fast_mps, car.wheelbase_m)
     angle_sigma = np.hypot(yaw_sigma / fast_mps, curvature * speed_sigma) * car.wheelbase_m * np.cos(angle) ** 2
-    x_m, y_m, heading_rad = np.where(valid, pose, np.nan)
+    last, stood = (np.maximum.accumulate(np.where(mask, rows, -1)) for mask in (valid, rates.stands(motion)))
+    moves = (last >= 0) & (stood <= last) & (time_s - time_s[last] <= BRIDGED_S)  # also in gaps
+    step_s = np.diff(time_s, prepend=time_s[:1])
+    turned = np.where(moves, yaw_rate[last], 0.0) * step_s
+    heading_rad = np.cumsum(turned)
+    place_m = np.cumsum(np.where(moves, speed_mps[last], 0.0) * step_s * np.exp(1j * (heading_rad - turned / 2)))
     return {
         "speed_mps": speed_mps,
         "yaw_rate_radps": yaw_rate,
         "curvature_1pm": curvature,
         "measured_rad": angle,
-        "x_m": x_m,
-        "y_m": y_m,
-        "heading_rad": heading_rad,
+        "x_m": np.where(valid, place_m.real, np.nan),
+        "y_m": np.where(valid, place_m.imag, np.nan),
+        "heading_rad": np.where(valid, heading_rad, np.nan),
         "speed_sigma": speed_sigma,
         "measured_sigma_rad": angle_sigma,
     }
-
-
-def _track(
-    time_s: np.ndarray, valid: np.ndarray, stands: np.ndarray, yaw_rate: np.ndarray, speed_mps: np.ndarray
-) -> np.ndarray:
-    """Return x, y and heading [3,F] by integrating rates; in gaps, the last motion goes on for BRIDGED_S."""
-    rows = np.arange(len(time_s))
-    last, stood = (np.maximum.accumulate(np.where(mask, rows, -1)) for mask in (valid, stands))
-    moves = (last >= 0) & (stood <= last) & (time_s - time_s[last] <= BRIDGED_S)
-    step_s = np.diff(time_s, prepend=time_s[:1])
-    turned = np.where(moves, yaw_rate[last], 0.0) * step_s
-    heading = np.cumsum(turned)
-    step = np.where(moves, speed_mps[last], 0.0) * step_s * np.exp(1j * (heading - turned / 2))
-    place = np.cumsum(step)
-    return np.stack([place.real, place.imag, heading])
 
 
 @dataclass

@@ -24,7 +24,7 @@ from pipeline.labels.label import Car, Labels
 from pipeline.motion.step import durations
 from pipeline.video import recording
 from pipeline.video.lens import pinhole, undistortion
-from pipeline.video.log import Log, Logs, read_motion, read_wheel
+from pipeline.video.log import Log, Logs
 from pipeline.video.recording import open_recording, read_times
 from pipeline.video.results import Results, Truth, read_course, read_truth
 from tests import street
@@ -333,7 +333,7 @@ def log(tmp_path: Path, text: str) -> Path:
     ],
 )  # fmt: skip
 def test_columns_are_found_by_name(tmp_path, text):
-    motion = read_motion(log(tmp_path, text), offset_s=10)
+    motion = Logs.read(None, None, log(tmp_path, text), 10).motion
     np.testing.assert_array_equal(motion.time_s, [11, 11.5])
     np.testing.assert_array_equal(motion.samples, [[5, 6], [0.1, -0.2]])
 
@@ -362,8 +362,9 @@ WHEEL = "time_s,wheel_rad\n"
 )
 def test_plainly_wrong_logs(tmp_path, text, problem):
     path = log(tmp_path, text)
+    files = (path, 15.0, None) if "wheel_rad" in text else (None, None, path)
     with pytest.raises(InputError, match=problem):
-        read_wheel(path, 15.0) if "wheel_rad" in text else read_motion(path) if "speed" in text else read_times(path)
+        Logs.read(*files) if "_rad" in text else read_times(path)
 
 
 def test_interpolation_ends_at_gaps_and_at_the_ends():
@@ -380,9 +381,9 @@ def test_two_topics_in_one_log_have_their_own_samples(tmp_path):
     time_s = np.array([0.05, 0.15, 0.4, 0.45, 0.7, 1.05, 1.1, 1.2])
     expected = np.where([False, True, True, True, False, True, True, False], time_s, np.nan)
     for rows in (speed + yaw_rate, sorted(speed + yaw_rate, key=lambda row: float(row.split(",")[0]))):
-        motion = read_motion(log(tmp_path, HEAD + "\n".join(rows)))
-        np.testing.assert_allclose(motion.at(time_s), [10 * expected, expected])
-    assert [*Logs(motion=motion).coverage(time_s)] == ["can.csv covers 5 of 8 images"]
+        logs = Logs.read(None, None, log(tmp_path, HEAD + "\n".join(rows)))
+        np.testing.assert_allclose(logs.motion.at(time_s), [10 * expected, expected])
+        assert [*logs.coverage(time_s)] == ["can.csv covers 5 of 8 images"]
 
 
 @pytest.mark.parametrize(("name", "start_s"), [("a.mkv", 0), ("a.h264", 0), ("images", 0), ("ns", 0), ("times", 1.7e9)])

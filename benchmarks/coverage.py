@@ -17,7 +17,7 @@ from pipeline.base import console, store
 from pipeline.base.params import load
 from pipeline.evaluate.errors import interval
 from pipeline.kitti.oxts import VF, WU
-from pipeline.labels.label import steering_labels
+from pipeline.labels.label import Car, steering_labels
 from pipeline.sample.drive import random_of, theme
 from pipeline.sample.motion import draw_journey
 from pipeline.sample.oxts import oxts_rows
@@ -54,7 +54,7 @@ def angles(drive: str, frames: int, car: Labels) -> np.ndarray:
     rng, (quarter, first) = random_of(drive, 0), theme(drive)
     journey = draw_journey(rng, frames, draw_character(rng, quarter), first).continued()
     rates = oxts_rows(journey, 49.0, 8.4)[: frames + AHEAD, [WU, VF]].T
-    angle, valid = steering_labels(*rates, wheelbase_m=car.wheelbase_m, min_speed_mps=car.min_speed_mps)
+    angle, valid = steering_labels(rates[0], rates[1], Car(car.wheelbase_m, car.min_speed_mps))
     return np.stack([np.where(valid, angle, 0.0)[:-AHEAD], np.where(valid, angle, np.nan)[AHEAD:]])
 
 

@@ -42,7 +42,7 @@ def main(
         work = partial(_score_drive, drive=drive, ingest=inputs[0], perception=inputs[1], score_motion=score_motion)
         jobs.append(Job(drive, f"{drive}/metrics.json", inputs, work))
     with stage_folder("scores", out) as folder:
-        summaries = make_drives(folder, jobs, vars(car), "{frames} frames")
+        summaries = make_drives(folder, jobs, car._asdict(), "{frames} frames")
         content: dict[str, Any] = {"motion": {}, "recorded": {}, "train": Scores().report()}
         for split in ("val", "test"):
             scores, drives = Scores(), store.drives_in(splits, split)

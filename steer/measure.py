@@ -17,7 +17,6 @@ from pipeline.base.errors import InputError
 from steer import options
 
 STREET = Path("weights/street")
-MIN_SPEED_MPS = 1.0  # below, the steering angle is noise
 
 
 def measure(
@@ -49,5 +48,6 @@ def measure(
         raise InputError("no encoder", encoder, "Make one for real streets: make street. Or pass --encoder")
     how: dict[str, Any] = {"fov_deg": fov, "K": k, "distortion": distortion, "fps": fps, "times": times}
     opened = open_source(source, video_measure.CAMERAS, camera_height, logs, **how)
-    lines, files = video_measure.measure(opened, out, encoder, Car(wheelbase, MIN_SPEED_MPS), logs, video=video)
+    car = Car(wheelbase, min_speed_mps=1.0)  # below, the steering angle is noise
+    lines, files = video_measure.measure(opened, out, encoder, car, logs, video=video)
     print(*opened.notes, *lines, ", ".join(map(str, files)), sep="\n")

@@ -19,8 +19,7 @@ Out = Annotated[Path | None, typer.Option(help="new or empty folder for the resu
 Fov = Annotated[float | None, number(5, 170, "intrinsics: horizontal field of view, degrees")]
 K = Annotated[str | None, typer.Option("--K", metavar="FX,FY,CX,CY", help="intrinsics: in pixels")]
 Distortion = Annotated[
-    str | None,
-    typer.Option(metavar="K1,K2,P1,P2[,K3]", help="lens distortion by OpenCV's model; default: none"),
+    str | None, typer.Option(metavar="K1,K2,P1,P2[,K3]", help="lens distortion by OpenCV's model; default: none")
 ]
 Fps = Annotated[float | None, number(0.01, 1000, "times: images per second; default: a video's own times")]
 Times = Annotated[Path | None, typer.Option(help="times: a file with the seconds of each image, one per line")]

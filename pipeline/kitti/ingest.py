@@ -64,9 +64,8 @@ class IngestFile(DriveWriter):
     def finish(self, oxts: Mapping[int, np.ndarray] = {}, steering_rad: Mapping[int, float] = {}) -> Summary:
         """Write what is known of all frames, and return the number of frames, images, scans, …
 
-        `oxts`: frame number → packet [30], of each frame if of any; `steering_rad`: → angle of the front wheels.
-
-        Raises InputError if there are no frames.
+        `oxts`: frame number → packet [30], of each frame if of any; `steering_rad`: → angle of the front wheels. Raises
+        InputError if there are no frames.
         """
         if not self._rows:
             raise InputError("recording has no frames", self.attrs["drive"])

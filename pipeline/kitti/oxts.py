@@ -76,9 +76,8 @@ def read_times(path: Path, frames: Sequence[int]) -> np.ndarray:
     """Return the time of each of `frames` (KITTI frame numbers, ascending) in seconds since the first, float64 [F].
 
     Line i of ``timestamps.txt`` belongs to frame i. A file with exactly one line per existing file belongs to a drive
-    cut out of a longer one: then lines belong to `frames` by position.
-
-    Raises InputError if the file or a line is missing, or time does not increase.
+    cut out of a longer one: then lines belong to `frames` by position. Raises InputError if the file or a line is
+    missing, or time does not increase.
     """
     if not path.is_file():
         raise InputError("file is missing", path, f"Extract the drive's {path.parent.name} folder again")

@@ -31,7 +31,6 @@ _FOCAL_PER_WIDTH = 100.0  # largest plausible ratio
 # same side, as in an image of another size. Udacity's camera has −0.08 and 0.13.
 _OFF_CENTRE, _OFF_BOTH = 0.2, 0.1
 _MAX_RANGE_M = 150.0  # the sensor's is 120 m
-_EXTRACT = "Extract the date's calibration archive (…_calib.zip) again"
 
 
 class KittiDrive:
@@ -144,7 +143,7 @@ def _frames(folder: Path, *suffixes: str) -> dict[int, Path]:
 def read_calibration(folder: Path, number: int) -> Camera:
     """Read camera `number` from a date folder's files. Raises InputError for missing or wrong entries."""
     path, velo = folder / CALIBRATION, folder / "calib_velo_to_cam.txt"
-    with error_context(fix=_EXTRACT):
+    with error_context(fix="Extract the date's calibration archive (…_calib.zip) again"):
         entries = read_entries(path)
         P = matrix(entries, f"P_rect_{number:02d}", (3, 4), path)
         width, height = np.rint(matrix(entries, f"S_rect_{number:02d}", (2,), path)).astype(int).tolist()
@@ -199,9 +198,7 @@ def check_pinhole(K: np.ndarray, size: Size, where: str) -> None:
 
 def write_entries(path: Path, entries: Mapping[str, str | np.ndarray]) -> None:
     """Write the entries in one step: text unchanged, numbers with 13 digits."""
-    lines = []
-    for name, value in entries.items():
-        text = value if isinstance(value, str) else " ".join(f"{number:.12e}" for number in value.ravel())
-        lines.append(f"{name}: {text}\n")
-    with replacing(path) as tmp:
-        tmp.write_text("".join(lines), encoding="ascii")
+    with replacing(path) as tmp, tmp.open("w", encoding="ascii") as file:
+        for name, value in entries.items():
+            text = value if isinstance(value, str) else " ".join(f"{number:.12e}" for number in value.ravel())
+            file.write(f"{name}: {text}\n")

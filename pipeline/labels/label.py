@@ -4,7 +4,6 @@ Signs: yaw rate and steering angle are positive to the left. The speed v is oxts
 surface, and the yaw rate ψ̇ the corresponding ``wu``.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -15,8 +14,7 @@ from pipeline.base.store import DriveWriter
 REVERSING_MPS = -0.5
 
 
-@dataclass(frozen=True)
-class Car:
+class Car(NamedTuple):
     """Parameters of the steering angle, from section labels."""
 
     wheelbase_m: float
@@ -52,26 +50,22 @@ def is_usable(speed_mps: np.ndarray, valid: np.ndarray, min_speed_mps: float) ->
     return np.asarray(valid, bool) & (np.abs(speed_mps) >= min_speed_mps)
 
 
-def measured_angle(
-    yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, valid: np.ndarray, wheelbase_m: float, min_speed_mps: float
-) -> np.ndarray:
+def measured_angle(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, valid: np.ndarray, car: Car) -> np.ndarray:
     """Return the :func:`steering_angle` of measured motion, float64 [F] in rad.
 
     Where it is not usable, it repeats the last usable angle; before the first it is 0.
     """
-    usable = is_usable(speed_mps, valid, min_speed_mps)
-    angle = steering_angle(np.asarray(yaw_rate_radps, np.float64), np.asarray(speed_mps, np.float64), wheelbase_m)
+    usable = is_usable(speed_mps, valid, car.min_speed_mps)
+    angle = steering_angle(np.asarray(yaw_rate_radps, np.float64), np.asarray(speed_mps, np.float64), car.wheelbase_m)
     last = np.maximum.accumulate(np.where(usable, np.arange(len(usable)), -1))
     return np.where(last >= 0, angle[last], 0.0)
 
 
-def steering_labels(
-    yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, *, wheelbase_m: float, min_speed_mps: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return ``steering_rad`` float64 [F], and ``valid`` bool [F]: at known speeds of at least `min_speed_mps`."""
+def steering_labels(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, car: Car) -> tuple[np.ndarray, np.ndarray]:
+    """Return ``steering_rad`` float64 [F], and ``valid`` bool [F]: at known speeds from the car's minimum on."""
     known = np.isfinite(speed_mps)
-    steering_rad = np.where(known, steering_angle(yaw_rate_radps, speed_mps, wheelbase_m), 0.0)
-    return steering_rad, is_usable(speed_mps, known, min_speed_mps)
+    steering_rad = np.where(known, steering_angle(yaw_rate_radps, speed_mps, car.wheelbase_m), 0.0)
+    return steering_rad, is_usable(speed_mps, known, car.min_speed_mps)
 
 
 def write(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, labels: Labels, wheelbase_m: float) -> None:

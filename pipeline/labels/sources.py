@@ -28,7 +28,6 @@ def read(source: str, raw: DriveReader, motion: Path | None, car: Car, *, look_a
 
     `raw`, `motion`: the drive's files of stages ingest and motion. With `look_ahead`, measured rates are means over
     neighbouring frames, later ones included, which no model may get as inputs; else the causal rates that models get.
-
     Raises InputError if the drive lacks the source.
     """
     if source != "visual" and source not in recorded(raw):
@@ -44,7 +43,7 @@ def read(source: str, raw: DriveReader, motion: Path | None, car: Car, *, look_a
     if source != "visual" and "oxts" in raw:
         packets = raw["oxts"]
         speed_mps, yaw_rate_radps = np.where(interpolated(packets), np.nan, packets[:, [VF, WU]].T)
-    steering_rad, valid = steering_labels(yaw_rate_radps, speed_mps, **vars(car))
+    steering_rad, valid = steering_labels(yaw_rate_radps, speed_mps, car)
     if source == "wheel":
         valid |= ~np.isfinite(speed_mps) & ~still
         steering_rad, valid = raw["steering_rad"], valid & raw["has_steering"].astype(bool)

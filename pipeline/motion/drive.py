@@ -21,6 +21,8 @@ UNITS = {
     "road_height_m": "m below the camera in the encoder's depth, 0 = no road found",
     "still": "share of the lowest row that shows no street",
     "problem": f"0 = measured; {', '.join(f'{code} = {text}' for code, text in enumerate(PROBLEMS) if code)}",
+    "filtered_mps": "m/s, speed_mps after a causal filter of the error of depth's scale",
+    "speed_sigma": "relative standard deviation of filtered_mps",
 }
 
 
@@ -57,16 +59,14 @@ def measure_drive(
                 columns[name][row] = value
             advance(1)
         valid, road = columns["problem"] == 0, columns["road_height_m"] > 0
-        filtered_mps, sigma = np.zeros((2, count), np.float32)
         measured = frames.time_s[valid], columns["speed_mps"][valid], road[valid]
-        filtered_mps[valid], sigma[valid] = filter_speed(*measured, np.full(valid.sum(), LEAST_NOISE))
+        filtered = filter_speed(*measured, np.full(valid.sum(), LEAST_NOISE))
+        columns["filtered_mps"][valid], columns["speed_sigma"][valid] = filtered
 
         file.put("frame", frames.frame)
         file.put("time_s", frames.time_s, "s")
         file.put("valid", valid.astype(np.uint8))
         for name, unit in UNITS.items():
             file.put(name, columns[name], unit)
-        file.put("filtered_mps", filtered_mps, "m/s, speed_mps after a causal filter of the error of depth's scale")
-        file.put("speed_sigma", sigma, "relative standard deviation of filtered_mps")
     still = float(np.median(columns["still"])) if count else 0.0
     return {"frames": count, "valid": int(valid.sum()), "road_frames": int(road.sum()), "still": still}

@@ -108,10 +108,7 @@ def _refine(T: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth
 def _linearise(
     T: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return errors [N,2] px, inverse covariances [N,2,2], squared Mahalanobis distances [N], Jacobians [N,2,6].
-
-    Jacobians are by rotation and translation.
-    """
+    """Return errors [N,2] px, inverse covariances, squared distances [N], Jacobians [N,2,6] by turn and translation."""
     rotated = xyz @ T[:3, :3].T
     x, y, z = (rotated + T[:3, 3]).T
     behind = z < MIN_DEPTH_M

@@ -21,9 +21,6 @@ PROBLEMS = (
     "a motion that is not a car's",
 )
 """Reasons why a step is not measured; the first means that it is."""
-STANDSTILL_M = 0.02  # shorter steps count as standstill
-SIDEWAYS_M, SIDEWAYS_SHARE = 0.1, 0.5  # limits, absolute and of the forward way: a camera ahead of the axle swings out
-MAX_FORWARD_M = 10.0
 RECENT = 20  # steps that are averaged for a duration, the current one included
 SIMILAR = 1.45  # only durations that differ by less are averaged: not steps of 2 and 3 frames of a faster video
 # Speeds of KITTI's 55 drives, above 1.5 m/s: geometric mean of the drives' medians; standard deviation and correlation
@@ -44,13 +41,6 @@ class Step(NamedTuple):
     inliers: int
     residual: float  # px
     scale: float = 1.0  # factor that was applied to depth
-
-
-def plausible(T_before: np.ndarray) -> bool:
-    """Return whether a car can make this step [4,4]: along the camera's axis, not sideways, without a jump."""
-    right, down, forward = T_before[:3, 3]
-    sideways_ok = np.hypot(right, down) < SIDEWAYS_M + SIDEWAYS_SHARE * abs(forward)
-    return bool(sideways_ok and abs(forward) < MAX_FORWARD_M)
 
 
 def rates(T_before: np.ndarray, duration_s: float) -> tuple[float, float]:
@@ -90,7 +80,6 @@ def filter_speed(
     variance 1. Both are Ornstein-Uhlenbeck processes, the speed with mean TYPICAL_MPS, SPREAD and SPREAD_S, the error
     with SCALE_S. Where a road gives the scale, sigma is small, and the filter follows the measurement. Without a road
     it stays near a typical speed: a depth network has no scale for a lens that differs much from that of its training.
-
     `speed_mps` [M] is measured at `time_s` [M], ascending, with relative standard deviations `noise` [M] apart from the
     scale; `road` bool [M]: whether a road was found.
     """

@@ -8,7 +8,7 @@ from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import project, transform
 from pipeline.motion.pose import MIN_POINTS, estimate_pose
 from pipeline.motion.road import Road
-from pipeline.motion.step import STANDSTILL, STANDSTILL_M, Step, plausible
+from pipeline.motion.step import STANDSTILL, Step
 from pipeline.motion.still import Still
 
 MOVING = np.isin(np.arange(256), classes.TRAFFIC)
@@ -19,7 +19,9 @@ EDGE = 1.3  # largest ratio of depths around a corner: at depth edges, the depth
 AROUND = np.ones((5, 5), np.uint8)
 ON_ROAD, ELSEWHERE = (16, 2e-5), (24, 1e-4)  # cell px, least quality: a road has few and weak corners
 ROAD_SIGMA, DEPTH_SIGMA = 0.07, 0.5  # relative standard deviations of depth
-STANDSTILL_PX = 0.1  # the car stands if the median corner moves less
+STANDSTILL_PX, STANDSTILL_M = 0.1, 0.02  # the car stands if the median corner, or the camera, moves less
+SIDEWAYS_M, SIDEWAYS_SHARE = 0.1, 0.5  # limits, absolute and of the forward way: a camera ahead of the axle swings out
+MAX_FORWARD_M = 10.0
 PER_CELL = 2  # corners
 WINDOW, LEVELS = (11, 11), 2  # px, pyramid levels; a larger window is slower and covers several depths
 CRITERIA = (3, 8, 0.03)  # 8 iterations, or a change below 0.03 px
@@ -45,9 +47,12 @@ class Odometry:
 
     def step(self, frame: Frame) -> Step | None:
         """Return the motion since the previous frame; None where it cannot be measured. Frames come in order."""
-        grey, result = self._grey_image(frame.image), "no previous frame"
+        grey, factor = cv2.cvtColor(frame.image, cv2.COLOR_RGB2GRAY), self._enlarged
+        if factor > 1:
+            grey = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
+        result: Step | str = "no previous frame"
         if self._number is not None and frame.number == self._number + 1:
-            every = slice(None, None, self._enlarged)
+            every = slice(None, None, factor)
             self.still.add(self._grey[every, every], grey[every, every], self.road.slope)
             result = self._measure(grey)
         step, self.problem = (None, result) if isinstance(result, str) else (result, "")
@@ -78,9 +83,10 @@ class Odometry:
         if pose is None:
             return "no common motion of the scene"
         T_before = np.linalg.inv(pose.T_now_before)
+        right, down, forward = T_before[:3, 3]
         if np.linalg.norm(T_before[:3, 3]) < STANDSTILL_M:
             return STANDSTILL[1]
-        if not plausible(T_before):
+        if np.hypot(right, down) >= SIDEWAYS_M + SIDEWAYS_SHARE * abs(forward) or abs(forward) >= MAX_FORWARD_M:
             return "a motion that is not a car's"
         return Step(T_before, int(pose.inliers.sum()), pose.residual_px, scale)
 
@@ -101,12 +107,6 @@ class Odometry:
         rays = np.linalg.solve(self._K, np.column_stack([uv, np.ones(len(uv))]).T).T
         depth_sigma = np.where(road[row, column], ROAD_SIGMA, DEPTH_SIGMA)
         return rays * (depth_m[row, column] * scale)[:, None], depth_sigma, scale
-
-    def _grey_image(self, image: np.ndarray) -> np.ndarray:
-        """Return the image in grey, uint8 [H,W], enlarged to at least MIN_WIDTH."""
-        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-        factor = self._enlarged
-        return cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC) if factor > 1 else grey
 
     def _enlarge(self, mask: np.ndarray) -> np.ndarray:
         """Return a mask [H,W] at the size of the enlarged images."""

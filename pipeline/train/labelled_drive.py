@@ -43,7 +43,7 @@ class Timeline:
         if entry.motion != "none":
             if (measured := graphs.motion) is None:
                 raise InputError("no measured motion", graphs.path, "Make it again: dvc repro graphs")
-            columns = np.stack([label.measured_angle(*measured, **vars(car)), *measured], axis=1).astype(np.float32)
+            columns = np.stack([label.measured_angle(*measured, car), *measured], axis=1).astype(np.float32)
             offset = _measured(measured, car, entry.predict) if entry.base == "motion" else offset
         times = graphs.time_s, dt_s.astype(np.float32)
         return cls(graphs.path, graphs.frame, *times, stretches, offset, columns, graphs.path)
@@ -141,7 +141,7 @@ def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledD
 
 def _measured(motion: graph_file.MeasuredMotion, car: label.Car, predict: str) -> np.ndarray:
     """Return the measured angle [G], or the curvature for a path."""
-    angle_rad = label.measured_angle(*motion, **vars(car))
+    angle_rad = label.measured_angle(*motion, car)
     return np.tan(angle_rad) / car.wheelbase_m if predict == "path" else angle_rad
 
 

@@ -54,10 +54,8 @@ def import_drives(
     """Write a recording as drives below `root`; images without motion, if there is a log of it, are left out.
 
     `drive` is the name of the first; the others have the following numbers. `shares` of the duration: one for each, see
-    :func:`cut`. Images before `start_s` and after `end_s` since the first one are left out.
-
-    Raises InputError if a drive exists, no image is left or none of a drive has an angle, a part of the split is too
-    short, or the date has another camera.
+    :func:`cut`. Images before `start_s` and after `end_s` since the first one are left out. Raises InputError if a
+    drive exists, no image is left or none of a drive has an angle, a part is too short, or the date has another camera.
     """
     camera, drives = source.camera, _drive_folders(root, drive, len(shares), replace)
     folders, date = list(drives.values()), root / drive[:10]
@@ -65,7 +63,16 @@ def import_drives(
     with ExitStack() as stack:
         unfinished = [stack.enter_context(replacing(folder)) for folder in folders]
         images = unfinished[0].with_name("images")  # removed with the temporary folder
-        time_s = _write_images(images, source, start_s, end_s)
+        images.mkdir()
+        all_s = list[float]()  # times of the images up to the end
+        for frame in tqdm(source.frames(), total=source.count, unit=" images", disable=None):
+            elapsed_s = frame.time_s - all_s[0] if all_s else 0.0
+            if elapsed_s > end_s - ROUNDING_S:
+                break
+            all_s.append(frame.time_s)
+            if elapsed_s > start_s - ROUNDING_S:
+                write_png(images / f"{frame.number:010d}.png", frame.image)
+        time_s = np.array(all_s)
         usable = time_s - time_s[0] > start_s - ROUNDING_S
         source.notes.extend(logs.coverage(time_s[usable]))
         if logs.motion:
@@ -93,20 +100,6 @@ def import_drives(
     counts = {drive: int(part.sum()) for drive, part in zip(drives, parts, strict=True)}
     hz = (len(time_s) - 1) / float(np.ptp(time_s) or 1.0)
     return Imported(counts, dict(zip(drives, manifests, strict=True)), hz)
-
-
-def _write_images(folder: Path, source: Source, start_s: float, end_s: float) -> np.ndarray:
-    """Write the images from start to end as PNG files; return the times [F] of all images up to the end."""
-    all_s: list[float] = []
-    folder.mkdir()
-    for frame in tqdm(source.frames(), total=source.count, unit=" images", disable=None):
-        elapsed_s = frame.time_s - all_s[0] if all_s else 0.0
-        if elapsed_s > end_s - ROUNDING_S:
-            break
-        all_s.append(frame.time_s)
-        if elapsed_s > start_s - ROUNDING_S:
-            write_png(folder / f"{frame.number:010d}.png", frame.image)
-    return np.array(all_s)
 
 
 def _write_logs(folder: Path, time_s: np.ndarray, usable: np.ndarray, camera: Camera, logs: Logs) -> None:
@@ -181,12 +174,10 @@ def _is_calibrated(folders: Sequence[Path], camera: Camera, replace: bool) -> bo
     Raises InputError if it has the calibration of another camera; with `replace`, only if other drives share it.
     """
     date = folders[0].parent
-    if not (date / CALIBRATION).is_file():
-        return False
-    stored = read_calibration(date, CAMERA)
-    if stored.size == camera.size and np.allclose(stored.K, camera.K, rtol=0, atol=_SAME_PX):
+    stored = read_calibration(date, CAMERA) if (date / CALIBRATION).is_file() else None
+    if stored and stored.size == camera.size and np.allclose(stored.K, camera.K, rtol=0, atol=_SAME_PX):
         return True
-    if replace and not [drive for drive in date.glob("*_sync") if drive not in folders]:
+    if not stored or (replace and all(drive in folders for drive in date.glob("*_sync"))):
         return False
     fix = "Pass --drive another date: all drives of a date share the calibration"
     raise InputError("date has the calibration of another camera", date, fix)

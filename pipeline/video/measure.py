@@ -1,7 +1,6 @@
 """Measure the motion of a car from the frames of a source: a CSV file, a video, the track, and their quality."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -31,7 +30,17 @@ def measure(
     results = Results.read(source, work, car, logs, look_ahead=True)
     comparison = results.compare("measured")
     with DriveReader(work / MOTION, stage="motion") as motion:
-        quality = _quality(motion, results, source)
+        heights_m, bonnet = motion["road_height_m"], float(np.median(motion["still"]))
+    known, sigmas = heights_m[heights_m > 0], results.table["speed_sigma"][results.table["valid"] > 0]
+    quality = {  # None where unknown; the road's height is by the encoder's depth
+        "horizon": source.camera.horizon,
+        "road_frames": float((heights_m > 0).mean()),
+        "road_height_m": float(np.median(known)) if len(known) else None,
+        "speed_sigma": float(np.median(sigmas)) if len(sigmas) else None,
+        "bonnet": bonnet,
+        "recorded": results.agreement,
+        "comparison": comparison,
+    }
     road = f"road found in {quality['road_frames']:.0%} of the frames"
     lines = [*results.lines(comparison), f"{road}; elsewhere speed stays near a typical car's"]
     if quality["road_height_m"] and not source.height_known:
@@ -40,21 +49,8 @@ def measure(
     if quality["speed_sigma"]:
         lines.append(f"speed and curvature may be off by {quality['speed_sigma']:.0%} (one standard deviation)")
     results.write_csv(work / "new/motion.csv")
-    write_json(work / "new/quality.json", quality | {"recorded": results.agreement, "comparison": comparison})
+    write_json(work / "new/quality.json", quality)
     draw_track(work / "new/track.png", results)
     if video:
         write_overlay(work / "new/overlay.mp4", source, results, car.wheelbase_m)
     return lines, publish(work)
-
-
-def _quality(motion: DriveReader, results: Results, source: Source) -> dict[str, Any]:
-    """Return the content of quality.json; None where unknown. The road's height is by the encoder's depth."""
-    heights_m = motion["road_height_m"]
-    known, sigmas = heights_m[heights_m > 0], results.table["speed_sigma"][results.table["valid"] > 0]
-    return {
-        "horizon": source.camera.horizon,
-        "road_frames": float((heights_m > 0).mean()),
-        "road_height_m": float(np.median(known)) if len(known) else None,
-        "speed_sigma": float(np.median(sigmas)) if len(sigmas) else None,
-        "bonnet": float(np.median(motion["still"])),
-    }

@@ -33,10 +33,8 @@ def draw_track(path: Path, results: Results) -> None:
     speed.set(ylabel="speed, m/s")
     steering.set(ylabel="steering angle, deg, left +", xlabel="time, s")
     angles = {name: np.degrees(table[f"{name}_rad"]) for name in LINES if f"{name}_rad" in table}
-    for axes, curves in (
-        (speed, {"measured": table["speed_mps"], "driven": results.truth.driven.speed_mps}),
-        (steering, angles),
-    ):
+    speeds = {"measured": table["speed_mps"], "driven": results.truth.driven.speed_mps}
+    for axes, curves in ((speed, speeds), (steering, angles)):
         for name, values in curves.items():
             axes.plot(time_s, values, ".", markersize=3, color=LINES[name], label=name)
     steering.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, frameon=False)  # above the curves
@@ -47,7 +45,12 @@ def write_overlay(path: Path, source: Source, results: Results, wheelbase_m: flo
     """Write an H.264 video of the results on the complete images of `source`, at most MAX_WIDTH wide."""
     scale = min(1.0, MAX_WIDTH / source.camera.size[1])
     height, width = (max(2, int(side * scale) // 2 * 2) for side in source.camera.size)  # even for 4:2:0
-    camera, paths = source.camera.scaled((height, width)), _paths(results, wheelbase_m)
+    camera, paths = source.camera.scaled((height, width)), dict[str, np.ndarray]()
+    for name in PATHS:  # curvature of each step of the path of each frame [N,F], NaN where unknown
+        if name == "predicted" and results.path_1pm is not None:
+            paths[name] = path_steps(results.path_1pm.T, results.ahead_m)
+        elif np.isfinite(angle_rad := results.table.get(f"{name}_rad", np.zeros(0))).any():
+            paths[name] = np.tile(np.tan(angle_rad) / wheelbase_m, (round(REACH_M / STEP_M), 1))
     rows = {number: row for row, number in enumerate(results.table["frame"].tolist())}
     time_s = results.table["time_s"]
     fps = (len(time_s) - 1) / (time_s[-1] - time_s[0]) if len(time_s) > 1 else 10.0
@@ -61,17 +64,6 @@ def write_overlay(path: Path, source: Source, results: Results, wheelbase_m: flo
                 _draw(image, camera, paths, results, rows[frame.number])
                 file.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
         file.mux(stream.encode())
-
-
-def _paths(results: Results, wheelbase_m: float) -> dict[str, np.ndarray]:
-    """Return name → curvature of each step of the path of each frame [N,F], NaN where unknown."""
-    paths = {}
-    for name in PATHS:
-        if name == "predicted" and results.path_1pm is not None:
-            paths[name] = path_steps(results.path_1pm.T, results.ahead_m)
-        elif np.isfinite(angle_rad := results.table.get(f"{name}_rad", np.zeros(0))).any():
-            paths[name] = np.tile(np.tan(angle_rad) / wheelbase_m, (round(REACH_M / STEP_M), 1))
-    return paths
 
 
 def _draw(image: np.ndarray, camera: Camera, paths: dict[str, np.ndarray], results: Results, row: int) -> None:

@@ -41,8 +41,7 @@ def predict(
     """
     settings = model.settings
     variant, perception = Variant.model_validate(settings["graphs"]), Perception.model_validate(settings["perception"])
-    lidar = variant.source == "clouds/lidar"
-    if lidar and not (source.drive and source.drive.scans and source.camera.T_cam_velo is not None):
+    if reading(model).lidar and not (source.drive and source.drive.scans and source.camera.T_cam_velo is not None):
         raise InputError(f"model {model.name} needs LiDAR scans", source.name, "Choose a model without them")
     work = work_folder(out, source, encoder, settings=settings)
     run_chain(source, work, reading(model), perception, encoder)

@@ -94,11 +94,9 @@ def open_recording(
     """Open a video file or a folder of images, and decode it once to find repeats.
 
     `fps`, or a file of `times` for :func:`read_times`, replaces timestamps of a video and those in names of images.
-    `check_span` gets the times of the first and the last image before any is decoded.
-
-    Raises InputError if there are no images, they have no times, are mirrored, have several sizes or pixels that are
-    not square, or `times` cannot be used; DamagedFile if an image cannot be decoded, images are missing at the end, or
-    a video's timestamps do not increase.
+    `check_span` gets the times of the first and the last image before any is decoded. Raises InputError if there are no
+    images, they have no times, are mirrored, have several sizes or pixels that are not square, or `times` cannot be
+    used; DamagedFile if an image cannot be decoded, images are missing at the end, or timestamps do not increase.
     """
     if fps and times:
         raise InputError("expected one source of the images' times, got two", fix="Pass --fps or --times")

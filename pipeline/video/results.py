@@ -48,7 +48,7 @@ def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> 
         name, column = {"oxts": ("oxts", ""), "wheel": ("steering.csv", "steering_rad")}[recorded[0]]
         return Truth(name, column, sources.read(recorded[0], ingest, None, car).at(rows))
     speed_mps, yaw_rate_radps = logs.motion.at(time_s) if logs.motion else np.full((2, len(frame)), np.nan)
-    angle_rad, valid = steering_labels(yaw_rate_radps, speed_mps, **vars(car))
+    angle_rad, valid = steering_labels(yaw_rate_radps, speed_mps, car)
     if logs.wheel:
         (angle_rad,) = logs.wheel.at(time_s)
         valid = np.isfinite(angle_rad)
@@ -108,9 +108,7 @@ class Results:
 
         Columns: frame, time_s, driven_rad, valid, those of :func:`read_course`, and the points that agree with the
         motion, with their median error `residual` in px. `frame`: numbers of the frames in the results, if their motion
-        is in the files; None: all.
-
-        Raises InputError if there is no frame.
+        is in the files; None: all. Raises InputError if there is no frame.
         """
         with DriveReader(work / MOTION, stage="motion") as motion, DriveReader(work / INGEST, stage="ingest") as raw:
             rows = np.flatnonzero(np.isin(motion.frame, motion.frame if frame is None else frame))

@@ -57,10 +57,8 @@ def open_source(
     """Open a KITTI drive's folder by the first of `cameras` with images; or a folder of images, or a video.
 
     `height_m`: of the camera over the road; None: from a KITTI drive's calibration, else unknown. `how`: of other
-    recordings, what :func:`open_images` gets, and so is `hz`.
-
-    Raises InputError if it is none of them, lacks a calibration, cannot be read, or one of the `logs` has no sample in
-    its time.
+    recordings, what :func:`open_images` gets, and so is `hz`. Raises InputError if it is none of them, lacks a
+    calibration, cannot be read, or one of the `logs` has no sample in its time.
     """
     drive = KittiDrive(path.resolve()) if path.is_dir() else None
     number = next((camera for camera in cameras if drive and drive.images(camera)), None)

@@ -16,7 +16,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.kitti.oxts import read_steering, read_times
 from pipeline.kitti.raw import MANIFEST, KittiDrive
-from pipeline.labels.label import steering_labels
+from pipeline.labels.label import Car, steering_labels
 from pipeline.settings import preset
 from pipeline.video.import_recording import GAP_S, cut
 from stages import check, ingest, labels
@@ -75,7 +75,7 @@ def test_labels_follow_the_log(tmp_path, take, video):
     params = write_params(tmp_path / "params.yaml", [DRIVES[0]], [DRIVES[1]], image_size=list(SIZE))
     ingested = ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params)
     labelled = labels.main(ingest=ingested, out=tmp_path / "data/labels", params=params)
-    steering, valid = steering_labels(YAW_RATE_RADPS, SPEED_MPS, wheelbase_m=2.7, min_speed_mps=1.0)
+    steering, valid = steering_labels(YAW_RATE_RADPS, SPEED_MPS, Car(2.7, 1.0))
     for drive, lossless in zip(DRIVES, (False, True), strict=True):
         with DriveReader(labelled / f"{drive}.h5", stage="labels") as file:
             np.testing.assert_array_equal(file.frame, np.arange(FRAMES))
@@ -129,7 +129,6 @@ def test_a_split_recording_has_a_preset_that_check_accepts(take, longer, source,
 
 def test_a_repeated_import_is_noticed(tmp_path, take, longer):
     """The preset has the hash of what was imported, so that params change with it; stage ingest compares the two."""
-
     folders = {"raw": tmp_path / "raw", "out": tmp_path / "data/ingest"}
     for wheel_rad in (1.0, -2.0):
         take(longer, split="60,20,20", wheel=every_second(wheel_rad), replace=True)

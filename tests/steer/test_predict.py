@@ -35,12 +35,9 @@ MODELS = {
 }  # fmt: skip
 VARIANTS = {
     "semantic": {"source": "clouds/pseudo", "points": 200, "k": 4, "keep_inter_class": 0.2},
-    "lidar": {
-        "source": "clouds/lidar", "points": 200, "k": 4, "crop_m": [-15, -10, 15, 30],
-        "accumulate": 3,
-    },
+    "lidar": {"source": "clouds/lidar", "points": 200, "k": 4, "crop_m": [-15, -10, 15, 30], "accumulate": 3},
     "image": {"source": "ingest"},
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from pipeline.labels.label import Labels
 from pipeline.labels.rates import REACH, YAW_SIGMA_S, means
 
 L = 2.7
-CAR = {"wheelbase_m": L, "min_speed_mps": 1.0}
+CAR = label.Car(L, 1.0)
 EDGES_M = [0, 5, 10, 20, 30]
 Function = Callable[[np.ndarray], np.ndarray]
 SPEED = st.floats(0.5, 30.0)
@@ -36,7 +36,7 @@ def test_constant_steering_drives_a_circle(radius, speed):
 
 def test_measured_angle_repeats_where_motion_is_unusable():
     yaw_rate, speed = np.array([9.0, 0.3, 9.0, 0.5, -0.2]), np.array([9.0, 6.0, 6.0, 0.4, -3.0])
-    angle = label.measured_angle(yaw_rate, speed, np.array([0, 1, 0, 1, 1]), L, 1.0)
+    angle = label.measured_angle(yaw_rate, speed, np.array([0, 1, 0, 1, 1]), CAR)
     left, reverse = np.arctan(L * 0.3 / 6), np.arctan(L * 0.2 / 3)
     assert angle == pytest.approx([0, left, left, left, reverse])
 
@@ -59,16 +59,12 @@ def compute(
     return ahead.path_ahead(np.arange(len(time_s)) if frame is None else frame, time_s, labels, EDGES_M, stand_s)
 
 
-def constant(value: float) -> Function:
-    return lambda t: np.full_like(t, value)
-
-
 @pytest.mark.parametrize(
     ("speed", "curvature", "integral"),
     [
-        (constant(9.3), lambda s: np.full_like(s, 0.02), lambda s: 0.02 * s),
+        (lambda t: np.full_like(t, 9.3), lambda s: np.full_like(s, 0.02), lambda s: 0.02 * s),
         (lambda t: 8 + 4 * np.sin(t), lambda s: 0.001 * s - 0.03, lambda s: 0.0005 * s**2 - 0.03 * s),
-        (constant(9.0), lambda s: 0.05 * np.sin(s / 6), lambda s: -0.3 * np.cos(s / 6)),
+        (lambda t: np.full_like(t, 9.0), lambda s: 0.05 * np.sin(s / 6), lambda s: -0.3 * np.cos(s / 6)),
     ],
     ids=["circle", "clothoid", "S-bend"],
 )
@@ -106,7 +102,7 @@ def test_a_stop_on_the_way_neither_turns_nor_moves_the_car_and_a_long_one_is_no_
 
 @pytest.mark.parametrize("change", ["reverses", "yaw rate unknown", "speed unknown", "frame missing"])
 def test_no_path_passes_a_reversing_a_missing_or_an_unmeasured_frame(change):
-    time_s, labels, at_m = drive(constant(9.3))
+    time_s, labels, at_m = drive(lambda t: np.full_like(t, 9.3))
     _, complete = compute(time_s, labels)
     speed, yaw_rate, frame = labels.speed_mps.copy(), labels.yaw_rate_radps.copy(), np.arange(len(time_s))
     if change == "frame missing":
@@ -124,7 +120,7 @@ def test_no_path_passes_a_reversing_a_missing_or_an_unmeasured_frame(change):
 def moved(yaw_rate: float, speed: float, measured: list[int]) -> Labels:
     """Return the labels of five frames, of which the last is slow."""
     rates = yaw_rate * np.array(measured), speed * np.array([1, 1, 1, 1, 0.03]) * measured
-    angle, valid = label.steering_labels(*rates, **CAR)
+    angle, valid = label.steering_labels(*rates, CAR)
     return Labels(angle, valid & np.array(measured, bool), rates[1], rates[0])
 
 

@@ -95,6 +95,9 @@ def test_with_a_road_speed_is_that_of_the_images():
     speed_mps, sigma = filtered(true_mps, road=True)
     assert np.abs(speed_mps - true_mps).max() < 0.1
     assert np.median(sigma) < 0.1
+    speed_mps, _ = filtered(np.array([-2.0] * 20 + [0.0] * 5), road=True, noise=0.02)  # reversing and standing
+    assert speed_mps[10:20] == pytest.approx([-2.0] * 10, rel=0.05)
+    assert (speed_mps[20:] == 0).all()
 
 
 def test_without_a_road_the_scale_of_depth_is_not_believed():
@@ -106,12 +109,6 @@ def test_without_a_road_the_scale_of_depth_is_not_believed():
     assert np.log(speed_mps).std() < 0.2 < error.std()
     assert np.median(sigma) > 0.25  # it admits the uncertainty
     assert np.median(speed_mps) == pytest.approx(TYPICAL_MPS, rel=0.4)
-
-
-def test_reversing_and_standing_keep_sign_and_zero():
-    speed_mps, _ = filtered(np.array([-2.0] * 20 + [0.0] * 5), road=True, noise=0.02)
-    assert speed_mps[10:20] == pytest.approx([-2.0] * 10, rel=0.05)
-    assert (speed_mps[20:] == 0).all()
 
 
 @given(st.lists(st.tuples(st.floats(0.1, 40), st.booleans()), min_size=2, max_size=20), st.integers(1, 19))

@@ -88,9 +88,8 @@ def write_streams(path: Path, *streams: dict[str, Any], **options: str) -> Path:
     with av.open(str(path), "w", options=options) as file:
         written = []
         for one in streams:
-            stream = file.add_stream(
-                one.get("codec", "libx264"), rate=one.get("fps", 10), options=one.get("options", {})
-            )
+            codec, fps = one.get("codec", "libx264"), one.get("fps", 10)
+            stream = file.add_stream(codec, rate=fps, options=one.get("options", {}))
             (stream.height, stream.width), stream.pix_fmt = one["images"][0].shape[:2], one.get("pixels", "yuv420p")
             stream.sample_aspect_ratio, stream.disposition = Fraction(one.get("shape", 1)), one.get("disposition", 1)
             written.append(stream)
@@ -465,11 +464,8 @@ def test_comparison_by_its_definition():
     frame, driven_rad = np.arange(11), np.random.default_rng(0).normal(0, 0.1, 11)
     valid = ~np.isin(frame, [0, 5])
     table = {"frame": frame, "time_s": frame / 10, "measured_rad": np.where(valid, 0.2, np.nan)}
-    table |= {
-        "valid": valid.astype(np.uint8),
-        "driven_rad": driven_rad,
-        "predicted_rad": np.where(frame < 3, np.nan, 0.05),
-    }
+    table |= {"valid": valid.astype(np.uint8), "driven_rad": driven_rad}
+    table["predicted_rad"] = np.where(frame < 3, np.nan, 0.05)
     labels = Labels(driven_rad, frame > -1, driven_rad, driven_rad)
     results = Results("drive", table, [""] * 11, Truth("log.csv", "wheel_rad", labels), {})
     comparison = results.compare("predicted", 2)

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
 from pipeline.labels.label import REVERSING_MPS, Labels
 
@@ -38,12 +37,17 @@ def _without_gap(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return :func:`path_ahead` of consecutive, measured frames; not valid where they end before the far edge."""
     speed_mps = np.maximum(labels.speed_mps, 0.0)  # below 0 it is noise at standstill, and arc length never decreases
-    arc_m = cumulative_trapezoid(speed_mps, time_s, initial=0)
-    turned = np.where(np.diff(arc_m) > 0, np.diff(cumulative_trapezoid(labels.yaw_rate_radps, time_s, initial=0)), 0.0)
+    arc_m = _integral(speed_mps, time_s)
+    turned = np.where(np.diff(arc_m) > 0, np.diff(_integral(labels.yaw_rate_radps, time_s)), 0.0)
     heading_rad = np.concatenate([[0.0], np.cumsum(turned)])
-    stood_s = cumulative_trapezoid((speed_mps < STANDING_MPS).astype(float), time_s, initial=0)
+    stood_s = _integral((speed_mps < STANDING_MPS).astype(float), time_s)
 
     at_m = arc_m[:, None] + edges_m  # [F,R+1]
     curvature = np.diff(np.interp(at_m, arc_m, heading_rad), axis=1) / np.diff(edges_m)
     stands_s = np.interp(at_m[:, 1:], arc_m, stood_s) - stood_s[:, None]
     return curvature, (at_m[:, 1:] <= arc_m[-1]) & (stands_s <= max_stand_s)
+
+
+def _integral(values: np.ndarray, time_s: np.ndarray) -> np.ndarray:  # importing SciPy takes a second
+    """Return the integral of `values` [F] over time from the first frame to each, by the trapezoidal rule."""
+    return np.concatenate([[0.0], np.cumsum((values[1:] + values[:-1]) / 2 * np.diff(time_s))])

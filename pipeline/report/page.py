@@ -113,19 +113,9 @@ def over_time(predictions: pd.DataFrame, look: Styles) -> Figure:
         if rows[column].isna().all():
             continue
         hover = {"text": rows["frame"].tolist(), "hovertemplate": "%{y:.2f}° at %{x:.1f} s, frame %{text}"}
-        line = look[name] | _points(rows, "elapsed_s", column) | hover | {"mode": "lines"}
+        # Plotly draws None as a gap.
+        y = [None if np.isnan(value) else value for value in rows[column].round(4).tolist()]
+        line = look[name] | {"x": rows["elapsed_s"].round(4).tolist(), "y": y} | hover | {"mode": "lines"}
         traces.append(line | special.get(name, {}))
-        band = rows.dropna(subset="sigma_deg")
-        if name not in special and len(band):
-            edges = [band.assign(edge=band[column] + side * band["sigma_deg"]) for side in (1, -1)]
-            outline = _points(pd.concat([edges[0], edges[1][::-1]]), "elapsed_s", "edge")
-            fill = {"fill": "toself", "mode": "none", "fillcolor": f"{look[name]['marker']['color']}26"}
-            traces.append(look[name] | outline | fill | {"name": f"{name} ± σ", "hoverinfo": "skip"})
     axes = {axis: {"title": {"text": title}} for axis, title in (("xaxis", "time in s"), ("yaxis", "deg, left +"))}
     return {"data": traces, "layout": {"height": 400, **axes}}
-
-
-def _points(rows: pd.DataFrame, *columns: str) -> dict[str, list[float | None]]:
-    """Return the coordinates of a trace: x and y from `columns`; None, which Plotly draws as a gap, for NaN."""
-    values = {axis: rows[column].round(4).tolist() for axis, column in zip("xy", columns, strict=True)}
-    return {axis: [None if np.isnan(value) else value for value in column] for axis, column in values.items()}

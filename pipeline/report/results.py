@@ -39,8 +39,8 @@ class Group:
     labels: dict[str, str]  # column → label: empty for the steering angle, "5-10 m" for a range of the path ahead
     models: list[Row]  # in the order of the paper, then as given
     # predictions.csv of each model's first seed, with columns model, elapsed_s since the drive's first frame, and cost,
-    # the squared error; in degrees, left +, true_deg, predicted_deg, odometry_deg and sigma_deg: of the steering angle,
-    # or of the turn in all ranges of the path together (then without sigma).
+    # the squared error; in degrees, left +, true_deg, predicted_deg and odometry_deg: of the steering angle, or of the
+    # turn in all ranges of the path together.
     predictions: pd.DataFrame
     settings: Evaluate
     drive: np.ndarray  # [N] numbers, in time order
@@ -170,10 +170,9 @@ def _load_predictions(folder: Path, model: str, columns: Row) -> pd.DataFrame:
     tables = []
     for path in sorted(folder.rglob("predictions.csv")):
         table = pd.read_csv(path, dtype={"drive": str})
-        for kind in ("true", "predicted", "odometry", "sigma"):
-            known = kind != "sigma" or len(columns) == 1
+        for kind in ("true", "predicted", "odometry"):
             values = [table.get(f"{kind}_{name}", np.nan) * length for name, length in length_m.items()]
-            table[f"{kind}_deg"] = np.rad2deg(sum(values)) if known else np.nan
+            table[f"{kind}_deg"] = np.rad2deg(sum(values))
         elapsed_s = table["time_s"] - table.groupby("drive")["time_s"].transform("first")
         run = ".".join(path.parent.relative_to(folder).parts)
         cost = (table["predicted_deg"] - table["true_deg"]) ** 2

@@ -76,7 +76,10 @@ def spans(timelines: Sequence[Timeline], window: int, windows: int) -> list[Span
 def read_batch(
     timelines: Sequence[Timeline], files: Mapping[Path, Graphs], group: Sequence[Span], window: int
 ) -> Arrays:
-    """Read a group of spans as one batch, with targets if the timelines are drives; `files`: open graph files."""
+    """Read a group of spans as one batch, with targets if the timelines are drives; `files`: open graph files.
+
+    Raises InputError if the drive of another scene is shorter than a window.
+    """
     columns: dict[str, list[np.ndarray]] = defaultdict(list)
     parts: list[tuple[Graphs, int, int]] = []
     frames = graphs = 0  # of the batch before the span
@@ -86,7 +89,12 @@ def read_batch(
         members = np.arange(len(rows) - window + 1)[:, None] + np.arange(window)  # [W,T]
         if timeline.scene != timeline.graphs:  # no two windows share a frame
             rows = rows[members]
-            seen = scene_rows(rows[:, -1], window, len(timeline.frame), file)
+            if (others := len(file.frame)) < window:
+                problem = f"scene: another needs a window of {window} frames (got {others})"
+                raise InputError(problem, file.path, "Remove the drive")
+            # A window's scenes are consecutive and end at the same share of the other drive.
+            ends = np.maximum(rows[:, -1] * others // len(timeline.frame), window - 1)
+            seen = ends[:, None] + np.arange(1 - window, 1)  # [W,T]
             start, stop = seen[0, 0], seen[-1, -1] + 1
             columns["scenes"].append(seen.ravel() - start + graphs)
             rows, members = rows.ravel(), np.arange(rows.size).reshape(rows.shape)
@@ -101,17 +109,6 @@ def read_batch(
         factor = np.repeat([span.factor for span in group], [stop - start for _, start, stop in parts])
         batch["xyz"] *= np.repeat(factor, np.diff(batch["ptr"])).astype(np.float32)[:, None]
     return batch | {name: np.concatenate(arrays) for name, arrays in columns.items()}
-
-
-def scene_rows(ends: np.ndarray, window: int, frames: int, other: Graphs) -> np.ndarray:
-    """Return the rows [W,T] of another drive's scenes, for the windows that end at rows `ends` [W] of `frames`.
-
-    They are consecutive and end at the same share of the drive. Raises InputError if it is shorter than a window.
-    """
-    if (others := len(other.frame)) < window:
-        problem = f"scene: another needs a window of {window} frames (got {others})"
-        raise InputError(problem, other.path, "Remove the drive")
-    return np.maximum(ends * others // frames, window - 1)[:, None] + np.arange(1 - window, 1)
 
 
 def _measured(timeline: Timeline, span: Span, rows: np.ndarray, window: int, points: bool) -> Arrays:

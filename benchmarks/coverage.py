@@ -34,10 +34,7 @@ NMSE = (0.146, 0.124)  # of two models
 BY_SEED, BY_ROAD, BY_BOTH = 0.31, 0.5, 0.5
 
 
-def main(
-    out: Annotated[Path, typer.Argument(help="JSON file to write")],
-    params: Path = Path("params.yaml"),
-) -> None:
+def main(out: Annotated[Path, typer.Argument(help="JSON file to write")], params: Path = Path("params.yaml")) -> None:
     """Write and print the share of the intervals that contain the true difference, by drives and seeds."""
     settings, car, figures = load(Evaluate, params), load(Labels, params), {}
     for frames in LENGTHS:

@@ -11,9 +11,7 @@ MIN_ROAD = 0.5  # share of frames with a road, below which the scale is called u
 
 
 def main(
-    ingest: Path = Path("data/ingest"),
-    perception: Path = Path("data/perception"),
-    out: Path = Path("data/motion"),
+    ingest: Path = Path("data/ingest"), perception: Path = Path("data/perception"), out: Path = Path("data/motion")
 ) -> Path:
     """Measure each drive's motion from images and depth. Returns the output folder."""
     splits = store.read_index(perception, stage="perception")

@@ -24,11 +24,7 @@ MIN_FRAMES = 0.75  # least share of the frames of this second
 
 
 def onsets(
-    curvature_1pm: np.ndarray,
-    valid: np.ndarray,
-    time_s: np.ndarray,
-    yaw_rate_radps: np.ndarray,
-    speed_mps: np.ndarray,
+    curvature_1pm: np.ndarray, valid: np.ndarray, time_s: np.ndarray, yaw_rate_radps: np.ndarray, speed_mps: np.ndarray
 ) -> np.ndarray:
     """Return the rows, int64, at which a turn begins, for the labels [F] of a drive."""
     last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), -1))

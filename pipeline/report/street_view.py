@@ -4,9 +4,8 @@ And the path of a car on a plane road: from curvature to places, and to the trac
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -31,8 +30,7 @@ HALF_TRACK_M, STEP_M = 0.8, 0.5  # of a path
 NEAREST_M = 1.0  # drawn distance of a path from the camera
 
 
-@dataclass(frozen=True)
-class View:
+class View(NamedTuple):
     """Data of one frame; None if it is missing."""
 
     frame: int  # KITTI frame number

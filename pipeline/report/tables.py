@@ -1,10 +1,9 @@
 """Build the text of table.md and of the page: first sentences, tables of models and baselines, and of perception."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations, product
 from textwrap import fill
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -15,7 +14,6 @@ from pipeline.report.results import BASELINES, Group, Row
 from pipeline.settings.graphs import Variant
 
 NONE = "–"  # cell without a value
-_WIDTH = 110  # characters per line of a note
 _RESULTS = (
     "nmse = MSE / MSE of always predicting zero: 0 is perfect, 1 is useless; ± one standard deviation between seeds; "
     "in parentheses the 95 % interval for other roads and seeds (bootstrap; of one seed, for other roads and these "
@@ -53,8 +51,7 @@ _MOTION = (
 )
 
 
-@dataclass(frozen=True)
-class Table:
+class Table(NamedTuple):
     """A table of text cells with a title and a note; `rows`: heading → cell, in which headings may be missing."""
 
     title: str
@@ -77,7 +74,7 @@ class Table:
         for row in (self.heads, rule, *self.cells):
             first, *more = [f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True)]
             lines.append(f"| {' | '.join([first.strip().ljust(widths[0]), *more])} |")
-        return "\n\n".join(filter(None, [f"## {self.title}", "\n".join(lines), fill(self.note, _WIDTH)]))
+        return "\n\n".join(filter(None, [f"## {self.title}", "\n".join(lines), fill(self.note, 110)]))
 
 
 def number(value: Any, form: str = "") -> str:

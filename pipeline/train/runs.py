@@ -6,8 +6,8 @@ the training drives' world. With `train-then-others` they start from a network o
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -17,8 +17,7 @@ from pipeline.base.errors import InputError
 from pipeline.settings.models import Entry
 
 
-@dataclass(frozen=True)
-class Fold:
+class Fold(NamedTuple):
     """Training, validation and test drives of one network."""
 
     name: str | None  # the test drive that is not used for training; None: none is
@@ -28,8 +27,7 @@ class Fold:
     start: "Fold | None" = None  # the fold from whose network this one's starts; None: random weights
 
 
-@dataclass(frozen=True)
-class Run:
+class Run(NamedTuple):
     """One network to train."""
 
     seed: int

@@ -1,6 +1,6 @@
 """Write the page: one HTML file that needs no other file and no network, from page.html.j2.
 
-Plots are the data and layout of Plotly, with angles in degrees, left +.
+Plots are traces of Plotly, with angles in degrees, left +.
 """
 
 import base64
@@ -19,15 +19,19 @@ from pipeline.report.results import Group
 from pipeline.report.tables import Table
 
 COLOURS = ("#0b57a4", "#d1495b", "#2e8b57", "#8a5fbf", "#1b998b", "#7a6a53", "#c2185b")
-FIXED = {"driven": "#1b2027", "odometry": "#e08e0b"}
+Trace = dict[str, Any]
+Styles = Mapping[str, Trace]
+FIXED: Styles = {
+    "driven": {"marker": {"color": "#1b2027"}, "line": {"width": 3}},
+    "odometry": {"marker": {"color": "#e08e0b"}, "line": {"dash": "dash"}},
+}
 MODELS_SHOWN = 3  # the best at first; a click in the legend adds others
-Figure = dict[str, Any]
-Styles = Mapping[str, dict[str, Any]]
+DRIVES_SHOWN = 6  # those with most squared error of the best model; the tables have all
 
 
 class Plot(NamedTuple):
     caption: str
-    figure: Figure
+    traces: list[Trace]
 
 
 class Picture(NamedTuple):
@@ -78,44 +82,43 @@ def write_page(
 
 
 def _test_drives(group: Group, look: Styles) -> Content:
-    predictions, drives = group.predictions, group.worst_drives()
+    predictions, best = group.predictions, group.by_error[0]["model"]
+    cost = group.first_seed(best).groupby("drive", sort=False)["cost"].sum()
+    worst = cost.nlargest(DRIVES_SHOWN).index
     count = predictions["drive"].nunique()
-    chosen = f" on the {len(drives)} of {count} drives with the largest squared error" if count > len(drives) else ""
+    chosen = f" on the {len(worst)} of {count} drives with the largest squared error" if count > len(worst) else ""
     angle = " The angle is the turn of the path over all ranges." if any(group.labels.values()) else ""
     return [
         f"Predictions of the first seed{chosen}.{angle} Drag to zoom, double-click to reset, click the legend to hide.",
         *(
             Plot(f"{drive}: {group.title} over time", over_time(predictions[predictions["drive"] == drive], look))
-            for drive in drives
+            for drive in cost.index
+            if drive in worst
         ),
     ]
 
 
 def styles(groups: Sequence[Group]) -> Styles:
-    """Return model or baseline → name, colour and visibility of its traces in all plots."""
+    """Return model or baseline → name, colour, line and visibility of its traces in all plots."""
     models = [model["model"] for group in groups for model in group.models]
     shown = {row["model"] for group in groups for row in group.by_error[:MODELS_SHOWN]} | {*FIXED}
-    colours = dict(zip(models, cycle(COLOURS), strict=False)) | FIXED
-    return {
-        name: {"name": name, "marker": {"color": colour}, "visible": True if name in shown else "legendonly"}
-        for name, colour in colours.items()
-    }
+    colours = zip(models, cycle(COLOURS), strict=False)
+    looks = {**{name: {"marker": {"color": colour}} for name, colour in colours}, **FIXED}
+    visible = {name: True if name in shown else "legendonly" for name in looks}
+    return {name: {"name": name, "visible": visible[name], **look} for name, look in looks.items()}
 
 
-def over_time(predictions: pd.DataFrame, look: Styles) -> Figure:
-    """Plot driven angle, odometry and the predictions of each model over the time of one drive."""
+def over_time(predictions: pd.DataFrame, look: Styles) -> list[Trace]:
+    """Return the curves of driven angle, odometry and the predictions of each model over the time of one drive."""
     traces = []
     truth = predictions.drop_duplicates("frame").sort_values("frame")
     lines = {"driven": (truth, "true_deg"), "odometry": (truth, "odometry_deg")}
     lines |= {name: (rows, "predicted_deg") for name, rows in predictions.groupby("model", sort=False)}
-    special: dict[str, dict[str, Any]] = {"driven": {"line": {"width": 3}}, "odometry": {"line": {"dash": "dash"}}}
     for name, (rows, column) in lines.items():
         if rows[column].isna().all():
             continue
         hover = {"text": rows["frame"].tolist(), "hovertemplate": "%{y:.2f}° at %{x:.1f} s, frame %{text}"}
         # Plotly draws None as a gap.
         y = [None if np.isnan(value) else value for value in rows[column].round(4).tolist()]
-        line = look[name] | {"x": rows["elapsed_s"].round(4).tolist(), "y": y} | hover | {"mode": "lines"}
-        traces.append(line | special.get(name, {}))
-    axes = {axis: {"title": {"text": title}} for axis, title in (("xaxis", "time in s"), ("yaxis", "deg, left +"))}
-    return {"data": traces, "layout": {"height": 400, **axes}}
+        traces.append(look[name] | {"x": rows["elapsed_s"].round(4).tolist(), "y": y, "mode": "lines"} | hover)
+    return traces

@@ -18,13 +18,10 @@ from pipeline.evaluate import errors
 from pipeline.report import paper
 from pipeline.settings.evaluate import Evaluate
 
-SHOWN_DRIVES = 6  # test drives that the page draws one by one; the tables have all
 NO_LEARNING = ("zero", "train_mean", "odometry", "regression")
 BASELINES = (*NO_LEARNING, "persistence")  # which repeats true angles, that no model gets
-Row = dict[str, Any]
-"""A model's metrics.json with ``paper``, its :class:`paper.Published` or None."""
-Estimate = tuple[float | None, list[float] | None]
-"""A value, None if it is unknown, and its 95 % interval (:func:`errors.interval`)."""
+Row = dict[str, Any]  # a model's metrics.json with ``paper``, its :class:`paper.Published` or None
+Estimate = tuple[float | None, list[float] | None]  # a value, None if unknown, and its :func:`errors.interval`
 
 
 @dataclass(frozen=True)
@@ -101,11 +98,6 @@ class Group:
     def first_seed(self, model: str) -> pd.DataFrame:
         """Return the predictions of the first seed of a model."""
         return self.predictions[self.predictions["model"] == model]
-
-    def worst_drives(self) -> list[str]:
-        """Return the SHOWN_DRIVES test drives on which the first model has most squared error, in the CSV's order."""
-        cost = self.first_seed(self.by_error[0]["model"]).groupby("drive", sort=False)["cost"].sum()
-        return [drive for drive in cost.index if drive in cost.nlargest(SHOWN_DRIVES).index]
 
 
 def validation_nmse(row: Row) -> float:

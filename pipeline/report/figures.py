@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pipeline.base import store
@@ -19,8 +18,7 @@ _FOLDERS = ("ingest", "perception", "clouds/pseudo")
 CHAIN_POINTS, BEND_DEG = 300, 5.0  # of the chain: points of its graph, and the least angle of a bend
 MAX_ERRORS = 6  # frames, one of a drive
 _COLOURS = {"true": "0.15", "odometry": "tab:orange", "predicted": "tab:blue"}
-Captions = dict[str, str]
-"""Name of the file without suffix → caption."""
+Captions = dict[str, str]  # name of the file without suffix → caption
 
 
 def draw(out: Path, groups: Sequence[Group], data: Path) -> Captions:
@@ -119,9 +117,11 @@ def _draw_errors(path: Path, group: Group, ingest: Path) -> Captions:
     edges_m = [0.0, *(column["to_m"] for column in model["columns"].values())]
     for panel, (row, image, camera) in zip(panels, shown, strict=False):
         panel.imshow(image)
+        panel.autoscale(False)
         for kind in ("driven", "predicted") if on_path else ():
             path_1pm = [row[f"{'true' if kind == 'driven' else kind}_{column}"] for column in group.labels]
-            draw_path(panel, street_view.wheel_tracks(street_view.path_steps(path_1pm, edges_m), camera), kind)
+            for side in street_view.wheel_tracks(street_view.path_steps(path_1pm, edges_m), camera):
+                panel.plot(*side.T, color=[value / 255 for value in street_view.PATHS[kind]], linewidth=1.5)
         text = f"driven {row['true_deg']:.1f}°, predicted {row['predicted_deg']:.1f}°"
         panel.set_title(f"{row['drive']}, frame {row['frame']}: {text}", fontsize="small", loc="left")
     street_view.save(figure, path)
@@ -131,13 +131,3 @@ def _draw_errors(path: Path, group: Group, ingest: Path) -> Captions:
         f"and the {about} (left +)."
     )
     return {path.stem: caption}
-
-
-def draw_path(panel: Axes, tracks: Sequence[np.ndarray], kind: str) -> None:
-    """Draw the tracks of both wheels over the image in a panel; `kind`: a key of street_view.PATHS."""
-    limits, (left, right) = panel.axis(), tracks
-    colour = [value / 255 for value in street_view.PATHS[kind]]
-    panel.fill(*np.concatenate([left, right[::-1]]).T, color=colour, alpha=0.3, linewidth=0)
-    for side in tracks:
-        panel.plot(*side.T, color=colour, linewidth=1.5)
-    panel.axis(limits)

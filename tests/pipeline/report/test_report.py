@@ -275,8 +275,8 @@ def test_pictures_show_what_the_encoder_has(tmp_path, monkeypatch, with_classes)
 
 
 def test_the_largest_errors_of_the_best_model_are_drawn(tmp_path, monkeypatch):
-    drawn: list[tuple[str, np.ndarray]] = []
-    monkeypatch.setattr(figures, "draw_path", lambda _, tracks, kind: drawn.append((kind, tracks[0])))
+    drawn: list[np.ndarray] = []
+    monkeypatch.setattr("matplotlib.axes.Axes.plot", lambda _, *track, **style: drawn.append(np.stack(track, axis=1)))
     street.write_drive(tmp_path / "ingest", DRIVE, 30)
     for model, nmse in (("worse", 0.9), ("best", 0.0)):
         table = examples.predictions(nmse, examples.PATH)
@@ -287,9 +287,9 @@ def test_the_largest_errors_of_the_best_model_are_drawn(tmp_path, monkeypatch):
     assert captions["errors-path-0"].startswith("Drives with the largest errors of best")
     with store.DriveReader(tmp_path / f"ingest/{DRIVE}.h5", stage="ingest") as images:
         camera = read_camera(images)
-    assert [kind for kind, _ in drawn] == ["driven", "predicted"]
-    for (_, track), curvature_1pm in zip(drawn, (0.12, 0.3), strict=True):
-        np.testing.assert_allclose(track, wheel_tracks(np.full(20, curvature_1pm), camera)[0])
+    expected = [track for driven_1pm in (0.12, 0.3) for track in wheel_tracks(np.full(20, driven_1pm), camera)]
+    for track, of_path in zip(drawn, expected, strict=True):  # driven and predicted, left and right
+        np.testing.assert_allclose(track, of_path)
 
 
 # The page

@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -43,8 +43,7 @@ def selected_epoch(errors: Sequence[float]) -> int:
     return min((end for end in means if np.isfinite(means[end])), key=means.__getitem__, default=len(errors))
 
 
-@dataclass(frozen=True)
-class Job:
+class Job(NamedTuple):
     """Inputs common to all runs of a model."""
 
     name: str

@@ -1,18 +1,10 @@
-"""Predict steering with a trained network.
-
-from pipeline.graphs import graph_file
-from pipeline.train import predict
-
-model = predict.load("data/train/sa-gnn-ncp")
-with graph_file.open_graphs("data/graphs/semantic/2026_01_14_drive_0004.h5") as graphs:
-    steering_rad = model.predict(graphs).mean[:, 0]  # NaN without a complete window
-"""
+"""Predict steering with a trained network; README.md has an example."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from textwrap import shorten
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -31,8 +23,7 @@ KIND = "steering net"  # of checkpoint
 WINDOWS = 96  # per batch of predictions; limits the memory
 
 
-@dataclass(frozen=True)
-class Trained:
+class Trained(NamedTuple):
     """A trained network with everything needed to use it."""
 
     name: str

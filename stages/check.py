@@ -31,12 +31,10 @@ def check_model(entry: Entry, settings: Params) -> None:
     if entry.input not in settings.graphs:
         raise InputError(f"unknown variant {entry.input!r}: {closest(entry.input, [*settings.graphs])}", "input")
     variant = settings.graphs[entry.input]
-    outputs = 1
-    if entry.predict == "path":
-        outputs = len(settings.labels.ahead_m) - 1
-        if outputs < 1:
-            raise InputError("predict: path needs labels.ahead_m (got [])", fix="Set it to edges, for instance [0, 10]")
-    elif entry.motion == settings.labels.source and not entry.horizon:
+    outputs = len(settings.labels.ahead_m) - 1 if entry.predict == "path" else 1
+    if outputs < 1:
+        raise InputError("predict: path needs labels.ahead_m (got [])", fix="Set it to edges, for instance [0, 10]")
+    if entry.predict == "angle" and entry.motion == settings.labels.source and not entry.horizon:
         raise InputError(
             f"motion: {entry.motion} with labels.source: {entry.motion} at horizon: 0 makes the label an input",
             fix="Set motion: none, a horizon above 0, or another labels.source, or remove the model",

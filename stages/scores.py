@@ -39,7 +39,7 @@ def main(
     score_motion, jobs = partial(_score_motion, ingest=ingest, motion=motion, car=car), []
     for drive in splits:
         inputs = [folder / f"{drive}.h5" for folder in (ingest, perception, motion)]
-        work = partial(_score_drive, drive=drive, ingest=inputs[0], perception=inputs[1], score_motion=score_motion)
+        work = partial(_score_drive, ingest=inputs[0], perception=inputs[1], score_motion=score_motion)
         jobs.append(Job(drive, f"{drive}/metrics.json", inputs, work))
     with stage_folder("scores", out) as folder:
         summaries = make_drives(folder, jobs, car._asdict(), "{frames} frames")
@@ -60,9 +60,7 @@ def main(
     return out
 
 
-def _score_drive(
-    path: Path, *, drive: str, ingest: Path, perception: Path, score_motion: "partial[dict[str, Any]]"
-) -> Summary:
+def _score_drive(path: Path, *, ingest: Path, perception: Path, score_motion: "partial[dict[str, Any]]") -> Summary:
     scores = Scores()
     with (
         store.DriveReader(ingest, stage="ingest") as source,
@@ -72,7 +70,7 @@ def _score_drive(
         for row, number in enumerate(perceived.frame):
             depth_m, cls = to_metres(perceived.row("depth_m", row)), perceived.row("cls", row)
             scores.add_frame(depth_m, cls, camera, read_truth(source, camera, source.row_of(number)))
-    store.write_json(path, {**scores.report(), "motion": score_motion([drive])})
+    store.write_json(path, {**scores.report(), "motion": score_motion([ingest.stem])})
     return {"frames": len(perceived.frame), "sums": {key: sums.tolist() for key, sums in scores.sums.items()}}
 
 

@@ -125,7 +125,7 @@ def _measured(timeline: Timeline, span: Span, rows: np.ndarray, window: int, poi
         values["target"] = np.nan_to_num(timeline.target[ends]).astype(np.float32)
         values["valid"] = timeline.valid[ends]
         if points and span.factor != 1:
-            values = rescale(values, span.factor, timeline.ahead_m)
+            _rescale(values, span.factor, timeline.ahead_m)
     if span.hidden:
         values |= {name: np.zeros_like(values[name]) for name in ("motion", "base")}
     return values
@@ -173,23 +173,21 @@ class Reader(Dataset[dict[str, Tensor]]):
         self._files.close()
 
 
-def rescale(values: Arrays, factor: float, ahead_m: Sequence[float] = ()) -> Arrays:
-    """Return motion, base, target and valid of a span in a world `factor` times as large.
+def _rescale(values: Arrays, factor: float, ahead_m: Sequence[float]) -> None:
+    """Replace motion, base, target and valid of a span by those in a world `factor` times as large.
 
     The bicycle model's tan Θ is wheelbase × curvature, and curvature is 1 / length; the yaw rate does not change.
     `ahead_m`: the edges of a path's ranges, as in :func:`scale_path`; none for an angle.
     """
-    scaled = dict(values)
     if ahead_m:
-        scaled["base"] = values["base"] / factor
-        scaled["target"], scaled["valid"] = scale_path(values["target"], values["valid"], ahead_m, factor)
+        values["base"] = values["base"] / factor
+        values["target"], values["valid"] = scale_path(values["target"], values["valid"], ahead_m, factor)
     else:
-        scaled |= {name: _scale_radius(values[name], factor) for name in ("base", "target")}
+        values |= {name: _scale_radius(values[name], factor) for name in ("base", "target")}
     if "motion" in values:
         measured_rad, yaw_rate_radps, speed_mps, valid = values["motion"].T
         columns = [_scale_radius(measured_rad, factor), yaw_rate_radps, speed_mps * factor, valid]
-        scaled["motion"] = np.stack(columns, axis=1)
-    return scaled
+        values["motion"] = np.stack(columns, axis=1)
 
 
 def scale_path(

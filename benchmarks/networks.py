@@ -140,8 +140,7 @@ def size(street: Street) -> Row:
     ours, alternative = (
         sum(path.stat().st_size for path in paths) / FRAMES / 1e6 for paths in ([street.file], street.frames)
     )
-    what = f"{street.title}: graph file / PyG Data by torch.save"
-    return Row(lambda: ours, lambda: alternative, "MB/frame", what)
+    return Row(lambda: ours, lambda: alternative, "MB/frame", f"{street.title}: graph file / PyG Data by torch.save")
 
 
 def load(street: Street) -> Row:

@@ -39,13 +39,11 @@ class Wheel(NamedTuple):
 
 def fit(time_s: np.ndarray, measured: np.ndarray, wheel_rad: np.ndarray) -> Wheel:
     """Return the constants with the least squared error, all arguments [F]."""
-    fits = []
-    for lag_s in LAGS_S:
-        columns = np.stack([np.interp(time_s + lag_s, time_s, measured), np.ones_like(time_s)], axis=1)
-        (gain, offset), *_ = np.linalg.lstsq(columns, wheel_rad, rcond=None)
-        error = float(((columns @ [gain, offset] - wheel_rad) ** 2).mean())
-        fits.append((error, Wheel(float(gain), float(offset), float(lag_s))))
-    return min(fits)[1]
+    wheels = []
+    for lag_s in LAGS_S.tolist():
+        gain, offset = np.polyfit(np.interp(time_s + lag_s, time_s, measured), wheel_rad, deg=1).tolist()
+        wheels.append(Wheel(gain, offset, lag_s))
+    return min(wheels, key=lambda wheel: float(((wheel.angle(time_s, measured) - wheel_rad) ** 2).mean()))
 
 
 def compare(

@@ -21,9 +21,7 @@ _ALL: Settings = {
     "fit_to": ("train",), "roads": (None,), "accumulate": (None,), "scene": ("same",),
 }  # fmt: skip
 _POINTS: Settings = {**_ALL, "semantics": (0.0,), "alpha": (0.0,)}  # equal frame weights, unlike the CNN
-_SETS: Settings = {
-    **_POINTS, "input": ("lidar-pointnet2",), "spatial": ("pointnet2",), "window": (6,), "width": (1.0,),
-}  # fmt: skip
+_SETS: Settings = {**_POINTS, "input": ("lidar-pointnet2",), "spatial": ("pointnet2",), "window": (6,), "width": (1.0,)}
 _GRAPHS: Settings = {**_POINTS, "spatial": ("gnn",), "window": (8,)}
 _IMAGES: Settings = {**_ALL, "input": ("image",), "spatial": ("cnn",), "window": (16,)}
 PAPER = {  # in the order of Table 2

@@ -10,7 +10,7 @@ from pipeline.base.params import load
 from pipeline.base.runner import Job, make_drives
 from pipeline.kitti.ingest import SUMMARY, ingest_kitti
 from pipeline.kitti.raw import KittiDrive, find_drives
-from pipeline.settings.ingest import Ingest
+from pipeline.settings.ingest import Ingest, Reading
 
 
 def main(
@@ -30,7 +30,7 @@ def main(
         if drive in drives and drives[drive].manifest() != manifest:
             fix = "Use the preset that steer import wrote: make params PRESET=NAME, then dvc repro"
             raise InputError("drive was imported again, ingest.manifests has the one before", drives[drive].folder, fix)
-    jobs, reading = [], settings.reading()
+    jobs, reading = [], Reading(**settings.model_dump(include=set(Reading.model_fields)))
     for drive, files in sorted(drives.items(), key=lambda item: len(item[1].oxts), reverse=True):  # the longest first
         fingerprint = files.fingerprint(settings.cameras, by_content=sources[drive] == "sample")
         work = partial(ingest_kitti, drive=drive, folder=files.folder, settings=reading)

@@ -38,18 +38,17 @@ def main(
     story = tables.sentences(groups, [model for model in models if model not in evaluated])
     text = "\n\n".join([*(fill(line, 110) for line in story), *(table.markdown() for table in (*steering, *perceived))])
     with stage_folder("report", out, shared=True) as folder:
-        new = folder.new
-        (new / "table.md").write_text(f"{text}\n", encoding="utf-8")
-        store.write_json(new / "metrics.json", results.dvc_metrics(groups))
+        (folder.new / "table.md").write_text(f"{text}\n", encoding="utf-8")
+        store.write_json(folder.new / "metrics.json", results.dvc_metrics(groups))
         for name in ("learning", "figures"):  # DVC expects each output, even an empty one
-            (new / name).mkdir()
+            (folder.new / name).mkdir()
         for path in (path for model in evaluated for path in (data / "train" / model).rglob("curve.csv")):
             network = ".".join(path.relative_to(data / "train").parts[:-1])  # MODEL.seed-N.fold-DRIVE
             curve = pd.read_csv(path, dtype=str).drop(columns="learning_rate")
             # DVC draws an empty field as 0, and nan as a gap.
-            curve.to_csv(new / f"learning/{network}.csv", index=False, lineterminator="\n", na_rep="nan")
-        captions = draw(new / "figures", groups, data)
-        write_page(new / "index.html", story, groups, steering, [*notes, *perceived], captions)
+            curve.to_csv(folder.new / f"learning/{network}.csv", index=False, lineterminator="\n", na_rep="nan")
+        captions = draw(folder.new / "figures", groups, data)
+        write_page(folder.new / "index.html", story, groups, steering, [*notes, *perceived], captions)
     print(text)
     return out
 

@@ -28,9 +28,8 @@ def main(
 ) -> Path:
     """Write metrics.json with the scores of validation and test drives, and <drive>/metrics.json of each of them.
 
-    The scores of training drives are None. The key ``motion`` holds the scores of measured motion and of recorded
-    steering angles; angles and valid frames are defined as in the labels. ``recorded``: how what training and
-    validation drives recorded follows measured motion. Returns the output folder.
+    The scores of training drives are None. Keys ``motion`` and ``recorded``: see data/README.md; angles and valid
+    frames are defined as in the labels. Returns the output folder.
     """
     labels = load(Labels, params)
     car = Car(labels.wheelbase_m, labels.min_speed_mps)

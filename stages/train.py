@@ -31,8 +31,7 @@ def main(
 ) -> Path:
     """Train the model, stop early when the validation error stops falling, and keep the best epoch.
 
-    One network per seed, or per seed and test drive with fit_to: others or train-then-others. The network from which
-    the latter start is in a folder first. Networks are trained in parallel on CPUs, one process each, and one after the
+    One network per seed and fold, see pipeline/train/runs.py: in parallel on CPUs, one process each, and one after the
     other on a GPU. Returns the model's folder.
     """
     entry, settings = load_entry(Entry, "models", name, params), load(Train, params)

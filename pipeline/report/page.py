@@ -52,9 +52,8 @@ def write_page(
 ) -> None:
     """Write the page to an HTML file.
 
-    The files of `figures` (name without suffix → caption) are in folder figures beside it; the chain is shown first.
-    The first of the `tables` are the results of each group. `perception`: where the encoder's weights come from, and
-    tables.
+    The files of `figures` (name without suffix → caption) are in folder figures beside it. The first of the `tables`
+    are the results of each group. `perception`: where the encoder's weights come from, and tables.
     """
     pictures = {
         name: Picture(caption, base64.b64encode((path.parent / f"figures/{name}.png").read_bytes()).decode("ascii"))

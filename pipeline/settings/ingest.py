@@ -56,10 +56,6 @@ class Ingest(Reading):
     drives: Drives
     manifests: dict[Drive, str] = {}  # imported drive → hash of its manifest, see steer import
 
-    def reading(self) -> Reading:
-        """Return the settings that determine a drive's file."""
-        return Reading(**self.model_dump(include=set(Reading.model_fields)))
-
     def sources(self) -> dict[str, Literal["sample", "kitti"]]:
         """Return drive → source; with `both`, the name decides."""
         if self.source != "both":

@@ -122,6 +122,7 @@ class Fit:
 
     def __post_init__(self) -> None:
         self.scale = Scale.from_drives(self.train)
+        self.net.scale.momentum = min(0.1, 1 - self.settings.average)  # the frames of a single step are too few
         self.average: Any = AveragedModel(self.net, multi_avg_fn=get_ema_multi_avg_fn(self.settings.average))  # type: ignore[no-untyped-call]
         self.best = copy_weights(self.net)
         # Weight decay for matrices only: an offset or a time constant need not be small.
@@ -191,7 +192,9 @@ class Fit:
         hides = ahead and self.net.motion and self.net.sees
         hidden = (rng.random(len(spans)) < MOTION_DROPOUT * hides).tolist()
         spans = [replace(span, factor=f, hidden=h) for span, f, h in zip(spans, factor, hidden, strict=True)]
-        return [spans[first : first + settings.batch_spans] for first in range(0, len(spans), settings.batch_spans)]
+        # About equally many, as the features of a single frame have no variance.
+        parts = np.array_split(np.arange(len(spans)), -(-len(spans) // settings.batch_spans))
+        return [[spans[row] for row in part] for part in parts]
 
     def _train(self, reader: windows.Reader, epoch: int) -> tuple[float, float]:
         """Train for one epoch; return the mean loss and the last learning rate."""

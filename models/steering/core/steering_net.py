@@ -23,6 +23,41 @@ MOTION_MIRROR_SIGNS = (-1.0, -1.0, 1.0, 1.0)
 The columns are the measured angle (rad) and yaw rate (rad/s), both left +, speed (m/s) and valid (0 or 1).
 """
 MOTION_SCALES = (0.25, 0.4, 15.0, 1.0)  # a sharp corner, a fast street
+EPSILON = 1e-6  # added to variances
+
+
+class FeatureScale(nn.Module):
+    """Standardise each feature over frames, then apply tanh, since LTC synapses are sensitive in (-1, 1).
+
+    What a spatial network pools over a frame is nearly the same in every frame of a street. A tanh saturates on this
+    common part, the difference between frames is lost, and training stays on a plateau. So in training the mean and
+    variance of the batch's frames are removed, in prediction running ones: means over the first steps, later moving
+    averages with `momentum`. Nothing is learned. Without `centred` features are only divided, which keeps them odd.
+    """
+
+    mean: Tensor
+    variance: Tensor
+    steps: Tensor
+
+    def __init__(self, features: int, *, centred: bool, momentum: float = 0.02) -> None:
+        super().__init__()
+        self.centred, self.momentum = centred, momentum
+        self.register_buffer("mean", torch.zeros(features))
+        self.register_buffer("variance", torch.ones(features))
+        self.register_buffer("steps", torch.tensor(0))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return features in (-1, 1) for those of B frames, both [B,F]."""
+        mean, variance = self.mean, self.variance
+        if self.training:
+            mean = x.mean(0) if self.centred else mean
+            variance = (x - mean).square().mean(0)
+            with torch.no_grad():
+                self.steps += 1
+                weight = (1 / self.steps.to(x.dtype)).clamp_min(self.momentum)
+                self.mean.lerp_(mean, weight)
+                self.variance.lerp_(variance, weight)
+        return torch.tanh((x - mean) * (variance + EPSILON).rsqrt())
 
 
 class SteeringNet(nn.Module):
@@ -58,6 +93,7 @@ class SteeringNet(nn.Module):
         self.equivariant, self.motion, self.sees = equivariant, motion, spatial.sees
         # Random numbers are drawn in this order: a seed's weights depend on it.
         self.spatial = spatial.build(sizes)
+        self.scale = FeatureScale(sizes.features, centred=not equivariant)
         inputs = sizes.features + motion * len(MOTION_MIRROR_SIGNS)
         temporal_net: Any = temporal.build(replace(sizes, features=inputs))
         self.temporal = temporal_net
@@ -94,25 +130,26 @@ class SteeringNet(nn.Module):
         Raises:
             ValueError: the spatial network returns another number of features.
         """
-        if self.equivariant or pairs:  # the frames, then their mirror images
+        versions = 2 if self.equivariant or pairs else 1  # the frames, then their mirror images
+        if versions == 2:
             both: Any = getattr(self.spatial, "both", None)  # of networks that share a part of the two
             original, mirrored = both(batch) if both else (self.spatial(batch), self.spatial(batch.mirrored()))
-            if scenes is not None:
-                original, mirrored = original[scenes], mirrored[scenes]
             if self.equivariant:
-                original = original - mirrored
-                mirrored = -original
+                original, mirrored = original - mirrored, mirrored - original
             features = torch.cat([original, mirrored])
-            windows, dt_s = torch.cat([windows, windows + len(original)]), dt_s.repeat(2, 1)
-            if motion is not None:
-                motion = torch.cat([motion, torch.cat([-motion[:, :2], motion[:, 2:]], dim=1)])
         else:
-            features = self.spatial(batch) if scenes is None else self.spatial(batch)[scenes]
+            features = self.spatial(batch)
         if features.shape[1:] != (self.features,):
             problem = f"the spatial network returns {list(features.shape[1:])} per frame, expected [{self.features}]"
             raise ValueError(f"{self.file}: {problem} (sizes.features)")
         with torch.autocast(features.device.type, enabled=False):  # a small part of the work, and an ODE
-            inputs = features.to(next(self.temporal.parameters()).dtype)
+            inputs = self.scale(features.to(self.scale.mean.dtype))
+            if scenes is not None:
+                inputs = torch.cat([version[scenes] for version in inputs.chunk(versions)])
+            if versions == 2:
+                windows, dt_s = torch.cat([windows, windows + len(inputs) // 2]), dt_s.repeat(2, 1)
+                if motion is not None:
+                    motion = torch.cat([motion, torch.cat([-motion[:, :2], motion[:, 2:]], dim=1)])
             if self.motion:
                 assert motion is not None, "a network with motion needs the motion of each frame"
                 inputs = torch.cat([inputs, scaled(motion.to(inputs))], dim=1)

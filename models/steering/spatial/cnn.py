@@ -38,7 +38,7 @@ class SteeringCNN(nn.Module):
     def forward(self, batch: ImageBatch) -> Tensor:
         """Return [B,F]. Independent of the other images in the batch."""
         maps = self.convolutions(standardise(batch.image, self.bias.dtype)).flatten(2)  # [B,8,hw]
-        return (torch.einsum("bmp,mpf->bmf", maps, self.weight) + self.bias).relu().flatten(1)
+        return (torch.einsum("bmp,mpf->bmf", maps, self.weight) + self.bias).flatten(1)
 
 
 def standardise(image: Tensor, dtype: torch.dtype) -> Tensor:

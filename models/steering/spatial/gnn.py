@@ -60,7 +60,7 @@ class GCN(nn.Module):
         """Return `forward` of the frames and, as a second version, of their mirror images, each [B,F]."""
         blocks = batch.blocks(self.block) if batch.xyz.device.type == "cpu" else [batch]
         pooled = [mean_max_pool(self.convolved(block, versions), block.ptr) for block in blocks]  # [B, S, 2 width]
-        return torch.tanh(self.read_out(torch.cat(pooled))).unbind(1)  # in (-1,1), where LTC synapses are sensitive
+        return self.read_out(torch.cat(pooled)).unbind(1)
 
     def convolved(self, batch: GraphBatch, versions: int) -> Tensor:
         """Return the output of the last layer [N, S, width] for S `versions`."""

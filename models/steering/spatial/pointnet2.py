@@ -81,4 +81,4 @@ class PointNet2(nn.Module):
             xyz, ptr = xyz[level.centres], level.ptr
         h = self.whole(torch.cat([xyz / OFFSET_M, f], dim=1))  # [M,1024 width]
         pooled = mean_max_pool(h, ptr)[:, h.shape[1] :]  # the maximum
-        return torch.tanh(self.read_out(self.head(pooled)))  # where LTC synapses are sensitive
+        return self.read_out(self.head(pooled))

@@ -72,7 +72,7 @@ class Polar(nn.Module):
 
     def _read(self, frames: Tensor) -> Tensor:
         maps = self.convolutions(frames.to(self.read_out.weight.dtype)).flatten(1)
-        return torch.tanh(self.read_out(maps))  # where LTC synapses are sensitive
+        return self.read_out(maps)
 
 
 class Options(NetworkOptions):

@@ -59,7 +59,7 @@ class PyG(nn.Module):
         edge_index = batch.edge_index
         for layer in self.layers:
             x = layer(x, edge_index).relu()
-        return torch.tanh(self.read_out(mean_max_pool(x, batch.ptr)))  # where LTC synapses are sensitive
+        return self.read_out(mean_max_pool(x, batch.ptr))
 
 
 def output_width(layer: nn.Module, inputs: int, outputs: int) -> int:

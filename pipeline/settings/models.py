@@ -68,6 +68,13 @@ class Entry(Section):
             complete |= parse(network, {key: value[key] for key in network.model_fields if key in value}).model_dump()
         return complete
 
+    def seeded(self, seed: int) -> Self:
+        """Return the entry with `seed` for the wiring of an NCP, unless it has one."""
+        wiring = (self.model_extra or {}).get("wiring")
+        if wiring is None or wiring["seed"] is not None:
+            return self
+        return self.model_copy(update={"wiring": wiring | {"seed": seed}})
+
     def build(
         self, kind: str, levels: int = 0, image_size: tuple[int, int] | None = None, outputs: int = 1
     ) -> steering_net.SteeringNet:

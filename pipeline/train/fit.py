@@ -59,7 +59,7 @@ def fit_run(run: runs.Run, job: Job) -> Path:
 
     Returns the state's file. Raises InputError if the network does not fit the graphs, or if the loss is not finite.
     """
-    entry, settings = job.entry, job.settings
+    entry, settings = job.entry.seeded(run.seed), job.settings
     scenes = runs.scenes(run.fold, run.seed, entry.scene)
     drives = {name: replace(job.drives[name], scene=job.drives[other].graphs) for name, other in scenes.items()}
     usable = {name: drive for name, drive in drives.items() if drive.has_window(entry.window)}

@@ -34,11 +34,11 @@ class Layout(OptionGroup):
     inter_fanout: Count = 4
     recurrent_command_synapses: Annotated[int, Field(ge=0)] = 6
     motor_fanin: Count = 6
-    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None  # null: that of the training run
 
 
 def ncp(inputs: int, layout: Layout = Layout(), motor: int = 1) -> Wiring:
-    """Draw the four-layer wiring sensory → inter → command (⟲) → motor; equal seeds give equal wirings.
+    """Draw the four-layer wiring sensory → inter → command (⟲) → motor; equal seeds give equal wirings, None is 0.
 
     Each sensory neuron feeds `sensory_fanout` inter neurons, each inter neuron `inter_fanout` command neurons, and
     each motor neuron is fed by `motor_fanin` command neurons. A neuron without input after that, or a command neuron
@@ -56,7 +56,7 @@ def ncp(inputs: int, layout: Layout = Layout(), motor: int = 1) -> Wiring:
         if count > size:
             raise InputError(f"wiring.{name} = {count}, expected at most {layer} = {size}")
 
-    rng = np.random.default_rng(layout.seed)
+    rng = np.random.default_rng(layout.seed or 0)
     units = motor + command + inter
     sensory = np.zeros((inputs, units), dtype=np.int8)
     internal = np.zeros((units, units), dtype=np.int8)

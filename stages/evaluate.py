@@ -4,13 +4,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from pipeline.base import console, store
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import SPLITS, check_name, load
-from pipeline.evaluate.errors import interval_text
+from pipeline.evaluate.errors import interval_text, untrained
 from pipeline.evaluate.metrics import Case, columns, inputs, metrics, write_predictions
 from pipeline.graphs import graph_file
 from pipeline.settings.evaluate import Evaluate
@@ -56,6 +57,12 @@ def main(
             **inputs(tested),
             **{part: metrics(drives, settings) if drives else None for part, drives in cases.items()},
         }
+        by_seed = [scores["nmse_by_seed"] for scores in (result["train"] or {}).values()]
+        trained = np.array(by_seed, float).reshape(-1, len(first.seeds)).mean(axis=0)
+        result["untrained"] = [first.seeds[number] for number in untrained(trained)]
+        for seed in result["untrained"]:
+            error = trained[first.seeds.index(seed)]
+            print(f"{name}: seed {seed} did not train: nmse {error:.3f} on its own training drives", flush=True)
         store.write_json(folder.new / "metrics.json", result, sort_keys=False)
         for number, place in enumerate(runs.folders(folder.new, first.seeds).values()):
             write_predictions(place / "predictions.csv", cases["test"], number)
@@ -85,7 +92,7 @@ def _predict(models: Mapping[runs.Run, predict.Trained], variant: Path, labels: 
 def _summary(column: str, scores: Mapping[str, Any]) -> str:
     if scores["nmse"] is None:
         return f"{column} unknown"
-    spread = "" if scores["nmse_std"] is None else f" ± {scores['nmse_std']:.3f}"
+    spread = f" ± {np.std(scores['nmse_by_seed'], ddof=1):.3f}" if len(scores["nmse_by_seed"]) > 1 else ""
     interval = interval_text(scores["nmse_ci95"])
     return f"{column} {scores['nmse']:.3f}{spread} ({interval}; {scores['frames']} frames)"
 

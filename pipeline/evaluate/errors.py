@@ -99,6 +99,14 @@ def verdict(bounds: Sequence[float] | None, seeds: int, drives: int) -> str:
     return "better" if high < 0 else "worse" if low > 0 else "no difference shown"
 
 
+def untrained(nmse: np.ndarray) -> list[int]:
+    """Return which seeds did not train, by the nmse [S] of each on its own training drives.
+
+    It is above 0.9, or above 0.5 and twice the median of the seeds.
+    """
+    return np.flatnonzero((nmse > 0.9) | (nmse > 0.5) & (nmse > 2 * np.median(nmse))).tolist()
+
+
 def interval_text(bounds: Sequence[float] | None, form: str = ".3f") -> str:
     """Return the bounds of an :func:`interval` as text, the reason if it is None."""
     return "too short for an interval" if bounds is None else " to ".join(format(bound, form) for bound in bounds)

@@ -84,10 +84,9 @@ def _scores(values: dict[str, np.ndarray], drive: np.ndarray, settings: Evaluate
     error = (values["predicted"] - values["truth"]) ** 2
     known = np.isfinite(error).all(axis=0)
     truth, predicted, *certain = (array[..., known] for array in values.values())
-    by_seed = [errors.scores(truth, one_seed)["nmse"] for one_seed in predicted]
     return errors.scores(truth, predicted) | {
         "nmse_ci95": errors.interval(error, values["truth"], drive, settings),
-        "nmse_std": float(np.std(by_seed, ddof=1)) if len(by_seed) > 1 and None not in by_seed else None,
+        "nmse_by_seed": [errors.scores(truth, one_seed)["nmse"] for one_seed in predicted],
         "uncertainty": errors.uncertainty(truth, predicted, *certain) if certain else None,
     }
 

@@ -127,7 +127,8 @@ def steering_tables(groups: Sequence[Group]) -> list[Table]:
 def _results(group: Group, onsets: bool = True) -> list[dict[str, str]]:
     models, rows = {row["model"]: row for row in group.models}, []
     for name in group.predicted:
-        cells, row = {"model": f"*{name}*" if name in BASELINES else name}, models.get(name, {})
+        row = models.get(name, {})
+        cells = {"model": f"*{name}*" if name in BASELINES else name + " †" * bool(row.get("untrained"))}
         for column, label in group.labels.items():
             nmse, bounds = group.nmse(name, column=column, onsets=onsets)
             scores, deg = group.scores(name, column), 180 / np.pi
@@ -149,9 +150,12 @@ def _results(group: Group, onsets: bool = True) -> list[dict[str, str]]:
 
 
 def _frames(group: Group) -> str:
-    counts = np.isfinite(group.truth).sum(axis=0)
-    frames = ", ".join(f"{label} {count:,}".strip() for label, count in zip(group.labels.values(), counts, strict=True))
-    return f"Test frames that every model of the table predicts: {frames}. "
+    """Return a note on frames, and on seeds that did not train."""
+    known = np.isfinite(group.truth).sum(axis=0)
+    frames = ", ".join(f"{label} {count:,}".strip() for label, count in zip(group.labels.values(), known, strict=True))
+    counts = {row["model"]: (len(row.get("untrained", ())), len(row["seeds"])) for row in group.models}
+    stuck = [f"† {few} of {seeds} seeds of {model} did not train. " for model, (few, seeds) in counts.items() if few]
+    return f"{''.join(stuck)}Test frames that every model of the table predicts: {frames}. "
 
 
 def _differences(group: Group) -> list[dict[str, str]]:

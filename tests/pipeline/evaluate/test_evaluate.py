@@ -57,7 +57,7 @@ def test_invalid_and_early_frames_do_not_count(folder):
     assert found["frames"] == 2 * (30 - 3) - 5
     assert found["mse"] == pytest.approx(0.01**2)
     assert found["nmse_ci95"][0] <= found["nmse"] <= found["nmse_ci95"][1]
-    assert found["nmse_std"] is None
+    assert found["nmse_by_seed"] == [found["nmse"]]
 
 
 def test_seeds_are_averaged_over_frames_with_a_label(folder):
@@ -104,6 +104,14 @@ def test_scores_by_hand():
 
 def settings(block: int, samples: int) -> Evaluate:
     return Evaluate(bootstrap_block_frames=block, bootstrap_samples=samples, seed=0)
+
+
+@pytest.mark.parametrize(
+    ("nmse", "untrained"),
+    [([0.1, 0.2, 0.6], [2]), ([0.3, 0.4, 0.6], []), ([0.95, 0.1], [0]), ([0.95], [0]), ([np.nan, 0.1], [])],
+)
+def test_seeds_that_did_not_train(nmse, untrained):
+    assert errors.untrained(np.array(nmse)) == untrained
 
 
 def interval(steering, error, drive, block, samples, *other: np.ndarray) -> list[float] | None:

@@ -197,22 +197,26 @@ def test_a_new_drive_costs_one_drive_per_stage(folder):
 
 def test_the_first_and_the_last_row_of_preset_kitti_train(folder):
     """On three drives in KITTI's layout, with fewer points and epochs."""
-    shutil.copytree(folder / "data/sample", folder / "data/raw")
-    encoder = yaml.safe_load((folder / "params.yaml").read_text())["encoder"]
-    run(folder, "python", "-m", "pipeline.settings.preset", "kitti")  # make params PRESET=kitti
+    shutil.copyfile(ROOT / "params.yaml", folder / "params.yaml")
+    commit(folder)
     params = yaml.safe_load((folder / "params.yaml").read_text())
     drives = {"train": ["2026_01_01_drive_0001"], "val": ["2026_01_01_drive_0002"], "test": ["2026_01_03_drive_0001"]}
+    edit_params(folder, ingest=params["ingest"] | {"drives": drives, "lidar": True})
+    run(folder, "python", "-m", "stages.sample", "--out", "data/raw")
+    run(folder, "git", "checkout", "params.yaml")
+    run(folder, "python", "-m", "pipeline.settings.preset", "kitti")  # make params PRESET=kitti
+    kitti, rows = yaml.safe_load((folder / "params.yaml").read_text()), ("cnn-ncp", "motion-10-blind")
     edit_params(
         folder,
-        ingest=params["ingest"] | {"image_size": [64, 208], "drives": drives},
-        encoder=encoder,
-        graphs={name: variant | {"points": 400} for name, variant in params["graphs"].items() if name != "image"}
-        | {"image": params["graphs"]["image"]},
-        models={name: params["models"][name] for name in ("cnn-ncp", "motion-10-blind")},
-        train=params["train"] | {"epochs": 2},
+        ingest=kitti["ingest"] | {"image_size": [96, 320], "drives": drives},
+        encoder=params["encoder"],
+        graphs={name: variant | {"points": 400} for name, variant in kitti["graphs"].items() if name != "image"}
+        | {"image": kitti["graphs"]["image"]},
+        models={name: kitti["models"][name] for name in rows},
+        train=kitti["train"] | {"epochs": 2},
     )
     run(folder, "dvc", "repro")
-    for name in ("cnn-ncp", "motion-10-blind"):
+    for name in rows:
         metrics = json.loads((folder / f"data/evaluate/{name}/metrics.json").read_text())
         assert np.isfinite(metrics["test"]["steering_rad"]["nmse"])
 

@@ -15,10 +15,7 @@ OFFSET_M = 10.0  # scale of a neighbour's offset: balls on a street are 8 to 16 
 
 
 def mlp(*widths: int) -> nn.Sequential:
-    """Return layers of a linear product, LayerNorm and ReLU.
-
-    The reference has BatchNorm, which would make a frame's features depend on the other frames in the batch.
-    """
+    """Return layers of a linear product, LayerNorm and ReLU; the reference has BatchNorm."""
     layers: list[nn.Module] = []
     for before, after in pairwise(widths):
         layers += [nn.Linear(before, after), nn.LayerNorm(after), nn.ReLU(inplace=True)]

@@ -131,7 +131,7 @@ def test_seeds_in_parallel_processes_equal_those_trained_alone(folder, monkeypat
 @pytest.mark.parametrize(
     ("write", "entry", "epochs", "limit"),
     [
-        (artefacts.write_graphs, {"temporal": "lstm", "motion": "visual", "horizon": 5}, 8, 0.35),
+        (artefacts.write_graphs, {"temporal": "lstm", "motion": "visual", "horizon": 5}, 14, 0.35),
         (artefacts.write_sets, {"spatial": "pointnet2", "width": 0.125}, 4, 0.5),
         (artefacts.write_images, {"spatial": "cnn", "alpha": 5.0, "features": 32, "temporal": "lstm"}, 10, 0.5),
     ],

@@ -26,7 +26,7 @@ help:                  ## list the targets
 	@echo "PRESET    run a preset in runs/PRESET: $(PRESETS)"
 
 $(PRESETS): setup
-	@python -m pipeline.settings.run "$@"
+	@python -m presets.run "$@"
 
 encoder: setup         ## fit the sample's encoder, models/encoder/sample, on roads that no other settings name: 15 min
 	@python -m pipeline.settings.preset encoder runs/encoder

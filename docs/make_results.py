@@ -26,8 +26,8 @@ from pipeline.report.paper import PAPER
 from pipeline.report.results import NO_LEARNING, load_groups, validation_nmse
 from pipeline.report.tables import NONE, number
 from pipeline.settings.evaluate import Evaluate
-from pipeline.settings.run import revision
 from pipeline.settings.train import Train
+from presets.run import revision
 
 DOCS = Path(__file__).parent
 PAGES = (DOCS.parent / "README.md", DOCS / "results.md", DOCS / "paper.md")

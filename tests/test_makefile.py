@@ -12,7 +12,8 @@ import yaml
 from filelock import FileLock
 
 from pipeline.base.resume import ROOT
-from pipeline.settings import preset, run
+from pipeline.settings import preset
+from presets import run
 
 DVC = """#!/bin/sh
 echo "$@" >> {log}

@@ -181,20 +181,6 @@ def test_the_difference_of_two_models_has_a_narrower_interval():
     assert paired == pytest.approx([low, high])
 
 
-@pytest.mark.parametrize(
-    ("bounds", "seeds", "drives", "verdict"),
-    [
-        ([-0.2, -0.1], 2, 10, "better"),
-        ([0.1, 0.2], 5, 20, "worse"),
-        ([-0.1, 0.2], 5, 20, "no difference shown"),
-        ([-0.2, -0.1], 1, 20, "these networks only"),
-        ([-0.2, -0.1], 5, 9, "too few drives"),
-    ],
-)
-def test_methods_are_compared_with_two_seeds_and_ten_drives(bounds, seeds, drives, verdict):
-    assert errors.verdict(bounds, seeds, drives) == verdict
-
-
 def test_scores_of_normal_errors_with_known_sigma():
     rng = np.random.default_rng(0)
     sigma = rng.choice([0.01, 0.01, 0.04], size=(2, 50_000))
@@ -326,27 +312,17 @@ def test_a_gap_before_a_turn_hides_its_onset():
     assert found(turn, (frames < 5) | (frames >= 26)) == []
 
 
-def around_a_corner(folder: Path, **reading: object) -> LabelledDrive:
-    """Return a drive whose turn begins at frame 30 and ends at frame 50."""
+@pytest.mark.parametrize(
+    ("reading", "firsts"), [({"horizon": 0}, [30]), ({"horizon": 10}, [20]), ({"predict": "path"}, [25, 5])]
+)
+def test_frames_near_an_onset_begin_a_horizon_or_the_path_to_it_earlier(tmp_path, reading, firsts):
+    """A turn from frame 30 to 50. At 8 m/s and 10 Hz, the far edges at 4 and 20 m are 5 and 25 frames ahead."""
     frame, path = np.arange(80), f"{NAMES[0]}.h5"
     steering = np.arctan(artefacts.WHEELBASE_M * bends((30, STRAIGHT), (20, -CORNER), (30, STRAIGHT)))
-    artefacts.write_labels(folder / "labels" / path, NAMES[0], steering, frame, ahead_m=[0, 4, 20])
-    artefacts.write_graphs(folder / "graphs" / path, NAMES[0], steering, frame, 8, np.random.default_rng(0))
-    drive = read_drive(folder / "graphs", folder / "labels", NAMES[0], entry(**reading))
-    assert turns.read_turns(drive).frame.tolist() == [30]
-    return drive
-
-
-@pytest.mark.parametrize(("horizon", "first"), [(0, 30), (10, 20)])
-def test_frames_near_an_onset_begin_a_horizon_earlier(tmp_path, horizon, first):
-    drive = around_a_corner(tmp_path, horizon=horizon)
-    near = turns.near_onsets(drive, turns.read_turns(drive))[:, 0]
-    assert np.flatnonzero(near).tolist() == list(range(first, 41))
-
-
-def test_a_path_is_masked_from_where_it_reaches_an_onset(tmp_path):
-    """At 8 m/s and 10 Hz a frame is 0.8 m, so the far edges are 5 and 25 frames before the onset at frame 30."""
-    drive = around_a_corner(tmp_path, predict="path")
-    near, far = turns.near_onsets(drive, turns.read_turns(drive)).T
-    assert np.flatnonzero(near).tolist() == pytest.approx(np.arange(25, 41), abs=1)
-    assert np.flatnonzero(far).tolist() == pytest.approx(np.arange(5, 41), abs=1)
+    artefacts.write_labels(tmp_path / "labels" / path, NAMES[0], steering, frame, ahead_m=[0, 4, 20])
+    artefacts.write_graphs(tmp_path / "graphs" / path, NAMES[0], steering, frame, 8, np.random.default_rng(0))
+    drive = read_drive(tmp_path / "graphs", tmp_path / "labels", NAMES[0], entry(**reading))
+    onsets = turns.read_turns(drive)
+    assert onsets.frame.tolist() == [30]
+    for near, first in zip(turns.near_onsets(drive, onsets).T, firsts, strict=True):
+        assert np.flatnonzero(near).tolist() == list(range(first, 41))

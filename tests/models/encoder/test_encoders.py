@@ -4,7 +4,7 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -63,11 +63,9 @@ def write_networks(folder: Path) -> Path:
     networks["glpn"] = transformers.GLPNForDepthEstimation(transformers.GLPNConfig(**SEGFORMER, decoder_hidden_size=16))
     config = transformers.SegformerConfig(**SEGFORMER, decoder_hidden_size=16, id2label=dict(enumerate(LABELS)))
     networks["classes"] = transformers.SegformerForSemanticSegmentation(config)
-    config_of_labels = {**SEGFORMER, "decoder_hidden_size": 16, "num_labels": 7}
-    networks["unnamed"] = transformers.SegformerForSemanticSegmentation(
-        transformers.SegformerConfig(**config_of_labels)
-    )
     networks["headless"] = transformers.SegformerModel(config)
+    config = transformers.SegformerConfig(**SEGFORMER, decoder_hidden_size=16, num_labels=7)
+    networks["unnamed"] = transformers.SegformerForSemanticSegmentation(config)
     swin = transformers.SwinConfig(embed_dim=12, depths=[1] * 4, num_heads=[1, 2, 3, 4], drop_path_rate=0.0)
     networks["swin"] = transformers.SwinModel(swin)
     for name, network in networks.items():
@@ -88,7 +86,6 @@ def write_networks(folder: Path) -> Path:
 
 
 K = torch.tensor([[[50.0, 0.0, 30.0], [0.0, 40.0, 20.0], [0.0, 0.0, 1.0]]])
-SIZES = [(64, 96), (50, 75)]
 Create = Callable[..., tuple[Architecture, nn.Module]]
 
 
@@ -140,7 +137,7 @@ def test_each_pixel_has_depth_and_classes_whatever_the_batch(create, kind, size)
         assert ((network(images, K.expand(2, 3, 3))[0] / depth).log().abs() < 0.1).all()
 
 
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("size", [(64, 96), (50, 75)])
 @torch.no_grad()
 def test_a_pair_equals_the_networks_themselves(create, folder, size, capsys):
     depth, logits = create("pair")[1](image(size), K)
@@ -276,12 +273,8 @@ def test_files_of_a_network_run_no_code(create, folder, tmp_path, kind, names, f
 
 
 def test_a_hub_out_of_reach_is_one_line(monkeypatch):
-    import huggingface_hub
-
-    def refuse(name: str, **_: Any) -> str:
-        raise FileNotFoundError("cannot reach the hub\nPlease check your connection")
-
-    monkeypatch.setattr(huggingface_hub, "snapshot_download", refuse)
+    out_of_reach = Mock(side_effect=FileNotFoundError("cannot reach the hub\nPlease check your connection"))
+    monkeypatch.setattr("huggingface_hub.snapshot_download", out_of_reach)
     with pytest.raises(ValueError, match=r"^cannot load 'a/network': cannot reach the hub$"):
         hugging_face.describe("a/network")
 

@@ -64,7 +64,6 @@ def test_measured_motion_is_not_both_input_and_label(tmp_path):
     [
         (f"{MODEL}.input", "semantc", "input: unknown variant 'semantc': did you mean semantic"),
         (f"{MODEL}.spatial", "cnnn", "spatial.*cnnn.*cnn"),
-        (f"{MODEL}.predict", "paths", r"predict.*'angle' or 'path'"),
         ("ingest.lidar", False, "models.gnn-lstm: input = 'lidar-50k' needs scans, but ingest.lidar is false"),
         (f"{MODEL}.roads", 1000, r"roads.*training drives"),
         (MODEL, PYG | {"spatial": "gnn", "roads": 1, "scene": "another"}, "another needs two .*01_drive_0001 alone"),

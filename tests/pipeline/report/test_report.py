@@ -184,7 +184,7 @@ def test_perception_has_a_row_per_split_with_ground_truth():
 )
 @pytest.mark.parametrize("predict", ["angle", "path"])
 def test_the_best_validated_model_has_a_verdict(tmp_path, monkeypatch, nmse, baselines, verdict, predict):
-    """Methods are compared with two seeds; the two drives have ten parts that count as drives."""
+    """Methods are compared with two seeds; the two drives have ten parts that count as drives, or eight."""
     models = metrics("other", 0.01, baselines, predict=predict), metrics("net", nmse, baselines, predict=predict)
     for model, columns in zip(models, ((0.4, 0.4), (0.5, 0.1)), strict=True):
         model["val"] = {name: {"nmse": value} for name, value in zip(model["columns"], columns[::-1], strict=False)}
@@ -198,7 +198,7 @@ def test_the_best_validated_model_has_a_verdict(tmp_path, monkeypatch, nmse, bas
         model["seeds"] = [0, 1]
     (text,) = tables.sentences(examples.groups(tmp_path, *models))
     assert verdict in text
-    monkeypatch.setattr(examples, "SETTINGS", examples.SETTINGS.model_copy(update={"bootstrap_block_frames": 30}))
+    monkeypatch.setattr(examples, "SETTINGS", examples.SETTINGS.model_copy(update={"bootstrap_block_frames": 6}))
     assert tables.sentences(examples.groups(tmp_path, *models))[0].endswith(", too few drives.")
 
 

@@ -1,7 +1,6 @@
 """HDF5 files, outputs and runs: complete files from any end of a run, nothing else is lost, files from elsewhere."""
 
 import errno
-import gc
 import os
 import resource
 import shutil
@@ -368,7 +367,6 @@ def test_a_killed_run_keeps_finished_drives_and_leaves_no_process(folder, expect
 def cluster() -> Iterator[Any]:
     """A scheduler and two workers."""
     distributed = pytest.importorskip("distributed")
-    gc.collect()  # a client that never connected; collected while the cluster starts, it would wait for itself
     local = {"dashboard_address": "127.0.0.1:0", "host": "127.0.0.1"}
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, **local) as started:
         yield started

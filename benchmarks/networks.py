@@ -57,7 +57,7 @@ def features(x: Tensor, layers: nn.ModuleList, graph: tuple[Tensor, ...], ptr: T
     """Return the features [B,F] that GCN computes from node features x, by PyTorch Geometric's `layers`."""
     for layer in layers:
         x = layer(x, *graph).relu()
-    return torch.tanh(read_out(mean_max_pool(x, ptr)))
+    return read_out(mean_max_pool(x, ptr))
 
 
 def ltc() -> Row:
@@ -122,7 +122,7 @@ class NaiveNet(nn.Module):
         """Return the output at the end of the batch's frames, which are one window: [1]."""
         x = node_features(batch.pos, batch.cls, 1.0)
         x = features(x, self.layers, (batch.edge_index,), batch.ptr.cpu(), self.read_out)
-        return self.temporal(x[None])[0][:, -1, 0]
+        return self.temporal(torch.tanh(x)[None])[0][:, -1, 0]
 
 
 def _windows() -> tuple[Tensor, Tensor]:

@@ -1,8 +1,8 @@
 """Simulate how often a nominal 95 % interval contains the true difference: ``python -m benchmarks.coverage OUT``.
 
-Drives move as those of the sample, without images. The errors of two models are those of the regression of the angle a
-second ahead on the present one, times random factors of road, seed, and both. The true difference is that of all roads
-and seeds. OUT is for ``docs/make_results.py collect OUT coverage``.
+Cars move as in the sample, without images. Errors of two models: the regression of the angle a second ahead on the
+present angle, times random factors of road, seed, and both. The true difference is the mean over all roads and seeds.
+OUT is for ``docs/make_results.py collect OUT coverage``.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ LENGTHS, TESTED, SEEDS = (40, 93), (6, 20, 60), (3, 5)  # frames of a drive, dri
 DRIVES, DRAWS, ROAD = 1000, 500, 100  # of which test sets are drawn; test sets; frames of a road
 NMSE = (0.146, 0.124)  # of two models
 # Standard deviations of log errors. By seed as five seeds of sa-gnn-ncp (.100 .149 .171 .207 .105) and of the same with
-# an LSTM (.183 .098 .095 .150 .095). With all, that of a drive's ratio is 1.09; in the demo, with one seed, it is 1.06.
+# an LSTM (.183 .098 .095 .150 .095). All three give the ratio of two models on a drive 1.09; the demo shows 1.06.
 BY_SEED, BY_ROAD, BY_BOTH = 0.31, 0.5, 0.5
 
 

@@ -210,7 +210,7 @@ def _decode(path: Path) -> Images:
 
 @contextmanager
 def _container(path: Path) -> Iterator[tuple[InputContainer, list[VideoStream]]]:
-    """Open a file; yield also its video streams, the default first. Raises DamagedFile, also for errors in the block"""
+    """Yield an open file and its video streams, the default first. Raises DamagedFile, also for errors in the block."""
     with path.open("rb") as file:  # FFmpeg interprets some names as addresses or patterns
         try:
             with av.open(file, "r", options=_OPTIONS, metadata_errors="replace") as container:

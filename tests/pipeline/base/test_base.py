@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import h5py
 import hdf5plugin
@@ -376,6 +377,14 @@ def cluster() -> Iterator[Any]:
 def dask(cluster, monkeypatch) -> Any:
     monkeypatch.setenv(SCHEDULER, cluster.scheduler_address)
     return cluster
+
+
+def test_a_wrong_address_of_a_cluster_is_one_line(folder, monkeypatch):
+    """Without a real client: one that never connected may wait for itself when it is collected."""
+    monkeypatch.setenv(SCHEDULER, "nowhere")
+    monkeypatch.setattr("distributed.Client", Mock(side_effect=ValueError("missing port number")))
+    with pytest.raises(InputError, match=f"{SCHEDULER}: missing port number"):
+        toy_stage.main(folder)
 
 
 @pytest.mark.slow

@@ -54,7 +54,13 @@ class GraphBatch(_Points):
         return torch.stack([self.indices.long(), to])
 
     def blocks(self, points: int) -> Iterator["GraphBatch"]:
-        """Split the batch into blocks of complete frames with at most `points` points, or of one larger frame."""
+        """Split the batch on a CPU into blocks of complete frames with at most `points` points, or of one larger frame.
+
+        On a GPU the batch is one block, with few launches.
+        """
+        if self.xyz.device.type != "cpu":
+            yield self
+            return
         edges = nn.functional.pad(self.degree.long().cumsum(0), (1, 0))[self.ptr].tolist()  # before each frame
         ptr, first = self.ptr.tolist(), 0
         while first < len(ptr) - 1:

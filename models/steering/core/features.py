@@ -7,7 +7,6 @@ from pipeline.camera import classes
 
 GEOMETRY = 6  # columns of node_features that depend on the point's position alone
 NODE_FEATURES = GEOMETRY + classes.COUNT
-FEATURE_MIRROR_SIGNS = (-1.0, 1.0, 1.0, -1.0, 1.0, 1.0) + (1.0,) * classes.COUNT  # of node_features' columns
 GROUND_Y_M = 1.65  # approximate height of KITTI's ground; an offset that centres y
 
 
@@ -27,11 +26,11 @@ def node_features(xyz: Tensor, cls: Tensor, semantics: float) -> Tensor:
 
 
 def mean_max_pool(x: Tensor, ptr: Tensor) -> Tensor:
-    """Return mean ‖ max over each frame's points: [N,..,C], ptr [B+1] → [B,..,2C]; zeros for a frame without points."""
+    """Return mean ‖ max over each frame's points: [N,C], ptr [B+1] → [B,2C]; zeros for a frame without points."""
     counts = ptr.diff().tolist()
     if x.device.type != "cpu" and len(x) and len(set(counts)) == 1:  # at once, with few launches; a CPU is faster below
-        frames = x.reshape(len(counts), -1, *x.shape[1:])
-        return torch.cat([frames.mean(1), frames.amax(1)], dim=-1)
+        frames = x.view(len(counts), -1, x.shape[1])
+        return torch.cat([frames.mean(1), frames.amax(1)], dim=1)
     # A loop over frames is faster here than segment_reduce (8x, 2 cores) and, unlike index_add, deterministic on CUDA.
     halves = ((rows.mean(0), rows.amax(0)) if len(rows) else (rows.sum(0),) * 2 for rows in torch.split(x, counts))
-    return torch.stack([torch.cat(pair, dim=-1) for pair in halves])
+    return torch.stack([torch.cat(pair) for pair in halves])

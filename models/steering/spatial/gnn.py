@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from models.steering.core.batch import FrameKind, GraphBatch
-from models.steering.core.features import FEATURE_MIRROR_SIGNS, NODE_FEATURES, mean_max_pool, node_features
+from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_features
 from models.steering.core.options import NetworkOptions, Semantics, Sizes, Widths
 
 
@@ -24,7 +24,7 @@ class Options(NetworkOptions):
 
 
 class GCNLayer(nn.Module):
-    """Weight W [inputs, outputs] and bias b of H ↦ ReLU(D̃^(-1/2) Ã D̃^(-1/2) H W + b) with Ã = A + I."""
+    """Graph convolution H ↦ ReLU(D̃^(-1/2) Ã D̃^(-1/2) H W + b) with Ã = A + I (paper eq. 3), W [inputs, outputs]."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
@@ -32,51 +32,36 @@ class GCNLayer(nn.Module):
         self.bias = nn.Parameter(torch.zeros(outputs))
         nn.init.xavier_uniform_(self.weight)
 
+    def forward(self, adjacency: Tensor, x: Tensor) -> Tensor:
+        """Convolve features [N, inputs] → [N, outputs]; `adjacency` [N,N]: see :func:`normalised_adjacency`."""
+        propagated = SymmetricProduct.apply(adjacency, x)  # type: ignore[no-untyped-call]
+        return nn.functional.linear(propagated, self.weight.T, self.bias).relu()
+
 
 class GCN(nn.Module):
     """Node features → graph convolutions → mean and maximum over each frame's points → one dense layer.
 
-    A frame and its mirror image have the same graph and, but for the signs of two, the same node features. So `both`
-    convolves the two versions at once. On a CPU it works block by block, so that temporaries stay in the cache.
+    On a CPU it works block by block, so that temporaries stay in the cache.
     """
 
-    signs: Tensor
-    block = 8192  # points; with 64 channels and two versions 4 MB in float32, about a core's cache
+    block = 8192  # points; with 64 channels 2 MB in float32, and as much for the gradient: about a core's cache
 
     def __init__(self, features: int, options: Options) -> None:
         super().__init__()
         self.semantics = options.semantics
         self.layers = nn.ModuleList(GCNLayer(*sizes) for sizes in pairwise([NODE_FEATURES, *options.layers]))
         self.read_out = nn.Linear(2 * options.layers[-1], features)
-        # A buffer: a tensor made of numbers would be a blocking copy to a GPU in each step.
-        signs = torch.tensor([[1.0] * NODE_FEATURES, FEATURE_MIRROR_SIGNS])
-        self.register_buffer("signs", signs, persistent=False)  # [2,25], of the frame and of its mirror image
 
     def forward(self, batch: GraphBatch) -> Tensor:
         """Return [B,F]. Independent of the order of points and of the other frames in the batch."""
-        return self.both(batch, 1)[0]
-
-    def both(self, batch: GraphBatch, versions: int = 2) -> tuple[Tensor, ...]:
-        """Return `forward` of the frames and, as a second version, of their mirror images, each [B,F]."""
-        blocks = batch.blocks(self.block) if batch.xyz.device.type == "cpu" else [batch]
-        pooled = [mean_max_pool(self.convolved(block, versions), block.ptr) for block in blocks]  # [B, S, 2 width]
-        return self.read_out(torch.cat(pooled)).unbind(1)
-
-    def convolved(self, batch: GraphBatch, versions: int) -> Tensor:
-        """Return the output of the last layer [N, S, width] for S `versions`."""
-        dtype = self.read_out.weight.dtype
-        adjacency = normalised_adjacency(batch.degree, batch.indices, dtype)
-        propagate: Any = SymmetricProduct.apply
-        layers: Any = self.layers
-        first, *later = layers
-        # Versions share the first sparse product: mirroring features equals mirroring rows of the weight.
-        x = propagate(adjacency, node_features(batch.xyz.to(dtype), batch.cls, self.semantics))  # [N, 25]
-        weight = torch.cat([first.weight * signs[:, None] for signs in self.signs[:versions]], dim=1)
-        x = torch.addmm(first.bias.repeat(versions), x, weight).relu().view(len(x), versions, first.bias.numel())
-        for layer in later:
-            x = propagate(adjacency, x.flatten(1)).view_as(x)
-            x = nn.functional.linear(x, layer.weight.T, layer.bias).relu()
-        return x
+        pooled = []
+        for block in batch.blocks(self.block):
+            x = node_features(block.xyz.to(self.read_out.weight.dtype), block.cls, self.semantics)
+            adjacency = normalised_adjacency(block.degree, block.indices, x.dtype)
+            for layer in self.layers:
+                x = layer(adjacency, x)
+            pooled.append(mean_max_pool(x, block.ptr))
+        return self.read_out(torch.cat(pooled))
 
 
 def normalised_adjacency(degree: Tensor, indices: Tensor, dtype: torch.dtype) -> Tensor:

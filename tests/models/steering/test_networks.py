@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from models.steering.core.batch import Batch, GraphBatch, ImageBatch
-from models.steering.core.features import FEATURE_MIRROR_SIGNS, GEOMETRY, node_features
+from models.steering.core.features import GEOMETRY, node_features
 from models.steering.core.options import Sizes, load, names
 from models.steering.spatial import gnn, polar, pyg
 from models.steering.spatial.pointnet2 import OFFSET_M
@@ -90,8 +90,7 @@ def test_all_weights_learn_and_features_suit_the_recurrent_network(name):
 
 @pytest.mark.parametrize("layers", [(30, 5, 12), (4,)])
 @pytest.mark.parametrize("block", [4, 30, 10**6])  # points: a frame each, some frames, all
-@pytest.mark.parametrize("versions", [1, 2])  # the frames; and their mirror images
-def test_gcn_equals_pyg(monkeypatch, layers, block, versions):
+def test_gcn_equals_pyg(monkeypatch, layers, block):
     """Outputs, and the gradients of all weights."""
     monkeypatch.setattr(gnn.GCN, "block", block)
     batch = frames.batch([20, 0, 1, 11])
@@ -103,8 +102,7 @@ def test_gcn_equals_pyg(monkeypatch, layers, block, versions):
     for ours, theirs in zip(net.layers, peer.layers, strict=True):
         nn.init.normal_(ours.bias)
         theirs.lin.weight.data, theirs.bias.data = ours.weight.data.T.clone(), ours.bias.data.clone()
-    own = torch.stack(net.both(batch, versions))
-    expected = torch.stack([peer(side) for side in (batch, batch.mirrored())[:versions]])
+    own, expected = net(batch), peer(batch)
     torch.testing.assert_close(own, expected, **TOLERANCE)
     upstream = torch.randn_like(own)
     for out in (own, expected):
@@ -214,4 +212,6 @@ def test_classes_enter_in_proportion_to_semantics():
     assert torch.equal(full[known, GEOMETRY:].argmax(1), batch.cls[known].long())
     assert torch.equal(full[:, GEOMETRY:].sum(1), known.double())  # void has no class
     mirrored = node_features(batch.mirrored().xyz, batch.cls, 1.0)
-    assert torch.equal(mirrored, full * torch.tensor(FEATURE_MIRROR_SIGNS))
+    signs = torch.ones(full.shape[1])
+    signs[[0, 3]] = -1  # x and the bearing
+    assert torch.equal(mirrored, full * signs)

@@ -26,8 +26,8 @@ def show(
     """Print a file's attributes, datasets and settings, or one of its frames.
 
     \b
-    steer show data/graphs/semantic/2026_01_14_drive_0004.h5
-    steer show data/graphs/semantic/2026_01_14_drive_0004.h5 --frame 20 --out frame.png
+    steer show data/graphs/semantic/2026_01_18_drive_0004.h5
+    steer show data/graphs/semantic/2026_01_18_drive_0004.h5 --frame 20 --out frame.png
     steer show data/train/sa-gnn-ncp/best.pt
     """
     import yaml

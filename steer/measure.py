@@ -5,7 +5,7 @@ no numbers. quality.json says how certain the scale is.
 
 \b
 steer measure street.mp4 --fov 65
-steer measure data/sample/2026_01_14/2026_01_14_drive_0004_sync --encoder data/encoder
+steer measure data/sample/2026_01_18/2026_01_18_drive_0004_sync --encoder data/encoder
 """
 
 from pathlib import Path

@@ -27,15 +27,19 @@ RESOLUTION_M = 1 / 1024  # of stored coordinates: far finer than any sensor, and
 
 
 def pseudo_cloud(depth_m: np.ndarray, cls: np.ndarray, K: np.ndarray, max_depth_m: float) -> Cloud:
-    """Back-project the pixels of an image with depth [H,W] in metres, 0 = invalid, and trainIds [H,W] (paper eq. 6).
+    """Back-project the :func:`solid` pixels of an image (paper eq. 6)."""
+    pixels = solid(depth_m, cls, max_depth_m)
+    return geometry.back_project(depth_m, K)[pixels].astype(np.float32), cls[pixels].astype(np.uint8)
 
-    Sky, void and invalid pixels, and those beyond `max_depth_m`, give no point. If all pixels are void, as of an
-    encoder without classes, they are points.
+
+def solid(depth_m: np.ndarray, cls: np.ndarray, max_depth_m: float) -> np.ndarray:
+    """Return which pixels bool [H,W] are points, from depth [H,W] in metres, 0 = invalid, and trainIds [H,W].
+
+    Sky, void and invalid pixels, and those beyond `max_depth_m`, are none. If all pixels are void, as of an encoder
+    without classes, they are points.
     """
-    solid = (depth_m > 0) & (depth_m <= max_depth_m) & (cls != classes.SKY)
-    if (cls != classes.VOID).any():
-        solid &= cls != classes.VOID
-    return geometry.back_project(depth_m, K)[solid].astype(np.float32), cls[solid].astype(np.uint8)
+    pixels = (depth_m > 0) & (depth_m <= max_depth_m) & (cls != classes.SKY)
+    return pixels & (cls != classes.VOID) if (cls != classes.VOID).any() else pixels
 
 
 def lidar_cloud(scan: np.ndarray, camera: Camera, cls: np.ndarray | None) -> Cloud:

@@ -104,6 +104,30 @@ def class_legend(figure: Figure, view: View, columns: int) -> None:
     figure.legend(handles=patches, loc="outside lower center", ncols=columns, fontsize="small", frameon=False)
 
 
+def sheet(title: str, view: View) -> Figure:
+    """Draw the images of a frame beside its points from above, with the depth scale and the names of the classes."""
+    images, style = view.images(), {"fontsize": "small", "loc": "left"}
+    figure = Figure(figsize=(10, 6), layout="constrained")
+    widths = [5 if images else 0.1, 4 if view.xyz is not None else 0.1]
+    left, right = figure.subfigures(1, 2, width_ratios=widths, squeeze=False).ravel()
+    panels = left.subplots(len(images), 1, squeeze=False).ravel() if images else []
+    for panel, (name, pixels) in zip(panels, images.items(), strict=True):
+        draw_image(panel, pixels, name, **style)
+    if view.depth_m is not None:
+        scale = left.colorbar(DEPTH_SCALE, ax=panels, location="left", shrink=0.3, format="%d m")
+        scale.set_ticks([NEAR_M, 10, 20, FAR_M])
+        scale.minorticks_off()
+    if view.xyz is not None and view.points_cls is not None:
+        above = right.subplots()
+        draw_points(above, view.xyz, view.points_cls, view.edges)
+        name, edges = ("cloud", "") if view.edges is None else ("graph", f", {view.edge_count:,} directed edges")
+        void = "; black: no class" if (view.points_cls == classes.VOID).any() else ""
+        above.set_title(f"{name} from above: {len(view.xyz):,} points{edges}{void}", **style)
+    class_legend(figure, view, columns=8)
+    figure.suptitle(title)
+    return figure
+
+
 def save(figure: Figure, path: Path, dpi: int = 110) -> None:
     """Write `figure` to a PNG file in one step, without a version number: the same figure gives the same bytes."""
     with replacing(path) as unfinished:

@@ -5,11 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
-from pipeline.camera.classes import VOID
 from pipeline.report import street_view
 
 Content = dict[str, Any]
@@ -57,32 +55,8 @@ def frame(path: Path, number: int, out: Path | None = None) -> Content:
     if view and out:
         if not view.images() and view.xyz is None:
             raise InputError(f"frame {number} has neither an image nor points", path, "Leave out --out")
-        street_view.save(_sheet(f"{Path(*path.parts[-3:])}, frame {number}", view), out)
+        street_view.save(street_view.sheet(f"{Path(*path.parts[-3:])}, frame {number}", view), out)
     return numbers
-
-
-def _sheet(title: str, view: street_view.View) -> Figure:
-    """Draw the images of a frame beside its points from above, with the depth scale and the names of the classes."""
-    images, style = view.images(), {"fontsize": "small", "loc": "left"}
-    figure = Figure(figsize=(10, 6), layout="constrained")
-    widths = [5 if images else 0.1, 4 if view.xyz is not None else 0.1]
-    left, right = figure.subfigures(1, 2, width_ratios=widths, squeeze=False).ravel()
-    panels = left.subplots(len(images), 1, squeeze=False).ravel() if images else []
-    for panel, (name, pixels) in zip(panels, images.items(), strict=True):
-        street_view.draw_image(panel, pixels, name, **style)
-    if view.depth_m is not None:
-        scale = left.colorbar(street_view.DEPTH_SCALE, ax=panels, location="left", shrink=0.3, format="%d m")
-        scale.set_ticks([street_view.NEAR_M, 10, 20, street_view.FAR_M])
-        scale.minorticks_off()
-    if view.xyz is not None and view.points_cls is not None:
-        above = right.subplots()
-        street_view.draw_points(above, view.xyz, view.points_cls, view.edges)
-        name, edges = ("cloud", "") if view.edges is None else ("graph", f", {view.edge_count:,} directed edges")
-        void = "; black: no class" if (view.points_cls == VOID).any() else ""
-        above.set_title(f"{name} from above: {len(view.xyz):,} points{edges}{void}", **style)
-    street_view.class_legend(figure, view, columns=8)
-    figure.suptitle(title)
-    return figure
 
 
 def _open(path: Path) -> DriveReader:

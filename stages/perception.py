@@ -20,7 +20,7 @@ def main(
     out: Path = Path("data/perception"),
     params: Path = Path("params.yaml"),
 ) -> Path:
-    """Predict depth and classes of each image, scale the depth, and store both. Returns the output folder."""
+    """Predict depth and classes of each image, and store both. Returns the output folder."""
     settings = load(Perception, params)
     splits = store.read_index(ingest, stage="ingest")
     open_encoder(encoder, settings.precision)  # report a bad checkpoint once, not from each worker

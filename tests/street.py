@@ -121,7 +121,7 @@ def write_drive(
 
 def write_perception(folder: Path, ingest: Path, drive: str) -> None:
     """Write ``folder/<drive>.h5`` with the true depth and classes of the frames that have an image."""
-    params = {"perception": {"depth_scale": "metric"}}
+    params = {"perception": {"batch": 4}}
     with (
         store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
         store.DriveWriter(folder / f"{drive}.h5", stage="perception", drive=drive, params=params) as file,

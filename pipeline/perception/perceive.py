@@ -20,7 +20,7 @@ from pipeline.camera import classes
 from pipeline.camera.camera import Camera, read_camera
 from pipeline.camera.images import DEPTH_UNITS_PER_M, Size, to_units
 from pipeline.perception import precomputed
-from pipeline.perception.depth_scale import DepthPostprocessor
+from pipeline.perception.ground_plane import limit_traffic_depth
 from pipeline.train import checkpoint
 from pipeline.train.loop import autocast, prefetch
 
@@ -43,7 +43,7 @@ class EncoderInput(NamedTuple):
     camera: Camera
 
 
-# → depth float32 [B,H,W] in the encoder's unit, trainIds uint8 [B,H,W]
+# → depth float32 [B,H,W] in metres, trainIds uint8 [B,H,W]
 Predict = Callable[[EncoderInput], tuple[np.ndarray, np.ndarray]]
 
 
@@ -152,13 +152,15 @@ def perceive_drive(
         file.put("time_s", source.time_s[with_image], "s")
         file.append("depth_m", np.zeros((0, *camera.size), np.uint16), f"1/{DEPTH_UNITS_PER_M} m, 0 = none")
         file.append("cls", np.zeros((0, *camera.size), np.uint8), "Cityscapes trainId")
-        postprocess = DepthPostprocessor(settings, camera)
         size = max(settings.batch, GPU_BATCH) if torch.cuda.is_available() else settings.batch
         batches = read_batches(source, camera, with_image, size)
-        # One thread reads, others run the network, this one scales and writes.
+        # One thread reads, others run the network, this one caps the depth of traffic and writes.
         with closing(passes(predict, batches)) as results:
             for depth, cls in results:
-                file.append("depth_m", to_units(np.stack([*map(postprocess, depth, cls)])))
+                if settings.reach:
+                    for depth_m, trainids in zip(depth, cls, strict=True):
+                        limit_traffic_depth(depth_m, trainids, camera, settings.reach)
+                file.append("depth_m", to_units(np.where(cls == classes.SKY, 0, depth)))
                 file.append("cls", cls)
                 advance(len(cls))
     return {"frames": len(with_image)}

@@ -9,7 +9,6 @@ from pipeline.base.params import Count, Positive, Section
 
 class Perception(Section):
     batch: Count
-    depth_scale: Literal["metric", "camera_height"] = "metric"
     camera_height_m: Positive | None = None
     reach: Annotated[float, Field(ge=1)] | None = None
     precision: Literal["auto", "float32"] = "auto"

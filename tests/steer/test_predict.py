@@ -52,7 +52,7 @@ def folder(tmp_path_factory) -> Path:
         "drives": {"train": ["2026_01_01_drive_0001"], "val": ["2026_01_02_drive_0002"], "test": [TEST]},
     }
     params["encoder"]["weights"] = str(ROOT / params["encoder"]["weights"])
-    params["perception"] |= {"reach": 1.1, "depth_scale": "camera_height"}
+    params["perception"] |= {"reach": 1.1}
     params["clouds"] |= {"max_points": 2000}
     params["graphs"], params["models"] = VARIANTS, MODELS
     params["labels"] |= {"ahead_m": [0, 2, 4]}

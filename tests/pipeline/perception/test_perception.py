@@ -15,18 +15,12 @@ from pipeline.camera import classes
 from pipeline.camera.camera import Camera, read_camera, scan_depth
 from pipeline.camera.geometry import back_project, rays
 from pipeline.perception.create import create, fetch
-from pipeline.perception.depth_scale import (
-    DepthPostprocessor,
-    from_camera_height,
-    ground_plane_depth,
-    limit_traffic_depth,
-)
 from pipeline.perception.examples import Example, Examples, mirrored
 from pipeline.perception.fit import depth_and_class_loss
+from pipeline.perception.ground_plane import ground_plane_depth, limit_traffic_depth
 from pipeline.perception.perceive import load, passes, save
 from pipeline.perception.scores import Scores, Truth, depth_errors, read_truth
 from pipeline.settings.encoder import Encoder
-from pipeline.settings.perception import Perception
 from tests import street
 
 CONTENT = b"some weights"
@@ -143,36 +137,6 @@ def test_passes_give_the_same_bits_for_any_number_of_threads(monkeypatch):
         assert torch.get_num_threads() == threads
     torch.set_num_threads(before)
     np.testing.assert_array_equal(*results)
-
-
-SIZE = (48, 96)
-CAMERA = Camera(np.array([[60.0, 0, 47], [0, 60, 20], [0, 0, 1]]), SIZE, T_cam_velo=np.eye(4))
-CAR = np.full(SIZE, classes.CAR)
-
-
-def road(pitch_rad: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Return depth [H,W] in metres of a road 1.65 m below the camera, and its trainIds."""
-    along = rays(CAMERA.K, SIZE) @ np.array([0, np.cos(pitch_rad), np.sin(pitch_rad)])
-    depth_m = np.where(along > 0.02, 1.65 / np.maximum(along, 0.02), 0)
-    return depth_m, np.where(depth_m > 0, classes.ROAD, classes.SKY)
-
-
-@pytest.mark.parametrize("pitch_rad", [0.0, 0.03, -0.05])
-@pytest.mark.parametrize("unit", [0.2, 17.0])
-def test_the_road_determines_the_scale_for_any_pitch(pitch_rad, unit):
-    depth_m, cls = road(pitch_rad)
-    stones = np.random.default_rng(0).random(SIZE) < 0.02
-    depth = unit * np.where(stones, 0.97, 1) * depth_m
-    assert from_camera_height(depth, cls, CAMERA) == pytest.approx(1 / unit, rel=0.02)
-    assert from_camera_height(depth, CAR, CAMERA) is None
-
-
-def test_a_frame_without_road_takes_the_previous_factor():
-    process = DepthPostprocessor(Perception(batch=1, depth_scale="camera_height"), CAMERA)
-    assert not process(np.ones(SIZE, np.float32), CAR).any()  # no depth rather than a wrong one
-    depth_m, cls = road()
-    np.testing.assert_allclose(process((depth_m / 5).astype(np.float32), cls), depth_m, rtol=1e-3, atol=1 / 256)
-    np.testing.assert_allclose(process(np.ones(SIZE, np.float32), CAR), 5, rtol=1e-3)
 
 
 def test_ground_is_a_plane_and_objects_have_the_depth_of_their_foot():

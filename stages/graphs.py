@@ -19,7 +19,7 @@ def main(
     out: Annotated[Path, typer.Option(help="VARIANT is written below it")] = Path("data/graphs"),
     params: Path = Path("params.yaml"),
 ) -> Path:
-    """Sample clouds to the variant's number of points and compute neighbours, or copy images. Returns the folder."""
+    """Draw the variant's number of points of each cloud and compute neighbours, or copy images. Returns the folder."""
     variant = load_entry(Variant, "graphs", name, params)
     source, stage = data / variant.source, variant.source.split("/")[0]
     splits = store.read_index(source, stage=stage)

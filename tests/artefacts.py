@@ -170,4 +170,4 @@ def write_motion(folder: Path, drive: str, rows: dict[int, tuple[float, float]],
         file.put("problem", problem.astype(np.uint8))
         for name, value in {"road_height_m": 1, "speed_sigma": 0.05, "scale": 1}.items():
             file.put(name, np.full(len(rows), value, np.float32))
-        file.put("T_before", forth)
+        file.put("T_before_now", forth)

@@ -75,7 +75,7 @@ def clouds_drive(path: Path, kind: str, ingest: Path, perception: Path, settings
                     xyz, cls = lidar_cloud(frame.scan, frames.camera, frame.cls)
                 else:
                     xyz, cls = pseudo_cloud(frame.depth_m, frame.cls, frames.camera.K, settings.max_depth_m)
-                drawn = sample(len(xyz), settings.max_points, frame_rng(settings.seed, frames.drive, frame.number))
+                drawn = draw(len(xyz), settings.max_points, frame_rng(settings.seed, frames.drive, frame.number))
                 xyz, cls = ordered((xyz[drawn], cls[drawn]))
                 file.append("xyz", xyz)
                 file.append("cls", cls)
@@ -89,30 +89,30 @@ def frame_rng(seed: int, drive: str, frame: int) -> np.random.Generator:
     return np.random.default_rng([seed, zlib.crc32(drive.encode()), frame])
 
 
-def sample_points(
+def draw_points(
     cloud: Cloud, crop_m: Sequence[float] | None, points: int, rng: np.random.Generator, sampling: str = "uniform"
 ) -> Cloud:
     """Return at most `points` random points of a cloud inside the crop (all without one), in the cloud's order.
 
-    `crop_m`: left, near, right and far limit of x and z. `sampling`: uniform | range, see :func:`sample_by_range`.
+    `crop_m`: left, near, right and far limit of x and z. `sampling`: uniform | range, see :func:`draw_by_range`.
     """
     xyz, cls = cloud
     inside = np.arange(len(xyz))
     if crop_m is not None:
         xz, bounds = xyz[:, [0, 2]], np.array(crop_m)
         inside = np.flatnonzero(((bounds[:2] <= xz) & (xz <= bounds[2:])).all(axis=1))
-    drawn = sample_by_range(xyz[inside], points, rng) if sampling == "range" else sample(len(inside), points, rng)
+    drawn = draw_by_range(xyz[inside], points, rng) if sampling == "range" else draw(len(inside), points, rng)
     return xyz[inside[drawn]], cls[inside[drawn]]
 
 
-def sample(count: int, limit: int, rng: np.random.Generator) -> np.ndarray:
+def draw(count: int, limit: int, rng: np.random.Generator) -> np.ndarray:
     """Draw at most `limit` of the indices 0..count-1 without replacement, ascending, which keeps Morton order."""
     if count <= limit:
         return np.arange(count)
     return np.sort(rng.choice(count, limit, replace=False, shuffle=False))
 
 
-def sample_by_range(xyz: np.ndarray, limit: int, rng: np.random.Generator) -> np.ndarray:
+def draw_by_range(xyz: np.ndarray, limit: int, rng: np.random.Generator) -> np.ndarray:
     """Draw at most `limit` of the points [P,3] without replacement, equally many from each interval of STRATA_M.
 
     An image has few pixels far away. Where an interval has too few points, the others share the rest. Returns indices,

@@ -1,4 +1,4 @@
-"""Build a variant of the networks' input, data/graphs/<variant>/<drive>.h5: sample clouds, connect or group points."""
+"""Build a variant of the networks' input, data/graphs/<variant>/<drive>.h5: draw points, connect or group them."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -9,7 +9,7 @@ from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.camera.geometry import transform
 from pipeline.graphs import graph, graph_file
-from pipeline.graphs.cloud import Cloud, frame_rng, ordered, sample_points
+from pipeline.graphs.cloud import Cloud, draw_points, frame_rng, ordered
 from pipeline.graphs.graph_file import Column, Columns
 from pipeline.settings.graphs import Variant
 
@@ -50,12 +50,12 @@ def build(cloud: Cloud, variant: Variant, drive: str, number: int) -> Columns:
     """Return frame `number` of a variant of points, reproducibly for drive and frame number."""
     assert variant.points
     rng = frame_rng(variant.seed, drive, number)
-    sampled = sample_points(cloud, variant.crop_m, variant.points, rng, variant.sampling)
-    return connect(ordered(sampled) if variant.accumulate else sampled, variant, rng)
+    drawn = draw_points(cloud, variant.crop_m, variant.points, rng, variant.sampling)
+    return connect(ordered(drawn) if variant.accumulate else drawn, variant, rng)
 
 
 def connect(cloud: Cloud, variant: Variant, rng: np.random.Generator) -> Columns:
-    """Return the points with their kNN graph and its numbers of edges, or with PointNet++'s samplings and groupings."""
+    """Return the points with their kNN graph and its numbers of edges, or with PointNet++'s centres and groups."""
     assert variant.points
     xyz, cls = cloud
     dtype = np.uint16 if variant.points <= 65_535 else np.uint32
@@ -68,7 +68,7 @@ def connect(cloud: Cloud, variant: Variant, rng: np.random.Generator) -> Columns
         columns["edges_knn"] = Column(np.array([built.edges_knn], np.int32), "directed edges")
         columns["edges_kept"] = Column(np.array([built.edges_kept], np.int32), "directed edges")
         return columns
-    points = "xyz"  # column whose rows a level samples
+    points = "xyz"  # the column of which a level's centres and neighbours are rows
     for number, level in enumerate(graph.levels(xyz, variant.levels, rng), start=1):
         centres, pointer = f"centres_{number}", f"centres_{number}_ptr"
         for name, rows in zip((centres, f"neighbours_{number}"), level, strict=True):
@@ -91,7 +91,7 @@ def read_steps(motion: DriveReader, source: str) -> dict[int, np.ndarray]:
     whatever the scale of depth. clouds/lidar are in metres, as motion is.
     """
     valid = motion["valid"].astype(bool)
-    steps = motion["T_before"][valid].astype(np.float64)
+    steps = motion["T_before_now"][valid].astype(np.float64)
     if source == "clouds/pseudo":
         steps[:, :3, 3] /= motion["scale"][valid, None]
     return dict(zip(motion.frame[valid].tolist(), steps, strict=True))

@@ -73,15 +73,15 @@ def prune(matrix: Any, cls: np.ndarray, keep_inter_class: float, rng: np.random.
 
 LevelSize = tuple[int, float, int]  # centres, radius in metres, neighbours per centre
 Grouping = tuple[np.ndarray, np.ndarray]
-"""Centres int64 [M], the sampled points, and neighbours int64 [M,n], the points in the ball around each centre."""
+"""Centres int64 [M], rows of the points, and neighbours int64 [M,n], the points in the ball around each centre."""
 
 
 def levels(xyz: np.ndarray, sizes: Iterable[LevelSize], rng: np.random.Generator) -> list[Grouping]:
-    """Sample and group the points [P,3], then the resulting centres, and so on (paper eq. 1; Qi et al. 2017)."""
+    """Choose and group centres of the points [P,3], then of these centres, and so on (paper eq. 1; Qi et al. 2017)."""
     result = []
     # Points are stored in Morton order, so the first points of a ball would be one corner of it. In the reference the
-    # order is random, hence the permutation. Later levels are in the order of farthest point sampling, in which the
-    # first points are evenly spread.
+    # order is random, hence the permutation. Later levels are in the order of their choice, in which the first points
+    # are evenly spread.
     order = rng.permutation(len(xyz))
     for count, radius_m, neighbours in sizes:
         centres = farthest_points(xyz, count)
@@ -92,17 +92,17 @@ def levels(xyz: np.ndarray, sizes: Iterable[LevelSize], rng: np.random.Generator
 
 
 def farthest_points(xyz: np.ndarray, count: int) -> np.ndarray:
-    """Sample points [P,3] iteratively, each the farthest from the previous ones, starting with the first point.
+    """Choose points [P,3] by farthest point sampling: each is the farthest from those before, the first is row 0.
 
-    Returns: indices int64 [min(count, P)] in sampling order. Ties take the first point.
+    Returns: indices int64 [min(count, P)] in the order of choice. Ties take the first point.
     """
     axes = np.ascontiguousarray(xyz.T, np.float64)
-    sampled = np.zeros(min(count, len(xyz)), np.int64)
-    distance = np.full(len(xyz), np.inf)  # squared, to the nearest sample
-    for step in range(1, len(sampled)):
-        np.minimum(distance, _squared_distances(axes, sampled[step - 1]), out=distance)
-        sampled[step] = distance.argmax()
-    return sampled
+    chosen = np.zeros(min(count, len(xyz)), np.int64)
+    distance = np.full(len(xyz), np.inf)  # squared, to the nearest chosen point
+    for step in range(1, len(chosen)):
+        np.minimum(distance, _squared_distances(axes, chosen[step - 1]), out=distance)
+        chosen[step] = distance.argmax()
+    return chosen
 
 
 def ball_query(xyz: np.ndarray, centres: np.ndarray, radius_m: float, neighbours: int, order: np.ndarray) -> np.ndarray:

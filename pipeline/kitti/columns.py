@@ -46,7 +46,7 @@ def check_limit(name: str, values: np.ndarray, limit: float, path: Path, fix: st
     wrong = ~(np.abs(values) <= limit)
     if wrong.any():
         at = int(np.argmax(wrong))
-        raise InputError(f"implausible {name} = {values[at]:g} at sample {at + 1} (limit ±{limit:g})", path, fix)
+        raise InputError(f"implausible {name} = {values[at]:g} at value {at + 1} (limit ±{limit:g})", path, fix)
 
 
 def check_increase(name: str, values: np.ndarray, least_step: float, path: Path | str) -> None:
@@ -54,6 +54,6 @@ def check_increase(name: str, values: np.ndarray, least_step: float, path: Path 
     wrong = ~(np.diff(values) >= least_step)
     if wrong.any():
         at = int(np.argmax(wrong))
-        steps = f"{name} goes from {values[at]:.15g} to {values[at + 1]:.15g} at sample {at + 2}"
+        steps = f"{name} goes from {values[at]:.15g} to {values[at + 1]:.15g} at value {at + 2}"
         problem = f"{steps} (expected an increase of {least_step:g} or more)"
-        raise InputError(problem, path, "Correct or remove the sample")
+        raise InputError(problem, path, "Correct or remove it")

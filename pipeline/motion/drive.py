@@ -17,7 +17,7 @@ UNITS = {
     "inliers": "",
     "residual": "px",
     "scale": "depth was multiplied by it",
-    "T_before": "m",
+    "T_before_now": "m",
     "road_height_m": "m below the camera in the encoder's depth, 0 = no road found",
     "still": "share of the lowest row that shows no street",
     "problem": f"0 = measured; {', '.join(f'{code} = {text}' for code, text in enumerate(PROBLEMS) if code)}",
@@ -47,13 +47,13 @@ def measure_drive(
         count, odometry = len(frames.frame), Odometry(frames.camera, road_scale=road_scale)
         columns = dict(zip(UNITS, np.zeros((len(UNITS), count), np.float32), strict=True))
         columns |= {"inliers": np.zeros(count, np.int32), "problem": np.zeros(count, np.uint8)}
-        columns |= {"scale": np.ones(count, np.float32), "T_before": np.tile(np.eye(4, dtype="f4"), (count, 1, 1))}
+        columns |= {"scale": np.ones(count, np.float32), "T_before_now": np.tile(np.eye(4, dtype="f4"), (count, 1, 1))}
         for row, (frame, duration_s) in enumerate(zip(frames, durations(frames.frame, frames.time_s), strict=True)):
             step = odometry.step(frame)
             values = {"problem": PROBLEMS.index(odometry.problem), "road_height_m": odometry.road.frame_height_m}
             values["still"] = odometry.still.mask[-1].mean()
             if step:
-                values |= dict(zip(("yaw_rate_radps", "speed_mps"), rates(step.T_before, duration_s), strict=True))
+                values |= dict(zip(("yaw_rate_radps", "speed_mps"), rates(step.T_before_now, duration_s), strict=True))
                 values |= step._asdict()
             for name, value in values.items():
                 columns[name][row] = value

@@ -38,25 +38,25 @@ class Pose(NamedTuple):
 
 
 def estimate_pose(
-    xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray, T_before_last: np.ndarray | None = None
+    xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray, T_previous: np.ndarray | None = None
 ) -> Pose | None:
     """Return the motion that maps points to their pixels; None if there are too few inliers or they leave it open.
 
     `xyz`: points [N,3] in metres in the previous camera frame, with relative standard deviations `depth_sigma` [N] of
-    their depths; `uv`: their pixels in this frame [N,2]; `T_before_last`: the T_now_before [4,4] of the previous step,
+    their depths; `uv`: their pixels in this frame [N,2]; `T_previous`: the T_now_before [4,4] of the previous step,
     a second initial value.
     """
     if len(xyz) < MIN_POINTS:
         return None
-    starts = [T for T in (_ransac(xyz, uv, K), T_before_last) if T is not None]
+    starts = [T for T in (_ransac(xyz, uv, K), T_previous) if T is not None]
     fits = [fit for T in starts if (fit := _refine(T, xyz, uv, K, depth_sigma))]
     if not fits:
         return None
     best = min(fits, key=lambda fit: fit.cost)
     similar, inliers = False, best.squared_distance < INLIER_SIGMAS**2
-    if T_before_last is not None:
-        turned_rad = np.linalg.norm(cv2.Rodrigues(best.T[:3, :3] @ T_before_last[:3, :3].T)[0])
-        moved_m = np.linalg.norm(best.T[:3, 3] - T_before_last[:3, 3])
+    if T_previous is not None:
+        turned_rad = np.linalg.norm(cv2.Rodrigues(best.T[:3, :3] @ T_previous[:3, :3].T)[0])
+        moved_m = np.linalg.norm(best.T[:3, 3] - T_previous[:3, 3])
         similar = bool(turned_rad < np.radians(SIMILAR_DEG) and moved_m < SIMILAR_M)
     if inliers.sum() < max(MIN_POINTS, (MIN_INLIERS_SIMILAR if similar else MIN_INLIERS) * len(xyz)):
         return None

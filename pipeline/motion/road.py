@@ -61,8 +61,8 @@ class Road:
         down_m, ahead_m = sum(down for down, _ in self._ways), sum(ahead for _, ahead in self._ways)
         return min(max(down_m / (ahead_m + PRIOR_M), -MAX_SLOPE), MAX_SLOPE)
 
-    def add_step(self, T_before: np.ndarray) -> None:
+    def add_step(self, T_before_now: np.ndarray) -> None:
         """Update the direction of travel with a step [4,4]."""
-        _, down_m, ahead_m = T_before[:3, 3].tolist()
+        _, down_m, ahead_m = T_before_now[:3, 3].tolist()
         if abs(ahead_m) >= MIN_STEP_M:
             self._ways.append((down_m, ahead_m) if ahead_m > 0 else (-down_m, -ahead_m))

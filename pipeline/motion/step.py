@@ -1,7 +1,7 @@
 """Steps, the car's motion since the previous frame: their durations, rates, and the filter of their speeds.
 
-``T_before`` transforms points from the frame's rectified camera coordinates (x right, y down, z forward) to those of
-the previous frame. Its translation is the camera's new position in the previous frame.
+``T_before_now`` takes points from the frame's rectified camera coordinates (x right, y down, z forward) to those of the
+previous frame. Its translation is the camera's new position in the previous frame.
 """
 
 import math
@@ -37,13 +37,13 @@ LEAST_NOISE = 0.01  # relative standard deviation of a measured speed, apart fro
 class Step(NamedTuple):
     """A measured step."""
 
-    T_before: np.ndarray  # [4,4]
+    T_before_now: np.ndarray  # [4,4]
     inliers: int
     residual: float  # px
     scale: float = 1.0  # factor that was applied to depth
 
 
-def rates(T_before: np.ndarray, duration_s: float) -> tuple[float, float]:
+def rates(T_before_now: np.ndarray, duration_s: float) -> tuple[float, float]:
     """Return yaw rate (rad/s, left positive) and forward speed (m/s) of a step [4,4].
 
     Both are means over the step, so they are half a frame old. KITTI's labels are too, since oxts' rates lag by 0.06 s:
@@ -51,9 +51,9 @@ def rates(T_before: np.ndarray, duration_s: float) -> tuple[float, float]:
     Forward is the camera's axis at half of the step: along it, a camera ahead of the axle, which a turn moves sideways,
     moves as far as the axle.
     """
-    rotation = cv2.Rodrigues(T_before[:3, :3])[0][:, 0]  # rotation vector; y points down, so a left turn is negative
+    rotation = cv2.Rodrigues(T_before_now[:3, :3])[0][:, 0]  # y points down, so a left turn is negative
     halfway = cv2.Rodrigues(rotation / 2)[0]
-    return float(-rotation[1] / duration_s), float(halfway[:, 2] @ T_before[:3, 3] / duration_s)
+    return float(-rotation[1] / duration_s), float(halfway[:, 2] @ T_before_now[:3, 3] / duration_s)
 
 
 def durations(frame: np.ndarray, time_s: np.ndarray) -> np.ndarray:

@@ -5,8 +5,9 @@ import numpy as np
 
 from pipeline.camera.camera import Camera
 
-SAMPLED = slice(2, None, 4)  # rows and columns
-AROUND, SMALL, NEAR = (5, 5), np.ones((3, 3), np.uint8), np.ones((7, 7), np.uint8)  # samples: of means, cut off, added
+GRID = slice(2, None, 4)  # rows and columns
+# Sizes on the grid: of the mean around a point, of specks that are removed, and of the margin around places.
+AROUND, SMALL, NEAR = (5, 5), np.ones((3, 3), np.uint8), np.ones((7, 7), np.uint8)
 STEP = 0.1  # camera heights, a short way of a car from image to image
 KEEP = 0.9  # share of the sums that remains at the next image
 LEAST = 400.0  # squared grey levels; smaller expected changes are noise
@@ -31,7 +32,7 @@ class Still:
 
     def __init__(self, camera: Camera) -> None:
         self._K, (height, width) = camera.K, camera.size
-        self._uv = np.mgrid[:height, :width][::-1, SAMPLED, SAMPLED]
+        self._uv = np.mgrid[:height, :width][::-1, GRID, GRID]
         self._sums = np.zeros((2, *self._uv.shape[1:]), np.float32)
         self.mask = np.zeros((height, width), bool)
         """Pixels in and near places where nothing moves."""
@@ -43,8 +44,8 @@ class Still:
         nearer = STEP * np.maximum(from_expansion[1] / focal, 0)  # of the ground, as a share of its distance
         u, v = (self._uv - from_expansion * nearer / (1 + nearer)).astype(np.float32)
         expected = cv2.remap(before, u, v, cv2.INTER_LINEAR)
-        here = now[SAMPLED, SAMPLED].astype(np.float32)
-        changes = np.stack([cv2.blur((here - there) ** 2, AROUND) for there in (before[SAMPLED, SAMPLED], expected)])
+        here = now[GRID, GRID].astype(np.float32)
+        changes = np.stack([cv2.blur((here - there) ** 2, AROUND) for there in (before[GRID, GRID], expected)])
         clear = changes[1] > LEAST
         if clear.any() and np.quantile(changes[0][clear] / changes[1][clear], QUANTILE) > MOVES:
             self._sums = KEEP * self._sums + changes

@@ -20,7 +20,7 @@ AROUND = np.ones((5, 5), np.uint8)
 ON_ROAD, ELSEWHERE = (16, 2e-5), (24, 1e-4)  # cell px, least quality: a road has few and weak corners
 ROAD_SIGMA, DEPTH_SIGMA = 0.07, 0.5  # relative standard deviations of depth
 STANDSTILL_PX, STANDSTILL_M = 0.1, 0.02  # the car stands if the median corner, or the camera, moves less
-SIDEWAYS_M, SIDEWAYS_SHARE = 0.1, 0.5  # limits, absolute and of the forward way: a camera ahead of the axle swings out
+SIDEWAYS_M, SIDEWAYS_SHARE = 0.1, 0.5  # largest sideways motion: a constant plus a share of the forward motion
 MAX_FORWARD_M = 10.0
 PER_CELL = 2  # corners
 WINDOW, LEVELS = (11, 11), 2  # px, pyramid levels; a larger window is slower and covers several depths
@@ -41,7 +41,7 @@ class Odometry:
         self._number: int | None = None
         self._grey = np.empty(0, np.uint8)
         self._points = np.empty((0, 3)), np.empty(0), 1.0  # of the previous frame: see _lift
-        self._T_before: np.ndarray | None = None  # the previous step
+        self._T_before_now: np.ndarray | None = None  # the previous step
         self.problem = ""
         """Why the last step could not be measured; empty if it was."""
 
@@ -56,9 +56,9 @@ class Odometry:
             self.still.add(self._grey[every, every], grey[every, every], self.road.slope)
             result = self._measure(grey)
         step, self.problem = (None, result) if isinstance(result, str) else (result, "")
-        self._T_before = step.T_before if step else None
+        self._T_before_now = step.T_before_now if step else None
         if step:
-            self.road.add_step(step.T_before)
+            self.road.add_step(step.T_before_now)
         self._number, self._grey, self._points = frame.number, grey, self._lift(frame, grey)
         return step
 
@@ -66,10 +66,10 @@ class Odometry:
         """Return the motion since the previous frame, or why it cannot be measured: one of PROBLEMS."""
         xyz, depth_sigma, scale = self._points
         uv_before = project(xyz, self._K)[0]
-        uv_guess, T_before_last = uv_before, None
-        if self._T_before is not None:  # assume constant motion
-            T_before_last = np.linalg.inv(self._T_before)
-            uv, z = project(transform(T_before_last, xyz), self._K)
+        uv_guess, T_previous = uv_before, None
+        if self._T_before_now is not None:  # assume constant motion
+            T_previous = np.linalg.inv(self._T_before_now)
+            uv, z = project(transform(T_previous, xyz), self._K)
             uv_guess = np.where(z[:, None] > MIN_DEPTH_M, uv, uv_before)
         uv, tracked = track(self._grey, grey, self._larger(uv_before), self._larger(uv_guess))
         column, row = np.rint(uv_before).astype(np.int64).T
@@ -79,16 +79,16 @@ class Odometry:
             return "too few points can be tracked"
         if np.median(np.abs(uv - uv_before).max(axis=1)) < STANDSTILL_PX:
             return STANDSTILL[0]
-        pose = estimate_pose(xyz, uv, self._K, depth_sigma[tracked], T_before_last)
+        pose = estimate_pose(xyz, uv, self._K, depth_sigma[tracked], T_previous)
         if pose is None:
             return "no common motion of the scene"
-        T_before = np.linalg.inv(pose.T_now_before)
-        right, down, forward = T_before[:3, 3]
-        if np.linalg.norm(T_before[:3, 3]) < STANDSTILL_M:
+        T_before_now = np.linalg.inv(pose.T_now_before)
+        right, down, forward = T_before_now[:3, 3]
+        if np.linalg.norm(T_before_now[:3, 3]) < STANDSTILL_M:
             return STANDSTILL[1]
         if np.hypot(right, down) >= SIDEWAYS_M + SIDEWAYS_SHARE * abs(forward) or abs(forward) >= MAX_FORWARD_M:
             return "a motion that is not a car's"
-        return Step(T_before, int(pose.inliers.sum()), pose.residual_px, scale)
+        return Step(T_before_now, int(pose.inliers.sum()), pose.residual_px, scale)
 
     def _lift(self, frame: Frame, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Return the corners as points [N,3] in metres, relative sigma of their depths [N], factor applied to depth."""
@@ -97,7 +97,7 @@ class Odometry:
         usable = (nearest > MIN_DEPTH_M) & (farthest < self._max_depth_m) & (farthest < EDGE * nearest)
         usable &= ~(still := self.still.mask)
         traffic = cv2.dilate(MOVING[frame.cls].astype(np.uint8), AROUND) > 0  # and its surroundings
-        # What depth shows to be the road is no traffic: classes of grey images mistake shaded road for cars.
+        # Trust depth over classes: road pixels are never traffic. In grey images, shaded road has the class of cars.
         road, scale = self.road.find(depth_m, usable, still)
         corners = Corners(grey)
         on_road = corners.best(self._enlarge(road), *ON_ROAD)

@@ -11,7 +11,7 @@ from pipeline.kitti.columns import check_limit, read_columns
 from pipeline.kitti.oxts import LIMIT_RAD, LIMITS
 from pipeline.video.recording import check_times
 
-MAX_GAP_S = 0.5  # between samples that are interpolated
+MAX_GAP_S = 0.5  # between values that are interpolated
 ROUNDING_S = 1e-3  # of timestamps in videos; comparisons tolerate it
 _RATES = {"speed_mps": LIMITS["vf"], "yaw_rate_radps": LIMITS["wu"]}  # largest plausible magnitudes
 _MOTION = "Expected a CSV file with time_s [s], speed_mps [m/s] and yaw_rate_radps [rad/s, left +]"
@@ -19,19 +19,19 @@ _WHEEL = "Expected a CSV file with time_s [s] and wheel_rad [rad, left +]"
 
 
 class Log(NamedTuple):
-    """Samples at ascending times [N] of C quantities [C,N], NaN where unknown, of a file of this name."""
+    """Values of C quantities [C,N] at ascending times [N], NaN where unknown, of a file of this name."""
 
     time_s: np.ndarray
-    samples: np.ndarray
+    values: np.ndarray
     name: str = ""
 
     def at(self, time_s: np.ndarray) -> np.ndarray:
-        """Return quantities [C,F] at `time_s` [F], linear between samples; NaN outside, and in gaps of any quantity."""
+        """Return quantities [C,F] at `time_s` [F], linear between times; NaN outside, and in gaps of any quantity."""
         left = np.clip(np.searchsorted(self.time_s, time_s, side="right") - 1, 0, len(self.time_s) - 2)
         before_s, after_s = self.time_s[left], self.time_s[left + 1]
         gap_s = np.where((time_s == before_s) | (time_s == after_s), 0.0, after_s - before_s)
         inside = (time_s >= self.time_s[0] - ROUNDING_S) & (time_s <= self.time_s[-1] + ROUNDING_S)
-        values = np.stack([np.interp(time_s, self.time_s, samples) for samples in self.samples])
+        values = np.stack([np.interp(time_s, self.time_s, row) for row in self.values])
         known = inside & (gap_s <= MAX_GAP_S + ROUNDING_S) & np.isfinite(values).all(axis=0)
         return np.where(known, values, np.nan)
 
@@ -62,11 +62,11 @@ class Logs(NamedTuple):
         angles, rates = None, _read(motion, _RATES, _MOTION, offset_s) if motion else None
         if wheel and steering_ratio:
             angles = _read(wheel, {"wheel_rad": LIMIT_RAD * steering_ratio}, _WHEEL, offset_s)
-            angles = angles._replace(samples=angles.samples / steering_ratio)
+            angles = angles._replace(values=angles.values / steering_ratio)
         return cls(angles, rates, name)
 
     def check_overlap(self, first_s: float, last_s: float) -> None:
-        """Raise InputError for a log without a sample from the first to the last image."""
+        """Raise InputError for a log that ends before the first image or begins after the last."""
         for log in filter(None, self[:2]):
             begin_s, end_s = log.time_s[[0, -1]]
             if begin_s > last_s + ROUNDING_S or end_s < first_s - ROUNDING_S:
@@ -83,11 +83,11 @@ class Logs(NamedTuple):
 
 def _read(path: Path, limits: Mapping[str, float], expected: str, offset_s: float) -> Log:
     columns = read_columns(path, ("time_s", *limits), expected, sparse=[*limits])
-    time_s, samples = np.unique(columns["time_s"]), []  # two topics in one file have their own times
+    time_s, rows = np.unique(columns["time_s"]), []  # two topics in one file have their own times
     for name, limit in limits.items():
         known = ~np.isnan(columns[name])
         own_s, values = columns["time_s"][known], columns[name][known]
         check_times(own_s, f"{path} column {name}", MAX_GAP_S + ROUNDING_S)
         check_limit(name, values, limit, path, expected)
-        samples.append(Log(own_s, values[None]).at(time_s))
-    return Log(time_s + offset_s, np.concatenate(samples), path.name)
+        rows.append(Log(own_s, values[None]).at(time_s))
+    return Log(time_s + offset_s, np.concatenate(rows), path.name)

@@ -77,7 +77,7 @@ def _differences(model: Trained, source: Source, encoder: Path, time_s: np.ndarr
     if all(drive.startswith(SAMPLE) for drive in model.drives) and not source.name.startswith(SAMPLE):
         yield f"warning: {model.name} was fitted to the rendered sample alone, so expect wrong angles on real streets"
     step_s = float(np.median(np.diff(time_s))) if source.drive and len(time_s) > 1 else 1 / model.fps
-    if abs(1 / step_s / model.fps - 1) > RATE_TOLERANCE:  # other sources have been sampled
+    if abs(1 / step_s / model.fps - 1) > RATE_TOLERANCE:  # other sources have been resampled
         yield f"warning: {model.name} was fitted to {model.fps:.1f} frames/s, got {1 / step_s:.1f}"
     if file_hash(encoder / FILE) != model.settings["encoder"]["sha256"]:
         yield f"warning: {model.name} was fitted to depth and classes of another encoder than {encoder}"

@@ -39,7 +39,7 @@ _OPTIONS = {
 }
 Images = Iterator[av.VideoFrame]
 BAR, LIT, MOST = 8, 32, 0.95  # largest grey level of most pixels in a row of a black bar; smallest 2 rows beside it
-SAMPLED = 20  # images
+STRIDE = 20  # of the images that are searched for black bars
 THUMB_PX = 64  # width of the images that are compared: averages noise
 INEXACT = 0.99  # a header's count of frames may be too large by this, and by one
 LAST_S = 0.2  # duration of a last image that does not tell it
@@ -165,7 +165,7 @@ def _scan(images: Callable[[], Images], path: Path) -> tuple[Size, np.ndarray, l
         grey = shrink.reformat(image, *small, "gray", interpolation="AREA").to_ndarray().astype(np.float32)
         rows.append((image.time, np.abs(grey - before).mean(), image.key_frame))
         before = grey
-        if number % SAMPLED == 0:
+        if number % STRIDE == 0:
             light = np.maximum(light, image.to_ndarray(format="gray"))
     return _upright(first, path).shape[:2], np.array(rows, float).T, _bars(light, path)
 
@@ -278,5 +278,5 @@ def check_times(times_s: np.ndarray, path: Path | str, longest_s: float) -> None
     if not 0.999e-3 <= step_s <= longest_s:
         power = min(max(math.ceil(math.log(step_s / longest_s, 1000)), 1), 3)
         unit = f"{('milli', 'micro', 'nano')[power - 1]}seconds by {1000**power}"
-        fix = f"Times are in seconds: divide {unit}. Slower samples are not interpolated"
+        fix = f"Times are in seconds: divide {unit}. Slower recordings are not interpolated"
         raise InputError(f"median time step is {step_s:g} (expected 0.001 to {longest_s:.1g} s)", path, fix)

@@ -58,7 +58,7 @@ def open_source(
 
     `height_m`: of the camera over the road; None: from a KITTI drive's calibration, else unknown. `how`: of other
     recordings, what :func:`open_images` gets, and so is `hz`. Raises InputError if it is none of them, lacks a
-    calibration, cannot be read, or one of the `logs` has no sample in its time.
+    calibration, cannot be read, or one of the `logs` has no value in its time.
     """
     drive = KittiDrive(path.resolve()) if path.is_dir() else None
     number = next((camera for camera in cameras if drive and drive.images(camera)), None)

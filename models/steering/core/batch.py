@@ -73,7 +73,7 @@ class GraphBatch(_Points):
 
 
 class Level(NamedTuple):
-    """One sampling and grouping of B frames' points: M centres with n neighbours each.
+    """A level of B frames' points: M centres with n neighbours each.
 
     centres int32 [M], neighbours int32 [M,n]: row numbers in the batch's points, or in the previous level's centres;
     ptr int64 [B+1] on the CPU, frame b has the rows ptr[b]:ptr[b+1].

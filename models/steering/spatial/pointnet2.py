@@ -51,7 +51,7 @@ class Options(NetworkOptions):
 
 
 class PointNet2(nn.Module):
-    """Spatial network on sampled and grouped points; the graph variant holds samples and neighbours.
+    """Spatial network on centres and the points around them, which the graph variant holds.
 
     With two levels and width 1 its sizes are the reference's: 64-64-128, 128-128-256, over the complete frame
     256-512-1024, then 512 and 256. `levels`: set abstractions before the one over the complete frame.

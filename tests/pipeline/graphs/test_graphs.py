@@ -68,21 +68,21 @@ def test_morton_order_equals_bitwise_interleaving():
     assert [code(point) for point in stored] == sorted(code(point) for point in stored)
 
 
-def test_samples_depend_on_the_frame_alone_lie_in_the_crop_and_keep_order_and_class():
+def test_drawn_points_depend_on_the_frame_alone_lie_in_the_crop_and_keep_order_and_class():
     xyz, cls = points(900)
 
-    def sampled(count: int, frame: int) -> list[int]:
-        part, labels = cloud.sample_points((xyz, cls), (-5, 0, 5, 20), count, cloud.frame_rng(0, "drive", frame))
+    def drawn(count: int, frame: int) -> list[int]:
+        part, labels = cloud.draw_points((xyz, cls), (-5, 0, 5, 20), count, cloud.frame_rng(0, "drive", frame))
         rows = rows_of(part, xyz)
         assert rows == sorted(set(rows))
         assert labels.tolist() == cls[rows].tolist()
         return rows
 
     inside = np.flatnonzero((np.abs(xyz[:, 0]) <= 5) & (xyz[:, 2] >= 0) & (xyz[:, 2] <= 20)).tolist()
-    assert sampled(900, 0) == inside
-    assert sampled(20, 5) == sampled(20, 5) != sampled(20, 6)
-    assert set(sampled(20, 6)) < set(inside)
-    assert len(sampled(20, 6)) == 20
+    assert drawn(900, 0) == inside
+    assert drawn(20, 5) == drawn(20, 5) != drawn(20, 6)
+    assert set(drawn(20, 6)) < set(inside)
+    assert len(drawn(20, 6)) == 20
 
 
 def test_sampling_by_range_draws_equal_numbers_and_fills_up_from_where_points_are_left():
@@ -93,7 +93,7 @@ def test_sampling_by_range_draws_equal_numbers_and_fills_up_from_where_points_ar
     xyz = np.stack([range_m * np.sin(bearing), rng.uniform(-1, 2, 1000), range_m * np.cos(bearing)], axis=1)
 
     def counts(limit: int) -> list[int]:
-        drawn = cloud.sample_by_range(xyz, limit, rng)
+        drawn = cloud.draw_by_range(xyz, limit, rng)
         assert (np.diff(drawn) > 0).all()
         return [int((range_m[drawn] == value).sum()) for value in (7, 15, 30, 60)]
 
@@ -141,7 +141,7 @@ def test_steps_have_the_length_unit_of_the_clouds(tmp_path):
     with DriveWriter(tmp_path / "a.h5", stage="motion", drive="drive", params={}) as file:
         file.put("frame", np.array([4, 5], np.int32))
         file.put("valid", np.array([0, 1], np.uint8))
-        file.put("T_before", np.stack([np.eye(4), step(0.1, 2.0)]))
+        file.put("T_before_now", np.stack([np.eye(4), step(0.1, 2.0)]))
         file.put("scale", np.array([0, 1.25]))
     with DriveReader(tmp_path / "a.h5", stage="motion") as motion:
         for source, forward_m in (("clouds/pseudo", 1.6), ("clouds/lidar", 2.0)):

@@ -137,7 +137,7 @@ def rates(steps: list[step.Step | None]) -> np.ndarray:
     """Return yaw rate and speed [F-1,2]; all but the first must be measured."""
     assert steps[0] is None
     assert all(steps[1:])
-    return np.array([step.rates(one.T_before, DT_S) for one in steps[1:] if one])
+    return np.array([step.rates(one.T_before_now, DT_S) for one in steps[1:] if one])
 
 
 @pytest.mark.parametrize(("yaw_rate", "speed"), [(0.4, 6.0), (-0.4, 6.0), (0.0, 12.0), (0.05, 1.0), (0.0, -2.0)])
@@ -204,4 +204,4 @@ def test_traffic_is_excluded_by_its_class():
     assert rates(measured(frames))[:, 1] == pytest.approx(6.0, rel=0.05)
     for frame in frames:
         frame.cls[bus] = classes.BUILDING
-    assert not any(one and abs(step.rates(one.T_before, DT_S)[1] - 6) < 0.3 for one in measured(frames))
+    assert not any(one and abs(step.rates(one.T_before_now, DT_S)[1] - 6) < 0.3 for one in measured(frames))

@@ -334,7 +334,7 @@ def log(tmp_path: Path, text: str) -> Path:
 def test_columns_are_found_by_name(tmp_path, text):
     motion = Logs.read(None, None, log(tmp_path, text), 10).motion
     np.testing.assert_array_equal(motion.time_s, [11, 11.5])
-    np.testing.assert_array_equal(motion.samples, [[5, 6], [0.1, -0.2]])
+    np.testing.assert_array_equal(motion.values, [[5, 6], [0.1, -0.2]])
 
 
 WHEEL = "time_s,wheel_rad\n"
@@ -343,8 +343,8 @@ WHEEL = "time_s,wheel_rad\n"
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        (HEAD + "1,5,0\n1.1,1e6,0\n", r"speed_mps = 1e\+06 at sample 2"),
-        (HEAD + "1,5,0\n1.3,5,0\n1.3,5,0\n", "from 1.3 to 1.3 at sample 3"),
+        (HEAD + "1,5,0\n1.1,1e6,0\n", r"speed_mps = 1e\+06 at value 2"),
+        (HEAD + "1,5,0\n1.3,5,0\n1.3,5,0\n", "from 1.3 to 1.3 at value 3"),
         (HEAD + "0,5,0\n2,5,0\n4,5,0\n", "divide milliseconds by 1000"),  # of 500 Hz
         (HEAD + "0,5,0\n0.1,5,\n0.2,5,\n", "column yaw_rate_radps: expected at least 2 times"),
         (HEAD + "0,5,0\n100,5,0\n", "divide milliseconds by 1000"),
@@ -352,7 +352,7 @@ WHEEL = "time_s,wheel_rad\n"
         (HEAD + "0,5,0\n1e-4,5,0\n", "in seconds"),
         (HEAD + "0,5,0\n0,5,5,0\n", "line 3: expected numbers, .*decimal point"),
         ("time_s;speed_mps;yaw_rate_radps\n0,1;5;0\n", "line 2: expected numbers"),
-        (WHEEL + "1,0\n1.1,45\n", "wheel_rad = 45 at sample 2"),
+        (WHEEL + "1,0\n1.1,45\n", "wheel_rad = 45 at value 2"),
         ("frame,wheel_rad\n0,1\n", "has no column time_s"),
         (WHEEL, "has no rows"),
         ("1\n2\n2\n", "from 2 to 2"),
@@ -367,13 +367,13 @@ def test_plainly_wrong_logs(tmp_path, text, problem):
 
 
 def test_interpolation_ends_at_gaps_and_at_the_ends():
-    samples_s = np.array([0.0, 0.5, 1.0, 1.6, 2.0])
+    known_s = np.array([0.0, 0.5, 1.0, 1.6, 2.0])
     time_s = np.array([-0.01, -0.0005, 0.25, 1.0, 1.3, 1.6, 1.8, 2.0 + 1e-15, 2.01])
     expected = [np.nan, 0, 0.25, 1, np.nan, 1.6, 1.8, 2, np.nan]
-    np.testing.assert_allclose(Log(samples_s, samples_s[None]).at(time_s), [expected])
+    np.testing.assert_allclose(Log(known_s, known_s[None]).at(time_s), [expected])
 
 
-def test_two_topics_in_one_log_have_their_own_samples(tmp_path):
+def test_two_topics_in_one_log_have_their_own_times(tmp_path):
     """Also one below the other. The speed has a gap of 0.4 s, the yaw rate one of 0.6 s."""
     speed = [f"{time_s},{10 * time_s}," for time_s in (0.1, 0.2, 0.3, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2)]
     yaw_rate = [f"{time_s},,{time_s}" for time_s in (0.05, 0.25, 0.35, 0.45, 1.05, 1.15)]

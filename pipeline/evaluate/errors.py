@@ -41,7 +41,7 @@ def interval(
 
     The :func:`parts` of drives are drawn with replacement, and independently the seeds of each model. n values have a
     variance that is too small by (n - 1) / n, so deviations from the mean are multiplied by √(n / (n - 1)), for seeds
-    as for parts. With one seed the interval is of these networks. None with one part, and if every true value is 0.
+    as for parts. With one seed the interval is of these networks only. None with one part, or if every true value is 0.
 
     Args:
         error: squared errors [S,N] of S seeds, for all frames in time order, NaN for those that do not count; [S,N,R]
@@ -100,7 +100,7 @@ def verdict(bounds: Sequence[float] | None, seeds: int, drives: int) -> str:
 
 
 def untrained(nmse: np.ndarray) -> list[int]:
-    """Return which seeds did not train, by the nmse [S] of each on its own training drives.
+    """Return which seeds failed to train, by the nmse [S] of each on its own training drives.
 
     It is above 0.9, or above 0.5 and twice the median of the seeds.
     """

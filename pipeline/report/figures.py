@@ -54,7 +54,7 @@ def _draw_typical_bend(path: Path, group: Group, data: Path) -> Captions:
         view = street_view.read_view(number, *files)
     _draw_chain(path, model, view, steering[steering["drive"] == drive])
     caption = (
-        f"From image to steering (Figure 1 of the paper): frame {number} of {drive}, in a drive of median error of "
+        f"From image to steering (Figure 1 of the paper): frame {number} of {drive}, a drive of median error of "
         f"{model['model']}, which gets {model['entry']['window']} graphs with {model['points_per_frame']:,.0f} points."
     )
     return {path.stem: caption}

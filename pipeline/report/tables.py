@@ -16,12 +16,11 @@ from pipeline.settings.graphs import Variant
 NONE = "–"  # cell without a value
 _RESULTS = (
     "nmse = MSE / MSE of always predicting zero: 0 is perfect, 1 is useless; ± one standard deviation between seeds; "
-    "in parentheses the 95 % interval for other roads and seeds (bootstrap; of one seed, for other roads and these "
-    "networks). no onsets: without the frames around the onset of a turn. drift: of a path of measured speed and "
-    "predicted angles in m per 100 m (Figure 5 of the paper), on all frames that the model predicts. edges: directed "
-    "kNN edges per frame after pruning. "
-    "Baselines: zero and train_mean are constants; persistence repeats the last true angle, which no model gets; "
-    "odometry repeats the present measured motion; regression multiplies it by its coefficient on the training drives."
+    "in parentheses the 95 % interval for other roads and seeds (bootstrap; with one seed, for other roads only). no "
+    "onsets: without the frames around the onset of a turn. drift: of the path by measured speed and predicted angles, "
+    "m per 100 m (Figure 5 of the paper), on all frames that the model predicts. edges: directed kNN edges per frame "
+    "after pruning. Baselines: zero and train_mean are constants; persistence repeats the last true angle, which no "
+    "model gets; odometry repeats the measured angle; regression is its best multiple on the training drives."
 )
 _PAPER = (
     "MSE in rad²; train and val: on all frames of the model. paper: its Table 2, for models with the settings "
@@ -29,15 +28,15 @@ _PAPER = (
 )
 _UNCERTAINTY = (
     "NLL: mean negative log-likelihood in nats under a normal distribution with the predicted σ, which is scaled on "
-    "the validation drives; constant σ: the same with the best single σ. within σ: share of the truth that is off "
-    "by at most σ. in 95 % interval: by at most the multiple of σ that covers 95 % of the validation "
-    "errors. certain half: mean error of the frames with the smaller σ over that of all frames that the model predicts."
+    "the validation drives; constant σ: with the best single σ. within σ: share of errors of at most σ. in 95 % "
+    "interval: of at most the multiple of σ that covers 95 % of the validation errors. certain half: mean error of the "
+    "half with the smaller σ, relative to that of all frames that the model predicts."
 )
 _DIFFERENCES = (
-    "Paired difference in nmse on the frames of the results, mean over the seeds, with its 95 % interval: the first is "
-    "better below 0, worse above 0. With one seed, the interval is of these networks only; fewer than ten drives are "
-    "too few to compare methods. The model with the least validation error (without validation: test error) against "
-    "the best baseline without learning and the other models; and models that differ in one setting."
+    "Paired difference in nmse on the frames of the results, mean over the seeds, with its 95 % interval: below 0, the "
+    "first is better. With one seed, the interval is of these networks only; fewer than ten drives are too few to "
+    "compare methods. The model with the least validation error (without validation: test error) is compared with the "
+    "best baseline without learning and with the other models; models that differ in one setting, with each other."
 )
 _DEPTH = (
     "Each depth as abs rel, RMSE in metres, δ1, from 1 to 80 m: means over frames. Only pixels with a predicted depth "
@@ -83,8 +82,7 @@ def number(value: Any, form: str = "") -> str:
 
 
 def sentences(groups: Sequence[Group], absent: Sequence[str] = ()) -> list[str]:
-    """Return at most two texts: the first model of the first group against the best baseline without learning, and
-    the models that have no result here."""
+    """Return at most two texts: how the best model of the first group compares, and which models have no result."""
     texts = []
     if groups:
         group, best = groups[0], groups[0].by_error[0]
@@ -94,7 +92,7 @@ def sentences(groups: Sequence[Group], absent: Sequence[str] = ()) -> list[str]:
         choice = "validation error" if group.validated else "test error (there is no validation)"
         if difference is not None:  # there is a bend in the test drives
             texts.append(
-                f"{name}, of least {choice}, predicts the {group.title} with a test nmse of {nmse:.3f} "
+                f"{name}, with the least {choice}, predicts the {group.title} with a test nmse of {nmse:.3f} "
                 f"({interval_text(interval)}); {baseline}, the best baseline without learning, with "
                 f"{group.nmse(baseline)[0]:.3f}. Paired difference: {difference:+.3f} "
                 f"({interval_text(bounds, '+.3f')}), {verdict}."
@@ -150,11 +148,11 @@ def _results(group: Group, onsets: bool = True) -> list[dict[str, str]]:
 
 
 def _frames(group: Group) -> str:
-    """Return a note on frames, and on seeds that did not train."""
+    """Return a note on frames, and on seeds that failed to train."""
     known = np.isfinite(group.truth).sum(axis=0)
     frames = ", ".join(f"{label} {count:,}".strip() for label, count in zip(group.labels.values(), known, strict=True))
     counts = {row["model"]: (len(row.get("untrained", ())), len(row["seeds"])) for row in group.models}
-    stuck = [f"† {few} of {seeds} seeds of {model} did not train. " for model, (few, seeds) in counts.items() if few]
+    stuck = [f"† {few} of {seeds} seeds of {model} failed to train. " for model, (few, seeds) in counts.items() if few]
     return f"{''.join(stuck)}Test frames that every model of the table predicts: {frames}. "
 
 

@@ -84,7 +84,7 @@ def test_the_first_table_fits_a_terminal(tmp_path):
     seed.to_csv(tmp_path / "evaluate/pointnet2-lstm/seed-1/predictions.csv", index=False)
     table = tables.steering_tables(examples.load(tmp_path, "pointnet2-lstm"))[0]
     assert max(map(len, table.markdown().splitlines())) <= 110
-    assert table.note.startswith("† 1 of 2 seeds of pointnet2-lstm did not train. Test frames that every model of the ")
+    assert table.note.startswith("† 1 of 2 seeds of pointnet2-lstm failed to train. Test frames that every model of ")
     rows = {row["model"]: row for row in table.rows}
     found = rows["pointnet2-lstm †"]
     assert found["nmse"] == "0.232 ± 0.046 (0.179 to 0.309)"
@@ -116,7 +116,7 @@ def test_all_rows_are_compared_on_common_frames_with_one_zero(tmp_path):
         {"short": 0.3, "long": 0.5, "zero": 1.0}
     )
     assert {group.scores(name, "steering_rad")["frames"] for name in group.predicted} == {2 * 22}
-    assert tables.sentences([group])[0].startswith("short, of least test error (there is no validation), predicts")
+    assert tables.sentences([group])[0].startswith("short, with the least test error (there is no validation), ")
     assert group.nmse("short", minus="long") == (pytest.approx(-0.2), pytest.approx([-0.2, -0.2]))
     assert group.nmse("odometry")[0] == pytest.approx(
         0.5 * (1 + (7**2 + 8**2) / sum(np.delete(np.arange(7, 30), 13) ** 2))
@@ -191,7 +191,7 @@ def test_the_best_validated_model_has_a_verdict(tmp_path, monkeypatch, nmse, bas
     (text,) = tables.sentences(examples.groups(tmp_path, *models))
     title = {"angle": "steering angle", "path": "path ahead"}[predict]
     assert text.startswith(
-        f"net, of least validation error, predicts the {title} with a test nmse of {np.mean(nmse):.3f}"
+        f"net, with the least validation error, predicts the {title} with a test nmse of {np.mean(nmse):.3f}"
     )
     assert text.endswith(", these networks only.")
     for model in models:

@@ -40,14 +40,12 @@ class Pose(NamedTuple):
 def estimate_pose(
     xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray, T_previous: np.ndarray | None = None
 ) -> Pose | None:
-    """Return the motion that maps points to their pixels; None if there are too few inliers or they leave it open.
+    """Return the motion that maps points to their pixels; None if too few agree or they leave it open.
 
-    `xyz`: points [N,3] in metres in the previous camera frame, with relative standard deviations `depth_sigma` [N] of
-    their depths; `uv`: their pixels in this frame [N,2]; `T_previous`: the T_now_before [4,4] of the previous step,
-    a second initial value.
+    `xyz`: MIN_POINTS or more points [N,3] in metres in the previous camera frame, with relative standard deviations
+    `depth_sigma` [N] of their depths; `uv`: their pixels in this frame [N,2]; `T_previous`: the T_now_before [4,4] of
+    the previous step, a second initial value.
     """
-    if len(xyz) < MIN_POINTS:
-        return None
     starts = [T for T in (_ransac(xyz, uv, K), T_previous) if T is not None]
     fits = [fit for T in starts if (fit := _refine(T, xyz, uv, K, depth_sigma))]
     if not fits:

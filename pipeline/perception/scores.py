@@ -1,7 +1,7 @@
 """Ground truth of depth and classes, from dense labels or a LiDAR scan, and errors of predictions against it."""
 
 from collections.abc import Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,29 +17,25 @@ DEPTH_ERRORS = ("abs_rel", "rmse_m", "delta1")
 # KEY_eigen, over Eigen's crop.
 DEPTH_SCORES = ("depth_dense", "depth_lidar", "ground_plane_dense", "ground_plane_lidar")
 EIGEN_ROWS, EIGEN_COLUMNS = (0.3324324, 0.91351351), (0.0359477, 0.96405229)  # shares of height and width
-DepthSource = Literal["dense", "lidar"]
 
 
 class Truth(NamedTuple):
     """Depth [H,W] in metres, 0 where unknown, and trainIds uint8 [H,W], 255 where unknown, of a frame."""
 
     depth_m: np.ndarray
-    depth_source: DepthSource | None
+    depth_source: str  # dense, lidar, or empty
     cls: np.ndarray
-    has_cls: bool
 
 
 def read_truth(drive: DriveReader, camera: Camera, row: int) -> Truth:
     """Return the ground truth of a row of an ingest file. Dense depth takes precedence over projected LiDAR."""
-    depth_m = np.zeros(camera.size, np.float32)
-    source: DepthSource | None = None
+    depth_m, source = np.zeros(camera.size, np.float32), ""
     if drive.row("has_depth", row):
         depth_m, source = to_metres(drive.row("depth", row)).astype(np.float32), "dense"
     elif drive.row("has_lidar", row):
         depth_m, source = scan_depth(drive.rows_of("lidar", row), camera), "lidar"
-    has_cls = bool(drive.row("has_cls", row))
-    cls = drive.row("cls", row) if has_cls else np.full(camera.size, classes.VOID, np.uint8)
-    return Truth(depth_m, source, cls, has_cls)
+    cls = drive.row("cls", row) if drive.row("has_cls", row) else np.full(camera.size, classes.VOID, np.uint8)
+    return Truth(depth_m, source, cls)
 
 
 def depth_errors(predicted_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray | None:
@@ -110,7 +106,7 @@ class Scores:
             flat_m = np.where(depth_m > 0, ground_plane_depth(cls, camera), 0)
             self.add_depth(f"depth_{truth.depth_source}", depth_m, truth.depth_m)
             self.add_depth(f"ground_plane_{truth.depth_source}", flat_m, truth.depth_m)
-        if truth.has_cls:
+        if (truth.cls != classes.VOID).any():
             self.add_classes(cls, truth.cls)
 
     def add_depth(self, key: str, predicted_m: np.ndarray, truth_m: np.ndarray) -> None:

@@ -181,7 +181,7 @@ def test_dense_truth_precedes_lidar_which_is_sparse_and_has_no_classes(tmp_path,
     hit[::2, ::4] = True
     np.testing.assert_allclose(truth.depth_m, np.where(hit | dense, depth, 0), rtol=1e-4, atol=0.5 / 256 + 1e-6)
     np.testing.assert_array_equal(truth.cls, cls if dense else classes.VOID)
-    assert (truth.depth_source, truth.has_cls) == (("dense", True) if dense else ("lidar", False))
+    assert truth.depth_source == ("dense" if dense else "lidar")
 
 
 def test_hidden_points_are_dropped_and_ground_stays():
@@ -217,7 +217,7 @@ def test_flat_ground_is_scored_at_the_pixels_of_the_encoder():
     _, depth_m, cls = street.scene(0)
     stored = np.where(np.random.default_rng(0).random(street.SIZE) < 0.3, 0, depth_m)
     scores = Scores()
-    scores.add_frame(stored, cls, street.CAMERA, Truth(depth_m, "dense", cls, has_cls=True))
+    scores.add_frame(stored, cls, street.CAMERA, Truth(depth_m, "dense", cls))
     report = scores.report()
     flat = np.where(stored > 0, ground_plane_depth(cls, street.CAMERA), 0)
     assert report["depth_dense"]["abs_rel"] == 0

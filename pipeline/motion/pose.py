@@ -30,11 +30,12 @@ BEHIND = 1e4  # squared Mahalanobis distance of points behind the camera: outlie
 
 
 class Pose(NamedTuple):
-    """Transform of points of the previous frame to this frame's camera, its inliers and their median error."""
+    """A refined motion [4,4], its robust cost, and of N points which are inliers and their reprojection errors."""
 
-    T_now_before: np.ndarray  # [4,4]
-    inliers: np.ndarray  # bool [N]
-    residual_px: float
+    T_now_before: np.ndarray
+    cost: float
+    inliers: np.ndarray
+    error_px: np.ndarray
 
 
 def estimate_pose(
@@ -51,15 +52,13 @@ def estimate_pose(
     if not fits:
         return None
     best = min(fits, key=lambda fit: fit.cost)
-    similar, inliers = False, best.squared_distance < INLIER_SIGMAS**2
+    similar = False
     if T_previous is not None:
-        turned_rad = np.linalg.norm(cv2.Rodrigues(best.T[:3, :3] @ T_previous[:3, :3].T)[0])
-        moved_m = np.linalg.norm(best.T[:3, 3] - T_previous[:3, 3])
+        turned_rad = np.linalg.norm(cv2.Rodrigues(best.T_now_before[:3, :3] @ T_previous[:3, :3].T)[0])
+        moved_m = np.linalg.norm(best.T_now_before[:3, 3] - T_previous[:3, 3])
         similar = bool(turned_rad < np.radians(SIMILAR_DEG) and moved_m < SIMILAR_M)
-    if inliers.sum() < max(MIN_POINTS, (MIN_INLIERS_SIMILAR if similar else MIN_INLIERS) * len(xyz)):
-        return None
-    residual_px = float(np.median(np.linalg.norm(best.error[inliers], axis=-1)))
-    return Pose(best.T, inliers, residual_px)
+    least = max(MIN_POINTS, (MIN_INLIERS_SIMILAR if similar else MIN_INLIERS) * len(xyz))
+    return best if best.inliers.sum() >= least else None
 
 
 def _ransac(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray) -> np.ndarray | None:
@@ -72,16 +71,7 @@ def _ransac(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray) -> np.ndarray | None
     return rigid(cv2.Rodrigues(rotation)[0], translation[:, 0])
 
 
-class _Fit(NamedTuple):
-    """A refined motion [4,4] and its robust cost; at it, squared Mahalanobis distances [N] and errors [N,2] px."""
-
-    T: np.ndarray
-    cost: float
-    squared_distance: np.ndarray
-    error: np.ndarray
-
-
-def _refine(T: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray) -> _Fit | None:
+def _refine(T: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray) -> Pose | None:
     """Return the motion of least robust cost near `T` [4,4], by Gauss-Newton steps with Cauchy's weights.
 
     None if the points do not constrain it: all behind the camera, or all at one place.
@@ -100,7 +90,7 @@ def _refine(T: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth
         T[:3, 3] += change[3:]
     error, _, squared_distance, _ = _linearise(T, xyz, uv, K, depth_sigma)
     cost = float(np.log1p(squared_distance / CAUCHY**2).sum())
-    return _Fit(T, cost, squared_distance, error)
+    return Pose(T, cost, squared_distance < INLIER_SIGMAS**2, np.linalg.norm(error, axis=-1))
 
 
 def _linearise(

@@ -88,7 +88,7 @@ class Odometry:
             return STANDSTILL[1]
         if np.hypot(right, down) >= SIDEWAYS_M + SIDEWAYS_SHARE * abs(forward) or abs(forward) >= MAX_FORWARD_M:
             return "a motion that is not a car's"
-        return Step(T_before_now, int(pose.inliers.sum()), pose.residual_px, scale)
+        return Step(T_before_now, int(pose.inliers.sum()), float(np.median(pose.error_px[pose.inliers])), scale)
 
     def _lift(self, frame: Frame, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Return the corners as points [N,3] in metres, relative sigma of their depths [N], factor applied to depth."""
@@ -99,9 +99,9 @@ class Odometry:
         traffic = cv2.dilate(MOVING[frame.cls].astype(np.uint8), AROUND) > 0  # and its surroundings
         # Trust depth over classes: road pixels are never traffic. In grey images, shaded road has the class of cars.
         road, scale = self.road.find(depth_m, usable, still)
-        corners = Corners(grey)
-        on_road = corners.best(self._enlarge(road), *ON_ROAD)
-        elsewhere = corners.best(self._enlarge(usable & ~road & ~traffic), *ELSEWHERE)
+        quality = corner_quality(grey)
+        on_road = best_corners(quality * self._enlarge(road), *ON_ROAD)
+        elsewhere = best_corners(quality * self._enlarge(usable & ~road & ~traffic), *ELSEWHERE)
         uv = self._smaller(np.concatenate([on_road, elsewhere]))
         column, row = np.rint(uv).astype(np.int64).T
         rays = np.linalg.solve(self._K, np.column_stack([uv, np.ones(len(uv))]).T).T
@@ -120,28 +120,23 @@ class Odometry:
         return (uv.astype(np.float64) + 0.5) / self._enlarged - 0.5
 
 
-class Corners:
-    """The corners of an image uint8 [H,W]."""
+def corner_quality(grey: np.ndarray) -> np.ndarray:
+    """Return the least eigenvalue of an image's structure tensor over 3 x 3 px, [H,W]; 0 but at its local maxima."""
+    quality = cv2.cornerMinEigenVal(grey, blockSize=3)  # of intensities from 0 to 1
+    return np.where(quality == cv2.dilate(quality, np.ones((5, 5), np.uint8)), quality, 0)
 
-    def __init__(self, grey: np.ndarray) -> None:
-        # The least eigenvalue of the structure tensor over 3 x 3 px, intensities from 0 to 1.
-        quality = cv2.cornerMinEigenVal(grey, blockSize=3)
-        self._quality = np.where(quality == cv2.dilate(quality, np.ones((5, 5), np.uint8)), quality, 0)
 
-    def best(self, mask: np.ndarray, cell: int, min_quality: float) -> np.ndarray:
-        """Return the PER_CELL best corners of each square of `cell` px, float32 [N,2] as (u, v).
-
-        Only corners in `mask` bool [H,W] with a quality above `min_quality` count.
-        """
-        v, u = np.nonzero(mask & (self._quality > min_quality))
-        best_first = np.argsort(-self._quality[v, u], kind="stable")
-        v, u = v[best_first], u[best_first]
-        cell_index = v // cell * (mask.shape[1] // cell + 1) + u // cell
-        by_cell = np.argsort(cell_index, kind="stable")  # within a cell, the best is still first
-        _, first, counts = np.unique(cell_index[by_cell], return_index=True, return_counts=True)
-        rank = np.arange(len(v)) - np.repeat(first, counts)
-        chosen = by_cell[rank < PER_CELL]
-        return np.stack([u[chosen], v[chosen]], axis=-1).astype(np.float32)
+def best_corners(quality: np.ndarray, cell: int, min_quality: float) -> np.ndarray:
+    """Return the PER_CELL best corners above `min_quality` of each square of `cell` px, float32 [N,2] as (u, v)."""
+    v, u = np.nonzero(quality > min_quality)
+    best_first = np.argsort(-quality[v, u], kind="stable")
+    v, u = v[best_first], u[best_first]
+    cell_index = v // cell * (quality.shape[1] // cell + 1) + u // cell
+    by_cell = np.argsort(cell_index, kind="stable")  # within a cell, the best is still first
+    _, first, counts = np.unique(cell_index[by_cell], return_index=True, return_counts=True)
+    rank = np.arange(len(v)) - np.repeat(first, counts)
+    chosen = by_cell[rank < PER_CELL]
+    return np.stack([u[chosen], v[chosen]], axis=-1).astype(np.float32)
 
 
 def track(before: np.ndarray, now: np.ndarray, uv: np.ndarray, uv_guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ from pipeline.base.errors import InputError, error_context
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import Size
 from pipeline.kitti.raw import check_pinhole
-from pipeline.motion.visual import Corners, track
+from pipeline.motion.visual import best_corners, corner_quality, track
 
 WIDTH = 640  # px, of the images that are tracked
 CELL, MIN_QUALITY = 24, 2e-5
@@ -90,7 +90,7 @@ def _row(before: np.ndarray, now: np.ndarray, camera: Camera) -> float | None:
         for image in (before, now)
     )
     K = camera.scaled(small).K
-    uv = Corners(np.asarray(first)).best(np.ones(small, bool), CELL, MIN_QUALITY)
+    uv = best_corners(corner_quality(np.asarray(first)), CELL, MIN_QUALITY)
     uv_now, tracked = track(np.asarray(first), np.asarray(second), uv, uv)
     uv, uv_now = uv[tracked].astype(np.float64), uv_now[tracked].astype(np.float64)
     if len(uv) < MIN_TRACKS or np.median(np.abs(uv_now - uv).max(axis=1)) < MIN_FLOW_PX:

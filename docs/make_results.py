@@ -64,7 +64,7 @@ def collect(source: Path, preset: str) -> None:
     copied = source / "revision"
     made = copied.read_text("ascii") if copied.is_file() else revision(source if source.is_dir() else Path())
     if not made or made.endswith("dirty"):
-        raise InputError("its code is not that of a commit", source, "Commit the code and repeat the run")
+        raise InputError("its code is not committed", source, "Commit the code and repeat the run")
     new = store.read_json(source, stage=preset) if source.is_file() else figures_of(source)
     origin = {"preset": preset, "revision": made, "date": str(date.today())}
     results = merged(read(), {f"{preset}/{key}": values | origin for key, values in new.items()})

@@ -61,7 +61,7 @@ def class_number(label: str) -> int:
     """Return the trainId, or COUNT for void, of a label: "car, auto", "Car 1", "flat-road", "object--traffic-light"."""
     words = " ".join(re.findall("[a-z]+", re.split("[,;]", label.lower())[0]))
     name = re.sub(f"^(({CATEGORIES}) )+", "", words).replace(" ", "")
-    # Names go on, as in marking--discrete--symbol--bicycle and Traffic Light - Pedestrians.
+    # Labels continue after these words, as in marking--discrete--symbol--bicycle and Traffic Light - Pedestrians.
     return NUMBERS.get(re.sub("^((lane|road)?marking|trafficlight).*", r"\1", name), COUNT)
 
 
@@ -83,7 +83,7 @@ class CityscapesLogits(nn.Module):
 
 
 def transformers() -> ModuleType:
-    """Return Hugging Face's package, without its reports. Raises InputError if it is not installed."""
+    """Return Hugging Face's package, with its messages off. Raises InputError if it is not installed."""
     try:
         import transformers
     except ImportError as error:
@@ -96,7 +96,7 @@ def transformers() -> ModuleType:
 
 @contextmanager
 def loading(name: str | Path, action: str = "load") -> Iterator[None]:
-    """Raise the errors of transformers, which are of many kinds, as InputError of one line."""
+    """Turn errors of transformers, which have many types, into an InputError of one line."""
     try:
         yield
     except Exception as error:
@@ -146,7 +146,7 @@ class Network(nn.Module):
         library = transformers()
         config = library.AutoConfig.for_model(**description["config"])
         patch = getattr(getattr(config, "backbone_config", None) or config, "patch_size", None)
-        # Others than a ViT halve the image up to five times.
+        # Backbones other than a ViT halve the image up to five times.
         self.multiple = math.lcm(2 * patch, STRIDE) if isinstance(patch, int) and patch > STRIDE else 32
         if auto == "AutoBackbone":
             stages = len(getattr(config, "stage_names", ())) - 1  # without the stem
@@ -219,7 +219,7 @@ class HuggingFace(nn.Module):
 
 
 class Pyramid(nn.Module):
-    """The sum of maps of any strides, enlarged to STRIDE, then a head of this project."""
+    """Sums maps of any strides, enlarged to STRIDE, and applies a head of this project."""
 
     def __init__(self, channels: Sequence[int], head: nn.Module) -> None:
         super().__init__()

@@ -62,7 +62,7 @@ def estimate_pose(
 
 
 def _ransac(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray) -> np.ndarray | None:
-    """Return the motion [4,4] of most points; None if too few agree. Arguments as of :func:`estimate_pose`."""
+    """Return the motion [4,4] of most points; None if too few agree. Same arguments as :func:`estimate_pose`."""
     success, rotation, translation, inliers = cv2.solvePnPRansac(
         xyz, uv, K, None, iterationsCount=RANSAC_ITERATIONS, reprojectionError=RANSAC_PX
     )

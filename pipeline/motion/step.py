@@ -26,9 +26,9 @@ SIMILAR = 1.45  # only durations that differ by less are averaged: not steps of 
 # Speeds of KITTI's 55 drives, above 1.5 m/s: geometric mean of the drives' medians; standard deviation and correlation
 # time of the logarithm in a drive.
 TYPICAL_MPS, SPREAD, SPREAD_S = 8.4, 0.4, 20.0
-# Standard deviations of the logarithm of depth's scale where all, and where no recent frame shows a road; correlation
-# times of the scale's error and of the share of frames with a road. NO_SCALE: a depth network sees a lens of 17 degrees
-# as if it was KITTI's, whose focal length is 5.8 times shorter.
+# Standard deviations of the logarithm of depth's scale, if all recent frames show a road and if none does; correlation
+# times of the scale's error and of the share of frames with a road. NO_SCALE: a network takes a lens of 17 degrees for
+# KITTI's, whose focal length is 5.8 times shorter.
 ROAD_SCALE, NO_SCALE, SCALE_S, SHARE_S = 0.03, math.log(5.8), 20.0, 20.0
 LEAST_MPS = 0.3  # in logarithms
 LEAST_NOISE = 0.01  # relative standard deviation of a measured speed, apart from the scale
@@ -79,7 +79,7 @@ def filter_speed(
     A Kalman filter: the logarithm of a measured speed is that of the true one, plus sigma times a scale error of
     variance 1. Both are Ornstein-Uhlenbeck processes, the speed with mean TYPICAL_MPS, SPREAD and SPREAD_S, the error
     with SCALE_S. Where a road gives the scale, sigma is small, and the filter follows the measurement. Without a road
-    it stays near a typical speed: a depth network has no scale for a lens that differs much from that of its training.
+    it stays near a typical speed: a depth network has no scale for a lens that differs much from its training lens.
     `speed_mps` [M] is measured at `time_s` [M], ascending, with relative standard deviations `noise` [M] apart from the
     scale; `road` bool [M]: whether a road was found.
     """

@@ -12,7 +12,7 @@ STEP = 0.1  # camera heights, a short way of a car from image to image
 KEEP = 0.9  # share of the sums that remains at the next image
 LEAST = 400.0  # squared grey levels; smaller expected changes are noise
 STILL = 0.2  # largest ratio of changes to expected changes where nothing moves
-QUANTILE, MOVES = 0.75, 0.9  # the car moves if this quantile of the ratios is larger than that
+QUANTILE, MOVES = 0.75, 0.9  # the car moves if the quantile QUANTILE of the ratios exceeds MOVES
 MAX_SHARE = 0.05  # of the lowest row: recordings without a bonnet have 0
 
 
@@ -24,10 +24,10 @@ def warnings(share: float) -> list[str]:
 
 
 class Still:
-    """Sums of the changes of a drive's images, and of those that a STEP straight ahead would make.
+    """Sums of squared changes from image to image: those of a drive, and those expected from a STEP straight ahead.
 
-    No pixel below the horizon shows anything farther than the ground. So whatever its depth, it changes as the ground
-    there, or more, when the car moves, unless it shows a part of the car, or text.
+    No pixel below the horizon shows anything farther than the ground. So when the car moves, it changes at least as
+    much as the ground there would, unless it shows a part of the car, or text.
     """
 
     def __init__(self, camera: Camera) -> None:

@@ -17,7 +17,7 @@ WEIGHTS = Path("weights")  # downloaded files, and the folder street of make str
 
 
 def create(settings: Encoder) -> tuple[Architecture, nn.Module]:
-    """Return description and network of section ``encoder``. Raises InputError if a file is missing or not its own."""
+    """Return description and network of section ``encoder``. Raises InputError if a file is missing or does not fit."""
     if settings.weights is None or settings.backbone == "precomputed":
         return CREATE[settings.backbone](settings)
     with error_context("weights"):

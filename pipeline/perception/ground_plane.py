@@ -24,12 +24,12 @@ def ground_plane_depth(cls: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 def limit_traffic_depth(depth: np.ndarray, cls: np.ndarray, camera: Camera, reach: float) -> None:
-    """Limit the depth of traffic [H,W] in metres, in place, to `reach` times that of flat ground at its lower edge.
+    """Cap the depth of traffic [H,W] in metres, in place, at `reach` times the depth of flat ground at its lower edge.
 
     Depth networks mistake smooth and bright surfaces, such as the side of a tanker, for the sky.
 
-    The limit is wrong on slopes: steeper downhill than `reach` allows, traffic gets too little depth; uphill, the limit
-    has no effect. A vehicle behind another one gets the depth of the nearer one.
+    The cap is wrong on slopes: traffic gets too little depth on descents steeper than `reach` allows, and on ascents
+    the cap has no effect. A vehicle behind another one gets the depth of the nearer one.
     """
     traffic = np.isin(cls, classes.TRAFFIC)
     if traffic.any():

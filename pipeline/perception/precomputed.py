@@ -33,7 +33,7 @@ def fingerprint(folder: Path) -> tuple[int, str]:
 
 
 def write(folder: Path, drive: str, frame: int, depth_m: np.ndarray, cls: np.ndarray) -> None:
-    """Write a frame's depth [H,W] in metres, except that of the sky, and trainIds uint8 [H,W]."""
+    """Write a frame's depth [H,W] in metres, 0 in the sky, and trainIds uint8 [H,W]."""
     depth = to_units(np.where(cls == classes.SKY, 0, depth_m))
     for kind, pixels in (("depth", depth), ("cls", cls)):
         with store.replacing(folder / drive / kind / f"{frame:010d}.png") as tmp:

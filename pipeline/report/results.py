@@ -19,7 +19,7 @@ from pipeline.report import paper
 from pipeline.settings.evaluate import Evaluate
 
 NO_LEARNING = ("zero", "train_mean", "odometry", "regression")
-BASELINES = (*NO_LEARNING, "persistence")  # which repeats true angles, that no model gets
+BASELINES = (*NO_LEARNING, "persistence")  # persistence repeats true angles, which no model gets
 Row = dict[str, Any]  # a model's metrics.json with ``paper``, its :class:`paper.Published` or None
 Estimate = tuple[float | None, list[float] | None]  # a value, None if unknown, and its :func:`errors.interval`
 

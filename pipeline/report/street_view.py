@@ -53,7 +53,7 @@ class View(NamedTuple):
 
 
 def read_view(number: int, *files: DriveReader) -> View:
-    """Read what files of any stages have of frame `number` of one drive; a later file replaces what an earlier has.
+    """Read frame `number` of one drive from files of any stages; a later file takes precedence.
 
     Raises InputError if a file lacks the frame.
     """

@@ -4,8 +4,9 @@ from functools import partial
 from pathlib import Path
 
 from pipeline.base import console, store
+from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
-from pipeline.base.runner import make_files
+from pipeline.base.runner import file_jobs, make_drives
 from pipeline.graphs import cloud
 from pipeline.settings.clouds import Clouds
 from pipeline.settings.ingest import Ingest
@@ -23,10 +24,12 @@ def main(
     """
     settings = load(Clouds, params)
     splits = store.read_index(ingest, stage="ingest")
-    inputs, text = {"ingest": ingest, "perception": perception}, "{frames} frames, {points} points"
+    inputs = {"ingest": ingest, "perception": perception}
     for kind, drives in {"pseudo": splits, "lidar": splits if load(Ingest, params).lidar else {}}.items():
         work = partial(cloud.clouds_drive, kind=kind, settings=settings)
-        make_files(f"clouds@{kind}", out / kind, drives, inputs, work, settings, text)
+        with stage_folder(f"clouds@{kind}", out / kind) as folder:
+            make_drives(folder, file_jobs(drives, inputs, work), settings, "{frames} frames, {points} points")
+            store.write_index(folder.new, drives)
     return out
 
 

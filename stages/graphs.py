@@ -7,8 +7,9 @@ from typing import Annotated
 import typer
 
 from pipeline.base import console, store
+from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load_entry
-from pipeline.base.runner import make_files
+from pipeline.base.runner import file_jobs, make_drives
 from pipeline.graphs.frame_graph import graphs_drive
 from pipeline.settings.graphs import Variant
 
@@ -23,9 +24,11 @@ def main(
     variant = load_entry(Variant, "graphs", name, params)
     source, stage = data / variant.source, variant.source.split("/")[0]
     splits = store.read_index(source, stage=stage)
-    inputs, work = {"source": source, "motion": data / "motion"}, partial(graphs_drive, variant=variant)
+    jobs = file_jobs(splits, {"source": source, "motion": data / "motion"}, partial(graphs_drive, variant=variant))
     text = "{frames} frames" if variant.kind == "image" else "{frames} frames, {points} points"
-    summaries = make_files(f"graphs@{name}", out / name, splits, inputs, work, variant, text)
+    with stage_folder(f"graphs@{name}", out / name) as folder:
+        summaries = make_drives(folder, jobs, variant, text)
+        store.write_index(folder.new, splits)
     before, after = (sum(summary.get(key, 0) for summary in summaries.values()) for key in ("edges_knn", "edges_kept"))
     if before:
         print(f"{name}: {after / before:.0%} of {before} kNN edges kept")

@@ -6,8 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base import console, store
+from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
-from pipeline.base.runner import Summary, make_files
+from pipeline.base.runner import Summary, file_jobs, make_drives
 from pipeline.kitti.oxts import VL, interpolated, make_rows
 from pipeline.labels import ahead, comparison, label, sources
 from pipeline.settings.labels import Labels
@@ -34,10 +35,12 @@ def main(
     for line in comparison.check(settings.source, comparison.read(settings.source, drives, ingest, motion, car)):
         print(line, flush=True)
     inputs = {"ingest": ingest} | ({} if settings.source == "oxts" else {"motion": motion})
-    work = partial(_label, settings=settings)
+    jobs = file_jobs(splits, inputs, partial(_label, settings=settings))
     text = "{frames} frames, {valid} valid, {turning} turning, {interpolated} interpolated"
-    # One worker, as this is less work than starting a process.
-    summaries = make_files("labels", out, splits, inputs, work, settings, text, workers=1)
+    with stage_folder("labels", out) as folder:
+        # One worker, as this is less work than starting a process.
+        summaries = make_drives(folder, jobs, settings, text, workers=1)
+        store.write_index(folder.new, splits)
     if count := sum(summary["interpolated"] for summary in summaries.values()):
         print(f"interpolated, not measured: {count} oxts packets. They are no targets, and a path ahead ends there")
     suspect = [drive for drive, summary in summaries.items() if summary["sideways"]]

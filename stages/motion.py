@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from pipeline.base import console, store
-from pipeline.base.runner import make_files
+from pipeline.base.outputs import stage_folder
+from pipeline.base.runner import file_jobs, make_drives
 from pipeline.motion.drive import measure_drive
 from pipeline.motion.still import warnings
 
@@ -15,8 +16,10 @@ def main(
 ) -> Path:
     """Measure each drive's motion from images and depth. Returns the output folder."""
     splits = store.read_index(perception, stage="perception")
-    inputs, text = {"ingest": ingest, "perception": perception}, "{frames} frames, {valid} measured"
-    made = make_files("motion", out, splits, inputs, measure_drive, {}, text)
+    jobs = file_jobs(splits, {"ingest": ingest, "perception": perception}, measure_drive)
+    with stage_folder("motion", out) as folder:
+        made = make_drives(folder, jobs, {}, "{frames} frames, {valid} measured")
+        store.write_index(folder.new, splits)
     for drive, summary in made.items():
         for text in warnings(summary["still"]):
             print(f"{drive}: {text}")

@@ -7,9 +7,10 @@ import torch
 
 from pipeline.base import console, store
 from pipeline.base.executors import default_workers
+from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
 from pipeline.base.resume import file_hash
-from pipeline.base.runner import make_files
+from pipeline.base.runner import file_jobs, make_drives
 from pipeline.perception.perceive import FILE, open_encoder, perceive_drive
 from pipeline.settings.perception import Perception
 
@@ -28,7 +29,9 @@ def main(
     workers = min(2, default_workers()) if torch.cuda.is_available() else None
     work = partial(perceive_drive, encoder=encoder, settings=settings)
     key = settings.model_dump() | {"encoder": file_hash(encoder / FILE)}
-    make_files("perception", out, splits, {"ingest": ingest}, work, key, "{frames} frames", workers)
+    with stage_folder("perception", out) as folder:
+        make_drives(folder, file_jobs(splits, {"ingest": ingest}, work), key, "{frames} frames", workers)
+        store.write_index(folder.new, splits)
     return out
 
 

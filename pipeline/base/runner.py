@@ -7,7 +7,7 @@ everything that determines the drive, so a run makes only drives whose inputs, s
 import json
 import shutil
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,9 +16,9 @@ from pydantic import BaseModel
 
 from pipeline.base.errors import error_context
 from pipeline.base.executors import run_jobs
-from pipeline.base.outputs import StageFolder, link, stage_folder
-from pipeline.base.resume import stage_key
-from pipeline.base.store import replacing, write_index
+from pipeline.base.outputs import StageFolder, link
+from pipeline.base.resume import file_hash, stage_key
+from pipeline.base.store import replacing
 
 Summary = dict[str, Any]
 
@@ -30,6 +30,18 @@ class Job(NamedTuple):
     target: str  # path of its file or folder in the stage's folder
     inputs: Sequence[Path | str]  # files and strings that determine the content, with the stage's code and settings
     work: Callable[[Path], Summary]  # picklable; writes the file or folder to a path, returns a JSON-able summary
+
+
+def file_jobs(drives: Iterable[str], inputs: Mapping[str, Path], work: Callable[..., Summary]) -> list[Job]:
+    """Return the jobs that make DRIVE.h5 of each drive from its files in the folders of earlier stages.
+
+    `inputs`: argument of `work` → folder. `work` is called with a path and the drive's files.
+    """
+    jobs = []
+    for drive in drives:
+        files = {name: folder / f"{drive}.h5" for name, folder in inputs.items()}
+        jobs.append(Job(drive, f"{drive}.h5", list(files.values()), partial(work, **files)))
+    return jobs
 
 
 def make_drives(
@@ -60,46 +72,22 @@ def make_drives(
         size = sum(file.stat().st_size for file in path.parent.rglob("*") if file.is_file())
         rate = f", {summary['frames'] / seconds:.1f} frames/s" if summary.get("frames") else ""
         print(f"{drive}: {describe.format_map(summary)}, {size / 1e6:.1f} MB, {seconds:.1f} s{rate}", flush=True)
+    summaries = {}
     for job in jobs:
         path, target = kept[job.drive], folder.new / job.target
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copytree(path, target, copy_function=link) if path.is_dir() else link(path, target)
-    return {drive: json.loads((path.parent / "summary.json").read_text()) for drive, path in kept.items()}
-
-
-def make_files(
-    stage: str,
-    out: Path,
-    splits: Mapping[str, str],
-    inputs: Mapping[str, Path],
-    work: Callable[..., Summary],
-    settings: BaseModel | Mapping[str, Any],
-    describe: str,
-    workers: int | None = None,
-) -> dict[str, Summary]:
-    """Make ``out/DRIVE.h5`` of each drive of `splits` from its files in the folders of earlier stages, and the index.
-
-    `inputs`: argument of `work` → folder. `work` is called with a path and the drive's files, and its summary counts
-    the ``frames``. Other arguments as of :func:`make_drives`.
-    """
-    jobs = []
-    for drive in splits:
-        files = {name: folder / f"{drive}.h5" for name, folder in inputs.items()}
-        jobs.append(Job(drive, f"{drive}.h5", list(files.values()), partial(work, **files)))
-    with stage_folder(stage, out) as folder:
-        summaries = make_drives(folder, jobs, settings, describe, workers)
-        write_index(folder.new, splits)
-    if without := [drive for drive, summary in summaries.items() if not summary["frames"]]:
-        print(f"{out}: no frames of {', '.join(without)}")
+        summaries[job.drive], folder.hashes[job.target] = json.loads((path.parent / "summary.json").read_text())
     return summaries
 
 
 def _make(task: tuple[str, Path, Callable[[Path], Summary]]) -> tuple[Summary, float]:
-    """Make one drive, and its summary beside it; an error names the drive."""
+    """Make one drive, and its summary and hash beside it; an error names the drive."""
     drive, path, work = task
     start = time.perf_counter()
     with error_context(drive), replacing(path.parent) as tmp:
         tmp.mkdir()
         summary = work(tmp / path.name)
-        (tmp / "summary.json").write_text(json.dumps(summary))
+        content_hash = file_hash(tmp / path.name) if (tmp / path.name).is_file() else None
+        (tmp / "summary.json").write_text(json.dumps([summary, content_hash]))
     return summary, time.perf_counter() - start

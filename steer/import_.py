@@ -21,7 +21,7 @@ steer import drive.mp4 --fov 78 --motion can.csv --split 60,20,20 --drive 2027_0
 
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -58,7 +58,7 @@ def import_recording(
     from pipeline.video.import_recording import import_drives, write_preset
     from pipeline.video.lens import numbers
     from pipeline.video.log import Logs
-    from pipeline.video.source import open_images
+    from pipeline.video.source import Capture, open_images
 
     shares = numbers(split, (len(SPLITS),), "--split 60,20,20") if split else [100.0]
     if min(shares) <= 0 or not math.isclose(sum(shares), 100):
@@ -67,9 +67,8 @@ def import_recording(
     if preset and preset.exists() and not is_unedited(preset):
         raise InputError("is not as steer import wrote it", preset, "Move it away, or pass another --drive")
     logs = Logs.read(wheel, steering_ratio, motion, offset)
-    lens: dict[str, Any] = {"fov_deg": fov, "K": k, "distortion": distortion, "horizon": horizon}
-    opened = open_images(recording, logs, fps=fps, times=times, **lens)
-    imported = import_drives(opened, logs, out, drive, shares, start_s=start, end_s=end, replace=replace)
+    opened = open_images(recording, Capture(fov, k, distortion, horizon, fps, times), logs)
+    imported = import_drives(opened, out, drive, shares, (start, end), replace=replace)
     labels = "oxts" if logs.motion else "wheel" if logs.wheel else "visual"
     for name, images in imported.images.items():
         print(f"{out / name[:10] / name}_sync: {images} images")

@@ -9,7 +9,7 @@ steer measure data/sample/2026_01_18/2026_01_18_drive_0004_sync --encoder data/e
 """
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -41,13 +41,13 @@ def measure(
     from pipeline.perception.perceive import FILE
     from pipeline.video import measure as video_measure
     from pipeline.video.log import Logs
-    from pipeline.video.source import open_source
+    from pipeline.video.source import Capture, open_source
 
     logs = Logs.read(wheel, steering_ratio, motion, offset)
     if not (encoder / FILE).is_file():
         raise InputError("no encoder", encoder, "Make one for real streets: make street. Or pass --encoder")
-    how: dict[str, Any] = {"fov_deg": fov, "K": k, "distortion": distortion, "fps": fps, "times": times}
-    opened = open_source(source, video_measure.CAMERAS, camera_height, logs, **how)
+    capture = Capture(fov, k, distortion, fps=fps, times=times)
+    opened = open_source(source, video_measure.CAMERAS, camera_height, logs, capture=capture)
     car = Car(wheelbase, min_speed_mps=1.0)  # below, the steering angle is noise
-    lines, files = video_measure.measure(opened, out, encoder, car, logs, video=video)
+    lines, files = video_measure.measure(opened, out, encoder, car, video=video)
     print(*opened.notes, *lines, ", ".join(map(str, files)), sep="\n")

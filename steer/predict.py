@@ -10,7 +10,7 @@ steer predict street.mp4 --fov 65 --model data/train/motion
 """
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -43,16 +43,16 @@ def predict(
     from pipeline.train.predict import load
     from pipeline.video import predict as video_predict
     from pipeline.video.log import Logs
-    from pipeline.video.source import open_source
+    from pipeline.video.source import Capture, open_source
 
     logs = Logs.read(wheel, steering_ratio, motion, offset)
     named = len(model.parts) == 1 and not (model / "best.pt").is_file()
     model = TRAINED / model if named else model
     trained, encoder = load(model), encoder or _encoder_beside(model)
-    how: dict[str, Any] = {"fov_deg": fov, "K": k, "distortion": distortion, "fps": fps, "times": times}
+    capture = Capture(fov, k, distortion, fps=fps, times=times)
     height_m = camera_height or trained.settings["perception"]["camera_height_m"]
-    opened = open_source(source, video_predict.reading(trained).cameras, height_m, logs, trained.fps, **how)
-    lines, files = video_predict.predict(trained, opened, out, encoder, logs, video=video)
+    opened = open_source(source, video_predict.reading(trained).cameras, height_m, logs, trained.fps, capture)
+    lines, files = video_predict.predict(trained, opened, out, encoder, video=video)
     print(*opened.notes, *lines, ", ".join(map(str, files)), sep="\n")
 
 

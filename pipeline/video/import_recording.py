@@ -5,6 +5,7 @@ import math
 import shutil
 from collections.abc import Sequence
 from contextlib import ExitStack
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -42,50 +43,41 @@ class Imported(NamedTuple):
 
 def import_drives(
     source: Source,
-    logs: Logs,
     root: Path,
     drive: str,
     shares: Sequence[float],
+    span_s: tuple[float, float] = (0.0, math.inf),
     *,
-    start_s: float = 0.0,
-    end_s: float = math.inf,
     replace: bool = False,
 ) -> Imported:
     """Write a recording as drives below `root`; images without motion, if there is a log of it, are left out.
 
     `drive` is the name of the first; the others have the following numbers. `shares` of the duration: one for each, see
-    :func:`cut`. Images before `start_s` and after `end_s` since the first one are left out. Raises InputError if a
-    drive exists, no image is left or none of a drive has an angle, a part is too short, or the date has another camera.
+    :func:`cut`. Images before and after `span_s` since the first one are left out. Raises InputError if a drive exists,
+    no image is left or none of a drive has an angle, a part is too short, or the date has another camera.
     """
-    camera, drives = source.camera, _drive_folders(root, drive, len(shares), replace)
+    camera, logs, drives = source.camera, source.logs, _drive_folders(root, drive, len(shares), replace)
     folders, date = list(drives.values()), root / drive[:10]
     calibrated = _is_calibrated(folders, camera, replace)
+    elapsed_s = source.time_s - source.time_s[0]
+    time_s = source.time_s[elapsed_s <= span_s[1] - ROUNDING_S]
+    usable = elapsed_s[: len(time_s)] > span_s[0] - ROUNDING_S
+    source.notes.extend(logs.coverage(time_s[usable]))
+    if logs.motion:
+        usable &= np.isfinite(logs.motion.at(time_s)[0])
+    if not usable.any():
+        problem = f"no image from {span_s[0]:g} to {span_s[1]:g} s after the first is left, or none with motion"
+        raise InputError(problem, fix="Change --start, --end or --offset")
+    parts = cut(usable, time_s, shares)
     with ExitStack() as stack:
         unfinished = [stack.enter_context(replacing(folder)) for folder in folders]
-        images = unfinished[0].with_name("images")  # removed with the temporary folder
-        images.mkdir()
-        all_s = list[float]()  # times of the images up to the end
-        for frame in tqdm(source.frames(), total=source.count, unit=" images", disable=None):
-            elapsed_s = frame.time_s - all_s[0] if all_s else 0.0
-            if elapsed_s > end_s - ROUNDING_S:
-                break
-            all_s.append(frame.time_s)
-            if elapsed_s > start_s - ROUNDING_S:
-                write_png(images / f"{frame.number:010d}.png", frame.image)
-        time_s = np.array(all_s)
-        usable = time_s - time_s[0] > start_s - ROUNDING_S
-        source.notes.extend(logs.coverage(time_s[usable]))
-        if logs.motion:
-            usable &= np.isfinite(logs.motion.at(time_s)[0])
-        if not usable.any():
-            problem = f"no image from {time_s[0]:.3f} to {time_s[-1]:.3f} s is left, or none with motion"
-            raise InputError(problem, fix="Change --start, --end or --offset")
-        parts = cut(usable, time_s, shares)
+        images = dict[int, Path]()
         for folder, part in zip(unfinished, parts, strict=True):
-            (data := folder / _IMAGES / "data").mkdir(parents=True)
-            for number in np.flatnonzero(part):
-                (images / f"{number:010d}.png").rename(data / f"{number:010d}.png")
             _write_logs(folder, time_s, part, camera, logs)
+            images |= dict.fromkeys(np.flatnonzero(part).tolist(), folder / _IMAGES / "data")
+        for frame in tqdm(islice(source.frames(), len(time_s)), total=len(time_s), unit=" images", disable=None):
+            if frame.number in images:
+                write_png(images[frame.number] / f"{frame.number:010d}.png", frame.image)
         if not calibrated:
             P = np.column_stack([camera.K, np.zeros(3)])
             size = np.array(camera.size[::-1], float)
@@ -103,13 +95,14 @@ def import_drives(
 
 
 def _write_logs(folder: Path, time_s: np.ndarray, usable: np.ndarray, camera: Camera, logs: Logs) -> None:
-    """Write horizon, times, packets and angles of a drive's `usable` images [F] at `time_s` [F].
+    """Make a drive's folders, and write horizon, times, packets and angles of its `usable` images [F] at `time_s` [F].
 
     Packets hold speed and yaw rate; the rest is unknown, 0.
     """
     if camera.horizon is not None:
         write_entries(folder / HORIZON, {f"horizon_{CAMERA:02d}": np.array([camera.horizon])})
     times = format_times(time_s - time_s[0], folder.name[:10], _NOON_S)
+    (folder / _IMAGES / "data").mkdir(parents=True)
     (folder / _IMAGES / "timestamps.txt").write_bytes(times)
     numbers = np.flatnonzero(usable)
     if logs.motion:

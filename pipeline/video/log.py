@@ -37,11 +37,10 @@ class Log(NamedTuple):
 
 
 class Logs(NamedTuple):
-    """A log of the front wheels' angle in rad, one of speed and yaw rate (left +), and the names of their files."""
+    """A log of the front wheels' angle in rad, and one of speed and yaw rate (left +)."""
 
     wheel: Log | None = None
     motion: Log | None = None
-    name: str = ""
 
     @classmethod
     def read(
@@ -58,16 +57,20 @@ class Logs(NamedTuple):
             raise InputError("--wheel and --steering-ratio need each other", fix=fix)
         if offset_s and not (wheel or motion):
             raise InputError("--offset needs a log", fix="Pass --motion or --wheel, too")
-        name = " and ".join(path.name for path in (wheel, motion) if path)
         angles, rates = None, _read(motion, _RATES, _MOTION, offset_s) if motion else None
         if wheel and steering_ratio:
             angles = _read(wheel, {"wheel_rad": LIMIT_RAD * steering_ratio}, _WHEEL, offset_s)
             angles = angles._replace(values=angles.values / steering_ratio)
-        return cls(angles, rates, name)
+        return cls(angles, rates)
+
+    @property
+    def name(self) -> str:
+        """The names of the files, empty without a log."""
+        return " and ".join(log.name for log in self if log)
 
     def check_overlap(self, first_s: float, last_s: float) -> None:
-        """Raise InputError for a log that ends before the first image or begins after the last."""
-        for log in filter(None, self[:2]):
+        """Raise InputError for a log without a value from the first to the last image."""
+        for log in filter(None, self):
             begin_s, end_s = log.time_s[[0, -1]]
             if begin_s > last_s + ROUNDING_S or end_s < first_s - ROUNDING_S:
                 problem = f"log is from {begin_s:.1f} to {end_s:.1f} s, the images from {first_s:.1f} to {last_s:.1f} s"
@@ -76,7 +79,7 @@ class Logs(NamedTuple):
 
     def coverage(self, time_s: np.ndarray) -> Iterator[str]:
         """Yield a line for each log that does not cover all images, which are at `time_s` [F]."""
-        for log in filter(None, self[:2]):
+        for log in filter(None, self):
             if not (known := np.isfinite(log.at(time_s)[0])).all():
                 yield f"{log.name} covers {known.sum():,} of {len(known):,} images"
 

@@ -8,18 +8,15 @@ from pipeline.base.store import DriveReader, write_json
 from pipeline.labels.label import Car
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
-from pipeline.video.log import Logs
-from pipeline.video.pictures import draw_track, write_overlay
+from pipeline.video.pictures import publish
 from pipeline.video.results import Results
-from pipeline.video.source import MOTION, Source, publish, run_chain, work_folder
+from pipeline.video.source import MOTION, Source, run_chain, work_folder
 
 CAMERAS = [2, 0, 3, 1]  # of a KITTI drive, the first one with images
 READING = Reading(image_size=(192, 640), cameras=CAMERAS, lidar=False, on_damaged="skip")  # as the encoder was trained
 
 
-def measure(
-    source: Source, out: Path | None, encoder: Path, car: Car, logs: Logs, *, video: bool
-) -> tuple[list[str], list[Path]]:
+def measure(source: Source, out: Path | None, encoder: Path, car: Car, *, video: bool) -> tuple[list[str], list[Path]]:
     """Write motion.csv, track.png, quality.json and overlay.mp4, if `video`; return lines for the user, and the files.
 
     `out`: a new or empty folder; None: out/NAME. `encoder`: a folder. Raises InputError if `out` is not free, no frame
@@ -27,7 +24,7 @@ def measure(
     """
     work = work_folder(out, source, encoder)
     run_chain(source, work, READING, Perception(batch=4), encoder)
-    results = Results.read(source, work, car, logs, look_ahead=True)
+    results = Results.read(source, work, car, look_ahead=True)
     comparison = results.compare("measured")
     with DriveReader(work / MOTION, stage="motion") as motion:
         heights_m, bonnet = motion["road_height_m"], float(np.median(motion["still"]))
@@ -48,9 +45,5 @@ def measure(
         lines.append(f"the encoder's depth puts the camera {height} and pass --camera-height: speed follows it")
     if quality["speed_sigma"]:
         lines.append(f"speed and curvature may be off by {quality['speed_sigma']:.0%} (one standard deviation)")
-    results.write_csv(work / "new/motion.csv")
     write_json(work / "new/quality.json", quality)
-    draw_track(work / "new/track.png", results)
-    if video:
-        write_overlay(work / "new/overlay.mp4", source, results, car.wheelbase_m)
-    return lines, publish(work)
+    return lines, publish(work, "motion.csv", results, source, car.wheelbase_m, video=video)

@@ -17,10 +17,9 @@ from pipeline.settings.ingest import SAMPLE, Reading
 from pipeline.settings.perception import Perception
 from pipeline.settings.train import RATE_TOLERANCE
 from pipeline.train.predict import Trained
-from pipeline.video.log import Logs
-from pipeline.video.pictures import draw_track, write_overlay
+from pipeline.video.pictures import publish
 from pipeline.video.results import Results
-from pipeline.video.source import INGEST, MOTION, PERCEPTION, Source, publish, run_chain, work_folder
+from pipeline.video.source import INGEST, MOTION, PERCEPTION, Source, run_chain, work_folder
 
 CLOUDS, GRAPHS = "clouds.h5", "graphs.h5"
 
@@ -32,7 +31,7 @@ def reading(model: Trained) -> Reading:
 
 
 def predict(
-    model: Trained, source: Source, out: Path | None, encoder: Path, logs: Logs, *, video: bool
+    model: Trained, source: Source, out: Path | None, encoder: Path, *, video: bool
 ) -> tuple[list[str], list[Path]]:
     """Write steering.csv, track.png and overlay.mp4; return lines for the user, and the files.
 
@@ -52,7 +51,7 @@ def predict(
     if not (work / GRAPHS).exists():
         graphs_drive(work / GRAPHS, clouds, work / MOTION, variant)
     with graph_file.open_graphs(work / GRAPHS) as graphs:
-        results = Results.read(source, work, model.car, logs, look_ahead=False, frame=graphs.frame)
+        results = Results.read(source, work, model.car, look_ahead=False, frame=graphs.frame)
         rows = np.isin(graphs.frame, results.table["frame"])  # a frame with a scan may lack an image
         mean, sigma = (None if values is None else values[rows] for values in model.predict(graphs)[:2])
     assert mean is not None
@@ -62,14 +61,11 @@ def predict(
         results.ahead_m, results.path_1pm, results.path_sigma_1pm = model.ahead_m, mean, sigma
     elif sigma is not None:
         results.table["sigma_rad"] = sigma[:, 0]
-    results.write_csv(work / "new/steering.csv")
-    draw_track(work / "new/track.png", results)
-    if video:
-        write_overlay(work / "new/overlay.mp4", source, results, model.car.wheelbase_m)
     ahead = f", each {horizon} frames ahead" if horizon else ""
     predicted = f"{model.name}: {np.isfinite(mean[:, 0]).sum()} predictions for {frames} frames{ahead}"
     warnings = _differences(model, source, encoder, results.table["time_s"])
-    return [*warnings, *results.lines(results.compare("predicted", horizon)), predicted], publish(work)
+    lines = [*warnings, *results.lines(results.compare("predicted", horizon)), predicted]
+    return lines, publish(work, "steering.csv", results, source, model.car.wheelbase_m, video=video)
 
 
 def _differences(model: Trained, source: Source, encoder: Path, time_s: np.ndarray) -> Iterator[str]:

@@ -102,7 +102,7 @@ class Results:
 
     @classmethod
     def read(
-        cls, source: Source, work: Path, car: Car, logs: Logs, *, look_ahead: bool, frame: np.ndarray | None = None
+        cls, source: Source, work: Path, car: Car, *, look_ahead: bool, frame: np.ndarray | None = None
     ) -> "Results":
         """Return the measured motion of the files that :func:`pipeline.video.source.run_chain` wrote to `work`.
 
@@ -115,12 +115,13 @@ class Results:
             if not len(rows):
                 raise InputError("no frame could be read", source.path, "; ".join(source.notes[:1]))
             course = read_course(motion, car, look_ahead=look_ahead, height_known=source.height_known)
-            truth = read_truth(raw, motion.frame[rows], logs, car)
+            truth = read_truth(raw, motion.frame[rows], source.logs, car)
             looking_ahead = sources.read("visual", raw, work / MOTION, car)
             measured = looking_ahead.at(np.searchsorted(raw.frame, motion.frame[rows]))
             agreement = compare([sums(motion.time_s[rows], truth.driven, measured)])
             valid, codes = motion["valid"], motion["problem"][rows]
-            source.notes.extend([*logs.coverage(motion.time_s[rows]), *warnings(float(np.median(motion["still"])))])
+            source.notes.extend(source.logs.coverage(motion.time_s[rows]))
+            source.notes.extend(warnings(float(np.median(motion["still"]))))
             points, residual = (np.where(valid, motion[name], np.nan) for name in ("inliers", "residual"))
             columns = {"valid": valid, **course, "points": points, "residual": residual}
             driven_rad = np.where(truth.driven.valid, truth.driven.steering_rad, np.nan)

@@ -3,12 +3,13 @@
 import hashlib
 import json
 import shutil
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 from tqdm import tqdm
 
 from pipeline.base.errors import DamagedFile, InputError
@@ -31,19 +32,31 @@ INGEST, PERCEPTION, MOTION = "ingest.h5", "perception.h5", "motion.h5"
 BYTES_PER_PIXEL = 6  # image 3, depth 2, class 1
 
 
+class Capture(NamedTuple):
+    """What the user knows of images without calibration and times, as `steer` takes it. None: unknown."""
+
+    fov_deg: float | None = None
+    K: str | None = None
+    distortion: str | None = None
+    horizon: float | None = None  # estimated if it is unknown
+    fps: float | None = None
+    times: Path | None = None
+
+
 @dataclass(frozen=True)
 class Source:
-    """A camera and its frames."""
+    """A camera and its frames, and the car's logs."""
 
     path: Path
     name: str  # random draws depend on it
     camera: Camera  # of complete images; height_m is KITTI's unless height_known
     frames: Callable[[], Iterator[Frame]]  # complete, rectified images; again with each call
-    count: int  # number of frames
-    height_known: bool = True  # of the camera over the road
-    drive: KittiDrive | None = None  # None: a video, or a folder of images
-    how: dict[str, Any] = field(default_factory=dict)  # options that it was opened with
+    time_s: np.ndarray  # [F] of the frames; 0 in a KITTI drive
+    logs: Logs
+    capture: Capture
     notes: list[str] = field(default_factory=list)  # for the user
+    drive: KittiDrive | None = None  # None: a video, or a folder of images
+    height_known: bool = False  # of the camera over the road
 
 
 def open_source(
@@ -52,74 +65,61 @@ def open_source(
     height_m: float | None = None,
     logs: Logs = Logs(),
     hz: float | None = None,
-    **how: Any,
+    capture: Capture = Capture(),
 ) -> Source:
     """Open a KITTI drive's folder by the first of `cameras` with images; or a folder of images, or a video.
 
-    `height_m`: of the camera over the road; None: from a KITTI drive's calibration, else unknown. `how`: of other
-    recordings, what :func:`open_images` gets, and so is `hz`. Raises InputError if it is none of them, lacks a
-    calibration, cannot be read, or one of the `logs` has no value in its time.
+    `height_m`: of the camera over the road; None: from a KITTI drive's calibration, else unknown. `hz`, `capture`: of
+    :func:`open_images`. Raises InputError if it is none of them, lacks a calibration, cannot be read, or one of the
+    `logs` has no value in its time.
     """
     drive = KittiDrive(path.resolve()) if path.is_dir() else None
     number = next((camera for camera in cameras if drive and drive.images(camera)), None)
     if drive and number is not None:
-        if any(how.values()):
+        if any(capture):
             fix = "Remove --fov, --K, --distortion, --fps and --times"
             raise InputError("a KITTI drive has its own calibration and times", path, fix)
-        source = _open_drive(path, drive, number)
-        if logs.name:
-            numbers, times = drive.timeline(number)
-            logs.check_overlap(*read_times(times, numbers)[[0, -1]])
+        source = _open_drive(path, drive, number, logs)
     else:
-        source = replace(open_images(path, logs, hz=hz, **how), how=how)
+        source = open_images(path, capture, logs, hz)
     if height_m is not None:
         return replace(source, camera=replace(source.camera, height_m=height_m), height_known=True)
     return source
 
 
-def _open_drive(path: Path, drive: KittiDrive, number: int) -> Source:
+def _open_drive(path: Path, drive: KittiDrive, number: int, logs: Logs) -> Source:
+    if logs.name:
+        numbers, times = drive.timeline(number)
+        logs.check_overlap(*read_times(times, numbers)[[0, -1]])
     camera, images = drive.camera(number), drive.images(number)
-
-    def frames() -> Iterator[Frame]:
-        for frame, image in images.items():
-            try:
-                yield Frame(frame, 0.0, read_image(image, size=camera.size))
-            except DamagedFile:
-                continue  # as stage ingest does with on_damaged: skip
-
-    return Source(path, drive.folder.name.removesuffix("_sync"), camera, frames, len(images), drive=drive)
+    frames, name = partial(_read_images, images, camera), drive.folder.name.removesuffix("_sync")
+    return Source(path, name, camera, frames, np.zeros(len(images)), logs, Capture(), drive=drive, height_known=True)
 
 
-def open_images(
-    path: Path,
-    logs: Logs = Logs(),
-    *,
-    fps: float | None = None,
-    times: Path | None = None,
-    distortion: str | None = None,
-    horizon: float | None = None,
-    hz: float | None = None,
-    **lens: Any,
-) -> Source:
-    """Open a recording of rectified images, `hz` of them per second, after `logs` are compared with its times.
+def _read_images(images: Mapping[int, Path], camera: Camera) -> Iterator[Frame]:
+    for number, path in images.items():
+        try:
+            yield Frame(number, 0.0, read_image(path, size=camera.size))
+        except DamagedFile:
+            continue  # as stage ingest does with on_damaged: skip
 
-    `horizon` is estimated if it is None. Others as of :func:`open_recording`, :func:`undistortion`, :func:`pinhole`.
-    """
-    recording = open_recording(path, fps, times, logs.check_overlap)
+
+def open_images(path: Path, capture: Capture, logs: Logs = Logs(), hz: float | None = None) -> Source:
+    """Open a recording of rectified images, `hz` of them per second, after `logs` are compared with its times."""
+    recording = open_recording(path, capture.fps, capture.times, logs.check_overlap)
     if recording.size[0] > recording.size[1]:
         sizes = f"images are taller than wide ({format_size(recording.size)} pixels): is it rotated by 90 degrees?"
         raise InputError(sizes, path, "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)")
-    camera = pinhole(recording.size, **lens)
-    if distortion:
-        recording.straighten = undistortion(camera, distortion)
+    camera = pinhole(recording.size, capture.fov_deg, capture.K)
+    if capture.distortion:
+        recording.straighten = undistortion(camera, capture.distortion)
     if hz:
         recording.resample(hz)
-    if horizon is None:
-        horizon = find_horizon(recording.frames(), camera)
+    horizon = find_horizon(recording.frames(), camera) if capture.horizon is None else capture.horizon
     found = "not found, since too few images show a drive; assuming a level camera"
     notes = [*recording.notes, f"horizon: {found if horizon is None else f'row {horizon:.0f} of {camera.size[0]}'}"]
     camera = replace(camera, horizon=horizon)
-    return Source(path, path.stem, camera, recording.frames, len(recording.kept), height_known=False, notes=notes)
+    return Source(path, path.stem, camera, recording.frames, recording.times_s, logs, capture, notes)
 
 
 def work_folder(out: Path | None, source: Source, encoder: Path, **settings: Any) -> Path:
@@ -128,19 +128,12 @@ def work_folder(out: Path | None, source: Source, encoder: Path, **settings: Any
     `out`: None: out/NAME. Raises InputError if it is not free.
     """
     stat, camera = source.path.stat(), source.camera
-    identity = [source.path.resolve(), stat.st_size, stat.st_mtime_ns, camera.height_m, camera.horizon, source.how]
+    identity = [source.path.resolve(), stat.st_size, stat.st_mtime_ns, camera.height_m, camera.horizon, source.capture]
     content = json.dumps([*identity, file_hash(encoder / FILE), settings], default=str)
     key = hashlib.sha256(content.encode()).hexdigest()[:16]
     work = claim(out, source.name, key) / WORK / key
     (work / "new").mkdir(parents=True, exist_ok=True)
     return work
-
-
-def publish(work: Path) -> list[Path]:
-    """Move the results from ``work/new`` to the output folder, remove ``.work``, and return their paths."""
-    files = [path.replace(work.parents[1] / path.name) for path in sorted((work / "new").iterdir())]
-    shutil.rmtree(work.parent)
-    return files
 
 
 def run_chain(source: Source, work: Path, reading: Reading, perception: Perception, encoder: Path) -> None:
@@ -150,9 +143,10 @@ def run_chain(source: Source, work: Path, reading: Reading, perception: Percepti
     can be read, or the disk is too small.
     """
     height, width = reading.image_size
-    needed, free = source.count * height * width * BYTES_PER_PIXEL, shutil.disk_usage(work).free
+    frames, free = len(source.time_s), shutil.disk_usage(work).free
+    needed = frames * height * width * BYTES_PER_PIXEL
     if needed > free:
-        problem = f"{source.count} frames need up to {needed / 1e9:.1f} GB, but {free / 1e9:.1f} GB are free"
+        problem = f"{frames} frames need up to {needed / 1e9:.1f} GB, but {free / 1e9:.1f} GB are free"
         raise InputError(problem, work, "Pass an --out on another disk")
     perception = perception.model_copy(update={"camera_height_m": source.camera.height_m})
     ingest, perceived, known = work / INGEST, work / PERCEPTION, source.height_known
@@ -161,7 +155,7 @@ def run_chain(source: Source, work: Path, reading: Reading, perception: Percepti
         PERCEPTION: partial(perceive_drive, ingest=ingest, encoder=encoder, settings=perception),
         MOTION: partial(measure_drive, ingest=ingest, perception=perceived, road_scale=known),
     }
-    with tqdm(total=source.count, unit=" frames", disable=None) as bar:
+    with tqdm(total=frames, unit=" frames", disable=None) as bar:
         for name, job in jobs.items():
             bar.reset()
             bar.set_description(name.removesuffix(".h5"))

@@ -23,8 +23,7 @@ def main(out: Path = Path("data/sample"), params: Path = Path("params.yaml"), ra
     """
     settings, ingest, encoder = load(Sample, params), load(Ingest, params), load(Encoder, params)
     scan_rays = settings.scan_rays if ingest.lidar else None
-    render, jobs = partial(render_drive, size=settings.image_size, seed=settings.seed, scan_rays=scan_rays), []
-    sources = ingest.sources()
+    render, jobs, sources = partial(render_drive, settings=settings, lidar=ingest.lidar), [], ingest.sources()
     for split, frames in sorted(settings.frames.items(), key=lambda item: -item[1]):  # the longest first
         truth = split != "train" or encoder.epochs > 0  # which stages `scores` and `encoder` read
         for drive in getattr(ingest.drives, split):
@@ -36,7 +35,12 @@ def main(out: Path = Path("data/sample"), params: Path = Path("params.yaml"), ra
     elif real := [drive for drive, source in sources.items() if source == "kitti"]:
         find_drives(raw, real)
     with stage_folder("sample", out) as folder:
-        make_drives(folder, jobs, settings.model_dump(include={"image_size", "seed"}), "{frames} frames, {metres} m")
+        make_drives(
+            folder,
+            jobs,
+            settings.model_dump(include={"image_size", "seed"}),
+            "{frames} frames, {metres} m",
+        )
         for date in {job.drive[:10] for job in jobs}:
             write_calibration(make_rig(settings.image_size, date), folder.new / date)
     return out

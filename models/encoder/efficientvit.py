@@ -37,8 +37,9 @@ class Backbone(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         first, *widths = WIDTHS
-        separable = named(depth_conv=conv(first, first, 3, groups=first), point_conv=conv(first, first, act=False))
-        self.input_stem = ops(conv(3, first, 3, stride=2), Residual(separable))
+        depth_conv = conv(first, first, 3, groups=first).append(nn.Hardswish())
+        separable = named(depth_conv=depth_conv, point_conv=conv(first, first))
+        self.input_stem = ops(conv(3, first, 3, stride=2).append(nn.Hardswish()), Residual(separable))
         stages, inputs = [], first
         for level, width in enumerate(widths):
             attention = level >= 2  # its convolutions have a bias instead of a batch norm
@@ -59,12 +60,12 @@ class Backbone(nn.Module):
 class Head(nn.Module):
     def __init__(self) -> None:
         super().__init__()
-        fine, middle, coarse = (conv(width, DECODED, act=False) for width in WIDTHS[2:])
+        fine, middle, coarse = (conv(width, DECODED) for width in WIDTHS[2:])
         doubled, fourfold = (nn.Upsample(scale_factor=factor, mode="bicubic") for factor in (2, 4))
         self.input_ops = nn.ModuleList([ops(coarse, fourfold), ops(middle, doubled), fine])
         self.middle = ops(Residual(bottleneck(DECODED, DECODED)))
         last = named(conv=nn.Conv2d(4 * DECODED, classes.COUNT, 1))
-        self.output_ops = nn.ModuleList([ops(conv(DECODED, 4 * DECODED), last)])
+        self.output_ops = nn.ModuleList([ops(conv(DECODED, 4 * DECODED).append(nn.Hardswish()), last)])
 
     def forward(self, maps: list[Tensor]) -> Tensor:
         x = sum(side(x) for side, x in zip(self.input_ops, reversed(maps), strict=True))
@@ -90,7 +91,7 @@ class LinearAttention(nn.Module):
         depthwise = nn.Conv2d(inner, inner, 5, padding=2, groups=inner, bias=False)
         grouped = nn.Conv2d(inner, inner, 1, groups=inner // HEAD_WIDTH, bias=False)
         self.aggreg = nn.ModuleList([nn.Sequential(depthwise, grouped)])
-        self.proj = conv(2 * width, width, act=False)
+        self.proj = conv(2 * width, width)
 
     def forward(self, x: Tensor) -> Tensor:
         qkv = self.qkv(x)
@@ -105,21 +106,20 @@ class LinearAttention(nn.Module):
 
 
 def conv(
-    inputs: int, outputs: int, size: int = 1, *, stride: int = 1, groups: int = 1, bias: bool = False, act: bool = True
+    inputs: int, outputs: int, size: int = 1, *, stride: int = 1, groups: int = 1, bias: bool = False
 ) -> nn.Sequential:
-    """Return a convolution, batch norm unless it has a bias, and hardswish if `act`."""
-    layers: dict[str, nn.Module] = {} if bias else {"norm": nn.BatchNorm2d(outputs)}
-    layers |= {"act": nn.Hardswish()} if act else {}
-    return named(conv=nn.Conv2d(inputs, outputs, size, stride, size // 2, groups=groups, bias=bias), **layers)
+    """Return a convolution and, unless it has a bias, batch norm."""
+    norm = {} if bias else {"norm": nn.BatchNorm2d(outputs)}
+    return named(conv=nn.Conv2d(inputs, outputs, size, stride, size // 2, groups=groups, bias=bias), **norm)
 
 
 def bottleneck(inputs: int, outputs: int, stride: int = 1, *, bias: bool = False) -> nn.Sequential:
     """Return an inverted bottleneck of 4 times the width of its inputs."""
     width = 4 * inputs
     return named(
-        inverted_conv=conv(inputs, width, bias=bias),
-        depth_conv=conv(width, width, 3, stride=stride, groups=width, bias=bias),
-        point_conv=conv(width, outputs, act=False),
+        inverted_conv=conv(inputs, width, bias=bias).append(nn.Hardswish()),
+        depth_conv=conv(width, width, 3, stride=stride, groups=width, bias=bias).append(nn.Hardswish()),
+        point_conv=conv(width, outputs),
     )
 
 

@@ -61,8 +61,8 @@ def read_image(path: Path, size: Size | None = None) -> np.ndarray:
 
 
 def read_depth(path: Path, size: Size | None = None) -> np.ndarray:
-    """Read dense depth, uint16 [H,W] in 1/256 m, 0: none. `size` None accepts any; errors as :func:`read_image`."""
-    return _read(path, size, np.uint16, axes=2)
+    """Read dense depth, float64 [H,W] in metres, 0: none. `size` None accepts any; errors as :func:`read_image`."""
+    return to_metres(_read(path, size, np.uint16, axes=2))
 
 
 def read_classes(path: Path, size: Size | None = None) -> np.ndarray:

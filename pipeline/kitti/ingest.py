@@ -14,7 +14,7 @@ from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
 from pipeline.camera.camera import Camera, Frame, write_camera
 from pipeline.camera.classes import VOID
-from pipeline.camera.images import nearest, read_classes, read_depth, read_image, resized, to_metres, to_units
+from pipeline.camera.images import nearest, read_classes, read_depth, read_image, resized, to_units
 from pipeline.kitti.oxts import read_row, read_steering, read_times
 from pipeline.kitti.raw import KittiDrive, read_scan
 from pipeline.settings.ingest import Reading
@@ -25,6 +25,7 @@ MAPS: dict[str, tuple[str, np.ndarray, Callable[..., np.ndarray]]] = {
     "depth": ("1/256 m, 0 = none", np.array(0, np.uint16), nearest),
     "cls": (f"trainId, {VOID} = void", np.array(VOID, np.uint8), nearest),
 }
+HAS = (*MAPS, "lidar")
 SUMMARY = (
     "{frames} frames, {image} images of camera {camera}, {lidar} scans, {depth} depth and {cls} class maps, {steering} "
     "steering angles; {left_out} images or scans without a frame, {damaged} damaged files left out"
@@ -43,23 +44,22 @@ class IngestFile(DriveWriter):
         self.attrs["camera"] = -1  # its number in a KITTI drive
         self._camera, self._size, self._maps = camera, settings.image_size, ("image", *truth)
         self._crop = camera.crop_to(self._size) if camera else None
-        self._rows = list[tuple[int, float, int]]()  # number, time and points of each frame
-        self._has: dict[str, list[bool]] = {name: [] for name in MAPS}
+        self._rows = list[tuple[float, ...]]()  # of each frame: number, time, points, and whether it has the HAS
 
     def add(self, frame: Frame) -> None:
         """Write a frame, whose image, depth and classes have the camera's size or are None."""
         depth = None if frame.depth_m is None else to_units(frame.depth_m)
-        for name, pixels in {"image": frame.image, "depth": depth, "cls": frame.cls}.items():
-            self._has[name].append(pixels is not None)
-            if name in self._maps:
-                unit, fill, resize = MAPS[name]
-                row = np.full((*self._size, *fill.shape), fill)
-                if pixels is not None and self._crop:
-                    row = resize(self._crop.pixels(pixels), self._size)
-                self.append(name, row[None], unit)
+        maps = {"image": frame.image, "depth": depth, "cls": frame.cls}
+        for name in self._maps:
+            unit, fill, resize = MAPS[name]
+            row, pixels = np.full((*self._size, *fill.shape), fill), maps[name]
+            if pixels is not None and self._crop:
+                row = resize(self._crop.pixels(pixels), self._size)
+            self.append(name, row[None], unit)
         scan = np.zeros((0, 4), np.float32) if frame.scan is None else frame.scan
         self.append("lidar", scan, "m, m, m, reflectance", "lidar_ptr")
-        self._rows.append((frame.number, frame.time_s, len(scan)))
+        has = (pixels is not None for pixels in maps.values())
+        self._rows.append((frame.number, frame.time_s, len(scan), *has, len(scan) > 0))
 
     def finish(self, oxts: Mapping[int, np.ndarray] = {}, steering_rad: Mapping[int, float] = {}) -> Summary:
         """Write what is known of all frames, and return the number of frames, images, scans, …
@@ -69,24 +69,22 @@ class IngestFile(DriveWriter):
         """
         if not self._rows:
             raise InputError("recording has no frames", self.attrs["drive"])
-        numbers, times_s, points = zip(*self._rows, strict=True)
-        steered = [number in steering_rad for number in numbers]
+        numbers, times_s, points, *has = zip(*self._rows, strict=True)
         self.put("frame", np.array(numbers, np.int32))
         self.put("time_s", np.array(times_s), "s")
         if oxts:
             self.put("oxts", np.array([oxts[number] for number in numbers]), "as KITTI's oxts/dataformat.txt")
+        steered = np.isin(numbers, [*steering_rad])
         if steering_rad:
             angles = [steering_rad.get(number, 0.0) for number in numbers]
             self.put("steering_rad", np.array(angles), "rad, left positive")
-            self.put("has_steering", np.array(steered, np.uint8))
+            self.put("has_steering", steered.astype(np.uint8))
         if self._camera and self._crop:
             write_camera(self, self._camera.cropped(self._crop).scaled(self._size))
         self.put_pointers("lidar_ptr", points, "rows of lidar")
-        has = self._has | {"lidar": [count > 0 for count in points]}
-        for name, present in has.items():
+        for name, present in zip(HAS, has, strict=True):
             self.put(f"has_{name}", np.array(present, np.uint8))
-        counts = {name: sum(present) for name, present in has.items()}
-        return {"frames": len(numbers), "steering": sum(steered), **counts}
+        return {"frames": len(numbers), "steering": int(steered.sum()), **dict(zip(HAS, map(sum, has), strict=True))}
 
 
 def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> Summary:
@@ -97,12 +95,12 @@ def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> 
     files, skip, damaged = KittiDrive(folder), settings.on_damaged == "skip", list[DamagedFile]()
     chosen = files.camera_number(settings.cameras)
     camera, images = (None, {}) if chosen is None else (files.camera(chosen), files.images(chosen))
+    depths, classes = (files.truth_depth, files.truth_cls) if camera else ({}, {})
     scans = files.scans if settings.lidar else {}
     if scans and (camera is None or camera.T_cam_velo is None):
         problem = "drive has scans, but calib_cam_to_cam.txt or calib_velo_to_cam.txt is missing"
         fix = "Extract the date's calibration archive, or set ingest.lidar: false"
         raise InputError(problem, files.calibration, fix)
-    depths, classes = (files.truth_depth, files.truth_cls) if camera else ({}, {})
     packets = {number: _read(read_row, packet, damaged) for number, packet in files.oxts.items()}
     oxts = {number: row for number, row in packets.items() if row is not None}
     numbers, times = files.timeline(chosen)
@@ -115,13 +113,13 @@ def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> 
     truth = [name for name, paths in {"depth": depths, "cls": classes}.items() if paths]
     with IngestFile(path, drive, camera, settings, truth) as file:
         file.attrs["camera"] = -1 if chosen is None else chosen
+        size = camera.size if camera else None
         for number in oxts or numbers:
-            frame = Frame(number, time_s[number], scan=_read(read_scan, scans.get(number), damaged))
-            if camera:
-                frame.image = _read(read_image, images.get(number), damaged, size=camera.size)
-                depth = _read(read_depth, depths.get(number), damaged, size=camera.size)
-                frame.depth_m = None if depth is None else to_metres(depth)
-                frame.cls = _read(read_classes, classes.get(number), damaged, size=camera.size)
+            frame = Frame(number, time_s[number])
+            frame.scan = _read(read_scan, scans.get(number), damaged)
+            frame.image = _read(read_image, images.get(number), damaged, size=size)
+            frame.depth_m = _read(read_depth, depths.get(number), damaged, size=size)
+            frame.cls = _read(read_classes, classes.get(number), damaged, size=size)
             file.add(frame)
         if damaged and not skip:
             faults = "; ".join(f"{error.where}: {error.problem}" for error in damaged)

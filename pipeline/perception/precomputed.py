@@ -9,7 +9,7 @@ from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.base.resume import file_hash
 from pipeline.camera import classes
-from pipeline.camera.images import nearest, read_classes, read_depth, to_metres, to_units, write_png
+from pipeline.camera.images import nearest, read_classes, read_depth, to_units, write_png
 
 LAYOUT = (
     "Expected files: DRIVE/depth/0000000000.png (16 bit, metres x 256, 0 = none) and DRIVE/cls/0000000000.png (8 bit, "
@@ -51,7 +51,7 @@ def read(folder: Path, drive: str, frame: int, size: tuple[int, int]) -> tuple[n
     for path in paths:
         if not path.is_file():
             raise InputError("file is missing", path, LAYOUT)
-    depth = to_metres(nearest(read_depth(paths[0]), size)).astype(np.float32)
+    depth = nearest(read_depth(paths[0]), size).astype(np.float32)
     cls = nearest(read_classes(paths[1]), size)
     unknown = np.setdiff1d(cls, [*range(classes.COUNT), classes.VOID])
     if unknown.size:

@@ -17,30 +17,22 @@ from pipeline.sample.route import DECK
 from pipeline.sample.street import build_street
 from pipeline.sample.traffic import draw_traffic
 from pipeline.sample.world import World
+from pipeline.settings.sample import Sample
 
 # Level 1 and one filter per file: half the time of writing and two thirds of reading for 13 kB more of a frame's 130.
 _LEVEL = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER)
 
 
-def render_drive(
-    path: Path,
-    drive: str,
-    *,
-    frames: int,
-    size: tuple[int, int],
-    seed: int,
-    scan_rays: tuple[int, int] | None,
-    truth: bool,
-) -> dict[str, Any]:
+def render_drive(path: Path, drive: str, settings: Sample, *, frames: int, lidar: bool, truth: bool) -> dict[str, Any]:
     """Lay out the drive named `drive` (2026_01_01_drive_0001), and render `frames` frames into the new folder `path`.
 
-    The name and `seed` determine road, street, light and motion. Oxts files continue for some frames after the last
-    image, for labels of the path ahead. `size`: [H, W] pixels; `scan_rays`: rings and rays per ring, None: no scans;
-    `truth`: add truth/depth (16-bit PNG, metres x 256, 0: none) and truth/cls (trainIds) of the images.
+    The name and the seed determine road, street, light and motion. Oxts files continue for some frames after the last
+    image, for labels of the path ahead. `lidar`: add scans; `truth`: add truth/depth (16-bit PNG, metres x 256, 0:
+    none) and truth/cls (trainIds) of the images.
 
     Returns the number of frames and metres driven.
     """
-    rng = random_of(drive, seed)
+    rng = random_of(drive, settings.seed)
     quarter, first = theme(drive)
     character = draw_character(rng, quarter)
     journey = draw_journey(rng, frames, character, first)
@@ -48,8 +40,8 @@ def render_drive(
     world = World(plan, build_street(journey.route, plan, character, rng), draw_ground_colours(rng))
     light, traffic = draw_light(rng), draw_traffic(journey, rng)
     packets, timestamps = record(journey, drive[:10], rng)
-    rig = make_rig(size, drive[:10])
-    camera, scanner = ImageSensor(rig), Scanner(rig, scan_rays) if scan_rays else None
+    rig = make_rig(settings.image_size, drive[:10])
+    camera, scanner = ImageSensor(rig), Scanner(rig, settings.scan_rays) if lidar else None
 
     images, oxts, scans = (path / sensor / "data" for sensor in ("image_02", "oxts", "velodyne_points"))
     depths, classes = path / "truth" / "depth", path / "truth" / "cls"
@@ -69,7 +61,7 @@ def render_drive(
             write_png(depths / png, to_units(depth_m), *_LEVEL, cv2.IMWRITE_PNG_FILTER_UP)
             write_png(classes / png, cls, *_LEVEL, cv2.IMWRITE_PNG_FILTER_NONE)
         if scanner:
-            scan = scanner.take(world, pose, random_of(drive, seed, number))
+            scan = scanner.take(world, pose, random_of(drive, settings.seed, number))
             (scans / f"{number:010d}.bin").write_bytes(scan.tobytes())
 
     s_m = journey.motion.s_m

@@ -24,6 +24,7 @@ from pipeline.sample.route import AHEAD_M, DECK, IMU_LEFT_M, STEP_M, draw_route,
 from pipeline.sample.street import build_street
 from pipeline.sample.world import World
 from pipeline.settings.ingest import Ingest
+from pipeline.settings.sample import Sample
 
 
 @pytest.mark.parametrize(("seed", "first"), [*enumerate(DECK)])
@@ -120,7 +121,8 @@ FRAMES = 8
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory) -> KittiDrive:
     path = tmp_path_factory.mktemp("sample") / NAME[:10] / f"{NAME}_sync"
-    render_drive(path, NAME, frames=FRAMES, size=SIZE, seed=0, scan_rays=(32, 200), truth=True)
+    settings = Sample.model_construct(image_size=SIZE, seed=0, scan_rays=(32, 200))
+    render_drive(path, NAME, settings, frames=FRAMES, lidar=True, truth=True)
     write_calibration(make_rig(SIZE, NAME[:10]), path.parent)
     return KittiDrive(path)
 

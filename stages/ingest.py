@@ -24,8 +24,7 @@ def main(
     splits, sources = settings.drives.splits(), settings.sources()
     drives: dict[str, KittiDrive] = {}
     for source, root in {"sample": sample, "kitti": raw}.items():
-        names = [drive for drive in splits if sources[drive] == source]
-        drives |= find_drives(root, names) if names else {}
+        drives |= find_drives(root, [drive for drive in splits if sources[drive] == source])
     for drive, manifest in settings.manifests.items():
         if drive in drives and drives[drive].manifest() != manifest:
             fix = "Use the preset that steer import wrote: make params PRESET=NAME, then dvc repro"

@@ -42,7 +42,7 @@ def main(
         summaries = make_drives(folder, jobs, settings, text, workers=1)
         store.write_index(folder.new, splits)
     if count := sum(summary["interpolated"] for summary in summaries.values()):
-        print(f"interpolated, not measured: {count} oxts packets. They are no targets, and a path ahead ends there")
+        print(f"{count} oxts packets are interpolated, not measured: they are no targets, and paths ahead end there")
     suspect = [drive for drive, summary in summaries.items() if summary["sideways"]]
     if suspect:
         print(f"implausible labels, oxts has the car sliding sideways: {', '.join(suspect)}")

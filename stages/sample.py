@@ -32,8 +32,8 @@ def main(out: Path = Path("data/sample"), params: Path = Path("params.yaml"), ra
                 jobs.append(Job(drive, f"{drive[:10]}/{drive}_sync", [f"{frames} {truth} {scan_rays}"], work))
     if not jobs:
         print(f"nothing to render: ingest.drives has no drive of the sample (ingest.source: {ingest.source})")
-    elif real := [drive for drive, source in sources.items() if source == "kitti"]:
-        find_drives(raw, real)
+    else:
+        find_drives(raw, [drive for drive, source in sources.items() if source == "kitti"])
     with stage_folder("sample", out) as folder:
         make_drives(
             folder,

@@ -121,7 +121,7 @@ def _publish(folder: StageFolder, out: Path, before: set[str], owner: dict[str, 
 
 
 def link(path: str | Path, target: str | Path) -> None:
-    """Give a file a second name; copy it to another disk, and where there are no hard links."""
+    """Hard-link a file; copy it if that fails, as between two disks."""
     try:
         os.link(path, target)
     except OSError:

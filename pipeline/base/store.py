@@ -229,7 +229,7 @@ def _datasets(file: h5py.File) -> dict[str, h5py.Dataset]:
             raise ValueError(f"{name!r} is a link")
         datasets[name] = file[name]
         if not isinstance(datasets[name], h5py.Dataset) or datasets[name].dtype.kind not in "iuf":
-            raise ValueError(f"{name!r} is no array of numbers")
+            raise ValueError(f"{name!r}: expected an array of numbers")
         created = datasets[name].id.get_create_plist()
         filters = {created.get_filter(i)[0] for i in range(created.get_nfilters())}
         if datasets[name].is_virtual or created.get_external_count() or filters - {hdf5plugin.Blosc.filter_id}:

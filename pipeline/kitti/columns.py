@@ -13,8 +13,8 @@ def read_columns(path: Path, names: Sequence[str], expected: str, sparse: Sequen
     """Return name → column, float64 [N], NaN in empty cells of the `sparse` columns.
 
     The separator is a comma, a semicolon or a tab; other columns are ignored. Raises InputError for a missing file or
-    column, which ends with the sentence `expected`; for values that are not numbers; and for rows with more values than
-    the header has names, as decimal commas give.
+    column, with `expected` as the hint; for values that are not numbers; and for rows with more values than the header
+    has names, which decimal commas cause.
     """
     if not path.is_file():
         raise InputError("file is missing", path, expected)

@@ -62,7 +62,7 @@ class IngestFile(DriveWriter):
         self._rows.append((frame.number, frame.time_s, len(scan), *has, len(scan) > 0))
 
     def finish(self, oxts: Mapping[int, np.ndarray] = {}, steering_rad: Mapping[int, float] = {}) -> Summary:
-        """Write what is known of all frames, and return the number of frames, images, scans, …
+        """Write the datasets with a value per frame, and return the number of frames, images, scans, …
 
         `oxts`: frame number → packet [30], of each frame if of any; `steering_rad`: → angle of the front wheels. Raises
         InputError if there are no frames.

@@ -39,7 +39,7 @@ def make_rows(frames: int, **columns: np.ndarray | float) -> np.ndarray:
 def interpolated(rows: np.ndarray) -> np.ndarray:
     """Return which packets [F,30] KITTI interpolated, bool [F]: a mode of position, velocity or orientation is -1.
 
-    They are no measurements: labels from them are off by 0.04 rad rms in 2011_10_03_drive_0027, others by 0.006.
+    Labels from interpolated packets of 2011_10_03_drive_0027 are off by 0.04 rad rms, others by 0.006.
     """
     return np.asarray((rows[:, COLUMNS.index("posmode") :] == -1).any(axis=1))
 

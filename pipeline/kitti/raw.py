@@ -48,7 +48,7 @@ class KittiDrive:
         self.truth_cls = _frames(folder / "truth" / "cls", ".png")
 
     def images(self, camera: int) -> dict[int, Path]:
-        """Return the images of a camera, as PNG or JPEG. Raises InputError if there are none, but other files."""
+        """Return the images of a camera, as PNG or JPEG. Raises InputError if its folder has files but no images."""
         folder = self.folder / f"image_{camera:02d}" / "data"
         images = _frames(folder, ".png", ".jpg", ".jpeg")
         if names := [] if images else sorted(path.name for path in folder.glob("[!.]*")):
@@ -57,7 +57,7 @@ class KittiDrive:
         return images
 
     def camera_number(self, choices: Sequence[int]) -> int | None:
-        """Return the first camera of `choices` with images; without images, the first that is calibrated, or None."""
+        """Return the first camera of `choices` with images, else the first with a calibration, else None."""
         path, number = self.calibration / CALIBRATION, next(filter(self.images, choices), None)
         if number is None and path.is_file():
             entries = read_entries(path)
@@ -72,7 +72,7 @@ class KittiDrive:
         return replace(camera, horizon=float(matrix(read_entries(path), f"horizon_{number:02d}", (1,), path)[0]))
 
     def timeline(self, camera: int | None) -> tuple[list[int], Path]:
-        """Return the frames of the drive and the file with their times: frames with an oxts packet.
+        """Return the numbers of the frames with an oxts packet, and the file with their times.
 
         A drive without packets has the frames with an image of `camera`, at the camera's times.
         """
@@ -106,7 +106,7 @@ class KittiDrive:
 
 def find_drives(root: Path, drives: Sequence[str]) -> dict[str, KittiDrive]:
     """Return the named drives (such as 2011_09_26_drive_0052) below `root`. Raises InputError if one is missing."""
-    if not root.is_dir():
+    if drives and not root.is_dir():
         fix = f"KITTI: ln -s /path/to/kitti {root}. Sample: dvc repro sample. Only training? dvc pull labels graphs"
         raise InputError("folder is missing", root, fix)
     known = sorted(path.name.removesuffix("_sync") for path in root.glob("????_??_??/*_drive_????_sync"))

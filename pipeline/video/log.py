@@ -19,7 +19,7 @@ _WHEEL = "Expected a CSV file with time_s [s] and wheel_rad [rad, left +]"
 
 
 class Log(NamedTuple):
-    """Values of C quantities [C,N] at ascending times [N], NaN where unknown, of a file of this name."""
+    """Values [C,N] of C quantities at ascending times [N], NaN where unknown, and the name of their file."""
 
     time_s: np.ndarray
     values: np.ndarray

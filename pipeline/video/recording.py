@@ -38,16 +38,16 @@ _OPTIONS = {
     "use_absolute_path": "0",
 }
 Images = Iterator[av.VideoFrame]
-BAR, LIT, MOST = 8, 32, 0.95  # largest grey level of most pixels in a row of a black bar; smallest 2 rows beside it
+BAR, LIT, MOST = 8, 32, 0.95  # grey levels: at most BAR in MOST pixels of a black bar's row, above LIT 2 rows beside it
 STRIDE = 20  # of the images that are searched for black bars
 THUMB_PX = 64  # width of the images that are compared: averages noise
-INEXACT = 0.99  # a header's count of frames may be too large by this, and by one
-LAST_S = 0.2  # duration of a last image that does not tell it
+INEXACT = 0.99  # least share of the header's count of frames in a complete file, which may also lack one
+LAST_S = 0.2  # longest duration of a last image whose duration the file does not store
 
 
 @dataclass
 class Recording:
-    """Images in order, without repeats; their times are of a file, by a fixed rate, or the video's own."""
+    """Images in order, without repeats; their times come from a file, a fixed rate or the video."""
 
     path: Path
     images: Callable[[], Images]
@@ -68,9 +68,9 @@ class Recording:
                 yield Frame(number, float(self.times_s[number]), self.straighten(_upright(image, self.path)))
 
     def resample(self, hz: float) -> None:
-        """Keep the frames nearest to a grid of `hz`, or of each n-th frame if that is near, if the recording is faster.
+        """Keep only the frames nearest to a grid of `hz`; of a recording at about n times `hz`, every n-th frame.
 
-        Raises InputError if it is slower. RATE_TOLERANCE applies to both.
+        Raises InputError if the recording is slower than `hz` by more than RATE_TOLERANCE.
         """
         time_s, apart = self.times_s, min(20, len(self.times_s) - 1)  # frames: steps may be uneven
         own_hz = apart / float(np.median(time_s[apart:] - time_s[:-apart])) if apart else hz

@@ -30,9 +30,9 @@ FORMATS = {"frame": ".0f", "valid": ".0f", "points": ".0f", "residual": ".3f", "
 
 
 class Truth(NamedTuple):
-    """What was driven in F frames, where it is from, and the column of recorded angles."""
+    """Ground truth of F frames, its source, and the column of recorded angles."""
 
-    name: str  # empty: unknown
+    name: str  # of the source; empty: no ground truth
     column: str  # empty: angles follow from yaw rate and speed
     driven: Labels
 

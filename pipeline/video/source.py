@@ -33,12 +33,12 @@ BYTES_PER_PIXEL = 6  # image 3, depth 2, class 1
 
 
 class Capture(NamedTuple):
-    """What the user knows of images without calibration and times, as `steer` takes it. None: unknown."""
+    """Options of a recording without calibration and times; None: not given."""
 
     fov_deg: float | None = None
     K: str | None = None
     distortion: str | None = None
-    horizon: float | None = None  # estimated if it is unknown
+    horizon: float | None = None  # row of the road's horizon; None: estimated
     fps: float | None = None
     times: Path | None = None
 

@@ -10,7 +10,7 @@ from pipeline.base.errors import InputError
 from pipeline.kitti.raw import find_drives
 from stages import sample
 
-DRIVES = ["2026_01_01_drive_0001", "2026_01_01_drive_0002", "2026_01_11_drive_0001"]  # two dates, two cameras
+DRIVES = ["2026_01_01_drive_0001", "2026_01_01_drive_0002", "2026_01_05_drive_0001"]  # two dates, two cameras
 KITTI = "2011_09_26_drive_0005"
 
 

@@ -24,7 +24,7 @@ def write_params(path: Path, lidar: bool = False, epochs: int = 0, **frames: int
     return path
 
 
-def test_drives_of_the_params(tmp_path, capsys):
+def test_drives_of_the_params(tmp_path):
     """A missing drive of KITTI is an error; scans and truth of training drives are rendered only where used."""
     params, out = write_params(tmp_path / "params.yaml", train=2, val=1, test=3), tmp_path / "sample"
     kitti = tmp_path / "raw" / KITTI[:10] / f"{KITTI}_sync"
@@ -39,7 +39,6 @@ def test_drives_of_the_params(tmp_path, capsys):
     focal = [raw[drive].camera(2).K[0, 0] for drive in DRIVES]
     assert focal[0] == focal[1] < focal[2]
     assert sorted(path.name for path in out.glob("*/*_sync")) == [f"{drive}_sync" for drive in DRIVES]
-    assert "drive_0001: 2 frames" in capsys.readouterr().out
     for lidar, epochs in ((False, 0), (False, 1), (True, 0)):
         write_params(params, lidar, epochs, train=1, val=1, test=1)
         sample.main(out, params, tmp_path / "raw")

@@ -111,7 +111,6 @@ def test_angles_of_the_wheel_are_interpolated_from_start_to_end(take, video, cap
 def test_a_split_recording_has_a_preset_that_check_accepts(take, longer, source, options, base, horizon):
     first = take(longer, split="60,20,20", camera_height=1.4, **options)
     drives = [KittiDrive(path) for path in sorted(first.folder.parent.glob("*_sync"))]
-    assert len(drives) == 3
     for drive in drives:
         assert list(drive.oxts) == (list(drive.images(2)) if source == "oxts" else [])
         assert (drive.steering is not None) == (source == "wheel")

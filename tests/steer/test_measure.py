@@ -121,8 +121,7 @@ def test_an_imported_drive_has_the_same_numbers(tmp_path, encoder, monkeypatch):
     monkeypatch.setattr(lens, "MIN_PAIRS", 1)
     taller = [np.pad(image, [(70, 30), (0, 0), (0, 0)], mode="edge") for image in drive(14)]
     images, K, bent = write_folder(tmp_path / "images", taller), "180,180,159.5,98", "-0.02,0.01,0,0"
-    capture = source.Capture(K=K, distortion=bent, fps=10.0)
-    opened = source.open_source(images, [2], CAMERA_HEIGHT_M, capture=capture)
+    opened = source.open_source(images, [2], CAMERA_HEIGHT_M, capture=source.Capture(K=K, distortion=bent, fps=10.0))
     assert opened.camera.horizon == pytest.approx(114, abs=3)
     settings = Perception(batch=4, camera_height_m=CAMERA_HEIGHT_M)
     source.run_chain(opened, tmp_path, READING, settings, encoder)

@@ -16,7 +16,7 @@ from pipeline.evaluate.metrics import Case, columns, inputs, metrics, write_pred
 from pipeline.graphs import graph_file
 from pipeline.settings.evaluate import Evaluate
 from pipeline.train import predict, runs
-from pipeline.train.labelled_drive import read_drive
+from pipeline.train.targets import read_drive
 
 
 def main(

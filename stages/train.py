@@ -18,8 +18,8 @@ from pipeline.settings.models import Entry
 from pipeline.settings.train import RATE_TOLERANCE, Train
 from pipeline.train import runs
 from pipeline.train.fit import Job, fit_run
-from pipeline.train.labelled_drive import check, read_drive
-from pipeline.train.scale import Scale
+from pipeline.train.loss import Scale
+from pipeline.train.targets import check, read_drive
 
 
 def main(

@@ -13,10 +13,11 @@ from pipeline.camera.classes import BUILDING, ROAD
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.graphs import frame_graph, graph_file
 from pipeline.kitti.ingest import IngestFile
-from pipeline.labels import ahead, label
+from pipeline.labels import label, sources
 from pipeline.motion.step import PROBLEMS, STANDSTILL
 from pipeline.settings.graphs import Variant
 from pipeline.settings.ingest import Reading
+from pipeline.settings.labels import Labels
 
 WHEELBASE_M = 2.7
 GRAPHS = {"graphs": {"k": 6, "keep_inter_class": 0.2}}
@@ -57,11 +58,7 @@ def write_labels(
     with store.DriveWriter(path, stage="labels", drive=drive, params=params) as file:
         rates = speed_mps, speed_mps * np.tan(steering_rad) / WHEELBASE_M
         labels = label.Labels(steering_rad, np.ones(len(frame), bool) if valid is None else valid, *rates)
-        label.write(file, frame, frame * 0.1, labels, WHEELBASE_M)
-        if ahead_m:
-            curvature_1pm, known = ahead.path_ahead(frame, frame * 0.1, labels, ahead_m, 5.0)
-            file.put("ahead_1pm", curvature_1pm)
-            file.put("ahead_valid", known.astype(np.uint8))
+        sources.write(file, frame, frame * 0.1, labels, Labels(**params["labels"]))
 
 
 def write_graphs(

@@ -13,9 +13,10 @@ import pandas as pd
 from pipeline.evaluate import errors
 from pipeline.evaluate.turns import Track, Turns, drift, near_onsets, read_turns
 from pipeline.graphs.graph_file import open_graphs
+from pipeline.labels import label
 from pipeline.settings.evaluate import Evaluate
-from pipeline.train.labelled_drive import LabelledDrive
-from pipeline.train.scale import Prediction, Scale
+from pipeline.train.loss import Prediction, Scale
+from pipeline.train.targets import LabelledDrive
 
 
 @dataclass(frozen=True)
@@ -42,22 +43,24 @@ class Case:
         - regression: odometry times its regression coefficient on the training drives.
         """
         drive, scale = self.drive, self.scale
-        values = {"zero": np.zeros_like(drive.truth), "train_mean": np.broadcast_to(scale.mean, drive.truth.shape)}
-        if drive.persistence is not None:
-            values["persistence"] = drive.persistence
+        values = {"zero": np.zeros(1), "train_mean": scale.mean}
+        if not drive.ahead_m:
+            known = label.held(drive.driven.steering_rad, drive.driven.valid)
+            shift = 0 if drive.horizon else 1
+            values["persistence"] = np.concatenate([np.zeros(shift), known])[: len(known), None]
         if drive.odometry is not None:
             measured = np.isfinite(drive.odometry).any()
             values["odometry"] = np.nan_to_num(drive.odometry) if measured else drive.odometry
             if scale.odometry_gain is not None:
                 values["regression"] = scale.odometry_gain * values["odometry"]
-        return values
+        return {name: np.broadcast_to(value, drive.target.shape) for name, value in values.items()}
 
     @property
     def track(self) -> Track:
         """The drive's true path, of a model that predicts the angle."""
         drive, onsets = self.drive, np.flatnonzero(np.isin(self.drive.frame, self.turns.frame))
-        steering_rad = np.nan_to_num(drive.target[:, 0])
-        return Track(drive.time_s, drive.speed_mps, steering_rad, onsets, drive.car.wheelbase_m)
+        wheelbase_m = drive.settings["labels"]["wheelbase_m"]
+        return Track(drive.time_s, drive.driven.speed_mps, drive.driven.steering_rad, onsets, wheelbase_m)
 
 
 def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, Any]]:
@@ -76,7 +79,7 @@ def _values(case: Case) -> dict[str, np.ndarray]:
     """Return the truth [G,R]; predictions, σ and halves of 95 % intervals of the seeds [S,G,R]."""
     names, of_seeds = ("predicted", "sigma", "half_95"), zip(*case.predictions, strict=True)
     known = {name: np.stack(seeds) for name, seeds in zip(names, of_seeds, strict=True) if seeds[0] is not None}
-    return {"truth": case.drive.truth} | known
+    return {"truth": case.drive.target} | known
 
 
 def _scores(values: dict[str, np.ndarray], drive: np.ndarray, settings: Evaluate) -> dict[str, Any]:
@@ -140,14 +143,14 @@ def write_predictions(path: Path, cases: Sequence[Case], seed: int) -> None:
     tables = []
     for case in cases:
         drive, (mean, sigma, _) = case.drive, case.predictions[seed]
-        values = {"true": drive.truth, "predicted": mean, **case.baselines()}
+        values = {"true": drive.target, "predicted": mean, **case.baselines()}
         del values["zero"]
         if drive.odometry is not None:
-            values["odometry"] = drive.odometry
+            values["odometry"] = np.broadcast_to(drive.odometry, mean.shape)
         values["near_onset"] = near_onsets(drive, case.turns).astype(int)
         if sigma is not None:
             values["sigma"] = sigma
-        table = {"drive": drive.name, "frame": drive.frame, "time_s": drive.time_s, "speed_mps": drive.speed_mps}
+        table = {"drive": drive.name, "frame": drive.frame, "time_s": drive.time_s, "speed_mps": drive.driven.speed_mps}
         for (number, name), (kind, of) in product(enumerate(drive.columns), values.items()):
             table[f"{kind}_{name}"] = of[:, number]
         tables.append(pd.DataFrame(table))

@@ -10,10 +10,10 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.labels import sources
-from pipeline.labels.label import Car, Labels
+from pipeline.labels.label import Car, Labels, held
+from pipeline.labels.sources import TURNING_RAD
 
 COLUMNS = {"oxts": "", "wheel": "steering_rad"}  # recorded source → column of its angles, for :func:`judge`
-TURNING_RAD = 0.02  # a radius of 135 m
 LAGS_S = np.array(sorted(np.arange(-40, 41) / 20, key=abs))  # [L]
 STEADY = 0.2  # standard deviation / root mean square: below, no correlation is defined
 SHOWN, JUDGED = 20, 100  # turning frames that a comparison and an error need
@@ -32,12 +32,11 @@ def errors(measured: Labels, true: Labels) -> np.ndarray:
     [5,F]: measured, 0 or 1; then, NaN where not compared, the error of the yaw rate in rad/s, measured / true speed,
     the error of the angle in rad, and the true angle. An angle that is not measured repeats the last one.
     """
-    both, started = measured.valid & true.valid, np.maximum.accumulate(measured.valid)
-    last = np.maximum.accumulate(np.where(measured.valid, np.arange(len(started)), 0))
+    both, held_rad = measured.valid & true.valid, held(measured.steering_rad, measured.valid, before=np.nan)
     yaw_radps = np.where(both, measured.yaw_rate_radps - true.yaw_rate_radps, np.nan)
     ratio = np.divide(measured.speed_mps, true.speed_mps, out=np.full(len(both), np.nan), where=both)
-    true_rad = np.where(true.valid & started, true.steering_rad, np.nan)
-    return np.stack([measured.valid, yaw_radps, ratio, measured.steering_rad[last] - true_rad, true_rad])
+    true_rad = np.where(true.valid & np.isfinite(held_rad), true.steering_rad, np.nan)
+    return np.stack([measured.valid, yaw_radps, ratio, held_rad - true_rad, true_rad])
 
 
 def score(drives: Sequence[np.ndarray]) -> dict[str, Any] | None:

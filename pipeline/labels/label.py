@@ -1,4 +1,4 @@
-"""Compute steering labels (paper section 4.1), their file, and the path that a steering angle leads to.
+"""Compute steering labels (paper section 4.1) from the car's motion.
 
 Signs: yaw rate and steering angle are positive to the left. The speed v is oxts' ``vf``, parallel to the earth's
 surface, and the yaw rate ψ̇ the corresponding ``wu``.
@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.base.store import DriveWriter
+from pipeline.base.store import DriveReader
 
 # Forward speed at standstill dips to -0.15 m/s in KITTI; below this limit the car rolls backwards.
 REVERSING_MPS = -0.5
@@ -22,7 +22,7 @@ class Car(NamedTuple):
 
 
 class Labels(NamedTuple):
-    """Labels of the frames [F] of a drive's ingest file; speed and yaw rate are NaN where the source has none."""
+    """Labels of a drive's frames [F]; speed and yaw rate are NaN where the source has none, in a file 0."""
 
     steering_rad: np.ndarray  # float64, left positive; 0 where unknown
     valid: np.ndarray  # bool
@@ -32,6 +32,11 @@ class Labels(NamedTuple):
     def at(self, rows: np.ndarray | slice) -> "Labels":
         """Return the labels of some `rows`."""
         return Labels(*(values[rows] for values in self))
+
+
+def read(file: DriveReader) -> Labels:
+    """Return the labels in data/labels/<drive>.h5."""
+    return Labels(file["steering_rad"], file["valid"].astype(bool), file["speed_mps"], file["yaw_rate_radps"])
 
 
 def steering_angle(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, wheelbase_m: float) -> np.ndarray:
@@ -45,48 +50,23 @@ def steering_angle(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, wheelbase_
     return np.where((speed_mps == 0) & (yaw_rate_radps == 0), 0.0, angle)
 
 
-def is_usable(speed_mps: np.ndarray, valid: np.ndarray, min_speed_mps: float) -> np.ndarray:
-    """Return which frames [F] have `valid` motion of at least `min_speed_mps`, in either direction."""
-    return np.asarray(valid, bool) & (np.abs(speed_mps) >= min_speed_mps)
-
-
-def measured_angle(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, valid: np.ndarray, car: Car) -> np.ndarray:
-    """Return the :func:`steering_angle` of measured motion, float64 [F] in rad.
-
-    Where it is not usable, it repeats the last usable angle; before the first it is 0.
-    """
-    usable = is_usable(speed_mps, valid, car.min_speed_mps)
-    angle = steering_angle(np.asarray(yaw_rate_radps, np.float64), np.asarray(speed_mps, np.float64), car.wheelbase_m)
-    last = np.maximum.accumulate(np.where(usable, np.arange(len(usable)), -1))
-    return np.where(last >= 0, angle[last], 0.0)
-
-
 def steering_labels(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, car: Car) -> tuple[np.ndarray, np.ndarray]:
     """Return ``steering_rad`` float64 [F], and ``valid`` bool [F]: at known speeds from the car's minimum on."""
     known = np.isfinite(speed_mps)
     steering_rad = np.where(known, steering_angle(yaw_rate_radps, speed_mps, car.wheelbase_m), 0.0)
-    return steering_rad, is_usable(speed_mps, known, car.min_speed_mps)
+    return steering_rad, known & (np.abs(speed_mps) >= car.min_speed_mps)
 
 
-def write(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, labels: Labels, wheelbase_m: float) -> None:
-    """Write the content of data/labels/<drive>.h5: labels of the frames [F], unknown rates as 0, and tan Θ / L."""
-    file.put("frame", np.asarray(frame, np.int32))
-    file.put("time_s", time_s, "s")
-    file.put("steering_rad", labels.steering_rad, "rad, left positive")
-    file.put("valid", labels.valid.astype(np.uint8))
-    file.put("speed_mps", np.nan_to_num(labels.speed_mps), "m/s")
-    file.put("yaw_rate_radps", np.nan_to_num(labels.yaw_rate_radps), "rad/s, left positive")
-    file.put("curvature_1pm", np.tan(labels.steering_rad) / wheelbase_m, "1/m, left positive")
+def held(values: np.ndarray, valid: np.ndarray, before: float = 0.0) -> np.ndarray:
+    """Return `values` [F] with the last valid one where they are not `valid`, and `before` before the first."""
+    last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), -1))
+    return np.append(values, before)[last]
 
 
-def path(steering_rad: np.ndarray, speed_mps: np.ndarray, time_s: np.ndarray, wheelbase_m: float) -> np.ndarray:
-    """Return the car's positions [F,2] in metres, x ahead and y to the left of its start: ψ ← ψ + v/L tan Θ dt.
+def measured_angle(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, valid: np.ndarray, car: Car) -> np.ndarray:
+    """Return the :func:`held` angle of measured motion, float64 [F] in rad; NaN before the first.
 
-    The paper's formula as printed, [x, y] ← [x, y] + v dt [cos Θ, sin Θ], takes the steering angle as the heading.
+    Motion is used where it is `valid` and the car has its minimum speed, in either direction.
     """
-    dt = np.diff(time_s)
-    steering_rad, speed_mps = steering_rad[:-1], speed_mps[:-1]
-    turned = speed_mps / wheelbase_m * np.tan(steering_rad) * dt
-    heading = np.cumsum(turned) - turned / 2  # halfway through the step: the direction of the arc's chord
-    steps = (speed_mps * dt)[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    speed_mps = np.where(valid, speed_mps, np.nan).astype(np.float64)
+    return held(*steering_labels(yaw_rate_radps.astype(np.float64), speed_mps, car), before=np.nan)

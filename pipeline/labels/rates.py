@@ -1,11 +1,11 @@
-"""Yaw rates and speeds of measured motion: causal, as models get them, or for labels, means that look ahead."""
+"""Yaw rates and speeds of measured motion: causal, as models get them, or for labels, smoothed with later frames."""
 
 import numpy as np
 
 from pipeline.base.store import DriveReader
 from pipeline.motion.step import LEAST_MPS, LEAST_NOISE, PROBLEMS, STANDSTILL, filter_speed
 
-# Standard deviations of the means. A driver turns the wheel in a second, and a car changes its speed more slowly; a
+# Standard deviations of the Gaussians. A driver turns the wheel in a second, and a car changes its speed more slowly; a
 # speed from one pair of images has much more noise than a yaw rate.
 YAW_SIGMA_S, SPEED_SIGMA_S = 0.2, 0.5
 REACH = 2.0  # sigmas on both sides
@@ -16,21 +16,27 @@ def measured_rates(motion: DriveReader, *, look_ahead: bool) -> np.ndarray:
     """Return the rates in a file of stage motion, [4,F], NaN where not measured.
 
     They are yaw rates in rad/s, left positive; forward speeds in m/s; and standard deviations of both, the speed's is
-    relative. With `look_ahead`, they are Gaussian means over neighbouring frames; those of the speed are then filtered.
+    relative. With `look_ahead`, they are :func:`smoothed_rates`.
     """
     valid, rates = motion["valid"].astype(bool), np.full((4, len(motion.frame)), np.nan)
     names = ("yaw_rate_radps", "speed_mps", "filtered_mps", "speed_sigma", "road_height_m")
-    yaw, raw_mps, speed, speed_sigma, road_m = (motion[name][valid].astype(np.float64) for name in names)
-    yaw_sigma = np.full(len(yaw), YAW_NOISE_RADPS)
+    yaw_radps, speed_mps, filtered_mps, speed_sigma, road_m = (motion[name][valid].astype(np.float64) for name in names)
     if look_ahead:
-        time_s = motion.time_s[valid]
-        yaw, error = means(time_s, yaw, YAW_SIGMA_S)
-        yaw_sigma = np.maximum(yaw_sigma, error)
-        mean_mps, error = means(time_s, raw_mps, SPEED_SIGMA_S)
-        noise = np.maximum(LEAST_NOISE, error / np.maximum(np.abs(mean_mps), LEAST_MPS))
-        speed, speed_sigma = filter_speed(time_s, mean_mps, road_m > 0, noise)
-    rates[:, valid] = yaw, speed, yaw_sigma, speed_sigma
+        rates[:, valid] = smoothed_rates(motion.time_s[valid], yaw_radps, speed_mps, road_m > 0)
+    else:
+        rates[:, valid] = yaw_radps, filtered_mps, np.full(len(yaw_radps), YAW_NOISE_RADPS), speed_sigma
     return rates
+
+
+def smoothed_rates(
+    time_s: np.ndarray, yaw_radps: np.ndarray, speed_mps: np.ndarray, road: np.ndarray
+) -> tuple[np.ndarray, ...]:
+    """Return Gaussian means of yaw rates and speeds [M], the speeds then filtered, and standard deviations of both."""
+    yaw_radps, yaw_error = gaussian_mean(time_s, yaw_radps, YAW_SIGMA_S)
+    speed_mps, speed_error = gaussian_mean(time_s, speed_mps, SPEED_SIGMA_S)
+    noise = np.maximum(LEAST_NOISE, speed_error / np.maximum(np.abs(speed_mps), LEAST_MPS))
+    speed_mps, speed_sigma = filter_speed(time_s, speed_mps, road, noise)
+    return yaw_radps, speed_mps, np.maximum(YAW_NOISE_RADPS, yaw_error), speed_sigma
 
 
 def stands(motion: DriveReader) -> np.ndarray:
@@ -38,7 +44,7 @@ def stands(motion: DriveReader) -> np.ndarray:
     return np.isin(motion["problem"], [PROBLEMS.index(text) for text in STANDSTILL])
 
 
-def means(time_s: np.ndarray, values: np.ndarray, sigma_s: float) -> tuple[np.ndarray, np.ndarray]:
+def gaussian_mean(time_s: np.ndarray, values: np.ndarray, sigma_s: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the Gaussian mean of `values` [M] around each time [M], and its error.
 
     The error is that of independent noise, whose consecutive differences have a median of 0.954 standard deviations.

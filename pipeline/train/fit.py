@@ -22,9 +22,9 @@ from pipeline.graphs import graph_file
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
 from pipeline.train import checkpoint, predict, runs, windows
-from pipeline.train.labelled_drive import LabelledDrive
 from pipeline.train.loop import autocast, warm_up_cosine
-from pipeline.train.scale import Prediction, Scale, nmse, step_targets, weighted_loss
+from pipeline.train.loss import Prediction, Scale, nmse, step_targets, weighted_loss
+from pipeline.train.targets import LabelledDrive
 
 SMALL = 8_000  # points per frame
 WARM_UP = 0.05  # share of the steps
@@ -185,12 +185,14 @@ class Fit:
         All random numbers of an epoch derive from its number, so a resumed run equals an uninterrupted one.
         """
         settings, rng = self.settings, np.random.default_rng([self.seed, epoch])
-        spans = windows.random_spans(self.train, self.entry.window, settings.span_windows, rng)
+        window = self.entry.window
+        spans = windows.spans(self.train, window, settings.span_windows, rng)
+        spans = [span for span in spans if self.train[span.drive].has_target(span.start + window - 1, span.stop)]
+        rng.shuffle(spans)
         factor = (settings.rescale ** rng.uniform(-1, 1, len(spans))).astype(np.float32).tolist()
-        ahead = bool(self.train[0].horizon or self.train[0].ahead_m)
         # Without the scene, an equivariant network without motion has the output 0 and no gradient.
-        hides = ahead and self.net.motion and self.net.sees
-        hidden = (rng.random(len(spans)) < MOTION_DROPOUT * hides).tolist()
+        hides = (self.entry.horizon or self.entry.predict == "path") and self.net.motion and self.net.sees
+        hidden = (rng.random(len(spans)) < MOTION_DROPOUT * bool(hides)).tolist()
         spans = [replace(span, factor=f, hidden=h) for span, f, h in zip(spans, factor, hidden, strict=True)]
         # About equally many, as the features of a single frame have no variance.
         parts = np.array_split(np.arange(len(spans)), -(-len(spans) // settings.batch_spans))
@@ -202,7 +204,7 @@ class Fit:
         steps, robust = self._plan(epoch), self.entry.predict == "path"
         net.train()
         torch.manual_seed(int(np.random.SeedSequence([self.seed, epoch]).generate_state(1)[0]))  # of dropout, see _plan
-        errors, masses, precision = [], [], autocast(device, settings.precision)
+        errors, weight_sums, precision = [], [], autocast(device, settings.precision)
         for step, batch in enumerate(reader.batches(steps)):
             progress = (epoch - 1 + step / len(steps)) / settings.epochs
             for parameters in self.optimiser.param_groups:
@@ -214,16 +216,16 @@ class Fit:
                 predicted = net(*net.inputs(batch), pairs=settings.mirror)
             error = weighted_loss(predicted, residual, weight, robust)
             # Each span has a valid target, but all ranges of a scaled path may be unknown: then the error is 0, too.
-            mass = weight.sum().clamp_min(1e-6)
+            weight_sum = weight.sum().clamp_min(1e-6)
             self.optimiser.zero_grad(set_to_none=True)
-            (error / mass).backward()  # type: ignore[no-untyped-call]
+            (error / weight_sum).backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(net.parameters(), settings.clip_norm)
             self.optimiser.step()
             self.average.update_parameters(net)
             errors.append(error.detach())
-            masses.append(mass)
-        error_sum, mass_sum = torch.stack(errors + masses).double().view(2, -1).sum(1).tolist()
-        return error_sum / mass_sum, self.optimiser.param_groups[0]["lr"]
+            weight_sums.append(weight_sum)
+        error, weight = torch.stack(errors + weight_sums).double().view(2, -1).sum(1).tolist()
+        return error / weight, self.optimiser.param_groups[0]["lr"]
 
     def _resume(self, state: Mapping[str, Any]) -> None:
         for name in ("net", "average", "optimiser"):

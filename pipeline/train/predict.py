@@ -15,9 +15,9 @@ from pipeline.graphs.graph_file import Contents, Graphs, open_graphs
 from pipeline.labels import label
 from pipeline.settings.models import Entry
 from pipeline.train import checkpoint, windows
-from pipeline.train.labelled_drive import Timeline
 from pipeline.train.loop import prefetch
-from pipeline.train.scale import Prediction, Scale
+from pipeline.train.loss import Prediction, Scale
+from pipeline.train.targets import Timeline
 
 KIND = "steering net"  # of checkpoint
 WINDOWS = 96  # per batch of predictions; limits the memory

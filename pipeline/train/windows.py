@@ -1,4 +1,4 @@
-"""Read graph files and labels as batches: spans of consecutive frames with overlapping windows.
+"""Read drives as batches: spans of consecutive frames with overlapping windows.
 
 A window is `window` consecutive frames. Its target is the steering `horizon` frames after its last frame; that frame
 needs a label but no graph. A span is consecutive frames that are read and encoded once for all their windows. Frames
@@ -11,7 +11,7 @@ A batch is a dict of arrays: B graphs as in pipeline/graphs/graph_file.py, and f
 - with the scene of another drive, scenes int64 [B]: the graph that each frame sees, instead of one graph per frame;
 - with motion, motion float32 [B,4] since the previous frame: the measured steering angle, yaw rate,
   speed, and whether they were measured; the first two change sign under mirroring;
-- with targets, target float32 [W,R] and valid bool [W,R] of R columns, see labelled_drive.py; 0 if unknown.
+- with targets, target float32 [W,R] of R columns, see targets.py; NaN if unknown.
 """
 
 from collections import defaultdict
@@ -29,8 +29,8 @@ from torch.utils.data import DataLoader, Dataset
 
 from pipeline.base.errors import InputError
 from pipeline.graphs.graph_file import Arrays, Graphs, collate, open_graphs
-from pipeline.train.labelled_drive import LabelledDrive, Timeline
 from pipeline.train.loop import prefetch
+from pipeline.train.targets import LabelledDrive, Timeline, window_values
 
 AHEAD = 4  # batches that a process reads in advance
 
@@ -46,31 +46,21 @@ class Span:
     hidden: bool = False  # motion is not measured, and the base angle is 0
 
 
-def random_spans(drives: Sequence[LabelledDrive], window: int, windows: int, rng: np.random.Generator) -> list[Span]:
+def spans(
+    timelines: Sequence[Timeline], window: int, windows: int, rng: np.random.Generator | None = None
+) -> list[Span]:
     """Split all stretches into spans of at most `windows` windows of `window` frames; each window is in one span.
 
-    Spans start at a random phase and are shuffled, so that epochs have different batches. Spans without a valid target
-    are left out.
+    With `rng` they start at a random phase, so that epochs have different batches.
     """
-    spans = []
-    for number, drive in enumerate(drives):
-        for start, stop in drive.stretches:
+    result = []
+    for number, timeline in enumerate(timelines):
+        for start, stop in timeline.stretches:
             last = start + window - 1  # row of the first window's last frame
-            phase = int(rng.integers(windows)) or windows  # windows in the first span
+            phase = (int(rng.integers(windows)) if rng else 0) or windows  # windows in the first span
             edges = [last, *range(last + phase, stop, windows), stop]
-            spans += [Span(number, a - window + 1, b) for a, b in pairwise(edges) if a < b and drive.valid[a:b].any()]
-    rng.shuffle(spans)
-    return spans
-
-
-def spans(timelines: Sequence[Timeline], window: int, windows: int) -> list[Span]:
-    """Return spans of at most `windows` windows that cover each complete window once, in order."""
-    return [
-        Span(number, first, min(first + windows + window - 1, stop))
-        for number, timeline in enumerate(timelines)
-        for start, stop in timeline.stretches
-        for first in range(start, stop - window + 1, windows)
-    ]
+            result += [Span(number, a - window + 1, b) for a, b in pairwise(edges) if a < b]
+    return result
 
 
 def read_batch(
@@ -93,14 +83,16 @@ def read_batch(
                 problem = f"scene: another needs a window of {window} frames (got {others})"
                 raise InputError(problem, file.path, "Remove the drive")
             # A window's scenes are consecutive and end at the same share of the other drive.
-            ends = np.maximum(rows[:, -1] * others // len(timeline.frame), window - 1)
-            seen = ends[:, None] + np.arange(1 - window, 1)  # [W,T]
+            last = np.maximum(rows[:, -1] * others // len(timeline.frame), window - 1)
+            seen = last[:, None] + np.arange(1 - window, 1)  # [W,T]
             start, stop = seen[0, 0], seen[-1, -1] + 1
             columns["scenes"].append(seen.ravel() - start + graphs)
             rows, members = rows.ravel(), np.arange(rows.size).reshape(rows.shape)
         columns["windows"].append(members + frames)
         columns["dt_s"].append(timeline.dt_s[rows][members])
-        for name, values in _measured(timeline, span, rows, window, "xyz" in file).items():
+        ends = slice(span.start + window - 1, span.stop)
+        larger = span.factor if "xyz" in file else 1.0  # a larger world gives the same image
+        for name, values in window_values(timeline, rows, ends, larger, span.hidden).items():
             columns[name].append(values)
         parts.append((file, start, stop))
         frames, graphs = frames + len(rows), graphs + stop - start
@@ -109,26 +101,6 @@ def read_batch(
         factor = np.repeat([span.factor for span in group], [stop - start for _, start, stop in parts])
         batch["xyz"] *= np.repeat(factor, np.diff(batch["ptr"])).astype(np.float32)[:, None]
     return batch | {name: np.concatenate(arrays) for name, arrays in columns.items()}
-
-
-def _measured(timeline: Timeline, span: Span, rows: np.ndarray, window: int, points: bool) -> Arrays:
-    """Return motion at `rows`, and base, target and valid of a span's windows, as a network gets them.
-
-    A larger world gives the same image, so only those of `points` are rescaled.
-    """
-    ends = slice(span.start + window - 1, span.stop)
-    values: Arrays = {"base": timeline.base[ends].astype(np.float32)}
-    if timeline.motion is not None:
-        values["motion"] = timeline.motion[rows]
-    if isinstance(timeline, LabelledDrive):
-        # Targets without a label have weight 0, but 0 × NaN is NaN.
-        values["target"] = np.nan_to_num(timeline.target[ends]).astype(np.float32)
-        values["valid"] = timeline.valid[ends]
-        if points and span.factor != 1:
-            _rescale(values, span.factor, timeline.ahead_m)
-    if span.hidden:
-        values |= {name: np.zeros_like(values[name]) for name in ("motion", "base")}
-    return values
 
 
 class Reader(Dataset[dict[str, Tensor]]):
@@ -171,41 +143,3 @@ class Reader(Dataset[dict[str, Tensor]]):
     def __exit__(self, *_: object) -> None:
         self._loader = None  # ends its processes
         self._files.close()
-
-
-def _rescale(values: Arrays, factor: float, ahead_m: Sequence[float]) -> None:
-    """Replace motion, base, target and valid of a span by those in a world `factor` times as large.
-
-    The bicycle model's tan Θ is wheelbase × curvature, and curvature is 1 / length; the yaw rate does not change.
-    `ahead_m`: the edges of a path's ranges, as in :func:`scale_path`; none for an angle.
-    """
-    if ahead_m:
-        values["base"] = values["base"] / factor
-        values["target"], values["valid"] = scale_path(values["target"], values["valid"], ahead_m, factor)
-    else:
-        values |= {name: _scale_radius(values[name], factor) for name in ("base", "target")}
-    if "motion" in values:
-        measured_rad, yaw_rate_radps, speed_mps, valid = values["motion"].T
-        columns = [_scale_radius(measured_rad, factor), yaw_rate_radps, speed_mps * factor, valid]
-        values["motion"] = np.stack(columns, axis=1)
-
-
-def scale_path(
-    path_1pm: np.ndarray, valid: np.ndarray, ahead_m: Sequence[float], factor: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the path ahead [W,R] in a world `factor` times as large, and where it is known.
-
-    A range there is 1 / factor of it here, so it overlaps several ranges of the labels, whose curvature counts as
-    constant within each. Where one of these is not valid, or the labels end, the path is 0 and not known.
-    """
-    near, far = np.array(ahead_m[:-1], np.float32), np.array(ahead_m[1:], np.float32)
-    overlap_m = np.minimum(far[:, None] / factor, far) - np.maximum(near[:, None] / factor, near)  # [R,R]
-    share = np.maximum(overlap_m, 0) * factor / (far - near)[:, None]
-    known = (share * valid[:, None]).sum(axis=2) > 1 - 1e-4
-    scaled = (share * np.where(valid, path_1pm, 0)[:, None]).sum(axis=2) / factor
-    return np.where(known, scaled, 0).astype(path_1pm.dtype), known
-
-
-def _scale_radius(steering_rad: np.ndarray, factor: float) -> np.ndarray:
-    """Return the steering angle in bends with `factor` times the radius."""
-    return np.arctan(np.tan(steering_rad) / factor)

@@ -13,8 +13,8 @@ from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.graphs import graph_file
 from pipeline.train import fit, predict
-from pipeline.train.labelled_drive import read_drive
-from pipeline.train.scale import WITHIN
+from pipeline.train.loss import WITHIN
+from pipeline.train.targets import read_drive
 from tests import artefacts
 from tests.kitti_drive import contents
 from tests.small_model import EDGES_M, SPLITS, TEST, run_evaluate, run_train, write_params, write_two_test_drives
@@ -61,7 +61,7 @@ def test_sigma_is_calibrated_on_the_validation_drive(folder, predicted):
     drive = read_drive(folder / "graphs/semantic", folder / "labels", "2026_01_02_drive_0001", model.entry)
     with graph_file.open_graphs(drive.graphs) as graphs:
         mean, sigma, half_95 = model.predict(graphs)
-    error = np.abs(mean - drive.truth)
+    error = np.abs(mean - drive.target)
     known = np.isfinite(error).sum(axis=0)
     if predicted == "path":
         np.testing.assert_allclose((error <= sigma).sum(axis=0) / known, WITHIN, atol=0.03)

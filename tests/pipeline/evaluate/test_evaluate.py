@@ -15,8 +15,8 @@ from pipeline.kitti import oxts
 from pipeline.kitti.raw import KittiDrive
 from pipeline.labels import label
 from pipeline.settings.evaluate import Evaluate
-from pipeline.train.labelled_drive import LabelledDrive, read_drive
-from pipeline.train.scale import Prediction, Scale
+from pipeline.train.loss import Prediction, Scale
+from pipeline.train.targets import LabelledDrive, read_drive
 from tests import artefacts
 from tests.small_model import entry
 
@@ -46,11 +46,10 @@ def scores(cases: list[metrics.Case]) -> dict[str, Any]:
 
 def test_invalid_and_early_frames_do_not_count(folder):
     test = read(folder)
-    test[0].valid[10:15] = False
     predicted = [drive.target + 0.01 for drive in test]
-    for angles, drive in zip(predicted, test, strict=True):
+    for angles in predicted:
         angles[:3] = np.nan
-        angles[~drive.valid] = 99.0
+    test[0].target[10:15], predicted[0][10:15] = np.nan, 99.0
     cases = [case(drive, angles) for drive, angles in zip(test, predicted, strict=True)]
     blocks = load(Evaluate, PARAMS).model_copy(update={"bootstrap_block_frames": 5})
     found = metrics.metrics(cases, blocks)["steering_rad"]
@@ -211,8 +210,9 @@ def track(steering_rad: float | np.ndarray, *onsets: int) -> Track:
 def test_segments_end_at_onsets_and_missing_predictions():
     predicted = np.zeros(STEPS)
     predicted[:7] = predicted[50] = predicted[99] = np.nan
-    assert segments(track(0.0, 3, 20, 50, 70), predicted) == [(7, 20), (20, 50), (51, 70), (70, 99)]
-    assert segments(track(0.0), np.full(STEPS, np.nan)) == []
+    rows = [slice(7, 20), slice(20, 50), slice(51, 70), slice(70, 99)]
+    assert segments(np.array([3, 20, 50, 70]), predicted) == rows
+    assert segments(np.array([], int), np.full(STEPS, np.nan)) == []
 
 
 def test_drift_is_the_final_distance_per_100_m():
@@ -227,8 +227,7 @@ def test_drift_is_the_final_distance_per_100_m():
 
 def test_a_step_uses_speed_and_angle_of_its_end():
     speed, angles, time_s = np.array([9.0, 2.0, 4.0]), np.array([9.0, 0.0, 0.1]), np.array([0.0, 0.5, 1.0])
-    none = np.array([], int)
-    path = Track(time_s, speed, angles, none, wheelbase_m=2.7).path(angles, 0, 3)
+    path = turns.path(angles, speed, time_s, wheelbase_m=2.7)
     turned = 2.0 / 2.7 * np.tan(0.1)
     np.testing.assert_allclose(path, [[0, 0], [1, 0], [1 + 2 * np.cos(turned / 2), 2 * np.sin(turned / 2)]])
 
@@ -262,8 +261,7 @@ def off_the_track(raw: KittiDrive) -> np.ndarray:
         if last == len(rows):
             break
         piece = slice(first, last + 1)
-        own = Track(time_s[piece], speed[piece], angle[piece], np.array([], int), wheelbase_m=2.7)
-        x, y = own.path(own.steering_rad, 0, last + 1 - first)[-1]
+        x, y = turns.path(angle[piece], speed[piece], time_s[piece], wheelbase_m=2.7)[-1]
         turned = np.exp(1j * yaw[first]) * complex(x, y)
         step = complex(*(gnss[last] - gnss[first]))
         off.append(100 * abs(turned - step) / (driven_m[last] - driven_m[first]))
@@ -280,8 +278,9 @@ def bends(*parts: tuple[int, float]) -> np.ndarray:
 
 def found(curvature: np.ndarray, kept: np.ndarray | slice = slice(None)) -> list[int]:
     frames, speed = np.arange(len(curvature))[kept], np.full(len(curvature), 8.0)[kept]
-    curvature, valid = curvature[kept], np.ones(len(frames), bool)
-    return frames[turns.onsets(curvature, valid, frames / 10, curvature * speed, speed)].tolist()
+    curvature = curvature[kept]
+    labels = label.Labels(curvature, np.ones(len(frames), bool), speed, curvature * speed)
+    return frames[turns.onsets(frames / 10, curvature, labels)].tolist()
 
 
 def test_a_turn_begins_where_the_curvature_leaves_straight():

@@ -20,9 +20,9 @@ from pipeline.base.errors import InputError
 from pipeline.graphs.graph_file import Arrays, collate, open_graphs
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
-from pipeline.train import checkpoint, fit, loop, predict, runs, scale, windows
-from pipeline.train.labelled_drive import LabelledDrive, Timeline, consecutive, read_drive
-from pipeline.train.scale import Scale
+from pipeline.train import checkpoint, fit, loop, loss, predict, runs, targets, windows
+from pipeline.train.loss import Scale
+from pipeline.train.targets import LabelledDrive, Timeline, read_drive
 from tests import artefacts, small_model
 from tests.small_model import entry
 
@@ -51,10 +51,10 @@ def read_batch(drives: Sequence[LabelledDrive], *group: windows.Span, window: in
 
 
 def test_spans_cover_each_window_of_consecutive_frames_once(folder):
-    assert consecutive(np.array([3, 4, 5, 9, 10, 12])) == ((0, 3), (3, 5), (5, 6))
-    assert consecutive(np.array([], int)) == ()
     drives = read(folder)
-    random = [windows.random_spans(drives, 8, 5, np.random.default_rng(seed)) for seed in range(20)]
+    for frame, stretches in (([3, 4, 5, 9, 10, 12], [(0, 3), (3, 5), (5, 6)]), ([], [])):
+        assert replace(drives[0], frame=np.array(frame, int)).stretches == stretches
+    random = [windows.spans(drives, 8, 5, np.random.default_rng(seed)) for seed in range(20)]
     for spans in (windows.spans(drives, 8, 5), *random):
         ends = [(span.drive, row) for span in spans for row in range(span.start + 7, span.stop)]
         assert sorted(ends) == [(number, row) for number in range(2) for row in range(7, 23)]
@@ -82,12 +82,11 @@ def test_target_is_the_label_horizon_frames_ahead_by_frame_number(folder):
     (drive,) = read(folder, NAMES[:1], horizon=5)
     ahead = {int(number): row for row, number in enumerate(frame)}
     for row, number in enumerate(drive.frame + 5):
-        known = int(number) in ahead
-        assert drive.valid[row, 0] == (known and bool(valid[ahead[int(number)]]))
+        known = int(number) in ahead and valid[ahead[int(number)]]
         assert drive.target[row, 0] == pytest.approx(steering[ahead[int(number)]] if known else np.nan, nan_ok=True)
     batch = read_batch([drive], windows.Span(0, 0, 10), window=4)  # windows end at frames 3 to 9
-    assert batch["target"][:, 0] == pytest.approx([0.08, 0.09, 0.0, 0.10, 0.11, 0.12, 0.13])  # no NaN, but not valid
-    assert batch["valid"][:, 0].tolist() == [True, True, False, True, True, True, True]
+    expected = pytest.approx([0.08, 0.09, np.nan, 0.10, 0.11, 0.12, 0.13], nan_ok=True)
+    assert batch["target"][:, 0] == expected
     artefacts.write_labels(labels, NAMES[0], np.arange(20) / 100, np.arange(20))
     with pytest.raises(InputError, match="no label for frame 20"):
         read(folder, names=NAMES[:1])
@@ -126,7 +125,7 @@ def test_the_control_gets_the_scene_of_another_drive_and_nothing_else_changes(fo
     control = replace(drive, scene=folder / f"graphs/semantic/{NAMES[1]}.h5")
     group = [windows.Span(0, 12, 23, factor=2.0, hidden=True), windows.Span(0, 0, 9)]
     own, batch = read_batch([drive], *group), read_batch([control], *group)
-    for key in ("dt_s", "base", "target", "valid"):
+    for key in ("dt_s", "base", "target"):
         assert (batch[key] == own[key]).all()
     assert (batch["motion"][batch["windows"]] == own["motion"][own["windows"]]).all()
     with open_graphs(control.scene) as graphs:
@@ -183,7 +182,7 @@ def test_hidden_motion_is_not_measured_and_has_no_base(folder):
     ],
 )
 def test_motion_is_hidden_from_half_of_the_spans_beside_a_scene_ahead(folder, ahead, motion, spatial, hides):
-    model = entry(spatial=spatial, temporal="lstm", window=4, motion=motion)
+    model = entry(spatial=spatial, temporal="lstm", window=4, motion=motion, horizon=ahead)
     settings = Train.model_validate(yaml.safe_load(small_model.PARAMS.read_text())["train"] | {"span_windows": 1})
     fitting = fit.Fit(model.build("graph"), model, settings, 0, read(folder, horizon=ahead), [])
     hidden = np.mean([span.hidden for group in fitting._plan(epoch=1) for span in group])
@@ -217,8 +216,9 @@ def test_a_world_twice_as_large_has_bends_of_twice_the_radius(tmp_path, predicte
 
 @given(st.floats(0.5, 2.0), st.lists(st.floats(-0.2, 0.2), min_size=3, max_size=3), st.integers(0, 3))
 def test_the_path_in_a_larger_world_has_the_mean_curvature_of_its_stretched_course(factor, values, unknown):
-    curvature, valid = np.array([values]), np.arange(3)[None] != unknown
-    path, known = windows.scale_path(curvature, valid, EDGES_M, factor)
+    curvature = np.array([values])
+    path = targets.scale_path(np.where(np.arange(3) == unknown, np.nan, curvature), EDGES_M, factor)
+    known = np.isfinite(path)
     step = (np.arange(20_000) + 0.5) / 1000  # distances in the scaled world, metres
     course = curvature[0, np.clip(np.searchsorted(EDGES_M, step / factor) - 1, 0, 2)] / factor
     for number, (near, far) in enumerate(pairwise(EDGES_M)):
@@ -227,8 +227,8 @@ def test_the_path_in_a_larger_world_has_the_mean_curvature_of_its_stretched_cour
         overlap_m = max(min(far / factor, end) - max(near / factor, start) for start, end in unseen)
         if not 0 < overlap_m < 0.01:  # where rounding does not decide
             assert known[0, number] == (overlap_m <= 0)
-        expected = course[(step > near) & (step < far)].mean() if known[0, number] else 0
-        assert path[0, number] == pytest.approx(expected, abs=3e-4)
+        expected = course[(step > near) & (step < far)].mean() if known[0, number] else np.nan
+        assert path[0, number] == pytest.approx(expected, abs=3e-4, nan_ok=True)
 
 
 # Items ahead of their use
@@ -283,7 +283,7 @@ def drives(request, tmp_path) -> list[LabelledDrive]:
 def test_scale_is_the_regression_and_spread_of_the_residual(drives):
     scale, path = Scale.from_drives(drives), bool(drives[0].ahead_m)
     assert scale.names == (["path_0-5m_1pm", "path_5-10m_1pm"] if path else ["steering_rad"])
-    truth, base = np.concatenate([d.truth for d in drives]), np.concatenate([d.base for d in drives])
+    truth, base = np.concatenate([d.target for d in drives]), np.concatenate([d.base for d in drives])
     for number in range(len(scale.names)):
         known = np.isfinite(truth[:, number])
         assert 0 < known.sum() < len(truth)
@@ -311,14 +311,13 @@ def test_encode_and_decode_are_inverse(columns, seed):
 def test_targets_of_a_step_are_standardised_weighted_and_mirrored():
     angle = Scale(["steering_rad"], np.ones(1), np.array([0.5]), np.zeros(1))
     batch = {
-        "target": torch.tensor([[0.2], [-0.3], [0.0]]),
+        "target": torch.tensor([[0.2], [-0.3], [torch.nan]]),
         "base": torch.tensor([0.1, 0.0, 0.0]),
-        "valid": torch.tensor([[True], [True], [False]]),
     }
-    residual, weight = scale.step_targets(batch, angle, alpha=2.0, mirror=False, dtype=torch.float64)
+    residual, weight = loss.step_targets(batch, angle, alpha=2.0, mirror=False, dtype=torch.float64)
     assert residual[:, 0].tolist() == pytest.approx([0.2, -0.6, 0.0])
     assert weight[:, 0].tolist() == pytest.approx([np.exp(0.4), np.exp(0.6), 0.0])
-    both = scale.step_targets(batch, angle, alpha=2.0, mirror=True, dtype=torch.float64)
+    both = loss.step_targets(batch, angle, alpha=2.0, mirror=True, dtype=torch.float64)
     assert torch.equal(both[0], torch.cat([residual, -residual]))
     assert torch.equal(both[1], torch.cat([weight, weight]))
 
@@ -331,16 +330,16 @@ def test_uncertainty_adds_its_likelihood_and_leaves_the_mean_alone(robust):
     predicted = torch.tensor([[0.5, 0.1, -1.0, 0.3], [9.0, 0.2, 0.0, 0.5]], requires_grad=True)
     target, weight = torch.tensor([[0.2, 0.4], [0.0, 0.3]]), torch.tensor([[2.0, 1.0], [1.0, 0.0]])
     mean, log_sigma = predicted.chunk(2, dim=1)
-    plain = scale.weighted_loss(mean, target, weight, robust)
+    plain = loss.weighted_loss(mean, target, weight, robust)
     error = huber(mean - target) if robust else (mean - target).square()
     assert plain.item() == pytest.approx((weight * error).sum().item())
     if robust:
         likelihood = log_sigma + huber((mean - target) / log_sigma.exp())
     else:
         likelihood = -torch.distributions.Normal(mean, log_sigma.exp()).log_prob(target) - np.log(2 * np.pi) / 2
-    loss = scale.weighted_loss(predicted, target, weight, robust)
-    assert loss.item() == pytest.approx((plain + (weight * likelihood).sum()).item())
-    (alone,), (both,) = (torch.autograd.grad(value, predicted, retain_graph=True) for value in (plain, loss))
+    complete = loss.weighted_loss(predicted, target, weight, robust)
+    assert complete.item() == pytest.approx((plain + (weight * likelihood).sum()).item())
+    (alone,), (both,) = (torch.autograd.grad(value, predicted, retain_graph=True) for value in (plain, complete))
     assert torch.equal(alone[:, :2], both[:, :2])
     assert both[0, 2:].all()
 

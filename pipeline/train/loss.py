@@ -1,4 +1,4 @@
-"""Scale of a network's outputs, from the training drives; predictions and loss. Angle and path differ in R alone."""
+"""Loss of a network, the scale of its outputs from the training drives, and its predictions, in R columns."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from pipeline.base.errors import InputError
-from pipeline.train.labelled_drive import LabelledDrive
+from pipeline.train.targets import LabelledDrive
 
 WITHIN = 0.6827  # share of a normal distribution within one standard deviation
 
@@ -45,7 +45,7 @@ class Scale:
     @classmethod
     def from_drives(cls, drives: Sequence[LabelledDrive]) -> "Scale":
         """Raise InputError if the drives never drive on to the end of a range of the path."""
-        edges_m, y = drives[0].ahead_m, np.concatenate([drive.truth for drive in drives])
+        edges_m, y = drives[0].ahead_m, np.concatenate([drive.target for drive in drives])
         for (near, far), driven in zip(pairwise(edges_m), np.isfinite(y).any(axis=0), strict=False):
             if not driven:
                 names = ", ".join(drive.name for drive in drives)
@@ -90,7 +90,7 @@ class Scale:
         a path covers WITHIN of the errors, since those at junctions are large. The interval covers 95 %, since large
         errors are more frequent than in a normal distribution. A column without errors is left as it is.
         """
-        truth = np.concatenate([drive.truth for drive in drives])
+        truth = np.concatenate([drive.target for drive in drives])
         mean, sigma = (np.concatenate(values) for values in list(zip(*predictions, strict=True))[:2])
         factor, interval = np.ones(len(self.names)), np.full(len(self.names), 1.96)
         for column, ratio in enumerate((np.abs(mean - truth) / sigma).T):
@@ -103,7 +103,7 @@ class Scale:
 
 def nmse(drives: Sequence[LabelledDrive], predictions: Sequence[Prediction]) -> float:
     """Return the mean over the columns of MSE / MSE of predicting 0; NaN if every target is 0."""
-    truth = np.concatenate([drive.truth for drive in drives])
+    truth = np.concatenate([drive.target for drive in drives])
     error = np.concatenate([prediction.mean for prediction in predictions]) - truth
     zero = np.where(np.isnan(error), 0.0, truth**2).sum(axis=0)
     known = zero > 0
@@ -125,9 +125,10 @@ def step_targets(
 
     With `mirror` those of the mirrored windows follow.
     """
-    target, base, weight = (batch[name].to(dtype) for name in ("target", "base", "valid"))
+    target, base = batch["target"].to(dtype), batch["base"].to(dtype)
+    known, target = target.isfinite(), target.nan_to_num()  # 0 × NaN is NaN
     residual = torch.from_numpy(scale.encode(target.numpy(), base.numpy()))
-    weight = weight * torch.exp(alpha * target.abs())
+    weight = known * torch.exp(alpha * target.abs())
     if mirror:
         residual, weight = torch.cat([residual, -residual]), torch.cat([weight, weight])
     return residual, weight

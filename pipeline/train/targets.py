@@ -1,0 +1,205 @@
+"""Targets of a drive by frame: what a network should predict, the measured value that its output is added to, and both
+in a larger world.
+
+A column is a quantity that a network predicts: the steering angle, or the mean curvature in one range of the path
+ahead. Letters: G frames of a graph file, W windows, R columns.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from models.steering.core.recurrent import NOMINAL_STEP_S
+from pipeline.base.errors import InputError
+from pipeline.base.store import DriveReader
+from pipeline.graphs.graph_file import Arrays, Graphs, MeasuredMotion, open_graphs
+from pipeline.labels import label
+from pipeline.settings.models import Entry
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Times and measured motion of a graph file's G frames, by row."""
+
+    graphs: Path
+    scene: Path  # graph file whose frames a network sees: this one, or another drive's, see `scene` of a model's entry
+    frame: np.ndarray  # int32 [G], KITTI frame numbers, ascending
+    time_s: np.ndarray  # float64 [G]
+    base: np.ndarray  # float64 [G], measured value that the output is added to, see `base` of a model's entry
+    motion: np.ndarray | None  # float32 [G,4], as in windows.py; None without motion
+
+    @classmethod
+    def read(cls, graphs: Graphs, car: label.Car, entry: Entry) -> "Timeline":
+        """Read the times of an open graph file, and the measured motion of a `car`, for a model."""
+        base, motion = np.zeros(len(graphs.frame)), None
+        if entry.motion != "none":
+            if (measured := graphs.motion) is None:
+                raise InputError("no measured motion", graphs.path, "Make it again: dvc repro graphs")
+            angle_rad = np.nan_to_num(label.measured_angle(*measured, car))
+            motion = np.stack([angle_rad, *measured], axis=1).astype(np.float32)
+            base = np.nan_to_num(_odometry(measured, car, entry)) if entry.base == "motion" else base
+        return cls(graphs.path, graphs.path, graphs.frame, graphs.time_s, base, motion)
+
+    @cached_property
+    def stretches(self) -> list[tuple[int, int]]:
+        """The stretches [start, stop) of rows with consecutive frame numbers."""
+        gaps = np.flatnonzero(np.diff(self.frame) != 1) + 1
+        return [*pairwise([0, *gaps.tolist(), len(self.frame)])] if len(self.frame) else []
+
+    @cached_property
+    def dt_s(self) -> np.ndarray:
+        """Time since the previous frame, float32 [G]; nominal at the start of a stretch."""
+        dt_s = np.diff(self.time_s, prepend=np.nan)
+        dt_s[[start for start, _ in self.stretches]] = NOMINAL_STEP_S
+        return dt_s.astype(np.float32)
+
+
+@dataclass(frozen=True)
+class LabelledDrive(Timeline):
+    """A drive's frames with their targets, of the angle `horizon` frames after each, or of the path ahead."""
+
+    name: str
+    empty: bool  # no frame has a point
+    labels: Path
+    settings: dict[str, Any]  # section → settings that made graphs and labels
+    horizon: int
+    ahead_m: tuple[float, ...]  # R+1 edges of the ranges of the path ahead; none with predict: angle
+    target: np.ndarray  # float64 [G,R], NaN without a valid label
+    driven: label.Labels  # of the frames themselves
+    # Measured value [G,1], which a later unmeasured frame repeats; NaN before the first. None without motion in the
+    # file, and at horizon 0 if the labels are from the same measurement.
+    odometry: np.ndarray | None
+
+    @property
+    def columns(self) -> list[str]:
+        """One for each range of a path, or that of the angle."""
+        return [f"path_{near:g}-{far:g}m_1pm" for near, far in pairwise(self.ahead_m)] or ["steering_rad"]
+
+    def has_target(self, start: int, stop: int) -> bool:
+        """Return whether a row of [start, stop) has a target."""
+        return bool(np.isfinite(self.target[start:stop]).any())
+
+    def has_window(self, window: int) -> bool:
+        """Return whether a window of consecutive frames ends at a target: the drive can train and evaluate."""
+        return any(self.has_target(start + window - 1, stop) for start, stop in self.stretches)
+
+
+def check(drives: Sequence[LabelledDrive], window: int) -> None:
+    """Raise InputError if drives can neither train nor evaluate: no point, no window with a target, all labels 0."""
+    names, first = ", ".join(drive.name for drive in drives), drives[0]
+    if all(drive.empty for drive in drives):
+        problem, fix = f"no point in any frame of {names}", "Widen the variant's crop_m or add drives"
+        raise InputError(problem, first.graphs.parent, fix)
+    if not any(drive.has_window(window) for drive in drives):
+        target = f"a valid label {first.horizon} frames after"
+        if first.ahead_m:
+            target = f"a driven path of {first.ahead_m[1]:g} m ahead of"
+        longest = max((stop - start for drive in drives for start, stop in drive.stretches), default=0)
+        problem = f"no window of {window} consecutive frames with {target} its end in {names} (longest: {longest})"
+        raise InputError(problem, first.graphs.parent, "Use a smaller window, other drives or another input")
+    if not any(np.nan_to_num(drive.target).any() for drive in drives):
+        raise InputError(f"every valid label of {names} is 0", first.labels.parent, "Add drives with bends")
+
+
+def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledDrive:
+    """Read a drive's labels from a folder of graphs and one of labels, for a model; graphs stay on disk.
+
+    Raises InputError if a label is missing, the file has no such motion, or the car drives and no frame is measured.
+    """
+    graphs, labels = graphs / f"{name}.h5", labels / f"{name}.h5"
+    with open_graphs(graphs) as file, DriveReader(labels, stage="labels") as truth:
+        row_of = {number: row for row, number in enumerate(truth.frame.tolist())}
+        rows = [[row_of.get(number + ahead, -1) for number in file.frame.tolist()] for ahead in (0, entry.horizon)]
+        here, then = np.array(rows, np.int64)
+        if (here < 0).any():
+            problem = f"no label for frame {file.frame[here < 0][0]} of {graphs}"
+            raise InputError(problem, labels, "Make both again: dvc repro")
+        section, driven, measured = truth.params["labels"], label.read(truth).at(here), file.motion
+        car = label.Car(section["wheelbase_m"], section["min_speed_mps"])
+        if entry.motion != "none" and measured and not measured.valid.any() and driven.valid.any():
+            fix = f"Remove {name} from ingest.drives, or set motion: none"
+            raise InputError("motion is not measured in any frame (it needs images)", graphs, fix)
+        path = entry.predict == "path"
+        ahead_m = tuple(section.get("ahead_m", ())) if path else ()
+        data, known = ("ahead_1pm", "ahead_valid") if path else ("steering_rad", "valid")
+        if data not in truth:
+            fix = "Set labels.ahead_m and make the labels again: dvc repro labels"
+            raise InputError("no path ahead (ahead_1pm), which predict: path needs", labels, fix)
+        values = np.where(truth[known], truth[data], np.nan).reshape(len(truth.frame), max(1, len(ahead_m) - 1))
+        same = not path and not entry.horizon and section.get("source") == "visual"
+        return LabelledDrive(
+            **vars(Timeline.read(file, car, entry)),
+            name=name,
+            empty=file.empty,
+            labels=labels,
+            settings=file.params | truth.params,
+            horizon=entry.horizon,
+            ahead_m=ahead_m,
+            target=np.pad(values, ((0, 1), (0, 0)), constant_values=np.nan)[then],  # NaN in row -1
+            driven=driven,
+            odometry=_odometry(measured, car, entry)[:, None] if measured and not same else None,
+        )
+
+
+def _odometry(motion: MeasuredMotion, car: label.Car, entry: Entry) -> np.ndarray:
+    """Return the measured angle [G], or the curvature for a path; NaN before the first."""
+    angle_rad = label.measured_angle(*motion, car)
+    return np.tan(angle_rad) / car.wheelbase_m if entry.predict == "path" else angle_rad
+
+
+def window_values(timeline: Timeline, rows: np.ndarray, ends: slice, factor: float, hidden: bool) -> Arrays:
+    """Return motion at `rows`, and base and target of the windows that end at the rows `ends`, as a network gets them.
+
+    The world is `factor` times as large. With `hidden` motion, the base is 0.
+    """
+    values: Arrays = {"base": timeline.base[ends].astype(np.float32)}
+    if timeline.motion is not None:
+        values["motion"] = timeline.motion[rows]
+    if isinstance(timeline, LabelledDrive):
+        values["target"] = timeline.target[ends].astype(np.float32)
+        if factor != 1:
+            _rescale(values, factor, timeline.ahead_m)
+    if hidden:
+        values |= {name: np.zeros_like(values[name]) for name in ("motion", "base")}
+    return values
+
+
+def _rescale(values: Arrays, factor: float, ahead_m: Sequence[float]) -> None:
+    """Replace motion, base and target by those in a world `factor` times as large.
+
+    The bicycle model's tan Θ is wheelbase × curvature, and curvature is 1 / length; the yaw rate does not change.
+    `ahead_m`: the edges of a path's ranges, as in :func:`scale_path`; none for an angle.
+    """
+    if ahead_m:
+        values["base"] = values["base"] / factor
+        values["target"] = scale_path(values["target"], ahead_m, factor)
+    else:
+        values |= {name: _scale_radius(values[name], factor) for name in ("base", "target")}
+    if "motion" in values:
+        measured_rad, yaw_rate_radps, speed_mps, valid = values["motion"].T
+        columns = [_scale_radius(measured_rad, factor), yaw_rate_radps, speed_mps * factor, valid]
+        values["motion"] = np.stack(columns, axis=1)
+
+
+def scale_path(path_1pm: np.ndarray, ahead_m: Sequence[float], factor: float) -> np.ndarray:
+    """Return the path ahead [W,R] in a world `factor` times as large, NaN where it is not known.
+
+    A range there is 1 / factor of it here, so it overlaps several ranges of the labels, whose curvature counts as
+    constant within each. Where one of these is not known, or the labels end, it is not known.
+    """
+    near, far = np.array(ahead_m[:-1], np.float32), np.array(ahead_m[1:], np.float32)
+    overlap_m = np.minimum(far[:, None] / factor, far) - np.maximum(near[:, None] / factor, near)  # [R,R]
+    share = np.maximum(overlap_m, 0) * factor / (far - near)[:, None]
+    known = (share * np.isfinite(path_1pm)[:, None]).sum(axis=2) > 1 - 1e-4
+    scaled = (share * np.nan_to_num(path_1pm)[:, None]).sum(axis=2) / factor
+    return np.where(known, scaled, np.nan).astype(path_1pm.dtype)
+
+
+def _scale_radius(steering_rad: np.ndarray, factor: float) -> np.ndarray:
+    """Return the steering angle in bends with `factor` times the radius."""
+    return np.arctan(np.tan(steering_rad) / factor)

@@ -51,7 +51,7 @@ def angles(drive: str, frames: int, car: Labels) -> np.ndarray:
     rng, (quarter, first) = random_of(drive, 0), theme(drive)
     journey = draw_journey(rng, frames, draw_character(rng, quarter), first).continued()
     rates = oxts_rows(journey, 49.0, 8.4)[: frames + AHEAD, [WU, VF]].T
-    angle, valid = steering_labels(rates[0], rates[1], Car(car.wheelbase_m, car.min_speed_mps))
+    angle, valid, *_ = steering_labels(rates[0], rates[1], Car(car.wheelbase_m, car.min_speed_mps))
     return np.stack([np.where(valid, angle, 0.0)[:-AHEAD], np.where(valid, angle, np.nan)[AHEAD:]])
 
 

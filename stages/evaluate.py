@@ -53,7 +53,7 @@ def main(
                 for part, drives in cases.items()
             },
             "parameters": sum(weights.numel() for weights in first.net.parameters()),
-            "columns": columns(cases["test"]),
+            "columns": columns(tested[0]),
             **inputs(tested),
             **{part: metrics(drives, settings) if drives else None for part, drives in cases.items()},
         }

@@ -11,12 +11,13 @@ import numpy as np
 import pandas as pd
 
 from pipeline.evaluate import errors
-from pipeline.evaluate.turns import Track, Turns, drift, near_onsets, read_turns
-from pipeline.graphs.graph_file import open_graphs
+from pipeline.evaluate.turns import Turns, drift, near_onsets, read_turns
 from pipeline.labels import label
 from pipeline.settings.evaluate import Evaluate
-from pipeline.train.loss import Prediction, Scale
+from pipeline.train.loss import Prediction, Scale, joined
 from pipeline.train.targets import LabelledDrive
+
+SIZES = {"points_per_frame": "points", "edges_per_frame": "edges_kept", "edges_per_frame_unpruned": "edges_knn"}
 
 
 @dataclass(frozen=True)
@@ -35,86 +36,64 @@ class Case:
     def baselines(self) -> dict[str, np.ndarray]:
         """Return the values [G,R] of predictors that do not use the scene.
 
-        - zero: always straight ahead.
         - train_mean: the mean of the training targets.
         - persistence: the last true angle before the target frame. No model gets it as input. Not for a path, whose
           truth is in the future.
-        - odometry: measured at the last input frame; 0 before the first measurement, NaN in a drive without one.
-        - regression: odometry times its regression coefficient on the training drives.
+        - odometry: measured at the last input frame; NaN before the first measurement.
+        - regression: odometry times its regression coefficient on the training drives; 0 before the first measurement.
         """
         drive, scale = self.drive, self.scale
-        values = {"zero": np.zeros(1), "train_mean": scale.mean}
+        values = {"train_mean": scale.mean}
         if not drive.ahead_m:
             known = label.held(drive.driven.steering_rad, drive.driven.valid)
             shift = 0 if drive.horizon else 1
             values["persistence"] = np.concatenate([np.zeros(shift), known])[: len(known), None]
         if drive.odometry is not None:
-            measured = np.isfinite(drive.odometry).any()
-            values["odometry"] = np.nan_to_num(drive.odometry) if measured else drive.odometry
+            values["odometry"], measured = drive.odometry, np.isfinite(drive.odometry).any()
             if scale.odometry_gain is not None:
-                values["regression"] = scale.odometry_gain * values["odometry"]
+                values["regression"] = scale.odometry_gain * np.nan_to_num(
+                    drive.odometry, nan=0.0 if measured else np.nan
+                )
         return {name: np.broadcast_to(value, drive.target.shape) for name, value in values.items()}
-
-    @property
-    def track(self) -> Track:
-        """The drive's true path, of a model that predicts the angle."""
-        drive, onsets = self.drive, np.flatnonzero(np.isin(self.drive.frame, self.turns.frame))
-        wheelbase_m = drive.settings["labels"]["wheelbase_m"]
-        return Track(drive.time_s, drive.driven.speed_mps, drive.driven.steering_rad, onsets, wheelbase_m)
 
 
 def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, Any]]:
-    """Return column → errors with confidence interval, of frames with a valid target and a prediction."""
-    parts = [_values(case) for case in cases]
-    values = {name: np.concatenate([part[name] for part in parts], axis=-2) for name in parts[0]}  # [...,N,R]
-    drive = np.repeat(np.arange(len(cases)), [len(case.drive.frame) for case in cases])
+    """Return column → errors with confidence interval, of frames with a target and a prediction; and drift."""
+    drives, by_seed = [case.drive for case in cases], [*zip(*(case.predictions for case in cases), strict=True)]
+    truth, seeds = np.concatenate([drive.target for drive in drives]), zip(*map(joined, by_seed), strict=True)  # [N,R]
+    predicted, *certain = (np.stack(values) for values in seeds if values[0] is not None)  # [S,N,R]
+    error, number = (predicted - truth) ** 2, np.repeat(np.arange(len(drives)), [len(drive.frame) for drive in drives])
     result = {}
-    for number, column in enumerate(cases[0].drive.columns):
-        result[column] = _scores({name: array[..., number] for name, array in values.items()}, drive, settings)
-        result[column]["drift_m_per_100m"] = _drift(cases)
+    for column, name in enumerate(drives[0].columns):
+        known = np.isfinite(error[..., column]).all(axis=0)
+        true, of_seeds, *sigmas = (values[..., column][..., known] for values in (truth, predicted, *certain))
+        result[name] = errors.scores(true, of_seeds) | {
+            "nmse_ci95": errors.interval(error[..., column], truth[:, column], number, settings),
+            "nmse_by_seed": [errors.scores(true, one_seed)["nmse"] for one_seed in of_seeds],
+            "uncertainty": errors.uncertainty(true, of_seeds, *sigmas) if certain else None,
+            "drift_m_per_100m": _drift(cases),
+        }
     return result
-
-
-def _values(case: Case) -> dict[str, np.ndarray]:
-    """Return the truth [G,R]; predictions, σ and halves of 95 % intervals of the seeds [S,G,R]."""
-    names, of_seeds = ("predicted", "sigma", "half_95"), zip(*case.predictions, strict=True)
-    known = {name: np.stack(seeds) for name, seeds in zip(names, of_seeds, strict=True) if seeds[0] is not None}
-    return {"truth": case.drive.target} | known
-
-
-def _scores(values: dict[str, np.ndarray], drive: np.ndarray, settings: Evaluate) -> dict[str, Any]:
-    """Return the metrics of a column: `values` [N] or [S,N] of all frames, and the numbers of their drives."""
-    error = (values["predicted"] - values["truth"]) ** 2
-    known = np.isfinite(error).all(axis=0)
-    truth, predicted, *certain = (array[..., known] for array in values.values())
-    return errors.scores(truth, predicted) | {
-        "nmse_ci95": errors.interval(error, values["truth"], drive, settings),
-        "nmse_by_seed": [errors.scores(truth, one_seed)["nmse"] for one_seed in predicted],
-        "uncertainty": errors.uncertainty(truth, predicted, *certain) if certain else None,
-    }
 
 
 def _drift(cases: Sequence[Case]) -> float | None:
     """Return the mean over seeds of :func:`drift`; None with a horizon and for a path."""
     if cases[0].drive.horizon or cases[0].drive.ahead_m:
         return None
-    tracks = [case.track for case in cases]
     by_seed = [
-        drift(zip(tracks, (seed.mean[:, 0] for seed in seeds), strict=True))
-        for seeds in zip(*(case.predictions for case in cases), strict=True)
+        drift((case.drive, case.turns, case.predictions[seed].mean[:, 0]) for case in cases)
+        for seed in range(len(cases[0].predictions))
     ]
     values = [value for value in by_seed if value is not None]
     return float(np.mean(values)) if values else None
 
 
-def columns(cases: Sequence[Case]) -> dict[str, dict[str, Any]]:
+def columns(drive: LabelledDrive) -> dict[str, dict[str, Any]]:
     """Return column → unit and range in metres."""
-    ranges: list[Any] = [*pairwise(cases[0].drive.ahead_m)] or [(None, None)]
-    unit = "1/m" if cases[0].drive.ahead_m else "rad"
-    return {
-        name: {"unit": unit, "from_m": near, "to_m": far}
-        for name, (near, far) in zip(cases[0].drive.columns, ranges, strict=True)
-    }
+    if not drive.ahead_m:
+        return {name: {"unit": "rad", "from_m": None, "to_m": None} for name in drive.columns}
+    ranges = zip(drive.columns, pairwise(drive.ahead_m), strict=True)
+    return {name: {"unit": "1/m", "from_m": near, "to_m": far} for name, (near, far) in ranges}
 
 
 def inputs(drives: Sequence[LabelledDrive]) -> dict[str, Any]:
@@ -122,31 +101,24 @@ def inputs(drives: Sequence[LabelledDrive]) -> dict[str, Any]:
 
     Means are of points, and of directed kNN edges after and before pruning.
     """
-    counts: dict[str, list[np.ndarray]] = {"points": [], "edges_knn": [], "edges_kept": []}
-    for drive in drives:
-        with open_graphs(drive.graphs) as graphs:
-            for name, values in graphs.counts.items():
-                counts[name].append(values)
-    points, knn, edges = (float(np.concatenate(parts).mean()) if parts else None for parts in counts.values())
-    sizes = {"points_per_frame": points, "edges_per_frame": edges, "edges_per_frame_unpruned": knn}
-    return {"variant": drives[-1].settings.get("graphs", {}), **sizes}
+    result = {"variant": drives[-1].settings.get("graphs", {})}
+    for key, name in SIZES.items():
+        counts = [drive.counts[name] for drive in drives if name in drive.counts]
+        result[key] = float(np.concatenate(counts).mean()) if counts else None
+    return result
 
 
 def write_predictions(path: Path, cases: Sequence[Case], seed: int) -> None:
     """Write one row per frame with the predictions of seed number `seed`; unknown values are empty fields.
 
     `frame`, `time_s` and `speed_mps` belong to the last input frame. For each column C of the model, `true_C` and
-    `predicted_C` are those `horizon` frames later. Further columns are the :meth:`Case.baselines` without zero, for
-    instance `odometry_C`, empty before the first measurement; `near_onset_C`, 1 close to the onset of a turn
-    (turns.py); `sigma_C` of models with uncertainty.
+    `predicted_C` are those `horizon` frames later. Further columns are the :meth:`Case.baselines`, for instance
+    `odometry_C`; `near_onset_C`, 1 close to the onset of a turn (turns.py); `sigma_C` of models with uncertainty.
     """
     tables = []
     for case in cases:
         drive, (mean, sigma, _) = case.drive, case.predictions[seed]
         values = {"true": drive.target, "predicted": mean, **case.baselines()}
-        del values["zero"]
-        if drive.odometry is not None:
-            values["odometry"] = np.broadcast_to(drive.odometry, mean.shape)
         values["near_onset"] = near_onsets(drive, case.turns).astype(int)
         if sigma is not None:
             values["sigma"] = sigma

@@ -7,7 +7,6 @@ invalid, for instance while the car waits at a corner, the curvature of the last
 """
 
 from collections.abc import Iterable
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -70,16 +69,6 @@ def near_onsets(drive: LabelledDrive, turns: Turns) -> np.ndarray:
     return np.asarray((begun & recent[:, None]).any(axis=2))
 
 
-class Track(NamedTuple):
-    """Measured motion of a drive, F frames; angles in rad, left +."""
-
-    time_s: np.ndarray
-    speed_mps: np.ndarray
-    steering_rad: np.ndarray  # recorded
-    onsets: np.ndarray  # rows at which a turn begins
-    wheelbase_m: float
-
-
 def path(steering_rad: np.ndarray, speed_mps: np.ndarray, time_s: np.ndarray, wheelbase_m: float) -> np.ndarray:
     """Return the car's positions [F,2] in metres, x ahead and y to the left of its start: ψ ← ψ + v/L tan Θ dt.
 
@@ -95,28 +84,24 @@ def path(steering_rad: np.ndarray, speed_mps: np.ndarray, time_s: np.ndarray, wh
     return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
 
 
-def segments(onsets: np.ndarray, predicted_rad: np.ndarray) -> list[slice]:
-    """Return the rows between restarts; every row has a prediction."""
-    predicted = ~np.isnan(predicted_rad)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], predicted, [False]]).astype(np.int8)))
-    parts = []
-    for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        inside = [row for row in onsets.tolist() if first < row < last]
-        parts += [slice(a, b) for a, b in pairwise([first, *inside, last]) if b - a > 1]
-    return parts
+def segments(onset: np.ndarray, predicted_rad: np.ndarray) -> list[np.ndarray]:
+    """Return the rows between restarts, which have predictions [F]; `onset` bool [F]: a turn begins."""
+    rows = np.flatnonzero(~np.isnan(predicted_rad))
+    restarts = np.flatnonzero((np.diff(rows) > 1) | onset[rows[1:]]) + 1
+    return [segment for segment in np.split(rows, restarts) if len(segment) > 1]
 
 
-def drift(tracks: Iterable[tuple[Track, np.ndarray]]) -> float | None:
+def drift(drives: Iterable[tuple[LabelledDrive, Turns, np.ndarray]]) -> float | None:
     """Return the distance in metres between predicted and true end of a segment, per 100 m (the paper's Figure 5).
 
-    Each track comes with predicted angles [F]; speed and time are measured. At an onset of a turn, and after frames
-    without a prediction, the predicted path restarts at the true one. None without segments.
+    Each drive comes with its turns and predicted angles [G]; speed and time are measured. At an onset of a turn, and
+    after frames without a prediction, the predicted path restarts at the true one. None without segments.
     """
     error_m = distance_m = 0.0
-    for track, predicted_rad in tracks:
-        for rows in segments(track.onsets, predicted_rad):
-            motion = track.speed_mps[rows], track.time_s[rows], track.wheelbase_m
-            true, predicted = (path(angle[rows], *motion) for angle in (track.steering_rad, predicted_rad))
+    for drive, turns, predicted_rad in drives:
+        for rows in segments(np.isin(drive.frame, turns.frame), predicted_rad):
+            motion = drive.driven.speed_mps[rows], drive.time_s[rows], drive.settings["labels"]["wheelbase_m"]
+            true, predicted = (path(angle[rows], *motion) for angle in (drive.driven.steering_rad, predicted_rad))
             error_m += float(np.linalg.norm(predicted[-1] - true[-1]))
             distance_m += float(np.linalg.norm(np.diff(true, axis=0), axis=1).sum())
     return 100 * error_m / distance_m if distance_m else None

@@ -112,16 +112,6 @@ class Graphs(store.DriveReader):
         points = {"points": np.diff(self["ptr"])} if "xyz" in self else {}
         return points | {name: self[name] for name in ("edges_knn", "edges_kept") if name in self}
 
-    @property
-    def points_per_frame(self) -> float:
-        """Mean number of points; 0 for images and for a file without frames."""
-        return float(self.counts["points"].mean()) if "points" in self.counts and len(self.frame) else 0.0
-
-    @property
-    def empty(self) -> bool:
-        """Whether the file has no point or image."""
-        return not self.counts.get("points", self.frame + 1).any()
-
     @cached_property
     def motion(self) -> MeasuredMotion | None:
         """Measured motion of all frames; None if the file has none."""

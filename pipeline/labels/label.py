@@ -50,11 +50,11 @@ def steering_angle(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, wheelbase_
     return np.where((speed_mps == 0) & (yaw_rate_radps == 0), 0.0, angle)
 
 
-def steering_labels(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, car: Car) -> tuple[np.ndarray, np.ndarray]:
-    """Return ``steering_rad`` float64 [F], and ``valid`` bool [F]: at known speeds from the car's minimum on."""
+def steering_labels(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, car: Car) -> Labels:
+    """Return the labels of motion [F], NaN where unknown; valid from the car's minimum speed on, also in reverse."""
     known = np.isfinite(speed_mps)
     steering_rad = np.where(known, steering_angle(yaw_rate_radps, speed_mps, car.wheelbase_m), 0.0)
-    return steering_rad, known & (np.abs(speed_mps) >= car.min_speed_mps)
+    return Labels(steering_rad, known & (np.abs(speed_mps) >= car.min_speed_mps), speed_mps, yaw_rate_radps)
 
 
 def held(values: np.ndarray, valid: np.ndarray, before: float = 0.0) -> np.ndarray:
@@ -64,9 +64,7 @@ def held(values: np.ndarray, valid: np.ndarray, before: float = 0.0) -> np.ndarr
 
 
 def measured_angle(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, valid: np.ndarray, car: Car) -> np.ndarray:
-    """Return the :func:`held` angle of measured motion, float64 [F] in rad; NaN before the first.
-
-    Motion is used where it is `valid` and the car has its minimum speed, in either direction.
-    """
+    """Return the :func:`held` angle of measured motion, float64 [F] in rad; NaN before the first."""
     speed_mps = np.where(valid, speed_mps, np.nan).astype(np.float64)
-    return held(*steering_labels(yaw_rate_radps.astype(np.float64), speed_mps, car), before=np.nan)
+    labels = steering_labels(yaw_rate_radps.astype(np.float64), speed_mps, car)
+    return held(labels.steering_rad, labels.valid, before=np.nan)

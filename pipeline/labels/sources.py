@@ -79,8 +79,8 @@ def read(source: str, raw: DriveReader, motion: Path | None, car: Car, *, look_a
     if source != "visual" and "oxts" in raw:
         packets = raw["oxts"]
         speed_mps, yaw_rate_radps = np.where(interpolated(packets), np.nan, packets[:, [VF, WU]].T)
-    steering_rad, valid = steering_labels(yaw_rate_radps, speed_mps, car)
+    labels = steering_labels(yaw_rate_radps, speed_mps, car)
     if source == "wheel":
-        valid |= ~np.isfinite(speed_mps) & ~still
-        steering_rad, valid = raw["steering_rad"], valid & raw["has_steering"].astype(bool)
-    return Labels(steering_rad, valid, speed_mps, yaw_rate_radps)
+        valid = labels.valid | ~np.isfinite(speed_mps) & ~still
+        return labels._replace(steering_rad=raw["steering_rad"], valid=valid & raw["has_steering"].astype(bool))
+    return labels

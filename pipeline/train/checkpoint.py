@@ -43,7 +43,7 @@ def load(path: Path) -> Any:
 
 
 def load_state(module: torch.nn.Module, state: Mapping[str, Any], path: Path) -> None:
-    """Copy tensors into a module. Raises InputError unless all names and shapes agree and all numbers are finite."""
+    """Copy tensors into a module. Raises InputError unless all names and shapes agree and all values are finite."""
     if not isinstance(state, Mapping) or not all(isinstance(tensor, torch.Tensor) for tensor in state.values()):
         raise InputError("expected a state dict, tensors by name", path)
     try:
@@ -53,4 +53,4 @@ def load_state(module: torch.nn.Module, state: Mapping[str, Any], path: Path) ->
         raise InputError(f"file does not match the network: {shorten(difference, 200)}", path) from error
     for name, tensor in state.items():
         if not tensor.isfinite().all():
-            raise InputError(f"{name} has numbers that are not finite", path)
+            raise InputError(f"{name} has values that are not finite", path)

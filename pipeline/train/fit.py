@@ -18,7 +18,6 @@ from models.steering.core.steering_net import SteeringNet
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.executors import default_workers
 from pipeline.base.resume import stage_key
-from pipeline.graphs import graph_file
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
 from pipeline.train import checkpoint, predict, runs, windows
@@ -34,11 +33,12 @@ SMOOTHING = 3  # epochs
 MOTION_DROPOUT = 0.5
 
 
-def selected_epoch(errors: Sequence[float]) -> int:
-    """Return the number of the epoch whose weights are kept, from the validation errors; the last one if all are NaN.
+def selected_epoch(curve: Sequence[Mapping[str, float]]) -> int:
+    """Return the number of the epoch of a learning curve whose weights are kept; the last one without validation.
 
     It has the lowest mean of the errors of this epoch and the two before, since one epoch's error is noisy.
     """
+    errors = [row["val_nmse"] for row in curve]
     means = {end: np.mean(errors[max(0, end - SMOOTHING) : end]) for end in range(1, len(errors) + 1)}
     return min((end for end in means if np.isfinite(means[end])), key=means.__getitem__, default=len(errors))
 
@@ -64,10 +64,8 @@ def fit_run(run: runs.Run, job: Job) -> Path:
     drives = {name: replace(job.drives[name], scene=job.drives[other].graphs) for name, other in scenes.items()}
     usable = {name: drive for name, drive in drives.items() if drive.has_window(entry.window)}
     train, val = ([usable[name] for name in names if name in usable] for names in (run.fold.train, run.fold.val))
-    with graph_file.open_graphs(train[0].graphs) as graphs:
-        contents, points = graphs.contents, graphs.points_per_frame
-    device = "cuda" if torch.cuda.is_available() else "cpu"
-    if device == "cpu" and 0 < points < SMALL:
+    device, contents = "cuda" if torch.cuda.is_available() else "cpu", train[0].contents
+    if device == "cpu" and 0 < np.mean(train[0].counts.get("points", 0)) < SMALL:
         # With few points a second thread has little to do, and slows each of a step's hundreds of small operations
         # where another process uses its core. One thread's sums are also the same on each machine.
         torch.set_num_threads(1)
@@ -99,10 +97,9 @@ def fit_run(run: runs.Run, job: Job) -> Path:
     fit = Fit(net, entry, settings, run.seed, train, val)
     state = job.kept / f"{stage_key('train', inputs, files)}.pt"
     fit.run(state, f"{job.name} {run}")
-    best = {"scale": fit.scale.content, "epoch": fit.selected, "net": fit.best}
+    best = {"scale": fit.scale.content, "epoch": selected_epoch(fit.curve), "net": fit.best}
     checkpoint.write(run.folder / "best.pt", metadata | best)
-    curve = pd.DataFrame(fit.curve)
-    curve.to_csv(run.folder / "curve.csv", index=False, float_format="%.6g", lineterminator="\n")
+    pd.DataFrame(fit.curve).to_csv(run.folder / "curve.csv", index=False, float_format="%.6g", lineterminator="\n")
     return state
 
 
@@ -133,11 +130,6 @@ class Fit:
         self.optimiser = torch.optim.AdamW(groups, lr=self.settings.learning_rate, fused=True)
         self.curve: list[dict[str, float]] = []  # epoch, learning_rate, train_loss, val_nmse (NaN without validation)
 
-    @property
-    def selected(self) -> int:
-        """The :func:`selected_epoch` so far."""
-        return selected_epoch([row["val_nmse"] for row in self.curve])
-
     def run(self, state: Path, title: str) -> None:
         """Train until the last epoch, or until validation stops improving.
 
@@ -153,7 +145,7 @@ class Fit:
         processes = self.net.device.type == "cuda" and not multiprocessing.current_process().daemon
         with windows.Reader([*self.train, *val], self.entry.window, processes * default_workers()) as reader:
             started, before = time.perf_counter(), len(self.curve)
-            while (done := len(self.curve)) < epochs and done - self.selected < self.settings.patience:
+            while (done := len(self.curve)) < epochs and done - selected_epoch(self.curve) < self.settings.patience:
                 epoch = done + 1
                 loss, rate = self._train(reader, epoch)
                 if not math.isfinite(loss):
@@ -161,7 +153,7 @@ class Fit:
                     raise InputError(problem, title, "Lower train.learning_rate or clip_norm")
                 error = nmse(val, self._predict(reader)) if val else math.nan
                 self.curve.append({"epoch": epoch, "learning_rate": rate, "train_loss": loss, "val_nmse": error})
-                if selected := self.selected == epoch:
+                if selected := selected_epoch(self.curve) == epoch:
                     self.best = copy_weights(self.average.module)
                 checkpoint.write(state, self._state())
                 eta = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
@@ -175,9 +167,7 @@ class Fit:
 
     def _predict(self, reader: windows.Reader) -> list[Prediction]:
         """Return the average's predictions for the validation drives, which the reader has after the others."""
-        spans = windows.spans(self.val, self.entry.window, predict.WINDOWS)
-        groups = [[replace(span, drive=len(self.train) + span.drive)] for span in spans]
-        return predict.predict_spans(self.average.module, self.val, spans, reader.batches(groups), self.scale)
+        return predict.predict_drives(self.average.module, reader, self.scale, first=len(self.train))
 
     def _plan(self, epoch: int) -> list[list[windows.Span]]:
         """Return the spans of each step of an epoch.

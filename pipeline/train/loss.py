@@ -1,6 +1,6 @@
 """Loss of a network, the scale of its outputs from the training drives, and its predictions, in R columns."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -21,6 +21,11 @@ class Prediction(NamedTuple):
     mean: np.ndarray
     sigma: np.ndarray | None = None  # standard deviation, with uncertainty
     half_95: np.ndarray | None = None  # half of the 95 % interval
+
+
+def joined(predictions: Iterable[Prediction]) -> Prediction:
+    """Return the predictions for several drives, one after the other."""
+    return Prediction(*(np.concatenate(part) for part in zip(*predictions, strict=True) if part[0] is not None))
 
 
 @dataclass(frozen=True)
@@ -69,11 +74,6 @@ class Scale:
         """The fields as lists."""
         return {name: np.array(value).tolist() for name, value in vars(self).items()}
 
-    def encode(self, y: np.ndarray, base: np.ndarray) -> np.ndarray:
-        """Return the outputs [W,R] that the network should have, in the precision of y [W,R], for base [W]."""
-        gain, std = self.gain.astype(y.dtype), self.std.astype(y.dtype)
-        return np.asarray((y - gain * base[:, None]) / std)
-
     def decode(self, output: np.ndarray, base: np.ndarray) -> Prediction:
         """Return the predictions of outputs [G,R], with uncertainty [G,2R], for base [G]."""
         columns = len(self.names)
@@ -90,8 +90,7 @@ class Scale:
         a path covers WITHIN of the errors, since those at junctions are large. The interval covers 95 %, since large
         errors are more frequent than in a normal distribution. A column without errors is left as it is.
         """
-        truth = np.concatenate([drive.target for drive in drives])
-        mean, sigma = (np.concatenate(values) for values in list(zip(*predictions, strict=True))[:2])
+        truth, (mean, sigma, _) = np.concatenate([drive.target for drive in drives]), joined(predictions)
         factor, interval = np.ones(len(self.names)), np.full(len(self.names), 1.96)
         for column, ratio in enumerate((np.abs(mean - truth) / sigma).T):
             if len(known := ratio[np.isfinite(ratio)]):
@@ -104,7 +103,7 @@ class Scale:
 def nmse(drives: Sequence[LabelledDrive], predictions: Sequence[Prediction]) -> float:
     """Return the mean over the columns of MSE / MSE of predicting 0; NaN if every target is 0."""
     truth = np.concatenate([drive.target for drive in drives])
-    error = np.concatenate([prediction.mean for prediction in predictions]) - truth
+    error = joined(predictions).mean - truth
     zero = np.where(np.isnan(error), 0.0, truth**2).sum(axis=0)
     known = zero > 0
     return float((np.nansum(error**2, axis=0)[known] / zero[known]).mean()) if known.any() else np.nan
@@ -127,7 +126,8 @@ def step_targets(
     """
     target, base = batch["target"].to(dtype), batch["base"].to(dtype)
     known, target = target.isfinite(), target.nan_to_num()  # 0 × NaN is NaN
-    residual = torch.from_numpy(scale.encode(target.numpy(), base.numpy()))
+    gain, std = (torch.from_numpy(values).to(dtype) for values in (scale.gain, scale.std))
+    residual = (target - gain * base[:, None]) / std
     weight = known * torch.exp(alpha * target.abs())
     if mirror:
         residual, weight = torch.cat([residual, -residual]), torch.cat([weight, weight])

@@ -1,6 +1,5 @@
 """Predict steering with a trained network; README.md has an example."""
 
-from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from textwrap import shorten
@@ -15,7 +14,6 @@ from pipeline.graphs.graph_file import Contents, Graphs, open_graphs
 from pipeline.labels import label
 from pipeline.settings.models import Entry
 from pipeline.train import checkpoint, windows
-from pipeline.train.loop import prefetch
 from pipeline.train.loss import Prediction, Scale
 from pipeline.train.targets import Timeline
 
@@ -55,19 +53,18 @@ class Trained(NamedTuple):
 
         Raises InputError if the file has another kind of frames than the network was trained on, or no motion.
         """
-        entry, window = self.entry, self.entry.window
-        if scene is None and entry.scene == "another":
+        if scene is None and self.entry.scene == "another":
             problem = f"model {self.name} is a control, which needs the scene of another drive"
             raise InputError(problem, graphs.path, "Choose a model with scene: same")
-        timeline = Timeline.read(graphs, self.car, entry)
-        with open_graphs(scene or graphs.path) as seen:
+        timeline = replace(Timeline.read(graphs, self.car, self.entry), scene=scene or graphs.path)
+        with open_graphs(timeline.scene) as seen:
             if seen.contents != self.contents:
                 problem = f"model {self.name} expects {self.contents}, got {seen.contents}"
-                raise InputError(problem, seen.path, f"Use graphs of input: {entry.input}, or train the model again")
-            drive = [replace(timeline, scene=seen.path)]
-            spans = windows.spans(drive, window, WINDOWS)
-            batches = prefetch(lambda span: windows.read_batch(drive, {seen.path: seen}, [span], window), spans)
-            return predict_spans(self.net, drive, spans, batches, self.scale)[0]
+                raise InputError(
+                    problem, seen.path, f"Use graphs of input: {self.entry.input}, or train the model again"
+                )
+        with windows.Reader([timeline], self.entry.window) as reader:
+            return predict_drives(self.net, reader, self.scale)[0]
 
 
 def load(folder: str | Path, device: torch.device | str | None = None) -> Trained:
@@ -94,19 +91,15 @@ def load(folder: str | Path, device: torch.device | str | None = None) -> Traine
     return Trained(**about, entry=entry, contents=contents, scale=scale, net=net)
 
 
-def predict_spans(
-    net: SteeringNet,
-    timelines: Sequence[Timeline],
-    spans: Sequence[windows.Span],
-    batches: Iterable[Mapping[str, Any]],
-    scale: Scale,
-) -> list[Prediction]:
-    """Return the predictions for each timeline's frames, from :func:`windows.spans` and the batch of each span."""
+def predict_drives(net: SteeringNet, reader: windows.Reader, scale: Scale, first: int = 0) -> list[Prediction]:
+    """Return the predictions for the frames of each of the reader's timelines, from number `first` on."""
+    spans = [span for span in windows.spans(reader.timelines, reader.window, WINDOWS) if span.drive >= first]
     net.eval()
     with torch.inference_mode():
-        outputs = [net(*net.inputs(batch)) for batch in batches]
+        outputs = [net(*net.inputs(batch)) for batch in reader.batches([[span] for span in spans])]
     columns = len(scale.names) * (2 if net.uncertainty else 1)
-    values = [np.full((len(timeline.frame), columns), np.nan) for timeline in timelines]
+    values = [np.full((len(timeline.frame), columns), np.nan) for timeline in reader.timelines]
     for span, output in zip(spans, outputs, strict=True):  # after the loop, which so does not wait for a GPU
         values[span.drive][span.stop - len(output) : span.stop] = output.double().cpu().numpy().reshape(-1, columns)
-    return [scale.decode(output, timeline.base) for output, timeline in zip(values, timelines, strict=True)]
+    pairs = [*zip(values, reader.timelines, strict=True)]
+    return [scale.decode(output, timeline.base) for output, timeline in pairs[first:]]

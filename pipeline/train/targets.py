@@ -17,7 +17,7 @@ import numpy as np
 from models.steering.core.recurrent import NOMINAL_STEP_S
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
-from pipeline.graphs.graph_file import Arrays, Graphs, MeasuredMotion, open_graphs
+from pipeline.graphs.graph_file import Arrays, Contents, Graphs, MeasuredMotion, open_graphs
 from pipeline.labels import label
 from pipeline.settings.models import Entry
 
@@ -64,9 +64,10 @@ class LabelledDrive(Timeline):
     """A drive's frames with their targets, of the angle `horizon` frames after each, or of the path ahead."""
 
     name: str
-    empty: bool  # no frame has a point
     labels: Path
     settings: dict[str, Any]  # section → settings that made graphs and labels
+    contents: Contents  # of the graph file, as the following
+    counts: Arrays
     horizon: int
     ahead_m: tuple[float, ...]  # R+1 edges of the ranges of the path ahead; none with predict: angle
     target: np.ndarray  # float64 [G,R], NaN without a valid label
@@ -92,7 +93,7 @@ class LabelledDrive(Timeline):
 def check(drives: Sequence[LabelledDrive], window: int) -> None:
     """Raise InputError if drives can neither train nor evaluate: no point, no window with a target, all labels 0."""
     names, first = ", ".join(drive.name for drive in drives), drives[0]
-    if all(drive.empty for drive in drives):
+    if not any(drive.counts.get("points", drive.frame + 1).any() for drive in drives):
         problem, fix = f"no point in any frame of {names}", "Widen the variant's crop_m or add drives"
         raise InputError(problem, first.graphs.parent, fix)
     if not any(drive.has_window(window) for drive in drives):
@@ -135,9 +136,10 @@ def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledD
         return LabelledDrive(
             **vars(Timeline.read(file, car, entry)),
             name=name,
-            empty=file.empty,
             labels=labels,
             settings=file.params | truth.params,
+            contents=file.contents,
+            counts=file.counts,
             horizon=entry.horizon,
             ahead_m=ahead_m,
             target=np.pad(values, ((0, 1), (0, 0)), constant_values=np.nan)[then],  # NaN in row -1
@@ -181,9 +183,8 @@ def _rescale(values: Arrays, factor: float, ahead_m: Sequence[float]) -> None:
     else:
         values |= {name: _scale_radius(values[name], factor) for name in ("base", "target")}
     if "motion" in values:
-        measured_rad, yaw_rate_radps, speed_mps, valid = values["motion"].T
-        columns = [_scale_radius(measured_rad, factor), yaw_rate_radps, speed_mps * factor, valid]
-        values["motion"] = np.stack(columns, axis=1)
+        motion = values["motion"]  # a copy of the drive's rows
+        motion[:, 0], motion[:, 2] = _scale_radius(motion[:, 0], factor), motion[:, 2] * factor
 
 
 def scale_path(path_1pm: np.ndarray, ahead_m: Sequence[float], factor: float) -> np.ndarray:

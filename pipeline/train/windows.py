@@ -15,7 +15,7 @@ A batch is a dict of arrays: B graphs as in pipeline/graphs/graph_file.py, and f
 """
 
 from collections import defaultdict
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import pairwise
@@ -28,9 +28,9 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset
 
 from pipeline.base.errors import InputError
-from pipeline.graphs.graph_file import Arrays, Graphs, collate, open_graphs
+from pipeline.graphs.graph_file import Graphs, collate, open_graphs
 from pipeline.train.loop import prefetch
-from pipeline.train.targets import LabelledDrive, Timeline, window_values
+from pipeline.train.targets import Timeline, window_values
 
 AHEAD = 4  # batches that a process reads in advance
 
@@ -63,56 +63,16 @@ def spans(
     return result
 
 
-def read_batch(
-    timelines: Sequence[Timeline], files: Mapping[Path, Graphs], group: Sequence[Span], window: int
-) -> Arrays:
-    """Read a group of spans as one batch, with targets if the timelines are drives; `files`: open graph files.
-
-    Raises InputError if the drive of another scene is shorter than a window.
-    """
-    columns: dict[str, list[np.ndarray]] = defaultdict(list)
-    parts: list[tuple[Graphs, int, int]] = []
-    frames = graphs = 0  # of the batch before the span
-    for span in group:
-        timeline, rows = timelines[span.drive], np.arange(span.start, span.stop)
-        file, start, stop = files[timeline.scene], span.start, span.stop
-        members = np.arange(len(rows) - window + 1)[:, None] + np.arange(window)  # [W,T]
-        if timeline.scene != timeline.graphs:  # no two windows share a frame
-            rows = rows[members]
-            if (others := len(file.frame)) < window:
-                problem = f"scene: another needs a window of {window} frames (got {others})"
-                raise InputError(problem, file.path, "Remove the drive")
-            # A window's scenes are consecutive and end at the same share of the other drive.
-            last = np.maximum(rows[:, -1] * others // len(timeline.frame), window - 1)
-            seen = last[:, None] + np.arange(1 - window, 1)  # [W,T]
-            start, stop = seen[0, 0], seen[-1, -1] + 1
-            columns["scenes"].append(seen.ravel() - start + graphs)
-            rows, members = rows.ravel(), np.arange(rows.size).reshape(rows.shape)
-        columns["windows"].append(members + frames)
-        columns["dt_s"].append(timeline.dt_s[rows][members])
-        ends = slice(span.start + window - 1, span.stop)
-        larger = span.factor if "xyz" in file else 1.0  # a larger world gives the same image
-        for name, values in window_values(timeline, rows, ends, larger, span.hidden).items():
-            columns[name].append(values)
-        parts.append((file, start, stop))
-        frames, graphs = frames + len(rows), graphs + stop - start
-    batch = collate(parts)
-    if "xyz" in batch:
-        factor = np.repeat([span.factor for span in group], [stop - start for _, start, stop in parts])
-        batch["xyz"] *= np.repeat(factor, np.diff(batch["ptr"])).astype(np.float32)[:, None]
-    return batch | {name: np.concatenate(arrays) for name, arrays in columns.items()}
-
-
 class Reader(Dataset[dict[str, Tensor]]):
-    """Batches with targets, indexed by groups of spans; a context manager.
+    """Batches, with targets if the timelines are drives, indexed by groups of spans; a context manager.
 
     They are read ahead of the network. On a CPU a thread reads, as the network is slower than any disk. On a GPU
     `workers` processes read: HDF5 serves one thread per process at a time, and numpy holds Python's lock. Files stay
     open in the process that reads them.
     """
 
-    def __init__(self, drives: Sequence[LabelledDrive], window: int, workers: int = 0) -> None:
-        self._drives, self._window = drives, window
+    def __init__(self, timelines: Sequence[Timeline], window: int, workers: int = 0) -> None:
+        self.timelines, self.window = timelines, window
         self._opened: dict[Path, Graphs] = {}
         self._files = ExitStack()
         self._epoch: list[Sequence[Span]] = []  # the loader's sampler; its processes live for several epochs
@@ -129,9 +89,41 @@ class Reader(Dataset[dict[str, Tensor]]):
         yield from self._loader if self._loader is not None else prefetch(self.__getitem__, groups)
 
     def __getitem__(self, group: Sequence[Span]) -> dict[str, Tensor]:
-        for path in {self._drives[span.drive].scene for span in group} - self._opened.keys():
+        """Read a group of spans as one batch. Raises InputError if the drive of another scene has no window."""
+        for path in {self.timelines[span.drive].scene for span in group} - self._opened.keys():
             self._opened[path] = self._files.enter_context(open_graphs(path))
-        batch = read_batch(self._drives, self._opened, group, self._window)
+        window = self.window
+        columns: dict[str, list[np.ndarray]] = defaultdict(list)
+        parts: list[tuple[Graphs, int, int]] = []
+        frames = graphs = 0  # of the batch before the span
+        for span in group:
+            timeline, rows = self.timelines[span.drive], np.arange(span.start, span.stop)
+            file, start, stop = self._opened[timeline.scene], span.start, span.stop
+            members = np.arange(len(rows) - window + 1)[:, None] + np.arange(window)  # [W,T]
+            if timeline.scene != timeline.graphs:  # no two windows share a frame
+                rows = rows[members]
+                if (others := len(file.frame)) < window:
+                    problem = f"scene: another needs a window of {window} frames (got {others})"
+                    raise InputError(problem, file.path, "Remove the drive")
+                # A window's scenes are consecutive and end at the same share of the other drive.
+                last = np.maximum(rows[:, -1] * others // len(timeline.frame), window - 1)
+                seen = last[:, None] + np.arange(1 - window, 1)  # [W,T]
+                start, stop = seen[0, 0], seen[-1, -1] + 1
+                columns["scenes"].append(seen.ravel() - start + graphs)
+                rows, members = rows.ravel(), np.arange(rows.size).reshape(rows.shape)
+            columns["windows"].append(members + frames)
+            columns["dt_s"].append(timeline.dt_s[rows][members])
+            ends = slice(span.start + window - 1, span.stop)
+            larger = span.factor if "xyz" in file else 1.0  # a larger world gives the same image
+            for name, values in window_values(timeline, rows, ends, larger, span.hidden).items():
+                columns[name].append(values)
+            parts.append((file, start, stop))
+            frames, graphs = frames + len(rows), graphs + stop - start
+        batch = collate(parts)
+        if "xyz" in batch:
+            factor = np.repeat([span.factor for span in group], [stop - start for _, start, stop in parts])
+            batch["xyz"] *= np.repeat(factor, np.diff(batch["ptr"])).astype(np.float32)[:, None]
+        batch |= {name: np.concatenate(arrays) for name, arrays in columns.items()}
         return {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in batch.items()}
 
     def __getstate__(self) -> dict[str, Any]:

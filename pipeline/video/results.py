@@ -48,11 +48,11 @@ def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> 
         name, column = {"oxts": ("oxts", ""), "wheel": ("steering.csv", "steering_rad")}[recorded[0]]
         return Truth(name, column, sources.read(recorded[0], ingest, None, car).at(rows))
     speed_mps, yaw_rate_radps = logs.motion.at(time_s) if logs.motion else np.full((2, len(frame)), np.nan)
-    angle_rad, valid = steering_labels(yaw_rate_radps, speed_mps, car)
+    driven = steering_labels(yaw_rate_radps, speed_mps, car)
     if logs.wheel:
         (angle_rad,) = logs.wheel.at(time_s)
-        valid = np.isfinite(angle_rad)
-    return Truth(logs.name, "wheel_rad" * bool(logs.wheel), Labels(angle_rad, valid, speed_mps, yaw_rate_radps))
+        driven = driven._replace(steering_rad=angle_rad, valid=np.isfinite(angle_rad))
+    return Truth(logs.name, "wheel_rad" * bool(logs.wheel), driven)
 
 
 def read_course(motion: DriveReader, car: Car, *, look_ahead: bool, height_known: bool) -> dict[str, np.ndarray]:

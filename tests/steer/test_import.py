@@ -75,7 +75,7 @@ def test_labels_follow_the_log(tmp_path, take, video):
     params = write_params(tmp_path / "params.yaml", [DRIVES[0]], [DRIVES[1]], image_size=list(SIZE))
     ingested = ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params)
     labelled = labels.main(ingest=ingested, out=tmp_path / "data/labels", params=params)
-    steering, valid = steering_labels(YAW_RATE_RADPS, SPEED_MPS, Car(2.7, 1.0))
+    steering, valid, *_ = steering_labels(YAW_RATE_RADPS, SPEED_MPS, Car(2.7, 1.0))
     for drive, lossless in zip(DRIVES, (False, True), strict=True):
         with DriveReader(labelled / f"{drive}.h5", stage="labels") as file:
             np.testing.assert_array_equal(file.frame, np.arange(FRAMES))

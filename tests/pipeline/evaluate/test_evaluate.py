@@ -2,6 +2,7 @@
 
 import tarfile
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from benchmarks import coverage
 from pipeline.base.params import load
 from pipeline.evaluate import errors, metrics, turns
-from pipeline.evaluate.turns import Track, drift, segments
+from pipeline.evaluate.turns import Turns, drift, segments
 from pipeline.kitti import oxts
 from pipeline.kitti.raw import KittiDrive
 from pipeline.labels import label
@@ -69,7 +70,7 @@ def test_seeds_are_averaged_over_frames_with_a_label(folder):
 def test_odometry_needs_motion_in_all_frames_and_other_labels(folder, monkeypatch, source):
     """At horizon 0, labels from visual odometry are not compared with it."""
     monkeypatch.setitem(artefacts.LABELS["labels"], "source", source)
-    without = ["zero", "train_mean", "persistence"]
+    without = ["train_mean", "persistence"]
 
     def baselines(horizon: int) -> dict[str, np.ndarray]:
         return case(read(folder, horizon)[0], np.zeros((30, 1)), mean=0.05).baselines()
@@ -202,27 +203,27 @@ STEPS = 101  # 10 m/s for 10 s
 TIME_S = np.arange(STEPS) / 10
 
 
-def track(steering_rad: float | np.ndarray, *onsets: int) -> Track:
-    angles = np.broadcast_to(np.asarray(steering_rad, float), STEPS)
-    return Track(TIME_S, np.full(STEPS, 10.0), angles, np.array(onsets, int), wheelbase_m=2.7)
+def off(predicted_rad: float, *onsets: int) -> float | None:
+    """Return the drift of a constant angle on a straight road."""
+    driven = label.Labels(np.zeros(STEPS), np.ones(STEPS, bool), np.full(STEPS, 10.0), np.zeros(STEPS))
+    drive: Any = SimpleNamespace(frame=np.arange(STEPS), time_s=TIME_S, driven=driven, settings=artefacts.LABELS)
+    return drift([(drive, Turns(np.array(onsets, int), TIME_S[[*onsets]]), np.full(STEPS, predicted_rad))])
 
 
 def test_segments_end_at_onsets_and_missing_predictions():
     predicted = np.zeros(STEPS)
     predicted[:7] = predicted[50] = predicted[99] = np.nan
-    rows = [slice(7, 20), slice(20, 50), slice(51, 70), slice(70, 99)]
-    assert segments(np.array([3, 20, 50, 70]), predicted) == rows
-    assert segments(np.array([], int), np.full(STEPS, np.nan)) == []
+    found = segments(np.isin(np.arange(STEPS), [3, 20, 50, 70]), predicted)
+    assert [(rows[0], rows[-1]) for rows in found] == [(7, 19), (20, 49), (51, 69), (70, 98)]
+    assert segments(np.zeros(STEPS, bool), np.full(STEPS, np.nan)) == []
 
 
 def test_drift_is_the_final_distance_per_100_m():
-    right, wrong = np.zeros(STEPS), np.full(STEPS, 0.01)
-    assert drift([(track(0.0), right)]) == 0
+    assert off(0.0) == 0
     # Small angle ε from L: after s metres off by ε s² / 2 L; 100 m in one piece, or in two of 50 and 49 steps.
-    assert drift([(track(0.0), wrong)]) == pytest.approx(0.01 * 100**2 / 2 / 2.7, rel=0.02)
-    halves = drift([(track(0.0, 50), wrong)])
-    assert halves == pytest.approx(0.01 * (49**2 + 50**2) / 2 / 2.7 / 99 * 100, rel=0.02)
-    assert drift([(track(0.0), np.full(STEPS, np.nan))]) is None
+    assert off(0.01) == pytest.approx(0.01 * 100**2 / 2 / 2.7, rel=0.02)
+    assert off(0.01, 50) == pytest.approx(0.01 * (49**2 + 50**2) / 2 / 2.7 / 99 * 100, rel=0.02)
+    assert off(np.nan) is None
 
 
 def test_a_step_uses_speed_and_angle_of_its_end():
@@ -250,7 +251,7 @@ def off_the_track(raw: KittiDrive) -> np.ndarray:
     rows = np.array([oxts.read_row(path) for path in raw.oxts.values()])
     time_s = oxts.read_times(raw.oxts_times, list(raw.oxts))
     lat, lon, yaw, speed = (rows[:, oxts.COLUMNS.index(name)] for name in ("lat", "lon", "yaw", "vf"))
-    angle, _ = label.steering_labels(rows[:, oxts.WU], speed, label.Car(2.7, 1.0))
+    angle, *_ = label.steering_labels(rows[:, oxts.WU], speed, label.Car(2.7, 1.0))
     # Mercator's, as KITTI's own tools have it: metres at the drive's latitude, x to the east, y to the north.
     radius_m = 6378137.0 * np.cos(np.deg2rad(lat[0]))
     gnss = radius_m * np.stack([np.deg2rad(lon), np.log(np.tan(np.deg2rad(90 + lat) / 2))], axis=1)

@@ -121,8 +121,8 @@ def test_no_path_passes_a_reversing_a_missing_or_an_unmeasured_frame(change):
 def moved(yaw_rate: float, speed: float, measured: list[int]) -> Labels:
     """Return the labels of five frames, of which the last is slow."""
     rates = yaw_rate * np.array(measured), speed * np.array([1, 1, 1, 1, 0.03]) * measured
-    angle, valid = label.steering_labels(*rates, CAR)
-    return Labels(angle, valid & np.array(measured, bool), rates[1], rates[0])
+    labels = label.steering_labels(*rates, CAR)
+    return labels._replace(valid=labels.valid & np.array(measured, bool))
 
 
 def test_scores_use_measured_frames_above_the_minimum_speed():

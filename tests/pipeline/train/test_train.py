@@ -3,7 +3,6 @@
 import threading
 import time
 from collections.abc import Generator, Sequence
-from contextlib import ExitStack
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -41,10 +40,9 @@ def read(folder: Path, names: Sequence[str] = NAMES, **reading: object) -> list[
     return [read_drive(folder / "graphs/semantic", folder / "labels", name, entry(**reading)) for name in names]
 
 
-def read_batch(drives: Sequence[LabelledDrive], *group: windows.Span, window: int = 8) -> Arrays:
-    with ExitStack() as stack:
-        files = {drive.scene: stack.enter_context(open_graphs(drive.scene)) for drive in drives}
-        return windows.read_batch(drives, files, group, window)
+def read_batch(drives: Sequence[Timeline], *group: windows.Span, window: int = 8) -> Arrays:
+    with windows.Reader(drives, window) as reader:
+        return {name: tensor.numpy() for name, tensor in reader[group].items()}
 
 
 # Drives, spans and batches
@@ -296,15 +294,16 @@ def test_scale_is_the_regression_and_spread_of_the_residual(drives):
 
 
 @given(st.integers(1, 4), st.integers(0, 2**32 - 1))
-def test_encode_and_decode_are_inverse(columns, seed):
+def test_targets_of_a_step_and_decode_are_inverse(columns, seed):
     rng = np.random.default_rng(seed)
     gain, std, mean = rng.normal(size=columns), rng.uniform(1e-3, 2, columns), np.zeros(columns)
     scale = Scale.parse(Scale([f"c{n}" for n in range(columns)], gain, std, mean).content)
     y, base, log_sigma = rng.normal(size=(5, columns)), rng.normal(size=5), rng.normal(size=(5, columns))
-    decoded = scale.decode(np.concatenate([scale.encode(y, base), log_sigma], axis=1), base)
+    batch = {"target": torch.from_numpy(y), "base": torch.from_numpy(base)}
+    outputs, _ = loss.step_targets(batch, scale, alpha=0.0, mirror=False, dtype=torch.float64)
+    decoded = scale.decode(np.concatenate([outputs, log_sigma], axis=1), base)
     np.testing.assert_allclose(decoded.mean, y)
     np.testing.assert_allclose(decoded.sigma, std * np.exp(log_sigma))
-    assert scale.encode(y.astype(np.float32), base.astype(np.float32)).dtype == np.float32
     assert scale.decode(np.zeros((5, columns)), base).sigma is None
 
 
@@ -383,7 +382,7 @@ def test_shared_frames_equal_naive_windows_and_gaps_are_nan(tmp_path, drive):
                 assert np.isnan(steering_rad[row])
                 continue
             span = windows.Span(0, row - WINDOW + 1, row + 1)
-            batch = windows.read_batch([timeline], {drive: graphs}, [span], WINDOW)
+            batch = read_batch([timeline], span, window=WINDOW)
             with torch.inference_mode():
                 assert steering_rad[row] == pytest.approx(0.12 * model.net(*model.net.inputs(batch)).item(), abs=1e-6)
         assert np.isfinite(steering_rad).sum() == (12 - 3) + (11 - 3)
@@ -420,7 +419,7 @@ def test_a_wrong_checkpoint_is_one_line(tmp_path, case):
 
 def test_weights_that_are_not_finite_are_refused():
     net = torch.nn.Linear(3, 2)
-    with pytest.raises(InputError, match="bias has numbers that are not finite"):
+    with pytest.raises(InputError, match="bias has values that are not finite"):
         checkpoint.load_state(net, net.state_dict() | {"bias": torch.full((2,), torch.nan)}, Path("x.pt"))
 
 
@@ -477,4 +476,4 @@ def test_the_scene_of_another_drive_is_one_of_the_same_split_drawn_per_seed():
     ],
 )
 def test_the_kept_epoch(nmse, selected):
-    assert fit.selected_epoch(nmse) == selected
+    assert fit.selected_epoch([{"val_nmse": error} for error in nmse]) == selected

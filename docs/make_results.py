@@ -109,7 +109,7 @@ def figures_of(run: Path) -> Results:
                     verdict = group.verdict(bounds, first, other, column)
                     figures[f"{part}/{first} - {other}"] = entry(value, bounds, frames, verdict=verdict)
         for row in (row for row in group.models if validation_nmse(row) < np.inf):
-            roads, epochs = row["entry"]["roads"] or len(row["drives"]["train"]), load(Train, params).epochs
+            roads, epochs = row["entry"]["train_drives"] or len(row["drives"]["train"]), load(Train, params).epochs
             key = f"val/{row['model']}/{roads} roads/{epochs} epochs"
             figures[key] = entry(validation_nmse(row), roads=roads, epochs=epochs)
     if (path := run / "data/scores/metrics.json").is_file():

@@ -18,7 +18,7 @@ class Published(NamedTuple):
 # eq. 4 and cites the paper of the LTC cell, so both count. A setting that a model lacks counts as the first value.
 _ALL: Settings = {
     "equivariant": (False,), "cell": ("ltc", "eq4"), "motion": ("none",), "horizon": (0,), "predict": ("angle",),
-    "fit_to": ("train",), "roads": (None,), "accumulate": (None,), "scene": ("same",),
+    "fit_to": ("train",), "train_drives": (None,), "accumulate": (None,), "scene": ("same",),
 }  # fmt: skip
 _POINTS: Settings = {**_ALL, "semantics": (0.0,), "alpha": (0.0,)}  # equal frame weights, unlike the CNN
 _SETS: Settings = {**_POINTS, "input": ("lidar-pointnet2",), "spatial": ("pointnet2",), "window": (6,), "width": (1.0,)}

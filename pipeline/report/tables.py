@@ -217,7 +217,7 @@ def _as_published(group: Group) -> list[dict[str, str]]:
 def _model(row: Row) -> dict[str, str]:
     entry, unpruned = row["entry"], row["edges_per_frame_unpruned"]
     layer, cell = (f" ({entry[key]})" if key in entry else "" for key in ("layer", "cell"))  # of pyg, of ncp
-    roads = f" ({entry['roads']} roads)" if entry.get("roads") is not None else ""
+    limit = f" ({entry['train_drives']} drives)" if entry.get("train_drives") is not None else ""
     names = ("semantics", "window", "equivariant", "motion")
     return {
         "model": row["model"],
@@ -228,7 +228,7 @@ def _model(row: Row) -> dict[str, str]:
         "spatial": entry["spatial"] + layer,
         "temporal": entry["temporal"] + cell,
         **{name: number(entry.get(name)) for name in names},
-        "fit": f"{entry['fit_to']}{roads}",
+        "fit": f"{entry['fit_to']}{limit}",
     }
 
 

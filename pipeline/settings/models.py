@@ -26,7 +26,7 @@ class Entry(Section):
     equivariant: bool = False  # the output is odd under left-right mirroring
     learning_rate: Rate | None = None  # overrides train.learning_rate
     alpha: Annotated[float, Field(ge=0, le=100)] = 0.0  # per rad; weight exp(alpha |steering|) of eq. 9
-    features: Annotated[int, Field(ge=1, le=1024)] = 32  # numbers per frame between the two networks
+    features: Annotated[int, Field(ge=1, le=1024)] = 32  # per frame, between the two networks
     # path: mean curvature of the path ahead in the ranges of labels.ahead_m
     predict: Literal["angle", "path"] = "angle"
     horizon: Annotated[int, Field(ge=0, le=10_000)] = 0  # frames between the last input frame and the predicted angle
@@ -38,12 +38,12 @@ class Entry(Section):
     uncertainty: bool = False  # predict the standard deviation of the error, too
     # others: a network per test drive, trained on the other test drives; train-then-others: before, on training drives
     fit_to: Literal["train", "others", "train-then-others"] = "train"
-    roads: Count | None = None  # use only the first n training drives; null: all
+    train_drives: Count | None = None  # use only the first n training drives; null: all
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if self.roads is not None and self.fit_to == "others":
-            raise ValueError("roads limits the training drives, and fit_to: others uses none: remove one of the two")
+        if self.train_drives is not None and self.fit_to == "others":
+            raise ValueError("fit_to: others uses no training drives: remove train_drives, or choose another fit_to")
         for key in ("horizon", "alpha") if self.predict == "path" else ():
             if value := getattr(self, key):
                 raise ValueError(f"predict: path has no {key} (got {value}): remove {key}")

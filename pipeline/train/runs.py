@@ -48,14 +48,14 @@ class Run(NamedTuple):
 def folds(splits: Mapping[str, str], entry: Entry) -> list[Fold]:
     """Return the folds of a model, from drive → split.
 
-    Raises InputError if there are fewer training drives than `roads`, if folds have no second test drive, or as
-    :func:`scenes` does.
+    Raises InputError if there are fewer training drives than `train_drives`, if folds have no second test drive, or if
+    :func:`scenes` finds no other drive.
     """
-    fit_to, roads = entry.fit_to, entry.roads
+    fit_to, limit = entry.fit_to, entry.train_drives
     train, val, test = (tuple(store.drives_in(splits, split)) for split in ("train", "val", "test"))
-    if roads is not None and roads > len(train):
-        raise InputError(f"roads = {roads}, but there are {len(train)} training drives")
-    train = train[:roads]
+    if limit is not None and limit > len(train):
+        raise InputError(f"train_drives = {limit}, but there are {len(train)} training drives")
+    train = train[:limit]
     result = [Fold(None, train, val, test)]
     if fit_to != "train":
         start = Fold(None, train, val, ()) if fit_to == "train-then-others" else None

@@ -27,11 +27,11 @@ class OptionGroup(BaseModel):
 class Sizes:
     """Sizes that a network takes from its input and from the general keys of its entry."""
 
-    features: int  # F, numbers per frame between the two networks
+    features: int  # F, per frame, between the two networks
     window: int = 1  # T, frames per prediction
     levels: int = 0  # samplings in an input of kind pointnet2
     image_size: tuple[int, int] = (0, 0)  # (H,W) pixels of an input of kind image
-    outputs: int = 1  # R, numbers per frame of the recurrent network
+    outputs: int = 1  # R, per frame, of the recurrent network
 
 
 class NetworkOptions(OptionGroup):

@@ -11,11 +11,11 @@ OUTPUT_SCALE = 3.0
 
 
 class RecurrentCell(nn.Module):
-    """Recurrent network from a window of frame features to R numbers per frame, 1 for an angle.
+    """Recurrent network from a window of frame features to R outputs per frame, 1 for an angle.
 
     It has two parts, so that windows share frames: `project_inputs` depends on a frame alone and runs once per frame;
     `forward` is the recursion and runs once per frame *and window*. Letters: W windows, T frames each, D inputs per
-    frame, S numbers from `project_inputs`.
+    frame, S values of `project_inputs`.
     """
 
     def project_inputs(self, x: Tensor) -> Tensor:
@@ -25,7 +25,7 @@ class RecurrentCell(nn.Module):
     def forward(self, projected: Tensor, dt_s: Tensor) -> tuple[Tensor, Tensor]:
         """Run the recursion from a state of zeros over frames `projected` [W,T,S], dt_s [W,T] s after the one before.
 
-        Returns the numbers of each window and frame [W,T,R], and the state after the last frame [W,U].
+        Returns the outputs of each window and frame [W,T,R], and the state after the last frame [W,U].
         """
         raise NotImplementedError
 

@@ -441,9 +441,9 @@ def test_runs_are_seeds_and_folds():
         assert [run.folder for run in result] == [model / "fold-z", model / "seed-5/fold-x"]
         assert str(result[0]) == "seed 0 without z"
         assert result[1].start == (start and runs.Run(5, start, model / "seed-5/first"))
-    assert runs.folds(SPLITS, entry(fit_to="train-then-others", roads=1))[0].start.train == ("a",)
+    assert runs.folds(SPLITS, entry(fit_to="train-then-others", train_drives=1))[0].start.train == ("a",)
     with pytest.raises(InputError, match="2 training drives"):
-        runs.folds(SPLITS, entry(roads=3))
+        runs.folds(SPLITS, entry(train_drives=3))
     with pytest.raises(InputError, match="two test drives"):
         runs.folds({"a": "test"}, entry(fit_to="others"))
 

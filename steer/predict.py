@@ -5,7 +5,7 @@ LiDAR scans and oxts are needed only by models with LiDAR input. steering.csv al
 means over later frames: see steer measure.
 
 \b
-steer predict data/sample/2026_01_14/2026_01_14_drive_0004_sync
+steer predict data/sample/2026_01_18/2026_01_18_drive_0004_sync
 steer predict street.mp4 --fov 65 --model data/train/motion
 """
 
@@ -18,11 +18,13 @@ from pipeline.base.errors import InputError
 from steer import options
 
 TRAINED = Path("data/train")  # where models are that are given by name
+MODELS = Path(__file__).parents[1] / "models"
+SAMPLE = MODELS / "steering/sample"
 
 
 def predict(
     source: options.SourcePath,
-    model: Annotated[Path, typer.Option(help="folder or name of a trained model")] = TRAINED / "sa-gnn-ncp",
+    model: Annotated[Path, typer.Option(help="folder or name of a trained model", show_default="sample")] = SAMPLE,
     out: options.Out = None,
     fov: options.Fov = None,
     k: options.K = None,
@@ -53,11 +55,14 @@ def predict(
     height_m = camera_height or trained.settings["perception"]["camera_height_m"]
     opened = open_source(source, video_predict.reading(trained).cameras, height_m, logs, trained.fps, capture)
     lines, files = video_predict.predict(trained, opened, out, encoder, video=video)
+    print(f"{trained.name} was trained on {len(trained.drives)} drives: {trained.drives[0]} to {trained.drives[-1]}")
     print(*opened.notes, *lines, ", ".join(map(str, files)), sep="\n")
 
 
 def _encoder_beside(model: Path) -> Path:
-    """Return data/encoder of a model data/train/<model>, or of a folder of a seed or fold below it."""
+    """Return data/encoder of a model data/train/<model>, or of a folder of a seed or fold below it; or the sample's."""
+    if model == SAMPLE:
+        return MODELS / "encoder/sample"
     for parent in model.resolve().parents[:2]:
         if parent.name == "train":
             return parent.parent / "encoder"

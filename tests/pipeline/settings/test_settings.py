@@ -130,7 +130,8 @@ def test_params_are_replaced_unless_they_have_edits_that_git_lacks(tmp_path, mon
     assert params.read_text().count("# Written by make params") == 1
     content = yaml.safe_load(params.read_text())
     assert content["models"] == preset.merged("real")["models"] | preset.merged("table2")["models"]
-    assert content["ingest"] == preset.merged("real")["ingest"] | {"lidar": True}
+    added = {key: preset.merged("table2")["ingest"][key] for key in ("lidar", "drives")}
+    assert content["ingest"] == preset.merged("real")["ingest"] | added
 
     edited = params.read_text().replace("bootstrap_samples: 2000", "bootstrap_samples: 100")
     params.write_text(edited)

@@ -33,9 +33,10 @@ def file_hash(path: Path) -> str:
 
 
 def _stored_hash(path: Path) -> str:
-    """Return the SHA-256 of a stage's file: that in its folder's index or, without one, that of the content."""
-    index = path.with_name(INDEX)
-    hashes = json.loads(index.read_text()).get("sha256", {}) if index.is_file() else {}
+    """Return the SHA-256 of a stage's file: that in its folder's index or, if the file is newer, of the content."""
+    index, hashes = path.with_name(INDEX), {}
+    if index.is_file() and path.stat().st_mtime_ns <= index.stat().st_mtime_ns:
+        hashes = json.loads(index.read_text()).get("sha256", {})
     return hashes.get(path.name) or file_hash(path)
 
 

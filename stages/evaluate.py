@@ -12,7 +12,7 @@ from pipeline.base.errors import InputError, error_context
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import SPLITS, check_name, load
 from pipeline.evaluate.errors import interval_text, untrained
-from pipeline.evaluate.metrics import Case, columns, inputs, metrics, write_predictions
+from pipeline.evaluate.metrics import Case, columns, inputs, metrics, turning_frames, write_predictions
 from pipeline.graphs import graph_file
 from pipeline.settings.evaluate import Evaluate
 from pipeline.train import predict, runs
@@ -52,6 +52,7 @@ def main(
                 part: [case.drive.name for case in drives if case.drive.has_window(entry.window)]
                 for part, drives in cases.items()
             },
+            "turning_frames": turning_frames([case.drive for case in cases["train"]]),
             "parameters": sum(weights.numel() for weights in first.net.parameters()),
             "columns": columns(tested[0]),
             **inputs(tested),

@@ -96,6 +96,15 @@ def columns(drive: LabelledDrive) -> dict[str, dict[str, Any]]:
     return {name: {"unit": "1/m", "from_m": near, "to_m": far} for name, (near, far) in ranges}
 
 
+def turning_frames(drives: Sequence[LabelledDrive]) -> int:
+    """Return the number of frames whose target turns: the angle, or the path in any of its ranges."""
+    frames = 0
+    for drive in drives:
+        angle_rad = np.arctan(drive.target * drive.settings["labels"]["wheelbase_m"]) if drive.ahead_m else drive.target
+        frames += int((np.abs(angle_rad) > label.TURNING_RAD).any(axis=1).sum())
+    return frames
+
+
 def inputs(drives: Sequence[LabelledDrive]) -> dict[str, Any]:
     """Return settings of the drives' graph variant, and means per frame; None where a file has none.
 

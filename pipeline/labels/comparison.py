@@ -10,8 +10,7 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.labels import sources
-from pipeline.labels.label import Car, Labels, held
-from pipeline.labels.sources import TURNING_RAD
+from pipeline.labels.label import TURNING_RAD, Car, Labels, held
 
 COLUMNS = {"oxts": "", "wheel": "steering_rad"}  # recorded source → column of its angles, for :func:`judge`
 LAGS_S = np.array(sorted(np.arange(-40, 41) / 20, key=abs))  # [L]

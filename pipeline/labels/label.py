@@ -12,6 +12,7 @@ from pipeline.base.store import DriveReader
 
 # Forward speed at standstill dips to -0.15 m/s in KITTI; below this limit the car rolls backwards.
 REVERSING_MPS = -0.5
+TURNING_RAD = 0.02  # a radius of 135 m
 
 
 class Car(NamedTuple):

@@ -9,13 +9,12 @@ from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.kitti.oxts import VF, VL, WU, interpolated, make_rows
 from pipeline.labels.ahead import path_ahead
-from pipeline.labels.label import Car, Labels, steering_labels
+from pipeline.labels.label import TURNING_RAD, Car, Labels, steering_labels
 from pipeline.labels.rates import measured_rates, stands
 from pipeline.settings.labels import Labels as Settings
 
 # Datasets of an ingest file, and how a message names them.
 RECORDED = {"oxts": ("oxts", "oxts"), "wheel": ("steering_rad", "recorded steering angles (steering.csv)")}
-TURNING_RAD = 0.02  # a radius of 135 m
 # Cars do not slide sideways: vl stays below 0.4 m/s in KITTI. Above this limit, heading or GNSS velocity is wrong, and
 # the label with it: 2011_09_26_drive_0093 has 14 m/s to the left and then 11 m/s backwards.
 SIDEWAYS_MPS = 1.0

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pandas as pd
 import pytest
@@ -43,6 +44,10 @@ def test_metrics_are_means_over_seeds_and_files_repeat(folder, predicted):
         odometry = table[f"odometry_{COLUMNS[predicted][0]}"]
         assert odometry.isna().tolist() == [True] + [False] * 59, "unknown in the first frame"
     assert [*metrics["test"]] == [*metrics["columns"]] == COLUMNS[predicted]
+    labels = [h5py.File(folder / f"labels/{drive}.h5") for drive in metrics["drives"]["train"]]
+    name, limit = {"angle": ("steering_rad", 0.02), "path": ("ahead_1pm", 1 / 135)}[predicted]
+    turns = np.abs(np.concatenate([file[name][:].reshape(60, -1) for file in labels])) > limit
+    assert metrics["turning_frames"] == turns.any(axis=1).sum()
     for name, scores in metrics["test"].items():
         rows = [table.dropna(subset=[f"true_{name}", f"predicted_{name}"]) for table in tables]
         true = rows[0][f"true_{name}"]

@@ -47,8 +47,8 @@ def main(
             curve = pd.read_csv(path, dtype=str).drop(columns="learning_rate")
             # DVC draws an empty field as 0, and nan as a gap.
             curve.to_csv(folder.new / f"learning/{network}.csv", index=False, lineterminator="\n", na_rep="nan")
-        captions = draw(folder.new / "figures", groups, data)
-        write_page(folder.new / "index.html", story, groups, steering, [*notes, *perceived], captions)
+        figures = draw(folder.new / "figures", groups, data)
+        write_page(folder.new / "index.html", story, groups, steering, [*notes, *perceived], figures)
     print(text)
     return out
 

@@ -36,7 +36,7 @@ EDITS: dict[str, set[str]] = {  # file → the stages that run again; those afte
     "pipeline/labels/label.py": {"check", "labels", "scores"} | TRAINING,
     "pipeline/labels/sources.py": {"check", "labels", "scores"},
     "pipeline/perception/scores.py": {"check", "encoder", "scores"},
-    "pipeline/graphs/graph.py": {"check", "graphs", "report"},
+    "pipeline/graphs/graph.py": {"check", "graphs"},
     "pipeline/train/fit.py": {"check"} | TRAINING,
     "pipeline/train/loop.py": {"check", "encoder", "perception"} | TRAINING,
     "pipeline/settings/train.py": {"check", "train"},

@@ -89,10 +89,10 @@ def parts(drive: np.ndarray, block_frames: int) -> np.ndarray:
 def verdict(bounds: Sequence[float] | None, seeds: int, drives: int) -> str:
     """Return what the :func:`interval` of a paired difference shows about the first of two methods.
 
-    With one seed it is about these networks only. `seeds`: of the model that has fewer; `drives`: the :func:`parts`.
+    `seeds`: of the model that has fewer; `drives`: the :func:`parts`.
     """
     if seeds < 2:
-        return "these networks only"
+        return "too few seeds"
     if drives < LEAST_DRIVES:
         return "too few drives"
     low, high = bounds or (-math.inf, math.inf)

@@ -4,39 +4,38 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
 from pipeline.base import store
 from pipeline.camera.camera import read_camera
-from pipeline.graphs import graph, graph_file
 from pipeline.report import street_view
-from pipeline.report.results import Group, Row
+from pipeline.report.results import Group
+from pipeline.report.street_view import View
 
-_FOLDERS = ("ingest", "perception", "clouds/pseudo")
-CHAIN_POINTS, BEND_DEG = 300, 5.0  # of the chain: points of its graph, and the least angle of a bend
+BEND_DEG = 5.0  # the least angle of the bend in the chain
 MAX_ERRORS = 6  # frames, one of a drive
 _COLOURS = {"true": "0.15", "odometry": "tab:orange", "predicted": "tab:blue"}
 Captions = dict[str, str]  # name of the file without suffix → caption
+Figures = tuple[Captions, tuple[View, View] | None]  # and the chain's frame, with its cloud and with the model's graph
 
 
-def draw(out: Path, groups: Sequence[Group], data: Path) -> Captions:
+def draw(out: Path, groups: Sequence[Group], data: Path) -> Figures:
     """Draw a frame's way from image to steering, and the largest errors of each group's best model.
 
     Pictures whose files are not in the stages' folders below `data` are left out, as on a machine that only trains.
     """
-    captions = _draw_typical_bend(out / "chain.png", groups[0], data) if groups else {}
+    captions, frame = _draw_typical_bend(out / "chain.png", groups[0], data) if groups else ({}, None)
     for group in groups:
         captions |= _draw_errors(out / f"errors-{group.key}.png", group, data / "ingest")
-    return captions
+    return captions, frame
 
 
-def _draw_typical_bend(path: Path, group: Group, data: Path) -> Captions:
+def _draw_typical_bend(path: Path, group: Group, data: Path) -> Figures:
     """Draw the chain of the best model with a graph, in the drive of median error among those that bend left."""
     model = next((row for row in group.by_error if row["variant"].get("k")), None)
     if model is None:
-        return {}
+        return {}, None
     steering = group.first_seed(model["model"])
     known = steering.dropna(subset="cost")
     sharpest = known.loc[known.groupby("drive")["true_deg"].idxmax()].set_index("drive")
@@ -44,23 +43,25 @@ def _draw_typical_bend(path: Path, group: Group, data: Path) -> Captions:
     costs = known.groupby("drive")["cost"].sum()[bends.index].sort_values()
     drive = str(costs.index[len(costs) // 2])
     number = int(bends.loc[drive, "frame"])
-    paths = {folder.split("/")[0]: data / folder / f"{drive}.h5" for folder in _FOLDERS}
+    folders = ("ingest", "perception", model["variant"]["source"], f"graphs/{model['entry']['input']}")
+    paths = {folder.split("/")[0]: data / folder / f"{drive}.h5" for folder in folders}
     if not all(file.is_file() for file in paths.values()):
-        return {}
+        return {}, None
     with ExitStack() as stack:
-        files = [stack.enter_context(store.DriveReader(file, stage=stage)) for stage, file in paths.items()]
-        if not all(number in file.frame for file in files):
-            return {}
-        view = street_view.read_view(number, *files)
-    _draw_chain(path, model, view, steering[steering["drive"] == drive])
+        *files, graphs = [stack.enter_context(store.DriveReader(file, stage=stage)) for stage, file in paths.items()]
+        if not all(number in file.frame for file in (*files, graphs)):
+            return {}, None
+        view, graph = street_view.read_view(number, *files), street_view.read_view(number, graphs)
+    _draw_chain(path, view, graph, steering[steering["drive"] == drive])
     caption = (
         f"From image to steering (Figure 1 of the paper): frame {number} of {drive}, a drive of median error of "
-        f"{model['model']}, which gets {model['entry']['window']} graphs with {model['points_per_frame']:,.0f} points."
+        f"{model['model']}. For this frame the network gets the graph shown and those of the "
+        f"{model['entry']['window'] - 1} frames before."
     )
-    return {path.stem: caption}
+    return {path.stem: caption}, (view, graph)
 
 
-def _draw_chain(path: Path, model: Row, view: street_view.View, steering: pd.DataFrame) -> None:
+def _draw_chain(path: Path, view: View, graph: View, steering: pd.DataFrame) -> None:
     """Draw image, depth, classes, cloud, pruned graph, and the predicted angles [F] over the drive of `view`."""
     figure = Figure(figsize=(13, 6.4), layout="constrained")
     panels = figure.subplot_mosaic("aabbcc;ddeeff", height_ratios=[1, 2.2])
@@ -69,17 +70,8 @@ def _draw_chain(path: Path, model: Row, view: street_view.View, steering: pd.Dat
         panels[key].set_axis_off()
     for key, (name, pixels) in zip("abc", images, strict=False):
         street_view.draw_image(panels[key], pixels, "image" if key == "a" else f"{name} from the image")
-    assert view.xyz is not None
-    assert view.points_cls is not None
-    street_view.draw_points(panels["d"], view.xyz, view.points_cls)
-    panels["d"].set_title(f"cloud from above: {len(view.xyz):,} points")
-    rng, variant = np.random.default_rng(0), model["variant"]
-    chosen = np.sort(rng.choice(len(view.xyz), min(CHAIN_POINTS, len(view.xyz)), replace=False))
-    xyz, cls = view.xyz[chosen], view.points_cls[chosen]
-    built = graph.build(xyz, cls, variant["k"], variant.get("keep_inter_class", 1.0), np.random.default_rng(0))
-    street_view.draw_points(panels["e"], xyz, cls, graph_file.edge_pairs(built.degree, built.indices))
-    kept = f"{built.edges_kept:,} of " if built.edges_kept < built.edges_knn else ""
-    panels["e"].set_title(f"{len(xyz)} points, {kept}{built.edges_knn:,} directed edges")
+    street_view.draw_points(panels["d"], view, fontsize="medium")
+    street_view.draw_points(panels["e"], graph, fontsize="medium")
     panel = panels["f"]
     for kind, style in {"true": "-", "odometry": "--", "predicted": "-"}.items():
         if steering[f"{kind}_deg"].notna().any():

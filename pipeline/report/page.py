@@ -15,7 +15,10 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
+from pipeline.camera import classes
+from pipeline.report.figures import Figures
 from pipeline.report.results import Group
+from pipeline.report.street_view import View
 from pipeline.report.tables import Table
 
 COLOURS = ("#0b57a4", "#d1495b", "#2e8b57", "#8a5fbf", "#1b998b", "#7a6a53", "#c2185b")
@@ -27,6 +30,7 @@ FIXED: Styles = {
 }
 MODELS_SHOWN = 3  # the best at first; a click in the legend adds others
 DRIVES_SHOWN = 6  # those with most squared error of the best model; the tables have all
+POINTS_SHOWN, EDGES_SHOWN = 3_000, 10_000  # in space
 
 
 class Plot(NamedTuple):
@@ -48,16 +52,17 @@ def write_page(
     groups: Sequence[Group],
     tables: Sequence[Table],
     perception: Content,
-    figures: Mapping[str, str],
+    figures: Figures,
 ) -> None:
     """Write the page to an HTML file.
 
-    The files of `figures` (name without suffix → caption) are in folder figures beside it. The first of the `tables`
-    are the results of each group. `perception`: where the encoder's weights come from, and tables.
+    The files of `figures` are in folder figures beside it. The first of the `tables` are the results of each group.
+    `perception`: where the encoder's weights come from, and tables.
     """
+    captions, frame = figures
     pictures = {
         name: Picture(caption, base64.b64encode((path.parent / f"figures/{name}.png").read_bytes()).decode("ascii"))
-        for name, caption in figures.items()
+        for name, caption in captions.items()
     }
     chain, look = pictures.pop("chain", None), styles(groups)
     sections: dict[str, Content] = {
@@ -74,6 +79,7 @@ def write_page(
     html = environment.get_template("page.html.j2").render(
         story=story,
         chain=chain,
+        space=frame and in_space(*frame),
         sections={title: content for title, content in sections.items() if content},
         plotly=Markup(get_plotlyjs()),
     )
@@ -121,3 +127,20 @@ def over_time(predictions: pd.DataFrame, look: Styles) -> list[Trace]:
         y = [None if np.isnan(value) else value for value in rows[column].round(4).tolist()]
         traces.append(look[name] | {"x": rows["elapsed_s"].round(4).tolist(), "y": y, "mode": "lines"} | hover)
     return traces
+
+
+def in_space(cloud: View, graph: View) -> Plot:
+    """Return a frame's points in the colours of their classes, and its graph; of too many edges those near the car."""
+    cls, edges = np.asarray(cloud.points_cls), np.asarray(graph.edges)
+    xyz, nodes = ((np.asarray(view.xyz) * [1.0, -1.0, 1.0]).round(3) for view in (cloud, graph))  # Plotly's z points up
+    shown = np.random.default_rng(0).permutation(len(xyz))[:POINTS_SHOWN]
+    nearest = edges[np.argsort(nodes[edges[:, 0], 2], kind="stable")[:EDGES_SHOWN]]
+    lines = np.insert(nodes[nearest].astype(object), 2, np.array(None), axis=1).reshape(-1, 3)  # None: a gap
+    colours = [f"rgb{tuple(colour)}" for colour in classes.colourise(cls[shown]).tolist()]
+    traces: list[Trace] = [
+        {"name": "cloud", "mode": "markers", "marker": {"size": 2, "color": colours}},
+        {"name": "graph", "mode": "lines", "line": {"width": 1.5, "color": "#8b95a1"}},
+    ]
+    for trace, points in zip(traces, (xyz[shown], lines), strict=True):
+        trace |= {"type": "scatter3d"} | dict(zip("xzy", points.T.tolist(), strict=True))
+    return Plot(f"The same frame in 3D, to turn by mouse: {len(shown):,} points of the cloud, and the graph", traces)

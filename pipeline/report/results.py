@@ -18,8 +18,14 @@ from pipeline.evaluate import errors
 from pipeline.report import paper
 from pipeline.settings.evaluate import Evaluate
 
-NO_LEARNING = ("zero", "train_mean", "odometry", "regression")
+NO_LEARNING = {  # baseline → what it predicts
+    "zero": "always straight ahead",
+    "train_mean": "always the mean of the training drives",
+    "odometry": "the present motion, measured from images",
+    "regression": "a multiple of the present motion, measured from images",
+}
 BASELINES = (*NO_LEARNING, "persistence")  # persistence repeats true angles, which no model gets
+USELESS = 0.95  # nmse on the test drives above which a model has learned nothing
 Row = dict[str, Any]  # a model's metrics.json with ``paper``, its :class:`paper.Published` or None
 Estimate = tuple[float | None, list[float] | None]  # a value, None if unknown, and its :func:`errors.interval`
 
@@ -34,6 +40,7 @@ class Group:
     key: str  # part of file names: angle-0, angle-10 or path-0
     title: str
     labels: dict[str, str]  # column → label: empty for the steering angle, "5-10 m" for a range of the path ahead
+    length_m: dict[str, float]  # column → length of the range, by which its curvature makes a turn; 1 for the angle
     models: list[Row]  # in the order of the paper, then as given
     # predictions.csv of each model's first seed, with columns model, elapsed_s since the drive's first frame, and cost,
     # the squared error; in degrees, left +, true_deg, predicted_deg and odometry_deg: of the steering angle, or of the
@@ -75,6 +82,12 @@ class Group:
         truth, predicted = self.truth[rows, number], self.predicted[name][:, rows, number]
         by_seed = [errors.scores(truth, seed)["nmse"] for seed in predicted]
         return errors.scores(truth, predicted) | {"by_seed": by_seed}
+
+    def mae_deg(self, name: str) -> float:
+        """Return the mean absolute error in degrees, of the angle or of the turn in all ranges together."""
+        turn_rad = ((self.predicted[name] - self.truth) * [*self.length_m.values()]).sum(axis=-1)
+        known = np.abs(turn_rad[np.isfinite(turn_rad)])
+        return float(np.degrees(known.mean())) if len(known) else np.nan
 
     @cached_property
     def by_error(self) -> list[Row]:
@@ -119,14 +132,14 @@ def load_groups(folders: Mapping[str, Path], settings: Evaluate) -> list[Group]:
         title = "path ahead" if predict == "path" else "steering angle"
         title += f", {horizon} frames ahead" if horizon else ""
         columns, ranked = rows[0]["columns"], sorted(rows, key=lambda row: order.index(row["paper"]))
-        labels = {
-            name: "" if column["to_m"] is None else f"{column['from_m']:g}-{column['to_m']:g} m"
-            for name, column in columns.items()
-        }
+        ranges = {name: (column["from_m"], column["to_m"]) for name, column in columns.items()}
+        labels = {name: "" if far is None else f"{near:g}-{far:g} m" for name, (near, far) in ranges.items()}
+        length_m = {name: 1.0 if far is None else far - near for name, (near, far) in ranges.items()}
         models = [row["model"] for row in ranked]
-        predictions = pd.concat([_load_predictions(folders[name], name, columns) for name in models], ignore_index=True)
+        runs = [_load_predictions(folders[name], name, length_m) for name in models]
+        predictions = pd.concat(runs, ignore_index=True)
         aligned, first = _align(predictions, models, [*columns]), predictions[predictions["run"] == ""]
-        groups.append(Group(f"{predict}-{horizon}", title, labels, ranked, first, settings, **aligned))
+        groups.append(Group(f"{predict}-{horizon}", title, labels, length_m, ranked, first, settings, **aligned))
     return groups
 
 
@@ -156,9 +169,8 @@ def _align(predictions: pd.DataFrame, models: Sequence[str], columns: Sequence[s
     }
 
 
-def _load_predictions(folder: Path, model: str, columns: Row) -> pd.DataFrame:
+def _load_predictions(folder: Path, model: str, length_m: Mapping[str, float]) -> pd.DataFrame:
     """Load predictions.csv of all seeds below a folder, with columns as in :class:`Group` and ``run``, the seed."""
-    length_m = {name: 1 if part["to_m"] is None else part["to_m"] - part["from_m"] for name, part in columns.items()}
     tables = []
     for path in sorted(folder.rglob("predictions.csv")):
         table = pd.read_csv(path, dtype={"drive": str})

@@ -81,16 +81,20 @@ def draw_image(panel: Axes, pixels: np.ndarray, title: str, **style: Any) -> Non
     panel.set_axis_off()
 
 
-def draw_points(panel: Axes, xyz: np.ndarray, cls: np.ndarray, edges: np.ndarray | None = None) -> None:
-    """Draw points [P,3] of the camera frame from above, in the colours of their classes [P]; high points on top.
+def draw_points(panel: Axes, view: View, **style: Any) -> None:
+    """Draw the points of a frame from above, in the colours of their classes, high points on top; title in a `style`.
 
-    Edges [E,2] are rows of `xyz`. With edges, the dots of a small graph are larger.
+    With edges, the dots of a small graph are larger.
     """
+    xyz, cls, edges = np.asarray(view.xyz), np.asarray(view.points_cls), view.edges
+    name, count = ("cloud", "") if edges is None else ("graph", f", {view.edge_count:,} directed edges")
+    void = "; black: no class" if (cls == classes.VOID).any() else ""
+    panel.set_title(f"{name} from above: {len(xyz):,} points{count}{void}", **style)
     if edges is not None:
         lines = [*xyz[edges][..., [0, 2]]]
-        panel.add_collection(LineCollection(lines, colors="0.7", linewidths=0.6, zorder=0))
+        panel.add_collection(LineCollection(lines, colors="0.5", linewidths=0.6, zorder=0))
     order = np.argsort(-xyz[:, 1], kind="stable")  # y points down
-    size = 1.0 if edges is None else float(np.clip(12_000 / max(len(xyz), 1), 1, 12))
+    size = 1.0 if edges is None else float(np.clip(4_000 / max(len(xyz), 1), 1, 12))
     colours = classes.colourise(cls[order]) / 255
     panel.scatter(xyz[order, 0], xyz[order, 2], s=size, c=colours, linewidths=0)
     panel.set(xlabel="x in m", ylabel="z in m", aspect="equal", xlim=(LEFT_M, RIGHT_M), ylim=(0, AHEAD_M))
@@ -117,12 +121,8 @@ def sheet(title: str, view: View) -> Figure:
         scale = left.colorbar(DEPTH_SCALE, ax=panels, location="left", shrink=0.3, format="%d m")
         scale.set_ticks([NEAR_M, 10, 20, FAR_M])
         scale.minorticks_off()
-    if view.xyz is not None and view.points_cls is not None:
-        above = right.subplots()
-        draw_points(above, view.xyz, view.points_cls, view.edges)
-        name, edges = ("cloud", "") if view.edges is None else ("graph", f", {view.edge_count:,} directed edges")
-        void = "; black: no class" if (view.points_cls == classes.VOID).any() else ""
-        above.set_title(f"{name} from above: {len(view.xyz):,} points{edges}{void}", **style)
+    if view.xyz is not None:
+        draw_points(right.subplots(), view, **style)
     class_legend(figure, view, columns=8)
     figure.suptitle(title)
     return figure

@@ -10,7 +10,7 @@ import pandas as pd
 
 from pipeline.base.params import SPLITS
 from pipeline.evaluate.errors import interval_text
-from pipeline.report.results import BASELINES, Group, Row
+from pipeline.report.results import BASELINES, NO_LEARNING, USELESS, Group, Row
 from pipeline.settings.graphs import Variant
 
 NONE = "–"  # cell without a value
@@ -59,7 +59,9 @@ class Table(NamedTuple):
 
     @property
     def heads(self) -> list[str]:
-        return [*dict.fromkeys(head for row in self.rows for head in row)]
+        """The headings that have a value in a row."""
+        heads = dict.fromkeys(head for row in self.rows for head in row)
+        return [head for head in heads if any(row.get(head, NONE) != NONE for row in self.rows)]
 
     @property
     def cells(self) -> list[list[str]]:
@@ -82,27 +84,42 @@ def number(value: Any, form: str = "") -> str:
 
 
 def sentences(groups: Sequence[Group], absent: Sequence[str] = ()) -> list[str]:
-    """Return at most two texts: how the best model of the first group compares, and which models have no result."""
+    """Return at most three texts: the best model of the first group, models that learned nothing, and absent ones."""
     texts = []
     if groups:
         group, best = groups[0], groups[0].by_error[0]
         name, baseline = best["model"], group.best_baseline
         (nmse, interval), (difference, bounds) = group.nmse(name), group.nmse(name, minus=baseline)
-        verdict = group.verdict(bounds, name, baseline)
         choice = "validation error" if group.validated else "test error (there is no validation)"
+        drives = len(np.unique(group.drive[np.isfinite(group.truth).any(axis=1)]))
         if difference is not None:  # there is a bend in the test drives
             texts.append(
-                f"{name}, with the least {choice}, predicts the {group.title} with a test nmse of {nmse:.3f} "
-                f"({interval_text(interval)}); {baseline}, the best baseline without learning, with "
-                f"{group.nmse(baseline)[0]:.3f}. Paired difference: {difference:+.3f} "
-                f"({interval_text(bounds, '+.3f')}), {verdict}."
+                f"On {drives} drives that it was not trained on, {name}, the model with the least {choice}, predicts "
+                f"the {'turn of the ' * any(group.labels.values())}{group.title} with a mean absolute error of "
+                f"{group.mae_deg(name):.2f}° and an nmse of {nmse:.3f} (95 % interval: {interval_text(interval)}); "
+                "nmse is the squared error relative to that of always driving straight ahead, so 0 is perfect and 1 "
+                f"is useless. The best baseline without learning, {baseline} ({NO_LEARNING[baseline]}), has "
+                f"{group.mae_deg(baseline):.2f}° and {group.nmse(baseline)[0]:.3f}. Difference in nmse "
+                f"{difference:+.3f} ({interval_text(bounds, '+.3f')}): {group.verdict(bounds, name, baseline)}."
             )
+    if useless := [line for group in groups for line in _useless(group).values()]:
+        texts.append(" ".join(useless))
     if absent:
         texts.append(
             f"No result here: {', '.join(absent)}. To fetch those of another machine: dvc pull --allow-missing train "
             "evaluate, then dvc repro --pull --allow-missing"
         )
     return texts
+
+
+def _useless(group: Group) -> dict[str, str]:
+    """Return model → a sentence, for each model of a group that has learned nothing."""
+    return {
+        row["model"]: f"{row['model']} learned nothing (test nmse above {USELESS}); its training drives have "
+        f"{row['turning_frames']:,} turning frames (radius below 135 m)."
+        for row in group.models
+        if (group.nmse(row["model"])[0] or 0.0) > USELESS
+    }
 
 
 def steering_tables(groups: Sequence[Group]) -> list[Table]:
@@ -123,20 +140,20 @@ def steering_tables(groups: Sequence[Group]) -> list[Table]:
 
 
 def _results(group: Group, onsets: bool = True) -> list[dict[str, str]]:
-    models, rows = {row["model"]: row for row in group.models}, []
+    models, useless, rows = {row["model"]: row for row in group.models}, _useless(group), []
     for name in group.predicted:
         row = models.get(name, {})
-        cells = {"model": f"*{name}*" if name in BASELINES else name + " †" * bool(row.get("untrained"))}
+        marks = " †" * bool(row.get("untrained")) + " ‡" * (name in useless)
+        cells = {"model": f"*{name}*" if name in BASELINES else name + marks}
         for column, label in group.labels.items():
             nmse, bounds = group.nmse(name, column=column, onsets=onsets)
-            scores, deg = group.scores(name, column), 180 / np.pi
+            by_seed = group.scores(name, column)["by_seed"]
             cells[f"nmse {label}".strip()] = number(nmse, ".3f")
             if row and nmse is not None:
-                several = onsets and len(scores["by_seed"]) > 1
-                spread = f" ± {np.std(scores['by_seed'], ddof=1):.3f}" if several else ""
+                spread = f" ± {np.std(by_seed, ddof=1):.3f}" if onsets and len(by_seed) > 1 else ""
                 cells[f"nmse {label}".strip()] += f"{spread} ({interval_text(bounds)})"
             if onsets and not label:
-                cells["MAE deg"] = number(scores["mae"] and deg * scores["mae"], ".2f")
+                cells["MAE deg"] = number(group.mae_deg(name), ".2f")
                 cells["no onsets"] = number(group.nmse(name, column=column, onsets=False)[0], ".3f")
                 if group.key == "angle-0":
                     cells["drift"] = number(row["test"][column]["drift_m_per_100m"] if row else None, ".1f")
@@ -148,12 +165,13 @@ def _results(group: Group, onsets: bool = True) -> list[dict[str, str]]:
 
 
 def _frames(group: Group) -> str:
-    """Return a note on frames, and on seeds that failed to train."""
+    """Return a note on frames, on seeds that failed to train, and on models that have learned nothing."""
     known = np.isfinite(group.truth).sum(axis=0)
     frames = ", ".join(f"{label} {count:,}".strip() for label, count in zip(group.labels.values(), known, strict=True))
     counts = {row["model"]: (len(row.get("untrained", ())), len(row["seeds"])) for row in group.models}
     stuck = [f"† {few} of {seeds} seeds of {model} failed to train. " for model, (few, seeds) in counts.items() if few]
-    return f"{''.join(stuck)}Test frames that every model of the table predicts: {frames}. "
+    useless = [f"‡ {line} " for line in _useless(group).values()]
+    return f"{''.join(stuck + useless)}Test frames that every model of the table predicts: {frames}. "
 
 
 def _differences(group: Group) -> list[dict[str, str]]:
@@ -207,8 +225,8 @@ def _uncertainty(group: Group) -> list[dict[str, str]]:
 def _as_published(group: Group) -> list[dict[str, str]]:
     return [
         {"model": row["model"]}
-        | {split: number(row[split] and row[split]["steering_rad"]["mse"], ".5f") for split in ("train", "val")}
-        | {"test": number(group.scores(row["model"], "steering_rad")["mse"], ".5f")}
+        | {split: number(row[split] and row[split]["steering_rad"]["mse"], "#.3g") for split in ("train", "val")}
+        | {"test": number(group.scores(row["model"], "steering_rad")["mse"], "#.3g")}
         | {f"paper {split}": number(getattr(row["paper"], f"{split}_mse", None)) for split in ("train", "test")}
         for row in group.models
     ]

@@ -42,7 +42,7 @@ def test_all_files_are_written_and_repeat(tmp_path):
         files = [path for path in (tmp_path / "report").rglob("*") if path.is_file()]
         made.append({path.name: path.read_bytes() for path in files})
     assert made[0] == made[1]
-    assert text.startswith("sa-gnn-ncp, with the least test error (there is no validation), predicts the steering ")
+    assert text.startswith("On 2 drives that it was not trained on, sa-gnn-ncp, the model with the least test error ")
     assert text.index("No result here: absent.") < text.index("## Results: steering angle") < text.index("## Depth")
     metrics = json.loads(made[0]["metrics.json"])
     assert metrics["angle-0"]["sa-gnn-ncp"]["steering_rad"]["test"] == pytest.approx(0.2)

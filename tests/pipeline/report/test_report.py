@@ -1,6 +1,7 @@
 """The report: groups of models, tables, sentences, curves, pictures and the page."""
 
 import html
+import json
 import re
 from pathlib import Path
 
@@ -12,14 +13,14 @@ import pytest
 from pipeline.base import store
 from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Camera, read_camera
-from pipeline.camera.classes import VOID
+from pipeline.camera.classes import ROAD, VOID
 from pipeline.graphs.cloud import clouds_drive
 from pipeline.perception.scores import Scores
 from pipeline.report import figures, paper, tables
 from pipeline.report.page import write_page
-from pipeline.report.street_view import HALF_TRACK_M, STEP_M, follow, path_steps, read_view, wheel_tracks
+from pipeline.report.street_view import HALF_TRACK_M, STEP_M, View, follow, path_steps, read_view, wheel_tracks
 from pipeline.settings.clouds import Clouds
-from tests import street
+from tests import artefacts, street
 from tests.pipeline.report import examples
 from tests.pipeline.report.examples import metrics
 
@@ -82,10 +83,14 @@ def test_the_first_table_fits_a_terminal(tmp_path):
     seed, near = examples.predictions(0.3), examples.predictions()["near_onset_steering_rad"] == 1
     seed.loc[near, "predicted_steering_rad"] = seed["true_steering_rad"]
     seed.to_csv(tmp_path / "evaluate/pointnet2-lstm/seed-1/predictions.csv", index=False)
-    table = tables.steering_tables(examples.load(tmp_path, "pointnet2-lstm"))[0]
+    examples.write_model(tmp_path, metrics("dead", 0.96, horizon=10))
+    table, *_ = tables.steering_tables(groups := examples.load(tmp_path, "pointnet2-lstm", "dead"))
     assert max(map(len, table.markdown().splitlines())) <= 110
-    assert table.note.startswith("† 1 of 2 seeds of pointnet2-lstm failed to train. Test frames that every model of ")
+    _, useless = tables.sentences(groups)
+    assert useless.startswith("dead learned nothing (test nmse above 0.95); its training drives have 1,200 turning ")
+    assert table.note.startswith(f"† 1 of 2 seeds of pointnet2-lstm failed to train. ‡ {useless} Test frames that ")
     rows = {row["model"]: row for row in table.rows}
+    assert "dead ‡" in rows
     found = rows["pointnet2-lstm †"]
     assert found["nmse"] == "0.232 ± 0.046 (0.179 to 0.309)"
     assert (found["no onsets"], found["parameters"], found["edges"]) == ("0.250", "1,408,259", "5,160")
@@ -116,7 +121,7 @@ def test_all_rows_are_compared_on_common_frames_with_one_zero(tmp_path):
         {"short": 0.3, "long": 0.5, "zero": 1.0}
     )
     assert {group.scores(name, "steering_rad")["frames"] for name in group.predicted} == {2 * 22}
-    assert tables.sentences([group])[0].startswith("short, with the least test error (there is no validation), ")
+    assert "short, the model with the least test error (there is no validation), " in tables.sentences([group])[0]
     assert group.nmse("short", minus="long") == (pytest.approx(-0.2), pytest.approx([-0.2, -0.2]))
     assert group.nmse("odometry")[0] == pytest.approx(
         0.5 * (1 + (7**2 + 8**2) / sum(np.delete(np.arange(7, 30), 13) ** 2))
@@ -138,7 +143,7 @@ def test_models_that_differ_in_one_setting_have_a_difference(tmp_path):
     lstm = {key: value for key, value in examples.ENTRY.items() if key != "cell"}
     found = build(
         tmp_path,
-        metrics("keep-100", 0.3, input="all") | {"variant": {"k": 6}},
+        metrics("keep-100", 0.3, input="all") | {"variant": {"source": "clouds/pseudo", "k": 6}},
         metrics("lambda-0", 0.4, semantics=0.0),
         metrics("sa-gnn-lstm", 0.1) | {"entry": lstm | {"temporal": "lstm"}},
         metrics("sa-gnn-ncp", 0.2),
@@ -155,31 +160,30 @@ def test_models_that_differ_in_one_setting_have_a_difference(tmp_path):
         "lambda-0 − sa-gnn-ncp (semantics: 0.0 → 1.0)",
     ]  # fmt: skip
     assert path[1:] == ["path − path-blind (spatial: gnn → blind)", "path − path-another (scene: same → another)"]
-    assert found["Differences: path ahead"].rows[1]["5-10 m"] == "-0.300 (-0.300 to -0.300) these networks only"
+    assert found["Differences: path ahead"].rows[1]["5-10 m"] == "-0.300 (-0.300 to -0.300) too few seeds"
+    assert found["MSE as in the paper's Table 2"].rows[0]["train"] == "1.23e-06"
 
 
 def test_perception_has_a_row_per_split_with_ground_truth():
     scores = {split: Scores() for split in ("train", "val", "test")}
     truth = np.full((40, 50), 10.0)
     scores["val"].add_depth("depth_lidar", 1.2 * truth, truth)
-    scores["val"].add_depth("ground_plane_lidar", 1.5 * truth, truth)
     scores["test"].add_depth("depth_dense", truth, np.where(np.arange(40)[:, None] < 2, truth, 0))  # outside the crop
     report = {split: score.report() for split, score in scores.items()} | {"motion": {}}
-    encoder, flat = "0.200, 2.00, 1.000", "0.500, 5.00, 0.000"
-    assert tables.perception_tables(report)[0].cells == [
-        ["val", "lidar", "1", "100.0%", encoder, flat, encoder, flat],
-        ["test", "dense", "1", "100.0%", "0.000, 0.00, 1.000", tables.NONE, tables.NONE, tables.NONE],
+    assert tables.perception_tables(report)[0].cells == [  # without the columns of flat ground
+        ["val", "lidar", "1", "100.0%", *["0.200, 2.00, 1.000"] * 2],
+        ["test", "dense", "1", "100.0%", "0.000, 0.00, 1.000", tables.NONE],
     ]
 
 
 @pytest.mark.parametrize(
     ("nmse", "baselines", "verdict"),
     [
-        (0.2, {}, "zero, the best baseline without learning, with 1.000. Paired difference: -0.800 (-0.800 to"),
-        (0.2, {"odometry": 0.6}, "(-0.400 to -0.400), better."),
-        (0.2, {"odometry": 0.6, "regression": 0.4, "persistence": 0.01}, "; regression, the best"),
-        ([0.1, 0.4], {"odometry": 0.3}, "no difference shown."),
-        (0.6, {"odometry": 0.05}, "(+0.550 to +0.550), worse."),
+        (0.2, {}, " and 1.000. Difference in nmse -0.800 (-0.800 to -0.800): better."),
+        (0.2, {"odometry": 0.6}, " and 0.600. Difference in nmse -0.400 (-0.400 to -0.400): better."),
+        (0.2, {"odometry": 0.6, "regression": 0.4, "persistence": 0.01}, "learning, regression (a multiple of "),
+        ([0.1, 0.4], {"odometry": 0.3}, "): no difference shown."),
+        (0.6, {"odometry": 0.05}, "(+0.550 to +0.550): worse."),
     ],
 )
 @pytest.mark.parametrize("predict", ["angle", "path"])
@@ -189,17 +193,18 @@ def test_the_best_validated_model_has_a_verdict(tmp_path, monkeypatch, nmse, bas
     for model, columns in zip(models, ((0.4, 0.4), (0.5, 0.1)), strict=True):
         model["val"] = {name: {"nmse": value} for name, value in zip(model["columns"], columns[::-1], strict=False)}
     (text,) = tables.sentences(examples.groups(tmp_path, *models))
-    title = {"angle": "steering angle", "path": "path ahead"}[predict]
-    assert text.startswith(
-        f"net, with the least validation error, predicts the {title} with a test nmse of {np.mean(nmse):.3f}"
-    )
-    assert text.endswith(", these networks only.")
+    title, metres = {"angle": ("steering angle", 1), "path": ("turn of the path ahead", 10)}[predict]
+    driven_rad = 0.01 * metres * np.delete(np.arange(7, 30), 13).mean()
+    mae = f"{np.rad2deg(driven_rad * np.sqrt(nmse).mean()):.2f}° and an nmse of {np.mean(nmse):.3f} (95 % interval: "
+    start = f"net, the model with the least validation error, predicts the {title} with a mean absolute error of "
+    assert f"{start}{mae}" in text
+    assert text.endswith(": too few seeds.")
     for model in models:
         model["seeds"] = [0, 1]
     (text,) = tables.sentences(examples.groups(tmp_path, *models))
     assert verdict in text
     monkeypatch.setattr(examples, "SETTINGS", examples.SETTINGS.model_copy(update={"bootstrap_block_frames": 6}))
-    assert tables.sentences(examples.groups(tmp_path, *models))[0].endswith(", too few drives.")
+    assert tables.sentences(examples.groups(tmp_path, *models))[0].endswith(": too few drives.")
 
 
 # Pictures
@@ -251,18 +256,20 @@ def test_pictures_show_what_the_encoder_has(tmp_path, monkeypatch, with_classes)
     street.write_perception(tmp_path / "perception", tmp_path / "ingest", DRIVE)
     files = [tmp_path / f"{stage}/{DRIVE}.h5" for stage in ("clouds/pseudo", "ingest", "perception")]
     clouds_drive(files[0], "pseudo", *files[1:], Clouds(max_points=2048, max_depth_m=80.0, seed=0))
+    files[1] = tmp_path / f"graphs/semantic/{DRIVE}.h5"
+    artefacts.write_graphs(files[1], DRIVE, np.zeros(9), np.arange(9), 80, np.random.default_rng(0))
     if not with_classes:
-        for name in (f"perception/{DRIVE}.h5", f"clouds/pseudo/{DRIVE}.h5"):
-            with h5py.File(tmp_path / name, "a") as file:
+        for path in files:
+            with h5py.File(path, "a") as file:
                 file["cls"][:] = VOID
     table = examples.predictions().query("drive == @DRIVE and frame < 9")
     examples.write_model(tmp_path, metrics("net"), table)
-    captions = figures.draw(tmp_path / "figures", examples.load(tmp_path, "net"), tmp_path)
+    captions, _ = figures.draw(tmp_path / "figures", examples.load(tmp_path, "net"), tmp_path)
     assert [*captions] == ["chain", "errors-angle-0"]
     assert {path.name for path in (tmp_path / "figures").iterdir()} == {f"{name}.png" for name in captions}
     assert any("classes" in title for title in titles) == with_classes
-    (edges,) = [title for title in titles if "directed edges" in title]
-    assert (" of 1,800 " in edges) == with_classes
+    (title,) = [title for title in titles if title.startswith("graph from above: 80 points, ")]
+    assert title.endswith("directed edges" if with_classes else "; black: no class")
 
 
 def test_the_largest_errors_of_the_best_model_are_drawn(tmp_path, monkeypatch):
@@ -274,7 +281,7 @@ def test_the_largest_errors_of_the_best_model_are_drawn(tmp_path, monkeypatch):
         for column in examples.PATH:
             table.loc[(table["drive"] == DRIVE) & (table["frame"] == 12), f"predicted_{column}"] = 0.3
         examples.write_model(tmp_path, metrics(model, nmse, predict="path"), table)
-    captions = figures.draw(tmp_path / "figures", examples.load(tmp_path, "worse", "best"), tmp_path)
+    captions, _ = figures.draw(tmp_path / "figures", examples.load(tmp_path, "worse", "best"), tmp_path)
     assert captions["errors-path-0"].startswith("Drives with the largest errors of best")
     with store.DriveReader(tmp_path / f"ingest/{DRIVE}.h5", stage="ingest") as images:
         camera = read_camera(images)
@@ -300,7 +307,9 @@ def test_the_page_is_complete_self_contained_repeats_and_runs_no_script_of_a_nam
     (tmp_path / "figures").mkdir()
     for name in ("errors-angle-0", "chain"):
         cv2.imwrite(str(tmp_path / f"figures/{name}.png"), np.full((60, 200, 3), 90, np.uint8))
-    content = groups, tables.steering_tables(groups), [], {"chain": "Figure 1.", "errors-angle-0": "Errors."}
+    cloud = View(7, xyz=np.array([[1.0, 2, 3], [4, 5, 6], [7, 8, 9]]), points_cls=np.full(3, ROAD))
+    pictures = {"chain": "Figure 1.", "errors-angle-0": "Errors."}, (cloud, cloud._replace(edges=np.array([[1, 2]])))
+    content = groups, tables.steering_tables(groups), [], pictures
     texts = []
     for _ in range(2):
         write_page(tmp_path / "index.html", ["A sentence <b>."], *content)
@@ -312,5 +321,9 @@ def test_the_page_is_complete_self_contained_repeats_and_runs_no_script_of_a_nam
     own = re.sub(r"<script>.*?</script>", "", text, count=1, flags=re.DOTALL)  # without plotly
     assert not re.findall(r'(?:src|href)="(?!#|data:)', own)
     assert own.index("A sentence &lt;b&gt;.") < own.index("Figure 1.") < own.index("<h2>Results")
+    points, line = json.loads(re.findall(r'<script type="application/json">(.*)</script>', own)[0])
+    assert points["marker"]["color"] == ["rgb(128, 64, 128)"] * 3
+    assert {*zip(*(points[axis] for axis in "xyz"), strict=True)} == {(1, 3, -2), (4, 6, -5), (7, 9, -8)}
+    assert [line[axis] for axis in "xyz"] == [[4, 7, None], [6, 9, None], [-5, -8, None]]
     assert "alert(1)" in own
     assert "<script>alert(1)" not in own

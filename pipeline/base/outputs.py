@@ -52,7 +52,6 @@ class StageFolder(NamedTuple):
     new: Path  # empty; what the stage writes here becomes the content of its output folder
     kept: Path  # data/.drives/STAGE or data/.drives/STAGE-ENTRY, outside of all DVC outputs, for the next run
     used: set[Path]  # children of `kept` that this run needs; a success removes all others
-    hashes: dict[str, str | None]  # path in the output folder → hash for the index, so that no later stage computes it
 
 
 @contextmanager
@@ -60,8 +59,8 @@ def stage_folder(stage: str, out: Path, *, shared: bool = False) -> Iterator[Sta
     """Hold the lock of the output folder `out`, and publish what the block writes when it ends without error.
 
     The files in ``StageFolder.new`` replace those that an earlier run listed in ``out/index.json``. The new index adds
-    ``stage``, ``entry``, ``files`` and ``sha256`` to an index.json of the block. `stage` is a name in ``dvc.yaml``;
-    with an entry, ``graphs@NAME``, `out` is a folder in the stage's folder. If `shared`, `out` may hold other files.
+    ``stage``, ``entry`` and ``files`` to an index.json of the block. `stage` is a name in ``dvc.yaml``; with an entry,
+    ``graphs@NAME``, `out` is a folder in the stage's folder. If `shared`, `out` may hold other files.
 
     Raises InputError if another process writes `out`, or if `out` holds files that this stage did not write.
     """
@@ -77,11 +76,11 @@ def stage_folder(stage: str, out: Path, *, shared: bool = False) -> Iterator[Sta
     with lock:
         owner = {"stage": name, "entry": entry}
         before = _own_files(out, owner, shared)
-        folder = StageFolder(name, kept / "new", kept, set(), {})
+        folder = StageFolder(name, kept / "new", kept, set())
         shutil.rmtree(folder.new, ignore_errors=True)
         folder.new.mkdir()
         yield folder
-        _publish(folder, out, before, owner)
+        _publish(folder.new, out, before, owner)
         for path in set(kept.iterdir()) - folder.used:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
 
@@ -98,9 +97,8 @@ def _own_files(out: Path, owner: dict[str, str], shared: bool) -> set[str]:
     return {file for file in index["files"] if (out / file).resolve().is_relative_to(out.resolve())}
 
 
-def _publish(folder: StageFolder, out: Path, before: set[str], owner: dict[str, str]) -> None:
-    """Replace the files `before` in `out` by the new ones. Readers of the index find no file of a removed drive."""
-    new = folder.new
+def _publish(new: Path, out: Path, before: set[str], owner: dict[str, str]) -> None:
+    """Replace the files `before` in `out` by those in `new`. Readers of the index find no file of a removed drive."""
     paths = sorted(path.relative_to(new) for path in new.rglob("*"))
     files = [str(path) for path in paths if (new / path).is_file() and str(path) != INDEX]
     for file in files:
@@ -112,12 +110,10 @@ def _publish(folder: StageFolder, out: Path, before: set[str], owner: dict[str, 
     for path in paths:
         if (new / path).is_dir():  # DVC expects also an empty one
             (out / path).mkdir(parents=True, exist_ok=True)
-    index |= owner | {"files": files}
-    write_json(out / INDEX, index, sort_keys=False)
+    write_json(out / INDEX, index | owner | {"files": files}, sort_keys=False)
     for file in files:
         with replacing(out / file) as tmp:
             link(new / file, tmp)
-    write_json(out / INDEX, index | {"sha256": folder.hashes}, sort_keys=False)  # last: they are of complete files
 
 
 def link(path: str | Path, target: str | Path) -> None:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.errors import InputError
-from pipeline.base.outputs import INDEX
 from pipeline.base.params import read
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -20,7 +19,7 @@ def stage_key(stage: str, settings: Mapping[str, Any], inputs: Sequence[Path | s
     """Return a hash of the code that dvc.yaml names for the stage, of JSON-able settings, and of files or strings."""
     digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode() + _stage_code_hash(stage).encode())
     for item in inputs:
-        digest.update((item if isinstance(item, str) else _stored_hash(item)).encode() + b"\0")
+        digest.update((item if isinstance(item, str) else file_hash(item)).encode() + b"\0")
     return digest.hexdigest()[:32]
 
 
@@ -30,14 +29,6 @@ def file_hash(path: Path) -> str:
         raise InputError("file is missing", path, "Make it: dvc repro. Or fetch it from another machine: dvc pull")
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _stored_hash(path: Path) -> str:
-    """Return the SHA-256 of a stage's file: that in its folder's index or, if the file is newer, of the content."""
-    index, hashes = path.with_name(INDEX), {}
-    if index.is_file() and path.stat().st_mtime_ns <= index.stat().st_mtime_ns:
-        hashes = json.loads(index.read_text()).get("sha256", {})
-    return hashes.get(path.name) or file_hash(path)
 
 
 @cache

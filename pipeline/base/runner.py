@@ -8,6 +8,7 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,9 +16,9 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel
 
 from pipeline.base.errors import error_context
-from pipeline.base.executors import run_jobs
+from pipeline.base.executors import default_workers, run_jobs
 from pipeline.base.outputs import StageFolder, link
-from pipeline.base.resume import file_hash, stage_key
+from pipeline.base.resume import stage_key
 from pipeline.base.store import replacing
 
 Summary = dict[str, Any]
@@ -57,10 +58,13 @@ def make_drives(
     is the format of a summary for the log.
     """
     settings = settings.model_dump(mode="json") if isinstance(settings, BaseModel) else settings
-    kept = {}  # drive → path of its result
-    for job in jobs:
+
+    def result(job: Job) -> Path:
         key = stage_key(folder.stage, {"drive": job.drive, **settings}, job.inputs)
-        kept[job.drive] = folder.kept / f"{job.drive}-{key}" / Path(job.target).name
+        return folder.kept / f"{job.drive}-{key}" / Path(job.target).name
+
+    with ThreadPoolExecutor(workers or default_workers()) as pool:  # hashing files releases Python's lock
+        kept = dict(zip((job.drive for job in jobs), pool.map(result, jobs), strict=True))
     folder.used.update(path.parent for path in kept.values())
     todo = [job for job in jobs if not kept[job.drive].exists()]
     if len(todo) < len(jobs):
@@ -72,22 +76,22 @@ def make_drives(
         size = sum(file.stat().st_size for file in path.parent.rglob("*") if file.is_file())
         rate = f", {summary['frames'] / seconds:.1f} frames/s" if summary.get("frames") else ""
         print(f"{drive}: {describe.format_map(summary)}, {size / 1e6:.1f} MB, {seconds:.1f} s{rate}", flush=True)
-    summaries = {}
     for job in jobs:
         path, target = kept[job.drive], folder.new / job.target
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copytree(path, target, copy_function=link) if path.is_dir() else link(path, target)
-        summaries[job.drive], folder.hashes[job.target] = json.loads((path.parent / "summary.json").read_text())
+    summaries = {drive: json.loads((path.parent / "summary.json").read_text()) for drive, path in kept.items()}
+    if without := [drive for drive, summary in summaries.items() if summary.get("frames") == 0]:
+        print(f"no frames of {', '.join(without)}")
     return summaries
 
 
 def _make(task: tuple[str, Path, Callable[[Path], Summary]]) -> tuple[Summary, float]:
-    """Make one drive, and its summary and hash beside it; an error names the drive."""
+    """Make one drive, and its summary beside it; an error names the drive."""
     drive, path, work = task
     start = time.perf_counter()
     with error_context(drive), replacing(path.parent) as tmp:
         tmp.mkdir()
         summary = work(tmp / path.name)
-        content_hash = file_hash(tmp / path.name) if (tmp / path.name).is_file() else None
-        (tmp / "summary.json").write_text(json.dumps([summary, content_hash]))
+        (tmp / "summary.json").write_text(json.dumps(summary))
     return summary, time.perf_counter() - start

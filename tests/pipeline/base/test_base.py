@@ -22,7 +22,7 @@ from pipeline.base import console, resume, store
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.executors import SCHEDULER
 from pipeline.base.outputs import check_free, claim, stage_folder
-from pipeline.base.resume import ROOT, file_hash, stage_key
+from pipeline.base.resume import ROOT, stage_key
 from pipeline.base.store import DriveReader, DriveWriter, read_json, replacing, write_json
 from tests.kitti_drive import contents
 from tests.kitti_drive import write as write_text
@@ -287,10 +287,9 @@ def test_bytes_do_not_depend_on_workers(folder, expected, workers, capsys):
     summaries = toy_stage.main(folder, workers=workers)
     assert list(summaries.items()) == [(drive, {"frames": toy_stage.FRAMES[drive]}) for drive in DRIVES]
     assert outputs(folder) == expected
-    hashes = read_json(folder / "data/toy/index.json", stage="labels")["sha256"]
-    assert hashes == {f"{drive}.h5": file_hash(folder / f"data/toy/{drive}.h5") for drive in DRIVES}
     assert calls(folder) == DRIVES
-    lines = capsys.readouterr().out.splitlines()
+    *lines, last = capsys.readouterr().out.splitlines()
+    assert last == "no frames of empty"
     assert {line.split(",")[0] for line in lines} == {f"{name}: {n} frames" for name, n in toy_stage.FRAMES.items()}
     if workers == 1:
         assert [line.split(":")[0] for line in lines] == ["b", "c", "a", "empty"], "the longest first"

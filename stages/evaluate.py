@@ -63,7 +63,7 @@ def main(
         result["untrained"] = [first.seeds[number] for number in untrained(trained)]
         for seed in result["untrained"]:
             error = trained[first.seeds.index(seed)]
-            print(f"{name}: seed {seed} did not train: nmse {error:.3f} on its own training drives", flush=True)
+            print(f"{name}: seed {seed} failed to train: nmse {error:.3f} on its own training drives", flush=True)
         store.write_json(folder.new / "metrics.json", result, sort_keys=False)
         for number, place in enumerate(runs.folders(folder.new, first.seeds).values()):
             write_predictions(place / "predictions.csv", cases["test"], number)

@@ -35,12 +35,7 @@ def main(out: Path = Path("data/sample"), params: Path = Path("params.yaml"), ra
     else:
         find_drives(raw, [drive for drive, source in sources.items() if source == "kitti"])
     with stage_folder("sample", out) as folder:
-        make_drives(
-            folder,
-            jobs,
-            settings.model_dump(include={"image_size", "seed"}),
-            "{frames} frames, {metres} m",
-        )
+        make_drives(folder, jobs, settings.model_dump(include={"image_size", "seed"}), "{frames} frames, {metres} m")
         for date in {job.drive[:10] for job in jobs}:
             write_calibration(make_rig(settings.image_size, date), folder.new / date)
     return out

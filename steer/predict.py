@@ -18,13 +18,15 @@ from pipeline.base.errors import InputError
 from steer import options
 
 TRAINED = Path("data/train")  # where models are that are given by name
-MODELS = Path(__file__).parents[1] / "models"
+MODELS = Path(__file__).resolve().parents[1] / "models"
 SAMPLE = MODELS / "steering/sample"
 
 
 def predict(
     source: options.SourcePath,
-    model: Annotated[Path, typer.Option(help="folder or name of a trained model", show_default="sample")] = SAMPLE,
+    model: Annotated[
+        Path, typer.Option(help="folder or name of a trained model", show_default="models/steering/sample")
+    ] = SAMPLE,
     out: options.Out = None,
     fov: options.Fov = None,
     k: options.K = None,
@@ -61,7 +63,7 @@ def predict(
 
 def _encoder_beside(model: Path) -> Path:
     """Return data/encoder of a model data/train/<model>, or of a folder of a seed or fold below it; or the sample's."""
-    if model == SAMPLE:
+    if model.resolve() == SAMPLE:
         return MODELS / "encoder/sample"
     for parent in model.resolve().parents[:2]:
         if parent.name == "train":

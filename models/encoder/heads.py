@@ -27,7 +27,7 @@ def resized(x: Tensor, size: Sequence[int]) -> Tensor:
 def scaled_by_focal(depth: Tensor, K: Tensor, trained: float) -> Tensor:
     """Scale depth [B,H,W] of a network that was trained with one camera to the camera with intrinsics K [B,3,3].
 
-    `trained` is focal length / image width of its training images: through a longer lens, objects seem nearer to it.
+    `trained` is focal length / image width of its training images: a longer lens makes objects look nearer.
     """
     return depth * (K[:, 0, 0] / depth.shape[-1] / trained).to(depth.dtype)[:, None, None]
 
@@ -42,7 +42,7 @@ def ray_slopes(K: Tensor, size: torch.Size) -> Tensor:
 
 
 class Pointwise(nn.Conv2d):
-    """A 1x1 convolution as a product on channels last. On one thread, torch's copies the layout twice."""
+    """A 1x1 convolution as a product on channels last. On one thread, torch's changes the layout and back."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__(inputs, outputs, 1)

@@ -27,7 +27,7 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 
-SCHEMA = 4
+SCHEMA = 5
 _CHUNK_ROWS = 32768  # of ragged data
 # Sizes and speeds of the alternatives: docs/log.md. Blosc2 would let a file name a codec that runs code.
 _POINTS = hdf5plugin.Blosc(cname="lz4", shuffle=hdf5plugin.Blosc.BITSHUFFLE)

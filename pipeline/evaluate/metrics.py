@@ -40,7 +40,8 @@ class Case:
         - persistence: the last true angle before the target frame. No model gets it as input. Not for a path, whose
           truth is in the future.
         - odometry: measured at the last input frame; NaN before the first measurement.
-        - regression: odometry times its regression coefficient on the training drives; 0 before the first measurement.
+        - regression: odometry times its regression coefficient on the training drives; 0 before the first measurement,
+          NaN in a drive without one.
         """
         drive, scale = self.drive, self.scale
         values = {"train_mean": scale.mean}
@@ -49,20 +50,22 @@ class Case:
             shift = 0 if drive.horizon else 1
             values["persistence"] = np.concatenate([np.zeros(shift), known])[: len(known), None]
         if drive.odometry is not None:
-            values["odometry"], measured = drive.odometry, np.isfinite(drive.odometry).any()
+            values["odometry"] = drive.odometry
             if scale.odometry_gain is not None:
-                values["regression"] = scale.odometry_gain * np.nan_to_num(
-                    drive.odometry, nan=0.0 if measured else np.nan
-                )
+                measured = np.isfinite(drive.odometry).any()
+                values["regression"] = scale.odometry_gain * (np.nan_to_num(drive.odometry) if measured else np.nan)
         return {name: np.broadcast_to(value, drive.target.shape) for name, value in values.items()}
 
 
 def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, Any]]:
     """Return column → errors with confidence interval, of frames with a target and a prediction; and drift."""
-    drives, by_seed = [case.drive for case in cases], [*zip(*(case.predictions for case in cases), strict=True)]
-    truth, seeds = np.concatenate([drive.target for drive in drives]), zip(*map(joined, by_seed), strict=True)  # [N,R]
-    predicted, *certain = (np.stack(values) for values in seeds if values[0] is not None)  # [S,N,R]
-    error, number = (predicted - truth) ** 2, np.repeat(np.arange(len(drives)), [len(drive.frame) for drive in drives])
+    drives = [case.drive for case in cases]
+    truth = np.concatenate([drive.target for drive in drives])  # [N,R]
+    by_seed = [joined(seed) for seed in zip(*(case.predictions for case in cases), strict=True)]
+    fields = zip(*by_seed, strict=True)  # of Prediction
+    predicted, *certain = (np.stack(values) for values in fields if values[0] is not None)  # [S,N,R]
+    error = (predicted - truth) ** 2
+    number = np.repeat(np.arange(len(drives)), [len(drive.frame) for drive in drives])
     result = {}
     for column, name in enumerate(drives[0].columns):
         known = np.isfinite(error[..., column]).all(axis=0)

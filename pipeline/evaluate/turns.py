@@ -24,7 +24,7 @@ MIN_FRAMES = 0.75  # least share of the frames of this second
 
 def onsets(time_s: np.ndarray, curvature_1pm: np.ndarray, labels: label.Labels) -> np.ndarray:
     """Return the rows, int64, at which a turn begins, for the frames [F] of a drive."""
-    straight = label.held(np.abs(curvature_1pm), labels.valid, before=np.inf) < STRAIGHT_1PM
+    straight = label.held(np.abs(curvature_1pm), labels.valid, initial=np.inf) < STRAIGHT_1PM
     dt = np.diff(time_s, prepend=time_s[:1])
     distance_m, heading_rad = np.cumsum(np.abs(labels.speed_mps) * dt), np.cumsum(labels.yaw_rate_radps * dt)
     step = np.median(np.diff(time_s)) if len(time_s) > 1 else np.inf

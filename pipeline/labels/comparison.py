@@ -31,7 +31,7 @@ def errors(measured: Labels, true: Labels) -> np.ndarray:
     [5,F]: measured, 0 or 1; then, NaN where not compared, the error of the yaw rate in rad/s, measured / true speed,
     the error of the angle in rad, and the true angle. An angle that is not measured repeats the last one.
     """
-    both, held_rad = measured.valid & true.valid, held(measured.steering_rad, measured.valid, before=np.nan)
+    both, held_rad = measured.valid & true.valid, held(measured.steering_rad, measured.valid, initial=np.nan)
     yaw_radps = np.where(both, measured.yaw_rate_radps - true.yaw_rate_radps, np.nan)
     ratio = np.divide(measured.speed_mps, true.speed_mps, out=np.full(len(both), np.nan), where=both)
     true_rad = np.where(true.valid & np.isfinite(held_rad), true.steering_rad, np.nan)

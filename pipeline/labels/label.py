@@ -58,14 +58,14 @@ def steering_labels(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, car: Car)
     return Labels(steering_rad, known & (np.abs(speed_mps) >= car.min_speed_mps), speed_mps, yaw_rate_radps)
 
 
-def held(values: np.ndarray, valid: np.ndarray, before: float = 0.0) -> np.ndarray:
-    """Return `values` [F] with the last valid one where they are not `valid`, and `before` before the first."""
+def held(values: np.ndarray, valid: np.ndarray, initial: float = 0.0) -> np.ndarray:
+    """Return `values` [F] with each that is not `valid` replaced by the last valid one, or else by `initial`."""
     last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), -1))
-    return np.append(values, before)[last]
+    return np.append(values, initial)[last]
 
 
 def measured_angle(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, valid: np.ndarray, car: Car) -> np.ndarray:
-    """Return the :func:`held` angle of measured motion, float64 [F] in rad; NaN before the first."""
+    """Return the angle of measured motion, float64 [F] in rad; an unmeasured frame repeats the last, first ones NaN."""
     speed_mps = np.where(valid, speed_mps, np.nan).astype(np.float64)
     labels = steering_labels(yaw_rate_radps.astype(np.float64), speed_mps, car)
-    return held(labels.steering_rad, labels.valid, before=np.nan)
+    return held(labels.steering_rad, labels.valid, initial=np.nan)

@@ -30,7 +30,7 @@ BEHIND = 1e4  # squared Mahalanobis distance of points behind the camera: outlie
 
 
 class Pose(NamedTuple):
-    """A refined motion [4,4], its robust cost, and of N points which are inliers and their reprojection errors."""
+    """A refined motion [4,4] and its robust cost; of N points, which are inliers and their reprojection errors."""
 
     T_now_before: np.ndarray
     cost: float

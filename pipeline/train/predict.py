@@ -99,7 +99,7 @@ def predict_drives(net: SteeringNet, reader: windows.Reader, scale: Scale, first
         outputs = [net(*net.inputs(batch)) for batch in reader.batches([[span] for span in spans])]
     columns = len(scale.names) * (2 if net.uncertainty else 1)
     values = [np.full((len(timeline.frame), columns), np.nan) for timeline in reader.timelines]
-    for span, output in zip(spans, outputs, strict=True):  # after the loop, which so does not wait for a GPU
+    for span, output in zip(spans, outputs, strict=True):  # after the loop, so that it does not wait for the GPU
         values[span.drive][span.stop - len(output) : span.stop] = output.double().cpu().numpy().reshape(-1, columns)
     pairs = [*zip(values, reader.timelines, strict=True)]
     return [scale.decode(output, timeline.base) for output, timeline in pairs[first:]]

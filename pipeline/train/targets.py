@@ -93,7 +93,7 @@ class LabelledDrive(Timeline):
 def check(drives: Sequence[LabelledDrive], window: int) -> None:
     """Raise InputError if drives can neither train nor evaluate: no point, no window with a target, all labels 0."""
     names, first = ", ".join(drive.name for drive in drives), drives[0]
-    if not any(drive.counts.get("points", drive.frame + 1).any() for drive in drives):
+    if not any(drive.counts.get("points", np.ones(len(drive.frame))).any() for drive in drives):
         problem, fix = f"no point in any frame of {names}", "Widen the variant's crop_m or add drives"
         raise InputError(problem, first.graphs.parent, fix)
     if not any(drive.has_window(window) for drive in drives):

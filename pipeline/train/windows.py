@@ -57,14 +57,14 @@ def spans(
     for number, timeline in enumerate(timelines):
         for start, stop in timeline.stretches:
             last = start + window - 1  # row of the first window's last frame
-            phase = (int(rng.integers(windows)) if rng else 0) or windows  # windows in the first span
-            edges = [last, *range(last + phase, stop, windows), stop]
+            phase = int(rng.integers(windows)) if rng else 0
+            edges = [last, *range(last + (phase or windows), stop, windows), stop]
             result += [Span(number, a - window + 1, b) for a, b in pairwise(edges) if a < b]
     return result
 
 
 class Reader(Dataset[dict[str, Tensor]]):
-    """Batches, with targets if the timelines are drives, indexed by groups of spans; a context manager.
+    """Batches, indexed by groups of spans; with targets if the timelines are LabelledDrives. A context manager.
 
     They are read ahead of the network. On a CPU a thread reads, as the network is slower than any disk. On a GPU
     `workers` processes read: HDF5 serves one thread per process at a time, and numpy holds Python's lock. Files stay

@@ -66,7 +66,8 @@ def import_drives(
     if logs.motion:
         usable &= np.isfinite(logs.motion.at(time_s)[0])
     if not usable.any():
-        problem = f"no image from {span_s[0]:g} to {span_s[1]:g} s after the first is left, or none with motion"
+        end_s = min(span_s[1], elapsed_s[-1])
+        problem = f"no image from {span_s[0]:g} to {end_s:.3f} s after the first is left, or none with motion"
         raise InputError(problem, fix="Change --start, --end or --offset")
     parts = cut(usable, time_s, shares)
     with ExitStack() as stack:

@@ -278,5 +278,5 @@ def check_times(times_s: np.ndarray, path: Path | str, longest_s: float) -> None
     if not 0.999e-3 <= step_s <= longest_s:
         power = min(max(math.ceil(math.log(step_s / longest_s, 1000)), 1), 3)
         unit = f"{('milli', 'micro', 'nano')[power - 1]}seconds by {1000**power}"
-        fix = f"Times are in seconds: divide {unit}. Slower recordings are not interpolated"
+        fix = f"Times are in seconds: divide {unit}. Values farther apart are not interpolated"
         raise InputError(f"median time step is {step_s:g} (expected 0.001 to {longest_s:.1g} s)", path, fix)

@@ -33,7 +33,7 @@ BYTES_PER_PIXEL = 6  # image 3, depth 2, class 1
 
 
 class Capture(NamedTuple):
-    """Options of a recording without calibration and times; None: not given."""
+    """Options for a recording that has no calibration of its own; None: not given."""
 
     fov_deg: float | None = None
     K: str | None = None
@@ -51,7 +51,7 @@ class Source:
     name: str  # random draws depend on it
     camera: Camera  # of complete images; height_m is KITTI's unless height_known
     frames: Callable[[], Iterator[Frame]]  # complete, rectified images; again with each call
-    time_s: np.ndarray  # [F] of the frames; 0 in a KITTI drive
+    time_s: np.ndarray  # [F] of the frames; NaN in a KITTI drive
     logs: Logs
     capture: Capture
     notes: list[str] = field(default_factory=list)  # for the user
@@ -93,7 +93,9 @@ def _open_drive(path: Path, drive: KittiDrive, number: int, logs: Logs) -> Sourc
         logs.check_overlap(*read_times(times, numbers)[[0, -1]])
     camera, images = drive.camera(number), drive.images(number)
     frames, name = partial(_read_images, images, camera), drive.folder.name.removesuffix("_sync")
-    return Source(path, name, camera, frames, np.zeros(len(images)), logs, Capture(), drive=drive, height_known=True)
+    return Source(
+        path, name, camera, frames, np.full(len(images), np.nan), logs, Capture(), drive=drive, height_known=True
+    )
 
 
 def _read_images(images: Mapping[int, Path], camera: Camera) -> Iterator[Frame]:

@@ -68,7 +68,7 @@ def run(root: Path) -> dict[str, np.ndarray]:
 def test_precomputed_files_are_matched_by_frame_number(tmp_path):
     truth = [street.scene(frame)[1:] for frame in range(len(HAS_IMAGE))]
     for frame, (depth_m, cls) in enumerate(truth):
-        write_png(tmp_path / f"made/{FULL}/depth/{frame:010d}.png", np.rint(0.4 * depth_m * 256).astype(np.uint16))
+        write_png(tmp_path / f"made/{FULL}/depth/{frame:010d}.png", np.rint(depth_m * 256).astype(np.uint16))
         write_png(tmp_path / f"made/{FULL}/cls/{frame:010d}.png", cls)
     street.write_drive(tmp_path / "ingest", FULL, len(HAS_IMAGE))
     with h5py.File(tmp_path / f"ingest/{FULL}.h5", "r+") as file:
@@ -79,7 +79,7 @@ def test_precomputed_files_are_matched_by_frame_number(tmp_path):
     assert content["frame"].tolist() == [0, 1, 3, 4]
     depth_m, cls = (np.stack([truth[frame][part] for frame in content["frame"]]) for part in (0, 1))
     np.testing.assert_array_equal(content["cls"], cls)
-    np.testing.assert_array_equal(content["depth_m"], np.rint(0.4 * depth_m * 256))
+    np.testing.assert_array_equal(content["depth_m"], np.rint(depth_m * 256))
 
 
 DRIVE, FRAMES = "2027_03_31_drive_0001", 20

@@ -40,7 +40,7 @@ def read(folder: Path, names: Sequence[str] = NAMES, **reading: object) -> list[
     return [read_drive(folder / "graphs/semantic", folder / "labels", name, entry(**reading)) for name in names]
 
 
-def read_batch(drives: Sequence[Timeline], *group: windows.Span, window: int = 8) -> Arrays:
+def batch_of(drives: Sequence[Timeline], *group: windows.Span, window: int = 8) -> Arrays:
     with windows.Reader(drives, window) as reader:
         return {name: tensor.numpy() for name, tensor in reader[group].items()}
 
@@ -62,7 +62,7 @@ def test_spans_cover_each_window_of_consecutive_frames_once(folder):
 def test_batch_of_two_spans_equals_single_frames(folder):
     drives = read(folder)
     group = [windows.Span(1, 3, 14), windows.Span(0, 0, 9)]
-    batch = read_batch(drives, *group)
+    batch = batch_of(drives, *group)
     assert batch["windows"].shape == batch["dt_s"].shape == (4 + 2, 8)
     assert batch["windows"][3:5].tolist() == [[*range(3, 11)], [*range(11, 19)]]
     with open_graphs(drives[1].graphs) as first, open_graphs(drives[0].graphs) as second:
@@ -82,7 +82,7 @@ def test_target_is_the_label_horizon_frames_ahead_by_frame_number(folder):
     for row, number in enumerate(drive.frame + 5):
         known = int(number) in ahead and valid[ahead[int(number)]]
         assert drive.target[row, 0] == pytest.approx(steering[ahead[int(number)]] if known else np.nan, nan_ok=True)
-    batch = read_batch([drive], windows.Span(0, 0, 10), window=4)  # windows end at frames 3 to 9
+    batch = batch_of([drive], windows.Span(0, 0, 10), window=4)  # windows end at frames 3 to 9
     expected = pytest.approx([0.08, 0.09, np.nan, 0.10, 0.11, 0.12, 0.13], nan_ok=True)
     assert batch["target"][:, 0] == expected
     artefacts.write_labels(labels, NAMES[0], np.arange(20) / 100, np.arange(20))
@@ -101,7 +101,7 @@ def test_motion_and_base_of_a_batch(folder):
     assert drives[0].base == pytest.approx(held, abs=1e-6)
     assert without[0].odometry[:, 0] == pytest.approx(np.r_[np.nan, held[1:]], abs=1e-6, nan_ok=True)
     group = [windows.Span(1, 3, 14), windows.Span(0, 0, 9)]
-    batch, plain, unbased = (read_batch(read, *group) for read in (drives, without, no_base))
+    batch, plain, unbased = (batch_of(read, *group) for read in (drives, without, no_base))
     assert batch["motion"].shape == (11 + 9, 4)
     assert batch["motion"].dtype == batch["base"].dtype == np.float32
     assert (batch["base"] == batch["motion"][batch["windows"][:, -1], 0]).all()
@@ -122,7 +122,7 @@ def test_the_control_gets_the_scene_of_another_drive_and_nothing_else_changes(fo
     (drive,) = read(folder, NAMES[:1], motion="visual")
     control = replace(drive, scene=folder / f"graphs/semantic/{NAMES[1]}.h5")
     group = [windows.Span(0, 12, 23, factor=2.0, hidden=True), windows.Span(0, 0, 9)]
-    own, batch = read_batch([drive], *group), read_batch([control], *group)
+    own, batch = batch_of([drive], *group), batch_of([control], *group)
     for key in ("dt_s", "base", "target"):
         assert (batch[key] == own[key]).all()
     assert (batch["motion"][batch["windows"]] == own["motion"][own["windows"]]).all()
@@ -136,7 +136,7 @@ def test_the_control_gets_the_scene_of_another_drive_and_nothing_else_changes(fo
                 assert (batch["degree"][points] == alone["degree"]).all()
     if others < 23:
         with pytest.raises(InputError, match="scene: another needs a window of 11 frames"):
-            read_batch([control], windows.Span(0, 0, 23), window=11)
+            batch_of([control], windows.Span(0, 0, 23), window=11)
 
 
 # Readers and augmentation
@@ -149,7 +149,7 @@ def test_batches_are_the_same_with_each_reader(folder, workers):
     with windows.Reader(drives, 4, workers) as reader:
         for _ in range(2):  # with the same processes
             for group, batch in zip(groups, reader.batches(groups), strict=True):
-                expected = read_batch(drives, *group, window=4)
+                expected = batch_of(drives, *group, window=4)
                 assert batch.keys() == expected.keys()
                 for name, tensor in batch.items():
                     np.testing.assert_array_equal(tensor.numpy(), expected[name], strict=True)
@@ -160,7 +160,7 @@ def test_hidden_motion_is_not_measured_and_has_no_base(folder):
         artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", np.full(23, 0.2))
     moving = read(folder, horizon=5, motion="visual")
     first, second = windows.Span(0, 2, 11), windows.Span(1, 4, 13)
-    shown, half = (read_batch(moving, first, span, window=4) for span in (second, replace(second, hidden=True)))
+    shown, half = (batch_of(moving, first, span, window=4) for span in (second, replace(second, hidden=True)))
     assert (shown["base"] != 0).all()
     assert (shown["motion"][:, 3] == 1).all()
     for name in ("motion", "base"):
@@ -195,7 +195,7 @@ def test_a_world_twice_as_large_has_bends_of_twice_the_radius(tmp_path, predicte
         artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", np.linspace(-0.3, 0.4, 40))
     drives, path = read(tmp_path, motion="visual", predict=predicted), predicted == "path"
     first, second = windows.Span(0, 0, 10), windows.Span(1, 1, 10)  # three and two windows
-    batch, scaled = (read_batch(drives, span, second) for span in (first, replace(first, factor=2.0)))
+    batch, scaled = (batch_of(drives, span, second) for span in (first, replace(first, factor=2.0)))
     if "image" in batch:  # a larger world gives the same image
         assert all((scaled[key] == batch[key]).all() for key in batch)
         return
@@ -382,7 +382,7 @@ def test_shared_frames_equal_naive_windows_and_gaps_are_nan(tmp_path, drive):
                 assert np.isnan(steering_rad[row])
                 continue
             span = windows.Span(0, row - WINDOW + 1, row + 1)
-            batch = read_batch([timeline], span, window=WINDOW)
+            batch = batch_of([timeline], span, window=WINDOW)
             with torch.inference_mode():
                 assert steering_rad[row] == pytest.approx(0.12 * model.net(*model.net.inputs(batch)).item(), abs=1e-6)
         assert np.isfinite(steering_rad).sum() == (12 - 3) + (11 - 3)

@@ -131,14 +131,14 @@ def test_seeds_in_parallel_processes_equal_those_trained_alone(folder, monkeypat
 @pytest.mark.parametrize(
     ("write", "entry", "epochs", "limit"),
     [
-        (artefacts.write_graphs, {"temporal": "lstm", "motion": "visual", "horizon": 5}, 14, 0.35),
+        (artefacts.write_graphs, {"temporal": "lstm", "motion": "visual", "horizon": 5}, 20, 0.35),
         (artefacts.write_sets, {"spatial": "pointnet2", "width": 0.125}, 4, 0.5),
         (artefacts.write_images, {"spatial": "cnn", "alpha": 5.0, "features": 32, "temporal": "lstm"}, 10, 0.5),
     ],
 )
 def test_other_networks_and_inputs(tmp_path, write, entry, epochs, limit):
     artefacts.write_dataset(tmp_path, SPLITS, frames=60, points=60, write=write, motion=True)
-    write_params(tmp_path, entry, epochs=epochs, average=0.0)
+    write_params(tmp_path, entry, epochs=epochs, patience=epochs, average=0.0, batch_spans=4)
     best = load(run_train(tmp_path) / "best.pt")
     assert entry.items() <= best["entry"].items()
     assert nmse(tmp_path) < limit

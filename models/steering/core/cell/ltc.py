@@ -142,9 +142,7 @@ class Synapses(nn.Module):
         self.register_buffer("place", source * signs.shape[1] + target, persistent=False)
         self.w = nn.Parameter(inverse_softplus(uniform(len(source), 0.001, 1.0)))  # before softplus
         self.sigma = nn.Parameter(uniform(len(source), 3.0, 8.0))
-        # ncps draws thresholds between .3 and .8, for inputs in [0,1]. Features and potentials here are centred at 0,
-        # where such synapses are nearly closed: a plain network learned turns to one side 6 epochs before the other.
-        self.mu = nn.Parameter(uniform(len(source), -0.25, 0.25))
+        self.mu = nn.Parameter(uniform(len(source), 0.3, 0.8))
         self.erev = nn.Parameter(signs[source, target])  # reversal potential e, starts as the sign
 
     def matrices(self) -> tuple[Tensor, Tensor, Tensor]:

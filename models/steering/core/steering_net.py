@@ -89,7 +89,6 @@ class SteeringNet(nn.Module):
         uncertainty: bool = False,
     ) -> None:
         super().__init__()
-        self.file, self.features = f"{type(spatial).__module__.replace('.', '/')}.py", sizes.features
         self.equivariant, self.motion, self.sees = equivariant, motion, spatial.sees
         # Random numbers are drawn in this order: a seed's weights depend on it.
         self.spatial = spatial.build(sizes)
@@ -127,8 +126,6 @@ class SteeringNet(nn.Module):
         Returns:
             [W,R], R = 1 for an angle; with uncertainty [W,2R], the second half is log σ. With pairs [2W,..], the mirror
             images follow.
-        Raises:
-            ValueError: the spatial network returns another number of features.
         """
         versions = 2 if self.equivariant or pairs else 1  # the frames, then their mirror images
         if versions == 2:
@@ -139,9 +136,6 @@ class SteeringNet(nn.Module):
             features = torch.cat([original, mirrored])
         else:
             features = self.spatial(batch)
-        if features.shape[1:] != (self.features,):
-            problem = f"the spatial network returns {list(features.shape[1:])} per frame, expected [{self.features}]"
-            raise ValueError(f"{self.file}: {problem} (sizes.features)")
         with torch.autocast(features.device.type, enabled=False):  # a small part of the work, and an ODE
             inputs = self.scale(features.to(self.scale.mean.dtype))
             if scenes is not None:

@@ -1,6 +1,5 @@
 """Layers of PyTorch Geometric by name: any that takes `x, edge_index`, for instance `layer: GATv2Conv`."""
 
-from difflib import get_close_matches
 from inspect import signature
 from typing import Annotated, Any, ClassVar
 
@@ -11,7 +10,7 @@ from torch import Tensor, nn
 from models.steering.core.batch import FrameKind, GraphBatch
 from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_features
 from models.steering.core.options import NetworkOptions, Semantics, Sizes, Widths
-from pipeline.base.errors import InputError
+from pipeline.base.errors import InputError, closest
 
 
 class Options(NetworkOptions):
@@ -92,6 +91,5 @@ def layer_class(name: str) -> type[nn.Module]:
     reads = {known: [*signature(getattr(conv, known).forward).parameters] for known in conv.__all__}
     suitable = [known for known, names in reads.items() if names[1:3] == ["x", "edge_index"]]
     if name not in suitable:
-        similar = " or ".join(get_close_matches(name, suitable, cutoff=0))
-        raise InputError(f"torch_geometric.nn has no layer {name!r} that takes x, edge_index: did you mean {similar}?")
+        raise InputError(f"torch_geometric has no layer {name!r} that takes x, edge_index: {closest(name, suitable)}")
     return getattr(conv, name)

@@ -170,14 +170,6 @@ def test_mixed_precision_keeps_the_recursion_in_float32(cell):
     torch.testing.assert_close(mixed, net(*arguments), rtol=0, atol=0.1)
 
 
-def test_a_wrong_number_of_features_is_named_with_the_network():
-    net = build()
-    net.spatial = torch.nn.Sequential(net.spatial, torch.nn.Linear(8, 20).double())
-    expected = r"models/steering/spatial/gnn\.py: the spatial network returns \[20\] per frame, expected \[8\]"
-    with pytest.raises(ValueError, match=expected):
-        net(batch(), WINDOWS, DT_S)
-
-
 class Counter(TorchDispatchMode):
     """Counts operators but views, which launch nothing."""
 

@@ -16,10 +16,7 @@ COLUMNS = (
 # Speeds forward and to the left, m/s, parallel to the earth's surface; yaw rate about the upward axis, rad/s, left +.
 VF, VL, WU = (COLUMNS.index(name) for name in ("vf", "vl", "wu"))
 _COUNTS = COLUMNS.index("navstat")  # integers from here on
-LIMITS = {  # largest plausible magnitudes of a car: degrees, rad, m/s, rad/s (KITTI's yaw rates reach 0.5)
-    "lat": 90.0, "lon": 180.0, "roll": 1.6, "pitch": 1.6, "yaw": 6.3,
-    **dict.fromkeys(("vn", "ve", "vf", "vl", "vu"), 100.0), **dict.fromkeys(("wx", "wy", "wz", "wf", "wl", "wu"), 3.0),
-}  # fmt: skip
+LIMITS = {"vf": 100.0, "vl": 100.0, "wu": 3.0}  # largest plausible magnitudes of a car; KITTI's yaw rates reach 0.5
 _LIMITS = np.array([LIMITS.get(name, np.inf) for name in COLUMNS])
 GRAVITY_MPS2 = 9.81
 EARTH_RADIUS_M = 6378137.0

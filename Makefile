@@ -48,7 +48,7 @@ params: setup          ## write the settings of a preset into params.yaml: make 
 test: setup            ## run all tests, with coverage
 	OMP_NUM_THREADS=1 pytest -n "$$(nproc)" --dist loadfile --no-loadscope-reorder --cov --cov-report=term:skip-covered --cov-fail-under=92
 
-bench: setup           ## measure this project beside its alternatives; ROWS="ltc load": these rows
+bench: setup           ## measure this project beside its alternatives; ROWS=ltc: one row
 	python -m benchmarks.bench $(ROWS)
 
 lint: setup            ## check style, types and import contracts

@@ -21,8 +21,6 @@ from pipeline.base.errors import InputError, closest
 ROWS: dict[str, Callable[[Street], Row]] = {
     "gcn_vs_pyg_edge_index": networks.gcn,
     "windows_vs_naive": networks.training,
-    "load": networks.load,
-    "bytes": networks.size,
     "ltc": lambda _: networks.ltc(),
 }
 

@@ -1,14 +1,13 @@
-"""Measure networks and graph files beside PyTorch Geometric and ncps: convolutions, LTC, a training step, loading."""
+"""Measure networks beside PyTorch Geometric and ncps: convolutions, LTC, a training step with its reading."""
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, cast
 
 import torch
 from ncps import torch as ncps_torch
 from ncps.wirings import NCP
 from torch import Tensor, nn
-from torch_geometric.data import Batch, Data
+from torch_geometric.data import Batch
 from torch_geometric.nn import GCNConv
 from torch_geometric.nn.conv.gcn_conv import gcn_norm
 
@@ -88,8 +87,12 @@ def training(street: Street) -> Row:
     """Compare training steps, reading included, on windows that share frames with PyG and ncps on one at a time."""
     shared, naive = Entry.model_validate(MODEL).build("graph").to(DEVICE), NaiveNet().to(DEVICE)
     paths = street.frames[:WINDOW]
+
+    def read_window() -> Any:
+        return Batch.from_data_list([torch.load(path, weights_only=False) for path in paths]).to(DEVICE)
+
     ours = milliseconds(_step(shared, lambda: shared(street.batch(FRAMES), *_windows())), WINDOWS)
-    alternative = milliseconds(_step(naive, lambda: naive(Batch.from_data_list(_load(paths)).to(DEVICE))))
+    alternative = milliseconds(_step(naive, lambda: naive(read_window())))
     return Row(
         lambda: 1e3 / ours(),
         lambda: 1e3 / alternative(),
@@ -133,25 +136,3 @@ def _windows() -> tuple[Tensor, Tensor]:
 
 def _backward(output: Tensor) -> None:
     output.square().sum().backward()  # type: ignore[no-untyped-call]
-
-
-def size(street: Street) -> Row:
-    """Compare bytes on disk."""
-    ours, alternative = (
-        sum(path.stat().st_size for path in paths) / FRAMES / 1e6 for paths in ([street.file], street.frames)
-    )
-    return Row(lambda: ours, lambda: alternative, "MB/frame", f"{street.title}: graph file / PyG Data by torch.save")
-
-
-def load(street: Street) -> Row:
-    """Compare reading consecutive frames, from files in the system's cache to a batch on the device."""
-    return Row(
-        milliseconds(lambda: street.batch(FRAMES), FRAMES),
-        milliseconds(lambda: [data.to(DEVICE) for data in _load(street.frames)], FRAMES),
-        "ms/frame",
-        f"{street.title}: {FRAMES} frames of a graph file / torch.load of PyG Data",
-    )
-
-
-def _load(paths: list[Path]) -> list[Data]:
-    return [torch.load(path, weights_only=False) for path in paths]

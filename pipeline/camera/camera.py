@@ -1,7 +1,7 @@
 """The pinhole camera of a drive or a video, and the frames that it records."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -129,16 +129,21 @@ def read_camera(file: DriveReader, height_m: float | None = None) -> Camera:
     return Camera(known.get("K", np.eye(3)), (height, width), height_m or camera_height(T_cam_velo), T_cam_velo)
 
 
-class DriveFrames:
-    """The frames of a drive that have an image, or with `scans` those that have a scan, matched by frame number."""
+class DriveFrames(ExitStack):
+    """The frames of a drive that have an image, or with `scans` those that have a scan, matched by frame number.
 
-    def __init__(self, ingest: DriveReader, perception: DriveReader, *, scans: bool) -> None:
-        self._ingest, self._perception, self._scans = ingest, perception, scans
-        source, rows = (ingest, np.flatnonzero(ingest["has_lidar"])) if scans else (perception, slice(None))
-        self.drive, self.params = ingest.drive, perception.params
+    A context manager on the drive's files of stages ingest and perception.
+    """
+
+    def __init__(self, ingest: Path, perception: Path, *, scans: bool = False) -> None:
+        super().__init__()
+        raw = self._ingest = self.enter_context(DriveReader(ingest, stage="ingest"))
+        perceived = self._perception = self.enter_context(DriveReader(perception, stage="perception"))
+        source, rows = (raw, np.flatnonzero(raw["has_lidar"])) if scans else (perceived, slice(None))
+        self.drive, self.params, self._scans = raw.drive, perceived.params, scans
         self.frame = source.frame[rows]  # KITTI frame numbers, int32 [F]
         self.time_s = source.time_s[rows]  # float64 [F]
-        self.camera = read_camera(ingest, float(perception.attrs["camera_height_m"]))
+        self.camera = read_camera(raw, float(perceived.attrs["camera_height_m"]))
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield frames with image, depth and classes; or with a scan, and classes where there is an image."""
@@ -153,10 +158,3 @@ class DriveFrames:
                 frame.image = self._ingest.row("image", self._ingest.row_of(number))
                 frame.depth_m = to_metres(self._perception.row("depth_m", image_row[number]))
             yield frame
-
-
-@contextmanager
-def open_frames(ingest: Path, perception: Path, *, scans: bool = False) -> Iterator[DriveFrames]:
-    """Open the frames of a drive from its files of stages ingest and perception."""
-    with DriveReader(ingest, stage="ingest") as raw, DriveReader(perception, stage="perception") as perceived:
-        yield DriveFrames(raw, perceived, scans=scans)

@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
 from pipeline.camera import classes, geometry
-from pipeline.camera.camera import Camera, open_frames, visible
+from pipeline.camera.camera import Camera, DriveFrames, visible
 
 if TYPE_CHECKING:
     from pipeline.settings.clouds import Clouds
@@ -63,7 +63,7 @@ def clouds_drive(path: Path, kind: str, ingest: Path, perception: Path, settings
     `kind`: pseudo (of images) or lidar (of scans); `ingest` and `perception`: the drive's files of these stages.
     """
     counts = []
-    with open_frames(ingest, perception, scans=kind == "lidar") as frames:
+    with DriveFrames(ingest, perception, scans=kind == "lidar") as frames:
         params = frames.params | {"clouds": settings.model_dump()}
         with DriveWriter(path, stage="clouds", drive=frames.drive, params=params) as file:
             file.put("frame", frames.frame)

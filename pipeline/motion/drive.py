@@ -7,7 +7,7 @@ import numpy as np
 
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
-from pipeline.camera.camera import open_frames
+from pipeline.camera.camera import DriveFrames
 from pipeline.motion.step import LEAST_NOISE, PROBLEMS, durations, filter_speed, rates
 from pipeline.motion.visual import Odometry
 
@@ -41,7 +41,7 @@ def measure_drive(
     the road; `advance` is called with the number of frames that are done since the last call.
     """
     with (
-        open_frames(ingest, perception) as frames,
+        DriveFrames(ingest, perception) as frames,
         DriveWriter(path, stage="motion", drive=frames.drive, params=frames.params) as file,
     ):
         count, odometry = len(frames.frame), Odometry(frames.camera, road_scale=road_scale)

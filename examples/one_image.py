@@ -20,11 +20,11 @@ torch.set_grad_enabled(False)
 K = np.array([[172.9, 0, 154.4], [0, 172.9, 44.95], [0, 0, 1]])  # pixels
 _, encoder = perceive.load(Path("models/encoder/sample/encoder.pt"))
 model = predict.load("models/steering/sample", device="cpu")
-gcn, scale, ncp = model.net.spatial, model.net.scale, model.net.temporal
+gcn, standardise, ncp = model.net.spatial, model.net.scale, model.net.temporal
 images = np.stack([read_image(path) for path in sorted(Path("examples/street").glob("*.png"))])  # [8,H,W,3]
 rng, features = np.random.default_rng(0), []
 for depth_m, cls in zip(*perceive.perceive(encoder, images, Camera(K, images.shape[1:3])), strict=True):  # each [H,W]
-    solid = cloud.solid(depth_m, cls, max_depth_m=80)  # no sky
+    solid = cloud.solid(depth_m, cls, max_depth_m=80)  # no sky, void or far pixels
     xyz, point_cls = back_project(depth_m, K)[solid].astype(np.float32), cls[solid]  # eq. 6: metres [P,3], trainIds [P]
     drawn = cloud.draw(len(xyz), 1000, rng)
     xyz, point_cls = xyz[drawn], point_cls[drawn]
@@ -32,12 +32,13 @@ for depth_m, cls in zip(*perceive.perceive(encoder, images, Camera(K, images.sha
     x = node_features(torch.from_numpy(xyz), torch.from_numpy(point_cls), semantics=1.0)  # eq. 7: [P,25]
     adjacency = normalised_adjacency(torch.from_numpy(pruned.degree), torch.from_numpy(pruned.indices), x.dtype)
     for layer in gcn.layers:
-        x = layer(adjacency, x)  # eq. 3
+        x = layer(adjacency, x)  # GCNLayer, eq. 3
     features.append(gcn.read_out(mean_max_pool(x, torch.tensor([0, len(x)]))))  # [1,32]
-inputs = ncp.project_inputs(scale(torch.cat(features)))[None]  # [1,8,..], a window of eight frames
+inputs = ncp.project_inputs(standardise(torch.cat(features)))[None]  # [1,8,..], a window of eight frames
 outputs, _ = ncp(inputs, torch.full((1, 8), NOMINAL_STEP_S))  # [1,8,1]
 angle_deg = np.degrees(model.scale.decode(outputs[:, -1].numpy(), base=np.zeros(1)).mean.item())
 print(title := f"steering angle: predicted {angle_deg:.1f}°, driven 17.1° (left +)")
+# A picture of the last image.
 edges = graph_file.edge_pairs(pruned.degree, pruned.indices)
 view = street_view.View(7, images[7], depth_m, cls, xyz, point_cls, edges, pruned.edges_kept)
 street_view.save(street_view.sheet(title, view), Path("out/one_image.png"))

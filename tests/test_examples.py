@@ -19,7 +19,7 @@ def test_one_image(tmp_path, capsys):
         made = runpy.run_path("examples/one_image.py")
     torch.set_grad_enabled(True)
     assert f"predicted {made['angle_deg']:.1f}°, driven 17.1°" in capsys.readouterr().out
-    assert made["angle_deg"] == pytest.approx(17.1, abs=5)
+    assert made["angle_deg"] == pytest.approx(17.1, abs=6)
     net, points, pruned = made["model"].net, made["xyz"], made["pruned"]
     arrays = {"xyz": points, "cls": made["point_cls"], "ptr": np.array([0, len(points)])}
     features = net.spatial(from_arrays(arrays | {"degree": pruned.degree, "indices": pruned.indices}))

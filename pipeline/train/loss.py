@@ -120,9 +120,9 @@ def _regress(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def step_targets(
     batch: Mapping[str, Tensor], scale: Scale, alpha: float, mirror: bool, dtype: torch.dtype
 ) -> tuple[Tensor, Tensor]:
-    """Return the outputs that the network should have, and their weights in the loss, both [W,R].
+    """Return the outputs that the network should have, and their weights exp(α |target|) of eq. 9, both [W,R].
 
-    With `mirror` those of the mirrored windows follow.
+    The weight of an unknown target is 0. With `mirror` those of the mirrored windows follow.
     """
     target, base = batch["target"].to(dtype), batch["base"].to(dtype)
     known, target = target.isfinite(), target.nan_to_num()  # 0 × NaN is NaN
@@ -135,7 +135,7 @@ def step_targets(
 
 
 def weighted_loss(predicted: Tensor, target: Tensor, weight: Tensor, robust: bool) -> Tensor:
-    """Return Σ w (ŷ - y)² over windows and columns [W,R]: paper eq. 9 when divided by Σ w.
+    """Return Σ w (ŷ - y)² over windows and columns [W,R]: paper eq. 9 when divided by Σ w, as `Fit` does.
 
     With `robust` Σ w Huber(ŷ - y), which is linear beyond one standard deviation: the path at a junction is the
     driver's choice, and squared errors there would dominate. With `predicted` [W,2R], ŷ and log σ, the negative

@@ -1,4 +1,4 @@
-"""The network of the paper's figure: a spatial network on each frame, a recurrent one over the frames.
+"""The network: a spatial network on each frame, a recurrent one over the frames of a window.
 
 A network is a file, listed nowhere else: `spatial: mean` in params.yaml is models/steering/spatial/mean.py. It has an
 nn.Module from a batch of B frames (core/batch.py) to features [B,F], and a class Options(NetworkOptions) with a field
@@ -121,7 +121,7 @@ class SteeringNet(nn.Module):
             windows: int64 [W,T], the frames of each window, oldest first.
             dt_s: [W,T] seconds since the previous frame.
             motion: [B,4], see MOTION_MIRROR_SIGNS; required with motion.
-            scenes: int64 [B], the frame of the batch that each of B frames sees; None: its own.
+            scenes: of a control, int64 [B], the frame of the batch that each of B frames sees; None: its own.
             pairs: predict for the windows and for their mirror images.
         Returns:
             [W,R], R = 1 for an angle; with uncertainty [W,2R], the second half is log σ. With pairs [2W,..], the mirror

@@ -17,12 +17,17 @@ from pipeline.base.errors import InputError
 SCHEDULER = "STEER_SCHEDULER"
 # A forked child would inherit the thread pools of torch, OpenCV and Open3D in an unusable state.
 _SPAWN = multiprocessing.get_context("spawn")
+CPU_MAX = Path("/sys/fs/cgroup/cpu.max")  # quota of a container, "200000 100000" for two cores
 J = TypeVar("J")
 
 
 def default_workers() -> int:
     """Return the number of worker processes: ``STEER_WORKERS``, or else the cores that this process may use."""
-    text = os.environ.get("STEER_WORKERS") or str(len(os.sched_getaffinity(0)))
+    quota, period = CPU_MAX.read_text().split() if CPU_MAX.is_file() else ("max", "1")
+    cores = len(os.sched_getaffinity(0))
+    if quota != "max":
+        cores = max(1, min(cores, int(quota) // int(period)))
+    text = os.environ.get("STEER_WORKERS") or str(cores)
     if not text.isdecimal() or not int(text):
         raise InputError(f"expected a number of processes (got {text!r})", "STEER_WORKERS")
     return int(text)

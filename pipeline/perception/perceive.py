@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
-from functools import cache, partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
@@ -47,9 +47,13 @@ class EncoderInput(NamedTuple):
 Predict = Callable[[EncoderInput], tuple[np.ndarray, np.ndarray]]
 
 
-@cache  # one for all drives of a process
 def open_encoder(folder: Path, precision: str) -> Predict:
     """Return the function of an encoder's folder; `precision` as in section perception. Raises InputError as `load`."""
+    return _open(folder, file_hash(folder / FILE), precision)
+
+
+@lru_cache(maxsize=1)  # one for all drives of a process; a worker of a cluster outlives the file
+def _open(folder: Path, _: str, precision: str) -> Predict:
     with error_context(fix="Make it again: dvc repro --force --single-item encoder"):
         architecture, network = load(folder / FILE)
     if architecture["backbone"] == "precomputed":

@@ -80,6 +80,9 @@ def test_precomputed_files_are_matched_by_frame_number(tmp_path):
     depth_m, cls = (np.stack([truth[frame][part] for frame in content["frame"]]) for part in (0, 1))
     np.testing.assert_array_equal(content["cls"], cls)
     np.testing.assert_array_equal(content["depth_m"], np.rint(depth_m * 256))
+    save(tmp_path / "encoder", {"backbone": "precomputed", "folder": str(tmp_path / "later")}, {})
+    with pytest.raises(InputError, match="later"):  # this process has the first encoder open
+        run(tmp_path)
 
 
 DRIVE, FRAMES = "2027_03_31_drive_0001", 20

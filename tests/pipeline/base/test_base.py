@@ -18,7 +18,7 @@ import hdf5plugin
 import numpy as np
 import pytest
 
-from pipeline.base import console, resume, store
+from pipeline.base import console, executors, resume, store
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.executors import SCHEDULER
 from pipeline.base.outputs import check_free, claim, stage_folder
@@ -280,6 +280,14 @@ def expected(tmp_path_factory) -> dict[str, bytes]:
     folder = toy_stage.prepare(tmp_path_factory.mktemp("serial"))
     toy_stage.main(folder, workers=1)
     return outputs(folder)
+
+
+@pytest.mark.parametrize(("quota", "workers"), [("150000 100000", 1), ("50000 100000", 1), ("max 100000", None)])
+def test_a_container_has_as_many_workers_as_its_quota_allows(tmp_path, monkeypatch, quota, workers):
+    monkeypatch.delenv("STEER_WORKERS")
+    (tmp_path / "cpu.max").write_text(f"{quota}\n")
+    monkeypatch.setattr(executors, "CPU_MAX", tmp_path / "cpu.max")
+    assert executors.default_workers() == (workers or len(os.sched_getaffinity(0)))
 
 
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])

@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 from pipeline.base import store
+from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
 from pipeline.camera import classes
 from pipeline.kitti.oxts import make_rows

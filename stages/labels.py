@@ -39,7 +39,8 @@ def main(
     if count := sum(summary["interpolated"] for summary in summaries.values()):
         print(f"{count} oxts packets are interpolated, not measured: they are no targets, and paths ahead end there")
     if suspect := [drive for drive, summary in summaries.items() if summary["sideways"]]:
-        print(f"implausible labels, oxts has the car sliding sideways: {', '.join(suspect)}")
+        names = ", ".join(suspect)
+        print(f"implausible labels: oxts has the car sliding sideways in {names}. Remove them from ingest.drives")
     return out
 
 

@@ -25,8 +25,8 @@ def main(
             print(f"{drive}: {text}")
     frames, road = (sum(summary[name] for summary in made.values()) for name in ("frames", "road_frames"))
     if frames and road < MIN_ROAD * frames:
-        fix = "Set base: none in models that read motion"
-        print(f"the road was found in only {road / frames:.0%} of the frames, so the speed is uncertain. {fix}")
+        fix = "models with motion: visual need base: none"
+        print(f"the road was found in only {road / frames:.0%} of the frames, so the speed is uncertain: {fix}")
     return out
 
 

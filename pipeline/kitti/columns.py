@@ -1,59 +1,56 @@
-"""Read columns of numbers from CSV files, and check them."""
+"""Read columns of numbers from CSV files, and list their faults by column, line and cell."""
 
-import csv
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
+import pandas as pd
 
 from pipeline.base.errors import InputError
 
 
-def read_columns(path: Path, names: Sequence[str], expected: str, sparse: Sequence[str] = ()) -> dict[str, np.ndarray]:
-    """Return name → column, float64 [N], NaN in empty cells of the `sparse` columns.
+def read_columns(path: Path, limits: Mapping[str, float], expected: str) -> tuple[pd.DataFrame, list[str]]:
+    """Return float64 columns by line of the file, and faults: cells that are no numbers (NaN), or implausible ones.
 
-    The separator is a comma, a semicolon or a tab; other columns are ignored. Raises InputError for a missing file or
-    column, with `expected` as the hint; for values that are not numbers; and for rows with more values than the header
-    has names, which decimal commas cause.
+    `limits`: names of the columns → largest plausible magnitudes. All columns but the first may have empty cells. The
+    separator is a comma, a semicolon or a tab. Raises InputError, with the hint `expected`, for a missing column.
     """
-    if not path.is_file():
-        raise InputError("file is missing", path, expected)
-    with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
-        separator = max(",;\t", key=file.readline().count)
-        file.seek(0)
-        reader = csv.DictReader(file, delimiter=separator, skipinitialspace=True, restkey="", restval="")
-        reader.fieldnames = found = [name.strip() for name in reader.fieldnames or []]
-        if missing := [name for name in names if name not in found]:
-            raise InputError(f"has no column {', '.join(missing)} (got {', '.join(found)})", path, expected)
-        rows = list[list[float]]()
-        for fields in reader:
-            try:
-                words = [fields[name].strip() or "nan" * (name in sparse) for name in names]
-                rows.append([float(word) for word in words])
-                if any(surplus.strip() for surplus in fields.get("", [])):
-                    raise ValueError
-            except ValueError:
-                fix = "Write numbers with a decimal point, not a comma"
-                where = f"{path} line {reader.line_num}"
-                raise InputError("expected numbers, as many as the header names", where, fix) from None
-    if not rows:
-        raise InputError("has no rows", path, expected)
-    return dict(zip(names, np.array(rows, np.float64).reshape(-1, len(names)).T.copy(), strict=True))
+    lines = path.read_text("utf-8-sig", errors="replace").splitlines() or [""]
+    separator = max(",;\t", key=lines[0].count)
+    places = range(1 + max(line.count(separator) for line in lines))
+    text = {"dtype": str, "encoding": "utf-8-sig", "encoding_errors": "replace", "skipinitialspace": True}
+    try:
+        cells = pd.read_csv(path, sep=separator, header=None, names=places, skip_blank_lines=False, **text)
+    except ValueError as error:
+        raise InputError(f"is not a CSV file ({error})", path, expected) from error
+    header = cells.iloc[0].fillna("").str.strip().tolist()[: 1 + lines[0].count(separator)]
+    if missing := [name for name in limits if name not in header]:
+        raise InputError(f"has no column {', '.join(missing)} (got {', '.join(header)})", path, expected)
+    cells = cells.set_axis(cells.index + 1)[1:].dropna(how="all")
+    table, faults = pd.DataFrame(index=cells.index), list[str]()
+    for name, limit in limits.items():
+        words = cells[header.index(name)].rename(name)
+        values = table[name] = pd.to_numeric(words, errors="coerce").astype(float)
+        needed = words.notna() | (name == next(iter(limits)))
+        faults += fault(words[needed & values.isna()], "is not a number")
+        faults += fault(words[values.abs() > limit], f"is implausible (limit ±{limit:g})")
+    for place in places[len(header) :]:  # of decimal commas
+        faults += fault(cells[place].dropna().rename(f"cell {place + 1}"), "has no name in line 1")
+    return table, faults
 
 
-def check_limit(name: str, values: np.ndarray, limit: float, path: Path, fix: str) -> None:
-    """Raise InputError if one of `values` [N] is not finite or its magnitude exceeds `limit`."""
-    wrong = ~(np.abs(values) <= limit)
-    if wrong.any():
-        at = int(np.argmax(wrong))
-        raise InputError(f"implausible {name} = {values[at]:g} at value {at + 1} (limit ±{limit:g})", path, fix)
+def fault(cells: pd.Series, problem: str) -> list[str]:
+    """Return a line with the first of the wrong `cells` of a column, by line of the file; nothing if there are none."""
+    more = f" and {len(cells) - 1} more" if len(cells) > 1 else ""
+    return [f"{cells.name} {problem}: {cell!r} in line {line}{more}" for line, cell in cells.head(1).items()]
 
 
-def check_increase(name: str, values: np.ndarray, least_step: float, path: Path | str) -> None:
-    """Raise InputError if one of `values` [N] is less than `least_step` above the one before."""
-    wrong = ~(np.diff(values) >= least_step)
-    if wrong.any():
-        at = int(np.argmax(wrong))
-        steps = f"{name} goes from {values[at]:.15g} to {values[at + 1]:.15g} at value {at + 2}"
-        problem = f"{steps} (expected an increase of {least_step:g} or more)"
-        raise InputError(problem, path, "Correct or remove it")
+def check_increase(values: pd.Series, least_step: float) -> list[str]:
+    """Return a fault of the `values` that are less than `least_step` above the one before."""
+    values = values.dropna()
+    return fault(values[values.diff() < least_step], f"does not increase by {least_step:g} or more")
+
+
+def refuse(faults: list[str], path: Path, fix: str) -> None:
+    """Raise InputError with all different `faults` of a file, if there are any."""
+    if faults:
+        raise InputError("; ".join(dict.fromkeys(faults)), path, fix)

@@ -1,12 +1,14 @@
 """Recorded motion of a drive: KITTI's inertial and GNSS packets ("oxts"), timestamps, and steering angles."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.kitti.columns import check_increase, check_limit, read_columns
+from pipeline.kitti.columns import check_increase, read_columns, refuse
 
 COLUMNS = (
     "lat", "lon", "alt", "roll", "pitch", "yaw", "vn", "ve", "vf", "vl", "vu", "ax", "ay", "az", "af", "al", "au",
@@ -88,18 +90,17 @@ def read_times(path: Path, frames: Sequence[int]) -> np.ndarray:
         raise InputError(str(error), path) from error
     # Differences in nanoseconds: a float64 of seconds since 1970 resolves only 0.2 microseconds.
     time_s = (stamps - stamps[0]).astype(np.int64) / 1e9
-    check_increase("time_s", time_s, 1e-9, path)
+    by_line = pd.Series(time_s, np.array(numbers) + 1, name="time")
+    refuse(check_increase(by_line, 1e-9), path, "Correct or remove it")
     return time_s
 
 
 def read_steering(path: Path) -> dict[int, float]:
     """Return frame number → angle of the front wheels in rad, left positive. Raises InputError."""
-    expected = "Expected a CSV file with frame (number of the image) and steering_rad (front wheels, left +)"
-    frame, steering_rad = read_columns(path, STEERING_COLUMNS, expected).values()
-    check_increase("frame", frame, 1, path)
-    fix = "Divide angles of the steering wheel by the steering ratio"
-    check_limit("steering_rad", steering_rad, LIMIT_RAD, path, fix)
-    return dict(zip(frame.astype(np.int64).tolist(), steering_rad.tolist(), strict=True))
+    expected = "Expected CSV: frame (number of the image), steering_rad (angle of the front wheels, left +)"
+    table, faults = read_columns(path, dict(zip(STEERING_COLUMNS, (math.inf, LIMIT_RAD), strict=True)), expected)
+    refuse(faults + check_increase(table["frame"], 1), path, expected)
+    return table.dropna().astype({"frame": int}).set_index("frame")["steering_rad"].to_dict()
 
 
 def write_steering(path: Path, steering_rad: Mapping[int, float]) -> None:

@@ -62,7 +62,7 @@ def import_drives(
     elapsed_s = source.time_s - source.time_s[0]
     time_s = source.time_s[elapsed_s <= span_s[1] - ROUNDING_S]
     usable = elapsed_s[: len(time_s)] > span_s[0] - ROUNDING_S
-    source.notes.extend(logs.coverage(time_s[usable]))
+    source.notes.extend(logs.notes(time_s[usable]))
     if logs.motion:
         usable &= np.isfinite(logs.motion.at(time_s)[0])
     if not usable.any():

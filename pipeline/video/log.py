@@ -1,5 +1,6 @@
 """Read logs of a car, its motion and the angles of its steering wheel, and interpolate them at the times of images."""
 
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -7,23 +8,24 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.base.errors import InputError
-from pipeline.kitti.columns import check_limit, read_columns
+from pipeline.kitti.columns import read_columns, refuse
 from pipeline.kitti.oxts import LIMIT_RAD, LIMITS
 from pipeline.video.recording import check_times
 
 MAX_GAP_S = 0.5  # between values that are interpolated
 ROUNDING_S = 1e-3  # of timestamps in videos; comparisons tolerate it
 _RATES = {"speed_mps": LIMITS["vf"], "yaw_rate_radps": LIMITS["wu"]}  # largest plausible magnitudes
-_MOTION = "Expected a CSV file with time_s [s], speed_mps [m/s] and yaw_rate_radps [rad/s, left +]"
-_WHEEL = "Expected a CSV file with time_s [s] and wheel_rad [rad, left +]"
+_MOTION = "Expected CSV, numbers with decimal points: time_s [s], speed_mps [m/s], yaw_rate_radps [rad/s, left +]"
+_WHEEL = "Expected CSV, numbers with decimal points: time_s [s], wheel_rad [rad, left +]"
 
 
 class Log(NamedTuple):
-    """Values [C,N] of C quantities at ascending times [N], NaN where unknown, and the name of their file."""
+    """Values [C,N] of C quantities at ascending times [N], NaN where unknown, and their file."""
 
     time_s: np.ndarray
     values: np.ndarray
     name: str = ""
+    repeated: int = 0  # rows of the file that equal another one and are left out
 
     def at(self, time_s: np.ndarray) -> np.ndarray:
         """Return quantities [C,F] at `time_s` [F], linear between times; NaN outside, and in gaps of any quantity."""
@@ -49,8 +51,8 @@ class Logs(NamedTuple):
         """Read a log of the steering wheel's angles, its ratio to the front wheels', and a log of the motion.
 
         They are CSV files with time_s and wheel_rad, left positive, and with time_s, speed_mps and yaw_rate_radps.
-        `offset_s` is added to their times. Empty cells are interpolated. Raises InputError if a column is missing,
-        values are implausible, or the times of a column do not increase or are not in seconds.
+        `offset_s` is added to their times. Empty cells are interpolated, and repeated rows left out. Raises InputError
+        with all faults of a file; times of a column have to increase and to be in seconds.
         """
         if (wheel is None) != (steering_ratio is None):
             fix = "Pass both; a ratio of 1 if the log holds angles of the front wheels"
@@ -77,20 +79,22 @@ class Logs(NamedTuple):
                 offset = f"--offset {round(first_s - begin_s, 3):.13g}, added to an earlier one"
                 raise InputError(problem, log.name, f"If both begin together, pass {offset}")
 
-    def coverage(self, time_s: np.ndarray) -> Iterator[str]:
-        """Yield a line for each log that does not cover all images, which are at `time_s` [F]."""
+    def notes(self, time_s: np.ndarray) -> Iterator[str]:
+        """Yield a line for each log with repeated rows, and for each without a value of all images, at `time_s` [F]."""
         for log in filter(None, self):
+            if log.repeated:
+                yield f"{log.name}: {log.repeated:,} rows repeat another row and are left out"
             if not (known := np.isfinite(log.at(time_s)[0])).all():
                 yield f"{log.name} covers {known.sum():,} of {len(known):,} images"
 
 
 def _read(path: Path, limits: Mapping[str, float], expected: str, offset_s: float) -> Log:
-    columns = read_columns(path, ("time_s", *limits), expected, sparse=[*limits])
-    time_s, rows = np.unique(columns["time_s"]), []  # two topics in one file have their own times
-    for name, limit in limits.items():
-        known = ~np.isnan(columns[name])
-        own_s, values = columns["time_s"][known], columns[name][known]
-        check_times(own_s, f"{path} column {name}", MAX_GAP_S + ROUNDING_S)
-        check_limit(name, values, limit, path, expected)
-        rows.append(Log(own_s, values[None]).at(time_s))
-    return Log(time_s + offset_s, np.concatenate(rows), path.name)
+    rows, faults = read_columns(path, {"time_s": math.inf, **limits}, expected)
+    table = rows.drop_duplicates()
+    columns = {name: table[["time_s", name]].dropna(subset=name) for name in limits}
+    for name, column in columns.items():
+        faults += check_times(column["time_s"], MAX_GAP_S + ROUNDING_S, name)
+    refuse(faults, path, expected)
+    time_s = np.unique(table["time_s"])  # two topics in one file have their own times
+    own = [Log(times_s, values[None]).at(time_s) for times_s, values in (one.to_numpy().T for one in columns.values())]
+    return Log(time_s + offset_s, np.concatenate(own), path.name, len(rows) - len(table))

@@ -12,6 +12,7 @@ from typing import Any, cast
 
 import av
 import numpy as np
+import pandas as pd
 from av.container import InputContainer
 from av.stream import Disposition
 from av.video.reformatter import VideoReformatter
@@ -21,7 +22,7 @@ from tqdm import tqdm
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.camera import Frame
 from pipeline.camera.images import Size, format_size, read_image
-from pipeline.kitti.columns import check_increase
+from pipeline.kitti.columns import check_increase, fault, refuse
 from pipeline.settings.train import RATE_TOLERANCE
 from pipeline.video.repeats import evened, repeats
 
@@ -265,18 +266,19 @@ def read_times(path: Path) -> np.ndarray:
         times_s = np.array(path.read_text("utf-8-sig").split(), np.float64)
     except (OSError, ValueError) as error:
         raise InputError(f"expected a file with one number per line ({error})", path) from error
-    check_times(times_s, path, 2.0)  # milliseconds, taken as seconds, have steps of 10 and more
+    by_line = pd.Series(times_s, np.arange(len(times_s)) + 1, name="time")
+    refuse(check_times(by_line, 2.0), path, "Expected seconds")  # milliseconds have steps of 10 and more
     return times_s
 
 
-def check_times(times_s: np.ndarray, path: Path | str, longest_s: float) -> None:
-    """Raise InputError if times [N] do not increase, or by less than 1 ms or more than `longest_s` in the median."""
-    check_increase("time_s", times_s, 1e-5, path)
+def check_times(times_s: pd.Series, longest_s: float, column: str = "") -> list[str]:
+    """Return faults of the times of a `column`: too few, no increase, a median step below 1 ms or above `longest_s`."""
     if len(times_s) < 2:
-        raise InputError(f"expected at least 2 times, got {len(times_s)}", path)
-    step_s = float(np.median(np.diff(times_s)))
-    if not 0.999e-3 <= step_s <= longest_s:
+        return [f"{column or times_s.name} has fewer than 2 values"]
+    faults, step_s = check_increase(times_s, 1e-5), float(times_s.diff().median())
+    if 0 < step_s < 0.999e-3 or step_s > longest_s:
         power = min(max(math.ceil(math.log(step_s / longest_s, 1000)), 1), 3)
-        unit = f"{('milli', 'micro', 'nano')[power - 1]}seconds by {1000**power}"
-        fix = f"Times are in seconds: divide {unit}. Values farther apart are not interpolated"
-        raise InputError(f"median time step is {step_s:g} (expected 0.001 to {longest_s:.1g} s)", path, fix)
+        unit = f"divide {('milli', 'micro', 'nano')[power - 1]}seconds by {1000**power}"
+        expected = f"expected 0.001 to {longest_s:.1g} s: {unit}; values farther apart are not interpolated"
+        faults += fault(times_s.head(1), f"has a median step of {step_s:g} ({expected})")
+    return faults

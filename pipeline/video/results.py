@@ -120,7 +120,7 @@ class Results:
             measured = looking_ahead.at(np.searchsorted(raw.frame, motion.frame[rows]))
             agreement = compare([sums(motion.time_s[rows], truth.driven, measured)])
             valid, codes = motion["valid"], motion["problem"][rows]
-            source.notes.extend(source.logs.coverage(motion.time_s[rows]))
+            source.notes.extend(source.logs.notes(motion.time_s[rows]))
             source.notes.extend(warnings(float(np.median(motion["still"]))))
             points, residual = (np.where(valid, motion[name], np.nan) for name in ("inliers", "residual"))
             columns = {"valid": valid, **course, "points": points, "residual": residual}

@@ -343,19 +343,26 @@ WHEEL = "time_s,wheel_rad\n"
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        (HEAD + "1,5,0\n1.1,1e6,0\n", r"speed_mps = 1e\+06 at value 2"),
-        (HEAD + "1,5,0\n1.3,5,0\n1.3,5,0\n", "from 1.3 to 1.3 at value 3"),
+        (HEAD + "1,5,0\n1.1,1e6,0\n", r"speed_mps is implausible \(limit ±100\): '1e6' in line 3"),
+        (HEAD + "1,5,0\n1.3,5,0\n\n1.3,6,0\n", "time_s does not increase .*: 1.3 in line 5"),
         (HEAD + "0,5,0\n2,5,0\n4,5,0\n", "divide milliseconds by 1000"),  # of 500 Hz
-        (HEAD + "0,5,0\n0.1,5,\n0.2,5,\n", "column yaw_rate_radps: expected at least 2 times"),
+        (HEAD + "0,5,0\n0.1,5,\n0.2,5,\n", "yaw_rate_radps has fewer than 2 values"),
         (HEAD + "0,5,0\n100,5,0\n", "divide milliseconds by 1000"),
-        (HEAD + "0,5,0\n1e8,5,0\n", "divide nanoseconds by 1000000000"),
-        (HEAD + "0,5,0\n1e-4,5,0\n", "in seconds"),
-        (HEAD + "0,5,0\n0,5,5,0\n", "line 3: expected numbers, .*decimal point"),
-        ("time_s;speed_mps;yaw_rate_radps\n0,1;5;0\n", "line 2: expected numbers"),
-        (WHEEL + "1,0\n1.1,45\n", "wheel_rad = 45 at value 2"),
+        (HEAD + "17e17,5,0\n170000000010e7,5,0\n", r"divide nano.* 1000000000; .*: 1.7e\+18 in line 2\."),
+        (HEAD + "0,5,0\n1e-4,5,0\n", "median step of 0.0001"),
+        (HEAD + "0,5,0\n0,5,5,0\n", "cell 4 has no name in line 1: '0' in line 3.*decimal points"),
+        ("time_s;speed_mps;yaw_rate_radps\n0,1;5;0\n", "time_s is not a number: '0,1' in line 2"),
+        (HEAD + "s,m/s,rad/s\n0,5,0\n", "time_s .*'s' in line 2; speed.* 'm/s' in line 2; yaw.* 'rad/s' in line 2"),
+        (HEAD + "2027-03-31T12:00:00,5,0\n" * 4, "time_s is not a number: '2027-03-31T12:00:00' in line 2 and 3 more"),
+        (
+            HEAD + "0,x,0\n2,999,0\n1,5,9\n",
+            "'x' in line 2; speed.*999.*line 3; yaw.*'9' in line 4; time.*1.0 in line 4",
+        ),
+        (HEAD + '"0,5,0\n', "is not a CSV file"),
+        (WHEEL + "1,0\n1.1,45\n", "wheel_rad is implausible .*: '45' in line 3"),
         ("frame,wheel_rad\n0,1\n", "has no column time_s"),
-        (WHEEL, "has no rows"),
-        ("1\n2\n2\n", "from 2 to 2"),
+        (WHEEL, "wheel_rad has fewer than 2 values"),
+        ("1\n2\n2\n", "time does not increase .*: 2.0 in line 3"),
         ("0\n100\n200\n", "divide milliseconds by 1000"),
     ],
 )
@@ -374,15 +381,17 @@ def test_interpolation_ends_at_gaps_and_at_the_ends():
 
 
 def test_two_topics_in_one_log_have_their_own_times(tmp_path):
-    """Also one below the other. The speed has a gap of 0.4 s, the yaw rate one of 0.6 s."""
+    """Also one below the other, with a repeated row. The speed has a gap of 0.4 s, the yaw rate one of 0.6 s."""
     speed = [f"{time_s},{10 * time_s}," for time_s in (0.1, 0.2, 0.3, 0.7, 0.8, 0.9, 1.0, 1.1, 1.2)]
     yaw_rate = [f"{time_s},,{time_s}" for time_s in (0.05, 0.25, 0.35, 0.45, 1.05, 1.15)]
     time_s = np.array([0.05, 0.15, 0.4, 0.45, 0.7, 1.05, 1.1, 1.2])
     expected = np.where([False, True, True, True, False, True, True, False], time_s, np.nan)
     for rows in (speed + yaw_rate, sorted(speed + yaw_rate, key=lambda row: float(row.split(",")[0]))):
-        logs = Logs.read(None, None, log(tmp_path, HEAD + "\n".join(rows)))
+        logs = Logs.read(None, None, log(tmp_path, HEAD + "\n".join([*rows, rows[0]])))
         np.testing.assert_allclose(logs.motion.at(time_s), [10 * expected, expected])
-        assert [*logs.coverage(time_s)] == ["can.csv covers 5 of 8 images"]
+        repeated, covered = logs.notes(time_s)
+        assert repeated == "can.csv: 1 rows repeat another row and are left out"
+        assert covered == "can.csv covers 5 of 8 images"
 
 
 @pytest.mark.parametrize(("name", "start_s"), [("a.mkv", 0), ("a.h264", 0), ("images", 0), ("ns", 0), ("times", 1.7e9)])

@@ -28,6 +28,10 @@ STRIDE, LEVELS, WIDTH = 4, 4, 64  # of the maps that our heads read: stride, num
 # Weights that published files lack: a unit of DPT that its forward pass does not use, and norms that a fit trains.
 UNPUBLISHED = ("neck.fusion_stage.layers.0.residual_layer1.", "hidden_states_norms.")
 NO_DEPTH_M = {"depth_pro": "inverse until its post-processing", "prompt_depth_anything": "relative to a depth sensor's"}
+FAMILIES = {  # setting → the task in names of transformers, and families that work
+    "depth": ("DEPTH_ESTIMATION", "depth_anything, glpn, zoedepth"),
+    "classes": ("SEMANTIC_SEGMENTATION", "segformer, upernet, mobilevit, mobilenet_v2"),
+}
 SYNONYMS = {
     "road": "street, rd normal street, drivable cobblestone, driveable surface, road shoulder, runway, dirt track, "
     "service lane, bike lane, cycling lane, crosswalk, crosswalk plain, zebra crossing, marking, lane marking, "
@@ -106,13 +110,22 @@ def loading(name: str | Path, action: str = "load") -> Iterator[None]:
         raise InputError(f"cannot {action} {str(name)!r}: {reason}") from error
 
 
-def check(name: str) -> None:
-    """Raise InputError if `name` can only be a folder but has no configuration, or if the package is missing."""
-    transformers()
-    path = Path(name)
+def check(name: str, key: str = "") -> None:
+    """Raise InputError if `name` can only be a folder but has no configuration, or if the package is missing.
+
+    A folder's network has to be of a family for `key`, depth or classes.
+    """
+    library, path = transformers(), Path(name)
+    config = path / "config.json"
     is_folder = path.is_absolute() or path.parent.is_dir() or len(path.parts) > 2
-    if is_folder and not (path / "config.json").is_file():
+    if is_folder and not config.is_file():
         raise InputError(f"{name!r} is not a folder with a config.json, nor a name of Hugging Face's hub")
+    if key in FAMILIES and config.is_file():
+        task, others = FAMILIES[key]
+        with loading(name):
+            family = json.loads(config.read_text())["model_type"]
+        if family not in getattr(library.models.auto.modeling_auto, f"MODEL_FOR_{task}_MAPPING_NAMES"):
+            raise InputError(f"networks of type {family} have no map of {key}", name, f"Families that work: {others}")
 
 
 def describe(name: str) -> tuple[Path, dict[str, Any], list[str]]:

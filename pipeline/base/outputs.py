@@ -22,7 +22,9 @@ _FIX = "Pass another --out, or move it away"
 def check_free(path: Path, key: str = "") -> None:
     """Raise InputError unless the file or folder `path` does not exist, or is a folder that :func:`claim` may take."""
     if not _is_free(path, key):
-        raise InputError("exists already", path, _FIX)
+        names = ", ".join(sorted(child.name for child in path.glob("*"))[:3])
+        content = f" and holds {names}" + " of a run that did not end" * names.startswith(".work")
+        raise InputError("exists already" + content * bool(names), path, _FIX)
 
 
 def claim(out: Path | None, stem: str, key: str = "") -> Path:

@@ -144,8 +144,8 @@ class DriveWriter(ExitStack):
 class DriveReader(ExitStack):
     """Read one drive's file, a context manager.
 
-    Raises InputError if the file is missing, damaged, of another `stage` (None: any), schema or drive, or refers to
-    other files.
+    Raises InputError if the file is missing, open for writing, damaged, of another `stage` (None: any), schema or
+    drive, or refers to other files.
     """
 
     def __init__(self, path: Path, *, stage: str | None) -> None:
@@ -163,6 +163,8 @@ class DriveReader(ExitStack):
                 {name: str(data.attrs[key]) for name, data in self.datasets.items() if key in data.attrs}
                 for key in ("pointer", "refers_to")
             )
+        except BlockingIOError as error:
+            raise InputError("another process has it open for writing", path, "Close it there, then repeat") from error
         except _H5PY_ERRORS as error:
             raise _fault(f"damaged ({error})", path, self._stage) from error
         if (written_by, schema) != (stage or written_by, str(SCHEMA)):

@@ -103,7 +103,7 @@ def read_pixels(path: Path) -> np.ndarray:
 
     Returns: [H,W] or RGB [H,W,3], uint8 or uint16. JPEG is always RGB uint8.
 
-    Raises DamagedFile if the file is truncated, altered or of another kind, or is to be shown rotated or mirrored.
+    Raises DamagedFile if the file is truncated, altered or of another kind, transparent, or to be shown rotated.
     """
     content = path.read_bytes()
     if not content.startswith((_PNG, _JPEG)):
@@ -120,9 +120,9 @@ def read_pixels(path: Path) -> np.ndarray:
         cv2.utils.logging.setLogLevel(level)
     if pixels is None:
         raise DamagedFile("cannot be decoded: the file is damaged or cut short", path)
-    if pixels.ndim == 3 and pixels.shape[2] != 3:
-        raise DamagedFile(f"expected grey or RGB pixels, got {pixels.shape[2]} channels", path)
-    return pixels if pixels.ndim == 2 else cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
+    if pixels.ndim == 3 and np.invert(pixels[..., 3:], dtype=pixels.dtype).any():
+        raise DamagedFile("has transparent pixels", path, "Remove the transparency: mogrify -alpha off FILE")
+    return pixels if pixels.ndim == 2 else cv2.cvtColor(pixels[..., :3], cv2.COLOR_BGR2RGB)
 
 
 def write_png(path: Path, pixels: np.ndarray, *options: int) -> None:

@@ -41,7 +41,7 @@ def read_columns(path: Path, limits: Mapping[str, float], expected: str) -> tupl
 def fault(cells: pd.Series, problem: str) -> list[str]:
     """Return a line with the first of the wrong `cells` of a column, by line of the file; nothing if there are none."""
     more = f" and {len(cells) - 1} more" if len(cells) > 1 else ""
-    return [f"{cells.name} {problem}: {cell!r} in line {line}{more}" for line, cell in cells.head(1).items()]
+    return [f"{cells.name} {problem}: {cell!r:.40} in line {line}{more}" for line, cell in cells.head(1).items()]
 
 
 def check_increase(values: pd.Series, least_step: float) -> list[str]:

@@ -104,7 +104,7 @@ def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> 
     packets = {number: _read(read_row, packet, damaged) for number, packet in files.oxts.items()}
     oxts = {number: row for number, row in packets.items() if row is not None}
     numbers, times = files.timeline(chosen)
-    if not numbers or (not files.oxts and files.oxts_times.parent.is_dir()) or (skip and files.oxts and not oxts):
+    if not numbers or (not files.oxts and files.oxts_times.parent.is_dir()):
         fix = "Extract it. Only if labels come from another labels.source: remove the empty folder"
         raise InputError("drive has no oxts packets", files.oxts_times.parent, fix)
     # Lines of timestamps.txt correspond to existing files, including damaged ones.
@@ -121,10 +121,11 @@ def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> 
             frame.depth_m = _read(read_depth, depths.get(number), damaged, size=size)
             frame.cls = _read(read_classes, classes.get(number), damaged, size=size)
             file.add(frame)
-        if damaged and not skip:
+        if damaged and not (skip and (oxts or not files.oxts)):
             faults = "; ".join(f"{error.where}: {error.problem}" for error in damaged)
-            fix = "Extract them again, or set ingest.on_damaged: skip to leave them out"
-            raise DamagedFile(faults, f"{len(damaged)} damaged files", fix)
+            fix = "Extract them again" + ", or set ingest.on_damaged: skip to leave them out" * (not skip)
+            where = "damaged files" if oxts or not files.oxts else "damaged files, among them all oxts packets"
+            raise DamagedFile(faults, f"{len(damaged)} {where}", fix)
         summary = file.finish(oxts, steering_rad)
     left_out = len({*images, *scans} - {*numbers})
     return summary | {"camera": chosen, "left_out": left_out, "damaged": len(damaged)}

@@ -1,6 +1,5 @@
 """Recorded motion of a drive: KITTI's inertial and GNSS packets ("oxts"), timestamps, and steering angles."""
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -8,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.kitti.columns import check_increase, read_columns, refuse
+from pipeline.kitti.columns import check_increase, fault, read_columns, refuse
 
 COLUMNS = (
     "lat", "lon", "alt", "roll", "pitch", "yaw", "vn", "ve", "vf", "vl", "vu", "ax", "ay", "az", "af", "al", "au",
@@ -84,21 +83,19 @@ def read_times(path: Path, frames: Sequence[int]) -> np.ndarray:
     numbers = list(frames) if len(lines) > frames[-1] else list(range(len(frames)))
     if len(lines) <= frames[-1] and len(lines) != len(frames):
         raise InputError(f"expected at least {frames[-1] + 1} lines for frame {frames[-1]}, got {len(lines)}", path)
-    try:
-        stamps = np.array([lines[number].strip() for number in numbers], dtype="datetime64[ns]")
-    except ValueError as error:
-        raise InputError(str(error), path) from error
+    words = pd.Series(lines, np.arange(len(lines)) + 1, name="time").iloc[numbers]
+    stamps = pd.to_datetime(words, format="ISO8601", errors="coerce").astype("datetime64[ns]")
+    refuse(fault(words[stamps.isna()], "is not a date and time"), path, "Correct it")
     # Differences in nanoseconds: a float64 of seconds since 1970 resolves only 0.2 microseconds.
-    time_s = (stamps - stamps[0]).astype(np.int64) / 1e9
-    by_line = pd.Series(time_s, np.array(numbers) + 1, name="time")
-    refuse(check_increase(by_line, 1e-9), path, "Correct or remove it")
-    return time_s
+    time_s = (stamps - stamps.iloc[0]).astype("int64") / 1e9
+    refuse(check_increase(time_s, 1e-9), path, "Correct or remove it")
+    return time_s.to_numpy()
 
 
 def read_steering(path: Path) -> dict[int, float]:
     """Return frame number → angle of the front wheels in rad, left positive. Raises InputError."""
     expected = "Expected CSV: frame (number of the image), steering_rad (angle of the front wheels, left +)"
-    table, faults = read_columns(path, dict(zip(STEERING_COLUMNS, (math.inf, LIMIT_RAD), strict=True)), expected)
+    table, faults = read_columns(path, dict(zip(STEERING_COLUMNS, (np.inf, LIMIT_RAD), strict=True)), expected)
     refuse(faults + check_increase(table["frame"], 1), path, expected)
     return table.dropna().astype({"frame": int}).set_index("frame")["steering_rad"].to_dict()
 

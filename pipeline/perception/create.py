@@ -47,7 +47,7 @@ def check(settings: Encoder) -> None:
             if settings.backbone == "dinov2" and key != "model":
                 check_weights(Path(value))  # of a head
             elif isinstance(value, str):
-                hugging_face.check(value)
+                hugging_face.check(value, key)
 
 
 def check_weights(path: Path) -> None:

@@ -1,10 +1,11 @@
 """Convert a recording with its logs to drives in KITTI raw's layout: images, packets, angles, manifest, preset."""
 
+import errno
 import json
 import math
 import shutil
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -70,15 +71,14 @@ def import_drives(
         problem = f"no image from {span_s[0]:g} to {end_s:.3f} s after the first is left, or none with motion"
         raise InputError(problem, fix="Change --start, --end or --offset")
     parts = cut(usable, time_s, shares)
-    with ExitStack() as stack:
-        unfinished = [stack.enter_context(replacing(folder)) for folder in folders]
-        images = dict[int, Path]()
+    counts = {drive: int(part.sum()) for drive, part in zip(drives, parts, strict=True)}
+    with _unfinished(folders, sum(counts.values()) * 3 * math.prod(camera.size)) as unfinished:
         for folder, part in zip(unfinished, parts, strict=True):
             _write_logs(folder, time_s, part, camera, logs)
-            images |= dict.fromkeys(np.flatnonzero(part).tolist(), folder / _IMAGES / "data")
         for frame in tqdm(islice(source.frames(), len(time_s)), total=len(time_s), unit=" images", disable=None):
-            if frame.number in images:
-                write_png(images[frame.number] / f"{frame.number:010d}.png", frame.image)
+            for folder, part in zip(unfinished, parts, strict=True):
+                if part[frame.number]:
+                    write_png(folder / _IMAGES / "data" / f"{frame.number:010d}.png", frame.image)
         if not calibrated:
             P = np.column_stack([camera.K, np.zeros(3)])
             size = np.array(camera.size[::-1], float)
@@ -88,11 +88,31 @@ def import_drives(
             content = {"calibration": file_hash(date / CALIBRATION), "files": _hashes(folder)}
             (folder / MANIFEST).write_text(json.dumps(content, indent=1, sort_keys=True) + "\n", encoding="ascii")
         manifests = [file_hash(folder / MANIFEST) for folder in unfinished]
-        for folder in folders:
-            shutil.rmtree(folder, ignore_errors=True)  # the earlier import
-    counts = {drive: int(part.sum()) for drive, part in zip(drives, parts, strict=True)}
     hz = (len(time_s) - 1) / float(np.ptp(time_s) or 1.0)
     return Imported(counts, dict(zip(drives, manifests, strict=True)), hz)
+
+
+@contextmanager
+def _unfinished(folders: Sequence[Path], size: int) -> Iterator[list[Path]]:
+    """Yield temporary folders that replace `folders`; a failure leaves nothing of them, nor of killed imports.
+
+    Raises InputError on a full disk. `size`: of the images, bytes.
+    """
+    date = folders[0].parent
+    for killed in [path for folder in folders for path in date.glob(f".{folder.name}.*.tmp")]:
+        shutil.rmtree(killed)
+    try:
+        with ExitStack() as stack:
+            yield [stack.enter_context(replacing(folder)) for folder in folders]
+            for folder in folders:
+                shutil.rmtree(folder, ignore_errors=True)
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        raise InputError(f"disk is full: images need up to {size / 1e6:,.0f} MB", date, "Pass another --out") from error
+    finally:
+        with suppress(OSError):  # if not empty
+            date.rmdir()
 
 
 def _write_logs(folder: Path, time_s: np.ndarray, usable: np.ndarray, camera: Camera, logs: Logs) -> None:

@@ -1,6 +1,5 @@
 """Read logs of a car, its motion and the angles of its steering wheel, and interpolate them at the times of images."""
 
-import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -89,7 +88,7 @@ class Logs(NamedTuple):
 
 
 def _read(path: Path, limits: Mapping[str, float], expected: str, offset_s: float) -> Log:
-    rows, faults = read_columns(path, {"time_s": math.inf, **limits}, expected)
+    rows, faults = read_columns(path, {"time_s": np.inf, **limits}, expected)
     table = rows.drop_duplicates()
     columns = {name: table[["time_s", name]].dropna(subset=name) for name in limits}
     for name, column in columns.items():

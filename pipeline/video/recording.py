@@ -1,6 +1,5 @@
 """Read a recording, a video file or a folder of images, one frame at a time, with times."""
 
-import math
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -164,11 +163,14 @@ def _scan(images: Callable[[], Images], path: Path) -> tuple[Size, np.ndarray, l
             sizes = f"{image.width} x {image.height} pixels (expected {format_size(shape)}, as the first one)"
             raise InputError(f"image {number} has {sizes}", path, "Images of one recording have one size")
         grey = shrink.reformat(image, *small, "gray", interpolation="AREA").to_ndarray().astype(np.float32)
-        rows.append((image.time, np.abs(grey - before).mean(), image.key_frame))
+        rows.append((image.time, np.abs(grey - before).mean(), image.key_frame, image.interlaced_frame))
         before = grey
         if number % STRIDE == 0:
             light = np.maximum(light, image.to_ndarray(format="gray"))
-    return _upright(first, path).shape[:2], np.array(rows, float).T, _bars(light, path)
+    *columns, interlaced = np.array(rows, float).T
+    fix = f"ffmpeg -i {path.name} -vf bwdif=send_frame progressive.mp4"
+    fields = [f"interlaced images falsify the motion. Deinterlace them: {fix}"] if interlaced.any() else []
+    return _upright(first, path).shape[:2], np.array(columns), fields + _bars(light, path)
 
 
 def _bars(light: np.ndarray, path: Path) -> list[str]:
@@ -262,13 +264,12 @@ def _image_files(folder: Path) -> tuple[list[Path], np.ndarray]:
 
 def read_times(path: Path) -> np.ndarray:
     """Return the times of images, one number in seconds per line, float64 [F]. Raises InputError."""
-    try:
-        times_s = np.array(path.read_text("utf-8-sig").split(), np.float64)
-    except (OSError, ValueError) as error:
-        raise InputError(f"expected a file with one number per line ({error})", path) from error
-    by_line = pd.Series(times_s, np.arange(len(times_s)) + 1, name="time")
-    refuse(check_times(by_line, 2.0), path, "Expected seconds")  # milliseconds have steps of 10 and more
-    return times_s
+    words = pd.Series(path.read_text("utf-8-sig", errors="replace").split(), name="time", dtype=str)
+    words.index += 1
+    times_s = pd.to_numeric(words, errors="coerce").astype(float)
+    faults = fault(words[times_s.isna()], "is not a number") + check_times(times_s, 2.0)  # of ms, steps are 10 and more
+    refuse(faults, path, "Expected one number per line, in seconds")
+    return times_s.to_numpy()
 
 
 def check_times(times_s: pd.Series, longest_s: float, column: str = "") -> list[str]:
@@ -277,8 +278,7 @@ def check_times(times_s: pd.Series, longest_s: float, column: str = "") -> list[
         return [f"{column or times_s.name} has fewer than 2 values"]
     faults, step_s = check_increase(times_s, 1e-5), float(times_s.diff().median())
     if 0 < step_s < 0.999e-3 or step_s > longest_s:
-        power = min(max(math.ceil(math.log(step_s / longest_s, 1000)), 1), 3)
-        unit = f"divide {('milli', 'micro', 'nano')[power - 1]}seconds by {1000**power}"
-        expected = f"expected 0.001 to {longest_s:.1g} s: {unit}; values farther apart are not interpolated"
+        units = "divide milliseconds by 1000, nanoseconds by 1e9; values farther apart are not interpolated"
+        expected = f"expected 0.001 to {longest_s:.1g} s: {units}"
         faults += fault(times_s.head(1), f"has a median step of {step_s:g} ({expected})")
     return faults

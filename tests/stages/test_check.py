@@ -1,3 +1,4 @@
+import json
 from functools import reduce
 from pathlib import Path
 from typing import Any
@@ -100,6 +101,13 @@ def test_a_fault_is_one_line_with_its_key(tmp_path, where, value, message):
         run(tmp_path, changed(where, value))
     assert str(raised.value).startswith(str(tmp_path / "params.yaml"))
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("family", ["mask2former", "oneformer", "maskformer", "eomt"])
+def test_a_family_without_a_map_of_classes_is_refused(tmp_path, family):
+    (tmp_path / "config.json").write_text(json.dumps({"model_type": family}))
+    with pytest.raises(InputError, match=rf"classes: .* type {family} have no map of classes\. .*work: segformer"):
+        run(tmp_path, changed("encoder", PAIR | {"classes": str(tmp_path)}))
 
 
 @pytest.mark.parametrize(

@@ -75,6 +75,12 @@ def test_damaged_files_are_listed_at_once_or_left_out(tmp_path, capsys):
         present = [file[f"has_{name}"].tolist() for name in ("lidar", "image", "depth")]
         assert present == [[1, 0, 1], [1, 1, 0], [1, 1, 1]]
     assert "3 damaged files left out" in capsys.readouterr().out
+    for packet in (folder / "oxts/data").iterdir():
+        write(packet, "")
+    with pytest.raises(
+        InputError, match=r"6 damaged files, among them all oxts packets: .*0000000000.txt: expected 30"
+    ):
+        run(tmp_path, on_damaged="skip")
 
 
 @pytest.mark.parametrize(

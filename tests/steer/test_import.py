@@ -1,9 +1,11 @@
 """steer import: the stages compute from a recording what its log holds, or the recording is refused."""
 
+import errno
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -21,7 +23,7 @@ from pipeline.settings import preset
 from pipeline.video.import_recording import GAP_S, cut
 from stages import check, ingest, labels
 from steer.import_ import import_recording
-from tests.kitti_drive import SIZE, contents, pictures, write_folder, write_params, write_video
+from tests.kitti_drive import SIZE, contents, pictures, write, write_folder, write_params, write_video
 
 DRIVES = ("2027_03_31_drive_0001", "2027_03_31_drive_0002")
 FRAMES = 12
@@ -189,6 +191,16 @@ def test_drives_of_a_date_share_the_camera(take, video):
     for drive, replace in ((DRIVES[0], True), ("2027_03_31_drive_0003", False)):
         with pytest.raises(InputError, match="another camera"):
             take(video, drive, replace=replace)
+
+
+def test_a_failed_or_killed_import_leaves_nothing(tmp_path, take, video, monkeypatch):
+    write(tmp_path / f"raw/2027_03_31/.{DRIVES[0]}_sync.killed.tmp/0.png", "half an image")
+    with monkeypatch.context() as patch:
+        patch.setattr("pipeline.video.import_recording.write_png", Mock(side_effect=OSError(errno.ENOSPC, "No space")))
+        with pytest.raises(InputError, match=r"raw/2027_03_31: disk is full: images need up to 0 MB"):
+            take(video)
+    assert not any((tmp_path / "raw").iterdir())
+    assert len(take(video).images(2)) == FRAMES
 
 
 PLAINLY_WRONG = [

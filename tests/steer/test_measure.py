@@ -142,6 +142,7 @@ def test_unsuitable_inputs(tmp_path, encoder, monkeypatch):
     images = write_folder(tmp_path / "images", drive(4))
     rotated = write_folder(tmp_path / "rotated", [np.rot90(view) for view in drive(2)])
     write(tmp_path / "kept/poses.txt", "mine")
+    write(tmp_path / "killed/.work1/ingest.h5", "")
     monkeypatch.chdir(tmp_path)
     for _ in range(2):
         measure(images, encoder=encoder, video=False, **LENS)
@@ -149,7 +150,8 @@ def test_unsuitable_inputs(tmp_path, encoder, monkeypatch):
         assert len(read(tmp_path / f"out/{name}")["frame"]) == 4
     for path, options, problem in (
         (images, {"encoder": tmp_path}, "no encoder"),
-        (images, {"out": tmp_path / "kept"}, "exists already"),
+        (images, {"out": tmp_path / "kept"}, "exists already and holds poses.txt"),
+        (images, {"out": tmp_path / "killed"}, "exists already and holds .work1 of a run that did not end"),
         (rotated, {}, "taller than wide"),
         (images, {"video": False}, r"4 frames need up to 0\.0 GB"),
     ):

@@ -98,11 +98,6 @@ def encoded(kind: str, pixels: np.ndarray) -> bytes:
 NOISE = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
 
 
-def test_an_opaque_alpha_channel_is_left_out(tmp_path):
-    (tmp_path / "a").write_bytes(encoded(".png", np.dstack([NOISE, np.full(NOISE.shape[:2], 255, np.uint8)])))
-    np.testing.assert_array_equal(read_pixels(tmp_path / "a"), NOISE[..., ::-1])
-
-
 @pytest.mark.parametrize(
     ("content", "problem"),
     [

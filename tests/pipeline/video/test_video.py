@@ -39,6 +39,7 @@ def times_of(path: Path, **options: Any) -> list[float]:
 def test_order_and_times_follow_the_numbers_in_names(tmp_path):
     for name, grey in {"img_10.png": 80, "img_9.png": 0, "img_13.JPG": 160, "img_11.png": 7, "._img_9.png": 9}.items():
         write_png(tmp_path / name, np.full((*SIZE, 3), grey))
+    cv2.imwrite(str(tmp_path / "img_11.png"), np.full((*SIZE, 4), [7, 7, 7, 255], np.uint8))  # opaque
     (tmp_path / "notes.txt").write_text("not an image")
     frames = list(open_recording(tmp_path, fps=4).frames())
     assert [frame.image.mean() for frame in frames if frame.image is not None] == [0, 80, 7, 160]

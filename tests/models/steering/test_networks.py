@@ -65,29 +65,6 @@ def test_batch_equals_single_frames(name, counts, device):
     torch.testing.assert_close(together, alone, **TOLERANCE)
 
 
-@each_network
-def test_both_are_the_frames_and_their_mirror_images(name):
-    """And mirroring is no identity, but for a network without input."""
-    net, kind = build(name)
-    batch = frames.batch(COUNTS, kind)
-    original, mirrored = net(batch), net(batch.mirrored())
-    assert torch.equal(original, mirrored) == (name == "blind")
-    if hasattr(net, "both"):
-        torch.testing.assert_close(net.both(batch), (original, mirrored), **TOLERANCE)
-
-
-@each_network
-def test_all_weights_learn_and_features_suit_the_recurrent_network(name):
-    net, kind = build(name)
-    out = net(frames.batch(COUNTS, kind))
-    if name != "cnn":  # ReLU, as in the NCP paper
-        assert out.abs().max() <= 1
-    parameters = list(net.parameters())
-    assert bool(parameters) == (name != "blind")
-    if parameters:
-        assert all(gradient.any() for gradient in torch.autograd.grad((out * torch.randn_like(out)).sum(), parameters))
-
-
 @pytest.mark.parametrize("layers", [(30, 5, 12), (4,)])
 @pytest.mark.parametrize("block", [4, 30, 10**6])  # points: a frame each, some frames, all
 def test_gcn_equals_pyg(monkeypatch, layers, block):

@@ -19,13 +19,13 @@ OTHER = "2011_09_26_drive_0002"
 NEW = (36, 48)
 
 
-def run(tmp_path: Path, drives: tuple[str, str] = (DRIVE, OTHER), **settings: Any) -> DriveReader:
-    """Ingest the drives below ``raw`` and open the first one's file."""
-    params = write_params(tmp_path / "params.yaml", train=[drives[0]], test=[drives[1]], **settings)
-    if drives[1] == OTHER and not (tmp_path / "raw" / DATE / f"{OTHER}_sync").exists():
+def run(tmp_path: Path, **settings: Any) -> DriveReader:
+    """Ingest DRIVE and OTHER below ``raw`` and open the file of DRIVE."""
+    params = write_params(tmp_path / "params.yaml", train=[DRIVE], test=[OTHER], **settings)
+    if not (tmp_path / "raw" / DATE / f"{OTHER}_sync").exists():
         write_drive(tmp_path / "raw", OTHER, seed=1)
     folder = ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params)
-    return DriveReader(folder / f"{drives[0]}.h5", stage="ingest")
+    return DriveReader(folder / f"{DRIVE}.h5", stage="ingest")
 
 
 def test_rows_go_by_frame_number(tmp_path):

@@ -46,16 +46,6 @@ def test_labels_of_two_drives(tmp_path, capsys):
     assert "4 frames, 3 valid, 2 turning" in capsys.readouterr().out
 
 
-def test_the_path_ahead_is_written_only_with_edges(tmp_path):
-    write_ingest(tmp_path / "ingest", speed=[10.0] * 30, yaw_rate=[0.2] * 30)
-    left, right = run(tmp_path, ahead_m=[0, 5, 20])
-    np.testing.assert_allclose(left["ahead_1pm"][left["ahead_valid"] == 1], 0.02)
-    np.testing.assert_array_equal(right["ahead_1pm"], -left["ahead_1pm"])
-    assert left["ahead_valid"].sum(axis=0).tolist() == pytest.approx([25, 10], abs=1)  # 30 frames are 29 m
-    assert left.params["labels"]["ahead_m"] == [0, 5, 20]
-    assert "ahead_1pm" not in run(tmp_path)[0]
-
-
 @pytest.fixture
 def recorded(tmp_path) -> Path:
     """One drive with recorded angles and without oxts, one with both; motion is measured in both."""
@@ -98,6 +88,7 @@ def test_an_interpolated_packet_is_no_target_and_ends_the_path_ahead(tmp_path, c
         assert text in capsys.readouterr().out
         if source != "visual":
             assert np.flatnonzero(file["ahead_valid"]).tolist() == [*range(15), *range(21, 25)]
+            np.testing.assert_allclose(file["ahead_1pm"][file["ahead_valid"] == 1], 0.2 / 11)
 
 
 @pytest.mark.real

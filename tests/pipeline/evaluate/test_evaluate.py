@@ -41,10 +41,6 @@ def case(drive: LabelledDrive, *seeds: np.ndarray, mean: float = 0.0) -> metrics
     return metrics.Case(drive, [Prediction(angles) for angles in seeds], scale)
 
 
-def scores(cases: list[metrics.Case]) -> dict[str, Any]:
-    return metrics.metrics(cases, load(Evaluate, PARAMS))["steering_rad"]
-
-
 def test_invalid_and_early_frames_do_not_count(folder):
     test = read(folder)
     predicted = [drive.target + 0.01 for drive in test]
@@ -58,12 +54,6 @@ def test_invalid_and_early_frames_do_not_count(folder):
     assert found["mse"] == pytest.approx(0.01**2)
     assert found["nmse_ci95"][0] <= found["nmse"] <= found["nmse_ci95"][1]
     assert found["nmse_by_seed"] == [found["nmse"]]
-
-
-def test_seeds_are_averaged_over_frames_with_a_label(folder):
-    first, second = read(folder, horizon=2)  # the last two frames have no label 2 frames ahead
-    found = scores([case(first, first.target + 0.01, first.target + 0.03), case(second, *[second.target] * 2)])
-    assert (found["frames"], found["mse"]) == (2 * 28, pytest.approx((0.01**2 + 0.03**2) / 4))
 
 
 @pytest.mark.parametrize("source", ["oxts", "visual"])

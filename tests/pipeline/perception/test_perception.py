@@ -18,7 +18,7 @@ from pipeline.perception.create import create, fetch
 from pipeline.perception.examples import Example, Examples, mirrored
 from pipeline.perception.fit import depth_and_class_loss
 from pipeline.perception.ground_plane import ground_plane_depth, limit_traffic_depth
-from pipeline.perception.perceive import load, passes, save
+from pipeline.perception.perceive import passes, save
 from pipeline.perception.scores import Scores, Truth, depth_errors, read_truth
 from pipeline.settings.encoder import Encoder
 from tests import street
@@ -108,18 +108,6 @@ def test_the_loss_ignores_unknown_pixels_and_matches_hand_values():
     depth, true_depth = torch.tensor([[[2.0, 8.0, 5.0]]]), torch.tensor([[[4.0, 8.0, 0.0]]])
     loss = depth_and_class_loss(depth, logits, true_depth, torch.tensor([[[3, 255, 7]]]))
     np.testing.assert_allclose(loss, [(np.log(2) / 2 + 0.5 / 2) / 2, np.log(19) / 2], rtol=1e-5)
-
-
-def test_a_saved_encoder_loads_unchanged_and_its_file_is_deterministic(tmp_path):
-    model = build(SMALL)
-    save(tmp_path, SMALL, model.state_dict())
-    architecture, loaded = load(tmp_path / "encoder.pt")
-    assert architecture == SMALL
-    assert not loaded.training
-    for name, tensor in model.state_dict().items():
-        assert torch.equal(tensor, loaded.state_dict()[name].cpu()), name
-    save(tmp_path / "other", SMALL, loaded.state_dict())  # it runs with channels last
-    assert (tmp_path / "other/encoder.pt").read_bytes() == (tmp_path / "encoder.pt").read_bytes()
 
 
 def test_passes_give_the_same_bits_for_any_number_of_threads(monkeypatch):

@@ -91,7 +91,10 @@ def test_target_is_the_label_horizon_frames_ahead_by_frame_number(folder):
 
 
 def test_motion_and_base_of_a_batch(folder):
-    """Not measured in frames 0 and 5: the angle is held, odometry is unknown before the first measurement."""
+    """Not measured in frames 0 and 5: the angle is held, odometry is unknown before the first measurement.
+
+    Hidden motion is that of frames without measurement, and has no base.
+    """
     moved = ~np.isin(np.arange(23), [0, 5])
     for drive in read(folder):
         artefacts.add_motion(drive.graphs, drive.target[:, 0], moved)
@@ -111,6 +114,11 @@ def test_motion_and_base_of_a_batch(folder):
     assert (unbased["motion"] == batch["motion"]).all()
     assert not plain["base"].any()
     assert not unbased["base"].any()
+    hidden = batch_of(drives, group[0], replace(group[1], hidden=True))
+    for name, first in (("motion", 11), ("base", 4)):  # rows of the first span
+        assert (hidden[name][:first] == batch[name][:first]).all()
+        assert not hidden[name][first:].any()
+    assert (hidden["target"] == batch["target"]).all()
 
 
 @pytest.mark.parametrize("others", [10, 23, 60])
@@ -153,21 +161,6 @@ def test_batches_are_the_same_with_each_reader(folder, workers):
                 assert batch.keys() == expected.keys()
                 for name, tensor in batch.items():
                     np.testing.assert_array_equal(tensor.numpy(), expected[name], strict=True)
-
-
-def test_hidden_motion_is_not_measured_and_has_no_base(folder):
-    for name in NAMES:
-        artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", np.full(23, 0.2))
-    moving = read(folder, horizon=5, motion="visual")
-    first, second = windows.Span(0, 2, 11), windows.Span(1, 4, 13)
-    shown, half = (batch_of(moving, first, span, window=4) for span in (second, replace(second, hidden=True)))
-    assert (shown["base"] != 0).all()
-    assert (shown["motion"][:, 3] == 1).all()
-    for name in ("motion", "base"):
-        first = len(shown[name]) // 2
-        assert (half[name][:first] == shown[name][:first]).all()
-        assert not half[name][first:].any()
-    assert (half["target"] == shown["target"]).all()
 
 
 @pytest.mark.parametrize(

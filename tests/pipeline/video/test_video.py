@@ -57,16 +57,6 @@ def test_black_bars_and_interlaced_fields_are_said(tmp_path):
     assert re.search(r"crop=320:9\d:0:8 cropped.mp4, cx - 0 and cy - 8", bars)
 
 
-def test_frames_and_times_of_the_container(tmp_path):
-    images = pictures(12)
-    video = open_recording(write_video(tmp_path / "a.mp4", images, fps=12.5))
-    assert (video.size, len(video.kept), video.notes) == (SIZE, 12, [])
-    frames = list(video.frames())
-    np.testing.assert_allclose([frame.time_s for frame in frames], np.arange(12) / 12.5, atol=1e-3)
-    assert np.abs(np.array([frame.image for frame in frames], float) - images).mean() < 4
-    assert len(list(video.frames())) == 12  # a second pass
-
-
 def test_times_are_those_of_a_file_or_of_names_in_nanoseconds(tmp_path):
     """Also those of a raw stream; another number of them is refused."""
     for stamp in (1479424215880976321, 1479424215930976321, 1479424216040976321):

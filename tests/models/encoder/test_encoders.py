@@ -4,6 +4,7 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -13,6 +14,7 @@ import torch.nn.functional as F
 import transformers
 from torch import nn
 
+from models.encoder import hugging_face
 from models.encoder.dinov2 import read_head
 from models.encoder.efficientvit import HEAD_WIDTH, LinearAttention
 from models.encoder.hugging_face import CityscapesLogits
@@ -268,6 +270,13 @@ def test_files_of_a_network_run_no_code(create, folder, tmp_path, kind, names, f
     with pytest.raises(ValueError, match="cannot load"):
         create(kind, **names)
     assert not sprung.exists()
+
+
+def test_a_hub_out_of_reach_is_one_line(monkeypatch):
+    out_of_reach = Mock(side_effect=FileNotFoundError("cannot reach the hub\nPlease check your connection"))
+    monkeypatch.setattr("huggingface_hub.snapshot_download", out_of_reach)
+    with pytest.raises(ValueError, match=r"^cannot load 'a/network': cannot reach the hub$"):
+        hugging_face.describe("a/network")
 
 
 def test_depth_of_streets_grows_with_the_focal_length_and_classes_do_not():

@@ -121,7 +121,7 @@ def _write_logs(folder: Path, time_s: np.ndarray, usable: np.ndarray, camera: Ca
     Packets hold speed and yaw rate; the rest is unknown, 0.
     """
     if camera.horizon is not None:
-        write_entries(folder / HORIZON, {f"horizon_{CAMERA:02d}": np.array([camera.horizon])})
+        write_entries(folder / HORIZON, {f"horizon_{CAMERA:02d}": np.array([round(camera.horizon, 2)])})
     times = format_times(time_s - time_s[0], folder.name[:10], _NOON_S)
     (folder / _IMAGES / "data").mkdir(parents=True)
     (folder / _IMAGES / "timestamps.txt").write_bytes(times)

@@ -148,7 +148,7 @@ def run_chain(source: Source, work: Path, reading: Reading, perception: Percepti
     frames, free = len(source.time_s), shutil.disk_usage(work).free
     needed = frames * height * width * BYTES_PER_PIXEL
     if needed > free:
-        problem = f"{frames} frames need up to {needed / 1e9:.1f} GB, but {free / 1e9:.1f} GB are free"
+        problem = f"{frames} frames need up to {needed / 1e9:.2g} GB, but {free / 1e9:.2g} GB are free"
         raise InputError(problem, work, "Pass an --out on another disk")
     perception = perception.model_copy(update={"camera_height_m": source.camera.height_m})
     ingest, perceived, known = work / INGEST, work / PERCEPTION, source.height_known

@@ -153,7 +153,7 @@ def test_unsuitable_inputs(tmp_path, encoder, monkeypatch):
         (images, {"out": tmp_path / "kept"}, "exists already and holds poses.txt"),
         (images, {"out": tmp_path / "killed"}, "exists already and holds .work1 of a run that did not end"),
         (rotated, {}, "taller than wide"),
-        (images, {"video": False}, r"4 frames need up to 0\.0 GB"),
+        (images, {"video": False}, r"4 frames need up to 0\.0029 GB"),
     ):
         if "video" in options:
             monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=10**6))

@@ -1,7 +1,7 @@
 """Steps, the car's motion since the previous frame: their durations, rates, and the filter of their speeds.
 
-``T_before_now`` takes points from the frame's rectified camera coordinates (x right, y down, z forward) to those of the
-previous frame. Its translation is the camera's new position in the previous frame.
+``T_before_now`` takes points from this frame's rectified camera (x right, y down, z forward) to the previous frame's.
+Its translation is the camera's new position in the previous frame.
 """
 
 import math

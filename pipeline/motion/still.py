@@ -24,7 +24,7 @@ def warnings(share: float) -> list[str]:
 
 
 class Still:
-    """Sums of squared changes from image to image: those of a drive, and those expected from a STEP straight ahead.
+    """Sums of squared changes from image to image, as recorded and as expected from a STEP straight ahead.
 
     No pixel below the horizon shows anything farther than the ground. So when the car moves, it changes at least as
     much as the ground there would, unless it shows a part of the car, or text.

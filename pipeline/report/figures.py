@@ -55,7 +55,7 @@ def _draw_typical_bend(path: Path, group: Group, data: Path) -> Figures:
     _draw_chain(path, view, graph, steering[steering["drive"] == drive])
     caption = (
         f"From image to steering (Figure 1 of the paper): frame {number} of {drive}, a drive of median error of "
-        f"{model['model']}. For this frame the network gets the graph shown and those of the "
+        f"{model['model']}. For this frame the network gets the graph shown and the graphs of the "
         f"{model['entry']['window'] - 1} frames before."
     )
     return {path.stem: caption}, (view, graph)

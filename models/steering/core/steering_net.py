@@ -47,7 +47,7 @@ class FeatureScale(nn.Module):
         self.register_buffer("steps", torch.tensor(0))
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return features in (-1, 1) for those of B frames, both [B,F]."""
+        """Standardise the features of B frames: [B,F] → [B,F] in (-1, 1)."""
         mean, variance = self.mean, self.variance
         if self.training:
             mean = x.mean(0) if self.centred else mean

@@ -34,7 +34,7 @@ class Layout(OptionGroup):
     inter_fanout: Count = 4
     recurrent_command_synapses: Annotated[int, Field(ge=0)] = 6
     motor_fanin: Count = 6
-    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None  # null: that of the training run
+    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None  # null: the training run's seed
 
 
 def ncp(inputs: int, layout: Layout = Layout(), motor: int = 1) -> Wiring:

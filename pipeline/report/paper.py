@@ -1,4 +1,4 @@
-"""The seven networks of the paper: their settings (Table 1) and errors (Table 2)."""
+"""The paper's seven networks, with their settings (Table 1) and errors (Table 2), and its claims about them."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -35,6 +35,37 @@ PAPER = {  # in the order of Table 2
         {**_GRAPHS, "input": ("semantic",), "temporal": ("ncp",), "semantics": (1.0,)}, 0.037, 0.0771
     ),
 }
+
+
+class Claim(NamedTuple):
+    """A claim of the paper about two models: the first has a smaller error, or, if `alike`, one as large."""
+
+    text: str
+    model: str
+    rival: str
+    alike: bool = False
+
+    def verdict(self, compared: str) -> str:
+        """Return the verdict on the claim for the :func:`errors.verdict` of model minus rival."""
+        return {"better": "reversed" if self.alike else "confirmed", "worse": "reversed"}.get(compared, compared)
+
+    @property
+    def ratio(self) -> float | None:
+        """The paper's test MSE of the model relative to the rival's; None without both."""
+        pair = PAPER.get(self.model), PAPER.get(self.rival)
+        return pair[0].test_mse / pair[1].test_mse if pair[0] and pair[1] else None
+
+
+# keep-100: sa-gnn-ncp with all edges; lambda-0: with λ = 0 in eq. 7.
+CLAIMS = (
+    Claim("3D from images is better than images alone", "sa-gnn-ncp", "cnn-ncp"),
+    Claim("graph networks are better than PointNet++", "gnn-ncp", "pointnet2-ncp"),
+    Claim("depth from images is at least as good as LiDAR", "do-gnn-ncp", "gnn-ncp"),
+    Claim("classes with pruning help", "sa-gnn-ncp", "do-gnn-ncp"),
+    Claim("… classes alone", "sa-gnn-ncp", "lambda-0"),
+    Claim("… pruning alone", "sa-gnn-ncp", "keep-100"),
+    Claim("NCP and LSTM are alike", "gnn-ncp", "gnn-lstm", alike=True),
+)
 
 
 def find(settings: Mapping[str, Any]) -> Published | None:

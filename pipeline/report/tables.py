@@ -10,6 +10,7 @@ import pandas as pd
 
 from pipeline.base.params import SPLITS
 from pipeline.evaluate.errors import interval_text
+from pipeline.report import paper
 from pipeline.report.results import BASELINES, NO_LEARNING, USELESS, Group, Row
 from pipeline.settings.graphs import Variant
 
@@ -25,6 +26,10 @@ _RESULTS = (
 _PAPER = (
     "MSE in rad²; train and val: on all frames of the model. paper: its Table 2, for models with the settings "
     "of one of its networks. Its unit cannot be rad² of this label (docs/paper.md): compare order and ratio only."
+)
+_CLAIMS = (
+    "nmse and mean absolute error of both networks; MSE of the first relative to the second's, in the paper's Table 2 "
+    "and here; the verdict is by the paired difference in nmse and its 95 % interval, as under Differences."
 )
 _UNCERTAINTY = (
     "NLL: mean negative log-likelihood in nats under a normal distribution with the predicted σ, which is scaled on "
@@ -133,8 +138,10 @@ def steering_tables(groups: Sequence[Group]) -> list[Table]:
             tables.append(Table(f"Without onsets: {group.title}", _results(group, onsets=False)))
         tables.append(Table(f"Differences: {group.title}", _differences(group), _DIFFERENCES))
         tables.append(Table(f"Uncertainty: {group.title}", _uncertainty(group), _UNCERTAINTY))
-    published = [row for group in groups if group.key == "angle-0" for row in _as_published(group)]
+    now = [group for group in groups if group.key == "angle-0"]
+    published, judged = ([row for group in now for row in rows(group)] for rows in (_as_published, _claims))
     models = [_model(row) for group in groups for row in group.models]
+    tables.insert(len(groups), Table("The paper's claims", judged, _CLAIMS))
     tables += [Table("MSE as in the paper's Table 2", published, _PAPER), Table("Models", models)]
     return [table for table in tables if table.rows]
 
@@ -230,6 +237,40 @@ def _as_published(group: Group) -> list[dict[str, str]]:
         | {f"paper {split}": number(getattr(row["paper"], f"{split}_mse", None)) for split in ("train", "test")}
         for row in group.models
     ]
+
+
+def _claims(group: Group) -> list[dict[str, str]]:
+    rows = []
+    for claim in paper.CLAIMS:
+        pair = claim.model, claim.rival
+        if {*pair} <= group.predicted.keys():
+            difference, bounds = group.nmse(claim.model, minus=claim.rival)
+            errors = [(group.nmse(name)[0], group.mae_deg(name)) for name in pair]
+            rows.append(claim_cells(claim, errors, difference, bounds, group.verdict(bounds, *pair)))
+    return rows
+
+
+def claim_cells(
+    claim: paper.Claim,
+    errors: Sequence[tuple[float | None, float]],
+    difference: float | None,
+    bounds: list[float] | None,
+    compared: str,
+) -> dict[str, str]:
+    """Return a row about a claim: nmse and mean error in degrees of both networks, ratios of MSE, and the verdict.
+
+    `difference`, `bounds`, `compared`: in nmse, its interval and :func:`errors.verdict`.
+    """
+    (ours, ours_deg), (other, other_deg) = errors
+    return {
+        "the paper's claim": claim.text,
+        "networks": f"{claim.model}, {claim.rival}",
+        "nmse": f"{number(ours, '.3f')}, {number(other, '.3f')}",
+        "mean error": f"{number(ours_deg, '.2f')}°, {number(other_deg, '.2f')}°",
+        "MSE ratio: paper": number(claim.ratio, ".2f"),
+        "here": number(ours / other if ours is not None and other else None, ".2f"),
+        "verdict": f"{claim.verdict(compared)}, {number(difference, '+.3f')} ({interval_text(bounds, '+.3f')})",
+    }
 
 
 def _model(row: Row) -> dict[str, str]:

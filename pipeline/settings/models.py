@@ -38,7 +38,7 @@ class Entry(Section):
     uncertainty: bool = False  # predict the standard deviation of the error, too
     # others: a network per test drive, trained on the other test drives; train-then-others: before, on training drives
     fit_to: Literal["train", "others", "train-then-others"] = "train"
-    train_drives: Count | None = None  # use only the first n training drives; null: all
+    train_drives: Count | None = None  # use only n training drives, evenly spread, for as many steps; null: all
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -55,7 +55,8 @@ def folds(splits: Mapping[str, str], entry: Entry) -> list[Fold]:
     train, val, test = (tuple(store.drives_in(splits, split)) for split in ("train", "val", "test"))
     if limit is not None and limit > len(train):
         raise InputError(f"train_drives = {limit}, but there are {len(train)} training drives")
-    train = train[:limit]
+    if limit is not None:  # evenly spread, and repeated for as many steps per epoch as with all
+        train = tuple(train[number % limit * len(train) // limit] for number in range(len(train)))
     result = [Fold(None, train, val, test)]
     if fit_to != "train":
         start = Fold(None, train, val, ()) if fit_to == "train-then-others" else None

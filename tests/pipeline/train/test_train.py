@@ -434,7 +434,9 @@ def test_runs_are_seeds_and_folds():
         assert [run.folder for run in result] == [model / "fold-z", model / "seed-5/fold-x"]
         assert str(result[0]) == "seed 0 without z"
         assert result[1].start == (start and runs.Run(5, start, model / "seed-5/first"))
-    assert runs.folds(SPLITS, entry(fit_to="train-then-others", train_drives=1))[0].start.train == ("a",)
+    many = {f"{number}": "train" for number in range(5)} | SPLITS
+    assert runs.folds(many, entry(train_drives=2))[0].train == ("0", "3", "0", "3", "0", "3", "0")
+    assert runs.folds(SPLITS, entry(fit_to="train-then-others", train_drives=1))[0].start.train == ("a", "a")
     with pytest.raises(InputError, match="2 training drives"):
         runs.folds(SPLITS, entry(train_drives=3))
     with pytest.raises(InputError, match="two test drives"):

@@ -6,7 +6,7 @@ frame, and it needs all four cameras.
 """
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -105,16 +105,25 @@ class KittiDrive:
 
 
 def find_drives(root: Path, drives: Sequence[str]) -> dict[str, KittiDrive]:
-    """Return the named drives (such as 2011_09_26_drive_0052) below `root`. Raises InputError if one is missing."""
+    """Return those of the named drives (such as 2011_09_26_drive_0052) that are below `root`.
+
+    Raises InputError if `root` is missing.
+    """
     if drives and not root.is_dir():
         fix = f"KITTI: ln -s /path/to/kitti {root}. Sample: dvc repro sample. Only training? dvc pull labels graphs"
         raise InputError("folder is missing", root, fix)
+    folders = {drive: root / drive[:10] / f"{drive}_sync" for drive in drives}
+    return {drive: KittiDrive(folder) for drive, folder in folders.items() if folder.is_dir()}
+
+
+def check_splits(splits: Mapping[str, str], found: Collection[str], root: Path) -> None:
+    """Raise InputError if a split of drive → split has no drive of `found`; `root` has known ones, for the message."""
     known = sorted(path.name.removesuffix("_sync") for path in root.glob("????_??_??/*_drive_????_sync"))
-    for drive in drives:
-        if drive not in known:
-            problem = f"drive {drive} of ingest.drives is missing ({closest(drive, known)})"
-            raise InputError(problem, root, "Extract it, or take it out of ingest.drives")
-    return {drive: KittiDrive(root / drive[:10] / f"{drive}_sync") for drive in drives}
+    for split in dict.fromkeys(splits.values()):
+        drives = [drive for drive in splits if splits[drive] == split]
+        if not {*drives} & {*found}:
+            problem = f"no drive of ingest.drives.{split} is there: {', '.join(drives)} ({closest(drives[0], known)})"
+            raise InputError(problem, root, "Extract one, or name others in ingest.drives")
 
 
 def read_scan(path: Path) -> np.ndarray:

@@ -20,8 +20,8 @@ NEW = (36, 48)
 
 
 def run(tmp_path: Path, **settings: Any) -> DriveReader:
-    """Ingest DRIVE and OTHER below ``raw`` and open the file of DRIVE."""
-    params = write_params(tmp_path / "params.yaml", train=[DRIVE], test=[OTHER], **settings)
+    """Ingest DRIVE and OTHER below ``raw``, which lacks a third drive, and open the file of DRIVE."""
+    params = write_params(tmp_path / "params.yaml", train=[DRIVE, "2011_09_26_drive_0003"], test=[OTHER], **settings)
     if not (tmp_path / "raw" / DATE / f"{OTHER}_sync").exists():
         write_drive(tmp_path / "raw", OTHER, seed=1)
     folder = ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params)

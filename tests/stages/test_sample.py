@@ -25,11 +25,13 @@ def write_params(path: Path, lidar: bool = False, epochs: int = 0, **frames: int
 
 
 def test_drives_of_the_params(tmp_path):
-    """A missing drive of KITTI is an error; scans and truth of training drives are rendered only where used."""
+    """A split without a drive is an error; scans and truth of training drives are rendered only where used."""
     params, out = write_params(tmp_path / "params.yaml", train=2, val=1, test=3), tmp_path / "sample"
     kitti = tmp_path / "raw" / KITTI[:10] / f"{KITTI}_sync"
     kitti.with_name("2011_09_26_drive_0001_sync").mkdir(parents=True)
-    with pytest.raises(InputError, match=f"drive {KITTI} of ingest.drives is missing"):
+    with pytest.raises(
+        InputError, match=f"no drive of ingest.drives.val is there: {KITTI} .did you mean 2011_09_26_drive_0001"
+    ):
         sample.main(out, params, tmp_path / "raw")
     assert not out.exists()
     kitti.mkdir()

@@ -36,7 +36,8 @@ def main(
     perceived = tables.perception_tables(scores) if scores else []
     notes += [f"{kind}: {line}" for kind, row in scores["recorded"].items() for line in row["lines"]] if scores else []
     story = tables.sentences(groups, [model for model in models if model not in evaluated])
-    text = "\n\n".join([*(fill(line, 110) for line in story), *(table.markdown() for table in (*steering, *perceived))])
+    summary = "\n\n".join(fill(line, 110) for line in story)
+    text = "\n\n".join([summary, *(table.markdown() for table in (*steering, *perceived))]).lstrip()
     with stage_folder("report", out, shared=True) as folder:
         (folder.new / "table.md").write_text(f"{text}\n", encoding="utf-8")
         store.write_json(folder.new / "metrics.json", results.dvc_metrics(groups))
@@ -49,7 +50,7 @@ def main(
             curve.to_csv(folder.new / f"learning/{network}.csv", index=False, lineterminator="\n", na_rep="nan")
         figures = draw(folder.new / "figures", groups, data)
         write_page(folder.new / "index.html", story, groups, steering, [*notes, *perceived], figures)
-    print(text)
+    print(summary, f"Tables: {out}/table.md. Page: {out}/index.html", sep="\n")
     return out
 
 

@@ -110,31 +110,3 @@ def untrained(nmse: np.ndarray) -> list[int]:
 def interval_text(bounds: Sequence[float] | None, form: str = ".3f") -> str:
     """Return the bounds of an :func:`interval` as text, the reason if it is None."""
     return "too short for an interval" if bounds is None else " to ".join(format(bound, form) for bound in bounds)
-
-
-def uncertainty(
-    truth: np.ndarray, predicted: np.ndarray, sigma: np.ndarray, half_95: np.ndarray
-) -> dict[str, float] | None:
-    """Return means over S seeds' predictions [S,N] with standard deviations and halves of 95 % intervals [S,N].
-
-    - nll: mean negative log-likelihood of a normal distribution, in nats; nll_constant: the same with one σ for all
-      frames, the RMSE on these frames, which is the best constant.
-    - coverage_68, coverage_95: share of true values within ±σ of the prediction, and in its 95 % interval.
-    - mae_certain: mean error of the half with the smaller σ.
-    """
-    if not len(truth):
-        return None
-    error = np.abs(predicted - truth)
-    rmse = np.sqrt(np.mean(error**2, axis=1, keepdims=True))
-    by_sigma = np.take_along_axis(error, np.argsort(sigma, axis=1), axis=1)
-    return {
-        "nll": _nll(error, sigma),
-        "nll_constant": _nll(error, np.broadcast_to(rmse, error.shape)),
-        "coverage_68": float(np.mean(error <= sigma)),
-        "coverage_95": float(np.mean(error <= half_95)),
-        "mae_certain": float(by_sigma[:, : (error.shape[1] + 1) // 2].mean()),
-    }
-
-
-def _nll(error: np.ndarray, sigma: np.ndarray) -> float:
-    return float(np.mean(np.log(sigma) + (error / sigma) ** 2 / 2 + math.log(2 * math.pi) / 2))

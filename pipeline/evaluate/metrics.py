@@ -14,7 +14,7 @@ from pipeline.evaluate import errors
 from pipeline.evaluate.turns import Turns, drift, near_onsets, read_turns
 from pipeline.labels import label
 from pipeline.settings.evaluate import Evaluate
-from pipeline.train.loss import Prediction, Scale, joined
+from pipeline.train.loss import Scale
 from pipeline.train.targets import LabelledDrive
 
 SIZES = {"points_per_frame": "points", "edges_per_frame": "edges_kept", "edges_per_frame_unpruned": "edges_knn"}
@@ -25,7 +25,7 @@ class Case:
     """A drive with the predictions of a model's S seeds for its G frames in R columns."""
 
     drive: LabelledDrive
-    predictions: Sequence[Prediction]  # [S]
+    predictions: Sequence[np.ndarray]  # [S], each [G,R]
     scale: Scale
 
     @cached_property
@@ -61,19 +61,17 @@ def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, An
     """Return column → errors with confidence interval, of frames with a target and a prediction; and drift."""
     drives = [case.drive for case in cases]
     truth = np.concatenate([drive.target for drive in drives])  # [N,R]
-    by_seed = [joined(seed) for seed in zip(*(case.predictions for case in cases), strict=True)]
-    fields = zip(*by_seed, strict=True)  # of Prediction
-    predicted, *certain = (np.stack(values) for values in fields if values[0] is not None)  # [S,N,R]
+    by_seed = zip(*(case.predictions for case in cases), strict=True)
+    predicted = np.stack([np.concatenate(seed) for seed in by_seed])  # [S,N,R]
     error = (predicted - truth) ** 2
     number = np.repeat(np.arange(len(drives)), [len(drive.frame) for drive in drives])
     result = {}
     for column, name in enumerate(drives[0].columns):
         known = np.isfinite(error[..., column]).all(axis=0)
-        true, of_seeds, *sigmas = (values[..., column][..., known] for values in (truth, predicted, *certain))
+        true, of_seeds = truth[known, column], predicted[:, known, column]
         result[name] = errors.scores(true, of_seeds) | {
             "nmse_ci95": errors.interval(error[..., column], truth[:, column], number, settings),
             "nmse_by_seed": [errors.scores(true, one_seed)["nmse"] for one_seed in of_seeds],
-            "uncertainty": errors.uncertainty(true, of_seeds, *sigmas) if certain else None,
             "drift_m_per_100m": _drift(cases),
         }
     return result
@@ -84,7 +82,7 @@ def _drift(cases: Sequence[Case]) -> float | None:
     if cases[0].drive.horizon or cases[0].drive.ahead_m:
         return None
     by_seed = [
-        drift((case.drive, case.turns, case.predictions[seed].mean[:, 0]) for case in cases)
+        drift((case.drive, case.turns, case.predictions[seed][:, 0]) for case in cases)
         for seed in range(len(cases[0].predictions))
     ]
     values = [value for value in by_seed if value is not None]
@@ -125,15 +123,13 @@ def write_predictions(path: Path, cases: Sequence[Case], seed: int) -> None:
 
     `frame`, `time_s` and `speed_mps` belong to the last input frame. For each column C of the model, `true_C` and
     `predicted_C` are those `horizon` frames later. Further columns are the :meth:`Case.baselines`, for instance
-    `odometry_C`; `near_onset_C`, 1 close to the onset of a turn (turns.py); `sigma_C` of models with uncertainty.
+    `odometry_C`; and `near_onset_C`, 1 close to the onset of a turn (turns.py).
     """
     tables = []
     for case in cases:
-        drive, (mean, sigma, _) = case.drive, case.predictions[seed]
-        values = {"true": drive.target, "predicted": mean, **case.baselines()}
+        drive = case.drive
+        values = {"true": drive.target, "predicted": case.predictions[seed], **case.baselines()}
         values["near_onset"] = near_onsets(drive, case.turns).astype(int)
-        if sigma is not None:
-            values["sigma"] = sigma
         table = {"drive": drive.name, "frame": drive.frame, "time_s": drive.time_s, "speed_mps": drive.driven.speed_mps}
         for (number, name), (kind, of) in product(enumerate(drive.columns), values.items()):
             table[f"{kind}_{name}"] = of[:, number]

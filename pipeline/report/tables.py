@@ -31,12 +31,6 @@ _CLAIMS = (
     "nmse and mean absolute error of both networks; MSE of the first relative to the second's, in the paper's Table 2 "
     "and here; the verdict is by the paired difference in nmse and its 95 % interval, as under Differences."
 )
-_UNCERTAINTY = (
-    "NLL: mean negative log-likelihood in nats under a normal distribution with the predicted σ, which is scaled on "
-    "the validation drives; constant σ: with the best single σ. within σ: share of errors of at most σ. in 95 % "
-    "interval: of at most the multiple of σ that covers 95 % of the validation errors. certain half: mean error of the "
-    "half with the smaller σ, relative to that of all frames that the model predicts."
-)
 _DIFFERENCES = (
     "Paired difference in nmse on the frames of the results, mean over the seeds, with its 95 % interval: below 0, the "
     "first is better. With one seed, the interval is of these networks only; fewer than ten drives are too few to "
@@ -96,10 +90,11 @@ def sentences(groups: Sequence[Group], absent: Sequence[str] = ()) -> list[str]:
         name, baseline = best["model"], group.best_baseline
         (nmse, interval), (difference, bounds) = group.nmse(name), group.nmse(name, minus=baseline)
         choice = "validation error" if group.validated else "test error (there is no validation)"
-        drives = len(np.unique(group.drive[np.isfinite(group.truth).any(axis=1)]))
+        count = len(np.unique(group.drive[np.isfinite(group.truth).any(axis=1)]))
+        drives = "1 drive" if count == 1 else f"{count} drives"
         if difference is not None:  # there is a bend in the test drives
             texts.append(
-                f"On {drives} drives that it was not trained on, {name}, the model with the least {choice}, predicts "
+                f"On {drives} that it was not trained on, {name}, the model with the least {choice}, predicts "
                 f"the {'turn of the ' * any(group.labels.values())}{group.title} with a mean absolute error of "
                 f"{group.mae_deg(name):.2f}° and an nmse of {nmse:.3f} (95 % interval: {interval_text(interval)}); "
                 "nmse is the squared error relative to that of always driving straight ahead, so 0 is perfect and 1 "
@@ -137,7 +132,6 @@ def steering_tables(groups: Sequence[Group]) -> list[Table]:
         if any(group.labels.values()):
             tables.append(Table(f"Without onsets: {group.title}", _results(group, onsets=False)))
         tables.append(Table(f"Differences: {group.title}", _differences(group), _DIFFERENCES))
-        tables.append(Table(f"Uncertainty: {group.title}", _uncertainty(group), _UNCERTAINTY))
     now = [group for group in groups if group.key == "angle-0"]
     published, judged = ([row for group in now for row in rows(group)] for rows in (_as_published, _claims))
     models = [_model(row) for group in groups for row in group.models]
@@ -211,22 +205,6 @@ def _changed(*pair: Row) -> list[str]:
         keys = Variant.model_fields.items()
         settings += [(key, *(row["variant"].get(key, field.default) for row in pair)) for key, field in keys]
     return [f"{key}: {a} → {b}" for key, a, b in settings if a != b]
-
-
-def _uncertainty(group: Group) -> list[dict[str, str]]:
-    return [
-        {
-            "model": " ".join([row["model"], label]).strip(),
-            "NLL": f"{scores['nll']:.3f}",
-            "constant σ": f"{scores['nll_constant']:.3f}",
-            "within σ": f"{scores['coverage_68']:.1%}",
-            "in 95 % interval": f"{scores['coverage_95']:.1%}",
-            "certain half": f"{scores['mae_certain'] / row['test'][column]['mae']:.0%}",
-        }
-        for row in group.models
-        for column, label in group.labels.items()
-        if (scores := row["test"][column].get("uncertainty"))
-    ]
 
 
 def _as_published(group: Group) -> list[dict[str, str]]:

@@ -35,7 +35,6 @@ class Entry(Section):
     base: Literal["motion", "none"] = "motion"
     # another: a control with the scene of another drive of the split
     scene: Literal["same", "another"] = "same"
-    uncertainty: bool = False  # predict the standard deviation of the error, too
     # others: a network per test drive, trained on the other test drives; train-then-others: before, on training drives
     fit_to: Literal["train", "others", "train-then-others"] = "train"
     train_drives: Count | None = None  # use only n training drives, evenly spread, for as many steps; null: all
@@ -96,7 +95,6 @@ class Entry(Section):
             options.Sizes(self.features, self.window, levels, image_size or (0, 0), outputs),
             equivariant=self.equivariant,
             motion=self.motion != "none",
-            uncertainty=self.uncertainty,
         )
 
 

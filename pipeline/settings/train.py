@@ -18,7 +18,6 @@ class Train(Section):
     clip_norm: Positive
     span_windows: Count
     batch_spans: Count
-    mirror: bool
     rescale: Annotated[float, Field(ge=1, le=2)]
     average: Annotated[float, Field(ge=0, lt=1)]
     precision: Literal["auto", "float64"] = "auto"

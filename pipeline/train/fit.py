@@ -22,7 +22,7 @@ from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
 from pipeline.train import checkpoint, predict, runs, windows
 from pipeline.train.loop import autocast, warm_up_cosine
-from pipeline.train.loss import Prediction, Scale, nmse, step_targets, weighted_loss
+from pipeline.train.loss import Scale, nmse, step_targets, weighted_loss
 from pipeline.train.targets import LabelledDrive
 
 SMALL = 8_000  # points per frame
@@ -151,7 +151,10 @@ class Fit:
                 if not math.isfinite(loss):
                     problem = f"loss of epoch {epoch} is {loss}"
                     raise InputError(problem, title, "Lower train.learning_rate or clip_norm")
-                error = nmse(val, self._predict(reader)) if val else math.nan
+                error = math.nan
+                if val:  # which the reader has after the others
+                    predicted = predict.predict_drives(self.average.module, reader, self.scale, first=len(self.train))
+                    error = nmse(val, predicted)
                 self.curve.append({"epoch": epoch, "learning_rate": rate, "train_loss": loss, "val_nmse": error})
                 if selected := selected_epoch(self.curve) == epoch:
                     self.best = copy_weights(self.average.module)
@@ -161,13 +164,6 @@ class Fit:
                 # One write, as runs in parallel share the output; print writes the line's end separately.
                 line = f"{title}: {epoch} of {epochs} epochs, loss {loss:.4f}{text}, ETA {eta:.0f} s\n"
                 print(line, end="", flush=True)
-            if self.entry.uncertainty and val:
-                self.average.module.load_state_dict(self.best)
-                self.scale = self.scale.calibrated(val, self._predict(reader))
-
-    def _predict(self, reader: windows.Reader) -> list[Prediction]:
-        """Return the average's predictions for the validation drives, which the reader has after the others."""
-        return predict.predict_drives(self.average.module, reader, self.scale, first=len(self.train))
 
     def _plan(self, epoch: int) -> list[list[windows.Span]]:
         """Return the spans of each step of an epoch.
@@ -200,10 +196,10 @@ class Fit:
             for parameters in self.optimiser.param_groups:
                 parameters["lr"] = settings.learning_rate * warm_up_cosine(progress, WARM_UP)
             # Copied before the forward pass: the copies do not wait for it.
-            targets = step_targets(batch, self.scale, self.entry.alpha, settings.mirror, next(net.parameters()).dtype)
+            targets = step_targets(batch, self.scale, self.entry.alpha, next(net.parameters()).dtype)
             residual, weight = (tensor.to(device, non_blocking=True) for tensor in targets)
             with precision:
-                predicted = net(*net.inputs(batch), pairs=settings.mirror)
+                predicted = net(*net.inputs(batch))
             error = weighted_loss(predicted, residual, weight, robust)
             # Each span has a valid target, but all ranges of a scaled path may be unknown: then the error is 0, too.
             weight_sum = weight.sum().clamp_min(1e-6)

@@ -1,9 +1,9 @@
-"""Loss of a network, the scale of its outputs from the training drives, and its predictions, in R columns."""
+"""Loss of a network, and the scale of its outputs from the training drives, in R columns."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,21 +12,6 @@ from torch import Tensor, nn
 from pipeline.base.errors import InputError
 from pipeline.train.targets import LabelledDrive
 
-WITHIN = 0.6827  # share of a normal distribution within one standard deviation
-
-
-class Prediction(NamedTuple):
-    """Predictions for G frames in R columns, float64 [G,R], left positive; NaN where no complete window ends."""
-
-    mean: np.ndarray
-    sigma: np.ndarray | None = None  # standard deviation, with uncertainty
-    half_95: np.ndarray | None = None  # half of the 95 % interval
-
-
-def joined(predictions: Iterable[Prediction]) -> Prediction:
-    """Return the predictions for several drives, one after the other."""
-    return Prediction(*(np.concatenate(part) for part in zip(*predictions, strict=True) if part[0] is not None))
-
 
 @dataclass(frozen=True)
 class Scale:
@@ -34,9 +19,8 @@ class Scale:
 
     base is the measured angle or curvature of the window's last frame, or 0, see `base` of a model's entry. For an
     angle gain is 1, for a range of the path the regression coefficient of y on base; std is the standard deviation of
-    y - gain · base. So output 0 means the best prediction from base alone. With uncertainty, σ = std · sigma_factor ·
-    exp(output R + r), and the 95 % interval is ± interval_95 · σ. The mean of y, and its regression coefficient on
-    odometry, are for baselines.
+    y - gain · base. So output 0 means the best prediction from base alone. The mean of y, and its regression
+    coefficient on odometry, are for baselines.
     """
 
     names: list[str]  # LabelledDrive.columns
@@ -44,8 +28,6 @@ class Scale:
     std: np.ndarray
     mean: np.ndarray
     odometry_gain: np.ndarray | None = None
-    sigma_factor: np.ndarray = field(default_factory=lambda: np.ones(1))  # [R] or [1]
-    interval_95: np.ndarray = field(default_factory=lambda: np.full(1, 1.96))
 
     @classmethod
     def from_drives(cls, drives: Sequence[LabelledDrive]) -> "Scale":
@@ -74,36 +56,15 @@ class Scale:
         """The fields as lists."""
         return {name: np.array(value).tolist() for name, value in vars(self).items()}
 
-    def decode(self, output: np.ndarray, base: np.ndarray) -> Prediction:
-        """Return the predictions of outputs [G,R], with uncertainty [G,2R], for base [G]."""
-        columns = len(self.names)
-        mean = self.gain * base[:, None] + self.std * output[:, :columns]
-        if output.shape[1] == columns:
-            return Prediction(mean)
-        sigma = self.std * self.sigma_factor * np.exp(output[:, columns:])
-        return Prediction(mean, sigma, self.interval_95 * sigma)
-
-    def calibrated(self, drives: Sequence[LabelledDrive], predictions: Sequence[Prediction]) -> "Scale":
-        """Return the scale with σ and the 95 % interval fitted to the errors on drives of validation.
-
-        Training errors are smaller than those on new drives. The factor of an angle has the highest likelihood, that of
-        a path covers WITHIN of the errors, since those at junctions are large. The interval covers 95 %, since large
-        errors are more frequent than in a normal distribution. A column without errors is left as it is.
-        """
-        truth, (mean, sigma, _) = np.concatenate([drive.target for drive in drives]), joined(predictions)
-        factor, interval = np.ones(len(self.names)), np.full(len(self.names), 1.96)
-        for column, ratio in enumerate((np.abs(mean - truth) / sigma).T):
-            if len(known := ratio[np.isfinite(ratio)]):
-                path = bool(drives[0].ahead_m)
-                factor[column] = np.quantile(known, WITHIN) if path else np.sqrt(np.mean(known**2))
-                interval[column] = np.quantile(known, 0.95) / factor[column]
-        return replace(self, sigma_factor=factor, interval_95=interval)
+    def decode(self, output: np.ndarray, base: np.ndarray) -> np.ndarray:
+        """Return the predictions [G,R] of outputs [G,R] for base [G]."""
+        return np.asarray(self.gain * base[:, None] + self.std * output)
 
 
-def nmse(drives: Sequence[LabelledDrive], predictions: Sequence[Prediction]) -> float:
+def nmse(drives: Sequence[LabelledDrive], predictions: Sequence[np.ndarray]) -> float:
     """Return the mean over the columns of MSE / MSE of predicting 0; NaN if every target is 0."""
     truth = np.concatenate([drive.target for drive in drives])
-    error = joined(predictions).mean - truth
+    error = np.concatenate(predictions) - truth
     zero = np.where(np.isnan(error), 0.0, truth**2).sum(axis=0)
     known = zero > 0
     return float((np.nansum(error**2, axis=0)[known] / zero[known]).mean()) if known.any() else np.nan
@@ -117,35 +78,23 @@ def _regress(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.divide((x * y).sum(axis=0), square, out=np.zeros_like(square), where=square > 0)
 
 
-def step_targets(
-    batch: Mapping[str, Tensor], scale: Scale, alpha: float, mirror: bool, dtype: torch.dtype
-) -> tuple[Tensor, Tensor]:
+def step_targets(batch: Mapping[str, Tensor], scale: Scale, alpha: float, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
     """Return the outputs that the network should have, and their weights exp(α |target|) of eq. 9, both [W,R].
 
-    The weight of an unknown target is 0. With `mirror` those of the mirrored windows follow.
+    The weight of an unknown target is 0.
     """
     target, base = batch["target"].to(dtype), batch["base"].to(dtype)
     known, target = target.isfinite(), target.nan_to_num()  # 0 × NaN is NaN
     gain, std = (torch.from_numpy(values).to(dtype) for values in (scale.gain, scale.std))
     residual = (target - gain * base[:, None]) / std
-    weight = known * torch.exp(alpha * target.abs())
-    if mirror:
-        residual, weight = torch.cat([residual, -residual]), torch.cat([weight, weight])
-    return residual, weight
+    return residual, known * torch.exp(alpha * target.abs())
 
 
 def weighted_loss(predicted: Tensor, target: Tensor, weight: Tensor, robust: bool) -> Tensor:
     """Return Σ w (ŷ - y)² over windows and columns [W,R]: paper eq. 9 when divided by Σ w, as `Fit` does.
 
     With `robust` Σ w Huber(ŷ - y), which is linear beyond one standard deviation: the path at a junction is the
-    driver's choice, and squared errors there would dominate. With `predicted` [W,2R], ŷ and log σ, the negative
-    log-likelihood Σ w (log σ + (ŷ - y)² / 2σ²), or Σ w (log σ + Huber((ŷ - y) / σ)), is added for σ alone. As the loss
-    of ŷ, it gives hard windows a large σ instead of learning them.
+    driver's choice, and squared errors there would dominate.
     """
-    criterion, half = (nn.functional.huber_loss, 1.0) if robust else (nn.functional.mse_loss, 0.5)
-    mean, *log_sigma = predicted.reshape(len(target), -1, target.shape[1]).unbind(1)
-    loss = criterion(mean, target, reduction="none")
-    if log_sigma:
-        scale = torch.exp(-log_sigma[0])
-        loss = loss + log_sigma[0] + half * criterion(mean.detach() * scale, target * scale, reduction="none")
-    return (weight * loss).sum()
+    criterion = nn.functional.huber_loss if robust else nn.functional.mse_loss
+    return (weight * criterion(predicted, target, reduction="none")).sum()

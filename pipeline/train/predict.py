@@ -14,7 +14,7 @@ from pipeline.graphs.graph_file import Contents, Graphs, open_graphs
 from pipeline.labels import label
 from pipeline.settings.models import Entry
 from pipeline.train import checkpoint, windows
-from pipeline.train.loss import Prediction, Scale
+from pipeline.train.loss import Scale
 from pipeline.train.targets import Timeline
 
 KIND = "steering net"  # of checkpoint
@@ -44,8 +44,8 @@ class Trained(NamedTuple):
         """Edges of the ranges of the path ahead; none for an angle."""
         return tuple(self.settings["labels"]["ahead_m"]) if self.entry.predict == "path" else ()
 
-    def predict(self, graphs: Graphs, scene: Path | None = None) -> Prediction:
-        """Return a prediction for each of the file's frames, in the columns `scale.names`.
+    def predict(self, graphs: Graphs, scene: Path | None = None) -> np.ndarray:
+        """Return the predictions for the G frames of a file, float64 [G,R], in the columns `scale.names`.
 
         The value for frame t is the angle at frame t + `entry.horizon`, predicted from the frames up to t, or the path
         ahead of it. NaN where no complete window ends: too early in the drive, or too soon after a gap. `scene`: the
@@ -91,15 +91,14 @@ def load(folder: str | Path, device: torch.device | str | None = None) -> Traine
     return Trained(**about, entry=entry, contents=contents, scale=scale, net=net)
 
 
-def predict_drives(net: SteeringNet, reader: windows.Reader, scale: Scale, first: int = 0) -> list[Prediction]:
-    """Return the predictions for the frames of each of the reader's timelines, from number `first` on."""
+def predict_drives(net: SteeringNet, reader: windows.Reader, scale: Scale, first: int = 0) -> list[np.ndarray]:
+    """Return the predictions [G,R] for the frames of each of the reader's timelines, from number `first` on."""
     spans = [span for span in windows.spans(reader.timelines, reader.window, WINDOWS) if span.drive >= first]
     net.eval()
     with torch.inference_mode():
         outputs = [net(*net.inputs(batch)) for batch in reader.batches([[span] for span in spans])]
-    columns = len(scale.names) * (2 if net.uncertainty else 1)
-    values = [np.full((len(timeline.frame), columns), np.nan) for timeline in reader.timelines]
+    values = [np.full((len(timeline.frame), len(scale.names)), np.nan) for timeline in reader.timelines]
     for span, output in zip(spans, outputs, strict=True):  # after the loop, so that it does not wait for the GPU
-        values[span.drive][span.stop - len(output) : span.stop] = output.double().cpu().numpy().reshape(-1, columns)
+        values[span.drive][span.stop - len(output) : span.stop] = output.double().cpu().numpy()
     pairs = [*zip(values, reader.timelines, strict=True)]
     return [scale.decode(output, timeline.base) for output, timeline in pairs[first:]]

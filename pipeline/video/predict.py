@@ -53,16 +53,13 @@ def predict(
     with graph_file.open_graphs(work / GRAPHS) as graphs:
         results = Results.read(source, work, model.car, look_ahead=False, frame=graphs.frame)
         rows = np.isin(graphs.frame, results.table["frame"])  # a frame with a scan may lack an image
-        mean, sigma = (None if values is None else values[rows] for values in model.predict(graphs)[:2])
-    assert mean is not None
-    frames, horizon = len(mean), model.entry.horizon
-    results.table["predicted_rad"] = np.full(frames, np.nan) if model.ahead_m else mean[:, 0]
+        prediction = model.predict(graphs)[rows]
+    frames, horizon = len(prediction), model.entry.horizon
+    results.table["predicted_rad"] = np.full(frames, np.nan) if model.ahead_m else prediction[:, 0]
     if model.ahead_m:
-        results.ahead_m, results.path_1pm, results.path_sigma_1pm = model.ahead_m, mean, sigma
-    elif sigma is not None:
-        results.table["sigma_rad"] = sigma[:, 0]
+        results.ahead_m, results.path_1pm = model.ahead_m, prediction
     ahead = f", each {horizon} frames ahead" if horizon else ""
-    predicted = f"{model.name}: {np.isfinite(mean[:, 0]).sum()} predictions for {frames} frames{ahead}"
+    predicted = f"{model.name}: {np.isfinite(prediction[:, 0]).sum()} predictions for {frames} frames{ahead}"
     warnings = _differences(model, source, encoder, results.table["time_s"])
     lines = [*warnings, *results.lines(results.compare("predicted", horizon)), predicted]
     return lines, publish(work, "steering.csv", results, source, model.car.wheelbase_m, video=video)

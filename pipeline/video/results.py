@@ -98,7 +98,6 @@ class Results:
     agreement: dict[str, Any]  # of what was driven with the measured motion: pipeline.labels.comparison.compare
     ahead_m: tuple[float, ...] = ()  # edges of the ranges of the predicted path, of models of the path
     path_1pm: np.ndarray | None = None  # [F,R] predicted mean curvature in each range
-    path_sigma_1pm: np.ndarray | None = None  # [F,R] its standard deviation, of models with uncertainty
 
     @classmethod
     def read(
@@ -132,9 +131,8 @@ class Results:
     def write_csv(self, path: Path) -> None:
         """Write the columns, and those of a predicted path for each range."""
         table, names = dict(self.table), [f"path_{near:g}_{far:g}m" for near, far in pairwise(self.ahead_m)]
-        for suffix, values in (("1pm", self.path_1pm), ("sigma_1pm", self.path_sigma_1pm)):
-            if values is not None:
-                table |= {f"{name}_{suffix}": column for name, column in zip(names, values.T, strict=True)}
+        if self.path_1pm is not None:
+            table |= {f"{name}_1pm": column for name, column in zip(names, self.path_1pm.T, strict=True)}
         texts = {
             name: ["" if math.isnan(value) else format(value, FORMATS.get(name, ".6f")) for value in values.tolist()]
             for name, values in table.items()

@@ -23,14 +23,14 @@ TEST = "2026_01_03_drive_0001"
 MODELS = {
     "points": {
         "input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": 4, "equivariant": True, "motion": "visual",
-        "uncertainty": True, "semantics": 0.0,
+        "semantics": 0.0,
     },
     "scans": {
         "input": "lidar", "spatial": "gnn", "temporal": "lstm", "window": 3, "motion": "visual", "base": "none",
         "horizon": 2, "semantics": 0.0,
     },
     "path": {
-        "input": "image", "spatial": "cnn", "temporal": "lstm", "window": 2, "predict": "path", "uncertainty": True,
+        "input": "image", "spatial": "cnn", "temporal": "lstm", "window": 2, "predict": "path",
     },
 }  # fmt: skip
 VARIANTS = {
@@ -85,15 +85,12 @@ def test_predictions_equal_those_of_the_stages(folder, tmp_path, model):
     with open_graphs(folder / f"data/graphs/{MODELS[model]['input']}/{TEST}.h5") as graphs:
         expected = load(folder / f"data/train/{model}", "cpu").predict(graphs)
         assert rows["frame"].tolist() == graphs.frame.tolist()
-    means, sigmas = ["predicted_rad"], ["sigma_rad"]
+    names = ["predicted_rad"]
     if model == "path":
         assert rows["predicted_rad"].isna().all()
-        means, sigmas = ([f"path_{edges}m_{end}" for edges in ("0_2", "2_4")] for end in ("1pm", "sigma_1pm"))
-    assert (expected.sigma is not None) == ("uncertainty" in MODELS[model])
-    for names, values in ((means, expected.mean), (sigmas, expected.sigma)):
-        if values is not None:
-            assert np.isfinite(values).sum() >= 9
-            np.testing.assert_allclose(rows[names], values, atol=2e-6)
+        names = ["path_0_2m_1pm", "path_2_4m_1pm"]
+    assert np.isfinite(expected).sum() >= 9
+    np.testing.assert_allclose(rows[names], expected, atol=2e-6)
 
 
 def test_a_model_is_found_by_name_and_compared_with_oxts(folder, tmp_path, monkeypatch, capsys):

@@ -16,7 +16,6 @@ from torch import Tensor, nn
 from models.steering.core.batch import Array, Batch, from_arrays
 from models.steering.core.options import NetworkOptions, Sizes
 
-HIDDEN = 16  # neurons of the network for log σ
 MOTION_MIRROR_SIGNS = (-1.0, -1.0, 1.0, 1.0)
 """Factor of each column of `motion` under left-right mirroring.
 
@@ -70,13 +69,9 @@ class SteeringNet(nn.Module):
             recurrent network. The paper has no such symmetry.
         motion: the recurrent network also gets the measured motion, and its output is the residual to the measured
             angle, in units of its standard deviation. The paper has no such input.
-        uncertainty: a network from the recurrent network's state [W,U] to log σ [W,R], the logarithm of the error's
-            standard deviation. Its gradient ends at the state: it does not change what the mean is learned from.
     Raises:
         InputError: an option is out of range.
     """
-
-    signs: Tensor
 
     def __init__(
         self,
@@ -86,7 +81,6 @@ class SteeringNet(nn.Module):
         *,
         equivariant: bool = False,
         motion: bool = False,
-        uncertainty: bool = False,
     ) -> None:
         super().__init__()
         self.equivariant, self.motion, self.sees = equivariant, motion, spatial.sees
@@ -94,16 +88,7 @@ class SteeringNet(nn.Module):
         self.spatial = spatial.build(sizes)
         self.scale = FeatureScale(sizes.features, centred=not equivariant)
         inputs = sizes.features + motion * len(MOTION_MIRROR_SIGNS)
-        temporal_net: Any = temporal.build(replace(sizes, features=inputs))
-        self.temporal = temporal_net
-        self.uncertainty = None
-        if uncertainty:
-            _, state = temporal_net(temporal_net.project_inputs(torch.zeros(1, 1, inputs)), torch.ones(1, 1))
-            layers = nn.Linear(state.shape[1], HIDDEN), nn.Tanh(), nn.Linear(HIDDEN, sizes.outputs)
-            self.uncertainty = nn.Sequential(*layers)
-        # Of the output for the mirrored scene: steering changes its sign, its σ does not.
-        signs = torch.tensor([-1.0] * sizes.outputs + [1.0] * sizes.outputs * uncertainty)
-        self.register_buffer("signs", signs, persistent=False)
+        self.temporal: Any = temporal.build(replace(sizes, features=inputs))
 
     def forward(
         self,
@@ -112,7 +97,6 @@ class SteeringNet(nn.Module):
         dt_s: Tensor,
         motion: Tensor | None = None,
         scenes: Tensor | None = None,
-        pairs: bool = False,
     ) -> Tensor:
         """Predict the standardised steering, or residual, at each window's last frame; each frame is encoded once.
 
@@ -122,25 +106,20 @@ class SteeringNet(nn.Module):
             dt_s: [W,T] seconds since the previous frame.
             motion: [B,4], see MOTION_MIRROR_SIGNS; required with motion.
             scenes: of a control, int64 [B], the frame of the batch that each of B frames sees; None: its own.
-            pairs: predict for the windows and for their mirror images.
         Returns:
-            [W,R], R = 1 for an angle; with uncertainty [W,2R], the second half is log σ. With pairs [2W,..], the mirror
-            images follow.
+            [W,R], R = 1 for an angle.
         """
-        versions = 2 if self.equivariant or pairs else 1  # the frames, then their mirror images
-        if versions == 2:
+        if self.equivariant:  # the frames, then their mirror images
             both: Any = getattr(self.spatial, "both", None)  # of networks that share a part of the two
             original, mirrored = both(batch) if both else (self.spatial(batch), self.spatial(batch.mirrored()))
-            if self.equivariant:
-                original, mirrored = original - mirrored, mirrored - original
-            features = torch.cat([original, mirrored])
+            features = torch.cat([original - mirrored, mirrored - original])
         else:
             features = self.spatial(batch)
         with torch.autocast(features.device.type, enabled=False):  # a small part of the work, and an ODE
             inputs = self.scale(features.to(self.scale.mean.dtype))
             if scenes is not None:
-                inputs = torch.cat([version[scenes] for version in inputs.chunk(versions)])
-            if versions == 2:
+                inputs = torch.cat([version[scenes] for version in inputs.chunk(1 + self.equivariant)])
+            if self.equivariant:
                 windows, dt_s = torch.cat([windows, windows + len(inputs) // 2]), dt_s.repeat(2, 1)
                 if motion is not None:
                     motion = torch.cat([motion, torch.cat([-motion[:, :2], motion[:, 2:]], dim=1)])
@@ -148,14 +127,11 @@ class SteeringNet(nn.Module):
                 assert motion is not None, "a network with motion needs the motion of each frame"
                 inputs = torch.cat([inputs, scaled(motion.to(inputs))], dim=1)
             projected = self.temporal.project_inputs(inputs)  # once for each frame
-            outputs, state = self.temporal(projected[windows], dt_s.to(projected))  # [W,T,R], [W,U]
+            outputs, _ = self.temporal(projected[windows], dt_s.to(projected))  # [W,T,R]
             out: Tensor = outputs[:, -1]
-            if self.uncertainty is not None:
-                out = torch.cat([out, self.uncertainty(state.detach())], dim=1)
             if self.equivariant:
                 original, mirrored = out.chunk(2)
-                out = (original + self.signs * mirrored) / 2
-                out = torch.cat([out, self.signs * out]) if pairs else out
+                out = (original - mirrored) / 2
             return out
 
     def inputs(self, arrays: Mapping[str, Array]) -> tuple[Batch, Tensor, Tensor, Tensor | None, Tensor | None]:
@@ -163,14 +139,14 @@ class SteeringNet(nn.Module):
 
         Names: those of the frames, `windows` [W,T], `dt_s` [W,T], and if needed `motion` [B,4] and `scenes` [B].
         """
-        device, names = self.signs.device, [name for name in ("windows", "dt_s", "motion", "scenes") if name in arrays]
+        device, names = self.device, [name for name in ("windows", "dt_s", "motion", "scenes") if name in arrays]
         there = {name: torch.as_tensor(arrays[name]).to(device, non_blocking=True) for name in names}
         return from_arrays(arrays, device), there["windows"], there["dt_s"], there.get("motion"), there.get("scenes")
 
     @property
     def device(self) -> torch.device:
         """Device of the weights."""
-        return self.signs.device
+        return self.scale.mean.device
 
 
 def scaled(motion: Tensor) -> Tensor:

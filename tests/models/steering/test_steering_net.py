@@ -1,4 +1,4 @@
-"""Networks of each combination: shared frames, mirroring, motion, uncertainty, paths, mixed precision, launches."""
+"""Networks of each combination: shared frames, mirroring, motion, paths, mixed precision, launches."""
 
 from contextlib import nullcontext
 from typing import Any
@@ -83,19 +83,16 @@ def test_mirrored_input_negates_an_equivariant_network(spatial, cell):
         output = net(scene, WINDOWS, DT_S, motion)
         torch.testing.assert_close(net(scene.mirrored(), WINDOWS, DT_S, turned), -output, **TOLERANCE)
         assert output.abs().min() > 1e-6
-        pairs = net(scene, WINDOWS, DT_S, motion, pairs=True)
-        torch.testing.assert_close(pairs, torch.cat([output, -output]), **TOLERANCE)
     (gradient,) = torch.autograd.grad(output.square().sum(), motion)
     assert (gradient.abs() > 0).all()
     plain = build(spatial, cell, motion="visual")
     sides = plain(scene, WINDOWS, DT_S, MOTION), plain(scene.mirrored(), WINDOWS, DT_S, MOTION * MIRROR)
     assert (sides[0] + sides[1]).abs().max() > 1e-6
-    torch.testing.assert_close(plain(scene, WINDOWS, DT_S, MOTION, pairs=True), torch.cat(sides), **TOLERANCE)
     scenes, kind = torch.tensor([3, 3, 0, 1, 5, 2]), options(spatial).kind
     parts = [frames.FRAME[kind](COUNTS[row], row) for row in scenes.tolist()]
-    for either, pairs in ((plain, False), (plain, True), (net, False)):
-        other = either(frames.join(parts), WINDOWS, DT_S, MOTION, pairs=pairs)
-        torch.testing.assert_close(either(scene, WINDOWS, DT_S, MOTION, scenes, pairs), other, **TOLERANCE)
+    for either in (plain, net):
+        other = either(frames.join(parts), WINDOWS, DT_S, MOTION)
+        torch.testing.assert_close(either(scene, WINDOWS, DT_S, MOTION, scenes), other, **TOLERANCE)
 
 
 @pytest.mark.parametrize("centred", [True, False])
@@ -117,39 +114,21 @@ def test_features_are_standardised_over_the_frames_of_a_step(centred):
     torch.testing.assert_close(scale(steps[0]), expected, **TOLERANCE)
 
 
-def test_statistics_count_frames_and_mirror_images_once():
+def test_statistics_count_frames_once():
     """Also a frame that the control's windows share."""
     net, scenes = build().train(), torch.tensor([0, 0, 0, 0, 1, 2])
-    features = torch.cat([net.spatial(scene) for scene in (batch(), batch().mirrored())])
     net.scale.steps.zero_()
-    net(batch(), WINDOWS, DT_S, scenes=scenes, pairs=True)
-    torch.testing.assert_close(net.scale.mean, features.mean(0), **TOLERANCE)
+    net(batch(), WINDOWS, DT_S, scenes=scenes)
+    torch.testing.assert_close(net.scale.mean, net.spatial(batch()).mean(0), **TOLERANCE)
 
 
 @each_cell
-@pytest.mark.parametrize("equivariant", [False, True])
-@pytest.mark.parametrize(("ranges", "uncertainty"), [(1, True), (3, False), (3, True)])
-def test_a_path_and_uncertainties_mirror(cell, equivariant, ranges, uncertainty):
-    """A path has an output per range; a mirrored scene negates it and has the same σ, in the second half."""
-    target = {"predict": "path"} if ranges > 1 else {}
-    changes = {"equivariant": equivariant, "uncertainty": uncertainty, "motion": "visual", **target}
-    net = build("gnn", cell, ranges, **changes)
-    pairs = net(batch(), WINDOWS, DT_S, MOTION, pairs=True)
-    assert pairs.shape == (2 * len(WINDOWS), ranges * (1 + uncertainty))
+def test_a_path_has_an_output_per_range_and_mirrors(cell):
+    net = build("gnn", cell, 3, equivariant=True, motion="visual", predict="path")
+    output = net(batch(), WINDOWS, DT_S, MOTION)
+    assert output.shape == (len(WINDOWS), 3)
     mirrored = net(batch().mirrored(), WINDOWS, DT_S, MOTION * MIRROR)
-    torch.testing.assert_close(pairs[len(WINDOWS) :], mirrored, **TOLERANCE)
-    if equivariant:
-        signs = torch.tensor([-1.0] * ranges + [1.0] * ranges * uncertainty)
-        torch.testing.assert_close(pairs[: len(WINDOWS)], mirrored * signs, **TOLERANCE)
-
-
-def test_uncertainty_does_not_change_what_the_mean_learns_from():
-    net = build(uncertainty=True)
-    log_sigma = net(batch(), WINDOWS, DT_S)[:, 1]
-    log_sigma.sum().backward()
-    others = [name for name, parameter in net.named_parameters() if parameter.grad is not None and parameter.grad.any()]
-    assert others
-    assert all(name.startswith("uncertainty") for name in others)
+    torch.testing.assert_close(output, -mirrored, **TOLERANCE)
 
 
 @pytest.mark.parametrize(("cell", "expected"), [("ltc", -0.04993238503010382), ("lstm", 0.3806235178621074)])
@@ -188,7 +167,7 @@ def operators(count: int) -> int:
     batch = frames.join([frames.graph(20, seed) for seed in range(count)], "meta")
     windows = torch.from_numpy(np.lib.stride_tricks.sliding_window_view(np.arange(count), 8).copy())
     with Counter() as counter:
-        net(batch, windows.to("meta"), torch.full(windows.shape, 0.1, device="meta"), pairs=True).sum().backward()
+        net(batch, windows.to("meta"), torch.full(windows.shape, 0.1, device="meta")).sum().backward()
     return counter.count
 
 

@@ -16,7 +16,7 @@ from pipeline.kitti import oxts
 from pipeline.kitti.raw import KittiDrive
 from pipeline.labels import label
 from pipeline.settings.evaluate import Evaluate
-from pipeline.train.loss import Prediction, Scale
+from pipeline.train.loss import Scale
 from pipeline.train.targets import LabelledDrive, read_drive
 from tests import artefacts
 from tests.small_model import entry
@@ -38,7 +38,7 @@ def folder(tmp_path) -> Path:
 def case(drive: LabelledDrive, *seeds: np.ndarray, mean: float = 0.0) -> metrics.Case:
     gain = None if drive.odometry is None else np.array([0.5])
     scale = Scale(["steering_rad"], np.ones(1), np.ones(1), np.array([mean]), gain)
-    return metrics.Case(drive, [Prediction(angles) for angles in seeds], scale)
+    return metrics.Case(drive, seeds, scale)
 
 
 def test_invalid_and_early_frames_do_not_count(folder):
@@ -169,21 +169,6 @@ def test_the_difference_of_two_models_has_a_narrower_interval():
     columns = (np.stack([values] * 3, axis=-1) for values in (one[:1] ** 2, steering))  # drawn together
     paired = errors.interval(*columns, drive, settings(50, 500), np.stack([other[:1] ** 2] * 3, axis=-1))
     assert paired == pytest.approx([low, high])
-
-
-def test_scores_of_normal_errors_with_known_sigma():
-    rng = np.random.default_rng(0)
-    sigma = rng.choice([0.01, 0.01, 0.04], size=(2, 50_000))
-    steering = np.zeros(50_000)
-    found = errors.uncertainty(steering, steering + sigma * rng.standard_normal(sigma.shape), sigma, 1.96 * sigma)
-    assert found["coverage_68"] == pytest.approx(0.6827, abs=0.01)
-    assert found["coverage_95"] == pytest.approx(0.95, abs=0.01)
-    entropy = np.log(2 * np.pi * np.e) / 2
-    assert found["nll"] == pytest.approx(np.mean(np.log([0.01, 0.01, 0.04])) + entropy, abs=0.01)
-    assert found["nll_constant"] == pytest.approx(
-        np.log(np.sqrt(np.mean([0.01**2, 0.01**2, 0.04**2]))) + entropy, abs=0.01
-    )
-    assert found["mae_certain"] == pytest.approx(np.sqrt(2 / np.pi) * 0.01, rel=0.02)
 
 
 # Turns and drift

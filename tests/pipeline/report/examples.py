@@ -29,7 +29,7 @@ def metrics(
 ) -> dict[str, Any]:
     """Return the metrics.json of a model; nmse is for :func:`predictions`, as that of `baselines`."""
     columns = PATH if entry.get("predict") == "path" else ANGLE
-    test = {"nmse": nmse, "baselines": baselines or {}, "drift_m_per_100m": None, "uncertainty": None}
+    test = {"nmse": nmse, "baselines": baselines or {}, "drift_m_per_100m": None}
     if not entry.get("horizon") and columns is ANGLE:
         test["drift_m_per_100m"] = 3.0
     return {

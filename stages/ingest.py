@@ -9,7 +9,7 @@ from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
 from pipeline.base.runner import Job, make_drives
 from pipeline.kitti.ingest import SUMMARY, ingest_kitti
-from pipeline.kitti.raw import KittiDrive, check_splits, find_drives
+from pipeline.kitti.raw import KittiDrive, find_drives, leave_out
 from pipeline.settings.ingest import Ingest, Reading
 
 
@@ -22,12 +22,13 @@ def main(
     """Read oxts, steering angles, images, LiDAR scans, calibration and dense ground truth. Returns the folder."""
     settings = load(Ingest, params)
     splits, sources = settings.drives.splits(), settings.sources()
+    recorded = [drive for drive in splits if sources[drive] == "kitti"]
+    before = store.read_index(out, stage="ingest") if (out / "index.json").is_file() else {}
+    missing = leave_out(raw, recorded, splits, required={*settings.manifests, *before})
+    splits = {drive: split for drive, split in splits.items() if drive not in missing}
     drives: dict[str, KittiDrive] = {}
     for source, root in {"sample": sample, "kitti": raw}.items():
         drives |= find_drives(root, [drive for drive in splits if sources[drive] == source])
-    check_splits(splits, drives, raw)
-    if absent := [drive for drive in splits if drive not in drives]:
-        print(f"left out, as {raw} does not have them: {', '.join(absent)}", flush=True)
     for drive, manifest in settings.manifests.items():
         if drive in drives and drives[drive].manifest() != manifest:
             fix = "Use the preset that steer import wrote: make params PRESET=NAME, then dvc repro"
@@ -39,7 +40,7 @@ def main(
         jobs.append(Job(drive, f"{drive}.h5", [fingerprint], work))
     with stage_folder("ingest", out) as stage:
         make_drives(stage, jobs, reading, SUMMARY)
-        store.write_index(stage.new, {drive: split for drive, split in splits.items() if drive in drives})
+        store.write_index(stage.new, splits)
     return out
 
 

@@ -50,7 +50,7 @@ def main(
             curve.to_csv(folder.new / f"learning/{network}.csv", index=False, lineterminator="\n", na_rep="nan")
         figures = draw(folder.new / "figures", groups, data)
         write_page(folder.new / "index.html", story, groups, steering, [*notes, *perceived], figures)
-    print(summary, f"Tables: {out}/table.md. Page: {out}/index.html", sep="\n")
+    print(summary, f"Tables: {out.absolute()}/table.md. Page: {out.absolute()}/index.html", sep="\n")
     return out
 
 

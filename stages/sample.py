@@ -7,7 +7,7 @@ from pipeline.base import console
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
 from pipeline.base.runner import Job, make_drives
-from pipeline.kitti.raw import check_splits, find_drives
+from pipeline.kitti.raw import leave_out
 from pipeline.sample.drive import render_drive
 from pipeline.sample.rig import make_rig, write_calibration
 from pipeline.settings.encoder import Encoder
@@ -18,8 +18,8 @@ from pipeline.settings.sample import Sample
 def main(out: Path = Path("data/sample"), params: Path = Path("params.yaml"), raw: Path = Path("data/raw")) -> Path:
     """Render the drives of section ingest that belong to the sample; none with ingest.source: kitti.
 
-    Returns the stage's folder. Raises InputError if a split has neither one of these nor one in `raw`, which stage
-    `ingest` would report only after minutes of rendering.
+    Returns the stage's folder. Raises InputError if `raw` lacks a drive that stage `ingest` needs, which would report
+    it only after minutes of rendering.
     """
     settings, ingest, encoder = load(Sample, params), load(Ingest, params), load(Encoder, params)
     scan_rays = settings.scan_rays if ingest.lidar else None
@@ -33,8 +33,8 @@ def main(out: Path = Path("data/sample"), params: Path = Path("params.yaml"), ra
     if not jobs:
         print(f"nothing to render: ingest.drives has no drive of the sample (ingest.source: {ingest.source})")
     else:
-        found = find_drives(raw, [drive for drive, source in sources.items() if source == "kitti"])
-        check_splits(ingest.drives.splits(), {*found, *(job.drive for job in jobs)}, raw)
+        recorded = [drive for drive, source in sources.items() if source == "kitti"]
+        leave_out(raw, recorded, ingest.drives.splits(), required=ingest.manifests)
     with stage_folder("sample", out) as folder:
         make_drives(folder, jobs, settings.model_dump(include={"image_size", "seed"}), "{frames} frames, {metres} m")
         for date in {job.drive[:10] for job in jobs}:

@@ -1,4 +1,4 @@
-"""Compute errors of predictions, their confidence intervals, and scores of predicted standard deviations.
+"""Compute errors of predictions and their confidence intervals.
 
 One column at a time, in its unit: rad, or 1/m. Predictions are [N], or [S,N] for S seeds, over which errors are
 averaged.

@@ -105,25 +105,36 @@ class KittiDrive:
 
 
 def find_drives(root: Path, drives: Sequence[str]) -> dict[str, KittiDrive]:
-    """Return those of the named drives (such as 2011_09_26_drive_0052) that are below `root`.
-
-    Raises InputError if `root` is missing.
-    """
+    """Return the named drives (such as 2011_09_26_drive_0052) below `root`. Raises InputError if one is missing."""
     if drives and not root.is_dir():
         fix = f"KITTI: ln -s /path/to/kitti {root}. Sample: dvc repro sample. Only training? dvc pull labels graphs"
         raise InputError("folder is missing", root, fix)
-    folders = {drive: root / drive[:10] / f"{drive}_sync" for drive in drives}
-    return {drive: KittiDrive(folder) for drive, folder in folders.items() if folder.is_dir()}
+    known = _drives(root)
+    for drive in drives:
+        if drive not in known:
+            problem = f"drive {drive} of ingest.drives is missing ({closest(drive, known)})"
+            raise InputError(problem, root, "Extract it, or take it out of ingest.drives")
+    return {drive: KittiDrive(root / drive[:10] / f"{drive}_sync") for drive in drives}
 
 
-def check_splits(splits: Mapping[str, str], found: Collection[str], root: Path) -> None:
-    """Raise InputError if a split of drive → split has no drive of `found`; `root` has known ones, for the message."""
-    known = sorted(path.name.removesuffix("_sync") for path in root.glob("????_??_??/*_drive_????_sync"))
-    for split in dict.fromkeys(splits.values()):
-        drives = [drive for drive in splits if splits[drive] == split]
-        if not {*drives} & {*found}:
-            problem = f"no drive of ingest.drives.{split} is there: {', '.join(drives)} ({closest(drives[0], known)})"
-            raise InputError(problem, root, "Extract one, or name others in ingest.drives")
+def leave_out(root: Path, drives: Collection[str], splits: Mapping[str, str], required: Collection[str]) -> list[str]:
+    """Return those of `drives` that are missing below `root`, and print them beside drives that no split names.
+
+    Raises InputError if all are missing, all of a split (drive → split), or one of the `required`.
+    """
+    known = _drives(root)
+    missing = [drive for drive in drives if drive not in known]
+    kept = {splits[drive] for drive in splits if drive not in missing}
+    find_drives(root, [drive for drive in missing if not known or drive in required or splits[drive] not in kept])
+    if missing:
+        unnamed = [drive for drive in known if drive not in splits]
+        hint = f" (it has {', '.join(unnamed[:5])}, which ingest.drives does not name)" if unnamed else ""
+        print(f"left out: {root} has no {', '.join(missing)}{hint}", flush=True)
+    return missing
+
+
+def _drives(root: Path) -> list[str]:
+    return sorted(path.name.removesuffix("_sync") for path in root.glob("????_??_??/*_drive_????_sync"))
 
 
 def read_scan(path: Path) -> np.ndarray:

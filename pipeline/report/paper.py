@@ -1,6 +1,6 @@
 """The paper's seven networks, with their settings (Table 1) and errors (Table 2), and its claims about them."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 
 Settings = dict[str, tuple[Any, ...]]
@@ -38,16 +38,16 @@ PAPER = {  # in the order of Table 2
 
 
 class Claim(NamedTuple):
-    """A claim of the paper about two models: the first has a smaller error, or, if `alike`, one as large."""
+    """A claim of the paper about two models: the first has a smaller error, or, if `comparable`, one as large."""
 
     text: str
     model: str
     rival: str
-    alike: bool = False
+    comparable: bool = False
 
-    def verdict(self, compared: str) -> str:
+    def verdict(self, outcome: str) -> str:
         """Return the verdict on the claim for the :func:`errors.verdict` of model minus rival."""
-        return {"better": "reversed" if self.alike else "confirmed", "worse": "reversed"}.get(compared, compared)
+        return {"better": "reversed" if self.comparable else "confirmed", "worse": "reversed"}.get(outcome, outcome)
 
     @property
     def ratio(self) -> float | None:
@@ -64,13 +64,16 @@ CLAIMS = (
     Claim("classes with pruning help", "sa-gnn-ncp", "do-gnn-ncp"),
     Claim("… classes alone", "sa-gnn-ncp", "lambda-0"),
     Claim("… pruning alone", "sa-gnn-ncp", "keep-100"),
-    Claim("NCP and LSTM are alike", "gnn-ncp", "gnn-lstm", alike=True),
+    Claim("NCP and LSTM are comparable", "gnn-ncp", "gnn-lstm", comparable=True),
 )
+
+
+def matches(name: str, settings: Mapping[str, Any], ignored: Collection[str] = ()) -> bool:
+    """Return whether the settings of a model and its graph variant, but the `ignored`, are those of a network."""
+    expected = {key: values for key, values in PAPER[name].settings.items() if key not in ignored}
+    return all(settings.get(key, values[0]) in values for key, values in expected.items())
 
 
 def find(settings: Mapping[str, Any]) -> Published | None:
     """Return the paper's network with the settings of a model and its graph variant, None if there is none."""
-    for published in PAPER.values():
-        if all(settings.get(key, values[0]) in values for key, values in published.settings.items()):
-            return published
-    return None
+    return next((PAPER[name] for name in PAPER if matches(name, settings)), None)

@@ -132,10 +132,10 @@ def steering_tables(groups: Sequence[Group]) -> list[Table]:
         if any(group.labels.values()):
             tables.append(Table(f"Without onsets: {group.title}", _results(group, onsets=False)))
         tables.append(Table(f"Differences: {group.title}", _differences(group), _DIFFERENCES))
-    now = [group for group in groups if group.key == "angle-0"]
-    published, judged = ([row for group in now for row in rows(group)] for rows in (_as_published, _claims))
+    present = [group for group in groups if group.key == "angle-0"]
+    published, claims = ([row for group in present for row in rows(group)] for rows in (_as_published, _claims))
     models = [_model(row) for group in groups for row in group.models]
-    tables.insert(len(groups), Table("The paper's claims", judged, _CLAIMS))
+    tables.insert(len(groups), Table("The paper's claims", claims, _CLAIMS))
     tables += [Table("MSE as in the paper's Table 2", published, _PAPER), Table("Models", models)]
     return [table for table in tables if table.rows]
 
@@ -218,10 +218,19 @@ def _as_published(group: Group) -> list[dict[str, str]]:
 
 
 def _claims(group: Group) -> list[dict[str, str]]:
-    rows = []
+    """Return a row per claim whose two networks have their settings, but for PointNet++'s width."""
+    models, rows = {row["model"]: row for row in group.models}, []
+
+    def as_meant(name: str, claim: paper.Claim) -> bool:
+        if name not in paper.PAPER:
+            return len(_changed(models[claim.model], models[name])) == 1
+        row = models[name]
+        settings = row["entry"] | {"accumulate": row["variant"].get("accumulate")}
+        return paper.matches(name, settings, ignored=("width",))
+
     for claim in paper.CLAIMS:
         pair = claim.model, claim.rival
-        if {*pair} <= group.predicted.keys():
+        if {*pair} <= models.keys() and all(as_meant(name, claim) for name in pair):
             difference, bounds = group.nmse(claim.model, minus=claim.rival)
             errors = [(group.nmse(name)[0], group.mae_deg(name)) for name in pair]
             rows.append(claim_cells(claim, errors, difference, bounds, group.verdict(bounds, *pair)))
@@ -233,21 +242,21 @@ def claim_cells(
     errors: Sequence[tuple[float | None, float]],
     difference: float | None,
     bounds: list[float] | None,
-    compared: str,
+    outcome: str,
 ) -> dict[str, str]:
     """Return a row about a claim: nmse and mean error in degrees of both networks, ratios of MSE, and the verdict.
 
-    `difference`, `bounds`, `compared`: in nmse, its interval and :func:`errors.verdict`.
+    `difference`, `bounds`, `outcome`: of nmse, its interval and :func:`errors.verdict`.
     """
     (ours, ours_deg), (other, other_deg) = errors
     return {
         "the paper's claim": claim.text,
         "networks": f"{claim.model}, {claim.rival}",
         "nmse": f"{number(ours, '.3f')}, {number(other, '.3f')}",
-        "mean error": f"{number(ours_deg, '.2f')}°, {number(other_deg, '.2f')}°",
+        "mean error, °": f"{number(ours_deg, '.2f')}, {number(other_deg, '.2f')}",
         "MSE ratio: paper": number(claim.ratio, ".2f"),
         "here": number(ours / other if ours is not None and other else None, ".2f"),
-        "verdict": f"{claim.verdict(compared)}, {number(difference, '+.3f')} ({interval_text(bounds, '+.3f')})",
+        "verdict": f"{claim.verdict(outcome)}, {number(difference, '+.3f')} ({interval_text(bounds, '+.3f')})",
     }
 
 

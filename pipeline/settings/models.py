@@ -37,7 +37,7 @@ class Entry(Section):
     scene: Literal["same", "another"] = "same"
     # others: a network per test drive, trained on the other test drives; train-then-others: before, on training drives
     fit_to: Literal["train", "others", "train-then-others"] = "train"
-    train_drives: Count | None = None  # use only n training drives, evenly spread, for as many steps; null: all
+    train_drives: Count | None = None  # use only n training drives, evenly spread and repeated; null: all
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -1,6 +1,6 @@
 """Section ``train``: fitting a model."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field
 
@@ -20,4 +20,3 @@ class Train(Section):
     batch_spans: Count
     rescale: Annotated[float, Field(ge=1, le=2)]
     average: Annotated[float, Field(ge=0, lt=1)]
-    precision: Literal["auto", "float64"] = "auto"

@@ -72,7 +72,7 @@ def fit_run(run: runs.Run, job: Job) -> Path:
     torch.manual_seed(run.seed)
     with error_context(where=job.where):
         net = entry.build(**contents._asdict(), outputs=len(train[0].columns))
-    net.to(device, torch.float64 if settings.precision == "float64" else None)
+    net.to(device)
     files = [path for drive in train + val for path in (drive.graphs, drive.labels)]
     if run.start:
         files.append(run.start.folder / "best.pt")
@@ -82,7 +82,7 @@ def fit_run(run: runs.Run, job: Job) -> Path:
         "train": settings.model_dump(exclude={"seeds"}),
         "seed": run.seed,
         "fold": run.fold.name,
-        "drives": [drive.name for drive in train],
+        "drives": [*dict.fromkeys(drive.name for drive in train)],
         "val": [drive.name for drive in val],
     }
     metadata = {
@@ -152,7 +152,7 @@ class Fit:
                     problem = f"loss of epoch {epoch} is {loss}"
                     raise InputError(problem, title, "Lower train.learning_rate or clip_norm")
                 error = math.nan
-                if val:  # which the reader has after the others
+                if val:  # the reader has the validation drives after the others
                     predicted = predict.predict_drives(self.average.module, reader, self.scale, first=len(self.train))
                     error = nmse(val, predicted)
                 self.curve.append({"epoch": epoch, "learning_rate": rate, "train_loss": loss, "val_nmse": error})
@@ -190,7 +190,7 @@ class Fit:
         steps, robust = self._plan(epoch), self.entry.predict == "path"
         net.train()
         torch.manual_seed(int(np.random.SeedSequence([self.seed, epoch]).generate_state(1)[0]))  # of dropout, see _plan
-        errors, weight_sums, precision = [], [], autocast(device, settings.precision)
+        errors, weight_sums, precision = [], [], autocast(device, "auto")
         for step, batch in enumerate(reader.batches(steps)):
             progress = (epoch - 1 + step / len(steps)) / settings.epochs
             for parameters in self.optimiser.param_groups:

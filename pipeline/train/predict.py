@@ -1,4 +1,4 @@
-"""Predict steering with a trained network; README.md has an example."""
+"""Predict steering with a trained network; docs/models.md has an example."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -18,7 +18,7 @@ from pipeline.settings.models import Entry
 
 
 class Fold(NamedTuple):
-    """Training, validation and test drives of one network."""
+    """Training, validation and test drives of one network; with `train_drives`, training drives repeat."""
 
     name: str | None  # the test drive that is not used for training; None: none is
     train: tuple[str, ...]

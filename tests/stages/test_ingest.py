@@ -99,6 +99,25 @@ def test_plainly_incomplete_drives(tmp_path, missing, problem):
         run(tmp_path)
 
 
+def test_a_drive_that_was_imported_or_ingested_before_is_not_left_out(tmp_path, capsys):
+    third = "2011_09_26_drive_0003"
+    write_drive(tmp_path / "raw")
+    write_drive(tmp_path / "raw", "2011_09_26_drive_0004")
+    with pytest.raises(InputError, match=f"drive {third} of ingest.drives is missing"):
+        run(tmp_path, manifests={third: "0" * 64})
+    run(tmp_path)
+    note = (
+        f"left out: {tmp_path / 'raw'} has no {third} (it has 2011_09_26_drive_0004, which ingest.drives does not name)"
+    )
+    assert note in capsys.readouterr().out
+    folder, before = write_drive(tmp_path / "raw", third), contents(tmp_path / "data/ingest")
+    run(tmp_path)
+    assert contents(tmp_path / "data/ingest") != before
+    shutil.rmtree(folder)
+    with pytest.raises(InputError, match=f"drive {third} of ingest.drives is missing"):
+        run(tmp_path)
+
+
 @pytest.mark.parametrize("name", ["0000000001.tif", "0000000001.png.part", "frame_1.png", ".DS_Store"])
 def test_a_folder_without_images_is_empty(tmp_path, name):
     """Half-extracted archives have empty folders. Files in another format or with other names are a fault."""

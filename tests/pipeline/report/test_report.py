@@ -105,6 +105,26 @@ def test_a_path_has_a_column_per_range(tmp_path):
     assert "MSE as in the paper's Table 2" not in built
 
 
+def test_the_papers_claims_have_verdicts(tmp_path):
+    """Of those with both networks as in the paper. Networks are not comparable where one is better."""
+    lidar = {"input": "lidar", "semantics": 0.0}
+    sets = lidar | {"input": "lidar-pointnet2", "spatial": "pointnet2", "window": 6, "width": 0.25}
+    models = [
+        metrics("sa-gnn-ncp"), metrics("lambda-0", semantics=0.0), metrics("gnn-ncp", 0.1, **lidar),
+        metrics("keep-100", 0.1) | {"variant": {"source": "clouds/pseudo", "k": 6, "keep_inter_class": 1.0}},
+        metrics("gnn-lstm", 0.2, **lidar | {"input": "lidar-50k", "temporal": "lstm"}),
+        metrics("pointnet2-ncp", 0.4, **sets), metrics("do-gnn-ncp", **lidar),
+    ]  # fmt: skip
+    rows = build(tmp_path, *(content | {"seeds": [0, 1]} for content in models))["The paper's claims"].rows
+    assert {row["networks"]: (row["here"], row["verdict"].partition(",")[0]) for row in rows} == {
+        "gnn-ncp, pointnet2-ncp": ("0.25", "confirmed"),
+        "sa-gnn-ncp, lambda-0": ("1.00", "no difference shown"),
+        "sa-gnn-ncp, keep-100": ("2.00", "reversed"),
+        "gnn-ncp, gnn-lstm": ("0.50", "reversed"),
+    }
+    assert rows[0]["MSE ratio: paper"] == "0.55"
+
+
 def test_all_rows_are_compared_on_common_frames_with_one_zero(tmp_path):
     """On its own frames the window of 4 is worse, since it also predicts frames 3 to 6. Odometry begins at frame 9."""
     baselines = {"odometry": 0.5, "regression": 0.5}

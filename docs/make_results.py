@@ -9,7 +9,9 @@ baseline, or "A - B", their paired difference in nmse. PRESET/val/… are valida
 
 import json
 import re
+from dataclasses import replace
 from datetime import date
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -22,40 +24,37 @@ from pipeline.base.errors import InputError
 from pipeline.base.params import load
 from pipeline.evaluate import errors
 from pipeline.report import street_view
-from pipeline.report.paper import PAPER
-from pipeline.report.results import NO_LEARNING, load_groups, validation_nmse
-from pipeline.report.tables import NONE, number
+from pipeline.report.paper import CLAIMS, PAPER
+from pipeline.report.results import BASELINES, NO_LEARNING, Group, load_groups, validation_nmse
+from pipeline.report.tables import NONE, Table, claim_cells, number
 from pipeline.settings.evaluate import Evaluate
-from pipeline.settings.train import Train
 from presets.run import revision
 
 DOCS = Path(__file__).parent
-PAGES = (DOCS.parent / "README.md", DOCS / "results.md", DOCS / "paper.md")
+PAGES = (DOCS.parent / "README.md", DOCS / "results.md")
 TABLE = re.compile(r"(<!-- table: (\w+) -->).*?(<!-- end -->)", re.DOTALL)
-OURS = "sa-gnn-lstm"  # our best network of images only, chosen on validation drives
 BLIND = "motion only"
+OMITTED = "2011_09_26_drive_0005"  # of the six real drives: an earlier result rested on it
+MOTION = ("motion-10", "motion-10-blind", "motion-10-another")
+PATH = ("path", "path-blind", "path-another")
 REAL = "real/path-0/10-20 m"
-CLAIMS = {"keep-100": "all edges", "lambda-0": "no classes", "sa-gnn-lstm": "an LSTM"}  # sa-gnn-ncp but for one setting
-QUESTIONS = {  # has the model PRESET/GROUP/ROW a smaller error than these, and but for claims than the best baseline?
-    "angle now, the paper's network, 48 rendered roads": ("demo/angle-0/sa-gnn-ncp",),
-    "angle now, the paper's network, 240 rendered roads": ("roads/angle-0/sa-gnn-ncp",),
-    "angle now, our best network, 48 rendered roads": (f"demo/angle-0/{OURS}",),
-    "angle now, our best network, 240 rendered roads": (f"roads/angle-0/{OURS}",),
-    "does pruning help": ("table2/angle-0/sa-gnn-ncp", "keep-100"),
-    "do semantics help": ("table2/angle-0/sa-gnn-ncp", "lambda-0"),
-    "angle a second ahead, 240 rendered roads": ("roads/angle-10/motion-10", "motion-10-blind", "motion-10-another"),
-    "path 10 to 20 m ahead, 240 rendered roads": ("roads/path-0/10-20 m/path", "path-blind", "path-another"),
-    "path 10 to 20 m ahead, six real drives": (f"{REAL}/path-others", "path-blind-others", "path-another-others"),
-    "… trained on rendered roads before": (f"{REAL}/path-then", "path-blind-others", "path-another-then"),
-}
-STEPS = 1200  # epochs × roads of the study of the number of roads; networks with more steps are stars
-LINES = {  # model: label, format
-    "motion-10": ("a second ahead", "b-"),
-    "motion-10-blind": ("… without the scene", "b--"),
-    "path": ("path ahead, mean of the ranges to 30 m", "g-"),
-    "path-blind": ("… without the scene", "g--"),
-    "sa-gnn-ncp": ("current frame, without motion", "r-"),
-}
+BEYOND = (  # question, group of results, and in it the model with the scene; without it, and with another scene
+    ("present angle, without motion, 48 rendered roads", "table2/angle-0", ("sa-gnn-ncp",)),
+    ("angle a second ahead, 240 rendered roads", "roads/angle-10", MOTION),
+    ("path 5 to 10 m ahead, 240 rendered roads", "roads/path-0/5-10 m", PATH),
+    ("path 10 to 20 m ahead, 240 rendered roads", "roads/path-0/10-20 m", PATH),
+    ("six real drives, trained on rendered roads alone: angle a second ahead", "transfer/angle-10", MOTION),
+    ("… without 0005", "transfer/angle-10 without 0005", MOTION),
+    ("… path 5 to 10 m ahead", "transfer/path-0/5-10 m", PATH),
+    ("… without 0005", "transfer/path-0 without 0005/5-10 m", PATH),
+    (
+        "six real drives, trained on the others: path 10 to 20 m",
+        REAL,
+        ("path-others", "path-blind-others", "path-another-others"),
+    ),
+    ("… and on rendered roads before", REAL, ("path-then", "path-blind-others", "path-another-then")),
+)
+LINES = {"sa-gnn-ncp": ("NCP, the paper's network", "b-"), "sa-gnn-lstm": ("LSTM", "g-")}  # label, format
 Results = dict[str, dict[str, Any]]
 
 
@@ -74,8 +73,8 @@ def collect(source: Path, preset: str) -> None:
 
 
 def merged(results: Results, new: Results) -> Results:
-    """Return figures with all of the groups that `new` has replaced; but of validation errors, each one."""
-    groups = {tuple(key.split("/")[:2]) for key in new if "/val/" not in key}
+    """Return figures with all of the groups that `new` has replaced."""
+    groups = {tuple(key.split("/")[:2]) for key in new}
     return {key: old for key, old in results.items() if tuple(key.split("/")[:2]) not in groups} | new
 
 
@@ -93,29 +92,48 @@ def read() -> Results:
 
 def figures_of(run: Path) -> Results:
     """Return a run's errors, the differences of the models in question to all others, and the errors of motion."""
-    params, figures = run / "params.yaml", {}
+    params, figures = run / "params.yaml", Results()
     folders = {path.parent.name: path.parent for path in sorted((run / "data/evaluate").glob("*/metrics.json"))}
-    for group in load_groups(folders, load(Evaluate, params)):
-        rows = [name for name in (*folders, *NO_LEARNING) if name in group.predicted]
-        for column, label in group.labels.items():
-            part = f"{group.key}/{label}".rstrip("/")
-            for name in rows:
-                scores = group.scores(name, column)
-                seeds, mse, frames = scores["by_seed"], scores["mse"], scores["frames"]
-                figures[f"{part}/{name}"] = entry(*group.nmse(name, column=column), frames, seeds=seeds, mse=mse)
-            for first in {model.rpartition("/")[2] for model, *_ in QUESTIONS.values()}.intersection(rows):
-                for other in {*rows} - {first}:
-                    value, bounds = group.nmse(first, minus=other, column=column)
-                    verdict = group.verdict(bounds, first, other, column)
-                    figures[f"{part}/{first} - {other}"] = entry(value, bounds, frames, verdict=verdict)
-        for row in (row for row in group.models if validation_nmse(row) < np.inf):
-            roads, epochs = row["entry"]["train_drives"] or len(row["drives"]["train"]), load(Train, params).epochs
-            key = f"val/{row['model']}/{roads} roads/{epochs} epochs"
-            figures[key] = entry(validation_nmse(row), roads=roads, epochs=epochs)
+    for whole in load_groups(folders, load(Evaluate, params)):
+        for group in (whole, *without(whole, OMITTED)):
+            figures |= figures_of_group(group)
+        for row in (row for row in whole.models if validation_nmse(row) < np.inf):
+            seeds = np.mean([scores["nmse_by_seed"] for scores in row["val"].values()], axis=0).tolist()
+            figures[f"val/{row['model']}"] = entry(validation_nmse(row), seeds=seeds, roads=len(row["drives"]["train"]))
     if (path := run / "data/scores/metrics.json").is_file():
         for kind, splits in store.read_json(path, stage="scores")["motion"].items():
             if splits["test"]:
                 figures[f"motion/{kind}"] = entry(splits["test"]["nmse"], frames=splits["test"]["judged"])
+    return figures
+
+
+def without(group: Group, drive: str) -> list[Group]:
+    """Return the group without a drive, and the drive's number in its key; an empty list if it has no such drive."""
+    names = sorted({*group.predictions["drive"]})
+    if drive not in names:
+        return []
+    truth = np.where((group.drive == names.index(drive))[:, None], np.nan, group.truth)
+    return [replace(group, key=f"{group.key} without {drive[-4:]}", truth=truth)]
+
+
+def figures_of_group(group: Group) -> Results:
+    """Return the errors of models and baselines, and the differences of models in question to all others."""
+    figures: Results = {}
+    rows = [name for name in group.predicted if name not in BASELINES or name in NO_LEARNING]
+    models = {claim.model for claim in CLAIMS} | {name for _, _, (name, *_) in BEYOND}
+    for column, label in group.labels.items():
+        part = f"{group.key}/{label}".rstrip("/")
+        for name in rows:
+            scores = group.scores(name, column)
+            seeds, mse, frames = scores["by_seed"], scores["mse"], scores["frames"]
+            mae_deg = scores["mae"] and np.degrees(scores["mae"] * group.length_m[column])
+            value, bounds = group.nmse(name, column=column)
+            figures[f"{part}/{name}"] = entry(value, bounds, frames, seeds=seeds, mse=mse, mae_deg=mae_deg)
+        for first, other in product(models.intersection(rows), rows):
+            if first != other:
+                value, bounds = group.nmse(first, minus=other, column=column)
+                verdict = group.verdict(bounds, first, other, column)
+                figures[f"{part}/{first} - {other}"] = entry(value, bounds, frames, verdict=verdict)
     return figures
 
 
@@ -155,22 +173,37 @@ def difference(results: Results, key: str) -> str:
     return f"{text(results, key, form='+.3f')} ({text(results, key, 'interval', '+.3f')})" if key in results else NONE
 
 
-def overview(results: Results) -> list[list[str]]:
-    """Return a row per question, and rows of measured motion."""
-    rows = [["nmse on unseen drives (1: useless, 0: perfect)", "without learning", BLIND, "with the scene", "shown?"]]
-    for question, (model, *rivals) in QUESTIONS.items():
-        group, blind = model.rpartition("/")[0], next((name for name in rivals if "blind" in name), "")
-        errors = {name: get(results, f"{group}/{name}") for name in NO_LEARNING if not {*rivals} & {*CLAIMS}}
-        known = [name for name in errors if errors[name] is not None]
-        best = min(known, key=lambda name: errors[name], default="")
-        cells = [text(results, key) for key in (f"{group}/{best}", f"{group}/{blind}", model)]
-        rows.append([question, *cells, shown(results, model, [name for name in (best, *rivals) if name])])
+def claims(results: Results) -> list[list[str]]:
+    """Return a row per claim of the paper."""
+    rows = []
+    for claim in CLAIMS:
+        pair = [f"table2/angle-0/{name}" for name in (claim.model, claim.rival)]
+        errors = [(get(results, key), get(results, key, "mae_deg")) for key in pair]
+        difference = [get(results, f"{pair[0]} - {claim.rival}", part) for part in ("figure", "interval", "verdict")]
+        if None not in difference:
+            rows.append(claim_cells(claim, errors, *difference))
+    table = Table("", rows)
+    return [table.heads, *([cell.replace(" -", " −").replace("(-", "(−") for cell in row] for row in table.cells)]
+
+
+def beyond(results: Results) -> list[list[str]]:
+    """Return a row per question beyond the paper, and rows of measured motion."""
+    rows = [
+        ["nmse on unseen drives", "without learning", BLIND, "with the scene", "mean error, °", "does the scene help?"]
+    ]
+    for question, group, (model, *controls) in BEYOND:
+        if key := next((key for key in results if key == f"{group}/{model}"), ""):
+            errors = {name: get(results, f"{group}/{name}") for name in NO_LEARNING}
+            best = min((name for name in errors if errors[name] is not None), key=lambda name: errors[name])
+            blind = next((name for name in controls if "blind" in name), "")
+            nmse = [text(results, f"{group}/{name}") for name in (best, blind, model)]
+            degrees = text(results, key, "mae_deg", ".2f")
+            rows.append([question, *nmse, degrees, shown(results, key, [best, *controls])])
     teams = min(text(results, f"udacity/{team}") for team in ("autumn", "komanda", "rambo"))
-    wheel = text(results, "udacity/steer measure")
-    rows.append(["steering wheel, Udacity's test drive, RMSE rad", wheel, NONE, NONE, f"best of three teams: {teams}"])
+    wheel = f"{text(results, 'udacity/steer measure')} rad"
+    rows.append(["steering wheel, Udacity's test drive, RMSE", wheel, *[NONE] * 3, f"best of three teams: {teams} rad"])
     motion = sorted({text(results, key) for key in results if key.startswith("real/motion/")})
-    measured = " to ".join(dict.fromkeys((motion[0], motion[-1])))
-    return [*rows, ["measured motion on real drives, nmse of the angle", measured, NONE, NONE, ""]]
+    return [*rows, ["angle measured in real images", " to ".join(dict.fromkeys((motion[0], motion[-1]))), *[NONE] * 4]]
 
 
 def shown(results: Results, model: str, rivals: list[str]) -> str:
@@ -183,19 +216,21 @@ def shown(results: Results, model: str, rivals: list[str]) -> str:
     former = errors.verdict(bounds[least], seeds=2, drives=errors.LEAST_DRIVES)  # of figures without a verdict
     answer = get(results, f"{model} - {least}", "verdict") or former
     answer = "open" if answer == "better" and len(upper) < len(rivals) else answer
-    words = BLIND if "blind" in least else "another scene" if "another" in least else CLAIMS.get(least, least)
+    words = BLIND if "blind" in least else "another scene" if "another" in least else least
     return f"{answer}, {difference(results, f'{model} - {least}')} to {words}"
 
 
 def table2(results: Results) -> list[list[str]]:
-    """Return rows of the paper's networks and claims, beside the paper's MSE."""
-    rows = [["network", "paper: train MSE", "test", "here: test, rad²", "nmse", "95 % interval", "sa-gnn-ncp − it"]]
-    for name in (*PAPER, *CLAIMS):
+    """Return a row per network, first the paper's, beside the paper's MSE."""
+    heads = ["network", "paper: train MSE", "test", "here: test, rad²", "nmse", "95 % interval", "sa-gnn-ncp − it"]
+    names = re.findall(r"^table2/angle-0/(\S+)$", "\n".join(results), re.MULTILINE)
+    rows = []
+    for name in (*PAPER, *(name for name in names if name not in (*PAPER, *NO_LEARNING))):
         key, paper = f"table2/angle-0/{name}", PAPER.get(name)
         published = [number(paper and paper.train_mse, ".3f"), number(paper and paper.test_mse, ".3f")]
         here = [text(results, key, "mse", ".5f"), text(results, key), text(results, key, "interval")]
         rows.append([name, *published, *here, difference(results, f"table2/angle-0/sa-gnn-ncp - {name}")])
-    return rows
+    return [heads, *rows]
 
 
 def coverage(results: Results) -> list[list[str]]:
@@ -215,30 +250,27 @@ def origins(results: Results) -> list[list[str]]:
 
 
 def plot(results: Results) -> Figure:
-    """Return the validation nmse over the number of training roads, medians of seeds; stars: more steps."""
+    """Return the validation nmse over the number of training roads: a dot per seed, lines of the medians."""
     figure = Figure(figsize=(7, 3), layout="constrained")
     axes = figure.subplots()
     for model, (label, form) in LINES.items():
-        points = [values for key, values in results.items() if re.match(f"roads/val/{model}/", key)]
-        equal = [values for values in points if values["roads"] * values["epochs"] == STEPS]
-        equal.sort(key=lambda values: values["roads"])
-        roads, seeds = [values["roads"] for values in equal], [values["seeds"] for values in equal]
-        axes.plot(roads, np.median(seeds, axis=1), form, label=label)
-        axes.plot(roads, seeds, f"{form[0]}.", markersize=4)
-        for values in points:
-            if values not in equal:
-                axes.plot(values["roads"], values["figure"], f"{form[0]}*", markersize=11)
-    axes.plot([], [], "k*", markersize=9, label="make roads: 12 epochs, three seeds")
+        points = [values for key, values in results.items() if re.fullmatch(rf"roads/val/{model}(-\d+)?", key)]
+        points.sort(key=lambda values: values["roads"])
+        roads = [values["roads"] for values in points]
+        seeds = [values["seeds"] for values in points]
+        if points:
+            axes.plot(roads, np.median(seeds, axis=1), form, label=label)
+            axes.plot(roads, seeds, f"{form[0]}.", markersize=4)
     axes.set_xscale("log")
     axes.set_xticks([30, 60, 120, 240], ["30", "60", "120", "240"])
     axes.minorticks_off()
-    axes.set(xlabel="training roads of 60 frames", ylabel="validation nmse", ylim=(0, None))
+    axes.set(xlabel="training roads of 60 frames, equally many steps", ylabel="validation nmse", ylim=(0, None))
     axes.grid(alpha=0.3)
     figure.legend(loc="outside right center", frameon=False, fontsize="small")
     return figure
 
 
-TABLES = {table.__name__: table for table in (overview, table2, coverage, origins)}
+TABLES = {table.__name__: table for table in (claims, beyond, table2, coverage, origins)}
 
 if __name__ == "__main__":
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)

@@ -14,6 +14,7 @@ from torch.utils.data import DataLoader
 from docs import make_results
 from pipeline.base.resume import ROOT
 from pipeline.report import street_view
+from pipeline.report.results import load_groups
 from pipeline.settings import preset
 from pipeline.settings.models import Entry
 from steer.app import app
@@ -28,7 +29,7 @@ LINK = re.compile(r"\[[^\]]*\]\(([^)]+)\)")
 CODE = re.compile(r"```(?:\w*\n)?(.*?)```|`([^`]+)`", re.DOTALL)
 SECTIONS = {key: getattr(section.annotation, "model_fields", {}) for key, section in preset.Params.model_fields.items()}
 PLACEHOLDERS = {"models/steering/spatial/height.py", "models/steering/spatial/NAME.py", "presets/NAME.yaml"}
-PLACEHOLDERS |= {"presets/2027_03_31_drive_0001.yaml"}
+PLACEHOLDERS |= {f"presets/{name}.yaml" for name in ("2027_03_31_drive_0001", "NAME", "first")}
 OTHERS = {"--force", "--single-item", "--wait-for-lock", "--pull", "--downstream", "--allow-missing"}  # of DVC
 OTHERS |= {"--nthreads", "--nworkers"}  # of Dask
 
@@ -68,20 +69,27 @@ def test_tables_and_plot_are_rendered_from_the_results(tmp_path):
 
 def test_figures_of_a_run_are_errors_differences_and_validation_errors(tmp_path):
     scene = examples.metrics("path", [0.2, 0.4], predict="path") | {"drives": {"train": ["a"] * 3}}
-    scene["val"] = {column: {"nmse": nmse} for column, nmse in zip(scene["columns"], (0.1, 0.3), strict=True)}
+    nmse = zip(scene["columns"], (0.1, 0.3), strict=True)
+    scene["val"] = {column: {"nmse": value, "nmse_by_seed": [value]} for column, value in nmse}
     examples.write_model(tmp_path / "data", scene)
     examples.write_model(tmp_path / "data", examples.metrics("path-blind", 0.9, predict="path"))
     shutil.copyfile(ROOT / "params.yaml", tmp_path / "params.yaml")
     figures = make_results.figures_of(tmp_path)
     assert {"figure": 0.3, "frames": 44, "seeds": [0.3]}.items() <= figures["path-0/5-10 m/path"].items()
     assert figures["path-0/5-10 m/path - path-blind"]["figure"] == -0.6
-    assert figures["val/path/3 roads/8 epochs"]["figure"] == 0.2
+    assert {"figure": 0.2, "seeds": [0.2], "roads": 3}.items() <= figures["val/path"].items()
+    assert not [key for key in figures if "without" in key]
+    for drive, rest in zip(examples.DRIVES, (0.4, 0.2), strict=True):
+        (group,) = make_results.without(
+            load_groups({"path": tmp_path / "data/evaluate/path"}, examples.SETTINGS)[0], drive
+        )
+        assert make_results.figures_of_group(group)[f"path-0 without {drive[-4:]}/5-10 m/path"]["figure"] == rest
 
 
 def test_a_run_of_some_rows_keeps_the_figures_of_other_groups():
     old = {key: {} for key in ("roads/angle-0/a", "roads/path-0/a", "roads/path-0/b", "roads/val/a", "real/path-0/a")}
     kept = make_results.merged(old, {"roads/path-0/a": {}, "roads/val/b": {}})
-    assert {*kept} == {*old, "roads/val/b"} - {"roads/path-0/b"}
+    assert {*kept} == {*old, "roads/val/b"} - {"roads/path-0/b", "roads/val/a"}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -95,7 +103,9 @@ def test_there_are_seven_short_pages():
     assert {*(ROOT / "docs").glob("*.md")} == {*PAGES[2:], ROOT / "docs/log.md"}
     assert sum(len(page.read_text().splitlines()) for page in PAGES) <= 850
     readme = PAGES[0].read_text()
-    assert len(readme.splitlines()) <= 120
+    assert len(readme.splitlines()) <= 115
+    example = (ROOT / "examples/one_image.py").read_text()
+    assert [line for line in code_block("gcn.layers").splitlines()[1:] if line not in example] == []
     assert [path.name for path in (ROOT / "pipeline").glob("[!_]*/") if f"{path.name}/" not in readme] == []
 
 
@@ -111,7 +121,7 @@ def test_names_exist(page):
     assert [f"{section}.{key}" for section, key in settings if key not in SECTIONS[section] and key != "pt"] == []
 
     targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
-    targets += [path.stem for path in (ROOT / "presets").glob("*.yaml")]
+    targets += [Path(path).stem for path in (*(ROOT / "presets").glob("*.yaml"), *PLACEHOLDERS)]
     assert {*re.findall(r"(?:^|&& )make ([a-z]\w*)", code, re.MULTILINE)} <= {*targets}
 
     commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]

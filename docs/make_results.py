@@ -39,16 +39,16 @@ MOTION = ("motion-10", "motion-10-blind", "motion-10-another")
 PATH = ("path", "path-blind", "path-another")
 REAL = "real/path-0/10-20 m"
 BEYOND = (  # question, group of results, and in it the model with the scene; without it, and with another scene
-    ("present angle, without motion, 48 rendered roads", "table2/angle-0", ("sa-gnn-ncp",)),
+    ("present angle by the scene alone, 48 rendered roads", "table2/angle-0", ("sa-gnn-ncp",)),
     ("angle a second ahead, 240 rendered roads", "roads/angle-10", MOTION),
     ("path 5 to 10 m ahead, 240 rendered roads", "roads/path-0/5-10 m", PATH),
     ("path 10 to 20 m ahead, 240 rendered roads", "roads/path-0/10-20 m", PATH),
-    ("six real drives, trained on rendered roads alone: angle a second ahead", "transfer/angle-10", MOTION),
+    ("six drives of KITTI, trained on rendered roads alone: angle a second ahead", "transfer/angle-10", MOTION),
     ("… without 0005", "transfer/angle-10 without 0005", MOTION),
     ("… path 5 to 10 m ahead", "transfer/path-0/5-10 m", PATH),
     ("… without 0005", "transfer/path-0 without 0005/5-10 m", PATH),
     (
-        "six real drives, trained on the others: path 10 to 20 m",
+        "six drives of KITTI, trained on the others: path 10 to 20 m",
         REAL,
         ("path-others", "path-blind-others", "path-another-others"),
     ),
@@ -201,9 +201,11 @@ def beyond(results: Results) -> list[list[str]]:
             rows.append([question, *nmse, degrees, shown(results, key, [best, *controls])])
     teams = min(text(results, f"udacity/{team}") for team in ("autumn", "komanda", "rambo"))
     wheel = f"{text(results, 'udacity/steer measure')} rad"
-    rows.append(["steering wheel, Udacity's test drive, RMSE", wheel, *[NONE] * 3, f"best of three teams: {teams} rad"])
+    measured = "steering wheel by measured motion, Udacity's test drive, RMSE"
+    rows.append([measured, wheel, *[NONE] * 3, f"best of three teams: {teams} rad"])
     motion = sorted({text(results, key) for key in results if key.startswith("real/motion/")})
-    return [*rows, ["angle measured in real images", " to ".join(dict.fromkeys((motion[0], motion[-1]))), *[NONE] * 4]]
+    measured = "present angle by measured motion, six drives of KITTI"
+    return [*rows, [measured, " to ".join(dict.fromkeys((motion[0], motion[-1]))), *[NONE] * 4]]
 
 
 def shown(results: Results, model: str, rivals: list[str]) -> str:
@@ -216,7 +218,7 @@ def shown(results: Results, model: str, rivals: list[str]) -> str:
     former = errors.verdict(bounds[least], seeds=2, drives=errors.LEAST_DRIVES)  # of figures without a verdict
     answer = get(results, f"{model} - {least}", "verdict") or former
     answer = "open" if answer == "better" and len(upper) < len(rivals) else answer
-    words = BLIND if "blind" in least else "another scene" if "another" in least else least
+    words = "no learning" if least in NO_LEARNING else BLIND if "blind" in least else "another scene"
     return f"{answer}, {difference(results, f'{model} - {least}')} to {words}"
 
 

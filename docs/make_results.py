@@ -183,7 +183,7 @@ def claims(results: Results) -> list[list[str]]:
         if None not in difference:
             rows.append(claim_cells(claim, errors, *difference))
     table = Table("", rows)
-    return [table.heads, *([cell.replace(" -", " −").replace("(-", "(−") for cell in row] for row in table.cells)]
+    return [table.heads, *([re.sub(r"-(?=\d\.)", "−", cell) for cell in row] for row in table.cells)]
 
 
 def beyond(results: Results) -> list[list[str]]:

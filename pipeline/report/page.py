@@ -56,8 +56,8 @@ def write_page(
 ) -> None:
     """Write the page to an HTML file.
 
-    The files of `figures` are in folder figures beside it. The first of the `tables` are the results of each group.
-    `perception`: where the encoder's weights come from, and tables.
+    The files of `figures` are in folder figures beside it. `perception`: where the encoder's weights come from, and
+    tables.
     """
     captions, frame = figures
     pictures = {
@@ -65,11 +65,12 @@ def write_page(
         for name, caption in captions.items()
     }
     chain, look = pictures.pop("chain", None), styles(groups)
+    results = [table for table in tables if table.title.startswith(("Results", "The paper's claims"))]
     sections: dict[str, Content] = {
-        "Results": tables[: len(groups)],
+        "Results": results,
         **{f"Test drives: {group.title}": _test_drives(group, look) for group in groups},
         "Largest errors": [*pictures.values()],
-        "Models in detail": tables[len(groups) :],
+        "Models in detail": [table for table in tables if table not in results],
         "Depth, classes and motion": perception,
     }
     environment = Environment(

@@ -251,12 +251,13 @@ def claim_cells(
     (ours, ours_deg), (other, other_deg) = errors
     return {
         "the paper's claim": claim.text,
+        "verdict": claim.verdict(outcome),
         "networks": f"{claim.model}, {claim.rival}",
         "nmse": f"{number(ours, '.3f')}, {number(other, '.3f')}",
         "mean error, °": f"{number(ours_deg, '.2f')}, {number(other_deg, '.2f')}",
         "MSE ratio: paper": number(claim.ratio, ".2f"),
         "here": number(ours / other if ours is not None and other else None, ".2f"),
-        "verdict": f"{claim.verdict(outcome)}, {number(difference, '+.3f')} ({interval_text(bounds, '+.3f')})",
+        "difference in nmse": f"{number(difference, '+.3f')} ({interval_text(bounds, '+.3f')})",
     }
 
 

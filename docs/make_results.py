@@ -48,7 +48,7 @@ BEYOND = (  # question, group of results, and in it the model with the scene; wi
     ("… path 5 to 10 m ahead", "transfer/path-0/5-10 m", PATH),
     ("… without 0005", "transfer/path-0 without 0005/5-10 m", PATH),
     (
-        "six drives of KITTI, trained on the others: path 10 to 20 m",
+        "six drives of KITTI, each by networks of the other five: path 10 to 20 m",
         REAL,
         ("path-others", "path-blind-others", "path-another-others"),
     ),
@@ -192,7 +192,7 @@ def beyond(results: Results) -> list[list[str]]:
         ["nmse on unseen drives", "without learning", BLIND, "with the scene", "mean error, °", "does the scene help?"]
     ]
     for question, group, (model, *controls) in BEYOND:
-        if key := next((key for key in results if key == f"{group}/{model}"), ""):
+        if (key := f"{group}/{model}") in results:
             errors = {name: get(results, f"{group}/{name}") for name in NO_LEARNING}
             best = min((name for name in errors if errors[name] is not None), key=lambda name: errors[name])
             blind = next((name for name in controls if "blind" in name), "")

@@ -118,7 +118,7 @@ def find_drives(root: Path, drives: Sequence[str]) -> dict[str, KittiDrive]:
 
 
 def leave_out(root: Path, drives: Collection[str], splits: Mapping[str, str], required: Collection[str]) -> list[str]:
-    """Return those of `drives` that are missing below `root`, and print them beside drives that no split names.
+    """Return which of `drives` are missing below `root`; print them, and drives that are there but in no split.
 
     Raises InputError if all are missing, all of a split (drive → split), or one of the `required`.
     """

@@ -69,7 +69,7 @@ CLAIMS = (
 
 
 def matches(name: str, settings: Mapping[str, Any], ignored: Collection[str] = ()) -> bool:
-    """Return whether the settings of a model and its graph variant, but the `ignored`, are those of a network."""
+    """Return whether settings of a model and its graph variant are those of network `name`, `ignored` ones aside."""
     expected = {key: values for key, values in PAPER[name].settings.items() if key not in ignored}
     return all(settings.get(key, values[0]) in values for key, values in expected.items())
 

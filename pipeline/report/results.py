@@ -26,7 +26,9 @@ NO_LEARNING = {  # baseline → what it predicts
 }
 BASELINES = (*NO_LEARNING, "persistence")  # persistence repeats true angles, which no model gets
 USELESS = 0.95  # nmse on the test drives above which a model has learned nothing
-Row = dict[str, Any]  # a model's metrics.json with ``paper``, its :class:`paper.Published` or None
+Row = dict[
+    str, Any
+]  # a model's metrics.json with its ``settings`` and ``paper``, its :class:`paper.Published` or None
 Estimate = tuple[float | None, list[float] | None]  # a value, None if unknown, and its :func:`errors.interval`
 
 
@@ -124,7 +126,8 @@ def load_groups(folders: Mapping[str, Path], settings: Evaluate) -> list[Group]:
     loaded: dict[tuple[str, int], list[Row]] = {}
     for model, folder in folders.items():
         row = store.read_json(folder / "metrics.json", stage=f"evaluate@{folder.name}") | {"model": model}
-        row["paper"] = paper.find(row["entry"] | {"accumulate": row["variant"].get("accumulate")})
+        row["settings"] = row["entry"] | {"accumulate": row["variant"].get("accumulate")}
+        row["paper"] = paper.find(row["settings"])
         loaded.setdefault((row["entry"]["predict"], row["entry"]["horizon"]), []).append(row)
     order = [*paper.PAPER.values(), None]
     groups = []

@@ -224,9 +224,7 @@ def _claims(group: Group) -> list[dict[str, str]]:
     def as_meant(name: str, claim: paper.Claim) -> bool:
         if name not in paper.PAPER:
             return len(_changed(models[claim.model], models[name])) == 1
-        row = models[name]
-        settings = row["entry"] | {"accumulate": row["variant"].get("accumulate")}
-        return paper.matches(name, settings, ignored=("width",))
+        return paper.matches(name, models[name]["settings"], ignored=("width",))
 
     for claim in paper.CLAIMS:
         pair = claim.model, claim.rival

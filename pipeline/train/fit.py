@@ -152,7 +152,7 @@ class Fit:
                     problem = f"loss of epoch {epoch} is {loss}"
                     raise InputError(problem, title, "Lower train.learning_rate or clip_norm")
                 error = math.nan
-                if val:  # the reader has the validation drives after the others
+                if val:  # these drives follow the training drives in the reader
                     predicted = predict.predict_drives(self.average.module, reader, self.scale, first=len(self.train))
                     error = nmse(val, predicted)
                 self.curve.append({"epoch": epoch, "learning_rate": rate, "train_loss": loss, "val_nmse": error})

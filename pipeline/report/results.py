@@ -26,9 +26,8 @@ NO_LEARNING = {  # baseline → what it predicts
 }
 BASELINES = (*NO_LEARNING, "persistence")  # persistence repeats true angles, which no model gets
 USELESS = 0.95  # nmse on the test drives above which a model has learned nothing
-Row = dict[
-    str, Any
-]  # a model's metrics.json with its ``settings`` and ``paper``, its :class:`paper.Published` or None
+# A model's metrics.json with its `settings`, and with `paper`, its :class:`paper.Published` or None.
+Row = dict[str, Any]
 Estimate = tuple[float | None, list[float] | None]  # a value, None if unknown, and its :func:`errors.interval`
 
 

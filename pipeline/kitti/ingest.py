@@ -26,10 +26,7 @@ MAPS: dict[str, tuple[str, np.ndarray, Callable[..., np.ndarray]]] = {
     "cls": (f"trainId, {VOID} = void", np.array(VOID, np.uint8), nearest),
 }
 HAS = (*MAPS, "lidar")
-SUMMARY = (
-    "{frames} frames, {image} images of camera {camera}, {lidar} scans, {depth} depth and {cls} class maps, {steering} "
-    "steering angles; {left_out} images or scans without a frame, {damaged} damaged files left out"
-)
+SUMMARY = "{frames} frames{counts}"
 
 
 class IngestFile(DriveWriter):
@@ -127,8 +124,17 @@ def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> 
             where = "damaged files" if oxts or not files.oxts else "damaged files, among them all oxts packets"
             raise DamagedFile(faults, f"{len(damaged)} {where}", fix)
         summary = file.finish(oxts, steering_rad)
-    left_out = len({*images, *scans} - {*numbers})
-    return summary | {"camera": chosen, "left_out": left_out, "damaged": len(damaged)}
+    counts = {
+        f"images of camera {chosen}": summary["image"],
+        "scans": summary["lidar"],
+        "depth maps": summary["depth"],
+        "class maps": summary["cls"],
+        "steering angles": summary["steering"],
+        "images or scans without a frame": len({*images, *scans} - {*numbers}),
+        "damaged files left out": len(damaged),
+    }
+    text = "".join(f", {count} {name}" for name, count in counts.items() if count)
+    return summary | {"counts": text, "damaged": len(damaged)}
 
 
 def _read(

@@ -54,7 +54,6 @@ BEYOND = (  # question, group of results, and in it the model with the scene; wi
     ),
     ("… and on rendered roads before", REAL, ("path-then", "path-blind-others", "path-another-then")),
 )
-LINES = {"sa-gnn-ncp": ("NCP, the paper's network", "b-"), "sa-gnn-lstm": ("LSTM", "g-")}  # label, format
 Results = dict[str, dict[str, Any]]
 
 
@@ -252,23 +251,19 @@ def origins(results: Results) -> list[list[str]]:
 
 
 def plot(results: Results) -> Figure:
-    """Return the validation nmse over the number of training roads: a dot per seed, lines of the medians."""
+    """Return sa-gnn-ncp's validation nmse over the number of training roads: a dot per seed, a line of the medians."""
+    points = [values for key, values in results.items() if re.fullmatch(r"roads/val/sa-gnn-ncp(-\d+)?", key)]
+    points.sort(key=lambda values: values["roads"])
     figure = Figure(figsize=(7, 3), layout="constrained")
     axes = figure.subplots()
-    for model, (label, form) in LINES.items():
-        points = [values for key, values in results.items() if re.fullmatch(rf"roads/val/{model}(-\d+)?", key)]
-        points.sort(key=lambda values: values["roads"])
-        roads = [values["roads"] for values in points]
-        seeds = [values["seeds"] for values in points]
-        if points:
-            axes.plot(roads, np.median(seeds, axis=1), form, label=label)
-            axes.plot(roads, seeds, f"{form[0]}.", markersize=4)
+    axes.plot([values["roads"] for values in points], [np.median(values["seeds"]) for values in points], "b-")
+    for values in points:
+        axes.plot([values["roads"]] * len(values["seeds"]), values["seeds"], "b.", markersize=4)
     axes.set_xscale("log")
     axes.set_xticks([30, 60, 120, 240], ["30", "60", "120", "240"])
     axes.minorticks_off()
     axes.set(xlabel="training roads of 60 frames, equally many steps", ylabel="validation nmse", ylim=(0, None))
     axes.grid(alpha=0.3)
-    figure.legend(loc="outside right center", frameon=False, fontsize="small")
     return figure
 
 

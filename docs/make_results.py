@@ -40,6 +40,7 @@ PATH = ("path", "path-blind", "path-another")
 REAL = "real/path-0/10-20 m"
 BEYOND = (  # question, group of results, and in it the model with the scene; without it, and with another scene
     ("present angle by the scene alone, 48 rendered roads", "table2/angle-0", ("sa-gnn-ncp",)),
+    ("… 240 rendered roads", "roads/angle-0", ("sa-gnn-ncp",)),
     ("angle a second ahead, 240 rendered roads", "roads/angle-10", MOTION),
     ("path 5 to 10 m ahead, 240 rendered roads", "roads/path-0/5-10 m", PATH),
     ("path 10 to 20 m ahead, 240 rendered roads", "roads/path-0/10-20 m", PATH),

@@ -44,16 +44,18 @@ BEYOND = (  # question, group of results, and in it the model with the scene; wi
     ("angle a second ahead, 240 rendered roads", "roads/angle-10", MOTION),
     ("path 5 to 10 m ahead, 240 rendered roads", "roads/path-0/5-10 m", PATH),
     ("path 10 to 20 m ahead, 240 rendered roads", "roads/path-0/10-20 m", PATH),
-    ("six drives of KITTI, trained on rendered roads alone: angle a second ahead", "transfer/angle-10", MOTION),
-    ("… without 0005", "transfer/angle-10 without 0005", MOTION),
-    ("… path 5 to 10 m ahead", "transfer/path-0/5-10 m", PATH),
-    ("… without 0005", "transfer/path-0 without 0005/5-10 m", PATH),
+    ("angle a second ahead, six drives of KITTI, trained on 240 rendered roads", "transfer/angle-10", MOTION),
+    ("path 5 to 10 m ahead, six drives of KITTI, trained on 240 rendered roads", "transfer/path-0/5-10 m", PATH),
+)
+REAL = (  # the same of the six real drives, in docs/results.md
+    ("240 rendered roads: angle a second ahead, without 0005", "transfer/angle-10 without 0005", MOTION),
+    ("… path 5 to 10 m ahead, without 0005", "transfer/path-0 without 0005/5-10 m", PATH),
     (
-        "six drives of KITTI, each by networks of the other five: path 10 to 20 m",
-        REAL,
+        "the other five real drives: path 10 to 20 m ahead",
+        "real/path-0/10-20 m",
         ("path-others", "path-blind-others", "path-another-others"),
     ),
-    ("… and on rendered roads before", REAL, ("path-then", "path-blind-others", "path-another-then")),
+    ("… and before on rendered roads", "real/path-0/10-20 m", ("path-then", "path-blind-others", "path-another-then")),
 )
 Results = dict[str, dict[str, Any]]
 
@@ -120,7 +122,7 @@ def figures_of_group(group: Group) -> Results:
     """Return the errors of models and baselines, and the differences of models in question to all others."""
     figures: Results = {}
     rows = [name for name in group.predicted if name not in BASELINES or name in NO_LEARNING]
-    models = {claim.model for claim in CLAIMS} | {name for _, _, (name, *_) in BEYOND}
+    models = {claim.model for claim in CLAIMS} | {name for _, _, (name, *_) in (*BEYOND, *REAL)}
     for column, label in group.labels.items():
         part = f"{group.key}/{label}".rstrip("/")
         for name in rows:
@@ -188,10 +190,25 @@ def claims(results: Results) -> list[list[str]]:
 
 def beyond(results: Results) -> list[list[str]]:
     """Return a row per question beyond the paper, and rows of measured motion."""
-    rows = [
-        ["nmse on unseen drives", "without learning", BLIND, "with the scene", "mean error, °", "does the scene help?"]
-    ]
-    for question, group, (model, *controls) in BEYOND:
+    teams = min(text(results, f"udacity/{team}") for team in ("autumn", "komanda", "rambo"))
+    wheel = f"{text(results, 'udacity/steer measure')} rad"
+    measured = "steering wheel by measured motion, Udacity's test drive, RMSE"
+    udacity = [measured, wheel, *[NONE] * 3, f"best of three teams: {teams} rad"]
+    motion = sorted({text(results, key) for key in results if key.startswith("real/motion/")})
+    measured = "present angle by measured motion, six drives of KITTI"
+    kitti = [measured, " to ".join(dict.fromkeys((motion[0], motion[-1]))), *[NONE] * 4]
+    return [*questions(results, "nmse on unseen drives", BEYOND), udacity, kitti]
+
+
+def real(results: Results) -> list[list[str]]:
+    """Return a row per further question on the six real drives."""
+    return questions(results, "nmse on six drives of KITTI, trained on", REAL)
+
+
+def questions(results: Results, head: str, asked: tuple[tuple[str, str, tuple[str, ...]], ...]) -> list[list[str]]:
+    """Return a row per question whose figures are known."""
+    rows = [[head, "without learning", BLIND, "with the scene", "mean error, °", "does the scene help?"]]
+    for question, group, (model, *controls) in asked:
         if (key := f"{group}/{model}") in results:
             errors = {name: get(results, f"{group}/{name}") for name in NO_LEARNING}
             best = min((name for name in errors if errors[name] is not None), key=lambda name: errors[name])
@@ -199,13 +216,7 @@ def beyond(results: Results) -> list[list[str]]:
             nmse = [text(results, f"{group}/{name}") for name in (best, blind, model)]
             degrees = text(results, key, "mae_deg", ".2f")
             rows.append([question, *nmse, degrees, shown(results, key, [best, *controls])])
-    teams = min(text(results, f"udacity/{team}") for team in ("autumn", "komanda", "rambo"))
-    wheel = f"{text(results, 'udacity/steer measure')} rad"
-    measured = "steering wheel by measured motion, Udacity's test drive, RMSE"
-    rows.append([measured, wheel, *[NONE] * 3, f"best of three teams: {teams} rad"])
-    motion = sorted({text(results, key) for key in results if key.startswith("real/motion/")})
-    measured = "present angle by measured motion, six drives of KITTI"
-    return [*rows, [measured, " to ".join(dict.fromkeys((motion[0], motion[-1]))), *[NONE] * 4]]
+    return rows
 
 
 def shown(results: Results, model: str, rivals: list[str]) -> str:
@@ -268,7 +279,7 @@ def plot(results: Results) -> Figure:
     return figure
 
 
-TABLES = {table.__name__: table for table in (claims, beyond, table2, coverage, origins)}
+TABLES = {table.__name__: table for table in (claims, beyond, real, table2, coverage, origins)}
 
 if __name__ == "__main__":
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)

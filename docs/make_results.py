@@ -37,8 +37,10 @@ BLIND = "motion only"
 OMITTED = "2011_09_26_drive_0005"  # of the six real drives: an earlier result rested on it
 MOTION = ("motion-10", "motion-10-blind", "motion-10-another")
 PATH = ("path", "path-blind", "path-another")
-REAL = "real/path-0/10-20 m"
-BEYOND = (  # question, group of results, and in it the model with the scene; without it, and with another scene
+Results = dict[str, dict[str, Any]]
+# Each: question, group of results, and in it the model with the scene; without it, and with another scene.
+Questions = tuple[tuple[str, str, tuple[str, ...]], ...]
+BEYOND: Questions = (
     ("present angle by the scene alone, 48 rendered roads", "table2/angle-0", ("sa-gnn-ncp",)),
     ("… 240 rendered roads", "roads/angle-0", ("sa-gnn-ncp",)),
     ("angle a second ahead, 240 rendered roads", "roads/angle-10", MOTION),
@@ -47,7 +49,7 @@ BEYOND = (  # question, group of results, and in it the model with the scene; wi
     ("angle a second ahead, six drives of KITTI, trained on 240 rendered roads", "transfer/angle-10", MOTION),
     ("path 5 to 10 m ahead, six drives of KITTI, trained on 240 rendered roads", "transfer/path-0/5-10 m", PATH),
 )
-REAL = (  # the same of the six real drives, in docs/results.md
+REAL: Questions = (  # the same of the six real drives, in docs/results.md
     ("240 rendered roads: angle a second ahead, without 0005", "transfer/angle-10 without 0005", MOTION),
     ("… path 5 to 10 m ahead, without 0005", "transfer/path-0 without 0005/5-10 m", PATH),
     (
@@ -57,7 +59,6 @@ REAL = (  # the same of the six real drives, in docs/results.md
     ),
     ("… and before on rendered roads", "real/path-0/10-20 m", ("path-then", "path-blind-others", "path-another-then")),
 )
-Results = dict[str, dict[str, Any]]
 
 
 def collect(source: Path, preset: str) -> None:
@@ -205,7 +206,7 @@ def real(results: Results) -> list[list[str]]:
     return questions(results, "nmse on six drives of KITTI, trained on", REAL)
 
 
-def questions(results: Results, head: str, asked: tuple[tuple[str, str, tuple[str, ...]], ...]) -> list[list[str]]:
+def questions(results: Results, head: str, asked: Questions) -> list[list[str]]:
     """Return a row per question whose figures are known."""
     rows = [[head, "without learning", BLIND, "with the scene", "mean error, °", "does the scene help?"]]
     for question, group, (model, *controls) in asked:

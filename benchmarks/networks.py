@@ -69,7 +69,7 @@ def ltc() -> Row:
             _backward(forward()[:, -1, 0])
 
     return Row(
-        milliseconds(lambda: repeat(lambda: ours(ours.project_inputs(x)[windows], dt_s)[0]), REPEATS),
+        milliseconds(lambda: repeat(lambda: ours(ours.project_inputs(x)[windows], dt_s)), REPEATS),
         milliseconds(lambda: repeat(lambda: alternative(x[windows])[0]), REPEATS),
         "ms",
         f"{WINDOWS} windows of {WINDOW} frames, {FEATURES} features: LTC / ncps LTC, both ways",

@@ -35,7 +35,7 @@ for depth_m, cls in zip(*perceive.perceive(encoder, images, Camera(K, images.sha
         x = layer(adjacency, x)  # GCNLayer, eq. 3
     features.append(gcn.read_out(mean_max_pool(x, torch.tensor([0, len(x)]))))  # [1,32]
 inputs = ncp.project_inputs(standardise(torch.cat(features)))[None]  # [1,8,..], a window of eight frames
-outputs, _ = ncp(inputs, torch.full((1, 8), NOMINAL_STEP_S))  # [1,8,1]
+outputs = ncp(inputs, torch.full((1, 8), NOMINAL_STEP_S))  # [1,8,1]
 angle_deg = np.degrees(model.scale.decode(outputs[:, -1].numpy(), base=np.zeros(1)).item())
 print(title := f"steering angle: predicted {angle_deg:.1f}°, driven 17.1° (left +)")
 # A picture of the last image.

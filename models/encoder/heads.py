@@ -12,11 +12,6 @@ from pipeline.camera import classes
 MIN_DEPTH_M, MAX_DEPTH_M = 0.5, 120.0
 
 
-def rgb_0_1(image: Tensor) -> Tensor:
-    """Return an image, uint8 or floats from 0 to 1, as floats."""
-    return image.float() / 255 if image.dtype == torch.uint8 else image
-
-
 def resized(x: Tensor, size: Sequence[int]) -> Tensor:
     """Interpolate a map [B,C,h,w] to `size`, in float32, with averages where it shrinks; pixel centres stay aligned."""
     if x.shape[-2:] == torch.Size(size):

@@ -19,7 +19,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from models.encoder.heads import CellClasses, CellDepth, ray_slopes, resized, rgb_0_1, scaled_by_focal
+from models.encoder.heads import CellClasses, CellDepth, ray_slopes, resized, scaled_by_focal
 from pipeline.base.errors import InputError
 from pipeline.camera.classes import COUNT, NAMES, ROAD
 
@@ -176,10 +176,9 @@ class Network(nn.Module):
         self.register_buffer("mean_std", mean_std, persistent=False)  # [2,3,1,1]
 
     def forward(self, image: Tensor, **options: Any) -> Any:
-        """Return the network's output for an RGB image [B,3,H,W]."""
-        rgb = rgb_0_1(image)
-        (mean, std), (height, width) = self.mean_std.to(rgb.dtype), rgb.shape[-2:]
-        padded = F.pad((rgb - mean) / std, (0, -width % self.multiple, 0, -height % self.multiple))
+        """Return the network's output for an RGB image uint8 [B,3,H,W]."""
+        (mean, std), (height, width) = self.mean_std, image.shape[-2:]
+        padded = F.pad((image.float() / 255 - mean) / std, (0, -width % self.multiple, 0, -height % self.multiple))
         with loading(self.network.config.model_type, "run"):
             return self.network(padded, **options)
 

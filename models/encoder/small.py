@@ -4,7 +4,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from models.encoder.heads import CellClasses, CellDepth, Pointwise, ray_slopes, rgb_0_1
+from models.encoder.heads import CellClasses, CellDepth, Pointwise, ray_slopes
 
 MEAN, STD, STRIDE = 0.45, 0.25, 2
 WIDTHS = (16, 32, 64, 96)  # at 1/2, 1/4, 1/8 and 1/16 of the image
@@ -21,7 +21,7 @@ class Small(nn.Module):
     def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
         # At a fixed camera height the slope of a pixel's ray determines the depth of the ground for any focal length.
         rays = ray_slopes(K, image.shape[-2:])
-        features = self.backbone((rgb_0_1(image) - MEAN) / STD, rays)
+        features = self.backbone((image.float() / 255 - MEAN) / STD, rays)
         return self.depth_head(features, rays), self.class_head(features, rays)
 
 

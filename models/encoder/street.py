@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from models.encoder.efficientvit import STRIDE, EfficientViT
-from models.encoder.heads import resized, rgb_0_1
+from models.encoder.heads import resized
 from models.encoder.rtmonodepth_s import RTMonoDepthS
 
 ENLARGED = 1.5  # of the image before it is classified: small images have too few pixels for a stride of 32
@@ -44,7 +44,7 @@ class Street(nn.Module):
         self.depth, self.classes = RTMonoDepthS(), EfficientViT()
 
     def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
-        rgb, size = rgb_0_1(image), image.shape[-2:]
+        rgb, size = image.float() / 255, image.shape[-2:]
         enlarged = resized(rgb, [STRIDE * math.ceil(ENLARGED * side / STRIDE) for side in size])
         return self.depth(rgb, K), resized(self.classes(enlarged), size)
 

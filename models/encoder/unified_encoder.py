@@ -2,7 +2,7 @@
 
 An encoder is a module ``forward(image, K) -> (depth, logits)``:
 
-- image: RGB [B,3,H,W], uint8, or floats from 0 to 1.
+- image: RGB uint8 [B,3,H,W].
 - K: pinhole intrinsics [B,3,3] at this image size.
 - depth: [B,H,W], metres along the optical axis.
 - logits: of Cityscapes' classes, [B,19,H,W], or [B,20,H,W] with void last.

@@ -92,7 +92,7 @@ class Entry(Section):
         return steering_net.SteeringNet(
             spatial,
             temporal,
-            options.Sizes(self.features, self.window, levels, image_size or (0, 0), outputs),
+            options.Sizes(self.features, levels, image_size or (0, 0), outputs),
             equivariant=self.equivariant,
             motion=self.motion != "none",
         )

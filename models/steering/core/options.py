@@ -11,7 +11,6 @@ from torch import nn
 from models.steering.core.batch import FrameKind
 from pipeline.base.errors import InputError
 
-Part = Literal["spatial", "temporal"]
 Count = Annotated[int, Field(ge=1, le=1024)]  # neurons, channels
 Widths = Annotated[tuple[Count, ...], Field(min_length=1, max_length=32, strict=False)]  # channels after each layer
 Semantics = Annotated[float, Field(ge=0, le=1, description="weight of the classes, paper eq. 7; 0: geometry alone")]
@@ -28,7 +27,6 @@ class Sizes:
     """Sizes that a network takes from its input and from the general keys of its entry."""
 
     features: int  # F, per frame, between the two networks
-    window: int = 1  # T, frames per prediction
     levels: int = 0  # samplings in an input of kind pointnet2
     image_size: tuple[int, int] = (0, 0)  # (H,W) pixels of an input of kind image
     outputs: int = 1  # R, per frame, of the recurrent network
@@ -45,15 +43,11 @@ class NetworkOptions(OptionGroup):
         raise NotImplementedError
 
 
-def names(part: Part) -> list[str]:
-    """Return the names of the part's networks, sorted."""
-    return sorted(path.stem for path in (Path(__file__).parents[1] / part).glob("[!_]*.py"))
-
-
-def load(part: Part, name: str) -> type[NetworkOptions]:
+def load(part: Literal["spatial", "temporal"], name: str) -> type[NetworkOptions]:
     """Return the class `Options` of a network's file. Raises InputError if there is no such file."""
     path = f"models/steering/{part}/{name}.py"
-    if name not in (known := names(part)):
+    known = sorted(file.stem for file in (Path(__file__).parents[1] / part).glob("[!_]*.py"))
+    if name not in known:
         raise InputError(f"{part} = {name!r}: there is no {path} (known: {', '.join(known)})")
     try:
         options: type[NetworkOptions] = importlib.import_module(f"models.steering.{part}.{name}").Options

@@ -22,11 +22,8 @@ class RecurrentCell(nn.Module):
         """Return the per-frame part: [..., D] → [..., S]."""
         raise NotImplementedError
 
-    def forward(self, projected: Tensor, dt_s: Tensor) -> tuple[Tensor, Tensor]:
-        """Run the recursion from a state of zeros over frames `projected` [W,T,S], dt_s [W,T] s after the one before.
-
-        Returns the outputs of each window and frame [W,T,R], and the state after the last frame [W,U].
-        """
+    def forward(self, projected: Tensor, dt_s: Tensor) -> Tensor:
+        """Return the outputs [W,T,R], from a state of zeros, for `projected` [W,T,S] and time steps dt_s [W,T]."""
         raise NotImplementedError
 
     __call__: Any  # nn.Module's, untyped

@@ -16,12 +16,8 @@ from torch import Tensor, nn
 from models.steering.core.batch import Array, Batch, from_arrays
 from models.steering.core.options import NetworkOptions, Sizes
 
-MOTION_MIRROR_SIGNS = (-1.0, -1.0, 1.0, 1.0)
-"""Factor of each column of `motion` under left-right mirroring.
-
-The columns are the measured angle (rad) and yaw rate (rad/s), both left +, speed (m/s) and valid (0 or 1).
-"""
 MOTION_SCALES = (0.25, 0.4, 15.0, 1.0)  # a sharp corner, a fast street
+"""Scales of the columns of `motion`: angle (rad) and yaw rate (rad/s), both left +, speed (m/s) and valid (0 or 1)."""
 EPSILON = 1e-6  # added to variances
 
 
@@ -87,7 +83,7 @@ class SteeringNet(nn.Module):
         # Random numbers are drawn in this order: a seed's weights depend on it.
         self.spatial = spatial.build(sizes)
         self.scale = FeatureScale(sizes.features, centred=not equivariant)
-        inputs = sizes.features + motion * len(MOTION_MIRROR_SIGNS)
+        inputs = sizes.features + motion * len(MOTION_SCALES)
         self.temporal: Any = temporal.build(replace(sizes, features=inputs))
 
     def forward(
@@ -104,7 +100,7 @@ class SteeringNet(nn.Module):
             batch: B frames, or the frames that `scenes` counts.
             windows: int64 [W,T], the frames of each window, oldest first.
             dt_s: [W,T] seconds since the previous frame.
-            motion: [B,4], see MOTION_MIRROR_SIGNS; required with motion.
+            motion: [B,4], see MOTION_SCALES; required with motion.
             scenes: of a control, int64 [B], the frame of the batch that each of B frames sees; None: its own.
         Returns:
             [W,R], R = 1 for an angle.
@@ -127,8 +123,7 @@ class SteeringNet(nn.Module):
                 assert motion is not None, "a network with motion needs the motion of each frame"
                 inputs = torch.cat([inputs, scaled(motion.to(inputs))], dim=1)
             projected = self.temporal.project_inputs(inputs)  # once for each frame
-            outputs, _ = self.temporal(projected[windows], dt_s.to(projected))  # [W,T,R]
-            out: Tensor = outputs[:, -1]
+            out: Tensor = self.temporal(projected[windows], dt_s.to(projected))[:, -1]  # [W,R]
             if self.equivariant:
                 original, mirrored = out.chunk(2)
                 out = (original - mirrored) / 2

@@ -30,7 +30,7 @@ class LSTM(RecurrentCell):
     def project_inputs(self, x: Tensor) -> Tensor:
         return nn.functional.linear(x, self.weight_ih, self.bias_ih + self.bias_hh)  # [..., 4U]
 
-    def forward(self, projected: Tensor, dt_s: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, projected: Tensor, dt_s: Tensor) -> Tensor:
         h = c = projected.new_zeros(len(projected), self.weight_hh.shape[1])
         hidden = []
         for frame in projected.unbind(1):
@@ -38,4 +38,4 @@ class LSTM(RecurrentCell):
             c = f.sigmoid() * c + i.sigmoid() * g.tanh()
             h = o.sigmoid() * c.tanh()
             hidden.append(h)
-        return self.read_out(torch.stack(hidden, dim=1)), torch.cat([h, c], dim=1)
+        return self.read_out(torch.stack(hidden, dim=1))

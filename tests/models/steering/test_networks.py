@@ -2,6 +2,7 @@
 
 import math
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,7 +12,7 @@ from torch.nn import functional
 
 from models.steering.core.batch import Batch, GraphBatch, ImageBatch
 from models.steering.core.features import GEOMETRY, node_features
-from models.steering.core.options import Sizes, load, names
+from models.steering.core.options import Sizes, load
 from models.steering.spatial import gnn, polar, pyg
 from models.steering.spatial.pointnet2 import OFFSET_M
 from pipeline.camera import classes
@@ -21,7 +22,8 @@ TOLERANCE = {"rtol": 0, "atol": 1e-9}
 SMALL = {"layers": [8, 16], "semantics": 0.7, "width": 0.125, "widths": [6, 8, 8]}
 HEADS = {"layer_options": {"heads": 2}}
 PYG: dict[str, Any] = {"GCNConv": {}, "GATv2Conv": HEADS, "SAGEConv": {}, "TransformerConv": HEADS, "EdgeConv": {}}
-NETWORKS = sorted({*names("spatial"), *PYG} - {"pyg"})
+FILES = Path("models/steering/spatial").glob("[!_]*.py")
+NETWORKS = sorted({*(file.stem for file in FILES), *PYG} - {"pyg"})
 COUNTS = [30, 0, 1, 17, 45]  # points per frame
 each_network = pytest.mark.parametrize("name", NETWORKS)
 

@@ -9,7 +9,7 @@ import torch
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from models.steering.core.options import NetworkOptions, load
-from models.steering.core.steering_net import EPSILON, MOTION_MIRROR_SIGNS, FeatureScale, SteeringNet
+from models.steering.core.steering_net import EPSILON, FeatureScale, SteeringNet
 from models.steering.spatial import gnn
 from models.steering.temporal.ncp import CELLS
 from pipeline.settings.models import Entry
@@ -22,7 +22,7 @@ DT_S = torch.rand(WINDOWS.shape, dtype=torch.float64, generator=torch.Generator(
 MOTION = torch.rand(6, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(1)) * torch.tensor(
     [0.2, 0.5, 20, 1]
 )
-MIRROR = torch.tensor(MOTION_MIRROR_SIGNS)
+MIRROR = torch.tensor([-1.0, -1.0, 1.0, 1.0])  # angle and yaw rate change sign, speed and valid do not
 COUNTS = [20, 9, 30, 12, 0, 25]  # points per frame
 SPATIAL = [name for name in NETWORKS if name != "blind"]  # blind has no input
 WIRING = {"inter": 8, "command": 5, "sensory_fanout": 3, "inter_fanout": 2, "motor_fanin": 3}

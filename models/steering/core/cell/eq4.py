@@ -42,7 +42,7 @@ class Eq4(RecurrentCell):
     def project_inputs(self, x: Tensor) -> Tensor:
         return torch.cat([x @ self.sensory.dense() + self.bias, self.theta(x)], dim=-1)  # [..., 2U], drive ‖ log τ
 
-    def forward(self, projected: Tensor, dt_s: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, projected: Tensor, dt_s: Tensor) -> Tensor:
         internal = self.internal.dense()
         drive, log_tau = projected.chunk(2, dim=-1)  # each [W,T,U]
         h = torch.zeros_like(drive[:, 0])  # [W,U]
@@ -58,4 +58,4 @@ class Eq4(RecurrentCell):
                 h = torch.addcmul(a, correction_frame, torch.addmm(drive_frame, a.sigmoid(), internal) - n)
             states.append(h)
         y = torch.stack(states, dim=1)[..., : self.motor].sigmoid()  # [W,T,motor]
-        return y * self.output_scale + self.output_shift, h
+        return y * self.output_scale + self.output_shift

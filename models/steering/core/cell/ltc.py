@@ -34,10 +34,10 @@ class LTC(RecurrentCell):
         self.sensory, self.internal = Synapses(wiring.sensory), Synapses(wiring.internal)
         # ncps draws cm between 0.4 and 0.6, a memory of about one frame. A single frame says little: from the features
         # of eight, a linear regression has half of the error that it has from the last.
-        capacity = uniform(units, math.log(0.5), math.log(20.0)).exp()  # cm
+        capacity = torch.empty(units).uniform_(math.log(0.5), math.log(20.0)).exp()  # cm
         self.capacity = nn.Parameter(inverse_softplus(capacity))  # before softplus
-        self.leak = nn.Parameter(inverse_softplus(uniform(units, 0.001, 1.0)))  # g, before softplus
-        self.rest = nn.Parameter(uniform(units, -0.2, 0.2))  # v_leak
+        self.leak = nn.Parameter(inverse_softplus(torch.empty(units).uniform_(0.001, 1.0)))  # g, before softplus
+        self.rest = nn.Parameter(torch.empty(units).uniform_(-0.2, 0.2))  # v_leak
         self.output_scale = nn.Parameter(torch.full((wiring.motor,), OUTPUT_SCALE))
         self.output_shift = nn.Parameter(torch.zeros(wiring.motor))
 
@@ -46,14 +46,14 @@ class LTC(RecurrentCell):
         open_ = torch.sigmoid((x * self.input_scale + self.input_shift) @ slope - threshold)  # [..., synapses]
         return open_ @ sums  # [..., 2U], Σ w σ e ‖ Σ w σ
 
-    def forward(self, projected: Tensor, dt_s: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, projected: Tensor, dt_s: Tensor) -> Tensor:
         leak = softplus(self.leak)
         c = softplus(self.capacity) * (self.unfolds * NOMINAL_STEP_S / dt_s[..., None])  # [W,T,U]
         fixed = projected + torch.cat([leak * self.rest, leak + EPSILON])  # numerator ‖ denominator, [W,T,2U]
         potentials: Tensor = Unfolded.apply(  # type: ignore[no-untyped-call]
             c, fixed, *self.internal.matrices(), self.internal.place, self.unfolds
         )
-        return potentials[..., : self.motor] * self.output_scale + self.output_shift, potentials[:, -1]
+        return potentials[..., : self.motor] * self.output_scale + self.output_shift
 
 
 class Unfolded(torch.autograd.Function):
@@ -140,9 +140,9 @@ class Synapses(nn.Module):
         self.register_buffer("post", nn.functional.one_hot(target, signs.shape[1]).float())  # [S,U], target
         # [S], in the flattened matrix
         self.register_buffer("place", source * signs.shape[1] + target, persistent=False)
-        self.w = nn.Parameter(inverse_softplus(uniform(len(source), 0.001, 1.0)))  # before softplus
-        self.sigma = nn.Parameter(uniform(len(source), 3.0, 8.0))
-        self.mu = nn.Parameter(uniform(len(source), 0.3, 0.8))
+        self.w = nn.Parameter(inverse_softplus(torch.empty(len(source)).uniform_(0.001, 1.0)))  # before softplus
+        self.sigma = nn.Parameter(torch.empty(len(source)).uniform_(3.0, 8.0))
+        self.mu = nn.Parameter(torch.empty(len(source)).uniform_(0.3, 0.8))
         self.erev = nn.Parameter(signs[source, target])  # reversal potential e, starts as the sign
 
     def matrices(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -153,11 +153,6 @@ class Synapses(nn.Module):
         w = softplus(self.w)
         sums = torch.stack([w * self.erev, w], dim=1)[..., None] * self.post[:, None]  # [S,2,U]
         return self.pre * self.sigma, self.sigma * self.mu, sums.flatten(1)
-
-
-def uniform(count: int, low: float, high: float) -> Tensor:
-    """Return [count] uniform random numbers between low and high."""
-    return torch.empty(count).uniform_(low, high)
 
 
 def inverse_softplus(y: Tensor) -> Tensor:

@@ -27,11 +27,8 @@ def main(
     jobs = file_jobs(splits, {"source": source, "motion": data / "motion"}, partial(graphs_drive, variant=variant))
     text = "{frames} frames" if variant.kind == "image" else "{frames} frames, {points} points"
     with stage_folder(f"graphs@{name}", out / name) as folder:
-        summaries = make_drives(folder, jobs, variant, text)
+        make_drives(folder, jobs, variant, text)
         store.write_index(folder.new, splits)
-    before, after = (sum(summary.get(key, 0) for summary in summaries.values()) for key in ("edges_knn", "edges_kept"))
-    if before:
-        print(f"{name}: {after / before:.0%} of {before} kNN edges kept")
     return out / name
 
 

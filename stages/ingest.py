@@ -7,9 +7,10 @@ from pipeline.base import console, store
 from pipeline.base.errors import InputError
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
+from pipeline.base.resume import file_hash
 from pipeline.base.runner import Job, make_drives
-from pipeline.kitti.ingest import SUMMARY, ingest_kitti
-from pipeline.kitti.raw import KittiDrive, find_drives, leave_out
+from pipeline.kitti.ingest import ingest_kitti
+from pipeline.kitti.raw import MANIFEST, KittiDrive, find_drives, leave_out
 from pipeline.settings.ingest import Ingest, Reading
 
 
@@ -30,7 +31,7 @@ def main(
     for source, root in {"sample": sample, "kitti": raw}.items():
         drives |= find_drives(root, [drive for drive in splits if sources[drive] == source])
     for drive, manifest in settings.manifests.items():
-        if drive in drives and drives[drive].manifest() != manifest:
+        if drive in drives and file_hash(drives[drive].folder / MANIFEST) != manifest:
             fix = "Use the preset that steer import wrote: make params PRESET=NAME, then dvc repro"
             raise InputError("drive was imported again, ingest.manifests has the one before", drives[drive].folder, fix)
     jobs, reading = [], Reading(**settings.model_dump(include=set(Reading.model_fields)))
@@ -39,7 +40,7 @@ def main(
         work = partial(ingest_kitti, drive=drive, folder=files.folder, settings=reading)
         jobs.append(Job(drive, f"{drive}.h5", [fingerprint], work))
     with stage_folder("ingest", out) as stage:
-        make_drives(stage, jobs, reading, SUMMARY)
+        make_drives(stage, jobs, reading, "{frames} frames{counts}")
         store.write_index(stage.new, splits)
     return out
 

@@ -17,7 +17,7 @@ from pipeline.base.params import load, load_entry
 from pipeline.settings.models import Entry
 from pipeline.settings.train import RATE_TOLERANCE, Train
 from pipeline.train import runs
-from pipeline.train.fit import Job, fit_run
+from pipeline.train.fit import fit_run
 from pipeline.train.loss import Scale
 from pipeline.train.targets import check, read_drive
 
@@ -58,7 +58,7 @@ def main(
         todo = runs.runs(folder.new, settings.seeds, folds)
         # A GPU trains one network at a time; a cluster has a worker per GPU, see CUDA_VISIBLE_DEVICES.
         alone = SCHEDULER not in os.environ and (torch.cuda.is_available() or default_workers() == 1)
-        job = partial(fit_run, job=Job(name, where, entry, settings, drives, folder.kept))
+        job = partial(fit_run, name=name, where=where, entry=entry, settings=settings, drives=drives, kept=folder.kept)
         for group in ([*dict.fromkeys(run.start for run in todo if run.start)], todo):
             here = len(group) == 1 or alone
             folder.used.update(map(job, group) if here else (state for _, state in run_jobs(job, group, threads=1)))

@@ -17,7 +17,6 @@ import typer
 from pipeline.base.errors import InputError
 from steer import options
 
-TRAINED = Path("data/train")  # where models are that are given by name
 MODELS = Path(__file__).resolve().parents[1] / "models"
 SAMPLE = MODELS / "steering/sample"
 
@@ -25,7 +24,7 @@ SAMPLE = MODELS / "steering/sample"
 def predict(
     source: options.SourcePath,
     model: Annotated[
-        Path, typer.Option(help="folder or name of a trained model", show_default="models/steering/sample")
+        Path, typer.Option(help="folder of a trained model", show_default="models/steering/sample")
     ] = SAMPLE,
     out: options.Out = None,
     fov: options.Fov = None,
@@ -50,8 +49,6 @@ def predict(
     from pipeline.video.source import Capture, open_source
 
     logs = Logs.read(wheel, steering_ratio, motion, offset)
-    named = len(model.parts) == 1 and not (model / "best.pt").is_file()
-    model = TRAINED / model if named else model
     trained, encoder = load(model), encoder or _encoder_beside(model)
     capture = Capture(fov, k, distortion, fps=fps, times=times)
     height_m = camera_height or trained.settings["perception"]["camera_height_m"]

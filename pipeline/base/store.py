@@ -1,12 +1,4 @@
-"""Read and write the HDF5 files and indexes that stages exchange.
-
-One file per drive. Root attributes: ``schema`` (int), ``drive``, ``stage``, ``params`` (JSON: the sections that make
-the file, its inputs' included), and what the stage adds. Every dataset has an attribute ``unit``. ``frame`` int32 [F]
-holds KITTI frame numbers, ``time_s`` float64 [F] seconds since the drive's first oxts row.
-
-Ragged data are concatenated rows and pointers int64 [F+1]: frame i owns ``rows[ptr[i]:ptr[i+1]]``. The attribute
-``pointer`` of the rows names the pointers. If the rows are numbers of other rows, counted from 0 in each frame, the
-attribute ``refers_to`` names those.
+"""Read and write the HDF5 files and indexes that stages exchange. data/README.md describes their content.
 
 Files are deterministic: written once, in a fixed order, with no clock, host or user inside. They may come from
 elsewhere, see :func:`_datasets`.
@@ -17,7 +9,6 @@ import json
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
@@ -172,21 +163,9 @@ class DriveReader(ExitStack):
             raise _fault(problem, path, self._stage)
         if "_drive_" in path.stem and self.drive != path.stem:
             raise _fault(f"contains drive {self.drive}", path, self._stage)
-
-    @cached_property
-    def params(self) -> dict[str, Any]:
-        """Section of params.yaml → its content."""
-        return dict(json.loads(self.attrs["params"]))
-
-    @cached_property
-    def frame(self) -> np.ndarray:
-        """KITTI frame numbers, int32 [F], ascending."""
-        return self["frame"]
-
-    @cached_property
-    def time_s(self) -> np.ndarray:
-        """Seconds since the drive's first oxts row, float64 [F]."""
-        return self["time_s"]
+        self.params: dict[str, Any] = json.loads(self.attrs["params"])  # section of params.yaml → its content
+        self.frame = self["frame"]  # KITTI frame numbers, int32 [F], ascending
+        self.time_s = self["time_s"]  # seconds since the drive's first frame, float64 [F]
 
     def row_of(self, number: int) -> int:
         """Return the row of the frame with this KITTI number. Raises InputError if the file has no such frame."""
@@ -210,14 +189,10 @@ class DriveReader(ExitStack):
         except _H5PY_ERRORS as error:
             raise _fault(f"damaged in dataset {name!r} ({error})", self.path, self._stage) from error
 
-    def rows(self, name: str, start: int, stop: int) -> np.ndarray:
-        """Return ``dataset[start:stop]`` without reading the rest."""
-        return self.row(name, slice(start, stop))
-
     def rows_of(self, name: str, frame_row: int) -> np.ndarray:
         """Return one frame's rows of a ragged dataset. `frame_row`: the frame's row in ``frame``."""
-        start, stop = self.rows(self.pointers[name], frame_row, frame_row + 2)
-        return self.rows(name, start, stop)
+        start, stop = self.row(self.pointers[name], slice(frame_row, frame_row + 2))
+        return self.row(name, slice(start, stop))
 
 
 def _datasets(file: h5py.File) -> dict[str, h5py.Dataset]:

@@ -26,8 +26,8 @@ def graphs_drive(path: Path, source: Path, motion: Path, variant: Variant) -> Su
         frames: Iterable[Columns]
         if variant.kind == "image":
             rows = np.flatnonzero(content["has_image"])
-            frames = ({"image": Column(content.rows("image", row, row + 1), "RGB", "ptr")} for row in rows.tolist())
-            empty = {"image": Column(content.rows("image", 0, 0), "RGB", "ptr")}
+            frames = ({"image": Column(content.row("image", row)[None], "RGB", "ptr")} for row in rows.tolist())
+            empty = {"image": Column(content.row("image", slice(0)), "RGB", "ptr")}
         else:
             rows, empty, clouds = np.arange(len(content.frame)), empty_frame(variant), _clouds(content)
             if variant.accumulate:
@@ -62,7 +62,8 @@ def connect(cloud: Cloud, variant: Variant, rng: np.random.Generator) -> Columns
     columns = {"xyz": Column(xyz, "m", "ptr"), "cls": Column(cls, "trainId", "ptr")}
     if variant.kind == "graph":
         assert variant.k is not None
-        built = graph.build(xyz, cls, variant.k, variant.keep_inter_class, rng)
+        edges = graph.undirected(graph.nearest(xyz, variant.k))
+        built = graph.prune(edges, cls, variant.keep_inter_class, rng)
         columns["degree"] = Column(built.degree, "neighbours", "ptr")
         columns["indices"] = Column(built.indices.astype(dtype), "node", "indices_ptr", "xyz")
         columns["edges_knn"] = Column(np.array([built.edges_knn], np.int32), "directed edges")

@@ -22,15 +22,6 @@ class Graph(NamedTuple):
     edges_kept: int  # those after pruning
 
 
-def build(xyz: np.ndarray, cls: np.ndarray, k: int, keep_inter_class: float, rng: np.random.Generator) -> Graph:
-    """Connect each point [P,3] to its `k` nearest and prune edges between classes (paper section 4.2, Fig. 3).
-
-    Edges are undirected. Those within a class of `cls` [P] stay; of those between classes, a random fraction
-    `keep_inter_class` stays. Raises InputError if a point has more than 255 neighbours.
-    """
-    return prune(undirected(nearest(xyz, k)), cls, keep_inter_class, rng)
-
-
 def nearest(xyz: np.ndarray, k: int) -> np.ndarray:
     """Return the indices [P,min(k,P-1)] of the other points nearest to each point [P,3], nearest first."""
     count = len(xyz)
@@ -55,7 +46,11 @@ def undirected(neighbours: np.ndarray) -> Any:
 
 
 def prune(matrix: Any, cls: np.ndarray, keep_inter_class: float, rng: np.random.Generator) -> Graph:
-    """Return the graph of an :func:`undirected` matrix [P,P] after pruning; arguments as in :func:`build`."""
+    """Return the graph of an :func:`undirected` matrix [P,P] after pruning (paper section 4.2, Fig. 3).
+
+    Edges within a class of `cls` [P] stay; of those between classes, a random fraction `keep_inter_class` stays.
+    Raises InputError if a point has more than 255 neighbours.
+    """
     column = matrix.indices
     row = np.repeat(np.arange(len(cls), dtype=column.dtype), np.diff(matrix.indptr))
     between = np.flatnonzero((cls[row] != cls[column]) & (row < column))  # the first of the two entries of an edge

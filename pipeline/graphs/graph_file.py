@@ -10,7 +10,6 @@ A column declares where each frame starts and, if it holds row numbers, what it 
 and :func:`collate` need no names.
 """
 
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from functools import cached_property
 from itertools import chain, count
@@ -65,23 +64,21 @@ class MeasuredMotion(NamedTuple):
 def write(
     file: store.DriveWriter, frame: np.ndarray, time_s: np.ndarray, frames: Iterable[Columns], empty: Columns
 ) -> dict[str, int]:
-    """Write KITTI frame numbers [F], times [F], and the frames; return the numbers of frames, points and edges.
+    """Write KITTI frame numbers [F], times [F], and the frames; return the numbers of frames and points.
 
     `empty`: the columns without rows, which create the datasets also in the file of a drive without frames.
     """
     file.put("frame", np.asarray(frame, np.int32))
     file.put("time_s", time_s, unit="s")
     lengths: list[dict[str, int]] = []
-    edges: Counter[str] = Counter()
     for columns in chain([empty], frames):
         for name, column in columns.items():
             file.append(name, *column)
         lengths.append({column.pointer: len(column.rows) for column in columns.values() if column.pointer})
-        edges.update({name: int(column.rows.sum()) for name, column in columns.items() if not column.pointer})
     for pointer in lengths[0]:
         file.put_pointers(pointer, [frame_lengths[pointer] for frame_lengths in lengths[1:]], unit="row")
     points = {"points": sum(frame_lengths["ptr"] for frame_lengths in lengths)} if "xyz" in empty else {}
-    return {"frames": len(frame), **points, **edges}
+    return {"frames": len(frame), **points}
 
 
 def put_motion(file: store.DriveWriter, frame: np.ndarray, motion: store.DriveReader) -> None:
@@ -146,7 +143,7 @@ def collate(spans: Sequence[tuple[Graphs, int, int]]) -> Arrays:
         counts = [np.diff(file.starts[pointer][start : stop + 1]) for file, start, stop in spans]
         batch[pointer] = np.concatenate([[0], *counts]).cumsum()
     for name, pointer in pointers.items():
-        parts = [file.rows(name, *file.starts[pointer][[start, stop]]) for file, start, stop in spans]
+        parts = [file.row(name, slice(*file.starts[pointer][[start, stop]])) for file, start, stop in spans]
         batch[name] = np.concatenate(parts)
         if name in refers_to:
             first = batch[pointers[refers_to[name]]][:-1].astype(np.int32)  # row of each frame

@@ -26,7 +26,6 @@ MAPS: dict[str, tuple[str, np.ndarray, Callable[..., np.ndarray]]] = {
     "cls": (f"trainId, {VOID} = void", np.array(VOID, np.uint8), nearest),
 }
 HAS = (*MAPS, "lidar")
-SUMMARY = "{frames} frames{counts}"
 
 
 class IngestFile(DriveWriter):

@@ -80,11 +80,6 @@ class KittiDrive:
             return list(self.oxts), self.oxts_times
         return list(self.images(camera)), self.folder / f"image_{camera:02d}" / "timestamps.txt"
 
-    def manifest(self) -> str | None:
-        """Return the hash of the manifest that `steer import` wrote; None for other drives."""
-        path = self.folder / MANIFEST
-        return file_hash(path) if path.is_file() else None
-
     def fingerprint(self, cameras: Sequence[int], *, by_content: bool) -> str:
         """Return a hash of the names of the drive's files and of their contents, or of their sizes and times.
 

@@ -16,27 +16,21 @@ def measured_rates(motion: DriveReader, *, look_ahead: bool) -> np.ndarray:
     """Return the rates in a file of stage motion, [4,F], NaN where not measured.
 
     They are yaw rates in rad/s, left positive; forward speeds in m/s; and standard deviations of both, the speed's is
-    relative. With `look_ahead`, they are :func:`smoothed_rates`.
+    relative. With `look_ahead`, rates are Gaussian means, and the speeds are filtered afterwards.
     """
     valid, rates = motion["valid"].astype(bool), np.full((4, len(motion.frame)), np.nan)
     names = ("yaw_rate_radps", "speed_mps", "filtered_mps", "speed_sigma", "road_height_m")
     yaw_radps, speed_mps, filtered_mps, speed_sigma, road_m = (motion[name][valid].astype(np.float64) for name in names)
+    yaw_sigma = np.full(len(yaw_radps), YAW_NOISE_RADPS)
     if look_ahead:
-        rates[:, valid] = smoothed_rates(motion.time_s[valid], yaw_radps, speed_mps, road_m > 0)
-    else:
-        rates[:, valid] = yaw_radps, filtered_mps, np.full(len(yaw_radps), YAW_NOISE_RADPS), speed_sigma
+        time_s = motion.time_s[valid]
+        yaw_radps, yaw_error = gaussian_mean(time_s, yaw_radps, YAW_SIGMA_S)
+        yaw_sigma = np.maximum(YAW_NOISE_RADPS, yaw_error)
+        speed_mps, speed_error = gaussian_mean(time_s, speed_mps, SPEED_SIGMA_S)
+        noise = np.maximum(LEAST_NOISE, speed_error / np.maximum(np.abs(speed_mps), LEAST_MPS))
+        filtered_mps, speed_sigma = filter_speed(time_s, speed_mps, road_m > 0, noise)
+    rates[:, valid] = yaw_radps, filtered_mps, yaw_sigma, speed_sigma
     return rates
-
-
-def smoothed_rates(
-    time_s: np.ndarray, yaw_radps: np.ndarray, speed_mps: np.ndarray, road: np.ndarray
-) -> tuple[np.ndarray, ...]:
-    """Return Gaussian means of yaw rates and speeds [M], the speeds then filtered, and standard deviations of both."""
-    yaw_radps, yaw_error = gaussian_mean(time_s, yaw_radps, YAW_SIGMA_S)
-    speed_mps, speed_error = gaussian_mean(time_s, speed_mps, SPEED_SIGMA_S)
-    noise = np.maximum(LEAST_NOISE, speed_error / np.maximum(np.abs(speed_mps), LEAST_MPS))
-    speed_mps, speed_sigma = filter_speed(time_s, speed_mps, road, noise)
-    return yaw_radps, speed_mps, np.maximum(YAW_NOISE_RADPS, yaw_error), speed_sigma
 
 
 def stands(motion: DriveReader) -> np.ndarray:

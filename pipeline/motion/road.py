@@ -31,8 +31,7 @@ class Road:
         self._right = ((np.arange(width) - K[0, 2]) / K[0, 0])[None]
         self._camera_height_m = camera.height_m if road_scale else None
         self._heights: deque[float] = deque(maxlen=HEIGHTS)
-        self.frame_height_m = 0.0
-        """The last frame's height of the camera over the road in uncorrected depth; 0 where no road was found."""
+        self.frame_height_m = 0.0  # the last frame's, of the camera over the road in uncorrected depth; 0: no road
         self._ways: deque[tuple[float, float]] = deque(maxlen=STEPS)  # metres down and ahead, of forward steps
 
     def find(self, depth_m: np.ndarray, usable: np.ndarray, still: np.ndarray) -> tuple[np.ndarray, float]:

@@ -34,8 +34,7 @@ class Still:
         self._K, (height, width) = camera.K, camera.size
         self._uv = np.mgrid[:height, :width][::-1, GRID, GRID]
         self._sums = np.zeros((2, *self._uv.shape[1:]), np.float32)
-        self.mask = np.zeros((height, width), bool)
-        """Pixels in and near places where nothing moves."""
+        self.mask = np.zeros((height, width), bool)  # pixels in and near places where nothing moves
 
     def add(self, before: np.ndarray, now: np.ndarray, slope: float) -> None:
         """Compare consecutive images uint8 [H,W]; `slope`: of the road, metres down per metre ahead."""

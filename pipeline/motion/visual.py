@@ -42,8 +42,7 @@ class Odometry:
         self._grey = np.empty(0, np.uint8)
         self._points = np.empty((0, 3)), np.empty(0), 1.0  # of the previous frame: see _lift
         self._T_before_now: np.ndarray | None = None  # the previous step
-        self.problem = ""
-        """Why the last step could not be measured; empty if it was."""
+        self.problem = ""  # why the last step could not be measured; empty if it was
 
     def step(self, frame: Frame) -> Step | None:
         """Return the motion since the previous frame; None where it cannot be measured. Frames come in order."""

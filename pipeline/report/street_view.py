@@ -137,12 +137,12 @@ def save(figure: Figure, path: Path, dpi: int = 110) -> None:
 def wheel_tracks(curvature_1pm: np.ndarray, camera: Camera, slope: float = 0.0) -> list[np.ndarray]:
     """Return the pixels (u, v) of the left and the right wheel's track, each [N,2], until they turn back.
 
-    Args:
-        curvature_1pm: of each step of STEP_M [N], left positive.
-        camera: at its height over the road.
-        slope: metres that the road falls per metre ahead in the camera's frame.
+    `curvature_1pm` [N]: of each step of STEP_M, left positive; `camera`: at its height over the road; `slope`: metres
+    that the road falls per metre ahead in the camera's frame.
     """
-    middle, heading_rad = follow(curvature_1pm)
+    heading_rad = np.append(0, np.cumsum(curvature_1pm * STEP_M))
+    halfway_rad = (heading_rad[1:] + heading_rad[:-1]) / 2
+    middle = np.append(0, np.cumsum(STEP_M * np.exp(1j * halfway_rad)))  # ahead + left i, metres
     tracks, width = [], camera.size[1]
     for offset_m in (HALF_TRACK_M, -HALF_TRACK_M):
         wheel = middle + 1j * offset_m * np.exp(1j * heading_rad)
@@ -153,16 +153,6 @@ def wheel_tracks(curvature_1pm: np.ndarray, camera: Camera, slope: float = 0.0) 
         seen = uv[start : start + behind[0] if len(behind) else None]
         tracks.append(np.clip(seen, -5 * width, 5 * width))  # OpenCV's coordinates end at 32,767
     return tracks
-
-
-def follow(curvature_1pm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the places ahead + left i in metres, complex, and headings in rad, both [N+1], after steps of STEP_M [N].
-
-    `curvature_1pm` of each step, left positive.
-    """
-    heading_rad = np.append(0, np.cumsum(curvature_1pm * STEP_M))
-    halfway_rad = (heading_rad[1:] + heading_rad[:-1]) / 2
-    return np.append(0, np.cumsum(STEP_M * np.exp(1j * halfway_rad))), heading_rad
 
 
 def path_steps(path_1pm: Sequence[float] | np.ndarray, ahead_m: Sequence[float]) -> np.ndarray:

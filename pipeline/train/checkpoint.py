@@ -44,11 +44,9 @@ def load(path: Path) -> Any:
 
 def load_state(module: torch.nn.Module, state: Mapping[str, Any], path: Path) -> None:
     """Copy tensors into a module. Raises InputError unless all names and shapes agree and all values are finite."""
-    if not isinstance(state, Mapping) or not all(isinstance(tensor, torch.Tensor) for tensor in state.values()):
-        raise InputError("expected a state dict, tensors by name", path)
     try:
         module.load_state_dict(state, strict=True)
-    except RuntimeError as error:
+    except (RuntimeError, TypeError) as error:
         difference = str(error).splitlines()[-1].strip()
         raise InputError(f"file does not match the network: {shorten(difference, 200)}", path) from error
     for name, tensor in state.items():

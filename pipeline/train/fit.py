@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -43,34 +43,26 @@ def selected_epoch(curve: Sequence[Mapping[str, float]]) -> int:
     return min((end for end in means if np.isfinite(means[end])), key=means.__getitem__, default=len(errors))
 
 
-class Job(NamedTuple):
-    """Inputs common to all runs of a model."""
+def fit_run(
+    run: runs.Run, name: str, where: str, entry: Entry, settings: Train, drives: Mapping[str, LabelledDrive], kept: Path
+) -> Path:
+    """Train a network of model `name`, from the state of an earlier run if there is one; write best.pt and curve.csv.
 
-    name: str
-    where: str  # of its entry, for messages
-    entry: Entry
-    settings: Train
-    drives: Mapping[str, LabelledDrive]  # of all folds
-    kept: Path  # folder for the states of networks, see StageFolder
-
-
-def fit_run(run: runs.Run, job: Job) -> Path:
-    """Train one network, from the state of an earlier run if there is one, and write best.pt and curve.csv.
-
+    `where`: of the model's entry, for messages; `drives`: of all folds; `kept`: the folder of states, see StageFolder.
     Returns the state's file. Raises InputError if the network does not fit the graphs, or if the loss is not finite.
     """
-    entry, settings = job.entry.seeded(run.seed), job.settings
+    entry = entry.seeded(run.seed)
     scenes = runs.scenes(run.fold, run.seed, entry.scene)
-    drives = {name: replace(job.drives[name], scene=job.drives[other].graphs) for name, other in scenes.items()}
-    usable = {name: drive for name, drive in drives.items() if drive.has_window(entry.window)}
-    train, val = ([usable[name] for name in names if name in usable] for names in (run.fold.train, run.fold.val))
+    seen = {drive: replace(drives[drive], scene=drives[other].graphs) for drive, other in scenes.items()}
+    usable = {drive: labelled for drive, labelled in seen.items() if labelled.has_window(entry.window)}
+    train, val = ([usable[drive] for drive in part if drive in usable] for part in (run.fold.train, run.fold.val))
     device, contents = "cuda" if torch.cuda.is_available() else "cpu", train[0].contents
     if device == "cpu" and 0 < np.mean(train[0].counts.get("points", 0)) < SMALL:
         # With few points a second thread has little to do, and slows each of a step's hundreds of small operations
         # where another process uses its core. One thread's sums are also the same on each machine.
         torch.set_num_threads(1)
     torch.manual_seed(run.seed)
-    with error_context(where=job.where):
+    with error_context(where=where):
         net = entry.build(**contents._asdict(), outputs=len(train[0].columns))
     net.to(device)
     files = [path for drive in train + val for path in (drive.graphs, drive.labels)]
@@ -87,7 +79,7 @@ def fit_run(run: runs.Run, job: Job) -> Path:
     }
     metadata = {
         "kind": predict.KIND,
-        "name": job.name,
+        "name": name,
         "seeds": settings.seeds,
         "contents": contents._asdict(),
         "settings": train[0].settings,
@@ -95,8 +87,8 @@ def fit_run(run: runs.Run, job: Job) -> Path:
         **inputs,
     }
     fit = Fit(net, entry, settings, run.seed, train, val)
-    state = job.kept / f"{stage_key('train', inputs, files)}.pt"
-    fit.run(state, f"{job.name} {run}")
+    state = kept / f"{stage_key('train', inputs, files)}.pt"
+    fit.run(state, f"{name} {run}")
     best = {"scale": fit.scale.content, "epoch": selected_epoch(fit.curve), "net": fit.best}
     checkpoint.write(run.folder / "best.pt", metadata | best)
     pd.DataFrame(fit.curve).to_csv(run.folder / "curve.csv", index=False, float_format="%.6g", lineterminator="\n")

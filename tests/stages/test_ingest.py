@@ -52,7 +52,7 @@ def test_rows_go_by_frame_number(tmp_path):
         assert not file["image"][2].any()
         np.testing.assert_array_equal(file["lidar_ptr"], [0, 200, 200, 400, 600])
         points = np.fromfile(folder / "velodyne_points/data/0000000005.bin", np.float32).reshape(-1, 4)
-        np.testing.assert_array_equal(file.rows("lidar", 200, 400), points)
+        np.testing.assert_array_equal(file.row("lidar", slice(200, 400)), points)
         K = np.array([[50, 0, 31.3], [0, 50, 22.2], [0, 0, 1]])
         np.testing.assert_allclose(file["K"], Camera(K, SIZE).scaled(NEW).K)
         assert file["T_cam_velo"].shape == (4, 4)

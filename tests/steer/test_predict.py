@@ -93,9 +93,9 @@ def test_predictions_equal_those_of_the_stages(folder, tmp_path, model):
     np.testing.assert_allclose(rows[names], expected, atol=2e-6)
 
 
-def test_a_model_is_found_by_name_and_compared_with_oxts(folder, tmp_path, monkeypatch, capsys):
+def test_a_model_is_compared_with_oxts(folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(folder)
-    predict(drive(folder), model=Path("scans"), out=tmp_path / "out", video=False)
+    predict(drive(folder), model=Path("data/train/scans"), out=tmp_path / "out", video=False)
     text, rows = capsys.readouterr().out, read(tmp_path / "out")
     predicted_rad, driven_rad = rows["predicted_rad"].to_numpy()[:-2], rows["driven_rad"].to_numpy()[2:]
     used = np.isfinite(predicted_rad) & np.isfinite(driven_rad)
@@ -103,9 +103,9 @@ def test_a_model_is_found_by_name_and_compared_with_oxts(folder, tmp_path, monke
     nmse = ((predicted_rad - driven_rad)[used] ** 2).mean() / (driven_rad[used] ** 2).mean()
     assert f"predicted: nmse {nmse:.3f}" in text
     with pytest.raises(InputError, match=r"data/train/scan: no trained model"):
-        predict(drive(folder), model=Path("scan"), out=tmp_path / "other")
+        predict(drive(folder), model=Path("data/train/scan"), out=tmp_path / "other")
     with pytest.raises(InputError, match="has its own calibration"):
-        predict(drive(folder), model=Path("scans"), out=tmp_path / "other", fov=80.0)
+        predict(drive(folder), model=Path("data/train/scans"), out=tmp_path / "other", fov=80.0)
 
 
 def test_a_folder_of_images(folder, tmp_path, capsys):

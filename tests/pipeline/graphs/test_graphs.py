@@ -140,6 +140,7 @@ def test_static_points_coincide_until_a_gap_or_unmeasured_motion(numbers, measur
 def test_steps_have_the_length_unit_of_the_clouds(tmp_path):
     with DriveWriter(tmp_path / "a.h5", stage="motion", drive="drive", params={}) as file:
         file.put("frame", np.array([4, 5], np.int32))
+        file.put("time_s", np.array([0.4, 0.5]))
         file.put("valid", np.array([0, 1], np.uint8))
         file.put("T_before_now", np.stack([np.eye(4), step(0.1, 2.0)]))
         file.put("scale", np.array([0, 1.25]))
@@ -155,7 +156,7 @@ def test_steps_have_the_length_unit_of_the_clouds(tmp_path):
 def test_a_graph_is_the_symmetric_knn_graph_pruned_between_classes(count, k, keep, seed):
     """Paper Fig. 3: directed edges are counted, 600 for 100 points."""
     xyz, cls = points(count, seed)
-    made = graph.build(xyz, cls, k, keep, np.random.default_rng(seed))
+    made = graph.prune(graph.undirected(graph.nearest(xyz, k)), cls, keep, np.random.default_rng(seed))
     near = range(2, min(k, count - 1) + 2)
     neighbours = cKDTree(xyz).query(xyz, near)[1] if count > 1 and k else np.empty((count, 0), int)
     directed = {(i, int(j)) for i, row in enumerate(neighbours) for j in row}
@@ -222,6 +223,8 @@ def test_motion_is_matched_by_frame_number(tmp_path):
         DriveReader(tmp_path / "drive.h5", stage="motion") as motion,
         DriveWriter(tmp_path / "a.h5", stage="graphs", drive="drive", params={}) as writer,
     ):
+        writer.put("frame", np.array([4, 5, 9], np.int32))
+        writer.put("time_s", np.array([0.4, 0.5, 0.9]))
         graph_file.put_motion(writer, np.array([4, 5, 9]), motion)
     with graph_file.open_graphs(tmp_path / "a.h5") as graphs:
         yaw_rate, speed, valid = graphs.motion

@@ -3,17 +3,17 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-# DVC starts the stages with the first python in PATH.
+# DVC starts the stages with the first python in PATH, which make 3.81 (macOS) ignores with its default shell.
 export PATH := $(abspath $(BIN)):$(PATH)
+SHELL := /bin/bash
 export DVC_NO_ANALYTICS := 1
 # uv installs no bytecode. Where this is set, as in many containers, each process would compile its libraries anew.
 unexport PYTHONDONTWRITEBYTECODE
 PRESETS := $(filter-out encoder street,$(patsubst presets/%.yaml,%,$(wildcard presets/*.yaml)))
-
 .PHONY: demo help $(PRESETS) encoder street udacity params test bench lint format setup system
 
 demo: setup            ## run the complete chain on the embedded sample and print its table
-	@git rev-parse >/dev/null 2>&1 || dvc config --local core.no_scm true  # GitHub's ZIP
+	@git rev-parse 2>/dev/null || if [ -e .git ]; then git rev-parse; else dvc config --local core.no_scm true; fi  # GitHub's ZIP
 	dvc repro check graphs labels
 	@mkdir -p .dvc/tmp && rm -f .dvc/tmp/train@*  # errors, shown after all models have ended; xargs stops at DVC's 255
 	@dvc stage list --name-only | grep '^train@' | xargs -n 1 -P 2 sh -c \
@@ -22,7 +22,7 @@ demo: setup            ## run the complete chain on the embedded sample and prin
 	@cat data/report/table.md && echo "Open data/report/index.html in a browser."
 
 help:                  ## list the targets
-	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' Makefile | expand -t 10
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "%-10s%s\n", $$1, $$2}' Makefile
 	@echo "PRESET    run a preset in runs/PRESET: $(PRESETS)"
 
 $(PRESETS): setup
@@ -46,7 +46,7 @@ params: setup          ## write the settings of a preset into params.yaml: make 
 	@python -m pipeline.settings.preset "$(PRESET)"
 
 test: setup            ## run all tests, with coverage
-	OMP_NUM_THREADS=1 pytest -n "$$(nproc)" --dist loadfile --no-loadscope-reorder --cov --cov-report=term:skip-covered --cov-fail-under=92
+	OMP_NUM_THREADS=1 pytest -n "$$(nproc 2>/dev/null || getconf _NPROCESSORS_ONLN)" --dist loadfile --no-loadscope-reorder --cov --cov-report=term:skip-covered --cov-fail-under=92
 
 bench: setup           ## measure this project beside its alternatives; ROWS=ltc: one row
 	python -m benchmarks.bench $(ROWS)

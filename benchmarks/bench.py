@@ -3,7 +3,6 @@
 Both sides of a row run in one process with one thread, as stage train does, in turn, on the same arrays.
 """
 
-import os
 import platform
 import tempfile
 from collections.abc import Callable
@@ -17,6 +16,7 @@ from benchmarks import networks
 from benchmarks.street import POINTS, Row, Street, make_street
 from pipeline.base import console
 from pipeline.base.errors import InputError, closest
+from pipeline.base.executors import usable_cores
 
 ROWS: dict[str, Callable[[Street], Row]] = {
     "gcn_vs_pyg_edge_index": networks.gcn,
@@ -34,7 +34,7 @@ def main(
         if name not in ROWS:
             raise InputError(f"unknown row {name!r}: {closest(name, [*ROWS])}")
     torch.set_num_threads(1)
-    cpu = f"{platform.machine()}, {len(os.sched_getaffinity(0))} cores, 1 thread"
+    cpu = f"{platform.machine()}, {usable_cores()} cores, 1 thread"
     print(f"{torch.cuda.get_device_name()}; {cpu}" if torch.cuda.is_available() else cpu)
     print("| row | ours | alternative | unit | ratio | ours / alternative |", "|---|--:|--:|---|--:|---|", sep="\n")
     with tempfile.TemporaryDirectory() as folder:

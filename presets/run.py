@@ -1,4 +1,4 @@
-"""Run a preset in a copy of the code, runs/NAME, with the cache of this checkout: ``make NAME``."""
+"""Run a preset in a copy of the code, runs/NAME, a DVC repository with its own cache: ``make NAME``."""
 
 import json
 import shutil
@@ -7,16 +7,16 @@ from functools import partial
 from pathlib import Path
 
 import typer
-from filelock import FileLock, Timeout
 
 from pipeline.base import console
 from pipeline.base.errors import InputError
+from pipeline.base.outputs import link, locked
 from pipeline.base.resume import file_hash
-from pipeline.base.store import write_json
+from pipeline.base.store import replacing, write_json
 from pipeline.settings import preset
 
 CODE = ("pipeline", "models", "stages", "dvc.yaml", ".dvcignore", "data/.gitignore")
-DVC = ("config cache.type hardlink,copy", "cache dir ../../.dvc/cache", "repro")
+DVC = ("config cache.type hardlink,copy", "cache dir .dvc/cache", "repro")
 
 
 def main(name: str) -> None:
@@ -24,21 +24,30 @@ def main(name: str) -> None:
     run, report = Path("runs") / name, Path("data/report")
     for folder in (run / "data", report, Path("weights")):
         folder.mkdir(parents=True, exist_ok=True)
-    try:
-        with FileLock(f"{run}.lock", timeout=0):
-            copy_code(run)
-            preset.main(name, run)
-            for link, target in ((run / "data/raw", "../../../data/raw"), (run / "weights", "../../weights")):
-                link.unlink(missing_ok=True)
-                link.symlink_to(target)
-            for words in (*["init --quiet --no-scm"][(run / ".dvc").is_dir() :], *DVC):
-                if status := subprocess.run(["dvc", *words.split()], cwd=run, check=False).returncode:
-                    raise typer.Exit(status)
-            for source, suffix in (("index.html", "html"), ("table.md", "md")):
-                shutil.copyfile(run / "data/report" / source, report / f"{name}.{suffix}")
-    except Timeout as error:
-        raise InputError(f"another make {name} is running", run, "Wait until it ends") from error
+    with locked(Path(f"{run}.lock"), InputError(f"another make {name} is running", run, "Wait until it ends")):
+        copy_code(run)
+        preset.main(name, run)
+        for place, target in ((run / "data/raw", "../../../data/raw"), (run / "weights", "../../weights")):
+            place.unlink(missing_ok=True)
+            place.symlink_to(target)
+        copy_cache(run)
+        for words in (*["init --quiet --no-scm"][(run / ".dvc").is_dir() :], *DVC):
+            if status := subprocess.run(["dvc", *words.split()], cwd=run, check=False).returncode:
+                raise typer.Exit(status)
+        for source, suffix in (("index.html", "html"), ("table.md", "md")):
+            shutil.copyfile(run / "data/report" / source, report / f"{name}.{suffix}")
     print((report / f"{name}.md").read_text(encoding="utf-8"), f"Open {report}/{name}.html in a browser.", sep="")
+
+
+def copy_cache(run: Path) -> None:
+    """Give a run of an earlier version links to the objects of the checkout's cache, which it shared.
+
+    ``dvc gc`` in the checkout knows one repository, and deleted the results of the others from a shared cache.
+    """
+    config, shared, own = run / ".dvc/config", Path(".dvc/cache"), run / ".dvc/cache"
+    if shared.is_dir() and not own.exists() and config.is_file() and "../.dvc/cache" in config.read_text("utf-8"):
+        with replacing(own) as new:
+            shutil.copytree(shared, new, copy_function=link)
 
 
 def copy_code(run: Path) -> None:

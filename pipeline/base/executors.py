@@ -21,10 +21,17 @@ CPU_MAX = Path("/sys/fs/cgroup/cpu.max")  # quota of a container, "200000 100000
 J = TypeVar("J")
 
 
+def usable_cores() -> int:
+    """Return the number of cores of this process, as SLURM and taskset limit it; macOS and Windows have no limits."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return getattr(os, "process_cpu_count", os.cpu_count)() or 1
+
+
 def default_workers() -> int:
     """Return the number of worker processes: ``STEER_WORKERS``, or else the cores that this process may use."""
     quota, period = CPU_MAX.read_text().split() if CPU_MAX.is_file() else ("max", "1")
-    cores = len(os.sched_getaffinity(0))
+    cores = usable_cores()
     if quota != "max":
         cores = max(1, min(cores, int(quota) // int(period)))
     text = os.environ.get("STEER_WORKERS") or str(cores)

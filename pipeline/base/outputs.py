@@ -12,7 +12,7 @@ from typing import NamedTuple
 from filelock import FileLock, Timeout
 
 from pipeline.base.errors import InputError
-from pipeline.base.store import read_json, replacing, write_json
+from pipeline.base.store import NO_LOCKS, read_json, replacing, write_json
 
 INDEX = "index.json"
 WORK = ".work"
@@ -57,6 +57,25 @@ class StageFolder(NamedTuple):
 
 
 @contextmanager
+def locked(path: Path, busy: InputError) -> Iterator[None]:
+    """Hold the lock of the file `path`, which the system releases when this process dies.
+
+    Raises `busy` if another process holds it, and InputError if the file system has no locks.
+    """
+    try:
+        lock = FileLock(path, fallback_to_soft=False).acquire(timeout=0)
+    except Timeout:
+        raise busy from None
+    except OSError as error:
+        if error.errno not in NO_LOCKS:
+            raise
+        fix = "Mount it with locks, or move the checkout to another disk"
+        raise InputError("the file system has no locks", path, fix) from error
+    with lock:
+        yield
+
+
+@contextmanager
 def stage_folder(stage: str, out: Path, *, shared: bool = False) -> Iterator[StageFolder]:
     """Hold the lock of the output folder `out`, and publish what the block writes when it ends without error.
 
@@ -70,12 +89,8 @@ def stage_folder(stage: str, out: Path, *, shared: bool = False) -> Iterator[Sta
     root = out.parent if entry else out
     kept = root.with_name(".drives") / (f"{root.name}-{out.name}" if entry else out.name)
     kept.mkdir(parents=True, exist_ok=True)
-    try:
-        lock = FileLock(f"{kept}.lock").acquire(timeout=0)  # the system releases it when this process dies
-    except Timeout:
-        fix = "Wait for that to end, then repeat the command"
-        raise InputError("another process is writing it", out, fix) from None
-    with lock:
+    busy = InputError("another process is writing it", out, "Wait for that to end, then repeat the command")
+    with locked(Path(f"{kept}.lock"), busy):
         owner = {"stage": name, "entry": entry}
         before = _own_files(out, owner, shared)
         folder = StageFolder(name, kept / "new", kept, set())

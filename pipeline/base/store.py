@@ -4,6 +4,7 @@ Files are deterministic: written once, in a fixed order, with no clock, host or 
 elsewhere, see :func:`_datasets`.
 """
 
+import errno
 import io
 import json
 import tempfile
@@ -23,6 +24,7 @@ _CHUNK_ROWS = 32768  # of ragged data
 # Sizes and speeds of the alternatives: docs/log.md. Blosc2 would let a file name a codec that runs code.
 _POINTS = hdf5plugin.Blosc(cname="lz4", shuffle=hdf5plugin.Blosc.BITSHUFFLE)
 _PIXELS = hdf5plugin.Blosc(cname="zstd", clevel=3, shuffle=hdf5plugin.Blosc.SHUFFLE)
+NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)  # errors of a file system without locks
 _CACHE_BYTES = 1 << 20  # of chunks, for each dataset of an open file
 _H5PY_ERRORS = (OSError, RuntimeError, LookupError, ValueError, TypeError)  # what h5py raises for damaged bytes
 
@@ -145,7 +147,7 @@ class DriveReader(ExitStack):
         if not path.is_file():
             raise _fault("file is missing", path, self._stage)
         try:
-            file = self.enter_context(h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES))
+            file = self.enter_context(_open(path))
             self.attrs: dict[str, Any] = dict(file.attrs)
             self.drive, written_by, schema = (str(self.attrs.get(name)) for name in ("drive", "stage", "schema"))
             self.datasets = _datasets(file)
@@ -193,6 +195,16 @@ class DriveReader(ExitStack):
         """Return one frame's rows of a ragged dataset. `frame_row`: the frame's row in ``frame``."""
         start, stop = self.row(self.pointers[name], slice(frame_row, frame_row + 2))
         return self.row(name, slice(start, stop))
+
+
+def _open(path: Path) -> h5py.File:
+    """Open a file for reading; without a lock where the file system has none, as files appear complete."""
+    try:
+        return h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES)
+    except OSError as error:
+        if error.errno not in NO_LOCKS:
+            raise
+        return h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES, locking=False)
 
 
 def _datasets(file: h5py.File) -> dict[str, h5py.Dataset]:

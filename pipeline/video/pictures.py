@@ -92,9 +92,10 @@ def _draw(image: np.ndarray, camera: Camera, paths: dict[str, np.ndarray], resul
             cv2.polylines(image, sides, False, PATHS[name], max(1, round(camera.size[1] / 480)), cv2.LINE_AA)
     size = max(0.3, min(0.7, camera.size[1] / 960, camera.size[0] / 300))  # 0.5: the longest text has 400 px
     for line, (text, colour) in enumerate(_legend(paths, results, row), start=1):
-        place = round(16 * size), round(36 * size * line)
-        for shade, thick in (((0, 0, 0), 3), (colour, 1)):  # readable on any ground
-            cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, shade, thick, cv2.LINE_AA)
+        x, y = round(16 * size), round(36 * size * line)
+        outline = [(x + dx, y + dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]  # OpenCV draws thicker text wider
+        for place, shade in (*((place, (0, 0, 0)) for place in outline), ((x, y), colour)):  # readable on any ground
+            cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, shade, 1, cv2.LINE_AA)
 
 
 def _legend(paths: dict[str, np.ndarray], results: Results, row: int) -> Iterator[tuple[str, tuple[int, int, int]]]:

@@ -1,16 +1,19 @@
 """Stage encoder: fit the unified encoder on the training drives, or take fitted weights."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import torch
 
+from models.encoder.unified_encoder import Architecture
 from pipeline.base import console, store
 from pipeline.base.errors import error_context
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
-from pipeline.perception import fit, perceive
+from pipeline.base.runner import Job, Summary, make_drives
+from pipeline.perception import fit, perceive, precomputed
 from pipeline.perception.create import create
 from pipeline.perception.examples import Examples
 from pipeline.settings.encoder import Encoder
@@ -33,9 +36,19 @@ def main(
     curve: list[dict[str, float]] = []
     with stage_folder("encoder", out) as stage:
         if settings.epochs:
-            curve, fitted_on = _fit(model, settings, ingest)
-            config |= fitted_on | {"losses": {name: curve[-1][name] for name in ("loss", "depth", "classes")}}
-        perceive.save(stage.new, architecture, model.state_dict())
+            perceive.save(stage.kept / "start", architecture, model.state_dict())
+            drives = _drives(ingest, settings.targets)
+            inputs: list[Path | str] = [stage.kept / "start" / perceive.FILE, *(ingest / f"{d}.h5" for d in drives)]
+            inputs += [precomputed.fingerprint(settings.targets)[1]] if settings.targets else []
+            work = partial(
+                _fit, model=model, architecture=architecture, settings=settings, ingest=ingest, drives=drives
+            )
+            job = Job("encoder", perceive.FILE, inputs, work)
+            fitted = make_drives(stage, [job], settings, "fitted on {frames} frames", workers=1)["encoder"]
+            curve = fitted["curve"]
+            config |= fitted["config"] | {"losses": {name: curve[-1][name] for name in ("loss", "depth", "classes")}}
+        else:
+            perceive.save(stage.new, architecture, model.state_dict())
         parameters = sum(parameter.numel() for parameter in model.parameters())
         config |= {"sources": architecture.get("sources", []), "parameters": parameters}
         store.write_json(stage.new / "config.json", config)
@@ -48,15 +61,24 @@ def main(
     return out
 
 
-def _fit(model: Any, settings: Encoder, ingest: Path) -> tuple[list[dict[str, float]], dict[str, Any]]:
-    """Fit to training drives, or to all with targets, as images need no label. Return the curve and config's keys."""
-    splits, targets = store.read_index(ingest, stage="ingest"), settings.targets
-    drives = [drive for drive in splits if (targets / drive).is_dir()] if targets else store.drives_in(splits, "train")
+def _drives(ingest: Path, targets: Path | None) -> list[str]:
+    """Return the training drives, or all with targets, as images need no label."""
+    splits = store.read_index(ingest, stage="ingest")
+    return [drive for drive in splits if (targets / drive).is_dir()] if targets else store.drives_in(splits, "train")
+
+
+def _fit(
+    path: Path, *, model: Any, architecture: Architecture, settings: Encoder, ingest: Path, drives: list[str]
+) -> Summary:
+    """Write the fitted encoder.pt to `path`. Return its curve and config's keys."""
     model.to("cuda" if torch.cuda.is_available() else "cpu")
     schedule = settings.model_dump(include={"epochs", "batch", "learning_rate", "seed"})
-    with Examples(ingest, drives, settings.frames, targets) as examples:
+    with Examples(ingest, drives, settings.frames, settings.targets) as examples:
         curve = fit.fit(model, examples, **schedule)
-        return curve, {"frames_per_drive": examples.frames_per_drive, "image_size": list(examples.size)}
+        datasets = sorted({*architecture.get("datasets", []), *examples.datasets})
+        perceive.save(path.parent, {**architecture, "datasets": datasets}, model.state_dict())
+        config = {"frames_per_drive": examples.frames_per_drive, "image_size": list(examples.size)}
+        return {"frames": len(examples), "curve": curve, "config": config}
 
 
 if __name__ == "__main__":

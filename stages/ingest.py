@@ -36,9 +36,8 @@ def main(
             raise InputError("drive was imported again, ingest.manifests has the one before", drives[drive].folder, fix)
     jobs, reading = [], Reading(**settings.model_dump(include=set(Reading.model_fields)))
     for drive, files in sorted(drives.items(), key=lambda item: len(item[1].oxts), reverse=True):  # the longest first
-        fingerprint = files.fingerprint(settings.cameras, by_content=sources[drive] == "sample")
         work = partial(ingest_kitti, drive=drive, folder=files.folder, settings=reading)
-        jobs.append(Job(drive, f"{drive}.h5", [fingerprint], work))
+        jobs.append(Job(drive, f"{drive}.h5", [files.fingerprint(settings.cameras)], work))
     with stage_folder("ingest", out) as stage:
         make_drives(stage, jobs, reading, "{frames} frames{counts}")
         store.write_index(stage.new, splits)

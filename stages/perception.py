@@ -11,7 +11,7 @@ from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
 from pipeline.base.resume import file_hash
 from pipeline.base.runner import file_jobs, make_drives
-from pipeline.perception.perceive import FILE, open_encoder, perceive_drive
+from pipeline.perception.perceive import FILE, perceive_drive, warnings
 from pipeline.settings.perception import Perception
 
 
@@ -24,7 +24,9 @@ def main(
     """Predict depth and classes of each image, and store both. Returns the output folder."""
     settings = load(Perception, params)
     splits = store.read_index(ingest, stage="ingest")
-    open_encoder(encoder, settings.precision)  # report a bad checkpoint once, not from each worker
+    # Reports a bad checkpoint, too: once, not from each worker.
+    for line in warnings(encoder, settings.precision, (ingest / f"{drive}.h5" for drive in splits)):
+        print(line, flush=True)
     # Two processes keep a GPU busy: one reads and writes while the other encodes.
     workers = min(2, default_workers()) if torch.cuda.is_available() else None
     work = partial(perceive_drive, encoder=encoder, settings=settings)

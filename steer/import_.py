@@ -79,5 +79,7 @@ def import_recording(
         return
     height = f", perception.camera_height_m: {camera_height:g}" if camera_height else ""
     manifest = f"{{{drive}: {imported.manifests[drive]}}}"
-    settings = f"ingest.source: kitti, ingest.manifests: {manifest}, labels.source: {labels}{height}"
-    print(f"next: set {settings} in params.yaml, replace ingest.drives by {drive} and others, run dvc repro")
+    encoder = "encoder.backbone: street, encoder.weights: weights/street/encoder.pt"
+    settings = f"ingest.source: kitti, ingest.manifests: {manifest}, {encoder}, labels.source: {labels}{height}"
+    drives = f"replace ingest.drives by {drive} and others"
+    print(f"next: make street, set ingest.image_size: [192, 640], {settings} in params.yaml, {drives}, run dvc repro")

@@ -187,12 +187,15 @@ def test_a_new_drive_costs_one_drive_per_stage(folder):
     ingest = yaml.safe_load((folder / "params.yaml").read_text())["ingest"]
     ingest["drives"]["val"] = ["2026_01_02_drive_0001..0002"]
     edit_params(folder, ingest=ingest)
+    for name in ("camera/geometry.py", "base/console.py"):  # DVC runs all stages again, which find what is finished
+        path = folder / "pipeline" / name
+        path.write_text(path.read_text().replace('"""', '"""An edited docstring: ', 1))
     output = run(folder, "dvc", "repro", "graphs", "labels", "scores")
-    ran = [stage for stage in stages_run(output) if stage not in ("check", "encoder")]
-    assert {stage.split("@")[0] for stage in ran} == {*STAGES[:9]} - {"encoder"}
+    ran = [stage for stage in stages_run(output) if stage != "check"]
+    assert {stage.split("@")[0] for stage in ran} == {*STAGES[:9]}
     kept = re.findall(r"(\d+) of (\d+) drives kept from earlier runs", output)
-    # Stage clouds makes them of images and of scans; scores are of validation and test drives.
-    assert sorted(kept) == [("2", "3"), *[("4", "5")] * len(ran)]
+    # The encoder is fitted once. Stage clouds makes drives of images and of scans; scores has no training drives.
+    assert sorted(kept) == [("1", "1"), ("2", "3"), *[("4", "5")] * (len(ran) - 1)]
 
 
 def test_the_first_and_the_last_row_of_preset_kitti_train(folder):

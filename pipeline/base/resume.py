@@ -1,5 +1,6 @@
 """Cache keys: reuse results of an interrupted run only if code, settings and inputs match."""
 
+import ast
 import hashlib
 import json
 import re
@@ -13,14 +14,19 @@ from pipeline.base.params import read
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("pipeline", "models", "stages")
+# Of base/, what cannot change the bytes of a result: an edit of these files makes nothing again.
+MACHINERY = {ROOT / f"pipeline/base/{name}.py" for name in ("console", "executors", "outputs", "resume", "runner")}
 
 
 def stage_key(stage: str, settings: Mapping[str, Any], inputs: Sequence[Path | str]) -> str:
-    """Return a hash of the code that dvc.yaml names for the stage, of JSON-able settings, and of files or strings."""
-    digest = hashlib.sha256(json.dumps(settings, sort_keys=True).encode() + _stage_code_hash(stage).encode())
-    for item in inputs:
-        digest.update((item if isinstance(item, str) else file_hash(item)).encode() + b"\0")
-    return digest.hexdigest()[:32]
+    """Return a key of the code that dvc.yaml names for the stage, of JSON-able settings, and of files or strings."""
+    items = [item if isinstance(item, str) else file_hash(item) for item in inputs]
+    return digest([settings, _stage_code_hash(stage), items])[:32]
+
+
+def digest(content: Any) -> str:
+    """Return the SHA-256 of JSON-able content as hex; other objects count as their text."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def file_hash(path: Path) -> str:
@@ -33,20 +39,34 @@ def file_hash(path: Path) -> str:
 
 @cache
 def _stage_code_hash(stage: str) -> str:
-    """Hash the code that the stage's entry in dvc.yaml names; of ``${…}``, all alternatives."""
+    """Hash the :func:`meaning` of the code that the stage's entry in dvc.yaml names; of ``${…}``, all alternatives."""
     entry = read(ROOT / "dvc.yaml")["stages"][stage]
     dependencies = entry.get("do", entry)["deps"]
     patterns = [re.sub(r"\$\{.*?\}", "*", path) for path in dependencies if path.startswith(PACKAGES)]
-    return _hash_code(path for pattern in patterns for path in ROOT.glob(pattern))
+    files = _python_files(path for pattern in patterns for path in ROOT.glob(pattern)) - MACHINERY
+    return digest({str(file.relative_to(ROOT)): meaning(file) for file in files})
 
 
 @cache
 def code_hash() -> str:
     """Return a hash of all code, cached at the first call."""
-    return _hash_code(ROOT / package for package in PACKAGES)
+    files = _python_files(ROOT / package for package in PACKAGES)
+    return digest({str(file.relative_to(ROOT)): file_hash(file) for file in files})
 
 
-def _hash_code(paths: Iterable[Path]) -> str:
-    files = {file for path in paths for file in (path.rglob("*.py") if path.is_dir() else [path])}
-    lines = [f"{file.relative_to(ROOT)} {file_hash(file)}\n" for file in sorted(files)]
-    return hashlib.sha256("".join(lines).encode()).hexdigest()
+def meaning(path: Path) -> str:
+    """Return the code of a module from its syntax tree, without docstrings and comments."""
+    tree = ast.parse(path.read_bytes())
+    for node in ast.walk(tree):
+        if isinstance(body := getattr(node, "body", None), list):
+            body[:] = [statement for statement in body if not _is_docstring(statement)]
+    return ast.unparse(tree)  # ast.dump differs more between versions of Python
+
+
+def _is_docstring(statement: ast.stmt) -> bool:
+    constant = statement.value if isinstance(statement, ast.Expr) else None
+    return isinstance(constant, ast.Constant) and isinstance(constant.value, str)
+
+
+def _python_files(paths: Iterable[Path]) -> set[Path]:
+    return {file for path in paths for file in (path.rglob("*.py") if path.is_dir() else [path])}

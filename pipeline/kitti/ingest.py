@@ -31,12 +31,21 @@ HAS = (*MAPS, "lidar")
 class IngestFile(DriveWriter):
     """Write an ingest file: :meth:`add` the frames in order, then :meth:`finish`. A context manager."""
 
-    def __init__(self, path: Path, drive: str, camera: Camera | None, settings: Reading, truth: Sequence[str] = ()):
+    def __init__(
+        self,
+        path: Path,
+        drive: str,
+        camera: Camera | None,
+        settings: Reading,
+        truth: Sequence[str] = (),
+        dataset: str = "recording",
+    ):
         """`camera`: of complete images, which are cropped around the horizon; None: no images and scans.
 
-        `truth`: datasets of ground truth that the file has, of "depth" and "cls".
+        `truth`: datasets of ground truth that the file has, of "depth" and "cls"; `dataset`: what the drive is of.
         """
-        super().__init__(path, stage="ingest", drive=drive, params={"ingest": settings.model_dump(mode="json")})
+        params = {"dataset": dataset, "ingest": settings.model_dump(mode="json")}
+        super().__init__(path, stage="ingest", drive=drive, params=params)
         self.attrs["camera"] = -1  # its number in a KITTI drive
         self._camera, self._size, self._maps = camera, settings.image_size, ("image", *truth)
         self._crop = camera.crop_to(self._size) if camera else None
@@ -107,7 +116,7 @@ def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> 
     time_s = dict(zip(numbers, read_times(times, numbers).tolist(), strict=True))
     steering_rad = read_steering(files.steering) if files.steering else {}
     truth = [name for name, paths in {"depth": depths, "cls": classes}.items() if paths]
-    with IngestFile(path, drive, camera, settings, truth) as file:
+    with IngestFile(path, drive, camera, settings, truth, files.dataset) as file:
         file.attrs["camera"] = -1 if chosen is None else chosen
         size = camera.size if camera else None
         for number in oxts or numbers:

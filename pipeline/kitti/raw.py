@@ -5,7 +5,6 @@
 frame, and it needs all four cameras.
 """
 
-import hashlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError, closest, error_context
-from pipeline.base.resume import file_hash
+from pipeline.base.resume import digest, file_hash
 from pipeline.base.store import replacing
 from pipeline.camera.camera import Camera, camera_height
 from pipeline.camera.geometry import rigid
@@ -21,6 +20,7 @@ from pipeline.camera.images import Size
 from pipeline.kitti.oxts import STEERING
 
 CALIBRATION = "calib_cam_to_cam.txt"  # in a date's folder
+RENDERED = "dataset: sample"  # its first line, of rendered drives
 HORIZON = "calib_horizon.txt"  # in the folder of an imported drive: two recordings of a camera may have two horizons
 MANIFEST = "manifest.json"  # in the folder of an imported drive: the hashes of its files
 # The lowest laser of the HDL-64E points 24.8 degrees down and hits the road 4 m away; complete scans of KITTI reach
@@ -80,23 +80,32 @@ class KittiDrive:
             return list(self.oxts), self.oxts_times
         return list(self.images(camera)), self.folder / f"image_{camera:02d}" / "timestamps.txt"
 
-    def fingerprint(self, cameras: Sequence[int], *, by_content: bool) -> str:
-        """Return a hash of the names of the drive's files and of their contents, or of their sizes and times.
+    @property
+    def dataset(self) -> str:
+        """What the drive is of: "sample" if it is rendered, as its calibration says, otherwise "kitti"."""
+        path = self.calibration / CALIBRATION
+        text = path.read_text(errors="replace") if path.is_file() else ""
+        return "sample" if text.startswith(f"{RENDERED}\n") else "kitti"
+
+    def fingerprint(self, cameras: Sequence[int]) -> str:
+        """Return a hash of the names of the drive's files, and of the contents of the sample's; otherwise of times.
 
         Hashing the contents of KITTI's 175 GB would take longer than ingesting them. The change time detects a file
         that was extracted again: unzip restores the modification time.
         """
+        dataset = self.dataset
+
+        def content(path: Path) -> object:
+            stat = path.stat()
+            return file_hash(path) if dataset == "sample" else [stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns]
+
         camera = self.camera_number(cameras)
         images = {} if camera is None else self.images(camera)
         frames = [self.oxts, self.scans, self.truth_depth, self.truth_cls, images]
         single = [self.timeline(camera)[1], *sorted(self.calibration.glob("calib_*.txt"))]
         single += [self.folder / name for name in (STEERING, HORIZON)]
-        digest = hashlib.sha256()
-        for path in [*(path for files in frames for path in files.values()), *filter(Path.is_file, single)]:
-            stat = path.stat()
-            content = file_hash(path) if by_content else f"{stat.st_size} {stat.st_mtime_ns} {stat.st_ctime_ns}"
-            digest.update(f"{path.relative_to(self.calibration)} {content}\n".encode())
-        return digest.hexdigest()
+        paths = [*(path for files in frames for path in files.values()), *filter(Path.is_file, single)]
+        return digest([dataset, {str(path.relative_to(self.calibration)): content(path) for path in paths}])
 
 
 def find_drives(root: Path, drives: Sequence[str]) -> dict[str, KittiDrive]:
@@ -115,9 +124,14 @@ def find_drives(root: Path, drives: Sequence[str]) -> dict[str, KittiDrive]:
 def leave_out(root: Path, drives: Collection[str], splits: Mapping[str, str], required: Collection[str]) -> list[str]:
     """Return which of `drives` are missing below `root`; print them, and drives that are there but in no split.
 
-    Raises InputError if all are missing, all of a split (drive → split), or one of the `required`.
+    The other drives of `splits` (drive → split) are rendered. Raises InputError if `root` has one of them, or if all
+    `drives` are missing, all of a split, or one of the `required`.
     """
     known = _drives(root)
+    if twice := next((drive for drive in known if drive in splits and drive not in drives), None):
+        problem = f"stage sample renders a drive of the same name, data/sample/{twice[:10]}/{twice}_sync"
+        fix = "Rename this folder, or set ingest.source: kitti"
+        raise InputError(problem, root / twice[:10] / f"{twice}_sync", fix)
     missing = [drive for drive in drives if drive not in known]
     kept = {splits[drive] for drive in splits if drive not in missing}
     find_drives(root, [drive for drive in missing if not known or drive in required or splits[drive] not in kept])

@@ -52,6 +52,7 @@ class Examples(ExitStack):
         chosen = [i for i, _ in self._frames]
         self.frames_per_drive = {name: chosen.count(i) for i, name in enumerate(drives) if i in chosen}
         self.size = self._drives[0][1].size
+        self.datasets = sorted({files[i].params.get("dataset", "unknown") for i in chosen})
 
     def __len__(self) -> int:
         return len(self._frames)

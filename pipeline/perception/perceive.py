@@ -1,6 +1,6 @@
 """Predict depth and classes of images with the encoder of a folder: a network, or precomputed files."""
 
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from functools import lru_cache, partial
 from pathlib import Path
@@ -49,16 +49,30 @@ Predict = Callable[[EncoderInput], tuple[np.ndarray, np.ndarray]]
 
 def open_encoder(folder: Path, precision: str) -> Predict:
     """Return the function of an encoder's folder; `precision` as in section perception. Raises InputError as `load`."""
-    return _open(folder, file_hash(folder / FILE), precision)
+    return _open(folder, file_hash(folder / FILE), precision)[0]
+
+
+def warnings(folder: Path, precision: str, ingest: Iterable[Path]) -> Iterator[str]:
+    """Yield a warning if an encoder's folder was fitted to the sample alone, and a file of stage ingest is no such."""
+    if _open(folder, file_hash(folder / FILE), precision)[1] != ["sample"]:
+        return
+    for path in ingest:
+        with DriveReader(path, stage="ingest") as file:
+            if file.params.get("dataset", "sample") != "sample":
+                fix = "For real streets: make street, and weights/street as encoder"
+                yield f"warning: {folder} was fitted to rendered streets alone, so {file.drive} gets wrong depth. {fix}"
+                return
 
 
 @lru_cache(maxsize=1)  # one for all drives of a process; a worker of a cluster outlives the file
-def _open(folder: Path, _: str, precision: str) -> Predict:
+def _open(folder: Path, _: str, precision: str) -> tuple[Predict, list[str] | None]:
+    """Return the function, and the datasets that the encoder was fitted to, None if it does not say."""
     with error_context(fix="Make it again: dvc repro --force --single-item encoder"):
         architecture, network = load(folder / FILE)
+    predict: Predict = lambda batch: perceive(network, batch.images, batch.camera, precision)  # noqa: E731
     if architecture["backbone"] == "precomputed":
-        return partial(_read_precomputed, Path(architecture["folder"]))
-    return lambda batch: perceive(network, batch.images, batch.camera, precision)
+        predict = partial(_read_precomputed, Path(architecture["folder"]))
+    return predict, architecture.get("datasets")
 
 
 def _read_precomputed(folder: Path, batch: EncoderInput) -> tuple[np.ndarray, np.ndarray]:

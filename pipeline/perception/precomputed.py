@@ -1,13 +1,12 @@
 """Depth and classes from PNG files of another program, by drive and frame number."""
 
-import hashlib
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
-from pipeline.base.resume import file_hash
+from pipeline.base.resume import digest, file_hash
 from pipeline.camera import classes
 from pipeline.camera.images import nearest, read_classes, read_depth, to_units, write_png
 
@@ -28,8 +27,7 @@ def find(folder: Path) -> list[Path]:
 def fingerprint(folder: Path) -> tuple[int, str]:
     """Return the number of PNG files below a folder, and a hash of names and contents. Raises InputError if none."""
     files = find(folder)
-    listing = "".join(f"{file.relative_to(folder)} {file_hash(file)}\n" for file in files)
-    return len(files), hashlib.sha256(listing.encode()).hexdigest()
+    return len(files), digest({str(file.relative_to(folder)): file_hash(file) for file in files})
 
 
 def write(folder: Path, drive: str, frame: int, depth_m: np.ndarray, cls: np.ndarray) -> None:

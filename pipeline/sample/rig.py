@@ -88,7 +88,7 @@ def make_rig(size: tuple[int, int], date: str) -> Rig:
 def write_calibration(rig: Rig, folder: Path) -> None:
     """Write calib_cam_to_cam.txt, calib_velo_to_cam.txt and calib_imu_to_velo.txt into a date's folder."""
     time = {"calib_time": "01-Jan-2026 12:00:00"}
-    cameras: dict[str, str | np.ndarray] = {**time, "corner_dist": "9.950000e-02"}
+    cameras: dict[str, str | np.ndarray] = {"dataset": "sample", **time, "corner_dist": "9.950000e-02"}
     for camera, P in rig.P_rect.items():
         cameras[f"S_rect_{camera:02d}"] = np.array(rig.size[::-1], float)
         cameras[f"R_rect_{camera:02d}"] = rig.R_rect

@@ -7,7 +7,7 @@ from pydantic import Field, field_validator, model_validator
 
 from pipeline.base.params import SPLITS, Drive, ImageSize, Section
 
-SAMPLE = "2026_"  # prefix of the embedded sample's drives; KITTI's is 2011_
+SAMPLE = "2026_01_"  # prefix of the drives that are rendered with `source: both`
 _RANGE = re.compile(r"([0-9]{4}_[0-9]{2}_[0-9]{2}_drive_)([0-9]{4})\.\.([0-9]{4})")
 
 

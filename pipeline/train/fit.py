@@ -77,12 +77,14 @@ def fit_run(
         "drives": [*dict.fromkeys(drive.name for drive in train)],
         "val": [drive.name for drive in val],
     }
+    begun = [drives[drive] for drive in (run.start.fold.train if run.start else ())]
     metadata = {
         "kind": predict.KIND,
         "name": name,
         "seeds": settings.seeds,
         "contents": contents._asdict(),
         "settings": train[0].settings,
+        "datasets": sorted({drive.settings.get("dataset", "unknown") for drive in (*train, *begun)}),
         "fps": float(1 / np.median(np.concatenate([np.diff(drive.time_s) for drive in train]))),
         **inputs,
     }

@@ -31,6 +31,7 @@ class Trained(NamedTuple):
     scale: Scale
     settings: dict[str, Any]  # section → settings that made graphs and labels of its training drives
     drives: list[str]  # of training
+    datasets: list[str]  # of all training drives, those of the network from which it started included; [] if unknown
     fps: float  # their frame rate
     net: SteeringNet
 
@@ -83,6 +84,7 @@ def load(folder: str | Path, device: torch.device | str | None = None) -> Traine
             entry, contents = Entry.model_validate(content["entry"]), Contents(**content["contents"])
             scale = Scale.parse(content["scale"])
             about = {key: content[key] for key in ("name", "seeds", "settings", "drives", "fps")}
+            about["datasets"] = content.get("datasets", [])
         except (AttributeError, LookupError, TypeError, ValueError) as error:
             raise InputError(f"not a model of this version ({shorten(repr(error), 200)})", path) from error
         net = entry.build(**contents._asdict(), outputs=len(scale.names))

@@ -13,7 +13,7 @@ from pipeline.graphs.frame_graph import graphs_drive
 from pipeline.perception.perceive import FILE
 from pipeline.settings.clouds import Clouds
 from pipeline.settings.graphs import Variant
-from pipeline.settings.ingest import SAMPLE, Reading
+from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from pipeline.settings.train import RATE_TOLERANCE
 from pipeline.train.predict import Trained
@@ -67,7 +67,7 @@ def predict(
 
 def _differences(model: Trained, source: Source, encoder: Path, time_s: np.ndarray) -> Iterator[str]:
     """Yield where a source or an encoder differs from what the model was fitted to."""
-    if all(drive.startswith(SAMPLE) for drive in model.drives) and not source.name.startswith(SAMPLE):
+    if model.datasets == ["sample"] != [source.dataset]:
         yield f"warning: {model.name} was fitted to the rendered sample alone, so expect wrong angles on real streets"
     step_s = float(np.median(np.diff(time_s))) if source.drive and len(time_s) > 1 else 1 / model.fps
     if abs(1 / step_s / model.fps - 1) > RATE_TOLERANCE:  # other sources have been resampled

@@ -1,7 +1,5 @@
 """Open a KITTI drive, a video or a folder of images, and run the stages' functions on its frames."""
 
-import hashlib
-import json
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,14 +12,14 @@ from tqdm import tqdm
 
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.outputs import WORK, claim
-from pipeline.base.resume import file_hash
+from pipeline.base.resume import digest, file_hash
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import format_size, read_image
 from pipeline.kitti.ingest import IngestFile, ingest_kitti
 from pipeline.kitti.oxts import read_times
 from pipeline.kitti.raw import KittiDrive
 from pipeline.motion.drive import measure_drive
-from pipeline.perception.perceive import FILE, perceive_drive
+from pipeline.perception.perceive import FILE, perceive_drive, warnings
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from pipeline.video.lens import find_horizon, pinhole, undistortion
@@ -57,6 +55,11 @@ class Source:
     notes: list[str] = field(default_factory=list)  # for the user
     drive: KittiDrive | None = None  # None: a video, or a folder of images
     height_known: bool = False  # of the camera over the road
+
+    @property
+    def dataset(self) -> str:
+        """What the frames are of: sample, kitti or recording."""
+        return self.drive.dataset if self.drive else "recording"
 
 
 def open_source(
@@ -131,8 +134,7 @@ def work_folder(out: Path | None, source: Source, encoder: Path, **settings: Any
     """
     stat, camera = source.path.stat(), source.camera
     identity = [source.path.resolve(), stat.st_size, stat.st_mtime_ns, camera.height_m, camera.horizon, source.capture]
-    content = json.dumps([*identity, file_hash(encoder / FILE), settings], default=str)
-    key = hashlib.sha256(content.encode()).hexdigest()[:16]
+    key = digest([*identity, file_hash(encoder / FILE), settings])[:16]
     work = claim(out, source.name, key) / WORK / key
     (work / "new").mkdir(parents=True, exist_ok=True)
     return work
@@ -163,6 +165,7 @@ def run_chain(source: Source, work: Path, reading: Reading, perception: Percepti
             bar.set_description(name.removesuffix(".h5"))
             if not (work / name).exists():
                 bar.total = job(work / name, advance=bar.update)["frames"]
+    source.notes.extend(warnings(encoder, perception.precision, [ingest]))
 
 
 def _ingest(path: Path, *, source: Source, reading: Reading, advance: Callable[[int], object]) -> dict[str, Any]:

@@ -73,6 +73,7 @@ def test_the_fit_uses_training_drives_only_and_reports_itself(ingest, fitted):
     assert (out / "encoder.pt").read_bytes() == (fitted / "encoder.pt").read_bytes(), "equal input, equal bytes"
     content = config(out)
     assert content["frames_per_drive"] == {TRAIN: 6}
+    assert perceive.load(out / "encoder.pt")[0] == {"backbone": "small", "datasets": ["recording"]}
     curve = pd.read_csv(out / "curve.csv")
     assert curve["epoch"].tolist() == [1, 2]
     assert all(curve[loss][1] < curve[loss][0] for loss in ("depth", "classes"))

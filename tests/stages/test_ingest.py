@@ -12,6 +12,7 @@ import pytest
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, read_index
 from pipeline.camera.camera import Camera
+from pipeline.kitti.raw import CALIBRATION, RENDERED
 from stages import ingest
 from tests.kitti_drive import DATE, DRIVE, SIZE, contents, write, write_drive, write_params, write_png
 
@@ -134,17 +135,25 @@ def test_a_folder_without_images_is_empty(tmp_path, name):
 
 
 def test_source_both_reads_each_drive_from_its_folder(tmp_path):
-    sample = "2026_01_01_drive_0001"
-    write_drive(tmp_path / "raw", DRIVE)
-    write_drive(tmp_path / "sample", sample, frames=range(2), truth=True)
-    params = write_params(tmp_path / "params.yaml", train=[DRIVE], test=[sample], source="both")
+    """A drive of this year is recorded, too, unless it has a date of the sample."""
+    sample, recorded = "2026_01_01_drive_0001", "2026_11_26_drive_0001"
+    for drive in (DRIVE, recorded):
+        write_drive(tmp_path / "raw", drive)
+    calibration = write_drive(tmp_path / "sample", sample, frames=range(2), truth=True).parent / CALIBRATION
+    write(calibration, f"{RENDERED}\n{calibration.read_text()}")
+    params = write_params(tmp_path / "params.yaml", train=[DRIVE, recorded], test=[sample], source="both")
     folders = {"sample": tmp_path / "sample", "raw": tmp_path / "raw", "out": tmp_path / "out"}
     ingest.main(**folders, params=params)
-    assert read_index(tmp_path / "out", stage="ingest") == {DRIVE: "train", sample: "test"}
-    for drive, source, frames in ((DRIVE, "kitti", 4), (sample, "sample", 2)):
+    assert read_index(tmp_path / "out", stage="ingest") == {DRIVE: "train", recorded: "train", sample: "test"}
+    for drive, dataset, frames in ((DRIVE, "kitti", 4), (recorded, "kitti", 4), (sample, "sample", 2)):
         with DriveReader(tmp_path / f"out/{drive}.h5", stage="ingest") as file:
-            assert len(file.frame) == frames
-            assert ("cls" in file) == (source == "sample")
+            assert (len(file.frame), file.params["dataset"]) == (frames, dataset)
+            assert ("cls" in file) == (dataset == "sample")
+    twice = write_drive(tmp_path / "raw", sample)
+    for source in ("both", "sample"):
+        write_params(params, train=[sample], test=["2026_01_02_drive_0001"], source=source)
+        with pytest.raises(InputError, match=rf"{twice}: stage sample renders .* data/sample/.*{sample}_sync"):
+            ingest.main(**folders, params=params)
 
 
 @pytest.mark.real

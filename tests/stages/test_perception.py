@@ -66,7 +66,7 @@ def run(root: Path) -> dict[str, np.ndarray]:
         return {name: file[name] for name in ("frame", "depth_m", "cls")}
 
 
-def test_precomputed_files_are_matched_by_frame_number(tmp_path):
+def test_precomputed_files_are_matched_by_frame_number(tmp_path, capsys):
     truth = [street.scene(frame)[1:] for frame in range(len(HAS_IMAGE))]
     for frame, (depth_m, cls) in enumerate(truth):
         write_png(tmp_path / f"made/{FULL}/depth/{frame:010d}.png", np.rint(depth_m * 256).astype(np.uint16))
@@ -77,13 +77,16 @@ def test_precomputed_files_are_matched_by_frame_number(tmp_path):
     store.write_index(tmp_path / "ingest", {FULL: "test"})
     save(tmp_path / "encoder", {"backbone": "precomputed", "folder": str(tmp_path / "made")}, {})
     content = run(tmp_path)
+    assert "warning" not in capsys.readouterr().out
     assert content["frame"].tolist() == [0, 1, 3, 4]
     depth_m, cls = (np.stack([truth[frame][part] for frame in content["frame"]]) for part in (0, 1))
     np.testing.assert_array_equal(content["cls"], cls)
     np.testing.assert_array_equal(content["depth_m"], np.rint(depth_m * 256))
-    save(tmp_path / "encoder", {"backbone": "precomputed", "folder": str(tmp_path / "later")}, {})
+    later = {"backbone": "precomputed", "folder": str(tmp_path / "later"), "datasets": ["sample"]}
+    save(tmp_path / "encoder", later, {})
     with pytest.raises(InputError, match="later"):  # this process has the first encoder open
         run(tmp_path)
+    assert f"encoder was fitted to rendered streets alone, so {FULL} gets wrong depth" in capsys.readouterr().out
 
 
 DRIVE, FRAMES = "2027_03_31_drive_0001", 20

@@ -97,6 +97,7 @@ def test_a_model_is_compared_with_oxts(folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     predict(drive(folder), model=Path("data/train/scans"), out=tmp_path / "out", video=False)
     text, rows = capsys.readouterr().out, read(tmp_path / "out")
+    assert "warning" not in text
     predicted_rad, driven_rad = rows["predicted_rad"].to_numpy()[:-2], rows["driven_rad"].to_numpy()[2:]
     used = np.isfinite(predicted_rad) & np.isfinite(driven_rad)
     assert f"truth from oxts, {used.sum()} frames, 2 frames ahead" in text
@@ -110,7 +111,7 @@ def test_a_model_is_compared_with_oxts(folder, tmp_path, monkeypatch, capsys):
 
 def test_a_folder_of_images(folder, tmp_path, capsys):
     """Images need intrinsics and are cropped; a model of scans has no input there, and one of the sample no streets."""
-    images, out = tmp_path / "images", tmp_path / "out"
+    images, out = tmp_path / "2026_01_01_drive_0001", tmp_path / "out"  # a name says nothing
     images.mkdir()
     for number, path in enumerate(sorted((drive(folder) / "image_02/data").iterdir())):
         taller = cv2.copyMakeBorder(cv2.imread(str(path)), 60, 60, 0, 0, cv2.BORDER_CONSTANT)
@@ -124,7 +125,9 @@ def test_a_folder_of_images(folder, tmp_path, capsys):
         predict(images, model=folder / "data/train/points", out=out, fov=81.0, fps=5.0)
     predict(images, model=folder / "data/train/points", out=out, fov=81.0, fps=20.0)
     text = capsys.readouterr().out
-    assert all(part in text for part in ("3 predictions for 6 frames", "rendered sample alone", "6 of 12 frames are"))
+    parts = "3 predictions for 6 frames", "fitted to the rendered sample alone", "6 of 12 frames are"
+    assert all(part in text for part in parts)
+    assert "points was fitted to depth" not in text
     video = cv2.VideoCapture(str(out / "overlay.mp4"))
     assert (video.get(cv2.CAP_PROP_FRAME_WIDTH), video.get(cv2.CAP_PROP_FRAME_HEIGHT)) == (320, 216)  # not cropped
 

@@ -152,6 +152,27 @@ def test_files_of_other_stages_schemas_and_drives_are_refused(tmp_path, name, st
     assert f"dvc repro {stage}" in raised.value.fix or "another process" in problem
 
 
+@pytest.mark.parametrize("code", [errno.ENOLCK, errno.EOPNOTSUPP, errno.EACCES])
+def test_a_file_system_without_locks_can_be_read_and_not_written(tmp_path, monkeypatch, code):
+    path, opened = write(tmp_path / "a.h5"), h5py.File
+
+    def without_locks(*args: Any, locking: bool = True, **options: Any) -> h5py.File:
+        if locking:
+            raise OSError(code, os.strerror(code))
+        return opened(*args, locking=False, **options)
+
+    monkeypatch.setattr(h5py, "File", without_locks)
+    monkeypatch.setattr(fcntl, "flock", Mock(side_effect=OSError(code, os.strerror(code))))
+    if code == errno.EACCES:
+        with pytest.raises(InputError, match="damaged"):
+            DriveReader(path, stage="clouds")
+        return
+    with DriveReader(path, stage="clouds") as file:
+        assert file.drive == DRIVE
+    with pytest.raises(InputError, match=f"{tmp_path}/data/.drives/labels.lock: the file system has no locks"):
+        publish(tmp_path / "data/labels", "a.h5")
+
+
 def test_index_round_trip(tmp_path):
     splits = {"b": "train", "a": "test", "c": "train"}
     store.write_index(tmp_path, splits)
@@ -285,7 +306,12 @@ def test_a_container_has_as_many_workers_as_its_quota_allows(tmp_path, monkeypat
     monkeypatch.delenv("STEER_WORKERS")
     (tmp_path / "cpu.max").write_text(f"{quota}\n")
     monkeypatch.setattr(executors, "CPU_MAX", tmp_path / "cpu.max")
-    assert executors.default_workers() == (workers or len(os.sched_getaffinity(0)))
+    assert executors.default_workers() == (workers or executors.usable_cores())
+
+
+def test_a_system_without_affinity_has_all_cores(monkeypatch):
+    monkeypatch.delattr("os.sched_getaffinity", raising=False)  # as on macOS and Windows
+    assert executors.usable_cores() == os.cpu_count()
 
 
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
@@ -431,19 +457,46 @@ def test_a_worker_with_other_code_is_refused(folder, dask):
     [
         ("pipeline/labels/label.py", {"labels", "train"}),
         ("pipeline/base/store.py", {"labels", "clouds", "train"}),
+        ("pipeline/base/errors.py", {"labels", "clouds", "train"}),  # DamagedFile selects frames
         ("models/steering/spatial/gnn.py", {"train"}),  # a file that dvc.yaml names by ${item.spatial}
         ("pipeline/sample/world.py", set()),
+        *((f"pipeline/base/{name}.py", set()) for name in ("console", "executors", "outputs", "resume", "runner")),
     ],
 )
 def test_the_code_that_dvc_yaml_names_is_in_a_key(monkeypatch, file, stages):
     def keys(edited: str) -> dict[str, str]:
-        monkeypatch.setattr(resume, "file_hash", lambda path: f"{path} {path == ROOT / edited}")
+        monkeypatch.setattr(resume, "meaning", lambda path: f"{path} {path == ROOT / edited}")
         resume._stage_code_hash.cache_clear()  # as in a new process
         return {stage: stage_key(stage, {}, []) for stage in ("labels", "clouds", "train")}
 
     before = keys("")
     assert {stage for stage, key in keys(file).items() if key != before[stage]} == stages
     resume._stage_code_hash.cache_clear()
+
+
+CODE = """LIMIT_M = 80.0
+def check(depth_m):
+    if depth_m > LIMIT_M:
+        raise ValueError("too far")
+"""
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "equal"),
+    [
+        ("LIMIT_M", '"A module."\n# of depth\nLIMIT_M', True),
+        ("80.0\n", '80.0  # metres\n"In metres."\n', True),
+        ("depth_m):\n", 'depth_m):\n    """Raise ValueError."""\n', True),
+        ("depth_m > LIMIT_M", "(depth_m >\n            LIMIT_M)", True),
+        ("80.0", "81.0", False),
+        ("too far", "beyond", False),
+    ],
+)
+def test_a_key_has_the_meaning_of_code(tmp_path, before, after, equal):
+    paths = [tmp_path / "before.py", tmp_path / "after.py"]
+    for path, text in zip(paths, (CODE, CODE.replace(before, after, 1)), strict=True):
+        path.write_text(text)
+    assert (resume.meaning(paths[0]) == resume.meaning(paths[1])) == equal
 
 
 @pytest.mark.parametrize(

@@ -13,26 +13,30 @@ from pipeline.base.errors import InputError
 from pipeline.camera.geometry import depth_image, project, transform
 from pipeline.camera.images import read_pixels
 from pipeline.kitti import oxts
-from pipeline.kitti.raw import KittiDrive, read_calibration, read_scan
+from pipeline.kitti.raw import CALIBRATION, RENDERED, KittiDrive, read_calibration, read_scan
 from tests.kitti_drive import DATE, scan, write, write_calibration, write_drive
 
 
 def test_a_fingerprint_detects_a_file_that_was_extracted_again(tmp_path):
     folder = write_drive(tmp_path, truth=True)
 
-    def fingerprint(by_content: bool = False) -> str:
-        return KittiDrive(folder).fingerprint([2], by_content=by_content)
+    def fingerprint() -> str:
+        return KittiDrive(folder).fingerprint([2])
 
-    content, hashes = fingerprint(by_content=True), {fingerprint()}
+    hashes = {fingerprint()}
     for name in ("image_02/data/0000000001.png", "velodyne_points/data/0000000002.bin", "../calib_velo_to_cam.txt"):
         before = (folder / name).stat()
         write(folder / name, (folder / name).read_bytes())
         os.utime(folder / name, ns=(before.st_atime_ns, before.st_mtime_ns))  # as unzip does
         hashes.add(fingerprint())
     assert len(hashes) == 4
-    assert fingerprint(by_content=True) == content
+    path = folder.parent / CALIBRATION  # of a rendered drive, the contents count
+    write(path, f"{RENDERED}\n{path.read_text()}")
+    content = fingerprint()
+    write(folder / name, (folder / name).read_bytes())
+    assert fingerprint() == content
     write(folder / "truth/cls/0000000000.png", "other")
-    assert fingerprint(by_content=True) != content
+    assert fingerprint() != content
 
 
 @pytest.mark.real

@@ -134,13 +134,14 @@ class Fit:
         if state.is_file():
             with error_context(fix=f"Delete {state} to start again"):
                 self._resume(checkpoint.read(state, "state of training"))
-            print(f"{title}: continues after epoch {len(self.curve)} of {epochs}", flush=True)
+            after = f"continues after epoch {len(self.curve)} of {epochs}"
+            print(f"{title}: {after if self._unfinished() else 'kept from an earlier run'}", flush=True)
         # Processes read for a GPU; Dask's workers start none.
         processes = self.net.device.type == "cuda" and not multiprocessing.current_process().daemon
         with windows.Reader([*self.train, *val], self.entry.window, processes * default_workers()) as reader:
             started, before = time.perf_counter(), len(self.curve)
-            while (done := len(self.curve)) < epochs and done - selected_epoch(self.curve) < self.settings.patience:
-                epoch = done + 1
+            while self._unfinished():
+                epoch = len(self.curve) + 1
                 loss, rate = self._train(reader, epoch)
                 if not math.isfinite(loss):
                     problem = f"loss of epoch {epoch} is {loss}"
@@ -158,6 +159,10 @@ class Fit:
                 # One write, as runs in parallel share the output; print writes the line's end separately.
                 line = f"{title}: {epoch} of {epochs} epochs, loss {loss:.4f}{text}, ETA {eta:.0f} s\n"
                 print(line, end="", flush=True)
+
+    def _unfinished(self) -> bool:
+        done = len(self.curve)
+        return done < self.settings.epochs and done - selected_epoch(self.curve) < self.settings.patience
 
     def _plan(self, epoch: int) -> list[list[windows.Span]]:
         """Return the spans of each step of an epoch.

@@ -9,7 +9,6 @@ from pathlib import Path
 import typer
 
 from pipeline.base import console
-from pipeline.base.errors import InputError
 from pipeline.base.outputs import link, locked
 from pipeline.base.resume import file_hash
 from pipeline.base.store import replacing, write_json
@@ -24,7 +23,7 @@ def main(name: str) -> None:
     run, report = Path("runs") / name, Path("data/report")
     for folder in (run / "data", report, Path("weights")):
         folder.mkdir(parents=True, exist_ok=True)
-    with locked(Path(f"{run}.lock"), InputError(f"another make {name} is running", run, "Wait until it ends")):
+    with locked(run, f"{run}.lock"):
         copy_code(run)
         preset.main(name, run)
         for place, target in ((run / "data/raw", "../../../data/raw"), (run / "weights", "../../weights")):
@@ -40,10 +39,7 @@ def main(name: str) -> None:
 
 
 def copy_cache(run: Path) -> None:
-    """Give a run of an earlier version links to the objects of the checkout's cache, which it shared.
-
-    ``dvc gc`` in the checkout knows one repository, and deleted the results of the others from a shared cache.
-    """
+    """Give a run of an earlier version links to the cache that it shared, where ``dvc gc`` deleted its results."""
     config, shared, own = run / ".dvc/config", Path(".dvc/cache"), run / ".dvc/cache"
     if shared.is_dir() and not own.exists() and config.is_file() and "../.dvc/cache" in config.read_text("utf-8"):
         with replacing(own) as new:

@@ -57,15 +57,16 @@ class StageFolder(NamedTuple):
 
 
 @contextmanager
-def locked(path: Path, busy: InputError) -> Iterator[None]:
-    """Hold the lock of the file `path`, which the system releases when this process dies.
+def locked(folder: Path, path: str) -> Iterator[None]:
+    """Hold the lock `path` of a folder, which the system releases when this process dies.
 
-    Raises `busy` if another process holds it, and InputError if the file system has no locks.
+    Raises InputError if another process holds it, or if the file system has no locks.
     """
     try:
         lock = FileLock(path, fallback_to_soft=False).acquire(timeout=0)
     except Timeout:
-        raise busy from None
+        fix = "Wait for that to end, then repeat the command"
+        raise InputError("another process is writing it", folder, fix) from None
     except OSError as error:
         if error.errno not in NO_LOCKS:
             raise
@@ -89,8 +90,7 @@ def stage_folder(stage: str, out: Path, *, shared: bool = False) -> Iterator[Sta
     root = out.parent if entry else out
     kept = root.with_name(".drives") / (f"{root.name}-{out.name}" if entry else out.name)
     kept.mkdir(parents=True, exist_ok=True)
-    busy = InputError("another process is writing it", out, "Wait for that to end, then repeat the command")
-    with locked(Path(f"{kept}.lock"), busy):
+    with locked(out, f"{kept}.lock"):
         owner = {"stage": name, "entry": entry}
         before = _own_files(out, owner, shared)
         folder = StageFolder(name, kept / "new", kept, set())

@@ -79,7 +79,6 @@ def import_recording(
         return
     height = f", perception.camera_height_m: {camera_height:g}" if camera_height else ""
     manifest = f"{{{drive}: {imported.manifests[drive]}}}"
-    encoder = "encoder.backbone: street, encoder.weights: weights/street/encoder.pt"
+    encoder = "ingest.image_size: [192, 640], encoder.backbone: street, encoder.weights: weights/street/encoder.pt"
     settings = f"ingest.source: kitti, ingest.manifests: {manifest}, {encoder}, labels.source: {labels}{height}"
-    drives = f"replace ingest.drives by {drive} and others"
-    print(f"next: make street, set ingest.image_size: [192, 640], {settings} in params.yaml, {drives}, run dvc repro")
+    print(f"next: make street, in params.yaml set {settings}, and {drive} and others as ingest.drives; run dvc repro")

@@ -82,8 +82,7 @@ def test_precomputed_files_are_matched_by_frame_number(tmp_path, capsys):
     depth_m, cls = (np.stack([truth[frame][part] for frame in content["frame"]]) for part in (0, 1))
     np.testing.assert_array_equal(content["cls"], cls)
     np.testing.assert_array_equal(content["depth_m"], np.rint(depth_m * 256))
-    later = {"backbone": "precomputed", "folder": str(tmp_path / "later"), "datasets": ["sample"]}
-    save(tmp_path / "encoder", later, {})
+    save(tmp_path / "encoder", {"backbone": "precomputed", "folder": f"{tmp_path}/later", "datasets": ["sample"]}, {})
     with pytest.raises(InputError, match="later"):  # this process has the first encoder open
         run(tmp_path)
     assert f"encoder was fitted to rendered streets alone, so {FULL} gets wrong depth" in capsys.readouterr().out

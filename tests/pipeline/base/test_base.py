@@ -465,8 +465,7 @@ def test_the_code_that_dvc_yaml_names_is_in_a_key(monkeypatch, file, stages):
 
 CODE = """LIMIT_M = 80.0
 def check(depth_m):
-    if depth_m > LIMIT_M:
-        raise ValueError("too far")
+    if depth_m > LIMIT_M: raise ValueError("too far")
 """
 
 
@@ -476,7 +475,7 @@ def check(depth_m):
         ("LIMIT_M", '"A module."\n# of depth\nLIMIT_M', True),
         ("80.0\n", '80.0  # metres\n"In metres."\n', True),
         ("depth_m):\n", 'depth_m):\n    """Raise ValueError."""\n', True),
-        ("depth_m > LIMIT_M", "(depth_m >\n            LIMIT_M)", True),
+        ("depth_m > LIMIT_M", "(depth_m >\n       LIMIT_M)", True),
         ("80.0", "81.0", False),
         ("too far", "beyond", False),
     ],

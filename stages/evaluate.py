@@ -16,6 +16,7 @@ from pipeline.evaluate.metrics import Case, columns, inputs, metrics, turning_fr
 from pipeline.graphs import graph_file
 from pipeline.settings.evaluate import Evaluate
 from pipeline.train import predict, runs
+from pipeline.train.frames import Files
 from pipeline.train.targets import read_drive
 
 
@@ -84,8 +85,12 @@ def _predict(models: Mapping[runs.Run, predict.Trained], variant: Path, labels: 
                 if drive.columns != first.scale.names:
                     problem = f"labels.ahead_m differs from the ranges of the trained model (got {drive.ahead_m})"
                     raise InputError(problem, drive.labels, f"Train it again: dvc repro train@{first.name}")
+                seen = [variant / f"{scenes[name]}.h5" for _, scenes in seeds]
+                files = Files(seen)  # for all seeds
+                files.load(first.net.device)
                 with graph_file.open_graphs(drive.graphs) as graphs:
-                    predictions = [model.predict(graphs, variant / f"{scenes[name]}.h5") for model, scenes in seeds]
+                    pairs = zip(seeds, seen, strict=True)
+                    predictions = [model.predict(graphs, scene, files) for (model, _), scene in pairs]
                 drives[name] = Case(drive, predictions, first.scale)
     return {part: list(drives.values()) for part, drives in cases.items()}
 

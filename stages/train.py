@@ -3,7 +3,7 @@
 import os
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import torch
@@ -18,6 +18,7 @@ from pipeline.settings.models import Entry
 from pipeline.settings.train import RATE_TOLERANCE, Train
 from pipeline.train import runs
 from pipeline.train.fit import fit_run
+from pipeline.train.frames import Files
 from pipeline.train.loss import Scale
 from pipeline.train.targets import check, read_drive
 
@@ -58,7 +59,9 @@ def main(
         todo = runs.runs(folder.new, settings.seeds, folds)
         # A GPU trains one network at a time; a cluster has a worker per GPU, see CUDA_VISIBLE_DEVICES.
         alone = SCHEDULER not in os.environ and (torch.cuda.is_available() or default_workers() == 1)
-        job = partial(fit_run, name=name, where=where, entry=entry, settings=settings, drives=drives, kept=folder.kept)
+        files = Files(drives[drive].graphs for fold in every for drive in (*fold.train, *fold.val))
+        common: dict[str, Any] = {"name": name, "where": where, "entry": entry, "settings": settings, "drives": drives}
+        job = partial(fit_run, **common, files=files, kept=folder.kept)
         for group in ([*dict.fromkeys(run.start for run in todo if run.start)], todo):
             here = len(group) == 1 or alone
             folder.used.update(map(job, group) if here else (state for _, state in run_jobs(job, group, threads=1)))

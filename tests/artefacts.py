@@ -62,10 +62,16 @@ def write_labels(
 
 
 def write_graphs(
-    path: Path, drive: str, steering_rad: np.ndarray, frame: np.ndarray, points: int, rng: np.random.Generator
+    path: Path,
+    drive: str,
+    steering_rad: np.ndarray,
+    frame: np.ndarray,
+    points: int,
+    rng: np.random.Generator,
+    k: int = 6,
 ) -> None:
     """Write a graphs file whose frames [F] show roads that bend as `steering_rad` says."""
-    variant = Variant(source="clouds/pseudo", points=points, k=6, keep_inter_class=0.2)
+    variant = Variant(source="clouds/pseudo", points=points, k=k, keep_inter_class=0.2)
     _write(path, drive, steering_rad, frame, [points] * len(frame), variant, rng)
 
 

@@ -26,6 +26,16 @@ def _real(name: str) -> Callable[[], Path]:
     return folder
 
 
+@pytest.fixture(params=["cpu", "cuda"])
+def device(request: pytest.FixtureRequest) -> str:
+    """Each device; tests on a GPU are skipped where there is none."""
+    import torch
+
+    if request.param == "cuda" and not torch.cuda.is_available():
+        pytest.skip("needs a GPU")
+    return str(request.param)
+
+
 real_kitti = _real("kitti")  # a few drives in KITTI's layout
 real_half = _real("kitti_half")  # drives that turn, at half size
 real_weights = _real("weights")  # published weights of backbones, a folder for each

@@ -1,9 +1,9 @@
 """Test the Markdown pages: their number, size and width, and that links and names lead to something that exists."""
 
+import importlib
 import re
 import shutil
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -131,14 +131,20 @@ def test_names_exist(page):
     assert {*re.findall(r"(?<!\S)--[a-zA-Z][\w-]*", code)} <= options | OTHERS
 
 
-def test_the_dataset_of_the_documentation_yields_each_window_once(tmp_path):
+@pytest.mark.parametrize("start", ["", "fork", pytest.param("spawn", marks=pytest.mark.slow)])
+@pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork:DeprecationWarning")
+def test_the_dataset_of_the_documentation_yields_each_window_once(tmp_path, monkeypatch, start):
+    """Also in processes of a DataLoader, which start in either way."""
     drives = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train"}
     artefacts.write_dataset(tmp_path, drives, frames=23, points=12)
-    names: dict[str, Any] = {}
-    exec(code_block("class Windows(Dataset)").removeprefix("python\n"), names)
+    (tmp_path / f"users{start}.py").write_text(code_block("class Windows(Dataset)").removeprefix("python\n"))
+    monkeypatch.syspath_prepend(tmp_path)
     entry = Entry.model_validate({"input": "semantic", "spatial": "gnn", "temporal": "lstm", "semantics": 1.0})
-    dataset = names["Windows"](tmp_path / "graphs/semantic", tmp_path / "labels", [*drives], entry)
-    batches = [*DataLoader(dataset, batch_size=None)]
+    windows = importlib.import_module(f"users{start}").Windows
+    dataset = windows(tmp_path / "graphs/semantic", tmp_path / "labels", [*drives], entry)
+    assert dataset[0]["ptr"].shape == (9,)  # this process has files open
+    processes = {"num_workers": 2, "multiprocessing_context": start} if start else {}
+    batches = [*DataLoader(dataset, batch_size=None, **processes)]
     assert len(batches) == 2 * (23 - 7)
     net = entry.build("graph")
     for batch in batches:

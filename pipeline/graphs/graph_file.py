@@ -7,14 +7,14 @@ A frame is a dict of columns, whose arrays are by kind of frame
 - image: image uint8 [1,H,W,3].
 
 A column declares where each frame starts and, if it holds row numbers, what it counts. The file keeps both, so writing
-and :func:`collate` need no names.
+and joining frames need no names.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property
 from itertools import chain, count
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -92,7 +92,21 @@ def put_motion(file: store.DriveWriter, frame: np.ndarray, motion: store.DriveRe
 
 
 class Graphs(store.DriveReader):
-    """An open graph file with G frames. Pointers are read once."""
+    """An open graph file with G frames. Pointers are read once, and columns after :meth:`keep`."""
+
+    kept: Mapping[str, Any] = {}  # ragged columns in memory
+
+    def keep(self, convert: Callable[[np.ndarray], Any]) -> None:
+        """Read the ragged columns, from now on ``convert(column)``, into memory."""
+        self.kept = {name: convert(self[name]) for name in self.pointers}
+
+    def row(self, name: str, index: int | slice | tuple[()]) -> Any:
+        return self.kept[name][index] if name in self.kept else super().row(name, index)
+
+    @property
+    def size(self) -> int:
+        """Bytes of the ragged columns in memory."""
+        return sum(self.datasets[name].size * self.datasets[name].dtype.itemsize for name in self.pointers)
 
     @cached_property
     def contents(self) -> Contents:
@@ -129,25 +143,3 @@ def edge_pairs(degree: np.ndarray, indices: np.ndarray) -> np.ndarray:
     """Return both ends [E,2] of each undirected edge of one frame once, the smaller first."""
     pairs = np.stack([np.repeat(np.arange(len(degree)), degree), indices], axis=1)
     return pairs[pairs[:, 0] < pairs[:, 1]]
-
-
-def collate(spans: Sequence[tuple[Graphs, int, int]]) -> Arrays:
-    """Read the frames [start, stop) of each file as one batch of B frames. The files have the same columns.
-
-    A batch has the columns, one frame after the other, and for each pointer the first row of each frame and the end,
-    int64 [B+1]. Row numbers count from 0 in the batch, int32.
-    """
-    pointers, refers_to = spans[0][0].pointers, spans[0][0].refers_to
-    batch: Arrays = {}
-    for pointer in spans[0][0].starts:
-        counts = [np.diff(file.starts[pointer][start : stop + 1]) for file, start, stop in spans]
-        batch[pointer] = np.concatenate([[0], *counts]).cumsum()
-    for name, pointer in pointers.items():
-        parts = [file.row(name, slice(*file.starts[pointer][[start, stop]])) for file, start, stop in spans]
-        batch[name] = np.concatenate(parts)
-        if name in refers_to:
-            first = batch[pointers[refers_to[name]]][:-1].astype(np.int32)  # row of each frame
-            numbers = batch[name].astype(np.int32)
-            numbers += np.repeat(first, np.diff(batch[pointer])).reshape(-1, *[1] * (numbers.ndim - 1))
-            batch[name] = numbers
-    return batch

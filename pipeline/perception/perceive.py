@@ -22,7 +22,7 @@ from pipeline.camera.images import DEPTH_UNITS_PER_M, Size, to_units
 from pipeline.perception import precomputed
 from pipeline.perception.ground_plane import limit_traffic_depth
 from pipeline.train import checkpoint
-from pipeline.train.loop import autocast, prefetch
+from pipeline.train.loop import prefetch
 
 if TYPE_CHECKING:
     from pipeline.settings.perception import Perception
@@ -104,13 +104,16 @@ def perceive(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return depth float32 [B,H,W] in metres and trainIds uint8 [B,H,W] of RGB images uint8 [B,H,W,3].
 
+    With `precision` auto products are in bfloat16 on a GPU that has it, otherwise in the weights' precision.
     On a CPU, images run one by one: an image's last bits depend on the batch size, and steer predict has one at a time.
     """
     device = next(model.parameters()).device
     tensors, at_once = [torch.from_numpy(images), torch.from_numpy(camera.K)], 1
     if device.type != "cpu":
         tensors, at_once = [tensor.pin_memory() for tensor in tensors], len(images)
-    with torch.no_grad(), autocast(device, precision):  # BEiT keeps tensors, which a fit uses again
+    native = device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
+    half = torch.autocast(device.type, torch.bfloat16, enabled=precision == "auto" and native)
+    with torch.no_grad(), half:  # BEiT keeps tensors, which a fit uses again
         pixels, intrinsics = (tensor.to(device, non_blocking=True) for tensor in tensors)
         outputs = [
             model(part.permute(0, 3, 1, 2), intrinsics.expand(len(part), 3, 3)) for part in torch.split(pixels, at_once)

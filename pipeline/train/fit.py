@@ -1,10 +1,11 @@
 """Fit a steering network to the training drives, with early stopping and resume."""
 
+import copy
 import math
-import multiprocessing
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,18 +13,17 @@ import numpy as np
 import pandas as pd
 import torch
 from torch import Tensor, nn
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from models.steering.core.steering_net import SteeringNet
 from pipeline.base.errors import InputError, error_context
-from pipeline.base.executors import default_workers
 from pipeline.base.resume import stage_key
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
 from pipeline.train import checkpoint, predict, runs, windows
-from pipeline.train.loop import autocast, warm_up_cosine
+from pipeline.train.frames import Files
+from pipeline.train.loop import warm_up_cosine
 from pipeline.train.loss import Scale, nmse, step_targets, weighted_loss
-from pipeline.train.targets import LabelledDrive
+from pipeline.train.targets import Drives, LabelledDrive
 
 SMALL = 8_000  # points per frame
 WARM_UP = 0.05  # share of the steps
@@ -44,11 +44,12 @@ def selected_epoch(curve: Sequence[Mapping[str, float]]) -> int:
 
 
 def fit_run(
-    run: runs.Run, name: str, where: str, entry: Entry, settings: Train, drives: Mapping[str, LabelledDrive], kept: Path
+    run: runs.Run, name: str, where: str, entry: Entry, settings: Train, drives: Drives, files: Files, kept: Path
 ) -> Path:
     """Train a network of model `name`, from the state of an earlier run if there is one; write best.pt and curve.csv.
 
-    `where`: of the model's entry, for messages; `drives`: of all folds; `kept`: the folder of states, see StageFolder.
+    `where`: of the model's entry, for messages; `drives`: of all folds, with their open `files`; `kept`: the folder
+    of states, see StageFolder.
     Returns the state's file. Raises InputError if the network does not fit the graphs, or if the loss is not finite.
     """
     entry = entry.seeded(run.seed)
@@ -65,10 +66,10 @@ def fit_run(
     with error_context(where=where):
         net = entry.build(**contents._asdict(), outputs=len(train[0].columns))
     net.to(device)
-    files = [path for drive in train + val for path in (drive.graphs, drive.labels)]
+    paths = [path for drive in train + val for path in (drive.graphs, drive.labels)]
     if run.start:
-        files.append(run.start.folder / "best.pt")
-        checkpoint.load_state(net, checkpoint.read(files[-1], predict.KIND)["net"], files[-1])
+        paths.append(run.start.folder / "best.pt")
+        checkpoint.load_state(net, checkpoint.read(paths[-1], predict.KIND)["net"], paths[-1])
     inputs = {
         "entry": entry.model_dump(mode="json"),
         "train": settings.model_dump(exclude={"seeds"}),
@@ -88,8 +89,8 @@ def fit_run(
         "fps": float(1 / np.median(np.concatenate([np.diff(drive.time_s) for drive in train]))),
         **inputs,
     }
-    fit = Fit(net, entry, settings, run.seed, train, val)
-    state = kept / f"{stage_key('train', inputs, files)}.pt"
+    fit = Fit(net, entry, settings, run.seed, train, val, files)
+    state = kept / f"{stage_key('train', inputs, paths)}.pt"
     fit.run(state, f"{name} {run}")
     best = {"scale": fit.scale.content, "epoch": selected_epoch(fit.curve), "net": fit.best}
     checkpoint.write(run.folder / "best.pt", metadata | best)
@@ -110,11 +111,14 @@ class Fit:
     seed: int
     train: Sequence[LabelledDrive]
     val: Sequence[LabelledDrive]
+    files: Files = field(default_factory=Files)
 
     def __post_init__(self) -> None:
         self.scale = Scale.from_drives(self.train)
+        device, dtype = self.net.device, next(self.net.parameters()).dtype
+        self._gain, self._std = (torch.from_numpy(v).to(device, dtype) for v in (self.scale.gain, self.scale.std))
         self.net.scale.momentum = min(0.1, 1 - self.settings.average)  # the frames of a single step are too few
-        self.average: Any = AveragedModel(self.net, multi_avg_fn=get_ema_multi_avg_fn(self.settings.average))  # type: ignore[no-untyped-call]
+        self.average = copy.deepcopy(self.net)
         self.best = copy_weights(self.net)
         # Weight decay for matrices only: an offset or a time constant need not be small.
         matrices = [parameter for parameter in self.net.parameters() if parameter.ndim > 1]
@@ -136,29 +140,29 @@ class Fit:
                 self._resume(checkpoint.read(state, "state of training"))
             after = f"continues after epoch {len(self.curve)} of {epochs}"
             print(f"{title}: {after if self._unfinished() else 'kept from an earlier run'}", flush=True)
-        # Processes read for a GPU; Dask's workers start none.
-        processes = self.net.device.type == "cuda" and not multiprocessing.current_process().daemon
-        with windows.Reader([*self.train, *val], self.entry.window, processes * default_workers()) as reader:
-            started, before = time.perf_counter(), len(self.curve)
-            while self._unfinished():
-                epoch = len(self.curve) + 1
-                loss, rate = self._train(reader, epoch)
-                if not math.isfinite(loss):
-                    problem = f"loss of epoch {epoch} is {loss}"
-                    raise InputError(problem, title, "Lower train.learning_rate or clip_norm")
-                error = math.nan
-                if val:  # these drives follow the training drives in the reader
-                    predicted = predict.predict_drives(self.average.module, reader, self.scale, first=len(self.train))
-                    error = nmse(val, predicted)
-                self.curve.append({"epoch": epoch, "learning_rate": rate, "train_loss": loss, "val_nmse": error})
-                if selected := selected_epoch(self.curve) == epoch:
-                    self.best = copy_weights(self.average.module)
-                checkpoint.write(state, self._state())
-                eta = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
-                text = f", validation nmse {error:.3f}{' (selected)' if selected else ''}" if val else ""
-                # One write, as runs in parallel share the output; print writes the line's end separately.
-                line = f"{title}: {epoch} of {epochs} epochs, loss {loss:.4f}{text}, ETA {eta:.0f} s\n"
-                print(line, end="", flush=True)
+        reader = windows.Reader([*self.train, *val], self.entry.window, self.files)
+        if self._unfinished():
+            self.files.load(self.net.device, partial(self._peak, reader))
+        started, before = time.perf_counter(), len(self.curve)
+        while self._unfinished():
+            epoch = len(self.curve) + 1
+            loss, rate = self._train(reader, epoch)
+            if not math.isfinite(loss):
+                problem = f"loss of epoch {epoch} is {loss}"
+                raise InputError(problem, title, "Lower train.learning_rate or clip_norm")
+            error = math.nan
+            if val:  # these drives follow the training drives in the reader
+                predicted = predict.predict_drives(self.average, reader, self.scale, first=len(self.train))
+                error = nmse(val, predicted)
+            self.curve.append({"epoch": epoch, "learning_rate": rate, "train_loss": loss, "val_nmse": error})
+            if selected := selected_epoch(self.curve) == epoch:
+                self.best = copy_weights(self.average)
+            checkpoint.write(state, self._state())
+            eta = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
+            text = f", validation nmse {error:.3f}{' (selected)' if selected else ''}" if val else ""
+            # One write, as runs in parallel share the output; print writes the line's end separately.
+            line = f"{title}: {epoch} of {epochs} epochs, loss {loss:.4f}{text}, ETA {eta:.0f} s\n"
+            print(line, end="", flush=True)
 
     def _unfinished(self) -> bool:
         done = len(self.curve)
@@ -186,31 +190,52 @@ class Fit:
     def _train(self, reader: windows.Reader, epoch: int) -> tuple[float, float]:
         """Train for one epoch; return the mean loss and the last learning rate."""
         settings, device, net = self.settings, self.net.device, self.net
-        steps, robust = self._plan(epoch), self.entry.predict == "path"
+        steps = self._plan(epoch)
         net.train()
         torch.manual_seed(int(np.random.SeedSequence([self.seed, epoch]).generate_state(1)[0]))  # of dropout, see _plan
-        errors, weight_sums, precision = [], [], autocast(device, "auto")
-        for step, batch in enumerate(reader.batches(steps)):
+        errors, weight_sums = [], []
+        for step, batch in enumerate(reader.batches(steps, device)):
             progress = (epoch - 1 + step / len(steps)) / settings.epochs
             for parameters in self.optimiser.param_groups:
                 parameters["lr"] = settings.learning_rate * warm_up_cosine(progress, WARM_UP)
-            # Copied before the forward pass: the copies do not wait for it.
-            targets = step_targets(batch, self.scale, self.entry.alpha, next(net.parameters()).dtype)
-            residual, weight = (tensor.to(device, non_blocking=True) for tensor in targets)
-            with precision:
-                predicted = net(*net.inputs(batch))
-            error = weighted_loss(predicted, residual, weight, robust)
-            # Each span has a valid target, but all ranges of a scaled path may be unknown: then the error is 0, too.
-            weight_sum = weight.sum().clamp_min(1e-6)
+            error, weight_sum = self._error(net, batch)
             self.optimiser.zero_grad(set_to_none=True)
             (error / weight_sum).backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(net.parameters(), settings.clip_norm)
             self.optimiser.step()
-            self.average.update_parameters(net)
+            self._update_average(first=epoch == 1 and step == 0)
             errors.append(error.detach())
             weight_sums.append(weight_sum)
         error, weight = torch.stack(errors + weight_sums).double().view(2, -1).sum(1).tolist()
         return error / weight, self.optimiser.param_groups[0]["lr"]
+
+    def _error(self, net: SteeringNet, batch: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """Return the loss of a batch before it is divided by the sum of the weights, and this sum."""
+        residual, weight = step_targets(batch, self._gain, self._std, self.entry.alpha)
+        error = weighted_loss(net(*net.inputs(batch)), residual, weight, self.entry.predict == "path")
+        # Each span has a valid target, but all ranges of a scaled path may be unknown: then the error is 0, too.
+        return error, weight.sum().clamp_min(1e-6)
+
+    @torch.no_grad()
+    def _update_average(self, first: bool) -> None:
+        """Move the averaged parameters towards the network's; the first time, and buffers always, copy them."""
+        weight = 1.0 if first else 1 - self.settings.average
+        torch._foreach_lerp_((*self.average.parameters(),), (*self.net.parameters(),), weight)
+        torch._foreach_copy_((*self.average.buffers(),), (*self.net.buffers(),))
+
+    def _peak(self, reader: windows.Reader) -> int:
+        """Return the bytes on the GPU of the largest step and of the largest batch of a validation."""
+        net, device, before = copy.deepcopy(self.net), self.net.device, torch.cuda.memory_allocated()
+        tested = windows.spans(reader.timelines, self.entry.window, predict.WINDOWS)
+        steps = self._plan(1), [[span] for span in tested]
+        largest = [max(part, key=lambda group: sum(span.stop - span.start for span in group)) for part in steps]
+        torch.cuda.reset_peak_memory_stats()
+        for batch, training in zip(reader.batches(largest, device), (True, False), strict=True):
+            with torch.set_grad_enabled(training):
+                error, weight_sum = self._error(net.train(training), batch)
+            if training:
+                (error / weight_sum).backward()  # type: ignore[no-untyped-call]
+        return torch.cuda.max_memory_allocated() - before
 
     def _resume(self, state: Mapping[str, Any]) -> None:
         for name in ("net", "average", "optimiser"):

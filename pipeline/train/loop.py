@@ -1,12 +1,10 @@
-"""Help loops over batches: work ahead in threads, learning rate, precision."""
+"""Help loops over batches: work ahead in threads, learning rate."""
 
 import math
 from collections import deque
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
-
-import torch
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -38,12 +36,3 @@ def warm_up_cosine(progress: float, warm_up: float) -> float:
     if progress < warm_up:
         return 0.05 + 0.95 * progress / warm_up
     return 0.5 * (1 + math.cos(math.pi * (progress - warm_up) / (1 - warm_up)))
-
-
-def autocast(device: torch.device, precision: str) -> torch.autocast:
-    """Return the context of a forward pass.
-
-    With `precision` auto products are in bfloat16 on a GPU that has it, otherwise in the weights' precision.
-    """
-    native = device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
-    return torch.autocast(device.type, torch.bfloat16, enabled=precision == "auto" and native)

@@ -78,14 +78,13 @@ def _regress(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.divide((x * y).sum(axis=0), square, out=np.zeros_like(square), where=square > 0)
 
 
-def step_targets(batch: Mapping[str, Tensor], scale: Scale, alpha: float, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+def step_targets(batch: Mapping[str, Tensor], gain: Tensor, std: Tensor, alpha: float) -> tuple[Tensor, Tensor]:
     """Return the outputs that the network should have, and their weights exp(α |target|) of eq. 9, both [W,R].
 
-    The weight of an unknown target is 0.
+    `gain` and `std` [R]: of the Scale. The weight of an unknown target is 0.
     """
-    target, base = batch["target"].to(dtype), batch["base"].to(dtype)
+    target, base = batch["target"].to(std.dtype), batch["base"].to(std.dtype)
     known, target = target.isfinite(), target.nan_to_num()  # 0 × NaN is NaN
-    gain, std = (torch.from_numpy(values).to(dtype) for values in (scale.gain, scale.std))
     residual = (target - gain * base[:, None]) / std
     return residual, known * torch.exp(alpha * target.abs())
 

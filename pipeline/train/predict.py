@@ -14,6 +14,7 @@ from pipeline.graphs.graph_file import Contents, Graphs, open_graphs
 from pipeline.labels import label
 from pipeline.settings.models import Entry
 from pipeline.train import checkpoint, windows
+from pipeline.train.frames import Files
 from pipeline.train.loss import Scale
 from pipeline.train.targets import Timeline
 
@@ -45,12 +46,12 @@ class Trained(NamedTuple):
         """Edges of the ranges of the path ahead; none for an angle."""
         return tuple(self.settings["labels"]["ahead_m"]) if self.entry.predict == "path" else ()
 
-    def predict(self, graphs: Graphs, scene: Path | None = None) -> np.ndarray:
+    def predict(self, graphs: Graphs, scene: Path | None = None, files: Files | None = None) -> np.ndarray:
         """Return the predictions for the G frames of a file, float64 [G,R], in the columns `scale.names`.
 
         The value for frame t is the angle at frame t + `entry.horizon`, predicted from the frames up to t, or the path
         ahead of it. NaN where no complete window ends: too early in the drive, or too soon after a gap. `scene`: the
-        graph file of the drive whose scene a control with `scene: another` gets.
+        graph file of the drive whose scene a control with `scene: another` gets; `files`: open ones.
 
         Raises InputError if the file has another kind of frames than the network was trained on, or no motion.
         """
@@ -64,8 +65,7 @@ class Trained(NamedTuple):
                 raise InputError(
                     problem, seen.path, f"Use graphs of input: {self.entry.input}, or train the model again"
                 )
-        with windows.Reader([timeline], self.entry.window) as reader:
-            return predict_drives(self.net, reader, self.scale)[0]
+        return predict_drives(self.net, windows.Reader([timeline], self.entry.window, files), self.scale)[0]
 
 
 def load(folder: str | Path, device: torch.device | str | None = None) -> Trained:
@@ -98,7 +98,7 @@ def predict_drives(net: SteeringNet, reader: windows.Reader, scale: Scale, first
     spans = [span for span in windows.spans(reader.timelines, reader.window, WINDOWS) if span.drive >= first]
     net.eval()
     with torch.inference_mode():
-        outputs = [net(*net.inputs(batch)) for batch in reader.batches([[span] for span in spans])]
+        outputs = [net(*net.inputs(batch)) for batch in reader.batches([[span] for span in spans], net.device)]
     values = [np.full((len(timeline.frame), len(scale.names)), np.nan) for timeline in reader.timelines]
     for span, output in zip(spans, outputs, strict=True):  # after the loop, so that it does not wait for the GPU
         values[span.drive][span.stop - len(output) : span.stop] = output.double().cpu().numpy()

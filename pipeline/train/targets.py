@@ -5,7 +5,7 @@ A column is a quantity that a network predicts: the steering angle, or the mean 
 ahead. Letters: G frames of a graph file, W windows, R columns.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -88,6 +88,9 @@ class LabelledDrive(Timeline):
     def has_window(self, window: int) -> bool:
         """Return whether a window of consecutive frames ends at a target: the drive can train and evaluate."""
         return any(self.has_target(start + window - 1, stop) for start, stop in self.stretches)
+
+
+Drives = Mapping[str, LabelledDrive]
 
 
 def check(drives: Sequence[LabelledDrive], window: int) -> None:

@@ -15,24 +15,19 @@ A batch is a dict of arrays: B graphs as in pipeline/graphs/graph_file.py, and f
 """
 
 from collections import defaultdict
-from collections.abc import Generator, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.utils.data import DataLoader, Dataset
 
 from pipeline.base.errors import InputError
-from pipeline.graphs.graph_file import Graphs, collate, open_graphs
+from pipeline.graphs.graph_file import Graphs
+from pipeline.train.frames import Files, join, number_rows, per_frame, pinned
 from pipeline.train.loop import prefetch
 from pipeline.train.targets import Timeline, window_values
-
-AHEAD = 4  # batches that a process reads in advance
 
 
 @dataclass(frozen=True)
@@ -63,42 +58,36 @@ def spans(
     return result
 
 
-class Reader(Dataset[dict[str, Tensor]]):
-    """Batches, indexed by groups of spans; with targets if the timelines are LabelledDrives. A context manager.
+class Reader:
+    """Batches, indexed by groups of spans; with targets if the timelines are LabelledDrives.
 
-    They are read ahead of the network. On a CPU a thread reads, as the network is slower than any disk. On a GPU
-    `workers` processes read: HDF5 serves one thread per process at a time, and numpy holds Python's lock. Files stay
-    open in the process that reads them.
+    A thread reads ahead of the network, which is enough for a CPU: it computes longer than it reads. For a GPU, `files`
+    may keep frames in memory.
     """
 
-    def __init__(self, timelines: Sequence[Timeline], window: int, workers: int = 0) -> None:
-        self.timelines, self.window = timelines, window
-        self._opened: dict[Path, Graphs] = {}
-        self._files = ExitStack()
-        self._epoch: list[Sequence[Span]] = []  # the loader's sampler; its processes live for several epochs
-        self._loader: DataLoader[Any] | None = None
-        if workers:
-            options: dict[str, Any] = {"num_workers": workers, "prefetch_factor": AHEAD, "persistent_workers": True}
-            options |= {"pin_memory": torch.cuda.is_available(), "multiprocessing_context": "forkserver"}
-            options["generator"] = torch.Generator()  # its own: the loader draws a number for its processes
-            self._loader = DataLoader(self, batch_size=None, sampler=self._epoch, **options)
+    def __init__(self, timelines: Sequence[Timeline], window: int, files: Files | None = None) -> None:
+        self.timelines, self.window, self.files = timelines, window, files or Files()
 
-    def batches(self, groups: Sequence[Sequence[Span]]) -> Generator[dict[str, Tensor]]:
-        """Yield the groups' batches in order."""
-        self._epoch[:] = groups
-        yield from self._loader if self._loader is not None else prefetch(self.__getitem__, groups)
+    def batches(self, groups: Iterable[Sequence[Span]], device: torch.device) -> Iterator[dict[str, Tensor]]:
+        """Return an iterator of the groups' batches, in order, for a network on a device; pointers stay on the CPU."""
+        if device.type == "cpu" and self.files.place != "RAM":
+            return prefetch(self.__getitem__, groups)
+        joined = map(self._join, groups) if self.files.place == "GPU" else prefetch(self._join, groups)
+        return (self._finish(*batch, device) for batch in joined)
 
     def __getitem__(self, group: Sequence[Span]) -> dict[str, Tensor]:
-        """Read a group of spans as one batch. Raises InputError if the drive of another scene has no window."""
-        for path in {self.timelines[span.drive].scene for span in group} - self._opened.keys():
-            self._opened[path] = self._files.enter_context(open_graphs(path))
+        """Read a group of spans as one batch on the CPU. Raises InputError if another scene's drive has no window."""
+        return self._finish(*self._join(group), torch.device("cpu"))
+
+    def _join(self, group: Sequence[Span]) -> tuple[dict[str, Tensor], Graphs, Tensor]:
+        """Return a batch in the types of the files, a file that names its columns, and the scale of each frame [B]."""
         window = self.window
         columns: dict[str, list[np.ndarray]] = defaultdict(list)
         parts: list[tuple[Graphs, int, int]] = []
         frames = graphs = 0  # of the batch before the span
         for span in group:
             timeline, rows = self.timelines[span.drive], np.arange(span.start, span.stop)
-            file, start, stop = self._opened[timeline.scene], span.start, span.stop
+            file, start, stop = self.files[timeline.scene], span.start, span.stop
             members = np.arange(len(rows) - window + 1)[:, None] + np.arange(window)  # [W,T]
             if timeline.scene != timeline.graphs:  # no two windows share a frame
                 rows = rows[members]
@@ -114,24 +103,21 @@ class Reader(Dataset[dict[str, Tensor]]):
             columns["windows"].append(members + frames)
             columns["dt_s"].append(timeline.dt_s[rows][members])
             ends = slice(span.start + window - 1, span.stop)
-            larger = span.factor if "xyz" in file else 1.0  # a larger world gives the same image
+            larger = span.factor if "xyz" in file.pointers else 1.0  # a larger world gives the same image
             for name, values in window_values(timeline, rows, ends, larger, span.hidden).items():
                 columns[name].append(values)
             parts.append((file, start, stop))
             frames, graphs = frames + len(rows), graphs + stop - start
-        batch = collate(parts)
+        batch = {name: pinned(torch.from_numpy(np.concatenate(arrays))) for name, arrays in columns.items()}
+        factor = np.repeat([span.factor for span in group], [stop - start for _, start, stop in parts])
+        return batch | join(parts), file, torch.from_numpy(factor.astype(np.float32))
+
+    def _finish(
+        self, batch: dict[str, Tensor], file: Graphs, factor: Tensor, device: torch.device
+    ) -> dict[str, Tensor]:
+        """Copy a joined batch to a device, number its rows there and scale its points."""
+        batch |= {name: batch[name].to(device, non_blocking=True) for name in batch if not name.endswith("ptr")}
+        number_rows(batch, file)
         if "xyz" in batch:
-            factor = np.repeat([span.factor for span in group], [stop - start for _, start, stop in parts])
-            batch["xyz"] *= np.repeat(factor, np.diff(batch["ptr"])).astype(np.float32)[:, None]
-        batch |= {name: np.concatenate(arrays) for name, arrays in columns.items()}
-        return {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in batch.items()}
-
-    def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_opened": {}, "_files": ExitStack(), "_loader": None}  # for the loader's processes
-
-    def __enter__(self) -> "Reader":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._loader = None  # ends its processes
-        self._files.close()
+            per_frame(Tensor.mul_, batch["xyz"], factor, batch["ptr"])
+        return batch

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 
 import h5py
@@ -14,13 +15,14 @@ from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.train import checkpoint
 from pipeline.train.fit import Fit
+from pipeline.train.frames import Files
 from tests import artefacts, small_model
 from tests.kitti_drive import contents
 from tests.small_model import EDGES_M, SPLITS, TEST, run_evaluate, run_train, write_params, write_two_test_drives
 
 
 def load(path: Path) -> dict[str, object]:
-    return torch.load(path, weights_only=True)
+    return torch.load(path, weights_only=True, map_location="cpu")
 
 
 def nmse(folder: Path, split: str = "test") -> float:
@@ -75,6 +77,15 @@ def test_resumed_training_writes_the_same_bytes(folder, monkeypatch, capsys, ent
     with monkeypatch.context() as patch:  # with its networks kept, as when test drives are added, nothing is trained
         patch.setattr(Fit, "_train", None)
         assert contents(run_train(folder)) == complete
+
+
+@pytest.mark.parametrize("place", ["RAM", "GPU"])
+def test_a_network_is_the_same_wherever_its_frames_are_kept(folder, monkeypatch, place):
+    write_params(folder, {"motion": "visual", "horizon": 3}, epochs=2, seeds=[0, 1])
+    on_disk = contents(run_train(folder))
+    shutil.rmtree(folder / ".drives")
+    monkeypatch.setattr("stages.train.Files", partial(Files, place=place))
+    assert contents(run_train(folder)) == on_disk
 
 
 @pytest.mark.parametrize("moved", [{"2026_01_01_drive_0003": "val"}, {"2026_01_02_drive_0001": "train"}])

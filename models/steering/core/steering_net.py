@@ -111,23 +111,22 @@ class SteeringNet(nn.Module):
             features = torch.cat([original - mirrored, mirrored - original])
         else:
             features = self.spatial(batch)
-        with torch.autocast(features.device.type, enabled=False):  # a small part of the work, and an ODE
-            inputs = self.scale(features.to(self.scale.mean.dtype))
-            if scenes is not None:
-                inputs = torch.cat([version[scenes] for version in inputs.chunk(1 + self.equivariant)])
-            if self.equivariant:
-                windows, dt_s = torch.cat([windows, windows + len(inputs) // 2]), dt_s.repeat(2, 1)
-                if motion is not None:
-                    motion = torch.cat([motion, torch.cat([-motion[:, :2], motion[:, 2:]], dim=1)])
-            if self.motion:
-                assert motion is not None, "a network with motion needs the motion of each frame"
-                inputs = torch.cat([inputs, scaled(motion.to(inputs))], dim=1)
-            projected = self.temporal.project_inputs(inputs)  # once for each frame
-            out: Tensor = self.temporal(projected[windows], dt_s.to(projected))[:, -1]  # [W,R]
-            if self.equivariant:
-                original, mirrored = out.chunk(2)
-                out = (original - mirrored) / 2
-            return out
+        inputs = self.scale(features)
+        if scenes is not None:
+            inputs = torch.cat([version[scenes] for version in inputs.chunk(1 + self.equivariant)])
+        if self.equivariant:
+            windows, dt_s = torch.cat([windows, windows + len(inputs) // 2]), dt_s.repeat(2, 1)
+            if motion is not None:
+                motion = torch.cat([motion, torch.cat([-motion[:, :2], motion[:, 2:]], dim=1)])
+        if self.motion:
+            assert motion is not None, "a network with motion needs the motion of each frame"
+            inputs = torch.cat([inputs, scaled(motion.to(inputs))], dim=1)
+        projected = self.temporal.project_inputs(inputs)  # once for each frame
+        out: Tensor = self.temporal(projected[windows], dt_s.to(projected))[:, -1]  # [W,R]
+        if self.equivariant:
+            original, mirrored = out.chunk(2)
+            out = (original - mirrored) / 2
+        return out
 
     def inputs(self, arrays: Mapping[str, Array]) -> tuple[Batch, Tensor, Tensor, Tensor | None, Tensor | None]:
         """Return the arguments of `forward` on the network's device, from arrays by name (pipeline/train/windows.py).

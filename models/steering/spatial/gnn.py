@@ -85,7 +85,7 @@ def normalised_adjacency(degree: Tensor, indices: Tensor, dtype: torch.dtype) ->
 
 
 class SymmetricProduct(torch.autograd.Function):
-    """A @ x for a symmetric sparse matrix A [N,N] and x [N,C], in A's precision.
+    """A @ x for a symmetric sparse matrix A [N,N] and x [N,C].
 
     The gradient is A @ gradient, since A = Aᵀ; torch's own backward would transpose A each time.
     """
@@ -93,8 +93,7 @@ class SymmetricProduct(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, matrix: Tensor, x: Tensor) -> Tensor:
         ctx.matrix = matrix
-        with torch.autocast(x.device.type, enabled=False):  # torch has no half-precision sparse product
-            return matrix @ x.to(matrix.dtype)
+        return matrix @ x
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor]:

@@ -21,6 +21,7 @@ from models.encoder.hugging_face import CityscapesLogits
 from models.encoder.rtmonodepth_s import KITTI_FOCAL, SIZE
 from models.encoder.street import Street
 from models.encoder.unified_encoder import Architecture, build
+from pipeline.base.resume import ROOT
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, scan_depth
 from pipeline.camera.images import read_image, resized
@@ -173,8 +174,22 @@ def test_a_saved_encoder_needs_no_folder(create, kind, tmp_path):
     architecture, network = create(kind)
     save(tmp_path, architecture, network.state_dict())
     assert "networks" not in json.dumps(architecture)  # the folder's name
-    for a, b in zip(load(tmp_path / "encoder.pt")[1](image((50, 75)), K), network(image((50, 75)), K), strict=True):
-        torch.testing.assert_close(a.cpu(), b)
+    for a, b in zip(
+        load(tmp_path / "encoder.pt")[1].cpu()(image((50, 75)), K), network(image((50, 75)), K), strict=True
+    ):
+        torch.testing.assert_close(a, b)
+
+
+@torch.no_grad()
+def test_the_encoder_of_the_sample_is_the_same_on_each_device(device):
+    network, images = (
+        load(ROOT / "models/encoder/sample/encoder.pt")[1],
+        image((96, 320), 3).permute(0, 2, 3, 1).numpy(),
+    )
+    expected = perceive(network.cpu(), images, Camera(K[0].numpy(), (96, 320)))
+    depth_m, cls = perceive(network.to(device), images, Camera(K[0].numpy(), (96, 320)))
+    np.testing.assert_allclose(depth_m, expected[0], rtol=1e-3)
+    assert (cls == expected[1]).mean() > 0.999
 
 
 @pytest.mark.parametrize("model", ["swin", "dinov2"])

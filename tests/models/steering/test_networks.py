@@ -54,11 +54,8 @@ def test_order_of_points_changes_nothing(name):
 
 @each_network
 @pytest.mark.parametrize("counts", [COUNTS, [12, 12, 12]])
-@pytest.mark.parametrize("device", ["cpu", "cuda"])
 def test_batch_equals_single_frames(name, counts, device):
     """Of equal and unequal numbers of points, and a frame without points; the batch also on a GPU."""
-    if device == "cuda" and not torch.cuda.is_available():
-        pytest.skip("needs a GPU")
     net, kind = build(name)
     parts = [frames.FRAME[kind](count, count) for count in counts]
     alone = torch.cat([net(frames.join([part])) for part in parts])

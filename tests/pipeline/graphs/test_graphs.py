@@ -12,6 +12,7 @@ from pipeline.camera import classes, geometry
 from pipeline.camera.camera import Camera
 from pipeline.camera.geometry import transform
 from pipeline.graphs import cloud, frame_graph, graph, graph_file
+from pipeline.train.frames import collate
 from tests import artefacts
 from tests.artefacts import write_motion
 
@@ -242,8 +243,10 @@ def test_a_batch_is_its_frames_with_shifted_numbers(tmp_path, kind, write):
     path, rows = tmp_path / "drive.h5", [row for span in SPANS for row in range(*span)]
     write(path, "drive", np.linspace(-0.1, 0.1, 9), np.arange(9), 50, np.random.default_rng(0))
     with graph_file.open_graphs(path) as graphs:
-        batch = graph_file.collate([(graphs, *span) for span in SPANS])
-        pieces = graph_file.collate([(graphs, row, row + 1) for row in rows])
+        batch, pieces = (
+            {name: rows.numpy() for name, rows in collate(spans).items()}
+            for spans in ([(graphs, *span) for span in SPANS], [(graphs, row, row + 1) for row in rows])
+        )
         assert graphs.contents.kind == kind
     assert all(np.array_equal(batch[name], pieces[name]) for name in batch)
     counted = dict.fromkeys(("indices", "centres_1", "neighbours_1"), "xyz")

@@ -1,9 +1,11 @@
 """Windows with their targets, batches and their augmentation, scale and loss, checkpoints, predictions and runs."""
 
+import pickle
 import threading
 import time
 from collections.abc import Generator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -16,10 +18,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.base.errors import InputError
-from pipeline.graphs.graph_file import Arrays, collate, open_graphs
+from pipeline.graphs.graph_file import Arrays, open_graphs
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
-from pipeline.train import checkpoint, fit, loop, loss, predict, runs, targets, windows
+from pipeline.train import checkpoint, fit, frames, loop, loss, predict, runs, targets, windows
 from pipeline.train.loss import Scale
 from pipeline.train.targets import LabelledDrive, Timeline, read_drive
 from tests import artefacts, small_model
@@ -41,8 +43,7 @@ def read(folder: Path, names: Sequence[str] = NAMES, **reading: object) -> list[
 
 
 def batch_of(drives: Sequence[Timeline], *group: windows.Span, window: int = 8) -> Arrays:
-    with windows.Reader(drives, window) as reader:
-        return {name: tensor.numpy() for name, tensor in reader[group].items()}
+    return {name: tensor.numpy() for name, tensor in windows.Reader(drives, window)[group].items()}
 
 
 # Drives, spans and batches
@@ -66,8 +67,8 @@ def test_batch_of_two_spans_equals_single_frames(folder):
     assert batch["windows"].shape == batch["dt_s"].shape == (4 + 2, 8)
     assert batch["windows"][3:5].tolist() == [[*range(3, 11)], [*range(11, 19)]]
     with open_graphs(drives[1].graphs) as first, open_graphs(drives[0].graphs) as second:
-        frames = collate([(first, 3, 14), (second, 0, 9)])
-    assert all(np.array_equal(batch[name], frames[name]) for name in frames)
+        joined = frames.collate([(first, 3, 14), (second, 0, 9)])
+    assert all(np.array_equal(batch[name], joined[name].numpy()) for name in joined)
     assert (batch["target"] == np.concatenate([drives[1].target[10:14], drives[0].target[7:9]]).astype("f4")).all()
 
 
@@ -125,8 +126,8 @@ def test_motion_and_base_of_a_batch(folder):
 def test_the_control_gets_the_scene_of_another_drive_and_nothing_else_changes(folder, others):
     """Also in a larger world, and with hidden motion. The first windows, which the other drive lacks, get its first."""
     artefacts.write_dataset(folder, {NAMES[1]: "train"}, frames=others, points=12)
-    for name, frames in zip(NAMES, (23, others), strict=True):
-        artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", np.full(frames, 0.2))
+    for name, count in zip(NAMES, (23, others), strict=True):
+        artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", np.full(count, 0.2))
     (drive,) = read(folder, NAMES[:1], motion="visual")
     control = replace(drive, scene=folder / f"graphs/semantic/{NAMES[1]}.h5")
     group = [windows.Span(0, 12, 23, factor=2.0, hidden=True), windows.Span(0, 0, 9)]
@@ -138,7 +139,7 @@ def test_the_control_gets_the_scene_of_another_drive_and_nothing_else_changes(fo
         for window, end in zip(batch["windows"], [*range(19, 23), 7, 8], strict=True):
             stop = max(end * others // 23 + 1, 8)
             for frame, row in zip(batch["scenes"][window], range(stop - 8, stop), strict=True):
-                alone = collate([(graphs, row, row + 1)])
+                alone = {name: rows.numpy() for name, rows in frames.collate([(graphs, row, row + 1)]).items()}
                 points = slice(*batch["ptr"][frame : frame + 2])
                 assert (batch["xyz"][points] == alone["xyz"] * (2 if end > 8 else 1)).all()
                 assert (batch["degree"][points] == alone["degree"]).all()
@@ -150,17 +151,58 @@ def test_the_control_gets_the_scene_of_another_drive_and_nothing_else_changes(fo
 # Readers and augmentation
 
 
-@pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
-def test_batches_are_the_same_with_each_reader(folder, workers):
-    drives = read(folder)
+KINDS = [
+    artefacts.write_graphs,
+    partial(artefacts.write_graphs, k=0),
+    artefacts.write_sets,
+    artefacts.write_images,
+]
+
+
+@pytest.mark.parametrize("place", ["disk", "RAM", "GPU"])
+@pytest.mark.parametrize("write", KINDS)
+@pytest.mark.parametrize("scene", NAMES)
+def test_batches_are_the_same_wherever_frames_are_kept(tmp_path, device, write, place, scene):
+    """On a CPU that takes the GPU's way, too; a drive that is scaled stays as it is for the next batch."""
+    artefacts.write_dataset(tmp_path, DRIVES, frames=23, points=40, write=write)
+    drives, there = read(tmp_path), torch.device(device)
+    drives[1] = replace(drives[1], scene=tmp_path / f"graphs/semantic/{scene}.h5")
     groups = [(windows.Span(n % 2, n, n + 9, 1.1), windows.Span(1, 2 * n, 2 * n + 9)) for n in range(6)]
-    with windows.Reader(drives, 4, workers) as reader:
-        for _ in range(2):  # with the same processes
-            for group, batch in zip(groups, reader.batches(groups), strict=True):
-                expected = batch_of(drives, *group, window=4)
-                assert batch.keys() == expected.keys()
-                for name, tensor in batch.items():
-                    np.testing.assert_array_equal(tensor.numpy(), expected[name], strict=True)
+    files = frames.Files((drive.graphs for drive in drives), place)
+    files.load(there)
+    assert all(bool(files[drive.graphs].kept) == (place != "disk") for drive in drives)
+    reader = windows.Reader(drives, 4, files)
+    for _ in range(2):
+        for group, batch in zip(groups, reader.batches(groups, there), strict=True):
+            expected = batch_of(drives, *group, window=4)
+            assert batch.keys() == expected.keys()
+            for name, tensor in batch.items():
+                np.testing.assert_array_equal(tensor.cpu().numpy(), expected[name], strict=True)
+    assert not pickle.loads(pickle.dumps(files))[drives[0].graphs].kept
+
+
+@pytest.mark.parametrize(
+    ("card", "ram", "place"), [(9e5, 0, "GPU"), (2e5, 9e5, "RAM"), (9e5, 9e5, "GPU"), (2e5, 10, "disk")]
+)
+def test_frames_are_kept_where_they_fit_beside_a_step(folder, monkeypatch, capsys, card, ram, place):
+    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda: (card, 1e6))
+    monkeypatch.setattr(torch.cuda, "empty_cache", lambda: None)
+    monkeypatch.setattr(frames, "free_ram", lambda: ram)
+    files = frames.Files(drive.graphs for drive in read(folder))
+    assert files._choose(lambda: 180_000) == place
+    assert f" GB of frames: {place}; " in capsys.readouterr().out
+    assert files._choose(None) == ("RAM" if ram > 10 else "disk")
+
+
+@pytest.mark.parametrize(("limit", "gpus", "expected"), [("max", 0, None), ("5000", 0, 3000), ("5000", 2, 1500)])
+def test_free_memory_is_a_containers_and_shared_among_gpus(tmp_path, monkeypatch, limit, gpus, expected):
+    for name, text in (("memory.max", limit), ("memory.current", "2000")):
+        (tmp_path / name).write_text(f"{text}\n")
+    for number in range(gpus):
+        (tmp_path / f"gpus/{number}").mkdir(parents=True)
+    monkeypatch.setattr(frames, "CGROUP", tmp_path)
+    monkeypatch.setattr(frames, "GPUS", tmp_path / "gpus")
+    assert frames.free_ram() == expected or (expected is None and frames.free_ram() > 1e8)
 
 
 @pytest.mark.parametrize(
@@ -293,17 +335,17 @@ def test_targets_of_a_step_and_decode_are_inverse(columns, seed):
     scale = Scale.parse(Scale([f"c{n}" for n in range(columns)], gain, std, mean).content)
     y, base = rng.normal(size=(5, columns)), rng.normal(size=5)
     batch = {"target": torch.from_numpy(y), "base": torch.from_numpy(base)}
-    outputs, _ = loss.step_targets(batch, scale, alpha=0.0, dtype=torch.float64)
+    outputs, _ = loss.step_targets(batch, torch.from_numpy(scale.gain), torch.from_numpy(scale.std), alpha=0.0)
     np.testing.assert_allclose(scale.decode(outputs.numpy(), base), y)
 
 
 def test_targets_of_a_step_are_standardised_and_weighted():
-    angle = Scale(["steering_rad"], np.ones(1), np.array([0.5]), np.zeros(1))
     batch = {
         "target": torch.tensor([[0.2], [-0.3], [torch.nan]]),
         "base": torch.tensor([0.1, 0.0, 0.0]),
     }
-    residual, weight = loss.step_targets(batch, angle, alpha=2.0, dtype=torch.float64)
+    gain, std = torch.ones(1).double(), torch.full((1,), 0.5).double()
+    residual, weight = loss.step_targets(batch, gain, std, alpha=2.0)
     assert residual[:, 0].tolist() == pytest.approx([0.2, -0.6, 0.0])
     assert weight[:, 0].tolist() == pytest.approx([np.exp(0.4), np.exp(0.6), 0.0])
 

@@ -1,4 +1,4 @@
-"""Measure this project beside its alternatives, as a Markdown table (``make bench``).
+"""Measure this project beside its alternatives, and its stages on this machine's device: ``make bench``.
 
 Both sides of a row run in one process with one thread, as stage train does, in turn, on the same arrays.
 """
@@ -12,7 +12,7 @@ from typing import Annotated
 import torch
 import typer
 
-from benchmarks import networks
+from benchmarks import device, networks
 from benchmarks.street import POINTS, Row, Street, make_street
 from pipeline.base import console
 from pipeline.base.errors import InputError, closest
@@ -44,6 +44,13 @@ def main(
             ours, alternative = row.measure()
             ratio = ours / alternative if row.unit.endswith("/s") else alternative / ours  # above 1: ours is better
             print(f"| {name} | {ours:.3g} | {alternative:.3g} | {row.unit} | {ratio:.3g} | {row.what} |", flush=True)
+        if not names:
+            print("", "| points | by the stages' own code | |", "|--:|---|--:|", sep="\n")
+            for count in sorted({min(1000, points), points}):
+                for text, value in device.training(Path(folder) / str(count), count):
+                    print(f"| {count:,} | {text} | {value:.3g} |", flush=True)
+            for text, value in device.perception():
+                print(f"| | {text} | {value:.3g} |", flush=True)
 
 
 if __name__ == "__main__":

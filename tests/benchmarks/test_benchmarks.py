@@ -26,9 +26,14 @@ def test_all_rows_are_measured_with_one_thread(monkeypatch, capsys):
     torch.set_num_threads(2)
     bench.main(points=POINTS)
     assert torch.get_num_threads() == 1
-    rows = [line.split(" | ") for line in capsys.readouterr().out.splitlines()[3:]]
+    lines = capsys.readouterr().out.splitlines()
+    rows = [line.split(" | ") for line in lines[3 : 3 + len(bench.ROWS)]]
     assert [row[0] for row in rows] == [f"| {name}" for name in bench.ROWS]
     assert all(float(row[1]) > 0 < float(row[2]) for row in rows)
+    figures = {text: float(value.strip(" |")) for _, text, value in (line.split(" | ") for line in lines[-6:])}
+    assert figures.pop("outputs, largest difference to the CPU's") <= 1e-4
+    assert len(figures) == 5
+    assert min(figures.values()) > 0
     with pytest.raises(InputError, match="'lct': did you mean ltc"):
         bench.main(["lct"])
 

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from pipeline.evaluate import errors
-from pipeline.evaluate.turns import Turns, drift, near_onsets, read_turns
+from pipeline.evaluate.turns import Turns, drift, read_turns
 from pipeline.labels import label
 from pipeline.settings.evaluate import Evaluate
 from pipeline.train.loss import Scale
@@ -122,14 +122,12 @@ def write_predictions(path: Path, cases: Sequence[Case], seed: int) -> None:
     """Write one row per frame with the predictions of seed number `seed`; unknown values are empty fields.
 
     `frame`, `time_s` and `speed_mps` belong to the last input frame. For each column C of the model, `true_C` and
-    `predicted_C` are those `horizon` frames later. Further columns are the :meth:`Case.baselines`, for instance
-    `odometry_C`; and `near_onset_C`, 1 close to the onset of a turn (turns.py).
+    `predicted_C` are those `horizon` frames later. Further columns: the :meth:`Case.baselines`, as `odometry_C`.
     """
     tables = []
     for case in cases:
         drive = case.drive
         values = {"true": drive.target, "predicted": case.predictions[seed], **case.baselines()}
-        values["near_onset"] = near_onsets(drive, case.turns).astype(int)
         table = {"drive": drive.name, "frame": drive.frame, "time_s": drive.time_s, "speed_mps": drive.driven.speed_mps}
         for (number, name), (kind, of) in product(enumerate(drive.columns), values.items()):
             table[f"{kind}_{name}"] = of[:, number]

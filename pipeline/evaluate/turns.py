@@ -52,23 +52,6 @@ def read_turns(drive: LabelledDrive) -> Turns:
         return Turns(file.frame[rows], file.time_s[rows])
 
 
-def near_onsets(drive: LabelledDrive, turns: Turns) -> np.ndarray:
-    """Return the mask [G,R] of a drive's frames that are close to an onset, for each column.
-
-    The target of such a frame is at an onset or later, or its path reaches an onset before the range's far edge; and
-    the frame itself is at most one second after the onset.
-    """
-    if drive.ahead_m:
-        driven_m = np.abs(drive.driven.speed_mps[1:]) * np.diff(drive.time_s)
-        at_m = np.concatenate([[0.0], np.cumsum(driven_m)])[: len(drive.frame)]
-        reached_m = at_m[:, None, None] + np.array(drive.ahead_m[1:])[:, None]  # [G,R,1]
-        begun = reached_m >= np.interp(turns.time_s, drive.time_s, at_m)
-    else:
-        begun = (drive.frame[:, None] + drive.horizon >= turns.frame)[:, None]
-    recent = drive.time_s[:, None] <= turns.time_s + SECOND_S
-    return np.asarray((begun & recent[:, None]).any(axis=2))
-
-
 def path(steering_rad: np.ndarray, speed_mps: np.ndarray, time_s: np.ndarray, wheelbase_m: float) -> np.ndarray:
     """Return the car's positions [F,2] in metres, x ahead and y to the left of its start: ψ ← ψ + v/L tan Θ dt.
 

@@ -50,16 +50,15 @@ class Group:
     settings: Evaluate
     drive: np.ndarray  # [N] numbers, in time order
     truth: np.ndarray  # [N,R]
-    near_onset: np.ndarray  # bool [N,R]
     predicted: dict[str, np.ndarray]  # model or baseline → [S,N,R]; a baseline is of the first model that has it
 
-    def nmse(self, name: str, minus: str | None = None, column: str | None = None, onsets: bool = True) -> Estimate:
+    def nmse(self, name: str, minus: str | None = None, column: str | None = None) -> Estimate:
         """Return the nmse of a model or baseline, mean over seeds; with `minus` the paired difference from another.
 
-        Of one column, or the mean of all that are not 0 everywhere; without `onsets` of the frames away from them.
+        Of one column, or the mean of all that are not 0 everywhere.
         """
         columns = self._columns(column)
-        truth = (self.truth if onsets else np.where(self.near_onset, np.nan, self.truth))[:, columns]
+        truth = self.truth[:, columns]
         error, *other = ((self.predicted[of][..., columns] - truth) ** 2 for of in (name, minus) if of)
         mean, zero = error.mean(axis=0) - sum(values.mean(axis=0) for values in other), np.nansum(truth**2, axis=0)
         known = zero > 0
@@ -166,7 +165,6 @@ def _align(predictions: pd.DataFrame, models: Sequence[str], columns: Sequence[s
     return {
         "drive": first.index.get_level_values("drive").factorize()[0],
         "truth": truth,
-        "near_onset": values(first, "near_onset") == 1,
         "predicted": predicted | {name: of[None] for name, of in baselines.items() if np.isfinite(of[known]).all()},
     }
 

@@ -17,11 +17,11 @@ from pipeline.settings.graphs import Variant
 NONE = "–"  # cell without a value
 _RESULTS = (
     "nmse = MSE / MSE of always predicting zero: 0 is perfect, 1 is useless; ± one standard deviation between seeds; "
-    "in parentheses the 95 % interval for other roads and seeds (bootstrap; with one seed, for other roads only). no "
-    "onsets: without the frames around the onset of a turn. drift: of the path by measured speed and predicted angles, "
-    "m per 100 m (Figure 5 of the paper), on all frames that the model predicts. edges: directed kNN edges per frame "
-    "after pruning. Baselines: zero and train_mean are constants; persistence repeats the last true angle, which no "
-    "model gets; odometry repeats the measured angle; regression is its best multiple on the training drives."
+    "in parentheses the 95 % interval for other roads and seeds (bootstrap; with one seed, for other roads only). "
+    "drift: of the path by measured speed and predicted angles, m per 100 m (Figure 5 of the paper), on all frames "
+    "that the model predicts. edges: directed kNN edges per frame after pruning. Baselines: zero and train_mean are "
+    "constants; persistence repeats the last true angle, which no model gets; odometry repeats the measured angle; "
+    "regression is its best multiple on the training drives."
 )
 _PAPER = (
     "MSE in rad²; train and val: on all frames of the model. paper: its Table 2, for models with the settings "
@@ -129,8 +129,6 @@ def steering_tables(groups: Sequence[Group]) -> list[Table]:
         for group in groups
     ]
     for group in groups:
-        if any(group.labels.values()):
-            tables.append(Table(f"Without onsets: {group.title}", _results(group, onsets=False)))
         tables.append(Table(f"Differences: {group.title}", _differences(group), _DIFFERENCES))
     present = [group for group in groups if group.key == "angle-0"]
     published, claims = ([row for group in present for row in rows(group)] for rows in (_as_published, _claims))
@@ -140,27 +138,25 @@ def steering_tables(groups: Sequence[Group]) -> list[Table]:
     return [table for table in tables if table.rows]
 
 
-def _results(group: Group, onsets: bool = True) -> list[dict[str, str]]:
+def _results(group: Group) -> list[dict[str, str]]:
     models, useless, rows = {row["model"]: row for row in group.models}, _useless(group), []
     for name in group.predicted:
         row = models.get(name, {})
         marks = " †" * bool(row.get("untrained")) + " ‡" * (name in useless)
         cells = {"model": f"*{name}*" if name in BASELINES else name + marks}
         for column, label in group.labels.items():
-            nmse, bounds = group.nmse(name, column=column, onsets=onsets)
+            nmse, bounds = group.nmse(name, column=column)
             by_seed = group.scores(name, column)["by_seed"]
             cells[f"nmse {label}".strip()] = number(nmse, ".3f")
             if row and nmse is not None:
-                spread = f" ± {np.std(by_seed, ddof=1):.3f}" if onsets and len(by_seed) > 1 else ""
+                spread = f" ± {np.std(by_seed, ddof=1):.3f}" if len(by_seed) > 1 else ""
                 cells[f"nmse {label}".strip()] += f"{spread} ({interval_text(bounds)})"
-            if onsets and not label:
+            if not label:
                 cells["MAE deg"] = number(group.mae_deg(name), ".2f")
-                cells["no onsets"] = number(group.nmse(name, column=column, onsets=False)[0], ".3f")
                 if group.key == "angle-0":
                     cells["drift"] = number(row["test"][column]["drift_m_per_100m"] if row else None, ".1f")
-        if onsets:
-            cells["parameters"] = number(row.get("parameters"), ",d")
-            cells["edges"] = number(row.get("edges_per_frame"), ",.0f")
+        cells["parameters"] = number(row.get("parameters"), ",d")
+        cells["edges"] = number(row.get("edges_per_frame"), ",.0f")
         rows.append(cells)
     return rows
 

@@ -292,19 +292,3 @@ def test_a_gap_before_a_turn_hides_its_onset():
     assert found(turn, frames != 25) == [30]  # a single frame
     assert found(turn, (frames < 5) | (frames >= 30)) == []
     assert found(turn, (frames < 5) | (frames >= 26)) == []
-
-
-@pytest.mark.parametrize(
-    ("reading", "firsts"), [({"horizon": 0}, [30]), ({"horizon": 10}, [20]), ({"predict": "path"}, [25, 5])]
-)
-def test_frames_near_an_onset_begin_a_horizon_or_the_path_to_it_earlier(tmp_path, reading, firsts):
-    """A turn from frame 30 to 50. At 8 m/s and 10 Hz, the far edges at 4 and 20 m are 5 and 25 frames ahead."""
-    frame, path = np.arange(80), f"{NAMES[0]}.h5"
-    steering = np.arctan(artefacts.WHEELBASE_M * bends((30, STRAIGHT), (20, -CORNER), (30, STRAIGHT)))
-    artefacts.write_labels(tmp_path / "labels" / path, NAMES[0], steering, frame, ahead_m=[0, 4, 20])
-    artefacts.write_graphs(tmp_path / "graphs" / path, NAMES[0], steering, frame, 8, np.random.default_rng(0))
-    drive = read_drive(tmp_path / "graphs", tmp_path / "labels", NAMES[0], entry(**reading))
-    onsets = turns.read_turns(drive)
-    assert onsets.frame.tolist() == [30]
-    for near, first in zip(turns.near_onsets(drive, onsets).T, firsts, strict=True):
-        assert np.flatnonzero(near).tolist() == list(range(first, 41))

@@ -47,7 +47,7 @@ def predictions(
     """Return predictions.csv of two drives of 30 frames, on which errors are multiples of the truth: `nmse` on each
     drive, or on one each; None if both are straight.
 
-    Frame 20 is invalid, no window ends before frame 7, odometry starts at frame 1, frames 10 to 15 are near an onset.
+    Frame 20 is invalid, no window ends before frame 7, odometry starts at frame 1.
     """
     frame = np.arange(30)
     driven = 0.01 * frame * (nmse is not None)
@@ -58,7 +58,6 @@ def predictions(
             values = {"predicted": of_drive, "train_mean": 1.0} | (baselines or {})
             table |= {f"{name}_{column}": driven * (1 + np.sqrt(value)) for name, value in values.items()}
             table[f"true_{column}"] = np.where(frame == 20, np.nan, driven)
-            table[f"near_onset_{column}"] = ((frame >= 10) & (frame <= 15)).astype(int)
             for name in {"predicted", "odometry"} & {"predicted", *(baselines or {})}:
                 table[f"{name}_{column}"][: 7 if name == "predicted" else 1] = np.nan
         tables.append(pd.DataFrame(table))

@@ -80,8 +80,8 @@ def test_the_first_table_fits_a_terminal(tmp_path):
     content = metrics("pointnet2-lstm", baselines={"odometry": 0.04}, horizon=10) | {"seeds": [0, 1], "untrained": [1]}
     content["parameters"] = 1_408_259
     examples.write_model(tmp_path, content)
-    seed, near = examples.predictions(0.3), examples.predictions()["near_onset_steering_rad"] == 1
-    seed.loc[near, "predicted_steering_rad"] = seed["true_steering_rad"]
+    seed, right = examples.predictions(0.3), examples.predictions()["frame"].between(10, 15)
+    seed.loc[right, "predicted_steering_rad"] = seed["true_steering_rad"]
     seed.to_csv(tmp_path / "evaluate/pointnet2-lstm/seed-1/predictions.csv", index=False)
     examples.write_model(tmp_path, metrics("dead", 0.96, horizon=10))
     table, *_ = tables.steering_tables(groups := examples.load(tmp_path, "pointnet2-lstm", "dead"))
@@ -93,15 +93,14 @@ def test_the_first_table_fits_a_terminal(tmp_path):
     assert "dead ‡" in rows
     found = rows["pointnet2-lstm †"]
     assert found["nmse"] == "0.232 ± 0.046 (0.179 to 0.309)"
-    assert (found["no onsets"], found["parameters"], found["edges"]) == ("0.250", "1,408,259", "5,160")
+    assert (found["parameters"], found["edges"]) == ("1,408,259", "5,160")
     assert rows["*odometry*"]["nmse"] == "0.040"
 
 
 def test_a_path_has_a_column_per_range(tmp_path):
     built = build(tmp_path, metrics("path", predict="path", baselines={"odometry": 0.4}))
-    for part in ("Results", "Without onsets"):
-        rows = {row["model"]: row for row in built[f"{part}: path ahead"].rows}
-        assert (rows["path"]["nmse 0-5 m"], rows["*odometry*"]["nmse 5-10 m"]) == ("0.200 (0.200 to 0.200)", "0.400")
+    rows = {row["model"]: row for row in built["Results: path ahead"].rows}
+    assert (rows["path"]["nmse 0-5 m"], rows["*odometry*"]["nmse 5-10 m"]) == ("0.200 (0.200 to 0.200)", "0.400")
     assert "MSE as in the paper's Table 2" not in built
 
 

@@ -18,6 +18,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from operator import imul
 
 import numpy as np
 import torch
@@ -119,5 +120,5 @@ class Reader:
         batch |= {name: batch[name].to(device, non_blocking=True) for name in batch if not name.endswith("ptr")}
         number_rows(batch, file)
         if "xyz" in batch:
-            per_frame(Tensor.mul_, batch["xyz"], factor, batch["ptr"])
+            per_frame(imul, batch["xyz"], factor, batch["ptr"])
         return batch

@@ -39,6 +39,7 @@ def device(request: pytest.FixtureRequest) -> str:
 real_kitti = _real("kitti")  # a few drives in KITTI's layout
 real_half = _real("kitti_half")  # drives that turn, at half size
 real_weights = _real("weights")  # published weights of backbones, a folder for each
+real_cases = _real("cases/round7")  # recordings as public reports describe them
 real_camvid = _real("camvid")  # test images and labels
 
 

@@ -132,6 +132,9 @@ def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> 
             where = "damaged files" if oxts or not files.oxts else "damaged files, among them all oxts packets"
             raise DamagedFile(faults, f"{len(damaged)} {where}", fix)
         summary = file.finish(oxts, steering_rad)
+        for kind, paths in {"image": images, "lidar": scans}.items():
+            if damaged and paths and not summary[kind]:  # with on_damaged: skip
+                raise InputError(f"every {kind} of the drive is damaged: {damaged[-1].problem}", damaged[-1].where)
     counts = {
         f"images of camera {chosen}": summary["image"],
         "scans": summary["lidar"],

@@ -25,7 +25,7 @@ HORIZON = "calib_horizon.txt"  # in the folder of an imported drive: two recordi
 MANIFEST = "manifest.json"  # in the folder of an imported drive: the hashes of its files
 # The lowest laser of the HDL-64E points 24.8 degrees down and hits the road 4 m away; complete scans of KITTI reach
 # below -23.6 degrees. Files list the lasers from top to bottom, so a truncated scan lacks the low ones.
-_LOWEST_DEG = -20.0
+LOWEST_DEG = -20.0
 _FOCAL_PER_WIDTH = 100.0  # largest plausible ratio
 # Largest offsets of a principal point from the middle, as shares of width and height: of either, and of both to the
 # same side, as in an image of another size. Udacity's camera has −0.08 and 0.13.
@@ -146,18 +146,27 @@ def _drives(root: Path) -> list[str]:
     return sorted(path.name.removesuffix("_sync") for path in root.glob("????_??_??/*_drive_????_sync"))
 
 
-def read_scan(path: Path) -> np.ndarray:
-    """Return a scan, float32 [P,4]: x, y, z in metres in the velodyne frame, and reflectance. Raises DamagedFile."""
+def read_scan(path: Path, lowest_deg: float = LOWEST_DEG) -> np.ndarray:
+    """Return a scan, float32 [P,4]: x, y, z in metres in the velodyne frame, and reflectance in 0 to 1.
+
+    Rays that did not return, with a position of 0 or NaN, are left out. `lowest_deg`: elevation that a complete scan
+    reaches. Raises DamagedFile; InputError for numbers in another format.
+    """
     values = np.fromfile(path, np.float32)
     if not len(values) or len(values) % 4 or path.stat().st_size % 16:
         raise DamagedFile(f"scan is cut short at {path.stat().st_size} bytes (expected a multiple of 16)", path)
     scan = values.reshape(-1, 4)
-    if not np.isfinite(scan).all() or np.abs(scan[:, :3]).max() > _MAX_RANGE_M:
-        raise DamagedFile(f"scan has points that are not finite or beyond {_MAX_RANGE_M:g} m", path)
+    scan = scan[np.isfinite(scan[:, :3]).all(axis=1) & scan[:, :3].any(axis=1)]
+    if len(scan) and not (0 <= scan[:, 3].min() <= scan[:, 3].max() <= 1):  # false for NaN
+        problem = f"reflectance is {scan[:, 3].min():g} to {scan[:, 3].max():g}, expected 0 to 1"
+        fix = "Convert the scans: float32 x, y, z, reflectance / 255. nuScenes has five columns"
+        raise InputError(problem, path, fix)
+    if not len(scan) or np.abs(scan[:, :3]).max() > _MAX_RANGE_M:
+        raise DamagedFile(f"scan has no point, or points beyond {_MAX_RANGE_M:g} m", path)
     lowest = np.degrees(np.arctan2(scan[:, 2], np.hypot(scan[:, 0], scan[:, 1])).min())
-    if lowest > _LOWEST_DEG:
+    if lowest > lowest_deg:
         problem = f"scan is cut short: its {len(scan)} points end at {lowest:.1f} degrees of elevation"
-        raise DamagedFile(f"{problem} (expected below {_LOWEST_DEG:g})", path)
+        raise DamagedFile(f"{problem} (expected below {lowest_deg:g}, as KITTI's sensor)", path)
     return scan
 
 

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from pipeline.base.errors import InputError
 from pipeline.video.log import Logs
 from pipeline.video.recording import open_recording
-from tests.kitti_drive import SIZE, pictures
+from tests.kitti_drive import SIZE, pictures, write
 
 
 @pytest.mark.parametrize(("kind", "file"), [("", "a.bag"), ("SQLITE3", "a"), ("MCAP", "a/a.mcap")])
@@ -30,3 +31,39 @@ def test_recordings_of_ros(tmp_path, kind, file):
     recording, logs = open_recording(tmp_path / "out/images"), Logs.read(None, None, tmp_path / "out/log.csv")
     np.testing.assert_allclose(logs.motion.at(recording.times_s), [[5, 6, 7, 8], [0, 0.1, 0.2, 0.3]])
     np.testing.assert_array_equal([frame.image for frame in recording.frames()], pictures(4))
+
+
+@pytest.mark.real
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # rosbags leaves damaged files open
+@pytest.mark.parametrize(
+    ("bag", "column", "problem"),
+    [
+        ("before_iron", "wheel_rad=/steering:steering_wheel_angle", "file does not define dbw_mkz_msgs/.*--messages"),
+        ("joint_state", "wheel_rad=/steering:position", r"expected a number, got array.*position\.1"),
+        ("joint_state", "wheel_rad=/steering:angle", "message has no angle"),
+        ("compressed_video.mcap", "wheel_rad=/steering:data", "images are foxglove_msgs/msg/CompressedVideo"),
+        ("cut.mcap", "wheel_rad=/steering:data", "mcap recover cut.mcap"),
+        ("cut.db3", "wheel_rad=/steering:data", "ros2 bag reindex cut.db3"),
+        ("unindexed.bag", "wheel_rad=/steering:data", "rosbag reindex unindexed.bag"),
+        ("proto.mcap", "wheel_rad=/steering:data", "It is not ROS"),
+        ("8uc3/..", "wheel_rad=/steering:data", r"Pass the file: .*/compressed_video\.mcap"),
+        ("8uc3", "wheel_rad=/steering:data", ""),
+        ("joint_state", "wheel_rad=/steering:position.1", ""),
+        ("before_iron", "wheel_rad=/steering:steering_wheel_angle", ""),
+    ],
+)
+def test_recordings_from_public_reports(tmp_path, real_cases, bag, column, problem):
+    pytest.importorskip("rosbags", reason="needs the extra rosbag")
+    from examples.from_rosbag import main
+
+    report = "std_msgs/Header header\nfloat32 steering_wheel_angle\nfloat32 speed\n"
+    write(tmp_path / "dbw_mkz_msgs/msg/SteeringReport.msg", report)
+    types = tmp_path if not problem else None
+    if problem:
+        with pytest.raises(InputError, match=problem):
+            main(real_cases / "ros" / bag, tmp_path / "out", "/camera/image_raw", [column], types)
+        assert not (tmp_path / "out").exists()
+        return
+    main(real_cases / "ros" / bag, tmp_path / "out", "/camera/image_raw", [column], types)
+    assert len([*(tmp_path / "out/images").iterdir()]) == 12
+    assert len((tmp_path / "out/log.csv").read_text().splitlines()) == 13

@@ -76,6 +76,10 @@ def test_damaged_files_are_listed_at_once_or_left_out(tmp_path, capsys):
         present = [file[f"has_{name}"].tolist() for name in ("lidar", "image", "depth")]
         assert present == [[1, 0, 1], [1, 1, 0], [1, 1, 1]]
     assert "3 damaged files left out" in capsys.readouterr().out
+    for scan in (folder / "velodyne_points/data").iterdir():
+        write(scan, scan.read_bytes()[:-60])
+    with pytest.raises(InputError, match=r"every lidar of the drive is damaged: scan is cut short .*bin"):
+        run(tmp_path, on_damaged="skip")
     for packet in (folder / "oxts/data").iterdir():
         write(packet, "")
     with pytest.raises(

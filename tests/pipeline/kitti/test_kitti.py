@@ -140,7 +140,13 @@ LINE, SCAN = "2011-09-26 13:02:{}\n", scan(np.random.default_rng(0), 640)
 PLAINLY_WRONG: list[tuple[Callable[[Path], object], str | bytes, str]] = [
     (read_scan, SCAN.tobytes()[:-7], "cut short at 10233 bytes"),
     (read_scan, SCAN[:400].tobytes(), "its 400 points end at -14.7"),
-    (read_scan, np.where(SCAN[5, 1] == SCAN, np.nan, SCAN).astype(np.float32).tobytes(), "not finite"),
+    (
+        read_scan,
+        (SCAN * np.float32([1, 1, 1, 255])).tobytes(),
+        r"reflectance is .*, expected 0 to 1\. Convert .* / 255",
+    ),
+    (read_scan, np.c_[SCAN, np.ones(640, "f4")].tobytes(), "nuScenes has five columns"),
+    (read_scan, (0 * SCAN).tobytes(), "no point"),
     (oxts.read_row, "", "got 0"),
     (oxts.read_row, "1.0 " * 22 + "nan " + "1.0 " * 7, "wu = nan"),
     (read_three, LINE.format(25.0) + LINE.format(25.1), "got 2"),
@@ -154,6 +160,15 @@ PLAINLY_WRONG: list[tuple[Callable[[Path], object], str | bytes, str]] = [
     (read_camera, "calib_time:→<html>\ncalib_time:", "not a calibration file"),
     (oxts.read_steering, "frame,steering_rad\n3,2.5\n", "steering_rad is implausible .*: '2.5' in line 2"),
 ]
+
+
+def test_rays_without_a_return_and_other_sensors(tmp_path):
+    content = SCAN.copy()
+    content[5, :3], content[7:9, 1] = 0, np.nan
+    write(tmp_path / "a.bin", content.tobytes())
+    np.testing.assert_array_equal(read_scan(tmp_path / "a.bin"), np.delete(SCAN, [5, 7, 8], axis=0))
+    write(tmp_path / "vlp16.bin", SCAN[:400].tobytes())
+    assert len(read_scan(tmp_path / "vlp16.bin", lowest_deg=-14)) == 400
 
 
 @pytest.mark.parametrize(("read", "content", "problem"), PLAINLY_WRONG)

@@ -133,8 +133,9 @@ def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> 
             raise DamagedFile(faults, f"{len(damaged)} {where}", fix)
         summary = file.finish(oxts, steering_rad)
         for kind, paths in {"image": images, "lidar": scans}.items():
-            if damaged and paths and not summary[kind]:  # with on_damaged: skip
-                raise InputError(f"every {kind} of the drive is damaged: {damaged[-1].problem}", damaged[-1].where)
+            lost = [error for error in damaged if Path(error.where) in paths.values()]
+            if lost and not summary[kind]:  # with on_damaged: skip
+                raise InputError(f"every {kind} of the drive is damaged: {lost[0].problem}", lost[0].where)
     counts = {
         f"images of camera {chosen}": summary["image"],
         "scans": summary["lidar"],

@@ -83,7 +83,7 @@ def test_damaged_files_are_listed_at_once_or_left_out(tmp_path, capsys):
     for packet in (folder / "oxts/data").iterdir():
         write(packet, "")
     with pytest.raises(
-        InputError, match=r"6 damaged files, among them all oxts packets: .*0000000000.txt: expected 30"
+        InputError, match=r"9 damaged files, among them all oxts packets: .*0000000000.txt: expected 30"
     ):
         run(tmp_path, on_damaged="skip")
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import cv2
+import numpy as np
 import pandas as pd
 import typer
 from rosbags.highlevel import AnyReader
@@ -41,9 +42,11 @@ def main(
     if not all(fields := [re.fullmatch("(.+)=(.+):(.+)", column) for column in columns]):
         raise InputError(f"expected columns as NAME=TOPIC:FIELD, got {' '.join(columns)}")
     check_free(out)
+    if not bag.exists():
+        raise InputError("path is missing", bag)
     types, rows, topics = get_typestore(Stores.LATEST), list[dict[str, float]](), {images, *(f[2] for f in fields)}
     for path in messages.rglob("*.msg") if messages else ():
-        types.register(get_types_from_msg(path.read_text("utf-8"), f"{path.parts[-3]}/msg/{path.stem}"))
+        types.register(get_types_from_msg(path.read_text("utf-8"), f"{path.parent.parent.name}/msg/{path.stem}"))
     with opened(bag, types) as reader, replacing(out) as new:
         for topic in topics.difference(reader.topics):
             raise InputError(f"has no topic {topic} ({closest(topic, sorted(reader.topics))})", bag)
@@ -62,9 +65,10 @@ def main(
             rows += [{"time_s": time_ns, f[1]: value(message, f[3], f[0])} for f in fields if f[2] == source.topic]
             if source.topic == images:
                 write_image(new / "images" / str(time_ns), message)
-        first_ns = min(int(path.stem) for path in (new / "images").iterdir())
+        if not (times_ns := [int(path.stem) for path in (new / "images").iterdir()]):
+            raise InputError("has no message", images)
         table = pd.DataFrame(rows).sort_values("time_s")
-        table["time_s"] = (table["time_s"] - first_ns) / 1e9
+        table["time_s"] = (table["time_s"] - min(times_ns)) / 1e9
         table.to_csv(new / "log.csv", index=False)
 
 
@@ -88,9 +92,9 @@ def value(message: Any, field: str, column: str) -> float:
             message = message[int(name)] if name.isdecimal() else getattr(message, name)
         except (AttributeError, IndexError, TypeError) as error:
             raise InputError(f"message has no {name} ({error})", column) from error
-    if not isinstance(message, int | float):
+    if not isinstance(message, int | float | np.number):
         raise InputError(f"expected a number, got {message!r:.60}", column, "Of an array, name an element: position.1")
-    return message
+    return float(message)
 
 
 def write_image(path: Path, message: Any) -> None:

@@ -39,7 +39,7 @@ def main(name: str) -> None:
 
 
 def copy_cache(run: Path) -> None:
-    """Give a run of an earlier version links to the cache that it shared, where ``dvc gc`` deleted its results."""
+    """Hard-link the cache that a run of an earlier version shared with the checkout: dvc gc there empties it."""
     config, shared, own = run / ".dvc/config", Path(".dvc/cache"), run / ".dvc/cache"
     if shared.is_dir() and not own.exists() and config.is_file() and "../.dvc/cache" in config.read_text("utf-8"):
         with replacing(own) as new:

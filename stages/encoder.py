@@ -44,7 +44,7 @@ def main(
                 _fit, model=model, architecture=architecture, settings=settings, ingest=ingest, drives=drives
             )
             job = Job("encoder", perceive.FILE, inputs, work)
-            fitted = make_drives(stage, [job], settings, "fitted on {frames} frames", workers=1)["encoder"]
+            fitted = make_drives(stage, [job], settings, "{frames} frames", workers=1)["encoder"]
             curve = fitted["curve"]
             config |= fitted["config"] | {"losses": {name: curve[-1][name] for name in ("loss", "depth", "classes")}}
         else:
@@ -75,7 +75,8 @@ def _fit(
     schedule = settings.model_dump(include={"epochs", "batch", "learning_rate", "seed"})
     with Examples(ingest, drives, settings.frames, settings.targets) as examples:
         curve = fit.fit(model, examples, **schedule)
-        datasets = sorted({*architecture.get("datasets", []), *examples.datasets})
+        before = architecture.get("datasets", ["unknown"] if settings.weights else [])
+        datasets = sorted({*before, *examples.datasets})
         perceive.save(path.parent, {**architecture, "datasets": datasets}, model.state_dict())
         config = {"frames_per_drive": examples.frames_per_drive, "image_size": list(examples.size)}
         return {"frames": len(examples), "curve": curve, "config": config}

@@ -61,7 +61,7 @@ def main(
         alone = SCHEDULER not in os.environ and (torch.cuda.is_available() or default_workers() == 1)
         files = Files(drives[drive].graphs for fold in every for drive in (*fold.train, *fold.val))
         common: dict[str, Any] = {"name": name, "where": where, "entry": entry, "settings": settings, "drives": drives}
-        job = partial(fit_run, **common, files=files, kept=folder.kept)
+        job = partial(fit_run, **common, files=files if alone else None, kept=folder.kept)
         for group in ([*dict.fromkeys(run.start for run in todo if run.start)], todo):
             here = len(group) == 1 or alone
             folder.used.update(map(job, group) if here else (state for _, state in run_jobs(job, group, threads=1)))

@@ -81,4 +81,4 @@ def import_recording(
     manifest = f"{{{drive}: {imported.manifests[drive]}}}"
     encoder = "ingest.image_size: [192, 640], encoder.backbone: street, encoder.weights: weights/street/encoder.pt"
     settings = f"ingest.source: kitti, ingest.manifests: {manifest}, {encoder}, labels.source: {labels}{height}"
-    print(f"next: make street, in params.yaml set {settings}, and {drive} and others as ingest.drives; run dvc repro")
+    print(f"next: make street; in params.yaml, set {settings}, and list {drive} and others in ingest.drives; dvc repro")

@@ -23,9 +23,7 @@ J = TypeVar("J")
 
 def usable_cores() -> int:
     """Return the number of cores of this process, as SLURM and taskset limit it; macOS and Windows have no limits."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return getattr(os, "process_cpu_count", os.cpu_count)() or 1
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def default_workers() -> int:

@@ -25,8 +25,8 @@ def stage_key(stage: str, settings: Mapping[str, Any], inputs: Sequence[Path | s
 
 
 def digest(content: Any) -> str:
-    """Return the SHA-256 of JSON-able content as hex; other objects count as their text."""
-    return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
+    """Return the SHA-256 of JSON-able content as hex."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def file_hash(path: Path) -> str:
@@ -56,7 +56,10 @@ def code_hash() -> str:
 
 def meaning(path: Path) -> str:
     """Return the code of a module from its syntax tree, without docstrings and comments."""
-    tree = ast.parse(path.read_bytes())
+    try:
+        tree = ast.parse(text := path.read_text(encoding="utf-8"))
+    except SyntaxError:  # a network that is being written; others can be trained
+        return text
     for node in ast.walk(tree):
         if isinstance(body := getattr(node, "body", None), list):
             body[:] = [statement for statement in body if not _is_docstring(statement)]

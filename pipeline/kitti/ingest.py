@@ -132,10 +132,10 @@ def ingest_kitti(path: Path, *, drive: str, folder: Path, settings: Reading) -> 
             where = "damaged files" if oxts or not files.oxts else "damaged files, among them all oxts packets"
             raise DamagedFile(faults, f"{len(damaged)} {where}", fix)
         summary = file.finish(oxts, steering_rad)
-        for kind, paths in {"image": images, "lidar": scans}.items():
+        for kind, paths, count in (("images", images, summary["image"]), ("scans", scans, summary["lidar"])):
             lost = [error for error in damaged if Path(error.where) in paths.values()]
-            if lost and not summary[kind]:  # with on_damaged: skip
-                raise InputError(f"every {kind} of the drive is damaged: {lost[0].problem}", lost[0].where)
+            if lost and not count:  # with on_damaged: skip
+                raise InputError(f"all {kind} of the drive are damaged: {lost[0].problem}", lost[0].where)
     counts = {
         f"images of camera {chosen}": summary["image"],
         "scans": summary["lidar"],

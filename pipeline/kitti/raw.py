@@ -82,13 +82,14 @@ class KittiDrive:
 
     @property
     def dataset(self) -> str:
-        """What the drive is of: "sample" if it is rendered, as its calibration says, otherwise "kitti"."""
+        """What the drive is of: sample, as its calibration says; recording, if it was imported; otherwise kitti."""
         path = self.calibration / CALIBRATION
         text = path.read_text(errors="replace") if path.is_file() else ""
-        return "sample" if text.startswith(f"{RENDERED}\n") else "kitti"
+        other = "recording" if (self.folder / MANIFEST).is_file() else "kitti"
+        return "sample" if text.startswith(f"{RENDERED}\n") else other
 
     def fingerprint(self, cameras: Sequence[int]) -> str:
-        """Return a hash of the names of the drive's files, and of the contents of the sample's; otherwise of times.
+        """Return a hash of the names of the drive's files, and of their contents (sample) or sizes and times (others).
 
         Hashing the contents of KITTI's 175 GB would take longer than ingesting them. The change time detects a file
         that was extracted again: unzip restores the modification time.
@@ -157,12 +158,12 @@ def read_scan(path: Path, lowest_deg: float = LOWEST_DEG) -> np.ndarray:
         raise DamagedFile(f"scan is cut short at {path.stat().st_size} bytes (expected a multiple of 16)", path)
     scan = values.reshape(-1, 4)
     scan = scan[np.isfinite(scan[:, :3]).all(axis=1) & scan[:, :3].any(axis=1)]
-    if len(scan) and not (0 <= scan[:, 3].min() <= scan[:, 3].max() <= 1):  # false for NaN
+    if not len(scan) or np.abs(scan[:, :3]).max() > _MAX_RANGE_M or not np.isfinite(scan[:, 3]).all():
+        raise DamagedFile(f"scan has no point, or points beyond {_MAX_RANGE_M:g} m or without reflectance", path)
+    if scan[:, 3].min() < 0 or scan[:, 3].max() > 1:
         problem = f"reflectance is {scan[:, 3].min():g} to {scan[:, 3].max():g}, expected 0 to 1"
         fix = "Convert the scans: float32 x, y, z, reflectance / 255. nuScenes has five columns"
         raise InputError(problem, path, fix)
-    if not len(scan) or np.abs(scan[:, :3]).max() > _MAX_RANGE_M:
-        raise DamagedFile(f"scan has no point, or points beyond {_MAX_RANGE_M:g} m", path)
     lowest = np.degrees(np.arctan2(scan[:, 2], np.hypot(scan[:, 0], scan[:, 1])).min())
     if lowest > lowest_deg:
         problem = f"scan is cut short: its {len(scan)} points end at {lowest:.1f} degrees of elevation"

@@ -53,14 +53,14 @@ def open_encoder(folder: Path, precision: str) -> Predict:
 
 
 def warnings(folder: Path, precision: str, ingest: Iterable[Path]) -> Iterator[str]:
-    """Yield a warning if an encoder's folder was fitted to the sample alone, and a file of stage ingest is no such."""
+    """Yield a warning if an encoder was fitted to the sample alone, and a drive's ingest file is of another."""
     if _open(folder, file_hash(folder / FILE), precision)[1] != ["sample"]:
         return
     for path in ingest:
         with DriveReader(path, stage="ingest") as file:
             if file.params.get("dataset", "sample") != "sample":
-                fix = "For real streets: make street, and weights/street as encoder"
-                yield f"warning: {folder} was fitted to rendered streets alone, so {file.drive} gets wrong depth. {fix}"
+                fix = "Use the encoder of make street, weights/street, and ingest.image_size: [192, 640]"
+                yield f"warning: {folder} was fitted to rendered streets alone: wrong depth on {file.drive}. {fix}"
                 return
 
 
@@ -111,6 +111,7 @@ def perceive(
     tensors, at_once = [torch.from_numpy(images), torch.from_numpy(camera.K)], 1
     if device.type != "cpu":
         tensors, at_once = [tensor.pin_memory() for tensor in tensors], len(images)
+    torch.backends.cudnn.allow_tf32 = precision == "auto"
     native = device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
     half = torch.autocast(device.type, torch.bfloat16, enabled=precision == "auto" and native)
     with torch.no_grad(), half:  # BEiT keeps tensors, which a fit uses again

@@ -44,12 +44,12 @@ def selected_epoch(curve: Sequence[Mapping[str, float]]) -> int:
 
 
 def fit_run(
-    run: runs.Run, name: str, where: str, entry: Entry, settings: Train, drives: Drives, files: Files, kept: Path
+    run: runs.Run, name: str, where: str, entry: Entry, settings: Train, drives: Drives, files: Files | None, kept: Path
 ) -> Path:
     """Train a network of model `name`, from the state of an earlier run if there is one; write best.pt and curve.csv.
 
-    `where`: of the model's entry, for messages; `drives`: of all folds, with their open `files`; `kept`: the folder
-    of states, see StageFolder.
+    `where`: of the model's entry, for messages; `drives`: of all folds, with their open `files` if
+    this process has them; `kept`: the folder of states, see StageFolder.
     Returns the state's file. Raises InputError if the network does not fit the graphs, or if the loss is not finite.
     """
     entry = entry.seeded(run.seed)
@@ -62,11 +62,12 @@ def fit_run(
         # With few points a second thread has little to do, and slows each of a step's hundreds of small operations
         # where another process uses its core. One thread's sums are also the same on each machine.
         torch.set_num_threads(1)
+    torch.backends.cudnn.allow_tf32 = False  # float32 also in convolutions
     torch.manual_seed(run.seed)
     with error_context(where=where):
         net = entry.build(**contents._asdict(), outputs=len(train[0].columns))
     net.to(device)
-    paths = [path for drive in train + val for path in (drive.graphs, drive.labels)]
+    paths = [*dict.fromkeys(path for drive in train + val for path in (drive.graphs, drive.labels, drive.scene))]
     if run.start:
         paths.append(run.start.folder / "best.pt")
         checkpoint.load_state(net, checkpoint.read(paths[-1], predict.KIND)["net"], paths[-1])
@@ -89,7 +90,7 @@ def fit_run(
         "fps": float(1 / np.median(np.concatenate([np.diff(drive.time_s) for drive in train]))),
         **inputs,
     }
-    fit = Fit(net, entry, settings, run.seed, train, val, files)
+    fit = Fit(net, entry, settings, run.seed, train, val, files or Files(drive.scene for drive in train + val))
     state = kept / f"{stage_key('train', inputs, paths)}.pt"
     fit.run(state, f"{name} {run}")
     best = {"scale": fit.scale.content, "epoch": selected_epoch(fit.curve), "net": fit.best}
@@ -225,17 +226,19 @@ class Fit:
 
     def _peak(self, reader: windows.Reader) -> int:
         """Return the bytes on the GPU of the largest step and of the largest batch of a validation."""
-        net, device, before = copy.deepcopy(self.net), self.net.device, torch.cuda.memory_allocated()
+        torch.cuda.empty_cache()
+        net, before = copy.deepcopy(self.net), torch.cuda.memory_reserved()
         tested = windows.spans(reader.timelines, self.entry.window, predict.WINDOWS)
         steps = self._plan(1), [[span] for span in tested]
-        largest = [max(part, key=lambda group: sum(span.stop - span.start for span in group)) for part in steps]
+        step, batch = (max(part, key=lambda group: sum(span.stop - span.start for span in group)) for part in steps)
         torch.cuda.reset_peak_memory_stats()
-        for batch, training in zip(reader.batches(largest, device), (True, False), strict=True):
+        # Twice, as the first step's error and graph live until the second has its own.
+        for arrays, training in zip(reader.batches([step, step, batch], net.device), (True, True, False), strict=True):
             with torch.set_grad_enabled(training):
-                error, weight_sum = self._error(net.train(training), batch)
+                error, weight_sum = self._error(net.train(training), arrays)
             if training:
                 (error / weight_sum).backward()  # type: ignore[no-untyped-call]
-        return torch.cuda.max_memory_allocated() - before
+        return torch.cuda.max_memory_reserved() - before
 
     def _resume(self, state: Mapping[str, Any]) -> None:
         for name in ("net", "average", "optimiser"):

@@ -15,6 +15,7 @@ from pipeline.graphs.graph_file import Graphs, open_graphs
 
 Place = Literal["GPU", "RAM", "disk"]
 RESERVE = 1.1  # times the measured peak: an optimiser's state, and gaps between tensors
+SPARE = 0.8  # of the free RAM: the rest is for batches
 CGROUP, GPUS = Path("/sys/fs/cgroup"), Path("/proc/driver/nvidia/gpus")
 
 
@@ -45,7 +46,7 @@ class Files:
 
     def _choose(self, peak: Callable[[], int] | None) -> Place:
         size, ram = sum(self[path].size for path in self.paths), free_ram()
-        place: Place = "RAM" if size <= ram else "disk"
+        place: Place = "RAM" if size <= SPARE * ram else "disk"
         if peak:
             step = int(RESERVE * peak())
             torch.cuda.empty_cache()
@@ -59,9 +60,10 @@ class Files:
 def free_ram() -> int:
     """Return the bytes that this process may use: what the machine or its container has free, shared among its GPUs."""
     free = [int(psutil.virtual_memory().available)]
-    limit, used = (CGROUP / f"memory.{name}" for name in ("max", "current"))
+    limit, used, stat = (CGROUP / f"memory.{name}" for name in ("max", "current", "stat"))
     if limit.is_file() and (text := limit.read_text().strip()) != "max":
-        free.append(int(text) - int(used.read_text()))
+        cached = dict(line.split() for line in stat.read_text().splitlines())["inactive_file"]  # freed when needed
+        free.append(int(text) - int(used.read_text()) + int(cached))
     return min(free) // max(1, len([*GPUS.glob("*")]))
 
 
@@ -74,12 +76,16 @@ def collate(spans: Sequence[tuple[Graphs, int, int]]) -> dict[str, Tensor]:
     return number_rows(join(spans), spans[0][0])
 
 
-def join(spans: Sequence[tuple[Graphs, int, int]]) -> dict[str, Tensor]:
-    """Read frames as :func:`collate`, but with row numbers as in the files."""
+def join(spans: Sequence[tuple[Graphs, int, int]], *, pin: bool = False) -> dict[str, Tensor]:
+    """Read frames as :func:`collate`, but with row numbers as in the files.
+
+    `pin`: columns on the CPU in pinned memory, from which copies to a GPU do not wait. torch gives it out again after
+    them.
+    """
     first, batch = spans[0][0], dict[str, Tensor]()
     for pointer in first.starts:
         counts = [np.diff(file.starts[pointer][start : stop + 1]) for file, start, stop in spans]
-        batch[pointer] = pinned(torch.from_numpy(np.concatenate([[0], *counts]).cumsum()))
+        batch[pointer] = torch.from_numpy(np.concatenate([[0], *counts]).cumsum())
     for name, pointer in first.pointers.items():
         parts = [tensor(file.row(name, slice(*file.starts[pointer][[a, b]]))) for file, a, b in spans]
         if parts[0].is_cuda:
@@ -87,11 +93,9 @@ def join(spans: Sequence[tuple[Graphs, int, int]]) -> dict[str, Tensor]:
             continue
         # By numpy, whose memory has large pages: twice as fast; and torch's threads are busy with the network.
         shape, arrays = (sum(map(len, parts)), *parts[0].shape[1:]), [part.numpy() for part in parts]
-        if torch.cuda.is_available():
-            batch[name] = torch.empty(shape, dtype=parts[0].dtype, pin_memory=True)
-        else:
-            batch[name] = torch.from_numpy(np.empty(shape, arrays[0].dtype))
-        np.concatenate(arrays, out=batch[name].numpy())
+        empty = torch.empty(shape, dtype=parts[0].dtype, pin_memory=True) if pin else None
+        batch[name] = torch.from_numpy(np.empty(shape, arrays[0].dtype)) if empty is None else empty
+        np.concatenate(arrays, out=batch[name].numpy(), casting="no")
     return batch
 
 
@@ -110,17 +114,12 @@ def number_rows(batch: dict[str, Tensor], names: Graphs) -> dict[str, Tensor]:
 def per_frame(operator: Callable[[Any, Any], Any], rows: Tensor, values: Tensor, pointer: Tensor) -> Tensor:
     """Apply an operator in place to each frame's rows and its value; `values` [B], `pointer` [B+1]: on the CPU."""
     if rows.is_cuda:
-        values, counts = (pinned(part).to(rows.device, non_blocking=True) for part in (values, pointer.diff()))
+        values, counts = (part.pin_memory().to(rows.device, non_blocking=True) for part in (values, pointer.diff()))
         repeated = values.to(rows.dtype).repeat_interleave(counts, output_size=len(rows))
         return operator(rows, repeated.view(-1, *[1] * (rows.ndim - 1)))
     for part, value in zip(np.split(rows.numpy(), pointer[1:-1].tolist()), values.tolist(), strict=True):
         operator(part, value)
     return rows
-
-
-def pinned(cpu: Tensor) -> Tensor:
-    """Return a tensor in pinned memory, from which copies to a GPU do not wait; torch gives it out again after them."""
-    return cpu.pin_memory() if torch.cuda.is_available() else cpu
 
 
 def tensor(rows: np.ndarray | Tensor) -> Tensor:

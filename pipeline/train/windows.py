@@ -17,6 +17,7 @@ A batch is a dict of arrays: B graphs as in pipeline/graphs/graph_file.py, and f
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from operator import imul
 
@@ -26,7 +27,7 @@ from torch import Tensor
 
 from pipeline.base.errors import InputError
 from pipeline.graphs.graph_file import Graphs
-from pipeline.train.frames import Files, join, number_rows, per_frame, pinned
+from pipeline.train.frames import Files, join, number_rows, per_frame
 from pipeline.train.loop import prefetch
 from pipeline.train.targets import Timeline, window_values
 
@@ -73,15 +74,19 @@ class Reader:
         """Return an iterator of the groups' batches, in order, for a network on a device; pointers stay on the CPU."""
         if device.type == "cpu" and self.files.place != "RAM":
             return prefetch(self.__getitem__, groups)
-        joined = map(self._join, groups) if self.files.place == "GPU" else prefetch(self._join, groups)
+        join = partial(self._join, pin=device.type == "cuda")
+        joined = map(join, groups) if self.files.place == "GPU" else prefetch(join, groups)
         return (self._finish(*batch, device) for batch in joined)
 
     def __getitem__(self, group: Sequence[Span]) -> dict[str, Tensor]:
         """Read a group of spans as one batch on the CPU. Raises InputError if another scene's drive has no window."""
         return self._finish(*self._join(group), torch.device("cpu"))
 
-    def _join(self, group: Sequence[Span]) -> tuple[dict[str, Tensor], Graphs, Tensor]:
-        """Return a batch in the types of the files, a file that names its columns, and the scale of each frame [B]."""
+    def _join(self, group: Sequence[Span], *, pin: bool = False) -> tuple[dict[str, Tensor], Graphs, Tensor]:
+        """Return a batch in the types of the files, a file that names its columns, and the scale of each frame [B].
+
+        `pin`: in pinned memory, see :func:`frames.join`.
+        """
         window = self.window
         columns: dict[str, list[np.ndarray]] = defaultdict(list)
         parts: list[tuple[Graphs, int, int]] = []
@@ -109,15 +114,18 @@ class Reader:
                 columns[name].append(values)
             parts.append((file, start, stop))
             frames, graphs = frames + len(rows), graphs + stop - start
-        batch = {name: pinned(torch.from_numpy(np.concatenate(arrays))) for name, arrays in columns.items()}
+        batch = join(parts, pin=pin) | {name: torch.from_numpy(np.concatenate(part)) for name, part in columns.items()}
+        if pin:
+            batch = {name: rows if rows.is_cuda else rows.pin_memory() for name, rows in batch.items()}
         factor = np.repeat([span.factor for span in group], [stop - start for _, start, stop in parts])
-        return batch | join(parts), file, torch.from_numpy(factor.astype(np.float32))
+        return batch, file, torch.from_numpy(factor.astype(np.float32))
 
     def _finish(
         self, batch: dict[str, Tensor], file: Graphs, factor: Tensor, device: torch.device
     ) -> dict[str, Tensor]:
         """Copy a joined batch to a device, number its rows there and scale its points."""
-        batch |= {name: batch[name].to(device, non_blocking=True) for name in batch if not name.endswith("ptr")}
+        ahead = device.type == "cuda"  # copies to a CPU must have ended, since numpy reads them
+        batch |= {name: batch[name].to(device, non_blocking=ahead) for name in batch if not name.endswith("ptr")}
         number_rows(batch, file)
         if "xyz" in batch:
             per_frame(imul, batch["xyz"], factor, batch["ptr"])

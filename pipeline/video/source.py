@@ -134,7 +134,7 @@ def work_folder(out: Path | None, source: Source, encoder: Path, **settings: Any
     """
     stat, camera = source.path.stat(), source.camera
     identity = [source.path.resolve(), stat.st_size, stat.st_mtime_ns, camera.height_m, camera.horizon, source.capture]
-    key = digest([*identity, file_hash(encoder / FILE), settings])[:16]
+    key = digest([*map(str, identity), file_hash(encoder / FILE), settings])[:16]
     work = claim(out, source.name, key) / WORK / key
     (work / "new").mkdir(parents=True, exist_ok=True)
     return work

@@ -78,7 +78,7 @@ def test_damaged_files_are_listed_at_once_or_left_out(tmp_path, capsys):
     assert "3 damaged files left out" in capsys.readouterr().out
     for scan in (folder / "velodyne_points/data").iterdir():
         write(scan, scan.read_bytes()[:-60])
-    with pytest.raises(InputError, match="bin: every lidar of the drive is damaged: scan is cut short"):
+    with pytest.raises(InputError, match="bin: all scans of the drive are damaged: scan is cut short"):
         run(tmp_path, on_damaged="skip")
     for packet in (folder / "oxts/data").iterdir():
         write(packet, "")

@@ -85,7 +85,7 @@ def test_precomputed_files_are_matched_by_frame_number(tmp_path, capsys):
     save(tmp_path / "encoder", {"backbone": "precomputed", "folder": f"{tmp_path}/later", "datasets": ["sample"]}, {})
     with pytest.raises(InputError, match="later"):  # this process has the first encoder open
         run(tmp_path)
-    assert f"encoder was fitted to rendered streets alone, so {FULL} gets wrong depth" in capsys.readouterr().out
+    assert f"encoder was fitted to rendered streets alone: wrong depth on {FULL}" in capsys.readouterr().out
 
 
 DRIVE, FRAMES = "2027_03_31_drive_0001", 20

@@ -147,5 +147,5 @@ def test_a_gap_and_a_damaged_image_start_a_new_window(folder, tmp_path, capsys):
     assert (read(tmp_path / "scans")["frame"] == rows["frame"]).all()  # frames 4 and 8 have only a scan
     for path in images.iterdir():
         path.write_bytes(b"nothing")
-    with pytest.raises(InputError, match="every image of the drive is damaged"):
+    with pytest.raises(InputError, match="all images of the drive are damaged"):
         predict(root / f"{TEST}_sync", model=model, out=tmp_path / "none", video=False)

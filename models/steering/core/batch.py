@@ -50,7 +50,8 @@ class GraphBatch(_Points):
     @property
     def edge_index(self) -> Tensor:
         """The edges int64 [2,E] as PyTorch Geometric has them: from row numbers, to row numbers."""
-        to = torch.arange(len(self.degree), device=self.degree.device).repeat_interleave(self.degree.long())
+        to = torch.arange(len(self.degree), device=self.degree.device)
+        to = to.repeat_interleave(self.degree.long(), output_size=len(self.indices))
         return torch.stack([self.indices.long(), to])
 
     def blocks(self, points: int) -> Iterator["GraphBatch"]:

@@ -196,7 +196,7 @@ def test_frames_are_kept_where_they_fit_beside_a_step(folder, monkeypatch, capsy
 
 @pytest.mark.parametrize(("limit", "gpus", "expected"), [("max", 0, None), ("5000", 0, 3000), ("5000", 2, 1500)])
 def test_free_memory_is_a_containers_and_shared_among_gpus(tmp_path, monkeypatch, limit, gpus, expected):
-    for name, text in (("memory.max", limit), ("memory.current", "2000")):
+    for name, text in (("memory.max", limit), ("memory.current", "2500"), ("memory.stat", "anon 9\ninactive_file 500")):
         (tmp_path / name).write_text(f"{text}\n")
     for number in range(gpus):
         (tmp_path / f"gpus/{number}").mkdir(parents=True)

@@ -5,7 +5,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import chain, count
+from itertools import count
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,36 +15,30 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import NO_LOCKS, read_json, replacing, write_json
 
 INDEX = "index.json"
-WORK = ".work"
 _FIX = "Pass another --out, or move it away"
 
 
-def check_free(path: Path, key: str = "") -> None:
-    """Raise InputError unless the file or folder `path` does not exist, or is a folder that :func:`claim` may take."""
-    if not _is_free(path, key):
+def check_free(path: Path) -> None:
+    """Raise InputError unless the file or folder `path` does not exist, or is an empty folder."""
+    if not _is_free(path):
         names = ", ".join(sorted(child.name for child in path.glob("*"))[:3])
-        content = f" and holds {names}" + " of a run that did not end" * names.startswith(".work")
-        raise InputError("exists already" + content * bool(names), path, _FIX)
+        raise InputError("exists already" + f" and holds {names}" * bool(names), path, _FIX)
 
 
-def claim(out: Path | None, stem: str, key: str = "") -> Path:
+def claim(out: Path | None, stem: str) -> Path:
     """Return the folder for a command's results: `out`, otherwise the first free one of out/STEM, out/STEM-2, ….
 
-    `key` hashes the recording and the settings. A folder that only holds ``.work/KEY``, from a killed run, is free, and
-    without `out` it is preferred. Raises InputError if `out` is not free.
+    Raises InputError if `out` is not free.
     """
     if out is not None:
-        check_free(out, key)
+        check_free(out)
         return out
-    killed = (work.parent for work in sorted(Path("out").glob(f"*/{WORK}")) if work.parent.name.startswith(stem))
     numbered = (Path("out", f"{stem}-{number}" if number > 1 else stem) for number in count(1))
-    return next(folder for folder in chain(killed, numbered) if _is_free(folder, key))
+    return next(folder for folder in numbered if _is_free(folder))
 
 
-def _is_free(path: Path, key: str) -> bool:
-    if not path.is_dir():
-        return not path.exists()
-    return {*path.iterdir()} <= {path / WORK} and {*(path / WORK).glob("*")} <= {path / WORK / key}
+def _is_free(path: Path) -> bool:
+    return not any(path.iterdir()) if path.is_dir() else not path.exists()
 
 
 class StageFolder(NamedTuple):

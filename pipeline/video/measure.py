@@ -10,7 +10,7 @@ from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from pipeline.video.pictures import publish
 from pipeline.video.results import Results
-from pipeline.video.source import MOTION, Source, run_chain, work_folder
+from pipeline.video.source import MOTION, Source, folders, run_chain
 
 CAMERAS = [2, 0, 3, 1]  # of a KITTI drive, the first one with images
 READING = Reading(image_size=(192, 640), cameras=CAMERAS, lidar=False, on_damaged="skip")  # as the encoder was trained
@@ -22,29 +22,30 @@ def measure(source: Source, out: Path | None, encoder: Path, car: Car, *, video:
     `out`: a new or empty folder; None: out/NAME. `encoder`: a folder. Raises InputError if `out` is not free, no frame
     can be read, or a log is unusable.
     """
-    work = work_folder(out, source, encoder)
-    run_chain(source, work, READING, Perception(batch=4), encoder)
-    results = Results.read(source, work, car, look_ahead=True)
-    comparison = results.compare("measured")
-    with DriveReader(work / MOTION, stage="motion") as motion:
-        heights_m, bonnet = motion["road_height_m"], float(np.median(motion["still"]))
-    known, sigmas = heights_m[heights_m > 0], results.table["speed_sigma"][results.table["valid"] > 0]
-    quality = {  # None where unknown; the road's height is by the encoder's depth
-        "horizon": source.camera.horizon,
-        "road_frames": float((heights_m > 0).mean()),
-        "road_height_m": float(np.median(known)) if len(known) else None,
-        "speed_sigma": float(np.median(sigmas)) if len(sigmas) else None,
-        "bonnet": bonnet,
-        "recorded": results.agreement,
-        "comparison": comparison,
-    }
-    share = f"{quality['road_frames']:.0%}"
-    elsewhere = "" if share == "100%" else "; elsewhere speed stays near a typical car's"
-    lines = [*results.lines(comparison), f"road found in {share} of the frames{elsewhere}"]
-    if quality["road_height_m"] and not source.height_known:
-        height = f"{quality['road_height_m']:.2f} m above the road. Measure it"
-        lines.append(f"the encoder's depth puts the camera {height} and pass --camera-height: speed follows it")
-    if quality["speed_sigma"]:
-        lines.append(f"speed and curvature may be off by {quality['speed_sigma']:.0%} (one standard deviation)")
-    write_json(work / "new/quality.json", quality)
-    return lines, publish(work, "motion.csv", results, source, car.wheelbase_m, video=video)
+    with folders(out, source) as (work, new, folder):
+        run_chain(source, work, READING, Perception(batch=4), encoder)
+        results = Results.read(source, work, car, look_ahead=True)
+        comparison = results.compare("measured")
+        with DriveReader(work / MOTION, stage="motion") as motion:
+            heights_m, bonnet = motion["road_height_m"], float(np.median(motion["still"]))
+        known, sigmas = heights_m[heights_m > 0], results.table["speed_sigma"][results.table["valid"] > 0]
+        quality = {  # None where unknown; the road's height is by the encoder's depth
+            "horizon": source.camera.horizon,
+            "road_frames": float((heights_m > 0).mean()),
+            "road_height_m": float(np.median(known)) if len(known) else None,
+            "speed_sigma": float(np.median(sigmas)) if len(sigmas) else None,
+            "bonnet": bonnet,
+            "recorded": results.agreement,
+            "comparison": comparison,
+        }
+        share = f"{quality['road_frames']:.0%}"
+        elsewhere = "" if share == "100%" else "; elsewhere speed stays near a typical car's"
+        lines = [*results.lines(comparison), f"road found in {share} of the frames{elsewhere}"]
+        if quality["road_height_m"] and not source.height_known:
+            height = f"{quality['road_height_m']:.2f} m above the road. Measure it"
+            lines.append(f"the encoder's depth puts the camera {height} and pass --camera-height: speed follows it")
+        if quality["speed_sigma"]:
+            lines.append(f"speed and curvature may be off by {quality['speed_sigma']:.0%} (one standard deviation)")
+        write_json(new / "quality.json", quality)
+        publish(new, "motion.csv", results, source, car.wheelbase_m, video=video)
+        return lines, [folder / path.name for path in sorted(new.iterdir())]

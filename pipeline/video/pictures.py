@@ -1,6 +1,5 @@
 """Draw results: a picture of the track, speeds and angles, and a video with paths on the street and a legend."""
 
-import shutil
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -21,19 +20,12 @@ REACH_M = 60.0  # of paths at a constant angle
 LINES = {"measured": "tab:blue", "predicted": "tab:green", "driven": "0.2"}
 
 
-def publish(work: Path, csv: str, results: Results, source: Source, wheelbase_m: float, *, video: bool) -> list[Path]:
-    """Write the table `csv`, track.png and, if `video`, overlay.mp4 of a run; return the paths of all its results.
-
-    They and those in ``work/new`` go to the output folder, and ``.work`` is removed.
-    """
-    new = work / "new"
-    results.write_csv(new / csv)
-    draw_track(new / "track.png", results)
+def publish(folder: Path, csv: str, results: Results, source: Source, wheelbase_m: float, *, video: bool) -> None:
+    """Write the table `csv`, track.png and, if `video`, overlay.mp4 to a folder."""
+    results.write_csv(folder / csv)
+    draw_track(folder / "track.png", results)
     if video:
-        write_overlay(new / "overlay.mp4", source, results, wheelbase_m)
-    files = [path.replace(work.parents[1] / path.name) for path in sorted(new.iterdir())]
-    shutil.rmtree(work.parent)
-    return files
+        write_overlay(folder / "overlay.mp4", source, results, wheelbase_m)
 
 
 def draw_track(path: Path, results: Results) -> None:

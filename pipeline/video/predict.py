@@ -19,7 +19,7 @@ from pipeline.settings.train import RATE_TOLERANCE
 from pipeline.train.predict import Trained
 from pipeline.video.pictures import publish
 from pipeline.video.results import Results
-from pipeline.video.source import INGEST, MOTION, PERCEPTION, Source, run_chain, work_folder
+from pipeline.video.source import INGEST, MOTION, PERCEPTION, Source, folders, run_chain
 
 CLOUDS, GRAPHS = "clouds.h5", "graphs.h5"
 
@@ -42,27 +42,27 @@ def predict(
     variant, perception = Variant.model_validate(settings["graphs"]), Perception.model_validate(settings["perception"])
     if reading(model).lidar and not (source.drive and source.drive.scans and source.camera.T_cam_velo is not None):
         raise InputError(f"model {model.name} needs LiDAR scans", source.name, "Choose a model without them")
-    work = work_folder(out, source, encoder, settings=settings)
-    run_chain(source, work, reading(model), perception, encoder)
-    clouds = work / (INGEST if variant.kind == "image" else CLOUDS)
-    if not clouds.exists():
-        kind = variant.source.removeprefix("clouds/")
-        clouds_drive(clouds, kind, work / INGEST, work / PERCEPTION, Clouds.model_validate(settings["clouds"]))
-    if not (work / GRAPHS).exists():
+    with folders(out, source) as (work, new, folder):
+        run_chain(source, work, reading(model), perception, encoder)
+        clouds = work / (INGEST if variant.kind == "image" else CLOUDS)
+        if variant.kind != "image":
+            kind = variant.source.removeprefix("clouds/")
+            clouds_drive(clouds, kind, work / INGEST, work / PERCEPTION, Clouds.model_validate(settings["clouds"]))
         graphs_drive(work / GRAPHS, clouds, work / MOTION, variant)
-    with graph_file.open_graphs(work / GRAPHS) as graphs:
-        results = Results.read(source, work, model.car, look_ahead=False, frame=graphs.frame)
-        rows = np.isin(graphs.frame, results.table["frame"])  # a frame with a scan may lack an image
-        prediction = model.predict(graphs)[rows]
-    frames, horizon = len(prediction), model.entry.horizon
-    results.table["predicted_rad"] = np.full(frames, np.nan) if model.ahead_m else prediction[:, 0]
-    if model.ahead_m:
-        results.ahead_m, results.path_1pm = model.ahead_m, prediction
-    ahead = f", each {horizon} frames ahead" if horizon else ""
-    predicted = f"{model.name}: {np.isfinite(prediction[:, 0]).sum()} predictions for {frames} frames{ahead}"
-    warnings = _differences(model, source, encoder, results.table["time_s"])
-    lines = [*warnings, *results.lines(results.compare("predicted", horizon)), predicted]
-    return lines, publish(work, "steering.csv", results, source, model.car.wheelbase_m, video=video)
+        with graph_file.open_graphs(work / GRAPHS) as graphs:
+            results = Results.read(source, work, model.car, look_ahead=False, frame=graphs.frame)
+            rows = np.isin(graphs.frame, results.table["frame"])  # a frame with a scan may lack an image
+            prediction = model.predict(graphs)[rows]
+        frames, horizon = len(prediction), model.entry.horizon
+        results.table["predicted_rad"] = np.full(frames, np.nan) if model.ahead_m else prediction[:, 0]
+        if model.ahead_m:
+            results.ahead_m, results.path_1pm = model.ahead_m, prediction
+        ahead = f", each {horizon} frames ahead" if horizon else ""
+        predicted = f"{model.name}: {np.isfinite(prediction[:, 0]).sum()} predictions for {frames} frames{ahead}"
+        warnings = _differences(model, source, encoder, results.table["time_s"])
+        lines = [*warnings, *results.lines(results.compare("predicted", horizon)), predicted]
+        publish(new, "steering.csv", results, source, model.car.wheelbase_m, video=video)
+        return lines, [folder / path.name for path in sorted(new.iterdir())]
 
 
 def _differences(model: Trained, source: Source, encoder: Path, time_s: np.ndarray) -> Iterator[str]:

@@ -2,24 +2,26 @@
 
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
 from tqdm import tqdm
 
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.base.outputs import WORK, claim
-from pipeline.base.resume import digest, file_hash
+from pipeline.base.outputs import claim
+from pipeline.base.store import replacing
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import format_size, read_image
 from pipeline.kitti.ingest import IngestFile, ingest_kitti
 from pipeline.kitti.oxts import read_times
 from pipeline.kitti.raw import KittiDrive
 from pipeline.motion.drive import measure_drive
-from pipeline.perception.perceive import FILE, perceive_drive, warnings
+from pipeline.perception.perceive import perceive_drive, warnings
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from pipeline.video.lens import find_horizon, pinhole, undistortion
@@ -127,21 +129,20 @@ def open_images(path: Path, capture: Capture, logs: Logs = Logs(), hz: float | N
     return Source(path, path.stem, camera, recording.frames, recording.times_s, logs, capture, notes)
 
 
-def work_folder(out: Path | None, source: Source, encoder: Path, **settings: Any) -> Path:
-    """Return the folder OUT/.work/KEY for the files of a run; the same run finds those of a killed one.
+@contextmanager
+def folders(out: Path | None, source: Source) -> Iterator[tuple[Path, Path, Path]]:
+    """Yield a temporary folder, one for results, and the output folder, which gets these if the block has no error.
 
-    `out`: None: out/NAME. Raises InputError if it is not free.
+    `out` None: out/NAME. Raises InputError if it is not free.
     """
-    stat, camera = source.path.stat(), source.camera
-    identity = [source.path.resolve(), stat.st_size, stat.st_mtime_ns, camera.height_m, camera.horizon, source.capture]
-    key = digest([*map(str, identity), file_hash(encoder / FILE), settings])[:16]
-    work = claim(out, source.name, key) / WORK / key
-    (work / "new").mkdir(parents=True, exist_ok=True)
-    return work
+    folder = claim(out, source.name)
+    with replacing(folder) as new, TemporaryDirectory(dir=new.parent) as work:
+        new.mkdir()
+        yield Path(work), new, folder
 
 
 def run_chain(source: Source, work: Path, reading: Reading, perception: Perception, encoder: Path) -> None:
-    """Write ingest.h5, perception.h5 and motion.h5 to the folder `work`; files of an earlier run are kept.
+    """Write ingest.h5, perception.h5 and motion.h5 to the folder `work`.
 
     The camera's height is that of the source, not of `perception`. `encoder`: a folder. Raises InputError if no frame
     can be read, or the disk is too small.
@@ -163,8 +164,7 @@ def run_chain(source: Source, work: Path, reading: Reading, perception: Percepti
         for name, job in jobs.items():
             bar.reset()
             bar.set_description(name.removesuffix(".h5"))
-            if not (work / name).exists():
-                bar.total = job(work / name, advance=bar.update)["frames"]
+            bar.total = job(work / name, advance=bar.update)["frames"]
     source.notes.extend(warnings(encoder, perception.precision, [ingest]))
 
 

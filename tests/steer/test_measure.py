@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import av
 import numpy as np
@@ -11,7 +12,6 @@ import pandas as pd
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.base.outputs import WORK
 from pipeline.base.store import DriveReader
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.kitti.ingest import ingest_kitti
@@ -97,23 +97,12 @@ def test_a_cut_is_not_a_motion(tmp_path, encoder):
     assert yaw_rate[15:] == pytest.approx(YAW_RATE, abs=0.02)
 
 
-def test_a_killed_run_continues(tmp_path, encoder, monkeypatch):
-    images, out = write_folder(tmp_path / "images", drive(4)), tmp_path / "out"
-
-    def killed(*_: Any, **__: Any) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(source, "measure_drive", killed)
-        with pytest.raises(KeyboardInterrupt):
-            measure(images, out=out, encoder=encoder, **LENS)
-    assert [path.name for path in out.iterdir()] == [WORK]
-    for name in ("IngestFile", "perceive_drive"):  # are complete
-        monkeypatch.setattr(source, name, killed)
-    with pytest.raises(InputError, match="exists already"):
-        measure(images, out=out, encoder=encoder, **LENS, distortion="0.01,0,0,0")
-    measure(images, out=out, encoder=encoder, **LENS)
-    assert sorted(path.name for path in out.iterdir()) == ["motion.csv", "overlay.mp4", "quality.json", "track.png"]
+def test_a_killed_run_leaves_nothing(tmp_path, encoder, monkeypatch):
+    images = write_folder(tmp_path / "images", drive(4))
+    monkeypatch.setattr(source, "measure_drive", Mock(side_effect=KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        measure(images, out=tmp_path / "results/out", encoder=encoder, **LENS)
+    assert [*(tmp_path / "results").iterdir()] == []
 
 
 def test_an_imported_drive_has_the_same_numbers(tmp_path, encoder, monkeypatch):
@@ -142,7 +131,6 @@ def test_unsuitable_inputs(tmp_path, encoder, monkeypatch):
     images = write_folder(tmp_path / "images", drive(4))
     rotated = write_folder(tmp_path / "rotated", [np.rot90(view) for view in drive(2)])
     write(tmp_path / "kept/poses.txt", "mine")
-    write(tmp_path / "killed/.work1/ingest.h5", "")
     monkeypatch.chdir(tmp_path)
     for _ in range(2):
         measure(images, encoder=encoder, video=False, **LENS)
@@ -151,7 +139,6 @@ def test_unsuitable_inputs(tmp_path, encoder, monkeypatch):
     for path, options, problem in (
         (images, {"encoder": tmp_path}, "no encoder"),
         (images, {"out": tmp_path / "kept"}, "exists already and holds poses.txt"),
-        (images, {"out": tmp_path / "killed"}, "exists already and holds .work1 of a run that did not end"),
         (rotated, {}, "taller than wide"),
         (images, {"video": False}, r"4 frames need up to 0\.0029 GB"),
     ):

@@ -43,7 +43,7 @@ def measure(
     from pipeline.video.log import Logs
     from pipeline.video.source import Capture, open_source
 
-    logs = Logs.read(wheel, steering_ratio, motion, offset)
+    logs, encoder = Logs.read(wheel, steering_ratio, motion, offset), options.here_or_in_checkout(encoder)
     if not (encoder / FILE).is_file():
         raise InputError("no encoder", encoder, "Make one for real streets: make street. Or pass --encoder")
     capture = Capture(fov, k, distortion, fps=fps, times=times)

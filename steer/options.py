@@ -5,6 +5,13 @@ from typing import Annotated, Any
 
 import typer
 
+CHECKOUT = Path(__file__).resolve().parents[1]
+
+
+def here_or_in_checkout(path: Path) -> Path:
+    """Return a path, or that of the same name in the checkout where the working folder has none."""
+    return CHECKOUT / path if not path.exists() and (CHECKOUT / path).exists() else path
+
 
 def number(lowest: float, highest: float, help: str) -> Any:
     """Return an option for a number from `lowest` to `highest`."""

@@ -1,6 +1,6 @@
 """Describe one file of a stage: its attributes, datasets and settings, or one of its frames."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -67,4 +67,15 @@ def _open(path: Path) -> DriveReader:
 
 def _without_tensors(content: Mapping[str, Any]) -> Content:
     plain = {name: _without_tensors(value) if isinstance(value, Mapping) else value for name, value in content.items()}
+    plain |= {name: ranges([*value]) for name, value in plain.items() if name in ("drives", "val")}
     return {name: value for name, value in plain.items() if not hasattr(value, "detach") and value != {}}
+
+
+def ranges(drives: Sequence[str]) -> list[str]:
+    """Return names of drives, with DATE_drive_0001..0009 for consecutive ones, as in ``ingest.drives``."""
+    found = list[list[str]]()
+    for name in drives:
+        before = found[-1][-1] if found else ""
+        follows = before[:-4] == name[:-4] and name[-4:].isdecimal() and int(name[-4:]) == int(before[-4:]) + 1
+        found = [*found[:-1], [*found[-1], name]] if follows else [*found, [name]]
+    return [names[0] + f"..{names[-1][-4:]}" * (len(names) > 1) for names in found]

@@ -181,9 +181,9 @@ def _errors(target_rad: np.ndarray, angle_rad: np.ndarray, settings: Evaluate) -
 
     Frames without a target do not count.
     """
-    error = (angle_rad - target_rad)[None] ** 2
-    bounds = errors.interval(error, target_rad, np.zeros(len(target_rad), int), settings)
-    known = np.isfinite(target_rad)
+    error, known, drive = (angle_rad - target_rad)[None] ** 2, np.isfinite(target_rad), np.zeros(len(target_rad), int)
+    parts = np.unique(errors.parts(drive, settings.bootstrap_block_frames)[known])
+    bounds = errors.interval(error, target_rad, drive, settings) if len(parts) >= errors.LEAST_DRIVES else None
     target_rad, angle_rad = target_rad[known], angle_rad[known]
     scores = errors.scores(target_rad, angle_rad)
     varies = np.ptp(target_rad) > 0 and np.ptp(angle_rad) > 0

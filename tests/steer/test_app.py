@@ -47,9 +47,11 @@ def test_a_file_has_its_datasets_and_settings_and_a_checkpoint_everything_but_we
     assert content["datasets"]["xyz"][:3] == ["float32 150 × 3", "m", "rows of a frame: ptr"]
     assert (content["stage"], content["settings"]["graphs"]["keep_inter_class"]) == ("graphs", 0.2)
     net = {"weight": torch.zeros(2)}
-    checkpoint.write(data / "best.pt", {"kind": "steering net", "entry": {"window": 8}, "net": net})
+    drives = [DRIVE, "2011_09_26_drive_0002", "2011_09_28_drive_0003"]
+    checkpoint.write(data / "best.pt", {"kind": "steering net", "drives": drives, "entry": {"window": 8}, "net": net})
     content = yaml.safe_load(show(data / "best.pt"))
     assert (content["kind"], content["entry"], "net" in content) == ("steering net", {"window": 8}, False)
+    assert content["drives"] == ["2011_09_26_drive_0001..0002", "2011_09_28_drive_0003"]
 
 
 def test_a_frame_is_printed_and_drawn(data):

@@ -103,6 +103,10 @@ def test_a_model_is_compared_with_oxts(folder, tmp_path, monkeypatch, capsys):
     assert f"truth from oxts, {used.sum()} frames, 2 frames ahead" in text
     nmse = ((predicted_rad - driven_rad)[used] ** 2).mean() / (driven_rad[used] ** 2).mean()
     assert f"predicted: nmse {nmse:.3f}" in text
+    with pytest.raises(InputError, match=r"--model: no network for real streets is included\. Measure"):
+        predict(drive(folder), out=tmp_path / "other")
+    with pytest.raises(InputError, match=r"\.: has several models\. Pass one as --model: data/train/path, "):
+        predict(drive(folder), model=Path(), out=tmp_path / "other")
     with pytest.raises(InputError, match=r"data/train/scan: no trained model"):
         predict(drive(folder), model=Path("data/train/scan"), out=tmp_path / "other")
     with pytest.raises(InputError, match="has its own calibration"):

@@ -54,7 +54,7 @@ def compare(
     """Measure the drive, compare with the teams, and write motion.csv and figures.json to out/udacity."""
     truth, teams = (np.genfromtxt(path, delimiter=",", names=True) for path in (wheel, leaderboard))
     out = claim(None, "udacity")
-    measure(video, out=out, k=K, distortion=DISTORTION, camera_height=CAMERA_HEIGHT_M, video=False)
+    measure([video], out=out, k=K, distortion=DISTORTION, camera_height=CAMERA_HEIGHT_M, video=False)
     motion = np.genfromtxt(out / "motion.csv", delimiter=",", names=True, usecols=range(1, 9))
     time_s, wheel_rad = truth["time_s"], truth["wheel_rad"]
     first, rest = time_s < FITTED_S, time_s >= FITTED_S

@@ -34,7 +34,7 @@ Split = Annotated[str | None, typer.Option(metavar="TRAIN,VAL,TEST", help=_SPLIT
 
 
 def import_recording(
-    recording: Annotated[Path, typer.Argument(help="video, or folder of images")],
+    recording: Annotated[list[Path], typer.Argument(help="videos in order, or a folder of videos or of images")],
     drive: Annotated[str, typer.Option(help="name of the drive, for instance 2027_03_31_drive_0001")],
     motion: options.Motion = None,
     wheel: options.Wheel = None,

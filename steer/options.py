@@ -20,7 +20,8 @@ def number(lowest: float, highest: float, help: str) -> Any:
 
 # Of predict, measure and import. A KITTI drive has its own intrinsics and times.
 SourcePath = Annotated[
-    Path, typer.Argument(metavar="SOURCE", help="folder of a KITTI drive, folder of images, or video")
+    list[Path],
+    typer.Argument(metavar="SOURCE...", help="folder of a KITTI drive, of images or of videos, or videos in order"),
 ]
 Out = Annotated[Path | None, typer.Option(help="new or empty folder for the results; default: out/SOURCE")]
 Fov = Annotated[float | None, number(5, 170, "intrinsics: horizontal field of view, degrees")]

@@ -6,11 +6,12 @@ import numpy as np
 
 from pipeline.base.store import DriveReader, write_json
 from pipeline.labels.label import Car
+from pipeline.perception.perceive import warnings
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from pipeline.video.pictures import publish
 from pipeline.video.results import Results
-from pipeline.video.source import MOTION, Source, folders, run_chain
+from pipeline.video.source import INGEST, MOTION, Source, folders, run_chain
 
 CAMERAS = [2, 0, 3, 1]  # of a KITTI drive, the first one with images
 READING = Reading(image_size=(192, 640), cameras=CAMERAS, lidar=False, on_damaged="skip")  # as the encoder was trained
@@ -24,6 +25,7 @@ def measure(source: Source, out: Path | None, encoder: Path, car: Car, *, video:
     """
     with folders(out, source) as (work, new, folder):
         run_chain(source, work, READING, Perception(batch=4), encoder)
+        source.notes.extend(warnings(encoder, "float32", [work / INGEST]))
         results = Results.read(source, work, car, look_ahead=True)
         comparison = results.compare("measured")
         with DriveReader(work / MOTION, stage="motion") as motion:

@@ -1,13 +1,13 @@
 """Read a recording, a video file or a folder of images, one frame at a time, with times."""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import av
 import numpy as np
@@ -26,6 +26,7 @@ from pipeline.settings.train import RATE_TOLERANCE
 from pipeline.video.repeats import evened, repeats
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")
+_VIDEOS = (".mp4", ".mov", ".mkv", ".avi", ".ts", ".mts", ".webm")
 _CONVERT = "Copy the file again, or convert it: ffmpeg -i {name} -c:v libx264 converted.mp4"
 # Playlists, scripts and session descriptions can open other files and sockets. So only containers and streams of frames
 # are accepted, and no protocol: FFmpeg reads the file that is already open.
@@ -42,6 +43,7 @@ BAR, LIT, MOST = 8, 32, 0.95  # grey levels: at most BAR in MOST pixels of a bla
 STRIDE = 20  # of the images that are searched for black bars
 THUMB_PX = 64  # width of the images that are compared: averages noise
 INEXACT = 0.99  # least share of the header's count of frames in a complete file, which may also lack one
+WHOLE_S = 1.5  # files' times of creation are in whole seconds
 LAST_S = 0.2  # longest duration of a last image whose duration the file does not store
 
 
@@ -85,13 +87,27 @@ class Recording:
             self.notes.append(f"{len(rows)} of {len(time_s)} frames are used: {rates}")
 
 
+class _Video(NamedTuple):
+    """What the container of a video says, without decoding."""
+
+    path: Path
+    stored: int  # frames by the header, 0: unknown
+    packets: int
+    stamped: bool
+    first_s: float
+    length_s: float  # between the first and the last frame
+    step_s: float
+    created: pd.Timestamp  # NaT: unknown
+    notes: list[str]
+
+
 def open_recording(
-    path: Path,
+    paths: Path | Sequence[Path],
     fps: float | None = None,
     times: Path | None = None,
     check_span: Callable[[float, float], object] = lambda first_s, last_s: None,
 ) -> Recording:
-    """Open a video file or a folder of images, and decode it once to find repeats.
+    """Open a video file, several that follow each other, a folder of these, or one of images; decode it once.
 
     `fps`, or a file of `times` for :func:`read_times`, replaces timestamps of a video and those in names of images.
     `check_span` gets the times of the first and the last image before any is decoded. Raises InputError if there are no
@@ -100,10 +116,13 @@ def open_recording(
     """
     if fps and times:
         raise InputError("expected one source of the images' times, got two", fix="Pass --fps or --times")
-    if not path.exists():
-        raise InputError("path is missing", path, "Pass a video, or a folder of images")
-    times_s, notes = read_times(times) if times else None, list[str]()
+    for path in (paths := [paths] if isinstance(paths, Path) else paths):
+        if not path.exists():
+            raise InputError("path is missing", path, "Pass a video, or a folder of images")
+    path, times_s, notes = paths[0], read_times(times) if times else None, list[str]()
     stamped, stored, last_s = False, 0, 0.0
+    if path.is_dir() and (chapters := _video_files(path)):
+        path, *_ = paths = chapters
     images: Callable[[], Images]
     if path.is_dir():
         files, places = _image_files(path)
@@ -115,19 +134,15 @@ def open_recording(
         elif not times and all(re.fullmatch("[12][0-9]{18}", file.stem) for file in files):
             times_s = np.array([(int(file.stem) - int(files[0].stem)) / 1e9 for file in files])  # ns since 1970
     else:
-        images = partial(_decode, path)
-        with _container(path) as (container, (stream, *others)):
-            shape, stored = float(stream.sample_aspect_ratio or 1), stream.frames
-            stamped = container.format.name not in _WITHOUT_TIMES  # elsewhere FFmpeg assumes 25 frames per second
-            stamps = [packet.pts for packet in container.demux(stream) if packet.size]  # without decoding
-            known = [stamp for stamp in stamps if stamp is not None] or [0]
-            last_s = (len(stamps) - 1) / fps if fps else float((max(known) - min(known)) * (stream.time_base or 1))
-            if others:
-                name, *names = (f"{one.index} ({one.width} x {one.height} pixels)" for one in (stream, *others))
-                notes.append(f"video stream {name} is used, not {', '.join(names)}")
-        if abs(shape - 1) > 0.01:
-            fix = f"Scale it: ffmpeg -i {path.name} -vf scale=iw*sar:ih,setsar=1 square.mp4"
-            raise InputError(f"pixels are not square ({shape:.3f} times as wide as high)", path, fix)
+        videos = [_probe(one) for one in paths]
+        begins_s, found = _follow(videos)
+        notes += [note for video in videos for note in video.notes] + found
+        stored, stamped = sum(video.stored for video in videos), all(video.stamped for video in videos)
+        last_s = begins_s[-1] + videos[-1].length_s
+        last_s = (sum(video.packets for video in videos) - 1) / fps if fps else last_s
+        first_s = videos[0].first_s
+        shifts_s = [begin + first_s - video.first_s for begin, video in zip(begins_s, videos, strict=True)]
+        images = partial(_decode_all, [*zip(paths, shifts_s, strict=True)])
     if not (fps or stamped or times_s is not None):
         raise InputError("images have no times", path, "Pass --fps N, or --times FILE")
     check_span(*(times_s[[0, -1]] if times_s is not None else (0.0, last_s)))
@@ -146,6 +161,61 @@ def open_recording(
         notes.append(f"{count - len(kept)} of {count} images repeat the image before and are left out")
         times_s = evened(times_s[kept], float(np.median(np.diff(times_s))))
     return Recording(path, images, size, kept, times_s, notes)
+
+
+def _video_files(folder: Path) -> list[Path]:
+    """Return a folder's videos in the order of numbers in their names; none if it has images."""
+    files = [path for path in folder.iterdir() if not path.name.startswith(".")]
+    if any(path.suffix.lower() in _SUFFIXES for path in files):
+        return []
+    videos = [path for path in files if path.suffix.lower() in _VIDEOS]
+    return sorted(videos, key=lambda one: [int(x) if x.isdecimal() else x for x in re.split(r"(\d+)", one.name)])
+
+
+def _probe(path: Path) -> _Video:
+    """Read a video's container. Raises InputError if pixels are not square."""
+    with _container(path) as (container, (stream, *others)):
+        shape, base = float(stream.sample_aspect_ratio or 1), stream.time_base or 1
+        stamped = container.format.name not in _WITHOUT_TIMES  # elsewhere FFmpeg assumes 25 frames per second
+        stamps = [packet.pts for packet in container.demux(stream) if packet.size]  # without decoding
+        known = sorted(stamp for stamp in stamps if stamp is not None) or [0]
+        steps = np.diff(known) if len(known) > 1 else np.zeros(1)
+        first_s, length_s, step_s = (float(x * base) for x in (known[0], known[-1] - known[0], int(np.median(steps))))
+        notes, created = list[str](), pd.to_datetime(container.metadata.get("creation_time"), errors="coerce")
+        if others:
+            name, *names = (f"{one.index} ({one.width} x {one.height} pixels)" for one in (stream, *others))
+            notes.append(f"video stream {name} is used, not {', '.join(names)}")
+        video = _Video(path, stream.frames, len(stamps), stamped, first_s, length_s, step_s, created, notes)
+    if abs(shape - 1) > 0.01:
+        fix = f"Scale it: ffmpeg -i {path.name} -vf scale=iw*sar:ih,setsar=1 square.mp4"
+        raise InputError(f"pixels are not square ({shape:.3f} times as wide as high)", path, fix)
+    return video
+
+
+def _follow(videos: Sequence[_Video]) -> tuple[list[float], list[str]]:
+    """Return the time at which each video begins, the first at 0, and notes on gaps and overlaps.
+
+    Files of one recording follow each other, unless the times at which they were created say otherwise.
+    """
+    begins_s, notes = [0.0], list[str]()
+    for before, after in pairwise(videos):
+        whole_s, gap_s = before.length_s + before.step_s, 0.0
+        if (apart_s := (after.created - before.created) / pd.Timedelta(seconds=1)) > 0:  # false for NaT
+            gap_s = apart_s - whole_s
+        if abs(gap_s) > WHOLE_S:
+            when = "after" if gap_s > 0 else "before"
+            notes.append(f"{after.path.name} begins {abs(gap_s):.1f} s {when} the end of {before.path.name}")
+        begins_s.append(begins_s[-1] + whole_s + (gap_s if gap_s > WHOLE_S else 0.0))
+    return begins_s, notes
+
+
+def _decode_all(videos: Sequence[tuple[Path, float]]) -> Images:
+    """Yield the images of videos, whose times are shifted by so many seconds."""
+    for path, shift_s in videos:
+        for image in _decode(path):
+            if shift_s and image.pts is not None and image.time_base:
+                image.pts += round(shift_s / image.time_base)
+            yield image
 
 
 def _scan(images: Callable[[], Images], path: Path) -> tuple[Size, np.ndarray, list[str]]:

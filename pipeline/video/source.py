@@ -21,7 +21,7 @@ from pipeline.kitti.ingest import IngestFile, ingest_kitti
 from pipeline.kitti.oxts import read_times
 from pipeline.kitti.raw import KittiDrive
 from pipeline.motion.drive import measure_drive
-from pipeline.perception.perceive import perceive_drive, warnings
+from pipeline.perception.perceive import perceive_drive
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from pipeline.video.lens import find_horizon, pinhole, undistortion
@@ -65,20 +65,21 @@ class Source:
 
 
 def open_source(
-    path: Path,
+    paths: Path | Sequence[Path],
     cameras: Sequence[int],
     height_m: float | None = None,
     logs: Logs = Logs(),
     hz: float | None = None,
     capture: Capture = Capture(),
 ) -> Source:
-    """Open a KITTI drive's folder by the first of `cameras` with images; or a folder of images, or a video.
+    """Open a KITTI drive's folder by the first of `cameras` with images; or a folder of images, or videos.
 
     `height_m`: of the camera over the road; None: from a KITTI drive's calibration, else unknown. `hz`, `capture`: of
     :func:`open_images`. Raises InputError if it is none of them, lacks a calibration, cannot be read, or one of the
     `logs` has no value in its time.
     """
-    drive = KittiDrive(path.resolve()) if path.is_dir() else None
+    path, *others = [paths] if isinstance(paths, Path) else paths
+    drive = KittiDrive(path.resolve()) if path.is_dir() and not others else None
     number = next((camera for camera in cameras if drive and drive.images(camera)), None)
     if drive and number is not None:
         if any(capture):
@@ -86,7 +87,7 @@ def open_source(
             raise InputError("a KITTI drive has its own calibration and times", path, fix)
         source = _open_drive(path, drive, number, logs)
     else:
-        source = open_images(path, capture, logs, hz)
+        source = open_images([path, *others], capture, logs, hz)
     if height_m is not None:
         return replace(source, camera=replace(source.camera, height_m=height_m), height_known=True)
     return source
@@ -111,9 +112,10 @@ def _read_images(images: Mapping[int, Path], camera: Camera) -> Iterator[Frame]:
             continue  # as stage ingest does with on_damaged: skip
 
 
-def open_images(path: Path, capture: Capture, logs: Logs = Logs(), hz: float | None = None) -> Source:
+def open_images(paths: Path | Sequence[Path], capture: Capture, logs: Logs = Logs(), hz: float | None = None) -> Source:
     """Open a recording of rectified images, `hz` of them per second, after `logs` are compared with its times."""
-    recording = open_recording(path, capture.fps, capture.times, logs.check_overlap)
+    recording = open_recording(paths, capture.fps, capture.times, logs.check_overlap)
+    path = recording.path
     if recording.size[0] > recording.size[1]:
         sizes = f"images are taller than wide ({format_size(recording.size)} pixels): is it rotated by 90 degrees?"
         raise InputError(sizes, path, "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)")
@@ -165,7 +167,6 @@ def run_chain(source: Source, work: Path, reading: Reading, perception: Percepti
             bar.reset()
             bar.set_description(name.removesuffix(".h5"))
             bar.total = job(work / name, advance=bar.update)["frames"]
-    source.notes.extend(warnings(encoder, perception.precision, [ingest]))
 
 
 def _ingest(path: Path, *, source: Source, reading: Reading, advance: Callable[[int], object]) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from typing import Any
 import av
 import cv2
 import numpy as np
+import pandas as pd
 import pytest
 from av.stream import Disposition
 
@@ -47,6 +48,28 @@ def test_order_and_times_follow_the_numbers_in_names(tmp_path):
     write_png(tmp_path / "rear_9.png", np.zeros((*SIZE, 3)))
     with pytest.raises(InputError, match=r"rear_9.png would follow img_13.JPG: .*two cameras"):
         open_recording(tmp_path, fps=4)
+
+
+def test_files_that_follow_each_other_are_one_recording(tmp_path):
+    """Also a folder of them, part 9 before part 10. A gap between two is in the times, an overlap is only named."""
+    images = pictures(30)
+    whole, parts = open_recording(write_video(tmp_path / "whole.mp4", images)), list[Path]()
+    (tmp_path / "folder").mkdir()
+    for number, rows in ((9, slice(10)), (10, slice(10, 18)), (11, slice(18, 30))):
+        parts.append(write_video(tmp_path / f"folder/part {number}.mp4", images[rows]))
+    for paths in (parts, parts[0].parent):
+        joined = open_recording(paths)
+        np.testing.assert_allclose(joined.times_s, whole.times_s, atol=1e-3)
+        found = np.stack([frame.image for frame in joined.frames()]).astype(float)
+        assert np.abs(found - images).mean() < 4
+    times = "2026-11-26 12:00:00", "2026-11-26 12:00:10", "2026-11-26 12:00:12", None
+    videos = [
+        recording._Video(Path(f"{n}.mp4"), 40, 40, True, 0.0, 3.9, 0.1, pd.Timestamp(t), [])
+        for n, t in enumerate(times)
+    ]
+    begins_s, notes = recording._follow(videos)
+    assert begins_s == [0, 10, 14, 18]
+    assert notes == ["1.mp4 begins 6.0 s after the end of 0.mp4", "2.mp4 begins 2.0 s before the end of 1.mp4"]
 
 
 def test_black_bars_and_interlaced_fields_are_said(tmp_path):

@@ -43,6 +43,7 @@ def import_recording(
     fov: options.Fov = None,
     k: options.K = None,
     distortion: options.Distortion = None,
+    fisheye: options.Fisheye = None,
     horizon: Annotated[float | None, options.number(-1e4, 1e4, "row of the road's horizon; default: estimated")] = None,
     times: options.Times = None,
     fps: options.Fps = None,
@@ -67,7 +68,7 @@ def import_recording(
     if preset and preset.exists() and not is_unedited(preset):
         raise InputError("is not as steer import wrote it", preset, "Move it away, or pass another --drive")
     logs = Logs.read(wheel, steering_ratio, motion, offset)
-    opened = open_images(recording, Capture(fov, k, distortion, horizon, fps, times), logs)
+    opened = open_images(recording, Capture(fov, k, distortion, horizon, fps, times, fisheye), logs)
     imported = import_drives(opened, out, drive, shares, (start, end), replace=replace)
     labels = "oxts" if logs.motion else "wheel" if logs.wheel else "visual"
     for name, images in imported.images.items():

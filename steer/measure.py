@@ -25,6 +25,7 @@ def measure(
     fov: options.Fov = None,
     k: options.K = None,
     distortion: options.Distortion = None,
+    fisheye: options.Fisheye = None,
     fps: options.Fps = None,
     times: options.Times = None,
     camera_height: options.CameraHeight = None,
@@ -46,7 +47,7 @@ def measure(
     logs, encoder = Logs.read(wheel, steering_ratio, motion, offset), options.here_or_in_checkout(encoder)
     if not (encoder / FILE).is_file():
         raise InputError("no encoder", encoder, "Make one for real streets: make street. Or pass --encoder")
-    capture = Capture(fov, k, distortion, fps=fps, times=times)
+    capture = Capture(fov, k, distortion, fps=fps, times=times, fisheye=fisheye)
     opened = open_source(source, video_measure.CAMERAS, camera_height, logs, capture=capture)
     car = Car(wheelbase, min_speed_mps=1.0)  # below, the steering angle is noise
     lines, files = video_measure.measure(opened, out, encoder, car, video=video)

@@ -29,6 +29,9 @@ K = Annotated[str | None, typer.Option("--K", metavar="FX,FY,CX,CY", help="intri
 Distortion = Annotated[
     str | None, typer.Option(metavar="K1,K2,P1,P2[,K3]", help="lens distortion by OpenCV's model; default: none")
 ]
+Fisheye = Annotated[
+    str | None, typer.Option(metavar="K1,K2,K3,K4", help="of a fisheye lens, by OpenCV's model; 0,0,0,0: equidistant")
+]
 Fps = Annotated[float | None, number(0.01, 1000, "times: images per second; default: a video's own times")]
 Times = Annotated[Path | None, typer.Option(help="times: a file with the seconds of each image, one per line")]
 CameraHeight = Annotated[float | None, number(0.3, 5, "height of the camera over the road, metres")]

@@ -27,6 +27,7 @@ def predict(
     fov: options.Fov = None,
     k: options.K = None,
     distortion: options.Distortion = None,
+    fisheye: options.Fisheye = None,
     fps: options.Fps = None,
     times: options.Times = None,
     camera_height: options.CameraHeight = None,
@@ -48,7 +49,7 @@ def predict(
     model = _folder(model)
     logs = Logs.read(wheel, steering_ratio, motion, offset)
     trained, encoder = load(model), encoder or _encoder_beside(model)
-    capture = Capture(fov, k, distortion, fps=fps, times=times)
+    capture = Capture(fov, k, distortion, fps=fps, times=times, fisheye=fisheye)
     height_m = camera_height or trained.settings["perception"]["camera_height_m"]
     opened = open_source(source, video_predict.reading(trained).cameras, height_m, logs, trained.fps, capture)
     lines, files = video_predict.predict(trained, opened, out, encoder, video=video)

@@ -20,6 +20,8 @@ MIN_FLOW_PX = 1.0  # below, the direction of travel is noise
 RANSAC_PX = 0.7
 PAIRS, PAIR_EVERY, MIN_PAIRS = 60, 10, 8
 MAX_TANGENTIAL = 0.01  # of p1 and p2: elements of a lens that are not parallel
+MAX_FOV_DEG = 100  # of a lens without distortion
+RECTIFIED_FOV_DEG = 90  # of a fisheye lens at most: beyond, the middle of the image becomes coarse
 
 
 def pinhole(size: Size, fov_deg: float | None = None, K: str | None = None) -> Camera:
@@ -31,9 +33,20 @@ def pinhole(size: Size, fov_deg: float | None = None, K: str | None = None) -> C
     if (fov_deg is None) == (K is None):
         fix = "Pass --fov DEGREES (horizontal) or --K fx,fy,cx,cy (pixels)"
         raise InputError("expected one source of camera intrinsics", fix=fix)
+    camera = _camera(size, fov_deg and math.tan(math.radians(fov_deg) / 2), K)
+    covered_deg = 2 * math.degrees(math.atan(size[1] / 2 / camera.K[0, 0]))
+    if covered_deg > MAX_FOV_DEG:
+        problem = f"images cover {covered_deg:.0f}°, more than {MAX_FOV_DEG}°: a fisheye lens?"
+        fix = "Pass its --fisheye k1,k2,k3,k4 of OpenCV's model, or 0,0,0,0 where they are unknown"
+        raise InputError(problem, "--K" if K else "--fov", fix)
+    return camera
+
+
+def _camera(size: Size, edge: float | None, K: str | None) -> Camera:
+    """Return a camera of images of `size` by `K`, or where `edge`, the half width in focal lengths, is given."""
     height, width = size
-    if fov_deg is not None:
-        fx = fy = width / 2 / math.tan(math.radians(fov_deg) / 2)
+    if edge is not None:
+        fx = fy = width / 2 / edge
         # Integer coordinates are pixel centres, so the image's middle is half a pixel before W / 2.
         cx, cy = (width - 1) / 2, (height - 1) / 2
     else:
@@ -42,6 +55,30 @@ def pinhole(size: Size, fov_deg: float | None = None, K: str | None = None) -> C
     with error_context(fix="For images that were resized, scale all four numbers"):
         check_pinhole(camera.K, size, "--K")
     return camera
+
+
+def fisheye(
+    size: Size, text: str, fov_deg: float | None = None, K: str | None = None
+) -> tuple[Camera, Callable[[np.ndarray], np.ndarray]]:
+    """Return a pinhole camera of up to 90°, and a function that rectifies a fisheye lens' images uint8 [H,W,3] for it.
+
+    `text`: "k1,k2,k3,k4" of OpenCV's fisheye model, an angle θ from the axis lies θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸)
+    focal lengths from the principal point; zeros: equidistant. `fov_deg` or `K` as in :func:`pinhole`, of the lens.
+    """
+    if (fov_deg is None) == (K is None):
+        raise InputError("expected one source of camera intrinsics", fix="Pass --fov or --K of the fisheye lens")
+    coefficients = np.array(numbers(text, (4,), "--fisheye 0,0,0,0"))
+    radius = None  # focal lengths
+    if fov_deg:
+        theta = math.radians(fov_deg) / 2
+        radius = theta * (1 + float(coefficients @ theta ** np.array([2, 4, 6, 8])))
+    lens = _camera(size, radius, K)
+    middle = lens.K[1, 2]
+    edges = np.array([[[-0.5, middle], [size[1] - 0.5, middle]]])
+    edge = np.abs(cv2.fisheye.undistortPoints(edges, lens.K, coefficients)[0, :, 0]).min()  # tangents
+    camera = _camera(size, min(math.tan(math.radians(RECTIFIED_FOV_DEG) / 2), float(edge)), None)
+    maps = cv2.fisheye.initUndistortRectifyMap(lens.K, coefficients, np.eye(3), camera.K, size[::-1], cv2.CV_16SC2)
+    return camera, lambda image: np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR))
 
 
 def numbers(text: str, counts: Sequence[int], example: str) -> list[float]:
@@ -65,7 +102,7 @@ def undistortion(camera: Camera, text: str) -> Callable[[np.ndarray], np.ndarray
     coefficients = np.array(numbers(text, (4, 5), "--distortion -0.37,0.2,0,0"))
     if np.abs(coefficients[2:4]).max() > MAX_TANGENTIAL:
         problem = f"p1 and p2 are {text.split(',')[2]} and {text.split(',')[3]} (expected up to {MAX_TANGENTIAL})"
-        raise InputError(f"{problem}: a fisheye lens? undistort it first", "--distortion", "Then omit --distortion")
+        raise InputError(f"{problem}: a fisheye lens?", "--distortion", "Pass these as --fisheye")
     size = camera.size[::-1]
     maps = cv2.initUndistortRectifyMap(camera.K, coefficients, None, camera.K, size, cv2.CV_16SC2)
     return lambda image: np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR))

@@ -1,7 +1,7 @@
 """Read a recording, a video file or a folder of images, one frame at a time, with times."""
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -43,6 +43,8 @@ BAR, LIT, MOST = 8, 32, 0.95  # grey levels: at most BAR in MOST pixels of a bla
 STRIDE = 20  # of the images that are searched for black bars
 THUMB_PX = 64  # width of the images that are compared: averages noise
 INEXACT = 0.99  # least share of the header's count of frames in a complete file, which may also lack one
+PLAYED = 1.2  # times faster or slower than taken, at most
+STEADY = 0.1  # of the median step, between the 5th and the 95th percentile: phones in the dark slow down unevenly
 WHOLE_S = 1.5  # files' times of creation are in whole seconds
 LAST_S = 0.2  # longest duration of a last image whose duration the file does not store
 
@@ -98,6 +100,7 @@ class _Video(NamedTuple):
     length_s: float  # between the first and the last frame
     step_s: float
     created: pd.Timestamp  # NaT: unknown
+    taken_hz: float | None  # images per second by the phone's tag, where they are stored at another steady rate
     notes: list[str]
 
 
@@ -141,6 +144,9 @@ def open_recording(
         last_s = begins_s[-1] + videos[-1].length_s
         last_s = (sum(video.packets for video in videos) - 1) / fps if fps else last_s
         first_s = videos[0].first_s
+        if videos[0].taken_hz and stamped and not fps and times_s is None:
+            rates = f"{videos[0].taken_hz:g} images per second were taken, {1 / videos[0].step_s:.4g} are stored"
+            raise InputError(f"time lapse or slow motion: {rates}", path, f"Pass --fps {videos[0].taken_hz:g}")
         shifts_s = [begin + first_s - video.first_s for begin, video in zip(begins_s, videos, strict=True)]
         images = partial(_decode_all, [*zip(paths, shifts_s, strict=True)])
     if not (fps or stamped or times_s is not None):
@@ -181,15 +187,26 @@ def _probe(path: Path) -> _Video:
         known = sorted(stamp for stamp in stamps if stamp is not None) or [0]
         steps = np.diff(known) if len(known) > 1 else np.zeros(1)
         first_s, length_s, step_s = (float(x * base) for x in (known[0], known[-1] - known[0], int(np.median(steps))))
+        taken_hz, low, high = _taken_hz(container.metadata), *np.percentile(steps, [5, 95])
+        played = (taken_hz or 0) * step_s
+        if (high - low) * base > STEADY * step_s or 1 / PLAYED < played < PLAYED or not step_s:
+            taken_hz = None
         notes, created = list[str](), pd.to_datetime(container.metadata.get("creation_time"), errors="coerce")
         if others:
             name, *names = (f"{one.index} ({one.width} x {one.height} pixels)" for one in (stream, *others))
             notes.append(f"video stream {name} is used, not {', '.join(names)}")
-        video = _Video(path, stream.frames, len(stamps), stamped, first_s, length_s, step_s, created, notes)
+        video = _Video(path, stream.frames, len(stamps), stamped, first_s, length_s, step_s, created, taken_hz, notes)
     if abs(shape - 1) > 0.01:
         fix = f"Scale it: ffmpeg -i {path.name} -vf scale=iw*sar:ih,setsar=1 square.mp4"
         raise InputError(f"pixels are not square ({shape:.3f} times as wide as high)", path, fix)
     return video
+
+
+def _taken_hz(metadata: Mapping[str, str]) -> float | None:
+    try:
+        return float(metadata["com.android.capture.fps"])
+    except (KeyError, ValueError):
+        return None
 
 
 def _follow(videos: Sequence[_Video]) -> tuple[list[float], list[str]]:

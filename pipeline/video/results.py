@@ -23,6 +23,7 @@ from pipeline.settings.evaluate import Evaluate
 from pipeline.video.log import Logs
 from pipeline.video.source import INGEST, MOTION, Source
 
+BACKWARDS = 0.5  # share of the moving frames: beyond, the camera looks back
 BRIDGED_S = 1.0  # longest gap over which the track continues with the last motion
 HEIGHT_SCALE = 0.2  # relative standard deviation of the speed if the camera's height over the road is unknown
 BLOCK_S = 5.0  # errors of nearer frames are correlated, for the interval of nmse
@@ -121,6 +122,7 @@ class Results:
             valid, codes = motion["valid"], motion["problem"][rows]
             source.notes.extend(source.logs.notes(motion.time_s[rows]))
             source.notes.extend(warnings(float(np.median(motion["still"]))))
+            source.notes.extend(_backwards(source.path, course["speed_mps"][rows], truth, car.min_speed_mps))
             points, residual = (np.where(valid, motion[name], np.nan) for name in ("inliers", "residual"))
             columns = {"valid": valid, **course, "points": points, "residual": residual}
             driven_rad = np.where(truth.driven.valid, truth.driven.steering_rad, np.nan)
@@ -174,6 +176,20 @@ class Results:
         target_rad[~used] = np.nan
         scores = {name: _errors(target_rad, angle, settings) for name, angle in angles.items()}
         return {"truth": self.truth.name, "frames": int(used.sum()), "horizon": horizon, **scores}
+
+
+def _backwards(path: Path, speed_mps: np.ndarray, truth: Truth, least_mps: float) -> Iterator[str]:
+    """Yield a doubt if most moving frames of [F] are measured backwards. Raises InputError if a log says otherwise."""
+    moves = np.abs(speed_mps) >= least_mps  # false for NaN
+    back = moves & (speed_mps < 0)
+    if back.sum() <= BACKWARDS * moves.sum():
+        return
+    problem = f"{int(back.sum())} of {int(moves.sum())} moving frames are measured backwards"
+    logged_mps = truth.driven.speed_mps[back]
+    if np.mean(logged_mps >= least_mps) > BACKWARDS:
+        fix = "Take the front camera. Images in reverse order, or those of two cameras in one, do this, too"
+        raise InputError(f"{problem}, forward by {truth.name}: the camera looks back?", path, fix)
+    yield f"{problem}: the camera looks back? Then the angle has the wrong sign"
 
 
 def _errors(target_rad: np.ndarray, angle_rad: np.ndarray, settings: Evaluate) -> dict[str, Any]:

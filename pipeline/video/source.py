@@ -24,7 +24,7 @@ from pipeline.motion.drive import measure_drive
 from pipeline.perception.perceive import perceive_drive
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
-from pipeline.video.lens import find_horizon, pinhole, undistortion
+from pipeline.video.lens import find_horizon, fisheye, pinhole, undistortion
 from pipeline.video.log import Logs
 from pipeline.video.recording import open_recording
 
@@ -41,6 +41,7 @@ class Capture(NamedTuple):
     horizon: float | None = None  # row of the road's horizon; None: estimated
     fps: float | None = None
     times: Path | None = None
+    fisheye: str | None = None
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ def open_source(
     number = next((camera for camera in cameras if drive and drive.images(camera)), None)
     if drive and number is not None:
         if any(capture):
-            fix = "Remove --fov, --K, --distortion, --fps and --times"
+            fix = "Remove --fov, --K, --distortion, --fisheye, --fps and --times"
             raise InputError("a KITTI drive has its own calibration and times", path, fix)
         source = _open_drive(path, drive, number, logs)
     else:
@@ -119,7 +120,12 @@ def open_images(paths: Path | Sequence[Path], capture: Capture, logs: Logs = Log
     if recording.size[0] > recording.size[1]:
         sizes = f"images are taller than wide ({format_size(recording.size)} pixels): is it rotated by 90 degrees?"
         raise InputError(sizes, path, "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)")
-    camera = pinhole(recording.size, capture.fov_deg, capture.K)
+    if capture.distortion and capture.fisheye:
+        raise InputError("expected one model of the lens, got two", fix="Pass --distortion or --fisheye")
+    if capture.fisheye:
+        camera, recording.straighten = fisheye(recording.size, capture.fisheye, capture.fov_deg, capture.K)
+    else:
+        camera = pinhole(recording.size, capture.fov_deg, capture.K)
     if capture.distortion:
         recording.straighten = undistortion(camera, capture.distortion)
     if hz:

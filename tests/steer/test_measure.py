@@ -1,6 +1,7 @@
 """steer measure: known motion of a rendered street, and input that shows no motion of a car."""
 
 import json
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -84,6 +85,17 @@ def test_input_without_motion_gets_no_numbers(tmp_path, encoder, kind, capsys):
     text = capsys.readouterr().out
     assert "motion measured in 0 of 12 frames; not measured:" in text
     assert "horizon: not found" in text
+
+
+def test_a_camera_that_looks_back_is_noticed(tmp_path, encoder, capsys):
+    images, log = write_folder(tmp_path / "images", drive(12)[::-1]), tmp_path / "can.csv"
+    measure(images, out=tmp_path / "out", encoder=encoder, video=False, **LENS)
+    assert "11 of 11 moving frames are measured backwards: the camera looks back?" in capsys.readouterr().out
+    for speed, problem in ((-SPEED, nullcontext()), (SPEED, pytest.raises(InputError, match=r"forward by can\.csv"))):
+        rows = [f"{number / 10},{speed},{YAW_RATE}\n" for number in range(12)]
+        log.write_text("time_s,speed_mps,yaw_rate_radps\n" + "".join(rows))
+        with problem:
+            measure(images, out=tmp_path / f"{speed}", encoder=encoder, motion=log, video=False, **LENS)
 
 
 def test_a_cut_is_not_a_motion(tmp_path, encoder):

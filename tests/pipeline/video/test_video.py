@@ -24,7 +24,7 @@ from pipeline.kitti.oxts import make_rows
 from pipeline.labels.label import Car, Labels
 from pipeline.motion.step import durations
 from pipeline.video import recording
-from pipeline.video.lens import pinhole, undistortion
+from pipeline.video.lens import fisheye, pinhole, undistortion
 from pipeline.video.log import Log, Logs
 from pipeline.video.recording import open_recording, read_times
 from pipeline.video.results import Results, Truth, read_course, read_truth
@@ -64,12 +64,25 @@ def test_files_that_follow_each_other_are_one_recording(tmp_path):
         assert np.abs(found - images).mean() < 4
     times = "2026-11-26 12:00:00", "2026-11-26 12:00:10", "2026-11-26 12:00:12", None
     videos = [
-        recording._Video(Path(f"{n}.mp4"), 40, 40, True, 0.0, 3.9, 0.1, pd.Timestamp(t), [])
+        recording._Video(Path(f"{n}.mp4"), 40, 40, True, 0.0, 3.9, 0.1, pd.Timestamp(t), None, [])
         for n, t in enumerate(times)
     ]
     begins_s, notes = recording._follow(videos)
     assert begins_s == [0, 10, 14, 18]
     assert notes == ["1.mp4 begins 6.0 s after the end of 0.mp4", "2.mp4 begins 2.0 s before the end of 1.mp4"]
+
+
+def test_time_lapse_and_slow_motion_need_their_rate(tmp_path):
+    """By the tag of phones; a rate that varies, as in the dark, is a video's own."""
+    stream = {"images": images_of_a_street()[:20], "fps": 30}
+    for taken_hz in (7.5, 120.0):
+        path = write_streams(tmp_path / f"{taken_hz}.mp4", stream, taken_hz=taken_hz, movflags="use_metadata_tags")
+        with pytest.raises(InputError, match=f"{taken_hz:g} images per second were taken, 30 are.* --fps {taken_hz:g}"):
+            open_recording(path)
+        assert open_recording(path, fps=taken_hz).times_s[1] == pytest.approx(1 / taken_hz)
+    uneven = stream | {"pts": np.cumsum([1, 2] * 10).tolist()}
+    for taken_hz, healthy in ((26.0, stream), (31.0, stream), (60.0, uneven)):
+        open_recording(write_streams(tmp_path / "a.mp4", healthy, taken_hz=taken_hz, movflags="use_metadata_tags"))
 
 
 def test_black_bars_and_interlaced_fields_are_said(tmp_path):
@@ -99,10 +112,12 @@ def write_stream(path: Path, frames: int = 30, codec: str = "libx264", shape: in
     return write_streams(path, {"codec": codec, "shape": shape, "images": pictures(frames)}, **options)
 
 
-def write_streams(path: Path, *streams: dict[str, Any], **options: str) -> Path:
+def write_streams(path: Path, *streams: dict[str, Any], taken_hz: float | None = None, **options: str) -> Path:
     """Write video streams, each a dict of the images and how they are stored."""
     with av.open(str(path), "w", options=options) as file:
         written = []
+        if taken_hz:
+            file.metadata["com.android.capture.fps"] = str(taken_hz)
         for one in streams:
             codec, fps = one.get("codec", "libx264"), one.get("fps", 10)
             stream = file.add_stream(codec, rate=fps, options=one.get("options", {}))
@@ -112,7 +127,7 @@ def write_streams(path: Path, *streams: dict[str, Any], **options: str) -> Path:
         for stream, one in zip(written, streams, strict=True):
             for number, image in enumerate(one["images"]):
                 frame = av.VideoFrame.from_ndarray(image, format="rgb24")
-                frame.pts, frame.time_base = number, Fraction(1, one.get("fps", 10))
+                frame.pts, frame.time_base = one.get("pts", range(999))[number], Fraction(1, one.get("fps", 10))
                 file.mux(stream.encode(frame))
             file.mux(stream.encode())
     return path
@@ -307,11 +322,34 @@ def test_field_of_view_spans_the_edges():
     np.testing.assert_allclose(middle, [0, 0, 1], atol=1e-12)
 
 
+def test_a_fisheye_lens_is_rectified():
+    """A point at a known angle from the axis comes to lie where the pinhole sees it, by --fov as by --K."""
+    size, half = (400, 640), np.deg2rad(61)
+    K = f"{320 / half},{320 / half},319.5,199.5"
+    for given in ({"fov_deg": 122.0}, {"K": K}):
+        camera, straighten = fisheye(size, "0,0,0,0", **given)
+        assert 2 * np.rad2deg(np.arctan(320 / camera.K[0, 0])) == pytest.approx(90)
+        for angle, turn in ((0.6, 0.0), (0.5, 2.5)):
+            direction = np.array([np.cos(turn), np.sin(turn)])
+            u, v = np.rint(np.array([319.5, 199.5]) + 320 / half * angle * direction).astype(int)
+            image = np.zeros((*size, 3), np.uint8)
+            image[v - 1 : v + 2, u - 1 : u + 2] = 255
+            row, column = np.argwhere(straighten(image)[..., 0] > 200).mean(axis=0)
+            found = (np.array([column, row]) - 319.5 + np.array([0, 120])) / camera.K[0, 0]
+            np.testing.assert_allclose(found, np.tan(angle) * direction, atol=0.006)
+    assert fisheye(size, "0.1,0,0,0", fov_deg=60)[0].K[0, 0] == pytest.approx(320 / np.tan(np.deg2rad(30)), rel=1e-3)
+    with pytest.raises(InputError, match=r"cover 122°, more than 100°.*0,0,0,0"):
+        pinhole(size, fov_deg=122)
+
+
 @pytest.mark.parametrize("given", [{"K": "a,b,c,d"}, {"K": "50,50,65,20"}, {}, {"fov_deg": 90, "K": "1,1,1,1"}])
 def test_plainly_wrong_intrinsics(given):
     with pytest.raises(InputError):
         pinhole((48, 64), **given)
-    for text, problem in (("0.1,0,0,x", "expected 4 or 5 numbers"), ("0.04,0.02,-0.03,0.01", "fisheye lens")):
+    for text, problem in (
+        ("0.1,0,0,x", "expected 4 or 5 numbers"),
+        ("0.04,0.02,-0.03,0.01", "Pass these as --fisheye"),
+    ):
         with pytest.raises(InputError, match=problem):
             undistortion(pinhole((48, 64), fov_deg=90), text)
 

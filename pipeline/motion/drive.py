@@ -9,6 +9,7 @@ from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
 from pipeline.camera.camera import DriveFrames
 from pipeline.motion.step import LEAST_NOISE, PROBLEMS, durations, filter_speed, rates
+from pipeline.motion.still import lowest_share
 from pipeline.motion.visual import Odometry
 
 UNITS = {
@@ -68,5 +69,5 @@ def measure_drive(
         file.put("valid", valid.astype(np.uint8))
         for name, unit in UNITS.items():
             file.put(name, columns[name], unit)
-    still = float(np.median(columns["still"])) if count else 0.0
+    still = lowest_share(columns["still"], valid)
     return {"frames": count, "valid": int(valid.sum()), "road_frames": int(road.sum()), "still": still}

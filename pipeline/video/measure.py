@@ -6,6 +6,7 @@ import numpy as np
 
 from pipeline.base.store import DriveReader, write_json
 from pipeline.labels.label import Car
+from pipeline.motion.still import lowest_share
 from pipeline.perception.perceive import warnings
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
@@ -29,7 +30,7 @@ def measure(source: Source, out: Path | None, encoder: Path, car: Car, *, video:
         results = Results.read(source, work, car, look_ahead=True)
         comparison = results.compare("measured")
         with DriveReader(work / MOTION, stage="motion") as motion:
-            heights_m, bonnet = motion["road_height_m"], float(np.median(motion["still"]))
+            heights_m, bonnet = motion["road_height_m"], lowest_share(motion["still"], motion["valid"])
         known, sigmas = heights_m[heights_m > 0], results.table["speed_sigma"][results.table["valid"] > 0]
         quality = {  # None where unknown; the road's height is by the encoder's depth
             "horizon": source.camera.horizon,

@@ -18,7 +18,7 @@ from pipeline.labels import rates, sources
 from pipeline.labels.comparison import compare, judge, sums
 from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
 from pipeline.motion.step import PROBLEMS
-from pipeline.motion.still import warnings
+from pipeline.motion.still import lowest_share, warnings
 from pipeline.settings.evaluate import Evaluate
 from pipeline.video.log import Logs
 from pipeline.video.source import INGEST, MOTION, Source
@@ -108,7 +108,7 @@ class Results:
 
         Columns: frame, time_s, driven_rad, valid, those of :func:`read_course`, and the points that agree with the
         motion, with their median error `residual` in px. `frame`: numbers of the frames in the results, if their motion
-        is in the files; None: all. Raises InputError if there is no frame.
+        is in the files; None: all. Raises InputError if there is no frame, or a log says that the camera looks back.
         """
         with DriveReader(work / MOTION, stage="motion") as motion, DriveReader(work / INGEST, stage="ingest") as raw:
             rows = np.flatnonzero(np.isin(motion.frame, motion.frame if frame is None else frame))
@@ -121,7 +121,7 @@ class Results:
             agreement = compare([sums(motion.time_s[rows], truth.driven, measured)])
             valid, codes = motion["valid"], motion["problem"][rows]
             source.notes.extend(source.logs.notes(motion.time_s[rows]))
-            source.notes.extend(warnings(float(np.median(motion["still"]))))
+            source.notes.extend(warnings(lowest_share(motion["still"], valid)))
             source.notes.extend(_backwards(source.path, course["speed_mps"][rows], truth, car.min_speed_mps))
             points, residual = (np.where(valid, motion[name], np.nan) for name in ("inliers", "residual"))
             columns = {"valid": valid, **course, "points": points, "residual": residual}

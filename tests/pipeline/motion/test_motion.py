@@ -14,7 +14,7 @@ from pipeline.camera.geometry import project, transform
 from pipeline.motion import step, visual
 from pipeline.motion.pose import estimate_pose
 from pipeline.motion.step import TYPICAL_MPS, filter_speed
-from pipeline.motion.still import Still
+from pipeline.motion.still import Still, lowest_share
 from tests import street
 from tests.street import pose
 
@@ -192,6 +192,9 @@ def test_a_street_is_no_bonnet(speed, yaw_rate):
     for before, now in pairwise(np.clip(images, 0, 255).astype(np.uint8)):
         still.add(before, now, 0.0)
         assert not still.mask.any()
+    passed_by = np.array([0, 0, 0.5, 0.5, 0.5])  # traffic moves, the car stands
+    assert lowest_share(passed_by, np.array([1, 1, 0, 0, 0])) == lowest_share(passed_by, np.zeros(5)) == 0
+    assert lowest_share(passed_by, np.ones(5)) == 0.5
 
 
 def test_traffic_is_excluded_by_its_class():

@@ -65,7 +65,7 @@ def main(
         for group in ([*dict.fromkeys(run.start for run in todo if run.start)], todo):
             here = len(group) == 1 or alone
             folder.used.update(map(job, group) if here else (state for _, state in run_jobs(job, group, threads=1)))
-        folder.used.update(folder.kept.glob("*.pt"))  # small, and costly: also those of other code and settings
+        folder.used.update(folder.kept.glob("*.pt"))  # of all code and settings: small, and costly to make
     return out / name
 
 

@@ -9,7 +9,7 @@ CHECKOUT = Path(__file__).resolve().parents[1]
 
 
 def here_or_in_checkout(path: Path) -> Path:
-    """Return a path, or that of the same name in the checkout where the working folder has none."""
+    """Return the path, or where it does not exist, the same path below the checkout, if that exists."""
     return CHECKOUT / path if not path.exists() and (CHECKOUT / path).exists() else path
 
 

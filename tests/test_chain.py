@@ -187,7 +187,7 @@ def test_a_new_drive_costs_one_drive_per_stage(folder):
     ingest = yaml.safe_load((folder / "params.yaml").read_text())["ingest"]
     ingest["drives"]["val"] = ["2026_01_02_drive_0001..0002"]
     edit_params(folder, ingest=ingest)
-    for name in ("camera/geometry.py", "base/console.py"):  # DVC runs all stages again, which find what is finished
+    for name in ("camera/geometry.py", "base/console.py"):  # DVC starts each stage, which keeps its drives
         path = folder / "pipeline" / name
         path.write_text(path.read_text().replace('"""', '"""An edited docstring: ', 1))
     output = run(folder, "dvc", "repro", "graphs", "labels", "scores")

@@ -100,7 +100,7 @@ def join(spans: Sequence[tuple[Graphs, int, int]], *, pin: bool = False) -> dict
 
 
 def number_rows(batch: dict[str, Tensor], names: Graphs) -> dict[str, Tensor]:
-    """Count the row numbers of a joined batch, whose columns are those of the file `names`, from 0 in the batch."""
+    """Make a joined batch's row numbers count from its own first row; `names`: its columns, as the file names them."""
     for name, counted in names.refers_to.items():
         rows = batch[name]
         if rows.is_cuda:

@@ -32,7 +32,7 @@ class Trained(NamedTuple):
     scale: Scale
     settings: dict[str, Any]  # section → settings that made graphs and labels of its training drives
     drives: list[str]  # of training
-    datasets: list[str]  # of all training drives, those of the network from which it started included; [] if unknown
+    datasets: list[str]  # of the training drives, also of the network it started from; []: unknown
     fps: float  # their frame rate
     net: SteeringNet
 

@@ -114,8 +114,9 @@ def open_recording(
 
     `fps`, or a file of `times` for :func:`read_times`, replaces timestamps of a video and those in names of images.
     `check_span` gets the times of the first and the last image before any is decoded. Raises InputError if there are no
-    images, they have no times, are mirrored, have several sizes or pixels that are not square, or `times` cannot be
-    used; DamagedFile if an image cannot be decoded, images are missing at the end, or timestamps do not increase.
+    images, they have no times or those of a time lapse, are mirrored, have several sizes or pixels that are not square,
+    or `times` cannot be used; DamagedFile if an image cannot be decoded, images are missing at the end, or timestamps
+    do not increase.
     """
     if fps and times:
         raise InputError("expected one source of the images' times, got two", fix="Pass --fps or --times")
@@ -141,13 +142,12 @@ def open_recording(
         begins_s, found = _follow(videos)
         notes += [note for video in videos for note in video.notes] + found
         stored, stamped = sum(video.stored for video in videos), all(video.stamped for video in videos)
-        last_s = begins_s[-1] + videos[-1].length_s
-        last_s = (sum(video.packets for video in videos) - 1) / fps if fps else last_s
-        first_s = videos[0].first_s
-        if videos[0].taken_hz and stamped and not fps and times_s is None:
-            rates = f"{videos[0].taken_hz:g} images per second were taken, {1 / videos[0].step_s:.4g} are stored"
-            raise InputError(f"time lapse or slow motion: {rates}", path, f"Pass --fps {videos[0].taken_hz:g}")
-        shifts_s = [begin + first_s - video.first_s for begin, video in zip(begins_s, videos, strict=True)]
+        first, last, packets = videos[0], videos[-1], sum(video.packets for video in videos)
+        last_s = (packets - 1) / fps if fps else begins_s[-1] + last.length_s
+        if first.taken_hz and stamped and not fps and times_s is None:
+            rates = f"{first.taken_hz:g} images per second were taken, {1 / first.step_s:.4g} are stored"
+            raise InputError(f"time lapse or slow motion: {rates}", path, f"Pass --fps {first.taken_hz:g}")
+        shifts_s = [begin + first.first_s - video.first_s for begin, video in zip(begins_s, videos, strict=True)]
         images = partial(_decode_all, [*zip(paths, shifts_s, strict=True)])
     if not (fps or stamped or times_s is not None):
         raise InputError("images have no times", path, "Pass --fps N, or --times FILE")
@@ -227,7 +227,7 @@ def _follow(videos: Sequence[_Video]) -> tuple[list[float], list[str]]:
 
 
 def _decode_all(videos: Sequence[tuple[Path, float]]) -> Images:
-    """Yield the images of videos, whose times are shifted by so many seconds."""
+    """Yield the images of videos, each with its path and the seconds to add to its times."""
     for path, shift_s in videos:
         for image in _decode(path):
             if shift_s and image.pts is not None and image.time_base:

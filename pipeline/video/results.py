@@ -187,7 +187,7 @@ def _backwards(path: Path, speed_mps: np.ndarray, truth: Truth, least_mps: float
     problem = f"{int(back.sum())} of {int(moves.sum())} moving frames are measured backwards"
     logged_mps = truth.driven.speed_mps[back]
     if np.mean(logged_mps >= least_mps) > BACKWARDS:
-        fix = "Take the front camera. Images in reverse order, or those of two cameras in one, do this, too"
+        fix = "Pass the front camera's recording. Causes are also images in reverse order, or of two cameras in one"
         raise InputError(f"{problem}, forward by {truth.name}: the camera looks back?", path, fix)
     yield f"{problem}: the camera looks back? Then the angle has the wrong sign"
 

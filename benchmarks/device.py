@@ -19,7 +19,7 @@ from pipeline.base import store
 from pipeline.base.params import load
 from pipeline.base.resume import ROOT
 from pipeline.camera.camera import Camera
-from pipeline.labels import label, sources
+from pipeline.labels import label, source
 from pipeline.perception.perceive import GPU_BATCH, perceive
 from pipeline.settings.labels import Labels
 from pipeline.settings.models import Entry
@@ -99,5 +99,5 @@ def _drives(folder: Path, points: int) -> list[LabelledDrive]:
         os.link(street.file, folder / f"{name}.h5")
         params = {"labels": settings.model_dump()}
         with store.DriveWriter(folder / f"labels/{name}.h5", stage="labels", drive=name, params=params) as file:
-            sources.write(file, frame, frame * 0.1, labels, settings)
+            source.write(file, frame, frame * 0.1, labels, settings)
     return [read_drive(folder, folder / "labels", name, ENTRY) for name in names]

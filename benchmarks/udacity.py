@@ -1,12 +1,14 @@
 """Udacity's Challenge 2: the steering wheel's angle of a real drive, beside the predictions of three leading teams.
 
-python -m benchmarks.udacity VIDEO CSV LEADERBOARD
+python -m benchmarks.udacity FOLDER LEADERBOARD
 
-VIDEO has the frames of the test drive Ch2_001, CSV their time_s and wheel_rad (left positive, by CAN), LEADERBOARD the
-teams' predictions for the same frames: komanda_rad, rambo_rad, autumn_rad. Three constants turn the angle that steer
-measure finds, or its yaw rate alone, into the wheel's. They are fitted on the first FITTED_S; the rest is compared.
+FOLDER has the frames of the test drive Ch2_001, udacity/udacity_ch2_001.mp4, and their wheel's angles, see
+pipeline/datasets/udacity.py; LEADERBOARD the teams' predictions for the same frames: komanda_rad, rambo_rad,
+autumn_rad. Three constants turn the angle that steer measure finds, or its yaw rate alone, into the wheel's. They are
+fitted on the first FITTED_S; the rest is compared.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -15,11 +17,19 @@ import typer
 
 from pipeline.base import console, store
 from pipeline.base.outputs import claim
-from steer.measure import measure
+from pipeline.base.params import load
+from pipeline.datasets import udacity
+from pipeline.labels.label import Car
+from pipeline.media.log import Logs
+from pipeline.settings.ingest import Ingest
+from pipeline.settings.preset import PARAMS
+from pipeline.video.measure import measure
+from pipeline.video.source import Source
+from steer import options
+from steer.measure import STREET
 
 FITTED_S = 30.0
-# Of the right-hand camera of this rig and size: sensor_info/camera_calibration/right_camera/ost.yaml of the challenge.
-K, DISTORTION = "2152,2166,268,303", "-0.042,-0.89,0,0"
+DRIVE = "udacity_ch2_001"
 CAMERA_HEIGHT_M = 1.48  # 3.66 m wide lanes are 2.5 camera heights wide in the images
 LAGS_S = np.arange(-0.2, 0.41, 0.02)  # of the measured motion behind the wheel
 TEAMS = ("komanda", "rambo", "autumn")
@@ -47,16 +57,19 @@ def fit(time_s: np.ndarray, measured: np.ndarray, wheel_rad: np.ndarray) -> Whee
 
 
 def compare(
-    video: Annotated[Path, typer.Argument(help="the drive's frames")],
-    wheel: Annotated[Path, typer.Argument(metavar="CSV", help="time_s and wheel_rad of the frames")],
+    folder: Annotated[Path, typer.Argument(help="with udacity/udacity_ch2_001.mp4 and .csv")],
     leaderboard: Annotated[Path, typer.Argument(help="the teams' predictions of the frames")],
 ) -> None:
     """Measure the drive, compare with the teams, and write motion.csv and figures.json to out/udacity."""
-    truth, teams = (np.genfromtxt(path, delimiter=",", names=True) for path in (wheel, leaderboard))
-    out = claim(None, "udacity")
-    measure([video], out=out, k=K, distortion=DISTORTION, camera_height=CAMERA_HEIGHT_M, video=False)
+    teams, out = np.genfromtxt(leaderboard, delimiter=",", names=True), claim(None, "udacity")
+    drive = udacity.open_drive(DRIVE, load(Ingest, PARAMS), folder)
+    assert drive.camera
+    camera, frames = replace(drive.camera, height_m=CAMERA_HEIGHT_M), len(drive.values["steering_rad"])
+    source = Source(folder, DRIVE, drive, camera, frames, Logs(), height_known=True)
+    measure(source, out, options.here_or_in_checkout(STREET), Car(2.7, min_speed_mps=1.0), video=False)
     motion = np.genfromtxt(out / "motion.csv", delimiter=",", names=True, usecols=range(1, 9))
-    time_s, wheel_rad = truth["time_s"], truth["wheel_rad"]
+    wheel_rad = udacity.STEERING_RATIO * np.array([*drive.values["steering_rad"].values()])
+    time_s = motion["time_s"]
     first, rest = time_s < FITTED_S, time_s >= FITTED_S
     predicted = {"zero": np.zeros_like(wheel_rad), **{team: teams[f"{team}_rad"] for team in TEAMS}}
     fits = {}

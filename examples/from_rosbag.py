@@ -2,7 +2,7 @@
 
 python examples/from_rosbag.py a.mcap a /camera/image_raw wheel_rad=/steering:angle speed_mps=/odom:twist.twist.linear.x
 python examples/from_rosbag.py a.db3 a /camera/image_raw wheel_rad=/joints:position.1   # the second of an array
-steer import a/images --wheel a/log.csv --steering-ratio 14.8 --fov 65 --drive 2027_03_31_drive_0001
+steer import a/images --wheel a/log.csv --steering-ratio 14.8 --fov 65 --name monday
 """
 
 import re

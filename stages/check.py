@@ -5,6 +5,7 @@ from pathlib import Path
 from pipeline.base import console
 from pipeline.base.errors import InputError, closest, error_context
 from pipeline.base.params import parse, read
+from pipeline.labels import source
 from pipeline.perception import create
 from pipeline.settings.models import Entry
 from pipeline.settings.preset import Params
@@ -34,7 +35,8 @@ def check_model(entry: Entry, settings: Params) -> None:
     outputs = len(settings.labels.ahead_m) - 1 if entry.predict == "path" else 1
     if outputs < 1:
         raise InputError("predict: path needs labels.ahead_m (got [])", fix="Set it to edges, for instance [0, 10]")
-    if entry.predict == "angle" and entry.motion == settings.labels.source and not entry.horizon:
+    measured = entry.motion != "none" and source.load(settings.labels.source).MEASURED
+    if entry.predict == "angle" and measured and not entry.horizon:
         raise InputError(
             f"motion: {entry.motion} with labels.source: {entry.motion} at horizon: 0 makes the label an input",
             fix="Set motion: none, a horizon above 0, or another labels.source, or remove the model",

@@ -9,7 +9,7 @@ from pipeline.base.params import load
 from pipeline.base.runner import file_jobs, make_drives
 from pipeline.labels import comparison
 from pipeline.labels.label import Car
-from pipeline.labels.sources import labels_drive
+from pipeline.labels.source import labels_drive
 from pipeline.settings.labels import Labels
 
 
@@ -29,7 +29,7 @@ def main(
     drives, car = store.drives_in(splits, "train", "val"), Car(settings.wheelbase_m, settings.min_speed_mps)
     for line in comparison.check(settings.source, comparison.read(settings.source, drives, ingest, motion, car)):
         print(line, flush=True)
-    inputs = {"ingest": ingest} | ({} if settings.source == "oxts" else {"motion": motion})
+    inputs = {"ingest": ingest} | ({"motion": motion} if motion.is_dir() else {})
     jobs = file_jobs(splits, inputs, partial(labels_drive, settings=settings))
     text = "{frames} frames, {valid} valid, {turning} turning, {interpolated} interpolated"
     with stage_folder("labels", out) as folder:

@@ -7,7 +7,7 @@ from pipeline.base import console
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
 from pipeline.base.runner import Job, make_drives
-from pipeline.kitti.raw import leave_out
+from pipeline.datasets.kitti import leave_out
 from pipeline.sample.drive import render_drive
 from pipeline.sample.rig import make_rig, write_calibration
 from pipeline.settings.encoder import Encoder
@@ -16,14 +16,14 @@ from pipeline.settings.sample import Sample
 
 
 def main(out: Path = Path("data/sample"), params: Path = Path("params.yaml"), raw: Path = Path("data/raw")) -> Path:
-    """Render the drives of section ingest that belong to the sample; none with ingest.source: kitti.
+    """Render the drives of section ingest that belong to the sample.
 
     Returns the stage's folder. Raises InputError if `raw` lacks a drive that stage `ingest` needs, which would report
     it only after minutes of rendering.
     """
     settings, ingest, encoder = load(Sample, params), load(Ingest, params), load(Encoder, params)
     scan_rays = settings.scan_rays if ingest.lidar else None
-    render, jobs, sources = partial(render_drive, settings=settings, lidar=ingest.lidar), [], ingest.sources()
+    render, jobs, sources = partial(render_drive, settings=settings, lidar=ingest.lidar), [], ingest.datasets()
     for split, frames in sorted(settings.frames.items(), key=lambda item: -item[1]):  # the longest first
         truth = split != "train" or encoder.epochs > 0  # which stages `scores` and `encoder` read
         for drive in getattr(ingest.drives, split):
@@ -31,10 +31,10 @@ def main(out: Path = Path("data/sample"), params: Path = Path("params.yaml"), ra
                 work = partial(render, drive=drive, frames=frames, truth=truth)
                 jobs.append(Job(drive, f"{drive[:10]}/{drive}_sync", [f"{frames} {truth} {scan_rays}"], work))
     if not jobs:
-        print(f"nothing to render: ingest.drives has no drive of the sample (ingest.source: {ingest.source})")
+        print("nothing to render: ingest.drives has no drive of the sample")
     else:
         recorded = [drive for drive, source in sources.items() if source == "kitti"]
-        leave_out(raw, recorded, ingest.drives.splits(), required=ingest.manifests)
+        leave_out(raw, recorded, ingest.drives.splits(), required=())
     with stage_folder("sample", out) as folder:
         make_drives(folder, jobs, settings.model_dump(include={"image_size", "seed"}), "{frames} frames, {metres} m")
         for date in {job.drive[:10] for job in jobs}:

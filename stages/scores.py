@@ -13,10 +13,11 @@ from pipeline.base.params import SPLITS, load
 from pipeline.base.runner import Job, Summary, make_drives
 from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
-from pipeline.labels import comparison, sources
+from pipeline.labels import comparison
+from pipeline.labels import source as sources
 from pipeline.labels.label import Car
 from pipeline.perception.scores import Scores, read_truth
-from pipeline.settings.labels import Labels
+from pipeline.settings.labels import SOURCES, Labels
 
 
 def main(
@@ -50,10 +51,10 @@ def main(
             content[split] = scores.report()
             for kind, motion_scores in score_motion(drives).items():
                 content["motion"].setdefault(kind, dict.fromkeys(SPLITS))[split] = motion_scores
-        for kind, column in comparison.COLUMNS.items():
+        for kind in (name for name in SOURCES if not sources.load(name).MEASURED):
             sums = comparison.read(kind, store.drives_in(index, "train", "val"), ingest, motion, car)
             compared = comparison.compare([*sums.values()])
-            errors, lines = comparison.judge(compared, column)
+            errors, lines = comparison.judge(compared, sources.column(kind))
             content["recorded"][kind] = compared | {"lines": [*lines, *errors]}
         store.write_json(folder.new / "metrics.json", content)
     return out
@@ -82,7 +83,7 @@ def _score_motion(drives: list[str], *, ingest: Path, motion: Path, car: Car) ->
     errors: dict[str, list[np.ndarray]] = {}
     for drive in drives:
         with store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw:
-            references, measured = sources.recorded(raw), motion / f"{drive}.h5"
+            references, measured = sources.recorded(raw, car), motion / f"{drive}.h5"
             kinds = ("visual", *references)
             labels = {kind: sources.read(kind, raw, measured, car, look_ahead=False) for kind in kinds}
             with store.DriveReader(measured, stage="motion") as file:

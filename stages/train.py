@@ -13,9 +13,9 @@ from pipeline.base import console, store
 from pipeline.base.errors import error_context
 from pipeline.base.executors import SCHEDULER, default_workers, run_jobs
 from pipeline.base.outputs import stage_folder
-from pipeline.base.params import load, load_entry
+from pipeline.base.params import RATE_TOLERANCE, load, load_entry
 from pipeline.settings.models import Entry
-from pipeline.settings.train import RATE_TOLERANCE, Train
+from pipeline.settings.train import Train
 from pipeline.train import runs
 from pipeline.train.fit import fit_run
 from pipeline.train.frames import Files

@@ -1,22 +1,19 @@
-"""Convert your own recording to a drive in KITTI raw's layout.
+"""Import your own recording: write a preset that trains networks on its first part and tests them on its last.
+
+data/raw/NAME gets links to the files, or copies (--copy), and presets/NAME.yaml the parts: 60 %, 20 % and 20 % of the
+time, less 2 s between them. Then `make NAME` runs the chain. An edited log is noticed by `make NAME`.
 
 Times count from the first image; images of a folder may be named by timestamps in ns. With --motion, speed and yaw
-rate are interpolated linearly at the images' times, and images without motion are left out. Without --motion,
-labels come from the images (labels.source: visual in params.yaml) or from the angles of --wheel (labels.source:
-wheel).
+rate are interpolated linearly at the images' times, and images without motion are left out. Without it, labels come
+from the angles of --wheel or, without both, from the images.
 
-With --split, 60,20,20 for instance, a single recording is enough to train and test networks: DRIVE and the two
-following numbers get the first 60 %, the next 20 % and the last 20 % of the time, less 2 s between them. The last
-line says how to train.
-
-Images are written without the distortion of the lens. Stages crop them around the horizon, which is estimated from
-the motion unless --horizon gives its row.
+With --each, each recording is a drive of its own: for training, validation, test, training, …
 
 \b
-steer import drive.mp4 --fov 78 --drive 2027_03_31_drive_0001
-steer import drive.mp4 --fov 78 --wheel wheel.csv --steering-ratio 14.8 --drive 2027_03_31_drive_0002
-steer import drive.mp4 --fov 78 --motion can.csv --offset 0.35 --drive 2027_03_31_drive_0003
-steer import drive.mp4 --fov 78 --motion can.csv --split 60,20,20 --drive 2027_03_31_drive_0004
+steer import monday.mp4 --fov 78
+steer import monday.mp4 --fov 78 --wheel wheel.csv --steering-ratio 14.8
+steer import monday.mp4 --fov 78 --motion can.csv --offset 0.35 --split 70,15,15
+steer import a.mp4 b.mp4 c.mp4 --each --name week --fov 78 --motion a.csv --motion b.csv --motion c.csv
 """
 
 import math
@@ -29,17 +26,16 @@ from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS
 from steer import options
 
-_SPLIT = "write three consecutive drives with these shares of the time in %, and presets/DRIVE.yaml"
-Split = Annotated[str | None, typer.Option(metavar="TRAIN,VAL,TEST", help=_SPLIT)]
+_SPLIT = "shares of the time in %; default: 60,20,20"
+Logs = Annotated[list[Path] | None, typer.Option(metavar="CSV", help="log; with --each, one per recording")]
 
 
 def import_recording(
     recording: Annotated[list[Path], typer.Argument(help="videos in order, or a folder of videos or of images")],
-    drive: Annotated[str, typer.Option(help="name of the drive, for instance 2027_03_31_drive_0001")],
-    motion: options.Motion = None,
-    wheel: options.Wheel = None,
+    name: Annotated[str | None, typer.Option(help="of the preset; default: the file's")] = None,
+    motion: Logs = None,
+    wheel: Logs = None,
     steering_ratio: options.SteeringRatio = None,
-    out: Annotated[Path, typer.Option(help="root folder of drives in KITTI raw's layout")] = Path("data/raw"),
     fov: options.Fov = None,
     k: options.K = None,
     distortion: options.Distortion = None,
@@ -50,36 +46,61 @@ def import_recording(
     offset: options.Offset = 0.0,
     start: Annotated[float, options.number(0, 1e10, "leave out earlier images, seconds since the first")] = 0.0,
     end: Annotated[float, options.number(0, math.inf, "leave out this and later images")] = math.inf,
-    split: Split = None,
+    split: Annotated[str | None, typer.Option(metavar="TRAIN,VAL,TEST", help=_SPLIT)] = None,
+    each: Annotated[bool, typer.Option("--each", help="each recording is a drive, in turn for each split")] = False,
     camera_height: options.CameraHeight = None,
-    replace: Annotated[bool, typer.Option("--replace", help="replace unchanged drives of an earlier import")] = False,
+    copy: Annotated[bool, typer.Option("--copy", help="copy the files instead of linking them")] = False,
 ) -> None:
-    """Write drives and print what to do next; the module's docstring is the help text."""
-    from pipeline.settings.preset import PRESETS, is_unedited
-    from pipeline.video.import_recording import import_drives, write_preset
-    from pipeline.video.lens import numbers
-    from pipeline.video.log import Logs
-    from pipeline.video.source import Capture, open_images
+    """Write links and a preset; the module's docstring is the help text."""
+    from pipeline.base.errors import error_context
+    from pipeline.base.params import check_name
+    from pipeline.camera.lens import numbers
+    from pipeline.settings.ingest import Part
+    from pipeline.settings.preset import PRESETS
+    from pipeline.video import import_recording as importing
 
-    shares = numbers(split, (len(SPLITS),), "--split 60,20,20") if split else [100.0]
+    shares = numbers(split or "60,20,20", (len(SPLITS),), "--split 60,20,20")
     if min(shares) <= 0 or not math.isclose(sum(shares), 100):
         raise InputError(f"expected shares above 0 with the sum 100, got {split}", "--split", "Pass 60,20,20")
-    preset = PRESETS / f"{drive}.yaml" if split else None
-    if preset and preset.exists() and not is_unedited(preset):
-        raise InputError("is not as steer import wrote it", preset, "Move it away, or pass another --drive")
-    logs = Logs.read(wheel, steering_ratio, motion, offset)
-    opened = open_images(recording, Capture(fov, k, distortion, horizon, fps, times, fisheye), logs)
-    imported = import_drives(opened, out, drive, shares, (start, end), replace=replace)
-    labels = "oxts" if logs.motion else "wheel" if logs.wheel else "visual"
-    for name, images in imported.images.items():
-        print(f"{out / name[:10] / name}_sync: {images} images")
-    print(*opened.notes, sep="\n")
-    if preset:
-        write_preset(preset, imported, labels, opened.camera, camera_height)
-        print(f"next: make street && make {preset.stem}")
-        return
-    height = f", perception.camera_height_m: {camera_height:g}" if camera_height else ""
-    manifest = f"{{{drive}: {imported.manifests[drive]}}}"
-    encoder = "ingest.image_size: [192, 640], encoder.backbone: street, encoder.weights: weights/street/encoder.pt"
-    settings = f"ingest.source: kitti, ingest.manifests: {manifest}, {encoder}, labels.source: {labels}{height}"
-    print(f"next: make street; in params.yaml, set {settings}, and list {drive} and others in ingest.drives; dvc repro")
+    groups = [[path] for path in recording] if each else [recording]
+    if each and (len(groups) < 2 or split or times):
+        raise InputError("--each needs two recordings or more, and takes neither --split nor --times")
+    for option, logs in (("--motion", motion), ("--wheel", wheel)):
+        if logs and len(logs) != len(groups):
+            raise InputError(f"expected {len(groups)} logs, one per recording (got {len(logs)})", option)
+    name, raw = name or recording[0].stem, PRESETS.parent / "data/raw"
+    with error_context("--name"):
+        check_name(name)
+    preset = PRESETS / f"{name}.yaml"
+    importing.check_free(preset, raw)
+    opened = []
+    for number, paths in enumerate(groups):
+        part = Part(
+            folder=f"{name}-{number + 1}" if each else name,
+            fov=fov,
+            K=k,
+            distortion=distortion,
+            fisheye=fisheye,
+            fps=fps,
+            steering_ratio=steering_ratio,
+            offset=offset,
+            horizon=horizon,
+            start=start,
+            end=end if end < math.inf else None,
+            files={},
+        )
+        angles, rates = (own[number] if own else None for own in (wheel, motion))
+        opened.append(importing.open_recording(paths, angles, rates, times, part))
+    parts = [part for one in opened for part in importing.parts(one, [100.0] if each else shares)]
+    splits = [SPLITS[number % len(SPLITS)] for number in range(len(parts))]
+    if len(parts) == 2:
+        splits = ["train", "test"]
+    names = importing.drive_names(name, [str(number + 1) for number in range(len(parts))] if each else splits)
+    importing.write(opened, raw, copy=copy)
+    source = "oxts" if motion else "wheel" if wheel else "visual"
+    drives = {drive: (of, part) for drive, of, (part, _) in zip(names, splits, parts, strict=True)}
+    importing.write_preset(preset, drives, opened[0], source, camera_height)
+    for drive, of, (_, images) in zip(names, splits, parts, strict=True):
+        print(f"{drive}: {images} images, {of}")
+    print(*(note for one in opened for note in one.recording.notes), sep="\n")
+    print(f"next: make street && make {preset.stem}")

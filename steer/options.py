@@ -37,6 +37,8 @@ Times = Annotated[Path | None, typer.Option(help="times: a file with the seconds
 CameraHeight = Annotated[float | None, number(0.3, 5, "height of the camera over the road, metres")]
 Motion = Annotated[Path | None, typer.Option(help="CSV with time_s, speed_mps, yaw_rate_radps (left +)")]
 Wheel = Annotated[Path | None, typer.Option(help="CSV with time_s and wheel_rad (left +)")]
-SteeringRatio = Annotated[float | None, number(1, 50, "angle of the steering wheel / angle of the front wheels")]
+SteeringRatio = Annotated[
+    float | None, number(-50, 50, "steering wheel's angle / front wheels'; negative: turns the sign")
+]
 Offset = Annotated[float, number(-1e10, 1e10, "seconds to add to the times of --motion and --wheel")]
 Video = Annotated[bool, typer.Option(help="write overlay.mp4")]

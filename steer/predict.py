@@ -41,17 +41,18 @@ def predict(
     ] = None,
 ) -> None:
     """Write the predicted angles and print their errors; the module's docstring is the help text."""
+    from pipeline.datasets.recording import Capture
+    from pipeline.media.log import Logs
     from pipeline.train.predict import load
     from pipeline.video import predict as video_predict
-    from pipeline.video.log import Logs
-    from pipeline.video.source import Capture, open_source
+    from pipeline.video.source import open_source
 
     model = _folder(model)
     logs = Logs.read(wheel, steering_ratio, motion, offset)
     trained, encoder = load(model), encoder or _encoder_beside(model)
-    capture = Capture(fov, k, distortion, fps=fps, times=times, fisheye=fisheye)
+    capture = Capture(fov, k, distortion, fisheye, fps, times)
     height_m = camera_height or trained.settings["perception"]["camera_height_m"]
-    opened = open_source(source, video_predict.reading(trained).cameras, height_m, logs, trained.fps, capture)
+    opened = open_source(source, video_predict.reading(trained), height_m, logs, trained.fps, capture)
     lines, files = video_predict.predict(trained, opened, out, encoder, video=video)
     print(f"{trained.name} was trained on {len(trained.drives)} drives: {trained.drives[0]} to {trained.drives[-1]}")
     print(*opened.notes, *lines, ", ".join(map(str, files)), sep="\n")

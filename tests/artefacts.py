@@ -11,9 +11,9 @@ from pipeline.base import store
 from pipeline.camera.camera import Frame
 from pipeline.camera.classes import BUILDING, ROAD
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
+from pipeline.datasets.core.ingest_file import IngestFile
 from pipeline.graphs import frame_graph, graph_file
-from pipeline.kitti.ingest import IngestFile
-from pipeline.labels import label, sources
+from pipeline.labels import label, source
 from pipeline.motion.step import PROBLEMS, STANDSTILL
 from pipeline.settings.graphs import Variant
 from pipeline.settings.ingest import Reading
@@ -21,6 +21,7 @@ from pipeline.settings.labels import Labels
 
 WHEELBASE_M = 2.7
 GRAPHS = {"graphs": {"k": 6, "keep_inter_class": 0.2}}
+MEASURED = {"measured": 0}  # attributes of files of labels
 LABELS = {"labels": {"wheelbase_m": WHEELBASE_M, "min_speed_mps": 1.0}}
 
 
@@ -56,9 +57,10 @@ def write_labels(
     speed_mps = np.full(len(frame), 8.0)
     params = {"labels": LABELS["labels"] | {"ahead_m": [*ahead_m]}} if ahead_m else LABELS
     with store.DriveWriter(path, stage="labels", drive=drive, params=params) as file:
+        file.attrs |= MEASURED
         rates = speed_mps, speed_mps * np.tan(steering_rad) / WHEELBASE_M
         labels = label.Labels(steering_rad, np.ones(len(frame), bool) if valid is None else valid, *rates)
-        sources.write(file, frame, frame * 0.1, labels, Labels(**params["labels"]))
+        source.write(file, frame, frame * 0.1, labels, Labels(**params["labels"]))
 
 
 def write_graphs(
@@ -150,7 +152,8 @@ def write_recorded(
     with IngestFile(path, path.stem, None, settings) as file:
         for row, number in enumerate(frame.tolist()):
             file.add(Frame(number, row / 10))
-        file.finish({} if oxts is None else dict(zip(frame.tolist(), oxts, strict=True)), steering_rad or {})
+        packets = {} if oxts is None else {"oxts": dict(zip(frame.tolist(), oxts, strict=True))}
+        file.finish(packets | {"steering_rad": steering_rad or {}})
 
 
 def write_motion(folder: Path, drive: str, rows: dict[int, tuple[float, float]], stands: Sequence[int] = ()) -> None:

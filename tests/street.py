@@ -11,8 +11,8 @@ from pipeline.camera import classes
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import CAMERA_HEIGHT_M, back_project, rays
 from pipeline.camera.images import to_units
-from pipeline.kitti.ingest import IngestFile
-from pipeline.kitti.oxts import make_rows
+from pipeline.datasets.core.ingest_file import IngestFile
+from pipeline.datasets.core.oxts import make_rows
 from pipeline.settings.ingest import Reading
 
 SIZE = (32, 64)
@@ -108,7 +108,7 @@ def write_drive(
     """Write ``folder/<drive>.h5`` with `frames` frames that have what the flags say."""
     camera = Camera(K, SIZE, T_cam_velo=T_CAM_VELO if lidar else None)
     settings = Reading(image_size=SIZE, cameras=[2], lidar=lidar, on_damaged="fail")
-    with IngestFile(folder / f"{drive}.h5", drive, camera, settings, ("depth", "cls") if dense else ()) as file:
+    with IngestFile(folder / f"{drive}.h5", drive, camera, settings) as file:
         for number in range(frames):
             frame = Frame(number, number / 10)
             image, depth_m, cls = scene(number)
@@ -116,7 +116,7 @@ def write_drive(
             frame.depth_m, frame.cls = (depth_m, cls) if dense else (None, None)
             frame.scan = scan(depth_m) if lidar else None
             file.add(frame)
-        file.finish(dict(enumerate(make_rows(frames, vf=8.0))))
+        file.finish({"oxts": dict(enumerate(make_rows(frames, vf=8.0)))})
 
 
 def write_perception(folder: Path, ingest: Path, drive: str) -> None:

@@ -3,7 +3,9 @@
 import importlib
 import re
 import shutil
+import sys
 from pathlib import Path
+from types import ModuleType
 
 import cv2
 import numpy as np
@@ -13,9 +15,13 @@ from torch.utils.data import DataLoader
 
 from docs import make_results
 from pipeline.base.resume import ROOT
+from pipeline.base.store import DriveReader
+from pipeline.evaluate import errors
+from pipeline.labels import source
 from pipeline.report import street_view
 from pipeline.report.results import load_groups
 from pipeline.settings import preset
+from pipeline.settings.labels import Labels
 from pipeline.settings.models import Entry
 from steer.app import app
 from tests import artefacts
@@ -29,7 +35,7 @@ LINK = re.compile(r"\[[^\]]*\]\(([^)]+)\)")
 CODE = re.compile(r"```(?:\w*\n)?(.*?)```|`([^`]+)`", re.DOTALL)
 SECTIONS = {key: getattr(section.annotation, "model_fields", {}) for key, section in preset.Params.model_fields.items()}
 PLACEHOLDERS = {"models/steering/spatial/height.py", "models/steering/spatial/NAME.py", "presets/NAME.yaml"}
-PLACEHOLDERS |= {f"presets/{name}.yaml" for name in ("2027_03_31_drive_0001", "NAME", "first")}
+PLACEHOLDERS |= {f"presets/{name}.yaml" for name in ("monday", "NAME", "first")}
 OTHERS = {"--force", "--single-item", "--wait-for-lock", "--pull", "--downstream", "--allow-missing"}  # of DVC
 OTHERS |= {"--nthreads", "--nworkers"}  # of Dask
 
@@ -152,3 +158,19 @@ def test_the_dataset_of_the_documentation_yields_each_window_once(tmp_path, monk
         assert batch["dt_s"].shape == (1, 8)
         assert batch["target"].shape == (1, 1)
         assert net(*net.inputs(batch)).isfinite().all()
+
+
+def test_the_examples_of_a_label_source_and_of_a_metric_work(tmp_path, monkeypatch):
+    """As files that are found by their names."""
+    for name, part in (("labels.sources", "MEASURED = False"), ("metrics", "def score")):
+        module = ModuleType(f"pipeline.{name}.example")
+        exec(code_block(part), vars(module))
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setattr("pipeline.settings.labels.SOURCES", ["example", "oxts", "wheel"])
+    artefacts.write_recorded(tmp_path / "a.h5", np.arange(3), None, {0: 0.2, 2: -0.1})
+    settings = Labels(source="example", wheelbase_m=2.7, min_speed_mps=1.0)
+    source.labels_drive(tmp_path / "labels.h5", tmp_path / "a.h5", settings=settings)
+    with DriveReader(tmp_path / "labels.h5", stage="labels") as file:
+        assert (file["steering_rad"].tolist(), file["valid"].tolist()) == ([0.1, 0, -0.05], [1, 0, 1])
+    monkeypatch.setitem(errors.METRICS, "example", sys.modules["pipeline.metrics.example"])
+    assert errors.scores(np.zeros(4), np.array([0.01, -0.02, 0.05, 0.5]))["example"] == 0.5

@@ -6,9 +6,9 @@ import numpy as np
 
 from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Frame
+from pipeline.datasets.core.ingest_file import IngestFile
 from pipeline.graphs.cloud import clouds_drive
 from pipeline.graphs.frame_graph import graphs_drive
-from pipeline.kitti.ingest import IngestFile
 from pipeline.motion.drive import measure_drive
 from pipeline.perception.perceive import perceive_drive
 from pipeline.settings.clouds import Clouds

@@ -12,9 +12,8 @@ from typing import NamedTuple
 from filelock import FileLock, Timeout
 
 from pipeline.base.errors import InputError
-from pipeline.base.store import NO_LOCKS, read_json, replacing, write_json
+from pipeline.base.store import INDEX, NO_LOCKS, read_json, replacing, write_json
 
-INDEX = "index.json"
 _FIX = "Pass another --out, or move it away"
 
 

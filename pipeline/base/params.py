@@ -2,29 +2,21 @@
 
 import re
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from pipeline.base.errors import InputError, closest, error_context
 
 
-def check_drive(name: str) -> str:
-    """Return the name of a drive. Raises InputError."""
-    if re.fullmatch(r"\d{4}_\d\d_\d\d_drive_\d{4}", name):
-        return name
-    raise InputError("expected a drive's name, such as 2011_09_26_drive_0052")
-
-
 def check_name(name: Any) -> str:
-    """Return the name of an entry, safe as the name of a stage and of a folder, and in a shell. Raises InputError."""
+    """Return a name of an entry or a drive, safe for a stage, a folder and a shell. Raises InputError."""
     if isinstance(name, str) and re.fullmatch("[A-Za-z0-9][A-Za-z0-9_-]{,99}", name):
         return name
     raise InputError("expected at most 100 letters A-Z and a-z, digits, _ and -; quote names such as 1 or on")
 
 
 Name = Annotated[str, BeforeValidator(check_name)]
-Drive = Annotated[str, AfterValidator(check_drive)]
 Positive = Annotated[float, Field(gt=0, le=1e6)]
 Rate = Annotated[float, Field(gt=0, le=10, description="learning rate")]
 Count = Annotated[int, Field(ge=1, le=10**9)]
@@ -32,8 +24,8 @@ Seed = Annotated[int, Field(ge=0, lt=2**63)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 _Side = Annotated[int, Field(ge=32, le=4096)]
 ImageSize = Annotated[tuple[_Side, _Side], Field(strict=False)]  # [H, W] in pixels; a strict tuple takes no YAML list
-FrameKind = Literal["graph", "pointnet2", "image"]  # as in models/steering/core/batch.py
 SPLITS = ("train", "val", "test")
+RATE_TOLERANCE = 0.2  # relative difference of frame rates, in training and of a recording to predict
 _COPY = "Copy it from the project's own params.yaml"
 
 

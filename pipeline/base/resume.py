@@ -18,10 +18,13 @@ PACKAGES = ("pipeline", "models", "stages")
 MACHINERY = {ROOT / f"pipeline/base/{name}.py" for name in ("console", "executors", "outputs", "resume", "runner")}
 
 
-def stage_key(stage: str, settings: Mapping[str, Any], inputs: Sequence[Path | str]) -> str:
-    """Return a key of the code that dvc.yaml names for the stage, of JSON-able settings, and of files or strings."""
+def stage_key(stage: str, settings: Mapping[str, Any], inputs: Sequence[Path | str], code: tuple[str, ...] = ()) -> str:
+    """Return a key of the code that dvc.yaml names for the stage, of JSON-able settings, and of files or strings.
+
+    `code`: files whose imports count instead of the code in dvc.yaml.
+    """
     items = [item if isinstance(item, str) else file_hash(item) for item in inputs]
-    return digest([settings, _stage_code_hash(stage), items])[:32]
+    return digest([settings, _import_hash(code) if code else _stage_code_hash(stage), items])[:32]
 
 
 def digest(content: Any) -> str:
@@ -37,6 +40,13 @@ def file_hash(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def content_hash(path: Path) -> str:
+    """Return the SHA-256 of a file, or one of the names and contents of a folder's files."""
+    if path.is_dir():
+        return digest({file.name: file_hash(file) for file in path.iterdir() if file.is_file()})
+    return file_hash(path)
+
+
 @cache
 def _stage_code_hash(stage: str) -> str:
     """Hash the :func:`meaning` of the code that the stage's entry in dvc.yaml names; of ``${…}``, all alternatives."""
@@ -45,6 +55,22 @@ def _stage_code_hash(stage: str) -> str:
     patterns = [re.sub(r"\$\{.*?\}", "*", path) for path in dependencies if path.startswith(PACKAGES)]
     files = _python_files(path for pattern in patterns for path in ROOT.glob(pattern)) - MACHINERY
     return digest({str(file.relative_to(ROOT)): meaning(file) for file in files})
+
+
+@cache
+def _import_hash(code: tuple[str, ...]) -> str:
+    """Hash the :func:`meaning` of files of the project and of all that they import, directly or not."""
+    found, todo = set[Path](), [ROOT / path for path in code]
+    while todo:
+        if (path := todo.pop()) not in found:
+            found.add(path)
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+                if isinstance(node, ast.ImportFrom) and node.module:
+                    modules = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+                todo += [ROOT / f"{name.replace('.', '/')}.py" for name in modules if name.startswith(PACKAGES)]
+            todo = [path for path in todo if path.is_file()]
+    return digest({str(file.relative_to(ROOT)): meaning(file) for file in found - MACHINERY})
 
 
 @cache

@@ -31,6 +31,7 @@ class Job(NamedTuple):
     target: str  # path of its file or folder in the stage's folder
     inputs: Sequence[Path | str]  # files and strings that determine the content, with the stage's code and settings
     work: Callable[[Path], Summary]  # picklable; writes the file or folder to a path, returns a JSON-able summary
+    code: Sequence[str] = ()  # files whose imports are the drive's code; by default, the code of the stage
 
 
 def file_jobs(drives: Iterable[str], inputs: Mapping[str, Path], work: Callable[..., Summary]) -> list[Job]:
@@ -60,7 +61,7 @@ def make_drives(
     settings = settings.model_dump(mode="json") if isinstance(settings, BaseModel) else settings
 
     def result(job: Job) -> Path:
-        key = stage_key(folder.stage, {"drive": job.drive, **settings}, job.inputs)
+        key = stage_key(folder.stage, {"drive": job.drive, **settings}, job.inputs, tuple(job.code))
         return folder.kept / f"{job.drive}-{key}" / Path(job.target).name
 
     with ThreadPoolExecutor(workers or default_workers()) as pool:  # hashing files releases Python's lock

@@ -20,6 +20,7 @@ import numpy as np
 from pipeline.base.errors import InputError
 
 SCHEMA = 5
+INDEX = "index.json"  # of a stage's folder
 _CHUNK_ROWS = 32768  # of ragged data
 # Sizes and speeds of the alternatives: docs/log.md. Blosc2 would let a file name a codec that runs code.
 _POINTS = hdf5plugin.Blosc(cname="lz4", shuffle=hdf5plugin.Blosc.BITSHUFFLE)
@@ -163,7 +164,7 @@ class DriveReader(ExitStack):
         if (written_by, schema) != (stage or written_by, str(SCHEMA)):
             problem = f"expected stage {self._stage!r}, schema {SCHEMA}; got stage {written_by!r}, schema {schema}"
             raise _fault(problem, path, self._stage)
-        if "_drive_" in path.stem and self.drive != path.stem:
+        if path.with_name(INDEX).is_file() and self.drive != path.stem:
             raise _fault(f"contains drive {self.drive}", path, self._stage)
         self.params: dict[str, Any] = json.loads(self.attrs["params"])  # section of params.yaml → its content
         self.frame = self["frame"]  # KITTI frame numbers, int32 [F], ascending
@@ -248,12 +249,12 @@ def read_json(path: Path, *, stage: str) -> dict[str, Any]:
 
 def write_index(folder: Path, splits: Mapping[str, str]) -> None:
     """Write ``index.json``: drive → split (train, val or test) for each drive that has a file in `folder`, in order."""
-    write_json(folder / "index.json", {"drives": dict(splits)}, sort_keys=False)
+    write_json(folder / INDEX, {"drives": dict(splits)}, sort_keys=False)
 
 
 def read_index(folder: Path, *, stage: str) -> dict[str, str]:
     """Return drive → split of a stage's folder, in its order. Raises InputError if a drive in it has no file."""
-    drives: dict[str, str] = read_json(folder / "index.json", stage=stage).get("drives", {})
+    drives: dict[str, str] = read_json(folder / INDEX, stage=stage).get("drives", {})
     if missing := [drive for drive in drives if not (folder / f"{drive}.h5").is_file()]:
         raise _fault(f"no file for {', '.join(missing)} of index.json", folder, stage)
     return drives

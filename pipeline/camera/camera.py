@@ -23,7 +23,7 @@ OCCLUDED_RATIO = 1.25  # neighbouring rings on flat ground differ by a quarter i
 class Camera:
     """A rectified camera. Frame: x right, y down, z forward; the origin is the projection centre."""
 
-    K: np.ndarray  # [3,3] pixels, of images of this size
+    K: Any  # [3,3] pixels, of images of this size; None: unknown
     size: Size  # (H, W)
     height_m: float = CAMERA_HEIGHT_M  # over the road
     T_cam_velo: Any = None  # [4,4], points from the velodyne frame to the camera frame; None: no LiDAR
@@ -123,10 +123,10 @@ def write_camera(file: DriveWriter, camera: Camera) -> None:
 
 
 def read_camera(file: DriveReader, height_m: float | None = None) -> Camera:
-    """Return an ingest file's camera; K is the identity without images and scans. `height_m` None: as calibrated."""
+    """Return an ingest file's camera; K is None without images and scans. `height_m` None: as calibrated."""
     known = {name: file[name] for name in ("K", "T_cam_velo") if name in file}
     (height, width), T_cam_velo = file.datasets["image"].shape[1:3], known.get("T_cam_velo")
-    return Camera(known.get("K", np.eye(3)), (height, width), height_m or camera_height(T_cam_velo), T_cam_velo)
+    return Camera(known.get("K"), (height, width), height_m or camera_height(T_cam_velo), T_cam_velo)
 
 
 class DriveFrames(ExitStack):

@@ -4,8 +4,10 @@ One column at a time, in its unit: rad, or 1/m. Predictions are [N], or [S,N] fo
 averaged.
 """
 
+import importlib
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,25 +15,18 @@ import numpy as np
 from pipeline.settings.evaluate import Evaluate
 
 LEAST_DRIVES = 10  # for a verdict
+_FILES = sorted((Path(__file__).parents[1] / "metrics").glob("[!_]*.py"))
+METRICS = {path.stem: importlib.import_module(f"pipeline.metrics.{path.stem}") for path in _FILES}
 
 
 def scores(truth: np.ndarray, predicted: np.ndarray) -> dict[str, Any]:
-    """Return frames, mse, rmse, mae and nmse of predictions for true values [N].
+    """Return frames, and the metrics, one for each file of pipeline/metrics, of predictions for true values [N].
 
-    nmse = MSE / MSE of always predicting zero: 0 is perfect, 1 is useless, None if every true value is 0. Without
-    frames, or if a prediction is NaN, all errors are None.
+    Without frames, or if a prediction is NaN, all are None.
     """
     if not len(truth) or np.isnan(predicted).any():
-        return {"frames": 0, **dict.fromkeys(("mse", "rmse", "mae", "nmse"))}
-    error = predicted - truth
-    mse, zero = float(np.mean(error**2)), float(np.mean(truth**2))
-    return {
-        "frames": len(truth),
-        "mse": mse,
-        "rmse": float(np.sqrt(mse)),
-        "mae": float(np.mean(np.abs(error))),
-        "nmse": mse / zero if zero > 0 else None,
-    }
+        return {"frames": 0, **dict.fromkeys(METRICS)}
+    return {"frames": len(truth)} | {name: metric.score(truth, predicted) for name, metric in METRICS.items()}
 
 
 def interval(

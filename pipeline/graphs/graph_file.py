@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pipeline.base import store
-from pipeline.base.params import FrameKind
 
 Arrays = dict[str, np.ndarray]
 MOTION = {  # dataset → dataset of the motion file, unit
@@ -44,7 +43,7 @@ Columns = dict[str, Column]
 class Contents(NamedTuple):
     """Kind of the frames, and the sizes that a network takes from them."""
 
-    kind: FrameKind
+    kind: str  # FrameKind in models/steering/core/batch.py
     levels: int = 0  # of PointNet++
     image_size: tuple[int, int] | None = None  # (H, W)
 

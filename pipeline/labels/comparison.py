@@ -9,10 +9,10 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
-from pipeline.labels import sources
+from pipeline.labels import source as sources
 from pipeline.labels.label import TURNING_RAD, Car, Labels, held
+from pipeline.metrics import nmse
 
-COLUMNS = {"oxts": "", "wheel": "steering_rad"}  # recorded source → column of its angles, for :func:`judge`
 LAGS_S = np.array(sorted(np.arange(-40, 41) / 20, key=abs))  # [L]
 STEADY = 0.2  # standard deviation / root mean square: below, no correlation is defined
 SHOWN, JUDGED = 20, 100  # turning frames that a comparison and an error need
@@ -43,13 +43,13 @@ def score(drives: Sequence[np.ndarray]) -> dict[str, Any] | None:
     """Return the scores over all frames of `drives`, each of :func:`errors`; None without frames. Undefined: None.
 
     ``valid``: share of valid labels; ``judged``: frames in nmse; ``speed_ratio``: median of measured / true speed;
-    ``nmse``: MSE of the last measured steering angle / MSE of predicting zero.
+    ``nmse``: of the last measured steering angle.
     """
     measured, *compared = np.concatenate([np.zeros((5, 0)), *drives], axis=1)
     if not len(measured):
         return None
     yaw_radps, ratio, error_rad, true_rad = (values[np.isfinite(values)] for values in compared)
-    yaw_degps, zero = np.degrees(yaw_radps), float((true_rad**2).sum())
+    yaw_degps = np.degrees(yaw_radps)
     return {
         "drives": sum(drive.size > 0 for drive in drives),
         "frames": len(measured),
@@ -58,7 +58,7 @@ def score(drives: Sequence[np.ndarray]) -> dict[str, Any] | None:
         "yaw_rmse_degps": float(np.sqrt((yaw_degps**2).mean())) if len(yaw_degps) else None,
         "yaw_median_degps": float(np.median(np.abs(yaw_degps))) if len(yaw_degps) else None,
         "speed_ratio": float(np.median(ratio)) if len(ratio) else None,
-        "nmse": float((error_rad**2).sum() / zero) if zero else None,
+        "nmse": nmse.score(true_rad, true_rad + error_rad),
     }
 
 
@@ -86,9 +86,9 @@ def read(source: str, drives: Sequence[str], ingest: Path, motion: Path, car: Ca
     for drive in drives:
         path = motion / f"{drive}.h5"
         with DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw:
-            if source in sources.recorded(raw) and path.is_file():
-                recorded, measured = sources.read(source, raw, None, car), sources.read("visual", raw, path, car)
-                result[drive] = sums(raw.time_s, recorded, measured)
+            recorded = sources.recorded(raw, car).get(source)
+            if recorded and path.is_file():
+                result[drive] = sums(raw.time_s, recorded, sources.read("visual", raw, path, car))
     return result
 
 
@@ -126,7 +126,7 @@ def check(source: str, drives: Mapping[str, np.ndarray]) -> Iterator[str]:
     """
     long = {drive: [own] for drive, own in drives.items() if own[0, 6, 0] >= JUDGED}
     for where, group in {**long, "training and validation drives": [*drives.values()]}.items():
-        errors, lines = judge(compare(group), COLUMNS.get(source, ""))
+        errors, lines = judge(compare(group), sources.column(source))
         if errors:
             raise InputError(errors[0], where, "Correct the log and import it again, or choose another labels.source")
         yield from (f"{where}: {line}" for line in lines)

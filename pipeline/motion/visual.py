@@ -6,6 +6,7 @@ import numpy as np
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import project, transform
+from pipeline.camera.lens import depth_limit
 from pipeline.motion.pose import MIN_POINTS, estimate_pose
 from pipeline.motion.road import Road
 from pipeline.motion.step import STANDSTILL, Step
@@ -13,8 +14,7 @@ from pipeline.motion.still import Still
 
 MOVING = np.isin(np.arange(256), classes.TRAFFIC)
 MIN_WIDTH = 640  # px; smaller images are enlarged, since the error of tracking is a fixed fraction of a pixel
-MIN_DEPTH_M, MAX_DEPTH_M = 0.5, 80.0  # the maximum grows with focal lengths beyond WIDE image widths
-WIDE = 0.65
+MIN_DEPTH_M = 0.5
 EDGE = 1.3  # largest ratio of depths around a corner: at depth edges, the depth of a corner is ambiguous
 AROUND = np.ones((5, 5), np.uint8)
 ON_ROAD, ELSEWHERE = (16, 2e-5), (24, 1e-4)  # cell px, least quality: a road has few and weak corners
@@ -34,7 +34,7 @@ class Odometry:
     def __init__(self, camera: Camera, *, road_scale: bool) -> None:
         """Start a drive; `road_scale`: correct the scale of depth by the camera's height over the road."""
         self._K, width = camera.K, camera.size[1]
-        self._max_depth_m = MAX_DEPTH_M * max(1.0, camera.K[0, 0] / (WIDE * width))
+        self._max_depth_m = depth_limit(camera)
         self._enlarged = -(-MIN_WIDTH // width)
         self.road = Road(camera, road_scale=road_scale)
         self.still = Still(camera)

@@ -12,8 +12,8 @@ from tqdm import tqdm
 
 from pipeline.base.errors import InputError
 from pipeline.camera import classes
+from pipeline.learning.loop import prefetch, warm_up_cosine
 from pipeline.perception.examples import Examples, augment
-from pipeline.train.loop import prefetch, warm_up_cosine
 
 WARM_UP = 0.15  # share of the steps with a rising learning rate
 WEIGHT_DECAY = 1e-4

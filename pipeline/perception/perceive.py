@@ -19,10 +19,10 @@ from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, read_camera
 from pipeline.camera.images import DEPTH_UNITS_PER_M, Size, to_units
+from pipeline.learning import checkpoint
+from pipeline.learning.loop import prefetch
 from pipeline.perception import precomputed
 from pipeline.perception.ground_plane import limit_traffic_depth
-from pipeline.train import checkpoint
-from pipeline.train.loop import prefetch
 
 if TYPE_CHECKING:
     from pipeline.settings.perception import Perception

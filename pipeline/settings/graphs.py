@@ -4,10 +4,10 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from pipeline.base.params import Count, Fraction, FrameKind, Positive, Section, Seed
+from pipeline.base.params import Count, Fraction, Positive, Section, Seed
 
 _POINT_KEYS = {"source", "neighbourhood", "points", "sampling", "crop_m", "accumulate", "seed"}
-_KEYS: dict[FrameKind, tuple[str, set[str], set[str]]] = {  # kind → name in messages, required keys, allowed keys
+_KEYS: dict[str, tuple[str, set[str], set[str]]] = {  # kind → name in messages, required keys, allowed keys
     "graph": ("a kNN graph", {"points", "k"}, {*_POINT_KEYS, "k", "keep_inter_class"}),
     "pointnet2": ("neighbourhood: pointnet2", {"points"}, {*_POINT_KEYS, "centres", "radius_m", "neighbours"}),
     "image": ("images (source: ingest)", set(), {"source"}),
@@ -34,7 +34,7 @@ class Variant(Section):
     seed: Seed = 0
 
     @property
-    def kind(self) -> FrameKind:
+    def kind(self) -> str:
         return "image" if self.source == "ingest" else "graph" if self.neighbourhood == "knn" else "pointnet2"
 
     @property

@@ -1,22 +1,26 @@
-"""Section ``ingest``: drives of each split, and what to read of them."""
+"""Section ``ingest``: drives of each split, their datasets, and what to read of them."""
 
 import re
+from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
-from pipeline.base.params import SPLITS, Drive, ImageSize, Section
+from pipeline.base.errors import closest
+from pipeline.base.params import SPLITS, ImageSize, Name, Section
 
-SAMPLE = "2026_01_"  # prefix of the drives that are rendered with `source: both`
-_RANGE = re.compile(r"([0-9]{4}_[0-9]{2}_[0-9]{2}_drive_)([0-9]{4})\.\.([0-9]{4})")
+RECORDING = "recording"
+DATASETS = sorted(path.stem for path in (Path(__file__).parents[1] / "datasets").glob("[!_]*.py"))
+KITTI_NAMES = re.compile(r"\d{4}_\d\d_\d\d_drive_\d{4}")  # also of the sample
+_RANGE = re.compile(r"(.*?)([0-9]+)\.\.([0-9]+)")
 
 
 class Drives(Section):
     """Drives of each split. 2026_01_01_drive_0001..0009 stands for the nine drives 1 to 9 of a date."""
 
-    train: list[Drive] = Field(min_length=1)
-    val: list[Drive] = []
-    test: list[Drive] = Field(min_length=1)
+    train: list[Name] = Field(min_length=1)
+    val: list[Name] = []
+    test: list[Name] = Field(min_length=1)
 
     @field_validator(*SPLITS, mode="before")
     @classmethod
@@ -38,12 +42,31 @@ class Drives(Section):
 def _expand_range(name: Any) -> list[Any]:
     """Return the drives of a range. Any other name stays, and an empty range, which is no drive's name."""
     match = _RANGE.fullmatch(str(name))
-    numbers = range(int(match[2]), int(match[3]) + 1) if match else ()
-    return [f"{name[:17]}{number:04d}" for number in numbers] or [name]
+    if not match or len(match[2]) != len(match[3]):
+        return [name]
+    numbers = range(int(match[2]), int(match[3]) + 1)
+    return [f"{match[1]}{number:0{len(match[2])}d}" for number in numbers] or [name]
+
+
+class Part(Section):
+    """A part of a recording; `steer import` writes these. Options as of that command."""
+
+    folder: Name  # of data/raw
+    fov: float | None = None
+    K: str | None = None
+    distortion: str | None = None
+    fisheye: str | None = None
+    fps: float | None = None
+    steering_ratio: float | None = None
+    offset: float = 0.0
+    horizon: float | None = None  # row of the complete images
+    start: float = 0.0  # seconds since the first image
+    end: float | None = None
+    files: dict[str, str]  # name in the folder → SHA-256
 
 
 class Reading(Section):
-    """What is read of each recording, whatever its split."""
+    """What is read of each drive, whatever its split."""
 
     image_size: ImageSize
     cameras: list[Annotated[int, Field(ge=0, le=3)]] = Field(min_length=1)
@@ -52,12 +75,34 @@ class Reading(Section):
 
 
 class Ingest(Reading):
-    source: Literal["sample", "kitti", "both"]
+    source: str | dict[Literal["train", "val", "test"], str]  # a file of pipeline/datasets; of all drives or by split
     drives: Drives
-    manifests: dict[Drive, str] = {}  # imported drive → hash of its manifest, see steer import
+    recordings: dict[Name, Part] = {}  # drives of another dataset than source
 
-    def sources(self) -> dict[str, Literal["sample", "kitti"]]:
-        """Return drive → source; with `both`, the name decides."""
-        if self.source != "both":
-            return dict.fromkeys(self.drives.splits(), self.source)
-        return {drive: "sample" if drive.startswith(SAMPLE) else "kitti" for drive in self.drives.splits()}
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_earlier(cls, value: Any) -> Any:
+        if isinstance(value, dict) and "manifests" in value:
+            raise ValueError("manifests is of an earlier version: remove it. The drives are read as KITTI's")
+        return value
+
+    @model_validator(mode="after")
+    def _check_datasets(self) -> Self:
+        for drive, dataset in self.datasets().items():
+            if dataset == "both":
+                raise ValueError("source: both is of an earlier version: name one of each split, {train: sample, …}")
+            if dataset not in DATASETS:
+                raise ValueError(f"source: there is no pipeline/datasets/{dataset}.py ({closest(dataset, DATASETS)})")
+            if dataset == RECORDING and drive not in self.recordings:
+                raise ValueError(f"{drive} has no entry in recordings: steer import writes them")
+            if dataset in ("kitti", "sample") and not KITTI_NAMES.fullmatch(drive):
+                raise ValueError(f"drives: expected a drive's name, such as 2011_09_26_drive_0052 (got {drive!r})")
+        return self
+
+    def datasets(self) -> dict[str, str]:
+        """Return drive → dataset, a file of pipeline/datasets; recordings are those of `recordings`."""
+        of_split: dict[Any, str] = self.source if isinstance(self.source, dict) else dict.fromkeys(SPLITS, self.source)
+        return {
+            drive: RECORDING if drive in self.recordings else of_split.get(split, RECORDING)
+            for drive, split in self.drives.splits().items()
+        }

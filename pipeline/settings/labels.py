@@ -1,18 +1,29 @@
 """Section ``labels``: steering angles, the path ahead, and their source."""
 
-from typing import Annotated, Literal
+from pathlib import Path
+from typing import Annotated
 
 from pydantic import Field, field_validator
 
+from pipeline.base.errors import closest
 from pipeline.base.params import Positive, Section
+
+SOURCES = sorted(path.stem for path in (Path(__file__).parents[1] / "labels/sources").glob("[!_]*.py"))
 
 
 class Labels(Section):
-    source: Literal["oxts", "visual", "wheel"] = "oxts"
+    source: str = "oxts"  # a file of pipeline/labels/sources
     wheelbase_m: Positive
     min_speed_mps: Annotated[float, Field(ge=0)]
     ahead_m: list[Annotated[float, Field(ge=0, le=200)]] = []  # no camera shows a road farther away
     max_stand_s: Annotated[float, Field(ge=0)] = 5.0
+
+    @field_validator("source")
+    @classmethod
+    def _check_source(cls, source: str) -> str:
+        if source not in SOURCES:
+            raise ValueError(f"there is no pipeline/labels/sources/{source}.py ({closest(source, SOURCES)})")
+        return source
 
     @field_validator("ahead_m")
     @classmethod

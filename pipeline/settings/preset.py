@@ -16,7 +16,7 @@ from ruamel.yaml import YAML
 from pipeline.base import console
 from pipeline.base.errors import InputError
 from pipeline.base.params import Name, Section, parse, read
-from pipeline.base.resume import ROOT
+from pipeline.base.resume import ROOT, content_hash
 from pipeline.base.store import replacing
 from pipeline.settings.clouds import Clouds
 from pipeline.settings.encoder import Encoder
@@ -54,6 +54,7 @@ def main(
     folder: Annotated[Path, typer.Argument(help="where to write params.yaml")] = Path(),
 ) -> None:
     """Write params.yaml with the changes of a preset. Raises InputError if it was edited by hand since its commit."""
+    refresh(path_of(name), Path("data/raw"))
     result, out = text(name, Path("params.yaml")), folder / "params.yaml"
     status = ["git", "status", "--porcelain", "--untracked-files=no", out.name]
     if out.exists() and not is_unedited(out) and subprocess.run(status, cwd=folder, capture_output=True).stdout:
@@ -69,15 +70,34 @@ def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:
     Mappings are merged key by key; any other value replaces the old one. null removes a key, so its default applies,
     and ``"*": null`` removes all earlier keys, so that a list of models is replaced. Raises InputError.
     """
-    preset = Path(name) if "/" in name or name.endswith((".yaml", ".yml")) else PRESETS / f"{name}.yaml"
-    if not preset.is_file():
-        names = ", ".join(sorted(file.stem for file in PRESETS.glob("*.yaml")))
-        raise InputError("there is no such preset", name, f"Choose one of {names}")
-    content = read(params, comments=True)
+    preset, content = path_of(name), read(params, comments=True)
     parse(Params, content, path=params)
     _merge(content, read(preset))
     parse(Params, content, path=preset)
     return content
+
+
+def path_of(name: str) -> Path:
+    """Return the file of a preset, of presets/ or a path. Raises InputError if there is none."""
+    preset = Path(name) if "/" in name or name.endswith((".yaml", ".yml")) else PRESETS / f"{name}.yaml"
+    if not preset.is_file():
+        names = ", ".join(sorted(file.stem for file in PRESETS.glob("*.yaml")))
+        raise InputError("there is no such preset", name, f"Choose one of {names}")
+    return preset
+
+
+def refresh(preset: Path, raw: Path) -> None:
+    """Replace the hashes in a preset of recordings whose files below `raw` have changed; missing files keep theirs."""
+    parts = (read(preset).get("ingest") or {}).get("recordings") or {}
+    files = {(raw / part["folder"] / file): before for part in parts.values() for file, before in part["files"].items()}
+    now = {path: content_hash(path) for path in files if path.exists()}
+    if changed := [path for path in now if now[path] != files[path]]:
+        text, unedited = preset.read_text(encoding="utf-8"), is_unedited(preset)
+        for path in changed:
+            text = text.replace(files[path], now[path])
+        with replacing(preset) as new:
+            new.write_text(stamped(text.partition("\n")[2], "steer import") if unedited else text, encoding="utf-8")
+        print(f"{preset}: new hash of {', '.join(map(str, changed))}")
 
 
 def text(name: str, params: Path = PARAMS) -> str:

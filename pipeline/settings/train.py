@@ -6,8 +6,6 @@ from pydantic import Field
 
 from pipeline.base.params import Count, Positive, Rate, Section, Seed
 
-RATE_TOLERANCE = 0.2  # relative difference of frame rates, in training and of a recording to predict
-
 
 class Train(Section):
     epochs: Count

@@ -22,7 +22,7 @@ def describe(path: Path) -> Content:
     Raises InputError if the file is missing, damaged or of another kind.
     """
     if path.suffix == ".pt":
-        from pipeline.train import checkpoint
+        from pipeline.learning import checkpoint
 
         return {"bytes": path.stat().st_size if path.is_file() else 0, **_without_tensors(checkpoint.load(path))}
     with _open(path) as file:

@@ -17,12 +17,13 @@ from torch import Tensor, nn
 from models.steering.core.steering_net import SteeringNet
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.resume import stage_key
+from pipeline.learning import checkpoint
+from pipeline.learning.loop import warm_up_cosine
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
-from pipeline.train import checkpoint, predict, runs, windows
+from pipeline.train import predict, runs, windows
 from pipeline.train.frames import Files
-from pipeline.train.loop import warm_up_cosine
-from pipeline.train.loss import Scale, nmse, step_targets, weighted_loss
+from pipeline.train.loss import Scale, mean_nmse, step_targets, weighted_loss
 from pipeline.train.targets import Drives, LabelledDrive
 
 SMALL = 8_000  # points per frame
@@ -154,7 +155,7 @@ class Fit:
             error = math.nan
             if val:  # these drives follow the training drives in the reader
                 predicted = predict.predict_drives(self.average, reader, self.scale, first=len(self.train))
-                error = nmse(val, predicted)
+                error = mean_nmse(val, predicted)
             self.curve.append({"epoch": epoch, "learning_rate": rate, "train_loss": loss, "val_nmse": error})
             if selected := selected_epoch(self.curve) == epoch:
                 self.best = copy_weights(self.average)

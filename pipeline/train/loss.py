@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from pipeline.base.errors import InputError
+from pipeline.metrics import nmse
 from pipeline.train.targets import LabelledDrive
 
 
@@ -61,13 +62,12 @@ class Scale:
         return np.asarray(self.gain * base[:, None] + self.std * output)
 
 
-def nmse(drives: Sequence[LabelledDrive], predictions: Sequence[np.ndarray]) -> float:
-    """Return the mean over the columns of MSE / MSE of predicting 0; NaN if every target is 0."""
-    truth = np.concatenate([drive.target for drive in drives])
-    error = np.concatenate(predictions) - truth
-    zero = np.where(np.isnan(error), 0.0, truth**2).sum(axis=0)
-    known = zero > 0
-    return float((np.nansum(error**2, axis=0)[known] / zero[known]).mean()) if known.any() else np.nan
+def mean_nmse(drives: Sequence[LabelledDrive], predictions: Sequence[np.ndarray]) -> float:
+    """Return the mean over the columns of the nmse; NaN if every target is 0."""
+    pairs = zip(np.concatenate([drive.target for drive in drives]).T, np.concatenate(predictions).T, strict=True)
+    known = ((truth, predicted, np.isfinite(predicted - truth)) for truth, predicted in pairs)
+    values = [nmse.score(truth[rows], predicted[rows]) for truth, predicted, rows in known]
+    return float(np.mean(of_columns)) if (of_columns := [value for value in values if value is not None]) else np.nan
 
 
 def _regress(x: np.ndarray, y: np.ndarray) -> np.ndarray:

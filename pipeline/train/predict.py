@@ -12,8 +12,9 @@ from models.steering.core.steering_net import SteeringNet
 from pipeline.base.errors import InputError, error_context
 from pipeline.graphs.graph_file import Contents, Graphs, open_graphs
 from pipeline.labels import label
+from pipeline.learning import checkpoint
 from pipeline.settings.models import Entry
-from pipeline.train import checkpoint, windows
+from pipeline.train import windows
 from pipeline.train.frames import Files
 from pipeline.train.loss import Scale
 from pipeline.train.targets import Timeline

@@ -135,7 +135,7 @@ def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledD
             fix = "Set labels.ahead_m and make the labels again: dvc repro labels"
             raise InputError("no path ahead (ahead_1pm), which predict: path needs", labels, fix)
         values = np.where(truth[known], truth[data], np.nan).reshape(len(truth.frame), max(1, len(ahead_m) - 1))
-        same = not path and not entry.horizon and section.get("source") == "visual"
+        same = not path and not entry.horizon and bool(truth.attrs.get("measured", 0))
         return LabelledDrive(
             **vars(Timeline.read(file, car, entry)),
             name=name,

@@ -27,8 +27,8 @@ from torch import Tensor
 
 from pipeline.base.errors import InputError
 from pipeline.graphs.graph_file import Graphs
+from pipeline.learning.loop import prefetch
 from pipeline.train.frames import Files, join, number_rows, per_frame
-from pipeline.train.loop import prefetch
 from pipeline.train.targets import Timeline, window_values
 
 

@@ -1,143 +1,96 @@
-"""Convert a recording with its logs to drives in KITTI raw's layout: images, packets, angles, manifest, preset."""
+"""Import recordings with their logs: links in data/raw/NAME, and a preset that names their parts as drives."""
 
-import errno
-import json
 import math
+import re
 import shutil
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
-from itertools import islice
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import yaml
-from tqdm import tqdm
 
-from pipeline.base.errors import InputError, error_context
-from pipeline.base.params import SPLITS, check_drive
-from pipeline.base.resume import file_hash
+from pipeline.base.errors import InputError
+from pipeline.base.params import SPLITS, read
+from pipeline.base.resume import ROOT, content_hash
 from pipeline.base.store import replacing
 from pipeline.camera.camera import Camera
-from pipeline.camera.images import write_png
-from pipeline.kitti.oxts import STEERING, format_packet, format_times, make_rows, write_steering
-from pipeline.kitti.raw import CALIBRATION, HORIZON, MANIFEST, read_calibration, write_entries
-from pipeline.motion.visual import MAX_DEPTH_M, WIDE
-from pipeline.settings.preset import stamped
-from pipeline.video.log import ROUNDING_S, Logs
-from pipeline.video.source import Source
+from pipeline.camera.lens import depth_limit
+from pipeline.datasets.recording import FRAMES, MOTION, TIMES, VIDEO, WHEEL, Capture, open_images, usable
+from pipeline.media.log import Logs
+from pipeline.media.recording import Recording
+from pipeline.motion.horizon import find_horizon, opposite_turns
+from pipeline.settings.ingest import KITTI_NAMES, Part
+from pipeline.settings.preset import is_unedited, stamped
 
-CAMERA = 2  # left colour camera, the default of stage ingest
-_IMAGES = f"image_{CAMERA:02d}"
 GAP_S = 2.0  # left out between the parts of a split: neighbouring images are almost the same
-_NOON_S = 12 * 3600.0  # time of day of the first image; nothing depends on it
-_SAME_PX = 1e-6  # rounding of a calibration file's digits
+TURNING_RADPS, TURNING_RAD = 0.05, 0.03  # of the log: yaw rate, angle of the front wheels
 
 
-class Imported(NamedTuple):
-    """What was written."""
+@dataclass
+class Imported:
+    """A recording with its logs, as :func:`open_recording` read it."""
 
-    images: dict[str, int]  # drive → number of images
-    manifests: dict[str, str]  # drive → hash of its manifest
-    hz: float  # frame rate of the recording
+    part: Part  # all of it: options, horizon and hashes
+    files: Mapping[str, Path]  # name in the folder → file
+    recording: Recording
+    camera: Camera
+    logs: Logs
 
 
-def import_drives(
-    source: Source,
-    root: Path,
-    drive: str,
-    shares: Sequence[float],
-    span_s: tuple[float, float] = (0.0, math.inf),
-    *,
-    replace: bool = False,
+def open_recording(
+    paths: Sequence[Path], wheel: Path | None, motion: Path | None, times: Path | None, part: Part
 ) -> Imported:
-    """Write a recording as drives below `root`; images without motion, if there is a log of it, are left out.
+    """Read a recording and its logs by the options of a `part` without files; find its horizon if `part` has none.
 
-    `drive` is the name of the first; the others have the following numbers. `shares` of the duration: one for each, see
-    :func:`cut`. Images before and after `span_s` since the first one are left out. Raises InputError if a drive exists,
-    no image is left or none of a drive has an angle, a part is too short, or the date has another camera.
+    Raises InputError if anything cannot be used, or the sign of a log is inverted.
     """
-    camera, logs, drives = source.camera, source.logs, _drive_folders(root, drive, len(shares), replace)
-    folders, date = list(drives.values()), root / drive[:10]
-    calibrated = _is_calibrated(folders, camera, replace)
-    elapsed_s = source.time_s - source.time_s[0]
-    time_s = source.time_s[elapsed_s <= span_s[1] - ROUNDING_S]
-    usable = elapsed_s[: len(time_s)] > span_s[0] - ROUNDING_S
-    source.notes.extend(logs.notes(time_s[usable]))
-    if logs.motion:
-        usable &= np.isfinite(logs.motion.at(time_s)[0])
-    if not usable.any():
-        end_s = min(span_s[1], elapsed_s[-1])
-        problem = f"no image from {span_s[0]:g} to {end_s:.3f} s after the first is left, or none with motion"
+    logs = Logs.read(wheel, part.steering_ratio, motion, part.offset)
+    capture = Capture(part.fov, part.K, part.distortion, part.fisheye, part.fps, times)
+    recording, camera = open_images(paths, capture, logs)
+    _check_signs(recording, camera, logs)
+    horizon = find_horizon(recording.frames(), camera) if part.horizon is None else part.horizon
+    found = "not found, since too few images show a drive; assuming a level camera"
+    recording.notes.append(f"horizon: {found if horizon is None else f'row {horizon:.0f} of {camera.size[0]}'}")
+    names = [f"{VIDEO}-{number:02d}{path.suffix}" for number, path in enumerate(paths, 1)]
+    if len(paths) == 1:
+        names = [FRAMES if paths[0].is_dir() else f"{VIDEO}{paths[0].suffix}"]
+    named = zip((*names, WHEEL, MOTION, TIMES), (*paths, wheel, motion, times), strict=True)
+    files = {name: path.resolve() for name, path in named if path}
+    hashes = {name: content_hash(path) for name, path in files.items()}
+    row = None if horizon is None else round(horizon, 2)
+    return Imported(part.model_copy(update={"horizon": row, "files": hashes}), files, recording, camera, logs)
+
+
+def _check_signs(recording: Recording, camera: Camera, logs: Logs) -> None:
+    """Raise InputError if a log turns against the images."""
+    for log, row, least in ((logs.motion, 1, TURNING_RADPS), (logs.wheel, 0, TURNING_RAD)):
+        if log and opposite_turns(recording.frames, camera, recording.times_s, log.at(recording.times_s)[row], least):
+            fix = "Left is positive. Pass a negative --steering-ratio" if log is logs.wheel else "Left is positive"
+            raise InputError("the sign is inverted: the log turns left where the images turn right", log.name, fix)
+
+
+def parts(imported: Imported, shares: Sequence[float]) -> list[tuple[Part, int]]:
+    """Cut a recording into consecutive parts with these shares of its time; return each with its number of images.
+
+    Raises InputError if no image is left, a part is too short, or has no angle of a log.
+    """
+    part, time_s, logs = imported.part, imported.recording.times_s, imported.logs
+    used = usable(time_s, logs, part.start, math.inf if part.end is None else part.end)
+    if not used.any():
+        problem = "no image from --start to --end is left, or none with motion"
         raise InputError(problem, fix="Change --start, --end or --offset")
-    parts = cut(usable, time_s, shares)
-    counts = {drive: int(part.sum()) for drive, part in zip(drives, parts, strict=True)}
-    with _unfinished(folders, sum(counts.values()) * 3 * math.prod(camera.size)) as unfinished:
-        for folder, part in zip(unfinished, parts, strict=True):
-            _write_logs(folder, time_s, part, camera, logs)
-        for frame in tqdm(islice(source.frames(), len(time_s)), total=len(time_s), unit=" images", disable=None):
-            for folder, part in zip(unfinished, parts, strict=True):
-                if part[frame.number]:
-                    write_png(folder / _IMAGES / "data" / f"{frame.number:010d}.png", frame.image)
-        if not calibrated:
-            P = np.column_stack([camera.K, np.zeros(3)])
-            size = np.array(camera.size[::-1], float)
-            entries = {"R_rect_00": np.eye(3), f"S_rect_{CAMERA:02d}": size, f"P_rect_{CAMERA:02d}": P}
-            write_entries(date / CALIBRATION, entries)
-        for folder in unfinished:
-            content = {"calibration": file_hash(date / CALIBRATION), "files": _hashes(folder)}
-            (folder / MANIFEST).write_text(json.dumps(content, indent=1, sort_keys=True) + "\n", encoding="ascii")
-        manifests = [file_hash(folder / MANIFEST) for folder in unfinished]
-    hz = (len(time_s) - 1) / float(np.ptp(time_s) or 1.0)
-    return Imported(counts, dict(zip(drives, manifests, strict=True)), hz)
-
-
-@contextmanager
-def _unfinished(folders: Sequence[Path], size: int) -> Iterator[list[Path]]:
-    """Yield temporary folders that replace `folders`; a failure leaves nothing of them, nor of killed imports.
-
-    Raises InputError on a full disk. `size`: of the images, bytes.
-    """
-    date = folders[0].parent
-    for killed in [path for folder in folders for path in date.glob(f".{folder.name}.*.tmp")]:
-        shutil.rmtree(killed)
-    try:
-        with ExitStack() as stack:
-            yield [stack.enter_context(replacing(folder)) for folder in folders]
-            for folder in folders:
-                shutil.rmtree(folder, ignore_errors=True)
-    except OSError as error:
-        if error.errno != errno.ENOSPC:
-            raise
-        raise InputError(f"disk is full: images need up to {size / 1e6:,.0f} MB", date, "Pass another --out") from error
-    finally:
-        with suppress(OSError):  # if not empty
-            date.rmdir()
-
-
-def _write_logs(folder: Path, time_s: np.ndarray, usable: np.ndarray, camera: Camera, logs: Logs) -> None:
-    """Make a drive's folders, and write horizon, times, packets and angles of its `usable` images [F] at `time_s` [F].
-
-    Packets hold speed and yaw rate; the rest is unknown, 0.
-    """
-    if camera.horizon is not None:
-        write_entries(folder / HORIZON, {f"horizon_{CAMERA:02d}": np.array([round(camera.horizon, 2)])})
-    times = format_times(time_s - time_s[0], folder.name[:10], _NOON_S)
-    (folder / _IMAGES / "data").mkdir(parents=True)
-    (folder / _IMAGES / "timestamps.txt").write_bytes(times)
-    numbers = np.flatnonzero(usable)
-    if logs.motion:
-        (folder / "oxts" / "data").mkdir(parents=True)
-        (folder / "oxts" / "timestamps.txt").write_bytes(times)
-        speed_mps, yaw_rate_radps = logs.motion.at(time_s[usable])
-        for number, row in zip(numbers, make_rows(len(numbers), vf=speed_mps, wu=yaw_rate_radps), strict=True):
-            (folder / "oxts" / "data" / f"{number:010d}.txt").write_bytes(format_packet(row))
-    if logs.wheel:
-        steering_rad = zip(numbers.tolist(), logs.wheel.at(time_s[usable])[0].tolist(), strict=True)
-        angles = {number: angle for number, angle in steering_rad if math.isfinite(angle)}
-        if not angles:
-            raise InputError(f"no image of {folder.name} has an angle", "--wheel", "Check its times")
-        write_steering(folder / STEERING, angles)
+    imported.recording.notes.extend(logs.notes(time_s[usable(time_s, Logs(), part.start, part.end or math.inf)]))
+    result = []
+    for rows in cut(used, time_s, shares):
+        if logs.wheel and not np.isfinite(logs.wheel.at(time_s[rows])).any():
+            raise InputError("a part has no image with an angle", "--wheel", "Check its times")
+        first_s, last_s = (time_s[rows] - time_s[0])[[0, -1]]
+        span = {"start": math.floor(first_s * 1e3) / 1e3, "end": round(math.ceil(last_s * 1e3) / 1e3 + 0.002, 3)}
+        result.append((part.model_copy(update=span), int(rows.sum())))
+    return result
 
 
 def cut(usable: np.ndarray, time_s: np.ndarray, shares: Sequence[float]) -> list[np.ndarray]:
@@ -148,77 +101,78 @@ def cut(usable: np.ndarray, time_s: np.ndarray, shares: Sequence[float]) -> list
     first_s, last_s = time_s[usable][[0, -1]]
     edges_s = first_s + (last_s - first_s) * np.cumsum([0.0, *shares]) / sum(shares)
     ends_s = [*(edges_s[1:-1] - GAP_S), math.inf]
-    parts = [usable & (time_s >= begin) & (time_s < end) for begin, end in zip(edges_s[:-1], ends_s, strict=True)]
-    if short := next((share for share, part in zip(shares, parts, strict=True) if part.sum() < 2), None):
+    masks = [usable & (time_s >= begin) & (time_s < end) for begin, end in zip(edges_s[:-1], ends_s, strict=True)]
+    if short := next((share for share, mask in zip(shares, masks, strict=True) if mask.sum() < 2), None):
         problem = f"the part of {short:g} % has fewer than 2 images ({last_s - first_s:.1f} s in all)"
         fix = f"Pass a longer recording, or other shares: {GAP_S:g} s are left out between parts"
         raise InputError(problem, "--split", fix)
-    return parts
+    return masks
 
 
-def _drive_folders(out: Path, drive: str, count: int, replace: bool) -> dict[str, Path]:
-    """Return name → folder below `out` of `count` drives with consecutive numbers, from `drive` on.
-
-    Raises InputError if one exists, with `replace` only if it is not as an earlier import wrote it.
-    """
-    folders = {}
-    for part in range(count):
-        name = f"{drive[:-4]}{int(drive[-4:]) + part:04d}" if part else drive
-        with error_context(f"--drive {name}"):
-            check_drive(name)
-        folder = folders[name] = out / name[:10] / f"{name}_sync"
-        if folder.exists() and not replace:
-            raise InputError("drive exists", folder, "Replace it with --replace, or pass --drive another number")
-        written = json.loads((folder / MANIFEST).read_text())["files"] if (folder / MANIFEST).is_file() else {}
-        found = _hashes(folder)
-        if others := sorted(name for name in {*written, *found} if written.get(name) != found.get(name)):
-            problem = f"{others[0]} is not as steer import wrote it ({len(others)} such files)"
-            raise InputError(problem, folder, "Move the folder away, or pass --drive another number")
-    return folders
+def drive_names(name: str, endings: Sequence[str]) -> list[str]:
+    """Return a drive's name for each of the `endings`; with a name of KITTI's pattern, consecutive numbers."""
+    if KITTI_NAMES.fullmatch(name):
+        return [f"{name[:-4]}{int(name[-4:]) + number:04d}" for number in range(len(endings))]
+    return [f"{name}-{ending}" for ending in endings]
 
 
-def _hashes(folder: Path) -> dict[str, str]:
-    files = [path for path in sorted(folder.rglob("*")) if not path.is_dir() and path.name != MANIFEST]
-    return {path.relative_to(folder).as_posix(): file_hash(path) for path in files}
+def check_free(preset: Path, raw: Path) -> None:
+    """Raise InputError if the name of a preset is taken, here or below `raw`, by anything but an earlier import."""
+    name = preset.stem
+    if re.search(rf"^{re.escape(name)}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE):
+        raise InputError("is a target of make", name, "Pass another --name")
+    if preset.exists() and not is_unedited(preset):
+        raise InputError("is not as steer import wrote it", preset, "Move it away, or pass another --name")
+    known = read(preset)["ingest"]["recordings"].values() if preset.exists() else ()
+    hashes = {(part["folder"], file): value for part in known for file, value in part["files"].items()}
+    for path in [path for folder in (raw / name, *raw.glob(f"{name}-*")) for path in folder.glob("*")]:
+        if not path.is_symlink() and content_hash(path) != hashes.get((path.parent.name, path.name)):
+            raise InputError("is not as steer import wrote it", path, "Move it away, or pass another --name")
 
 
-def _is_calibrated(folders: Sequence[Path], camera: Camera, replace: bool) -> bool:
-    """Return whether the date folder of the drives at `folders` already has this calibration.
+def write(recordings: Sequence[Imported], raw: Path, *, copy: bool) -> None:
+    """Write links to the files of recordings below `raw`, or copies; they replace those of an earlier import."""
+    with ExitStack() as stack:
+        for one in recordings:
+            folder = raw / one.part.folder
+            new = stack.enter_context(replacing(folder))
+            new.mkdir()
+            for name, path in one.files.items():
+                if not copy:
+                    (new / name).symlink_to(path)
+                elif path.is_dir():
+                    shutil.copytree(path, new / name)
+                else:
+                    shutil.copyfile(path, new / name)
+        for one in recordings:
+            if (raw / one.part.folder).is_dir():
+                shutil.rmtree(raw / one.part.folder)
 
-    Raises InputError if it has the calibration of another camera; with `replace`, only if other drives share it.
-    """
-    date = folders[0].parent
-    stored = read_calibration(date, CAMERA) if (date / CALIBRATION).is_file() else None
-    if stored and stored.size == camera.size and np.allclose(stored.K, camera.K, rtol=0, atol=_SAME_PX):
-        return True
-    if not stored or (replace and all(drive in folders for drive in date.glob("*_sync"))):
-        return False
-    fix = "Pass --drive another date: all drives of a date share the calibration"
-    raise InputError("date has the calibration of another camera", date, fix)
 
-
-def write_preset(path: Path, imported: Imported, source: str, camera: Camera, height_m: float | None = None) -> None:
-    """Write a preset with two models, with and without measured motion as input.
+def write_preset(
+    path: Path, drives: Mapping[str, tuple[str, Part]], one: Imported, source: str, height_m: float | None
+) -> None:
+    """Write a preset of drives, name → split and part, with two models, with and without measured motion as input.
 
     Motion that is the label (`source`) cannot be an input for the same frame, so visual labels are predicted a second
-    ahead. A wheel's angle and measured motion may differ in scale: no base. Depth grows with focal length / width, and
-    so does its limit.
+    ahead. A wheel's angle and measured motion may differ in scale: no base. `one`: of the recordings, which have one
+    camera and rate.
     """
     network = {"input": "depth", "spatial": "gnn", "temporal": "ncp", "semantics": 0.0, "equivariant": True}
     if source == "visual":
-        network["horizon"] = max(1, round(imported.hz))
+        hz = (len(one.recording.times_s) - 1) / float(np.ptp(one.recording.times_s) or 1.0)
+        network["horizon"] = max(1, round(hz))
     settings: dict[str, Any] = {
         "ingest": {
-            "source": "kitti",
             "image_size": [192, 640],  # the depth network's training size
             "lidar": False,
-            "drives": {split: [drive] for split, drive in zip(SPLITS, imported.manifests, strict=True)},
-            "manifests": imported.manifests,
+            "drives": {split: [name for name, (of, _) in drives.items() if of == split] for split in SPLITS},
+            "recordings": {name: part.model_dump(exclude_defaults=True) for name, (_, part) in drives.items()},
         },
         "encoder": {"backbone": "street", "weights": "weights/street/encoder.pt", "epochs": 0},
         "perception": {"camera_height_m": height_m} if height_m else {},
         "labels": {"source": source},
-        "clouds": {"max_depth_m": float(round(MAX_DEPTH_M * max(1.0, camera.K[0, 0] / camera.size[1] / WIDE)))},
+        "clouds": {"max_depth_m": float(round(depth_limit(one.camera)))},
         "graphs": {"*": None, "depth": {"source": "clouds/pseudo", "points": 1000, "k": 6}},
         "models": {
             "*": None,

@@ -14,8 +14,8 @@ from pipeline.video.pictures import publish
 from pipeline.video.results import Results
 from pipeline.video.source import INGEST, MOTION, Source, folders, run_chain
 
-CAMERAS = [2, 0, 3, 1]  # of a KITTI drive, the first one with images
-READING = Reading(image_size=(192, 640), cameras=CAMERAS, lidar=False, on_damaged="skip")  # as the encoder was trained
+# As the encoder was trained; of a KITTI drive, the first camera with images.
+READING = Reading(image_size=(192, 640), cameras=[2, 0, 3, 1], lidar=False, on_damaged="skip")
 
 
 def measure(source: Source, out: Path | None, encoder: Path, car: Car, *, video: bool) -> tuple[list[str], list[Path]]:

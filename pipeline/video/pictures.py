@@ -66,7 +66,7 @@ def write_overlay(path: Path, source: Source, results: Results, wheelbase_m: flo
         stream = file.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
         stream.height, stream.width, stream.pix_fmt = height, width, "yuv420p"
         stream.options = {"preset": "veryfast"}
-        for frame in source.frames():
+        for frame in source.drive.frames():
             if frame.number in rows and frame.image is not None:
                 image = resized(frame.image, (height, width)).copy()
                 _draw(image, camera, paths, results, rows[frame.number])

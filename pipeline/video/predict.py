@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import InputError
+from pipeline.base.params import RATE_TOLERANCE
 from pipeline.base.resume import file_hash
+from pipeline.camera.lens import MAX_DEPTH_M, depth_limit
 from pipeline.graphs import graph_file
 from pipeline.graphs.cloud import clouds_drive
 from pipeline.graphs.frame_graph import graphs_drive
@@ -15,7 +17,6 @@ from pipeline.settings.clouds import Clouds
 from pipeline.settings.graphs import Variant
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
-from pipeline.settings.train import RATE_TOLERANCE
 from pipeline.train.predict import Trained
 from pipeline.video.pictures import publish
 from pipeline.video.results import Results
@@ -40,14 +41,14 @@ def predict(
     """
     settings = model.settings
     variant, perception = Variant.model_validate(settings["graphs"]), Perception.model_validate(settings["perception"])
-    if reading(model).lidar and not (source.drive and source.drive.scans and source.camera.T_cam_velo is not None):
+    if reading(model).lidar and not (source.files and source.files.scans and source.camera.T_cam_velo is not None):
         raise InputError(f"model {model.name} needs LiDAR scans", source.name, "Choose a model without them")
     with folders(out, source) as (work, new, folder):
         run_chain(source, work, reading(model), perception, encoder)
         clouds = work / (INGEST if variant.kind == "image" else CLOUDS)
         if variant.kind != "image":
             kind = variant.source.removeprefix("clouds/")
-            clouds_drive(clouds, kind, work / INGEST, work / PERCEPTION, Clouds.model_validate(settings["clouds"]))
+            clouds_drive(clouds, kind, work / INGEST, work / PERCEPTION, _clouds(model, source))
         graphs_drive(work / GRAPHS, clouds, work / MOTION, variant)
         with graph_file.open_graphs(work / GRAPHS) as graphs:
             results = Results.read(source, work, model.car, look_ahead=False, frame=graphs.frame)
@@ -65,11 +66,19 @@ def predict(
         return lines, [folder / path.name for path in sorted(new.iterdir())]
 
 
+def _clouds(model: Trained, source: Source) -> Clouds:
+    """Return the model's settings of clouds; a recording by a longer lens than the model's has deeper clouds."""
+    settings, limit_m = Clouds.model_validate(model.settings["clouds"]), depth_limit(source.camera)
+    if source.files or limit_m <= MAX_DEPTH_M:
+        return settings
+    return settings.model_copy(update={"max_depth_m": max(settings.max_depth_m, limit_m)})
+
+
 def _differences(model: Trained, source: Source, encoder: Path, time_s: np.ndarray) -> Iterator[str]:
     """Yield where a source or an encoder differs from what the model was fitted to."""
-    if model.datasets == ["sample"] != [source.dataset]:
+    if model.datasets == ["sample"] != [source.drive.dataset]:
         yield f"warning: {model.name} was fitted to the rendered sample alone, so expect wrong angles on real streets"
-    step_s = float(np.median(np.diff(time_s))) if source.drive and len(time_s) > 1 else 1 / model.fps
+    step_s = float(np.median(np.diff(time_s))) if source.files and len(time_s) > 1 else 1 / model.fps
     if abs(1 / step_s / model.fps - 1) > RATE_TOLERANCE:  # other sources have been resampled
         yield f"warning: {model.name} was fitted to {model.fps:.1f} frames/s, got {1 / step_s:.1f}"
     if file_hash(encoder / FILE) != model.settings["encoder"]["sha256"]:

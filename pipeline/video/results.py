@@ -14,13 +14,14 @@ import pandas as pd
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.evaluate import errors
-from pipeline.labels import rates, sources
+from pipeline.labels import rates
+from pipeline.labels import source as sources
 from pipeline.labels.comparison import compare, judge, sums
 from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
+from pipeline.media.log import Logs
 from pipeline.motion.step import PROBLEMS
 from pipeline.motion.still import lowest_share, warnings
 from pipeline.settings.evaluate import Evaluate
-from pipeline.video.log import Logs
 from pipeline.video.source import INGEST, MOTION, Source
 
 BACKWARDS = 0.5  # share of the moving frames: beyond, the camera looks back
@@ -39,21 +40,18 @@ class Truth(NamedTuple):
 
 
 def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> Truth:
-    """Return the truth for frame numbers [F] of an ingest file; logs, if there are any, replace what the file has.
+    """Return the truth for frame numbers [F] of an ingest file, which has the values of `logs`, if there are any.
 
-    With both logs, the angle is the wheel's.
+    With two sources the angle is the recorded one.
     """
-    rows = np.searchsorted(ingest.frame, frame)
-    recorded, time_s = sources.recorded(ingest), ingest.time_s[rows]
-    if not logs.name and recorded:
-        name, column = {"oxts": ("oxts", ""), "wheel": ("steering.csv", "steering_rad")}[recorded[0]]
-        return Truth(name, column, sources.read(recorded[0], ingest, None, car).at(rows))
-    speed_mps, yaw_rate_radps = logs.motion.at(time_s) if logs.motion else np.full((2, len(frame)), np.nan)
-    driven = steering_labels(yaw_rate_radps, speed_mps, car)
-    if logs.wheel:
-        (angle_rad,) = logs.wheel.at(time_s)
-        driven = driven._replace(steering_rad=angle_rad, valid=np.isfinite(angle_rad))
-    return Truth(logs.name, "wheel_rad" * bool(logs.wheel), driven)
+    recorded = sources.recorded(ingest, car)
+    if not recorded:
+        unknown = np.full(len(frame), np.nan)
+        return Truth("", "", steering_labels(unknown, unknown, car))
+    source = "wheel" if logs.wheel and "wheel" in recorded else next(iter(recorded))
+    name = logs.name or {"wheel": "steering.csv"}.get(source, source)
+    column = "wheel_rad" if logs.wheel else sources.column(source)
+    return Truth(name, column, recorded[source].at(np.searchsorted(ingest.frame, frame)))
 
 
 def read_course(motion: DriveReader, car: Car, *, look_ahead: bool, height_known: bool) -> dict[str, np.ndarray]:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.video.log import Logs
-from pipeline.video.recording import open_recording
+from pipeline.media.log import Logs
+from pipeline.media.recording import open_recording
 from tests.kitti_drive import SIZE, pictures, write
 
 

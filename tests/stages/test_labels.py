@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, DriveWriter, read_index, write_index
-from pipeline.kitti.oxts import interpolated, make_rows
+from pipeline.datasets.core.oxts import interpolated, make_rows
 from stages import labels
 from tests.artefacts import write_motion, write_recorded
 from tests.kitti_drive import write_params
@@ -128,7 +128,7 @@ def test_an_inverted_wheel_is_refused_and_test_drives_are_not_compared(tmp_path,
 
 
 def test_a_source_that_a_drive_lacks(recorded):
-    with pytest.raises(InputError, match=r"no oxts.*labels\.source: oxts"):
+    with pytest.raises(InputError, match=r"no labels\.source: oxts"):
         run(recorded, source="oxts")
     write_ingest(recorded / "ingest", speed=[5.0], yaw_rate=[0.0])
     with pytest.raises(InputError, match=r"steering\.csv"):

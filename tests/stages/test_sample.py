@@ -7,7 +7,7 @@ import yaml
 
 from pipeline.base import resume
 from pipeline.base.errors import InputError
-from pipeline.kitti.raw import find_drives
+from pipeline.datasets.kitti import find_drives
 from stages import sample
 
 DRIVES = ["2026_01_01_drive_0001", "2026_01_01_drive_0002", "2026_01_05_drive_0001"]  # two dates, two cameras
@@ -19,7 +19,8 @@ def write_params(path: Path, lidar: bool = False, epochs: int = 0, **frames: int
     params["sample"] |= {"image_size": [48, 160], "scan_rays": [16, 40], "frames": frames}
     params["encoder"]["epochs"] = epochs
     drives = {"train": DRIVES[:2], "val": [KITTI], "test": DRIVES[2:]}
-    params["ingest"] |= {"source": "both", "lidar": lidar, "drives": drives}
+    source = {"train": "sample", "val": "kitti", "test": "sample"}
+    params["ingest"] |= {"source": source, "lidar": lidar, "drives": drives}
     path.write_text(yaml.safe_dump(params), encoding="utf-8")
     return path
 

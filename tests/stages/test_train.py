@@ -13,7 +13,7 @@ import torch
 
 from pipeline.base import store
 from pipeline.base.errors import InputError
-from pipeline.train import checkpoint
+from pipeline.learning import checkpoint
 from pipeline.train.fit import Fit
 from pipeline.train.frames import Files
 from tests import artefacts, small_model

@@ -10,7 +10,7 @@ import yaml
 from typer.testing import CliRunner
 
 from pipeline.base.resume import ROOT
-from pipeline.train import checkpoint
+from pipeline.learning import checkpoint
 from steer.app import app
 from tests.artefacts import write_dataset
 

@@ -1,64 +1,59 @@
 """steer import: the stages compute from a recording what its log holds, or the recording is refused."""
 
-import errno
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import cv2
 import numpy as np
 import pytest
-import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
-from pipeline.kitti.oxts import read_steering, read_times
-from pipeline.kitti.raw import MANIFEST, KittiDrive
 from pipeline.labels.label import Car, steering_labels
 from pipeline.settings import preset
 from pipeline.video.import_recording import GAP_S, cut
 from stages import check, ingest, labels
 from steer.import_ import import_recording
-from tests.kitti_drive import SIZE, contents, pictures, write, write_folder, write_params, write_video
+from tests import street
+from tests.kitti_drive import SIZE, contents, pictures, write, write_folder, write_video
 
-DRIVES = ("2027_03_31_drive_0001", "2027_03_31_drive_0002")
-FRAMES = 12
+FRAMES = 200
 TIMES_S = np.arange(FRAMES) / 10 + np.random.default_rng(0).uniform(-0.004, 0.004, FRAMES)
 SPEED_MPS, YAW_RATE_RADPS = 6 + np.sin(TIMES_S), 0.3 * np.cos(3 * TIMES_S)
 HEAD = "time_s,speed_mps,yaw_rate_radps\n"
+ENDINGS = ("train", "val", "test")
+STEADY = HEAD + "".join(f"{half / 2},5,{half / 600}\n" for half in range(-2, 60))
 
 
 @pytest.fixture
-def take(tmp_path, monkeypatch) -> Callable[..., KittiDrive]:
-    """Import with a field of view of 80 degrees into raw/; logs are given as text, presets/ is empty."""
+def take(tmp_path, monkeypatch) -> Callable[..., dict[str, Any]]:
+    """Import with a field of view of 80 degrees; logs are given as text, presets/ is empty. Returns the preset."""
     (tmp_path / "presets").mkdir()
     monkeypatch.setattr(preset, "PRESETS", tmp_path / "presets")
 
-    def imported(recording: Path, drive: str = DRIVES[0], **options: Any) -> KittiDrive:
-        for name in {"motion", "wheel", "times"} & {*options}:
-            (tmp_path / f"{name}.txt").write_text(options[name])
-            options[name] = tmp_path / f"{name}.txt"
+    def imported(*recordings: Path, name: str = "monday", **options: Any) -> dict[str, Any]:
+        for log in {"motion", "wheel", "times"} & {*options}:
+            texts = options[log] if isinstance(options[log], list) else [options[log]]
+            files = [tmp_path / f"{log}-{number}.txt" for number in range(len(texts))]
+            for file, text in zip(files, texts, strict=True):
+                file.write_text(text)
+            options[log] = files[0] if log == "times" else files
         if "wheel" in options:
-            options["steering_ratio"] = 10.0
-        import_recording(recording, drive, **{"out": tmp_path / "raw", "fov": 80.0, **options})
-        return KittiDrive(tmp_path / f"raw/{drive[:10]}/{drive}_sync")
+            options["steering_ratio"] = options.get("steering_ratio", 10.0)
+        import_recording([*recordings], **{"name": name, "fov": 80.0, **options})
+        return preset.merged(str(tmp_path / f"presets/{name}.yaml"))
 
     return imported
 
 
-@pytest.fixture
-def video(tmp_path) -> Path:
-    return write_video(tmp_path / "drive.mp4", pictures(FRAMES))
-
-
-@pytest.fixture
-def longer(tmp_path) -> Path:
+@pytest.fixture(scope="module")
+def video(tmp_path_factory) -> Path:
     """A video of 20 s, 10 images per second."""
-    return write_video(tmp_path / "longer.mp4", np.resize(pictures(FRAMES), (200, *SIZE, 3)))
+    return write_video(tmp_path_factory.mktemp("video") / "drive.mp4", np.resize(pictures(12), (FRAMES, *SIZE, 3)))
 
 
 def every_second(angle: float) -> str:
@@ -66,79 +61,131 @@ def every_second(angle: float) -> str:
     return "time_s,wheel_rad\n" + "".join(f"{half / 2},{angle}\n" for half in range(-2, 60))
 
 
-def test_labels_follow_the_log(tmp_path, take, video):
+def ingested(folder: Path, name: str = "monday", **changes: Any) -> Path:
+    """Run stage ingest by a preset that was imported to `folder`; return the stage's folder."""
+    preset.main(str(folder / f"presets/{name}.yaml"), folder)
+    params = folder / "params.yaml"
+    text = params.read_text()
+    for before, after in {"- 192\n  - 640": "- 48\n  - 64", **changes}.items():
+        assert before in text
+        text = text.replace(before, after)
+    params.write_text(text)
+    return ingest.main(raw=folder / "data/raw", out=folder / "data/ingest", params=params)
+
+
+def test_labels_follow_the_log(tmp_path, take, video, monkeypatch):
     """From an MPEG-4 video and from lossless images, through stages ingest and labels."""
+    monkeypatch.chdir(preset.ROOT)
     rows = np.column_stack([TIMES_S, SPEED_MPS, YAW_RATE_RADPS]).tolist()
     log = HEAD + "".join(f"{t!r},{v!r},{w!r}\n" for t, v, w in rows)
     times = "".join(f"{time_s!r}\n" for time_s in TIMES_S.tolist())
-    for drive, recording in zip(DRIVES, (video, write_folder(tmp_path / "images", pictures(FRAMES))), strict=True):
-        take(recording, drive, motion=log, times=times)
-
-    params = write_params(tmp_path / "params.yaml", [DRIVES[0]], [DRIVES[1]], image_size=list(SIZE))
-    ingested = ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params)
-    labelled = labels.main(ingest=ingested, out=tmp_path / "data/labels", params=params)
+    images = np.resize(pictures(12), (FRAMES, *SIZE, 3))
     steering, valid, *_ = steering_labels(YAW_RATE_RADPS, SPEED_MPS, Car(2.7, 1.0))
-    for drive, lossless in zip(DRIVES, (False, True), strict=True):
-        with DriveReader(labelled / f"{drive}.h5", stage="labels") as file:
-            np.testing.assert_array_equal(file.frame, np.arange(FRAMES))
-            np.testing.assert_allclose(file.time_s, TIMES_S - TIMES_S[0], atol=1e-6)
-            np.testing.assert_allclose(file["steering_rad"], steering, atol=1e-6)
-            np.testing.assert_array_equal(file["valid"], valid)
-        with DriveReader(ingested / f"{drive}.h5", stage="ingest") as file:
-            error = np.abs(file["image"].astype(float) - pictures(FRAMES))
-            assert error.mean() < (1e-9 if lossless else 4)
-            assert file["K"][0, 2] == 31.5
+    for name, recording in {"film": video, "lossless": write_folder(tmp_path / "images", images)}.items():
+        take(recording, name=name, motion=log, times=times)
+        folder = ingested(tmp_path, name)
+        labelled = labels.main(folder, tmp_path / "none", tmp_path / f"data/{name}", tmp_path / "params.yaml")
+        frames = []
+        for ending in ENDINGS:
+            with DriveReader(labelled / f"{name}-{ending}.h5", stage="labels") as file:
+                rows = file.frame
+                np.testing.assert_allclose(file.time_s, TIMES_S[rows] - TIMES_S[rows[0]], atol=1e-6)
+                np.testing.assert_allclose(file["steering_rad"], steering[rows], atol=1e-9)
+                np.testing.assert_array_equal(file["valid"], valid[rows])
+            with DriveReader(folder / f"{name}-{ending}.h5", stage="ingest") as file:
+                error = np.abs(file["image"].astype(float) - images[rows])
+                assert error.mean() < (4 if name == "film" else 1e-9)
+                assert file["K"][0, 2] == 31.5
+            frames += rows.tolist()
+        assert frames == [number for number in range(FRAMES) if not (100 <= number < 120 or 140 <= number < 160)]
 
 
-def test_angles_of_the_wheel_are_interpolated_from_start_to_end(take, video, capsys):
-    drive = take(video, wheel="time_s,wheel_rad\n0.05,1.0\n0.55,-2.0\n")
-    expected = {number: 0.1 - 0.3 * (number / 10 - 0.05) / 0.5 for number in range(1, 6)}
-    assert read_steering(drive.steering) == pytest.approx(expected)
-    assert "wheel.txt covers 5 of 12 images" in capsys.readouterr().out
-    drive = take(video, wheel="time_s;wheel_rad\n0.4;1.5\n0.6;3.0\n", start=0.3, end=0.8, replace=True)
-    assert (list(drive.images(2)), drive.oxts) == ([3, 4, 5, 6, 7], {})
-    assert read_steering(drive.steering) == pytest.approx({4: 0.15, 5: 0.225, 6: 0.3})
-    numbers, times = drive.timeline(2)
-    np.testing.assert_allclose(read_times(times, numbers), np.arange(5) / 10, atol=1e-6)
+def test_angles_of_the_wheel_are_interpolated_from_start_to_end(tmp_path, take, video, capsys, monkeypatch):
+    monkeypatch.chdir(preset.ROOT)
+    log = "time_s,wheel_rad\n" + "".join(f"{0.05 + half / 2},{1.0 - 0.1 * half}\n" for half in range(32))
+    take(video, wheel=log, steering_ratio=-10.0, start=2.3, end=18.0)
+    assert "wheel-0.txt covers 133 of 157 images" in capsys.readouterr().out
+    folder, frames = ingested(tmp_path), []
+    for ending in ENDINGS:
+        with DriveReader(folder / f"monday-{ending}.h5", stage="ingest") as file:
+            frames += file.frame.tolist()
+            known = file.frame / 10 <= 15.55
+            assert file["has_steering"].astype(bool).tolist() == known.tolist()
+            expected = np.where(known, -0.1 + 0.02 * (file.frame / 10 - 0.05), 0)
+            np.testing.assert_allclose(file["steering_rad"], expected, atol=1e-9)
+    assert (frames[0], frames[-1]) == (23, 179)
 
 
 @pytest.mark.parametrize(
     ("source", "options", "base", "horizon"),
     [
         ("visual", {}, "motion", 10),
-        ("oxts", {"motion": HEAD + "".join(f"{half / 2},5,{half / 600}\n" for half in range(-2, 60))}, "motion", 0),
+        ("oxts", {"motion": STEADY}, "motion", 0),
         ("wheel", {"wheel": every_second(1.0)}, "none", 0),
     ],
 )
-def test_a_split_recording_has_a_preset_that_check_accepts(take, longer, source, options, base, horizon):
-    first = take(longer, split="60,20,20", camera_height=1.4, **options)
-    drives = [KittiDrive(path) for path in sorted(first.folder.parent.glob("*_sync"))]
-    for drive in drives:
-        assert list(drive.oxts) == (list(drive.images(2)) if source == "oxts" else [])
-        assert (drive.steering is not None) == (source == "wheel")
-
-    (path,) = preset.PRESETS.iterdir()
-    content = preset.merged(str(path))
+def test_the_preset_is_one_that_check_accepts(tmp_path, take, video, source, options, base, horizon):
+    content = take(video, camera_height=1.4, **options)
     assert list(content["models"]) == ["motion", "scene"]
     settings = preset.Params.model_validate(content)
     assert (settings.labels.source, settings.perception.camera_height_m) == (source, 1.4)
-    assert [*settings.ingest.drives.splits()] == [drive.folder.name.removesuffix("_sync") for drive in drives]
+    assert settings.ingest.drives.splits() == {f"monday-{ending}": ending for ending in ENDINGS}
     assert (settings.models["motion"].base, settings.models["motion"].horizon) == (base, horizon)
     for model in settings.models.values():
         check.check_model(model, settings)
+    assert str(tmp_path) not in str(content)
+    files = {path.name: path.is_symlink() for path in (tmp_path / "data/raw/monday").iterdir()}
+    assert files == dict.fromkeys(
+        ["video.mp4", *{"oxts": ["motion.csv"], "wheel": ["wheel.csv"]}.get(source, [])], True
+    )
 
 
-def test_a_repeated_import_is_noticed(tmp_path, take, longer):
-    """The preset has the hash of what was imported, so that params change with it; stage ingest compares the two."""
-    folders = {"raw": tmp_path / "raw", "out": tmp_path / "data/ingest"}
-    for wheel_rad in (1.0, -2.0):
-        take(longer, split="60,20,20", wheel=every_second(wheel_rad), replace=True)
-        manifests = yaml.safe_load((preset.PRESETS / f"{DRIVES[0]}.yaml").read_text())["ingest"]["manifests"]
-        params = write_params(tmp_path / f"{wheel_rad}.yaml", [DRIVES[0]], [DRIVES[1]], manifests=manifests)
-        with DriveReader(ingest.main(**folders, params=params) / f"{DRIVES[0]}.h5", stage="ingest") as file:
-            assert file["steering_rad"][0] == pytest.approx(wheel_rad / 10)
-    with pytest.raises(InputError, match="imported again"):
-        ingest.main(**folders, params=tmp_path / "1.0.yaml")
+def test_each_recording_is_a_drive_for_the_splits_in_turn(tmp_path, take, video):
+    content = take(video, video, video, video, name="2027_03_31_drive_0004", each=True, motion=[STEADY] * 4, copy=True)
+    drives = preset.Params.model_validate(content).ingest.drives
+    assert [*drives.splits()] == [f"2027_03_31_drive_{number:04d}" for number in (4, 7, 5, 6)]
+    assert (tmp_path / "data/raw/2027_03_31_drive_0004-4/video.mp4").read_bytes() == video.read_bytes()
+
+
+def test_an_edited_log_makes_its_drives_anew_and_a_missing_file_only_what_is_not_kept(
+    tmp_path, take, video, capsys, monkeypatch
+):
+    """Stage ingest refuses a log of another hash; make params takes its new hash; kept drives need no video."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "params.yaml").write_bytes(preset.PARAMS.read_bytes())
+    moved = tmp_path / "a.mp4"
+    moved.write_bytes(video.read_bytes())
+    take(moved, wheel=every_second(1.0))
+    ingested(tmp_path)
+    before = contents(tmp_path / "presets")
+    write(tmp_path / "wheel-0.txt", every_second(-2.0))
+    with pytest.raises(InputError, match=r"monday/wheel.csv: is not the file whose hash ingest\.recordings has"):
+        ingest.main(raw=tmp_path / "data/raw", out=tmp_path / "data/ingest", params=tmp_path / "params.yaml")
+    (tmp_path / "params.yaml").write_bytes(preset.PARAMS.read_bytes())
+    folder = ingested(tmp_path)
+    assert "monday.yaml: new hash of data/raw/monday/wheel.csv" in capsys.readouterr().out
+    assert preset.is_unedited(tmp_path / "presets/monday.yaml")
+    assert contents(tmp_path / "presets") != before
+    with DriveReader(folder / "monday-train.h5", stage="ingest") as file:
+        assert file["steering_rad"][0] == pytest.approx(-0.2)
+    moved.rename(tmp_path / "b.mp4")
+    (tmp_path / "params.yaml").write_bytes(preset.PARAMS.read_bytes())
+    ingested(tmp_path)
+    assert "3 of 3 drives kept" in capsys.readouterr().out
+    (tmp_path / "params.yaml").write_bytes(preset.PARAMS.read_bytes())
+    with pytest.raises(InputError, match=rf"the link's target {moved} is missing. Repeat steer import"):
+        ingested(tmp_path, **{"start: 12": "start: 13"})
+
+
+def test_the_sign_of_a_log_is_that_of_the_images(tmp_path, take):
+    """The rendered street turns left: a log that turns right is refused, and a negative ratio turns it."""
+    poses = street.arc(60, 0.1, 4.0)
+    images = write_folder(tmp_path / "images", [street.view(pose)[0] for pose in poses])
+    lens: dict[str, Any] = {"fov": None, "k": "180,180,159.5,44", "fps": 5.0, "split": "40,30,30", "horizon": 44.0}
+    take(images, wheel=every_second(1.0), **lens)
+    with pytest.raises(InputError, match="the sign is inverted: the log turns left where the images turn right"):
+        take(images, wheel=every_second(-1.0), **lens)
+    take(images, wheel=every_second(-1.0), steering_ratio=-10.0, **lens)
 
 
 def distorted(image: np.ndarray, K: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
@@ -148,69 +195,53 @@ def distorted(image: np.ndarray, K: np.ndarray, coefficients: np.ndarray) -> np.
     return cv2.remap(image, *np.moveaxis(ideal.reshape(*image.shape[:2], 2), -1, 0), cv2.INTER_LINEAR)
 
 
-def test_distortion_is_removed_and_images_are_cropped_around_the_horizon(tmp_path, take):
+def test_distortion_is_removed_and_images_are_cropped_around_the_horizon(tmp_path, take, monkeypatch):
+    monkeypatch.chdir(preset.ROOT)
     K, coefficients = np.array([[50, 0, 31.5], [0, 50, 23.5], [0, 0, 1]]), np.array([-0.2, 0.03, 0, 0])
-    images = np.stack([distorted(image, K, coefficients) for image in pictures(FRAMES)])
+    pixels = np.resize(pictures(12), (FRAMES, *SIZE, 3))
+    images = np.stack([distorted(image, K, coefficients) for image in pixels])
     folder, lens = write_folder(tmp_path / "images", images), {"k": "50,50,31.5,23.5", "distortion": "-0.2,0.03,0,0"}
-    for drive, horizon in zip(DRIVES, (10.0, 30.0), strict=True):
-        take(folder, drive, fov=None, horizon=horizon, fps=10.0, **lens)
-    params = write_params(tmp_path / "params.yaml", [DRIVES[0]], [DRIVES[1]], image_size=[32, 128])
-    ingested = ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params)
-    for drive, first in zip(DRIVES, (3, 23), strict=True):  # 16 rows around the horizon, a little below
-        with DriveReader(ingested / f"{drive}.h5", stage="ingest") as file:
-            part = pictures(FRAMES)[5, first : first + 16]
-            expected = cv2.resize(part, (128, 32), interpolation=cv2.INTER_LINEAR).astype(float)
+    for name, horizon, first in (("low", 10.0, 3), ("high", 30.0, 23)):  # 16 rows around the horizon, a little below
+        take(folder, name=name, fov=None, horizon=horizon, fps=10.0, **lens)
+        with DriveReader(
+            ingested(tmp_path, name, **{"- 192\n  - 640": "- 32\n  - 128"}) / f"{name}-train.h5", stage="ingest"
+        ) as file:
+            expected = cv2.resize(pixels[5, first : first + 16], (128, 32), interpolation=cv2.INTER_LINEAR).astype(
+                float
+            )
             assert np.abs(file["image"][5] - expected)[2:-2, 4:-4].max() <= 2
             assert file["K"][1, 2] == pytest.approx(2 * (23.5 - first + 0.5) - 0.5)
 
 
-CHANGES: list[Callable[[Path, Path], object]] = [
-    lambda drive, preset: (drive / "notes.txt").write_text("mine"),
-    lambda drive, preset: (drive / MANIFEST).unlink(),  # as a drive of KITTI
-    lambda drive, preset: preset.write_text(preset.read_text().replace("epochs: 40", "epochs: 3")),
+CHANGES: list[tuple[str, Callable[[Path], object]]] = [
+    ("notes.txt", lambda folder: (folder / "data/raw/monday/notes.txt").write_text("mine")),
+    ("monday.yaml", lambda folder: (path := folder / "presets/monday.yaml").write_text(path.read_text() + "#")),
 ]
 
 
-@pytest.mark.parametrize("change", CHANGES)
-def test_only_what_an_import_wrote_is_replaced(tmp_path, take, longer, change):
-    take(longer, split="60,20,20")
-    with pytest.raises(InputError, match="drive exists"):
-        take(longer)
-    drive = take(longer, split="60,20,20", start=1.0, replace=True)
-    change(drive.folder, preset.PRESETS / f"{DRIVES[0]}.yaml")
+@pytest.mark.parametrize(("name", "change"), CHANGES)
+def test_only_what_an_import_wrote_is_replaced(tmp_path, take, video, name, change):
+    take(video, copy=True)
+    take(video, start=1.0, copy=True)
+    change(tmp_path)
     before = contents(tmp_path)
-    with pytest.raises(InputError, match="as steer import wrote it"):
-        take(longer, split="60,20,20", replace=True)
+    with pytest.raises(InputError, match=f"{name}: is not as steer import wrote it"):
+        take(video)
     assert contents(tmp_path) == before
-
-
-def test_drives_of_a_date_share_the_camera(take, video):
-    take(video)
-    take(video, replace=True, fov=70.0)  # the only drive of its date may change it
-    take(video, DRIVES[1], fov=70.0)
-    for drive, replace in ((DRIVES[0], True), ("2027_03_31_drive_0003", False)):
-        with pytest.raises(InputError, match="another camera"):
-            take(video, drive, replace=replace)
-
-
-def test_a_failed_or_killed_import_leaves_nothing(tmp_path, take, video, monkeypatch):
-    write(tmp_path / f"raw/2027_03_31/.{DRIVES[0]}_sync.killed.tmp/0.png", "half an image")
-    with monkeypatch.context() as patch:
-        patch.setattr("pipeline.video.import_recording.write_png", Mock(side_effect=OSError(errno.ENOSPC, "No space")))
-        with pytest.raises(InputError, match=r"raw/2027_03_31: disk is full: images need up to 0 MB"):
-            take(video)
-    assert not any((tmp_path / "raw").iterdir())
-    assert len(take(video).images(2)) == FRAMES
 
 
 PLAINLY_WRONG = [
     ({"fov": None}, "--fov DEGREES"),
-    ({"drive": "drive_1"}, "--drive"),
-    ({"motion": HEAD + "-.2,5,0\n-.1,5,0\n2,5,0\n2.1,5,0\n2.2,5,0\n"}, "--end or --offset"),
-    ({"motion": HEAD + "7200,5,0\n7200.1,5,0\n"}, "images from 0.0 to 1.1 s.*--offset -7200,"),
-    ({"start": 3.0}, "--start"),
+    ({"name": "a b"}, "--name: expected at most 100 letters"),
+    ({"name": "street"}, "street: is a target of make"),
+    ({"motion": HEAD + "-.2,5,0\n-.1,5,0\n20,5,0\n20.1,5,0\n20.2,5,0\n"}, "--end or --offset"),
+    ({"motion": HEAD + "7200,5,0\n7200.1,5,0\n"}, "images from 0.0 to 19.9 s.*--offset -7200,"),
+    ({"start": 30.0}, "--start"),
     ({"split": "60,20,30"}, "with the sum 100"),
-    ({"split": "60,20,20"}, "fewer than 2 images"),
+    ({"split": "90,5,5"}, "fewer than 2 images"),
+    ({"each": True}, "--each needs two recordings"),
+    ({"wheel": every_second(1.0), "steering_ratio": 0.5}, "a magnitude of 1 or more"),
+    ({"wheel": [every_second(1.0)] * 2}, "expected 1 logs"),
 ]
 
 
@@ -218,7 +249,7 @@ PLAINLY_WRONG = [
 def test_plainly_wrong_imports_write_nothing(tmp_path, take, video, options, problem):
     with pytest.raises(InputError, match=problem):
         take(video, **options)
-    assert [name for name in contents(tmp_path) if name.startswith(("raw", "presets"))] == []
+    assert [name for name in contents(tmp_path) if name.startswith(("data", "presets"))] == []
 
 
 @given(st.integers(0, 200), st.integers(700, 1000), st.integers(20, 60), st.integers(20, 39))

@@ -13,14 +13,18 @@ import pandas as pd
 import pytest
 
 from pipeline.base.errors import InputError
+from pipeline.base.params import load
 from pipeline.base.store import DriveReader
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
-from pipeline.kitti.ingest import ingest_kitti
-from pipeline.kitti.raw import KittiDrive
+from pipeline.datasets import recording
+from pipeline.datasets.core.ingest_file import write_drive
+from pipeline.motion import horizon
 from pipeline.motion.drive import measure_drive
 from pipeline.perception.perceive import perceive_drive
+from pipeline.settings import preset
+from pipeline.settings.ingest import Ingest
 from pipeline.settings.perception import Perception
-from pipeline.video import lens, source
+from pipeline.video import source
 from pipeline.video.measure import READING
 from steer.import_ import import_recording
 from steer.measure import measure
@@ -117,20 +121,25 @@ def test_a_killed_run_leaves_nothing(tmp_path, encoder, monkeypatch):
     assert [*(tmp_path / "results").iterdir()] == []
 
 
-def test_an_imported_drive_has_the_same_numbers(tmp_path, encoder, monkeypatch):
+def test_an_imported_recording_has_the_same_numbers(tmp_path, encoder, monkeypatch):
     """A lens with distortion above the horizon: import and the stages measure what steer measure does."""
-    monkeypatch.setattr(lens, "MIN_PAIRS", 1)
+    monkeypatch.setattr(horizon, "MIN_PAIRS", 1)
+    monkeypatch.setattr(preset, "PRESETS", tmp_path / "presets")
+    monkeypatch.chdir(preset.ROOT)
     taller = [np.pad(image, [(70, 30), (0, 0), (0, 0)], mode="edge") for image in drive(14)]
     images, K, bent = write_folder(tmp_path / "images", taller), "180,180,159.5,98", "-0.02,0.01,0,0"
-    opened = source.open_source(images, [2], CAMERA_HEIGHT_M, capture=source.Capture(K=K, distortion=bent, fps=10.0))
+    opened = source.open_source(
+        images, READING, CAMERA_HEIGHT_M, capture=source.Capture(K=K, distortion=bent, fps=10.0)
+    )
     assert opened.camera.horizon == pytest.approx(114, abs=3)
     settings = Perception(batch=4, camera_height_m=CAMERA_HEIGHT_M)
     source.run_chain(opened, tmp_path, READING, settings, encoder)
-    name = "2027_03_31_drive_0001"
-    import_recording(images, name, out=tmp_path / "raw", k=K, distortion=bent, fps=10.0)
-    imported = KittiDrive(tmp_path / f"raw/{name[:10]}/{name}_sync")
+    import_recording([images] * 2, "monday", k=K, distortion=bent, fps=10.0, each=True)
+    preset.main(str(tmp_path / "presets/monday.yaml"), tmp_path)
     files = [tmp_path / f"imported/{stage}.h5" for stage in ("ingest", "perception", "motion")]
-    ingest_kitti(files[0], drive=name, folder=imported.folder, settings=READING)
+    settings_of = load(Ingest, tmp_path / "params.yaml")
+    imported = recording.open_drive("monday-1", settings_of, tmp_path / "data/raw")
+    write_drive(files[0], imported, "monday-1", "recording", READING)
     perceive_drive(files[1], files[0], encoder, settings)
     measure_drive(files[2], *files[:2])
     with DriveReader(files[2], stage="motion") as stage, DriveReader(tmp_path / "motion.h5", stage="motion") as own:

@@ -144,6 +144,8 @@ def test_a_file_from_elsewhere_opens_no_other_file_and_runs_no_filter_of_others(
 )
 def test_files_of_other_stages_schemas_and_drives_are_refused(tmp_path, name, stage, change, problem):
     path = write(tmp_path / f"{name}.h5")
+    if name != "a":  # in the folder of a stage
+        (tmp_path / "index.json").touch()
     if change:
         change(path)
     with pytest.raises(InputError, match=problem) as raised:

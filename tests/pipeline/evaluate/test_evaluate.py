@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from pipeline.base.params import load
+from pipeline.datasets.core import oxts
+from pipeline.datasets.kitti import KittiDrive
 from pipeline.evaluate import errors, metrics, turns
 from pipeline.evaluate.turns import Turns, drift, segments
-from pipeline.kitti import oxts
-from pipeline.kitti.raw import KittiDrive
 from pipeline.labels import label
 from pipeline.settings.evaluate import Evaluate
 from pipeline.train.loss import Scale
@@ -58,7 +58,7 @@ def test_invalid_and_early_frames_do_not_count(folder):
 @pytest.mark.parametrize("source", ["oxts", "visual"])
 def test_odometry_needs_motion_in_all_frames_and_other_labels(folder, monkeypatch, source):
     """At horizon 0, labels from visual odometry are not compared with it."""
-    monkeypatch.setitem(artefacts.LABELS["labels"], "source", source)
+    monkeypatch.setitem(artefacts.MEASURED, "measured", int(source == "visual"))
     without = ["train_mean", "persistence"]
 
     def baselines(horizon: int) -> dict[str, np.ndarray]:

@@ -10,8 +10,8 @@ from pipeline.base.params import load
 from pipeline.base.resume import ROOT
 from pipeline.camera import classes, geometry
 from pipeline.camera.images import read_pixels, to_metres
-from pipeline.kitti.oxts import COLUMNS
-from pipeline.kitti.raw import KittiDrive, read_scan
+from pipeline.datasets.core.oxts import COLUMNS
+from pipeline.datasets.kitti import KittiDrive, read_scan
 from pipeline.labels.label import steering_angle
 from pipeline.sample import motion
 from pipeline.sample.drive import random_of, render_drive, theme

@@ -50,7 +50,7 @@ def test_a_range_names_all_its_drives(tmp_path):
         (Labels, "labels.minspeed_mps", 1, r"labels: unknown key 'minspeed_mps': did you mean min_speed_mps\?"),
         (Labels, "labels.min_speed_mps", None, "min_speed_mps: Field required. Copy it"),
         (Ingest, "ingest.drives.test", ["0001"], "expected a drive's name, such as 2011_09_26_drive_0052 .got '0001'"),
-        (Ingest, "ingest.drives.test", ["2026_01_04_drive_0010..0008"], "expected a drive's name"),
+        (Ingest, "ingest.drives.test", ["2026_01_04_drive_0010..0008"], "at most 100 letters"),
         (Train, "train.learning_rate", True, "valid number"),
         (Clouds, "clouds", {"max_point": 1, "max_depth_m": 80.0}, "did you mean max_points"),  # misspelt, so missing
     ],

@@ -19,9 +19,10 @@ from hypothesis import strategies as st
 
 from pipeline.base.errors import InputError
 from pipeline.graphs.graph_file import Arrays, open_graphs
+from pipeline.learning import checkpoint, loop
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
-from pipeline.train import checkpoint, fit, frames, loop, loss, predict, runs, targets, windows
+from pipeline.train import fit, frames, loss, predict, runs, targets, windows
 from pipeline.train.loss import Scale
 from pipeline.train.targets import LabelledDrive, Timeline, read_drive
 from tests import artefacts, small_model

@@ -19,17 +19,20 @@ from av.stream import Disposition
 
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.store import DriveReader
+from pipeline.camera.camera import Frame
 from pipeline.camera.geometry import rays
-from pipeline.kitti.oxts import make_rows
+from pipeline.camera.lens import fisheye, pinhole, undistortion
+from pipeline.datasets.core.ingest_file import IngestFile
+from pipeline.datasets.core.oxts import make_rows
 from pipeline.labels.label import Car, Labels
+from pipeline.media import recording
+from pipeline.media.log import Log, Logs
+from pipeline.media.recording import open_recording, read_times
 from pipeline.motion.step import durations
-from pipeline.video import recording
-from pipeline.video.lens import fisheye, pinhole, undistortion
-from pipeline.video.log import Log, Logs
-from pipeline.video.recording import open_recording, read_times
+from pipeline.video.measure import READING
 from pipeline.video.results import Results, Truth, read_course, read_truth
 from tests import street
-from tests.artefacts import write_motion, write_recorded
+from tests.artefacts import write_motion
 from tests.kitti_drive import SIZE, pictures, write_folder, write_png, write_video
 
 
@@ -501,11 +504,14 @@ def test_truth_is_that_of_the_logs_or_of_the_drive(tmp_path, wheel, motion, expe
     recorded: dict[str, Any] = {"steering_rad": {1: 0.1, 3: -0.2}}
     if motion == "oxts":  # whose angles are unknown at standstill, and in interpolated packets
         packets = make_rows(4, vf=np.array([10, 0.5, 10, 10]), wu=0.5, velmode=np.array([0, 4, 4, -1]))
-        motion, recorded = None, {"oxts": packets}
-    write_recorded(tmp_path / "a.h5", np.arange(4), **recorded)
+        motion, recorded = None, {"oxts": dict(enumerate(packets))}
     files[0].write_text(wheel or "")
     files[1].write_text(f"time_s,speed_mps,yaw_rate_radps\n{motion}")
     logs = Logs.read(files[0] if wheel else None, 14.0 if wheel else None, files[1] if motion else None)
+    with IngestFile(tmp_path / "a.h5", "a", None, READING) as file:
+        for number in range(4):
+            file.add(Frame(number, number / 10))
+        file.finish(logs.values(np.arange(4), np.arange(4) / 10) if logs.name else recorded)
     with DriveReader(tmp_path / "a.h5", stage="ingest") as raw:
         truth = read_truth(raw, raw.frame, logs, CAR)
     np.testing.assert_allclose(np.where(truth.driven.valid, truth.driven.steering_rad, np.nan), expected_rad)

@@ -3,6 +3,8 @@
 import os
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,18 +12,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.base.errors import InputError
+from pipeline.base.resume import digest
 from pipeline.camera.geometry import depth_image, project, transform
 from pipeline.camera.images import read_pixels
-from pipeline.kitti import oxts
-from pipeline.kitti.raw import CALIBRATION, RENDERED, KittiDrive, read_calibration, read_scan
-from tests.kitti_drive import DATE, scan, write, write_calibration, write_drive
+from pipeline.datasets import kitti, sample
+from pipeline.datasets.core import oxts
+from pipeline.datasets.core.calibration import read_calibration
+from pipeline.datasets.kitti import KittiDrive, read_scan
+from tests.kitti_drive import DATE, DRIVE, scan, write, write_calibration, write_drive
 
 
 def test_a_fingerprint_detects_a_file_that_was_extracted_again(tmp_path):
-    folder = write_drive(tmp_path, truth=True)
+    folder, reading = write_drive(tmp_path, truth=True), SimpleNamespace(cameras=[2])
 
-    def fingerprint() -> str:
-        return KittiDrive(folder).fingerprint([2])
+    def fingerprint(dataset: Any = kitti) -> str:
+        return digest(dataset.fingerprint(DRIVE, reading, tmp_path))
 
     hashes = {fingerprint()}
     for name in ("image_02/data/0000000001.png", "velodyne_points/data/0000000002.bin", "../calib_velo_to_cam.txt"):
@@ -30,13 +35,11 @@ def test_a_fingerprint_detects_a_file_that_was_extracted_again(tmp_path):
         os.utime(folder / name, ns=(before.st_atime_ns, before.st_mtime_ns))  # as unzip does
         hashes.add(fingerprint())
     assert len(hashes) == 4
-    path = folder.parent / CALIBRATION  # of a rendered drive, the contents count
-    write(path, f"{RENDERED}\n{path.read_text()}")
-    content = fingerprint()
+    content = fingerprint(sample)
     write(folder / name, (folder / name).read_bytes())
-    assert fingerprint() == content
+    assert fingerprint(sample) == content
     write(folder / "truth/cls/0000000000.png", "other")
-    assert fingerprint() != content
+    assert fingerprint(sample) != content
 
 
 @pytest.mark.real

@@ -19,11 +19,11 @@ from av.video.stream import VideoStream
 from tqdm import tqdm
 
 from pipeline.base.errors import DamagedFile, InputError
+from pipeline.base.params import RATE_TOLERANCE
 from pipeline.camera.camera import Frame
 from pipeline.camera.images import Size, format_size, read_image
-from pipeline.kitti.columns import check_increase, fault, refuse
-from pipeline.settings.train import RATE_TOLERANCE
-from pipeline.video.repeats import evened, repeats
+from pipeline.media.columns import check_increase, fault, refuse
+from pipeline.media.repeats import evened, repeats
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")
 _VIDEOS = (".mp4", ".mov", ".mkv", ".avi", ".ts", ".mts", ".webm")
@@ -61,15 +61,19 @@ class Recording:
     notes: list[str]  # for the user
     straighten: Callable[[np.ndarray], np.ndarray] = lambda image: image  # without the lens' distortion
 
-    def frames(self) -> Iterator[Frame]:
+    def frames(self, used: np.ndarray | None = None) -> Iterator[Frame]:
         """Yield number, time and straightened image RGB uint8 [H,W,3] of the frames; a second call starts again.
 
-        Times count from the first image, or are those of the file of times.
+        `used`: which of them, bool [F]; None: all. Times count from the first image, or are those of the file of times.
         """
-        numbers = {place: number for number, place in enumerate(self.kept.tolist())}
+        numbers = dict(zip(self.kept.tolist(), range(len(self.kept)), strict=True))
+        if used is not None:
+            numbers = {place: number for place, number in numbers.items() if used[number]}
         for place, image in enumerate(self.images()):
-            if (number := numbers.get(place)) is not None:
+            if (number := numbers.pop(place, None)) is not None:
                 yield Frame(number, float(self.times_s[number]), self.straighten(_upright(image, self.path)))
+                if not numbers:
+                    return
 
     def resample(self, hz: float) -> None:
         """Keep only the frames nearest to a grid of `hz`; of a recording at about n times `hz`, every n-th frame.

@@ -7,13 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.base.errors import InputError
-from pipeline.kitti.columns import read_columns, refuse
-from pipeline.kitti.oxts import LIMIT_RAD, LIMITS
-from pipeline.video.recording import check_times
+from pipeline.media.columns import LIMIT_MPS, LIMIT_RAD, LIMIT_RADPS, read_columns, refuse
+from pipeline.media.recording import check_times
 
 MAX_GAP_S = 0.5  # between values that are interpolated
 ROUNDING_S = 1e-3  # of timestamps in videos; comparisons tolerate it
-_RATES = {"speed_mps": LIMITS["vf"], "yaw_rate_radps": LIMITS["wu"]}  # largest plausible magnitudes
+_RATES = {"speed_mps": LIMIT_MPS, "yaw_rate_radps": LIMIT_RADPS}
 _MOTION = "Expected CSV, numbers with decimal points: time_s [s], speed_mps [m/s], yaw_rate_radps [rad/s, left +]"
 _WHEEL = "Expected CSV, numbers with decimal points: time_s [s], wheel_rad [rad, left +]"
 
@@ -59,8 +58,10 @@ class Logs(NamedTuple):
         if offset_s and not (wheel or motion):
             raise InputError("--offset needs a log", fix="Pass --motion or --wheel, too")
         angles, rates = None, _read(motion, _RATES, _MOTION, offset_s) if motion else None
-        if wheel and steering_ratio:
-            angles = _read(wheel, {"wheel_rad": LIMIT_RAD * steering_ratio}, _WHEEL, offset_s)
+        if wheel and steering_ratio is not None:
+            if not abs(steering_ratio) >= 1:
+                raise InputError("expected a magnitude of 1 or more", "--steering-ratio", "1: angles of front wheels")
+            angles = _read(wheel, {"wheel_rad": LIMIT_RAD * abs(steering_ratio)}, _WHEEL, offset_s)
             angles = angles._replace(values=angles.values / steering_ratio)
         return cls(angles, rates)
 
@@ -68,6 +69,16 @@ class Logs(NamedTuple):
     def name(self) -> str:
         """The names of the files, empty without a log."""
         return " and ".join(log.name for log in self if log)
+
+    def values(self, frame: np.ndarray, time_s: np.ndarray) -> dict[str, dict[int, float]]:
+        """Return name → frame number → value, NaN where unknown, for the frames [F] at `time_s` [F]; see Drive."""
+        columns = dict(zip(_RATES, self.motion.at(time_s), strict=True)) if self.motion else {}
+        if self.wheel:
+            columns["steering_rad"] = self.wheel.at(time_s)[0]
+        result = {name: dict(zip(frame.tolist(), column.tolist(), strict=True)) for name, column in columns.items()}
+        if self.wheel:
+            result["steering_rad"] = {key: value for key, value in result["steering_rad"].items() if value == value}
+        return result
 
     def check_overlap(self, first_s: float, last_s: float) -> None:
         """Raise InputError for a log without a value from the first to the last image."""

@@ -7,6 +7,10 @@ import pandas as pd
 
 from pipeline.base.errors import InputError
 
+# Largest plausible magnitudes of a car: speed, yaw rate (KITTI's reach 0.5), and angle of the front wheels, which the
+# angles of a steering wheel, 15 times as large, exceed in a tight bend.
+LIMIT_MPS, LIMIT_RADPS, LIMIT_RAD = 100.0, 3.0, 1.2
+
 
 def read_columns(path: Path, limits: Mapping[str, float], expected: str) -> tuple[pd.DataFrame, list[str]]:
     """Return float64 columns by line of the file, and faults: cells that are no numbers (NaN), or implausible ones.

@@ -1,36 +1,42 @@
-"""KITTI raw's folder layout, LiDAR scans and calibration. Everything is keyed on frame numbers, never on list position.
+"""KITTI raw: folders, LiDAR scans, calibration. Everything is keyed on frame numbers, never on list position.
 
 ``<root>/<date>/<date>_drive_NNNN_sync/{image_0X,velodyne_points,oxts}/data/%010d.{png,bin,txt}``, calibration in
 ``<root>/<date>/``; images may be JPEG. pykitti's ``raw`` class is not used: its sorted lists shift after a missing
 frame, and it needs all four cameras.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from pipeline.base.errors import DamagedFile, InputError, closest, error_context
-from pipeline.base.resume import digest, file_hash
-from pipeline.base.store import replacing
-from pipeline.camera.camera import Camera, camera_height
-from pipeline.camera.geometry import rigid
-from pipeline.camera.images import Size
-from pipeline.kitti.oxts import STEERING
+from pipeline.base.errors import DamagedFile, InputError, closest
+from pipeline.camera.camera import Camera, Frame
+from pipeline.camera.images import read_classes, read_depth, read_image
+from pipeline.datasets.core.calibration import CALIBRATION, RENDERED, matrix, read_calibration, read_entries
+from pipeline.datasets.core.drive import Drive, stamps
+from pipeline.datasets.core.oxts import STEERING, read_row, read_steering, read_times
+from pipeline.settings.ingest import Ingest, Reading
 
-CALIBRATION = "calib_cam_to_cam.txt"  # in a date's folder
-RENDERED = "dataset: sample"  # its first line, of rendered drives
-HORIZON = "calib_horizon.txt"  # in the folder of an imported drive: two recordings of a camera may have two horizons
-MANIFEST = "manifest.json"  # in the folder of an imported drive: the hashes of its files
+HORIZON = "calib_horizon.txt"  # of drives that earlier versions imported: two recordings may have two horizons
 # The lowest laser of the HDL-64E points 24.8 degrees down and hits the road 4 m away; complete scans of KITTI reach
 # below -23.6 degrees. Files list the lasers from top to bottom, so a truncated scan lacks the low ones.
 LOWEST_DEG = -20.0
-_FOCAL_PER_WIDTH = 100.0  # largest plausible ratio
-# Largest offsets of a principal point from the middle, as shares of width and height: of either, and of both to the
-# same side, as in an image of another size. Udacity's camera has −0.08 and 0.13.
-_OFF_CENTRE, _OFF_BOTH = 0.2, 0.1
 _MAX_RANGE_M = 150.0  # the sensor's is 120 m
+
+
+def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
+    """Return names, sizes and times of the files."""
+    files = find_drives(root, [name])[name]
+    return stamps(files.paths(settings.cameras), files.calibration)
+
+
+def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
+    """Return a drive: frames with an oxts packet or, in a drive without oxts, those with an image."""
+    return read_drive(find_drives(root, [name])[name].folder, settings)
 
 
 class KittiDrive:
@@ -80,33 +86,97 @@ class KittiDrive:
             return list(self.oxts), self.oxts_times
         return list(self.images(camera)), self.folder / f"image_{camera:02d}" / "timestamps.txt"
 
-    @property
-    def dataset(self) -> str:
-        """What the drive is of: sample, as its calibration says; recording, if it was imported; otherwise kitti."""
-        path = self.calibration / CALIBRATION
-        text = path.read_text(errors="replace") if path.is_file() else ""
-        other = "recording" if (self.folder / MANIFEST).is_file() else "kitti"
-        return "sample" if text.startswith(f"{RENDERED}\n") else other
-
-    def fingerprint(self, cameras: Sequence[int]) -> str:
-        """Return a hash of the names of the drive's files, and of their contents (sample) or sizes and times (others).
-
-        Hashing the contents of KITTI's 175 GB would take longer than ingesting them. The change time detects a file
-        that was extracted again: unzip restores the modification time.
-        """
-        dataset = self.dataset
-
-        def content(path: Path) -> object:
-            stat = path.stat()
-            return file_hash(path) if dataset == "sample" else [stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns]
-
+    def paths(self, cameras: Sequence[int]) -> list[Path]:
+        """Return all files that are read."""
         camera = self.camera_number(cameras)
         images = {} if camera is None else self.images(camera)
         frames = [self.oxts, self.scans, self.truth_depth, self.truth_cls, images]
         single = [self.timeline(camera)[1], *sorted(self.calibration.glob("calib_*.txt"))]
         single += [self.folder / name for name in (STEERING, HORIZON)]
-        paths = [*(path for files in frames for path in files.values()), *filter(Path.is_file, single)]
-        return digest([dataset, {str(path.relative_to(self.calibration)): content(path) for path in paths}])
+        return [*(path for files in frames for path in files.values()), *filter(Path.is_file, single)]
+
+
+def read_drive(folder: Path, settings: Reading) -> Drive:
+    """Return the drive in a folder.
+
+    Raises InputError if packets, times or the calibration are missing; after the last frame, DamagedFile that lists all
+    damaged files.
+    """
+    files, damaged = KittiDrive(folder), list[DamagedFile]()
+    chosen = files.camera_number(settings.cameras)
+    camera = None if chosen is None else files.camera(chosen)
+    if files.scans and settings.lidar and (camera is None or camera.T_cam_velo is None):
+        problem = "drive has scans, but calib_cam_to_cam.txt or calib_velo_to_cam.txt is missing"
+        fix = "Extract the date's calibration archive, or set ingest.lidar: false"
+        raise InputError(problem, files.calibration, fix)
+    packets = {number: _read(read_row, packet, damaged) for number, packet in files.oxts.items()}
+    oxts = {number: row for number, row in packets.items() if row is not None}
+    numbers, times = files.timeline(chosen)
+    if not numbers or (not files.oxts and files.oxts_times.parent.is_dir()):
+        fix = "Extract it. Only if labels come from another labels.source: remove the empty folder"
+        raise InputError("drive has no oxts packets", files.oxts_times.parent, fix)
+    # Lines of timestamps.txt correspond to existing files, including damaged ones.
+    time_s = dict(zip(numbers, read_times(times, numbers).tolist(), strict=True))
+    values: dict[str, dict[int, Any]] = {"oxts": oxts} if oxts else {}
+    if files.steering:
+        values["steering_rad"] = read_steering(files.steering)
+    if oxts:
+        time_s = {number: time_s[number] for number in oxts}
+    notes = [] if chosen is None else [f"camera {chosen}"]
+    calibration = files.calibration / CALIBRATION
+    text = calibration.read_text(errors="replace") if calibration.is_file() else ""
+    frames = partial(_frames_of, files, chosen, camera, time_s, settings, damaged, notes)
+    return Drive(camera, frames, values, notes, "sample" if text.startswith(f"{RENDERED}\n") else "kitti")
+
+
+def _frames_of(
+    files: KittiDrive,
+    chosen: int | None,
+    camera: Camera | None,
+    time_s: Mapping[int, float],
+    settings: Reading,
+    damaged_packets: Sequence[DamagedFile],
+    notes: list[str],
+) -> Iterator[Frame]:
+    """Yield the frames `time_s`, their numbers and times, and add notes at the end."""
+    images = {} if chosen is None else files.images(chosen)
+    depths, classes = (files.truth_depth, files.truth_cls) if camera else ({}, {})
+    scans, size = files.scans if settings.lidar else {}, camera.size if camera else None
+    damaged, counts = [*damaged_packets], {"images": 0, "scans": 0}
+    for number, seconds in time_s.items():
+        frame = Frame(number, seconds)
+        frame.scan = _read(read_scan, scans.get(number), damaged)
+        frame.image = _read(read_image, images.get(number), damaged, size=size)
+        frame.depth_m = _read(read_depth, depths.get(number), damaged, size=size)
+        frame.cls = _read(read_classes, classes.get(number), damaged, size=size)
+        counts["images"] += frame.image is not None
+        counts["scans"] += frame.scan is not None
+        yield frame
+    skip, every_packet = settings.on_damaged == "skip", len(files.oxts) == len(damaged_packets) > 0
+    if damaged and (every_packet or not skip):
+        faults = "; ".join(f"{error.where}: {error.problem}" for error in damaged)
+        fix = "Extract them again" + ", or set ingest.on_damaged: skip to leave them out" * (not skip)
+        where = f"{len(damaged)} damaged files" + ", among them all oxts packets" * every_packet
+        raise DamagedFile(faults, where, fix)
+    for kind, paths in (("images", images), ("scans", scans)):
+        lost = [error for error in damaged if Path(error.where) in paths.values()]
+        if lost and not counts[kind]:  # with on_damaged: skip
+            raise InputError(f"all {kind} of the drive are damaged: {lost[0].problem}", lost[0].where)
+    numbers = files.timeline(chosen)[0]
+    others = {"images or scans without a frame": len({*images, *scans} - {*numbers})}
+    others["damaged files left out"] = len(damaged)
+    notes[1:] = [f"{count} {name}" for name, count in others.items() if count]
+
+
+def _read(
+    reader: Callable[..., np.ndarray], path: Path | None, damaged: list[DamagedFile], **options: Any
+) -> np.ndarray | None:
+    """Return the content of a file; None if there is none, or it is damaged, which is added to `damaged`."""
+    try:
+        return reader(path, **options) if path else None
+    except DamagedFile as error:
+        damaged.append(error)
+        return None
 
 
 def find_drives(root: Path, drives: Sequence[str]) -> dict[str, KittiDrive]:
@@ -177,67 +247,3 @@ def _frames(folder: Path, *suffixes: str) -> dict[int, Path]:
     paths = [path for path in folder.glob("*") if path.stem.isdecimal() and path.suffix.lower() in suffixes]
     paths.sort(key=lambda path: (int(path.stem), -suffixes.index(path.suffix.lower()), path))
     return {int(path.stem): path for path in paths}
-
-
-def read_calibration(folder: Path, number: int) -> Camera:
-    """Read camera `number` from a date folder's files. Raises InputError for missing or wrong entries."""
-    path, velo = folder / CALIBRATION, folder / "calib_velo_to_cam.txt"
-    with error_context(fix="Extract the date's calibration archive (…_calib.zip) again"):
-        entries = read_entries(path)
-        P = matrix(entries, f"P_rect_{number:02d}", (3, 4), path)
-        width, height = np.rint(matrix(entries, f"S_rect_{number:02d}", (2,), path)).astype(int).tolist()
-        K, size = P[:, :3], (height, width)
-        check_pinhole(K, size, f"{path}: P_rect_{number:02d}")
-        if not velo.exists():
-            return Camera(K, size)
-        # P_rect projects from the reference camera's frame, P = K [I | t]: t shifts points to this camera. All three
-        # components count: with x alone (as in pykitti) depths are off by t_z, 3 mm.
-        shift = rigid(np.eye(3), np.linalg.solve(K, P[:, 3]))
-        rectify = rigid(matrix(entries, "R_rect_00", (3, 3), path), np.zeros(3))
-        entries = read_entries(velo)
-        T_cam_velo = shift @ rectify @ rigid(matrix(entries, "R", (3, 3), velo), matrix(entries, "T", (3,), velo))
-        return Camera(K, size, camera_height(T_cam_velo), T_cam_velo)
-
-
-def read_entries(path: Path) -> dict[str, np.ndarray]:
-    """Return name → numbers [n], read by ``pykitti.utils.read_calib_file``. Raises InputError."""
-    from pykitti.utils import read_calib_file  # takes a second to import
-
-    if not path.is_file():
-        raise InputError("file is missing", path)
-    try:
-        return dict(read_calib_file(path))
-    except ValueError as error:
-        raise InputError(f"is not a calibration file ({error})", path) from error
-
-
-def matrix(entries: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...], path: Path) -> np.ndarray:
-    """Return entry `name` of the file at `path` in this shape. Raises InputError."""
-    if name not in entries:
-        raise InputError(f"has no entry {name}", path)
-    values = entries[name]
-    if values.size != np.prod(shape) or not np.isfinite(values).all():
-        raise InputError(f"{name}: expected {np.prod(shape)} finite numbers, got {values}", path)
-    return values.reshape(shape)
-
-
-def check_pinhole(K: np.ndarray, size: Size, where: str) -> None:
-    """Raise InputError if K [3,3] is implausible for images of `size` (H, W): focal length, centre, skew."""
-    height, width = size
-    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
-    focal = min(fx, fy) > 1 and max(fx, fy) < _FOCAL_PER_WIDTH * width  # false for NaN
-    pinhole = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    off = np.array([cx / width, cy / height]) - 0.5
-    centred = np.abs(off).max() <= _OFF_CENTRE and not (off > _OFF_BOTH).all() and not (off < -_OFF_BOTH).all()
-    if not (focal and centred and np.allclose(K, pinhole, atol=1e-3)):
-        numbers = f"focal lengths {fx:g}, {fy:g} and centre {cx:g}, {cy:g}"
-        guess = "" if centred else ". K is for another image size?"
-        raise InputError(f"implausible intrinsics of {width} x {height} pixels: {numbers}{guess}", where)
-
-
-def write_entries(path: Path, entries: Mapping[str, str | np.ndarray]) -> None:
-    """Write the entries in one step: text unchanged, numbers with 13 digits."""
-    with replacing(path) as tmp, tmp.open("w", encoding="ascii") as file:
-        for name, value in entries.items():
-            text = value if isinstance(value, str) else " ".join(f"{number:.12e}" for number in value.ravel())
-            file.write(f"{name}: {text}\n")

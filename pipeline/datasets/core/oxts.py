@@ -1,13 +1,13 @@
 """Recorded motion of a drive: KITTI's inertial and GNSS packets ("oxts"), timestamps, and steering angles."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.kitti.columns import check_increase, fault, read_columns, refuse
+from pipeline.media.columns import LIMIT_MPS, LIMIT_RAD, LIMIT_RADPS, check_increase, fault, read_columns, refuse
 
 COLUMNS = (
     "lat", "lon", "alt", "roll", "pitch", "yaw", "vn", "ve", "vf", "vl", "vu", "ax", "ay", "az", "af", "al", "au",
@@ -17,13 +17,11 @@ COLUMNS = (
 # Speeds forward and to the left, m/s, parallel to the earth's surface; yaw rate about the upward axis, rad/s, left +.
 VF, VL, WU = (COLUMNS.index(name) for name in ("vf", "vl", "wu"))
 _COUNTS = COLUMNS.index("navstat")  # integers from here on
-LIMITS = {"vf": 100.0, "vl": 100.0, "wu": 3.0}  # largest plausible magnitudes of a car; KITTI's yaw rates reach 0.5
-_LIMITS = np.array([LIMITS.get(name, np.inf) for name in COLUMNS])
+_LIMITS = np.array([{"vf": LIMIT_MPS, "vl": LIMIT_MPS, "wu": LIMIT_RADPS}.get(name, np.inf) for name in COLUMNS])
 GRAVITY_MPS2 = 9.81
 EARTH_RADIUS_M = 6378137.0
 STEERING = "steering.csv"  # in a drive's folder: recorded angles, which KITTI itself lacks
 STEERING_COLUMNS = ("frame", "steering_rad")
-LIMIT_RAD = 1.2  # of front wheels; angles of a steering wheel, 15 times as large, exceed it in a tight bend
 
 
 def make_rows(frames: int, **columns: np.ndarray | float) -> np.ndarray:
@@ -98,9 +96,3 @@ def read_steering(path: Path) -> dict[int, float]:
     table, faults = read_columns(path, dict(zip(STEERING_COLUMNS, (np.inf, LIMIT_RAD), strict=True)), expected)
     refuse(faults + check_increase(table["frame"], 1), path, expected)
     return table.dropna().astype({"frame": int}).set_index("frame")["steering_rad"].to_dict()
-
-
-def write_steering(path: Path, steering_rad: Mapping[int, float]) -> None:
-    """Write frame number → angle in rad."""
-    rows = (f"{frame},{angle:.9g}\n" for frame, angle in steering_rad.items())
-    path.write_text(",".join(STEERING_COLUMNS) + "\n" + "".join(rows), encoding="ascii")

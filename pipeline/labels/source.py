@@ -1,23 +1,36 @@
-"""Write a drive's labels, from oxts, from measured motion (visual), or from recorded steering angles (wheel)."""
+"""Write a drive's labels from one of the sources, the files of ``pipeline/labels/sources``.
 
+A source's file has MEASURED, whether it is measured motion, which a model must not get as input and label at once; and
+``read(raw, motion, car, look_ahead)``, which returns the labels of a drive, None if it lacks the source.
+"""
+
+import importlib
+from contextlib import nullcontext
 from pathlib import Path
+from typing import Protocol, cast
 
 import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader, DriveWriter
-from pipeline.kitti.oxts import VF, VL, WU, interpolated, make_rows
+from pipeline.datasets.core.oxts import VL, interpolated, make_rows
 from pipeline.labels.ahead import path_ahead
-from pipeline.labels.label import TURNING_RAD, Car, Labels, steering_labels
-from pipeline.labels.rates import measured_rates, stands
+from pipeline.labels.label import TURNING_RAD, Car, Labels
+from pipeline.settings.labels import SOURCES
 from pipeline.settings.labels import Labels as Settings
 
-# Datasets of an ingest file, and how a message names them.
-RECORDED = {"oxts": ("oxts", "oxts"), "wheel": ("steering_rad", "recorded steering angles (steering.csv)")}
 # Cars do not slide sideways: vl stays below 0.4 m/s in KITTI. Above this limit, heading or GNSS velocity is wrong, and
 # the label with it: 2011_09_26_drive_0093 has 14 m/s to the left and then 11 m/s backwards.
 SIDEWAYS_MPS = 1.0
+
+
+class Source(Protocol):
+    """The module of a source's file."""
+
+    MEASURED: bool
+
+    def read(self, raw: DriveReader, motion: DriveReader | None, car: Car, *, look_ahead: bool) -> Labels | None: ...
 
 
 def labels_drive(path: Path, ingest: Path, motion: Path | None = None, *, settings: Settings) -> Summary:
@@ -25,8 +38,10 @@ def labels_drive(path: Path, ingest: Path, motion: Path | None = None, *, settin
     with DriveReader(ingest, stage="ingest") as raw:
         drive, frame, time_s = raw.drive, raw.frame, raw.time_s
         labels = read(settings.source, raw, motion, Car(settings.wheelbase_m, settings.min_speed_mps))
-        packets = raw["oxts"] if settings.source != "visual" and "oxts" in raw else make_rows(len(frame))
+        measured = load(settings.source).MEASURED
+        packets = raw["oxts"] if not measured and "oxts" in raw else make_rows(len(frame))
     with DriveWriter(path, stage="labels", drive=drive, params={"labels": settings.model_dump()}) as file:
+        file.attrs["measured"] = int(measured)
         write(file, frame, time_s, labels, settings)
     guessed = interpolated(packets)
     counts = {"valid": labels.valid, "turning": labels.valid & (np.abs(labels.steering_rad) > TURNING_RAD)}
@@ -49,37 +64,36 @@ def write(file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, labels: Labe
         file.put("ahead_valid", valid.astype(np.uint8))
 
 
-def recorded(raw: DriveReader) -> list[str]:
-    """Return the sources in an ingest file: those that were recorded, not measured."""
-    return [source for source, (dataset, _) in RECORDED.items() if dataset in raw]
-
-
 def read(source: str, raw: DriveReader, motion: Path | None, car: Car, *, look_ahead: bool = True) -> Labels:
     """Return a drive's labels, valid from the car's minimum speed on.
 
-    A recorded angle is also valid at unknown speed, unless the motion is unknown because nothing moves. With source
-    wheel, speed and yaw rate are read from oxts or, in a drive without oxts, from measured motion. An interpolated
-    packet is no measurement: speed and yaw rate are unknown.
-
-    `raw`, `motion`: the drive's files of stages ingest and motion. With `look_ahead`, measured rates are means over
-    neighbouring frames, later ones included, which no model may get as inputs; else the causal rates that models get.
-    Raises InputError if the drive lacks the source.
+    `raw`, `motion`: the drive's files of stages ingest and motion; `look_ahead`: as of :func:`measured_motion`. Raises
+    InputError if the drive lacks the source.
     """
-    if source != "visual" and source not in recorded(raw):
+    labels = _read(source, raw, motion, car, look_ahead)
+    if labels is None:
         fix = "Set labels.source in params.yaml to a source that all drives have, for instance visual"
-        raise InputError(f"drive has no {RECORDED[source][1]}, which labels.source: {source} needs", raw.path, fix)
-    speed_mps, yaw_rate_radps = np.full((2, len(raw.frame)), np.nan)
-    still = np.zeros(len(raw.frame), bool)
-    if motion:
-        with DriveReader(motion, stage="motion") as file:
-            rows = np.searchsorted(raw.frame, file.frame)
-            yaw_rate_radps[rows], speed_mps[rows], *_ = measured_rates(file, look_ahead=look_ahead)
-            still[rows] = stands(file)
-    if source != "visual" and "oxts" in raw:
-        packets = raw["oxts"]
-        speed_mps, yaw_rate_radps = np.where(interpolated(packets), np.nan, packets[:, [VF, WU]].T)
-    labels = steering_labels(yaw_rate_radps, speed_mps, car)
-    if source == "wheel":
-        valid = labels.valid | ~np.isfinite(speed_mps) & ~still
-        return labels._replace(steering_rad=raw["steering_rad"], valid=valid & raw["has_steering"].astype(bool))
+        needed = (load(source).__doc__ or source).splitlines()[0].rstrip(".")
+        raise InputError(f"drive has no labels.source: {source} ({needed})", raw.path, fix)
     return labels
+
+
+def recorded(raw: DriveReader, car: Car) -> dict[str, Labels]:
+    """Return the labels of each source that an ingest file has: those that were recorded, not measured."""
+    found = {source: _read(source, raw, None, car, True) for source in SOURCES if not load(source).MEASURED}
+    return {source: labels for source, labels in found.items() if labels is not None}
+
+
+def _read(source: str, raw: DriveReader, motion: Path | None, car: Car, look_ahead: bool) -> Labels | None:
+    with DriveReader(motion, stage="motion") if motion else nullcontext() as file:
+        return load(source).read(raw, file, car, look_ahead=look_ahead)
+
+
+def load(source: str) -> Source:
+    """Return the module of a source's file."""
+    return cast(Source, importlib.import_module(f"pipeline.labels.sources.{source}"))
+
+
+def column(source: str) -> str:
+    """Return how a message names the recorded angle of a source; empty if it follows from yaw rate and speed."""
+    return getattr(load(source), "COLUMN", "")

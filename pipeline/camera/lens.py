@@ -1,24 +1,20 @@
-"""Intrinsics of a camera from a field of view or four numbers; undistortion; the horizon's row."""
+"""Intrinsics of a camera from a field of view or four numbers; undistortion; how far a lens sees."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from itertools import islice, pairwise
+from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
 
 from pipeline.base.errors import InputError, error_context
-from pipeline.camera.camera import Camera, Frame
+from pipeline.camera.camera import Camera
 from pipeline.camera.images import Size
-from pipeline.kitti.raw import check_pinhole
-from pipeline.motion.visual import best_corners, corner_quality, track
 
-WIDTH = 640  # px, of the images that are tracked
-CELL, MIN_QUALITY = 24, 2e-5
-MIN_TRACKS, MIN_INLIERS = 60, 0.4
-MIN_FLOW_PX = 1.0  # below, the direction of travel is noise
-RANSAC_PX = 0.7
-PAIRS, PAIR_EVERY, MIN_PAIRS = 60, 10, 8
+_FOCAL_PER_WIDTH = 100.0  # largest plausible ratio
+# Largest offsets of a principal point from the middle, as shares of width and height: of either, and of both to the
+# same side, as in an image of another size. Udacity's camera has −0.08 and 0.13.
+_OFF_CENTRE, _OFF_BOTH = 0.2, 0.1
+MAX_DEPTH_M, WIDE = 80.0, 0.65  # of depth that is used, for a lens with a focal length of up to WIDE image widths
 MAX_TANGENTIAL = 0.01  # of p1 and p2: elements of a lens that are not parallel
 MAX_FOV_DEG = 100  # of a lens without distortion
 RECTIFIED_FOV_DEG = 90  # of a fisheye lens at most: beyond, the middle of the image becomes coarse
@@ -108,36 +104,20 @@ def undistortion(camera: Camera, text: str) -> Callable[[np.ndarray], np.ndarray
     return lambda image: np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR))
 
 
-def find_horizon(frames: Iterable[Frame], camera: Camera) -> float | None:
-    """Return the image row of the direction of travel; None if too few images show one.
+def check_pinhole(K: np.ndarray, size: Size, where: str) -> None:
+    """Raise InputError if K [3,3] is implausible for images of `size` (H, W): focal length, centre, skew."""
+    height, width = size
+    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    focal = min(fx, fy) > 1 and max(fx, fy) < _FOCAL_PER_WIDTH * width  # false for NaN
+    pinhole = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    off = np.array([cx / width, cy / height]) - 0.5
+    centred = np.abs(off).max() <= _OFF_CENTRE and not (off > _OFF_BOTH).all() and not (off < -_OFF_BOTH).all()
+    if not (focal and centred and np.allclose(K, pinhole, atol=1e-3)):
+        numbers = f"focal lengths {fx:g}, {fy:g} and centre {cx:g}, {cy:g}"
+        guess = "" if centred else ". K is for another image size?"
+        raise InputError(f"implausible intrinsics of {width} x {height} pixels: {numbers}{guess}", where)
 
-    It is the median over pairs of consecutive images, spread over the first 600. The row depends little on the focal
-    length. A camera on a car travels along the road, so this is the road's horizon.
-    """
-    images = (frame.image for frame in frames if frame.image is not None)
-    pairs = islice(pairwise(images), 0, PAIRS * PAIR_EVERY, PAIR_EVERY)
-    rows = [row for before, now in pairs if (row := _row(before, now, camera)) is not None]
-    return float(np.median(rows)) if len(rows) >= MIN_PAIRS else None
 
-
-def _row(before: np.ndarray, now: np.ndarray, camera: Camera) -> float | None:
-    small = round(camera.size[0] * WIDTH / camera.size[1]), WIDTH
-    first, second = (
-        cv2.resize(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), small[::-1], interpolation=cv2.INTER_AREA)
-        for image in (before, now)
-    )
-    K = camera.scaled(small).K
-    uv = best_corners(corner_quality(np.asarray(first)), CELL, MIN_QUALITY)
-    uv_now, tracked = track(np.asarray(first), np.asarray(second), uv, uv)
-    uv, uv_now = uv[tracked].astype(np.float64), uv_now[tracked].astype(np.float64)
-    if len(uv) < MIN_TRACKS or np.median(np.abs(uv_now - uv).max(axis=1)) < MIN_FLOW_PX:
-        return None
-    essential, inliers = cv2.findEssentialMat(uv, uv_now, K, cv2.RANSAC, 0.999, RANSAC_PX)
-    if essential is None or essential.shape != (3, 3) or inliers.mean() < MIN_INLIERS:
-        return None
-    _, rotation, translation, _ = cv2.recoverPose(essential, uv, uv_now, K, mask=inliers)
-    _, down, ahead = -rotation.T @ translation[:, 0]
-    if abs(ahead) < 0.9:  # of a unit vector: not a car's motion
-        return None
-    row = K[1, 2] + K[1, 1] * down / ahead
-    return float((row + 0.5) * camera.size[0] / small[0] - 0.5)
+def depth_limit(camera: Camera) -> float:
+    """Return the largest usable depth in metres: what is far away is larger in the images of a longer lens."""
+    return MAX_DEPTH_M * max(1.0, camera.K[0, 0] / (WIDE * camera.size[1]))

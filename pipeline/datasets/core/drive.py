@@ -1,0 +1,52 @@
+"""What a dataset's file, ``pipeline/datasets/NAME.py``, gives to stage ingest: two functions by drive name.
+
+- ``fingerprint(name, settings, root)``: JSON-able facts that change with the drive's files, for instance
+  :func:`stamps`; drives with more of them are read first. Each run calls it for each drive, so it decodes no images.
+- ``open_drive(name, settings, root)``: a :class:`Drive`.
+
+`settings` is section ``ingest``, `root` the folder data/raw; of the rendered sample data/sample.
+"""
+
+import importlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, cast
+
+from pipeline.camera.camera import Camera, Frame
+
+if TYPE_CHECKING:
+    from pipeline.settings.ingest import Ingest
+
+
+@dataclass
+class Drive:
+    """One drive of a dataset."""
+
+    camera: Camera | None  # of complete, rectified images; None: no images and no scans
+    frames: Callable[[], Iterator[Frame]]  # in ascending numbers; images, depth and classes have the camera's size
+    # Name → frame number → value: oxts [30], steering_rad, speed_mps and yaw_rate_radps, see ingest_file.VALUES
+    values: Mapping[str, Mapping[int, Any]] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)  # for the user; complete after the last frame
+    dataset: str = ""  # if it is another than the file's name
+
+
+class Dataset(Protocol):
+    """The module of a dataset's file."""
+
+    def fingerprint(self, name: str, settings: "Ingest", root: Path) -> list[Any]: ...
+    def open_drive(self, name: str, settings: "Ingest", root: Path) -> Drive: ...
+
+
+def load(name: str) -> Dataset:
+    """Return the module of a dataset's file; section ingest has checked that it exists."""
+    return cast(Dataset, importlib.import_module(f"pipeline.datasets.{name}"))
+
+
+def stamps(paths: Iterable[Path], folder: Path) -> list[Any]:
+    """Return names below `folder`, sizes and times of files: hashing KITTI's 175 GB takes longer than ingesting them.
+
+    The change time detects a file that was extracted again: unzip restores the modification time.
+    """
+    stats = ((path, path.stat()) for path in paths)
+    return [[str(path.relative_to(folder)), s.st_size, s.st_mtime_ns, s.st_ctime_ns] for path, s in stats]

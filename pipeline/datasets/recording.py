@@ -1,0 +1,119 @@
+"""Videos and folders of images with logs of the car: parts of recordings in data/raw, as ingest.recordings has them."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pipeline.base.errors import InputError
+from pipeline.base.resume import content_hash
+from pipeline.camera.camera import Camera, Frame
+from pipeline.camera.images import format_size
+from pipeline.camera.lens import fisheye, pinhole, undistortion
+from pipeline.datasets.core.drive import Drive
+from pipeline.media.log import ROUNDING_S, Logs
+from pipeline.media.recording import Recording, open_recording
+from pipeline.settings.ingest import Ingest, Part
+
+VIDEO, FRAMES, WHEEL, MOTION, TIMES = (
+    "video",
+    "frames",
+    "wheel.csv",
+    "motion.csv",
+    "times.txt",
+)  # in a folder of data/raw
+
+
+class Capture(NamedTuple):
+    """Options for a recording, which has no calibration of its own; None: not given."""
+
+    fov_deg: float | None = None
+    K: str | None = None
+    distortion: str | None = None
+    fisheye: str | None = None
+    fps: float | None = None
+    times: Path | None = None
+
+
+def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
+    """Return the part's settings, which hold the hashes of its files. Raises InputError for a file of another hash.
+
+    Files may be missing on a machine that fetches finished drives.
+    """
+    part = settings.recordings[name]
+    for path, expected in _paths(part, root).items():
+        if path.exists() and content_hash(path) != expected:
+            fix = "Run it with the new file: make NAME of its preset, or make params PRESET=NAME"
+            raise InputError("is not the file whose hash ingest.recordings has", path, fix)
+    return [part.model_dump(mode="json")]
+
+
+def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
+    """Return the part of a recording; images without motion, if there is a log of it, are left out."""
+    part = settings.recordings[name]
+    paths = _paths(part, root)
+    if missing := [path for path in paths if not path.exists()]:
+        gone = f"the link's target {missing[0].readlink()}" if missing[0].is_symlink() else "the file"
+        fix = "Repeat steer import, or fetch finished drives: dvc repro --pull --allow-missing"
+        raise InputError(f"{gone} is missing", missing[0], fix)
+    wheel, motion, times = (
+        next((path for path in paths if path.name == kind), None) for kind in (WHEEL, MOTION, TIMES)
+    )
+    logs = Logs.read(wheel, part.steering_ratio, motion, part.offset)
+    capture = Capture(part.fov, part.K, part.distortion, part.fisheye, part.fps, times)
+    recording, camera = open_images([path for path in paths if path.name.startswith((VIDEO, FRAMES))], capture, logs)
+    used = usable(recording.times_s, logs, part.start, math.inf if part.end is None else part.end)
+    if not used.any():
+        raise InputError("no image is left from start to end, or none with motion", f"ingest.recordings.{name}")
+    return read_drive(recording, replace(camera, horizon=part.horizon), logs, used, recording.times_s[used][0])
+
+
+def _paths(part: Part, root: Path) -> dict[Path, str]:
+    """Return the files of a recording with their hashes, videos in order."""
+    return {root / part.folder / name: expected for name, expected in part.files.items()}
+
+
+def open_images(
+    paths: Path | Sequence[Path], capture: Capture, logs: Logs = Logs(), hz: float | None = None
+) -> tuple[Recording, Camera]:
+    """Open a recording of rectified images, `hz` of them per second, after `logs` are compared with its times."""
+    recording = open_recording(paths, capture.fps, capture.times, logs.check_overlap)
+    if recording.size[0] > recording.size[1]:
+        sizes = f"images are taller than wide ({format_size(recording.size)} pixels): is it rotated by 90 degrees?"
+        raise InputError(sizes, recording.path, "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)")
+    if capture.distortion and capture.fisheye:
+        raise InputError("expected one model of the lens, got two", fix="Pass --distortion or --fisheye")
+    if capture.fisheye:
+        camera, recording.straighten = fisheye(recording.size, capture.fisheye, capture.fov_deg, capture.K)
+    else:
+        camera = pinhole(recording.size, capture.fov_deg, capture.K)
+    if capture.distortion:
+        recording.straighten = undistortion(camera, capture.distortion)
+    if hz:
+        recording.resample(hz)
+    return recording, camera
+
+
+def usable(time_s: np.ndarray, logs: Logs, start_s: float, end_s: float) -> np.ndarray:
+    """Return which images bool [F] at `time_s` [F] lie in [start, end) since the first, and have a logged motion."""
+    elapsed_s = time_s - time_s[0] + ROUNDING_S
+    used = (elapsed_s > start_s) & (elapsed_s <= end_s)
+    return used & np.isfinite(logs.motion.at(time_s)[0]) if logs.motion else used
+
+
+def read_drive(
+    recording: Recording, camera: Camera, logs: Logs, used: np.ndarray | None = None, origin_s: float = 0.0
+) -> Drive:
+    """Return the `used` frames, bool [F], of a recording, all by default; `origin_s` is subtracted from their times."""
+    used = np.ones(len(recording.times_s), bool) if used is None else used
+    values = logs.values(np.flatnonzero(used), recording.times_s[used])
+    return Drive(camera, partial(_frames, recording, used, origin_s), values, recording.notes)
+
+
+def _frames(recording: Recording, used: np.ndarray, origin_s: float) -> Iterator[Frame]:
+    for frame in recording.frames(used):
+        yield Frame(frame.number, frame.time_s - origin_s, frame.image)

@@ -1,0 +1,16 @@
+"""The rendered drives of stage sample, in KITTI raw's layout."""
+
+from pathlib import Path
+from typing import Any
+
+from pipeline.base.resume import file_hash
+from pipeline.datasets import kitti
+from pipeline.settings.ingest import Ingest
+
+open_drive = kitti.open_drive
+
+
+def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
+    """Return the contents of the files: a checkout has other times."""
+    folder, files = root / name[:10], kitti.find_drives(root, [name])[name]
+    return [[str(path.relative_to(folder)), file_hash(path)] for path in files.paths(settings.cameras)]

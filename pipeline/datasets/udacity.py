@@ -1,0 +1,50 @@
+"""Udacity's Challenge 2: videos of the centre camera, and the angles of the steering wheel by CAN.
+
+Drive NAME is data/raw/udacity/NAME.mp4, and NAME.csv with time_s and wheel_rad, left positive, of each of its frames.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.base.errors import InputError
+from pipeline.camera.lens import pinhole, undistortion
+from pipeline.datasets.core.drive import Drive, stamps
+from pipeline.media.columns import LIMIT_RAD, read_columns, refuse
+from pipeline.media.recording import open_recording
+from pipeline.settings.ingest import Ingest
+
+# Of the right-hand camera of this rig and size: sensor_info/camera_calibration/right_camera/ost.yaml of the challenge.
+K, DISTORTION = "2152,2166,268,303", "-0.042,-0.89,0,0"
+HORIZON = 215.24  # row, by steer import
+STEERING_RATIO = 14.8  # of the steering wheel's angle to the front wheels', Lincoln MKZ
+
+
+def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
+    """Return names, sizes and times of the two files."""
+    return stamps(_files(name, root), root)
+
+
+def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
+    """Return a drive, with steering angles and without oxts."""
+    video, log = _files(name, root)
+    images = open_recording(video)
+    camera = pinhole(images.size, K=K)
+    images.straighten = undistortion(camera, DISTORTION)
+    limits = {"time_s": np.inf, "wheel_rad": LIMIT_RAD * STEERING_RATIO}
+    table, faults = read_columns(log, limits, "Expected CSV: time_s, wheel_rad")
+    if len(table) != len(images.times_s):
+        faults.append(f"has {len(table)} rows, the video {len(images.times_s)} frames")
+    refuse(faults, log, "Take both files of one drive")
+    images.times_s = table["time_s"].to_numpy()
+    angles = dict(enumerate((table["wheel_rad"] / STEERING_RATIO).tolist()))
+    return Drive(replace(camera, horizon=HORIZON), images.frames, {"steering_rad": angles}, images.notes)
+
+
+def _files(name: str, root: Path) -> list[Path]:
+    files = [root / f"udacity/{name}{suffix}" for suffix in (".mp4", ".csv")]
+    if missing := [path for path in files if not path.is_file()]:
+        raise InputError("file is missing", missing[0], "Copy it there, or take the drive out of ingest.drives")
+    return files

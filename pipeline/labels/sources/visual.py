@@ -1,0 +1,15 @@
+"""The motion that stage motion measures in images, by visual odometry."""
+
+from pipeline.base.store import DriveReader
+from pipeline.labels.label import Car, Labels, steering_labels
+from pipeline.labels.recorded import measured_motion
+
+MEASURED = True
+
+
+def read(raw: DriveReader, motion: DriveReader | None, car: Car, *, look_ahead: bool) -> Labels | None:
+    """Return a drive's labels, unknown where the motion is not measured."""
+    if motion is None:
+        return None
+    speed_mps, yaw_rate_radps, _ = measured_motion(raw, motion, look_ahead=look_ahead)
+    return steering_labels(yaw_rate_radps, speed_mps, car)

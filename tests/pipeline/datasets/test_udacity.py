@@ -1,0 +1,52 @@
+"""A dataset in one file: Udacity's Challenge 2, through stage ingest; and what the keys of drives depend on."""
+
+import numpy as np
+import pytest
+
+from pipeline.base import resume
+from pipeline.base.errors import InputError
+from pipeline.base.store import DriveReader
+from pipeline.datasets import udacity
+from stages import ingest
+from tests.kitti_drive import pictures, write, write_params, write_video
+
+SIZE = (480, 640)
+
+
+def test_frames_and_angles_of_a_drive(tmp_path):
+    folder, angles = tmp_path / "raw/udacity", {"hills": [0.37, -0.74, 0.0, 1.48], "town": [0.0, 0.1, 0.2, 0.3]}
+    for name, wheel_rad in angles.items():
+        rows = "".join(f"{number / 20:.4f},{angle}\n" for number, angle in enumerate(wheel_rad))
+        write(folder / f"{name}.csv", "time_s,wheel_rad\n" + rows)
+        write_video(folder / f"{name}.mp4", pictures(4, SIZE), fps=20.0)
+    params = write_params(tmp_path / "params.yaml", ["hills"], ["town"], source="udacity")
+    out = ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params)
+    with DriveReader(out / "hills.h5", stage="ingest") as file:
+        np.testing.assert_allclose(file["steering_rad"], [0.025, -0.05, 0, 0.1])
+        np.testing.assert_allclose(file.time_s, np.arange(4) / 20)
+        assert ("oxts" in file, file["has_image"].tolist(), file.params["dataset"]) == (False, [1] * 4, "udacity")
+    write(folder / "town.csv", "time_s,wheel_rad\n0,0\n0.1,0\n")
+    with pytest.raises(InputError, match=r"town.csv: has 2 rows, the video 4 frames"):
+        ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params)
+    (folder / "town.csv").unlink()
+    with pytest.raises(InputError, match=r"town.csv: file is missing"):
+        ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params)
+
+
+def test_an_edited_dataset_makes_no_drive_of_another_anew(tmp_path, monkeypatch):
+    def keys() -> list[str]:
+        resume._import_hash.cache_clear()
+        return [
+            resume.stage_key("ingest", {}, [], (f"pipeline/datasets/{name}.py", ingest.WRITER))
+            for name in ("kitti", "udacity", "recording")
+        ]
+
+    meaning, before = resume.meaning, keys()
+    for edited, changed in {
+        udacity.__file__: [False, True, False],
+        str(resume.ROOT / "pipeline/media/recording.py"): [False, True, True],
+        str(resume.ROOT / ingest.WRITER): [True] * 3,
+    }.items():
+        monkeypatch.setattr(resume, "meaning", lambda path, edited=edited: meaning(path) + "#" * (str(path) == edited))
+        assert [key != old for key, old in zip(keys(), before, strict=True)] == changed
+    resume._import_hash.cache_clear()

@@ -52,8 +52,8 @@ def main(
             for kind, motion_scores in score_motion(drives).items():
                 content["motion"].setdefault(kind, dict.fromkeys(SPLITS))[split] = motion_scores
         for kind in (name for name in SOURCES if not sources.load(name).MEASURED):
-            sums = comparison.read(kind, store.drives_in(index, "train", "val"), ingest, motion, car)
-            compared = comparison.compare([*sums.values()])
+            pairs = comparison.read(kind, store.drives_in(index, "train", "val"), ingest, motion, car)
+            compared = comparison.compare([*pairs.values()])
             errors, lines = comparison.judge(compared, sources.column(kind))
             content["recorded"][kind] = compared | {"lines": [*lines, *errors]}
         store.write_json(folder.new / "metrics.json", content)

@@ -13,7 +13,6 @@ from typing import Annotated
 
 import typer
 
-from pipeline.base.errors import InputError
 from steer import options
 
 STREET = Path("weights/street")
@@ -38,18 +37,9 @@ def measure(
     encoder: Annotated[Path, typer.Option(help="folder of an encoder; make street writes the default one")] = STREET,
 ) -> None:
     """Write the measured motion and print its quality; the module's docstring is the help text."""
-    from pipeline.datasets.recording import Capture
-    from pipeline.labels.label import Car
-    from pipeline.media.log import Logs
-    from pipeline.perception.perceive import FILE
-    from pipeline.video import measure as video_measure
-    from pipeline.video.source import open_source
+    from pipeline.base.outputs import claim
+    from steer import api
 
-    logs, encoder = Logs.read(wheel, steering_ratio, motion, offset), options.here_or_in_checkout(encoder)
-    if not (encoder / FILE).is_file():
-        raise InputError("no encoder", encoder, "Make one for real streets: make street. Or pass --encoder")
-    capture = Capture(fov, k, distortion, fisheye, fps, times)
-    opened = open_source(source, video_measure.READING, camera_height, logs, capture=capture)
-    car = Car(wheelbase, min_speed_mps=1.0)  # below, the steering angle is noise
-    lines, files = video_measure.measure(opened, out, encoder, car, video=video)
-    print(*opened.notes, *lines, ", ".join(map(str, files)), sep="\n")
+    known = options.known(fov, k, distortion, fisheye, fps, times, camera_height, wheel, steering_ratio, motion, offset)
+    out = claim(out, options.stem(source))
+    options.report(api.measure(source, encoder=encoder, wheelbase_m=wheelbase, out=out, video=video, **known))

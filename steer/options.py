@@ -1,9 +1,12 @@
 """Options that several commands share."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+
+if TYPE_CHECKING:
+    from pipeline.video.results import Outcome
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 
@@ -42,3 +45,33 @@ SteeringRatio = Annotated[
 ]
 Offset = Annotated[float, number(-1e10, 1e10, "seconds to add to the times of --motion and --wheel")]
 Video = Annotated[bool, typer.Option(help="write overlay.mp4")]
+
+
+def known(
+    fov: float | None,
+    k: str | None,
+    distortion: str | None,
+    fisheye: str | None,
+    fps: float | None,
+    times: Path | None,
+    camera_height: float | None,
+    wheel: Path | None,
+    steering_ratio: float | None,
+    motion: Path | None,
+    offset: float,
+) -> Any:
+    """Return the options as :class:`steer.api.Options`."""
+    lens = {"fov_deg": fov, "K": k, "distortion": distortion, "fisheye": fisheye, "fps": fps, "times": times}
+    logs = {"wheel": wheel, "steering_ratio": steering_ratio, "motion": motion, "offset_s": offset}
+    return lens | logs | {"camera_height_m": camera_height}
+
+
+def stem(source: list[Path]) -> str:
+    """Return the name of a recording or KITTI drive for the folder of its results."""
+    return source[0].resolve().stem.removesuffix("_sync")
+
+
+def report(outcome: "Outcome") -> None:
+    """Print notes, files, and at most three doubts at the end."""
+    print(*outcome.notes, ", ".join(map(str, outcome.files)), sep="\n")
+    print(*(f"doubt: {text}" for text in outcome.doubts[:3]), sep="\n", end="\n" * bool(outcome.doubts))

@@ -17,8 +17,6 @@ import typer
 from pipeline.base.errors import InputError
 from steer import options
 
-SAMPLE = options.CHECKOUT / "models/steering/sample"  # of rendered streets
-
 
 def predict(
     source: options.SourcePath,
@@ -41,41 +39,13 @@ def predict(
     ] = None,
 ) -> None:
     """Write the predicted angles and print their errors; the module's docstring is the help text."""
-    from pipeline.datasets.recording import Capture
-    from pipeline.media.log import Logs
-    from pipeline.train.predict import load
-    from pipeline.video import predict as video_predict
-    from pipeline.video.source import open_source
+    from pipeline.base.outputs import claim
+    from steer import api
 
-    model = _folder(model)
-    logs = Logs.read(wheel, steering_ratio, motion, offset)
-    trained, encoder = load(model), encoder or _encoder_beside(model)
-    capture = Capture(fov, k, distortion, fisheye, fps, times)
-    height_m = camera_height or trained.settings["perception"]["camera_height_m"]
-    opened = open_source(source, video_predict.reading(trained), height_m, logs, trained.fps, capture)
-    lines, files = video_predict.predict(trained, opened, out, encoder, video=video)
-    print(f"{trained.name} was trained on {len(trained.drives)} drives: {trained.drives[0]} to {trained.drives[-1]}")
-    print(*opened.notes, *lines, ", ".join(map(str, files)), sep="\n")
-
-
-def _folder(model: Path | None) -> Path:
-    """Return the folder of a model. Raises InputError if there is none, or a run has several."""
     if model is None:
         fix = "Measure the angle: steer measure (nmse 0.008 on real drives). Or name a network of yours. That of "
         fix += "--model models/steering/sample has seen rendered streets only (nmse 1.22 on a real drive)"
         raise InputError("no network for real streets is included", "--model", fix)
-    model = options.here_or_in_checkout(model)
-    networks = sorted(path.parent for path in (model / "data/train").glob("*/best.pt"))
-    if len(networks) > 1:
-        raise InputError("has several models", model, f"Pass one as --model: {', '.join(map(str, networks))}")
-    return networks[0] if networks else model
-
-
-def _encoder_beside(model: Path) -> Path:
-    """Return data/encoder of a model data/train/<model>, or of a folder of a seed or fold below it; or the sample's."""
-    if model.resolve() == SAMPLE:
-        return options.CHECKOUT / "models/encoder/sample"
-    for parent in model.resolve().parents[:2]:
-        if parent.name == "train":
-            return parent.parent / "encoder"
-    raise InputError("the model is not in a data/train", model, "Pass --encoder, the folder of its encoder")
+    known = options.known(fov, k, distortion, fisheye, fps, times, camera_height, wheel, steering_ratio, motion, offset)
+    out = claim(out, options.stem(source))
+    options.report(api.predict(source, model, encoder=encoder, out=out, video=video, **known))

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,15 +15,30 @@ from pipeline.metrics import nmse
 
 LAGS_S = np.array(sorted(np.arange(-40, 41) / 20, key=abs))  # [L]
 STEADY = 0.2  # standard deviation / root mean square: below, no correlation is defined
-SHOWN, JUDGED = 20, 100  # turning frames that a comparison and an error need
-CLEAR = 0.9  # correlation that needs fewer frames
+SHOWN, SIGNED, JUDGED = 20, 40, 100  # turning frames that a comparison, an inverted sign and other errors need
+# The cosine of recorded and measured values, of turning frames, is 0.97 to 1 in all parts of eight healthy logs that
+# have SIGNED turning frames; where the sign is inverted, it is the opposite.
+OPPOSITE = -0.93
+CLEAR, FOLLOWS = 0.9, 0.95  # least correlations: of few frames; of many: eight healthy logs have 0.978 and more
 # KITTI's and rendered drives agree to 0.05 s with a correlation of 0.997, of which a lag of 0.25 s costs 0.02. A
-# steering wheel may lead the yaw rate by 0.2 s.
-LATE_S, LATE_COST = 0.2, 0.01
+# steering wheel may lead the yaw rate by 0.2 s. Lags of the thirds of a healthy log differ by up to 0.1 s.
+LATE_S, LATE_COST, DRIFT_S = 0.2, 0.01, 0.3
+MAGNITUDE = 0.1  # by how much magnitudes correlate better than values with a sign
+STUCK_S, STUCK_RAD = 2.0, 4 * TURNING_RAD  # a recorded angle stays equal for longer, while the measured one varies
+OFF_CENTRE = 0.2  # of the root mean square of measured values, when these are 0: healthy logs have up to 0.06
 DEGREES, SIMILAR = math.degrees(1), 0.1  # 57.3 within a factor of 1.5: healthy gains are 0.7 to 1.2
 # Logarithms of gains. Karlsruhe's cameras measure 1.2 times the speed, a camera 1.2 m above the road 1.38 times. The
 # yaw rate depends on no scale, but on the focal length: in 243 rendered drives its gain is 0.93 to 1.07.
-UNLIKE, UNLIKE_SPEED, UNLIKE_YAW = math.log(2), math.log(1.4), math.log(1.15)
+UNLIKE, UNLIKE_SPEED, UNLIKE_YAW = math.log(1.3), math.log(1.4), math.log(1.15)
+MOST = 2  # doubts that are told
+
+
+class Pair(NamedTuple):
+    """Recorded and measured labels of the frames [F] of a drive; measured rates are means that look ahead."""
+
+    time_s: np.ndarray
+    recorded: Labels
+    measured: Labels
 
 
 def errors(measured: Labels, true: Labels) -> np.ndarray:
@@ -62,23 +77,8 @@ def score(drives: Sequence[np.ndarray]) -> dict[str, Any] | None:
     }
 
 
-def sums(time_s: np.ndarray, recorded: Labels, measured: Labels) -> np.ndarray:
-    """Return sums over the frames [F] of a drive, float64 [3,7,L], for :func:`compare`; those of drives can be added.
-
-    `measured`: means that look ahead. The recording is shifted by each lag; frames count where both are valid.
-    """
-    result = np.zeros((3, 7, len(LAGS_S)))
-    for row, name in enumerate(("steering_rad", "yaw_rate_radps", "speed_mps") if len(time_s) else ()):
-        m, r = (np.where(labels.valid, getattr(labels, name), np.nan) for labels in (measured, recorded))
-        r = np.stack([np.interp(time_s + lag_s, time_s, r, np.nan, np.nan) for lag_s in LAGS_S])
-        used = np.isfinite(m) & np.isfinite(r)
-        m, r = np.where(used, m, 0.0), np.where(used, r, 0.0)
-        result[row] = np.stack([used, m, r, m * m, r * r, m * r, np.abs(m) > TURNING_RAD]).sum(axis=-1)
-    return result
-
-
-def read(source: str, drives: Sequence[str], ingest: Path, motion: Path, car: Car) -> dict[str, np.ndarray]:
-    """Return drive → :func:`sums`, without drives that lack the recorded `source` or measured motion.
+def read(source: str, drives: Sequence[str], ingest: Path, motion: Path, car: Car) -> dict[str, Pair]:
+    """Return drive → labels, without drives that lack the recorded `source` or measured motion.
 
     `ingest`, `motion`: the folders of these stages.
     """
@@ -88,83 +88,166 @@ def read(source: str, drives: Sequence[str], ingest: Path, motion: Path, car: Ca
         with DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw:
             recorded = sources.recorded(raw, car).get(source)
             if recorded and path.is_file():
-                result[drive] = sums(raw.time_s, recorded, sources.read("visual", raw, path, car))
+                result[drive] = Pair(raw.time_s, recorded, sources.read("visual", raw, path, car))
     return result
 
 
-def compare(drives: Sequence[np.ndarray]) -> dict[str, Any]:
-    """Return how recorded values follow measured ones, by the :func:`sums` of drives.
+def compare(pairs: Sequence[Pair]) -> dict[str, Any]:
+    """Return how recorded values follow measured ones.
 
-    ``turning``: frames that turn by the measured angle. ``angle``, ``yaw_rate`` and ``speed``, where recorded:
+    ``turning``: frames that turn by the measured angle. ``angle``, ``yaw_rate`` and ``speed``, where recorded: see
+    :func:`_fit`, and ``stuck_s``, the longest time for which the recording stays equal while the measured angle varies.
+    """
+    result, turns = dict[str, Any](turning=0), np.zeros(0, bool)
+    for key, name in (("angle", "steering_rad"), ("yaw_rate", "yaw_rate_radps"), ("speed", "speed_mps")):
+        lagged = [_lagged(pair, name) for pair in pairs if len(pair.time_s)]
+        if not lagged:
+            continue
+        m, r = (np.concatenate(values, axis=-1) for values in zip(*lagged, strict=True))  # [N], [L,N]
+        if key == "angle":
+            turns = np.abs(m) > TURNING_RAD  # false for NaN
+            result["turning"] = int((turns & np.isfinite(r[0])).sum())
+        if np.isfinite(m * r[0]).any():
+            result[key] = _fit(m, r, turns) | {"stuck_s": max(_stuck_s(pair, name) for pair in pairs)}
+    return result
+
+
+def _lagged(pair: Pair, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return measured values [F], and recorded ones, shifted by each lag, [L,F]; NaN where not valid."""
+    m, r = (np.where(labels.valid, getattr(labels, name), np.nan) for labels in (pair.measured, pair.recorded))
+    return m, np.stack([np.interp(pair.time_s + lag_s, pair.time_s, r, np.nan, np.nan) for lag_s in LAGS_S])
+
+
+def _stuck_s(pair: Pair, name: str) -> float:
+    longest, values = 0.0, getattr(pair.recorded, name)
+    for rows in np.split(np.arange(len(values)), np.flatnonzero(np.diff(values) != 0) + 1):  # NaN differs from NaN
+        moved = pair.measured.steering_rad[rows][pair.measured.valid[rows]]
+        if len(moved) and np.ptp(moved) > STUCK_RAD:
+            longest = max(longest, float(np.ptp(pair.time_s[rows])))
+    return longest
+
+
+def _fit(m: np.ndarray, r: np.ndarray, turns: np.ndarray) -> dict[str, Any]:
+    """Return how recorded values r [L,N] at all lags follow measured ones m [N]; `turns` bool [N].
+
     ``frames``; ``correlation``, 0 on a steady curve or at a steady speed; ``lag_s`` of the recording, positive if it is
     late, at which the correlation has the largest magnitude, ``best``; ``distinct``: it explains much more than any of
-    the other sign, and its magnitude is above 0.7; ``gain``: recorded / measured root mean square there.
+    the other sign, and its magnitude is above 0.7; there ``gain``, recorded / measured root mean square, ``offset``,
+    the recorded value where the measured one is 0, and ``off_centre``, the same in measured root mean squares.
+    ``cosine``: of both values in turning frames, without lag; ``magnitude``: the best correlation of the recording with
+    measured magnitudes; ``thirds_s``: the lag of each third that follows and has SIGNED turning frames.
     """
-    total, fits = np.sum([np.zeros((3, 7, len(LAGS_S))), *drives], axis=0), dict[str, Any]()
-    for name, (count, *means, _) in zip(("angle", "yaw_rate", "speed"), total, strict=True):
-        m, r, mm, rr, mr = np.array(means) / np.maximum(count, 1)
-        varies = (mm - m**2 > STEADY**2 * mm) & (rr - r**2 > STEADY**2 * rr) & (count > count[0] / 2)
-        correlation = np.where(varies, mr - m * r, 0.0) / np.sqrt(np.where(varies, (mm - m**2) * (rr - r**2), 1.0))
-        best = int(np.argmax(np.abs(correlation)))
-        rival = max(0.0, (-np.sign(correlation[best]) * correlation).max())
-        if count[0]:
-            fits[name] = {
-                "frames": int(count[0]),
-                "correlation": float(correlation[0]),
-                "lag_s": float(LAGS_S[best]),
-                "best": float(correlation[best]),
-                "distinct": bool(1 - correlation[best] ** 2 < (1 - rival**2) / 2),
-                "gain": float(np.sqrt(max(rr[best], 1e-12) / max(mm[best], 1e-12))),
-            }
-    return fits | {"turning": int(total[0, 6, 0])}
+    correlation, slope, mean_m, mean_r, rms_m, rms_r = _correlation(m, r)
+    best = int(np.argmax(np.abs(correlation)))
+    rival = max(0.0, (-np.sign(correlation[best]) * correlation).max())
+    used, thirds_s = turns & np.isfinite(r[0]), []
+    length = math.sqrt((m[used] ** 2).sum() * (r[0, used] ** 2).sum())
+    for rows in np.array_split(np.arange(len(m)), 3):
+        third = _correlation(m[rows], r[:, rows])[0]
+        if used[rows].sum() >= SIGNED and third.max() > CLEAR:
+            thirds_s.append(float(LAGS_S[np.argmax(third)]))
+    return {
+        "frames": int((np.isfinite(m) & np.isfinite(r[0])).sum()),
+        "correlation": float(correlation[0]),
+        "lag_s": float(LAGS_S[best]),
+        "best": float(correlation[best]),
+        "distinct": bool(1 - correlation[best] ** 2 < (1 - rival**2) / 2),
+        "gain": float(max(rms_r[best], 1e-6) / max(rms_m[best], 1e-6)),
+        "offset": (offset := float((mean_r - slope * mean_m)[best])),
+        "off_centre": offset / max(float(rms_m[best]), 1e-6),
+        "cosine": float((m[used] * r[0, used]).sum() / length) if length else 0.0,
+        "magnitude": float(_correlation(np.abs(m), r)[0].max()),
+        "thirds_s": thirds_s,
+    }
 
 
-def check(source: str, drives: Mapping[str, np.ndarray]) -> Iterator[str]:
-    """Yield what :func:`judge` finds in the :func:`sums` of each long drive, since they may differ, and of all drives.
+def _correlation(m: np.ndarray, r: np.ndarray) -> np.ndarray:
+    """Return correlation, slope of r by m, both means and both root mean squares at each lag, [6,L]."""
+    used = np.isfinite(m) & np.isfinite(r)
+    count, both = used.sum(axis=1), (np.where(used, m, 0.0), np.where(used, r, 0.0))
+    (mean_m, mean_r), (mm, rr) = ([(x**n).sum(axis=1) / np.maximum(count, 1) for x in both] for n in (1, 2))
+    mr = (both[0] * both[1]).sum(axis=1) / np.maximum(count, 1) - mean_m * mean_r
+    var_m, var_r = mm - mean_m**2, rr - mean_r**2
+    varies = (var_m > STEADY**2 * mm) & (var_r > STEADY**2 * rr) & (count > count[0] / 2)
+    correlation = np.where(varies, mr, 0.0) / np.sqrt(np.where(varies, var_m * var_r, 1.0))
+    slope = np.where(varies, mr, 0.0) / np.where(varies, var_m, 1.0)
+    return np.stack([correlation, slope, mean_m, mean_r, np.sqrt(mm), np.sqrt(rr)])
+
+
+def check(source: str, drives: Mapping[str, Pair]) -> Iterator[str]:
+    """Yield what :func:`judge` finds in each long drive, since they may differ, and in all drives.
 
     Raises InputError for an error.
     """
-    long = {drive: [own] for drive, own in drives.items() if own[0, 6, 0] >= JUDGED}
-    for where, group in {**long, "training and validation drives": [*drives.values()]}.items():
-        errors, lines = judge(compare(group), sources.column(source))
+    compared = {drive: compare([pair]) for drive, pair in drives.items()}
+    groups = {drive: found for drive, found in compared.items() if found["turning"] >= JUDGED}
+    for where, found in {**groups, "training and validation drives": compare([*drives.values()])}.items():
+        errors, lines = judge(found, sources.column(source))
         if errors:
             raise InputError(errors[0], where, "Correct the log and import it again, or choose another labels.source")
         yield from (f"{where}: {line}" for line in lines)
 
 
-def judge(comparison: Mapping[str, Any], column: str) -> tuple[list[str], list[str]]:
-    """Return errors, and lines: a result of :func:`compare`, and doubts.
+def judge(comparison: Mapping[str, Any], column: str, ratio: float = 1.0) -> tuple[list[str], list[str]]:
+    """Return errors, and lines: a result of :func:`compare`, and up to MOST doubts, the strongest first.
 
-    `column` of the recorded angles; empty: they follow from yaw rate and speed. With few turning frames errors are
-    doubts, with very few there is nothing but the speed.
+    `column` of the recorded angles, in the log times `ratio`; empty: they follow from yaw rate and speed. With few
+    turning frames errors are doubts, with very few there is nothing but the speed.
     """
     errors, doubts, texts, turning = list[str](), list[str](), list[str](), comparison["turning"]
-    angle = column, "angle", UNLIKE, "the steering ratio and K"
-    for name, key, unlike, others in (("yaw_rate_radps", "yaw_rate", UNLIKE_YAW, "and K or --fov"), angle):
-        if not (fit := comparison.get(key)) or turning < SHOWN:
-            continue
-        _, correlation, lag_s, best, distinct, gain = fit.values()
-        course = f", correlation {correlation:.3f}, best lag {lag_s:.2f} s" if best else ""
-        texts.append(f"{key.replace('_', ' ')} gain {gain:.2f}{course}")
-        if not name or errors:
-            continue
-        certain, found = (distinct, errors) if turning >= JUDGED else (distinct and abs(best) > CLEAR, doubts)
-        times = f"{name} is {gain:.3g} times what is measured"
-        if certain and max(best, correlation) < 0:
-            found.append(f"the sign of {name} is inverted: left is positive")
-        if certain and abs(abs(math.log(gain, DEGREES)) - 1) < SIMILAR:
-            found.append(f"{times}: convert degrees to radians, once")
-        elif certain and abs(math.log(gain)) > unlike - math.log(abs(best)):  # noise increases either
-            doubts.append(f"{times}: check its unit, {others}")
-        elif best and not certain and turning >= JUDGED:
-            causes = "another drive's log, a clock that is more than 2 s off, or poorly measured motion"
-            doubts.append(f"{name} does not follow the measured motion: {causes}")
-        if best > CLEAR and best - correlation > LATE_COST and abs(lag_s) > LATE_S:
-            when = "late" if lag_s > 0 else "early"
-            doubts.append(f"{name} is {abs(lag_s):.2f} s {when}: pass --offset {-lag_s:.2f}, added to an earlier one")
+    for key in ("yaw_rate", "angle"):
+        if (fit := comparison.get(key)) and turning >= SHOWN:
+            late = f", the recording {abs(fit['lag_s']):.2f} s {'late' if fit['lag_s'] > 0 else 'early'}"
+            course = f", correlation {fit['correlation']:.3f}{late if fit['lag_s'] else ''}" if fit["best"] else ""
+            texts.append(f"{key.replace('_', ' ')} gain {fit['gain']:.2f}{course}")
+    key, name = ("angle", column) if column else ("yaw_rate", "yaw_rate_radps")
+    if (fit := comparison.get(key)) and turning >= SHOWN:
+        errors, doubts = _judge(fit, name, turning, ratio)
     if (speed := comparison.get("speed")) and speed["frames"] >= SHOWN:
         texts.append(f"speed gain {speed['gain']:.2f}")
         if abs(math.log(speed["gain"])) > UNLIKE_SPEED * (1.4 if speed["frames"] < JUDGED else 1):  # noisy
             causes = "km/h would give 3.6, mph 2.24; a wrong K or camera height changes the measured speed"
             doubts.append(f"speed_mps is {speed['gain']:.2f} times what is measured: {causes}")
-    return errors, [f"recorded / measured, {turning} turning frames: {'; '.join(texts)}", *doubts] if texts else []
+    agreement = [f"recorded / measured, {turning} turning frames: {'; '.join(texts)}"] if texts else []
+    return errors, [*agreement, *doubts[:MOST]]
+
+
+def _judge(fit: Mapping[str, Any], name: str, turning: int, ratio: float) -> tuple[list[str], list[str]]:
+    """Return errors and doubts about the column `name`."""
+    best, gain, lag_s, many = fit["best"], fit["gain"], fit["lag_s"], turning >= JUDGED
+    certain = fit["distinct"] and (many or abs(best) > CLEAR)
+    inverted = f"the sign of {name} is inverted: left is positive"
+    times = f"{name} is {gain:.3g} times what is measured"
+    degrees = certain and abs(abs(math.log(gain, DEGREES)) - 1) < SIMILAR
+    unsigned = fit["magnitude"] > max(CLEAR, abs(best) + MAGNITUDE)
+    drifts = len(fit["thirds_s"]) > 1 and np.ptp(fit["thirds_s"]) > DRIFT_S
+    unlike, others = UNLIKE, "the steering ratio and K"
+    if name == "yaw_rate_radps":
+        unlike, others = UNLIKE_YAW, "and K or --fov"
+    errors = {
+        inverted: not unsigned
+        and (
+            (turning >= SIGNED and fit["cosine"] < OPPOSITE) or (many and certain and max(best, fit["correlation"]) < 0)
+        ),
+        f"{times}: convert degrees to radians, once": many and degrees,
+    }
+    lags = " to ".join(f"{lag:.2f}" for lag in fit["thirds_s"])
+    causes = "another drive's log, a clock that is more than 2 s off, or poorly measured motion"
+    when = "late" if lag_s > 0 else "early"
+    # The first that holds is the reason; a wrong time may come on top.
+    doubts = {
+        f"{name} has angles without a sign": unsigned,
+        inverted: certain and max(best, fit["correlation"]) < 0,
+        f"{times}: convert degrees to radians, once": degrees,
+        f"{name} stays equal for {fit['stuck_s']:.0f} s while the car turns": fit["stuck_s"] > STUCK_S,
+        f"the clock of {name} drifts or jumps: it is {lags} s late": drifts,
+        f"{name} does not follow the measured motion: {causes}": many and 0 < abs(best) < FOLLOWS,
+        f"{times}: check its unit, {others}": certain and abs(math.log(gain)) > unlike and abs(best) > FOLLOWS,
+        f"straight ahead is {fit['offset'] * ratio:.2g} in {name}: subtract it": abs(best) > FOLLOWS
+        and abs(fit["off_centre"]) > OFF_CENTRE,
+    }
+    late = best > CLEAR and best - fit["correlation"] > LATE_COST and abs(lag_s) > LATE_S and not drifts
+    offset_text = f"{name} is {abs(lag_s):.2f} s {when}: pass --offset {-lag_s:.2f}, added to an earlier one"
+    found = [text for text, holds in doubts.items() if holds][:1] + [offset_text] * bool(late)
+    wrong = [text for text, holds in errors.items() if holds]
+    return wrong, [] if wrong else found

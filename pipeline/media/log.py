@@ -11,6 +11,7 @@ from pipeline.media.columns import LIMIT_MPS, LIMIT_RAD, LIMIT_RADPS, read_colum
 from pipeline.media.recording import check_times
 
 MAX_GAP_S = 0.5  # between values that are interpolated
+WRAPPED_RAD = 5.0  # between two values: no wheel turns this fast
 ROUNDING_S = 1e-3  # of timestamps in videos; comparisons tolerate it
 _RATES = {"speed_mps": LIMIT_MPS, "yaw_rate_radps": LIMIT_RADPS}
 _MOTION = "Expected CSV, numbers with decimal points: time_s [s], speed_mps [m/s], yaw_rate_radps [rad/s, left +]"
@@ -24,6 +25,7 @@ class Log(NamedTuple):
     values: np.ndarray
     name: str = ""
     repeated: int = 0  # rows of the file that equal another one and are left out
+    ratio: float = 1.0  # by which the file's values were divided
 
     def at(self, time_s: np.ndarray) -> np.ndarray:
         """Return quantities [C,F] at `time_s` [F], linear between times; NaN outside, and in gaps of any quantity."""
@@ -62,7 +64,9 @@ class Logs(NamedTuple):
             if not abs(steering_ratio) >= 1:
                 raise InputError("expected a magnitude of 1 or more", "--steering-ratio", "1: angles of front wheels")
             angles = _read(wheel, {"wheel_rad": LIMIT_RAD * abs(steering_ratio)}, _WHEEL, offset_s)
-            angles = angles._replace(values=angles.values / steering_ratio)
+            if np.nanmin(angles.values) >= 0 and np.nanmax(np.abs(np.diff(angles.values))) > WRAPPED_RAD:
+                raise InputError("wheel_rad is 0 to 2π: angles jump by a turn", wheel, "Subtract 2π above π")
+            angles = angles._replace(values=angles.values / steering_ratio, ratio=steering_ratio)
         return cls(angles, rates)
 
     @property

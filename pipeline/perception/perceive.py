@@ -60,7 +60,7 @@ def warnings(folder: Path, precision: str, ingest: Iterable[Path]) -> Iterator[s
         with DriveReader(path, stage="ingest") as file:
             if file.params.get("dataset", "sample") != "sample":
                 fix = "Use the encoder of make street, weights/street, and ingest.image_size: [192, 640]"
-                yield f"warning: {folder} was fitted to rendered streets alone: wrong depth on {file.drive}. {fix}"
+                yield f"{folder} was fitted to rendered streets alone: wrong depth on {file.drive}. {fix}"
                 return
 
 

@@ -76,6 +76,6 @@ def ranges(drives: Sequence[str]) -> list[str]:
     found = list[list[str]]()
     for name in drives:
         before = found[-1][-1] if found else ""
-        follows = before[:-4] == name[:-4] and name[-4:].isdecimal() and int(name[-4:]) == int(before[-4:]) + 1
+        follows = name[-4:].isdecimal() and before == f"{name[:-4]}{int(name[-4:]) - 1:04d}"
         found = [*found[:-1], [*found[-1], name]] if follows else [*found, [name]]
     return [names[0] + f"..{names[-1][-4:]}" * (len(names) > 1) for names in found]

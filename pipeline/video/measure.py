@@ -11,23 +11,23 @@ from pipeline.perception.perceive import warnings
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from pipeline.video.pictures import publish
-from pipeline.video.results import Results
+from pipeline.video.results import Outcome, Results
 from pipeline.video.source import INGEST, MOTION, Source, folders, run_chain
 
 # As the encoder was trained; of a KITTI drive, the first camera with images.
 READING = Reading(image_size=(192, 640), cameras=[2, 0, 3, 1], lidar=False, on_damaged="skip")
 
 
-def measure(source: Source, out: Path | None, encoder: Path, car: Car, *, video: bool) -> tuple[list[str], list[Path]]:
-    """Write motion.csv, track.png, quality.json and overlay.mp4, if `video`; return lines for the user, and the files.
+def measure(source: Source, out: Path | None, encoder: Path, car: Car, *, video: bool) -> Outcome:
+    """Write motion.csv, track.png, quality.json and overlay.mp4, if `video`.
 
-    `out`: a new or empty folder; None: out/NAME. `encoder`: a folder. Raises InputError if `out` is not free, no frame
-    can be read, or a log is unusable.
+    `out`: a new or empty folder; None: no files. `encoder`: a folder. Raises InputError if no frame can be read, or a
+    log is unusable.
     """
-    with folders(out, source) as (work, new, folder):
+    with folders(out) as (work, new):
         run_chain(source, work, READING, Perception(batch=4), encoder)
-        source.notes.extend(warnings(encoder, "float32", [work / INGEST]))
         results = Results.read(source, work, car, look_ahead=True)
+        results.doubts += warnings(encoder, "float32", [work / INGEST])
         comparison = results.compare("measured")
         with DriveReader(work / MOTION, stage="motion") as motion:
             heights_m, bonnet = motion["road_height_m"], lowest_share(motion["still"], motion["valid"])
@@ -47,8 +47,10 @@ def measure(source: Source, out: Path | None, encoder: Path, car: Car, *, video:
         if quality["road_height_m"] and not source.height_known:
             height = f"{quality['road_height_m']:.2f} m above the road. Measure it"
             lines.append(f"the encoder's depth puts the camera {height} and pass --camera-height: speed follows it")
-        if quality["speed_sigma"]:
+        if quality["speed_sigma"] and not results.doubts:
             lines.append(f"speed and curvature may be off by {quality['speed_sigma']:.0%} (one standard deviation)")
         write_json(new / "quality.json", quality)
-        publish(new, "motion.csv", results, source, car.wheelbase_m, video=video)
-        return lines, [folder / path.name for path in sorted(new.iterdir())]
+        if out:
+            publish(new, "motion.csv", results, source, car.wheelbase_m, video=video)
+    files = sorted(out.iterdir()) if out else []
+    return Outcome(results.columns(), [*source.notes, *lines], results.doubts, files)

@@ -19,7 +19,7 @@ from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from pipeline.train.predict import Trained
 from pipeline.video.pictures import publish
-from pipeline.video.results import Results
+from pipeline.video.results import Outcome, Results
 from pipeline.video.source import INGEST, MOTION, PERCEPTION, Source, folders, run_chain
 
 CLOUDS, GRAPHS = "clouds.h5", "graphs.h5"
@@ -31,10 +31,8 @@ def reading(model: Trained) -> Reading:
     return Reading.model_validate(model.settings["ingest"] | {"on_damaged": "skip", "lidar": lidar})
 
 
-def predict(
-    model: Trained, source: Source, out: Path | None, encoder: Path, *, video: bool
-) -> tuple[list[str], list[Path]]:
-    """Write steering.csv, track.png and overlay.mp4; return lines for the user, and the files.
+def predict(model: Trained, source: Source, out: Path | None, encoder: Path, *, video: bool) -> Outcome:
+    """Write steering.csv, track.png and overlay.mp4.
 
     Arguments and errors as of :func:`pipeline.video.measure.measure`. Raises InputError also if the source lacks an
     input of the model.
@@ -43,7 +41,7 @@ def predict(
     variant, perception = Variant.model_validate(settings["graphs"]), Perception.model_validate(settings["perception"])
     if reading(model).lidar and not (source.files and source.files.scans and source.camera.T_cam_velo is not None):
         raise InputError(f"model {model.name} needs LiDAR scans", source.name, "Choose a model without them")
-    with folders(out, source) as (work, new, folder):
+    with folders(out) as (work, new):
         run_chain(source, work, reading(model), perception, encoder)
         clouds = work / (INGEST if variant.kind == "image" else CLOUDS)
         if variant.kind != "image":
@@ -60,10 +58,11 @@ def predict(
             results.ahead_m, results.path_1pm = model.ahead_m, prediction
         ahead = f", each {horizon} frames ahead" if horizon else ""
         predicted = f"{model.name}: {np.isfinite(prediction[:, 0]).sum()} predictions for {frames} frames{ahead}"
-        warnings = _differences(model, source, encoder, results.table["time_s"])
-        lines = [*warnings, *results.lines(results.compare("predicted", horizon)), predicted]
-        publish(new, "steering.csv", results, source, model.car.wheelbase_m, video=video)
-        return lines, [folder / path.name for path in sorted(new.iterdir())]
+        results.doubts += _differences(model, source, encoder, results.table["time_s"])
+        lines = [*source.notes, *results.lines(results.compare("predicted", horizon)), predicted]
+        if out:
+            publish(new, "steering.csv", results, source, model.car.wheelbase_m, video=video)
+    return Outcome(results.columns(), lines, results.doubts, sorted(out.iterdir()) if out else [])
 
 
 def _clouds(model: Trained, source: Source) -> Clouds:
@@ -77,9 +76,9 @@ def _clouds(model: Trained, source: Source) -> Clouds:
 def _differences(model: Trained, source: Source, encoder: Path, time_s: np.ndarray) -> Iterator[str]:
     """Yield where a source or an encoder differs from what the model was fitted to."""
     if model.datasets == ["sample"] != [source.drive.dataset]:
-        yield f"warning: {model.name} was fitted to the rendered sample alone, so expect wrong angles on real streets"
+        yield f"{model.name} was fitted to the rendered sample alone, so expect wrong angles on real streets"
     step_s = float(np.median(np.diff(time_s))) if source.files and len(time_s) > 1 else 1 / model.fps
     if abs(1 / step_s / model.fps - 1) > RATE_TOLERANCE:  # other sources have been resampled
-        yield f"warning: {model.name} was fitted to {model.fps:.1f} frames/s, got {1 / step_s:.1f}"
+        yield f"{model.name} was fitted to {model.fps:.1f} frames/s, got {1 / step_s:.1f}"
     if file_hash(encoder / FILE) != model.settings["encoder"]["sha256"]:
-        yield f"warning: {model.name} was fitted to depth and classes of another encoder than {encoder}"
+        yield f"{model.name} was fitted to depth and classes of another encoder than {encoder}"

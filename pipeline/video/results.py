@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,7 +16,7 @@ from pipeline.base.store import DriveReader
 from pipeline.evaluate import errors
 from pipeline.labels import rates
 from pipeline.labels import source as sources
-from pipeline.labels.comparison import compare, judge, sums
+from pipeline.labels.comparison import Pair, compare, judge
 from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
 from pipeline.media.log import Logs
 from pipeline.motion.step import PROBLEMS
@@ -31,12 +31,22 @@ BLOCK_S = 5.0  # errors of nearer frames are correlated, for the interval of nms
 FORMATS = {"frame": ".0f", "valid": ".0f", "points": ".0f", "residual": ".3f", "driven_rad": ".9f"}  # others: ".6f"
 
 
+class Outcome(NamedTuple):
+    """What measuring or predicting a drive gives."""
+
+    table: pd.DataFrame  # a row per frame, as in motion.csv or steering.csv; NaN where unknown
+    notes: list[str]
+    doubts: list[str]
+    files: list[Path]
+
+
 class Truth(NamedTuple):
     """Ground truth of F frames, its source, and the column of recorded angles."""
 
     name: str  # of the source; empty: no ground truth
     column: str  # empty: angles follow from yaw rate and speed
     driven: Labels
+    ratio: float = 1.0  # of values in the log to these
 
 
 def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> Truth:
@@ -51,7 +61,8 @@ def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> 
     source = "wheel" if logs.wheel and "wheel" in recorded else next(iter(recorded))
     name = logs.name or {"wheel": "steering.csv"}.get(source, source)
     column = "wheel_rad" if logs.wheel else sources.column(source)
-    return Truth(name, column, recorded[source].at(np.searchsorted(ingest.frame, frame)))
+    driven = recorded[source].at(np.searchsorted(ingest.frame, frame))
+    return Truth(name, column, driven, logs.wheel.ratio if logs.wheel else 1.0)
 
 
 def read_course(motion: DriveReader, car: Car, *, look_ahead: bool, height_known: bool) -> dict[str, np.ndarray]:
@@ -97,6 +108,7 @@ class Results:
     agreement: dict[str, Any]  # of what was driven with the measured motion: pipeline.labels.comparison.compare
     ahead_m: tuple[float, ...] = ()  # edges of the ranges of the predicted path, of models of the path
     path_1pm: np.ndarray | None = None  # [F,R] predicted mean curvature in each range
+    doubts: list[str] = field(default_factory=list)
 
     @classmethod
     def read(
@@ -116,28 +128,33 @@ class Results:
             truth = read_truth(raw, motion.frame[rows], source.logs, car)
             looking_ahead = sources.read("visual", raw, work / MOTION, car)
             measured = looking_ahead.at(np.searchsorted(raw.frame, motion.frame[rows]))
-            agreement = compare([sums(motion.time_s[rows], truth.driven, measured)])
+            agreement = compare([Pair(motion.time_s[rows], truth.driven, measured)])
             valid, codes = motion["valid"], motion["problem"][rows]
             source.notes.extend(source.logs.notes(motion.time_s[rows]))
-            source.notes.extend(warnings(lowest_share(motion["still"], valid)))
-            source.notes.extend(_backwards(source.path, course["speed_mps"][rows], truth, car.min_speed_mps))
+            doubts = [*_backwards(source.path, course["speed_mps"][rows], truth, car.min_speed_mps)]
+            doubts += warnings(lowest_share(motion["still"], valid))
             points, residual = (np.where(valid, motion[name], np.nan) for name in ("inliers", "residual"))
             columns = {"valid": valid, **course, "points": points, "residual": residual}
             driven_rad = np.where(truth.driven.valid, truth.driven.steering_rad, np.nan)
             table = {"frame": motion.frame[rows], "time_s": motion.time_s[rows], "driven_rad": driven_rad}
         table |= {name: values[rows] for name, values in columns.items()}
-        return cls(source.name, table, [PROBLEMS[code] for code in codes], truth, agreement)
+        results = cls(source.name, table, [PROBLEMS[code] for code in codes], truth, agreement)
+        results.doubts = [*doubts, *results.judged()[1]]
+        return results
+
+    def columns(self) -> pd.DataFrame:
+        """Return a row per frame: the recording, the columns, and those of a predicted path for each range."""
+        names = [f"path_{near:g}_{far:g}m_1pm" for near, far in pairwise(self.ahead_m)]
+        path = {} if self.path_1pm is None else dict(zip(names, self.path_1pm.T, strict=True))
+        return pd.DataFrame({"drive": self.name, **self.table, **path})
 
     def write_csv(self, path: Path) -> None:
-        """Write the columns, and those of a predicted path for each range."""
-        table, names = dict(self.table), [f"path_{near:g}_{far:g}m" for near, far in pairwise(self.ahead_m)]
-        if self.path_1pm is not None:
-            table |= {f"{name}_1pm": column for name, column in zip(names, self.path_1pm.T, strict=True)}
-        texts = {
-            name: ["" if math.isnan(value) else format(value, FORMATS.get(name, ".6f")) for value in values.tolist()]
-            for name, values in table.items()
-        }
-        pd.DataFrame({"drive": self.name, **texts}).to_csv(path, index=False)
+        """Write the :meth:`columns`; unknown values are empty."""
+        table = self.columns().astype(object)
+        for name in table.columns[1:]:
+            form = FORMATS.get(name, ".6f")
+            table[name] = ["" if math.isnan(value) else format(value, form) for value in table[name]]
+        table.to_csv(path, index=False)
 
     def lines(self, comparison: Mapping[str, Any] | None) -> Iterator[str]:
         """Yield text for the user: why motion could not be measured, and the result of :meth:`compare`."""
@@ -145,8 +162,7 @@ class Results:
         reasons = ", ".join(f"{problem} ({count})" for problem, count in counts)
         measured = f"motion measured in {int(self.table['valid'].sum())} of {len(self.problems)} frames"
         yield f"{measured}; not measured: {reasons}" if reasons else measured
-        faults, doubts = judge(self.agreement, self.truth.column)
-        yield from (*doubts, *faults)
+        yield from self.judged()[0]
         if comparison is None:
             return
         ahead = f", {comparison['horizon']} frames ahead" if comparison["horizon"] else ""
@@ -156,6 +172,11 @@ class Results:
                 nmse = "-" if row["nmse"] is None else f"{row['nmse']:.3f} ({errors.interval_text(row['nmse_ci95'])})"
                 text = "" if row["correlation"] is None else f", correlation {row['correlation']:.3f}"
                 yield f"  {name}: nmse {nmse}, RMSE {row['rmse_deg']:.2f} deg{text}"
+
+    def judged(self) -> tuple[list[str], list[str]]:
+        """Return a line about how the recorded values follow the measured ones, if there are any, and doubts."""
+        faults, lines = judge(self.agreement, self.truth.column, self.truth.ratio)
+        return lines[:1], [*lines[1:], *faults]
 
     def compare(self, column: str, horizon: int = 0) -> dict[str, Any] | None:
         """Return errors of angles against the driven ones `horizon` frames later; None without common frames.

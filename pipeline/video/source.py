@@ -2,7 +2,7 @@
 
 import shutil
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -13,7 +13,6 @@ import numpy as np
 from tqdm import tqdm
 
 from pipeline.base.errors import InputError
-from pipeline.base.outputs import claim
 from pipeline.base.store import replacing
 from pipeline.camera.camera import Camera
 from pipeline.datasets import kitti, recording
@@ -105,15 +104,12 @@ def _open_images(
 
 
 @contextmanager
-def folders(out: Path | None, source: Source) -> Iterator[tuple[Path, Path, Path]]:
-    """Yield a temporary folder, one for results, and the output folder, which gets these if the block has no error.
-
-    `out` None: out/NAME. Raises InputError if it is not free.
-    """
-    folder = claim(out, source.name)
-    with replacing(folder) as new, TemporaryDirectory(dir=new.parent) as work:
-        new.mkdir()
-        yield Path(work), new, folder
+def folders(out: Path | None) -> Iterator[tuple[Path, Path]]:
+    """Yield a temporary folder, and one for results, which becomes the folder `out` if the block has no error."""
+    with ExitStack() as stack:
+        new = Path(stack.enter_context(replacing(out)) if out else stack.enter_context(TemporaryDirectory()))
+        new.mkdir(exist_ok=True)
+        yield Path(stack.enter_context(TemporaryDirectory(dir=new.parent))), new
 
 
 def run_chain(source: Source, work: Path, reading: Reading, perception: Perception, encoder: Path) -> None:

@@ -54,8 +54,8 @@ def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
     rows = [f"{10 + number / 2},{3.6 * SPEED},{YAW_RATE}\n" for number in range(5)]
     log.write_text("time_s,speed_mps,yaw_rate_radps\n" + "".join(rows))
     with pytest.raises(InputError, match=r"log is from 10\.0 to 12\.0 s, the images from 0\.0 to 2\.9 s"):
-        measure(images, out=out, encoder=encoder, motion=log, **LENS)
-    measure(images, out=out, encoder=encoder, motion=log, offset=-10, distortion="0,0,0,0", **LENS)
+        measure([images], out=out, encoder=encoder, motion=log, **LENS)
+    measure([images], out=out, encoder=encoder, motion=log, offset=-10, distortion="0,0,0,0", **LENS)
     assert "motion measured in 29 of 30 frames" in (text := capsys.readouterr().out)
     assert "can.csv covers 21 of 30 images" in text
     assert "times what is measured: km/h would give 3.6" in text
@@ -81,7 +81,7 @@ def test_input_without_motion_gets_no_numbers(tmp_path, encoder, kind, capsys):
     view = drive(1)[0] if kind == "standing" else 3
     noisy = np.clip(view + rng.normal(0, 2, shape), 0, 255).astype(np.uint8)
     images = write_folder(tmp_path / "images", rng.integers(0, 255, shape, np.uint8) if kind == "snow" else noisy)
-    measure(images, out=tmp_path / "out", encoder=encoder, video=False, **LENS)
+    measure([images], out=tmp_path / "out", encoder=encoder, video=False, **LENS)
     rows = read(tmp_path / "out")
     assert not rows["valid"].any()
     for name in ("speed_mps", "yaw_rate_radps", "measured_rad", "x_m", "points"):
@@ -93,19 +93,19 @@ def test_input_without_motion_gets_no_numbers(tmp_path, encoder, kind, capsys):
 
 def test_a_camera_that_looks_back_is_noticed(tmp_path, encoder, capsys):
     images, log = write_folder(tmp_path / "images", drive(12)[::-1]), tmp_path / "can.csv"
-    measure(images, out=tmp_path / "out", encoder=encoder, video=False, **LENS)
+    measure([images], out=tmp_path / "out", encoder=encoder, video=False, **LENS)
     assert "11 of 11 moving frames are measured backwards: the camera looks back?" in capsys.readouterr().out
     for speed, problem in ((-SPEED, nullcontext()), (SPEED, pytest.raises(InputError, match=r"forward by can\.csv"))):
         rows = [f"{number / 10},{speed},{YAW_RATE}\n" for number in range(12)]
         log.write_text("time_s,speed_mps,yaw_rate_radps\n" + "".join(rows))
         with problem:
-            measure(images, out=tmp_path / f"{speed}", encoder=encoder, motion=log, video=False, **LENS)
+            measure([images], out=tmp_path / f"{speed}", encoder=encoder, motion=log, video=False, **LENS)
 
 
 def test_a_cut_is_not_a_motion(tmp_path, encoder):
     before = [image[:, ::-1] for image in drive(10)]
     images = write_folder(tmp_path / "images", [*before, *drive(10, start=25)])
-    measure(images, out=tmp_path / "out", encoder=encoder, video=False, **LENS)
+    measure([images], out=tmp_path / "out", encoder=encoder, video=False, **LENS)
     rows = read(tmp_path / "out")
     yaw_rate = rows["yaw_rate_radps"]
     assert rows["valid"].tolist() == [0, *9 * [1], 0, *9 * [1]]
@@ -117,7 +117,7 @@ def test_a_killed_run_leaves_nothing(tmp_path, encoder, monkeypatch):
     images = write_folder(tmp_path / "images", drive(4))
     monkeypatch.setattr(source, "measure_drive", Mock(side_effect=KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
-        measure(images, out=tmp_path / "results/out", encoder=encoder, **LENS)
+        measure([images], out=tmp_path / "results/out", encoder=encoder, **LENS)
     assert [*(tmp_path / "results").iterdir()] == []
 
 
@@ -154,7 +154,7 @@ def test_unsuitable_inputs(tmp_path, encoder, monkeypatch):
     write(tmp_path / "kept/poses.txt", "mine")
     monkeypatch.chdir(tmp_path)
     for _ in range(2):
-        measure(images, encoder=encoder, video=False, **LENS)
+        measure([images], encoder=encoder, video=False, **LENS)
     for name in ("images", "images-2"):
         assert len(read(tmp_path / f"out/{name}")["frame"]) == 4
     for path, options, problem in (
@@ -166,5 +166,5 @@ def test_unsuitable_inputs(tmp_path, encoder, monkeypatch):
         if "video" in options:
             monkeypatch.setattr("shutil.disk_usage", lambda _: SimpleNamespace(free=10**6))
         with pytest.raises(InputError, match=problem):
-            measure(path, **{"encoder": encoder, **LENS, **options})
+            measure([path], **{"encoder": encoder, **LENS, **options})
     assert [path.name for path in (tmp_path / "kept").iterdir()] == ["poses.txt"]

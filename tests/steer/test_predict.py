@@ -80,7 +80,7 @@ def read(out: Path) -> pd.DataFrame:
 @pytest.mark.parametrize("model", MODELS)
 def test_predictions_equal_those_of_the_stages(folder, tmp_path, model):
     """The model knows its chain: params.yaml is not read. Each value is that of the graphs that the stages made."""
-    predict(drive(folder), model=folder / f"data/train/{model}", out=tmp_path / "out", video=model == "path")
+    predict([drive(folder)], model=folder / f"data/train/{model}", out=tmp_path / "out", video=model == "path")
     rows = read(tmp_path / "out")
     with open_graphs(folder / f"data/graphs/{MODELS[model]['input']}/{TEST}.h5") as graphs:
         expected = load(folder / f"data/train/{model}", "cpu").predict(graphs)
@@ -95,7 +95,7 @@ def test_predictions_equal_those_of_the_stages(folder, tmp_path, model):
 
 def test_a_model_is_compared_with_oxts(folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(folder)
-    predict(drive(folder), model=Path("data/train/scans"), out=tmp_path / "out", video=False)
+    predict([drive(folder)], model=Path("data/train/scans"), out=tmp_path / "out", video=False)
     text, rows = capsys.readouterr().out, read(tmp_path / "out")
     assert "warning" not in text
     predicted_rad, driven_rad = rows["predicted_rad"].to_numpy()[:-2], rows["driven_rad"].to_numpy()[2:]
@@ -104,13 +104,13 @@ def test_a_model_is_compared_with_oxts(folder, tmp_path, monkeypatch, capsys):
     nmse = ((predicted_rad - driven_rad)[used] ** 2).mean() / (driven_rad[used] ** 2).mean()
     assert f"predicted: nmse {nmse:.3f}" in text
     with pytest.raises(InputError, match=r"--model: no network for real streets is included\. Measure"):
-        predict(drive(folder), out=tmp_path / "other")
+        predict([drive(folder)], out=tmp_path / "other")
     with pytest.raises(InputError, match=r"\.: has several models\. Pass one as --model: data/train/path, "):
-        predict(drive(folder), model=Path(), out=tmp_path / "other")
+        predict([drive(folder)], model=Path(), out=tmp_path / "other")
     with pytest.raises(InputError, match=r"data/train/scan: no trained model"):
-        predict(drive(folder), model=Path("data/train/scan"), out=tmp_path / "other")
+        predict([drive(folder)], model=Path("data/train/scan"), out=tmp_path / "other")
     with pytest.raises(InputError, match="has its own calibration"):
-        predict(drive(folder), model=Path("data/train/scans"), out=tmp_path / "other", fov=80.0)
+        predict([drive(folder)], model=Path("data/train/scans"), out=tmp_path / "other", fov=80.0)
 
 
 def test_a_folder_of_images(folder, tmp_path, capsys):
@@ -121,13 +121,13 @@ def test_a_folder_of_images(folder, tmp_path, capsys):
         taller = cv2.copyMakeBorder(cv2.imread(str(path)), 60, 60, 0, 0, cv2.BORDER_CONSTANT)
         cv2.imwrite(str(images / f"img{number}.jpg"), taller)
     with pytest.raises(InputError, match="--fov DEGREES"):
-        predict(images, model=folder / "data/train/points", out=out, fps=10.0)
+        predict([images], model=folder / "data/train/points", out=out, fps=10.0)
     with pytest.raises(InputError, match="model scans needs LiDAR scans"):
-        predict(images, model=folder / "data/train/scans", out=out, fov=81.0, fps=10.0)
+        predict([images], model=folder / "data/train/scans", out=out, fov=81.0, fps=10.0)
     assert not out.exists()
     with pytest.raises(InputError, match=r"has 5\.0 frames/s, the model was fitted to"):
-        predict(images, model=folder / "data/train/points", out=out, fov=81.0, fps=5.0)
-    predict(images, model=folder / "data/train/points", out=out, fov=81.0, fps=20.0)
+        predict([images], model=folder / "data/train/points", out=out, fov=81.0, fps=5.0)
+    predict([images], model=folder / "data/train/points", out=out, fov=81.0, fps=20.0)
     text = capsys.readouterr().out
     parts = "3 predictions for 6 frames", "fitted to the rendered sample alone", "6 of 12 frames are"
     assert all(part in text for part in parts)
@@ -142,14 +142,14 @@ def test_a_gap_and_a_damaged_image_start_a_new_window(folder, tmp_path, capsys):
     images, model = root / f"{TEST}_sync/image_02/data", folder / "data/train/path"
     (images / "0000000004.png").write_bytes((images / "0000000004.png").read_bytes()[:-500])
     (images / "0000000008.png").unlink()
-    predict(root / f"{TEST}_sync", model=model, out=out, video=False)
+    predict([root / f"{TEST}_sync"], model=model, out=out, video=False)
     rows = read(out)
     assert rows["frame"].tolist() == [0, 1, 2, 3, 5, 6, 7, 9, 10, 11]
     assert rows["frame"][rows["path_0_2m_1pm"].isna()].tolist() == [0, 5, 9]
     assert "1 damaged files left out" in capsys.readouterr().out
-    predict(root / f"{TEST}_sync", model=folder / "data/train/scans", out=tmp_path / "scans", video=False)
+    predict([root / f"{TEST}_sync"], model=folder / "data/train/scans", out=tmp_path / "scans", video=False)
     assert (read(tmp_path / "scans")["frame"] == rows["frame"]).all()  # frames 4 and 8 have only a scan
     for path in images.iterdir():
         path.write_bytes(b"nothing")
     with pytest.raises(InputError, match="all images of the drive are damaged"):
-        predict(root / f"{TEST}_sync", model=model, out=tmp_path / "none", video=False)
+        predict([root / f"{TEST}_sync"], model=model, out=tmp_path / "none", video=False)

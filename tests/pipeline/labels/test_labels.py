@@ -148,7 +148,7 @@ def course(time_s: np.ndarray, factor: float, speed: float) -> Labels:
 RECORDED = [  # seconds, lag, factor, speed, error, doubt
     (30, 0, 1, 8, None, None),
     (30, 0.15, 0.88, 10, None, None),  # a camera of another height
-    (30, 0.15, 0.75, 10, None, "yaw_rate_radps is 0.748 times"),  # a wrong focal length; of a wheel's angle, understeer
+    (30, 0.15, 0.75, 10, None, "{} is 0.74"),  # a wrong focal length, or ratio
     (30, 0.5, 1, 8, None, "0.50 s late: pass --offset -0.50"),
     (30, -1.25, 1, 8, None, "1.25 s early: pass --offset 1.25"),
     (30, 0.5, -1, 8, "the sign of {} is inverted: left is positive", None),
@@ -158,7 +158,8 @@ RECORDED = [  # seconds, lag, factor, speed, error, doubt
     (30, 0, 1, 28.8, None, "speed_mps is 3.60 times what is measured: km/h"),
     (30, 10, 1, 8, None, "{} does not follow"),
     (7, 0.5, 1, 8, None, "0.50 s late: pass --offset -0.50"),
-    (7, 0, -1, 8, None, "the sign of {} is inverted"),
+    (7, 0, -1, 8, "the sign of {} is inverted", None),
+    (3, 0, -1, 8, None, "the sign of {} is inverted"),
 ]
 
 
@@ -172,20 +173,43 @@ def test_what_was_recorded_is_compared_with_measured_motion(column, seconds, lag
         measured.steering_rad[:] += 0.002 * np.sin(1e4 * time_s)
         measured.valid[-3:], measured.speed_mps[-3:] = False, np.nan
         recorded = recorded._replace(yaw_rate_radps=np.nan * time_s) if column else recorded
-        parts.append(comparison.sums(time_s, recorded, measured))
+        parts.append(comparison.Pair(time_s, recorded, measured))
     errors, lines = comparison.judge(comparison.compare(parts), column)
     name = column or "yaw_rate_radps"
-    doubt = None if doubt and doubt.startswith("yaw") and column else doubt
     assert [error.format(name) in text for text in errors] if error else not errors
     assert [doubt.format(name) in text for text in lines[1:]] == [True] if doubt else len(lines) == 1
     assert re.search(rf"(angle|yaw rate) gain .*speed gain {speed / 8:.2f}$", lines[0])
+
+
+WINDING_S = np.arange(0, 60, 0.1)
+FAULTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "straight ahead is 0.35 in wheel_rad": lambda angle: angle + 0.35 / 14.8,
+    "stays equal for 10 s while the car turns": lambda angle: np.where(abs(WINDING_S - 35) < 5, angle[300], angle),
+    "drifts or jumps: it is 0.00 to 0.60 to 1.20 s late": lambda angle: np.interp(
+        WINDING_S, WINDING_S + np.repeat([0, 0.6, 1.2], 200), angle
+    ),
+    "has angles without a sign": np.abs,
+    "wheel_rad is 0.5 times": lambda angle: angle / 2,
+    "does not follow": lambda angle: angle[::-1],
+}
+
+
+@pytest.mark.parametrize(("doubt", "change"), FAULTS.items(), ids=FAULTS.keys())
+def test_a_fault_of_a_log_is_named_by_one_doubt(doubt, change):
+    measured = course(WINDING_S, 1, 8)
+    recorded = measured._replace(steering_rad=change(measured.steering_rad))
+    errors, (_, *doubts) = comparison.judge(
+        comparison.compare([comparison.Pair(WINDING_S, recorded, measured)]), "wheel_rad", 14.8
+    )
+    assert errors == []
+    assert [doubt in text for text in doubts] == [True]
 
 
 def test_a_steady_bend_or_no_frame_proves_nothing():
     time_s = np.arange(0, 30, 0.1)
     steady = Labels(*(np.full(300, value) for value in (0.1, True, 8.0, 0.3)))
     noisy = steady._replace(yaw_rate_radps=0.3 + 0.01 * np.sin(1e4 * time_s))
-    errors, (line,) = comparison.judge(comparison.compare([comparison.sums(time_s, steady, noisy)]), "")
+    errors, (line,) = comparison.judge(comparison.compare([comparison.Pair(time_s, steady, noisy)]), "")
     assert (errors, "correlation" in line) == ([], False)
     assert comparison.judge(comparison.compare([]), "") == ([], [])
 

@@ -413,6 +413,7 @@ WHEEL = "time_s,wheel_rad\n"
         (HEAD + "2027-03-31T12:00:00,5,0\n" * 4, "time_s is not a number: '2027-03-31T12:00:00' in line 2 and 3 more"),
         (HEAD + "0,x,0\n2,999,0\n1,5,9\n", "'x' in line 2; speed.*999.*line 3; yaw.*'9' in line 4; time.*1.0 in"),
         (HEAD + '"0,5,0\n', "is not a CSV file"),
+        (WHEEL + "1,0.1\n1.1,6.2\n", "wheel_rad is 0 to 2π"),
         (WHEEL + "1,0\n1.1,45\n", "wheel_rad is implausible .*: '45' in line 3"),
         ("frame,wheel_rad\n0,1\n", "has no column time_s"),
         (WHEEL, "wheel_rad has fewer than 2 values"),

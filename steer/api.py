@@ -1,0 +1,119 @@
+"""What the commands `steer measure` and `steer predict` do, from Python.
+
+from steer.api import measure
+drive = measure("street.mp4", fov_deg=65)  # drive.table: pandas, a row per frame; drive.doubts, drive.notes
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TypedDict, Unpack
+
+from pipeline.base.errors import InputError
+from pipeline.base.outputs import check_free
+from pipeline.datasets.recording import Capture
+from pipeline.labels.label import Car
+from pipeline.media.log import Logs
+from pipeline.perception.perceive import FILE
+from pipeline.settings.ingest import Reading
+from pipeline.train.predict import load
+from pipeline.video import measure as measuring
+from pipeline.video import predict as predicting
+from pipeline.video.results import Outcome
+from pipeline.video.source import Source, open_source
+from steer import options
+
+PathLike = Path | str
+Recording = PathLike | Sequence[PathLike]  # videos in order, or a folder: of a KITTI drive, of images or of videos
+
+
+class Options(TypedDict, total=False):
+    """What is known about a recording, see docs/real.md; None as if not given."""
+
+    fov_deg: float | None  # horizontal
+    K: str | None  # "fx,fy,cx,cy" in pixels
+    distortion: str | None
+    fisheye: str | None
+    fps: float | None
+    times: PathLike | None
+    camera_height_m: float | None
+    wheel: PathLike | None
+    steering_ratio: float | None
+    motion: PathLike | None
+    offset_s: float  # seconds to add to the times of logs
+
+
+def measure(
+    source: Recording,
+    *,
+    encoder: PathLike = "weights/street",
+    wheelbase_m: float = 2.7,
+    out: PathLike | None = None,
+    video: bool = False,
+    **known: Unpack[Options],
+) -> Outcome:
+    """Measure the motion of a car from the images of its camera.
+
+    `out`: a new or empty folder for motion.csv, track.png, quality.json and, with `video`, overlay.mp4; None: no files.
+    Raises InputError for input that cannot be used.
+    """
+    folder = options.here_or_in_checkout(Path(encoder))
+    if not (folder / FILE).is_file():
+        raise InputError("no encoder", encoder, "Make one for real streets: make street. Or pass --encoder")
+    opened, target = _open(source, measuring.READING, known), _free(out)
+    return measuring.measure(opened, target, folder, Car(wheelbase_m, min_speed_mps=1.0), video=video)
+
+
+def predict(
+    source: Recording,
+    model: PathLike,
+    *,
+    encoder: PathLike | None = None,
+    out: PathLike | None = None,
+    video: bool = False,
+    **known: Unpack[Options],
+) -> Outcome:
+    """Predict the steering angle of each frame by a trained model: its folder, or runs/NAME.
+
+    `encoder`: its folder; None: data/encoder beside the model's data/train. `out`, errors: as of :func:`measure`.
+    """
+    folder = _network(options.here_or_in_checkout(Path(model)))
+    trained = load(folder)
+    height_m = known.get("camera_height_m") or trained.settings["perception"]["camera_height_m"]
+    opened = _open(source, predicting.reading(trained), known | {"camera_height_m": height_m}, trained.fps)
+    names = trained.drives
+    opened.notes.insert(0, f"{trained.name} was trained on {len(names)} drives: {names[0]} to {names[-1]}")
+    return predicting.predict(trained, opened, _free(out), Path(encoder or _encoder_beside(folder)), video=video)
+
+
+def _free(out: PathLike | None) -> Path | None:
+    if out is not None:
+        check_free(Path(out))
+    return None if out is None else Path(out)
+
+
+def _open(source: Recording, reading: Reading, known: Options, hz: float | None = None) -> Source:
+    files = (known.get("wheel"), known.get("motion"), known.get("times"))
+    wheel, motion, times = (Path(file) if file else None for file in files)
+    logs = Logs.read(wheel, known.get("steering_ratio"), motion, known.get("offset_s", 0.0))
+    lens = known.get("fov_deg"), known.get("K"), known.get("distortion"), known.get("fisheye")
+    paths = [Path(path) for path in ([source] if isinstance(source, Path | str) else source)]
+    capture = Capture(*lens, known.get("fps"), times)
+    return open_source(paths, reading, known.get("camera_height_m"), logs, hz, capture)
+
+
+def _network(model: Path) -> Path:
+    """Return the folder of the only network of runs/NAME, or the folder itself. Raises InputError if there are more."""
+    networks = sorted(path.parent for path in (model / "data/train").glob("*/best.pt"))
+    if len(networks) > 1:
+        raise InputError("has several models", model, f"Pass one as --model: {', '.join(map(str, networks))}")
+    return networks[0] if networks else model
+
+
+def _encoder_beside(model: Path) -> Path:
+    """Return data/encoder of a model data/train/<model>, or of a folder of a seed or fold below it; or the sample's."""
+    if model.resolve() == options.CHECKOUT / "models/steering/sample":
+        return options.CHECKOUT / "models/encoder/sample"
+    for parent in model.resolve().parents[:2]:
+        if parent.name == "train":
+            return parent.parent / "encoder"
+    raise InputError("the model is not in a data/train", model, "Pass --encoder, the folder of its encoder")

@@ -134,8 +134,7 @@ def figures_of_group(group: Group) -> Results:
             figures[f"{part}/{name}"] = entry(value, bounds, frames, seeds=seeds, mse=mse, mae_deg=mae_deg)
         for first, other in product(models.intersection(rows), rows):
             if first != other:
-                value, bounds = group.nmse(first, minus=other, column=column)
-                verdict = group.verdict(bounds, first, other, column)
+                value, bounds, verdict = group.difference(first, other, column)
                 figures[f"{part}/{first} - {other}"] = entry(value, bounds, frames, verdict=verdict)
     return figures
 
@@ -182,9 +181,10 @@ def claims(results: Results) -> list[list[str]]:
     for claim in CLAIMS:
         pair = [f"table2/angle-0/{name}" for name in (claim.model, claim.rival)]
         errors = [(get(results, key), get(results, key, "mae_deg")) for key in pair]
-        difference = [get(results, f"{pair[0]} - {claim.rival}", part) for part in ("figure", "interval", "verdict")]
+        key = f"{pair[0]} - {claim.rival}"
+        difference = get(results, key), get(results, key, "interval"), get(results, key, "verdict")
         if None not in difference:
-            rows.append(claim_cells(claim, errors, *difference))
+            rows.append(claim_cells(claim, errors, difference))
     table = Table("", rows)
     return [table.heads, *([re.sub(r"-(?=\d\.)", "−", cell) for cell in row] for row in table.cells)]
 

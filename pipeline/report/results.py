@@ -29,6 +29,7 @@ USELESS = 0.95  # nmse on the test drives above which a model has learned nothin
 # A model's metrics.json with its `settings`, and with `paper`, its :class:`paper.Published` or None.
 Row = dict[str, Any]
 Estimate = tuple[float | None, list[float] | None]  # a value, None if unknown, and its :func:`errors.interval`
+Difference = tuple[float | None, list[float] | None, str]  # the same of a difference, and its :func:`errors.verdict`
 
 
 @dataclass(frozen=True)
@@ -65,12 +66,13 @@ class Group:
         value = float((np.nansum(mean, axis=0)[known] / zero[known]).mean()) if known.any() else None
         return value, errors.interval(error, truth, self.drive, self.settings, *other)
 
-    def verdict(self, bounds: list[float] | None, name: str, minus: str, column: str | None = None) -> str:
-        """Return the :func:`errors.verdict` for the interval of a paired difference."""
+    def difference(self, name: str, minus: str, column: str | None = None) -> Difference:
+        """Return the paired difference in nmse of a model from another or a baseline."""
+        value, bounds = self.nmse(name, minus, column)
         seeds = min(len(self.predicted[of]) for of in (name, minus) if of not in BASELINES)
         part = errors.parts(self.drive, self.settings.bootstrap_block_frames)
         counted = np.isfinite(self.truth[:, self._columns(column)]).any(axis=1)
-        return errors.verdict(bounds, seeds, len(np.unique(part[counted])))
+        return value, bounds, errors.verdict(bounds, seeds, len(np.unique(part[counted])))
 
     def _columns(self, column: str | None) -> list[int]:
         return [*range(len(self.labels))] if column is None else [[*self.labels].index(column)]

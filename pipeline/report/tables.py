@@ -11,7 +11,7 @@ import pandas as pd
 from pipeline.base.params import SPLITS
 from pipeline.evaluate.errors import interval_text
 from pipeline.report import paper
-from pipeline.report.results import BASELINES, NO_LEARNING, USELESS, Group, Row
+from pipeline.report.results import BASELINES, NO_LEARNING, USELESS, Difference, Group, Row
 from pipeline.settings.graphs import Variant
 
 NONE = "–"  # cell without a value
@@ -88,7 +88,7 @@ def sentences(groups: Sequence[Group], absent: Sequence[str] = ()) -> list[str]:
     if groups:
         group, best = groups[0], groups[0].by_error[0]
         name, baseline = best["model"], group.best_baseline
-        (nmse, interval), (difference, bounds) = group.nmse(name), group.nmse(name, minus=baseline)
+        (nmse, interval), (difference, bounds, verdict) = group.nmse(name), group.difference(name, baseline)
         choice = "validation error" if group.validated else "test error (there is no validation)"
         count = len(np.unique(group.drive[np.isfinite(group.truth).any(axis=1)]))
         drives = "1 drive" if count == 1 else f"{count} drives"
@@ -100,7 +100,7 @@ def sentences(groups: Sequence[Group], absent: Sequence[str] = ()) -> list[str]:
                 "nmse is the squared error relative to that of always driving straight ahead, so 0 is perfect and 1 "
                 f"is useless. The best baseline without learning, {baseline} ({NO_LEARNING[baseline]}), has "
                 f"{group.mae_deg(baseline):.2f}° and {group.nmse(baseline)[0]:.3f}. Difference in nmse "
-                f"{difference:+.3f} ({interval_text(bounds, '+.3f')}): {group.verdict(bounds, name, baseline)}."
+                f"{difference:+.3f} ({interval_text(bounds, '+.3f')}): {verdict}."
             )
     if useless := [line for group in groups for line in _useless(group).values()]:
         texts.append(" ".join(useless))
@@ -124,17 +124,15 @@ def _useless(group: Group) -> dict[str, str]:
 
 def steering_tables(groups: Sequence[Group]) -> list[Table]:
     """Return the tables of all groups: first the errors of each group, then details."""
-    tables = [
-        Table(f"Results: {group.title}", _results(group), _frames(group) + _RESULTS * (group is groups[0]))
-        for group in groups
-    ]
-    for group in groups:
-        tables.append(Table(f"Differences: {group.title}", _differences(group), _DIFFERENCES))
+    notes = [_frames(group) + _RESULTS * (group is groups[0]) for group in groups]
     present = [group for group in groups if group.key == "angle-0"]
-    published, claims = ([row for group in present for row in rows(group)] for rows in (_as_published, _claims))
-    models = [_model(row) for group in groups for row in group.models]
-    tables.insert(len(groups), Table("The paper's claims", claims, _CLAIMS))
-    tables += [Table("MSE as in the paper's Table 2", published, _PAPER), Table("Models", models)]
+    tables = [
+        *(Table(f"Results: {group.title}", _results(group), note) for group, note in zip(groups, notes, strict=True)),
+        Table("The paper's claims", [row for group in present for row in _claims(group)], _CLAIMS),
+        *(Table(f"Differences: {group.title}", _differences(group), _DIFFERENCES) for group in groups),
+        Table("MSE as in the paper's Table 2", [row for group in present for row in _as_published(group)], _PAPER),
+        Table("Models", [_model(row) for group in groups for row in group.models]),
+    ]
     return [table for table in tables if table.rows]
 
 
@@ -146,15 +144,16 @@ def _results(group: Group) -> list[dict[str, str]]:
         cells = {"model": f"*{name}*" if name in BASELINES else name + marks}
         for column, label in group.labels.items():
             nmse, bounds = group.nmse(name, column=column)
-            by_seed = group.scores(name, column)["by_seed"]
-            cells[f"nmse {label}".strip()] = number(nmse, ".3f")
+            text = number(nmse, ".3f")
             if row and nmse is not None:
+                by_seed = group.scores(name, column)["by_seed"]
                 spread = f" ± {np.std(by_seed, ddof=1):.3f}" if len(by_seed) > 1 else ""
-                cells[f"nmse {label}".strip()] += f"{spread} ({interval_text(bounds)})"
+                text += f"{spread} ({interval_text(bounds)})"
+            cells[f"nmse {label}".strip()] = text
             if not label:
                 cells["MAE deg"] = number(group.mae_deg(name), ".2f")
-                if group.key == "angle-0":
-                    cells["drift"] = number(row["test"][column]["drift_m_per_100m"] if row else None, ".1f")
+            if group.key == "angle-0":
+                cells["drift"] = number(row["test"][column]["drift_m_per_100m"] if row else None, ".1f")
         cells["parameters"] = number(row.get("parameters"), ",d")
         cells["edges"] = number(row.get("edges_per_frame"), ",.0f")
         rows.append(cells)
@@ -183,9 +182,9 @@ def _differences(group: Group) -> list[dict[str, str]]:
     for (first, second), setting in pairs.items():
         cells = {"models": f"{first} − {second}{setting}"}
         for column, label in group.labels.items():
-            nmse, bounds = group.nmse(first, minus=second, column=column)
-            text = f"({interval_text(bounds, '+.3f')}) {group.verdict(bounds, first, second, column)}"
-            cells[label or "nmse"] = NONE if nmse is None else f"{nmse:+.3f} {text}"
+            nmse, bounds, verdict = group.difference(first, second, column)
+            text = NONE if nmse is None else f"{nmse:+.3f} ({interval_text(bounds, '+.3f')}) {verdict}"
+            cells[label or "nmse"] = text
         rows.append(cells)
     return rows
 
@@ -225,24 +224,14 @@ def _claims(group: Group) -> list[dict[str, str]]:
     for claim in paper.CLAIMS:
         pair = claim.model, claim.rival
         if {*pair} <= models.keys() and all(as_meant(name, claim) for name in pair):
-            difference, bounds = group.nmse(claim.model, minus=claim.rival)
             errors = [(group.nmse(name)[0], group.mae_deg(name)) for name in pair]
-            rows.append(claim_cells(claim, errors, difference, bounds, group.verdict(bounds, *pair)))
+            rows.append(claim_cells(claim, errors, group.difference(*pair)))
     return rows
 
 
-def claim_cells(
-    claim: paper.Claim,
-    errors: Sequence[tuple[float | None, float]],
-    difference: float | None,
-    bounds: list[float] | None,
-    outcome: str,
-) -> dict[str, str]:
-    """Return a row about a claim: nmse and mean error in degrees of both networks, ratios of MSE, and the verdict.
-
-    `difference`, `bounds`, `outcome`: of nmse, its interval and :func:`errors.verdict`.
-    """
-    (ours, ours_deg), (other, other_deg) = errors
+def claim_cells(claim: paper.Claim, errors: Sequence[tuple[Any, Any]], difference: Difference) -> dict[str, str]:
+    """Return a row about a claim for the nmse and mean error in degrees of its two networks, None if unknown."""
+    ((ours, ours_deg), (other, other_deg)), (nmse, bounds, outcome) = errors, difference
     return {
         "the paper's claim": claim.text,
         "verdict": claim.verdict(outcome),
@@ -251,7 +240,7 @@ def claim_cells(
         "mean error, °": f"{number(ours_deg, '.2f')}, {number(other_deg, '.2f')}",
         "MSE ratio: paper": number(claim.ratio, ".2f"),
         "here": number(ours / other if ours is not None and other else None, ".2f"),
-        "difference in nmse": f"{number(difference, '+.3f')} ({interval_text(bounds, '+.3f')})",
+        "difference in nmse": f"{number(nmse, '+.3f')} ({interval_text(bounds, '+.3f')})",
     }
 
 

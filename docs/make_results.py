@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import typer
 from matplotlib.figure import Figure
 
 from pipeline.base import console, store
@@ -282,7 +281,4 @@ def plot(results: Results) -> Figure:
 TABLES = {table.__name__: table for table in (claims, beyond, real, table2, coverage, origins)}
 
 if __name__ == "__main__":
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    for command in (collect, render):
-        app.command()(console.guarded(command))
-    app()
+    console.run(collect, render)

@@ -89,13 +89,8 @@ class Entry(Section):
         if spatial.kind != kind:
             expects = f"spatial = {self.spatial!r} expects {FRAMES[str(spatial.kind)]}"
             raise InputError(f"{expects}, but input: {self.input} holds {FRAMES[kind]}")
-        return steering_net.SteeringNet(
-            spatial,
-            temporal,
-            options.Sizes(self.features, levels, image_size or (0, 0), outputs),
-            equivariant=self.equivariant,
-            motion=self.motion != "none",
-        )
+        sizes, motion = options.Sizes(self.features, levels, image_size or (0, 0), outputs), self.motion != "none"
+        return steering_net.SteeringNet(spatial, temporal, sizes, equivariant=self.equivariant, motion=motion)
 
 
 def _networks(spatial: str, temporal: str) -> tuple[type[options.NetworkOptions], type[options.NetworkOptions]]:

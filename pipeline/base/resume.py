@@ -4,7 +4,7 @@ import ast
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -53,8 +53,9 @@ def _stage_code_hash(stage: str) -> str:
     entry = read(ROOT / "dvc.yaml")["stages"][stage]
     dependencies = entry.get("do", entry)["deps"]
     patterns = [re.sub(r"\$\{.*?\}", "*", path) for path in dependencies if path.startswith(PACKAGES)]
-    files = _python_files(path for pattern in patterns for path in ROOT.glob(pattern)) - MACHINERY
-    return digest({str(file.relative_to(ROOT)): meaning(file) for file in files})
+    paths = [path for pattern in patterns for path in ROOT.glob(pattern)]
+    files = {file for path in paths for file in (path.rglob("*.py") if path.is_dir() else [path])}
+    return digest({str(file.relative_to(ROOT)): meaning(file) for file in files - MACHINERY})
 
 
 @cache
@@ -76,7 +77,7 @@ def _import_hash(code: tuple[str, ...]) -> str:
 @cache
 def code_hash() -> str:
     """Return a hash of all code, cached at the first call."""
-    files = _python_files(ROOT / package for package in PACKAGES)
+    files = [file for package in PACKAGES for file in (ROOT / package).rglob("*.py")]
     return digest({str(file.relative_to(ROOT)): file_hash(file) for file in files})
 
 
@@ -95,7 +96,3 @@ def meaning(path: Path) -> str:
 def _is_docstring(statement: ast.stmt) -> bool:
     constant = statement.value if isinstance(statement, ast.Expr) else None
     return isinstance(constant, ast.Constant) and isinstance(constant.value, str)
-
-
-def _python_files(paths: Iterable[Path]) -> set[Path]:
-    return {file for path in paths for file in (path.rglob("*.py") if path.is_dir() else [path])}

@@ -1,7 +1,4 @@
-"""Write the page: one HTML file that needs no other file and no network, from page.html.j2.
-
-Plots are traces of Plotly, with angles in degrees, left +.
-"""
+"""Write the page: one HTML file that needs no other file and no network, from page.html.j2."""
 
 import base64
 from collections.abc import Mapping, Sequence
@@ -22,7 +19,7 @@ from pipeline.report.street_view import View
 from pipeline.report.tables import Table
 
 COLOURS = ("#0b57a4", "#d1495b", "#2e8b57", "#8a5fbf", "#1b998b", "#7a6a53", "#c2185b")
-Trace = dict[str, Any]
+Trace = dict[str, Any]  # of Plotly, with angles in degrees, left +
 Styles = Mapping[str, Trace]
 FIXED: Styles = {
     "driven": {"marker": {"color": "#1b2027"}, "line": {"width": 3}},
@@ -54,11 +51,7 @@ def write_page(
     perception: Content,
     figures: Figures,
 ) -> None:
-    """Write the page to an HTML file.
-
-    The files of `figures` are in folder figures beside it. `perception`: where the encoder's weights come from, and
-    tables.
-    """
+    """Write the page beside folder figures. `perception`: where the encoder's weights come from, and tables."""
     captions, frame = figures
     pictures = {
         name: Picture(caption, base64.b64encode((path.parent / f"figures/{name}.png").read_bytes()).decode("ascii"))
@@ -88,30 +81,24 @@ def write_page(
 
 
 def _test_drives(group: Group, look: Styles) -> Content:
-    predictions, best = group.predictions, group.by_error[0]["model"]
-    cost = group.first_seed(best).groupby("drive", sort=False)["cost"].sum()
-    worst = cost.nlargest(DRIVES_SHOWN).index
+    predictions, best = group.predictions, group.first_seed(group.by_error[0]["model"])
+    worst = best.groupby("drive", sort=False)["cost"].sum().nlargest(DRIVES_SHOWN).index
     count = predictions["drive"].nunique()
     chosen = f" on the {len(worst)} of {count} drives with the largest squared error" if count > len(worst) else ""
     angle = " The angle is the turn of the path over all ranges." if any(group.labels.values()) else ""
-    return [
-        f"Predictions of the first seed{chosen}.{angle} Drag to zoom, double-click to reset, click the legend to hide.",
-        *(
-            Plot(f"{drive}: {group.title} over time", over_time(predictions[predictions["drive"] == drive], look))
-            for drive in cost.index
-            if drive in worst
-        ),
-    ]
+    hint = "Drag to zoom, double-click to reset, click the legend to hide."
+    drives = predictions[predictions["drive"].isin(worst)].groupby("drive", sort=False)
+    plots = [Plot(f"{drive}: {group.title} over time", over_time(rows, look)) for drive, rows in drives]
+    return [f"Predictions of the first seed{chosen}.{angle} {hint}", *plots]
 
 
 def styles(groups: Sequence[Group]) -> Styles:
     """Return model or baseline → name, colour, line and visibility of its traces in all plots."""
-    models = [model["model"] for group in groups for model in group.models]
-    shown = {row["model"] for group in groups for row in group.by_error[:MODELS_SHOWN]} | {*FIXED}
-    colours = zip(models, cycle(COLOURS), strict=False)
-    looks = {**{name: {"marker": {"color": colour}} for name, colour in colours}, **FIXED}
-    visible = {name: True if name in shown else "legendonly" for name in looks}
-    return {name: {"name": name, "visible": visible[name], **look} for name, look in looks.items()}
+    models = [row["model"] for group in groups for row in group.models]
+    shown = {*FIXED, *(row["model"] for group in groups for row in group.by_error[:MODELS_SHOWN])}
+    colours = {name: {"marker": {"color": colour}} for name, colour in zip(models, cycle(COLOURS), strict=False)}
+    looks = {**colours, **FIXED}
+    return {name: {"name": name, "visible": name in shown or "legendonly", **looks[name]} for name in looks}
 
 
 def over_time(predictions: pd.DataFrame, look: Styles) -> list[Trace]:

@@ -14,10 +14,7 @@ Content = dict[str, Any]
 
 
 def describe(path: Path) -> Content:
-    """Return what a drive's file or a checkpoint holds, as plain values.
-
-    Of a drive's file its attributes, frames, datasets (name → dtype, shape, unit, size), and the settings of all stages
-    that made it; of a checkpoint all entries but weights.
+    """Return what a drive's file or a checkpoint holds, as plain values, without arrays and weights.
 
     Raises InputError if the file is missing, damaged or of another kind.
     """
@@ -26,12 +23,10 @@ def describe(path: Path) -> Content:
 
         return {"bytes": path.stat().st_size if path.is_file() else 0, **_without_tensors(checkpoint.load(path))}
     with _open(path) as file:
-        names = sorted(file.attrs.keys() - {"params"})
-        attributes = {name: np.asarray(file.attrs[name]).tolist() for name in names}
         frames = file.frame.tolist()
         return {
             "bytes": path.stat().st_size,
-            **attributes,
+            **{name: np.asarray(file.attrs[name]).tolist() for name in sorted(file.attrs) if name != "params"},
             "frames": f"{len(frames)}, {frames[0]} to {frames[-1]}" if frames else "0",
             "datasets": {name: _dataset(file, name) for name in file.datasets},
             "settings": file.params,

@@ -23,7 +23,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.params import load
 from pipeline.report import street_view
 from pipeline.report.paper import CLAIMS, PAPER
-from pipeline.report.results import BASELINES, NO_LEARNING, Group, load_groups, validation_nmse
+from pipeline.report.results import BASELINES, NO_LEARNING, Group, load_groups
 from pipeline.report.tables import NONE, Table, claim_cells, number
 from pipeline.settings.evaluate import Evaluate
 from presets.run import revision
@@ -99,9 +99,9 @@ def figures_of(run: Path) -> Results:
     for whole in load_groups(folders, load(Evaluate, params)):
         for group in (whole, *without(whole, OMITTED)):
             figures |= figures_of_group(group)
-        for row in (row for row in whole.models if validation_nmse(row) < np.inf):
+        for row in (row for row in whole.models if row["val_nmse"] < np.inf):
             seeds = np.mean([scores["nmse_by_seed"] for scores in row["val"].values()], axis=0).tolist()
-            figures[f"val/{row['model']}"] = entry(validation_nmse(row), seeds=seeds, roads=len(row["drives"]["train"]))
+            figures[f"val/{row['model']}"] = entry(row["val_nmse"], seeds=seeds, roads=len(row["drives"]["train"]))
     if (path := run / "data/scores/metrics.json").is_file():
         for kind, splits in store.read_json(path, stage="scores")["motion"].items():
             if splits["test"]:

@@ -44,12 +44,7 @@ Content = Sequence[str | Table | Plot | Picture]
 
 
 def write_page(
-    path: Path,
-    story: Sequence[str],
-    groups: Sequence[Group],
-    tables: Sequence[Table],
-    perception: Content,
-    figures: Figures,
+    path: Path, story: list[str], groups: list[Group], tables: list[Table], perception: Content, figures: Figures
 ) -> None:
     """Write the page beside folder figures. `perception`: where the encoder's weights come from, and tables."""
     captions, frame = figures

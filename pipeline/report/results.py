@@ -26,7 +26,8 @@ NO_LEARNING = {  # baseline → what it predicts
 }
 BASELINES = (*NO_LEARNING, "persistence")  # persistence repeats true angles, which no model gets
 USELESS = 0.95  # nmse on the test drives above which a model has learned nothing
-# A model's metrics.json with its `settings`, and with `paper`, its :class:`paper.Published` or None.
+# A model's metrics.json with its `settings`; `paper`, its :class:`paper.Published` or None; and `val_nmse`, its nmse on
+# the validation drives, mean over its columns, inf if it is unknown.
 Row = dict[str, Any]
 Estimate = tuple[float | None, list[float] | None]  # a value, None if unknown, and its :func:`errors.interval`
 Difference = tuple[float | None, list[float] | None, str]  # the same of a difference, and its :func:`errors.verdict`
@@ -94,12 +95,12 @@ class Group:
     @cached_property
     def by_error(self) -> list[Row]:
         """The models by validation error, the least first; by test error if a model has no validation error."""
-        return sorted(self.models, key=validation_nmse if self.validated else lambda row: self._rank(row["model"]))
+        return sorted(self.models, key=lambda row: row["val_nmse"] if self.validated else self._rank(row["model"]))
 
     @property
     def validated(self) -> bool:
         """Whether all models have a validation error."""
-        return max(map(validation_nmse, self.models)) < np.inf
+        return all(row["val_nmse"] < np.inf for row in self.models)
 
     @property
     def best_baseline(self) -> str:
@@ -115,12 +116,6 @@ class Group:
         return self.predictions[self.predictions["model"] == model]
 
 
-def validation_nmse(row: Row) -> float:
-    """Return a model's nmse on the validation drives, mean over its columns; inf if it is unknown."""
-    known = [scores["nmse"] for scores in (row["val"] or {}).values() if scores["nmse"] is not None]
-    return float(np.mean(known)) if known else np.inf
-
-
 def load_groups(folders: Mapping[str, Path], settings: Evaluate) -> list[Group]:
     """Load the results of models, name → folder of stage evaluate. Raises InputError if a file is missing."""
     loaded: dict[tuple[str, int], list[Row]] = {}
@@ -128,6 +123,8 @@ def load_groups(folders: Mapping[str, Path], settings: Evaluate) -> list[Group]:
         row = store.read_json(folder / "metrics.json", stage=f"evaluate@{folder.name}") | {"model": model}
         row["settings"] = row["entry"] | {"accumulate": row["variant"].get("accumulate")}
         row["paper"] = paper.find(row["settings"])
+        known = [scores["nmse"] for scores in (row["val"] or {}).values() if scores["nmse"] is not None]
+        row["val_nmse"] = float(np.mean(known)) if known else np.inf
         loaded.setdefault((row["entry"]["predict"], row["entry"]["horizon"]), []).append(row)
     order = [*paper.PAPER.values(), None]
     groups = []

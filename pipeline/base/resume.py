@@ -61,17 +61,15 @@ def _stage_code_hash(stage: str) -> str:
 @cache
 def _import_hash(code: tuple[str, ...]) -> str:
     """Hash the :func:`meaning` of files of the project and of all that they import, directly or not."""
-    found, todo = set[Path](), [ROOT / path for path in code]
-    while todo:
-        if (path := todo.pop()) not in found:
-            found.add(path)
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-                if isinstance(node, ast.ImportFrom) and node.module:
-                    modules = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-                todo += [ROOT / f"{name.replace('.', '/')}.py" for name in modules if name.startswith(PACKAGES)]
-            todo = [path for path in todo if path.is_file()]
-    return digest({str(file.relative_to(ROOT)): meaning(file) for file in found - MACHINERY})
+    files = [ROOT / path for path in code]
+    for file in files:  # the list grows by the imports of each file
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom) and node.module:
+                modules = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+            paths = [ROOT / f"{name.replace('.', '/')}.py" for name in modules if name.startswith(PACKAGES)]
+            files += [path for path in paths if path.is_file() and path not in files]
+    return digest({str(file.relative_to(ROOT)): meaning(file) for file in {*files} - MACHINERY})
 
 
 @cache

@@ -62,10 +62,9 @@ def _draw_chain(path: Path, view: View, graph: View, steering: pd.DataFrame) -> 
     """Draw image, depth, classes, cloud, pruned graph, and the predicted angles [F] over the drive of `view`."""
     figure = Figure(figsize=(13, 6.4), layout="constrained")
     panels = figure.subplot_mosaic("aabbcc;ddeeff", height_ratios=[1, 2.2])
-    images = [*view.images().items()]
-    for key in "abc"[len(images) :]:
+    for key in "abc":  # classes may be missing
         panels[key].set_axis_off()
-    for key, (name, pixels) in zip("abc", images, strict=False):
+    for key, (name, pixels) in zip("abc", view.images().items(), strict=False):
         street_view.draw_image(panels[key], pixels, "image" if key == "a" else f"{name} from the image")
     street_view.draw_points(panels["d"], view, fontsize="medium")
     street_view.draw_points(panels["e"], graph, fontsize="medium")

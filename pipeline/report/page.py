@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from pipeline.camera import classes
@@ -70,7 +69,7 @@ def write_page(
         chain=chain,
         space=frame and in_space(*frame),
         sections={title: content for title, content in sections.items() if content},
-        plotly=Markup(get_plotlyjs()),
+        plotly=get_plotlyjs(),
     )
     path.write_text(html, encoding="utf-8")
 

@@ -1,7 +1,4 @@
-"""Load the outputs of stage evaluate: groups of models that predict the same quantities, each with its baselines.
-
-All report outputs are made from these groups, and all their test errors are of the frames that every model predicts.
-"""
+"""Load the outputs of stage evaluate: groups of models that predict the same quantities, each with its baselines."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -42,7 +42,6 @@ _DEPTH = (
     "count; coverage is their share. flat ground: a level road below the camera, with the encoder's classes, on the "
     "same pixels; an encoder that does not beat it has learned no depth. Eigen: the usual crop of KITTI."
 )
-_CLASSES = "Over the classes that occur in the ground truth."
 _MOTION = (
     "Motion since the previous frame, measured from images, compared with oxts at or above labels.min_speed_mps. "
     "wheel: recorded angles; …-wheel: compared with these. nmse: of the steering angle from the last measurement."
@@ -70,10 +69,8 @@ class Table(NamedTuple):
         """Return title, table and note as Markdown, with the first column aligned to the left, others to the right."""
         widths = [max(map(len, column)) for column in zip(self.heads, *self.cells, strict=True)]
         rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
-        lines = []
-        for row in (self.heads, rule, *self.cells):
-            first, *more = [f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True)]
-            lines.append(f"| {' | '.join([first.strip().ljust(widths[0]), *more])} |")
+        form = " | ".join([f"{{:<{widths[0]}}}", *(f"{{:>{width}}}" for width in widths[1:])])
+        lines = [f"| {form.format(*row)} |" for row in (self.heads, rule, *self.cells)]
         return "\n\n".join(filter(None, [f"## {self.title}", "\n".join(lines), fill(self.note, 110)]))
 
 
@@ -291,9 +288,12 @@ def perception_tables(scores: dict[str, Any]) -> list[Table]:
         for (kind, splits), split in product(scores["motion"].items(), SPLITS)
         if (row := splits[split])
     ]
-    depth = Table("Depth", _depth(scores), _DEPTH)
-    built = depth, Table("Classes", classes, _CLASSES), Table("Motion", motion, _MOTION)
-    return [table for table in built if table.rows]
+    tables = [
+        Table("Depth", _depth(scores), _DEPTH),
+        Table("Classes", classes, "Over the classes that occur in the ground truth."),
+        Table("Motion", motion, _MOTION),
+    ]
+    return [table for table in tables if table.rows]
 
 
 def _depth(scores: dict[str, Any]) -> list[dict[str, str]]:

@@ -14,10 +14,7 @@ Content = dict[str, Any]
 
 
 def describe(path: Path) -> Content:
-    """Return what a drive's file or a checkpoint holds, as plain values, without arrays and weights.
-
-    Raises InputError if the file is missing, damaged or of another kind.
-    """
+    """Return a drive's file or a checkpoint as plain values. Raises InputError if it is missing, damaged or another."""
     if path.suffix == ".pt":
         from pipeline.learning import checkpoint
 

@@ -85,12 +85,9 @@ def meaning(path: Path) -> str:
         tree = ast.parse(text := path.read_text(encoding="utf-8"))
     except SyntaxError:  # a network that is being written; others can be trained
         return text
-    for node in ast.walk(tree):
-        if isinstance(body := getattr(node, "body", None), list):
-            body[:] = [statement for statement in body if not _is_docstring(statement)]
-    return ast.unparse(tree)  # ast.dump differs more between versions of Python
+    return ast.unparse(_WithoutDocstrings().visit(tree))  # ast.dump differs more between versions of Python
 
 
-def _is_docstring(statement: ast.stmt) -> bool:
-    constant = statement.value if isinstance(statement, ast.Expr) else None
-    return isinstance(constant, ast.Constant) and isinstance(constant.value, str)
+class _WithoutDocstrings(ast.NodeTransformer):
+    def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
+        return None if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str) else node

@@ -229,13 +229,15 @@ def _claims(group: Group) -> list[dict[str, str]]:
 def claim_cells(claim: paper.Claim, errors: Sequence[tuple[Any, Any]], difference: Difference) -> dict[str, str]:
     """Return a row about a claim for the nmse and mean error in degrees of its two networks, None if unknown."""
     ((ours, ours_deg), (other, other_deg)), (nmse, bounds, outcome) = errors, difference
+    verdicts = {"better": "reversed" if claim.comparable else "confirmed", "worse": "reversed"}
+    model, rival = paper.PAPER.get(claim.model), paper.PAPER.get(claim.rival)
     return {
         "the paper's claim": claim.text,
-        "verdict": claim.verdict(outcome),
+        "verdict": verdicts.get(outcome, outcome),
         "networks": f"{claim.model}, {claim.rival}",
         "nmse": f"{number(ours, '.3f')}, {number(other, '.3f')}",
         "mean error, °": f"{number(ours_deg, '.2f')}, {number(other_deg, '.2f')}",
-        "MSE ratio: paper": number(claim.ratio, ".2f"),
+        "MSE ratio: paper": number(model.test_mse / rival.test_mse if model and rival else None, ".2f"),
         "here": number(ours / other if ours is not None and other else None, ".2f"),
         "difference in nmse": f"{number(nmse, '+.3f')} ({interval_text(bounds, '+.3f')})",
     }

@@ -20,21 +20,18 @@ def describe(path: Path) -> Content:
 
         return {"bytes": path.stat().st_size if path.is_file() else 0, **_without_tensors(checkpoint.load(path))}
     with _open(path) as file:
-        frames = file.frame.tolist()
+        frames, datasets = file.frame.tolist(), {}
+        for name, data in file.datasets.items():
+            rows = f"rows of a frame: {file.pointers[name]}" if name in file.pointers else ""
+            shape, size = " × ".join(map(str, data.shape)), f"{data.id.get_storage_size()} bytes"
+            datasets[name] = [*filter(None, (f"{data.dtype} {shape}", data.attrs.get("unit", ""), rows, size))]
         return {
             "bytes": path.stat().st_size,
             **{name: np.asarray(file.attrs[name]).tolist() for name in sorted(file.attrs) if name != "params"},
             "frames": f"{len(frames)}, {frames[0]} to {frames[-1]}" if frames else "0",
-            "datasets": {name: _dataset(file, name) for name in file.datasets},
+            "datasets": datasets,
             "settings": file.params,
         }
-
-
-def _dataset(file: DriveReader, name: str) -> list[str]:
-    dataset = file.datasets[name]
-    shape, unit = " × ".join(map(str, dataset.shape)), dataset.attrs.get("unit", "")
-    rows = f"rows of a frame: {file.pointers[name]}" if name in file.pointers else ""
-    return [text for text in (f"{dataset.dtype} {shape}", unit, rows, f"{dataset.id.get_storage_size()} bytes") if text]
 
 
 def frame(path: Path, number: int, out: Path | None = None) -> Content:

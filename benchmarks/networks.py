@@ -56,7 +56,7 @@ def features(x: Tensor, layers: nn.ModuleList, graph: tuple[Tensor, ...], ptr: T
     return read_out(mean_max_pool(x, ptr))
 
 
-def ltc() -> Row:
+def ltc(_: Street) -> Row:
     """Compare LTC cells on windows that share frames, forward and backward."""
     x, (windows, dt_s) = torch.randn(FRAMES, FEATURES, device=DEVICE), _windows()
     cell, ncps_cell = LTC(ncp(FEATURES)).to(DEVICE), ncps_ltc().to(DEVICE)

@@ -1,7 +1,7 @@
 """Write the page: one HTML file that needs no other file and no network, from page.html.j2."""
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import cycle
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ from pipeline.report.tables import Table
 
 COLOURS = ("#0b57a4", "#d1495b", "#2e8b57", "#8a5fbf", "#1b998b", "#7a6a53", "#c2185b")
 Trace = dict[str, Any]  # of Plotly, with angles in degrees, left +
-Styles = Mapping[str, Trace]
+Styles = dict[str, Trace]
 FIXED: Styles = {
     "driven": {"marker": {"color": "#1b2027"}, "line": {"width": 3}},
     "odometry": {"marker": {"color": "#e08e0b"}, "line": {"dash": "dash"}},
@@ -90,8 +90,7 @@ def styles(groups: Sequence[Group]) -> Styles:
     """Return model or baseline → name, colour, line and visibility of its traces in all plots."""
     models = [row["model"] for group in groups for row in group.models]
     shown = {*FIXED, *(row["model"] for group in groups for row in group.by_error[:MODELS_SHOWN])}
-    colours = {name: {"marker": {"color": colour}} for name, colour in zip(models, cycle(COLOURS), strict=False)}
-    looks = {**colours, **FIXED}
+    looks = {name: {"marker": {"color": colour}} for name, colour in zip(models, cycle(COLOURS), strict=False)} | FIXED
     return {name: {"name": name, "visible": name in shown or "legendonly", **looks[name]} for name in looks}
 
 

@@ -187,10 +187,7 @@ def _differences(group: Group) -> list[dict[str, str]]:
 
 
 def _changed(*pair: Row) -> list[str]:
-    """Return "setting: a → b" of each setting in which two models or their graph variants differ.
-
-    Options that only one of the two networks has do not count, nor does the variant of a network without a scene.
-    """
+    """Return "setting: a → b" of each setting in which two models or their graph variants differ, if both have it."""
     first, second = (row["entry"] for row in pair)
     settings = [(key, first[key], second[key]) for key in first if key in second and key != "input"]
     if "blind" not in (first["spatial"], second["spatial"]):

@@ -40,12 +40,12 @@ def frame(path: Path, number: int, out: Path | None = None) -> Content:
         row = file.row_of(number)
         names = [name for name, data in file.datasets.items() if data.shape == file.frame.shape]
         numbers = {name: file.row(name, row).item() for name in sorted(names)}
-        view = street_view.read_view(number, file) if out else None
-    if view and out:
-        if not view.images() and view.xyz is None:
-            raise InputError(f"frame {number} has neither an image nor points", path, "Leave out --out")
-        street_view.save(street_view.sheet(f"{Path(*path.parts[-3:])}, frame {number}", view), out)
-    return numbers
+        if out:
+            view = street_view.read_view(number, file)
+            if not view.images() and view.xyz is None:
+                raise InputError(f"frame {number} has neither an image nor points", path, "Leave out --out")
+            street_view.save(street_view.sheet(f"{Path(*path.parts[-3:])}, frame {number}", view), out)
+        return numbers
 
 
 def _open(path: Path) -> DriveReader:

@@ -1,11 +1,7 @@
-"""Measure this project beside its alternatives, and its stages on this machine's device: ``make bench``.
-
-Both sides of a row run in one process with one thread, as stage train does, in turn, on the same arrays.
-"""
+"""Measure this project beside alternatives, in turn on the same arrays and one thread, and its stages: make bench."""
 
 import platform
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -13,16 +9,12 @@ import torch
 import typer
 
 from benchmarks import device, networks
-from benchmarks.street import POINTS, Row, Street, make_street
+from benchmarks.street import POINTS, make_street
 from pipeline.base import console
 from pipeline.base.errors import InputError, closest
 from pipeline.base.executors import usable_cores
 
-ROWS: dict[str, Callable[[Street], Row]] = {
-    "gcn_vs_pyg_edge_index": networks.gcn,
-    "windows_vs_naive": networks.training,
-    "ltc": lambda _: networks.ltc(),
-}
+ROWS = {"gcn_vs_pyg_edge_index": networks.gcn, "windows_vs_naive": networks.training, "ltc": networks.ltc}
 
 
 def main(

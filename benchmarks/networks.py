@@ -34,12 +34,9 @@ def gcn(street: Street) -> Row:
         x = node_features(batch.xyz, batch.cls, 0.0)
         _backward(features(x, layers, gcn_norm(batch.edge_index, None, len(x)), batch.ptr, net.read_out))
 
-    return Row(
-        milliseconds(lambda: _backward(net(batch)), GCN_FRAMES),
-        milliseconds(alternative, GCN_FRAMES),
-        "ms/frame",
-        f"{street.title}: three graph convolutions / PyG GCNConv on edge_index, both ways",
-    )
+    ours = milliseconds(lambda: _backward(net(batch)), GCN_FRAMES)
+    what = f"{street.title}: three graph convolutions / PyG GCNConv on edge_index, both ways"
+    return Row(ours, milliseconds(alternative, GCN_FRAMES), "ms/frame", what)
 
 
 def pyg_layers(net: GCN, normalize: bool = False) -> nn.ModuleList:
@@ -59,21 +56,19 @@ def features(x: Tensor, layers: nn.ModuleList, graph: tuple[Tensor, ...], ptr: T
     return read_out(mean_max_pool(x, ptr))
 
 
-def ltc() -> Row:
+def ltc(_: Street) -> Row:
     """Compare LTC cells on windows that share frames, forward and backward."""
     x, (windows, dt_s) = torch.randn(FRAMES, FEATURES, device=DEVICE), _windows()
-    ours, alternative = LTC(ncp(FEATURES)).to(DEVICE), ncps_ltc().to(DEVICE)
+    cell, ncps_cell = LTC(ncp(FEATURES)).to(DEVICE), ncps_ltc().to(DEVICE)
 
     def repeat(forward: Callable[[], Tensor]) -> None:
         for _ in range(REPEATS):
             _backward(forward()[:, -1, 0])
 
-    return Row(
-        milliseconds(lambda: repeat(lambda: ours(ours.project_inputs(x)[windows], dt_s)), REPEATS),
-        milliseconds(lambda: repeat(lambda: alternative(x[windows])[0]), REPEATS),
-        "ms",
-        f"{WINDOWS} windows of {WINDOW} frames, {FEATURES} features: LTC / ncps LTC, both ways",
-    )
+    ours = milliseconds(lambda: repeat(lambda: cell(cell.project_inputs(x)[windows], dt_s)), REPEATS)
+    alternative = milliseconds(lambda: repeat(lambda: ncps_cell(x[windows])[0]), REPEATS)
+    what = f"{WINDOWS} windows of {WINDOW} frames, {FEATURES} features: LTC / ncps LTC, both ways"
+    return Row(ours, alternative, "ms", what)
 
 
 def ncps_ltc() -> nn.Module:
@@ -93,12 +88,8 @@ def training(street: Street) -> Row:
 
     ours = milliseconds(_step(shared, lambda: shared(street.batch(FRAMES), *_windows())), WINDOWS)
     alternative = milliseconds(_step(naive, lambda: naive(read_window())))
-    return Row(
-        lambda: 1e3 / ours(),
-        lambda: 1e3 / alternative(),
-        "windows/s",
-        f"{street.title}: training with shared frames / PyG + ncps, each window read and encoded for itself",
-    )
+    what = f"{street.title}: training with shared frames / PyG + ncps, each window read and encoded for itself"
+    return Row(lambda: 1e3 / ours(), lambda: 1e3 / alternative(), "windows/s", what)
 
 
 def _step(net: nn.Module, forward: Callable[[], Tensor]) -> Callable[[], None]:

@@ -1,6 +1,5 @@
 """Measure a row of the table, and make a street of random points."""
 
-import statistics
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -37,8 +36,7 @@ class Row(NamedTuple):
     def measure(self) -> list[float]:
         """Return the medians of both, run once to warm up, then in turn, so that other load affects both."""
         self.ours(), self.alternative()
-        results = [(self.ours(), self.alternative()) for _ in range(ROUNDS)]
-        return [statistics.median(column) for column in zip(*results, strict=True)]
+        return np.median([(self.ours(), self.alternative()) for _ in range(ROUNDS)], axis=0).tolist()
 
 
 def milliseconds(work: Callable[[], object], items: int = 1) -> Measurement:

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import typer
 from matplotlib.figure import Figure
 
 from pipeline.base import console, store
@@ -24,7 +23,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.params import load
 from pipeline.report import street_view
 from pipeline.report.paper import CLAIMS, PAPER
-from pipeline.report.results import BASELINES, NO_LEARNING, Group, load_groups, validation_nmse
+from pipeline.report.results import BASELINES, NO_LEARNING, Group, load_groups
 from pipeline.report.tables import NONE, Table, claim_cells, number
 from pipeline.settings.evaluate import Evaluate
 from presets.run import revision
@@ -100,9 +99,9 @@ def figures_of(run: Path) -> Results:
     for whole in load_groups(folders, load(Evaluate, params)):
         for group in (whole, *without(whole, OMITTED)):
             figures |= figures_of_group(group)
-        for row in (row for row in whole.models if validation_nmse(row) < np.inf):
+        for row in (row for row in whole.models if row["val_nmse"] < np.inf):
             seeds = np.mean([scores["nmse_by_seed"] for scores in row["val"].values()], axis=0).tolist()
-            figures[f"val/{row['model']}"] = entry(validation_nmse(row), seeds=seeds, roads=len(row["drives"]["train"]))
+            figures[f"val/{row['model']}"] = entry(row["val_nmse"], seeds=seeds, roads=len(row["drives"]["train"]))
     if (path := run / "data/scores/metrics.json").is_file():
         for kind, splits in store.read_json(path, stage="scores")["motion"].items():
             if splits["test"]:
@@ -134,8 +133,7 @@ def figures_of_group(group: Group) -> Results:
             figures[f"{part}/{name}"] = entry(value, bounds, frames, seeds=seeds, mse=mse, mae_deg=mae_deg)
         for first, other in product(models.intersection(rows), rows):
             if first != other:
-                value, bounds = group.nmse(first, minus=other, column=column)
-                verdict = group.verdict(bounds, first, other, column)
+                value, bounds, verdict = group.difference(first, other, column)
                 figures[f"{part}/{first} - {other}"] = entry(value, bounds, frames, verdict=verdict)
     return figures
 
@@ -182,9 +180,10 @@ def claims(results: Results) -> list[list[str]]:
     for claim in CLAIMS:
         pair = [f"table2/angle-0/{name}" for name in (claim.model, claim.rival)]
         errors = [(get(results, key), get(results, key, "mae_deg")) for key in pair]
-        difference = [get(results, f"{pair[0]} - {claim.rival}", part) for part in ("figure", "interval", "verdict")]
+        key = f"{pair[0]} - {claim.rival}"
+        difference = get(results, key), get(results, key, "interval"), get(results, key, "verdict")
         if None not in difference:
-            rows.append(claim_cells(claim, errors, *difference))
+            rows.append(claim_cells(claim, errors, difference))
     table = Table("", rows)
     return [table.heads, *([re.sub(r"-(?=\d\.)", "−", cell) for cell in row] for row in table.cells)]
 
@@ -282,7 +281,4 @@ def plot(results: Results) -> Figure:
 TABLES = {table.__name__: table for table in (claims, beyond, real, table2, coverage, origins)}
 
 if __name__ == "__main__":
-    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    for command in (collect, render):
-        app.command()(console.guarded(command))
-    app()
+    console.run(collect, render)

@@ -9,18 +9,16 @@ import typer
 from pipeline.base.errors import InputError
 
 
-def run(main: Callable[..., object]) -> None:
-    """Parse a stage's command line for `main` and call it, :func:`guarded`."""
+def run(*commands: Callable[..., object]) -> None:
+    """Parse the command line and call the function, :func:`guarded`; its first argument names one of several."""
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    app.command()(guarded(main))
+    for command in commands:
+        app.command()(guarded(command))
     app()
 
 
 def guarded(main: Callable[..., object]) -> Callable[..., None]:
-    """Return `main` as a command that prints an InputError, an OSError or Ctrl-C as one line, with exit status 1.
-
-    Other exceptions are bugs and keep their traceback.
-    """
+    """Return `main` as a command that prints an InputError, an OSError or Ctrl-C as one line, with exit status 1."""
 
     @functools.wraps(main)  # Typer reads its arguments
     def command(*args: object, **options: object) -> None:

@@ -25,10 +25,7 @@ def check_free(path: Path) -> None:
 
 
 def claim(out: Path | None, stem: str) -> Path:
-    """Return the folder for a command's results: `out`, otherwise the first free one of out/STEM, out/STEM-2, ….
-
-    Raises InputError if `out` is not free.
-    """
+    """Return `out`, or the first free folder of out/STEM, out/STEM-2, …. Raises InputError unless `out` is free."""
     if out is not None:
         check_free(out)
         return out
@@ -51,10 +48,7 @@ class StageFolder(NamedTuple):
 
 @contextmanager
 def locked(folder: Path, path: str) -> Iterator[None]:
-    """Hold the lock `path` of a folder, which the system releases when this process dies.
-
-    Raises InputError if another process holds it, or if the file system has no locks.
-    """
+    """Hold the lock `path` of a folder. Raises InputError if another process does, or the file system has no locks."""
     try:
         lock = FileLock(path, fallback_to_soft=False).acquire(timeout=0)
     except Timeout:

@@ -4,7 +4,7 @@ import ast
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -53,30 +53,29 @@ def _stage_code_hash(stage: str) -> str:
     entry = read(ROOT / "dvc.yaml")["stages"][stage]
     dependencies = entry.get("do", entry)["deps"]
     patterns = [re.sub(r"\$\{.*?\}", "*", path) for path in dependencies if path.startswith(PACKAGES)]
-    files = _python_files(path for pattern in patterns for path in ROOT.glob(pattern)) - MACHINERY
-    return digest({str(file.relative_to(ROOT)): meaning(file) for file in files})
+    paths = [path for pattern in patterns for path in ROOT.glob(pattern)]
+    files = {file for path in paths for file in (path.rglob("*.py") if path.is_dir() else [path])}
+    return digest({str(file.relative_to(ROOT)): meaning(file) for file in files - MACHINERY})
 
 
 @cache
 def _import_hash(code: tuple[str, ...]) -> str:
     """Hash the :func:`meaning` of files of the project and of all that they import, directly or not."""
-    found, todo = set[Path](), [ROOT / path for path in code]
-    while todo:
-        if (path := todo.pop()) not in found:
-            found.add(path)
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-                if isinstance(node, ast.ImportFrom) and node.module:
-                    modules = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-                todo += [ROOT / f"{name.replace('.', '/')}.py" for name in modules if name.startswith(PACKAGES)]
-            todo = [path for path in todo if path.is_file()]
-    return digest({str(file.relative_to(ROOT)): meaning(file) for file in found - MACHINERY})
+    files = [ROOT / path for path in code]
+    for file in files:  # the list grows by the imports of each file
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            if isinstance(node, ast.ImportFrom) and node.module:
+                modules = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+            paths = [ROOT / f"{name.replace('.', '/')}.py" for name in modules if name.startswith(PACKAGES)]
+            files += [path for path in paths if path.is_file() and path not in files]
+    return digest({str(file.relative_to(ROOT)): meaning(file) for file in {*files} - MACHINERY})
 
 
 @cache
 def code_hash() -> str:
     """Return a hash of all code, cached at the first call."""
-    files = _python_files(ROOT / package for package in PACKAGES)
+    files = [file for package in PACKAGES for file in (ROOT / package).rglob("*.py")]
     return digest({str(file.relative_to(ROOT)): file_hash(file) for file in files})
 
 
@@ -86,16 +85,9 @@ def meaning(path: Path) -> str:
         tree = ast.parse(text := path.read_text(encoding="utf-8"))
     except SyntaxError:  # a network that is being written; others can be trained
         return text
-    for node in ast.walk(tree):
-        if isinstance(body := getattr(node, "body", None), list):
-            body[:] = [statement for statement in body if not _is_docstring(statement)]
-    return ast.unparse(tree)  # ast.dump differs more between versions of Python
+    return ast.unparse(_WithoutDocstrings().visit(tree))  # ast.dump differs more between versions of Python
 
 
-def _is_docstring(statement: ast.stmt) -> bool:
-    constant = statement.value if isinstance(statement, ast.Expr) else None
-    return isinstance(constant, ast.Constant) and isinstance(constant.value, str)
-
-
-def _python_files(paths: Iterable[Path]) -> set[Path]:
-    return {file for path in paths for file in (path.rglob("*.py") if path.is_dir() else [path])}
+class _WithoutDocstrings(ast.NodeTransformer):
+    def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
+        return None if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str) else node

@@ -35,10 +35,7 @@ class Job(NamedTuple):
 
 
 def file_jobs(drives: Iterable[str], inputs: Mapping[str, Path], work: Callable[..., Summary]) -> list[Job]:
-    """Return the jobs that make DRIVE.h5 of each drive from its files in the folders of earlier stages.
-
-    `inputs`: argument of `work` → folder. `work` is called with a path and the drive's files.
-    """
+    """Return the jobs that make DRIVE.h5 from the drive's files. `inputs`: argument of `work` → folder of a stage."""
     jobs = []
     for drive in drives:
         files = {name: folder / f"{drive}.h5" for name, folder in inputs.items()}

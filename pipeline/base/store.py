@@ -90,13 +90,10 @@ class DriveWriter(ExitStack):
         # Open until the end: HDF5 writes chunks when a dataset is closed, on which the bytes depend.
         self._datasets: dict[str, h5py.Dataset] = {}
 
-    def _create(self, name: str, unit: str, **options: Any) -> None:
-        self._datasets[name] = self._file.create_dataset(name, **options)
+    def put(self, name: str, array: np.ndarray, unit: str = "", **options: Any) -> None:
+        """Write a complete dataset, a row per frame. `options`: of h5py's create_dataset."""
+        self._datasets[name] = self._file.create_dataset(name, data=array, **options)
         self._datasets[name].attrs["unit"] = unit
-
-    def put(self, name: str, array: np.ndarray, unit: str = "") -> None:
-        """Write a complete dataset, a row per frame."""
-        self._create(name, unit, data=array)
 
     def put_pointers(self, name: str, counts: Iterable[int], unit: str = "") -> None:
         """Write the first row of each frame, and the end, int64 [F+1], for `counts` [F] of rows per frame."""
@@ -112,7 +109,7 @@ class DriveWriter(ExitStack):
             # An image is one chunk, so that frames can be read one by one; points share chunks.
             length, encoding = (1, _PIXELS) if rows.ndim >= 3 else (_CHUNK_ROWS, _POINTS)
             options = {"maxshape": (None, *rows.shape[1:]), "chunks": (length, *rows.shape[1:]), **encoding}
-            self._create(name, unit, data=rows[:0], **options)
+            self.put(name, rows[:0], unit, **options)
             named = {"pointer": pointer, "refers_to": refers_to}
             self._datasets[name].attrs.update({key: value for key, value in named.items() if value})
         dataset = self._datasets[name]

@@ -21,10 +21,7 @@ Figures = tuple[Captions, tuple[View, View] | None]  # and the chain's frame, wi
 
 
 def draw(out: Path, groups: Sequence[Group], data: Path) -> Figures:
-    """Draw a frame's way from image to steering, and the largest errors of each group's best model.
-
-    Pictures whose files are not in the stages' folders below `data` are left out, as on a machine that only trains.
-    """
+    """Draw a frame's way from image to steering and each group's largest errors, if the stages' files are in `data`."""
     captions, frame = _draw_typical_bend(out / "chain.png", groups[0], data) if groups else ({}, None)
     for group in groups:
         captions |= _draw_errors(out / f"errors-{group.key}.png", group, data / "ingest")
@@ -65,10 +62,9 @@ def _draw_chain(path: Path, view: View, graph: View, steering: pd.DataFrame) -> 
     """Draw image, depth, classes, cloud, pruned graph, and the predicted angles [F] over the drive of `view`."""
     figure = Figure(figsize=(13, 6.4), layout="constrained")
     panels = figure.subplot_mosaic("aabbcc;ddeeff", height_ratios=[1, 2.2])
-    images = [*view.images().items()]
-    for key in "abc"[len(images) :]:
+    for key in "abc":  # classes may be missing
         panels[key].set_axis_off()
-    for key, (name, pixels) in zip("abc", images, strict=False):
+    for key, (name, pixels) in zip("abc", view.images().items(), strict=False):
         street_view.draw_image(panels[key], pixels, "image" if key == "a" else f"{name} from the image")
     street_view.draw_points(panels["d"], view, fontsize="medium")
     street_view.draw_points(panels["e"], graph, fontsize="medium")
@@ -86,10 +82,7 @@ def _draw_chain(path: Path, view: View, graph: View, steering: pd.DataFrame) -> 
 
 
 def _draw_errors(path: Path, group: Group, ingest: Path) -> Captions:
-    """Draw the last image that the best model got before its largest error in a drive; nothing without images.
-
-    On the path ahead, both paths are drawn on the street.
-    """
+    """Draw the last image that the best model got before its largest error in a drive; nothing without images."""
     model, shown = group.by_error[0], []
     predictions = group.first_seed(model["model"])
     largest = predictions.loc[predictions[predictions["cost"] > 0].groupby("drive")["cost"].idxmax()]

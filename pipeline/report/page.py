@@ -1,10 +1,7 @@
-"""Write the page: one HTML file that needs no other file and no network, from page.html.j2.
-
-Plots are traces of Plotly, with angles in degrees, left +.
-"""
+"""Write the page: one HTML file that needs no other file and no network, from page.html.j2."""
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import cycle
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from pipeline.camera import classes
@@ -22,8 +18,8 @@ from pipeline.report.street_view import View
 from pipeline.report.tables import Table
 
 COLOURS = ("#0b57a4", "#d1495b", "#2e8b57", "#8a5fbf", "#1b998b", "#7a6a53", "#c2185b")
-Trace = dict[str, Any]
-Styles = Mapping[str, Trace]
+Trace = dict[str, Any]  # of Plotly, with angles in degrees, left +
+Styles = dict[str, Trace]
 FIXED: Styles = {
     "driven": {"marker": {"color": "#1b2027"}, "line": {"width": 3}},
     "odometry": {"marker": {"color": "#e08e0b"}, "line": {"dash": "dash"}},
@@ -47,18 +43,9 @@ Content = Sequence[str | Table | Plot | Picture]
 
 
 def write_page(
-    path: Path,
-    story: Sequence[str],
-    groups: Sequence[Group],
-    tables: Sequence[Table],
-    perception: Content,
-    figures: Figures,
+    path: Path, story: list[str], groups: list[Group], tables: list[Table], perception: Content, figures: Figures
 ) -> None:
-    """Write the page to an HTML file.
-
-    The files of `figures` are in folder figures beside it. `perception`: where the encoder's weights come from, and
-    tables.
-    """
+    """Write the page beside folder figures. `perception`: where the encoder's weights come from, and tables."""
     captions, frame = figures
     pictures = {
         name: Picture(caption, base64.b64encode((path.parent / f"figures/{name}.png").read_bytes()).decode("ascii"))
@@ -82,36 +69,29 @@ def write_page(
         chain=chain,
         space=frame and in_space(*frame),
         sections={title: content for title, content in sections.items() if content},
-        plotly=Markup(get_plotlyjs()),
+        plotly=get_plotlyjs(),
     )
     path.write_text(html, encoding="utf-8")
 
 
 def _test_drives(group: Group, look: Styles) -> Content:
-    predictions, best = group.predictions, group.by_error[0]["model"]
-    cost = group.first_seed(best).groupby("drive", sort=False)["cost"].sum()
-    worst = cost.nlargest(DRIVES_SHOWN).index
+    predictions, best = group.predictions, group.first_seed(group.by_error[0]["model"])
+    worst = best.groupby("drive", sort=False)["cost"].sum().nlargest(DRIVES_SHOWN).index
     count = predictions["drive"].nunique()
     chosen = f" on the {len(worst)} of {count} drives with the largest squared error" if count > len(worst) else ""
     angle = " The angle is the turn of the path over all ranges." if any(group.labels.values()) else ""
-    return [
-        f"Predictions of the first seed{chosen}.{angle} Drag to zoom, double-click to reset, click the legend to hide.",
-        *(
-            Plot(f"{drive}: {group.title} over time", over_time(predictions[predictions["drive"] == drive], look))
-            for drive in cost.index
-            if drive in worst
-        ),
-    ]
+    hint = "Drag to zoom, double-click to reset, click the legend to hide."
+    drives = predictions[predictions["drive"].isin(worst)].groupby("drive", sort=False)
+    plots = [Plot(f"{drive}: {group.title} over time", over_time(rows, look)) for drive, rows in drives]
+    return [f"Predictions of the first seed{chosen}.{angle} {hint}", *plots]
 
 
 def styles(groups: Sequence[Group]) -> Styles:
     """Return model or baseline → name, colour, line and visibility of its traces in all plots."""
-    models = [model["model"] for group in groups for model in group.models]
-    shown = {row["model"] for group in groups for row in group.by_error[:MODELS_SHOWN]} | {*FIXED}
-    colours = zip(models, cycle(COLOURS), strict=False)
-    looks = {**{name: {"marker": {"color": colour}} for name, colour in colours}, **FIXED}
-    visible = {name: True if name in shown else "legendonly" for name in looks}
-    return {name: {"name": name, "visible": visible[name], **look} for name, look in looks.items()}
+    models = [row["model"] for group in groups for row in group.models]
+    shown = {*FIXED, *(row["model"] for group in groups for row in group.by_error[:MODELS_SHOWN])}
+    looks = {name: {"marker": {"color": colour}} for name, colour in zip(models, cycle(COLOURS), strict=False)} | FIXED
+    return {name: {"name": name, "visible": name in shown or "legendonly", **looks[name]} for name in looks}
 
 
 def over_time(predictions: pd.DataFrame, look: Styles) -> list[Trace]:

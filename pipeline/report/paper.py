@@ -45,16 +45,6 @@ class Claim(NamedTuple):
     rival: str
     comparable: bool = False
 
-    def verdict(self, outcome: str) -> str:
-        """Return the verdict on the claim for the :func:`errors.verdict` of model minus rival."""
-        return {"better": "reversed" if self.comparable else "confirmed", "worse": "reversed"}.get(outcome, outcome)
-
-    @property
-    def ratio(self) -> float | None:
-        """The paper's test MSE of the model relative to the rival's; None without both."""
-        pair = PAPER.get(self.model), PAPER.get(self.rival)
-        return pair[0].test_mse / pair[1].test_mse if pair[0] and pair[1] else None
-
 
 # keep-100: sa-gnn-ncp with all edges; lambda-0: with λ = 0 in eq. 7.
 CLAIMS = (

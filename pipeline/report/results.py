@@ -1,7 +1,4 @@
-"""Load the outputs of stage evaluate: groups of models that predict the same quantities, each with its baselines.
-
-All report outputs are made from these groups, and all their test errors are of the frames that every model predicts.
-"""
+"""Load the outputs of stage evaluate: groups of models that predict the same quantities, each with its baselines."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -26,9 +23,11 @@ NO_LEARNING = {  # baseline → what it predicts
 }
 BASELINES = (*NO_LEARNING, "persistence")  # persistence repeats true angles, which no model gets
 USELESS = 0.95  # nmse on the test drives above which a model has learned nothing
-# A model's metrics.json with its `settings`, and with `paper`, its :class:`paper.Published` or None.
+# A model's metrics.json with its `settings`; `paper`, its :class:`paper.Published` or None; and `val_nmse`, its nmse on
+# the validation drives, mean over its columns, inf if it is unknown.
 Row = dict[str, Any]
 Estimate = tuple[float | None, list[float] | None]  # a value, None if unknown, and its :func:`errors.interval`
+Difference = tuple[float | None, list[float] | None, str]  # the same of a difference, and its :func:`errors.verdict`
 
 
 @dataclass(frozen=True)
@@ -65,12 +64,13 @@ class Group:
         value = float((np.nansum(mean, axis=0)[known] / zero[known]).mean()) if known.any() else None
         return value, errors.interval(error, truth, self.drive, self.settings, *other)
 
-    def verdict(self, bounds: list[float] | None, name: str, minus: str, column: str | None = None) -> str:
-        """Return the :func:`errors.verdict` for the interval of a paired difference."""
+    def difference(self, name: str, minus: str, column: str | None = None) -> Difference:
+        """Return the paired difference in nmse of a model from another or a baseline."""
+        value, bounds = self.nmse(name, minus, column)
         seeds = min(len(self.predicted[of]) for of in (name, minus) if of not in BASELINES)
         part = errors.parts(self.drive, self.settings.bootstrap_block_frames)
         counted = np.isfinite(self.truth[:, self._columns(column)]).any(axis=1)
-        return errors.verdict(bounds, seeds, len(np.unique(part[counted])))
+        return value, bounds, errors.verdict(bounds, seeds, len(np.unique(part[counted])))
 
     def _columns(self, column: str | None) -> list[int]:
         return [*range(len(self.labels))] if column is None else [[*self.labels].index(column)]
@@ -92,12 +92,12 @@ class Group:
     @cached_property
     def by_error(self) -> list[Row]:
         """The models by validation error, the least first; by test error if a model has no validation error."""
-        return sorted(self.models, key=validation_nmse if self.validated else lambda row: self._rank(row["model"]))
+        return sorted(self.models, key=lambda row: row["val_nmse"] if self.validated else self._rank(row["model"]))
 
     @property
     def validated(self) -> bool:
         """Whether all models have a validation error."""
-        return max(map(validation_nmse, self.models)) < np.inf
+        return all(row["val_nmse"] < np.inf for row in self.models)
 
     @property
     def best_baseline(self) -> str:
@@ -113,12 +113,6 @@ class Group:
         return self.predictions[self.predictions["model"] == model]
 
 
-def validation_nmse(row: Row) -> float:
-    """Return a model's nmse on the validation drives, mean over its columns; inf if it is unknown."""
-    known = [scores["nmse"] for scores in (row["val"] or {}).values() if scores["nmse"] is not None]
-    return float(np.mean(known)) if known else np.inf
-
-
 def load_groups(folders: Mapping[str, Path], settings: Evaluate) -> list[Group]:
     """Load the results of models, name → folder of stage evaluate. Raises InputError if a file is missing."""
     loaded: dict[tuple[str, int], list[Row]] = {}
@@ -126,6 +120,8 @@ def load_groups(folders: Mapping[str, Path], settings: Evaluate) -> list[Group]:
         row = store.read_json(folder / "metrics.json", stage=f"evaluate@{folder.name}") | {"model": model}
         row["settings"] = row["entry"] | {"accumulate": row["variant"].get("accumulate")}
         row["paper"] = paper.find(row["settings"])
+        known = [scores["nmse"] for scores in (row["val"] or {}).values() if scores["nmse"] is not None]
+        row["val_nmse"] = float(np.mean(known)) if known else np.inf
         loaded.setdefault((row["entry"]["predict"], row["entry"]["horizon"]), []).append(row)
     order = [*paper.PAPER.values(), None]
     groups = []

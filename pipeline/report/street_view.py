@@ -1,7 +1,4 @@
-"""Draw a frame: its image, depth and classes beside its cloud or graph from above (the paper's Figures 1 and 2).
-
-And the path of a car on a plane road: from curvature to places, and to the tracks of its wheels in an image.
-"""
+"""Draw a frame with its cloud or graph (the paper's Figures 1 and 2), and a car's path on a plane road in an image."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -53,10 +50,7 @@ class View(NamedTuple):
 
 
 def read_view(number: int, *files: DriveReader) -> View:
-    """Read frame `number` of one drive from files of any stages; a later file takes precedence.
-
-    Raises InputError if a file lacks the frame.
-    """
+    """Read a frame from files of any stages; a later file takes precedence. Raises InputError if a file lacks it."""
     parts: dict[str, Any] = {}
     for file in files:
         row = file.row_of(number)
@@ -82,10 +76,7 @@ def draw_image(panel: Axes, pixels: np.ndarray, title: str, **style: Any) -> Non
 
 
 def draw_points(panel: Axes, view: View, **style: Any) -> None:
-    """Draw the points of a frame from above, in the colours of their classes, high points on top; title in a `style`.
-
-    With edges, the dots of a small graph are larger.
-    """
+    """Draw the points of a frame from above, in the colours of their classes, high points on top."""
     xyz, cls, edges = np.asarray(view.xyz), np.asarray(view.points_cls), view.edges
     name, count = ("cloud", "") if edges is None else ("graph", f", {view.edge_count:,} directed edges")
     void = "; black: no class" if (cls == classes.VOID).any() else ""

@@ -11,7 +11,7 @@ import pandas as pd
 from pipeline.base.params import SPLITS
 from pipeline.evaluate.errors import interval_text
 from pipeline.report import paper
-from pipeline.report.results import BASELINES, NO_LEARNING, USELESS, Group, Row
+from pipeline.report.results import BASELINES, NO_LEARNING, USELESS, Difference, Group, Row
 from pipeline.settings.graphs import Variant
 
 NONE = "–"  # cell without a value
@@ -42,7 +42,6 @@ _DEPTH = (
     "count; coverage is their share. flat ground: a level road below the camera, with the encoder's classes, on the "
     "same pixels; an encoder that does not beat it has learned no depth. Eigen: the usual crop of KITTI."
 )
-_CLASSES = "Over the classes that occur in the ground truth."
 _MOTION = (
     "Motion since the previous frame, measured from images, compared with oxts at or above labels.min_speed_mps. "
     "wheel: recorded angles; …-wheel: compared with these. nmse: of the steering angle from the last measurement."
@@ -70,10 +69,8 @@ class Table(NamedTuple):
         """Return title, table and note as Markdown, with the first column aligned to the left, others to the right."""
         widths = [max(map(len, column)) for column in zip(self.heads, *self.cells, strict=True)]
         rule = ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])]
-        lines = []
-        for row in (self.heads, rule, *self.cells):
-            first, *more = [f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True)]
-            lines.append(f"| {' | '.join([first.strip().ljust(widths[0]), *more])} |")
+        form = " | ".join([f"{{:<{widths[0]}}}", *(f"{{:>{width}}}" for width in widths[1:])])
+        lines = [f"| {form.format(*row)} |" for row in (self.heads, rule, *self.cells)]
         return "\n\n".join(filter(None, [f"## {self.title}", "\n".join(lines), fill(self.note, 110)]))
 
 
@@ -88,7 +85,7 @@ def sentences(groups: Sequence[Group], absent: Sequence[str] = ()) -> list[str]:
     if groups:
         group, best = groups[0], groups[0].by_error[0]
         name, baseline = best["model"], group.best_baseline
-        (nmse, interval), (difference, bounds) = group.nmse(name), group.nmse(name, minus=baseline)
+        (nmse, interval), (difference, bounds, verdict) = group.nmse(name), group.difference(name, baseline)
         choice = "validation error" if group.validated else "test error (there is no validation)"
         count = len(np.unique(group.drive[np.isfinite(group.truth).any(axis=1)]))
         drives = "1 drive" if count == 1 else f"{count} drives"
@@ -100,7 +97,7 @@ def sentences(groups: Sequence[Group], absent: Sequence[str] = ()) -> list[str]:
                 "nmse is the squared error relative to that of always driving straight ahead, so 0 is perfect and 1 "
                 f"is useless. The best baseline without learning, {baseline} ({NO_LEARNING[baseline]}), has "
                 f"{group.mae_deg(baseline):.2f}° and {group.nmse(baseline)[0]:.3f}. Difference in nmse "
-                f"{difference:+.3f} ({interval_text(bounds, '+.3f')}): {group.verdict(bounds, name, baseline)}."
+                f"{difference:+.3f} ({interval_text(bounds, '+.3f')}): {verdict}."
             )
     if useless := [line for group in groups for line in _useless(group).values()]:
         texts.append(" ".join(useless))
@@ -124,17 +121,15 @@ def _useless(group: Group) -> dict[str, str]:
 
 def steering_tables(groups: Sequence[Group]) -> list[Table]:
     """Return the tables of all groups: first the errors of each group, then details."""
-    tables = [
-        Table(f"Results: {group.title}", _results(group), _frames(group) + _RESULTS * (group is groups[0]))
-        for group in groups
-    ]
-    for group in groups:
-        tables.append(Table(f"Differences: {group.title}", _differences(group), _DIFFERENCES))
+    notes = [_frames(group) + _RESULTS * (group is groups[0]) for group in groups]
     present = [group for group in groups if group.key == "angle-0"]
-    published, claims = ([row for group in present for row in rows(group)] for rows in (_as_published, _claims))
-    models = [_model(row) for group in groups for row in group.models]
-    tables.insert(len(groups), Table("The paper's claims", claims, _CLAIMS))
-    tables += [Table("MSE as in the paper's Table 2", published, _PAPER), Table("Models", models)]
+    tables = [
+        *(Table(f"Results: {group.title}", _results(group), note) for group, note in zip(groups, notes, strict=True)),
+        Table("The paper's claims", [row for group in present for row in _claims(group)], _CLAIMS),
+        *(Table(f"Differences: {group.title}", _differences(group), _DIFFERENCES) for group in groups),
+        Table("MSE as in the paper's Table 2", [row for group in present for row in _as_published(group)], _PAPER),
+        Table("Models", [_model(row) for group in groups for row in group.models]),
+    ]
     return [table for table in tables if table.rows]
 
 
@@ -146,15 +141,16 @@ def _results(group: Group) -> list[dict[str, str]]:
         cells = {"model": f"*{name}*" if name in BASELINES else name + marks}
         for column, label in group.labels.items():
             nmse, bounds = group.nmse(name, column=column)
-            by_seed = group.scores(name, column)["by_seed"]
-            cells[f"nmse {label}".strip()] = number(nmse, ".3f")
+            text = number(nmse, ".3f")
             if row and nmse is not None:
+                by_seed = group.scores(name, column)["by_seed"]
                 spread = f" ± {np.std(by_seed, ddof=1):.3f}" if len(by_seed) > 1 else ""
-                cells[f"nmse {label}".strip()] += f"{spread} ({interval_text(bounds)})"
+                text += f"{spread} ({interval_text(bounds)})"
+            cells[f"nmse {label}".strip()] = text
             if not label:
                 cells["MAE deg"] = number(group.mae_deg(name), ".2f")
-                if group.key == "angle-0":
-                    cells["drift"] = number(row["test"][column]["drift_m_per_100m"] if row else None, ".1f")
+            if group.key == "angle-0":
+                cells["drift"] = number(row["test"][column]["drift_m_per_100m"] if row else None, ".1f")
         cells["parameters"] = number(row.get("parameters"), ",d")
         cells["edges"] = number(row.get("edges_per_frame"), ",.0f")
         rows.append(cells)
@@ -183,18 +179,15 @@ def _differences(group: Group) -> list[dict[str, str]]:
     for (first, second), setting in pairs.items():
         cells = {"models": f"{first} − {second}{setting}"}
         for column, label in group.labels.items():
-            nmse, bounds = group.nmse(first, minus=second, column=column)
-            text = f"({interval_text(bounds, '+.3f')}) {group.verdict(bounds, first, second, column)}"
-            cells[label or "nmse"] = NONE if nmse is None else f"{nmse:+.3f} {text}"
+            nmse, bounds, verdict = group.difference(first, second, column)
+            text = NONE if nmse is None else f"{nmse:+.3f} ({interval_text(bounds, '+.3f')}) {verdict}"
+            cells[label or "nmse"] = text
         rows.append(cells)
     return rows
 
 
 def _changed(*pair: Row) -> list[str]:
-    """Return "setting: a → b" of each setting in which two models or their graph variants differ.
-
-    Options that only one of the two networks has do not count, nor does the variant of a network without a scene.
-    """
+    """Return "setting: a → b" of each setting in which two models or their graph variants differ, if both have it."""
     first, second = (row["entry"] for row in pair)
     settings = [(key, first[key], second[key]) for key in first if key in second and key != "input"]
     if "blind" not in (first["spatial"], second["spatial"]):
@@ -225,33 +218,25 @@ def _claims(group: Group) -> list[dict[str, str]]:
     for claim in paper.CLAIMS:
         pair = claim.model, claim.rival
         if {*pair} <= models.keys() and all(as_meant(name, claim) for name in pair):
-            difference, bounds = group.nmse(claim.model, minus=claim.rival)
             errors = [(group.nmse(name)[0], group.mae_deg(name)) for name in pair]
-            rows.append(claim_cells(claim, errors, difference, bounds, group.verdict(bounds, *pair)))
+            rows.append(claim_cells(claim, errors, group.difference(*pair)))
     return rows
 
 
-def claim_cells(
-    claim: paper.Claim,
-    errors: Sequence[tuple[float | None, float]],
-    difference: float | None,
-    bounds: list[float] | None,
-    outcome: str,
-) -> dict[str, str]:
-    """Return a row about a claim: nmse and mean error in degrees of both networks, ratios of MSE, and the verdict.
-
-    `difference`, `bounds`, `outcome`: of nmse, its interval and :func:`errors.verdict`.
-    """
-    (ours, ours_deg), (other, other_deg) = errors
+def claim_cells(claim: paper.Claim, errors: Sequence[tuple[Any, Any]], difference: Difference) -> dict[str, str]:
+    """Return a row about a claim for the nmse and mean error in degrees of its two networks, None if unknown."""
+    ((ours, ours_deg), (other, other_deg)), (nmse, bounds, outcome) = errors, difference
+    verdicts = {"better": "reversed" if claim.comparable else "confirmed", "worse": "reversed"}
+    model, rival = paper.PAPER.get(claim.model), paper.PAPER.get(claim.rival)
     return {
         "the paper's claim": claim.text,
-        "verdict": claim.verdict(outcome),
+        "verdict": verdicts.get(outcome, outcome),
         "networks": f"{claim.model}, {claim.rival}",
         "nmse": f"{number(ours, '.3f')}, {number(other, '.3f')}",
         "mean error, °": f"{number(ours_deg, '.2f')}, {number(other_deg, '.2f')}",
-        "MSE ratio: paper": number(claim.ratio, ".2f"),
+        "MSE ratio: paper": number(model.test_mse / rival.test_mse if model and rival else None, ".2f"),
         "here": number(ours / other if ours is not None and other else None, ".2f"),
-        "difference in nmse": f"{number(difference, '+.3f')} ({interval_text(bounds, '+.3f')})",
+        "difference in nmse": f"{number(nmse, '+.3f')} ({interval_text(bounds, '+.3f')})",
     }
 
 
@@ -302,9 +287,12 @@ def perception_tables(scores: dict[str, Any]) -> list[Table]:
         for (kind, splits), split in product(scores["motion"].items(), SPLITS)
         if (row := splits[split])
     ]
-    depth = Table("Depth", _depth(scores), _DEPTH)
-    built = depth, Table("Classes", classes, _CLASSES), Table("Motion", motion, _MOTION)
-    return [table for table in built if table.rows]
+    tables = [
+        Table("Depth", _depth(scores), _DEPTH),
+        Table("Classes", classes, "Over the classes that occur in the ground truth."),
+        Table("Motion", motion, _MOTION),
+    ]
+    return [table for table in tables if table.rows]
 
 
 def _depth(scores: dict[str, Any]) -> list[dict[str, str]]:

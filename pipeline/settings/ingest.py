@@ -12,7 +12,6 @@ from pipeline.base.params import SPLITS, ImageSize, Name, Section
 RECORDING = "recording"
 DATASETS = sorted(path.stem for path in (Path(__file__).parents[1] / "datasets").glob("[!_]*.py"))
 KITTI_NAMES = re.compile(r"\d{4}_\d\d_\d\d_drive_\d{4}")  # also of the sample
-_RANGE = re.compile(r"(.*?)([0-9]+)\.\.([0-9]+)")
 
 
 class Drives(Section):
@@ -41,7 +40,7 @@ class Drives(Section):
 
 def _expand_range(name: Any) -> list[Any]:
     """Return the drives of a range. Any other name stays, and an empty range, which is no drive's name."""
-    match = _RANGE.fullmatch(str(name))
+    match = re.fullmatch(r"(.*?)([0-9]+)\.\.([0-9]+)", str(name))
     if not match or len(match[2]) != len(match[3]):
         return [name]
     numbers = range(int(match[2]), int(match[3]) + 1)

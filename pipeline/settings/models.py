@@ -54,7 +54,7 @@ class Entry(Section):
         """Add the defaults of the networks' options. Raises ValueError for a wrong key or value."""
         if not isinstance(value, dict) or not {"spatial", "temporal"} <= value.keys():
             return value
-        networks = _networks(value["spatial"], value["temporal"])
+        networks = options.load("spatial", value["spatial"]), options.load("temporal", value["temporal"])
         fields = {name: field for network in networks for name, field in network.model_fields.items()}
         known, where = [*cls.model_fields, *fields], f"spatial = {value['spatial']}, temporal = {value['temporal']}"
         for key in value.keys() - known:
@@ -84,19 +84,10 @@ class Entry(Section):
         """
         spatial, temporal = (
             network.model_validate({name: getattr(self, name) for name in network.model_fields})
-            for network in _networks(self.spatial, self.temporal)
+            for network in (options.load("spatial", self.spatial), options.load("temporal", self.temporal))
         )
         if spatial.kind != kind:
             expects = f"spatial = {self.spatial!r} expects {FRAMES[str(spatial.kind)]}"
             raise InputError(f"{expects}, but input: {self.input} holds {FRAMES[kind]}")
-        return steering_net.SteeringNet(
-            spatial,
-            temporal,
-            options.Sizes(self.features, levels, image_size or (0, 0), outputs),
-            equivariant=self.equivariant,
-            motion=self.motion != "none",
-        )
-
-
-def _networks(spatial: str, temporal: str) -> tuple[type[options.NetworkOptions], type[options.NetworkOptions]]:
-    return options.load("spatial", spatial), options.load("temporal", temporal)
+        sizes, motion = options.Sizes(self.features, levels, image_size or (0, 0), outputs), self.motion != "none"
+        return steering_net.SteeringNet(spatial, temporal, sizes, equivariant=self.equivariant, motion=motion)

@@ -1,7 +1,4 @@
-"""All sections of ``params.yaml`` as one type, and presets: sets of changes, ``presets/NAME.yaml``.
-
-``python -m pipeline.settings.preset NAME`` writes a preset's changes into params.yaml, whose comments stay.
-"""
+"""All sections of ``params.yaml`` as one type, and the command that writes the changes of a preset into the file."""
 
 import hashlib
 import io

@@ -14,35 +14,24 @@ Content = dict[str, Any]
 
 
 def describe(path: Path) -> Content:
-    """Return what a drive's file or a checkpoint holds, as plain values.
-
-    Of a drive's file its attributes, frames, datasets (name → dtype, shape, unit, size), and the settings of all stages
-    that made it; of a checkpoint all entries but weights.
-
-    Raises InputError if the file is missing, damaged or of another kind.
-    """
+    """Return a drive's file or a checkpoint as plain values. Raises InputError if it is missing, damaged or another."""
     if path.suffix == ".pt":
         from pipeline.learning import checkpoint
 
         return {"bytes": path.stat().st_size if path.is_file() else 0, **_without_tensors(checkpoint.load(path))}
     with _open(path) as file:
-        names = sorted(file.attrs.keys() - {"params"})
-        attributes = {name: np.asarray(file.attrs[name]).tolist() for name in names}
-        frames = file.frame.tolist()
+        frames, datasets = file.frame.tolist(), {}
+        for name, data in file.datasets.items():
+            rows = f"rows of a frame: {file.pointers[name]}" if name in file.pointers else ""
+            shape, size = " × ".join(map(str, data.shape)), f"{data.id.get_storage_size()} bytes"
+            datasets[name] = [*filter(None, (f"{data.dtype} {shape}", data.attrs.get("unit", ""), rows, size))]
         return {
             "bytes": path.stat().st_size,
-            **attributes,
+            **{name: np.asarray(file.attrs[name]).tolist() for name in sorted(file.attrs) if name != "params"},
             "frames": f"{len(frames)}, {frames[0]} to {frames[-1]}" if frames else "0",
-            "datasets": {name: _dataset(file, name) for name in file.datasets},
+            "datasets": datasets,
             "settings": file.params,
         }
-
-
-def _dataset(file: DriveReader, name: str) -> list[str]:
-    dataset = file.datasets[name]
-    shape, unit = " × ".join(map(str, dataset.shape)), dataset.attrs.get("unit", "")
-    rows = f"rows of a frame: {file.pointers[name]}" if name in file.pointers else ""
-    return [text for text in (f"{dataset.dtype} {shape}", unit, rows, f"{dataset.id.get_storage_size()} bytes") if text]
 
 
 def frame(path: Path, number: int, out: Path | None = None) -> Content:
@@ -51,12 +40,12 @@ def frame(path: Path, number: int, out: Path | None = None) -> Content:
         row = file.row_of(number)
         names = [name for name, data in file.datasets.items() if data.shape == file.frame.shape]
         numbers = {name: file.row(name, row).item() for name in sorted(names)}
-        view = street_view.read_view(number, file) if out else None
-    if view and out:
-        if not view.images() and view.xyz is None:
-            raise InputError(f"frame {number} has neither an image nor points", path, "Leave out --out")
-        street_view.save(street_view.sheet(f"{Path(*path.parts[-3:])}, frame {number}", view), out)
-    return numbers
+        if out:
+            view = street_view.read_view(number, file)
+            if not view.images() and view.xyz is None:
+                raise InputError(f"frame {number} has neither an image nor points", path, "Leave out --out")
+            street_view.save(street_view.sheet(f"{Path(*path.parts[-3:])}, frame {number}", view), out)
+        return numbers
 
 
 def _open(path: Path) -> DriveReader:

@@ -1,9 +1,10 @@
 """The network: a spatial network on each frame, a recurrent one over the frames of a window.
 
 A network is a file, listed nowhere else: `spatial: mean` in params.yaml is models/steering/spatial/mean.py. It has an
-nn.Module from a batch of B frames (core/batch.py) to features [B,F], and a class Options(NetworkOptions) with a field
-per option, `kind`, the frames that it reads, and `build`. A temporal file has a RecurrentCell (core/recurrent.py)
-and options without `kind`. docs/models.md has an example.
+nn.Module from a batch of B frames (core/batch.py) to features [B,F], which depend neither on the order of points nor on
+the other frames of the batch, and a class Options(NetworkOptions) with a field per option, `kind`, the frames that it
+reads, and `build`. A temporal file has a RecurrentCell (core/recurrent.py) and options without `kind`. docs/models.md
+has an example.
 """
 
 from collections.abc import Mapping
@@ -87,12 +88,7 @@ class SteeringNet(nn.Module):
         self.temporal: Any = temporal.build(replace(sizes, features=inputs))
 
     def forward(
-        self,
-        batch: Batch,
-        windows: Tensor,
-        dt_s: Tensor,
-        motion: Tensor | None = None,
-        scenes: Tensor | None = None,
+        self, batch: Batch, windows: Tensor, dt_s: Tensor, motion: Tensor | None = None, scenes: Tensor | None = None
     ) -> Tensor:
         """Predict the standardised steering, or residual, at each window's last frame; each frame is encoded once.
 

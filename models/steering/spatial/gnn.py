@@ -2,20 +2,18 @@
 
 import warnings
 from itertools import pairwise
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.batch import FrameKind, GraphBatch
+from models.steering.core.batch import GraphBatch
 from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_features
 from models.steering.core.options import NetworkOptions, Semantics, Sizes, Widths
 
 
 class Options(NetworkOptions):
-    """Options of GCN."""
-
-    kind: ClassVar[FrameKind] = "graph"
+    kind = "graph"
     layers: Widths = (32, 32, 64)  # channels after each layer
     semantics: Semantics
 
@@ -53,7 +51,6 @@ class GCN(nn.Module):
         self.read_out = nn.Linear(2 * options.layers[-1], features)
 
     def forward(self, batch: GraphBatch) -> Tensor:
-        """Return [B,F]. Independent of the order of points and of the other frames in the batch."""
         pooled = []
         for block in batch.blocks(self.block):
             x = node_features(block.xyz.to(self.read_out.weight.dtype), block.cls, self.semantics)

@@ -6,12 +6,11 @@ distance.
 
 import math
 from itertools import pairwise
-from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.batch import FrameKind, GraphBatch
+from models.steering.core.batch import GraphBatch
 from models.steering.core.options import NetworkOptions, Sizes, Widths
 from pipeline.camera import classes
 
@@ -62,7 +61,6 @@ class Polar(nn.Module):
         self.read_out = nn.Linear(widths[-1] * height * width, features)
 
     def forward(self, batch: GraphBatch) -> Tensor:
-        """Return [B,F]. Independent of the order of points and of the other frames in the batch."""
         return self._read(polar_map(batch))
 
     def both(self, batch: GraphBatch) -> tuple[Tensor, ...]:
@@ -76,9 +74,7 @@ class Polar(nn.Module):
 
 
 class Options(NetworkOptions):
-    """Options of Polar."""
-
-    kind: ClassVar[FrameKind] = "graph"
+    kind = "graph"
     widths: Widths = (16, 24, 32, 24)
 
     def build(self, sizes: Sizes) -> nn.Module:

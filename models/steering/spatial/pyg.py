@@ -1,22 +1,20 @@
 """Layers of PyTorch Geometric by name: any that takes `x, edge_index`, for instance `layer: GATv2Conv`."""
 
 from inspect import signature
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from models.steering.core.batch import FrameKind, GraphBatch
+from models.steering.core.batch import GraphBatch
 from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_features
 from models.steering.core.options import NetworkOptions, Semantics, Sizes, Widths
 from pipeline.base.errors import InputError, closest
 
 
 class Options(NetworkOptions):
-    """Options of PyG."""
-
-    kind: ClassVar[FrameKind] = "graph"
+    kind = "graph"
     layer: Annotated[str, Field(description="a layer of torch_geometric.nn, for instance GATv2Conv")]
     layer_options: dict[str, Any] = {}  # its keyword arguments
     layers: Widths = (32, 32, 64)  # channels of each layer; attention heads multiply them
@@ -53,7 +51,6 @@ class PyG(nn.Module):
         self.read_out = nn.Linear(2 * width, features)
 
     def forward(self, batch: GraphBatch) -> Tensor:
-        """Return [B,F]. Independent of the order of points and of the other frames in the batch."""
         x = node_features(batch.xyz.to(self.read_out.weight.dtype), batch.cls, self.semantics)
         edge_index = batch.edge_index
         for layer in self.layers:

@@ -1,7 +1,6 @@
 """Compute errors of predictions and their confidence intervals.
 
-One column at a time, in its unit: rad, or 1/m. Predictions are [N], or [S,N] for S seeds, over which errors are
-averaged.
+One column at a time, in rad or 1/m. Predictions are [N], or [S,N] for S seeds, over which errors are averaged.
 """
 
 import importlib
@@ -95,10 +94,7 @@ def verdict(bounds: Sequence[float] | None, seeds: int, drives: int) -> str:
 
 
 def untrained(nmse: np.ndarray) -> list[int]:
-    """Return which seeds failed to train, by the nmse [S] of each on its own training drives.
-
-    It is above 0.9, or above 0.5 and twice the median of the seeds.
-    """
+    """Return which seeds failed to train, by the nmse [S] of each on its own training drives."""
     return np.flatnonzero((nmse > 0.9) | (nmse > 0.5) & (nmse > 2 * np.median(nmse))).tolist()
 
 

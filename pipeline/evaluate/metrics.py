@@ -34,8 +34,7 @@ class Case:
         - persistence: the last true angle before the target frame. No model gets it as input. Not for a path, whose
           truth is in the future.
         - odometry: measured at the last input frame; NaN before the first measurement.
-        - regression: odometry times its regression coefficient on the training drives; 0 before the first measurement,
-          NaN in a drive without one.
+        - regression: odometry times its regression coefficient on the training drives, with 0 for NaN; NaN if all are.
         """
         drive, scale = self.drive, self.scale
         values = {"train_mean": scale.mean}
@@ -100,10 +99,7 @@ def turning_frames(drives: Sequence[LabelledDrive]) -> int:
 
 
 def inputs(drives: Sequence[LabelledDrive]) -> dict[str, Any]:
-    """Return settings of the drives' graph variant, and means per frame; None where a file has none.
-
-    Means are of points, and of directed kNN edges after and before pruning.
-    """
+    """Return the graph variant's settings, and mean points and directed edges per frame; None where unknown."""
     result = {"variant": drives[-1].settings.get("graphs", {})}
     for key, name in SIZES.items():
         counts = [drive.counts[name] for drive in drives if name in drive.counts]

@@ -104,8 +104,7 @@ def accumulated(
     """Combine each cloud with up to `frames` - 1 previous ones, in its coordinates; `steps`: see :func:`read_steps`.
 
     It reaches back as long as frame numbers are consecutive and motion is valid. So it starts anew after a halt, since
-    standstill looks like unmeasured motion. Moving objects leave a trace, and objects that the car has passed
-    lie behind the camera.
+    standstill looks like unmeasured motion. Moving objects leave a trace, and passed ones lie behind the camera.
     """
     recent: list[tuple[np.ndarray, Cloud]] = []  # T_now_then and the cloud, oldest first
     last = -2

@@ -6,8 +6,7 @@ A frame is a dict of columns, whose arrays are by kind of frame
 - pointnet2: xyz, cls, and for each level l from 1 centres_l [M] and neighbours_l [M,n];
 - image: image uint8 [1,H,W,3].
 
-A column declares where each frame starts and, if it holds row numbers, what it counts. The file keeps both, so writing
-and joining frames need no names.
+A column declares where each frame starts and, if it holds row numbers, what it counts. The file keeps both.
 """
 
 from collections.abc import Callable, Iterable, Mapping

@@ -40,8 +40,7 @@ class _Points:
 class GraphBatch(_Points):
     """Points with a symmetric graph per frame: E directed edges, two for each undirected one.
 
-    degree [N], neighbours of each point, itself excluded; indices int32 [E], row numbers of the neighbours of point 0,
-    of point 1, … (CSR).
+    degree [N], neighbours of each point, itself excluded; indices int32 [E], their row numbers, point by point (CSR).
     """
 
     degree: Tensor
@@ -55,12 +54,9 @@ class GraphBatch(_Points):
         return torch.stack([self.indices.long(), to])
 
     def blocks(self, points: int) -> Iterator["GraphBatch"]:
-        """Split the batch on a CPU into blocks of complete frames with at most `points` points, or of one larger frame.
-
-        On a GPU the batch is one block, with few launches.
-        """
+        """Split the batch on a CPU into blocks of whole frames with at most `points` points, or of one larger frame."""
         if self.xyz.device.type != "cpu":
-            yield self
+            yield self  # few launches
             return
         edges = nn.functional.pad(self.degree.long().cumsum(0), (1, 0))[self.ptr].tolist()  # before each frame
         ptr, first = self.ptr.tolist(), 0

@@ -1,10 +1,9 @@
 """The network: a spatial network on each frame, a recurrent one over the frames of a window.
 
 A network is a file, listed nowhere else: `spatial: mean` in params.yaml is models/steering/spatial/mean.py. It has an
-nn.Module from a batch of B frames (core/batch.py) to features [B,F], which depend neither on the order of points nor on
-the other frames of the batch, and a class Options(NetworkOptions) with a field per option, `kind`, the frames that it
-reads, and `build`. A temporal file has a RecurrentCell (core/recurrent.py) and options without `kind`. docs/models.md
-has an example.
+nn.Module from a batch of B frames (core/batch.py) to features [B,F], independent of the order of points and of other
+frames, and a class Options(NetworkOptions) with a field per option, `kind`, the frames that it reads, and `build`. A
+temporal file has a RecurrentCell (core/recurrent.py), and options without `kind`. docs/models.md has an example.
 """
 
 from collections.abc import Mapping
@@ -125,10 +124,7 @@ class SteeringNet(nn.Module):
         return out
 
     def inputs(self, arrays: Mapping[str, Array]) -> tuple[Batch, Tensor, Tensor, Tensor | None, Tensor | None]:
-        """Return the arguments of `forward` on the network's device, from arrays by name (pipeline/train/windows.py).
-
-        Names: those of the frames, `windows` [W,T], `dt_s` [W,T], and if needed `motion` [B,4] and `scenes` [B].
-        """
+        """Return the arguments of `forward`, on the network's device, from the arrays of pipeline/train/windows.py."""
         device, names = self.device, [name for name in ("windows", "dt_s", "motion", "scenes") if name in arrays]
         there = {name: torch.as_tensor(arrays[name]).to(device, non_blocking=True) for name in names}
         return from_arrays(arrays, device), there["windows"], there["dt_s"], there.get("motion"), there.get("scenes")

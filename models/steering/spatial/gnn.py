@@ -37,12 +37,9 @@ class GCNLayer(nn.Module):
 
 
 class GCN(nn.Module):
-    """Node features → graph convolutions → mean and maximum over each frame's points → one dense layer.
+    """Node features → graph convolutions → mean and maximum over each frame's points → one dense layer."""
 
-    On a CPU it works block by block, so that temporaries stay in the cache.
-    """
-
-    block = 8192  # points; with 64 channels 2 MB in float32, and as much for the gradient: about a core's cache
+    block = 8192  # points at once on a CPU; with 64 channels 2 MB, and as much for the gradient: about a core's cache
 
     def __init__(self, features: int, options: Options) -> None:
         super().__init__()

@@ -1,7 +1,6 @@
 """A polar map of the road ahead, read by a small convolutional network.
 
-Errors of depth are radial and bearings are exact. So the cells of the map are bearings, and ranges that grow with the
-distance.
+Errors of depth are radial and bearings are exact. So its cells are bearings, and ranges that grow with the distance.
 """
 
 import math

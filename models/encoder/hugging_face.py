@@ -216,7 +216,6 @@ class HuggingFace(nn.Module):
     """The paper's unified encoder: one backbone, a depth head and a class head."""
 
     def __init__(self, architecture: Mapping[str, Any], folder: Path | None = None) -> None:
-        """`folder`: of the backbone's weights; without it they are random."""
         super().__init__()
         self.backbone = Network("AutoBackbone", architecture["model"], folder)
         channels = self.backbone.network.channels

@@ -126,10 +126,8 @@ def draw_by_range(xyz: np.ndarray, limit: int, rng: np.random.Generator) -> np.n
 
 
 def ordered(cloud: Cloud) -> Cloud:
-    """Return a cloud in Morton order, with coordinates rounded to multiples of RESOLUTION_M.
-
-    Neighbours in space become neighbours in memory: kNN and sparse products are faster, files compress better.
-    """
+    """Return a cloud in Morton order, with coordinates rounded to multiples of RESOLUTION_M."""
+    # Neighbours in space become neighbours in memory: kNN and sparse products are faster, files compress better.
     cells = np.rint(cloud[0] / RESOLUTION_M)
     x, y, z = (_spread(axis) for axis in np.clip(cells + 2**20, 0, 2**21 - 1).astype(np.uint64).T)
     order = np.argsort(x | (y << np.uint64(1)) | (z << np.uint64(2)), kind="stable")

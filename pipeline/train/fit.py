@@ -169,10 +169,8 @@ class Fit:
         return done < self.settings.epochs and done - selected_epoch(self.curve) < self.settings.patience
 
     def _plan(self, epoch: int) -> list[list[windows.Span]]:
-        """Return the spans of each step of an epoch.
-
-        All random numbers of an epoch derive from its number, so a resumed run equals an uninterrupted one.
-        """
+        """Return the spans of each step of an epoch."""
+        # All random numbers of an epoch derive from its number, so a resumed run equals an uninterrupted one.
         settings, rng = self.settings, np.random.default_rng([self.seed, epoch])
         window = self.entry.window
         spans = windows.spans(self.train, window, settings.span_windows, rng)

@@ -103,11 +103,9 @@ Batch = GraphBatch | SetBatch | ImageBatch
 
 
 def from_arrays(arrays: Mapping[str, Array], device: torch.device | str = "cpu") -> Batch:
-    """Return a batch on `device` of arrays by name, as pipeline/graphs/graph_file.py names them; others are ignored.
-
-    Pointers stay on the CPU: reading them from a GPU would stall each step.
-    """
+    """Return a batch on `device` of arrays by name, as pipeline/graphs/graph_file.py names them; others are ignored."""
     there = {name: torch.as_tensor(array) for name, array in arrays.items()}
+    # Pointers stay on the CPU: reading them from a GPU would stall each step.
     there |= {name: there[name].to(device, non_blocking=True) for name in there if not name.endswith("ptr")}
     if "image" in there:
         return ImageBatch(there["image"])

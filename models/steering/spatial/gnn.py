@@ -79,10 +79,7 @@ def normalised_adjacency(degree: Tensor, indices: Tensor, dtype: torch.dtype) ->
 
 
 class SymmetricProduct(torch.autograd.Function):
-    """A @ x for a symmetric sparse matrix A [N,N] and x [N,C].
-
-    The gradient is A @ gradient, since A = Aᵀ; torch's own backward would transpose A each time.
-    """
+    """A @ x for a symmetric sparse matrix A [N,N] and x [N,C]."""
 
     @staticmethod
     def forward(ctx: Any, matrix: Tensor, x: Tensor) -> Tensor:
@@ -91,4 +88,5 @@ class SymmetricProduct(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor]:
+        # A = Aᵀ; torch's own backward would transpose A each time.
         return None, SymmetricProduct.apply(ctx.matrix, gradient)  # type: ignore[no-untyped-call]

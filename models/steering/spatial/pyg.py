@@ -28,10 +28,9 @@ class PyG(nn.Module):
     """Node features → layers of one class, each with ReLU → mean and maximum over each frame → one dense layer.
 
     Most layers store a row per edge: the demo takes 3.3 GB to train with GATv2Conv and 0.8 GB with spatial: gnn. On a
-    GPU their sums over neighbours have no fixed order, so two runs differ by rounding.
-
-    Raises InputError if PyTorch Geometric is missing or has no such layer, or the layer refuses its options, needs more
-    than `x, edge_index`, or does not compute what :func:`output_width` expects.
+    GPU their sums over neighbours have no fixed order, so two runs differ by rounding. Raises InputError if PyTorch
+    Geometric is missing or has no such layer, or if the layer refuses its options, needs more than `x, edge_index`, or
+    does not compute what :func:`output_width` expects.
     """
 
     def __init__(self, features: int, options: Options) -> None:

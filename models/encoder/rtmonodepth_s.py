@@ -57,11 +57,10 @@ class Encoder(nn.Module):
 class Decoder(nn.Module):
     def __init__(self) -> None:
         super().__init__()
-        layers: list[nn.Module] = []
+        self.decoder = nn.ModuleList()
         for inputs, outputs in pairwise((WIDTHS[-1], *DECODED)):
-            layers += [conv_elu(inputs, outputs), conv_elu(outputs, outputs)]
-        layers.append(nn.Sequential(OrderedDict(conv3=nn.Conv2d(DECODED[-1], 1, 3, padding=1))))
-        self.decoder = nn.ModuleList(layers)
+            self.decoder += [conv_elu(inputs, outputs), conv_elu(outputs, outputs)]
+        self.decoder.append(nn.Sequential(OrderedDict(conv3=nn.Conv2d(DECODED[-1], 1, 3, padding=1))))
 
     def forward(self, x: Tensor) -> Tensor:
         """Return inverse depth from 0 to 1, [B,1,16h,16w], of a map [B,192,h,w]."""

@@ -45,7 +45,7 @@ def solid(depth_m: np.ndarray, cls: np.ndarray, max_depth_m: float) -> np.ndarra
 def lidar_cloud(scan: np.ndarray, camera: Camera, cls: np.ndarray | None) -> Cloud:
     """Transform a scan [P,≥3], velodyne x, y, z in metres, into the camera frame; each point takes its pixel's class.
 
-    `cls` [H,W]: trainIds of the frame's image, or None. Points outside of it, on the sky or hidden are void.
+    `cls` [H,W]: trainIds of the frame's image, or None. Points outside of it, on the sky, or hidden from it are void.
     """
     xyz = geometry.transform(camera.T_cam_velo, scan[:, :3].astype(np.float64))
     labels = np.full(len(xyz), classes.VOID, np.uint8)
@@ -114,7 +114,7 @@ def draw(count: int, limit: int, rng: np.random.Generator) -> np.ndarray:
 def draw_by_range(xyz: np.ndarray, limit: int, rng: np.random.Generator) -> np.ndarray:
     """Draw at most `limit` of the points [P,3] without replacement, equally many from each interval of STRATA_M.
 
-    An image has few pixels far away. Where an interval has too few, the others share the rest. Indices are ascending.
+    An image has few pixels far away. Where an interval has too few, others share the rest. Returns ascending indices.
     """
     shuffled = rng.permutation(len(xyz))
     stratum = np.digitize(np.hypot(xyz[shuffled, 0], xyz[shuffled, 2]), STRATA_M)

@@ -52,9 +52,8 @@ class Trained(NamedTuple):
 
         The value for frame t is the angle at frame t + `entry.horizon`, predicted from the frames up to t, or the path
         ahead of it. NaN where no complete window ends: too early in the drive, or too soon after a gap. `scene`: the
-        graph file of the drive whose scene a control with `scene: another` gets; `files`: open ones.
-
-        Raises InputError if the file has another kind of frames than the network was trained on, or no motion.
+        graph file of the drive whose scene a control with `scene: another` gets; `files`: open ones. Raises InputError
+        if the file has another kind of frames than the network was trained on, or no motion.
         """
         if scene is None and self.entry.scene == "another":
             problem = f"model {self.name} is a control, which needs the scene of another drive"

@@ -41,7 +41,6 @@ class Run(NamedTuple):
         return Run(self.seed, start, self.folder.parent / "first") if start else None
 
     def __str__(self) -> str:
-        """Return seed and fold, for the log."""
         return f"seed {self.seed}" + (f" without {self.fold.name}" if self.fold.name else "")
 
 

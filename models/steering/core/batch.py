@@ -32,7 +32,6 @@ class _Points:
         return len(self.ptr) - 1
 
     def mirrored(self) -> Self:
-        """Return the frames mirrored left-right."""
         return dataclasses.replace(self, xyz=torch.cat([-self.xyz[:, :1], self.xyz[:, 1:]], dim=1))
 
 

@@ -65,8 +65,7 @@ class SteeringNet(nn.Module):
             recurrent network. The paper has no such symmetry.
         motion: the recurrent network also gets the measured motion, and its output is the residual to the measured
             angle, in units of its standard deviation. The paper has no such input.
-    Raises:
-        InputError: an option is out of range.
+    Raises InputError if an option is out of range.
     """
 
     def __init__(
@@ -89,7 +88,7 @@ class SteeringNet(nn.Module):
     def forward(
         self, batch: Batch, windows: Tensor, dt_s: Tensor, motion: Tensor | None = None, scenes: Tensor | None = None
     ) -> Tensor:
-        """Predict the standardised steering, or residual, at each window's last frame; each frame is encoded once.
+        """Predict the standardised steering, or residual, [W,R] of each window's last frame; a frame is encoded once.
 
         Args:
             batch: B frames, or the frames that `scenes` counts.
@@ -97,8 +96,6 @@ class SteeringNet(nn.Module):
             dt_s: [W,T] seconds since the previous frame.
             motion: [B,4], see MOTION_SCALES; required with motion.
             scenes: of a control, int64 [B], the frame of the batch that each of B frames sees; None: its own.
-        Returns:
-            [W,R], R = 1 for an angle.
         """
         if self.equivariant:  # the frames, then their mirror images
             both: Any = getattr(self.spatial, "both", None)  # of networks that share a part of the two
@@ -131,7 +128,6 @@ class SteeringNet(nn.Module):
 
     @property
     def device(self) -> torch.device:
-        """Device of the weights."""
         return self.scale.mean.device
 
 

@@ -61,8 +61,7 @@ class GCN(nn.Module):
 def normalised_adjacency(degree: Tensor, indices: Tensor, dtype: torch.dtype) -> Tensor:
     """Build D̃^(-1/2) (A + I) D̃^(-1/2), paper eq. 3, as a sparse CSR matrix [N,N] with E + N entries.
 
-    In each row the diagonal is first, then the neighbours in their order. `degree` [N] and `indices` [E]: of a
-    GraphBatch, symmetric: if j is in i's list, i is in j's.
+    In each row the diagonal is first, then the neighbours in order. `degree` [N] and `indices` [E]: of a GraphBatch.
     """
     nodes, entries, device = len(degree), len(indices) + len(degree), degree.device
     sizes = degree.to(indices.dtype) + 1

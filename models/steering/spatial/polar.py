@@ -50,13 +50,12 @@ class Polar(nn.Module):
 
     def __init__(self, features: int, widths: tuple[int, ...]) -> None:
         super().__init__()
-        layers: list[nn.Module] = []
+        self.convolutions = nn.Sequential()
         height, width = RANGES, BEARINGS
         for number, (before, after) in enumerate(pairwise((CHANNELS, *widths))):
             stride = 2 if number else 1
-            layers += [nn.Conv2d(before, after, 3, stride, padding=1), nn.ReLU()]
+            self.convolutions.extend([nn.Conv2d(before, after, 3, stride, padding=1), nn.ReLU()])
             height, width = -(-height // stride), -(-width // stride)
-        self.convolutions = nn.Sequential(*layers)
         self.read_out = nn.Linear(widths[-1] * height * width, features)
 
     def forward(self, batch: GraphBatch) -> Tensor:

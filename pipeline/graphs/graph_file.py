@@ -104,7 +104,7 @@ class Graphs(store.DriveReader):
     @property
     def size(self) -> int:
         """Bytes of the ragged columns in memory."""
-        return sum(self.datasets[name].size * self.datasets[name].dtype.itemsize for name in self.pointers)
+        return sum(self.datasets[name].nbytes for name in self.pointers)
 
     @cached_property
     def contents(self) -> Contents:

@@ -42,8 +42,7 @@ def interval(
             for the interval of the mean over R columns.
         truth: [N] or [N,R], true values.
         drive: [N], the number of each frame's drive.
-        other: squared errors of a second model, for the interval of the paired difference: it is narrower if both have
-            their errors on the same roads.
+        other: squared errors of a second model, for the paired difference, narrower if both err on the same roads.
     """
     models = [truth[None] ** 2, error] if other is None else [truth[None] ** 2, error, other]
     models = [values.reshape(*values.shape[:2], -1) for values in models]  # [S,N,R]

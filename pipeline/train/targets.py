@@ -1,5 +1,4 @@
-"""Targets of a drive by frame: what a network should predict, the measured value that its output is added to, and both
-in a larger world.
+"""Targets of a drive by frame, the measured value that a network's output is added to, and both in a larger world.
 
 A column is a quantity that a network predicts: the steering angle, or the mean curvature in one range of the path
 ahead. Letters: G frames of a graph file, W windows, R columns.

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
 Cloud = tuple[np.ndarray, np.ndarray]  # xyz float32 [P,3] in metres, cls uint8 [P] (trainIds)
 
-STRATA_M = (10.0, 20.0, 40.0)
-"""Limits of the four intervals of horizontal range from which `sampling: range` draws equal numbers of points."""
+STRATA_M = (10.0, 20.0, 40.0)  # limits of the four intervals of horizontal range, see draw_by_range
 RESOLUTION_M = 1 / 1024  # of stored coordinates: far finer than any sensor, and exact in float32 up to 16 km
 
 

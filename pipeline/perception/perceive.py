@@ -112,9 +112,8 @@ def perceive(model: nn.Module, images: np.ndarray, camera: Camera, precision: st
     half = torch.autocast(device.type, torch.bfloat16, enabled=precision == "auto" and native)
     with torch.no_grad(), half:  # BEiT keeps tensors, which a fit uses again
         pixels, intrinsics = (tensor.to(device, non_blocking=True) for tensor in tensors)
-        outputs = [
-            model(part.permute(0, 3, 1, 2), intrinsics.expand(len(part), 3, 3)) for part in torch.split(pixels, at_once)
-        ]
+        parts = torch.split(pixels.permute(0, 3, 1, 2), at_once)
+        outputs = [model(part, intrinsics.expand(len(part), 3, 3)) for part in parts]
         depth = torch.cat([depth.float() for depth, _ in outputs])
         cls = torch.cat([logits.argmax(dim=1) for _, logits in outputs])
         cls.masked_fill_(cls == classes.COUNT, classes.VOID)  # some networks have logits of void, last

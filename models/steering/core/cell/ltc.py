@@ -63,8 +63,7 @@ class Unfolded(torch.autograd.Function):
 
     Args: c [W,T,U]; fixed [W,T,2U], the part of numerator ‖ denominator that is constant in a frame; slope [U,S],
         threshold [S] and sums [S,2U] of the internal synapses; place [S], their entries in a flattened matrix [U,U];
-        steps a frame.
-    Returns: v after each frame [W,T,U].
+        steps a frame. Returns v after each frame [W,T,U].
     """
 
     @staticmethod

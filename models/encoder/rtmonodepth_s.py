@@ -41,17 +41,14 @@ class Encoder(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.conv1 = nn.Conv2d(3, WIDTHS[0], 7, stride=2, padding=3, bias=False)
-        self.convs = nn.ModuleList()
+        self.convs = nn.Sequential()
         for inputs, outputs in pairwise(WIDTHS):
             first, second = nn.Conv2d(inputs, outputs, 3, 2, padding=1), nn.Conv2d(outputs, outputs, 3, padding=1)
             self.convs.append(nn.Sequential(first, nn.LeakyReLU(0.1), second, nn.LeakyReLU(0.1)))
 
     def forward(self, image: Tensor) -> Tensor:
         """Return the map at 1/16 of the image: the published decoder has no skip connections."""
-        x = F.relu(self.conv1(image))
-        for layer in self.convs:
-            x = layer(x)
-        return x
+        return self.convs(F.relu(self.conv1(image)))
 
 
 class Decoder(nn.Module):

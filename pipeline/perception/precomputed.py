@@ -45,9 +45,8 @@ def read(folder: Path, drive: str, frame: int, size: tuple[int, int]) -> tuple[n
     damaged, of another pixel type, or has numbers that are not classes.
     """
     paths = [folder / drive / kind / f"{frame:010d}.png" for kind in ("depth", "cls")]
-    for path in paths:
-        if not path.is_file():
-            raise InputError("file is missing", path, LAYOUT)
+    if missing := [path for path in paths if not path.is_file()]:
+        raise InputError("file is missing", missing[0], LAYOUT)
     depth = nearest(read_depth(paths[0]), size).astype(np.float32)
     cls = nearest(read_classes(paths[1]), size)
     unknown = np.setdiff1d(cls, [*range(classes.COUNT), classes.VOID])

@@ -177,7 +177,6 @@ def _rescale(values: Arrays, factor: float, ahead_m: Sequence[float]) -> None:
     """Replace motion, base and target by those in a world `factor` times as large.
 
     The bicycle model's tan Θ is wheelbase × curvature, and curvature is 1 / length; the yaw rate does not change.
-    `ahead_m`: the edges of a path's ranges, as in :func:`scale_path`; none for an angle.
     """
     if ahead_m:
         values["base"] = values["base"] / factor

@@ -1,6 +1,7 @@
 """Frames of graph files as batches of tensors: read from the files, or kept in memory, on the GPU or in RAM."""
 
 from collections.abc import Callable, Iterable, Sequence
+from operator import iadd
 from pathlib import Path
 from typing import Any, Literal
 
@@ -102,14 +103,16 @@ def number_rows(batch: dict[str, Tensor], names: Graphs) -> dict[str, Tensor]:
     for name, counted in names.refers_to.items():
         rows = batch[name]
         wide = rows.int() if rows.is_cuda else torch.from_numpy(rows.numpy().astype(np.int32))
-        batch[name] = wide.add_(by_row(batch[names.pointers[counted]][:-1], wide, batch[names.pointers[name]]))
+        batch[name] = per_frame(iadd, wide, batch[names.pointers[counted]][:-1], batch[names.pointers[name]])
     return batch
 
 
-def by_row(values: Tensor, rows: Tensor, pointer: Tensor) -> Tensor:
-    """Return each frame's value for its rows, of their type and on their device; `values` [B], `pointer` [B+1]."""
-    counts = pointer.diff()
+def per_frame(operator: Callable[[Any, Any], Any], rows: Tensor, values: Tensor, pointer: Tensor) -> Tensor:
+    """Apply an operator in place to each frame's rows and its value; `values` [B], `pointer` [B+1]: on the CPU."""
     if rows.is_cuda:
-        values, counts = (part.pin_memory().to(rows.device, non_blocking=True) for part in (values, counts))
-    repeated = values.to(rows.dtype).repeat_interleave(counts, output_size=len(rows))
-    return repeated.view(-1, *[1] * (rows.ndim - 1))
+        values, counts = (part.pin_memory().to(rows.device, non_blocking=True) for part in (values, pointer.diff()))
+        repeated = values.to(rows.dtype).repeat_interleave(counts, output_size=len(rows))
+        return operator(rows, repeated.view(-1, *[1] * (rows.ndim - 1)))
+    for part, value in zip(np.split(rows.numpy(), pointer[1:-1].tolist()), values.tolist(), strict=True):
+        operator(part, value)
+    return rows

@@ -19,6 +19,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
+from operator import imul
 
 import numpy as np
 import torch
@@ -27,7 +28,7 @@ from torch import Tensor
 from pipeline.base.errors import InputError
 from pipeline.graphs.graph_file import Graphs
 from pipeline.learning.loop import prefetch
-from pipeline.train.frames import Files, by_row, join, number_rows
+from pipeline.train.frames import Files, join, number_rows, per_frame
 from pipeline.train.targets import Timeline, window_values
 
 
@@ -123,5 +124,5 @@ class Reader:
         batch |= {name: batch[name].to(device, non_blocking=ahead) for name in batch if not name.endswith("ptr")}
         number_rows(batch, file)
         if "xyz" in batch:
-            batch["xyz"] *= by_row(factor, batch["xyz"], batch["ptr"])
+            per_frame(imul, batch["xyz"], factor, batch["ptr"])
         return batch

@@ -42,7 +42,7 @@ class Files:
         self.place = self.place or (self._choose(peak) if device.type == "cuda" else "disk")
         todo = [path for path in self.paths if self.place != "disk" and not self[path].kept]
         for path in tqdm(todo, "load", unit=" drives", leave=False, disable=None):
-            self[path].keep(lambda rows: torch.from_numpy(rows).to(device if self.place == "GPU" else "cpu"))
+            self[path].keep(lambda rows: tensor(rows).to(device if self.place == "GPU" else "cpu"))
 
     def _choose(self, peak: Callable[[], int] | None) -> Place:
         size, ram = sum(self[path].size for path in self.paths), free_ram()
@@ -86,7 +86,7 @@ def join(spans: Sequence[tuple[Graphs, int, int]], *, pin: bool = False) -> dict
         counts = [np.diff(file.starts[pointer][start : stop + 1]) for file, start, stop in spans]
         batch[pointer] = torch.from_numpy(np.concatenate([[0], *counts]).cumsum())
     for name, pointer in first.pointers.items():
-        parts = [torch.as_tensor(file.row(name, slice(*file.starts[pointer][[a, b]]))) for file, a, b in spans]
+        parts = [tensor(file.row(name, slice(*file.starts[pointer][[a, b]]))) for file, a, b in spans]
         if parts[0].is_cuda:
             batch[name] = torch.cat(parts)
             continue
@@ -102,7 +102,10 @@ def number_rows(batch: dict[str, Tensor], names: Graphs) -> dict[str, Tensor]:
     """Make a joined batch's row numbers count from its own first row; `names`: its columns, as the file names them."""
     for name, counted in names.refers_to.items():
         rows = batch[name]
-        wide = rows.int() if rows.is_cuda else torch.from_numpy(rows.numpy().astype(np.int32))
+        if rows.is_cuda:
+            wide = rows.int() & (0xFFFF if rows.dtype == torch.int16 else -1)
+        else:
+            wide = torch.from_numpy(rows.numpy().view(f"u{rows.itemsize}").astype(np.int32))
         batch[name] = per_frame(iadd, wide, batch[names.pointers[counted]][:-1], batch[names.pointers[name]])
     return batch
 
@@ -116,3 +119,10 @@ def per_frame(operator: Callable[[Any, Any], Any], rows: Tensor, values: Tensor,
     for part, value in zip(np.split(rows.numpy(), pointer[1:-1].tolist()), values.tolist(), strict=True):
         operator(part, value)
     return rows
+
+
+def tensor(rows: np.ndarray | Tensor) -> Tensor:
+    """Return rows as a tensor; unsigned numbers of several bytes as signed ones, for which torch has all operators."""
+    if isinstance(rows, Tensor):
+        return rows
+    return torch.from_numpy(rows.view(f"i{rows.itemsize}") if rows.dtype.kind == "u" and rows.itemsize > 1 else rows)

@@ -1,4 +1,4 @@
-"""Stage check: find faults of params.yaml before any other stage runs. It has no outputs."""
+"""Stage check: find faults of params.yaml before any other stage runs. It reads no weights and has no outputs."""
 
 from pathlib import Path
 
@@ -13,10 +13,7 @@ from pipeline.train import runs
 
 
 def main(params: Path = Path("params.yaml")) -> Path:
-    """Validate all sections, build each steering network once, and look for the encoder's files. Returns `params`.
-
-    Reads and downloads no weights.
-    """
+    """Validate all sections, build each steering network once, and look for the encoder's files. Returns `params`."""
     settings = parse(Params, read(params), path=params)
     with error_context(params):
         with error_context("encoder"):

@@ -38,7 +38,7 @@ def main(
         check_name(name)
     settings = load(Evaluate, params)
     with stage_folder(f"evaluate@{name}", out / name) as folder:
-        best = next(iter(sorted((train / name).glob("fold-*/best.pt"))), train / name / "best.pt")
+        best = min((train / name).glob("fold-*/best.pt"), default=train / name / "best.pt")
         first = predict.load(best.parent)
         entry, variant = first.entry, graphs / first.entry.input
         folds = runs.folds(store.read_index(variant, stage="graphs"), entry)

@@ -18,8 +18,7 @@ from pipeline.settings.sample import Sample
 def main(out: Path = Path("data/sample"), params: Path = Path("params.yaml"), raw: Path = Path("data/raw")) -> Path:
     """Render the drives of section ingest that belong to the sample.
 
-    Returns the stage's folder. Raises InputError if `raw` lacks a drive that stage `ingest` needs, which would report
-    it only after minutes of rendering.
+    Returns the stage's folder. Raises InputError if `raw` lacks a drive that stage `ingest` needs, before it renders.
     """
     settings, ingest, encoder = load(Sample, params), load(Ingest, params), load(Encoder, params)
     scan_rays = settings.scan_rays if ingest.lidar else None

@@ -77,8 +77,7 @@ def _score_drive(path: Path, *, ingest: Path, perception: Path, score_motion: "p
 def _score_motion(drives: list[str], *, ingest: Path, motion: Path, car: Car) -> dict[str, Any]:
     """Return scores of the measured motion that models get (visual), and of steering angles (wheel), against oxts.
 
-    ``visual-wheel``: against steering angles. Only what the `drives` recorded is compared: without oxts and steering
-    angles, nothing.
+    ``visual-wheel``: against steering angles. Only what the `drives` recorded is compared, possibly nothing.
     """
     errors: dict[str, list[np.ndarray]] = {}
     for drive in drives:

@@ -40,13 +40,12 @@ class Backbone(nn.Module):
         depth_conv = conv(first, first, 3, groups=first).append(nn.Hardswish())
         separable = named(depth_conv=depth_conv, point_conv=conv(first, first))
         self.input_stem = ops(conv(3, first, 3, stride=2).append(nn.Hardswish()), Residual(separable))
-        stages, inputs = [], first
+        self.stages, inputs = nn.ModuleList(), first
         for level, width in enumerate(widths):
             attention = level >= 2  # its convolutions have a bias instead of a batch norm
             blocks = [attention_block(width) for _ in range(2)] if attention else [Residual(bottleneck(width, width))]
-            stages.append(ops(named(main=bottleneck(inputs, width, 2, bias=attention)), *blocks))
+            self.stages.append(ops(named(main=bottleneck(inputs, width, 2, bias=attention)), *blocks))
             inputs = width
-        self.stages = nn.ModuleList(stages)
 
     def forward(self, x: Tensor) -> list[Tensor]:
         """Return maps at 1/8, 1/16 and 1/32 of the image."""

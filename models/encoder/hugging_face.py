@@ -198,7 +198,6 @@ class Pair(nn.Module):
     """Two networks, one for depth and one for classes."""
 
     def __init__(self, architecture: Mapping[str, Any], depth: Path | None = None, classes: Path | None = None) -> None:
-        """`depth` and `classes`: folders of the weights; without them they are random."""
         super().__init__()
         self.depth = Network("AutoModelForDepthEstimation", architecture["depth"], depth)
         self.classes = Network("AutoModelForSemanticSegmentation", architecture["classes"], classes)
@@ -216,7 +215,6 @@ class HuggingFace(nn.Module):
     """The paper's unified encoder: one backbone, a depth head and a class head."""
 
     def __init__(self, architecture: Mapping[str, Any], folder: Path | None = None) -> None:
-        """`folder`: of the backbone's weights; without it they are random."""
         super().__init__()
         self.backbone = Network("AutoBackbone", architecture["model"], folder)
         channels = self.backbone.network.channels

@@ -41,27 +41,23 @@ class Encoder(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.conv1 = nn.Conv2d(3, WIDTHS[0], 7, stride=2, padding=3, bias=False)
-        self.convs = nn.ModuleList()
+        self.convs = nn.Sequential()
         for inputs, outputs in pairwise(WIDTHS):
             first, second = nn.Conv2d(inputs, outputs, 3, 2, padding=1), nn.Conv2d(outputs, outputs, 3, padding=1)
             self.convs.append(nn.Sequential(first, nn.LeakyReLU(0.1), second, nn.LeakyReLU(0.1)))
 
     def forward(self, image: Tensor) -> Tensor:
         """Return the map at 1/16 of the image: the published decoder has no skip connections."""
-        x = F.relu(self.conv1(image))
-        for layer in self.convs:
-            x = layer(x)
-        return x
+        return self.convs(F.relu(self.conv1(image)))
 
 
 class Decoder(nn.Module):
     def __init__(self) -> None:
         super().__init__()
-        layers: list[nn.Module] = []
+        self.decoder = nn.ModuleList()
         for inputs, outputs in pairwise((WIDTHS[-1], *DECODED)):
-            layers += [conv_elu(inputs, outputs), conv_elu(outputs, outputs)]
-        layers.append(nn.Sequential(OrderedDict(conv3=nn.Conv2d(DECODED[-1], 1, 3, padding=1))))
-        self.decoder = nn.ModuleList(layers)
+            self.decoder += [conv_elu(inputs, outputs), conv_elu(outputs, outputs)]
+        self.decoder.append(nn.Sequential(OrderedDict(conv3=nn.Conv2d(DECODED[-1], 1, 3, padding=1))))
 
     def forward(self, x: Tensor) -> Tensor:
         """Return inverse depth from 0 to 1, [B,1,16h,16w], of a map [B,192,h,w]."""

@@ -19,9 +19,8 @@ from models.encoder.small import Small
 from models.encoder.street import Street
 from pipeline.base.errors import InputError
 
+# JSON-able description of an encoder, complete without a hub; ``backbone`` is a key of BUILD.
 Architecture = Mapping[str, Any]
-"""JSON-able description of an encoder, complete without a hub; ``backbone`` is a key of BUILD."""
-
 BUILD: dict[str, Callable[[Architecture], nn.Module]] = {
     "small": lambda architecture: Small(),
     "street": lambda architecture: Street(),

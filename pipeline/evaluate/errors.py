@@ -1,7 +1,6 @@
 """Compute errors of predictions and their confidence intervals.
 
-One column at a time, in its unit: rad, or 1/m. Predictions are [N], or [S,N] for S seeds, over which errors are
-averaged.
+One column at a time, in rad or 1/m. Predictions are [N], or [S,N] for S seeds, over which errors are averaged.
 """
 
 import importlib
@@ -43,8 +42,7 @@ def interval(
             for the interval of the mean over R columns.
         truth: [N] or [N,R], true values.
         drive: [N], the number of each frame's drive.
-        other: squared errors of a second model, for the interval of the paired difference: it is narrower if both have
-            their errors on the same roads.
+        other: squared errors of a second model, for the paired difference, narrower if both err on the same roads.
     """
     models = [truth[None] ** 2, error] if other is None else [truth[None] ** 2, error, other]
     models = [values.reshape(*values.shape[:2], -1) for values in models]  # [S,N,R]
@@ -95,10 +93,7 @@ def verdict(bounds: Sequence[float] | None, seeds: int, drives: int) -> str:
 
 
 def untrained(nmse: np.ndarray) -> list[int]:
-    """Return which seeds failed to train, by the nmse [S] of each on its own training drives.
-
-    It is above 0.9, or above 0.5 and twice the median of the seeds.
-    """
+    """Return which seeds failed to train, by the nmse [S] of each on its own training drives."""
     return np.flatnonzero((nmse > 0.9) | (nmse > 0.5) & (nmse > 2 * np.median(nmse))).tolist()
 
 

@@ -1,8 +1,7 @@
 """Compute the metrics of one split, column by column, for metrics.json; and write predictions.csv."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from pipeline.evaluate import errors
-from pipeline.evaluate.turns import Turns, drift, read_turns
+from pipeline.evaluate.turns import drift, read_onsets
 from pipeline.labels import label
 from pipeline.settings.evaluate import Evaluate
 from pipeline.train.loss import Scale
@@ -28,11 +27,6 @@ class Case:
     predictions: Sequence[np.ndarray]  # [S], each [G,R]
     scale: Scale
 
-    @cached_property
-    def turns(self) -> Turns:
-        """The onsets of turns in the drive."""
-        return read_turns(self.drive)
-
     def baselines(self) -> dict[str, np.ndarray]:
         """Return the values [G,R] of predictors that do not use the scene.
 
@@ -40,8 +34,7 @@ class Case:
         - persistence: the last true angle before the target frame. No model gets it as input. Not for a path, whose
           truth is in the future.
         - odometry: measured at the last input frame; NaN before the first measurement.
-        - regression: odometry times its regression coefficient on the training drives; 0 before the first measurement,
-          NaN in a drive without one.
+        - regression: odometry times its regression coefficient on the training drives, with 0 for NaN; NaN if all are.
         """
         drive, scale = self.drive, self.scale
         values = {"train_mean": scale.mean}
@@ -61,7 +54,7 @@ def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, An
     """Return column → errors with confidence interval, of frames with a target and a prediction; and drift."""
     drives = [case.drive for case in cases]
     truth = np.concatenate([drive.target for drive in drives])  # [N,R]
-    by_seed = zip(*(case.predictions for case in cases), strict=True)
+    by_seed = [*zip(*(case.predictions for case in cases), strict=True)]
     predicted = np.stack([np.concatenate(seed) for seed in by_seed])  # [S,N,R]
     error = (predicted - truth) ** 2
     number = np.repeat(np.arange(len(drives)), [len(drive.frame) for drive in drives])
@@ -72,21 +65,20 @@ def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, An
         result[name] = errors.scores(true, of_seeds) | {
             "nmse_ci95": errors.interval(error[..., column], truth[:, column], number, settings),
             "nmse_by_seed": [errors.scores(true, one_seed)["nmse"] for one_seed in of_seeds],
-            "drift_m_per_100m": _drift(cases),
+            "drift_m_per_100m": _drift(drives, by_seed),
         }
     return result
 
 
-def _drift(cases: Sequence[Case]) -> float | None:
-    """Return the mean over seeds of :func:`drift`; None with a horizon and for a path."""
-    if cases[0].drive.horizon or cases[0].drive.ahead_m:
+def _drift(drives: Sequence[LabelledDrive], by_seed: Iterable[Iterable[np.ndarray]]) -> float | None:
+    """Return the mean :func:`drift` of the predictions by seed and drive; None with a horizon and for a path."""
+    if drives[0].horizon or drives[0].ahead_m:
         return None
-    by_seed = [
-        drift((case.drive, case.turns, case.predictions[seed][:, 0]) for case in cases)
-        for seed in range(len(cases[0].predictions))
-    ]
-    values = [value for value in by_seed if value is not None]
-    return float(np.mean(values)) if values else None
+    onsets = [read_onsets(drive) for drive in drives]
+    angles_rad = ([predicted[:, 0] for predicted in one_seed] for one_seed in by_seed)
+    values = [drift(zip(drives, onsets, of_drives, strict=True)) for of_drives in angles_rad]
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
 
 
 def columns(drive: LabelledDrive) -> dict[str, dict[str, Any]]:
@@ -107,10 +99,7 @@ def turning_frames(drives: Sequence[LabelledDrive]) -> int:
 
 
 def inputs(drives: Sequence[LabelledDrive]) -> dict[str, Any]:
-    """Return settings of the drives' graph variant, and means per frame; None where a file has none.
-
-    Means are of points, and of directed kNN edges after and before pruning.
-    """
+    """Return the graph variant's settings, and mean points and directed edges per frame; None where unknown."""
     result = {"variant": drives[-1].settings.get("graphs", {})}
     for key, name in SIZES.items():
         counts = [drive.counts[name] for drive in drives if name in drive.counts]

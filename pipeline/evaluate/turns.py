@@ -7,7 +7,6 @@ invalid, for instance while the car waits at a corner, the curvature of the last
 """
 
 from collections.abc import Iterable
-from typing import NamedTuple
 
 import numpy as np
 
@@ -38,18 +37,11 @@ def onsets(time_s: np.ndarray, curvature_1pm: np.ndarray, labels: label.Labels) 
     return np.array(rows, np.int64)
 
 
-class Turns(NamedTuple):
-    """Onsets of the turns in a drive."""
-
-    frame: np.ndarray  # int32
-    time_s: np.ndarray
-
-
-def read_turns(drive: LabelledDrive) -> Turns:
-    """Return the onsets in a drive's labels."""
+def read_onsets(drive: LabelledDrive) -> np.ndarray:
+    """Return whether a turn begins at each frame of a drive, bool [G], by its labels."""
     with store.DriveReader(drive.labels, stage="labels") as file:
         rows = onsets(file.time_s, file["curvature_1pm"], label.read(file))
-        return Turns(file.frame[rows], file.time_s[rows])
+        return np.isin(drive.frame, file.frame[rows])
 
 
 def path(steering_rad: np.ndarray, speed_mps: np.ndarray, time_s: np.ndarray, wheelbase_m: float) -> np.ndarray:
@@ -74,15 +66,15 @@ def segments(onset: np.ndarray, predicted_rad: np.ndarray) -> list[np.ndarray]:
     return [segment for segment in np.split(rows, restarts) if len(segment) > 1]
 
 
-def drift(drives: Iterable[tuple[LabelledDrive, Turns, np.ndarray]]) -> float | None:
+def drift(drives: Iterable[tuple[LabelledDrive, np.ndarray, np.ndarray]]) -> float | None:
     """Return the distance in metres between predicted and true end of a segment, per 100 m (the paper's Figure 5).
 
-    Each drive comes with its turns and predicted angles [G]; speed and time are measured. At an onset of a turn, and
-    after frames without a prediction, the predicted path restarts at the true one. None without segments.
+    Each drive comes with its onsets, bool [G], and predicted angles [G]; speed and time are measured. At an onset of a
+    turn, and after frames without a prediction, the predicted path restarts at the true one. None without segments.
     """
     error_m = distance_m = 0.0
-    for drive, turns, predicted_rad in drives:
-        for rows in segments(np.isin(drive.frame, turns.frame), predicted_rad):
+    for drive, onset, predicted_rad in drives:
+        for rows in segments(onset, predicted_rad):
             motion = drive.driven.speed_mps[rows], drive.time_s[rows], drive.settings["labels"]["wheelbase_m"]
             true, predicted = (path(angle[rows], *motion) for angle in (drive.driven.steering_rad, predicted_rad))
             error_m += float(np.linalg.norm(predicted[-1] - true[-1]))

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
 Cloud = tuple[np.ndarray, np.ndarray]  # xyz float32 [P,3] in metres, cls uint8 [P] (trainIds)
 
-STRATA_M = (10.0, 20.0, 40.0)
-"""Limits of the four intervals of horizontal range from which `sampling: range` draws equal numbers of points."""
+STRATA_M = (10.0, 20.0, 40.0)  # limits of the four intervals of horizontal range, see draw_by_range
 RESOLUTION_M = 1 / 1024  # of stored coordinates: far finer than any sensor, and exact in float32 up to 16 km
 
 
@@ -45,8 +44,7 @@ def solid(depth_m: np.ndarray, cls: np.ndarray, max_depth_m: float) -> np.ndarra
 def lidar_cloud(scan: np.ndarray, camera: Camera, cls: np.ndarray | None) -> Cloud:
     """Transform a scan [P,≥3], velodyne x, y, z in metres, into the camera frame; each point takes its pixel's class.
 
-    `cls` [H,W]: trainIds of the same frame's image, None without one. Points outside of it, on the sky or hidden from
-    the camera are void.
+    `cls` [H,W]: trainIds of the frame's image, or None. Points outside of it, on the sky, or hidden from it are void.
     """
     xyz = geometry.transform(camera.T_cam_velo, scan[:, :3].astype(np.float64))
     labels = np.full(len(xyz), classes.VOID, np.uint8)
@@ -115,8 +113,7 @@ def draw(count: int, limit: int, rng: np.random.Generator) -> np.ndarray:
 def draw_by_range(xyz: np.ndarray, limit: int, rng: np.random.Generator) -> np.ndarray:
     """Draw at most `limit` of the points [P,3] without replacement, equally many from each interval of STRATA_M.
 
-    An image has few pixels far away. Where an interval has too few points, the others share the rest. Returns indices,
-    ascending.
+    An image has few pixels far away. Where an interval has too few, others share the rest. Returns ascending indices.
     """
     shuffled = rng.permutation(len(xyz))
     stratum = np.digitize(np.hypot(xyz[shuffled, 0], xyz[shuffled, 2]), STRATA_M)
@@ -128,10 +125,8 @@ def draw_by_range(xyz: np.ndarray, limit: int, rng: np.random.Generator) -> np.n
 
 
 def ordered(cloud: Cloud) -> Cloud:
-    """Return a cloud in Morton order, with coordinates rounded to multiples of RESOLUTION_M.
-
-    Neighbours in space become neighbours in memory: kNN and sparse products are faster, files compress better.
-    """
+    """Return a cloud in Morton order, with coordinates rounded to multiples of RESOLUTION_M."""
+    # Neighbours in space become neighbours in memory: kNN and sparse products are faster, files compress better.
     cells = np.rint(cloud[0] / RESOLUTION_M)
     x, y, z = (_spread(axis) for axis in np.clip(cells + 2**20, 0, 2**21 - 1).astype(np.uint64).T)
     order = np.argsort(x | (y << np.uint64(1)) | (z << np.uint64(2)), kind="stable")

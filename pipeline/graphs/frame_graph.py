@@ -29,7 +29,9 @@ def graphs_drive(path: Path, source: Path, motion: Path, variant: Variant) -> Su
             frames = ({"image": Column(content.row("image", row)[None], "RGB", "ptr")} for row in rows.tolist())
             empty = {"image": Column(content.row("image", slice(0)), "RGB", "ptr")}
         else:
-            rows, empty, clouds = np.arange(len(content.frame)), empty_frame(variant), _clouds(content)
+            rows, empty = np.arange(len(content.frame)), empty_frame(variant)
+            points = ((content.rows_of("xyz", row), content.rows_of("cls", row)) for row in rows.tolist())
+            clouds: Iterator[tuple[int, Cloud]] = zip(content.frame.tolist(), points, strict=True)
             if variant.accumulate:
                 clouds = accumulated(clouds, read_steps(measured, variant.source), variant.accumulate)
             frames = (build(cloud, variant, content.drive, number) for number, cloud in clouds)
@@ -38,12 +40,6 @@ def graphs_drive(path: Path, source: Path, motion: Path, variant: Variant) -> Su
             counts = graph_file.write(file, content.frame[rows], content.time_s[rows], frames, empty)
             graph_file.put_motion(file, content.frame[rows], measured)
     return counts
-
-
-def _clouds(file: DriveReader) -> Iterator[tuple[int, Cloud]]:
-    """Yield the number of each frame with its cloud."""
-    for row, number in enumerate(file.frame.tolist()):
-        yield number, (file.rows_of("xyz", row), file.rows_of("cls", row))
 
 
 def build(cloud: Cloud, variant: Variant, drive: str, number: int) -> Columns:
@@ -104,8 +100,7 @@ def accumulated(
     """Combine each cloud with up to `frames` - 1 previous ones, in its coordinates; `steps`: see :func:`read_steps`.
 
     It reaches back as long as frame numbers are consecutive and motion is valid. So it starts anew after a halt, since
-    standstill looks like unmeasured motion. Moving objects leave a trace, and objects that the car has passed
-    lie behind the camera.
+    standstill looks like unmeasured motion. Moving objects leave a trace, and passed ones lie behind the camera.
     """
     recent: list[tuple[np.ndarray, Cloud]] = []  # T_now_then and the cloud, oldest first
     last = -2

@@ -67,8 +67,7 @@ def prune(matrix: Any, cls: np.ndarray, keep_inter_class: float, rng: np.random.
 
 
 LevelSize = tuple[int, float, int]  # centres, radius in metres, neighbours per centre
-Grouping = tuple[np.ndarray, np.ndarray]
-"""Centres int64 [M], rows of the points, and neighbours int64 [M,n], the points in the ball around each centre."""
+Grouping = tuple[np.ndarray, np.ndarray]  # centres [M], neighbours [M,n] in the ball around each: int64, rows of points
 
 
 def levels(xyz: np.ndarray, sizes: Iterable[LevelSize], rng: np.random.Generator) -> list[Grouping]:

@@ -6,8 +6,7 @@ A frame is a dict of columns, whose arrays are by kind of frame
 - pointnet2: xyz, cls, and for each level l from 1 centres_l [M] and neighbours_l [M,n];
 - image: image uint8 [1,H,W,3].
 
-A column declares where each frame starts and, if it holds row numbers, what it counts. The file keeps both, so writing
-and joining frames need no names.
+A column declares where each frame starts and, if it holds row numbers, what it counts. The file keeps both.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -105,7 +104,7 @@ class Graphs(store.DriveReader):
     @property
     def size(self) -> int:
         """Bytes of the ragged columns in memory."""
-        return sum(self.datasets[name].size * self.datasets[name].dtype.itemsize for name in self.pointers)
+        return sum(self.datasets[name].nbytes for name in self.pointers)
 
     @cached_property
     def contents(self) -> Contents:

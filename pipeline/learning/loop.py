@@ -15,9 +15,8 @@ def prefetch(
 ) -> Generator[R]:
     """Yield ``work(item)`` of each item, in order; `threads` threads work, and the caller's thread computes the items.
 
-    This helps where work waits for a disk or for a library that releases Python's lock, as HDF5 and torch do. At most
-    `ahead` results exist besides the one at the caller. Closing this generator waits for work in progress. `init` is
-    called once in each thread.
+    This helps where work waits for a disk, or for a library that releases Python's lock. At most `ahead` results exist
+    besides the one at the caller. Closing this generator waits for work in progress. Each thread calls `init` first.
     """
     with ThreadPoolExecutor(threads, "prefetch", initializer=init) as pool:
         ready: deque[Future[R]] = deque()

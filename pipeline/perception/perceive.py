@@ -4,7 +4,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Se
 from contextlib import closing
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 FILE = "encoder.pt"
 KIND = "unified encoder"
 GPU_BATCH = 32  # images per pass at least; a CPU runs them one by one
-T = TypeVar("T")
-R = TypeVar("R")
 
 
 class EncoderInput(NamedTuple):
@@ -43,8 +41,8 @@ class EncoderInput(NamedTuple):
     camera: Camera
 
 
-# → depth float32 [B,H,W] in metres, trainIds uint8 [B,H,W]
-Predict = Callable[[EncoderInput], tuple[np.ndarray, np.ndarray]]
+Perceived = tuple[np.ndarray, np.ndarray]  # depth float32 [B,H,W] in metres, trainIds uint8 [B,H,W]
+Predict = Callable[[EncoderInput], Perceived]
 
 
 def open_encoder(folder: Path, precision: str) -> Predict:
@@ -75,7 +73,7 @@ def _open(folder: Path, _: str, precision: str) -> tuple[Predict, list[str] | No
     return predict, architecture.get("datasets")
 
 
-def _read_precomputed(folder: Path, batch: EncoderInput) -> tuple[np.ndarray, np.ndarray]:
+def _read_precomputed(folder: Path, batch: EncoderInput) -> Perceived:
     frames = [precomputed.read(folder, batch.drive, int(frame), batch.camera.size) for frame in batch.frame]
     return np.stack([depth for depth, _ in frames]), np.stack([cls for _, cls in frames])
 
@@ -99,9 +97,7 @@ def load(path: Path) -> tuple[Architecture, nn.Module]:
     return content["architecture"], model.to("cuda" if torch.cuda.is_available() else "cpu").eval()
 
 
-def perceive(
-    model: nn.Module, images: np.ndarray, camera: Camera, precision: str = "float32"
-) -> tuple[np.ndarray, np.ndarray]:
+def perceive(model: nn.Module, images: np.ndarray, camera: Camera, precision: str = "float32") -> Perceived:
     """Return depth float32 [B,H,W] in metres and trainIds uint8 [B,H,W] of RGB images uint8 [B,H,W,3].
 
     With `precision` auto products are in bfloat16 on a GPU that has it, otherwise in the weights' precision.
@@ -116,9 +112,8 @@ def perceive(
     half = torch.autocast(device.type, torch.bfloat16, enabled=precision == "auto" and native)
     with torch.no_grad(), half:  # BEiT keeps tensors, which a fit uses again
         pixels, intrinsics = (tensor.to(device, non_blocking=True) for tensor in tensors)
-        outputs = [
-            model(part.permute(0, 3, 1, 2), intrinsics.expand(len(part), 3, 3)) for part in torch.split(pixels, at_once)
-        ]
+        parts = torch.split(pixels.permute(0, 3, 1, 2), at_once)
+        outputs = [model(part, intrinsics.expand(len(part), 3, 3)) for part in parts]
         depth = torch.cat([depth.float() for depth, _ in outputs])
         cls = torch.cat([logits.argmax(dim=1) for _, logits in outputs])
         cls.masked_fill_(cls == classes.COUNT, classes.VOID)  # some networks have logits of void, last
@@ -133,8 +128,8 @@ def check_size(model: nn.Module, size: Size) -> None:
         raise ValueError(f"depth {depth.shape[1:]} is {depth.min():.3g} to {depth.max():.3g}, classes {cls.shape[1:]}")
 
 
-def passes(forward: Callable[[T], R], batches: Generator[T]) -> Generator[R]:
-    """Yield ``forward(batch)`` of each batch, in order, with equal bytes for any number of cores. Closes `batches`.
+def passes(predict: Predict, batches: Generator[EncoderInput]) -> Generator[Perceived]:
+    """Yield ``predict(batch)`` of each batch, in order, with equal bytes for any number of cores. Closes `batches`.
 
     Splitting a sum among threads changes its last bits. So each forward pass on a CPU uses one thread, and several
     passes run side by side; a GPU runs one pass at a time.
@@ -144,7 +139,7 @@ def passes(forward: Callable[[T], R], batches: Generator[T]) -> Generator[R]:
     workers = 1 if torch.cuda.is_available() else min(threads, default_workers())  # STEER_WORKERS limits memory
     use_one_thread()
     try:
-        with closing(batches), closing(prefetch(forward, batches, workers, workers + 1, use_one_thread)) as results:
+        with closing(batches), closing(prefetch(predict, batches, workers, workers + 1, use_one_thread)) as results:
             yield from results
     finally:
         torch.set_num_threads(threads)

@@ -5,7 +5,6 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -136,32 +135,31 @@ class Fit:
         Results are `best`, the weights of the selected epoch, `curve` and `scale`. After each epoch the file `state` is
         written. If it exists, training continues from it, to the same result.
         """
-        epochs, val = self.settings.epochs, self.val
+        epochs = self.settings.epochs
         if state.is_file():
             with error_context(fix=f"Delete {state} to start again"):
                 self._resume(checkpoint.read(state, "state of training"))
             after = f"continues after epoch {len(self.curve)} of {epochs}"
             print(f"{title}: {after if self._unfinished() else 'kept from an earlier run'}", flush=True)
-        reader = windows.Reader([*self.train, *val], self.entry.window, self.files)
+        train, val = (windows.Reader(drives, self.entry.window, self.files) for drives in (self.train, self.val))
         if self._unfinished():
-            self.files.load(self.net.device, partial(self._peak, reader))
+            self.files.load(self.net.device, self._peak)
         started, before = time.perf_counter(), len(self.curve)
         while self._unfinished():
             epoch = len(self.curve) + 1
-            loss, rate = self._train(reader, epoch)
+            loss, rate = self._train(train, epoch)
             if not math.isfinite(loss):
                 problem = f"loss of epoch {epoch} is {loss}"
                 raise InputError(problem, title, "Lower train.learning_rate or clip_norm")
             error = math.nan
-            if val:  # these drives follow the training drives in the reader
-                predicted = predict.predict_drives(self.average, reader, self.scale, first=len(self.train))
-                error = mean_nmse(val, predicted)
+            if self.val:
+                error = mean_nmse(self.val, predict.predict_drives(self.average, val, self.scale))
             self.curve.append({"epoch": epoch, "learning_rate": rate, "train_loss": loss, "val_nmse": error})
             if selected := selected_epoch(self.curve) == epoch:
                 self.best = copy_weights(self.average)
             checkpoint.write(state, self._state())
             eta = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
-            text = f", validation nmse {error:.3f}{' (selected)' if selected else ''}" if val else ""
+            text = f", validation nmse {error:.3f}{' (selected)' if selected else ''}" if self.val else ""
             # One write, as runs in parallel share the output; print writes the line's end separately.
             line = f"{title}: {epoch} of {epochs} epochs, loss {loss:.4f}{text}, ETA {eta:.0f} s\n"
             print(line, end="", flush=True)
@@ -171,10 +169,8 @@ class Fit:
         return done < self.settings.epochs and done - selected_epoch(self.curve) < self.settings.patience
 
     def _plan(self, epoch: int) -> list[list[windows.Span]]:
-        """Return the spans of each step of an epoch.
-
-        All random numbers of an epoch derive from its number, so a resumed run equals an uninterrupted one.
-        """
+        """Return the spans of each step of an epoch."""
+        # All random numbers of an epoch derive from its number, so a resumed run equals an uninterrupted one.
         settings, rng = self.settings, np.random.default_rng([self.seed, epoch])
         window = self.entry.window
         spans = windows.spans(self.train, window, settings.span_windows, rng)
@@ -225,9 +221,10 @@ class Fit:
         torch._foreach_lerp_((*self.average.parameters(),), (*self.net.parameters(),), weight)
         torch._foreach_copy_((*self.average.buffers(),), (*self.net.buffers(),))
 
-    def _peak(self, reader: windows.Reader) -> int:
+    def _peak(self) -> int:
         """Return the bytes on the GPU of the largest step and of the largest batch of a validation."""
         torch.cuda.empty_cache()
+        reader = windows.Reader([*self.train, *self.val], self.entry.window, self.files)
         net, before = copy.deepcopy(self.net), torch.cuda.memory_reserved()
         tested = windows.spans(reader.timelines, self.entry.window, predict.WINDOWS)
         steps = self._plan(1), [[span] for span in tested]

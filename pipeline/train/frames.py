@@ -79,8 +79,7 @@ def collate(spans: Sequence[tuple[Graphs, int, int]]) -> dict[str, Tensor]:
 def join(spans: Sequence[tuple[Graphs, int, int]], *, pin: bool = False) -> dict[str, Tensor]:
     """Read frames as :func:`collate`, but with row numbers as in the files.
 
-    `pin`: columns on the CPU in pinned memory, from which copies to a GPU do not wait. torch gives it out again after
-    them.
+    `pin`: columns on the CPU in pinned memory, from which copies to a GPU do not wait; torch reuses it after them.
     """
     first, batch = spans[0][0], dict[str, Tensor]()
     for pointer in first.starts:

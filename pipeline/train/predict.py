@@ -52,9 +52,8 @@ class Trained(NamedTuple):
 
         The value for frame t is the angle at frame t + `entry.horizon`, predicted from the frames up to t, or the path
         ahead of it. NaN where no complete window ends: too early in the drive, or too soon after a gap. `scene`: the
-        graph file of the drive whose scene a control with `scene: another` gets; `files`: open ones.
-
-        Raises InputError if the file has another kind of frames than the network was trained on, or no motion.
+        graph file of the drive whose scene a control with `scene: another` gets; `files`: open ones. Raises InputError
+        if the file has another kind of frames than the network was trained on, or no motion.
         """
         if scene is None and self.entry.scene == "another":
             problem = f"model {self.name} is a control, which needs the scene of another drive"
@@ -63,9 +62,8 @@ class Trained(NamedTuple):
         with open_graphs(timeline.scene) as seen:
             if seen.contents != self.contents:
                 problem = f"model {self.name} expects {self.contents}, got {seen.contents}"
-                raise InputError(
-                    problem, seen.path, f"Use graphs of input: {self.entry.input}, or train the model again"
-                )
+                fix = f"Use graphs of input: {self.entry.input}, or train the model again"
+                raise InputError(problem, seen.path, fix)
         return predict_drives(self.net, windows.Reader([timeline], self.entry.window, files), self.scale)[0]
 
 
@@ -94,14 +92,14 @@ def load(folder: str | Path, device: torch.device | str | None = None) -> Traine
     return Trained(**about, entry=entry, contents=contents, scale=scale, net=net)
 
 
-def predict_drives(net: SteeringNet, reader: windows.Reader, scale: Scale, first: int = 0) -> list[np.ndarray]:
-    """Return the predictions [G,R] for the frames of each of the reader's timelines, from number `first` on."""
-    spans = [span for span in windows.spans(reader.timelines, reader.window, WINDOWS) if span.drive >= first]
+def predict_drives(net: SteeringNet, reader: windows.Reader, scale: Scale) -> list[np.ndarray]:
+    """Return the predictions [G,R] for the frames of each of the reader's timelines."""
+    spans = windows.spans(reader.timelines, reader.window, WINDOWS)
     net.eval()
     with torch.inference_mode():
         outputs = [net(*net.inputs(batch)) for batch in reader.batches([[span] for span in spans], net.device)]
     values = [np.full((len(timeline.frame), len(scale.names)), np.nan) for timeline in reader.timelines]
     for span, output in zip(spans, outputs, strict=True):  # after the loop, so that it does not wait for the GPU
         values[span.drive][span.stop - len(output) : span.stop] = output.double().cpu().numpy()
-    pairs = [*zip(values, reader.timelines, strict=True)]
-    return [scale.decode(output, timeline.base) for output, timeline in pairs[first:]]
+    pairs = zip(values, reader.timelines, strict=True)
+    return [scale.decode(output, timeline.base) for output, timeline in pairs]

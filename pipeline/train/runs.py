@@ -41,7 +41,6 @@ class Run(NamedTuple):
         return Run(self.seed, start, self.folder.parent / "first") if start else None
 
     def __str__(self) -> str:
-        """Return seed and fold, for the log."""
         return f"seed {self.seed}" + (f" without {self.fold.name}" if self.fold.name else "")
 
 
@@ -72,8 +71,7 @@ def folds(splits: Mapping[str, str], entry: Entry) -> list[Fold]:
 def scenes(fold: Fold, seed: int, scene: str) -> dict[str, str]:
     """Return drive → drive whose scene it gets: its own, or with `scene` another one of its split, drawn once per seed.
 
-    The test drive of a fold gets one of the others, on which its network was trained. Raises InputError if there is
-    none.
+    The test drive of a fold gets one on which its network was trained. Raises InputError if there is none.
     """
     tested = fold.test if fold.name is None else fold.train + fold.test
     result = {}

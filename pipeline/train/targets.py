@@ -1,5 +1,4 @@
-"""Targets of a drive by frame: what a network should predict, the measured value that its output is added to, and both
-in a larger world.
+"""Targets of a drive by frame, the measured value that a network's output is added to, and both in a larger world.
 
 A column is a quantity that a network predicts: the steering angle, or the mean curvature in one range of the path
 ahead. Letters: G frames of a graph file, W windows, R columns.
@@ -178,7 +177,6 @@ def _rescale(values: Arrays, factor: float, ahead_m: Sequence[float]) -> None:
     """Replace motion, base and target by those in a world `factor` times as large.
 
     The bicycle model's tan Θ is wheelbase × curvature, and curvature is 1 / length; the yaw rate does not change.
-    `ahead_m`: the edges of a path's ranges, as in :func:`scale_path`; none for an angle.
     """
     if ahead_m:
         values["base"] = values["base"] / factor

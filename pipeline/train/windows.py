@@ -63,8 +63,7 @@ def spans(
 class Reader:
     """Batches, indexed by groups of spans; with targets if the timelines are LabelledDrives.
 
-    A thread reads ahead of the network, which is enough for a CPU: it computes longer than it reads. For a GPU, `files`
-    may keep frames in memory.
+    A thread reads ahead, enough for a CPU, which computes longer than it reads. For a GPU, `files` may keep frames.
     """
 
     def __init__(self, timelines: Sequence[Timeline], window: int, files: Files | None = None) -> None:
@@ -83,10 +82,7 @@ class Reader:
         return self._finish(*self._join(group), torch.device("cpu"))
 
     def _join(self, group: Sequence[Span], *, pin: bool = False) -> tuple[dict[str, Tensor], Graphs, Tensor]:
-        """Return a batch in the types of the files, a file that names its columns, and the scale of each frame [B].
-
-        `pin`: in pinned memory, see :func:`frames.join`.
-        """
+        """Return a batch in the types of the files, a file that names its columns, and the scale of each frame [B]."""
         window = self.window
         columns: dict[str, list[np.ndarray]] = defaultdict(list)
         parts: list[tuple[Graphs, int, int]] = []

@@ -32,7 +32,6 @@ class _Points:
         return len(self.ptr) - 1
 
     def mirrored(self) -> Self:
-        """Return the frames mirrored left-right."""
         return dataclasses.replace(self, xyz=torch.cat([-self.xyz[:, :1], self.xyz[:, 1:]], dim=1))
 
 
@@ -40,8 +39,7 @@ class _Points:
 class GraphBatch(_Points):
     """Points with a symmetric graph per frame: E directed edges, two for each undirected one.
 
-    degree [N], neighbours of each point, itself excluded; indices int32 [E], row numbers of the neighbours of point 0,
-    of point 1, … (CSR).
+    degree [N], neighbours of each point, itself excluded; indices int32 [E], their row numbers, point by point (CSR).
     """
 
     degree: Tensor
@@ -55,12 +53,9 @@ class GraphBatch(_Points):
         return torch.stack([self.indices.long(), to])
 
     def blocks(self, points: int) -> Iterator["GraphBatch"]:
-        """Split the batch on a CPU into blocks of complete frames with at most `points` points, or of one larger frame.
-
-        On a GPU the batch is one block, with few launches.
-        """
+        """Split the batch on a CPU into blocks of whole frames with at most `points` points, or of one larger frame."""
         if self.xyz.device.type != "cpu":
-            yield self
+            yield self  # few launches
             return
         edges = nn.functional.pad(self.degree.long().cumsum(0), (1, 0))[self.ptr].tolist()  # before each frame
         ptr, first = self.ptr.tolist(), 0
@@ -107,11 +102,9 @@ Batch = GraphBatch | SetBatch | ImageBatch
 
 
 def from_arrays(arrays: Mapping[str, Array], device: torch.device | str = "cpu") -> Batch:
-    """Return a batch on `device` of arrays by name, as pipeline/graphs/graph_file.py names them; others are ignored.
-
-    Pointers stay on the CPU: reading them from a GPU would stall each step.
-    """
+    """Return a batch on `device` of arrays by name, as pipeline/graphs/graph_file.py names them; others are ignored."""
     there = {name: torch.as_tensor(array) for name, array in arrays.items()}
+    # Pointers stay on the CPU: reading them from a GPU would stall each step.
     there |= {name: there[name].to(device, non_blocking=True) for name in there if not name.endswith("ptr")}
     if "image" in there:
         return ImageBatch(there["image"])

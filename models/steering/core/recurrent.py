@@ -14,8 +14,7 @@ class RecurrentCell(nn.Module):
     """Recurrent network from a window of frame features to R outputs per frame, 1 for an angle.
 
     It has two parts, so that windows share frames: `project_inputs` depends on a frame alone and runs once per frame;
-    `forward` is the recursion and runs once per frame *and window*. Letters: W windows, T frames each, D inputs per
-    frame, S values of `project_inputs`.
+    `forward` is the recursion and runs once per frame *and window*. Letters: W windows of T frames, D inputs, S values.
     """
 
     def project_inputs(self, x: Tensor) -> Tensor:

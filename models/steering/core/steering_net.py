@@ -1,9 +1,9 @@
 """The network: a spatial network on each frame, a recurrent one over the frames of a window.
 
 A network is a file, listed nowhere else: `spatial: mean` in params.yaml is models/steering/spatial/mean.py. It has an
-nn.Module from a batch of B frames (core/batch.py) to features [B,F], and a class Options(NetworkOptions) with a field
-per option, `kind`, the frames that it reads, and `build`. A temporal file has a RecurrentCell (core/recurrent.py)
-and options without `kind`. docs/models.md has an example.
+nn.Module from a batch of B frames (core/batch.py) to features [B,F], independent of the order of points and of other
+frames, and a class Options(NetworkOptions) with a field per option, `kind`, the frames that it reads, and `build`. A
+temporal file has a RecurrentCell (core/recurrent.py), and options without `kind`. docs/models.md has an example.
 """
 
 from collections.abc import Mapping
@@ -65,8 +65,7 @@ class SteeringNet(nn.Module):
             recurrent network. The paper has no such symmetry.
         motion: the recurrent network also gets the measured motion, and its output is the residual to the measured
             angle, in units of its standard deviation. The paper has no such input.
-    Raises:
-        InputError: an option is out of range.
+    Raises InputError if an option is out of range.
     """
 
     def __init__(
@@ -87,14 +86,9 @@ class SteeringNet(nn.Module):
         self.temporal: Any = temporal.build(replace(sizes, features=inputs))
 
     def forward(
-        self,
-        batch: Batch,
-        windows: Tensor,
-        dt_s: Tensor,
-        motion: Tensor | None = None,
-        scenes: Tensor | None = None,
+        self, batch: Batch, windows: Tensor, dt_s: Tensor, motion: Tensor | None = None, scenes: Tensor | None = None
     ) -> Tensor:
-        """Predict the standardised steering, or residual, at each window's last frame; each frame is encoded once.
+        """Predict the standardised steering, or residual, [W,R] of each window's last frame; a frame is encoded once.
 
         Args:
             batch: B frames, or the frames that `scenes` counts.
@@ -102,8 +96,6 @@ class SteeringNet(nn.Module):
             dt_s: [W,T] seconds since the previous frame.
             motion: [B,4], see MOTION_SCALES; required with motion.
             scenes: of a control, int64 [B], the frame of the batch that each of B frames sees; None: its own.
-        Returns:
-            [W,R], R = 1 for an angle.
         """
         if self.equivariant:  # the frames, then their mirror images
             both: Any = getattr(self.spatial, "both", None)  # of networks that share a part of the two
@@ -129,17 +121,13 @@ class SteeringNet(nn.Module):
         return out
 
     def inputs(self, arrays: Mapping[str, Array]) -> tuple[Batch, Tensor, Tensor, Tensor | None, Tensor | None]:
-        """Return the arguments of `forward` on the network's device, from arrays by name (pipeline/train/windows.py).
-
-        Names: those of the frames, `windows` [W,T], `dt_s` [W,T], and if needed `motion` [B,4] and `scenes` [B].
-        """
+        """Return the arguments of `forward`, on the network's device, from the arrays of pipeline/train/windows.py."""
         device, names = self.device, [name for name in ("windows", "dt_s", "motion", "scenes") if name in arrays]
         there = {name: torch.as_tensor(arrays[name]).to(device, non_blocking=True) for name in names}
         return from_arrays(arrays, device), there["windows"], there["dt_s"], there.get("motion"), there.get("scenes")
 
     @property
     def device(self) -> torch.device:
-        """Device of the weights."""
         return self.scale.mean.device
 
 

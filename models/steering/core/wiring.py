@@ -3,25 +3,21 @@
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from torch import Tensor, nn
 
 from models.steering.core.options import Count, OptionGroup
 from pipeline.base.errors import InputError
 
-Polarity = NDArray[np.int8]
-Neurons = NDArray[np.int64]
-
 
 class Wiring(NamedTuple):
-    """Signed synapses as matrices [from, to]: +1 excites, -1 inhibits, 0 is no synapse.
+    """Signed synapses as matrices int8 [from, to]: +1 excites, -1 inhibits, 0 is no synapse.
 
     Neurons are numbered motor, command, inter, as in ncps. sensory [D,U]: from input features; internal [U,U].
     """
 
-    sensory: Polarity
-    internal: Polarity
+    sensory: np.ndarray
+    internal: np.ndarray
     motor: int
 
 
@@ -42,9 +38,8 @@ def ncp(inputs: int, layout: Layout = Layout(), motor: int = 1) -> Wiring:
 
     Each sensory neuron feeds `sensory_fanout` inter neurons, each inter neuron `inter_fanout` command neurons, and
     each motor neuron is fed by `motor_fanin` command neurons. A neuron without input after that, or a command neuron
-    without output, gets the average number of synapses of its layer.
-
-    Raises InputError if a fan-out or fan-in exceeds the size of its target layer, or for too many recurrent synapses.
+    without output, gets the average number of synapses of its layer. Raises InputError if a fan-out or fan-in exceeds
+    the size of its target layer, or for too many recurrent synapses.
     """
     inter, command = layout.inter, layout.command
     for name, count, layer, size in [
@@ -70,7 +65,9 @@ def ncp(inputs: int, layout: Layout = Layout(), motor: int = 1) -> Wiring:
     return Wiring(sensory, internal, motor)
 
 
-def _fan_out(rng: np.random.Generator, matrix: Polarity, sources: Neurons, targets: Neurons, fanout: int) -> None:
+def _fan_out(
+    rng: np.random.Generator, matrix: np.ndarray, sources: np.ndarray, targets: np.ndarray, fanout: int
+) -> None:
     """Connect each source to `fanout` random targets, then targets without input to the average number."""
     for source in sources:
         chosen = rng.choice(targets, size=fanout, replace=False)

@@ -1,11 +1,9 @@
 """A network without input: the ablation that measures the contribution of the scene."""
 
-from typing import ClassVar
-
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.batch import FrameKind, GraphBatch
+from models.steering.core.batch import GraphBatch
 from models.steering.core.options import NetworkOptions, Sizes
 
 
@@ -17,15 +15,12 @@ class Blind(nn.Module):
         self.features = features
 
     def forward(self, batch: GraphBatch) -> Tensor:
-        """Return zeros [B,F]."""
         return torch.zeros(batch.frames, self.features, device=batch.xyz.device)
 
 
 class Options(NetworkOptions):
-    """No options."""
-
-    kind: ClassVar[FrameKind] = "graph"
-    sees: ClassVar[bool] = False
+    kind = "graph"
+    sees = False
 
     def build(self, sizes: Sizes) -> nn.Module:
         return Blind(sizes.features)

@@ -1,11 +1,9 @@
 """The convolutional head of the NCP paper (Lechner et al. 2020)."""
 
-from typing import ClassVar
-
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.batch import FrameKind, ImageBatch
+from models.steering.core.batch import ImageBatch
 from models.steering.core.options import NetworkOptions, Sizes
 from pipeline.base.errors import InputError
 
@@ -36,7 +34,6 @@ class SteeringCNN(nn.Module):
         nn.init.uniform_(self.weight, -((height * width) ** -0.5), (height * width) ** -0.5)  # as nn.Linear
 
     def forward(self, batch: ImageBatch) -> Tensor:
-        """Return [B,F]. Independent of the other images in the batch."""
         maps = self.convolutions(standardise(batch.image, self.bias.dtype)).flatten(2)  # [B,8,hw]
         return (torch.einsum("bmp,mpf->bmf", maps, self.weight) + self.bias).flatten(1)
 
@@ -49,9 +46,7 @@ def standardise(image: Tensor, dtype: torch.dtype) -> Tensor:
 
 
 class Options(NetworkOptions):
-    """No options."""
-
-    kind: ClassVar[FrameKind] = "image"
+    kind = "image"
 
     def build(self, sizes: Sizes) -> nn.Module:
         return SteeringCNN(sizes.features, sizes.image_size)

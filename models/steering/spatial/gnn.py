@@ -2,20 +2,18 @@
 
 import warnings
 from itertools import pairwise
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.batch import FrameKind, GraphBatch
+from models.steering.core.batch import GraphBatch
 from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_features
 from models.steering.core.options import NetworkOptions, Semantics, Sizes, Widths
 
 
 class Options(NetworkOptions):
-    """Options of GCN."""
-
-    kind: ClassVar[FrameKind] = "graph"
+    kind = "graph"
     layers: Widths = (32, 32, 64)  # channels after each layer
     semantics: Semantics
 
@@ -39,12 +37,9 @@ class GCNLayer(nn.Module):
 
 
 class GCN(nn.Module):
-    """Node features → graph convolutions → mean and maximum over each frame's points → one dense layer.
+    """Node features → graph convolutions → mean and maximum over each frame's points → one dense layer."""
 
-    On a CPU it works block by block, so that temporaries stay in the cache.
-    """
-
-    block = 8192  # points; with 64 channels 2 MB in float32, and as much for the gradient: about a core's cache
+    block = 8192  # points at once on a CPU; with 64 channels 2 MB, and as much for the gradient: about a core's cache
 
     def __init__(self, features: int, options: Options) -> None:
         super().__init__()
@@ -53,7 +48,6 @@ class GCN(nn.Module):
         self.read_out = nn.Linear(2 * options.layers[-1], features)
 
     def forward(self, batch: GraphBatch) -> Tensor:
-        """Return [B,F]. Independent of the order of points and of the other frames in the batch."""
         pooled = []
         for block in batch.blocks(self.block):
             x = node_features(block.xyz.to(self.read_out.weight.dtype), block.cls, self.semantics)
@@ -67,8 +61,7 @@ class GCN(nn.Module):
 def normalised_adjacency(degree: Tensor, indices: Tensor, dtype: torch.dtype) -> Tensor:
     """Build D̃^(-1/2) (A + I) D̃^(-1/2), paper eq. 3, as a sparse CSR matrix [N,N] with E + N entries.
 
-    In each row the diagonal is first, then the neighbours in their order. `degree` [N] and `indices` [E]: of a
-    GraphBatch, symmetric: if j is in i's list, i is in j's.
+    In each row the diagonal is first, then the neighbours in order. `degree` [N] and `indices` [E]: of a GraphBatch.
     """
     nodes, entries, device = len(degree), len(indices) + len(degree), degree.device
     sizes = degree.to(indices.dtype) + 1
@@ -85,10 +78,7 @@ def normalised_adjacency(degree: Tensor, indices: Tensor, dtype: torch.dtype) ->
 
 
 class SymmetricProduct(torch.autograd.Function):
-    """A @ x for a symmetric sparse matrix A [N,N] and x [N,C].
-
-    The gradient is A @ gradient, since A = Aᵀ; torch's own backward would transpose A each time.
-    """
+    """A @ x for a symmetric sparse matrix A [N,N] and x [N,C]."""
 
     @staticmethod
     def forward(ctx: Any, matrix: Tensor, x: Tensor) -> Tensor:
@@ -97,4 +87,5 @@ class SymmetricProduct(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor]:
+        # A = Aᵀ; torch's own backward would transpose A each time.
         return None, SymmetricProduct.apply(ctx.matrix, gradient)  # type: ignore[no-untyped-call]

@@ -1,13 +1,13 @@
 """PointNet++ with single-scale grouping (paper eq. 1 and 2; Qi et al. 2017)."""
 
 from itertools import pairwise
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from models.steering.core.batch import FrameKind, SetBatch
+from models.steering.core.batch import SetBatch
 from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_features
 from models.steering.core.options import NetworkOptions, Semantics, Sizes
 
@@ -40,9 +40,7 @@ class SetAbstraction(nn.Module):
 
 
 class Options(NetworkOptions):
-    """Options of PointNet2."""
-
-    kind: ClassVar[FrameKind] = "pointnet2"
+    kind = "pointnet2"
     width: Annotated[float, Field(gt=0, le=4)] = 1.0  # factor on the reference's channels
     semantics: Semantics
 
@@ -69,7 +67,6 @@ class PointNet2(nn.Module):
         self.read_out = nn.Linear(base[levels], features)
 
     def forward(self, batch: SetBatch) -> Tensor:
-        """Return [B,F]. Independent of the order of points and of the other frames in the batch."""
         dtype = self.read_out.weight.dtype
         xyz, ptr = batch.xyz.to(dtype), batch.ptr
         f = node_features(xyz, batch.cls, self.semantics)  # [P,25]

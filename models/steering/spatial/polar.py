@@ -1,17 +1,15 @@
 """A polar map of the road ahead, read by a small convolutional network.
 
-Errors of depth are radial and bearings are exact. So the cells of the map are bearings, and ranges that grow with the
-distance.
+Errors of depth are radial and bearings are exact. So its cells are bearings, and ranges that grow with the distance.
 """
 
 import math
 from itertools import pairwise
-from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.batch import FrameKind, GraphBatch
+from models.steering.core.batch import GraphBatch
 from models.steering.core.options import NetworkOptions, Sizes, Widths
 from pipeline.camera import classes
 
@@ -52,17 +50,15 @@ class Polar(nn.Module):
 
     def __init__(self, features: int, widths: tuple[int, ...]) -> None:
         super().__init__()
-        layers: list[nn.Module] = []
+        self.convolutions = nn.Sequential()
         height, width = RANGES, BEARINGS
         for number, (before, after) in enumerate(pairwise((CHANNELS, *widths))):
             stride = 2 if number else 1
-            layers += [nn.Conv2d(before, after, 3, stride, padding=1), nn.ReLU()]
+            self.convolutions.extend([nn.Conv2d(before, after, 3, stride, padding=1), nn.ReLU()])
             height, width = -(-height // stride), -(-width // stride)
-        self.convolutions = nn.Sequential(*layers)
         self.read_out = nn.Linear(widths[-1] * height * width, features)
 
     def forward(self, batch: GraphBatch) -> Tensor:
-        """Return [B,F]. Independent of the order of points and of the other frames in the batch."""
         return self._read(polar_map(batch))
 
     def both(self, batch: GraphBatch) -> tuple[Tensor, ...]:
@@ -76,9 +72,7 @@ class Polar(nn.Module):
 
 
 class Options(NetworkOptions):
-    """Options of Polar."""
-
-    kind: ClassVar[FrameKind] = "graph"
+    kind = "graph"
     widths: Widths = (16, 24, 32, 24)
 
     def build(self, sizes: Sizes) -> nn.Module:

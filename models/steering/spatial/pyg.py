@@ -1,22 +1,20 @@
 """Layers of PyTorch Geometric by name: any that takes `x, edge_index`, for instance `layer: GATv2Conv`."""
 
 from inspect import signature
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import torch
 from pydantic import Field
 from torch import Tensor, nn
 
-from models.steering.core.batch import FrameKind, GraphBatch
+from models.steering.core.batch import GraphBatch
 from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_features
 from models.steering.core.options import NetworkOptions, Semantics, Sizes, Widths
 from pipeline.base.errors import InputError, closest
 
 
 class Options(NetworkOptions):
-    """Options of PyG."""
-
-    kind: ClassVar[FrameKind] = "graph"
+    kind = "graph"
     layer: Annotated[str, Field(description="a layer of torch_geometric.nn, for instance GATv2Conv")]
     layer_options: dict[str, Any] = {}  # its keyword arguments
     layers: Widths = (32, 32, 64)  # channels of each layer; attention heads multiply them
@@ -30,10 +28,9 @@ class PyG(nn.Module):
     """Node features → layers of one class, each with ReLU → mean and maximum over each frame → one dense layer.
 
     Most layers store a row per edge: the demo takes 3.3 GB to train with GATv2Conv and 0.8 GB with spatial: gnn. On a
-    GPU their sums over neighbours have no fixed order, so two runs differ by rounding.
-
-    Raises InputError if PyTorch Geometric is missing or has no such layer, or the layer refuses its options, needs more
-    than `x, edge_index`, or does not compute what :func:`output_width` expects.
+    GPU their sums over neighbours have no fixed order, so two runs differ by rounding. Raises InputError if PyTorch
+    Geometric is missing or has no such layer, or if the layer refuses its options, needs more than `x, edge_index`, or
+    does not compute what :func:`output_width` expects.
     """
 
     def __init__(self, features: int, options: Options) -> None:
@@ -53,7 +50,6 @@ class PyG(nn.Module):
         self.read_out = nn.Linear(2 * width, features)
 
     def forward(self, batch: GraphBatch) -> Tensor:
-        """Return [B,F]. Independent of the order of points and of the other frames in the batch."""
         x = node_features(batch.xyz.to(self.read_out.weight.dtype), batch.cls, self.semantics)
         edge_index = batch.edge_index
         for layer in self.layers:

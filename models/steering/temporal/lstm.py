@@ -8,8 +8,6 @@ from models.steering.core.recurrent import RecurrentCell
 
 
 class Options(NetworkOptions):
-    """Options of an LSTM."""
-
     units: Count = 32
 
     def build(self, sizes: Sizes) -> RecurrentCell:

@@ -13,8 +13,6 @@ CELLS: dict[str, Callable[[Wiring], RecurrentCell]] = {"ltc": LTC, "eq4": Eq4}
 
 
 class Options(NetworkOptions):
-    """Options of a neural circuit policy."""
-
     cell: Literal["ltc", "eq4"] = "ltc"  # eq4: the paper's equation 4 as printed
     wiring: Layout = Layout()
 

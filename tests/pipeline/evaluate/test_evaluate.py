@@ -12,7 +12,7 @@ from pipeline.base.params import load
 from pipeline.datasets.core import oxts
 from pipeline.datasets.kitti import KittiDrive
 from pipeline.evaluate import errors, metrics, turns
-from pipeline.evaluate.turns import Turns, drift, segments
+from pipeline.evaluate.turns import drift, segments
 from pipeline.labels import label
 from pipeline.settings.evaluate import Evaluate
 from pipeline.train.loss import Scale
@@ -189,7 +189,7 @@ def off(predicted_rad: float, *onsets: int) -> float | None:
     """Return the drift of a constant angle on a straight road."""
     driven = label.Labels(np.zeros(STEPS), np.ones(STEPS, bool), np.full(STEPS, 10.0), np.zeros(STEPS))
     drive: Any = SimpleNamespace(frame=np.arange(STEPS), time_s=TIME_S, driven=driven, settings=artefacts.LABELS)
-    return drift([(drive, Turns(np.array(onsets, int), TIME_S[[*onsets]]), np.full(STEPS, predicted_rad))])
+    return drift([(drive, np.isin(drive.frame, onsets), np.full(STEPS, predicted_rad))])
 
 
 def test_segments_end_at_onsets_and_missing_predictions():

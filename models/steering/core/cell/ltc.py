@@ -3,9 +3,8 @@
 import math
 from typing import Any
 
+import numpy as np
 import torch
-from numpy import int8
-from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 from torch.nn.functional import softplus
@@ -64,8 +63,7 @@ class Unfolded(torch.autograd.Function):
 
     Args: c [W,T,U]; fixed [W,T,2U], the part of numerator ‖ denominator that is constant in a frame; slope [U,S],
         threshold [S] and sums [S,2U] of the internal synapses; place [S], their entries in a flattened matrix [U,U];
-        steps a frame.
-    Returns: v after each frame [W,T,U].
+        steps a frame. Returns v after each frame [W,T,U].
     """
 
     @staticmethod
@@ -132,7 +130,7 @@ class Synapses(nn.Module):
     post: Tensor
     place: Tensor
 
-    def __init__(self, polarity: NDArray[int8]) -> None:
+    def __init__(self, polarity: np.ndarray) -> None:
         super().__init__()
         signs = torch.from_numpy(polarity).float()
         source, target = signs.nonzero().unbind(1)
@@ -146,10 +144,8 @@ class Synapses(nn.Module):
         self.erev = nn.Parameter(signs[source, target])  # reversal potential e, starts as the sign
 
     def matrices(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Return slope [P,S], threshold [S], sums [S,2U]: σ(v @ slope - threshold) @ sums is Σ w σ e ‖ Σ w σ.
-
-        Two small dense products gather and scatter: for the 60 synapses of an NCP that is faster than indexing.
-        """
+        """Return slope [P,S], threshold [S], sums [S,2U]: σ(v @ slope - threshold) @ sums is Σ w σ e ‖ Σ w σ."""
+        # The two dense products gather and scatter: for the 60 synapses of an NCP that is faster than indexing.
         w = softplus(self.w)
         sums = torch.stack([w * self.erev, w], dim=1)[..., None] * self.post[:, None]  # [S,2,U]
         return self.pre * self.sigma, self.sigma * self.mu, sums.flatten(1)

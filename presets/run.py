@@ -10,6 +10,7 @@ import typer
 
 from pipeline.base import console
 from pipeline.base.outputs import link, locked
+from pipeline.base.params import read
 from pipeline.base.resume import file_hash
 from pipeline.base.store import replacing, write_json
 from pipeline.settings import preset
@@ -36,6 +37,11 @@ def main(name: str) -> None:
         for source, suffix in (("index.html", "html"), ("table.md", "md")):
             shutil.copyfile(run / "data/report" / source, report / f"{name}.{suffix}")
     print((report / f"{name}.md").read_text(encoding="utf-8"), f"Open {report}/{name}.html in a browser.", sep="")
+    settings = read(run / "params.yaml")
+    for part in [*settings["ingest"].get("recordings", {}).values()][:1]:
+        lens = [f"--{key} {part[key]}" for key in ("fov", "K", "distortion", "fisheye") if key in part]
+        model = run / "data/train" / next(iter(settings["models"]))
+        print("next: steer predict VIDEO", *lens, f"--model {model}")
 
 
 def copy_cache(run: Path) -> None:

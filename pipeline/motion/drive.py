@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.base.errors import InputError
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
 from pipeline.camera.camera import DriveFrames
@@ -12,6 +13,7 @@ from pipeline.motion.step import LEAST_NOISE, PROBLEMS, durations, filter_speed,
 from pipeline.motion.still import lowest_share
 from pipeline.motion.visual import Odometry
 
+ROAD_FRAMES, OTHER_UNIT = 50, 2.0
 UNITS = {
     "yaw_rate_radps": "rad/s, left positive",
     "speed_mps": "m/s, forward positive",
@@ -69,5 +71,17 @@ def measure_drive(
         file.put("valid", valid.astype(np.uint8))
         for name, unit in UNITS.items():
             file.put(name, columns[name], unit)
+        if frames.metric:
+            _check_unit(columns["road_height_m"][road], frames.camera.height_m)
     still = lowest_share(columns["still"], valid)
     return {"frames": count, "valid": int(valid.sum()), "road_frames": int(road.sum()), "still": still}
+
+
+def _check_unit(heights_m: np.ndarray, camera_m: float) -> None:
+    """Raise InputError if the road of many frames is at a distance from the camera that no error of depth explains."""
+    height_m = float(np.median(heights_m)) if len(heights_m) >= ROAD_FRAMES else camera_m
+    if not 1 / OTHER_UNIT < height_m / camera_m < OTHER_UNIT:
+        problem = (
+            f"by depth, the road is {height_m:.2f} m below a camera {camera_m:.2f} m above it: depth in other units?"
+        )
+        raise InputError(problem, fix="PNG files of backbone: precomputed have metres × 256. Or correct the height")

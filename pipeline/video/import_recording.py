@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from pipeline.base.errors import InputError
+from pipeline.base.errors import InputError, error_context
 from pipeline.base.params import SPLITS, read
 from pipeline.base.resume import ROOT, content_hash
 from pipeline.base.store import replacing
@@ -51,7 +51,8 @@ def open_recording(
     capture = Capture(part.fov, part.K, part.distortion, part.fisheye, part.fps, times)
     recording, camera = open_images(paths, capture, logs)
     _check_signs(recording, camera, logs)
-    horizon = find_horizon(recording.frames(), camera) if part.horizon is None else part.horizon
+    with error_context(recording.path):
+        horizon = find_horizon(recording.frames(), camera) if part.horizon is None else part.horizon
     found = "not found, since too few images show a drive; assuming a level camera"
     recording.notes.append(f"horizon: {found if horizon is None else f'row {horizon:.0f} of {camera.size[0]}'}")
     names = [f"{VIDEO}-{number:02d}{path.suffix}" for number, path in enumerate(paths, 1)]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from pipeline.base.errors import InputError
+from pipeline.base.errors import InputError, error_context
 from pipeline.base.store import replacing
 from pipeline.camera.camera import Camera
 from pipeline.datasets import kitti, recording
@@ -95,7 +95,8 @@ def _open_images(
     paths: Sequence[Path], capture: Capture, logs: Logs, hz: float | None, horizon: float | None
 ) -> Source:
     images, camera = recording.open_images(paths, capture, logs, hz)
-    row = find_horizon(images.frames(), camera) if horizon is None else horizon
+    with error_context(images.path):
+        row = find_horizon(images.frames(), camera) if horizon is None else horizon
     found = "not found, since too few images show a drive; assuming a level camera"
     images.notes.append(f"horizon: {found if row is None else f'row {row:.0f} of {camera.size[0]}'}")
     camera = replace(camera, horizon=row)

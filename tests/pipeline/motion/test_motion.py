@@ -8,10 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.camera.camera import Frame
 from pipeline.camera.geometry import project, transform
-from pipeline.motion import step, visual
+from pipeline.motion import drive, horizon, step, visual
 from pipeline.motion.pose import estimate_pose
 from pipeline.motion.step import TYPICAL_MPS, filter_speed
 from pipeline.motion.still import Still, lowest_share
@@ -208,3 +209,19 @@ def test_traffic_is_excluded_by_its_class():
     for frame in frames:
         frame.cls[bus] = classes.BUILDING
     assert not any(one and abs(step.rates(one.T_before_now, DT_S)[1] - 6) < 0.3 for one in measured(frames))
+
+
+def test_depth_in_another_unit_is_refused():
+    """By the road of many frames."""
+    drive._check_unit(np.full(49, 6.07), 1.6)
+    drive._check_unit(np.full(50, 2.9), 1.6)
+    for height_m in (6.07, 0.7):
+        with pytest.raises(InputError, match=f"the road is {height_m:.2f} m below a camera 1.60 m above it"):
+            drive._check_unit(np.full(50, height_m), 1.6)
+
+
+def test_images_upside_down_are_refused():
+    images = [street.view(pose)[0] for pose in street.arc(60, 0.0, 8.0)]
+    assert horizon.find_horizon([Frame(0, 0.0, image) for image in images * 2], street.WIDE) is not None
+    with pytest.raises(InputError, match="images are upside down"):
+        horizon.find_horizon([Frame(0, 0.0, image[::-1, ::-1].copy()) for image in images], street.WIDE)

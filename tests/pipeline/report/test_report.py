@@ -275,7 +275,7 @@ def test_pictures_show_what_the_encoder_has(tmp_path, monkeypatch, with_classes)
     files = [tmp_path / f"{stage}/{DRIVE}.h5" for stage in ("clouds/pseudo", "ingest", "perception")]
     clouds_drive(files[0], "pseudo", *files[1:], Clouds(max_points=2048, max_depth_m=80.0, seed=0))
     files[1] = tmp_path / f"graphs/semantic/{DRIVE}.h5"
-    artefacts.write_graphs(files[1], DRIVE, np.zeros(9), np.arange(9), 80, np.random.default_rng(0))
+    artefacts.write_graphs(files[1], DRIVE, np.zeros(9), np.arange(9), 80)
     if not with_classes:
         for path in files:
             with h5py.File(path, "a") as file:

@@ -5,7 +5,6 @@ import threading
 import time
 from collections.abc import Generator, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -78,7 +77,7 @@ def test_target_is_the_label_horizon_frames_ahead_by_frame_number(folder):
     frame = np.setdiff1d(np.arange(26), [10])  # frame 10 has neither label nor graph
     graphs, labels = folder / f"graphs/semantic/{NAMES[0]}.h5", folder / f"labels/{NAMES[0]}.h5"
     artefacts.write_labels(labels, NAMES[0], steering, frame, valid)
-    artefacts.write_graphs(graphs, NAMES[0], np.zeros(22), frame[:22], 12, np.random.default_rng(0))
+    artefacts.write_graphs(graphs, NAMES[0], np.zeros(22), frame[:22], 12)
     (drive,) = read(folder, NAMES[:1], horizon=5)
     ahead = {int(number): row for row, number in enumerate(frame)}
     for row, number in enumerate(drive.frame + 5):
@@ -152,20 +151,12 @@ def test_the_control_gets_the_scene_of_another_drive_and_nothing_else_changes(fo
 # Readers and augmentation
 
 
-KINDS = [
-    artefacts.write_graphs,
-    partial(artefacts.write_graphs, k=0),
-    artefacts.write_sets,
-    artefacts.write_images,
-]
-
-
 @pytest.mark.parametrize("place", ["disk", "RAM", "GPU"])
-@pytest.mark.parametrize("write", KINDS)
+@pytest.mark.parametrize("kind", [*artefacts.VARIANTS, "image"])
 @pytest.mark.parametrize("scene", NAMES)
-def test_batches_are_the_same_wherever_frames_are_kept(tmp_path, device, write, place, scene):
+def test_batches_are_the_same_wherever_frames_are_kept(tmp_path, device, kind, place, scene):
     """On a CPU that takes the GPU's way, too; a drive that is scaled stays as it is for the next batch."""
-    artefacts.write_dataset(tmp_path, DRIVES, frames=23, points=40, write=write)
+    artefacts.write_dataset(tmp_path, DRIVES, frames=23, points=40, kind=kind)
     drives, there = read(tmp_path), torch.device(device)
     drives[1] = replace(drives[1], scene=tmp_path / f"graphs/semantic/{scene}.h5")
     groups = [(windows.Span(n % 2, n, n + 9, 1.1), windows.Span(1, 2 * n, 2 * n + 9)) for n in range(6)]
@@ -223,10 +214,10 @@ def test_motion_is_hidden_from_half_of_the_spans_beside_a_scene_ahead(folder, ah
     assert 0.3 < hidden < 0.7 if hides else hidden == 0
 
 
-@pytest.mark.parametrize("write", [artefacts.write_graphs, artefacts.write_sets, artefacts.write_images])
+@pytest.mark.parametrize("kind", ["graph", "pointnet2", "image"])
 @pytest.mark.parametrize("predicted", ["angle", "path"])
-def test_a_world_twice_as_large_has_bends_of_twice_the_radius(tmp_path, predicted, write):
-    artefacts.write_dataset(tmp_path, DRIVES, frames=40, points=40, write=write, ahead_m=EDGES_M)
+def test_a_world_twice_as_large_has_bends_of_twice_the_radius(tmp_path, predicted, kind):
+    artefacts.write_dataset(tmp_path, DRIVES, frames=40, points=40, kind=kind, ahead_m=EDGES_M)
     for name in DRIVES:
         artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", np.linspace(-0.3, 0.4, 40))
     drives, path = read(tmp_path, motion="visual", predict=predicted), predicted == "path"
@@ -341,10 +332,7 @@ def test_targets_of_a_step_and_decode_are_inverse(columns, seed):
 
 
 def test_targets_of_a_step_are_standardised_and_weighted():
-    batch = {
-        "target": torch.tensor([[0.2], [-0.3], [torch.nan]]),
-        "base": torch.tensor([0.1, 0.0, 0.0]),
-    }
+    batch = {"target": torch.tensor([[0.2], [-0.3], [torch.nan]]), "base": torch.tensor([0.1, 0.0, 0.0])}
     gain, std = torch.ones(1).double(), torch.full((1,), 0.5).double()
     residual, weight = loss.step_targets(batch, gain, std, alpha=2.0)
     assert residual[:, 0].tolist() == pytest.approx([0.2, -0.6, 0.0])
@@ -382,7 +370,7 @@ def write_model(folder: Path, change: dict[str, Any] | None = None, **entry: obj
 @pytest.fixture
 def drive(tmp_path) -> Path:
     path = tmp_path / "drive.h5"
-    artefacts.write_graphs(path, "drive", STEERING, NUMBERS, 40, np.random.default_rng(0))
+    artefacts.write_graphs(path, "drive", STEERING, NUMBERS, 40)
     return path
 
 

@@ -160,12 +160,6 @@ def test_faults_are_one_line_and_leave_all_outputs(chain, folder):
     (folder / "params.yaml").write_text(params.replace("input: semantic", "input: semantc"))
     check_refused(run(folder, "dvc", "repro", fails=True), f"models.{MODEL}: input", "semantc")
     (folder / "params.yaml").write_text(params)
-    name = "x';touch pwned;'$(touch pwned)\"`touch pwned`"
-    edit_params(folder, graphs={name: {"source": "clouds/pseudo", "points": 100, "k": 6}})
-    check_refused(run(folder, "dvc", "repro", "--single-item", "graphs", fails=True), "graphs: name")
-    assert not (folder / "pwned").exists()
-    (folder / "params.yaml").write_text(params)
-
     scan = sorted((folder / "data/sample/2026_01_01/2026_01_01_drive_0001_sync/velodyne_points/data").iterdir())[3]
     content = scan.read_bytes()
     scan.write_bytes(content[:-7])

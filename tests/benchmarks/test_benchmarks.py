@@ -7,17 +7,12 @@ from torch_geometric.nn.conv.gcn_conv import gcn_norm
 
 from benchmarks import bench, networks, udacity
 from benchmarks import street as measuring
-from benchmarks.street import Street, make_street
+from benchmarks.street import make_street
 from models.steering.core.features import node_features
 from models.steering.spatial.gnn import GCN, Options
 from pipeline.base.errors import InputError
 
 POINTS = 150
-
-
-@pytest.fixture(scope="module")
-def street(tmp_path_factory) -> Street:
-    return make_street(tmp_path_factory.mktemp("street"), POINTS)
 
 
 def test_all_rows_are_measured_with_one_thread(monkeypatch, capsys):
@@ -38,16 +33,14 @@ def test_all_rows_are_measured_with_one_thread(monkeypatch, capsys):
         bench.main(["lct"])
 
 
-def test_frames_saved_for_pyg_hold_the_same_graph(street):
+def test_pyg_gets_the_same_graph_and_computes_the_same(tmp_path):
+    street = make_street(tmp_path, POINTS)
     data = [torch.load(path, weights_only=False) for path in street.frames[:2]]
     batch, start = street.batch(2), len(data[0].pos)
     assert torch.equal(torch.cat([frame.pos for frame in data]), batch.xyz)
     assert torch.equal(torch.cat([data[0].edge_index, data[1].edge_index + start], dim=1), batch.edge_index)
-
-
-def test_pyg_layers_compute_the_same(street):
     torch.manual_seed(0)
-    net, batch = GCN(1, Options(semantics=0.0)), street.batch(3)
+    net = GCN(1, Options(semantics=0.0))
     x, graph = node_features(batch.xyz, batch.cls, 0.0), gcn_norm(batch.edge_index, None, len(batch.xyz))
     expected = networks.features(x, networks.pyg_layers(net), graph, batch.ptr, net.read_out)
     torch.testing.assert_close(net(batch), expected, rtol=1e-4, atol=1e-5)

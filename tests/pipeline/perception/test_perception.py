@@ -83,13 +83,9 @@ def test_frames_with_an_image_and_a_target_are_chosen(ingest):
         assert examples[5].depth_m.any()
 
 
-@pytest.fixture
-def example() -> Example:
+def test_mirroring_negates_the_rays_and_is_its_own_inverse():
     image, depth, cls = street.scene(3)
-    return Example(image, street.CAMERA, depth.astype(np.float32), cls)
-
-
-def test_mirroring_negates_the_rays_and_is_its_own_inverse(example):
+    example = Example(image, street.CAMERA, depth.astype(np.float32), cls)
     mirror = mirrored(example)
     x, y, _ = np.moveaxis(rays(street.K, street.SIZE), -1, 0)
     mirror_x, mirror_y, _ = np.moveaxis(rays(mirror.camera.K, street.SIZE), -1, 0)

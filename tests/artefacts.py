@@ -51,17 +51,12 @@ def bend(curvature_1pm: float, points: int, rng: np.random.Generator) -> tuple[n
 
 
 def write_labels(
-    path: Path,
-    drive: str,
-    steering_rad: np.ndarray,
-    frame: np.ndarray,
-    valid: np.ndarray | None = None,
-    ahead_m: Sequence[float] = (),
+    path: Path, steering_rad: np.ndarray, frame: np.ndarray, valid: Any = None, ahead_m: Sequence[float] = ()
 ) -> None:
-    """Write a labels file for frames [F] at 10 Hz and 8 m/s, with the path ahead if there are edges."""
+    """Write a drive's labels file for frames [F] at 10 Hz and 8 m/s, with the path ahead if there are edges."""
     speed_mps = np.full(len(frame), 8.0)
     params = {"labels": LABELS["labels"] | {"ahead_m": [*ahead_m]}} if ahead_m else LABELS
-    with store.DriveWriter(path, stage="labels", drive=drive, params=params) as file:
+    with store.DriveWriter(path, stage="labels", drive=path.stem, params=params) as file:
         file.attrs |= MEASURED
         rates = speed_mps, speed_mps * np.tan(steering_rad) / WHEELBASE_M
         labels = label.Labels(steering_rad, np.ones(len(frame), bool) if valid is None else valid, *rates)
@@ -77,17 +72,12 @@ def stripes(steering_rad: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def write_graphs(
-    path: Path,
-    drive: str,
-    steering_rad: np.ndarray,
-    frame: np.ndarray,
-    points: int,
-    kind: str = "graph",
-    rng: np.random.Generator | None = None,
+    path: Path, steering_rad: np.ndarray, frame: np.ndarray, points: int, kind: str = "graph", rng: Any = None
 ) -> None:
-    """Write a graphs file whose frames [F], of a kind of VARIANTS or images, show roads that bend as `steering_rad`.
+    """Write a drive's graphs file whose frames [F] show roads that bend as `steering_rad` says.
 
-    Clouds of kind pointnet2 differ in size, and the last is smaller than its centres. Images have no `points`.
+    `kind`: of VARIANTS, or image, which has no `points`. Clouds of kind pointnet2 differ in size, and the last is
+    smaller than its centres.
     """
     rng = rng or np.random.default_rng(0)
     if kind == "image":
@@ -101,7 +91,7 @@ def write_graphs(
         curvature_1pm = np.tan(steering_rad) / WHEELBASE_M
         clouds = (bend(value, count, rng) for value, count in zip(curvature_1pm, counts, strict=True))
         frames, empty = (frame_graph.connect(cloud, variant, rng) for cloud in clouds), frame_graph.empty_frame(variant)
-    with store.DriveWriter(path, stage="graphs", drive=drive, params=GRAPHS) as file:
+    with store.DriveWriter(path, stage="graphs", drive=path.stem, params=GRAPHS) as file:
         graph_file.write(file, frame, frame * 0.1, frames, empty)
 
 
@@ -133,8 +123,8 @@ def write_dataset(
         phase, rate = rng.uniform(0, 6), rng.uniform(0.1, 0.3)
         steering_rad = 0.12 * np.sin(phase + rate * np.arange(frames))
         graphs, frame = root / f"graphs/semantic/{drive}.h5", np.arange(frames)
-        write_graphs(graphs, drive, steering_rad, frame, points, kind, rng)
-        write_labels(root / f"labels/{drive}.h5", drive, steering_rad, frame, ahead_m=ahead_m)
+        write_graphs(graphs, steering_rad, frame, points, kind, rng)
+        write_labels(root / f"labels/{drive}.h5", steering_rad, frame, ahead_m=ahead_m)
         if motion:
             add_motion(graphs, steering_rad, frame > 0)
     store.write_index(root / "graphs" / "semantic", splits)

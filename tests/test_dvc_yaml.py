@@ -17,8 +17,7 @@ STAGES: dict[str, Any] = {name: {**stage, **stage.get("do", {})} for name, stage
 NETWORKS = {"${item.spatial}": "models/steering/spatial", "${item.temporal}": "models/steering/temporal"}
 IMPORTS = grimp.build_graph(*resume.PACKAGES, exclude_type_checking_imports=True, cache_dir=None)
 FOUND = {"pipeline/datasets", "pipeline/labels", "pipeline/metrics"}  # with files that are found by their names
-SINGLE_FILES = {"perception", "clouds", "graphs", "train", "evaluate"}  # of packages that they use little of
-PACKAGES = {  # that these stages list although they do not import every file
+PACKAGES = {  # that these stages list although they do not import every file; of other packages they list single files
     "perception": {"pipeline/base", "pipeline/camera", "models/encoder"},
     "clouds": {"pipeline/base", "pipeline/camera"},
     "graphs": {"pipeline/base", "pipeline/camera", "pipeline/graphs"},
@@ -92,7 +91,7 @@ def test_what_a_stage_imports_is_covered(name):
         modules += [".".join(file.with_suffix("").parts) for file in _files(package)]
     imported = _imported(*modules)
     assert imported <= _covered(name)
-    if name in SINGLE_FILES:
+    if name in PACKAGES:
         assert _covered(name) - imported <= {path for package in PACKAGES[name] for path in _files(package)}
     else:
         assert all(_files(dep) & imported for dep in _code(name)), "a dep that is not used"

@@ -115,8 +115,7 @@ def test_a_control_gets_the_scene_of_another_drive_in_training_and_evaluation(fo
 
 def test_drives_without_a_window_are_not_listed(folder):
     for drive, frames in zip(SPLITS, (0, 3), strict=False):
-        path = folder / f"graphs/semantic/{drive}.h5"
-        artefacts.write_graphs(path, drive, np.zeros(frames), np.arange(frames), 80)
+        artefacts.write_graphs(folder / f"graphs/semantic/{drive}.h5", np.zeros(frames), np.arange(frames), 80)
     write_params(folder, epochs=1)
     trained = predict.load(run_train(folder))
     assert trained.drives == read_metrics(run_evaluate(folder))["drives"]["train"] == ["2026_01_01_drive_0003"]

@@ -231,7 +231,7 @@ def test_motion_is_matched_by_frame_number(tmp_path):
 @pytest.mark.parametrize("kind", FRAME)
 def test_a_batch_is_its_frames_with_shifted_numbers(tmp_path, kind):
     path, spans = tmp_path / "drive.h5", [(2, 6), (8, 9), (0, 3)]
-    artefacts.write_graphs(path, "drive", np.linspace(-0.1, 0.1, 9), np.arange(9), 50, kind)
+    artefacts.write_graphs(path, np.linspace(-0.1, 0.1, 9), np.arange(9), 50, kind)
     rows = [row for span in spans for row in range(*span)]
     with graph_file.open_graphs(path) as graphs, DriveReader(path, stage="graphs") as file:
         assert graphs.contents.kind == kind

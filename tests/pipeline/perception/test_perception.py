@@ -28,14 +28,10 @@ SHA256 = hashlib.sha256(CONTENT).hexdigest()
 PATH = Path("weights/a/net.pth")
 
 
-@pytest.fixture
-def url(tmp_path, monkeypatch) -> str:
+def test_a_file_is_downloaded_once_and_verified(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("published.pth").write_bytes(CONTENT)
-    return Path("published.pth").resolve().as_uri()
-
-
-def test_a_file_is_downloaded_once_and_verified(url):
+    url = Path("published.pth").resolve().as_uri()
     with pytest.raises(InputError, match="cannot download file:"):
         fetch(PATH, url, "0" * 64)
     assert list(PATH.parent.iterdir()) == []
@@ -48,35 +44,26 @@ def test_a_file_is_downloaded_once_and_verified(url):
         fetch(PATH, url, SHA256)
 
 
-def test_an_encoder_of_another_kind_is_refused(tmp_path, url):
+def test_an_encoder_of_another_kind_is_refused(tmp_path):
     save(tmp_path, SMALL, build(SMALL).state_dict())
     fit = {"epochs": 0, "frames": 1, "batch": 1, "learning_rate": 0.1, "seed": 0}
     with pytest.raises(InputError, match="backbone is 'small', expected 'street'"):
-        create(Encoder(backbone="street", weights=Path("encoder.pt"), **fit))
+        create(Encoder(backbone="street", weights=tmp_path / "encoder.pt", **fit))
 
 
 DENSE, LIDAR, BARE, BLIND = [f"2026_01_01_drive_000{number}" for number in range(1, 5)]
 SMALL = {"backbone": "small"}
 
 
-@pytest.fixture(scope="module")
-def ingest(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("ingest")
-    street.write_drive(folder, DENSE, 4)
-    street.write_drive(folder, LIDAR, 8, dense=False, lidar=True)
-    street.write_drive(folder, BARE, 3, dense=False)
-    street.write_drive(folder, BLIND, 3, lidar=True, images=False)
-    return folder
-
-
-@pytest.mark.parametrize(("drives", "missing"), [([BARE, BLIND], "depth or LiDAR"), ([LIDAR, BARE], "classes")])
-def test_drives_without_targets_are_refused(ingest, drives, missing):
-    with pytest.raises(InputError, match=f"no image of the training drives has {missing}"):
-        Examples(ingest, drives, 10)
-
-
-def test_frames_with_an_image_and_a_target_are_chosen(ingest):
-    with Examples(ingest, [DENSE, LIDAR, BARE, BLIND], 12) as examples:
+def test_frames_with_an_image_and_a_target_are_chosen(tmp_path):
+    street.write_drive(tmp_path, DENSE, 4)
+    street.write_drive(tmp_path, LIDAR, 8, dense=False, lidar=True)
+    street.write_drive(tmp_path, BARE, 3, dense=False)
+    street.write_drive(tmp_path, BLIND, 3, lidar=True, images=False)
+    for drives, missing in (([BARE, BLIND], "depth or LiDAR"), ([LIDAR, BARE], "classes")):
+        with pytest.raises(InputError, match=f"no image of the training drives has {missing}"):
+            Examples(tmp_path, drives, 10)
+    with Examples(tmp_path, [DENSE, LIDAR, BARE, BLIND], 12) as examples:
         assert examples.frames_per_drive == {DENSE: 4, LIDAR: 8}
         np.testing.assert_array_equal(examples[1].cls, street.scene(1)[2])
         assert (examples[5].cls == classes.VOID).all()

@@ -164,8 +164,7 @@ def test_default_is_the_wiring_of_the_paper():
 @given(st.integers(0, 2**31), st.integers(1, 3), st.integers(1, 3))
 def test_each_neuron_has_input_and_output(seed, inputs, fanout):
     sizes = {"inter": 15, "command": 7, "sensory_fanout": fanout, "inter_fanout": fanout, "motor_fanin": 2}
-    wiring = ncp(inputs, Layout(**sizes, seed=seed), motor=2)
-    again = ncp(inputs, Layout(**sizes, seed=seed), motor=2)
+    wiring, again = (ncp(inputs, Layout(**sizes, seed=seed), motor=2) for _ in range(2))
     assert (wiring.sensory == again.sensory).all()
     assert (wiring.internal == again.internal).all()
     commands, inters = slice(2, 9), slice(9, 24)

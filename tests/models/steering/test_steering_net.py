@@ -18,9 +18,8 @@ from tests.models.steering.test_networks import NETWORKS, keys
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
 WINDOWS = torch.tensor([[0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]])
 DT_S = torch.rand(WINDOWS.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(2)) * 0.1 + 0.05
-MOTION = torch.rand(6, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(1)) * torch.tensor(
-    [0.2, 0.5, 20, 1]
-)
+MOTION = torch.rand(6, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+MOTION *= torch.tensor([0.2, 0.5, 20, 1])
 MIRROR = torch.tensor([-1.0, -1.0, 1.0, 1.0])  # angle and yaw rate change sign, speed and valid do not
 COUNTS = [20, 9, 30, 12, 0, 25]  # points per frame
 SPATIAL = [name for name in NETWORKS if name != "blind"]  # blind has no input

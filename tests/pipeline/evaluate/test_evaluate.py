@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.base.params import load
 from pipeline.datasets.core import oxts
 from pipeline.datasets.kitti import KittiDrive
 from pipeline.evaluate import errors, metrics, turns
@@ -21,12 +20,15 @@ from pipeline.train.targets import LabelledDrive, read_drive
 from tests import artefacts
 from tests.small_model import entry
 
-PARAMS = Path(__file__).resolve().parents[3] / "params.yaml"
 NAMES = ["2026_01_03_drive_0001", "2026_01_03_drive_0002"]
 
 
 def read(folder: Path, horizon: int = 0) -> list[LabelledDrive]:
     return [read_drive(folder / "graphs/semantic", folder / "labels", name, entry(horizon=horizon)) for name in NAMES]
+
+
+def settings(block: int, samples: int) -> Evaluate:
+    return Evaluate(bootstrap_block_frames=block, bootstrap_samples=samples, seed=0)
 
 
 @pytest.fixture
@@ -48,8 +50,7 @@ def test_invalid_and_early_frames_do_not_count(folder):
         angles[:3] = np.nan
     test[0].target[10:15], predicted[0][10:15] = np.nan, 99.0
     cases = [case(drive, angles) for drive, angles in zip(test, predicted, strict=True)]
-    blocks = load(Evaluate, PARAMS).model_copy(update={"bootstrap_block_frames": 5})
-    found = metrics.metrics(cases, blocks)["steering_rad"]
+    found = metrics.metrics(cases, settings(block=5, samples=100))["steering_rad"]
     assert found["frames"] == 2 * (30 - 3) - 5
     assert found["mse"] == pytest.approx(0.01**2)
     assert found["nmse_ci95"][0] <= found["nmse"] <= found["nmse_ci95"][1]
@@ -90,10 +91,6 @@ def test_scores_by_hand():
     steering = np.sin(np.arange(300) / 20)
     assert errors.scores(steering, 0 * steering)["nmse"] == 1.0
     assert interval(steering, steering, np.zeros(300), 50, 200) == [1.0, 1.0]
-
-
-def settings(block: int, samples: int) -> Evaluate:
-    return Evaluate(bootstrap_block_frames=block, bootstrap_samples=samples, seed=0)
 
 
 @pytest.mark.parametrize(

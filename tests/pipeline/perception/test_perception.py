@@ -23,25 +23,22 @@ from pipeline.perception.scores import Scores, Truth, depth_errors, read_truth
 from pipeline.settings.encoder import Encoder
 from tests import street
 
-CONTENT = b"some weights"
-SHA256 = hashlib.sha256(CONTENT).hexdigest()
-PATH = Path("weights/a/net.pth")
-
 
 def test_a_file_is_downloaded_once_and_verified(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path("published.pth").write_bytes(CONTENT)
-    url = Path("published.pth").resolve().as_uri()
+    Path("published.pth").write_bytes(b"some weights")
+    sha256, url = hashlib.sha256(b"some weights").hexdigest(), Path("published.pth").resolve().as_uri()
+    path = Path("weights/a/net.pth")
     with pytest.raises(InputError, match="cannot download file:"):
-        fetch(PATH, url, "0" * 64)
-    assert list(PATH.parent.iterdir()) == []
-    fetch(PATH, url, SHA256)
+        fetch(path, url, "0" * 64)
+    assert list(path.parent.iterdir()) == []
+    fetch(path, url, sha256)
     Path("published.pth").unlink()
-    fetch(PATH, url, SHA256)
-    assert [path.name for path in PATH.parent.iterdir()] == ["net.pth"]
-    PATH.write_bytes(b"other")
-    with pytest.raises(InputError, match=f"SHA-256 is .*, expected {SHA256}"):
-        fetch(PATH, url, SHA256)
+    fetch(path, url, sha256)
+    assert [path.name for path in path.parent.iterdir()] == ["net.pth"]
+    path.write_bytes(b"other")
+    with pytest.raises(InputError, match=f"SHA-256 is .*, expected {sha256}"):
+        fetch(path, url, sha256)
 
 
 def test_an_encoder_of_another_kind_is_refused(tmp_path):
@@ -139,14 +136,11 @@ def test_only_traffic_is_limited():
     assert (near[lorry] == 2.0).all()
 
 
-DRIVE = "2026_01_01_drive_0001"
-
-
 @pytest.mark.parametrize("dense", [True, False])
 def test_dense_truth_precedes_lidar_which_is_sparse_and_has_no_classes(tmp_path, dense):
-    street.write_drive(tmp_path, DRIVE, 2, dense=dense, lidar=True)
+    street.write_drive(tmp_path, DENSE, 2, dense=dense, lidar=True)
     _, depth, cls = street.scene(1)
-    with store.DriveReader(tmp_path / f"{DRIVE}.h5", stage="ingest") as file:
+    with store.DriveReader(tmp_path / f"{DENSE}.h5", stage="ingest") as file:
         truth = read_truth(file, read_camera(file), 1)
     hit = np.zeros(street.SIZE, bool)
     hit[::2, ::4] = True

@@ -24,6 +24,7 @@ from pipeline.train import fit, frames, loss, predict, runs, targets, windows
 from pipeline.train.loss import Scale
 from pipeline.train.targets import LabelledDrive, Timeline, read_drive
 from tests import artefacts, small_model
+from tests.kitti_drive import write
 from tests.small_model import entry
 
 DRIVES = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train"}
@@ -379,23 +380,22 @@ def test_code_in_a_file_does_not_run(tmp_path):
     assert not (tmp_path / "sprung").exists()
 
 
-WRONG: dict[str, tuple[dict[str, Any] | None, str]] = {
-    "missing": (None, r"best\.pt is missing.*train/other"),
-    "kind": ({"kind": "encoder"}, "expected a checkpoint of .* steering net.*Train it again"),
-    "network": ({"entry": {"spatial": "nothing"}}, "Train it again"),
-    "scale": ({"scale": None}, "Train it again"),
-    "weights": ({"net": {"weight": torch.zeros(1)}}, "Train it again"),
-    "half": ({}, "file is damaged"),
-}
-
-
-@pytest.mark.parametrize("case", WRONG)
-def test_a_wrong_checkpoint_is_one_line(tmp_path, case):
-    change, message = WRONG[case]
-    write_model(tmp_path / "train/other")
-    folder = tmp_path / "train/nott" if change is None else write_model(tmp_path / "train/net", change)
-    if case == "half":
-        (folder / "best.pt").write_bytes((folder / "best.pt").read_bytes()[:-200])
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("nett", {}, r"best\.pt is missing.*train/net"),
+        ("net", {"kind": "encoder"}, "expected a checkpoint of .* steering net.*Train it again"),
+        ("net", {"entry": {"spatial": "nothing"}}, "Train it again"),
+        ("net", {"scale": None}, "Train it again"),
+        ("net", {"net": {"weight": torch.zeros(1)}}, "Train it again"),
+        ("cut", {}, "file is damaged"),
+    ],
+)
+def test_a_wrong_checkpoint_is_one_line(tmp_path, name, change, message):
+    written = write_model(tmp_path / "train/net", change)
+    folder = written.with_name(name)
+    if name == "cut":
+        write(folder / "best.pt", (written / "best.pt").read_bytes()[:-200])
     with pytest.raises(InputError, match=message) as raised:
         predict.load(folder, "cpu")
     assert "\n" not in str(raised.value)

@@ -1,6 +1,6 @@
 """Small artefacts of earlier stages, made of arithmetic, so that a stage can be tested without running those before."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,11 @@ from pipeline.settings.labels import Labels
 
 WHEELBASE_M = 2.7
 GRAPHS = {"graphs": {"k": 6, "keep_inter_class": 0.2}}
+VARIANTS: dict[str, dict[str, Any]] = {
+    "graph": {"k": 6, "keep_inter_class": 0.2},
+    "points": {"k": 0},
+    "pointnet2": {"neighbourhood": "pointnet2", "centres": [16, 5], "radius_m": [8.0, 16.0], "neighbours": [6, 4]},
+}
 MEASURED = {"measured": 0}  # attributes of files of labels
 LABELS = {"labels": {"wheelbase_m": WHEELBASE_M, "min_speed_mps": 1.0}}
 
@@ -46,66 +51,47 @@ def bend(curvature_1pm: float, points: int, rng: np.random.Generator) -> tuple[n
 
 
 def write_labels(
-    path: Path,
-    drive: str,
-    steering_rad: np.ndarray,
-    frame: np.ndarray,
-    valid: np.ndarray | None = None,
-    ahead_m: Sequence[float] = (),
+    path: Path, steering_rad: np.ndarray, frame: np.ndarray, valid: Any = None, ahead_m: Sequence[float] = ()
 ) -> None:
-    """Write a labels file for frames [F] at 10 Hz and 8 m/s, with the path ahead if there are edges."""
+    """Write a drive's labels file for frames [F] at 10 Hz and 8 m/s, with the path ahead if there are edges."""
     speed_mps = np.full(len(frame), 8.0)
     params = {"labels": LABELS["labels"] | {"ahead_m": [*ahead_m]}} if ahead_m else LABELS
-    with store.DriveWriter(path, stage="labels", drive=drive, params=params) as file:
+    with store.DriveWriter(path, stage="labels", drive=path.stem, params=params) as file:
         file.attrs |= MEASURED
         rates = speed_mps, speed_mps * np.tan(steering_rad) / WHEELBASE_M
         labels = label.Labels(steering_rad, np.ones(len(frame), bool) if valid is None else valid, *rates)
         source.write(file, frame, frame * 0.1, labels, Labels(**params["labels"]))
 
 
-def write_graphs(
-    path: Path,
-    drive: str,
-    steering_rad: np.ndarray,
-    frame: np.ndarray,
-    points: int,
-    rng: np.random.Generator,
-    k: int = 6,
-) -> None:
-    """Write a graphs file whose frames [F] show roads that bend as `steering_rad` says."""
-    variant = Variant(source="clouds/pseudo", points=points, k=k, keep_inter_class=0.2)
-    _write(path, drive, steering_rad, frame, [points] * len(frame), variant, rng)
-
-
-def write_sets(
-    path: Path, drive: str, steering_rad: np.ndarray, frame: np.ndarray, points: int, rng: np.random.Generator
-) -> None:
-    """As `write_graphs`, of variant pointnet2; clouds differ in size, and the last is smaller than its centres."""
-    levels: dict[str, Any] = {"centres": [16, 5], "radius_m": [8.0, 16.0], "neighbours": [6, 4]}
-    variant = Variant(source="clouds/pseudo", neighbourhood="pointnet2", points=points, **levels)
-    counts = [points - 2 * (row % 3) for row in range(len(frame) - 1)] + [7]
-    _write(path, drive, steering_rad, frame, counts, variant, rng)
-
-
-def _write(path, drive, steering_rad, frame, counts, variant, rng) -> None:
-    curvature_1pm = np.tan(steering_rad) / WHEELBASE_M
-    clouds = (bend(value, count, rng) for value, count in zip(curvature_1pm, counts, strict=True))
-    with store.DriveWriter(path, stage="graphs", drive=drive, params=GRAPHS) as file:
-        frames = (frame_graph.connect(cloud, variant, rng) for cloud in clouds)
-        graph_file.write(file, frame, frame * 0.1, frames, frame_graph.empty_frame(variant))
-
-
-def write_images(
-    path: Path, drive: str, steering_rad: np.ndarray, frame: np.ndarray, points: int, rng: np.random.Generator
-) -> None:
-    """Write a file of a variant of images: a bright stripe leans as the road bends. `points` means nothing here."""
+def stripes(steering_rad: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return images uint8 [F,32,48,3] with a bright stripe that leans as the road bends."""
     rows, columns = np.mgrid[:32, :48]
     middle = 24 - 100 * steering_rad[:, None, None] * (32 - rows) / 32
     stripe = np.where(np.abs(columns - middle) < 3, 200, 60)[..., None]
-    images = (stripe + rng.integers(0, 30, (*stripe.shape[:3], 3))).astype(np.uint8)
-    with store.DriveWriter(path, stage="graphs", drive=drive, params={}) as file:
-        frames = ({"image": graph_file.Column(image[None], "RGB", "ptr")} for image in images)
+    return (stripe + rng.integers(0, 30, (*stripe.shape[:3], 3))).astype(np.uint8)
+
+
+def write_graphs(
+    path: Path, steering_rad: np.ndarray, frame: np.ndarray, points: int, kind: str = "graph", rng: Any = None
+) -> None:
+    """Write a drive's graphs file whose frames [F] show roads that bend as `steering_rad` says.
+
+    `kind`: of VARIANTS, or image, which has no `points`. Clouds of kind pointnet2 differ in size, and the last is
+    smaller than its centres.
+    """
+    rng = rng or np.random.default_rng(0)
+    if kind == "image":
+        frames = ({"image": graph_file.Column(image[None], "RGB", "ptr")} for image in stripes(steering_rad, rng))
         empty = {"image": graph_file.Column(np.empty((0, 32, 48, 3), np.uint8), "RGB", "ptr")}
+    else:
+        variant = Variant(source="clouds/pseudo", points=points, **VARIANTS[kind])
+        counts = [points] * len(frame)
+        if kind == "pointnet2":
+            counts = [points - 2 * (row % 3) for row in range(len(frame) - 1)] + [7]
+        curvature_1pm = np.tan(steering_rad) / WHEELBASE_M
+        clouds = (bend(value, count, rng) for value, count in zip(curvature_1pm, counts, strict=True))
+        frames, empty = (frame_graph.connect(cloud, variant, rng) for cloud in clouds), frame_graph.empty_frame(variant)
+    with store.DriveWriter(path, stage="graphs", drive=path.stem, params=GRAPHS) as file:
         graph_file.write(file, frame, frame * 0.1, frames, empty)
 
 
@@ -124,11 +110,11 @@ def write_dataset(
     splits: dict[str, str],
     frames: int = 30,
     points: int = 60,
-    write: Callable[..., None] = write_graphs,
+    kind: str = "graph",
     ahead_m: Sequence[float] = (),
     motion: bool = False,
 ) -> None:
-    """Write ``root/graphs/semantic`` (as `write` does) and ``root/labels``: drives of bends both ways.
+    """Write ``root/graphs/semantic`` and ``root/labels``: drives of bends both ways.
 
     `motion` is measured from the second frame on.
     """
@@ -136,10 +122,11 @@ def write_dataset(
     for drive in splits:
         phase, rate = rng.uniform(0, 6), rng.uniform(0.1, 0.3)
         steering_rad = 0.12 * np.sin(phase + rate * np.arange(frames))
-        write(root / "graphs" / "semantic" / f"{drive}.h5", drive, steering_rad, np.arange(frames), points, rng)
-        write_labels(root / "labels" / f"{drive}.h5", drive, steering_rad, np.arange(frames), ahead_m=ahead_m)
+        graphs, frame = root / f"graphs/semantic/{drive}.h5", np.arange(frames)
+        write_graphs(graphs, steering_rad, frame, points, kind, rng)
+        write_labels(root / f"labels/{drive}.h5", steering_rad, frame, ahead_m=ahead_m)
         if motion:
-            add_motion(root / "graphs" / "semantic" / f"{drive}.h5", steering_rad, np.arange(frames) > 0)
+            add_motion(graphs, steering_rad, frame > 0)
     store.write_index(root / "graphs" / "semantic", splits)
     store.write_index(root / "labels", splits)
 

@@ -42,10 +42,6 @@ def add_users_network(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(options, "load", lambda part, name: UsersOptions if name == "users" else load(part, name))
 
 
-def fail(*_: object) -> None:
-    raise ValueError("boom")
-
-
 def write_params(folder: Path, model: dict[str, object] | None = None, **settings: object) -> None:
     """Write params.yaml with the model `net`, whose entry is changed by `model`, and section train by `settings`."""
     content = yaml.safe_load(PARAMS.read_text())

@@ -17,8 +17,7 @@ STAGES: dict[str, Any] = {name: {**stage, **stage.get("do", {})} for name, stage
 NETWORKS = {"${item.spatial}": "models/steering/spatial", "${item.temporal}": "models/steering/temporal"}
 IMPORTS = grimp.build_graph(*resume.PACKAGES, exclude_type_checking_imports=True, cache_dir=None)
 FOUND = {"pipeline/datasets", "pipeline/labels", "pipeline/metrics"}  # with files that are found by their names
-SINGLE_FILES = {"perception", "clouds", "graphs", "train", "evaluate"}  # of packages that they use little of
-PACKAGES = {  # that these stages list although they do not import every file
+PACKAGES = {  # that these stages list although they do not import every file; of other packages they list single files
     "perception": {"pipeline/base", "pipeline/camera", "models/encoder"},
     "clouds": {"pipeline/base", "pipeline/camera"},
     "graphs": {"pipeline/base", "pipeline/camera", "pipeline/graphs"},
@@ -26,28 +25,6 @@ PACKAGES = {  # that these stages list although they do not import every file
     "evaluate": {"pipeline/base", "pipeline/learning", "pipeline/metrics", "pipeline/train"},
 }
 TRAINING = {"train", "evaluate"}
-ALL = set(STAGES)
-EDITS: dict[str, set[str]] = {  # file → the stages that run again; those after them only if their inputs differ
-    "pipeline/base/store.py": ALL,
-    "pipeline/media/recording.py": {"check", "ingest"},
-    "pipeline/sample/world.py": {"check", "sample"},
-    "pipeline/datasets/kitti.py": {"check", "sample", "ingest"},
-    "pipeline/datasets/recording.py": {"check", "ingest"},
-    "pipeline/metrics/mae.py": {"check", "evaluate", "report"},
-    "pipeline/camera/images.py": ALL - {"labels"} - TRAINING,
-    "pipeline/motion/visual.py": {"check", "motion", "labels", "scores"},
-    "pipeline/labels/label.py": {"check", "labels", "scores"} | TRAINING,
-    "pipeline/labels/sources/wheel.py": {"check", "labels", "scores"},
-    "pipeline/perception/scores.py": {"check", "encoder", "scores"},
-    "pipeline/graphs/graph.py": {"check", "graphs"},
-    "pipeline/train/fit.py": {"check"} | TRAINING,
-    "pipeline/learning/loop.py": {"check", "encoder", "perception"} | TRAINING,
-    "pipeline/settings/train.py": {"check", "train"},
-    "pipeline/settings/models.py": {"check"} | TRAINING,
-    "pipeline/evaluate/errors.py": {"check", "evaluate", "report"},
-    "pipeline/report/page.py": {"check", "report"},
-    "stages/labels.py": {"labels"},
-}
 
 
 def _files(dep: str) -> set[Path]:
@@ -92,15 +69,10 @@ def test_what_a_stage_imports_is_covered(name):
         modules += [".".join(file.with_suffix("").parts) for file in _files(package)]
     imported = _imported(*modules)
     assert imported <= _covered(name)
-    if name in SINGLE_FILES:
+    if name in PACKAGES:
         assert _covered(name) - imported <= {path for package in PACKAGES[name] for path in _files(package)}
     else:
         assert all(_files(dep) & imported for dep in _code(name)), "a dep that is not used"
-
-
-@pytest.mark.parametrize(("file", "stages"), EDITS.items(), ids=EDITS.keys())
-def test_an_edit_runs_these_stages_again(file, stages):
-    assert {name for name in STAGES if Path(file) in _covered(name)} == stages
 
 
 @pytest.mark.parametrize("network", [file for folder in NETWORKS.values() for file in sorted(_files(folder))], ids=str)

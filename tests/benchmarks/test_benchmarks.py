@@ -5,9 +5,7 @@ import pytest
 import torch
 from torch_geometric.nn.conv.gcn_conv import gcn_norm
 
-from benchmarks import bench, networks, udacity
-from benchmarks import street as measuring
-from benchmarks.street import Street, make_street
+from benchmarks import bench, networks, street, udacity
 from models.steering.core.features import node_features
 from models.steering.spatial.gnn import GCN, Options
 from pipeline.base.errors import InputError
@@ -15,13 +13,8 @@ from pipeline.base.errors import InputError
 POINTS = 150
 
 
-@pytest.fixture(scope="module")
-def street(tmp_path_factory) -> Street:
-    return make_street(tmp_path_factory.mktemp("street"), POINTS)
-
-
 def test_all_rows_are_measured_with_one_thread(monkeypatch, capsys):
-    monkeypatch.setattr(measuring, "ROUNDS", 1)
+    monkeypatch.setattr(street, "ROUNDS", 1)
     monkeypatch.setattr(networks, "REPEATS", 1)
     torch.set_num_threads(2)
     bench.main(points=POINTS)
@@ -38,26 +31,22 @@ def test_all_rows_are_measured_with_one_thread(monkeypatch, capsys):
         bench.main(["lct"])
 
 
-def test_frames_saved_for_pyg_hold_the_same_graph(street):
-    data = [torch.load(path, weights_only=False) for path in street.frames[:2]]
-    batch, start = street.batch(2), len(data[0].pos)
+def test_pyg_gets_the_same_graph_and_computes_the_same(tmp_path):
+    made = street.make_street(tmp_path, POINTS)
+    data = [torch.load(path, weights_only=False) for path in made.frames[:2]]
+    batch, start = made.batch(2), len(data[0].pos)
     assert torch.equal(torch.cat([frame.pos for frame in data]), batch.xyz)
     assert torch.equal(torch.cat([data[0].edge_index, data[1].edge_index + start], dim=1), batch.edge_index)
-
-
-def test_pyg_layers_compute_the_same(street):
     torch.manual_seed(0)
-    net, batch = GCN(1, Options(semantics=0.0)), street.batch(3)
+    net = GCN(1, Options(semantics=0.0))
     x, graph = node_features(batch.xyz, batch.cls, 0.0), gcn_norm(batch.edge_index, None, len(batch.xyz))
     expected = networks.features(x, networks.pyg_layers(net), graph, batch.ptr, net.read_out)
     torch.testing.assert_close(net(batch), expected, rtol=1e-4, atol=1e-5)
 
 
-TIME_S = np.arange(600) / 10
-MEASURED = 0.2 * np.sin(TIME_S / 3)
-
-
 def test_gain_offset_and_lag_are_found():
+    time_s = np.arange(600) / 10
+    measured = 0.2 * np.sin(time_s / 3)
     wheel = udacity.Wheel(gain=42.0, offset_rad=0.02, lag_s=0.1)  # the wheel leads by a frame
-    found = udacity.fit(TIME_S, MEASURED, wheel.angle(TIME_S, MEASURED))
+    found = udacity.fit(time_s, measured, wheel.angle(time_s, measured))
     assert found == pytest.approx(wheel, rel=1e-3, abs=1e-3)

@@ -1,5 +1,7 @@
 """examples/from_rosbag.py: recordings of each kind become what steer import reads."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 
@@ -58,12 +60,10 @@ def test_recordings_from_public_reports(tmp_path, real_cases, bag, column, probl
 
     report = "std_msgs/Header header\nfloat32 steering_wheel_angle\nfloat32 speed\n"
     write(tmp_path / "dbw_mkz_msgs/msg/SteeringReport.msg", report)
-    types = tmp_path if not problem else None
-    if problem:
-        with pytest.raises(InputError, match=problem):
-            main(real_cases / "ros" / bag, tmp_path / "out", "/camera/image_raw", [column], types)
-        assert not (tmp_path / "out").exists()
-        return
-    main(real_cases / "ros" / bag, tmp_path / "out", "/camera/image_raw", [column], types)
-    assert len([*(tmp_path / "out/images").iterdir()]) == 12
-    assert len((tmp_path / "out/log.csv").read_text().splitlines()) == 13
+    out, types = tmp_path / "out", None if problem else tmp_path
+    with pytest.raises(InputError, match=problem) if problem else nullcontext():
+        main(real_cases / "ros" / bag, out, "/camera/image_raw", [column], types)
+    assert out.exists() == (not problem)
+    if not problem:
+        assert len([*(out / "images").iterdir()]) == 12
+        assert len((out / "log.csv").read_text().splitlines()) == 13

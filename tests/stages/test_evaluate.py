@@ -99,10 +99,8 @@ def test_a_control_gets_the_scene_of_another_drive_in_training_and_evaluation(fo
     write_params(folder, {"scene": "another"}, epochs=1)
     paths = [folder / f"graphs/semantic/{drive}.h5" for drive in drives]
     with monkeypatch.context() as patch:
-        patch.setattr(
-            fit.Fit, "run", lambda self, *_: scenes.extend((drive.graphs, drive.scene) for drive in self.train)
-        )
         scenes: list[tuple[Path, Path]] = []
+        patch.setattr(fit.Fit, "run", lambda self, *_: scenes.extend((one.graphs, one.scene) for one in self.train))
         run_train(folder)
     assert scenes == [(paths[0], paths[1]), (paths[1], paths[0])]
     model, table = predict.load(run_train(folder)), pd.read_csv(run_evaluate(folder) / "predictions.csv")
@@ -117,8 +115,7 @@ def test_a_control_gets_the_scene_of_another_drive_in_training_and_evaluation(fo
 
 def test_drives_without_a_window_are_not_listed(folder):
     for drive, frames in zip(SPLITS, (0, 3), strict=False):
-        path, road = folder / f"graphs/semantic/{drive}.h5", (np.zeros(frames), np.arange(frames))
-        artefacts.write_graphs(path, drive, *road, 80, np.random.default_rng(0))
+        artefacts.write_graphs(folder / f"graphs/semantic/{drive}.h5", np.zeros(frames), np.arange(frames), 80)
     write_params(folder, epochs=1)
     trained = predict.load(run_train(folder))
     assert trained.drives == read_metrics(run_evaluate(folder))["drives"]["train"] == ["2026_01_01_drive_0003"]

@@ -24,8 +24,8 @@ SPLITS = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train", "2
 FULL, BLIND, CAMERA = SPLITS
 
 
-def read(folder: Path, drive: str) -> dict[str, np.ndarray]:
-    with store.DriveReader(folder / f"{drive}.h5", stage="clouds") as file:
+def read(folder: Path, drive: str, stage: str = "clouds") -> dict[str, np.ndarray]:
+    with store.DriveReader(folder / f"{drive}.h5", stage=stage) as file:
         return {name: file[name] for name in file.datasets}
 
 
@@ -55,25 +55,20 @@ def test_drives_without_images_or_lidar_have_clouds_of_what_they_have(tmp_path, 
     assert len(read(tmp_path / "clouds/lidar", CAMERA)["frame"]) == 0
 
 
-HAS_IMAGE = [1, 1, 0, 1, 1]
-
-
 def run(root: Path) -> dict[str, np.ndarray]:
     params = root / "params.yaml"
     params.write_text(yaml.safe_dump({"perception": {"batch": 3}}))
-    folder = perception.main(root / "ingest", root / "encoder", root / "perception", params)
-    with store.DriveReader(folder / f"{FULL}.h5", stage="perception") as file:
-        return {name: file[name] for name in ("frame", "depth_m", "cls")}
+    return read(perception.main(root / "ingest", root / "encoder", root / "perception", params), FULL, "perception")
 
 
 def test_precomputed_files_are_matched_by_frame_number(tmp_path, capsys):
-    truth = [street.scene(frame)[1:] for frame in range(len(HAS_IMAGE))]
+    truth = [street.scene(frame)[1:] for frame in range(5)]
     for frame, (depth_m, cls) in enumerate(truth):
         write_png(tmp_path / f"made/{FULL}/depth/{frame:010d}.png", np.rint(depth_m * 256).astype(np.uint16))
         write_png(tmp_path / f"made/{FULL}/cls/{frame:010d}.png", cls)
-    street.write_drive(tmp_path / "ingest", FULL, len(HAS_IMAGE))
+    street.write_drive(tmp_path / "ingest", FULL, 5)
     with h5py.File(tmp_path / f"ingest/{FULL}.h5", "r+") as file:
-        file["has_image"][:] = HAS_IMAGE
+        file["has_image"][:] = [1, 1, 0, 1, 1]
     store.write_index(tmp_path / "ingest", {FULL: "test"})
     save(tmp_path / "encoder", {"backbone": "precomputed", "folder": str(tmp_path / "made")}, {})
     content = run(tmp_path)

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from functools import partial
 from pathlib import Path
 
 import h5py
@@ -15,7 +14,6 @@ from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.learning import checkpoint
 from pipeline.train.fit import Fit
-from pipeline.train.frames import Files
 from tests import artefacts, small_model
 from tests.kitti_drive import contents
 from tests.small_model import EDGES_M, SPLITS, TEST, run_evaluate, run_train, write_params, write_two_test_drives
@@ -79,15 +77,6 @@ def test_resumed_training_writes_the_same_bytes(folder, monkeypatch, capsys, ent
         assert contents(run_train(folder)) == complete
 
 
-@pytest.mark.parametrize("place", ["RAM", "GPU"])
-def test_a_network_is_the_same_wherever_its_frames_are_kept(folder, monkeypatch, place):
-    write_params(folder, {"motion": "visual", "horizon": 3}, epochs=2, seeds=[0, 1])
-    on_disk = contents(run_train(folder))
-    shutil.rmtree(folder / ".drives")
-    monkeypatch.setattr("stages.train.Files", partial(Files, place=place))
-    assert contents(run_train(folder)) == on_disk
-
-
 @pytest.mark.parametrize("moved", [{"2026_01_01_drive_0003": "val"}, {"2026_01_02_drive_0001": "train"}])
 def test_training_starts_anew_where_a_drive_moves_between_training_and_validation(folder, capsys, moved):
     write_params(folder, epochs=1)
@@ -104,16 +93,6 @@ def test_the_averaged_network_has_the_statistics_of_the_trained_one(folder, monk
     (state,) = (folder / ".drives").rglob("*.pt")
     equal = {name for name, tensor in load(state)["net"].items() if torch.equal(best[name], tensor)}
     assert {f"spatial.0.{name}" for name in ("running_mean", "running_var", "num_batches_tracked")} <= equal < {*best}
-
-
-@pytest.mark.parametrize("part", [(small_model.UsersOptions, "build"), (small_model.UsersNetwork, "forward")])
-def test_a_bug_of_a_users_network_is_no_fault_of_the_input(folder, monkeypatch, part):
-    small_model.add_users_network(monkeypatch)
-    monkeypatch.setattr(*part, small_model.fail)
-    write_params(folder, {"spatial": "users"})
-    with pytest.raises(ValueError, match="boom") as raised:
-        run_train(folder)
-    assert raised.type is ValueError
 
 
 @pytest.mark.slow
@@ -140,15 +119,15 @@ def test_seeds_in_parallel_processes_equal_those_trained_alone(folder, monkeypat
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("write", "entry", "epochs", "limit"),
+    ("kind", "entry", "epochs", "limit"),
     [
-        (artefacts.write_graphs, {"temporal": "lstm", "motion": "visual", "horizon": 5}, 20, 0.35),
-        (artefacts.write_sets, {"spatial": "pointnet2", "width": 0.125}, 4, 0.5),
-        (artefacts.write_images, {"spatial": "cnn", "alpha": 5.0, "features": 32, "temporal": "lstm"}, 10, 0.5),
+        ("graph", {"temporal": "lstm", "motion": "visual", "horizon": 5}, 20, 0.35),
+        ("pointnet2", {"spatial": "pointnet2", "width": 0.125}, 4, 0.5),
+        ("image", {"spatial": "cnn", "alpha": 5.0, "features": 32, "temporal": "lstm"}, 10, 0.5),
     ],
 )
-def test_other_networks_and_inputs(tmp_path, write, entry, epochs, limit):
-    artefacts.write_dataset(tmp_path, SPLITS, frames=60, points=60, write=write, motion=True)
+def test_other_networks_and_inputs(tmp_path, kind, entry, epochs, limit):
+    artefacts.write_dataset(tmp_path, SPLITS, frames=60, points=60, kind=kind, motion=True)
     write_params(tmp_path, entry, epochs=epochs, patience=epochs, average=0.0, batch_spans=4)
     best = load(run_train(tmp_path) / "best.pt")
     assert entry.items() <= best["entry"].items()

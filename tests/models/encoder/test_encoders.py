@@ -131,8 +131,7 @@ def test_each_pixel_has_depth_and_classes_whatever_the_batch(create, kind, size)
     assert depth.shape == (2, *size)
     assert logits.shape in {(2, classes.COUNT, *size), (2, classes.COUNT + 1, *size)}
     assert depth.min() > 0
-    for a, b in zip((depth, logits), network(images[1:], K), strict=True):
-        torch.testing.assert_close(a[1:], b, rtol=1e-4, atol=1e-3)
+    torch.testing.assert_close((depth[1:], logits[1:]), network(images[1:], K), rtol=1e-4, atol=1e-3)
     with torch.autocast("cpu", torch.bfloat16):  # as perception.precision: auto on a GPU
         assert ((network(images, K.expand(2, 3, 3))[0] / depth).log().abs() < 0.1).all()
 
@@ -174,18 +173,14 @@ def test_a_saved_encoder_needs_no_folder(create, kind, tmp_path):
     architecture, network = create(kind)
     save(tmp_path, architecture, network.state_dict())
     assert "networks" not in json.dumps(architecture)  # the folder's name
-    for a, b in zip(
-        load(tmp_path / "encoder.pt")[1].cpu()(image((50, 75)), K), network(image((50, 75)), K), strict=True
-    ):
-        torch.testing.assert_close(a, b)
+    saved = load(tmp_path / "encoder.pt")[1].cpu()
+    torch.testing.assert_close(saved(image((50, 75)), K), network(image((50, 75)), K))
 
 
 @torch.no_grad()
 def test_the_encoder_of_the_sample_is_the_same_on_each_device(device):
-    network, images = (
-        load(ROOT / "models/encoder/sample/encoder.pt")[1],
-        image((96, 320), 3).permute(0, 2, 3, 1).numpy(),
-    )
+    network = load(ROOT / "models/encoder/sample/encoder.pt")[1]
+    images = image((96, 320), 3).permute(0, 2, 3, 1).numpy()
     expected = perceive(network.cpu(), images, Camera(K[0].numpy(), (96, 320)))
     depth_m, cls = perceive(network.to(device), images, Camera(K[0].numpy(), (96, 320)))
     np.testing.assert_allclose(depth_m, expected[0], rtol=1e-3)

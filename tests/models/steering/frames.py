@@ -8,7 +8,13 @@ from pipeline.graphs.graph_file import Arrays
 
 REFERS_TO = {"indices": "xyz", "centres_1": "xyz", "neighbours_1": "xyz"}
 REFERS_TO |= {"centres_2": "centres_1", "neighbours_2": "centres_1"}
-POINTERS = {"xyz": "ptr", "centres_1": "centres_1_ptr", "centres_2": "centres_2_ptr"}
+POINTERS = {
+    "xyz": "ptr",
+    "image": "ptr",
+    "indices": "indices_ptr",
+    "centres_1": "centres_1_ptr",
+    "centres_2": "centres_2_ptr",
+}
 
 
 def points(count: int, seed: int) -> Arrays:
@@ -44,8 +50,8 @@ FRAME = {"graph": graph, "pointnet2": sets, "image": image}
 CONTENTS = {"graph": {}, "pointnet2": {"levels": 2}, "image": {"image_size": (33, 50)}}
 
 
-def join(frames: list[Arrays], device: str = "cpu") -> Batch:
-    """Return frames, whose numbers count from 0 in each, as a batch."""
+def concatenated(frames: list[Arrays]) -> Arrays:
+    """Return the arrays of frames, whose numbers count from 0 in each, and the first row of each frame."""
     batch = {}
     for name in frames[0]:
         lengths = [len(frame[REFERS_TO[name]]) if name in REFERS_TO else 0 for frame in frames]
@@ -54,7 +60,12 @@ def join(frames: list[Arrays], device: str = "cpu") -> Batch:
         batch[name] = np.concatenate(parts)
         if name in POINTERS:
             batch[POINTERS[name]] = np.cumsum([0, *(len(frame[name]) for frame in frames)])
-    return from_arrays(batch, device)
+    return batch
+
+
+def join(frames: list[Arrays], device: str = "cpu") -> Batch:
+    """Return frames as a batch."""
+    return from_arrays(concatenated(frames), device)
 
 
 def batch(counts: list[int], kind: str = "graph") -> Batch:

@@ -19,7 +19,6 @@ from models.steering.core.wiring import Layout, ncp
 from models.steering.temporal import lstm
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
-SYNAPSE = {"w": "w", "sigma": "sigma", "mu": "mu", "erev": "erev"}
 NEURON = {"capacity": "cm", "leak": "gleak", "rest": "vleak"}
 MAP = {"input_scale": "input_w", "input_shift": "input_b", "output_scale": "output_w", "output_shift": "output_b"}
 LAYOUT = Layout(inter=6, command=5, sensory_fanout=3, inter_fanout=2, motor_fanin=3)
@@ -60,10 +59,8 @@ def pair(wiring):
 
     matches = []
     for synapses, signs, prefix in [(ours.sensory, wiring.sensory, "sensory_"), (ours.internal, wiring.internal, "")]:
-        matches += [
-            (getattr(synapses, name), getattr(peer, prefix + theirs), signs.nonzero())
-            for name, theirs in SYNAPSE.items()
-        ]
+        for name in ("w", "sigma", "mu", "erev"):
+            matches.append((getattr(synapses, name), getattr(peer, prefix + name), signs.nonzero()))
     matches += [(getattr(ours, name), getattr(peer, theirs), ...) for name, theirs in (NEURON | MAP).items()]
     for parameter, theirs, which in matches:
         theirs.data[which] = parameter.data
@@ -167,8 +164,7 @@ def test_default_is_the_wiring_of_the_paper():
 @given(st.integers(0, 2**31), st.integers(1, 3), st.integers(1, 3))
 def test_each_neuron_has_input_and_output(seed, inputs, fanout):
     sizes = {"inter": 15, "command": 7, "sensory_fanout": fanout, "inter_fanout": fanout, "motor_fanin": 2}
-    wiring = ncp(inputs, Layout(**sizes, seed=seed), motor=2)
-    again = ncp(inputs, Layout(**sizes, seed=seed), motor=2)
+    wiring, again = (ncp(inputs, Layout(**sizes, seed=seed), motor=2) for _ in range(2))
     assert (wiring.sensory == again.sensory).all()
     assert (wiring.internal == again.internal).all()
     commands, inters = slice(2, 9), slice(9, 24)

@@ -24,7 +24,6 @@ HEADS = {"layer_options": {"heads": 2}}
 PYG: dict[str, Any] = {"GCNConv": {}, "GATv2Conv": HEADS, "SAGEConv": {}, "TransformerConv": HEADS, "EdgeConv": {}}
 FILES = Path("models/steering/spatial").glob("[!_]*.py")
 NETWORKS = sorted({*(file.stem for file in FILES), *PYG} - {"pyg"})
-COUNTS = [30, 0, 1, 17, 45]  # points per frame
 each_network = pytest.mark.parametrize("name", NETWORKS)
 
 
@@ -53,7 +52,7 @@ def test_order_of_points_changes_nothing(name):
 
 
 @each_network
-@pytest.mark.parametrize("counts", [COUNTS, [12, 12, 12]])
+@pytest.mark.parametrize("counts", [[30, 0, 1, 17, 45], [12, 12, 12]])
 def test_batch_equals_single_frames(name, counts, device):
     """Of equal and unequal numbers of points, and a frame without points; the batch also on a GPU."""
     net, kind = build(name)

@@ -18,9 +18,8 @@ from tests.models.steering.test_networks import NETWORKS, keys
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
 WINDOWS = torch.tensor([[0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]])
 DT_S = torch.rand(WINDOWS.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(2)) * 0.1 + 0.05
-MOTION = torch.rand(6, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(1)) * torch.tensor(
-    [0.2, 0.5, 20, 1]
-)
+MOTION = torch.rand(6, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+MOTION *= torch.tensor([0.2, 0.5, 20, 1])
 MIRROR = torch.tensor([-1.0, -1.0, 1.0, 1.0])  # angle and yaw rate change sign, speed and valid do not
 COUNTS = [20, 9, 30, 12, 0, 25]  # points per frame
 SPATIAL = [name for name in NETWORKS if name != "blind"]  # blind has no input
@@ -75,11 +74,14 @@ def test_shared_frames_equal_naive_windows(spatial, cell):
 @each_cell
 @pytest.mark.parametrize("spatial", SPATIAL)
 def test_mirrored_input_negates_an_equivariant_network(spatial, cell):
+    """Of an angle, and with motion of the ranges of a path; the control's features of other frames are theirs."""
     scene = batch(spatial)
     for motion in (None, MOTION.clone().requires_grad_()):
         turned = None if motion is None else motion * MIRROR
-        net = build(spatial, cell, motion="none" if motion is None else "visual", equivariant=True)
+        changes = {"outputs": 1} if motion is None else {"outputs": 3, "predict": "path", "motion": "visual"}
+        net = build(spatial, cell, equivariant=True, **changes)
         output = net(scene, WINDOWS, DT_S, motion)
+        assert output.shape == (len(WINDOWS), changes["outputs"])
         torch.testing.assert_close(net(scene.mirrored(), WINDOWS, DT_S, turned), -output, **TOLERANCE)
         assert output.abs().min() > 1e-6
     (gradient,) = torch.autograd.grad(output.square().sum(), motion)
@@ -119,15 +121,6 @@ def test_statistics_count_frames_once():
     net.scale.steps.zero_()
     net(batch(), WINDOWS, DT_S, scenes=scenes)
     torch.testing.assert_close(net.scale.mean, net.spatial(batch()).mean(0), **TOLERANCE)
-
-
-@each_cell
-def test_a_path_has_an_output_per_range_and_mirrors(cell):
-    net = build("gnn", cell, 3, equivariant=True, motion="visual", predict="path")
-    output = net(batch(), WINDOWS, DT_S, MOTION)
-    assert output.shape == (len(WINDOWS), 3)
-    mirrored = net(batch().mirrored(), WINDOWS, DT_S, MOTION * MIRROR)
-    torch.testing.assert_close(output, -mirrored, **TOLERANCE)
 
 
 @pytest.mark.parametrize(("cell", "expected"), [("ltc", -0.04993238503010382), ("lstm", 0.3806235178621074)])

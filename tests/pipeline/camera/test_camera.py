@@ -81,10 +81,6 @@ def test_pixels_move_with_the_intrinsics():
     assert picked.dtype == np.uint16
 
 
-def encoded(kind: str, pixels: np.ndarray) -> bytes:
-    return cv2.imencode(kind, pixels)[1].tobytes()
-
-
 NOISE = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
 
 
@@ -93,8 +89,8 @@ NOISE = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
     [
         (b"GIF89a", "not a PNG or JPEG"),
         (b"\xff\xd8\xff\xd9", "decoded"),
-        (encoded(".png", NOISE)[:-20], "decoded"),
-        (encoded(".png", np.dstack([NOISE, NOISE])[..., :4]), "transparent"),
+        (cv2.imencode(".png", NOISE)[1].tobytes()[:-20], "decoded"),
+        (cv2.imencode(".png", np.dstack([NOISE, NOISE])[..., :4])[1].tobytes(), "transparent"),
     ],
 )
 def test_plainly_wrong_images(tmp_path, content, problem):

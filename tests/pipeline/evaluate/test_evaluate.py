@@ -1,6 +1,7 @@
 """Metrics of a split: counted frames, drives, baselines; errors and their intervals; onsets of turns and drift."""
 
 import tarfile
+from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -8,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.base.params import load
 from pipeline.datasets.core import oxts
 from pipeline.datasets.kitti import KittiDrive
 from pipeline.evaluate import errors, metrics, turns
@@ -20,12 +20,15 @@ from pipeline.train.targets import LabelledDrive, read_drive
 from tests import artefacts
 from tests.small_model import entry
 
-PARAMS = Path(__file__).resolve().parents[3] / "params.yaml"
 NAMES = ["2026_01_03_drive_0001", "2026_01_03_drive_0002"]
 
 
 def read(folder: Path, horizon: int = 0) -> list[LabelledDrive]:
     return [read_drive(folder / "graphs/semantic", folder / "labels", name, entry(horizon=horizon)) for name in NAMES]
+
+
+def settings(block: int, samples: int) -> Evaluate:
+    return Evaluate(bootstrap_block_frames=block, bootstrap_samples=samples, seed=0)
 
 
 @pytest.fixture
@@ -47,8 +50,7 @@ def test_invalid_and_early_frames_do_not_count(folder):
         angles[:3] = np.nan
     test[0].target[10:15], predicted[0][10:15] = np.nan, 99.0
     cases = [case(drive, angles) for drive, angles in zip(test, predicted, strict=True)]
-    blocks = load(Evaluate, PARAMS).model_copy(update={"bootstrap_block_frames": 5})
-    found = metrics.metrics(cases, blocks)["steering_rad"]
+    found = metrics.metrics(cases, settings(block=5, samples=100))["steering_rad"]
     assert found["frames"] == 2 * (30 - 3) - 5
     assert found["mse"] == pytest.approx(0.01**2)
     assert found["nmse_ci95"][0] <= found["nmse"] <= found["nmse_ci95"][1]
@@ -89,10 +91,6 @@ def test_scores_by_hand():
     steering = np.sin(np.arange(300) / 20)
     assert errors.scores(steering, 0 * steering)["nmse"] == 1.0
     assert interval(steering, steering, np.zeros(300), 50, 200) == [1.0, 1.0]
-
-
-def settings(block: int, samples: int) -> Evaluate:
-    return Evaluate(bootstrap_block_frames=block, bootstrap_samples=samples, seed=0)
 
 
 @pytest.mark.parametrize(
@@ -173,9 +171,9 @@ def test_the_difference_of_two_models_has_a_narrower_interval():
     alone = interval(steering, one[:1], drive, 50, 500)
     assert high - low < 0.5 * (alone[1] - alone[0])
     assert interval(steering, one[:1], drive, 50, 500, one[:1]) == [0.0, 0.0]
-    columns = (np.stack([values] * 3, axis=-1) for values in (one[:1] ** 2, steering))  # drawn together
-    paired = errors.interval(*columns, drive, settings(50, 500), np.stack([other[:1] ** 2] * 3, axis=-1))
-    assert paired == pytest.approx([low, high])
+    first, second = (values[:1, :, None] ** 2 * [1, 2, 3] for values in (one, other))  # three columns, drawn together
+    paired = errors.interval(first, np.stack([steering] * 3, axis=-1), drive, settings(50, 500), second)
+    assert paired == pytest.approx([2 * low, 2 * high])
 
 
 # Turns and drift
@@ -259,9 +257,10 @@ def bends(*parts: tuple[int, float]) -> np.ndarray:
     return np.concatenate([np.full(count, curvature) for count, curvature in parts])
 
 
-def found(curvature: np.ndarray, kept: np.ndarray | slice = slice(None)) -> list[int]:
-    frames, speed = np.arange(len(curvature))[kept], np.full(len(curvature), 8.0)[kept]
-    curvature = curvature[kept]
+def found(curvature: np.ndarray, missing: Sequence[int] = ()) -> list[int]:
+    """Return the frames at which turns begin, at 8 m/s."""
+    frames = np.setdiff1d(np.arange(len(curvature)), missing)
+    curvature, speed = curvature[frames], np.full(len(frames), 8.0)
     labels = label.Labels(curvature, np.ones(len(frames), bool), speed, curvature * speed)
     return frames[turns.onsets(frames / 10, curvature, labels)].tolist()
 
@@ -273,22 +272,18 @@ def test_a_turn_begins_where_the_curvature_leaves_straight():
 
 
 @pytest.mark.parametrize(
-    ("curvature", "onsets"),
+    ("curvature", "missing", "onsets"),
     [
-        (bends((30, STRAIGHT), (60, 0.03)), []),  # a bend of the road
-        (bends((30, STRAIGHT), (8, CORNER), (8, -CORNER), (30, STRAIGHT)), []),  # around an obstacle
-        (bends((30, CORNER), (5, STRAIGHT), (20, CORNER)), []),  # still the same turn
-        (bends((30, CORNER), (11, STRAIGHT), (20, -CORNER)), [41]),
-        (bends((5, STRAIGHT), (20, CORNER)), []),  # the drive starts less than a second before
-        (np.empty(0), []),
+        (bends((30, STRAIGHT), (60, 0.03)), (), []),  # a bend of the road
+        (bends((30, STRAIGHT), (8, CORNER), (8, -CORNER), (30, STRAIGHT)), (), []),  # around an obstacle
+        (bends((30, CORNER), (5, STRAIGHT), (20, CORNER)), (), []),  # still the same turn
+        (bends((30, CORNER), (11, STRAIGHT), (20, -CORNER)), (), [41]),
+        (bends((5, STRAIGHT), (20, CORNER)), (), []),  # the drive starts less than a second before
+        (bends((30, STRAIGHT), (20, CORNER)), (25,), [30]),  # without a single frame
+        (bends((30, STRAIGHT), (20, CORNER)), range(5, 30), []),
+        (bends((30, STRAIGHT), (20, CORNER)), range(5, 26), []),
+        (np.empty(0), (), []),
     ],
 )
-def test_only_corners_after_a_straight_second_are_onsets(curvature, onsets):
-    assert found(curvature) == onsets
-
-
-def test_a_gap_before_a_turn_hides_its_onset():
-    turn, frames = bends((30, STRAIGHT), (20, CORNER)), np.arange(50)
-    assert found(turn, frames != 25) == [30]  # a single frame
-    assert found(turn, (frames < 5) | (frames >= 30)) == []
-    assert found(turn, (frames < 5) | (frames >= 26)) == []
+def test_only_corners_after_a_straight_second_are_onsets(curvature, missing, onsets):
+    assert found(curvature, missing) == onsets

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
@@ -15,6 +16,8 @@ from pipeline.graphs import cloud, frame_graph, graph, graph_file
 from pipeline.train.frames import collate
 from tests import artefacts
 from tests.artefacts import write_motion
+from tests.models.steering.frames import FRAME, REFERS_TO, concatenated
+from tests.street import pose
 
 K = np.array([[100.0, 0, 19.5], [0, 100.0, 9.5], [0, 0, 1]])
 
@@ -105,14 +108,6 @@ def test_sampling_by_range_draws_equal_numbers_and_fills_up_from_where_points_ar
     assert sum(counts(5000)) == 1000
 
 
-def step(yaw_rad: float, forward_m: float) -> np.ndarray:
-    """Return T_before_now of a car that drives forward and turns left; the camera's y points down."""
-    T = np.eye(4)
-    T[:3, :3] = [[np.cos(yaw_rad), 0, -np.sin(yaw_rad)], [0, 1, 0], [np.sin(yaw_rad), 0, np.cos(yaw_rad)]]
-    T[2, 3] = forward_m
-    return T
-
-
 @pytest.mark.parametrize(
     ("numbers", "measured", "expected"),
     [
@@ -124,18 +119,18 @@ def step(yaw_rad: float, forward_m: float) -> np.ndarray:
 )
 def test_static_points_coincide_until_a_gap_or_unmeasured_motion(numbers, measured, expected):
     """Clouds carry their row as class, so that it shows from which frame a point is."""
-    rng, T = np.random.default_rng(0), step(0.05, 1.0)
-    poses = [np.linalg.matrix_power(T, row) for row in range(len(numbers))]
+    rng, T = np.random.default_rng(0), pose(0.05, 0, 1.0)
+    places = [np.linalg.matrix_power(T, row) for row in range(len(numbers))]
     worlds = [rng.uniform([-10, -1, 0], [10, 2, 30], (10, 3)) for _ in numbers]
     clouds = [
-        (transform(np.linalg.inv(pose), world).astype(np.float32), np.full(10, row, np.uint8))
-        for row, (pose, world) in enumerate(zip(poses, worlds, strict=True))
+        (transform(np.linalg.inv(place), world).astype(np.float32), np.full(10, row, np.uint8))
+        for row, (place, world) in enumerate(zip(places, worlds, strict=True))
     ]
     made = list(frame_graph.accumulated(zip(numbers, clouds, strict=True), dict.fromkeys(measured, T), 3))
     assert [number for number, _ in made] == numbers
-    for pose, (_, (xyz, cls)), then in zip(poses, made, expected, strict=True):
+    for place, (_, (xyz, cls)), then in zip(places, made, expected, strict=True):
         assert list(dict.fromkeys(cls.tolist())) == then
-        assert transform(pose, xyz) == pytest.approx(np.concatenate([worlds[row] for row in then]), abs=1e-4)
+        assert transform(place, xyz) == pytest.approx(np.concatenate([worlds[row] for row in then]), abs=1e-4)
 
 
 def test_steps_have_the_length_unit_of_the_clouds(tmp_path):
@@ -143,13 +138,13 @@ def test_steps_have_the_length_unit_of_the_clouds(tmp_path):
         file.put("frame", np.array([4, 5], np.int32))
         file.put("time_s", np.array([0.4, 0.5]))
         file.put("valid", np.array([0, 1], np.uint8))
-        file.put("T_before_now", np.stack([np.eye(4), step(0.1, 2.0)]))
+        file.put("T_before_now", np.stack([np.eye(4), pose(0.1, 0, 2.0)]))
         file.put("scale", np.array([0, 1.25]))
     with DriveReader(tmp_path / "a.h5", stage="motion") as motion:
         for source, forward_m in (("clouds/pseudo", 1.6), ("clouds/lidar", 2.0)):
             steps = frame_graph.read_steps(motion, source)
             assert list(steps) == [5]
-            assert steps[5] == pytest.approx(step(0.1, forward_m), abs=1e-6)
+            assert steps[5] == pytest.approx(pose(0.1, 0, forward_m), abs=1e-6)
 
 
 @settings(max_examples=60, deadline=None)
@@ -233,34 +228,18 @@ def test_motion_is_matched_by_frame_number(tmp_path):
     assert yaw_rate == pytest.approx([0, 0.5, 0])
 
 
-KINDS = {"graph": artefacts.write_graphs, "pointnet2": artefacts.write_sets, "image": artefacts.write_images}
-SPANS = [(2, 6), (8, 9), (0, 3)]
-
-
-@pytest.mark.parametrize(("kind", "write"), KINDS.items(), ids=KINDS.keys())
-def test_a_batch_is_its_frames_with_shifted_numbers(tmp_path, kind, write):
-    """Arithmetic on the numbers, independent of the module's: indices and level 1 count points, level 2 centres_1."""
-    path, rows = tmp_path / "drive.h5", [row for span in SPANS for row in range(*span)]
-    write(path, "drive", np.linspace(-0.1, 0.1, 9), np.arange(9), 50, np.random.default_rng(0))
-    with graph_file.open_graphs(path) as graphs:
-        batch, pieces = (
-            {name: rows.numpy() for name, rows in collate(spans).items()}
-            for spans in ([(graphs, *span) for span in SPANS], [(graphs, row, row + 1) for row in rows])
-        )
+@pytest.mark.parametrize("kind", FRAME)
+def test_a_batch_is_its_frames_with_shifted_numbers(tmp_path, kind):
+    path, spans = tmp_path / "drive.h5", [(2, 6), (8, 9), (0, 3)]
+    artefacts.write_graphs(path, np.linspace(-0.1, 0.1, 9), np.arange(9), 50, kind)
+    rows = [row for span in spans for row in range(*span)]
+    with graph_file.open_graphs(path) as graphs, DriveReader(path, stage="graphs") as file:
         assert graphs.contents.kind == kind
-    assert all(np.array_equal(batch[name], pieces[name]) for name in batch)
-    counted = dict.fromkeys(("indices", "centres_1", "neighbours_1"), "xyz")
-    counted |= dict.fromkeys(("centres_2", "neighbours_2"), "centres_1")
-    done = dict.fromkeys(batch, 0)
-    with DriveReader(path, stage="graphs") as file:
-        for row in rows:
-            stored = {name: file.rows_of(name, row) for name in file.pointers}
-            before = dict(done)
-            for name, array in stored.items():
-                part = batch[name][before[name] : before[name] + len(array)]
-                assert (part.dtype == np.int32) if name in counted else (part.dtype == array.dtype)
-                np.testing.assert_array_equal(part, array + np.int64(before[counted[name]] if name in counted else 0))
-                done[name] += len(array)
-        for name, pointer in file.pointers.items():
-            assert batch[pointer][-1] == done[name] == len(batch[name])
-            assert len(batch[pointer]) == len(rows) + 1
+        batch = collate([(graphs, *span) for span in spans])
+        pieces = collate([(graphs, row, row + 1) for row in rows])
+        expected = concatenated([{name: file.rows_of(name, row) for name in file.pointers} for row in rows])
+    assert batch.keys() == pieces.keys() == expected.keys()
+    for name, array in expected.items():
+        np.testing.assert_array_equal(batch[name], array)
+        np.testing.assert_array_equal(pieces[name], array)
+        assert batch[name].dtype == torch.int32 if name in REFERS_TO else batch[name].numpy().dtype == array.dtype

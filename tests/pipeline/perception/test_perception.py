@@ -23,73 +23,53 @@ from pipeline.perception.scores import Scores, Truth, depth_errors, read_truth
 from pipeline.settings.encoder import Encoder
 from tests import street
 
-CONTENT = b"some weights"
-SHA256 = hashlib.sha256(CONTENT).hexdigest()
-PATH = Path("weights/a/net.pth")
 
-
-@pytest.fixture
-def url(tmp_path, monkeypatch) -> str:
+def test_a_file_is_downloaded_once_and_verified(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    Path("published.pth").write_bytes(CONTENT)
-    return Path("published.pth").resolve().as_uri()
-
-
-def test_a_file_is_downloaded_once_and_verified(url):
+    Path("published.pth").write_bytes(b"some weights")
+    sha256, url = hashlib.sha256(b"some weights").hexdigest(), Path("published.pth").resolve().as_uri()
+    path = Path("weights/a/net.pth")
     with pytest.raises(InputError, match="cannot download file:"):
-        fetch(PATH, url, "0" * 64)
-    assert list(PATH.parent.iterdir()) == []
-    fetch(PATH, url, SHA256)
+        fetch(path, url, "0" * 64)
+    assert list(path.parent.iterdir()) == []
+    fetch(path, url, sha256)
     Path("published.pth").unlink()
-    fetch(PATH, url, SHA256)
-    assert [path.name for path in PATH.parent.iterdir()] == ["net.pth"]
-    PATH.write_bytes(b"other")
-    with pytest.raises(InputError, match=f"SHA-256 is .*, expected {SHA256}"):
-        fetch(PATH, url, SHA256)
+    fetch(path, url, sha256)
+    assert [path.name for path in path.parent.iterdir()] == ["net.pth"]
+    path.write_bytes(b"other")
+    with pytest.raises(InputError, match=f"SHA-256 is .*, expected {sha256}"):
+        fetch(path, url, sha256)
 
 
-def test_an_encoder_of_another_kind_is_refused(tmp_path, url):
+def test_an_encoder_of_another_kind_is_refused(tmp_path):
     save(tmp_path, SMALL, build(SMALL).state_dict())
     fit = {"epochs": 0, "frames": 1, "batch": 1, "learning_rate": 0.1, "seed": 0}
     with pytest.raises(InputError, match="backbone is 'small', expected 'street'"):
-        create(Encoder(backbone="street", weights=Path("encoder.pt"), **fit))
+        create(Encoder(backbone="street", weights=tmp_path / "encoder.pt", **fit))
 
 
 DENSE, LIDAR, BARE, BLIND = [f"2026_01_01_drive_000{number}" for number in range(1, 5)]
 SMALL = {"backbone": "small"}
 
 
-@pytest.fixture(scope="module")
-def ingest(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("ingest")
-    street.write_drive(folder, DENSE, 4)
-    street.write_drive(folder, LIDAR, 8, dense=False, lidar=True)
-    street.write_drive(folder, BARE, 3, dense=False)
-    street.write_drive(folder, BLIND, 3, lidar=True, images=False)
-    return folder
-
-
-@pytest.mark.parametrize(("drives", "missing"), [([BARE, BLIND], "depth or LiDAR"), ([LIDAR, BARE], "classes")])
-def test_drives_without_targets_are_refused(ingest, drives, missing):
-    with pytest.raises(InputError, match=f"no image of the training drives has {missing}"):
-        Examples(ingest, drives, 10)
-
-
-def test_frames_with_an_image_and_a_target_are_chosen(ingest):
-    with Examples(ingest, [DENSE, LIDAR, BARE, BLIND], 12) as examples:
+def test_frames_with_an_image_and_a_target_are_chosen(tmp_path):
+    street.write_drive(tmp_path, DENSE, 4)
+    street.write_drive(tmp_path, LIDAR, 8, dense=False, lidar=True)
+    street.write_drive(tmp_path, BARE, 3, dense=False)
+    street.write_drive(tmp_path, BLIND, 3, lidar=True, images=False)
+    for drives, missing in (([BARE, BLIND], "depth or LiDAR"), ([LIDAR, BARE], "classes")):
+        with pytest.raises(InputError, match=f"no image of the training drives has {missing}"):
+            Examples(tmp_path, drives, 10)
+    with Examples(tmp_path, [DENSE, LIDAR, BARE, BLIND], 12) as examples:
         assert examples.frames_per_drive == {DENSE: 4, LIDAR: 8}
         np.testing.assert_array_equal(examples[1].cls, street.scene(1)[2])
         assert (examples[5].cls == classes.VOID).all()
         assert examples[5].depth_m.any()
 
 
-@pytest.fixture
-def example() -> Example:
+def test_mirroring_negates_the_rays_and_is_its_own_inverse():
     image, depth, cls = street.scene(3)
-    return Example(image, street.CAMERA, depth.astype(np.float32), cls)
-
-
-def test_mirroring_negates_the_rays_and_is_its_own_inverse(example):
+    example = Example(image, street.CAMERA, depth.astype(np.float32), cls)
     mirror = mirrored(example)
     x, y, _ = np.moveaxis(rays(street.K, street.SIZE), -1, 0)
     mirror_x, mirror_y, _ = np.moveaxis(rays(mirror.camera.K, street.SIZE), -1, 0)
@@ -156,14 +136,11 @@ def test_only_traffic_is_limited():
     assert (near[lorry] == 2.0).all()
 
 
-DRIVE = "2026_01_01_drive_0001"
-
-
 @pytest.mark.parametrize("dense", [True, False])
 def test_dense_truth_precedes_lidar_which_is_sparse_and_has_no_classes(tmp_path, dense):
-    street.write_drive(tmp_path, DRIVE, 2, dense=dense, lidar=True)
+    street.write_drive(tmp_path, DENSE, 2, dense=dense, lidar=True)
     _, depth, cls = street.scene(1)
-    with store.DriveReader(tmp_path / f"{DRIVE}.h5", stage="ingest") as file:
+    with store.DriveReader(tmp_path / f"{DENSE}.h5", stage="ingest") as file:
         truth = read_truth(file, read_camera(file), 1)
     hit = np.zeros(street.SIZE, bool)
     hit[::2, ::4] = True

@@ -26,6 +26,7 @@ from pipeline.settings.ingest import Ingest
 from pipeline.settings.perception import Perception
 from pipeline.video import source
 from pipeline.video.measure import READING
+from steer import api
 from steer.import_ import import_recording
 from steer.measure import measure
 from tests import street
@@ -57,6 +58,11 @@ def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
         measure([images], out=out, encoder=encoder, motion=log, **LENS)
     measure([images], out=out, encoder=encoder, motion=log, offset=-10, distortion="0,0,0,0", **LENS)
     assert "motion measured in 29 of 30 frames" in (text := capsys.readouterr().out)
+    found = api.measure(
+        str(images), fov_deg=None, K=LENS["k"], fps=10.0, camera_height_m=CAMERA_HEIGHT_M, encoder=encoder
+    )
+    assert (found.table["valid"].sum(), found.files, found.doubts) == (29, [], [])
+    assert found.notes[1] == "motion measured in 29 of 30 frames; not measured: no previous frame (1)"
     assert "can.csv covers 21 of 30 images" in text
     assert "times what is measured: km/h would give 3.6" in text
     rows = read(out)

@@ -12,6 +12,8 @@ from pipeline.labels.label import Car
 from pipeline.labels.source import labels_drive
 from pipeline.settings.labels import Labels
 
+WINDOW = 8  # frames that a network sees, by default
+
 
 def main(
     ingest: Path = Path("data/ingest"),
@@ -36,6 +38,13 @@ def main(
         # One worker, as this is less work than starting a process.
         summaries = make_drives(folder, jobs, settings, text, workers=1)
         store.write_index(folder.new, splits)
+    for drive, split in splits.items():
+        frames, valid = summaries[drive]["frames"], summaries[drive]["valid"]
+        if valid < WINDOW and store.drives_in(splits, split) == [drive]:
+            more = "Add drives, or cut a recording otherwise: steer import --split 60,30,10"
+            print(
+                f"{valid} of {frames} frames of {drive}, the only drive of {split}, have a label: the car stands? {more}"
+            )
     if count := sum(summary["interpolated"] for summary in summaries.values()):
         print(f"{count} oxts packets are interpolated, not measured: they are no targets, and paths ahead end there")
     if suspect := [drive for drive, summary in summaries.items() if summary["sideways"]]:

@@ -127,6 +127,16 @@ def test_an_inverted_wheel_is_refused_and_test_drives_are_not_compared(tmp_path,
         run(tmp_path, source="wheel")
 
 
+def test_a_split_whose_only_drive_stands_is_named(tmp_path, capsys):
+    """Before stage train refuses it, minutes later."""
+    write_ingest(tmp_path / "ingest", speed=[5.0] * 9 + [0.1], yaw_rate=[0.1] * 10)
+    run(tmp_path)
+    assert "have a label" not in capsys.readouterr().out
+    write_ingest(tmp_path / "ingest", speed=[5.0] + [0.1] * 9, yaw_rate=[0.1] * 10)
+    run(tmp_path)
+    assert f"1 of 10 frames of {SECOND}, the only drive of test, have a label" in capsys.readouterr().out
+
+
 def test_a_source_that_a_drive_lacks(recorded):
     with pytest.raises(InputError, match=r"no labels\.source: oxts"):
         run(recorded, source="oxts")

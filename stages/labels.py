@@ -39,11 +39,13 @@ def main(
         summaries = make_drives(folder, jobs, settings, text, workers=1)
         store.write_index(folder.new, splits)
     for drive, split in splits.items():
-        frames, valid = summaries[drive]["frames"], summaries[drive]["valid"]
+        valid = summaries[drive]["valid"]
         if valid < WINDOW and store.drives_in(splits, split) == [drive]:
-            more = "Add drives, or cut a recording otherwise: steer import --split 60,30,10"
+            labelled = (
+                f"{valid} of {summaries[drive]['frames']} frames of {drive}, the only drive of {split}, have a label"
+            )
             print(
-                f"{valid} of {frames} frames of {drive}, the only drive of {split}, have a label: the car stands? {more}"
+                f"{labelled}: the car stands? Add drives, or cut a recording otherwise: steer import --split 60,30,10"
             )
     if count := sum(summary["interpolated"] for summary in summaries.values()):
         print(f"{count} oxts packets are interpolated, not measured: they are no targets, and paths ahead end there")

@@ -9,7 +9,7 @@ steer measure data/sample/2026_01_18/2026_01_18_drive_0004_sync --encoder data/e
 """
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -21,18 +21,18 @@ STREET = Path("weights/street")
 def measure(
     source: options.SourcePath,
     out: options.Out = None,
-    fov: options.Fov = None,
-    k: options.K = None,
+    fov_deg: options.Fov = None,
+    K: options.K = None,
     distortion: options.Distortion = None,
     fisheye: options.Fisheye = None,
     fps: options.Fps = None,
     times: options.Times = None,
-    camera_height: options.CameraHeight = None,
+    camera_height_m: options.CameraHeight = None,
     wheelbase: Annotated[float, options.number(0.5, 20, "distance between the axles, metres")] = 2.7,
     wheel: options.Wheel = None,
     steering_ratio: options.SteeringRatio = None,
     motion: options.Motion = None,
-    offset: options.Offset = 0.0,
+    offset_s: options.Offset = 0.0,
     video: options.Video = True,
     encoder: Annotated[Path, typer.Option(help="folder of an encoder; make street writes the default one")] = STREET,
 ) -> None:
@@ -40,6 +40,7 @@ def measure(
     from pipeline.base.outputs import claim
     from steer import api
 
-    known = options.known(fov, k, distortion, fisheye, fps, times, camera_height, wheel, steering_ratio, motion, offset)
+    known: Any = {name: value for name, value in locals().items() if name in api.Options.__annotations__}
+
     out = claim(out, options.stem(source))
     options.report(api.measure(source, encoder=encoder, wheelbase_m=wheelbase, out=out, video=video, **known))

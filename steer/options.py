@@ -16,9 +16,9 @@ def here_or_in_checkout(path: Path) -> Path:
     return CHECKOUT / path if not path.exists() and (CHECKOUT / path).exists() else path
 
 
-def number(lowest: float, highest: float, help: str) -> Any:
-    """Return an option for a number from `lowest` to `highest`."""
-    return typer.Option(min=lowest, max=highest, help=help)
+def number(lowest: float, highest: float, help: str, *name: str) -> Any:
+    """Return an option for a number from `lowest` to `highest`; `name`: if it is not the parameter's."""
+    return typer.Option(*name, min=lowest, max=highest, help=help)
 
 
 # Of predict, measure and import. A KITTI drive has its own intrinsics and times.
@@ -27,7 +27,7 @@ SourcePath = Annotated[
     typer.Argument(metavar="SOURCE...", help="folder of a KITTI drive, of images or of videos, or videos in order"),
 ]
 Out = Annotated[Path | None, typer.Option(help="new or empty folder for the results; default: out/SOURCE")]
-Fov = Annotated[float | None, number(5, 170, "intrinsics: horizontal field of view, degrees")]
+Fov = Annotated[float | None, number(5, 170, "intrinsics: horizontal field of view, degrees", "--fov")]
 K = Annotated[str | None, typer.Option("--K", metavar="FX,FY,CX,CY", help="intrinsics: in pixels")]
 Distortion = Annotated[
     str | None, typer.Option(metavar="K1,K2,P1,P2[,K3]", help="lens distortion by OpenCV's model; default: none")
@@ -37,33 +37,14 @@ Fisheye = Annotated[
 ]
 Fps = Annotated[float | None, number(0.01, 1000, "times: images per second; default: a video's own times")]
 Times = Annotated[Path | None, typer.Option(help="times: a file with the seconds of each image, one per line")]
-CameraHeight = Annotated[float | None, number(0.3, 5, "height of the camera over the road, metres")]
+CameraHeight = Annotated[float | None, number(0.3, 5, "height of the camera over the road, metres", "--camera-height")]
 Motion = Annotated[Path | None, typer.Option(help="CSV with time_s, speed_mps, yaw_rate_radps (left +)")]
 Wheel = Annotated[Path | None, typer.Option(help="CSV with time_s and wheel_rad (left +)")]
 SteeringRatio = Annotated[
     float | None, number(-50, 50, "steering wheel's angle / front wheels'; negative: turns the sign")
 ]
-Offset = Annotated[float, number(-1e10, 1e10, "seconds to add to the times of --motion and --wheel")]
+Offset = Annotated[float, number(-1e10, 1e10, "seconds to add to the times of --motion and --wheel", "--offset")]
 Video = Annotated[bool, typer.Option(help="write overlay.mp4")]
-
-
-def known(
-    fov: float | None,
-    k: str | None,
-    distortion: str | None,
-    fisheye: str | None,
-    fps: float | None,
-    times: Path | None,
-    camera_height: float | None,
-    wheel: Path | None,
-    steering_ratio: float | None,
-    motion: Path | None,
-    offset: float,
-) -> Any:
-    """Return the options as :class:`steer.api.Options`."""
-    lens = {"fov_deg": fov, "K": k, "distortion": distortion, "fisheye": fisheye, "fps": fps, "times": times}
-    logs = {"wheel": wheel, "steering_ratio": steering_ratio, "motion": motion, "offset_s": offset}
-    return lens | logs | {"camera_height_m": camera_height}
 
 
 def stem(source: list[Path]) -> str:

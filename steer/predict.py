@@ -10,7 +10,7 @@ steer predict data/sample/2026_01_18/2026_01_18_drive_0004_sync --model models/s
 """
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -22,17 +22,17 @@ def predict(
     source: options.SourcePath,
     model: Annotated[Path | None, typer.Option(help="folder of a trained model, or runs/NAME")] = None,
     out: options.Out = None,
-    fov: options.Fov = None,
-    k: options.K = None,
+    fov_deg: options.Fov = None,
+    K: options.K = None,
     distortion: options.Distortion = None,
     fisheye: options.Fisheye = None,
     fps: options.Fps = None,
     times: options.Times = None,
-    camera_height: options.CameraHeight = None,
+    camera_height_m: options.CameraHeight = None,
     wheel: options.Wheel = None,
     steering_ratio: options.SteeringRatio = None,
     motion: options.Motion = None,
-    offset: options.Offset = 0.0,
+    offset_s: options.Offset = 0.0,
     video: options.Video = True,
     encoder: Annotated[
         Path | None, typer.Option(help="folder of an encoder; default: data/encoder beside the model's data/train")
@@ -42,10 +42,11 @@ def predict(
     from pipeline.base.outputs import claim
     from steer import api
 
+    known: Any = {name: value for name, value in locals().items() if name in api.Options.__annotations__}
+
     if model is None:
         fix = "Measure the angle: steer measure (nmse 0.008 on real drives). Or name a network of yours. That of "
         fix += "--model models/steering/sample has seen rendered streets only (nmse 1.22 on a real drive)"
         raise InputError("no network for real streets is included", "--model", fix)
-    known = options.known(fov, k, distortion, fisheye, fps, times, camera_height, wheel, steering_ratio, motion, offset)
     out = claim(out, options.stem(source))
     options.report(api.predict(source, model, encoder=encoder, out=out, video=video, **known))

@@ -34,7 +34,7 @@ from tests.flat_ground import write_encoder
 from tests.kitti_drive import write, write_folder
 
 YAW_RATE, SPEED = 0.2, 8.0
-LENS: dict[str, Any] = {"k": "180,180,159.5,44", "fps": 10.0, "camera_height": CAMERA_HEIGHT_M}
+LENS: dict[str, Any] = {"K": "180,180,159.5,44", "fps": 10.0, "camera_height_m": CAMERA_HEIGHT_M}
 
 
 @pytest.fixture
@@ -56,11 +56,9 @@ def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
     log.write_text("time_s,speed_mps,yaw_rate_radps\n" + "".join(rows))
     with pytest.raises(InputError, match=r"log is from 10\.0 to 12\.0 s, the images from 0\.0 to 2\.9 s"):
         measure([images], out=out, encoder=encoder, motion=log, **LENS)
-    measure([images], out=out, encoder=encoder, motion=log, offset=-10, distortion="0,0,0,0", **LENS)
+    measure([images], out=out, encoder=encoder, motion=log, offset_s=-10, distortion="0,0,0,0", **LENS)
     assert "motion measured in 29 of 30 frames" in (text := capsys.readouterr().out)
-    found = api.measure(
-        str(images), fov_deg=None, K=LENS["k"], fps=10.0, camera_height_m=CAMERA_HEIGHT_M, encoder=encoder
-    )
+    found = api.measure(str(images), encoder=encoder, **LENS)
     assert (found.table["valid"].sum(), found.files, found.doubts) == (29, [], [])
     assert found.notes[1] == "motion measured in 29 of 30 frames; not measured: no previous frame (1)"
     assert "can.csv covers 21 of 30 images" in text

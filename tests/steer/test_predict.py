@@ -110,7 +110,7 @@ def test_a_model_is_compared_with_oxts(folder, tmp_path, monkeypatch, capsys):
     with pytest.raises(InputError, match=r"data/train/scan: no trained model"):
         predict([drive(folder)], model=Path("data/train/scan"), out=tmp_path / "other")
     with pytest.raises(InputError, match="has its own calibration"):
-        predict([drive(folder)], model=Path("data/train/scans"), out=tmp_path / "other", fov=80.0)
+        predict([drive(folder)], model=Path("data/train/scans"), out=tmp_path / "other", fov_deg=80.0)
 
 
 def test_a_folder_of_images(folder, tmp_path, capsys):
@@ -123,11 +123,11 @@ def test_a_folder_of_images(folder, tmp_path, capsys):
     with pytest.raises(InputError, match="--fov DEGREES"):
         predict([images], model=folder / "data/train/points", out=out, fps=10.0)
     with pytest.raises(InputError, match="model scans needs LiDAR scans"):
-        predict([images], model=folder / "data/train/scans", out=out, fov=81.0, fps=10.0)
+        predict([images], model=folder / "data/train/scans", out=out, fov_deg=81.0, fps=10.0)
     assert not out.exists()
     with pytest.raises(InputError, match=r"has 5\.0 frames/s, the model was fitted to"):
-        predict([images], model=folder / "data/train/points", out=out, fov=81.0, fps=5.0)
-    predict([images], model=folder / "data/train/points", out=out, fov=81.0, fps=20.0)
+        predict([images], model=folder / "data/train/points", out=out, fov_deg=81.0, fps=5.0)
+    predict([images], model=folder / "data/train/points", out=out, fov_deg=81.0, fps=20.0)
     text = capsys.readouterr().out
     parts = "3 predictions for 6 frames", "fitted to the rendered sample alone", "6 of 12 frames are"
     assert all(part in text for part in parts)

@@ -72,11 +72,12 @@ def import_recording(
     with error_context("--name"):
         check_name(name)
     preset = PRESETS / f"{name}.yaml"
-    importing.check_free(preset, raw)
+    folders = [f"{name}-{number + 1}" for number in range(len(groups))] if each else [name]
+    importing.check_free(preset, [raw / folder for folder in folders])
     opened = []
-    for number, paths in enumerate(groups):
+    for number, (folder, paths) in enumerate(zip(folders, groups, strict=True)):
         part = Part(
-            folder=f"{name}-{number + 1}" if each else name,
+            folder=folder,
             fov=fov,
             K=k,
             distortion=distortion,
@@ -96,10 +97,10 @@ def import_recording(
     if len(parts) == 2:
         splits = ["train", "test"]
     names = importing.drive_names(name, [str(number + 1) for number in range(len(parts))] if each else splits)
-    importing.write(opened, raw, copy=copy)
-    source = "oxts" if motion else "wheel" if wheel else "visual"
     drives = {drive: (of, part) for drive, of, (part, _) in zip(names, splits, parts, strict=True)}
-    importing.write_preset(preset, drives, opened[0], source, camera_height)
+    with importing.linked(opened, raw, copy=copy):
+        source = "oxts" if motion else "wheel" if wheel else "visual"
+        importing.write_preset(preset, drives, opened[0], source, camera_height)
     for drive, of, (_, images) in zip(names, splits, parts, strict=True):
         print(f"{drive}: {images} images, {of}")
     print(*(note for one in opened for note in one.recording.notes), sep="\n")

@@ -66,7 +66,7 @@ def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
     logs = Logs.read(wheel, part.steering_ratio, motion, part.offset)
     capture = Capture(part.fov, part.K, part.distortion, part.fisheye, part.fps, times)
     recording, camera = open_images([path for path in paths if path.name.startswith((VIDEO, FRAMES))], capture, logs)
-    used = usable(recording.times_s, logs, part.start, math.inf if part.end is None else part.end)
+    used = usable(recording.times_s, logs, part.start, part.end)
     if not used.any():
         raise InputError("no image is left from start to end, or none with motion", f"ingest.recordings.{name}")
     return read_drive(recording, replace(camera, horizon=part.horizon), logs, used, recording.times_s[used][0])
@@ -98,10 +98,10 @@ def open_images(
     return recording, camera
 
 
-def usable(time_s: np.ndarray, logs: Logs, start_s: float, end_s: float) -> np.ndarray:
+def usable(time_s: np.ndarray, logs: Logs, start_s: float, end_s: float | None) -> np.ndarray:
     """Return which images bool [F] at `time_s` [F] lie in [start, end) since the first, and have a logged motion."""
     elapsed_s = time_s - time_s[0] + ROUNDING_S
-    used = (elapsed_s > start_s) & (elapsed_s <= end_s)
+    used = (elapsed_s > start_s) & (elapsed_s <= (math.inf if end_s is None else end_s))
     return used & np.isfinite(logs.motion.at(time_s)[0]) if logs.motion else used
 
 

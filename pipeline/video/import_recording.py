@@ -3,8 +3,8 @@
 import math
 import re
 import shutil
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -79,11 +79,11 @@ def parts(imported: Imported, shares: Sequence[float]) -> list[tuple[Part, int]]
     Raises InputError if no image is left, a part is too short, or has no angle of a log.
     """
     part, time_s, logs = imported.part, imported.recording.times_s, imported.logs
-    used = usable(time_s, logs, part.start, math.inf if part.end is None else part.end)
+    within, used = (usable(time_s, some, part.start, part.end) for some in (Logs(), logs))
     if not used.any():
         problem = "no image from --start to --end is left, or none with motion"
         raise InputError(problem, fix="Change --start, --end or --offset")
-    imported.recording.notes.extend(logs.notes(time_s[usable(time_s, Logs(), part.start, part.end or math.inf)]))
+    imported.recording.notes.extend(logs.notes(time_s[within]))
     result = []
     for rows in cut(used, time_s, shares):
         if logs.wheel and not np.isfinite(logs.wheel.at(time_s[rows])).any():
@@ -117,26 +117,26 @@ def drive_names(name: str, endings: Sequence[str]) -> list[str]:
     return [f"{name}-{ending}" for ending in endings]
 
 
-def check_free(preset: Path, raw: Path) -> None:
-    """Raise InputError if the name of a preset is taken, here or below `raw`, by anything but an earlier import."""
-    name = preset.stem
-    if re.search(rf"^{re.escape(name)}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE):
-        raise InputError("is a target of make", name, "Pass another --name")
+def check_free(preset: Path, folders: Sequence[Path]) -> None:
+    """Raise InputError if the name of a preset or one of its folders is taken by anything but an earlier import."""
+    if re.search(rf"^{re.escape(preset.stem)}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE):
+        raise InputError("is a target of make", preset.stem, "Pass another --name")
     if preset.exists() and not is_unedited(preset):
         raise InputError("is not as steer import wrote it", preset, "Move it away, or pass another --name")
     known = read(preset)["ingest"]["recordings"].values() if preset.exists() else ()
     hashes = {(part["folder"], file): value for part in known for file, value in part["files"].items()}
-    for path in [path for folder in (raw / name, *raw.glob(f"{name}-*")) for path in folder.glob("*")]:
-        if not path.is_symlink() and content_hash(path) != hashes.get((path.parent.name, path.name)):
+    for path in [path for folder in folders for path in folder.glob("*")]:
+        expected = hashes.get((path.parent.name, path.name))
+        if not expected or not (path.is_symlink() or content_hash(path) == expected):
             raise InputError("is not as steer import wrote it", path, "Move it away, or pass another --name")
 
 
-def write(recordings: Sequence[Imported], raw: Path, *, copy: bool) -> None:
-    """Write links to the files of recordings below `raw`, or copies; they replace those of an earlier import."""
+@contextmanager
+def linked(recordings: Sequence[Imported], raw: Path, *, copy: bool) -> Iterator[None]:
+    """Make links to the files of recordings, or copies; after the block they replace those of an earlier import."""
     with ExitStack() as stack:
         for one in recordings:
-            folder = raw / one.part.folder
-            new = stack.enter_context(replacing(folder))
+            new = stack.enter_context(replacing(raw / one.part.folder))
             new.mkdir()
             for name, path in one.files.items():
                 if not copy:
@@ -145,6 +145,7 @@ def write(recordings: Sequence[Imported], raw: Path, *, copy: bool) -> None:
                     shutil.copytree(path, new / name)
                 else:
                     shutil.copyfile(path, new / name)
+        yield
         for one in recordings:
             if (raw / one.part.folder).is_dir():
                 shutil.rmtree(raw / one.part.folder)

@@ -27,7 +27,7 @@ def main(
     settings = load(Ingest, params)
     splits, of = settings.drives.splits(), settings.datasets()
     before = store.read_index(out, stage="ingest") if (out / "index.json").is_file() else {}
-    missing = kitti.leave_out(raw, [drive for drive in splits if of[drive] == "kitti"], splits, required=before)
+    missing = kitti.leave_out(raw, settings, required=before)
     splits = {drive: split for drive, split in splits.items() if drive not in missing}
     jobs, reading, facts = [], Reading(**settings.model_dump(include=set(Reading.model_fields))), dict[str, list[Any]]()
     for name in splits:

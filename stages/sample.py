@@ -32,8 +32,7 @@ def main(out: Path = Path("data/sample"), params: Path = Path("params.yaml"), ra
     if not jobs:
         print("nothing to render: ingest.drives has no drive of the sample")
     else:
-        recorded = [drive for drive, source in sources.items() if source == "kitti"]
-        leave_out(raw, recorded, ingest.drives.splits(), required=())
+        leave_out(raw, ingest)
     with stage_folder("sample", out) as folder:
         make_drives(folder, jobs, settings.model_dump(include={"image_size", "seed"}), "{frames} frames, {metres} m")
         for date in {job.drive[:10] for job in jobs}:

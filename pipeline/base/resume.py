@@ -65,8 +65,10 @@ def _import_hash(code: tuple[str, ...]) -> str:
     for file in files:  # the list grows by the imports of each file
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            if isinstance(node, ast.ImportFrom) and node.module:
-                modules = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+            if isinstance(node, ast.ImportFrom):
+                package = file.relative_to(ROOT).parts[: -node.level] if node.level else ()
+                module = ".".join([*package, *filter(None, [node.module])])
+                modules = [module, *(f"{module}.{alias.name}" for alias in node.names)]
             paths = [ROOT / f"{name.replace('.', '/')}.py" for name in modules if name.startswith(PACKAGES)]
             files += [path for path in paths if path.is_file() and path not in files]
     return digest({str(file.relative_to(ROOT)): meaning(file) for file in {*files} - MACHINERY})

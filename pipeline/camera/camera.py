@@ -144,7 +144,7 @@ class DriveFrames(ExitStack):
         self.frame = source.frame[rows]  # KITTI frame numbers, int32 [F]
         self.time_s = source.time_s[rows]  # float64 [F]
         self.camera = read_camera(raw, float(perceived.attrs["camera_height_m"]))
-        self.metric = bool(perceived.attrs.get("metric", 0))  # depth is, and the camera's height is calibrated
+        self.unit_error = float(perceived.attrs.get("unit_error", np.inf))  # of depth, by the height of the camera
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield frames with image, depth and classes; or with a scan, and classes where there is an image."""

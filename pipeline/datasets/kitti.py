@@ -192,14 +192,15 @@ def find_drives(root: Path, drives: Sequence[str]) -> dict[str, KittiDrive]:
     return {drive: KittiDrive(root / drive[:10] / f"{drive}_sync") for drive in drives}
 
 
-def leave_out(root: Path, drives: Collection[str], splits: Mapping[str, str], required: Collection[str]) -> list[str]:
-    """Return which of `drives` are missing below `root`; print them, and drives that are there but in no split.
+def leave_out(root: Path, settings: Ingest, required: Collection[str] = ()) -> list[str]:
+    """Return which of KITTI's drives are missing below `root`; print them, and drives that are there but in no split.
 
-    The other drives of `splits` (drive → split) are rendered. Raises InputError if `root` has one of them, or if all
-    `drives` are missing, all of a split, or one of the `required`.
+    Raises InputError if `root` has a drive that is rendered, or lacks all drives, all of a split, or one of the
+    `required`.
     """
-    known = _drives(root)
-    if twice := next((drive for drive in known if drive in splits and drive not in drives), None):
+    known, splits, of = _drives(root), settings.drives.splits(), settings.datasets()
+    drives = [drive for drive in splits if of[drive] == "kitti"]
+    if twice := next((drive for drive in known if of.get(drive) == "sample"), None):
         problem = f"stage sample renders a drive of the same name, data/sample/{twice[:10]}/{twice}_sync"
         fix = "Rename this folder, or set ingest.source: kitti"
         raise InputError(problem, root / twice[:10] / f"{twice}_sync", fix)

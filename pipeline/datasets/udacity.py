@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.camera.lens import pinhole, undistortion
 from pipeline.datasets.core.drive import Drive, stamps
-from pipeline.media.columns import LIMIT_RAD, read_columns, refuse
+from pipeline.media.columns import LIMIT_RAD, check_increase, read_columns, refuse
 from pipeline.media.recording import open_recording
 from pipeline.settings.ingest import Ingest
 
@@ -35,11 +35,12 @@ def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
     images.straighten = undistortion(camera, DISTORTION)
     limits = {"time_s": np.inf, "wheel_rad": LIMIT_RAD * STEERING_RATIO}
     table, faults = read_columns(log, limits, "Expected CSV: time_s, wheel_rad")
+    faults += check_increase(table["time_s"], 1e-5)
     if len(table) != len(images.times_s):
         faults.append(f"has {len(table)} rows, the video {len(images.times_s)} frames")
     refuse(faults, log, "Take both files of one drive")
     images.times_s = table["time_s"].to_numpy()
-    angles = dict(enumerate((table["wheel_rad"] / STEERING_RATIO).tolist()))
+    angles = (table["wheel_rad"].reset_index(drop=True) / STEERING_RATIO).dropna().to_dict()
     return Drive(replace(camera, horizon=HORIZON), images.frames, {"steering_rad": angles}, images.notes)
 
 

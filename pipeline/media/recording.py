@@ -127,6 +127,8 @@ def open_recording(
     for path in (paths := [paths] if isinstance(paths, Path) else paths):
         if not path.exists():
             raise InputError("path is missing", path, "Pass a video, or a folder of images")
+    if len(paths) > 1 and (folder := next(filter(Path.is_dir, paths), None)):
+        raise InputError("is a folder among several files", folder, "Pass videos in order, or one folder")
     path, times_s, notes = paths[0], read_times(times) if times else None, list[str]()
     stamped, stored, last_s = False, 0, 0.0
     if path.is_dir() and (chapters := _video_files(path)):

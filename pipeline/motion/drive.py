@@ -13,7 +13,7 @@ from pipeline.motion.step import LEAST_NOISE, PROBLEMS, durations, filter_speed,
 from pipeline.motion.still import lowest_share
 from pipeline.motion.visual import Odometry
 
-ROAD_FRAMES, OTHER_UNIT = 50, 2.0
+ROAD_FRAMES = 50  # that tell a unit
 UNITS = {
     "yaw_rate_radps": "rad/s, left positive",
     "speed_mps": "m/s, forward positive",
@@ -71,16 +71,15 @@ def measure_drive(
         file.put("valid", valid.astype(np.uint8))
         for name, unit in UNITS.items():
             file.put(name, columns[name], unit)
-        if frames.metric:
-            _check_unit(columns["road_height_m"][road], frames.camera.height_m)
+        _check_unit(columns["road_height_m"][road], frames.camera.height_m, frames.unit_error)
     still = lowest_share(columns["still"], valid)
     return {"frames": count, "valid": int(valid.sum()), "road_frames": int(road.sum()), "still": still}
 
 
-def _check_unit(heights_m: np.ndarray, camera_m: float) -> None:
-    """Raise InputError if the road of many frames is at a distance from the camera that no error of depth explains."""
+def _check_unit(heights_m: np.ndarray, camera_m: float, factor: float) -> None:
+    """Raise InputError if the road of many frames is `factor` times farther from or nearer to the camera than known."""
     height_m = float(np.median(heights_m)) if len(heights_m) >= ROAD_FRAMES else camera_m
-    if not 1 / OTHER_UNIT < height_m / camera_m < OTHER_UNIT:
+    if not 1 / factor < height_m / camera_m < factor:
         problem = (
             f"by depth, the road is {height_m:.2f} m below a camera {camera_m:.2f} m above it: depth in other units?"
         )

@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from itertools import islice, pairwise
+from pathlib import Path
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from pipeline.base.errors import InputError
+from pipeline.base.errors import InputError, error_context
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import project
 from pipeline.motion.visual import best_corners, corner_quality, track
@@ -54,6 +55,15 @@ def find_horizon(frames: Iterable[Frame], camera: Camera) -> float | None:
     return (row + 0.5) * scale - 0.5
 
 
+def noted_horizon(path: Path, frames: Callable[[], Iterator[Frame]], camera: Camera, notes: list[str]) -> float | None:
+    """Return :func:`find_horizon` of the recording at `path`, and add a note about it."""
+    with error_context(path):
+        row = find_horizon(frames(), camera)
+    found = "not found, since too few images show a drive; assuming a level camera"
+    notes.append(f"horizon: {found if row is None else f'row {row:.0f} of {camera.size[0]}'}")
+    return row
+
+
 def _ahead(motion: _Motion) -> tuple[float, bool | None] | None:
     """Return the row of the direction of travel, and whether points above it are nearer than those below.
 
@@ -68,7 +78,8 @@ def _ahead(motion: _Motion) -> tuple[float, bool | None] | None:
     focus = motion.K[:2, :2] @ [right / ahead, down / ahead] + motion.K[:2, 2]
     away = motion.uv - focus
     nearness = np.abs(((uv_now - motion.uv) * away).sum(axis=1) / np.maximum((away**2).sum(axis=1), 1.0))
-    middle = np.abs(away[:, 0]) < WIDTH / 4
+    moves = np.abs(motion.uv_now - motion.uv).max(axis=1) > MIN_FLOW_PX / 2  # unlike a bonnet, and text
+    middle = moves & (np.abs(away[:, 0]) < WIDTH / 4)
     parts = [nearness[middle & (side * away[:, 1] > MARGIN_PX)] for side in (-1, 1)]
     known = min(map(len, parts)) >= MIN_POINTS
     return float(focus[1]), bool(np.median(parts[0]) > np.median(parts[1])) if known else None

@@ -62,21 +62,25 @@ def warnings(folder: Path, precision: str, ingest: Iterable[Path]) -> Iterator[s
                 return
 
 
-def is_random(folder: Path, precision: str) -> bool:
-    """Return whether depth is that of random weights: of a network that is neither fitted nor published."""
+def unit_error(folder: Path, precision: str) -> float:
+    """Return the factor beyond which depth must be in other units: infinite for random weights.
+
+    A network of images of one camera takes a lorry's camera, twice as high, for that one.
+    """
     return _open(folder, file_hash(folder / FILE), precision)[2]
 
 
 @lru_cache(maxsize=1)  # one for all drives of a process; a worker of a cluster outlives the file
-def _open(folder: Path, _: str, precision: str) -> tuple[Predict, list[str] | None, bool]:
-    """Return the function, the datasets of a fit, None if the encoder does not say, and whether weights are random."""
+def _open(folder: Path, _: str, precision: str) -> tuple[Predict, list[str] | None, float]:
+    """Return the function, the datasets of a fit, None if the encoder does not say, and :func:`unit_error`."""
     with error_context(fix="Make it again: dvc repro --force --single-item encoder"):
         architecture, network = load(folder / FILE)
     predict: Predict = lambda batch: perceive(network, batch.images, batch.camera, precision)  # noqa: E731
     if architecture["backbone"] == "precomputed":
         predict = partial(_read_precomputed, Path(architecture["folder"]))
-    datasets = architecture.get("datasets")
-    return predict, datasets, not datasets and architecture["backbone"] in ("small", "hugging_face")
+    datasets, factor = architecture.get("datasets"), 2.0 if architecture["backbone"] == "precomputed" else 3.5
+    random = not datasets and architecture["backbone"] in ("small", "hugging_face")
+    return predict, datasets, np.inf if random else factor
 
 
 def _read_precomputed(folder: Path, batch: EncoderInput) -> Perceived:
@@ -172,7 +176,7 @@ def perceive_drive(
         camera, with_image = read_camera(source, settings.camera_height_m), np.flatnonzero(source["has_image"])
         file.attrs["camera_height_m"] = camera.height_m
         calibrated = camera.T_cam_velo is not None or settings.camera_height_m is not None
-        file.attrs["metric"] = int(calibrated and not is_random(encoder, settings.precision))
+        file.attrs["unit_error"] = unit_error(encoder, settings.precision) if calibrated else np.inf
         file.put("frame", source.frame[with_image])
         file.put("time_s", source.time_s[with_image], "s")
         file.append("depth_m", np.zeros((0, *camera.size), np.uint16), f"1/{DEPTH_UNITS_PER_M} m, 0 = none")

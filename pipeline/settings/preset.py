@@ -28,7 +28,7 @@ from pipeline.settings.train import Train
 
 PRESETS = ROOT / "presets"
 PARAMS = ROOT / "params.yaml"
-_AUTHOR = "make params"
+_AUTHOR, IMPORT = "make params", "steer import"
 
 
 class Params(Section):
@@ -51,6 +51,7 @@ def main(
     folder: Annotated[Path, typer.Argument(help="where to write params.yaml")] = Path(),
 ) -> None:
     """Write params.yaml with the changes of a preset. Raises InputError if it was edited by hand since its commit."""
+    merged(name, Path("params.yaml"))  # finds faults
     refresh(path_of(name), Path("data/raw"))
     result, out = text(name, Path("params.yaml")), folder / "params.yaml"
     status = ["git", "status", "--porcelain", "--untracked-files=no", out.name]
@@ -84,26 +85,39 @@ def path_of(name: str) -> Path:
 
 
 def refresh(preset: Path, raw: Path) -> None:
-    """Replace the hashes in a preset of recordings whose files below `raw` have changed; missing files keep theirs."""
-    parts = (read(preset).get("ingest") or {}).get("recordings") or {}
-    files = {(raw / part["folder"] / file): before for part in parts.values() for file, before in part["files"].items()}
-    now = {path: content_hash(path) for path in files if path.exists()}
-    if changed := [path for path in now if now[path] != files[path]]:
-        text, unedited = preset.read_text(encoding="utf-8"), is_unedited(preset)
-        for path in changed:
-            text = text.replace(files[path], now[path])
+    """Replace the hashes in a preset of recordings whose files below `raw` have changed; missing files keep theirs.
+
+    With a changed copy, which an import must not replace, the preset counts as edited.
+    """
+    content, hashes, changed = read(preset, comments=True), dict[Path, str](), set[Path]()
+    for part in filter(None, ((content.get("ingest") or {}).get("recordings") or {}).values()):
+        for name, before in part["files"].items():
+            path = raw / part["folder"] / name
+            if path.exists() and path not in hashes:
+                hashes[path] = content_hash(path)
+            if hashes.get(path, before) != before:
+                part["files"][name] = hashes[path]
+                changed.add(path)
+    if changed:
+        as_imported = is_unedited(preset) and all(path.is_symlink() for path in changed)
         with replacing(preset) as new:
-            new.write_text(stamped(text.partition("\n")[2], "steer import") if unedited else text, encoding="utf-8")
-        print(f"{preset}: new hash of {', '.join(map(str, changed))}")
+            text = _dumped(content)
+            new.write_text(stamped(text, IMPORT) if as_imported else text, encoding="utf-8")
+        print(f"{preset}: new hash of {', '.join(map(str, sorted(changed)))}")
 
 
 def text(name: str, params: Path = PARAMS) -> str:
     """Return :func:`merged` as YAML, :func:`stamped`."""
+    return stamped(_dumped(merged(name, params)), _AUTHOR)
+
+
+def _dumped(content: dict[str, Any]) -> str:
+    """Return content with comments as YAML, without the line of :func:`stamped`."""
     writer, stream = YAML(), io.StringIO()
     writer.default_flow_style = False  # as DVC writes, so that `dvc exp run -S` changes one line
-    writer.dump(merged(name, params), stream)
+    writer.dump(content, stream)
     first, _, rest = stream.getvalue().partition("\n")
-    return stamped(rest if first.startswith(f"# Written by {_AUTHOR}") else stream.getvalue(), _AUTHOR)
+    return rest if first.startswith("# Written by ") else stream.getvalue()
 
 
 def _merge(content: dict[str, Any], changes: dict[str, Any]) -> None:

@@ -6,13 +6,14 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from pipeline.base.errors import InputError, error_context
+from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS, read
 from pipeline.base.resume import ROOT, content_hash
 from pipeline.base.store import replacing
@@ -21,10 +22,11 @@ from pipeline.camera.lens import depth_limit
 from pipeline.datasets.recording import FRAMES, MOTION, TIMES, VIDEO, WHEEL, Capture, open_images, usable
 from pipeline.media.log import Logs
 from pipeline.media.recording import Recording
-from pipeline.motion.horizon import find_horizon, opposite_turns
+from pipeline.motion.horizon import noted_horizon, opposite_turns
 from pipeline.settings.ingest import KITTI_NAMES, Part
-from pipeline.settings.preset import is_unedited, stamped
+from pipeline.settings.preset import IMPORT, is_unedited, stamped
 
+OWN = rf"({VIDEO}[-.]|({FRAMES}|{WHEEL}|{MOTION}|{TIMES})$)"  # names of links
 GAP_S = 2.0  # left out between the parts of a split: neighbouring images are almost the same
 TURNING_RADPS, TURNING_RAD = 0.05, 0.03  # of the log: yaw rate, angle of the front wheels
 
@@ -50,25 +52,26 @@ def open_recording(
     logs = Logs.read(wheel, part.steering_ratio, motion, part.offset)
     capture = Capture(part.fov, part.K, part.distortion, part.fisheye, part.fps, times)
     recording, camera = open_images(paths, capture, logs)
-    _check_signs(recording, camera, logs)
-    with error_context(recording.path):
-        horizon = find_horizon(recording.frames(), camera) if part.horizon is None else part.horizon
-    found = "not found, since too few images show a drive; assuming a level camera"
-    recording.notes.append(f"horizon: {found if horizon is None else f'row {horizon:.0f} of {camera.size[0]}'}")
+    within = usable(recording.times_s, Logs(), part.start, part.end)
+    _check_signs(recording, camera, logs, within)
+    row = part.horizon
+    if row is None:
+        row = noted_horizon(recording.path, partial(recording.frames, within), camera, recording.notes)
     names = [f"{VIDEO}-{number:02d}{path.suffix}" for number, path in enumerate(paths, 1)]
     if len(paths) == 1:
         names = [FRAMES if paths[0].is_dir() else f"{VIDEO}{paths[0].suffix}"]
     named = zip((*names, WHEEL, MOTION, TIMES), (*paths, wheel, motion, times), strict=True)
     files = {name: path.resolve() for name, path in named if path}
     hashes = {name: content_hash(path) for name, path in files.items()}
-    row = None if horizon is None else round(horizon, 2)
-    return Imported(part.model_copy(update={"horizon": row, "files": hashes}), files, recording, camera, logs)
+    part = part.model_copy(update={"horizon": row and round(row, 2), "files": hashes})
+    return Imported(part, files, recording, camera, logs)
 
 
-def _check_signs(recording: Recording, camera: Camera, logs: Logs) -> None:
-    """Raise InputError if a log turns against the images."""
+def _check_signs(recording: Recording, camera: Camera, logs: Logs, within: np.ndarray) -> None:
+    """Raise InputError if a log turns against the images `within` start and end, bool [F]."""
     for log, row, least in ((logs.motion, 1, TURNING_RADPS), (logs.wheel, 0, TURNING_RAD)):
-        if log and opposite_turns(recording.frames, camera, recording.times_s, log.at(recording.times_s)[row], least):
+        rate = np.where(within, log.at(recording.times_s)[row], np.nan) if log else np.zeros(0)
+        if log and opposite_turns(recording.frames, camera, recording.times_s, rate, least):
             fix = "Left is positive. Pass a negative --steering-ratio" if log is logs.wheel else "Left is positive"
             raise InputError("the sign is inverted: the log turns left where the images turn right", log.name, fix)
 
@@ -127,13 +130,18 @@ def check_free(preset: Path, folders: Sequence[Path]) -> None:
     hashes = {(part["folder"], file): value for part in known for file, value in part["files"].items()}
     for path in [path for folder in folders for path in folder.glob("*")]:
         expected = hashes.get((path.parent.name, path.name))
-        if not expected or not (path.is_symlink() or content_hash(path) == expected):
+        own_link = path.is_symlink() and re.match(OWN, path.name)
+        if not own_link and (not expected or content_hash(path) != expected):
             raise InputError("is not as steer import wrote it", path, "Move it away, or pass another --name")
 
 
 @contextmanager
 def linked(recordings: Sequence[Imported], raw: Path, *, copy: bool) -> Iterator[None]:
     """Make links to the files of recordings, or copies; after the block they replace those of an earlier import."""
+    folders = [(raw / one.part.folder).resolve() for one in recordings]
+    for path in [path for one in recordings for path in one.files.values()]:
+        if any(path.is_relative_to(folder) for folder in folders):
+            raise InputError("is in a folder that this import replaces", path, "Move it away, or pass another --name")
     with ExitStack() as stack:
         for one in recordings:
             new = stack.enter_context(replacing(raw / one.part.folder))
@@ -172,7 +180,7 @@ def write_preset(
             "recordings": {name: part.model_dump(exclude_defaults=True) for name, (_, part) in drives.items()},
         },
         "encoder": {"backbone": "street", "weights": "weights/street/encoder.pt", "epochs": 0},
-        "perception": {"camera_height_m": height_m} if height_m else {},
+        "perception": {"camera_height_m": height_m},  # None removes an earlier one
         "labels": {"source": source},
         "clouds": {"max_depth_m": float(round(depth_limit(one.camera)))},
         "graphs": {"*": None, "depth": {"source": "clouds/pseudo", "points": 1000, "k": 6}},
@@ -187,4 +195,4 @@ def write_preset(
     text = f"# Train on this recording and test on its end: make street, then make {path.stem}\n"
     text += yaml.safe_dump(settings, sort_keys=False)
     with replacing(path) as unfinished:
-        unfinished.write_text(stamped(text, "steer import"), encoding="utf-8")
+        unfinished.write_text(stamped(text, IMPORT), encoding="utf-8")

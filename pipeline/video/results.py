@@ -52,13 +52,13 @@ class Truth(NamedTuple):
 def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> Truth:
     """Return the truth for frame numbers [F] of an ingest file, which has the values of `logs`, if there are any.
 
-    With two sources the angle is the recorded one.
+    With two logs the angle is the wheel's; in a drive with oxts, theirs.
     """
     recorded = sources.recorded(ingest, car)
-    if not recorded:
+    if not recorded.keys() & {"oxts", "wheel"}:
         unknown = np.full(len(frame), np.nan)
         return Truth("", "", steering_labels(unknown, unknown, car))
-    source = "wheel" if logs.wheel and "wheel" in recorded else next(iter(recorded))
+    source = next((name for name in ("wheel", "oxts")[:: 1 if logs.wheel else -1] if name in recorded), "")
     name = logs.name or {"wheel": "steering.csv"}.get(source, source)
     column = "wheel_rad" if logs.wheel else sources.column(source)
     driven = recorded[source].at(np.searchsorted(ingest.frame, frame))

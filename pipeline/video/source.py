@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from pipeline.base.errors import InputError, error_context
+from pipeline.base.errors import InputError
 from pipeline.base.store import replacing
 from pipeline.camera.camera import Camera
 from pipeline.datasets import kitti, recording
@@ -22,7 +22,7 @@ from pipeline.datasets.core.oxts import read_times
 from pipeline.datasets.recording import Capture
 from pipeline.media.log import Logs
 from pipeline.motion.drive import measure_drive
-from pipeline.motion.horizon import find_horizon
+from pipeline.motion.horizon import noted_horizon
 from pipeline.perception.perceive import perceive_drive
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
@@ -95,10 +95,7 @@ def _open_images(
     paths: Sequence[Path], capture: Capture, logs: Logs, hz: float | None, horizon: float | None
 ) -> Source:
     images, camera = recording.open_images(paths, capture, logs, hz)
-    with error_context(images.path):
-        row = find_horizon(images.frames(), camera) if horizon is None else horizon
-    found = "not found, since too few images show a drive; assuming a level camera"
-    images.notes.append(f"horizon: {found if row is None else f'row {row:.0f} of {camera.size[0]}'}")
+    row = noted_horizon(images.path, images.frames, camera, images.notes) if horizon is None else horizon
     camera = replace(camera, horizon=row)
     drive = recording.read_drive(images, camera, logs)
     return Source(images.path, images.path.stem, drive, camera, len(images.times_s), logs)

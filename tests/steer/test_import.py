@@ -147,6 +147,23 @@ def test_each_recording_is_a_drive_for_the_splits_in_turn(tmp_path, take, video)
     assert (tmp_path / "data/raw/2027_03_31_drive_0004-4/video.mp4").read_bytes() == video.read_bytes()
 
 
+def test_an_import_keeps_what_it_did_not_write(tmp_path, take, video, monkeypatch):
+    """Its own copy as the source, and a copied log that was edited; links of an earlier import may be replaced."""
+    for _ in range(2):
+        take(video, video, video, each=True)
+        take(video, video, each=True)
+    take(video, name="copied", copy=True, wheel=every_second(1.0))
+    with pytest.raises(InputError, match=r"copied/video.mp4: is in a folder that this import replaces"):
+        take(tmp_path / "data/raw/copied/video.mp4", name="copied")
+    write(tmp_path / "data/raw/copied/wheel.csv", every_second(-2.0))
+    for _ in range(2):
+        preset.refresh(tmp_path / "presets/copied.yaml", tmp_path / "data/raw")
+    before = contents(tmp_path)
+    with pytest.raises(InputError, match=r"copied.yaml: is not as steer import wrote it"):
+        take(video, name="copied", copy=True)
+    assert contents(tmp_path) == before
+
+
 def test_an_edited_log_makes_its_drives_anew_and_a_missing_file_only_what_is_not_kept(
     tmp_path, take, video, capsys, monkeypatch
 ):
@@ -242,13 +259,15 @@ PLAINLY_WRONG = [
     ({"each": True}, "--each needs two recordings"),
     ({"wheel": every_second(1.0), "steering_ratio": 0.5}, "a magnitude of 1 or more"),
     ({"wheel": [every_second(1.0)] * 2}, "expected 1 logs"),
+    ({"recordings": 2}, "is a folder among several files"),
 ]
 
 
 @pytest.mark.parametrize(("options", "problem"), PLAINLY_WRONG)
 def test_plainly_wrong_imports_write_nothing(tmp_path, take, video, options, problem):
+    recordings = [video, video.parent][: options.pop("recordings", 1)]
     with pytest.raises(InputError, match=problem):
-        take(video, **options)
+        take(*recordings, **options)
     assert [name for name in contents(tmp_path) if name.startswith(("data", "presets"))] == []
 
 

@@ -25,6 +25,9 @@ def test_frames_and_angles_of_a_drive(tmp_path):
         np.testing.assert_allclose(file["steering_rad"], [0.025, -0.05, 0, 0.1])
         np.testing.assert_allclose(file.time_s, np.arange(4) / 20)
         assert ("oxts" in file, file["has_image"].tolist(), file.params["dataset"]) == (False, [1] * 4, "udacity")
+    write(folder / "town.csv", "time_s,wheel_rad\n0,0\n0.1,0\n0.2,\n0.05,0\n")
+    with pytest.raises(InputError, match=r"town.csv: time_s does not increase"):
+        ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params)
     write(folder / "town.csv", "time_s,wheel_rad\n0,0\n0.1,0\n")
     with pytest.raises(InputError, match=r"town.csv: has 2 rows, the video 4 frames"):
         ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params)

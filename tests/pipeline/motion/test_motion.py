@@ -213,11 +213,11 @@ def test_traffic_is_excluded_by_its_class():
 
 def test_depth_in_another_unit_is_refused():
     """By the road of many frames."""
-    drive._check_unit(np.full(49, 6.07), 1.6)
-    drive._check_unit(np.full(50, 2.9), 1.6)
+    drive._check_unit(np.full(49, 6.07), 1.6, 2.0)
+    drive._check_unit(np.full(50, 2.9), 1.6, 2.0)
     for height_m in (6.07, 0.7):
         with pytest.raises(InputError, match=f"the road is {height_m:.2f} m below a camera 1.60 m above it"):
-            drive._check_unit(np.full(50, height_m), 1.6)
+            drive._check_unit(np.full(50, height_m), 1.6, 2.0)
 
 
 def test_images_upside_down_are_refused():

@@ -361,33 +361,51 @@ def test_a_killed_run_keeps_finished_drives_and_leaves_no_process(folder, expect
     assert outputs(folder) == expected
 
 
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    """A scheduler and two workers."""
+    distributed = pytest.importorskip("distributed")
+    local = {"dashboard_address": "127.0.0.1:0", "host": "127.0.0.1"}
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, **local) as started:
+        yield started
+
+
+@pytest.fixture
+def dask(cluster, monkeypatch) -> Any:
+    monkeypatch.setenv(SCHEDULER, cluster.scheduler_address)
+    return cluster
+
+
+@pytest.mark.slow
+def test_a_cluster_writes_the_bytes_of_one_process_and_repeats_jobs_of_dead_workers(folder, expected, dask):
+    trouble(folder, b="die once")
+    toy_stage.main(folder)
+    assert str(os.getpid()) not in (folder / "calls").read_text().split()
+    assert calls(folder).count("b") == 2
+    assert outputs(folder) == expected
+    dask.scheduler.allowed_failures, before = 0, dask.scheduler.allowed_failures
+    trouble(folder, b="die")
+    with pytest.raises(InputError, match="died"):
+        toy_stage.main(folder, k=3)
+    dask.scheduler.allowed_failures = before
+
+
 def pretend(code: str) -> None:
     resume.code_hash = partial(str, code)  # type: ignore[assignment]
 
 
 @pytest.mark.slow
-def test_a_cluster_writes_the_bytes_of_one_process_and_repeats_jobs_of_dead_workers(folder, expected, monkeypatch):
-    """A worker with other code is refused."""
-    distributed = pytest.importorskip("distributed")
-    local = {"dashboard_address": "127.0.0.1:0", "host": "127.0.0.1", "threads_per_worker": 1, "processes": True}
-    with distributed.LocalCluster(n_workers=2, **local) as cluster:
-        monkeypatch.setenv(SCHEDULER, cluster.scheduler_address)
-        with distributed.Client(cluster, set_as_default=False) as client:
-            client.run(pretend, "0123456789")
-            with pytest.raises(InputError, match="other code") as raised:
-                toy_stage.main(folder)
-            client.run(pretend, resume.code_hash())
-        assert raised.value.where.startswith("worker tcp://")
-        assert calls(folder) == []
-        trouble(folder, b="die once")
-        toy_stage.main(folder)
-        assert str(os.getpid()) not in (folder / "calls").read_text().split()
-        assert calls(folder).count("b") == 2
-        assert outputs(folder) == expected
-        cluster.scheduler.allowed_failures = 0
-        trouble(folder, b="die")
-        with pytest.raises(InputError, match="died"):
-            toy_stage.main(folder, k=3)
+def test_a_worker_with_other_code_is_refused(folder, dask):
+    import distributed
+
+    with distributed.Client(dask, set_as_default=False) as client:
+        client.wait_for_workers(2)  # an earlier test may have killed them
+        client.run(pretend, "0123456789")
+        with pytest.raises(InputError, match="other code") as raised:
+            toy_stage.main(folder)
+        client.run(pretend, resume.code_hash())
+    assert raised.value.where.startswith("worker tcp://")
+    assert calls(folder) == []
 
 
 @pytest.mark.parametrize(

@@ -42,6 +42,9 @@ def main(name: str) -> None:
         lens = [f"--{key} {part[key]}" for key in ("fov", "K", "distortion", "fisheye") if key in part]
         model = run / "data/train" / next(iter(settings["models"]))
         print("next: steer predict VIDEO", *lens, f"--model {model}")
+        recorded = json.loads((run / "data/scores/metrics.json").read_text(encoding="utf-8"))["recorded"]
+        for doubt in dict.fromkeys(line for log in recorded.values() for line in log["lines"][1:]):
+            print(f"doubt: {doubt}")
 
 
 def copy_cache(run: Path) -> None:

@@ -38,15 +38,16 @@ def main(
         # One worker, as this is less work than starting a process.
         summaries = make_drives(folder, jobs, settings, text, workers=1)
         store.write_index(folder.new, splits)
-    for drive, split in splits.items():
-        valid = summaries[drive]["valid"]
-        if valid < WINDOW and store.drives_in(splits, split) == [drive]:
-            labelled = (
-                f"{valid} of {summaries[drive]['frames']} frames of {drive}, the only drive of {split}, have a label"
-            )
-            print(
-                f"{labelled}: the car stands? Add drives, or cut a recording otherwise: steer import --split 60,30,10"
-            )
+    for split in dict.fromkeys(splits.values()):
+        of_split = store.drives_in(splits, split)
+        frames, valid, turning = (
+            sum(summaries[name][key] for name in of_split) for key in ("frames", "valid", "turning")
+        )
+        fix = "Add drives, or cut a recording otherwise: steer import --split 60,30,10"
+        if valid < WINDOW:
+            print(f"doubt: {valid} of {frames} frames of {', '.join(of_split)} have a label: the car stands? {fix}")
+        elif turning < comparison.SHOWN:
+            print(f"doubt: {turning} of {frames} frames of split {split} turn, too few to tell models apart. {fix}")
     if count := sum(summary["interpolated"] for summary in summaries.values()):
         print(f"{count} oxts packets are interpolated, not measured: they are no targets, and paths ahead end there")
     if suspect := [drive for drive, summary in summaries.items() if summary["sideways"]]:

@@ -6,9 +6,9 @@ drive = measure("street.mp4", fov_deg=65)  # drive.table: pandas, a row per fram
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TypedDict, Unpack
+from typing import Any, TypedDict, Unpack
 
-from pipeline.base.errors import InputError
+from pipeline.base.errors import InputError, closest
 from pipeline.base.outputs import check_free
 from pipeline.datasets.recording import Capture
 from pipeline.labels.label import Car
@@ -30,9 +30,9 @@ class Options(TypedDict, total=False):
     """What is known about a recording, see docs/real.md; None as if not given."""
 
     fov_deg: float | None  # horizontal
-    K: str | None  # "fx,fy,cx,cy" in pixels
-    distortion: str | None
-    fisheye: str | None
+    K: str | Sequence[float] | None  # fx, fy, cx, cy in pixels; distortion, fisheye: also as text or numbers
+    distortion: str | Sequence[float] | None  # k1, k2, p1, p2[, k3]
+    fisheye: str | Sequence[float] | None  # k1, k2, k3, k4
     fps: float | None
     times: PathLike | None
     camera_height_m: float | None
@@ -92,13 +92,19 @@ def _free(out: PathLike | None) -> Path | None:
 
 
 def _open(source: Recording, reading: Reading, known: Options, hz: float | None = None) -> Source:
-    files = (known.get("wheel"), known.get("motion"), known.get("times"))
+    if unknown := known.keys() - Options.__annotations__.keys():
+        raise TypeError(f"unknown option {min(unknown)!r}: {closest(min(unknown), [*Options.__annotations__])}")
+    files = known.get("wheel"), known.get("motion"), known.get("times")
     wheel, motion, times = (Path(file) if file else None for file in files)
     logs = Logs.read(wheel, known.get("steering_ratio"), motion, known.get("offset_s", 0.0))
-    lens = known.get("fov_deg"), known.get("K"), known.get("distortion"), known.get("fisheye")
+    K, distortion, fisheye = (_text(known.get(name)) for name in ("K", "distortion", "fisheye"))
     paths = [Path(path) for path in ([source] if isinstance(source, Path | str) else source)]
-    capture = Capture(*lens, known.get("fps"), times)
+    capture = Capture(known.get("fov_deg"), K, distortion, fisheye, known.get("fps"), times)
     return open_source(paths, reading, known.get("camera_height_m"), logs, hz, capture)
+
+
+def _text(numbers: Any) -> str | None:
+    return numbers if numbers is None or isinstance(numbers, str) else ",".join(map(str, numbers))
 
 
 def _network(model: Path) -> Path:

@@ -18,7 +18,7 @@ steer import a.mp4 b.mp4 c.mp4 --each --name week --fov 78 --motion a.csv --moti
 
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -37,7 +37,9 @@ def import_recording(
     wheel: Logs = None,
     steering_ratio: options.SteeringRatio = None,
     fov: options.Fov = None,
-    k: options.K = None,
+    k: Annotated[
+        list[str] | None, typer.Option("--K", metavar="FX,FY,CX,CY", help="intrinsics; with --each, one or each's")
+    ] = None,
     distortion: options.Distortion = None,
     fisheye: options.Fisheye = None,
     horizon: Annotated[float | None, options.number(-1e4, 1e4, "row of the road's horizon; default: estimated")] = None,
@@ -65,31 +67,22 @@ def import_recording(
     groups = [[path] for path in recording] if each else [recording]
     if each and (len(groups) < 2 or split or times):
         raise InputError("--each needs two recordings or more, and takes neither --split nor --times")
-    for option, logs in (("--motion", motion), ("--wheel", wheel)):
-        if logs and len(logs) != len(groups):
-            raise InputError(f"expected {len(groups)} logs, one per recording (got {len(logs)})", option)
+    for option, given in (("--motion", motion), ("--wheel", wheel), ("--K", k)):
+        if given and len(given) != len(groups) and (option != "--K" or len(given) > 1):
+            problem = f"expected {len(groups)}, one per recording (got {len(given)})"
+            raise InputError(problem, option, "With --each, each path is a recording" * (not each))
     name, raw = name or recording[0].stem, PRESETS.parent / "data/raw"
     with error_context("--name"):
         check_name(name)
     preset = PRESETS / f"{name}.yaml"
     folders = [f"{name}-{number + 1}" for number in range(len(groups))] if each else [name]
     importing.check_free(preset, [raw / folder for folder in folders])
+    chosen: Any = {"fov": fov, "distortion": distortion, "fisheye": fisheye, "fps": fps, "horizon": horizon}
+    chosen |= {"steering_ratio": steering_ratio, "offset": offset, "start": start}
+    chosen["end"] = None if math.isinf(end) else end
     opened = []
     for number, (folder, paths) in enumerate(zip(folders, groups, strict=True)):
-        part = Part(
-            folder=folder,
-            fov=fov,
-            K=k,
-            distortion=distortion,
-            fisheye=fisheye,
-            fps=fps,
-            steering_ratio=steering_ratio,
-            offset=offset,
-            horizon=horizon,
-            start=start,
-            end=end if end < math.inf else None,
-            files={},
-        )
+        part = Part(folder=folder, files={}, K=k[number % len(k)] if k else None, **chosen)
         angles, rates = (own[number] if own else None for own in (wheel, motion))
         opened.append(importing.open_recording(paths, angles, rates, times, part))
     parts = [part for one in opened for part in importing.parts(one, [100.0] if each else shares)]
@@ -103,5 +96,5 @@ def import_recording(
         importing.write_preset(preset, drives, opened[0], source, camera_height)
     for drive, of, (_, images) in zip(names, splits, parts, strict=True):
         print(f"{drive}: {images} images, {of}")
-    print(*(note for one in opened for note in one.recording.notes), sep="\n")
+    print(*(f"{f'{one.part.folder}: ' * each}{note}" for one in opened for note in one.recording.notes), sep="\n")
     print(f"next: make street && make {preset.stem}")

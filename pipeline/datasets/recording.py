@@ -19,13 +19,8 @@ from pipeline.media.log import ROUNDING_S, Logs
 from pipeline.media.recording import Recording, open_recording
 from pipeline.settings.ingest import Ingest, Part
 
-VIDEO, FRAMES, WHEEL, MOTION, TIMES = (
-    "video",
-    "frames",
-    "wheel.csv",
-    "motion.csv",
-    "times.txt",
-)  # in a folder of data/raw
+VIDEO, FRAMES = "video", "frames"  # beginnings of the names of files in a folder of data/raw
+WHEEL, MOTION, TIMES = "wheel.csv", "motion.csv", "times.txt"
 
 
 class Capture(NamedTuple):
@@ -60,11 +55,9 @@ def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
         gone = f"the link's target {missing[0].readlink()}" if missing[0].is_symlink() else "the file"
         fix = "Repeat steer import, or fetch finished drives: dvc repro --pull --allow-missing"
         raise InputError(f"{gone} is missing", missing[0], fix)
-    wheel, motion, times = (
-        next((path for path in paths if path.name == kind), None) for kind in (WHEEL, MOTION, TIMES)
-    )
-    logs = Logs.read(wheel, part.steering_ratio, motion, part.offset)
-    capture = Capture(part.fov, part.K, part.distortion, part.fisheye, part.fps, times)
+    named = {path.name: path for path in paths}
+    logs = Logs.read(named.get(WHEEL), part.steering_ratio, named.get(MOTION), part.offset)
+    capture = Capture(part.fov, part.K, part.distortion, part.fisheye, part.fps, named.get(TIMES))
     recording, camera = open_images([path for path in paths if path.name.startswith((VIDEO, FRAMES))], capture, logs)
     used = usable(recording.times_s, logs, part.start, part.end)
     if not used.any():

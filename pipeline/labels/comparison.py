@@ -185,7 +185,7 @@ def check(source: str, drives: Mapping[str, Pair]) -> Iterator[str]:
         errors, lines = judge(found, sources.column(source))
         if errors:
             raise InputError(errors[0], where, "Correct the log and import it again, or choose another labels.source")
-        yield from (f"{where}: {line}" for line in lines)
+        yield from (f"{'doubt: ' * (number > 0)}{where}: {line}" for number, line in enumerate(lines))
 
 
 def judge(comparison: Mapping[str, Any], column: str, ratio: float = 1.0) -> tuple[list[str], list[str]]:
@@ -213,41 +213,35 @@ def judge(comparison: Mapping[str, Any], column: str, ratio: float = 1.0) -> tup
 
 
 def _judge(fit: Mapping[str, Any], name: str, turning: int, ratio: float) -> tuple[list[str], list[str]]:
-    """Return errors and doubts about the column `name`."""
+    """Return errors and doubts about the column `name`: the first that holds, and a time that is wrong besides."""
     best, gain, lag_s, many = fit["best"], fit["gain"], fit["lag_s"], turning >= JUDGED
-    certain = fit["distinct"] and (many or abs(best) > CLEAR)
-    inverted = f"the sign of {name} is inverted: left is positive"
-    times = f"{name} is {gain:.3g} times what is measured"
-    degrees = certain and abs(abs(math.log(gain, DEGREES)) - 1) < SIMILAR
+    certain, follows = fit["distinct"] and (many or abs(best) > CLEAR), abs(best) > FOLLOWS
     unsigned = fit["magnitude"] > max(CLEAR, abs(best) + MAGNITUDE)
+    inverted = certain and max(best, fit["correlation"]) < 0
+    opposite = turning >= SIGNED and fit["cosine"] < OPPOSITE
+    degrees = certain and abs(abs(math.log(gain, DEGREES)) - 1) < SIMILAR
     drifts = len(fit["thirds_s"]) > 1 and np.ptp(fit["thirds_s"]) > DRIFT_S
-    unlike, others = UNLIKE, "the steering ratio and K"
-    if name == "yaw_rate_radps":
-        unlike, others = UNLIKE_YAW, "and K or --fov"
-    errors = {
-        inverted: not unsigned
-        and (
-            (turning >= SIGNED and fit["cosine"] < OPPOSITE) or (many and certain and max(best, fit["correlation"]) < 0)
-        ),
-        f"{times}: convert degrees to radians, once": many and degrees,
-    }
-    lags = " to ".join(f"{lag:.2f}" for lag in fit["thirds_s"])
+    off_centre = abs(fit["off_centre"]) > OFF_CENTRE
+    unlike, others = (
+        (UNLIKE_YAW, "and K or --fov") if name == "yaw_rate_radps" else (UNLIKE, "the steering ratio and K")
+    )
+    times, lags = f"{name} is {gain:.3g} times what is measured", " to ".join(f"{lag:.2f}" for lag in fit["thirds_s"])
     causes = "another drive's log, a clock that is more than 2 s off, or poorly measured motion"
-    when = "late" if lag_s > 0 else "early"
-    # The first that holds is the reason; a wrong time may come on top.
-    doubts = {
-        f"{name} has angles without a sign": unsigned,
-        inverted: certain and max(best, fit["correlation"]) < 0,
-        f"{times}: convert degrees to radians, once": degrees,
-        f"{name} stays equal for {fit['stuck_s']:.0f} s while the car turns": fit["stuck_s"] > STUCK_S,
-        f"the clock of {name} drifts or jumps: it is {lags} s late": drifts,
-        f"{name} does not follow the measured motion: {causes}": many and 0 < abs(best) < FOLLOWS,
-        f"{times}: check its unit, {others}": certain and abs(math.log(gain)) > unlike and abs(best) > FOLLOWS,
-        f"straight ahead is {fit['offset'] * ratio:.2g} in {name}: subtract it": abs(best) > FOLLOWS
-        and abs(fit["off_centre"]) > OFF_CENTRE,
-    }
-    late = best > CLEAR and best - fit["correlation"] > LATE_COST and abs(lag_s) > LATE_S and not drifts
-    offset_text = f"{name} is {abs(lag_s):.2f} s {when}: pass --offset {-lag_s:.2f}, added to an earlier one"
-    found = [text for text, holds in doubts.items() if holds][:1] + [offset_text] * bool(late)
-    wrong = [text for text, holds in errors.items() if holds]
+    sign, unit = f"the sign of {name} is inverted: left is positive", f"{times}: convert degrees to radians, once"
+    errors = [(sign, not unsigned and (opposite or (many and inverted))), (unit, many and degrees)]
+    doubts = [
+        (f"{name} has angles without a sign", unsigned),
+        (sign, inverted),
+        (unit, degrees),
+        (f"{name} stays equal for {fit['stuck_s']:.0f} s while the car turns", fit["stuck_s"] > STUCK_S),
+        (f"the clock of {name} drifts or jumps, or --fps is wrong: it is {lags} s late", drifts),
+        (f"{name} does not follow the measured motion: {causes}", many and 0 < abs(best) <= FOLLOWS),
+        (f"{times}: check its unit, {others}", certain and follows and abs(math.log(gain)) > unlike),
+        (f"straight ahead is {fit['offset'] * ratio:.2g} in {name}: subtract it", follows and off_centre),
+    ]
+    found = [text for text, holds in doubts if holds][:1]
+    if best > CLEAR and best - fit["correlation"] > LATE_COST and abs(lag_s) > LATE_S and not drifts:
+        late = "late" if lag_s > 0 else "early"
+        found.append(f"{name} is {abs(lag_s):.2f} s {late}: pass --offset {-lag_s:.2f}, added to an earlier one")
+    wrong = [text for text, holds in errors if holds]
     return wrong, [] if wrong else found

@@ -83,13 +83,13 @@ class Ingest(Reading):
     def _refuse_earlier(cls, value: Any) -> Any:
         if isinstance(value, dict) and "manifests" in value:
             raise ValueError("manifests is of an earlier version: remove it. The drives are read as KITTI's")
+        if isinstance(value, dict) and value.get("source") == "both":
+            raise ValueError("source: both is of an earlier version: name one of each split, {train: sample, …}")
         return value
 
     @model_validator(mode="after")
     def _check_datasets(self) -> Self:
         for drive, dataset in self.datasets().items():
-            if dataset == "both":
-                raise ValueError("source: both is of an earlier version: name one of each split, {train: sample, …}")
             if dataset not in DATASETS:
                 raise ValueError(f"source: there is no pipeline/datasets/{dataset}.py ({closest(dataset, DATASETS)})")
             if dataset == RECORDING and drive not in self.recordings:

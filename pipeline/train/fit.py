@@ -163,6 +163,11 @@ class Fit:
             # One write, as runs in parallel share the output; print writes the line's end separately.
             line = f"{title}: {epoch} of {epochs} epochs, loss {loss:.4f}{text}, ETA {eta:.0f} s\n"
             print(line, end="", flush=True)
+        if (done := len(self.curve)) < epochs and done > before:
+            chosen = selected_epoch(self.curve)
+            print(
+                f"{title}: stopped {done - chosen} epochs after the least validation error, epoch {chosen}", flush=True
+            )
 
     def _unfinished(self) -> bool:
         done = len(self.curve)

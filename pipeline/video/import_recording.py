@@ -72,8 +72,11 @@ def _check_signs(recording: Recording, camera: Camera, logs: Logs, within: np.nd
     for log, row, least in ((logs.motion, 1, TURNING_RADPS), (logs.wheel, 0, TURNING_RAD)):
         rate = np.where(within, log.at(recording.times_s)[row], np.nan) if log else np.zeros(0)
         if log and opposite_turns(recording.frames, camera, recording.times_s, rate, least):
-            fix = "Left is positive. Pass a negative --steering-ratio" if log is logs.wheel else "Left is positive"
-            raise InputError("the sign is inverted: the log turns left where the images turn right", log.name, fix)
+            fix = "Left is positive" + ". Or pass a negative --steering-ratio" * (log is logs.wheel)
+            problem = (
+                f"turns left where {recording.path} turns right: its sign is inverted, or it is another recording's"
+            )
+            raise InputError(problem, log.name, fix)
 
 
 def parts(imported: Imported, shares: Sequence[float]) -> list[tuple[Part, int]]:
@@ -192,7 +195,7 @@ def write_preset(
         # A single recording is small. Recorded angles do not scale with the scene.
         "train": {"epochs": 40} | ({"rescale": 1.0} if source == "wheel" else {}),
     }
-    text = f"# Train on this recording and test on its end: make street, then make {path.stem}\n"
+    text = f"# Networks of own recordings: make street, then make {path.stem}\n"
     text += yaml.safe_dump(settings, sort_keys=False)
     with replacing(path) as unfinished:
         unfinished.write_text(stamped(text, IMPORT), encoding="utf-8")

@@ -198,9 +198,9 @@ def test_the_sign_of_a_log_is_that_of_the_images(tmp_path, take):
     """The rendered street turns left: a log that turns right is refused, and a negative ratio turns it."""
     poses = street.arc(60, 0.1, 4.0)
     images = write_folder(tmp_path / "images", [street.view(pose)[0] for pose in poses])
-    lens: dict[str, Any] = {"fov": None, "k": "180,180,159.5,44", "fps": 5.0, "split": "40,30,30", "horizon": 44.0}
+    lens: dict[str, Any] = {"fov": None, "k": ["180,180,159.5,44"], "fps": 5.0, "split": "40,30,30", "horizon": 44.0}
     take(images, wheel=every_second(1.0), **lens)
-    with pytest.raises(InputError, match="the sign is inverted: the log turns left where the images turn right"):
+    with pytest.raises(InputError, match=r"turns left where .*images turns right: its sign is inverted"):
         take(images, wheel=every_second(-1.0), **lens)
     take(images, wheel=every_second(-1.0), steering_ratio=-10.0, **lens)
 
@@ -217,7 +217,7 @@ def test_distortion_is_removed_and_images_are_cropped_around_the_horizon(tmp_pat
     K, coefficients = np.array([[50, 0, 31.5], [0, 50, 23.5], [0, 0, 1]]), np.array([-0.2, 0.03, 0, 0])
     pixels = np.resize(pictures(12), (FRAMES, *SIZE, 3))
     images = np.stack([distorted(image, K, coefficients) for image in pixels])
-    folder, lens = write_folder(tmp_path / "images", images), {"k": "50,50,31.5,23.5", "distortion": "-0.2,0.03,0,0"}
+    folder, lens = write_folder(tmp_path / "images", images), {"k": ["50,50,31.5,23.5"], "distortion": "-0.2,0.03,0,0"}
     for name, horizon, first in (("low", 10.0, 3), ("high", 30.0, 23)):  # 16 rows around the horizon, a little below
         take(folder, name=name, fov=None, horizon=horizon, fps=10.0, **lens)
         with DriveReader(
@@ -258,7 +258,7 @@ PLAINLY_WRONG = [
     ({"split": "90,5,5"}, "fewer than 2 images"),
     ({"each": True}, "--each needs two recordings"),
     ({"wheel": every_second(1.0), "steering_ratio": 0.5}, "a magnitude of 1 or more"),
-    ({"wheel": [every_second(1.0)] * 2}, "expected 1 logs"),
+    ({"wheel": [every_second(1.0)] * 2}, "--wheel: expected 1, one per recording"),
     ({"recordings": 2}, "is a folder among several files"),
 ]
 

@@ -58,8 +58,10 @@ def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
         measure([images], out=out, encoder=encoder, motion=log, **LENS)
     measure([images], out=out, encoder=encoder, motion=log, offset_s=-10, distortion="0,0,0,0", **LENS)
     assert "motion measured in 29 of 30 frames" in (text := capsys.readouterr().out)
-    found = api.measure(str(images), encoder=encoder, **LENS)
+    found = api.measure(str(images), encoder=encoder, **LENS | {"K": [180, 180, 159.5, 44]})
     assert (found.table["valid"].sum(), found.files, found.doubts) == (29, [], [])
+    with pytest.raises(TypeError, match=r"'camera_height': did you mean camera_height_m"):
+        api.measure(images, encoder=encoder, camera_height=1.4)  # type: ignore[call-arg]
     assert found.notes[1] == "motion measured in 29 of 30 frames; not measured: no previous frame (1)"
     assert "can.csv covers 21 of 30 images" in text
     assert "times what is measured: km/h would give 3.6" in text
@@ -138,7 +140,7 @@ def test_an_imported_recording_has_the_same_numbers(tmp_path, encoder, monkeypat
     assert opened.camera.horizon == pytest.approx(114, abs=3)
     settings = Perception(batch=4, camera_height_m=CAMERA_HEIGHT_M)
     source.run_chain(opened, tmp_path, READING, settings, encoder)
-    import_recording([images] * 2, "monday", k=K, distortion=bent, fps=10.0, each=True)
+    import_recording([images] * 2, "monday", k=[K], distortion=bent, fps=10.0, each=True)
     preset.main(str(tmp_path / "presets/monday.yaml"), tmp_path)
     files = [tmp_path / f"imported/{stage}.h5" for stage in ("ingest", "perception", "motion")]
     settings_of = load(Ingest, tmp_path / "params.yaml")

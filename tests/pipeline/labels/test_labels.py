@@ -185,7 +185,7 @@ WINDING_S = np.arange(0, 60, 0.1)
 FAULTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "straight ahead is 0.35 in wheel_rad": lambda angle: angle + 0.35 / 14.8,
     "stays equal for 10 s while the car turns": lambda angle: np.where(abs(WINDING_S - 35) < 5, angle[300], angle),
-    "drifts or jumps: it is 0.00 to 0.60 to 1.20 s late": lambda angle: np.interp(
+    "drifts or jumps, or --fps is wrong: it is 0.00 to 0.60 to 1.20 s late": lambda angle: np.interp(
         WINDING_S, WINDING_S + np.repeat([0, 0.6, 1.2], 200), angle
     ),
     "has angles without a sign": np.abs,

@@ -39,7 +39,8 @@ street: setup          ## make the encoder of real streets, weights/street, from
 
 UDACITY ?= data/raw/udacity
 udacity: street        ## compare with the teams of Udacity's Challenge 2; UDACITY is the folder of the three files
-	@python -m benchmarks.udacity $(UDACITY)/.. $(UDACITY)/udacity_leaderboard.csv
+	@python -m benchmarks.udacity $(UDACITY)/udacity_ch2_001.mp4 $(UDACITY)/udacity_ch2_001.csv \
+	$(UDACITY)/udacity_leaderboard.csv
 
 params: setup          ## write the settings of a preset into params.yaml: make params PRESET=kitti, or your own file
 	@python -m pipeline.settings.preset "$(PRESET)"

@@ -1,11 +1,10 @@
 """Udacity's Challenge 2: the steering wheel's angle of a real drive, beside the predictions of three leading teams.
 
-python -m benchmarks.udacity FOLDER LEADERBOARD
+python -m benchmarks.udacity VIDEO CSV LEADERBOARD
 
-FOLDER has the frames of the test drive Ch2_001, udacity/udacity_ch2_001.mp4, and their wheel's angles, see
-pipeline/datasets/udacity.py; LEADERBOARD the teams' predictions for the same frames: komanda_rad, rambo_rad,
-autumn_rad. Three constants turn the angle that steer measure finds, or its yaw rate alone, into the wheel's. They are
-fitted on the first FITTED_S; the rest is compared.
+VIDEO has the frames of the test drive Ch2_001, CSV their time_s and wheel_rad (left positive, by CAN), LEADERBOARD the
+teams' predictions for the same frames: komanda_rad, rambo_rad, autumn_rad. Three constants turn the angle that steer
+measure finds, or its yaw rate alone, into the wheel's. They are fitted on the first FITTED_S; the rest is compared.
 """
 
 from dataclasses import replace
@@ -17,19 +16,15 @@ import typer
 
 from pipeline.base import console, store
 from pipeline.base.outputs import claim
-from pipeline.base.params import load
 from pipeline.datasets import udacity
 from pipeline.labels.label import Car
 from pipeline.media.log import Logs
-from pipeline.settings.ingest import Ingest
-from pipeline.settings.preset import PARAMS
 from pipeline.video.measure import measure
 from pipeline.video.source import Source
 from steer import options
 from steer.measure import STREET
 
 FITTED_S = 30.0
-DRIVE = "udacity_ch2_001"
 CAMERA_HEIGHT_M = 1.48  # 3.66 m wide lanes are 2.5 camera heights wide in the images
 LAGS_S = np.arange(-0.2, 0.41, 0.02)  # of the measured motion behind the wheel
 TEAMS = ("komanda", "rambo", "autumn")
@@ -57,15 +52,16 @@ def fit(time_s: np.ndarray, measured: np.ndarray, wheel_rad: np.ndarray) -> Whee
 
 
 def compare(
-    folder: Annotated[Path, typer.Argument(help="with udacity/udacity_ch2_001.mp4 and .csv")],
+    video: Annotated[Path, typer.Argument(help="the drive's frames")],
+    wheel: Annotated[Path, typer.Argument(metavar="CSV", help="time_s and wheel_rad of the frames")],
     leaderboard: Annotated[Path, typer.Argument(help="the teams' predictions of the frames")],
 ) -> None:
     """Measure the drive, compare with the teams, and write motion.csv and figures.json to out/udacity."""
     teams, out = np.genfromtxt(leaderboard, delimiter=",", names=True), claim(None, "udacity")
-    drive = udacity.open_drive(DRIVE, load(Ingest, PARAMS), folder)
+    drive = udacity.read_drive(video, wheel)
     assert drive.camera
     camera, frames = replace(drive.camera, height_m=CAMERA_HEIGHT_M), len(drive.values["steering_rad"])
-    source = Source(folder, DRIVE, drive, camera, frames, Logs(), height_known=True)
+    source = Source(video, video.stem, drive, camera, frames, Logs(), height_known=True)
     measure(source, out, options.here_or_in_checkout(STREET), Car(2.7, min_speed_mps=1.0), video=False)
     motion = np.genfromtxt(out / "motion.csv", delimiter=",", names=True, usecols=range(1, 9))
     wheel_rad = udacity.STEERING_RATIO * np.array([*drive.values["steering_rad"].values()])

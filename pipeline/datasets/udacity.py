@@ -29,7 +29,11 @@ def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
 
 def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
     """Return a drive, with steering angles and without oxts."""
-    video, log = _files(name, root)
+    return read_drive(*_files(name, root))
+
+
+def read_drive(video: Path, log: Path) -> Drive:
+    """Return the drive of two files. Raises InputError if they do not fit."""
     images = open_recording(video)
     camera = pinhole(images.size, K=K)
     images.straighten = undistortion(camera, DISTORTION)

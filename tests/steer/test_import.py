@@ -141,7 +141,10 @@ def test_the_preset_is_one_that_check_accepts(tmp_path, take, video, source, opt
 
 
 def test_each_recording_is_a_drive_for_the_splits_in_turn(tmp_path, take, video):
-    content = take(video, video, video, video, name="2027_03_31_drive_0004", each=True, motion=[STEADY] * 4, copy=True)
+    cameras: dict[str, Any] = {"fov": None, "k": ["50,50,31.5,23.5"] * 3 + ["60,60,31.5,23.5"]}
+    logs = {"motion": [STEADY] * 4, **cameras}
+    content = take(video, video, video, video, name="2027_03_31_drive_0004", each=True, copy=True, **logs)
+    assert content["ingest"]["recordings"]["2027_03_31_drive_0007"]["K"] == "60,60,31.5,23.5"
     drives = preset.Params.model_validate(content).ingest.drives
     assert [*drives.splits()] == [f"2027_03_31_drive_{number:04d}" for number in (4, 7, 5, 6)]
     assert (tmp_path / "data/raw/2027_03_31_drive_0004-4/video.mp4").read_bytes() == video.read_bytes()

@@ -81,7 +81,8 @@ def predict(
     height_m = known.get("camera_height_m") or trained.settings["perception"]["camera_height_m"]
     opened = _open(source, predicting.reading(trained), known | {"camera_height_m": height_m}, trained.fps)
     names = trained.drives
-    opened.notes.insert(0, f"{trained.name} was trained on {len(names)} drives: {names[0]} to {names[-1]}")
+    trained_on = f"{len(names)} drives: {names[0]} to {names[-1]}" if len(names) > 1 else names[0]
+    opened.notes.insert(0, f"{trained.name} was trained on {trained_on}")
     return predicting.predict(trained, opened, _free(out), Path(encoder or _encoder_beside(folder)), video=video)
 
 

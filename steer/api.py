@@ -56,10 +56,10 @@ def measure(
     `out`: a new or empty folder for motion.csv, track.png, quality.json and, with `video`, overlay.mp4; None: no files.
     Raises InputError for input that cannot be used.
     """
-    folder = options.here_or_in_checkout(Path(encoder))
+    target, folder = _free(out), options.here_or_in_checkout(Path(encoder))
     if not (folder / FILE).is_file():
         raise InputError("no encoder", encoder, "Make one for real streets: make street. Or pass --encoder")
-    opened, target = _open(source, measuring.READING, known), _free(out)
+    opened = _open(source, measuring.READING, known)
     return measuring.measure(opened, target, folder, Car(wheelbase_m, min_speed_mps=1.0), video=video)
 
 
@@ -76,14 +76,14 @@ def predict(
 
     `encoder`: its folder; None: data/encoder beside the model's data/train. `out`, errors: as of :func:`measure`.
     """
-    folder = _network(options.here_or_in_checkout(Path(model)))
+    target, folder = _free(out), _network(options.here_or_in_checkout(Path(model)))
     trained = load(folder)
     height_m = known.get("camera_height_m") or trained.settings["perception"]["camera_height_m"]
     opened = _open(source, predicting.reading(trained), known | {"camera_height_m": height_m}, trained.fps)
     names = trained.drives
     trained_on = f"{len(names)} drives: {names[0]} to {names[-1]}" if len(names) > 1 else names[0]
     opened.notes.insert(0, f"{trained.name} was trained on {trained_on}")
-    return predicting.predict(trained, opened, _free(out), Path(encoder or _encoder_beside(folder)), video=video)
+    return predicting.predict(trained, opened, target, Path(encoder or _encoder_beside(folder)), video=video)
 
 
 def _free(out: PathLike | None) -> Path | None:

@@ -7,7 +7,7 @@ A source's file has MEASURED, whether it is measured motion, which a model must 
 import importlib
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Protocol, cast
+from typing import Any
 
 import numpy as np
 
@@ -23,14 +23,6 @@ from pipeline.settings.labels import Labels as Settings
 # Cars do not slide sideways: vl stays below 0.4 m/s in KITTI. Above this limit, heading or GNSS velocity is wrong, and
 # the label with it: 2011_09_26_drive_0093 has 14 m/s to the left and then 11 m/s backwards.
 SIDEWAYS_MPS = 1.0
-
-
-class Source(Protocol):
-    """The module of a source's file."""
-
-    MEASURED: bool
-
-    def read(self, raw: DriveReader, motion: DriveReader | None, car: Car, *, look_ahead: bool) -> Labels | None: ...
 
 
 def labels_drive(path: Path, ingest: Path, motion: Path | None = None, *, settings: Settings) -> Summary:
@@ -86,12 +78,13 @@ def recorded(raw: DriveReader, car: Car) -> dict[str, Labels]:
 
 def _read(source: str, raw: DriveReader, motion: Path | None, car: Car, look_ahead: bool) -> Labels | None:
     with DriveReader(motion, stage="motion") if motion else nullcontext() as file:
-        return load(source).read(raw, file, car, look_ahead=look_ahead)
+        labels: Labels | None = load(source).read(raw, file, car, look_ahead=look_ahead)
+        return labels
 
 
-def load(source: str) -> Source:
+def load(source: str) -> Any:
     """Return the module of a source's file."""
-    return cast(Source, importlib.import_module(f"pipeline.labels.sources.{source}"))
+    return importlib.import_module(f"pipeline.labels.sources.{source}")
 
 
 def column(source: str) -> str:

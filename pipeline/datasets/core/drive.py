@@ -11,12 +11,9 @@ import importlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import Any
 
 from pipeline.camera.camera import Camera, Frame
-
-if TYPE_CHECKING:
-    from pipeline.settings.ingest import Ingest
 
 
 @dataclass
@@ -31,16 +28,9 @@ class Drive:
     dataset: str = ""  # if it is another than the file's name
 
 
-class Dataset(Protocol):
-    """The module of a dataset's file."""
-
-    def fingerprint(self, name: str, settings: "Ingest", root: Path) -> list[Any]: ...
-    def open_drive(self, name: str, settings: "Ingest", root: Path) -> Drive: ...
-
-
-def load(name: str) -> Dataset:
+def load(name: str) -> Any:
     """Return the module of a dataset's file; section ingest has checked that it exists."""
-    return cast(Dataset, importlib.import_module(f"pipeline.datasets.{name}"))
+    return importlib.import_module(f"pipeline.datasets.{name}")
 
 
 def stamps(paths: Iterable[Path], folder: Path) -> list[Any]:

@@ -119,5 +119,5 @@ def check_pinhole(K: np.ndarray, size: Size, where: str) -> None:
 
 
 def depth_limit(camera: Camera) -> float:
-    """Return the largest usable depth in metres: what is far away is larger in the images of a longer lens."""
+    """Return the largest usable depth in metres, which grows with focal lengths beyond WIDE image widths."""
     return MAX_DEPTH_M * max(1.0, camera.K[0, 0] / (WIDE * camera.size[1]))

@@ -206,7 +206,8 @@ def leave_out(root: Path, settings: Ingest, required: Collection[str] = ()) -> l
         raise InputError(problem, root / twice[:10] / f"{twice}_sync", fix)
     missing = [drive for drive in drives if drive not in known]
     kept = {splits[drive] for drive in splits if drive not in missing}
-    find_drives(root, [drive for drive in missing if not known or drive in required or splits[drive] not in kept])
+    needed = [drive for drive in missing if not known or drive in required or splits[drive] not in kept]
+    find_drives(root, needed)  # raises InputError for the first
     if missing:
         unnamed = [drive for drive in known if drive not in splits]
         hint = f" (it has {', '.join(unnamed[:5])}, which ingest.drives does not name)" if unnamed else ""

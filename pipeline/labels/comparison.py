@@ -30,7 +30,7 @@ DEGREES, SIMILAR = math.degrees(1), 0.1  # 57.3 within a factor of 1.5: healthy 
 # Logarithms of gains. Karlsruhe's cameras measure 1.2 times the speed, a camera 1.2 m above the road 1.38 times. The
 # yaw rate depends on no scale, but on the focal length: in 243 rendered drives its gain is 0.93 to 1.07.
 UNLIKE, UNLIKE_SPEED, UNLIKE_YAW = math.log(1.3), math.log(1.4), math.log(1.15)
-MOST = 2  # doubts that are told
+MOST = 2  # doubts shown about one recording
 
 
 class Pair(NamedTuple):
@@ -225,7 +225,8 @@ def _judge(fit: Mapping[str, Any], name: str, turning: int, ratio: float) -> tup
     unlike, others = (
         (UNLIKE_YAW, "and K or --fov") if name == "yaw_rate_radps" else (UNLIKE, "the steering ratio and K")
     )
-    times, lags = f"{name} is {gain:.3g} times what is measured", " to ".join(f"{lag:.2f}" for lag in fit["thirds_s"])
+    times = f"{name} is {gain:.3g} times what is measured"
+    lags = " to ".join(f"{lag:.2f}" for lag in fit["thirds_s"])
     causes = "another drive's log, a clock that is more than 2 s off, or poorly measured motion"
     sign, unit = f"the sign of {name} is inverted: left is positive", f"{times}: convert degrees to radians, once"
     errors = [(sign, not unsigned and (opposite or (many and inverted))), (unit, many and degrees)]

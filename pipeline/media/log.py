@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from pipeline.base.errors import InputError
 from pipeline.media.columns import LIMIT_MPS, LIMIT_RAD, LIMIT_RADPS, read_columns, refuse
@@ -75,13 +76,14 @@ class Logs(NamedTuple):
         return " and ".join(log.name for log in self if log)
 
     def values(self, frame: np.ndarray, time_s: np.ndarray) -> dict[str, dict[int, float]]:
-        """Return name → frame number → value, NaN where unknown, for the frames [F] at `time_s` [F]; see Drive."""
-        columns = dict(zip(_RATES, self.motion.at(time_s), strict=True)) if self.motion else {}
+        """Return name → frame number → value, for the frames [F] at `time_s` [F].
+
+        Unknown rates are NaN, unknown angles are left out; see Drive.
+        """
+        columns = zip(_RATES, self.motion.at(time_s), strict=True) if self.motion else ()
+        result = {name: dict(zip(frame.tolist(), column.tolist(), strict=True)) for name, column in columns}
         if self.wheel:
-            columns["steering_rad"] = self.wheel.at(time_s)[0]
-        result = {name: dict(zip(frame.tolist(), column.tolist(), strict=True)) for name, column in columns.items()}
-        if self.wheel:
-            result["steering_rad"] = {key: value for key, value in result["steering_rad"].items() if value == value}
+            result["steering_rad"] = pd.Series(self.wheel.at(time_s)[0], frame).dropna().to_dict()
         return result
 
     def check_overlap(self, first_s: float, last_s: float) -> None:

@@ -64,7 +64,7 @@ class Recording:
     def frames(self, used: np.ndarray | None = None) -> Iterator[Frame]:
         """Yield number, time and straightened image RGB uint8 [H,W,3] of the frames; a second call starts again.
 
-        `used`: which of them, bool [F]; None: all. Times count from the first image, or are those of the file of times.
+        `used`: a mask of the frames, bool [F]; None: all. Times are seconds since the first image, or those of a file.
         """
         numbers = dict(zip(self.kept.tolist(), range(len(self.kept)), strict=True))
         if used is not None:
@@ -118,9 +118,8 @@ def open_recording(
 
     `fps`, or a file of `times` for :func:`read_times`, replaces timestamps of a video and those in names of images.
     `check_span` gets the times of the first and the last image before any is decoded. Raises InputError if there are no
-    images, they have no times or those of a time lapse, are mirrored, have several sizes or pixels that are not square,
-    or `times` cannot be used; DamagedFile if an image cannot be decoded, images are missing at the end, or timestamps
-    do not increase.
+    images or they have no usable times, if images are mirrored or of several sizes, or if pixels are not square;
+    DamagedFile if an image cannot be decoded, images are missing at the end, or timestamps do not increase.
     """
     if fps and times:
         raise InputError("expected one source of the images' times, got two", fix="Pass --fps or --times")

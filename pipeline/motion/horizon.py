@@ -40,14 +40,15 @@ def find_horizon(frames: Iterable[Frame], camera: Camera) -> float | None:
 
     It is the median over pairs of consecutive images, spread over the first 600. The row depends little on the focal
     length. A camera on a car travels along the road, so this is the road's horizon. Raises InputError if the images are
-    upside down: what is near lies above the horizon.
+    upside down, because points above the horizon are nearer than points below it.
     """
     images = (frame.image for frame in frames if frame.image is not None)
     pairs = islice(pairwise(images), 0, PAIRS * PAIR_EVERY, PAIR_EVERY)
     found = [seen for before, now in pairs if (motion := _motion(before, now, camera)) and (seen := _ahead(motion))]
     above = [nearer_above for _, nearer_above in found if nearer_above is not None]
     if len(above) >= LEAST_ABOVE and sum(above) >= OPPOSITE * len(above):
-        problem = f"images are upside down: what is near lies above the horizon in {sum(above)} of {len(above)} pairs"
+        share = f"{sum(above)} of {len(above)} pairs of images"
+        problem = f"images are upside down: in {share}, points above the horizon are nearer than points below it"
         raise InputError(problem, fix="Turn them: ffmpeg -i in.mp4 -vf hflip,vflip upright.mp4")
     if len(found) < MIN_PAIRS:
         return None
@@ -90,8 +91,8 @@ def opposite_turns(
 ) -> bool:
     """Return whether images turn against a log, of `rate` [F] at `time_s` [F], left positive: OPPOSITE of the pairs.
 
-    Up to PAIRS pairs are compared, APART_S apart, where the magnitude of `rate` is above `least`; fewer than MIN_PAIRS
-    say nothing. `frames` returns those of a mask [F].
+    Up to PAIRS pairs of images, APART_S apart, are compared where the magnitude of `rate` is above `least`; with fewer
+    than MIN_PAIRS the result is False. `frames` returns the frames of a mask [F].
     """
     after = np.searchsorted(time_s, time_s + APART_S)
     turning = np.flatnonzero((np.abs(rate) > least) & (after < len(time_s)))

@@ -49,8 +49,8 @@ def measure(source: Source, out: Path | None, encoder: Path, car: Car, *, video:
             lines.append(f"the encoder's depth puts the camera {height} and pass --camera-height: speed follows it")
         if quality["speed_sigma"] and not results.doubts:
             lines.append(f"speed and curvature may be off by {quality['speed_sigma']:.0%} (one standard deviation)")
-        write_json(new / "quality.json", quality)
         if out:
+            write_json(new / "quality.json", quality)
             publish(new, "motion.csv", results, source, car.wheelbase_m, video=video)
     files = sorted(out.iterdir()) if out else []
     return Outcome(results.columns(), [*source.notes, *lines], results.doubts, files)

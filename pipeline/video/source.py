@@ -57,13 +57,12 @@ def open_source(
     logs: Logs = Logs(),
     hz: float | None = None,
     capture: Capture = Capture(),
-    horizon: float | None = None,
 ) -> Source:
     """Open a KITTI drive's folder that has images; or a folder of images, or videos.
 
     `height_m`: of the camera over the road; None: from a KITTI drive's calibration, else unknown. `hz`, `capture`: of
-    :func:`recording.open_images`; `horizon`: row of the road's horizon, None: estimated. Raises InputError if it is
-    none of them, lacks a calibration, cannot be read, or one of the `logs` has no value in its time.
+    :func:`recording.open_images`. Raises InputError if it is none of them, lacks a calibration, cannot be read, or one
+    of the `logs` has no value in its time.
     """
     path, *others = [paths] if isinstance(paths, Path) else paths
     folder = kitti.KittiDrive(path.resolve()) if path.is_dir() and not others else None
@@ -73,7 +72,7 @@ def open_source(
             raise InputError("a KITTI drive has its own calibration and times", path, fix)
         source = _open_drive(path, folder, reading, logs)
     else:
-        source = _open_images([path, *others], capture, logs, hz, horizon)
+        source = _open_images([path, *others], capture, logs, hz)
     if height_m is not None:
         return replace(source, camera=replace(source.camera, height_m=height_m), height_known=True)
     return source
@@ -91,12 +90,9 @@ def _open_drive(path: Path, files: kitti.KittiDrive, reading: Reading, logs: Log
     return Source(path, name, drive, drive.camera, len(numbers), logs, height_known=True, files=files)
 
 
-def _open_images(
-    paths: Sequence[Path], capture: Capture, logs: Logs, hz: float | None, horizon: float | None
-) -> Source:
+def _open_images(paths: Sequence[Path], capture: Capture, logs: Logs, hz: float | None) -> Source:
     images, camera = recording.open_images(paths, capture, logs, hz)
-    row = noted_horizon(images.path, images.frames, camera, images.notes) if horizon is None else horizon
-    camera = replace(camera, horizon=row)
+    camera = replace(camera, horizon=noted_horizon(images.path, images.frames, camera, images.notes))
     drive = recording.read_drive(images, camera, logs)
     return Source(images.path, images.path.stem, drive, camera, len(images.times_s), logs)
 

@@ -75,13 +75,13 @@ class IngestFile(DriveWriter):
         maps = {"image": frame.image, "depth": depth, "cls": frame.cls}
         for name, pixels in maps.items():
             unit, fill, resize = MAPS[name]
-            row = np.full((*self._size, *fill.shape), fill)
+            empty = np.broadcast_to(fill, (*self._size, *fill.shape))
             if pixels is not None and name not in self._maps:  # the first depth or classes
                 self._maps.append(name)
-                self.append(name, np.repeat(row[None], len(self._rows), axis=0), unit)
-            if pixels is not None and self._crop:
-                row = resize(self._crop.pixels(pixels), self._size)
+                for _ in self._rows:
+                    self.append(name, empty[None], unit)
             if name in self._maps:
+                row = resize(self._crop.pixels(pixels), self._size) if pixels is not None and self._crop else empty
                 self.append(name, row[None], unit)
         scan = np.zeros((0, 4), np.float32) if frame.scan is None else frame.scan
         self.append("lidar", scan, "m, m, m, reflectance", "lidar_ptr")

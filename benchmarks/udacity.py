@@ -7,7 +7,6 @@ teams' predictions for the same frames: komanda_rad, rambo_rad, autumn_rad. Thre
 measure finds, or its yaw rate alone, into the wheel's. They are fitted on the first FITTED_S; the rest is compared.
 """
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -25,7 +24,6 @@ from steer import options
 from steer.measure import STREET
 
 FITTED_S = 30.0
-CAMERA_HEIGHT_M = 1.48  # 3.66 m wide lanes are 2.5 camera heights wide in the images
 LAGS_S = np.arange(-0.2, 0.41, 0.02)  # of the measured motion behind the wheel
 TEAMS = ("komanda", "rambo", "autumn")
 
@@ -60,8 +58,7 @@ def compare(
     teams, out = np.genfromtxt(leaderboard, delimiter=",", names=True), claim(None, "udacity")
     drive = udacity.read_drive(video, wheel)
     assert drive.camera
-    camera, frames = replace(drive.camera, height_m=CAMERA_HEIGHT_M), len(drive.values["steering_rad"])
-    source = Source(video, video.stem, drive, camera, frames, Logs(), height_known=True)
+    source = Source(video, video.stem, drive, drive.camera, len(drive.values["steering_rad"]), Logs())
     measure(source, out, options.here_or_in_checkout(STREET), Car(2.7, min_speed_mps=1.0), video=False)
     motion = np.genfromtxt(out / "motion.csv", delimiter=",", names=True, usecols=range(1, 9))
     wheel_rad = udacity.STEERING_RATIO * np.array([*drive.values["steering_rad"].values()])

@@ -66,7 +66,7 @@ def _score_drive(path: Path, *, ingest: Path, perception: Path, score_motion: "p
         store.DriveReader(ingest, stage="ingest") as source,
         store.DriveReader(perception, stage="perception") as perceived,
     ):
-        camera = read_camera(source, float(perceived.attrs["camera_height_m"]))
+        camera = read_camera(source)
         for row, number in enumerate(perceived.frame):
             depth_m, cls = to_metres(perceived.row("depth_m", row)), perceived.row("cls", row)
             scores.add_frame(depth_m, cls, camera, read_truth(source, camera, source.row_of(number)))

@@ -78,7 +78,7 @@ def predict(
     """
     target, folder = _free(out), _network(options.here_or_in_checkout(Path(model)))
     trained = load(folder)
-    height_m = known.get("camera_height_m") or trained.settings["perception"]["camera_height_m"]
+    height_m = known.get("camera_height_m") or trained.settings.get("camera_height_m")
     opened = _open(source, predicting.reading(trained), known | {"camera_height_m": height_m}, trained.fps)
     names = trained.drives
     trained_on = f"{len(names)} drives: {names[0]} to {names[-1]}" if len(names) > 1 else names[0]

@@ -78,7 +78,7 @@ def import_recording(
     folders = [f"{name}-{number + 1}" for number in range(len(groups))] if each else [name]
     importing.check_free(preset, [raw / folder for folder in folders])
     chosen: Any = {"fov": fov, "distortion": distortion, "fisheye": fisheye, "fps": fps, "horizon": horizon}
-    chosen |= {"steering_ratio": steering_ratio, "offset": offset, "start": start}
+    chosen |= {"steering_ratio": steering_ratio, "offset": offset, "start": start, "camera_height": camera_height}
     chosen["end"] = None if math.isinf(end) else end
     opened = []
     for number, (folder, paths) in enumerate(zip(folders, groups, strict=True)):
@@ -93,7 +93,7 @@ def import_recording(
     drives = {drive: (of, part) for drive, of, (part, _) in zip(names, splits, parts, strict=True)}
     with importing.linked(opened, raw, copy=copy):
         source = "oxts" if motion else "wheel" if wheel else "visual"
-        importing.write_preset(preset, drives, opened[0], source, camera_height)
+        importing.write_preset(preset, drives, opened[0], source)
     for drive, of, (_, images) in zip(names, splits, parts, strict=True):
         print(f"{drive}: {images} images, {of}")
     print(*(f"{f'{one.part.folder}: ' * each}{note}" for one in opened for note in one.recording.notes), sep="\n")

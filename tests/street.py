@@ -126,7 +126,6 @@ def write_perception(folder: Path, ingest: Path, drive: str) -> None:
         store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
         store.DriveWriter(folder / f"{drive}.h5", stage="perception", drive=drive, params=params) as file,
     ):
-        file.attrs["camera_height_m"] = CAMERA_HEIGHT_M
         rows = np.flatnonzero(raw["has_image"])
         scenes = [scene(row) for row in rows]
         file.put("frame", raw.frame[rows])

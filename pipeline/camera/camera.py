@@ -25,9 +25,14 @@ class Camera:
 
     K: Any  # [3,3] pixels, of images of this size; None: unknown
     size: Size  # (H, W)
-    height_m: float = CAMERA_HEIGHT_M  # over the road
+    height_m: float = CAMERA_HEIGHT_M  # over the road; KITTI's unless height_known
     T_cam_velo: Any = None  # [4,4], points from the velodyne frame to the camera frame; None: no LiDAR
     horizon: float | None = None  # row of the road's horizon; None: unknown
+    height_known: bool = False
+
+    def at_height(self, height_m: float | None) -> "Camera":
+        """Return the camera at a known height over the road; None: as it is."""
+        return self if height_m is None else replace(self, height_m=height_m, height_known=True)
 
     def scaled(self, size: Size) -> "Camera":
         """Return the camera after resizing its images to `size` (H, W).
@@ -87,11 +92,10 @@ class Frame:
     scan: Any = None  # float32 [P,4] in the velodyne frame: x, y, z in metres, reflectance
 
 
-def camera_height(T_cam_velo: np.ndarray | None) -> float:
-    """Return a camera's height over flat ground in metres from its calibration [4,4]; KITTI's if it is None."""
-    if T_cam_velo is None:
-        return CAMERA_HEIGHT_M
-    return SCANNER_HEIGHT_M + float(np.linalg.inv(T_cam_velo)[2, 3])  # fixed on KITTI's cars; its z points up
+def camera_height(T_cam_velo: np.ndarray | None) -> float | None:
+    """Return a camera's height over flat ground in metres from its calibration [4,4]; None if that is None."""
+    # The scanner's height is fixed on KITTI's cars; its z points up.
+    return None if T_cam_velo is None else SCANNER_HEIGHT_M + float(np.linalg.inv(T_cam_velo)[2, 3])
 
 
 def scan_depth(scan: np.ndarray, camera: Camera) -> np.ndarray:
@@ -122,11 +126,12 @@ def write_camera(file: DriveWriter, camera: Camera) -> None:
         file.put("T_cam_velo", camera.T_cam_velo, "m")
 
 
-def read_camera(file: DriveReader, height_m: float | None = None) -> Camera:
-    """Return an ingest file's camera; K is None without images and scans. `height_m` None: as calibrated."""
+def read_camera(file: DriveReader) -> Camera:
+    """Return an ingest file's camera; K is None without images and scans."""
     known = {name: file[name] for name in ("K", "T_cam_velo") if name in file}
     (height, width), T_cam_velo = file.datasets["image"].shape[1:3], known.get("T_cam_velo")
-    return Camera(known.get("K"), (height, width), height_m or camera_height(T_cam_velo), T_cam_velo)
+    camera = Camera(known.get("K"), (height, width), T_cam_velo=T_cam_velo)
+    return camera.at_height(file.params.get("camera_height_m") or camera_height(T_cam_velo))
 
 
 class DriveFrames(ExitStack):
@@ -143,7 +148,7 @@ class DriveFrames(ExitStack):
         self.drive, self.params, self._scans = raw.drive, perceived.params, scans
         self.frame = source.frame[rows]  # KITTI frame numbers, int32 [F]
         self.time_s = source.time_s[rows]  # float64 [F]
-        self.camera = read_camera(raw, float(perceived.attrs["camera_height_m"]))
+        self.camera = read_camera(raw)
         self.unit_error = float(perceived.attrs.get("unit_error", np.inf))  # of depth, by the height of the camera
 
     def __iter__(self) -> Iterator[Frame]:

@@ -67,7 +67,8 @@ def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
     used = usable(recording.times_s, logs, part.start, part.end)
     if not used.any():
         raise InputError("no image is left from start to end, or none with motion", f"ingest.recordings.{name}")
-    return read_drive(recording, replace(camera, horizon=part.horizon), logs, used, recording.times_s[used][0])
+    camera = replace(camera, horizon=part.horizon).at_height(part.camera_height)
+    return read_drive(recording, camera, logs, used, recording.times_s[used][0])
 
 
 def _paths(part: Part, root: Path) -> dict[Path, str]:

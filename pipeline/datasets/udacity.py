@@ -19,6 +19,7 @@ from pipeline.settings.ingest import Ingest
 # Of the right-hand camera of this rig and size: sensor_info/camera_calibration/right_camera/ost.yaml of the challenge.
 K, DISTORTION = "2152,2166,268,303", "-0.042,-0.89,0,0"
 HORIZON = 215.24  # row, by steer import
+CAMERA_HEIGHT_M = 1.48  # 3.66 m wide lanes are 2.5 camera heights wide in the images
 STEERING_RATIO = 14.8  # of the steering wheel's angle to the front wheels', Lincoln MKZ
 
 
@@ -35,7 +36,7 @@ def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
 def read_drive(video: Path, log: Path) -> Drive:
     """Return the drive of two files. Raises InputError if they do not fit."""
     images = open_recording(video)
-    camera = pinhole(images.size, K=K)
+    camera = replace(pinhole(images.size, K=K), horizon=HORIZON).at_height(CAMERA_HEIGHT_M)
     images.straighten = undistortion(camera, DISTORTION)
     limits = {"time_s": np.inf, "wheel_rad": LIMIT_RAD * STEERING_RATIO}
     table, faults = read_columns(log, limits, "Expected CSV: time_s, wheel_rad")
@@ -45,7 +46,7 @@ def read_drive(video: Path, log: Path) -> Drive:
     refuse(faults, log, "Take both files of one drive")
     images.times_s = table["time_s"].to_numpy()
     angles = (table["wheel_rad"].reset_index(drop=True) / STEERING_RATIO).dropna().to_dict()
-    return Drive(replace(camera, horizon=HORIZON), images.frames, {"steering_rad": angles}, images.notes)
+    return Drive(camera, images.frames, {"steering_rad": angles}, images.notes)
 
 
 def _files(name: str, root: Path) -> list[Path]:

@@ -34,20 +34,19 @@ def measure_drive(
     ingest: Path,
     perception: Path,
     *,
-    road_scale: bool = True,
     advance: Callable[[int], object] = lambda frames: None,
 ) -> Summary:
     """Write the motion of each frame with an image since the previous frame, by visual odometry.
 
     All values are causal: they depend on a frame and earlier ones only. Where motion is not measured, ``valid`` and the
-    rates are 0, and ``problem`` is the reason. `road_scale`: scale depth so that the camera has its known height over
-    the road; `advance` is called with the number of frames that are done since the last call.
+    rates are 0, and ``problem`` is the reason. Depth is scaled so that the road is as far below the camera as its
+    height, if that is known. `advance` is called with the number of frames that are done since the last call.
     """
     with (
         DriveFrames(ingest, perception) as frames,
         DriveWriter(path, stage="motion", drive=frames.drive, params=frames.params) as file,
     ):
-        count, odometry = len(frames.frame), Odometry(frames.camera, road_scale=road_scale)
+        count, odometry = len(frames.frame), Odometry(frames.camera)
         columns = dict(zip(UNITS, np.zeros((len(UNITS), count), np.float32), strict=True))
         columns |= {"inliers": np.zeros(count, np.int32), "problem": np.zeros(count, np.uint8)}
         columns |= {"scale": np.ones(count, np.float32), "T_before_now": np.tile(np.eye(4, dtype="f4"), (count, 1, 1))}

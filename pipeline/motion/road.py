@@ -24,12 +24,12 @@ MAX_SLOPE = 0.1  # metres down per metre ahead: cameras are mounted level
 class Road:
     """Tracks the road in front of one drive's camera."""
 
-    def __init__(self, camera: Camera, *, road_scale: bool) -> None:
-        """Without `road_scale`, depth is not corrected: the factor of :meth:`find` is 1."""
+    def __init__(self, camera: Camera) -> None:
+        """Where the camera's height is unknown, depth is not corrected: the factor of :meth:`find` is 1."""
         K, (height, width) = camera.K, camera.size
         self._down = ((np.arange(height) - K[1, 2]) / K[1, 1])[:, None]
         self._right = ((np.arange(width) - K[0, 2]) / K[0, 0])[None]
-        self._camera_height_m = camera.height_m if road_scale else None
+        self._camera_height_m = camera.height_m if camera.height_known else None
         self._heights: deque[float] = deque(maxlen=HEIGHTS)
         self.frame_height_m = 0.0  # the last frame's, of the camera over the road in uncorrected depth; 0: no road
         self._ways: deque[tuple[float, float]] = deque(maxlen=STEPS)  # metres down and ahead, of forward steps

@@ -31,12 +31,11 @@ ROUND_TRIP_PX = 0.5  # largest distance between a corner and its track to the ne
 class Odometry:
     """Tracks the frames of one drive."""
 
-    def __init__(self, camera: Camera, *, road_scale: bool) -> None:
-        """Start a drive; `road_scale`: correct the scale of depth by the camera's height over the road."""
+    def __init__(self, camera: Camera) -> None:
         self._K, width = camera.K, camera.size[1]
         self._max_depth_m = depth_limit(camera)
         self._enlarged = -(-MIN_WIDTH // width)
-        self.road = Road(camera, road_scale=road_scale)
+        self.road = Road(camera)
         self.still = Still(camera)
         self._number: int | None = None
         self._grey = np.empty(0, np.uint8)

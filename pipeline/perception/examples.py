@@ -10,7 +10,6 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Camera, read_camera
-from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.perception import precomputed
 from pipeline.perception.scores import read_truth
 
@@ -40,7 +39,7 @@ class Examples(ExitStack):
         super().__init__()
         files = [self.enter_context(DriveReader(ingest / f"{name}.h5", stage="ingest")) for name in drives]
         # The fit does not use the height.
-        self._drives = [(file, read_camera(file, CAMERA_HEIGHT_M), _has_targets(file, targets)) for file in files]
+        self._drives = [(file, read_camera(file), _has_targets(file, targets)) for file in files]
         for column, kind in enumerate(("depth or LiDAR", "classes")):
             if not any(has_targets[:, column].any() for _, _, has_targets in self._drives):
                 self.close()

@@ -173,10 +173,8 @@ def perceive_drive(
         DriveReader(ingest, stage="ingest") as source,
         DriveWriter(path, stage="perception", drive=source.drive, params=source.params | sections) as file,
     ):
-        camera, with_image = read_camera(source, settings.camera_height_m), np.flatnonzero(source["has_image"])
-        file.attrs["camera_height_m"] = camera.height_m
-        calibrated = camera.T_cam_velo is not None or settings.camera_height_m is not None
-        file.attrs["unit_error"] = unit_error(encoder, settings.precision) if calibrated else np.inf
+        camera, with_image = read_camera(source), np.flatnonzero(source["has_image"])
+        file.attrs["unit_error"] = unit_error(encoder, settings.precision) if camera.height_known else np.inf
         file.put("frame", source.frame[with_image])
         file.put("time_s", source.time_s[with_image], "s")
         file.append("depth_m", np.zeros((0, *camera.size), np.uint16), f"1/{DEPTH_UNITS_PER_M} m, 0 = none")

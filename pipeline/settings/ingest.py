@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, field_validator, model_validator
 
 from pipeline.base.errors import closest
-from pipeline.base.params import SPLITS, ImageSize, Name, Section
+from pipeline.base.params import SPLITS, ImageSize, Name, Positive, Section
 
 RECORDING = "recording"
 DATASETS = sorted(path.stem for path in (Path(__file__).parents[1] / "datasets").glob("[!_]*.py"))
@@ -59,6 +59,7 @@ class Part(Section):
     steering_ratio: float | None = None
     offset: float = 0.0
     horizon: float | None = None  # row of the complete images
+    camera_height: Positive | None = None
     start: float = 0.0  # seconds since the first image
     end: float | None = None
     files: dict[str, str]  # name in the folder → SHA-256

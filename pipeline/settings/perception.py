@@ -4,11 +4,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from pipeline.base.params import Count, Positive, Section
+from pipeline.base.params import Count, Section
 
 
 class Perception(Section):
     batch: Count
-    camera_height_m: Positive | None = None
     reach: Annotated[float, Field(ge=1)] | None = None
     precision: Literal["auto", "float32"] = "auto"

@@ -3,6 +3,7 @@
 import hashlib
 import io
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -66,13 +67,22 @@ def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:
     """Return a complete `params` file with the changes of preset `name`, of presets/ or a path, and with its comments.
 
     Mappings are merged key by key; any other value replaces the old one. null removes a key, so its default applies,
-    and ``"*": null`` removes all earlier keys, so that a list of models is replaced. Raises InputError.
+    and ``"*": null`` removes all earlier keys, so that a list of models is replaced. `base` lists presets whose changes
+    come before. Raises InputError.
     """
     preset, content = path_of(name), read(params, comments=True)
     parse(Params, content, path=params)
-    _merge(content, read(preset))
+    for changes in _with_base(preset):
+        _merge(content, changes)
     parse(Params, content, path=preset)
     return content
+
+
+def _with_base(preset: Path) -> Iterator[dict[str, Any]]:
+    changes = read(preset)
+    for name in changes.pop("base", []):
+        yield from _with_base(path_of(name))
+    yield changes
 
 
 def path_of(name: str) -> Path:
@@ -90,6 +100,8 @@ def refresh(preset: Path, raw: Path) -> None:
     With a changed copy, which an import must not replace, the preset counts as edited.
     """
     content, hashes, changed = read(preset, comments=True), dict[Path, str](), set[Path]()
+    for name in content.get("base", []):
+        refresh(path_of(name), raw)
     for part in filter(None, ((content.get("ingest") or {}).get("recordings") or {}).values()):
         for name, before in part["files"].items():
             path = raw / part["folder"] / name

@@ -162,9 +162,7 @@ def linked(recordings: Sequence[Imported], raw: Path, *, copy: bool) -> Iterator
                 shutil.rmtree(raw / one.part.folder)
 
 
-def write_preset(
-    path: Path, drives: Mapping[str, tuple[str, Part]], one: Imported, source: str, height_m: float | None
-) -> None:
+def write_preset(path: Path, drives: Mapping[str, tuple[str, Part]], one: Imported, source: str) -> None:
     """Write a preset of drives, name → split and part, with two models, with and without measured motion as input.
 
     Motion that is the label (`source`) cannot be an input for the same frame, so visual labels are predicted a second
@@ -183,7 +181,6 @@ def write_preset(
             "recordings": {name: part.model_dump(exclude_defaults=True) for name, (_, part) in drives.items()},
         },
         "encoder": {"backbone": "street", "weights": "weights/street/encoder.pt", "epochs": 0},
-        "perception": {"camera_height_m": height_m},  # None removes an earlier one
         "labels": {"source": source},
         "clouds": {"max_depth_m": float(round(depth_limit(one.camera)))},
         "graphs": {"*": None, "depth": {"source": "clouds/pseudo", "points": 1000, "k": 6}},

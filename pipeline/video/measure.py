@@ -44,7 +44,7 @@ def measure(source: Source, out: Path | None, encoder: Path, car: Car, *, video:
         share = f"{quality['road_frames']:.0%}"
         elsewhere = "" if share == "100%" else "; elsewhere speed stays near a typical car's"
         lines = [*results.lines(comparison), f"road found in {share} of the frames{elsewhere}"]
-        if quality["road_height_m"] and not source.height_known:
+        if quality["road_height_m"] and not source.camera.height_known:
             height = f"{quality['road_height_m']:.2f} m above the road. Measure it"
             lines.append(f"the encoder's depth puts the camera {height} and pass --camera-height: speed follows it")
         if quality["speed_sigma"] and not results.doubts:

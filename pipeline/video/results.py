@@ -124,7 +124,7 @@ class Results:
             rows = np.flatnonzero(np.isin(motion.frame, motion.frame if frame is None else frame))
             if not len(rows):
                 raise InputError("no frame could be read", source.path, "; ".join(source.notes[:1]))
-            course = read_course(motion, car, look_ahead=look_ahead, height_known=source.height_known)
+            course = read_course(motion, car, look_ahead=look_ahead, height_known=source.camera.height_known)
             truth = read_truth(raw, motion.frame[rows], source.logs, car)
             looking_ahead = sources.read("visual", raw, work / MOTION, car)
             measured = looking_ahead.at(np.searchsorted(raw.frame, motion.frame[rows]))

@@ -38,10 +38,9 @@ class Source:
     path: Path
     name: str  # random draws depend on it
     drive: Drive
-    camera: Camera  # of complete images; height_m is KITTI's unless height_known
+    camera: Camera  # of complete images
     frames: int
     logs: Logs
-    height_known: bool = False  # of the camera over the road
     files: kitti.KittiDrive | None = None  # None: a video, or a folder of images
 
     @property
@@ -73,9 +72,8 @@ def open_source(
         source = _open_drive(path, folder, reading, logs)
     else:
         source = _open_images([path, *others], capture, logs, hz)
-    if height_m is not None:
-        return replace(source, camera=replace(source.camera, height_m=height_m), height_known=True)
-    return source
+    camera = source.camera.at_height(height_m)
+    return replace(source, camera=camera, drive=replace(source.drive, camera=camera))
 
 
 def _open_drive(path: Path, files: kitti.KittiDrive, reading: Reading, logs: Logs) -> Source:
@@ -87,7 +85,7 @@ def _open_drive(path: Path, files: kitti.KittiDrive, reading: Reading, logs: Log
         drive = replace(drive, values=logs.values(np.array(numbers), time_s))
     assert drive.camera  # as it has images
     name = files.folder.name.removesuffix("_sync")
-    return Source(path, name, drive, drive.camera, len(numbers), logs, height_known=True, files=files)
+    return Source(path, name, drive, drive.camera, len(numbers), logs, files)
 
 
 def _open_images(paths: Sequence[Path], capture: Capture, logs: Logs, hz: float | None) -> Source:
@@ -109,8 +107,7 @@ def folders(out: Path | None) -> Iterator[tuple[Path, Path]]:
 def run_chain(source: Source, work: Path, reading: Reading, perception: Perception, encoder: Path) -> None:
     """Write ingest.h5, perception.h5 and motion.h5 to the folder `work`.
 
-    The camera's height is that of the source, not of `perception`. `encoder`: a folder. Raises InputError if no frame
-    can be read, or the disk is too small.
+    `encoder`: a folder. Raises InputError if no frame can be read, or the disk is too small.
     """
     height, width = reading.image_size
     frames, free = source.frames, shutil.disk_usage(work).free
@@ -118,12 +115,11 @@ def run_chain(source: Source, work: Path, reading: Reading, perception: Percepti
     if needed > free:
         problem = f"{frames} frames need up to {needed / 1e9:.2g} GB, but {free / 1e9:.2g} GB are free"
         raise InputError(problem, work, "Pass an --out on another disk")
-    perception = perception.model_copy(update={"camera_height_m": source.camera.height_m})
-    ingest, perceived, known = work / INGEST, work / PERCEPTION, source.height_known
+    ingest, perceived = work / INGEST, work / PERCEPTION
     jobs: dict[str, Any] = {
         INGEST: partial(write_drive, drive=source.drive, name=source.name, dataset="recording", settings=reading),
         PERCEPTION: partial(perceive_drive, ingest=ingest, encoder=encoder, settings=perception),
-        MOTION: partial(measure_drive, ingest=ingest, perception=perceived, road_scale=known),
+        MOTION: partial(measure_drive, ingest=ingest, perception=perceived),
     }
     with tqdm(total=frames, unit=" frames", disable=None) as bar:
         for name, job in jobs.items():

@@ -88,7 +88,8 @@ def test_an_interpolated_packet_is_no_target_and_ends_the_path_ahead(tmp_path, c
         assert text in capsys.readouterr().out
         if source != "visual":
             assert np.flatnonzero(file["ahead_valid"]).tolist() == [*range(15), *range(21, 25)]
-            np.testing.assert_allclose(file["ahead_1pm"][file["ahead_valid"] == 1], 0.2 / 11)
+            curvature_1pm = np.tan(0.1) / 2.7 if source == "wheel" else 0.2 / 11
+            np.testing.assert_allclose(file["ahead_1pm"][file["ahead_valid"] == 1], curvature_1pm)
 
 
 @pytest.mark.real

@@ -138,9 +138,10 @@ def test_an_imported_recording_has_the_same_numbers(tmp_path, encoder, monkeypat
         images, READING, CAMERA_HEIGHT_M, capture=source.Capture(K=K, distortion=bent, fps=10.0)
     )
     assert opened.camera.horizon == pytest.approx(114, abs=3)
-    settings = Perception(batch=4, camera_height_m=CAMERA_HEIGHT_M)
+    settings = Perception(batch=4)
     source.run_chain(opened, tmp_path, READING, settings, encoder)
-    import_recording([images] * 2, "monday", k=[K], distortion=bent, fps=10.0, each=True)
+    lens = {"distortion": bent, "camera_height": CAMERA_HEIGHT_M}
+    import_recording([images] * 2, "monday", k=[K], fps=10.0, each=True, **lens)
     preset.main(str(tmp_path / "presets/monday.yaml"), tmp_path)
     files = [tmp_path / f"imported/{stage}.h5" for stage in ("ingest", "perception", "motion")]
     settings_of = load(Ingest, tmp_path / "params.yaml")

@@ -32,7 +32,7 @@ def read_calibration(folder: Path, number: int) -> Camera:
         rectify = rigid(matrix(entries, "R_rect_00", (3, 3), path), np.zeros(3))
         entries = read_entries(velo)
         T_cam_velo = shift @ rectify @ rigid(matrix(entries, "R", (3, 3), velo), matrix(entries, "T", (3,), velo))
-        return Camera(K, size, camera_height(T_cam_velo), T_cam_velo)
+        return Camera(K, size, T_cam_velo=T_cam_velo).at_height(camera_height(T_cam_velo))
 
 
 def read_entries(path: Path) -> dict[str, np.ndarray]:

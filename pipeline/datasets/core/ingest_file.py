@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
-from pipeline.camera.camera import Camera, Frame, write_camera
+from pipeline.camera.camera import Camera, Frame, camera_height, write_camera
 from pipeline.camera.classes import VOID
 from pipeline.camera.images import nearest, resized, to_units
 from pipeline.datasets.core.drive import Drive
@@ -63,7 +63,9 @@ class IngestFile(DriveWriter):
 
     def __init__(self, path: Path, drive: str, camera: Camera | None, settings: Reading, dataset: str = "recording"):
         """`camera`: of complete images, which are cropped around the horizon; None: no images and scans."""
-        params = {"dataset": dataset, "ingest": settings.model_dump(mode="json")}
+        params: dict[str, Any] = {"dataset": dataset, "ingest": settings.model_dump(mode="json")}
+        if camera and camera.height_known and camera.height_m != camera_height(camera.T_cam_velo):
+            params["camera_height_m"] = camera.height_m
         super().__init__(path, stage="ingest", drive=drive, params=params)
         self._camera, self._size, self._maps = camera, settings.image_size, ["image"]
         self._crop = camera.crop_to(self._size) if camera else None

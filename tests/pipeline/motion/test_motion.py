@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from pipeline.base.errors import InputError
 from pipeline.camera import classes
-from pipeline.camera.camera import Frame
+from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import project, transform
 from pipeline.motion import drive, horizon, step, visual
 from pipeline.motion.pose import estimate_pose
@@ -129,8 +129,10 @@ def views(*poses: np.ndarray) -> list[Frame]:
     return [Frame(i, i * DT_S, image, depth_m, cls) for i, (image, depth_m, cls) in enumerate(images)]
 
 
-def measured(frames: list[Frame], road_scale: bool = True) -> list[step.Step | None]:
-    odometry = visual.Odometry(street.WIDE, road_scale=road_scale)
+def measured(
+    frames: list[Frame], camera: Camera = street.WIDE.at_height(street.WIDE.height_m)
+) -> list[step.Step | None]:
+    odometry = visual.Odometry(camera)
     return [odometry.step(frame) for frame in frames]
 
 
@@ -167,7 +169,7 @@ def test_a_wrong_scale_is_corrected_by_the_camera_height_also_where_road_has_the
     steps = measured(frames)
     assert rates(steps)[:, 1] == pytest.approx(6.0, rel=0.03)
     assert [one.scale for one in steps[1:] if one] == pytest.approx([1 / 0.7] * 3, rel=0.02)
-    uncorrected = measured(frames, False)
+    uncorrected = measured(frames, street.WIDE)
     assert rates(uncorrected)[:, 1] == pytest.approx(0.7 * 6.0, rel=0.03)
     assert [one.scale for one in uncorrected[1:] if one] == [1.0] * 3
     assert rates(uncorrected)[:, 0] == pytest.approx(0.2, abs=0.01)

@@ -91,12 +91,13 @@ def test_a_preset_is_written_as_its_merged_content_with_all_comments(name):
     _, *rest = text.splitlines()
     original = preset.PARAMS.read_text()
     assert [line for line in rest if line.lstrip().startswith("#")] == re.findall(r"^ *#.*", original, re.MULTILINE)
-    changes, section = yaml.safe_load((preset.PRESETS / f"{name}.yaml").read_text()), ""
+    changes = [*preset._with_base(preset.path_of(name))]
+    replaced, section = {key for part in changes for key, value in part.items() if "*" in value}, ""
     for line in original.splitlines():
         section = line.partition(":")[0] if line[:1].isalpha() else section
         code, _, comment = line.partition(" # ")
         start = f"{code.partition(':')[0]}:"
-        if comment and "*" not in changes.get(section, ()) and any(other.startswith(start) for other in rest):
+        if comment and section not in replaced and any(other.startswith(start) for other in rest):
             assert any(comment in other for other in rest), line
 
 
@@ -117,6 +118,13 @@ def test_a_star_removes_all_earlier_entries(tmp_path):
     model = "{input: semantic, spatial: gnn, temporal: lstm, semantics: 0.5}"
     (tmp_path / "mine.yaml").write_text(f"models:\n  sa-gnn-ncp: {model}\n  '*': null\n")
     assert preset.merged(str(tmp_path / "mine.yaml"))["models"] == {"sa-gnn-ncp": yaml.safe_load(model)}
+
+
+def test_the_base_of_a_preset_comes_before_it():
+    base, content = preset.merged("winding"), preset.merged("winding-wheel")
+    assert (base["labels"].pop("source"), content["labels"].pop("source")) == ("visual", "wheel")
+    assert (base["train"].pop("rescale"), content["train"].pop("rescale")) == (1.25, 1.0)
+    assert base == content
 
 
 def test_params_are_replaced_unless_they_have_edits_that_git_lacks(tmp_path, monkeypatch):

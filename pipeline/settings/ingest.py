@@ -17,7 +17,7 @@ KITTI_NAMES = re.compile(r"\d{4}_\d\d_\d\d_drive_\d{4}")  # also of the sample
 class Drives(Section):
     """Drives of each split. 2026_01_01_drive_0001..0009 stands for the nine drives 1 to 9 of a date."""
 
-    train: list[Name] = Field(min_length=1)
+    train: list[Name] = []
     val: list[Name] = []
     test: list[Name] = Field(min_length=1)
 

@@ -47,11 +47,13 @@ class Run(NamedTuple):
 def folds(splits: Mapping[str, str], entry: Entry) -> list[Fold]:
     """Return the folds of a model, from drive → split.
 
-    Raises InputError if there are fewer training drives than `train_drives`, if folds have no second test drive, or if
-    :func:`scenes` finds no other drive.
+    Raises InputError if there are no training drives, or fewer than `train_drives`, if folds have no second test drive,
+    or if :func:`scenes` finds no other drive.
     """
     fit_to, limit = entry.fit_to, entry.train_drives
     train, val, test = (tuple(store.drives_in(splits, split)) for split in ("train", "val", "test"))
+    if not train and fit_to != "others":
+        raise InputError("there are no training drives", fix="Name some in ingest.drives.train")
     if limit is not None and limit > len(train):
         raise InputError(f"train_drives = {limit}, but there are {len(train)} training drives")
     if limit is not None:  # evenly spread, and repeated for as many steps per epoch as with all

@@ -1,43 +1,38 @@
-"""Collect figures of runs in docs/results.json, and render the tables of the pages and docs/roads.png from it.
+"""Render the tables of the pages and docs/roads.png from the runs in docs/results.
 
-    python -m docs.make_results collect runs/roads roads    # a finished run and its preset, or a JSON file of figures
+    python -m docs.make_results collect data/report/roads.json    # adds a run of `make roads`, or replaces it
     python -m docs.make_results render
 
-A key is PRESET/GROUP/ROW: roads/angle-10/motion-10 or, of a range, roads/path-0/10-20 m/path. A row is a model, a
-baseline, or "A - B", their paired difference in nmse. PRESET/val/… are validation errors.
+A key is PRESET/KEY, with keys as in pipeline/report/summary.py: roads/angle-10/motion-10.
 """
 
 import json
 import re
-from dataclasses import replace
-from datetime import date
-from itertools import product
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 from matplotlib.figure import Figure
 
 from pipeline.base import console, store
 from pipeline.base.errors import InputError
-from pipeline.base.params import load
 from pipeline.report import street_view
 from pipeline.report.paper import CLAIMS, PAPER
-from pipeline.report.results import BASELINES, NO_LEARNING, Group, load_groups
+from pipeline.report.results import NO_LEARNING
+from pipeline.report.summary import Results
 from pipeline.report.tables import NONE, Table, claim_cells, number
-from pipeline.settings.evaluate import Evaluate
-from presets.run import revision
 
 DOCS = Path(__file__).parent
-PAGES = (DOCS.parent / "README.md", DOCS / "results.md")
+RUNS = DOCS / "results"
+PAGES = (DOCS.parent / "README.md", DOCS / "results.md", DOCS / "log.md")
 TABLE = re.compile(r"(<!-- table: (\w+) -->).*?(<!-- end -->)", re.DOTALL)
 BLIND = "motion only"
-OMITTED = "2011_09_26_drive_0005"  # of the six real drives: an earlier result rested on it
 MOTION = ("motion-10", "motion-10-blind", "motion-10-another")
 PATH = ("path", "path-blind", "path-another")
 OTHERS = ("path-others", "path-blind-others", "path-another-others")
 THEN = ("path-then", "path-blind-others", "path-another-then")
-Results = dict[str, dict[str, Any]]
 # Each: question, group of results, and in it the model with the scene; without it, and with another scene.
 Questions = tuple[tuple[str, str, tuple[str, ...]], ...]
 BEYOND: Questions = (
@@ -59,25 +54,53 @@ REAL: Questions = (  # the same of the six real drives, in docs/results.md
     ("… path 10 to 20 m ahead", "real/path-0/10-20 m", THEN),
 )
 
+WORKS = (  # task, error and what to compare it with, with keys of results in braces
+    ("angle measured from a video, six drives of KITTI", "{real/motion/visual}", "driving straight: 1"),
+    ("steering wheel measured from a video, Udacity's challenge, RMSE in rad", "{udacity/steer measure}",
+     "best of three teams: {udacity/autumn}"),
+    ("present angle by the points of the street, 240 rendered roads", "{roads/angle-0/sa-gnn-ncp}",
+     "measured motion: {roads/angle-0/regression}"),
+    ("path 10 to 20 m ahead, 240 rendered roads", "{roads/path-0/10-20 m/path}",
+     "motion only: {roads/path-0/10-20 m/path-blind}"),
+    ("path 5 to 10 m ahead, bends of the road on six drives of KITTI (trained on five)",
+     "{bends/path-0 bends/5-10 m/path-others}", "motion only: {bends/path-0 bends/5-10 m/path-blind-others}"),
+    ("*not yet*: 10 to 20 m ahead, four real roads that wind (trained on three)",
+     "{winding/path-0 winding/10-20 m/path-others}",
+     "motion only: {winding/path-0 winding/10-20 m/path-blind-others}"),
+    ("*not yet*: networks of rendered roads on KITTI, path 5 to 10 m ahead", "{transfer/path-0/5-10 m/path}",
+     "motion only: {transfer/path-0/5-10 m/path-blind}"),
+)  # fmt: skip
+KINDS = (  # kinds of frames of runs of OTHERS
+    ("four roads that wind, measured labels: winding, fixed beforehand", "winding/path-0 winding/10-20 m"),
+    ("… straight, fixed beforehand", "winding/path-0 straight/10-20 m"),
+    ("… approach to a bend", "winding/path-0 approach/10-20 m"),
+    ("… inside", "winding/path-0 inside/10-20 m"),
+    ("… leaving", "winding/path-0 leaving/10-20 m"),
+    ("… labels of the wheel: winding, fixed beforehand", "winding-wheel/path-0 winding/10-20 m"),
+    ("… straight, fixed beforehand", "winding-wheel/path-0 straight/10-20 m"),
+    ("six drives of KITTI, 5 to 10 m: bends of the road", "bends/path-0 bends/5-10 m"),
+    ("… turns at junctions", "bends/path-0 junctions/5-10 m"),
+    ("… straight", "bends/path-0 straight/5-10 m"),
+    ("six drives of KITTI, 10 to 20 m: bends of the road", "bends/path-0 bends/10-20 m"),
+    ("… turns at junctions", "bends/path-0 junctions/10-20 m"),
+    ("… straight", "bends/path-0 straight/10-20 m"),
+)
+STREETS = ("winding", "straight", *(f"of {drive}" for drive in (
+    "2011_09_26_drive_0005", "2011_09_26_drive_0039", "2011_10_03_drive_0042", "2027_09_26_drive_0095",
+    "2027_09_26_drive_0003", "2027_09_30_drive_0009", "udacity_ch2_001", "udacity_rest", "udacity_hmb4",
+)))  # fmt: skip
 
-def collect(source: Path, preset: str) -> None:
-    """Replace a preset's figures, in the groups that a run or a JSON file (key → figure) has; then render."""
-    copied = source / "revision"
-    made = copied.read_text("ascii") if copied.is_file() else revision(source if source.is_dir() else Path())
-    if not made or made.endswith("dirty"):
-        raise InputError("its code is not committed", source, "Commit the code and repeat the run")
-    new = store.read_json(source, stage=preset) if source.is_file() else figures_of(source)
-    origin = {"preset": preset, "revision": made, "date": str(date.today())}
-    results = merged(read(), {f"{preset}/{key}": values | origin for key, values in new.items()})
-    lines = (f"{json.dumps(key)}: {json.dumps(results[key])}" for key in sorted(results))
-    (DOCS / "results.json").write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+
+def collect(source: Path, name: Annotated[str, typer.Argument(help="default: the preset's")] = "") -> None:
+    """Copy data/report/PRESET.json of a run to docs/results/NAME.json, and render the pages. Raises InputError."""
+    run = store.read_json(source, stage="report")
+    if not re.fullmatch("[0-9a-f]+", run["revision"]):
+        problem = f"its code is not committed (revision {run['revision']})"
+        raise InputError(problem, source, "Commit the code and repeat the run")
+    figures = ",\n".join(f"{json.dumps(key)}: {json.dumps(entry)}" for key, entry in run.pop("results").items())
+    path = RUNS / f"{name or run['preset']}.json"
+    path.write_text(f'{json.dumps(run)[:-1]}, "results": {{\n{figures}\n}}}}\n', encoding="utf-8")
     render()
-
-
-def merged(results: Results, new: Results) -> Results:
-    """Return figures with all of the groups that `new` has replaced."""
-    groups = {tuple(key.split("/")[:2]) for key in new}
-    return {key: old for key, old in results.items() if tuple(key.split("/")[:2]) not in groups} | new
 
 
 def render() -> None:
@@ -88,62 +111,12 @@ def render() -> None:
 
 
 def read() -> Results:
-    """Return docs/results.json."""
-    return dict(json.loads((DOCS / "results.json").read_text(encoding="utf-8")))
-
-
-def figures_of(run: Path) -> Results:
-    """Return a run's errors, the differences of the models in question to all others, and the errors of motion."""
-    params, figures = run / "params.yaml", Results()
-    folders = {path.parent.name: path.parent for path in sorted((run / "data/evaluate").glob("*/metrics.json"))}
-    for whole in load_groups(folders, load(Evaluate, params)):
-        for group in (whole, *without(whole, OMITTED)):
-            figures |= figures_of_group(group)
-        for row in (row for row in whole.models if row["val_nmse"] < np.inf):
-            seeds = np.mean([scores["nmse_by_seed"] for scores in row["val"].values()], axis=0).tolist()
-            figures[f"val/{row['model']}"] = entry(row["val_nmse"], seeds=seeds, roads=len(row["drives"]["train"]))
-    if (path := run / "data/scores/metrics.json").is_file():
-        for kind, splits in store.read_json(path, stage="scores")["motion"].items():
-            if splits["test"]:
-                figures[f"motion/{kind}"] = entry(splits["test"]["nmse"], frames=splits["test"]["judged"])
-    return figures
-
-
-def without(group: Group, drive: str) -> list[Group]:
-    """Return the group without a drive, and the drive's number in its key; an empty list if it has no such drive."""
-    names = sorted({*group.predictions["drive"]})
-    if drive not in names:
-        return []
-    truth = np.where((group.drive == names.index(drive))[:, None], np.nan, group.truth)
-    return [replace(group, key=f"{group.key} without {drive[-4:]}", truth=truth)]
-
-
-def figures_of_group(group: Group) -> Results:
-    """Return the errors of models and baselines, and the differences of models in question to all others."""
+    """Return PRESET/KEY → figure with its revision and date, of all runs; a later run of a preset takes precedence."""
+    runs = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(RUNS.glob("*.json"))]
     figures: Results = {}
-    rows = [name for name in group.predicted if name not in BASELINES or name in NO_LEARNING]
-    models = {claim.model for claim in CLAIMS} | {name for _, _, (name, *_) in (*BEYOND, *REAL)}
-    for column, label in group.labels.items():
-        part = f"{group.key}/{label}".rstrip("/")
-        for name in rows:
-            scores = group.scores(name, column)
-            seeds, mse, frames = scores["by_seed"], scores["mse"], scores["frames"]
-            mae_deg = scores["mae"] and np.degrees(scores["mae"] * group.length_m[column])
-            value, bounds = group.nmse(name, column=column)
-            figures[f"{part}/{name}"] = entry(value, bounds, frames, seeds=seeds, mse=mse, mae_deg=mae_deg)
-        for first, other in product(models.intersection(rows), rows):
-            if first != other:
-                value, bounds, verdict = group.difference(first, other, column)
-                figures[f"{part}/{first} - {other}"] = entry(value, bounds, frames, verdict=verdict)
+    for run in sorted(runs, key=lambda run: str(run["date"])):
+        figures |= {f"{run['preset']}/{key}": entry | {"run": run} for key, entry in run["results"].items()}
     return figures
-
-
-def entry(
-    figure: float | None, interval: list[float] | None = None, frames: int | None = None, **more: Any
-) -> dict[str, Any]:
-    """Return a figure for results.json, numbers with five digits."""
-    values = json.dumps({"figure": figure, "interval": interval, "frames": frames, **more})
-    return dict(json.loads(values, parse_float=lambda text: float(f"{float(text):.5g}")))
 
 
 def pages(results: Results) -> dict[Path, str]:
@@ -188,6 +161,27 @@ def claims(results: Results) -> list[list[str]]:
     return [table.heads, *([re.sub(r"-(?=\d\.)", "−", cell) for cell in row] for row in table.cells)]
 
 
+def verdicts(results: Results) -> list[list[str]]:
+    """Return claim, verdict, and the nmse of both networks."""
+    heads, *rows = claims(results)
+    column = {head: number for number, head in enumerate(heads)}
+
+    def networks(row: list[str]) -> str:
+        names, errors = (row[column[head]].split(", ") for head in ("networks", "nmse"))
+        return ", ".join(f"{name} {error}" for name, error in zip(names, errors, strict=True))
+
+    return [["the paper's claim", "verdict", "nmse"], *([*row[:2], networks(row)] for row in rows)]
+
+
+def works(results: Results) -> list[list[str]]:
+    """Return a row per task that README names."""
+
+    def fill(cell: str) -> str:
+        return re.sub(r"\{(.*?)\}", lambda found: text(results, found[1]), cell)
+
+    return [["nmse", "here", "to compare with"], *([fill(cell) for cell in row] for row in WORKS)]
+
+
 def beyond(results: Results) -> list[list[str]]:
     """Return a row per question beyond the paper, and rows of measured motion."""
     teams = min(text(results, f"udacity/{team}") for team in ("autumn", "komanda", "rambo"))
@@ -217,6 +211,28 @@ def questions(results: Results, head: str, asked: Questions) -> list[list[str]]:
             degrees = text(results, key, "mae_deg", ".2f")
             rows.append([question, *nmse, degrees, shown(results, key, [best, *controls])])
     return rows
+
+
+def kinds(results: Results) -> list[list[str]]:
+    """Return a row per kind of frames."""
+    return scene(results, "nmse of the path, trained on the other recordings", KINDS)
+
+
+def streets(results: Results) -> list[list[str]]:
+    """Return a row per part of the nine recordings."""
+    rows = [(part.removeprefix("of "), f"streets/path-0 {part}/10-20 m") for part in STREETS]
+    return scene(results, "nmse of the path 10 to 20 m ahead, trained on the other eight", rows)
+
+
+def scene(results: Results, head: str, rows: Sequence[tuple[str, str]]) -> list[list[str]]:
+    """Return a row per group of frames: errors of OTHERS, and differences of the first to the others."""
+    names, table = [BLIND, "another scene"], []
+    for row, group in rows:
+        errors = [text(results, f"{group}/{name}") for name in OTHERS]
+        keys = [f"{group}/{OTHERS[0]} - {name}" for name in OTHERS[1:]]
+        differences = [f"{difference(results, key)} {get(results, key, 'verdict')}" for key in keys]
+        table.append([row, text(results, f"{group}/{OTHERS[0]}", "frames", ",d"), *errors, *differences])
+    return [[head, "frames", "with the scene", *names, *(f"− {name}" for name in names)], *table]
 
 
 def shown(results: Results, model: str, rivals: list[str]) -> str:
@@ -254,13 +270,6 @@ def coverage(results: Results) -> list[list[str]]:
     return [["test set", *worlds], *rows]
 
 
-def origins(results: Results) -> list[list[str]]:
-    """Return the revisions and dates of each preset's figures."""
-    made = sorted({(values["preset"], f"{values['revision']} of {values['date']}") for values in results.values()})
-    presets = {preset: [origin for name, origin in made if name == preset] for preset, _ in made}
-    return [["figures of", "revision"], *([preset, ", ".join(origins)] for preset, origins in presets.items())]
-
-
 def plot(results: Results) -> Figure:
     """Return sa-gnn-ncp's validation nmse over the number of training roads: a dot per seed, a line of the medians."""
     points = [values for key, values in results.items() if re.fullmatch(r"roads/val/sa-gnn-ncp(-\d+)?", key)]
@@ -278,7 +287,7 @@ def plot(results: Results) -> Figure:
     return figure
 
 
-TABLES = {table.__name__: table for table in (claims, beyond, real, table2, coverage, origins)}
+TABLES = {table.__name__: table for table in (works, verdicts, claims, beyond, real, kinds, streets, table2, coverage)}
 
 if __name__ == "__main__":
     console.run(collect, render)

@@ -1,8 +1,10 @@
 """Run a preset in a copy of the code, runs/NAME, a DVC repository with its own cache: ``make NAME``."""
 
 import json
+import os
 import shutil
 import subprocess
+from datetime import date
 from functools import partial
 from pathlib import Path
 
@@ -36,6 +38,10 @@ def main(name: str) -> None:
                 raise typer.Exit(status)
         for source, suffix in (("index.html", "html"), ("table.md", "md")):
             shutil.copyfile(run / "data/report" / source, report / f"{name}.{suffix}")
+        content = json.loads((run / "data/report/results.json").read_text(encoding="utf-8"))
+        made = {"preset": name, "revision": (run / "revision").read_text("ascii") or "unknown"}
+        made |= {"date": str(date.today()), "machine": machine()}
+        write_json(report / f"{name}.json", made | {"results": content}, sort_keys=False)
     print((report / f"{name}.md").read_text(encoding="utf-8"), f"Open {report}/{name}.html in a browser.", sep="")
     settings = read(run / "params.yaml")
     for part in [*settings["ingest"].get("recordings", {}).values()][:1]:
@@ -59,7 +65,7 @@ def copy_code(run: Path) -> None:
     """Copy the code; if it differs from the last copy, keep dvc.lock, which names its results, as dvc.lock.before.
 
     copied.json lists the files with their hashes: only these are removed where the code no longer has them. The file
-    `revision` names the commit, for docs/make_results.py.
+    `revision` names the commit.
     """
     listed, lock = run / "copied.json", run / "dvc.lock"
     before = json.loads(listed.read_text(encoding="utf-8")) if listed.exists() else {}
@@ -74,6 +80,13 @@ def copy_code(run: Path) -> None:
         shutil.copyfile(name, run / name)
     write_json(listed, now)
     (run / "revision").write_text(revision(), encoding="ascii")
+
+
+def machine() -> str:
+    """Return the kind of this machine."""
+    from torch import cuda
+
+    return cuda.get_device_name() if cuda.is_available() else f"{os.cpu_count()} CPU cores"
 
 
 def revision(checkout: Path = Path()) -> str:

@@ -10,7 +10,7 @@ import typer
 from pipeline.base import console, store
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import entries, load
-from pipeline.report import results, tables
+from pipeline.report import results, summary, tables
 from pipeline.report.figures import draw
 from pipeline.report.page import write_page
 from pipeline.settings.evaluate import Evaluate
@@ -36,11 +36,12 @@ def main(
     perceived = tables.perception_tables(scores) if scores else []
     notes += [f"{kind}: {line}" for kind, row in scores["recorded"].items() for line in row["lines"]] if scores else []
     story = tables.sentences(groups, [model for model in models if model not in evaluated])
-    summary = "\n\n".join(fill(line, 110) for line in story)
-    text = "\n\n".join([summary, *(table.markdown() for table in (*steering, *perceived))]).lstrip()
+    first = "\n\n".join(fill(line, 110) for line in story)
+    text = "\n\n".join([first, *(table.markdown() for table in (*steering, *perceived))]).lstrip()
     with stage_folder("report", out, shared=True) as folder:
         (folder.new / "table.md").write_text(f"{text}\n", encoding="utf-8")
         store.write_json(folder.new / "metrics.json", results.dvc_metrics(groups))
+        store.write_json(folder.new / "results.json", summary.results(groups, scores))
         for name in ("learning", "figures"):  # DVC expects each output, even an empty one
             (folder.new / name).mkdir()
         for path in (path for model in evaluated for path in (data / "train" / model).rglob("curve.csv")):
@@ -50,7 +51,7 @@ def main(
             curve.to_csv(folder.new / f"learning/{network}.csv", index=False, lineterminator="\n", na_rep="nan")
         figures = draw(folder.new / "figures", groups, data)
         write_page(folder.new / "index.html", story, groups, steering, [*notes, *perceived], figures)
-    print(summary, f"Tables: {out.absolute()}/table.md. Page: {out.absolute()}/index.html", sep="\n")
+    print(first, f"Tables: {out.absolute()}/table.md. Page: {out.absolute()}/index.html", sep="\n")
     return out
 
 

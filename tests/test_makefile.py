@@ -26,7 +26,7 @@ stage) echo train@fails train@works | tr ' ' '\\n' ;;
   sleep 0.5; echo "trained $4" >> {log} ;;
 repro)
   mkdir -p data/report && touch data/report/index.html && ls stages > dvc.lock
-  echo "| $(basename "$PWD") |" > data/report/table.md ;;
+  echo {{}} > data/report/results.json; echo "| $(basename "$PWD") |" > data/report/table.md ;;
 esac
 """
 PYTHON = '#!/bin/sh\nexec "{python}" "$@"\n'

@@ -83,10 +83,8 @@ def in_space(views: Sequence[View]) -> go.Figure:
 
 def _traces(view: View, present: Sequence[int]) -> list[go.Scatter3d]:
     """Return a trace for each class of `present`, and one of the edges."""
-    xyz, cls = (
-        np.asarray(view.xyz)[:, [0, 2, 1]] * np.array([1, 1, -1], np.float32),
-        np.asarray(view.points_cls),
-    )  # z: up
+    cls = np.asarray(view.points_cls)
+    xyz = np.asarray(view.xyz)[:, [0, 2, 1]] * np.array([1, 1, -1], np.float32)  # Plotly's z points up
     shown, parts = np.random.default_rng(0).permutation(len(xyz))[:POINTS_SHOWN], []
     for number in present:
         name = classes.NAMES[number] if number < classes.COUNT else "no class"

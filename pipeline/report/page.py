@@ -36,7 +36,7 @@ def write_page(
     curves = {file.stem: pd.read_csv(file) for file in sorted((path.parent / "learning").glob("*.csv"))}
     look = plots.styles(groups)
     learning = [Figure(_LEARNING, plots.to_html(plots.learning(curves, look), "learning"))] if curves else []
-    space = [Figure(_SPACE, plots.to_html(plots.in_space(views), "space", "30rem"))] if views else []
+    space = [Figure(_SPACE, plots.to_html(plots.in_space(views), "space", "min(32rem, 105vw)"))] if views else []
     first, paper = (tuple(table for table in tables if table.title.startswith(start)) for start in ("Res", "The paper"))
     sections: dict[str, Content] = {
         "From image to graph": [*(pictures[name] for name in pictures if name == "chain"), *space],

@@ -57,7 +57,7 @@ def view(path: Path, out: Path) -> None:
             raise InputError("has no points", path, "Pass a file of data/clouds or data/graphs")
         figure = plots.in_space(street_view.read_some(file))
     with replacing(out) as new:
-        new.write_text(plots.to_html(figure, "space", "95vh", alone=True), encoding="utf-8")
+        new.write_text(plots.to_html(figure, "space", "min(95vh, 105vw)", alone=True), encoding="utf-8")
 
 
 def _open(path: Path) -> DriveReader:

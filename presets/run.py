@@ -2,13 +2,18 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
+import time
 from datetime import date
 from functools import partial
+from html import escape
 from pathlib import Path
+from typing import Any
 
 import typer
+import yaml
 
 from pipeline.base import console
 from pipeline.base.outputs import link, locked
@@ -23,7 +28,7 @@ DVC = ("config cache.type hardlink,copy", "cache dir .dvc/cache", "repro")
 
 def main(name: str) -> None:
     """Run preset `name` and copy its report to data/report/NAME.*. Raises InputError if it is running already."""
-    run, report = Path("runs") / name, Path("data/report")
+    run, report, start_s = Path("runs") / name, Path("data/report"), time.monotonic()
     for folder in (run / "data", report, Path("weights")):
         folder.mkdir(parents=True, exist_ok=True)
     with locked(run, f"{run}.lock"):
@@ -36,21 +41,44 @@ def main(name: str) -> None:
         for words in (*["init --quiet --no-scm"][(run / ".dvc").is_dir() :], *DVC):
             if status := subprocess.run(["dvc", *words.split()], cwd=run, check=False).returncode:
                 raise typer.Exit(status)
-        for source, suffix in (("index.html", "html"), ("table.md", "md")):
-            shutil.copyfile(run / "data/report" / source, report / f"{name}.{suffix}")
-        content = json.loads((run / "data/report/results.json").read_text(encoding="utf-8"))
         made = {"preset": name, "revision": (run / "revision").read_text("ascii") or "unknown"}
-        made |= {"date": str(date.today()), "machine": machine()}
+        made |= {"date": str(date.today()), "machine": machine(), "minutes": f"{(time.monotonic() - start_s) / 60:.1f}"}
+        origin, settings = ", ".join(f"{key} {value}" for key, value in made.items()), read(run / "params.yaml")
+        content = json.loads((run / "data/report/results.json").read_text(encoding="utf-8"))
         write_json(report / f"{name}.json", made | {"results": content}, sort_keys=False)
+        command, page = next_command(name, run, settings), (run / "data/report/index.html").read_text(encoding="utf-8")
+        page = with_origin(page, origin, changes(settings, read(Path("params.yaml"))), command)
+        (report / f"{name}.html").write_text(page, encoding="utf-8")
+        shutil.copyfile(run / "data/report/table.md", report / f"{name}.md")
     print((report / f"{name}.md").read_text(encoding="utf-8"), f"Open {report}/{name}.html in a browser.", sep="")
-    settings = read(run / "params.yaml")
-    for part in [*settings["ingest"].get("recordings", {}).values()][:1]:
-        lens = [f"--{key} {part[key]}" for key in ("fov", "K", "distortion", "fisheye") if key in part]
-        model = run / "data/train" / next(iter(settings["models"]))
-        print("next: steer predict VIDEO", *lens, f"--model {model}")
+    print(origin, f"next: {command}", sep="\n")
+    if settings["ingest"].get("recordings"):
         recorded = json.loads((run / "data/scores/metrics.json").read_text(encoding="utf-8"))["recorded"]
         for doubt in dict.fromkeys(line for log in recorded.values() for line in log["lines"][1:]):
             print(f"doubt: {doubt}")
+
+
+def next_command(name: str, run: Path, settings: dict[str, Any]) -> str:
+    """Return the command after a run: a prediction with the lens of a recording, or the next run."""
+    drives, recordings = settings["ingest"]["drives"], settings["ingest"].get("recordings", {})
+    for part in [recordings[drive] for drive in drives["test"] if drive in recordings]:
+        lens = [f"--{key} {part[key]}" for key in ("fov", "K", "distortion", "fisheye") if key in part]
+        return " ".join(["steer predict VIDEO", *lens, f"--model {run}/data/train/{next(iter(settings['models']))}"])
+    return f"$EDITOR presets/{name}.yaml && make {name}  # trains only what changed"
+
+
+def changes(new: dict[str, Any], old: dict[str, Any]) -> dict[str, Any]:
+    """Return what differs in nested settings, as a preset: None for a key that `new` lacks."""
+    both = {key: (new.get(key), old.get(key)) for key in {**old, **new} if new.get(key) != old.get(key)}
+    return {key: changes(a, b) if isinstance(a, dict) and isinstance(b, dict) else a for key, (a, b) in both.items()}
+
+
+def with_origin(page: str, origin: str, settings: dict[str, Any], command: str) -> str:
+    """Return the page of a stage with what the stage cannot know: where it comes from, and the next command."""
+    text = yaml.safe_dump(settings, allow_unicode=True, sort_keys=False)
+    summary = f"<summary>{escape(origin)}; settings that differ from params.yaml</summary>"
+    page = page.replace("</h1>", f"</h1>\n<details>{summary}<pre>{escape(text)}</pre></details>", 1)
+    return re.sub("(?<=Next: <code>).*(?=</code>)", lambda _: escape(command), page)
 
 
 def copy_cache(run: Path) -> None:

@@ -1,4 +1,4 @@
-"""The command `steer`, and its verb `show`. Large imports are inside functions, so that help is quick."""
+"""The command `steer`, and its verbs `show` and `view`. Large imports are inside functions, so that help is quick."""
 
 from pathlib import Path
 from typing import Annotated
@@ -43,11 +43,34 @@ def show(
     print(yaml.safe_dump(content, sort_keys=False, default_flow_style=None, allow_unicode=True, width=110).rstrip())
 
 
+def view(
+    path: Annotated[Path, typer.Argument(metavar="FILE", help="a drive's .h5 file of data/clouds or data/graphs")],
+    out: Annotated[Path | None, typer.Option(metavar="HTML", help="new file; default: out/DRIVE.html")] = None,
+) -> None:
+    """Write some frames of a point cloud or graph in 3D as a page, and open it in the browser.
+
+    \b
+    steer view data/graphs/semantic/2026_01_18_drive_0004.h5
+    """
+    import webbrowser
+
+    from pipeline.base.outputs import claim
+    from pipeline.show import artefact
+
+    if out and out.suffix != ".html":
+        raise InputError("expected the name of an HTML file", "--out")
+    out = claim(out, path.stem, ".html")
+    artefact.view(path, out)
+    print(out)
+    webbrowser.open(out.absolute().as_uri())
+
+
 app.command("predict", no_args_is_help=True, help=predict.__doc__)(guarded(predict.predict))
 app.command("measure", no_args_is_help=True, help=measure.__doc__)(guarded(measure.measure))
 app.command("perceive", no_args_is_help=True, help=perceive.__doc__)(guarded(perceive.perceive))
 app.command("import", no_args_is_help=True, help=import_.__doc__)(guarded(import_.import_recording))
 app.command("show", no_args_is_help=True)(guarded(show))
+app.command("view", no_args_is_help=True)(guarded(view))
 
 if __name__ == "__main__":
     app(prog_name="steer")

@@ -25,8 +25,10 @@ stage) echo train@fails train@works | tr ' ' '\\n' ;;
   case "$4" in train@fails) echo "$4: loss is nan" >&2; exit 255 ;; esac
   sleep 0.5; echo "trained $4" >> {log} ;;
 repro)
-  mkdir -p data/report && touch data/report/index.html && ls stages > dvc.lock
-  echo {{}} > data/report/results.json; echo "| $(basename "$PWD") |" > data/report/table.md ;;
+  mkdir -p data/report && ls stages > dvc.lock
+  echo "<h1>Steering report</h1> Next: <code>dvc exp run</code>" > data/report/index.html
+  echo {{}} > data/report/results.json
+  echo "| $(basename "$PWD") |" > data/report/table.md ;;
 esac
 """
 PYTHON = '#!/bin/sh\nexec "{python}" "$@"\n'
@@ -68,7 +70,11 @@ def test_a_preset_runs_in_a_copy_of_the_code(checkout):
     assert (run / "data/raw").resolve() == checkout / "data/raw"
     assert (run / "weights").resolve() == checkout / "weights"
     assert (checkout / "data/report/kitti.md").read_text() == "| kitti |\n"
-    assert all((checkout / f"data/report/kitti.{kind}").is_file() for kind in ("md", "html"))
+    page = (checkout / "data/report/kitti.html").read_text()
+    assert "<h1>Steering report</h1>\n<details><summary>preset kitti, revision unknown, date 20" in page
+    assert "<pre>ingest:\n  source: kitti\n" in page
+    assert "Next: <code>$EDITOR presets/kitti.yaml &amp;&amp; make kitti " in page
+    assert "\npreset kitti, revision unknown, date 20" in done.stdout
     assert (checkout / "params.yaml").read_text() == params
     first = ["init --quiet --no-scm", "config cache.type hardlink,copy", "cache dir .dvc/cache", "repro"]
     assert (checkout / "calls").read_text().splitlines() == first

@@ -24,13 +24,16 @@ def check_free(path: Path) -> None:
         raise InputError("exists already" + f" and holds {names}" * bool(names), path, _FIX)
 
 
-def claim(out: Path | None, stem: str) -> Path:
-    """Return `out`, or the first free folder of out/STEM, out/STEM-2, …. Raises InputError unless `out` is free."""
+def claim(out: Path | None, stem: str, suffix: str = "") -> Path:
+    """Return `out`, or the first free path of out/STEM, out/STEM-2, …. Raises InputError unless `out` is free.
+
+    `suffix`: of a file, for instance .html; empty for a folder.
+    """
     if out is not None:
         check_free(out)
         return out
-    numbered = (Path("out", f"{stem}-{number}" if number > 1 else stem) for number in count(1))
-    return next(folder for folder in numbered if _is_free(folder))
+    numbered = (Path("out", stem + f"-{number}" * (number > 1) + suffix) for number in count(1))
+    return next(path for path in numbered if _is_free(path))
 
 
 def _is_free(path: Path) -> bool:

@@ -14,25 +14,24 @@ from pipeline.report.results import Group
 from pipeline.report.street_view import View
 
 BEND_DEG = 5.0  # the least angle of the bend in the chain
-MAX_ERRORS = 6  # frames, one of a drive
 _COLOURS = {"true": "0.15", "odometry": "tab:orange", "predicted": "tab:blue"}
 Captions = dict[str, str]  # name of the file without suffix → caption
-Figures = tuple[Captions, tuple[View, View] | None]  # and the chain's frame, with its cloud and with the model's graph
+Figures = tuple[Captions, list[View]]  # and graphs of the chain's drive
 
 
 def draw(out: Path, groups: Sequence[Group], data: Path) -> Figures:
-    """Draw a frame's way from image to steering and each group's largest errors, if the stages' files are in `data`."""
-    captions, frame = _draw_typical_bend(out / "chain.png", groups[0], data) if groups else ({}, None)
+    """Draw a frame's way from image to steering and errors in typical drives, if the stages' files are in `data`."""
+    captions, views = _draw_typical_bend(out / "chain.png", groups[0], data) if groups else ({}, [])
     for group in groups:
-        captions |= _draw_errors(out / f"errors-{group.key}.png", group, data / "ingest")
-    return captions, frame
+        captions |= _draw_errors(out, group, data / "ingest")
+    return captions, views
 
 
 def _draw_typical_bend(path: Path, group: Group, data: Path) -> Figures:
-    """Draw the chain of the best model with a graph, in the drive of median error among those that bend left."""
-    model = next((row for row in group.by_error if row["variant"].get("k")), None)
-    if model is None:
-        return {}, None
+    """Draw the chain of the best model that sees points, in the drive of median error among those that bend left."""
+    rows = (row for row in group.by_error if row["variant"]["source"] != "ingest")
+    if (model := next((row for row in rows if row["entry"]["spatial"] != "blind"), None)) is None:
+        return {}, []
     steering = group.first_seed(model["model"])
     known = steering.dropna(subset="cost")
     sharpest = known.loc[known.groupby("drive")["true_deg"].idxmax()].set_index("drive")
@@ -43,19 +42,20 @@ def _draw_typical_bend(path: Path, group: Group, data: Path) -> Figures:
     folders = ("ingest", "perception", model["variant"]["source"], f"graphs/{model['entry']['input']}")
     paths = {folder.split("/")[0]: data / folder / f"{drive}.h5" for folder in folders}
     if not all(file.is_file() for file in paths.values()):
-        return {}, None
+        return {}, []
     with ExitStack() as stack:
         *files, graphs = [stack.enter_context(store.DriveReader(file, stage=stage)) for stage, file in paths.items()]
         if not all(number in file.frame for file in (*files, graphs)):
-            return {}, None
+            return {}, []
         view, graph = street_view.read_view(number, *files), street_view.read_view(number, graphs)
+        views = street_view.read_some(graphs)
     _draw_chain(path, view, graph, steering[steering["drive"] == drive])
     caption = (
         f"From image to steering (Figure 1 of the paper): frame {number} of {drive}, a drive of median error of "
-        f"{model['model']}. For this frame the network gets the graph shown and the graphs of the "
-        f"{model['entry']['window'] - 1} frames before."
+        f"{model['model']}. The network gets what the second panel from above shows, of this frame and the "
+        f"{model['entry']['window'] - 1} before."
     )
-    return {path.stem: caption}, (view, graph)
+    return {path.stem: caption}, views
 
 
 def _draw_chain(path: Path, view: View, graph: View, steering: pd.DataFrame) -> None:
@@ -81,38 +81,33 @@ def _draw_chain(path: Path, view: View, graph: View, steering: pd.DataFrame) -> 
     street_view.save(figure, path)
 
 
-def _draw_errors(path: Path, group: Group, ingest: Path) -> Captions:
-    """Draw the last image that the best model got before its largest error in a drive; nothing without images."""
-    model, shown = group.by_error[0], []
+def _draw_errors(out: Path, group: Group, ingest: Path) -> Captions:
+    """Draw the last image before the largest error in each typical drive, with the paths; nothing without images."""
+    model, captions = group.by_error[0], Captions()
     predictions = group.first_seed(model["model"])
-    largest = predictions.loc[predictions[predictions["cost"] > 0].groupby("drive")["cost"].idxmax()]
-    for _, row in largest.nlargest(MAX_ERRORS, "cost").iterrows():
-        if (file := ingest / f"{row['drive']}.h5").is_file():
-            with store.DriveReader(file, stage="ingest") as images:
-                if row["frame"] in images.frame and images["has_image"][number := images.row_of(row["frame"])]:
-                    shown.append((row, images.row("image", number), read_camera(images)))
-    if not shown:
-        return {}
-    (height, width), rows = shown[0][1].shape[:2], -(-len(shown) // 2)
-    figure = Figure(figsize=(12, (6 * height / width + 0.3) * rows), layout="constrained")
-    panels = figure.subplots(rows, 2, squeeze=False).ravel()
-    for panel in panels:
-        panel.set_axis_off()
     on_path = any(group.labels.values())
     edges_m = [0.0, *(column["to_m"] for column in model["columns"].values())]
-    for panel, (row, image, camera) in zip(panels, shown, strict=False):
-        panel.imshow(image)
+    for drive, rank in group.typical_drives.items():
+        row = predictions.loc[predictions["cost"].where(predictions["drive"] == drive).idxmax()]
+        if not (file := ingest / f"{drive}.h5").is_file():
+            continue
+        with store.DriveReader(file, stage="ingest") as images:
+            if row["frame"] not in images.frame or not images["has_image"][number := images.row_of(row["frame"])]:
+                continue
+            image, camera = images.row("image", number), read_camera(images)
+        figure = Figure(figsize=(8, 8 * image.shape[0] / image.shape[1]))
+        panel = figure.add_axes((0, 0, 1, 1))
+        street_view.draw_image(panel, image, "")
         panel.autoscale(False)
         for kind in ("driven", "predicted") if on_path else ():
             path_1pm = [row[f"{'true' if kind == 'driven' else kind}_{column}"] for column in group.labels]
             for side in street_view.wheel_tracks(street_view.path_steps(path_1pm, edges_m), camera):
                 panel.plot(*side.T, color=[value / 255 for value in street_view.PATHS[kind]], linewidth=1.5)
-        text = f"driven {row['true_deg']:.1f}°, predicted {row['predicted_deg']:.1f}°"
-        panel.set_title(f"{row['drive']}, frame {row['frame']}: {text}", fontsize="small", loc="left")
-    street_view.save(figure, path)
-    about = "paths (red: driven, green: predicted) and the angles by which they turn" if on_path else "angles"
-    caption = (
-        f"Drives with the largest errors of {model['model']}, {group.title}, first seed: the last image of its input, "
-        f"and the {about} (left +)."
-    )
-    return {path.stem: caption}
+        path = out / f"{group.key}-{rank}.png"
+        street_view.save(figure, path)
+        captions[path.stem] = (
+            f"Frame {row['frame']}, the largest error of {model['model']} in this drive: driven "
+            f"{row['true_deg']:.1f}°{' (red)' * on_path}, predicted {row['predicted_deg']:.1f}°{' (green)' * on_path}, "
+            "left +. The image is the last one of the input."
+        )
+    return captions

@@ -108,6 +108,14 @@ class Group:
         value, _ = self.nmse(name)
         return np.inf if value is None else value
 
+    @property
+    def typical_drives(self) -> dict[str, str]:
+        """The drives with the least, the median and the largest mean squared error of the best model → their rank."""
+        costs = self.first_seed(self.by_error[0]["model"]).groupby("drive")["cost"].mean().dropna()
+        drives = costs.sort_values(kind="stable").index
+        ranks = {0: "best", len(drives) // 2: "median", len(drives) - 1: "worst" if len(drives) > 1 else "only"}
+        return {drives[number]: rank for number, rank in ranks.items()} if len(drives) else {}
+
     def first_seed(self, model: str) -> pd.DataFrame:
         """Return the predictions of the first seed of a model."""
         return self.predictions[self.predictions["model"] == model]

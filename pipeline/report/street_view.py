@@ -25,6 +25,7 @@ LEFT_M, RIGHT_M, AHEAD_M = -22.0, 22.0, 50.0  # area shown from above
 PATHS = {"predicted": (0, 200, 60), "measured": (70, 160, 255), "driven": (255, 70, 50)}  # RGB
 HALF_TRACK_M, STEP_M = 0.8, 0.5  # of a path
 NEAREST_M = 1.0  # drawn distance of a path from the camera
+FRAMES_SHOWN = 8  # of a drive in 3D
 
 
 class View(NamedTuple):
@@ -66,6 +67,12 @@ def read_view(number: int, *files: DriveReader) -> View:
             parts["edges"] = edge_pairs(file.rows_of("degree", row), file.rows_of("indices", row))
             parts["edge_count"] = file["edges_kept"][row]
     return View(number, **parts)
+
+
+def read_some(file: DriveReader) -> list[View]:
+    """Read frames that are evenly spread over a drive."""
+    rows = np.linspace(0, len(file.frame) - 1, min(FRAMES_SHOWN, len(file.frame))).astype(int)
+    return [read_view(number, file) for number in file.frame[rows].tolist()]
 
 
 def draw_image(panel: Axes, pixels: np.ndarray, title: str, **style: Any) -> None:

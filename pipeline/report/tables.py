@@ -24,8 +24,9 @@ _RESULTS = (
     "regression is its best multiple on the training drives."
 )
 _PAPER = (
-    "MSE in rad²; train and val: on all frames of the model. paper: its Table 2, for models with the settings "
-    "of one of its networks. Its unit cannot be rad² of this label (docs/paper.md): compare order and ratio only."
+    "MSE of the models that have the settings of a network of the paper: in its Table 2, and here in rad², train and "
+    "val on all frames of the model. The paper's unit cannot be rad² of this label (docs/paper.md): compare only order "
+    "and ratio."
 )
 _CLAIMS = (
     "nmse and mean absolute error of both networks; MSE of the first relative to the second's, in the paper's Table 2 "
@@ -43,8 +44,9 @@ _DEPTH = (
     "same pixels; an encoder that does not beat it has learned no depth. Eigen: the usual crop of KITTI."
 )
 _MOTION = (
-    "Motion since the previous frame, measured from images, compared with oxts at or above labels.min_speed_mps. "
-    "wheel: recorded angles; …-wheel: compared with these. nmse: of the steering angle from the last measurement."
+    "Motion since the previous frame, measured from images, compared with the recorded motion (oxts or a log) at or "
+    "above labels.min_speed_mps. wheel: recorded angles; …-wheel: compared with these. nmse: of the steering angle "
+    "from the last measurement."
 )
 
 
@@ -80,7 +82,7 @@ def number(value: Any, form: str = "") -> str:
 
 
 def sentences(groups: Sequence[Group], absent: Sequence[str] = ()) -> list[str]:
-    """Return at most three texts: the best model of the first group, models that learned nothing, and absent ones."""
+    """Return texts on the best model of the first group, on models that learned nothing, and on absent ones."""
     texts = []
     if groups:
         group, best = groups[0], groups[0].by_error[0]
@@ -99,6 +101,14 @@ def sentences(groups: Sequence[Group], absent: Sequence[str] = ()) -> list[str]:
                 f"{group.mae_deg(baseline):.2f}° and {group.nmse(baseline)[0]:.3f}. Difference in nmse "
                 f"{difference:+.3f} ({interval_text(bounds, '+.3f')}): {verdict}."
             )
+            gets = ["the structure of the scene in front"] * (best["entry"]["spatial"] != "blind")
+            gets += ["this motion"] * (best["entry"]["motion"] != "none")
+            if baseline in ("odometry", "regression"):
+                texts.append(
+                    f"The two answer different questions. {baseline.capitalize()} uses the car's own motion, measured "
+                    f"from consecutive images: to know the present angle, use that (steer measure). {name} gets only "
+                    f"{' and '.join(gets)}: the question is what the scene tells about the angle, as in the paper."
+                )
     if useless := [line for group in groups for line in _useless(group).values()]:
         texts.append(" ".join(useless))
     if absent:
@@ -127,7 +137,7 @@ def steering_tables(groups: Sequence[Group]) -> list[Table]:
         *(Table(f"Results: {group.title}", _results(group), note) for group, note in zip(groups, notes, strict=True)),
         Table("The paper's claims", [row for group in present for row in _claims(group)], _CLAIMS),
         *(Table(f"Differences: {group.title}", _differences(group), _DIFFERENCES) for group in groups),
-        Table("MSE as in the paper's Table 2", [row for group in present for row in _as_published(group)], _PAPER),
+        Table("The paper's Table 2", [row for group in present for row in _as_published(group)], _PAPER),
         Table("Models", [_model(row) for group in groups for row in group.models]),
     ]
     return [table for table in tables if table.rows]
@@ -198,11 +208,11 @@ def _changed(*pair: Row) -> list[str]:
 
 def _as_published(group: Group) -> list[dict[str, str]]:
     return [
-        {"model": row["model"]}
+        {"model": row["model"], "paper train": str(row["paper"].train_mse), "paper test": str(row["paper"].test_mse)}
         | {split: number(row[split] and row[split]["steering_rad"]["mse"], "#.3g") for split in ("train", "val")}
         | {"test": number(group.scores(row["model"], "steering_rad")["mse"], "#.3g")}
-        | {f"paper {split}": number(getattr(row["paper"], f"{split}_mse", None)) for split in ("train", "test")}
         for row in group.models
+        if row["paper"]
     ]
 
 

@@ -1,4 +1,4 @@
-"""Describe one file of a stage: its attributes, datasets and settings, or one of its frames."""
+"""Show one file of a stage: its attributes, datasets and settings, one of its frames, or its points in 3D."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import InputError
-from pipeline.base.store import DriveReader
+from pipeline.base.store import DriveReader, replacing
 from pipeline.report import street_view
 
 Content = dict[str, Any]
@@ -46,6 +46,18 @@ def frame(path: Path, number: int, out: Path | None = None) -> Content:
                 raise InputError(f"frame {number} has neither an image nor points", path, "Leave out --out")
             street_view.save(street_view.sheet(f"{Path(*path.parts[-3:])}, frame {number}", view), out)
         return numbers
+
+
+def view(path: Path, out: Path) -> None:
+    """Write a page with some frames of a file in 3D. Raises InputError if the file has no points."""
+    from pipeline.report import plots
+
+    with _open(path) as file:
+        if "xyz" not in file or not len(file["xyz"]):
+            raise InputError("has no points", path, "Pass a file of data/clouds or data/graphs")
+        figure = plots.in_space(street_view.read_some(file))
+    with replacing(out) as new:
+        new.write_text(plots.to_html(figure, "space", "min(95vh, 105vw)", alone=True), encoding="utf-8")
 
 
 def _open(path: Path) -> DriveReader:

@@ -1,4 +1,4 @@
-"""The command steer: quick help, one line for an error; its verb show."""
+"""The command steer: quick help, one line for an error; its verbs show and view."""
 
 import subprocess
 import sys
@@ -34,10 +34,14 @@ def data(tmp_path, monkeypatch) -> Path:
     return tmp_path / "data"
 
 
-def show(*arguments: object, status: int = 0) -> str:
-    result = CliRunner().invoke(app, ["show", *map(str, arguments)])
+def run(*arguments: object, status: int = 0) -> str:
+    result = CliRunner().invoke(app, [*map(str, arguments)])
     assert result.exit_code == status, result.output
     return result.output
+
+
+def show(*arguments: object, status: int = 0) -> str:
+    return run("show", *arguments, status=status)
 
 
 def test_a_file_has_its_datasets_and_settings_and_a_checkpoint_everything_but_weights(data):
@@ -58,6 +62,17 @@ def test_a_frame_is_printed_and_drawn(data):
     file = data / f"graphs/semantic/{DRIVE}.h5"
     assert yaml.safe_load(show(file, "--frame", 2, "--out", "a.png"))["edges_knn"] == 180
     assert cv2.imread("a.png").std() > 5
+
+
+def test_points_are_shown_in_a_page_that_opens(data, monkeypatch):
+    opened = list[str]()
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    for out in (f"out/{DRIVE}.html", f"out/{DRIVE}-2.html"):
+        assert run("view", data / f"graphs/semantic/{DRIVE}.h5") == f"{out}\n"
+    text = Path(out).read_text()
+    assert (opened[1], '"name":"edges"' in text) == (Path(out).absolute().as_uri(), True)
+    assert "has no points" in run("view", data / f"labels/{DRIVE}.h5", status=1)
+    assert len(opened) == 2
 
 
 @pytest.mark.parametrize(

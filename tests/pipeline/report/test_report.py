@@ -1,13 +1,13 @@
 """The report: groups of models, tables, sentences, curves, pictures and the page."""
 
 import html
-import json
 import re
 from pathlib import Path
 
 import cv2
 import h5py
 import numpy as np
+import pandas as pd
 import pytest
 
 from pipeline.base import store
@@ -16,7 +16,7 @@ from pipeline.camera.camera import Camera, read_camera
 from pipeline.camera.classes import ROAD, VOID
 from pipeline.graphs.cloud import clouds_drive
 from pipeline.perception.scores import Scores
-from pipeline.report import figures, paper, tables
+from pipeline.report import figures, paper, plots, tables
 from pipeline.report.page import write_page
 from pipeline.report.street_view import HALF_TRACK_M, STEP_M, View, path_steps, read_view, wheel_tracks
 from pipeline.settings.clouds import Clouds
@@ -86,7 +86,7 @@ def test_the_first_table_fits_a_terminal(tmp_path):
     examples.write_model(tmp_path, metrics("dead", 0.96, horizon=10))
     table, *_ = tables.steering_tables(groups := examples.load(tmp_path, "pointnet2-lstm", "dead"))
     assert max(map(len, table.markdown().splitlines())) <= 110
-    _, useless = tables.sentences(groups)
+    *_, useless = tables.sentences(groups)
     assert useless.startswith("dead learned nothing (test nmse above 0.95); its training drives have 1,200 turning ")
     assert table.note.startswith(f"† 1 of 2 seeds of pointnet2-lstm failed to train. ‡ {useless} Test frames that ")
     rows = {row["model"]: row for row in table.rows}
@@ -172,7 +172,8 @@ def test_models_that_differ_in_one_setting_have_a_difference(tmp_path):
     assert found["Differences: path ahead"].rows[1]["5-10 m"] == "-0.300 (-0.300 to -0.300) too few seeds"
     rows = {row["model"]: row for row in found["Results: path ahead"].rows}
     assert (rows["path"]["nmse 0-5 m"], rows["*odometry*"]["nmse 5-10 m"]) == ("0.200 (0.200 to 0.200)", "0.400")
-    assert [row["train"] for row in found["MSE as in the paper's Table 2"].rows] == ["1.23e-06"] * 4  # of angles
+    (row,) = found["The paper's Table 2"].rows  # of the only model with the settings of one of its networks
+    assert (row["model"], row["paper test"], row["train"]) == ("sa-gnn-ncp", "0.0771", "1.23e-06")
 
 
 def test_perception_has_a_row_per_split_with_ground_truth():
@@ -203,7 +204,9 @@ def test_the_best_validated_model_has_a_verdict(tmp_path, monkeypatch, nmse, bas
     models = metrics("other", 0.01, baselines, predict=predict), metrics("net", nmse, baselines, predict=predict)
     for model, columns in zip(models, ((0.4, 0.4), (0.5, 0.1)), strict=True):
         model["val"] = {name: {"nmse": value} for name, value in zip(model["columns"], columns[::-1], strict=False)}
-    (text,) = tables.sentences(examples.groups(tmp_path, *models))
+    text, *purpose = tables.sentences(examples.groups(tmp_path, *models))
+    assert all("steer measure). net gets only the structure of the scene in front: " in line for line in purpose)
+    assert len(purpose) == bool(baselines)
     title, metres = {"angle": ("steering angle", 1), "path": ("turn of the path ahead", 10)}[predict]
     driven_rad = 0.01 * metres * np.delete(np.arange(7, 30), 13).mean()
     mae = f"{np.rad2deg(driven_rad * np.sqrt(nmse).mean()):.2f}° and an nmse of {np.mean(nmse):.3f} (95 % interval: "
@@ -212,7 +215,7 @@ def test_the_best_validated_model_has_a_verdict(tmp_path, monkeypatch, nmse, bas
     assert text.endswith(": too few seeds.")
     for model in models:
         model["seeds"] = [0, 1]
-    (text,) = tables.sentences(examples.groups(tmp_path, *models))
+    text, *_ = tables.sentences(examples.groups(tmp_path, *models))
     assert verdict in text
     monkeypatch.setattr(examples, "SETTINGS", examples.SETTINGS.model_copy(update={"bootstrap_block_frames": 6}))
     assert tables.sentences(examples.groups(tmp_path, *models))[0].endswith(": too few drives.")
@@ -274,15 +277,16 @@ def test_pictures_show_what_the_encoder_has(tmp_path, monkeypatch, with_classes)
                 file["cls"][:] = VOID
     table = examples.predictions().query("drive == @DRIVE and frame < 9")
     examples.write_model(tmp_path, metrics("net"), table)
-    captions, _ = figures.draw(tmp_path / "figures", examples.load(tmp_path, "net"), tmp_path)
-    assert [*captions] == ["chain", "errors-angle-0"]
+    captions, views = figures.draw(tmp_path / "figures", examples.load(tmp_path, "net"), tmp_path)
+    assert [view.frame for view in views] == [0, 1, 2, 3, 4, 5, 6, 8]
+    assert [*captions] == ["chain", "angle-0-only"]
     assert {path.name for path in (tmp_path / "figures").iterdir()} == {f"{name}.png" for name in captions}
     assert any("classes" in title for title in titles) == with_classes
     (title,) = [title for title in titles if title.startswith("graph from above: 80 points, ")]
     assert title.endswith("directed edges" if with_classes else "; black: no class")
 
 
-def test_the_largest_errors_of_the_best_model_are_drawn(tmp_path, monkeypatch):
+def test_the_largest_error_of_a_typical_drive_is_drawn(tmp_path, monkeypatch):
     drawn: list[np.ndarray] = []
     monkeypatch.setattr("matplotlib.axes.Axes.plot", lambda _, *track, **style: drawn.append(np.stack(track, axis=1)))
     street.write_drive(tmp_path / "ingest", DRIVE, 30)
@@ -292,7 +296,7 @@ def test_the_largest_errors_of_the_best_model_are_drawn(tmp_path, monkeypatch):
             table.loc[(table["drive"] == DRIVE) & (table["frame"] == 12), f"predicted_{column}"] = 0.3
         examples.write_model(tmp_path, metrics(model, nmse, predict="path"), table)
     captions, _ = figures.draw(tmp_path / "figures", examples.load(tmp_path, "worse", "best"), tmp_path)
-    assert captions["errors-path-0"].startswith("Drives with the largest errors of best")
+    assert captions["path-0-worst"].startswith("Frame 12, the largest error of best in this drive: driven 68.8° (red)")
     with store.DriveReader(tmp_path / f"ingest/{DRIVE}.h5", stage="ingest") as images:
         camera = read_camera(images)
     expected = [track for driven_1pm in (0.12, 0.3) for track in wheel_tracks(np.full(20, driven_1pm), camera)]
@@ -305,8 +309,8 @@ def test_the_largest_errors_of_the_best_model_are_drawn(tmp_path, monkeypatch):
 
 EVIL = "x</script><script>alert(1)</script>"
 SECTIONS = [
-    "Results", "Test drives: steering angle", "Test drives: steering angle, 10 frames ahead",
-    "Test drives: path ahead", "Largest errors", "Models in detail",
+    "From image to graph", "Results", "The paper", "Test drives: steering angle",
+    "Test drives: steering angle, 10 frames ahead", "Test drives: path ahead", "Learning curves", "Models in detail",
 ]  # fmt: skip
 
 
@@ -315,11 +319,12 @@ def test_the_page_is_complete_self_contained_and_runs_no_script_of_a_name(tmp_pa
     groups = examples.groups(tmp_path, *contents)
     groups[0].predictions["drive"] = groups[0].predictions["drive"].replace(DRIVE, EVIL)
     (tmp_path / "figures").mkdir()
-    for name in ("errors-angle-0", "chain"):
+    for name in ("angle-0-worst", "chain"):
         cv2.imwrite(str(tmp_path / f"figures/{name}.png"), np.full((60, 200, 3), 90, np.uint8))
-    cloud = View(7, xyz=np.array([[1.0, 2, 3], [4, 5, 6], [7, 8, 9]]), points_cls=np.full(3, ROAD))
-    pictures = {"chain": "Figure 1.", "errors-angle-0": "Errors."}, (cloud, cloud._replace(edges=np.array([[1, 2]])))
-    content = groups, tables.steering_tables(groups), [], pictures
+    (tmp_path / "learning").mkdir()
+    (tmp_path / "learning/net.csv").write_text("epoch,train_loss,val_nmse\n1,0.7,nan\n")
+    view = View(7, xyz=np.array([[1.0, 2, 3], [4, 5, 6]]), points_cls=np.full(2, ROAD), edges=np.array([[0, 1]]))
+    content = groups, tables.steering_tables(groups), [], ({"chain": "Figure 1.", "angle-0-worst": "Error."}, [view])
     write_page(tmp_path / "index.html", ["A sentence <b>."], *content)
     text = (tmp_path / "index.html").read_text(encoding="utf-8")
     assert [html.unescape(title) for title in re.findall(r"<h2>(.*?)</h2>", text)] == SECTIONS
@@ -327,9 +332,29 @@ def test_the_page_is_complete_self_contained_and_runs_no_script_of_a_name(tmp_pa
     own = re.sub(r"<script>.*?</script>", "", text, count=1, flags=re.DOTALL)  # without plotly
     assert not re.findall(r'(?:src|href)="(?!#|data:)', own)
     assert own.index("A sentence &lt;b&gt;.") < own.index("Figure 1.") < own.index("<h2>Results")
-    points, line = json.loads(re.findall(r'<script type="application/json">(.*)</script>', own)[0])
-    assert points["marker"]["color"] == ["rgb(128, 64, 128)"] * 3
-    assert {*zip(*(points[axis] for axis in "xyz"), strict=True)} == {(1, 3, -2), (4, 6, -5), (7, 9, -8)}
-    assert [line[axis] for axis in "xyz"] == [[4, 7, None], [6, 9, None], [-5, -8, None]]
+    names = re.findall(r'Plotly\.newPlot\(\s*"(.*?)"', own)
+    assert len({*names}) == len(names) == 2 + 2 * len(groups)  # in space, learning curves, two drives each
     assert "alert(1)" in own
     assert "<script>alert(1)" not in own
+
+
+def test_points_have_a_trace_per_class_and_edges_one_in_each_frame():
+    xyz, edges = np.array([[1.0, 2, 3], [4, 5, 6], [7, 8, 9]]), np.array([[1, 2]])
+    views = [View(7, xyz=xyz, points_cls=np.array([ROAD, ROAD, VOID]), edges=edges)]
+    views += [View(9, xyz=xyz[:1], points_cls=np.array([ROAD]), edges=edges[:0])]
+    figure = plots.in_space(views)
+    assert [step.label for step in figure.layout.sliders[0].steps] == [frame.name for frame in figure.frames]
+    road, void, line = figure.data
+    assert (road.name, road.marker.color, void.name) == ("road", "rgb(128, 64, 128)", "no class")
+    assert {*zip(road.x, road.y, road.z, strict=True)} == {(1, 3, -2), (4, 6, -5)}
+    np.testing.assert_array_equal([line.x, line.y, line.z], [[4, 7, np.nan], [6, 9, np.nan], [-5, -8, np.nan]])
+    assert [[len(trace.x) for trace in frame.data] for frame in figure.frames] == [[2, 1, 3], [1, 0, 0]]
+
+
+def test_a_network_without_validation_has_its_training_loss(tmp_path):
+    columns = {"epoch": [1, 2], "train_loss": [0.7, 0.5], "val_nmse": [0.6, np.nan]}
+    curves = {"net": pd.DataFrame(columns), "net.seed-1": pd.DataFrame(columns | {"val_nmse": np.nan})}
+    first, second = plots.learning(curves, plots.styles(examples.groups(tmp_path, metrics("net")))).data
+    np.testing.assert_allclose(first.y, columns["val_nmse"], rtol=1e-6)
+    np.testing.assert_allclose(second.y, columns["train_loss"], rtol=1e-6)
+    assert (first.legendgroup, first.showlegend, second.showlegend) == ("net", True, False)

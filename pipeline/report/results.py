@@ -23,8 +23,8 @@ NO_LEARNING = {  # baseline → what it predicts
 }
 BASELINES = (*NO_LEARNING, "persistence")  # persistence repeats true angles, which no model gets
 USELESS = 0.95  # nmse on the test drives above which a model has learned nothing
-# A model's metrics.json with its `settings`; `paper`, its :class:`paper.Published` or None; and `val_nmse`, its nmse on
-# the validation drives, mean over its columns, inf if it is unknown.
+# A model's metrics.json with `paper`, its :class:`paper.Published` or None, and `val_nmse`, its nmse on the validation
+# drives, mean over its columns, inf if it is unknown.
 Row = dict[str, Any]
 Estimate = tuple[float | None, list[float] | None]  # a value, None if unknown, and its :func:`errors.interval`
 Difference = tuple[float | None, list[float] | None, str]  # the same of a difference, and its :func:`errors.verdict`
@@ -118,8 +118,7 @@ def load_groups(folders: Mapping[str, Path], settings: Evaluate) -> list[Group]:
     loaded: dict[tuple[str, int], list[Row]] = {}
     for model, folder in folders.items():
         row = store.read_json(folder / "metrics.json", stage=f"evaluate@{folder.name}") | {"model": model}
-        row["settings"] = row["entry"] | {"accumulate": row["variant"].get("accumulate")}
-        row["paper"] = paper.find(row["settings"])
+        row["paper"] = paper.find(model, row["entry"], row["variant"])
         known = [scores["nmse"] for scores in (row["val"] or {}).values() if scores["nmse"] is not None]
         row["val_nmse"] = float(np.mean(known)) if known else np.inf
         loaded.setdefault((row["entry"]["predict"], row["entry"]["horizon"]), []).append(row)

@@ -24,8 +24,8 @@ _RESULTS = (
     "regression is its best multiple on the training drives."
 )
 _PAPER = (
-    "MSE in rad²; train and val: on all frames of the model. paper: its Table 2, for models with the settings "
-    "of one of its networks. Its unit cannot be rad² of this label (docs/paper.md): compare order and ratio only."
+    "MSE in rad²; train and val: on all frames of the model. paper: its Table 2, for models with name and settings of "
+    "one of its networks. Its unit cannot be rad² of this label (docs/paper.md): compare order and ratio only."
 )
 _CLAIMS = (
     "nmse and mean absolute error of both networks; MSE of the first relative to the second's, in the paper's Table 2 "
@@ -207,13 +207,13 @@ def _as_published(group: Group) -> list[dict[str, str]]:
 
 
 def _claims(group: Group) -> list[dict[str, str]]:
-    """Return a row per claim whose two networks have their settings, but for PointNet++'s width."""
+    """Return a row per claim whose two networks have the paper's settings, but for PointNet++'s width."""
     models, rows = {row["model"]: row for row in group.models}, []
 
     def as_meant(name: str, claim: paper.Claim) -> bool:
         if name not in paper.PAPER:
             return len(_changed(models[claim.model], models[name])) == 1
-        return paper.matches(name, models[name]["settings"], ignored=("width",))
+        return paper.find(name, models[name]["entry"] | {"width": 1.0}, models[name]["variant"]) is not None
 
     for claim in paper.CLAIMS:
         pair = claim.model, claim.rival

@@ -180,13 +180,14 @@ def _load_predictions(folder: Path, model: str, length_m: Mapping[str, float]) -
 
 
 def dvc_metrics(groups: Sequence[Group]) -> dict[str, Any]:
-    """Return group → model or baseline → column → nmse: of test with its interval, of models also of train and val."""
-    result: dict[str, Any] = {group.key: {name: {} for name in group.predicted} for group in groups}
+    """Return group → model or baseline → range and split → nmse, of test also its interval; DVC joins keys by dots."""
+    result: dict[str, Any] = {group.title: {name: {} for name in group.predicted} for group in groups}
     for group in groups:
-        for name, column in product(group.predicted, group.labels):
+        for name, (column, label) in product(group.predicted, group.labels.items()):
             value, bounds = group.nmse(name, column=column)
-            result[group.key][name][column] = {"test": value, **dict(zip(("low", "high"), bounds or (), strict=False))}
-        for row, column, split in product(group.models, group.labels, ("train", "val")):
+            names = (f"{label} test nmse{end}".strip() for end in ("", ", 95 % from", ", 95 % to"))
+            result[group.title][name] |= zip(names, (value, *(bounds or ())), strict=False)
+        for row, (column, label), split in product(group.models, group.labels.items(), ("train", "val")):
             if row[split]:
-                result[group.key][row["model"]][column][split] = row[split][column]["nmse"]
+                result[group.title][row["model"]][f"{label} {split} nmse".strip()] = row[split][column]["nmse"]
     return result

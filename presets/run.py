@@ -9,10 +9,10 @@ from pathlib import Path
 import typer
 
 from pipeline.base import console
-from pipeline.base.outputs import link, locked
+from pipeline.base.outputs import locked
 from pipeline.base.params import read
 from pipeline.base.resume import file_hash
-from pipeline.base.store import replacing, write_json
+from pipeline.base.store import write_json
 from pipeline.settings import preset
 
 CODE = ("pipeline", "models", "stages", "dvc.yaml", ".dvcignore", "data/.gitignore")
@@ -30,7 +30,6 @@ def main(name: str) -> None:
         for place, target in ((run / "data/raw", "../../../data/raw"), (run / "weights", "../../weights")):
             place.unlink(missing_ok=True)
             place.symlink_to(target)
-        copy_cache(run)
         for words in (*["init --quiet --no-scm"][(run / ".dvc").is_dir() :], *DVC):
             if status := subprocess.run(["dvc", *words.split()], cwd=run, check=False).returncode:
                 raise typer.Exit(status)
@@ -45,14 +44,6 @@ def main(name: str) -> None:
         recorded = json.loads((run / "data/scores/metrics.json").read_text(encoding="utf-8"))["recorded"]
         for doubt in dict.fromkeys(line for log in recorded.values() for line in log["lines"][1:]):
             print(f"doubt: {doubt}")
-
-
-def copy_cache(run: Path) -> None:
-    """Hard-link the cache that a run of an earlier version shared with the checkout: dvc gc there empties it."""
-    config, shared, own = run / ".dvc/config", Path(".dvc/cache"), run / ".dvc/cache"
-    if shared.is_dir() and not own.exists() and config.is_file() and "../.dvc/cache" in config.read_text("utf-8"):
-        with replacing(own) as new:
-            shutil.copytree(shared, new, copy_function=link)
 
 
 def copy_code(run: Path) -> None:

@@ -14,7 +14,6 @@ from filelock import FileLock
 from pipeline.base.resume import ROOT
 from pipeline.settings import preset
 from presets import run
-from tests.kitti_drive import contents, write
 
 DVC = """#!/bin/sh
 echo "$@" >> {log}
@@ -89,16 +88,6 @@ def test_a_preset_runs_in_a_copy_of_the_code(checkout):
     assert done.returncode != 0
     assert "runs/kitti: another process is writing it" in done.stderr
     assert (checkout / "calls").read_text() == calls
-
-
-def test_a_run_of_an_earlier_version_gets_the_objects_of_the_shared_cache(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    write(Path(".dvc/cache/files/md5/ab/cd"), "an object")
-    for name, cache in {"earlier": "../../../.dvc/cache", "now": "cache"}.items():
-        write(Path(f"runs/{name}/.dvc/config"), f"[cache]\n    dir = {cache}\n")
-        run.copy_cache(Path("runs") / name)
-    assert contents(Path("runs/earlier/.dvc/cache")) == contents(Path(".dvc/cache"))
-    assert not Path("runs/now/.dvc/cache").exists()
 
 
 @pytest.mark.slow

@@ -21,12 +21,12 @@ from matplotlib.figure import Figure
 from pipeline.base import console, store
 from pipeline.base.errors import InputError
 from pipeline.base.params import load
+from pipeline.base.resume import revision
 from pipeline.report import street_view
 from pipeline.report.paper import CLAIMS, PAPER
 from pipeline.report.results import BASELINES, NO_LEARNING, Group, load_groups
 from pipeline.report.tables import NONE, Table, claim_cells, number
 from pipeline.settings.evaluate import Evaluate
-from presets.run import revision
 
 DOCS = Path(__file__).parent
 PAGES = (DOCS.parent / "README.md", DOCS / "results.md")

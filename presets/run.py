@@ -2,8 +2,8 @@
 
 import json
 import shutil
+import signal
 import subprocess
-from functools import partial
 from pathlib import Path
 
 import typer
@@ -11,11 +11,10 @@ import typer
 from pipeline.base import console
 from pipeline.base.outputs import locked
 from pipeline.base.params import read
-from pipeline.base.resume import file_hash
+from pipeline.base.resume import CODE, file_hash, revision
 from pipeline.base.store import write_json
 from pipeline.settings import preset
 
-CODE = ("pipeline", "models", "stages", "dvc.yaml", ".dvcignore", "data/.gitignore")
 DVC = ("config cache.type hardlink,copy", "cache dir .dvc/cache", "repro")
 
 
@@ -30,6 +29,7 @@ def main(name: str) -> None:
         for place, target in ((run / "data/raw", "../../../data/raw"), (run / "weights", "../../weights")):
             place.unlink(missing_ok=True)
             place.symlink_to(target)
+        signal.signal(signal.SIGINT, lambda *_: None)  # DVC ends by itself; killed, it would leave locks
         for words in (*["init --quiet --no-scm"][(run / ".dvc").is_dir() :], *DVC):
             if status := subprocess.run(["dvc", *words.split()], cwd=run, check=False).returncode:
                 raise typer.Exit(status)
@@ -39,8 +39,7 @@ def main(name: str) -> None:
     settings = read(run / "params.yaml")
     for part in [*settings["ingest"].get("recordings", {}).values()][:1]:
         lens = [f"--{key} {part[key]}" for key in ("fov", "K", "distortion", "fisheye") if key in part]
-        model = run / "data/train" / next(iter(settings["models"]))
-        print("next: steer predict VIDEO", *lens, f"--model {model}")
+        print("next: steer predict VIDEO", *lens, f"--model {run}/data/train/{next(iter(settings['models']))}")
         recorded = json.loads((run / "data/scores/metrics.json").read_text(encoding="utf-8"))["recorded"]
         for doubt in dict.fromkeys(line for log in recorded.values() for line in log["lines"][1:]):
             print(f"doubt: {doubt}")
@@ -65,15 +64,6 @@ def copy_code(run: Path) -> None:
         shutil.copyfile(name, run / name)
     write_json(listed, now)
     (run / "revision").write_text(revision(), encoding="ascii")
-
-
-def revision(checkout: Path = Path()) -> str:
-    """Return the short hash of the commit, with "-dirty" if the code differs from it; empty without git."""
-    if not shutil.which("git"):
-        return ""
-    git = partial(subprocess.run, cwd=checkout, capture_output=True, text=True, check=False)
-    commit = git(["git", "rev-parse", "--short", "HEAD"]).stdout.strip()
-    return commit + "-dirty" * bool(commit and git(["git", "diff", "--quiet", "HEAD", "--", *CODE]).returncode)
 
 
 if __name__ == "__main__":

@@ -11,9 +11,8 @@ import pytest
 import yaml
 from filelock import FileLock
 
-from pipeline.base.resume import ROOT
+from pipeline.base.resume import ROOT, revision
 from pipeline.settings import preset
-from presets import run
 
 DVC = """#!/bin/sh
 echo "$@" >> {log}
@@ -101,13 +100,13 @@ def test_the_demo_ends_all_trainings_before_it_shows_a_failure(checkout):
 
 
 def test_a_revision_names_the_commit_and_edits_of_the_code(tmp_path):
-    assert run.revision(tmp_path) == ""
+    assert revision(tmp_path) == ""
     (tmp_path / "dvc.yaml").write_text("stages: {}")
     for words in ("init -q", "add .", "-c user.name=a -c user.email=a commit -qm a"):
         subprocess.run(["git", *words.split()], cwd=tmp_path, check=True)
-    commit = run.revision(tmp_path)
+    commit = revision(tmp_path)
     assert re.fullmatch("[0-9a-f]{7}", commit)
     (tmp_path / "results.json").touch()
-    assert run.revision(tmp_path) == commit
+    assert revision(tmp_path) == commit
     (tmp_path / "dvc.yaml").write_text("stages: {a: }")
-    assert run.revision(tmp_path) == f"{commit}-dirty"
+    assert revision(tmp_path) == f"{commit}-dirty"

@@ -4,10 +4,10 @@ import json
 import os
 import re
 import shutil
+import signal
 import subprocess
 import time
 from datetime import date
-from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -16,13 +16,12 @@ import typer
 import yaml
 
 from pipeline.base import console
-from pipeline.base.outputs import link, locked
+from pipeline.base.outputs import locked
 from pipeline.base.params import read
-from pipeline.base.resume import file_hash
-from pipeline.base.store import replacing, write_json
+from pipeline.base.resume import CODE, file_hash, revision
+from pipeline.base.store import write_json
 from pipeline.settings import preset
 
-CODE = ("pipeline", "models", "stages", "dvc.yaml", ".dvcignore", "data/.gitignore")
 DVC = ("config cache.type hardlink,copy", "cache dir .dvc/cache", "repro")
 
 
@@ -37,7 +36,7 @@ def main(name: str) -> None:
         for place, target in ((run / "data/raw", "../../../data/raw"), (run / "weights", "../../weights")):
             place.unlink(missing_ok=True)
             place.symlink_to(target)
-        copy_cache(run)
+        signal.signal(signal.SIGINT, lambda *_: None)  # DVC ends by itself; killed, it would leave locks
         for words in (*["init --quiet --no-scm"][(run / ".dvc").is_dir() :], *DVC):
             if status := subprocess.run(["dvc", *words.split()], cwd=run, check=False).returncode:
                 raise typer.Exit(status)
@@ -81,14 +80,6 @@ def with_origin(page: str, origin: str, settings: dict[str, Any], command: str) 
     return re.sub("(?<=Next: <code>).*(?=</code>)", lambda _: escape(command), page)
 
 
-def copy_cache(run: Path) -> None:
-    """Hard-link the cache that a run of an earlier version shared with the checkout: dvc gc there empties it."""
-    config, shared, own = run / ".dvc/config", Path(".dvc/cache"), run / ".dvc/cache"
-    if shared.is_dir() and not own.exists() and config.is_file() and "../.dvc/cache" in config.read_text("utf-8"):
-        with replacing(own) as new:
-            shutil.copytree(shared, new, copy_function=link)
-
-
 def copy_code(run: Path) -> None:
     """Copy the code; if it differs from the last copy, keep dvc.lock, which names its results, as dvc.lock.before.
 
@@ -115,15 +106,6 @@ def machine() -> str:
     from torch import cuda
 
     return cuda.get_device_name() if cuda.is_available() else f"{os.cpu_count()} CPU cores"
-
-
-def revision(checkout: Path = Path()) -> str:
-    """Return the short hash of the commit, with "-dirty" if the code differs from it; empty without git."""
-    if not shutil.which("git"):
-        return ""
-    git = partial(subprocess.run, cwd=checkout, capture_output=True, text=True, check=False)
-    commit = git(["git", "rev-parse", "--short", "HEAD"]).stdout.strip()
-    return commit + "-dirty" * bool(commit and git(["git", "diff", "--quiet", "HEAD", "--", *CODE]).returncode)
 
 
 if __name__ == "__main__":

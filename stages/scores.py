@@ -53,9 +53,8 @@ def main(
                 content["motion"].setdefault(kind, dict.fromkeys(SPLITS))[split] = motion_scores
         for kind in (name for name in SOURCES if not sources.load(name).MEASURED):
             pairs = comparison.read(kind, store.drives_in(index, "train", "val"), ingest, motion, car)
-            compared = comparison.compare([*pairs.values()])
-            errors, lines = comparison.judge(compared, sources.column(kind))
-            content["recorded"][kind] = compared | {"lines": [*lines, *errors]}
+            errors, lines = comparison.judge(comparison.compare([*pairs.values()]), sources.column(kind))
+            content["recorded"][kind] = {"lines": [*lines, *errors]}
         store.write_json(folder.new / "metrics.json", content)
     return out
 

@@ -1,5 +1,6 @@
 """The command `steer`, and its verbs `show` and `view`. Large imports are inside functions, so that help is quick."""
 
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
 
@@ -10,12 +11,24 @@ from pipeline.base.errors import InputError
 from steer import import_, measure, perceive, predict
 
 app = typer.Typer(
-    help="Measure motion, predict steering angles with a trained model, import recordings, and inspect data.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     rich_markup_mode=None,  # rich's help takes twice the time
 )
+
+
+def _version(requested: bool) -> None:
+    if requested:
+        from pipeline.base.resume import ROOT, revision
+
+        print("steer", version("semantic-steering"), revision(ROOT))
+        raise typer.Exit
+
+
+@app.callback()
+def steer(_: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True)] = False) -> None:
+    """Measure motion, predict steering angles with a trained model, import recordings, and inspect data."""
 
 
 def show(

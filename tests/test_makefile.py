@@ -11,10 +11,8 @@ import pytest
 import yaml
 from filelock import FileLock
 
-from pipeline.base.resume import ROOT
+from pipeline.base.resume import ROOT, revision
 from pipeline.settings import preset
-from presets import run
-from tests.kitti_drive import contents, write
 
 DVC = """#!/bin/sh
 echo "$@" >> {log}
@@ -97,16 +95,6 @@ def test_a_preset_runs_in_a_copy_of_the_code(checkout):
     assert (checkout / "calls").read_text() == calls
 
 
-def test_a_run_of_an_earlier_version_gets_the_objects_of_the_shared_cache(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    write(Path(".dvc/cache/files/md5/ab/cd"), "an object")
-    for name, cache in {"earlier": "../../../.dvc/cache", "now": "cache"}.items():
-        write(Path(f"runs/{name}/.dvc/config"), f"[cache]\n    dir = {cache}\n")
-        run.copy_cache(Path("runs") / name)
-    assert contents(Path("runs/earlier/.dvc/cache")) == contents(Path(".dvc/cache"))
-    assert not Path("runs/now/.dvc/cache").exists()
-
-
 @pytest.mark.slow
 def test_the_demo_ends_all_trainings_before_it_shows_a_failure(checkout):
     """Without git, as in GitHub's ZIP; DVC's exit status 255 would end xargs at once."""
@@ -118,13 +106,13 @@ def test_the_demo_ends_all_trainings_before_it_shows_a_failure(checkout):
 
 
 def test_a_revision_names_the_commit_and_edits_of_the_code(tmp_path):
-    assert run.revision(tmp_path) == ""
+    assert revision(tmp_path) == ""
     (tmp_path / "dvc.yaml").write_text("stages: {}")
     for words in ("init -q", "add .", "-c user.name=a -c user.email=a commit -qm a"):
         subprocess.run(["git", *words.split()], cwd=tmp_path, check=True)
-    commit = run.revision(tmp_path)
+    commit = revision(tmp_path)
     assert re.fullmatch("[0-9a-f]{7}", commit)
     (tmp_path / "results.json").touch()
-    assert run.revision(tmp_path) == commit
+    assert revision(tmp_path) == commit
     (tmp_path / "dvc.yaml").write_text("stages: {a: }")
-    assert run.revision(tmp_path) == f"{commit}-dirty"
+    assert revision(tmp_path) == f"{commit}-dirty"

@@ -4,8 +4,10 @@ import ast
 import hashlib
 import json
 import re
+import shutil
+import subprocess
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ from pipeline.base.params import read
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("pipeline", "models", "stages")
+CODE = (*PACKAGES, "dvc.yaml", ".dvcignore", "data/.gitignore")  # what a run needs of the checkout, without settings
 # Of base/, what cannot change the bytes of a result: an edit of these files makes nothing again.
 MACHINERY = {ROOT / f"pipeline/base/{name}.py" for name in ("console", "executors", "outputs", "resume", "runner")}
 
@@ -79,6 +82,15 @@ def code_hash() -> str:
     """Return a hash of all code, cached at the first call."""
     files = [file for package in PACKAGES for file in (ROOT / package).rglob("*.py")]
     return digest({str(file.relative_to(ROOT)): file_hash(file) for file in files})
+
+
+def revision(checkout: Path = Path()) -> str:
+    """Return the short hash of the commit, with "-dirty" if the code differs from it; empty without git."""
+    if not shutil.which("git") or not (checkout / ".git").exists():
+        return ""
+    git = partial(subprocess.run, cwd=checkout, capture_output=True, text=True, check=False)
+    commit = git(["git", "rev-parse", "--short", "HEAD"]).stdout.strip()
+    return commit + "-dirty" * bool(commit and git(["git", "diff", "--quiet", "HEAD", "--", *CODE]).returncode)
 
 
 def meaning(path: Path) -> str:

@@ -23,8 +23,8 @@ NO_LEARNING = {  # baseline → what it predicts
 }
 BASELINES = (*NO_LEARNING, "persistence")  # persistence repeats true angles, which no model gets
 USELESS = 0.95  # nmse on the test drives above which a model has learned nothing
-# A model's metrics.json with its `settings`; `paper`, its :class:`paper.Published` or None; and `val_nmse`, its nmse on
-# the validation drives, mean over its columns, inf if it is unknown.
+# A model's metrics.json with `paper`, its :class:`paper.Published` or None, and `val_nmse`, its nmse on the validation
+# drives, mean over its columns, inf if it is unknown.
 Row = dict[str, Any]
 Estimate = tuple[float | None, list[float] | None]  # a value, None if unknown, and its :func:`errors.interval`
 Difference = tuple[float | None, list[float] | None, str]  # the same of a difference, and its :func:`errors.verdict`
@@ -126,8 +126,7 @@ def load_groups(folders: Mapping[str, Path], settings: Evaluate) -> list[Group]:
     loaded: dict[tuple[str, int], list[Row]] = {}
     for model, folder in folders.items():
         row = store.read_json(folder / "metrics.json", stage=f"evaluate@{folder.name}") | {"model": model}
-        row["settings"] = row["entry"] | {"accumulate": row["variant"].get("accumulate")}
-        row["paper"] = paper.find(row["settings"])
+        row["paper"] = paper.find(model, row["entry"], row["variant"])
         known = [scores["nmse"] for scores in (row["val"] or {}).values() if scores["nmse"] is not None]
         row["val_nmse"] = float(np.mean(known)) if known else np.inf
         loaded.setdefault((row["entry"]["predict"], row["entry"]["horizon"]), []).append(row)
@@ -189,13 +188,14 @@ def _load_predictions(folder: Path, model: str, length_m: Mapping[str, float]) -
 
 
 def dvc_metrics(groups: Sequence[Group]) -> dict[str, Any]:
-    """Return group → model or baseline → column → nmse: of test with its interval, of models also of train and val."""
-    result: dict[str, Any] = {group.key: {name: {} for name in group.predicted} for group in groups}
+    """Return group → model or baseline → range and split → nmse, of test also its interval; DVC joins keys by dots."""
+    result: dict[str, Any] = {group.title: {name: {} for name in group.predicted} for group in groups}
     for group in groups:
-        for name, column in product(group.predicted, group.labels):
+        for name, (column, label) in product(group.predicted, group.labels.items()):
             value, bounds = group.nmse(name, column=column)
-            result[group.key][name][column] = {"test": value, **dict(zip(("low", "high"), bounds or (), strict=False))}
-        for row, column, split in product(group.models, group.labels, ("train", "val")):
+            names = (f"{label} test nmse{end}".strip() for end in ("", ", 95 % from", ", 95 % to"))
+            result[group.title][name] |= zip(names, (value, *(bounds or ())), strict=False)
+        for row, (column, label), split in product(group.models, group.labels.items(), ("train", "val")):
             if row[split]:
-                result[group.key][row["model"]][column][split] = row[split][column]["nmse"]
+                result[group.title][row["model"]][f"{label} {split} nmse".strip()] = row[split][column]["nmse"]
     return result

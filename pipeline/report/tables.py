@@ -217,13 +217,13 @@ def _as_published(group: Group) -> list[dict[str, str]]:
 
 
 def _claims(group: Group) -> list[dict[str, str]]:
-    """Return a row per claim whose two networks have their settings, but for PointNet++'s width."""
+    """Return a row per claim whose two networks have the paper's settings, but for PointNet++'s width."""
     models, rows = {row["model"]: row for row in group.models}, []
 
     def as_meant(name: str, claim: paper.Claim) -> bool:
         if name not in paper.PAPER:
             return len(_changed(models[claim.model], models[name])) == 1
-        return paper.matches(name, models[name]["settings"], ignored=("width",))
+        return paper.find(name, models[name]["entry"] | {"width": 1.0}, models[name]["variant"]) is not None
 
     for claim in paper.CLAIMS:
         pair = claim.model, claim.rival

@@ -45,7 +45,8 @@ def test_all_files_are_written_and_repeat(tmp_path):
     assert text.startswith("On 2 drives that it was not trained on, sa-gnn-ncp, the model with the least test error ")
     assert text.index("No result here: absent.") < text.index("## Results: steering angle") < text.index("## Depth")
     metrics = json.loads(made[0]["metrics.json"])
-    assert metrics["angle-0"]["sa-gnn-ncp"]["steering_rad"]["test"] == pytest.approx(0.2)
+    assert metrics["steering angle"]["sa-gnn-ncp"]["test nmse"] == pytest.approx(0.2)
+    assert {"0-5 m train nmse", "0-5 m test nmse, 95 % from"} <= metrics["path ahead"]["scene"].keys()
     assert made[0]["sa-gnn-ncp.csv"] == b"epoch,train_loss,val_nmse\n1,0.70,0.6\n2,0.5,nan\n"
     assert "sa-gnn-ncp.seed-1.fold-a.csv" in made[0]
     assert b"No result here: absent." in made[0]["index.html"]

@@ -19,7 +19,9 @@ from pipeline.perception.scores import Scores
 from pipeline.report import figures, paper, plots, tables
 from pipeline.report.page import write_page
 from pipeline.report.street_view import HALF_TRACK_M, STEP_M, View, path_steps, read_view, wheel_tracks
+from pipeline.settings import preset
 from pipeline.settings.clouds import Clouds
+from pipeline.settings.models import Entry
 from tests import artefacts, street
 from tests.pipeline.report import examples
 from tests.pipeline.report.examples import metrics
@@ -36,30 +38,33 @@ def test_groups_and_rows_are_sorted_with_baselines_last(tmp_path):
         metrics("path", predict="path"),
         metrics("far", baselines={"odometry": 0.5}, horizon=10),
         metrics("ours", spatial="pyg", baselines={"odometry": 0.04}),
-        metrics("do", baselines={"persistence": 0.01}, input="depth", semantics=0.0),
-        metrics("lstm", input="lidar-50k", temporal="lstm", semantics=0.0),
+        metrics("do-gnn-ncp", baselines={"persistence": 0.01}, input="depth", semantics=0.0),
+        metrics("gnn-lstm", input="lidar-50k", temporal="lstm", semantics=0.0),
     )
     assert [group.title for group in found] == ["steering angle", "steering angle, 10 frames ahead", "path ahead"]
     group = found[0]
-    assert [*group.predicted] == ["lstm", "do", "ours", "zero", "train_mean", "odometry", "persistence"]
+    assert [*group.predicted] == ["gnn-lstm", "do-gnn-ncp", "ours", "zero", "train_mean", "odometry", "persistence"]
     assert group.nmse("odometry")[0] == pytest.approx(0.04)
     assert group.best_baseline == "odometry"
     assert [row["paper"] and row["paper"].test_mse for row in group.models] == [0.130, 0.081, None]
     assert [*found[2].labels.values()] == ["0-5 m", "5-10 m"]
 
 
-@pytest.mark.parametrize(
-    ("change", "network"),
-    [
-        ({"cell": "eq4", "features": 64}, "sa-gnn-ncp"),
-        ({"accumulate": 8}, None),
-        ({"semantics": 0.0}, None),
-        *(({key: values[0] for key, values in net.settings.items()}, name) for name, net in paper.PAPER.items()),
-    ],
-)
-def test_a_network_of_the_paper_is_known_by_its_settings(change, network):
-    found = paper.find(examples.ENTRY | change)
-    assert found == (paper.PAPER[network] if network else None)
+@pytest.mark.parametrize(("name", "narrow"), [("kitti", set()), ("table2", {"pointnet2-lstm", "pointnet2-ncp"})])
+def test_networks_of_the_presets_are_the_papers(name, narrow):
+    entries = {model: Entry.model_validate(entry) for model, entry in preset.merged(name)["models"].items()}
+    found = {model for model, entry in entries.items() if paper.find(model, entry.model_dump(), {})}
+    assert found == paper.PAPER.keys() - narrow
+
+
+def test_a_network_with_the_papers_name_and_other_settings_is_not_the_papers():
+    def found(variant: dict[str, int], **change: object) -> paper.Published | None:
+        return paper.find("sa-gnn-ncp", examples.ENTRY | change, variant)
+
+    assert found({}, cell="eq4", features=64) == paper.PAPER["sa-gnn-ncp"]
+    changes = {"temporal": "lstm", "semantics": 0.0, "alpha": 5.0, "equivariant": True, "train_drives": 3}
+    assert not any(found({}, **{key: value}) for key, value in changes.items())
+    assert found({"accumulate": 8}) is None
 
 
 def test_angles_in_degrees_are_those_of_the_wheels_or_the_turns_of_a_path(tmp_path):
@@ -315,14 +320,14 @@ SECTIONS = [
 
 
 def test_the_page_is_complete_self_contained_and_runs_no_script_of_a_name(tmp_path):
-    contents = metrics("net"), metrics("ahead", horizon=10), metrics("path", predict="path")
+    contents = metrics("sa-gnn-ncp"), metrics("ahead", horizon=10), metrics("path", predict="path")
     groups = examples.groups(tmp_path, *contents)
     groups[0].predictions["drive"] = groups[0].predictions["drive"].replace(DRIVE, EVIL)
     (tmp_path / "figures").mkdir()
     for name in ("angle-0-worst", "chain"):
         cv2.imwrite(str(tmp_path / f"figures/{name}.png"), np.full((60, 200, 3), 90, np.uint8))
     (tmp_path / "learning").mkdir()
-    (tmp_path / "learning/net.csv").write_text("epoch,train_loss,val_nmse\n1,0.7,nan\n")
+    (tmp_path / "learning/sa-gnn-ncp.csv").write_text("epoch,train_loss,val_nmse\n1,0.7,nan\n")
     view = View(7, xyz=np.array([[1.0, 2, 3], [4, 5, 6]]), points_cls=np.full(2, ROAD), edges=np.array([[0, 1]]))
     content = groups, tables.steering_tables(groups), [], ({"chain": "Figure 1.", "angle-0-worst": "Error."}, [view])
     write_page(tmp_path / "index.html", ["A sentence <b>."], *content)

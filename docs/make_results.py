@@ -14,6 +14,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+import yaml
 from matplotlib.figure import Figure
 
 from pipeline.base import console, store
@@ -29,66 +30,7 @@ RUNS = DOCS / "results"
 PAGES = (DOCS.parent / "README.md", DOCS / "results.md", DOCS / "log.md")
 TABLE = re.compile(r"(<!-- table: (\w+) -->).*?(<!-- end -->)", re.DOTALL)
 BLIND = "motion only"
-MOTION = ("motion-10", "motion-10-blind", "motion-10-another")
-PATH = ("path", "path-blind", "path-another")
-OTHERS = ("path-others", "path-blind-others", "path-another-others")
-THEN = ("path-then", "path-blind-others", "path-another-then")
-# Each: question, group of results, and in it the model with the scene; without it, and with another scene.
-Questions = tuple[tuple[str, str, tuple[str, ...]], ...]
-BEYOND: Questions = (
-    ("present angle by the scene alone, 48 rendered roads", "table2/angle-0", ("sa-gnn-ncp",)),
-    ("… 240 rendered roads", "roads/angle-0", ("sa-gnn-ncp",)),
-    ("angle a second ahead, 240 rendered roads", "roads/angle-10", MOTION),
-    ("path 5 to 10 m ahead, 240 rendered roads", "roads/path-0/5-10 m", PATH),
-    ("path 10 to 20 m ahead, 240 rendered roads", "roads/path-0/10-20 m", PATH),
-    ("angle a second ahead, six drives of KITTI, trained on 240 rendered roads", "transfer/angle-10", MOTION),
-    ("path 5 to 10 m ahead, six drives of KITTI, trained on 240 rendered roads", "transfer/path-0/5-10 m", PATH),
-    ("… trained on the other five drives; not fixed beforehand", "real/path-0/5-10 m", OTHERS),
-)
-REAL: Questions = (  # the same of the six real drives, in docs/results.md
-    ("240 rendered roads: angle a second ahead, without 0005", "transfer/angle-10 without 0005", MOTION),
-    ("… path 5 to 10 m ahead, without 0005", "transfer/path-0 without 0005/5-10 m", PATH),
-    ("the other five real drives: path 5 to 10 m ahead, without 0005", "real/path-0 without 0005/5-10 m", OTHERS),
-    ("… path 10 to 20 m ahead", "real/path-0/10-20 m", OTHERS),
-    ("… and before on 48 rendered roads: path 5 to 10 m ahead", "real/path-0/5-10 m", THEN),
-    ("… path 10 to 20 m ahead", "real/path-0/10-20 m", THEN),
-)
-
-WORKS = (  # task, error and what to compare it with, with keys of results in braces
-    ("angle measured from a video, six drives of KITTI", "{real/motion/visual}", "driving straight: 1"),
-    ("steering wheel measured from a video, Udacity's challenge, RMSE in rad", "{udacity/steer measure}",
-     "best of three teams: {udacity/autumn}"),
-    ("present angle by the points of the street, 240 rendered roads", "{roads/angle-0/sa-gnn-ncp}",
-     "measured motion: {roads/angle-0/regression}"),
-    ("path 10 to 20 m ahead, 240 rendered roads", "{roads/path-0/10-20 m/path}",
-     "motion only: {roads/path-0/10-20 m/path-blind}"),
-    ("path 5 to 10 m ahead, bends of the road on six drives of KITTI (trained on five)",
-     "{bends/path-0 bends/5-10 m/path-others}", "motion only: {bends/path-0 bends/5-10 m/path-blind-others}"),
-    ("*not yet*: 10 to 20 m ahead, four real roads that wind (trained on three)",
-     "{winding/path-0 winding/10-20 m/path-others}",
-     "motion only: {winding/path-0 winding/10-20 m/path-blind-others}"),
-    ("*not yet*: networks of rendered roads on KITTI, path 5 to 10 m ahead", "{transfer/path-0/5-10 m/path}",
-     "motion only: {transfer/path-0/5-10 m/path-blind}"),
-)  # fmt: skip
-KINDS = (  # kinds of frames of runs of OTHERS
-    ("four roads that wind, measured labels: winding, fixed beforehand", "winding/path-0 winding/10-20 m"),
-    ("… straight, fixed beforehand", "winding/path-0 straight/10-20 m"),
-    ("… approach to a bend", "winding/path-0 approach/10-20 m"),
-    ("… inside", "winding/path-0 inside/10-20 m"),
-    ("… leaving", "winding/path-0 leaving/10-20 m"),
-    ("… labels of the wheel: winding, fixed beforehand", "winding-wheel/path-0 winding/10-20 m"),
-    ("… straight, fixed beforehand", "winding-wheel/path-0 straight/10-20 m"),
-    ("six drives of KITTI, 5 to 10 m: bends of the road", "bends/path-0 bends/5-10 m"),
-    ("… turns at junctions", "bends/path-0 junctions/5-10 m"),
-    ("… straight", "bends/path-0 straight/5-10 m"),
-    ("six drives of KITTI, 10 to 20 m: bends of the road", "bends/path-0 bends/10-20 m"),
-    ("… turns at junctions", "bends/path-0 junctions/10-20 m"),
-    ("… straight", "bends/path-0 straight/10-20 m"),
-)
-STREETS = ("winding", "straight", *(f"of {drive}" for drive in (
-    "2011_09_26_drive_0005", "2011_09_26_drive_0039", "2011_10_03_drive_0042", "2027_09_26_drive_0095",
-    "2027_09_26_drive_0003", "2027_09_30_drive_0009", "udacity_ch2_001", "udacity_rest", "udacity_hmb4",
-)))  # fmt: skip
+ROWS = yaml.safe_load((DOCS / "tables.yaml").read_text(encoding="utf-8"))
 
 
 def collect(source: Path, name: Annotated[str, typer.Argument(help="default: the preset's")] = "") -> None:
@@ -179,7 +121,7 @@ def works(results: Results) -> list[list[str]]:
     def fill(cell: str) -> str:
         return re.sub(r"\{(.*?)\}", lambda found: text(results, found[1]), cell)
 
-    return [["nmse", "here", "to compare with"], *([fill(cell) for cell in row] for row in WORKS)]
+    return [["nmse", "here", "to compare with"], *([fill(cell) for cell in row] for row in ROWS["works"])]
 
 
 def beyond(results: Results) -> list[list[str]]:
@@ -191,18 +133,19 @@ def beyond(results: Results) -> list[list[str]]:
     motion = sorted({text(results, key) for key in results if key.startswith("real/motion/")})
     measured = "present angle by measured motion, six drives of KITTI"
     kitti = [measured, " to ".join(dict.fromkeys((motion[0], motion[-1]))), *[NONE] * 4]
-    return [*questions(results, "nmse on unseen drives", BEYOND), udacity, kitti]
+    return [*questions(results, "nmse on unseen drives", ROWS["beyond"]), udacity, kitti]
 
 
 def real(results: Results) -> list[list[str]]:
     """Return a row per further question on the six real drives."""
-    return questions(results, "nmse on six drives of KITTI, trained on", REAL)
+    return questions(results, "nmse on six drives of KITTI, trained on", ROWS["real"])
 
 
-def questions(results: Results, head: str, asked: Questions) -> list[list[str]]:
+def questions(results: Results, head: str, asked: Sequence[list[str]]) -> list[list[str]]:
     """Return a row per question whose figures are known."""
     rows = [[head, "without learning", BLIND, "with the scene", "mean error, °", "does the scene help?"]]
-    for question, group, (model, *controls) in asked:
+    for question, group, kind in asked:
+        model, *controls = ROWS["models"].get(kind, [kind])
         if (key := f"{group}/{model}") in results:
             errors = {name: get(results, f"{group}/{name}") for name in NO_LEARNING}
             best = min((name for name in errors if errors[name] is not None), key=lambda name: errors[name])
@@ -215,23 +158,23 @@ def questions(results: Results, head: str, asked: Questions) -> list[list[str]]:
 
 def kinds(results: Results) -> list[list[str]]:
     """Return a row per kind of frames."""
-    return scene(results, "nmse of the path, trained on the other recordings", KINDS)
+    return scene(results, "nmse of the path, trained on the other recordings", ROWS["kinds"])
 
 
 def streets(results: Results) -> list[list[str]]:
     """Return a row per part of the nine recordings."""
-    rows = [(part.removeprefix("of "), f"streets/path-0 {part}/10-20 m") for part in STREETS]
-    return scene(results, "nmse of the path 10 to 20 m ahead, trained on the other eight", rows)
+    return scene(results, "nmse of the path 10 to 20 m ahead, trained on the other eight", ROWS["streets"])
 
 
 def scene(results: Results, head: str, rows: Sequence[tuple[str, str]]) -> list[list[str]]:
-    """Return a row per group of frames: errors of OTHERS, and differences of the first to the others."""
+    """Return a row per group of frames: errors, and differences of the first model to the others."""
     names, table = [BLIND, "another scene"], []
+    model, *controls = ROWS["models"]["others"]
     for row, group in rows:
-        errors = [text(results, f"{group}/{name}") for name in OTHERS]
-        keys = [f"{group}/{OTHERS[0]} - {name}" for name in OTHERS[1:]]
+        errors = [text(results, f"{group}/{name}") for name in (model, *controls)]
+        keys = [f"{group}/{model} - {name}" for name in controls]
         differences = [f"{difference(results, key)} {get(results, key, 'verdict')}" for key in keys]
-        table.append([row, text(results, f"{group}/{OTHERS[0]}", "frames", ",d"), *errors, *differences])
+        table.append([row, text(results, f"{group}/{model}", "frames", ",d"), *errors, *differences])
     return [[head, "frames", "with the scene", *names, *(f"− {name}" for name in names)], *table]
 
 

@@ -15,11 +15,13 @@ import typer
 
 from pipeline.base import console, store
 from pipeline.base.outputs import claim
+from pipeline.base.resume import revision
 from pipeline.datasets import udacity
 from pipeline.labels.label import Car
 from pipeline.media.log import Logs
 from pipeline.video.measure import measure
 from pipeline.video.source import Source
+from presets.run import origin
 from steer import options
 from steer.measure import STREET
 
@@ -54,7 +56,7 @@ def compare(
     wheel: Annotated[Path, typer.Argument(metavar="CSV", help="time_s and wheel_rad of the frames")],
     leaderboard: Annotated[Path, typer.Argument(help="the teams' predictions of the frames")],
 ) -> None:
-    """Measure the drive, compare with the teams, and write motion.csv and figures.json to out/udacity."""
+    """Measure the drive, compare with the teams, and write motion.csv and results.json to out/udacity."""
     teams, out = np.genfromtxt(leaderboard, delimiter=",", names=True), claim(None, "udacity")
     drive = udacity.read_drive(video, wheel)
     assert drive.camera
@@ -72,7 +74,8 @@ def compare(
         fits[row] = fit(time_s[first], measured[first], wheel_rad[first])
         predicted[row] = fits[row].angle(time_s, measured)
     rmse = {name: float(np.sqrt(((angle - wheel_rad)[rest] ** 2).mean())) for name, angle in predicted.items()}
-    store.write_json(out / "figures.json", {name: {"figure": value} for name, value in rmse.items()})
+    results = {name: {"figure": value} for name, value in rmse.items()}
+    store.write_json(out / "results.json", origin("udacity", revision()) | {"results": results}, sort_keys=False)
     print("| wheel's angle | RMSE rad |", "|---|--:|", sep="\n")
     for name, value in sorted(rmse.items(), key=lambda item: -item[1]):
         print(f"| {name} | {value:.4f} |")

@@ -40,17 +40,17 @@ def main(name: str) -> None:
         for words in (*["init --quiet --no-scm"][(run / ".dvc").is_dir() :], *DVC):
             if status := subprocess.run(["dvc", *words.split()], cwd=run, check=False).returncode:
                 raise typer.Exit(status)
-        made = {"preset": name, "revision": (run / "revision").read_text("ascii") or "unknown"}
-        made |= {"date": str(date.today()), "machine": machine(), "minutes": f"{(time.monotonic() - start_s) / 60:.1f}"}
-        origin, settings = ", ".join(f"{key} {value}" for key, value in made.items()), read(run / "params.yaml")
+        made = origin(name, (run / "revision").read_text("ascii"))
+        made |= {"minutes": f"{(time.monotonic() - start_s) / 60:.1f}"}
+        facts, settings = ", ".join(f"{key} {value}" for key, value in made.items()), read(run / "params.yaml")
         content = json.loads((run / "data/report/results.json").read_text(encoding="utf-8"))
         write_json(report / f"{name}.json", made | {"results": content}, sort_keys=False)
         command, page = next_command(name, run, settings), (run / "data/report/index.html").read_text(encoding="utf-8")
-        page = with_origin(page, origin, changes(settings, read(Path("params.yaml"))), command)
+        page = with_facts(page, facts, changes(settings, read(Path("params.yaml"))), command)
         (report / f"{name}.html").write_text(page, encoding="utf-8")
         shutil.copyfile(run / "data/report/table.md", report / f"{name}.md")
     print((report / f"{name}.md").read_text(encoding="utf-8"), f"Open {report}/{name}.html in a browser.", sep="")
-    print(origin, f"next: {command}", sep="\n")
+    print(facts, f"next: {command}", sep="\n")
     if settings["ingest"].get("recordings"):
         recorded = json.loads((run / "data/scores/metrics.json").read_text(encoding="utf-8"))["recorded"]
         for doubt in dict.fromkeys(line for log in recorded.values() for line in log["lines"][1:]):
@@ -72,10 +72,10 @@ def changes(new: dict[str, Any], old: dict[str, Any]) -> dict[str, Any]:
     return {key: changes(a, b) if isinstance(a, dict) and isinstance(b, dict) else a for key, (a, b) in both.items()}
 
 
-def with_origin(page: str, origin: str, settings: dict[str, Any], command: str) -> str:
+def with_facts(page: str, facts: str, settings: dict[str, Any], command: str) -> str:
     """Return the page of a stage with what the stage cannot know: where it comes from, and the next command."""
     text = yaml.safe_dump(settings, allow_unicode=True, sort_keys=False)
-    summary = f"<summary>{escape(origin)}; settings that differ from params.yaml</summary>"
+    summary = f"<summary>{escape(facts)}; settings that differ from params.yaml</summary>"
     page = page.replace("</h1>", f"</h1>\n<details>{summary}<pre>{escape(text)}</pre></details>", 1)
     return re.sub("(?<=Next: <code>).*(?=</code>)", lambda _: escape(command), page)
 
@@ -101,11 +101,12 @@ def copy_code(run: Path) -> None:
     (run / "revision").write_text(revision(), encoding="ascii")
 
 
-def machine() -> str:
-    """Return the kind of this machine."""
+def origin(preset: str, revision: str) -> dict[str, str]:
+    """Return what docs/results keeps of a run beside its results."""
     from torch import cuda
 
-    return cuda.get_device_name() if cuda.is_available() else f"{os.cpu_count()} CPU cores"
+    machine = cuda.get_device_name() if cuda.is_available() else f"{os.cpu_count()} CPU cores"
+    return {"preset": preset, "revision": revision or "unknown", "date": str(date.today()), "machine": machine}
 
 
 if __name__ == "__main__":

@@ -97,7 +97,8 @@ def test_an_encoder_learns_from_the_images_of_another_in_drives_of_any_split(ing
         np.testing.assert_array_equal(found[1], cls[frame])
     encoder = run(ingest, "as-it-is", backbone="precomputed", weights=str(targets), epochs=0)
     assert config(encoder)["sources"] == [f"28 PNG files in {targets}"]
-    depth_again = perceive.open_encoder(encoder, "float32")(perceive.EncoderInput(TEST, [0], cls, street.CAMERA))[0]
+    batch = perceive.EncoderInput(TEST, [0], cls, street.CAMERA)
+    depth_again, _ = perceive.open_encoder(encoder, "float32").predict(batch)
     np.testing.assert_array_equal(depth_again[0], precomputed.read(targets, TEST, 0, street.SIZE)[0])
     shutil.rmtree(targets / VAL)
     content = config(run(ingest, "taught", targets=str(targets), backbone="hugging_face", model=str(SWIN), frames=3))

@@ -15,17 +15,12 @@ from pipeline.settings.labels import Labels
 WINDOW = 8  # frames that a network sees, by default
 
 
-def main(
-    ingest: Path = Path("data/ingest"),
-    motion: Path = Path("data/motion"),
-    out: Path = Path("data/labels"),
-    params: Path = Path("params.yaml"),
-) -> Path:
+def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     """Compute each frame's steering angle (paper section 4.1), path ahead and their validity. Returns the folder.
 
     Recorded labels are first compared with measured motion. Raises InputError if their sign or unit is wrong.
     """
-    settings = load(Labels, params)
+    settings, ingest, motion, out = load(Labels, params), data / "ingest", data / "motion", data / "labels"
     splits = store.read_index(ingest, stage="ingest")
     # Not with test drives: a lag fitted to them would align the truth with odometry.
     drives, car = store.drives_in(splits, "train", "val"), Car(settings.wheelbase_m, settings.min_speed_mps)

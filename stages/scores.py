@@ -20,19 +20,14 @@ from pipeline.perception.scores import Scores, read_truth
 from pipeline.settings.labels import SOURCES, Labels
 
 
-def main(
-    ingest: Path = Path("data/ingest"),
-    perception: Path = Path("data/perception"),
-    motion: Path = Path("data/motion"),
-    out: Path = Path("data/scores"),
-    params: Path = Path("params.yaml"),
-) -> Path:
+def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     """Write metrics.json with the scores of validation and test drives, and <drive>/metrics.json of each of them.
 
     The scores of training drives are None. Keys ``motion`` and ``recorded``: see data/README.md; angles and valid
     frames are defined as in the labels. Returns the output folder.
     """
-    labels = load(Labels, params)
+    labels, out = load(Labels, params), data / "scores"
+    ingest, perception, motion = (data / name for name in ("ingest", "perception", "motion"))
     car = Car(labels.wheelbase_m, labels.min_speed_mps)
     index = store.read_index(perception, stage="perception")
     splits = {drive: split for drive, split in index.items() if split != "train"}

@@ -60,13 +60,11 @@ def entry(**changes: object) -> Entry:
 
 
 def run_train(folder: Path) -> Path:
-    return train.main("net", folder / "graphs", folder / "labels", folder / "train", folder / "params.yaml")
+    return train.main("net", folder, folder / "train", folder / "params.yaml")
 
 
 def run_evaluate(folder: Path) -> Path:
-    return evaluate.main(
-        "net", folder / "train", folder / "graphs", folder / "labels", folder / "evaluate", folder / "params.yaml"
-    )
+    return evaluate.main("net", folder, folder / "params.yaml")
 
 
 def write_two_test_drives(folder: Path) -> list[str]:

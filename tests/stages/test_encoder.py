@@ -50,7 +50,7 @@ def run(ingest: Path, name: str = "encoder", size: tuple[int, int] = street.SIZE
     params = ingest.parent / "params.yaml"
     reading = yaml.safe_load((ROOT / "params.yaml").read_text())["ingest"] | {"image_size": [*size]}
     params.write_text(yaml.safe_dump({"ingest": reading, "encoder": {**SETTINGS, **settings}}))
-    out = main(ingest, ingest.parent / name, params)
+    out = main(ingest.parent, ingest.parent / name, params)
     assert out == ingest.parent / name
     return out
 
@@ -146,5 +146,5 @@ def test_the_samples_encoder_is_the_default_and_was_fitted_by_its_preset_on_othe
     assert {drive[:10] for drive in made["frames_per_drive"]} <= {drive[:10] for drive in sample.train}
     content["encoder"]["weights"] = str(shipped)
     (tmp_path / "params.yaml").write_text(yaml.safe_dump(content))
-    out = main(tmp_path / "no-drives", tmp_path / "encoder", tmp_path / "params.yaml")
+    out = main(tmp_path, tmp_path / "encoder", tmp_path / "params.yaml")
     assert (out / "encoder.pt").read_bytes() == shipped.read_bytes()

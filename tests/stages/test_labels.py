@@ -29,7 +29,7 @@ def write_ingest(folder: Path, speed: list[float], yaw_rate: list[float]) -> Non
 
 def run(tmp_path: Path, **settings: Any) -> list[DriveReader]:
     params = write_params(tmp_path / "params.yaml", train=[FIRST], test=[SECOND], labels=settings)
-    assert labels.main(tmp_path / "ingest", tmp_path / "motion", tmp_path / "labels", params) == tmp_path / "labels"
+    assert labels.main(tmp_path, params) == tmp_path / "labels"
     return [DriveReader(tmp_path / f"labels/{drive}.h5", stage="labels") for drive in DRIVES]
 
 

@@ -44,7 +44,7 @@ def test_drives_without_images_or_lidar_have_clouds_of_what_they_have(tmp_path, 
         files = [tmp_path / f"{stage}/{drive}.h5" for stage in ("motion", "ingest", "perception")]
         assert measure_drive(*files)["valid"] == 0
     store.write_index(tmp_path / "ingest", SPLITS)
-    clouds.main(tmp_path / "ingest", tmp_path / "perception", tmp_path / "clouds", tmp_path / "params.yaml")
+    clouds.main(tmp_path, tmp_path / "params.yaml")
     assert bool(store.read_index(tmp_path / "clouds/lidar", stage="clouds")) == lidar
     if not lidar:
         return
@@ -58,7 +58,7 @@ def test_drives_without_images_or_lidar_have_clouds_of_what_they_have(tmp_path, 
 def run(root: Path) -> dict[str, np.ndarray]:
     params = root / "params.yaml"
     params.write_text(yaml.safe_dump({"perception": {"batch": 3}}))
-    return read(perception.main(root / "ingest", root / "encoder", root / "perception", params), FULL, "perception")
+    return read(perception.main(root, params), FULL, "perception")
 
 
 def test_precomputed_files_are_matched_by_frame_number(tmp_path, capsys):

@@ -53,9 +53,12 @@ def run_jobs(
         for job in jobs:
             yield job, work(job)
         return
+    threads = threads or max(1, default_workers() // count)
     if cluster:
         work = partial(_call_on_worker, work, str(Path.cwd()), resume.code_hash())
-    with _cluster(cluster) if cluster else _processes(count, threads or max(1, default_workers() // count)) as pool:
+    else:
+        os.environ["OMP_NUM_THREADS"] = str(threads)  # read when a worker imports its libraries
+    with _cluster(cluster) if cluster else ProcessPoolExecutor(count, _SPAWN, _start_worker, (threads,)) as pool:
         futures = {pool.submit(work, job): job for job in jobs}
         try:
             for future in as_completed(futures):
@@ -68,11 +71,6 @@ def run_jobs(
         finally:
             for future in futures:
                 future.cancel()
-
-
-def _processes(count: int, threads: int) -> Executor:
-    os.environ["OMP_NUM_THREADS"] = str(threads)  # read when a worker imports its libraries
-    return ProcessPoolExecutor(count, _SPAWN, _start_worker, (threads,))
 
 
 def _start_worker(threads: int) -> None:

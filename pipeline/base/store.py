@@ -117,18 +117,11 @@ class DriveWriter(ExitStack):
         dataset[len(dataset) - len(rows) :] = rows
         self._sink.check(self.path)
 
-    @contextmanager
-    def _open(self) -> Iterator[None]:
-        with replacing(self.path) as tmp, Sink(tmp, "w+") as self._sink:
-            try:
-                with h5py.File(self._sink, "w", libver="v110") as self._file:
-                    yield
-                    self._file.attrs.update(self.attrs)
-            finally:
-                self._sink.check(self.path)
-
     def __enter__(self) -> Self:
-        self.enter_context(self._open())
+        self._sink = self.enter_context(Sink(self.enter_context(replacing(self.path)), "w+"))
+        self.callback(self._sink.check, self.path)  # after HDF5 has closed the file
+        self._file = self.enter_context(h5py.File(self._sink, "w", libver="v110"))
+        self.callback(lambda: self._file.attrs.update(self.attrs))
         return super().__enter__()
 
 

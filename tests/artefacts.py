@@ -18,6 +18,7 @@ from pipeline.motion.step import PROBLEMS, STANDSTILL
 from pipeline.settings.graphs import Variant
 from pipeline.settings.ingest import Reading
 from pipeline.settings.labels import Labels
+from pipeline.train.frames import join, number_rows
 
 WHEELBASE_M = 2.7
 GRAPHS = {"graphs": {"k": 6, "keep_inter_class": 0.2}}
@@ -103,6 +104,11 @@ def add_motion(path: Path, steering_rad: np.ndarray, valid: np.ndarray | None = 
         file["motion_yaw_rate_radps"] = (speed_mps * np.tan(steering_rad) / WHEELBASE_M).astype(np.float32)
         file["motion_speed_mps"] = speed_mps.astype(np.float32)
         file["motion_valid"] = valid
+
+
+def collate(*spans: tuple[graph_file.Graphs, int, int]) -> dict[str, np.ndarray]:
+    """Return the frames [start, stop) of graph files as one batch."""
+    return {name: rows.numpy() for name, rows in number_rows(join(spans), spans[0][0]).items()}
 
 
 def write_dataset(

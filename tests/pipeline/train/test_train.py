@@ -67,8 +67,8 @@ def test_batch_of_two_spans_equals_single_frames(folder):
     assert batch["windows"].shape == batch["dt_s"].shape == (4 + 2, 8)
     assert batch["windows"][3:5].tolist() == [[*range(3, 11)], [*range(11, 19)]]
     with open_graphs(drives[1].graphs) as first, open_graphs(drives[0].graphs) as second:
-        joined = frames.collate([(first, 3, 14), (second, 0, 9)])
-    assert all(np.array_equal(batch[name], joined[name].numpy()) for name in joined)
+        joined = artefacts.collate((first, 3, 14), (second, 0, 9))
+    assert all(np.array_equal(batch[name], joined[name]) for name in joined)
     assert (batch["target"] == np.concatenate([drives[1].target[10:14], drives[0].target[7:9]]).astype("f4")).all()
 
 
@@ -139,7 +139,7 @@ def test_the_control_gets_the_scene_of_another_drive_and_nothing_else_changes(fo
         for window, end in zip(batch["windows"], [*range(19, 23), 7, 8], strict=True):
             stop = max(end * others // 23 + 1, 8)
             for frame, row in zip(batch["scenes"][window], range(stop - 8, stop), strict=True):
-                alone = {name: rows.numpy() for name, rows in frames.collate([(graphs, row, row + 1)]).items()}
+                alone = artefacts.collate((graphs, row, row + 1))
                 points = slice(*batch["ptr"][frame : frame + 2])
                 assert (batch["xyz"][points] == alone["xyz"] * (2 if end > 8 else 1)).all()
                 assert (batch["degree"][points] == alone["degree"]).all()

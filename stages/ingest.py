@@ -32,9 +32,8 @@ def main(data: Path = Path("data"), raw: Path = Path("data/raw"), params: Path =
         code = f"pipeline/datasets/{of[name]}.py", WRITER
         jobs.append(Job(name, f"{name}.h5", [digest([of[name], facts[name]])], work, code))
     jobs.sort(key=lambda job: len(facts[job.drive]), reverse=True)  # the longest first
-    with stage_folder("ingest", out) as stage:
+    with stage_folder("ingest", out, splits) as stage:
         make_drives(stage, jobs, reading, "{frames} frames{counts}")
-        store.write_index(stage.new, splits)
     return out
 
 

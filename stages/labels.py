@@ -29,10 +29,9 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     inputs = {"ingest": ingest} | ({"motion": motion} if motion.is_dir() else {})
     jobs = file_jobs(splits, inputs, partial(labels_drive, settings=settings))
     text = "{frames} frames, {valid} valid, {turning} turning, {interpolated} interpolated"
-    with stage_folder("labels", out) as folder:
+    with stage_folder("labels", out, splits) as folder:
         # One worker, as this is less work than starting a process.
         summaries = make_drives(folder, jobs, settings, text, workers=1)
-        store.write_index(folder.new, splits)
     for split in dict.fromkeys(splits.values()):
         of_split = store.drives_in(splits, split)
         frames, valid, turning = (

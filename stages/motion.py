@@ -16,9 +16,8 @@ def main(data: Path = Path("data")) -> Path:
     inputs, out = {name: data / name for name in ("ingest", "perception")}, data / "motion"
     splits = store.read_index(inputs["perception"], stage="perception")
     jobs = file_jobs(splits, inputs, measure_drive)
-    with stage_folder("motion", out) as folder:
+    with stage_folder("motion", out, splits) as folder:
         made = make_drives(folder, jobs, {}, "{frames} frames, {valid} measured")
-        store.write_index(folder.new, splits)
     for drive, summary in made.items():
         for text in warnings(summary["still"]):
             print(f"{drive}: {text}")

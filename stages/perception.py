@@ -26,9 +26,8 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     workers = min(2, default_workers()) if torch.cuda.is_available() else None
     work = partial(perceive_drive, encoder=encoder, settings=settings)
     key = settings.model_dump() | {"encoder": file_hash(encoder / FILE)}
-    with stage_folder("perception", out) as folder:
+    with stage_folder("perception", out, splits) as folder:
         make_drives(folder, file_jobs(splits, {"ingest": ingest}, work), key, "{frames} frames", workers)
-        store.write_index(folder.new, splits)
     return out
 
 

@@ -111,6 +111,11 @@ def collate(*spans: tuple[graph_file.Graphs, int, int]) -> dict[str, np.ndarray]
     return {name: rows.numpy() for name, rows in number_rows(join(spans), spans[0][0]).items()}
 
 
+def write_index(folder: Path, splits: dict[str, str]) -> None:
+    """Write the index of a stage's folder."""
+    store.write_json(folder / store.INDEX, {"drives": splits}, sort_keys=False)
+
+
 def write_dataset(
     root: Path,
     splits: dict[str, str],
@@ -133,8 +138,8 @@ def write_dataset(
         write_labels(root / f"labels/{drive}.h5", steering_rad, frame, ahead_m=ahead_m)
         if motion:
             add_motion(graphs, steering_rad, frame > 0)
-    store.write_index(root / "graphs" / "semantic", splits)
-    store.write_index(root / "labels", splits)
+    write_index(root / "graphs" / "semantic", splits)
+    write_index(root / "labels", splits)
 
 
 def write_recorded(

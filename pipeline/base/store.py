@@ -237,11 +237,6 @@ def read_json(path: Path, *, stage: str) -> dict[str, Any]:
         raise _fault(f"damaged ({error})", path, stage) from error
 
 
-def write_index(folder: Path, splits: Mapping[str, str]) -> None:
-    """Write ``index.json``: drive → split (train, val or test) for each drive that has a file in `folder`, in order."""
-    write_json(folder / INDEX, {"drives": dict(splits)}, sort_keys=False)
-
-
 def read_index(folder: Path, *, stage: str) -> dict[str, str]:
     """Return drive → split of a stage's folder, in its order. Raises InputError if a drive in it has no file."""
     drives: dict[str, str] = read_json(folder / INDEX, stage=stage).get("drives", {})

@@ -12,7 +12,6 @@ import yaml
 from typer.testing import CliRunner
 
 from models.encoder.street import SOURCES
-from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
 from pipeline.base.store import DriveReader
@@ -23,6 +22,7 @@ from pipeline.settings import preset
 from stages.encoder import main
 from steer.app import app
 from tests import street
+from tests.artefacts import write_index
 from tests.models.encoder.test_encoders import write_networks
 
 TRAIN, VAL, TEST = "2026_01_01_drive_0001", "2026_01_02_drive_0001", "2026_01_03_drive_0001"
@@ -37,7 +37,7 @@ def write_ingest(folder: Path, **kinds: bool) -> None:
     street.write_drive(folder, TRAIN, 6, **kinds)
     for name in (VAL, TEST):
         (folder / f"{name}.h5").write_bytes(b"not HDF5")
-    store.write_index(folder, {TRAIN: "train", VAL: "val", TEST: "test"})
+    write_index(folder, {TRAIN: "train", VAL: "val", TEST: "test"})
 
 
 @pytest.fixture

@@ -28,10 +28,10 @@ def usable_cores() -> int:
 
 def default_workers() -> int:
     """Return the number of worker processes: ``STEER_WORKERS``, or else the cores that this process may use."""
-    quota, period = CPU_MAX.read_text().split() if CPU_MAX.is_file() else ("max", "1")
     cores = usable_cores()
-    if quota != "max":
-        cores = max(1, min(cores, int(quota) // int(period)))
+    if CPU_MAX.is_file() and not (limit := CPU_MAX.read_text()).startswith("max"):
+        quota, period = map(int, limit.split())
+        cores = max(1, min(cores, quota // period))
     text = os.environ.get("STEER_WORKERS") or str(cores)
     if not text.isdecimal() or not int(text):
         raise InputError(f"expected a number of processes (got {text!r})", "STEER_WORKERS")

@@ -126,11 +126,7 @@ class DriveWriter(ExitStack):
 
 
 class DriveReader(ExitStack):
-    """Read one drive's file, a context manager.
-
-    Raises InputError if the file is missing, open for writing, damaged, of another `stage` (None: any), schema or
-    drive, or refers to other files.
-    """
+    """Read one drive's file, a context manager. Raises InputError unless it is a valid file of `stage` (None: any)."""
 
     def __init__(self, path: Path, *, stage: str | None) -> None:
         super().__init__()

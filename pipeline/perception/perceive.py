@@ -95,10 +95,7 @@ def save(folder: Path, architecture: Architecture, state: Mapping[str, Tensor]) 
 
 
 def load(path: Path) -> tuple[Architecture, nn.Module]:
-    """Return description and network of a file of :func:`save`, in evaluation mode, on a GPU if there is one.
-
-    Raises InputError if the file is missing, damaged or does not fit this code, or if a package is missing.
-    """
+    """Return description and network of a file of :func:`save`, for evaluation, on a GPU if any. Raises InputError."""
     content = checkpoint.read(path, KIND)
     model = build(content["architecture"])
     checkpoint.load_state(model, content["net"], path)

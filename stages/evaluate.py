@@ -8,9 +8,9 @@ import numpy as np
 import typer
 
 from pipeline.base import console, store
-from pipeline.base.errors import InputError, error_context
+from pipeline.base.errors import InputError
 from pipeline.base.outputs import stage_folder
-from pipeline.base.params import SPLITS, check_name, load
+from pipeline.base.params import SPLITS, load
 from pipeline.evaluate.errors import interval_text, untrained
 from pipeline.evaluate.metrics import Case, columns, inputs, metrics, turning_frames, write_predictions
 from pipeline.graphs import graph_file
@@ -31,8 +31,6 @@ def main(
     With folds, each test drive is evaluated with the network that was not fitted to it, and each other drive with the
     first network that was. Returns the model's folder.
     """
-    with error_context(f"MODEL {name!r}"):
-        check_name(name)
     settings, train, out = load(Evaluate, params), data / "train" / name, data / "evaluate" / name
     with stage_folder(f"evaluate@{name}", out) as folder:
         best = min(train.glob("fold-*/best.pt"), default=train / "best.pt")

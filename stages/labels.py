@@ -33,10 +33,8 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
         # One worker, as this is less work than starting a process.
         summaries = make_drives(folder, jobs, settings, text, workers=1)
     for split in dict.fromkeys(splits.values()):
-        of_split = store.drives_in(splits, split)
-        frames, valid, turning = (
-            sum(summaries[name][key] for name in of_split) for key in ("frames", "valid", "turning")
-        )
+        of_split, counts = store.drives_in(splits, split), ("frames", "valid", "turning")
+        frames, valid, turning = (sum(summaries[name][key] for name in of_split) for key in counts)
         fix = "Add drives, or cut a recording otherwise: steer import --split 60,30,10"
         if valid < WINDOW:
             print(f"doubt: {valid} of {frames} frames of {', '.join(of_split)} have a label: the car stands? {fix}")

@@ -67,9 +67,8 @@ def _fit(
 ) -> Summary:
     """Write the fitted encoder.pt to `path`. Return its curve and config's keys."""
     model.to("cuda" if torch.cuda.is_available() else "cpu")
-    schedule = settings.model_dump(include={"epochs", "batch", "learning_rate", "seed"})
     with Examples(ingest, drives, settings.frames, settings.targets) as examples:
-        curve = fit.fit(model, examples, **schedule)
+        curve = fit.fit(model, examples, settings)
         before = architecture.get("datasets", ["unknown"] if settings.weights else [])
         datasets = sorted({*before, *examples.datasets})
         perceive.save(path.parent, {**architecture, "datasets": datasets}, model.state_dict())

@@ -164,9 +164,7 @@ class Fit:
             checkpoint.write(state, {"kind": STATE, **parts, "best": self.best, "curve": self.curve})
             eta = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
             text = f", validation nmse {error:.3f}{' (selected)' if selected else ''}" if self.val else ""
-            # One write, as runs in parallel share the output; print writes the line's end separately.
-            line = f"{title}: {epoch} of {epochs} epochs, loss {loss:.4f}{text}, ETA {eta:.0f} s\n"
-            print(line, end="", flush=True)
+            print(f"{title}: {epoch} of {epochs} epochs, loss {loss:.4f}{text}, ETA {eta:.0f} s", flush=True)
         if before < (done := len(self.curve)) < epochs:
             chosen = selected_epoch(self.curve)
             after = f"{done - chosen} epochs after the least validation error, epoch {chosen}"

@@ -49,8 +49,7 @@ def fit_run(
     """Train a network of model `name`, from the state of an earlier run if there is one; write best.pt and curve.csv.
 
     `where`: of the model's entry, for messages; `drives`: of all folds; `files`: their open graph files, None: this
-    process has none; `kept`: the folder of states, see StageFolder. Returns the state's file.
-    Raises InputError if the network does not fit the graphs, or if the loss is not finite.
+    process has none; `kept`: the folder of states, see StageFolder. Returns the state's file. Raises InputError.
     """
     entry = entry.seeded(run.seed)
     scenes = runs.scenes(run.fold, run.seed, entry.scene)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Se
 from contextlib import closing
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -23,9 +23,7 @@ from pipeline.learning import checkpoint
 from pipeline.learning.loop import prefetch
 from pipeline.perception import precomputed
 from pipeline.perception.ground_plane import limit_traffic_depth
-
-if TYPE_CHECKING:
-    from pipeline.settings.perception import Perception
+from pipeline.settings.perception import Perception
 
 FILE = "encoder.pt"
 KIND = "unified encoder"
@@ -155,7 +153,7 @@ def perceive_drive(
     path: Path,
     ingest: Path,
     encoder: Path,
-    settings: "Perception",
+    settings: Perception,
     *,
     advance: Callable[[int], object] = lambda frames: None,
 ) -> Summary:

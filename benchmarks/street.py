@@ -16,7 +16,7 @@ from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.graphs import frame_graph, graph_file
 from pipeline.graphs.cloud import Cloud
 from pipeline.settings.graphs import Variant
-from pipeline.train.frames import collate
+from pipeline.train.frames import join, number_rows
 
 ROUNDS = 5
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
@@ -62,7 +62,7 @@ class Street(NamedTuple):
     def batch(self, count: int, device: str = DEVICE) -> GraphBatch:
         """Return the first `count` frames as a batch of the graph network."""
         with graph_file.open_graphs(self.file) as file:
-            batch = from_arrays(collate([(file, 0, count)]), device)
+            batch = from_arrays(number_rows(join([(file, 0, count)]), file), device)
         assert isinstance(batch, GraphBatch)
         return batch
 

@@ -12,24 +12,18 @@ from pipeline.settings.clouds import Clouds
 from pipeline.settings.ingest import Ingest
 
 
-def main(
-    ingest: Path = Path("data/ingest"),
-    perception: Path = Path("data/perception"),
-    out: Path = Path("data/clouds"),
-    params: Path = Path("params.yaml"),
-) -> Path:
+def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     """Back-project depth with K⁻¹ (paper eq. 6, 7) and transform LiDAR scans into the camera frame.
 
     Returns the output folder, which holds the folders pseudo and lidar; lidar has no drives without ingest.lidar.
     """
-    settings = load(Clouds, params)
-    splits = store.read_index(ingest, stage="ingest")
-    inputs = {"ingest": ingest, "perception": perception}
+    settings, out = load(Clouds, params), data / "clouds"
+    inputs = {name: data / name for name in ("ingest", "perception")}
+    splits = store.read_index(inputs["ingest"], stage="ingest")
     for kind, drives in {"pseudo": splits, "lidar": splits if load(Ingest, params).lidar else {}}.items():
         work = partial(cloud.clouds_drive, kind=kind, settings=settings)
-        with stage_folder(f"clouds@{kind}", out / kind) as folder:
+        with stage_folder(f"clouds@{kind}", out / kind, drives) as folder:
             make_drives(folder, file_jobs(drives, inputs, work), settings, "{frames} frames, {points} points")
-            store.write_index(folder.new, drives)
     return out
 
 

@@ -20,11 +20,9 @@ from pipeline.settings.encoder import Encoder
 from pipeline.settings.ingest import Ingest
 
 
-def main(
-    ingest: Path = Path("data/ingest"), out: Path = Path("data/encoder"), params: Path = Path("params.yaml")
-) -> Path:
+def main(data: Path = Path("data"), out: Path = Path("data/encoder"), params: Path = Path("params.yaml")) -> Path:
     """Write encoder.pt, config.json and curve.csv. Return the folder."""
-    settings = load(Encoder, params)
+    settings, ingest = load(Encoder, params), data / "ingest"
     config: dict[str, Any] = settings.model_dump(mode="json", exclude_none=True)
     torch.manual_seed(settings.seed)
     with error_context(params), error_context("encoder"):
@@ -37,7 +35,10 @@ def main(
     with stage_folder("encoder", out) as stage:
         if settings.epochs:
             perceive.save(stage.kept / "start", architecture, model.state_dict())
-            drives = _drives(ingest, settings.targets)
+            splits = store.read_index(ingest, stage="ingest")
+            drives = store.drives_in(splits, "train")
+            if settings.targets:  # images need no label, so the split does not matter
+                drives = [drive for drive in splits if (settings.targets / drive).is_dir()]
             inputs: list[Path | str] = [stage.kept / "start" / perceive.FILE, *(ingest / f"{d}.h5" for d in drives)]
             inputs += [precomputed.fingerprint(settings.targets)[1]] if settings.targets else []
             work = partial(
@@ -61,20 +62,13 @@ def main(
     return out
 
 
-def _drives(ingest: Path, targets: Path | None) -> list[str]:
-    """Return the training drives, or all with targets, as images need no label."""
-    splits = store.read_index(ingest, stage="ingest")
-    return [drive for drive in splits if (targets / drive).is_dir()] if targets else store.drives_in(splits, "train")
-
-
 def _fit(
     path: Path, *, model: Any, architecture: Architecture, settings: Encoder, ingest: Path, drives: list[str]
 ) -> Summary:
     """Write the fitted encoder.pt to `path`. Return its curve and config's keys."""
     model.to("cuda" if torch.cuda.is_available() else "cpu")
-    schedule = settings.model_dump(include={"epochs", "batch", "learning_rate", "seed"})
     with Examples(ingest, drives, settings.frames, settings.targets) as examples:
-        curve = fit.fit(model, examples, **schedule)
+        curve = fit.fit(model, examples, settings)
         before = architecture.get("datasets", ["unknown"] if settings.weights else [])
         datasets = sorted({*before, *examples.datasets})
         perceive.save(path.parent, {**architecture, "datasets": datasets}, model.state_dict())

@@ -8,9 +8,9 @@ import numpy as np
 import typer
 
 from pipeline.base import console, store
-from pipeline.base.errors import InputError, error_context
+from pipeline.base.errors import InputError
 from pipeline.base.outputs import stage_folder
-from pipeline.base.params import SPLITS, check_name, load
+from pipeline.base.params import SPLITS, load
 from pipeline.evaluate.errors import interval_text, untrained
 from pipeline.evaluate.metrics import Case, columns, inputs, metrics, turning_frames, write_predictions
 from pipeline.graphs import graph_file
@@ -22,10 +22,7 @@ from pipeline.train.targets import read_drive
 
 def main(
     name: Annotated[str, typer.Argument(metavar="MODEL", help="an entry of models: in the params file")],
-    train: Annotated[Path, typer.Option(help="folder with a folder for each trained model")] = Path("data/train"),
-    graphs: Path = Path("data/graphs"),
-    labels: Path = Path("data/labels"),
-    out: Annotated[Path, typer.Option(help="the model's results go to a folder in it")] = Path("data/evaluate"),
+    data: Path = Path("data"),
     params: Path = Path("params.yaml"),
 ) -> Path:
     """Write metrics.json and, for the test drives, predictions.csv.
@@ -34,16 +31,14 @@ def main(
     With folds, each test drive is evaluated with the network that was not fitted to it, and each other drive with the
     first network that was. Returns the model's folder.
     """
-    with error_context(f"MODEL {name!r}"):
-        check_name(name)
-    settings = load(Evaluate, params)
-    with stage_folder(f"evaluate@{name}", out / name) as folder:
-        best = min((train / name).glob("fold-*/best.pt"), default=train / name / "best.pt")
+    settings, train, out = load(Evaluate, params), data / "train" / name, data / "evaluate" / name
+    with stage_folder(f"evaluate@{name}", out) as folder:
+        best = min(train.glob("fold-*/best.pt"), default=train / "best.pt")
         first = predict.load(best.parent)
-        entry, variant = first.entry, graphs / first.entry.input
+        entry, variant = first.entry, data / "graphs" / first.entry.input
         folds = runs.folds(store.read_index(variant, stage="graphs"), entry)
-        models = {run: predict.load(run.folder) for run in runs.runs(train / name, first.seeds, folds)}
-        cases = _predict(models, variant, labels)
+        models = {run: predict.load(run.folder) for run in runs.runs(train, first.seeds, folds)}
+        cases = _predict(models, variant, data / "labels")
         tested = [case.drive for case in cases["test"]]
         result: dict[str, Any] = {
             "model": name,
@@ -69,7 +64,7 @@ def main(
         for number, place in enumerate(runs.folders(folder.new, first.seeds).values()):
             write_predictions(place / "predictions.csv", cases["test"], number)
     print(f"{name}: test nmse {', '.join(_summary(*column) for column in result['test'].items())}")
-    return out / name
+    return out
 
 
 def _predict(models: Mapping[runs.Run, predict.Trained], variant: Path, labels: Path) -> dict[str, list[Case]]:

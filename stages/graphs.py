@@ -16,20 +16,18 @@ from pipeline.settings.graphs import Variant
 
 def main(
     name: Annotated[str, typer.Argument(metavar="VARIANT", help="an entry of graphs: in the params file")],
-    data: Annotated[Path, typer.Option(help="contains the variant's source and motion")] = Path("data"),
-    out: Annotated[Path, typer.Option(help="VARIANT is written below it")] = Path("data/graphs"),
+    data: Path = Path("data"),
     params: Path = Path("params.yaml"),
 ) -> Path:
     """Draw the variant's number of points of each cloud and compute neighbours, or copy images. Returns the folder."""
     variant = load_entry(Variant, "graphs", name, params)
-    source, stage = data / variant.source, variant.source.split("/")[0]
-    splits = store.read_index(source, stage=stage)
+    source, out = data / variant.source, data / "graphs" / name
+    splits = store.read_index(source, stage=variant.source.split("/")[0])
     jobs = file_jobs(splits, {"source": source, "motion": data / "motion"}, partial(graphs_drive, variant=variant))
     text = "{frames} frames" if variant.kind == "image" else "{frames} frames, {points} points"
-    with stage_folder(f"graphs@{name}", out / name) as folder:
+    with stage_folder(f"graphs@{name}", out, splits) as folder:
         make_drives(folder, jobs, variant, text)
-        store.write_index(folder.new, splits)
-    return out / name
+    return out
 
 
 if __name__ == "__main__":

@@ -17,29 +17,23 @@ from pipeline.settings.ingest import Ingest, Reading
 WRITER = "pipeline/datasets/core/ingest_file.py"
 
 
-def main(
-    sample: Path = Path("data/sample"),
-    raw: Path = Path("data/raw"),
-    out: Path = Path("data/ingest"),
-    params: Path = Path("params.yaml"),
-) -> Path:
+def main(data: Path = Path("data"), raw: Path = Path("data/raw"), params: Path = Path("params.yaml")) -> Path:
     """Read images, scans, calibration, and what was recorded or rendered beside them. Returns the folder."""
-    settings = load(Ingest, params)
+    settings, out = load(Ingest, params), data / "ingest"
     splits, of = settings.drives.splits(), settings.datasets()
     before = store.read_index(out, stage="ingest") if (out / "index.json").is_file() else {}
     missing = kitti.leave_out(raw, settings, required=before)
     splits = {drive: split for drive, split in splits.items() if drive not in missing}
     jobs, reading, facts = [], Reading(**settings.model_dump(include=set(Reading.model_fields))), dict[str, list[Any]]()
     for name in splits:
-        root = sample if of[name] == "sample" else raw
+        root = data / "sample" if of[name] == "sample" else raw
         facts[name] = datasets.load(of[name]).fingerprint(name, settings, root)
         work = partial(ingest_drive, name=name, dataset=of[name], settings=settings, root=root, reading=reading)
         code = f"pipeline/datasets/{of[name]}.py", WRITER
         jobs.append(Job(name, f"{name}.h5", [digest([of[name], facts[name]])], work, code))
     jobs.sort(key=lambda job: len(facts[job.drive]), reverse=True)  # the longest first
-    with stage_folder("ingest", out) as stage:
+    with stage_folder("ingest", out, splits) as stage:
         make_drives(stage, jobs, reading, "{frames} frames{counts}")
-        store.write_index(stage.new, splits)
     return out
 
 

@@ -15,17 +15,12 @@ from pipeline.settings.labels import Labels
 WINDOW = 8  # frames that a network sees, by default
 
 
-def main(
-    ingest: Path = Path("data/ingest"),
-    motion: Path = Path("data/motion"),
-    out: Path = Path("data/labels"),
-    params: Path = Path("params.yaml"),
-) -> Path:
+def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     """Compute each frame's steering angle (paper section 4.1), path ahead and their validity. Returns the folder.
 
     Recorded labels are first compared with measured motion. Raises InputError if their sign or unit is wrong.
     """
-    settings = load(Labels, params)
+    settings, ingest, motion, out = load(Labels, params), data / "ingest", data / "motion", data / "labels"
     splits = store.read_index(ingest, stage="ingest")
     # Not with test drives: a lag fitted to them would align the truth with odometry.
     drives, car = store.drives_in(splits, "train", "val"), Car(settings.wheelbase_m, settings.min_speed_mps)
@@ -34,15 +29,12 @@ def main(
     inputs = {"ingest": ingest} | ({"motion": motion} if motion.is_dir() else {})
     jobs = file_jobs(splits, inputs, partial(labels_drive, settings=settings))
     text = "{frames} frames, {valid} valid, {turning} turning, {interpolated} interpolated"
-    with stage_folder("labels", out) as folder:
+    with stage_folder("labels", out, splits) as folder:
         # One worker, as this is less work than starting a process.
         summaries = make_drives(folder, jobs, settings, text, workers=1)
-        store.write_index(folder.new, splits)
     for split in dict.fromkeys(splits.values()):
-        of_split = store.drives_in(splits, split)
-        frames, valid, turning = (
-            sum(summaries[name][key] for name in of_split) for key in ("frames", "valid", "turning")
-        )
+        of_split, counts = store.drives_in(splits, split), ("frames", "valid", "turning")
+        frames, valid, turning = (sum(summaries[name][key] for name in of_split) for key in counts)
         fix = "Add drives, or cut a recording otherwise: steer import --split 60,30,10"
         if valid < WINDOW:
             print(f"doubt: {valid} of {frames} frames of {', '.join(of_split)} have a label: the car stands? {fix}")

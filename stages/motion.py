@@ -11,15 +11,13 @@ from pipeline.motion.still import warnings
 MIN_ROAD = 0.5  # share of frames with a road, below which the scale is called uncertain
 
 
-def main(
-    ingest: Path = Path("data/ingest"), perception: Path = Path("data/perception"), out: Path = Path("data/motion")
-) -> Path:
+def main(data: Path = Path("data")) -> Path:
     """Measure each drive's motion from images and depth. Returns the output folder."""
-    splits = store.read_index(perception, stage="perception")
-    jobs = file_jobs(splits, {"ingest": ingest, "perception": perception}, measure_drive)
-    with stage_folder("motion", out) as folder:
+    inputs, out = {name: data / name for name in ("ingest", "perception")}, data / "motion"
+    splits = store.read_index(inputs["perception"], stage="perception")
+    jobs = file_jobs(splits, inputs, measure_drive)
+    with stage_folder("motion", out, splits) as folder:
         made = make_drives(folder, jobs, {}, "{frames} frames, {valid} measured")
-        store.write_index(folder.new, splits)
     for drive, summary in made.items():
         for text in warnings(summary["still"]):
             print(f"{drive}: {text}")

@@ -15,14 +15,9 @@ from pipeline.perception.perceive import FILE, perceive_drive, warnings
 from pipeline.settings.perception import Perception
 
 
-def main(
-    ingest: Path = Path("data/ingest"),
-    encoder: Path = Path("data/encoder"),
-    out: Path = Path("data/perception"),
-    params: Path = Path("params.yaml"),
-) -> Path:
+def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     """Predict depth and classes of each image, and store both. Returns the output folder."""
-    settings = load(Perception, params)
+    settings, ingest, encoder, out = load(Perception, params), data / "ingest", data / "encoder", data / "perception"
     splits = store.read_index(ingest, stage="ingest")
     # Reports a bad checkpoint, too: once, not from each worker.
     for line in warnings(encoder, settings.precision, (ingest / f"{drive}.h5" for drive in splits)):
@@ -31,9 +26,8 @@ def main(
     workers = min(2, default_workers()) if torch.cuda.is_available() else None
     work = partial(perceive_drive, encoder=encoder, settings=settings)
     key = settings.model_dump() | {"encoder": file_hash(encoder / FILE)}
-    with stage_folder("perception", out) as folder:
+    with stage_folder("perception", out, splits) as folder:
         make_drives(folder, file_jobs(splits, {"ingest": ingest}, work), key, "{frames} frames", workers)
-        store.write_index(folder.new, splits)
     return out
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.base import console, store
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import SPLITS, load
-from pipeline.base.runner import Job, Summary, make_drives
+from pipeline.base.runner import Summary, file_jobs, make_drives
 from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
 from pipeline.labels import comparison
@@ -20,27 +20,19 @@ from pipeline.perception.scores import Scores, read_truth
 from pipeline.settings.labels import SOURCES, Labels
 
 
-def main(
-    ingest: Path = Path("data/ingest"),
-    perception: Path = Path("data/perception"),
-    motion: Path = Path("data/motion"),
-    out: Path = Path("data/scores"),
-    params: Path = Path("params.yaml"),
-) -> Path:
+def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     """Write metrics.json with the scores of validation and test drives, and <drive>/metrics.json of each of them.
 
     The scores of training drives are None. Keys ``motion`` and ``recorded``: see data/README.md; angles and valid
     frames are defined as in the labels. Returns the output folder.
     """
-    labels = load(Labels, params)
+    labels, out = load(Labels, params), data / "scores"
+    ingest, perception, motion = (data / name for name in ("ingest", "perception", "motion"))
     car = Car(labels.wheelbase_m, labels.min_speed_mps)
     index = store.read_index(perception, stage="perception")
     splits = {drive: split for drive, split in index.items() if split != "train"}
-    score_motion, jobs = partial(_score_motion, ingest=ingest, motion=motion, car=car), []
-    for drive in splits:
-        inputs = [folder / f"{drive}.h5" for folder in (ingest, perception, motion)]
-        work = partial(_score_drive, ingest=inputs[0], perception=inputs[1], score_motion=score_motion)
-        jobs.append(Job(drive, f"{drive}/metrics.json", inputs, work))
+    inputs = {"ingest": ingest, "perception": perception, "motion": motion}
+    jobs = file_jobs(splits, inputs, partial(_score_drive, car=car), "{}/metrics.json")
     with stage_folder("scores", out) as folder:
         summaries = make_drives(folder, jobs, car._asdict(), "{frames} frames")
         content: dict[str, Any] = {"motion": {}, "recorded": {}, "train": Scores().report()}
@@ -49,7 +41,7 @@ def main(
             for drive in drives:
                 scores.add(summaries[drive]["sums"])
             content[split] = scores.report()
-            for kind, motion_scores in score_motion(drives).items():
+            for kind, motion_scores in _score_motion(drives, ingest, motion, car).items():
                 content["motion"].setdefault(kind, dict.fromkeys(SPLITS))[split] = motion_scores
         for kind in (name for name in SOURCES if not sources.load(name).MEASURED):
             pairs = comparison.read(kind, store.drives_in(index, "train", "val"), ingest, motion, car)
@@ -59,7 +51,7 @@ def main(
     return out
 
 
-def _score_drive(path: Path, *, ingest: Path, perception: Path, score_motion: "partial[dict[str, Any]]") -> Summary:
+def _score_drive(path: Path, *, ingest: Path, perception: Path, motion: Path, car: Car) -> Summary:
     scores = Scores()
     with (
         store.DriveReader(ingest, stage="ingest") as source,
@@ -69,11 +61,12 @@ def _score_drive(path: Path, *, ingest: Path, perception: Path, score_motion: "p
         for row, number in enumerate(perceived.frame):
             depth_m, cls = to_metres(perceived.row("depth_m", row)), perceived.row("cls", row)
             scores.add_frame(depth_m, cls, camera, read_truth(source, camera, source.row_of(number)))
-    store.write_json(path, {**scores.report(), "motion": score_motion([ingest.stem])})
+    of_motion = _score_motion([ingest.stem], ingest.parent, motion.parent, car)
+    store.write_json(path, {**scores.report(), "motion": of_motion})
     return {"frames": len(perceived.frame), "sums": {key: sums.tolist() for key, sums in scores.sums.items()}}
 
 
-def _score_motion(drives: list[str], *, ingest: Path, motion: Path, car: Car) -> dict[str, Any]:
+def _score_motion(drives: list[str], ingest: Path, motion: Path, car: Car) -> dict[str, Any]:
     """Return scores of the measured motion that models get (visual), and of steering angles (wheel), against oxts.
 
     ``visual-wheel``: against steering angles. Only what the `drives` recorded is compared, possibly nothing.

@@ -25,8 +25,7 @@ from pipeline.train.targets import check, read_drive
 
 def main(
     name: Annotated[str, typer.Argument(metavar="MODEL", help="an entry of models in the params file")],
-    graphs: Path = Path("data/graphs"),
-    labels: Path = Path("data/labels"),
+    data: Path = Path("data"),
     out: Annotated[Path, typer.Option(help="parent of the model's folder")] = Path("data/train"),
     params: Path = Path("params.yaml"),
 ) -> Path:
@@ -37,14 +36,14 @@ def main(
     """
     entry, settings = load_entry(Entry, "models", name, params), load(Train, params)
     settings = settings.model_copy(update={"learning_rate": entry.learning_rate or settings.learning_rate})
-    variant, where = graphs / entry.input, f"{params}: models.{name}"
+    variant, where = data / "graphs" / entry.input, f"{params}: models.{name}"
     splits = store.read_index(variant, stage="graphs")
     with error_context(where=where):
         folds = runs.folds(splits, entry)
     every = [*filter(None, [folds[0].start]), *folds]
     parts = [part for fold in every for part in (fold.train, fold.val)] + [tuple(store.drives_in(splits, "test"))]
     names = dict.fromkeys(drive for part in parts for drive in part)
-    drives = {drive: read_drive(variant, labels, drive, entry) for drive in names}
+    drives = {drive: read_drive(variant, data / "labels", drive, entry) for drive in names}
     with stage_folder(f"train@{name}", out / name) as folder:
         for part in filter(None, parts):  # errors before the first network is trained
             check([drives[drive] for drive in part], entry.window)

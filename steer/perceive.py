@@ -28,7 +28,7 @@ def perceive(
     from pipeline.perception.perceive import open_encoder, passes, read_batches
 
     check_free(out)
-    predict = open_encoder(encoder, "float32")
+    predict = open_encoder(encoder, "float32").predict
     for drive in store.read_index(ingest, stage="ingest"):
         with store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as source:
             rows = np.flatnonzero(source["has_image"])

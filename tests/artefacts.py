@@ -18,6 +18,7 @@ from pipeline.motion.step import PROBLEMS, STANDSTILL
 from pipeline.settings.graphs import Variant
 from pipeline.settings.ingest import Reading
 from pipeline.settings.labels import Labels
+from pipeline.train.frames import join, number_rows
 
 WHEELBASE_M = 2.7
 GRAPHS = {"graphs": {"k": 6, "keep_inter_class": 0.2}}
@@ -105,6 +106,16 @@ def add_motion(path: Path, steering_rad: np.ndarray, valid: np.ndarray | None = 
         file["motion_valid"] = valid
 
 
+def collate(*spans: tuple[graph_file.Graphs, int, int]) -> dict[str, np.ndarray]:
+    """Return the frames [start, stop) of graph files as one batch."""
+    return {name: rows.numpy() for name, rows in number_rows(join(spans), spans[0][0]).items()}
+
+
+def write_index(folder: Path, splits: dict[str, str]) -> None:
+    """Write the index of a stage's folder."""
+    store.write_json(folder / store.INDEX, {"drives": splits}, sort_keys=False)
+
+
 def write_dataset(
     root: Path,
     splits: dict[str, str],
@@ -127,8 +138,8 @@ def write_dataset(
         write_labels(root / f"labels/{drive}.h5", steering_rad, frame, ahead_m=ahead_m)
         if motion:
             add_motion(graphs, steering_rad, frame > 0)
-    store.write_index(root / "graphs" / "semantic", splits)
-    store.write_index(root / "labels", splits)
+    write_index(root / "graphs" / "semantic", splits)
+    write_index(root / "labels", splits)
 
 
 def write_recorded(

@@ -11,9 +11,9 @@ from models.steering.core import options
 from models.steering.core.batch import FrameKind, GraphBatch
 from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_features
 from models.steering.core.options import NetworkOptions, Sizes
-from pipeline.base import store
 from pipeline.settings.models import Entry
 from stages import evaluate, train
+from tests.artefacts import write_index
 
 PARAMS = Path(__file__).resolve().parents[1] / "params.yaml"
 SPLITS = {
@@ -60,13 +60,11 @@ def entry(**changes: object) -> Entry:
 
 
 def run_train(folder: Path) -> Path:
-    return train.main("net", folder / "graphs", folder / "labels", folder / "train", folder / "params.yaml")
+    return train.main("net", folder, folder / "train", folder / "params.yaml")
 
 
 def run_evaluate(folder: Path) -> Path:
-    return evaluate.main(
-        "net", folder / "train", folder / "graphs", folder / "labels", folder / "evaluate", folder / "params.yaml"
-    )
+    return evaluate.main("net", folder, folder / "params.yaml")
 
 
 def write_two_test_drives(folder: Path) -> list[str]:
@@ -74,5 +72,5 @@ def write_two_test_drives(folder: Path) -> list[str]:
     tested = ["2026_01_01_drive_0002", "2026_01_01_drive_0003"]
     splits = {**SPLITS, **dict.fromkeys(tested, "test")}
     del splits["2026_01_03_drive_0001"]
-    store.write_index(folder / "graphs/semantic", splits)
+    write_index(folder / "graphs/semantic", splits)
     return tested

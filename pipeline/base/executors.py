@@ -28,10 +28,10 @@ def usable_cores() -> int:
 
 def default_workers() -> int:
     """Return the number of worker processes: ``STEER_WORKERS``, or else the cores that this process may use."""
-    quota, period = CPU_MAX.read_text().split() if CPU_MAX.is_file() else ("max", "1")
     cores = usable_cores()
-    if quota != "max":
-        cores = max(1, min(cores, int(quota) // int(period)))
+    if CPU_MAX.is_file() and not (limit := CPU_MAX.read_text()).startswith("max"):
+        quota, period = map(int, limit.split())
+        cores = max(1, min(cores, quota // period))
     text = os.environ.get("STEER_WORKERS") or str(cores)
     if not text.isdecimal() or not int(text):
         raise InputError(f"expected a number of processes (got {text!r})", "STEER_WORKERS")
@@ -53,9 +53,12 @@ def run_jobs(
         for job in jobs:
             yield job, work(job)
         return
+    threads = threads or max(1, default_workers() // count)
     if cluster:
         work = partial(_call_on_worker, work, str(Path.cwd()), resume.code_hash())
-    with _cluster(cluster) if cluster else _processes(count, threads or max(1, default_workers() // count)) as pool:
+    else:
+        os.environ["OMP_NUM_THREADS"] = str(threads)  # read when a worker imports its libraries
+    with _cluster(cluster) if cluster else ProcessPoolExecutor(count, _SPAWN, _start_worker, (threads,)) as pool:
         futures = {pool.submit(work, job): job for job in jobs}
         try:
             for future in as_completed(futures):
@@ -68,11 +71,6 @@ def run_jobs(
         finally:
             for future in futures:
                 future.cancel()
-
-
-def _processes(count: int, threads: int) -> Executor:
-    os.environ["OMP_NUM_THREADS"] = str(threads)  # read when a worker imports its libraries
-    return ProcessPoolExecutor(count, _SPAWN, _start_worker, (threads,))
 
 
 def _start_worker(threads: int) -> None:

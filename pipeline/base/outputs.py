@@ -1,13 +1,12 @@
 """The two rules for output. A command writes a folder that is free; a stage replaces the files of its index."""
 
-import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from filelock import FileLock, Timeout
 
@@ -67,11 +66,13 @@ def locked(folder: Path, path: str) -> Iterator[None]:
 
 
 @contextmanager
-def stage_folder(stage: str, out: Path, *, shared: bool = False) -> Iterator[StageFolder]:
+def stage_folder(
+    stage: str, out: Path, drives: Mapping[str, str] | None = None, *, shared: bool = False
+) -> Iterator[StageFolder]:
     """Hold the lock of the output folder `out`, and publish what the block writes when it ends without error.
 
-    The files in ``StageFolder.new`` replace those that an earlier run listed in ``out/index.json``. The new index adds
-    ``stage``, ``entry`` and ``files`` to an index.json of the block. `stage` is a name in ``dvc.yaml``; with an entry,
+    The files in ``StageFolder.new`` replace those that an earlier run listed in ``out/index.json``. The new index also
+    has `drives`, drive → split for each DRIVE.h5, in order. `stage` is a name in ``dvc.yaml``; with an entry,
     ``graphs@NAME``, `out` is a folder in the stage's folder. If `shared`, `out` may hold other files.
 
     Raises InputError if another process writes `out`, or if `out` holds files that this stage did not write.
@@ -87,7 +88,8 @@ def stage_folder(stage: str, out: Path, *, shared: bool = False) -> Iterator[Sta
         shutil.rmtree(folder.new, ignore_errors=True)
         folder.new.mkdir()
         yield folder
-        _publish(folder.new, out, before, owner)
+        index = {} if drives is None else {"drives": dict(drives)}
+        _publish(folder.new, out, before, index | owner)
         for path in set(kept.iterdir()) - folder.used:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
 
@@ -104,20 +106,19 @@ def _own_files(out: Path, owner: dict[str, str], shared: bool) -> set[str]:
     return {file for file in index["files"] if (out / file).resolve().is_relative_to(out.resolve())}
 
 
-def _publish(new: Path, out: Path, before: set[str], owner: dict[str, str]) -> None:
+def _publish(new: Path, out: Path, before: set[str], index: Mapping[str, Any]) -> None:
     """Replace the files `before` in `out` by those in `new`. Readers of the index find no file of a removed drive."""
     paths = sorted(path.relative_to(new) for path in new.rglob("*"))
-    files = [str(path) for path in paths if (new / path).is_file() and str(path) != INDEX]
+    files = [str(path) for path in paths if (new / path).is_file()]
     for file in files:
         if file not in before and (out / file).exists():
             raise InputError("file is in the way, which no stage wrote", out / file, "Move it away")
-    index = json.loads((new / INDEX).read_text()) if (new / INDEX).exists() else {}
     for file in before.difference(files):
         (out / file).unlink(missing_ok=True)
     for path in paths:
         if (new / path).is_dir():  # DVC expects also an empty one
             (out / path).mkdir(parents=True, exist_ok=True)
-    write_json(out / INDEX, index | owner | {"files": files}, sort_keys=False)
+    write_json(out / INDEX, {**index, "files": files}, sort_keys=False)
     for file in files:
         with replacing(out / file) as tmp:
             link(new / file, tmp)

@@ -21,7 +21,6 @@ Positive = Annotated[float, Field(gt=0, le=1e6)]
 Rate = Annotated[float, Field(gt=0, le=10, description="learning rate")]
 Count = Annotated[int, Field(ge=1, le=10**9)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
-Fraction = Annotated[float, Field(ge=0, le=1)]
 _Side = Annotated[int, Field(ge=32, le=4096)]
 ImageSize = Annotated[tuple[_Side, _Side], Field(strict=False)]  # [H, W] in pixels; a strict tuple takes no YAML list
 SPLITS = ("train", "val", "test")

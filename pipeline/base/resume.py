@@ -54,8 +54,7 @@ def content_hash(path: Path) -> str:
 def _stage_code_hash(stage: str) -> str:
     """Hash the :func:`meaning` of the code that the stage's entry in dvc.yaml names; of ``${…}``, all alternatives."""
     entry = read(ROOT / "dvc.yaml")["stages"][stage]
-    dependencies = entry.get("do", entry)["deps"]
-    patterns = [re.sub(r"\$\{.*?\}", "*", path) for path in dependencies if path.startswith(PACKAGES)]
+    patterns = [re.sub(r"\$\{.*?\}", "*", path) for path in entry.get("do", entry)["deps"] if path.startswith(PACKAGES)]
     paths = [path for pattern in patterns for path in ROOT.glob(pattern)]
     files = {file for path in paths for file in (path.rglob("*.py") if path.is_dir() else [path])}
     return digest({str(file.relative_to(ROOT)): meaning(file) for file in files - MACHINERY})

@@ -34,13 +34,12 @@ class Job(NamedTuple):
     code: Sequence[str] = ()  # files whose imports are the drive's code; by default, the code of the stage
 
 
-def file_jobs(drives: Iterable[str], inputs: Mapping[str, Path], work: Callable[..., Summary]) -> list[Job]:
-    """Return the jobs that make DRIVE.h5 from the drive's files. `inputs`: argument of `work` → folder of a stage."""
-    jobs = []
-    for drive in drives:
-        files = {name: folder / f"{drive}.h5" for name, folder in inputs.items()}
-        jobs.append(Job(drive, f"{drive}.h5", list(files.values()), partial(work, **files)))
-    return jobs
+def file_jobs(
+    drives: Iterable[str], inputs: Mapping[str, Path], work: Callable[..., Summary], target: str = "{}.h5"
+) -> list[Job]:
+    """Return the jobs that make `target` from the drives' files. `inputs`: argument of `work` → folder of a stage."""
+    files = {drive: {name: folder / f"{drive}.h5" for name, folder in inputs.items()} for drive in drives}
+    return [Job(drive, target.format(drive), [*of.values()], partial(work, **of)) for drive, of in files.items()]
 
 
 def make_drives(

@@ -117,27 +117,16 @@ class DriveWriter(ExitStack):
         dataset[len(dataset) - len(rows) :] = rows
         self._sink.check(self.path)
 
-    @contextmanager
-    def _open(self) -> Iterator[None]:
-        with replacing(self.path) as tmp, Sink(tmp, "w+") as self._sink:
-            try:
-                with h5py.File(self._sink, "w", libver="v110") as self._file:
-                    yield
-                    self._file.attrs.update(self.attrs)
-            finally:
-                self._sink.check(self.path)
-
     def __enter__(self) -> Self:
-        self.enter_context(self._open())
+        self._sink = self.enter_context(Sink(self.enter_context(replacing(self.path)), "w+"))
+        self.callback(self._sink.check, self.path)  # after HDF5 has closed the file
+        self._file = self.enter_context(h5py.File(self._sink, "w", libver="v110"))
+        self.callback(lambda: self._file.attrs.update(self.attrs))
         return super().__enter__()
 
 
 class DriveReader(ExitStack):
-    """Read one drive's file, a context manager.
-
-    Raises InputError if the file is missing, open for writing, damaged, of another `stage` (None: any), schema or
-    drive, or refers to other files.
-    """
+    """Read one drive's file, a context manager. Raises InputError unless it is a valid file of `stage` (None: any)."""
 
     def __init__(self, path: Path, *, stage: str | None) -> None:
         super().__init__()
@@ -242,11 +231,6 @@ def read_json(path: Path, *, stage: str) -> dict[str, Any]:
         return dict(json.loads(path.read_text(encoding="utf-8")))
     except (ValueError, TypeError) as error:
         raise _fault(f"damaged ({error})", path, stage) from error
-
-
-def write_index(folder: Path, splits: Mapping[str, str]) -> None:
-    """Write ``index.json``: drive → split (train, val or test) for each drive that has a file in `folder`, in order."""
-    write_json(folder / INDEX, {"drives": dict(splits)}, sort_keys=False)
 
 
 def read_index(folder: Path, *, stage: str) -> dict[str, str]:

@@ -22,10 +22,7 @@ def write(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def read(path: Path, kind: str) -> dict[str, Any]:
-    """Read a file of :func:`write` whose ``content["kind"]`` is `kind` onto the CPU.
-
-    Raises InputError if the file is missing, damaged or of another kind; callers add the fix.
-    """
+    """Read a file of :func:`write` whose ``content["kind"]`` is `kind`. Raises InputError; callers add the fix."""
     content = load(path)
     if not isinstance(content, dict) or content.get("kind") != kind:
         raise InputError(f"expected a checkpoint of this project's {kind}", path)

@@ -1,5 +1,6 @@
 """Training frames of the unified encoder, and their augmentation."""
 
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -39,26 +40,26 @@ class Examples(ExitStack):
         super().__init__()
         files = [self.enter_context(DriveReader(ingest / f"{name}.h5", stage="ingest")) for name in drives]
         # The fit does not use the height.
-        self._drives = [(file, read_camera(file), _has_targets(file, targets)) for file in files]
+        drives_with = [(file, read_camera(file), _has_targets(file, targets)) for file in files]
         for column, kind in enumerate(("depth or LiDAR", "classes")):
-            if not any(has_targets[:, column].any() for _, _, has_targets in self._drives):
+            if not any(has[:, column].any() for _, _, has in drives_with):
                 self.close()
                 fix = "Write them: steer perceive" if targets else "Name a fitted encoder.pt, and set encoder.epochs: 0"
                 raise InputError(f"no image of the training drives has {kind}", targets or ingest, fix)
-        rows = [(i, int(row)) for i, drive in enumerate(self._drives) for row in np.flatnonzero(drive[2].any(axis=1))]
+        rows = [
+            (file, camera, row) for file, camera, has in drives_with for row in np.flatnonzero(has.any(axis=1)).tolist()
+        ]
         count = min(frames, len(rows))
         self._frames = [rows[int((i + 0.5) * len(rows) // count)] for i in range(count)]  # middles of equal spans
-        chosen = [i for i, _ in self._frames]
-        self.frames_per_drive = {name: chosen.count(i) for i, name in enumerate(drives) if i in chosen}
-        self.size = self._drives[0][1].size
-        self.datasets = sorted({files[i].params.get("dataset", "unknown") for i in chosen})
+        self.frames_per_drive = Counter(file.drive for file, _, _ in self._frames)
+        self.datasets = sorted({file.params.get("dataset", "unknown") for file, _, _ in self._frames})
+        self.size = self._frames[0][1].size
 
     def __len__(self) -> int:
         return len(self._frames)
 
     def __getitem__(self, i: int) -> Example:
-        drive, row = self._frames[i]
-        file, camera, _ = self._drives[drive]
+        file, camera, row = self._frames[i]
         if self._folder:
             targets = precomputed.read(self._folder, file.drive, int(file.frame[row]), camera.size)
         else:

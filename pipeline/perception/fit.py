@@ -14,32 +14,31 @@ from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.learning.loop import prefetch, warm_up_cosine
 from pipeline.perception.examples import Examples, augment
+from pipeline.settings.encoder import Encoder
 
 WARM_UP = 0.15  # share of the steps with a rising learning rate
 WEIGHT_DECAY = 1e-4
 MAX_RELATIVE_ERROR = 6.0
 
 
-def fit(
-    model: nn.Module, examples: Examples, *, epochs: int, batch: int, learning_rate: float, seed: int
-) -> list[dict[str, float]]:
+def fit(model: nn.Module, examples: Examples, settings: Encoder) -> list[dict[str, float]]:
     """Fit an encoder in place. Returns a row of mean losses per epoch. Raises InputError if the loss is not finite."""
-    device = next(model.parameters()).device
+    device, epochs = next(model.parameters()).device, settings.epochs
     model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     optimiser = torch.optim.AdamW(model.parameters(), weight_decay=WEIGHT_DECAY, fused=True)
     curve = []
-    steps = math.ceil(len(examples) / batch)
+    steps = math.ceil(len(examples) / settings.batch)
     model.train()
     for epoch in range(epochs):
         start = time.perf_counter()
-        torch.manual_seed(seed + epoch)
+        torch.manual_seed(settings.seed + epoch)
         sums = torch.zeros(2, dtype=torch.float64, device=device)  # read once per epoch: no step waits for a GPU
-        batches = _batches(examples, batch, np.random.default_rng([seed, epoch]), device.type)
+        batches = _batches(examples, settings.batch, np.random.default_rng([settings.seed, epoch]), device.type)
         bar = tqdm(batches, f"epoch {epoch + 1}/{epochs}", steps, unit="batch", leave=False, disable=None)
         for step, tensors in enumerate(bar):
             image, K, depth, cls = (tensor.to(device, non_blocking=True) for tensor in tensors)
-            for group in optimiser.param_groups:
-                group["lr"] = learning_rate * warm_up_cosine((epoch * steps + step) / (epochs * steps), WARM_UP)
+            factor = warm_up_cosine((epoch * steps + step) / (epochs * steps), WARM_UP)
+            optimiser.param_groups[0]["lr"] = settings.learning_rate * factor
             depth_m, logits = model(image.permute(0, 3, 1, 2), K)
             losses = depth_and_class_loss(depth_m, logits, depth, cls.long())
             optimiser.zero_grad(set_to_none=True)
@@ -49,7 +48,7 @@ def fit(
         depth_loss, class_loss = (sums / steps).tolist()
         row = {"epoch": epoch + 1, "loss": depth_loss + class_loss, "depth": depth_loss, "classes": class_loss}
         if not math.isfinite(row["loss"]):
-            fix = f"Lower encoder.learning_rate (now {learning_rate})"
+            fix = f"Lower encoder.learning_rate (now {settings.learning_rate})"
             raise InputError(f"the loss is not finite in epoch {epoch + 1}", "encoder", fix)
         line = "encoder: {epoch} of {epochs} epochs: loss {loss:.4f} (depth {depth:.4f}, classes {classes:.4f})"
         print(f"{line.format(epochs=epochs, **row)}, {time.perf_counter() - start:.1f} s", flush=True)

@@ -13,7 +13,7 @@ def ground_plane_depth(cls: np.ndarray, camera: Camera) -> np.ndarray:
     """Return the depth float64 [H,W] in metres of flat ground and of objects on it, seen by a level camera.
 
     Ground has Z = f·h/(v - c_y). Other pixels, the sky included, have the depth of the next ground pixel below them, or
-    of the bottom row. It is the baseline for encoders, and an upper limit for the depth of traffic.
+    of the bottom row.
     """
     height = cls.shape[0]
     slope = rays(camera.K, (height, 1))[..., 1]  # y/z per row, [H,1]

@@ -4,7 +4,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Se
 from contextlib import closing
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -23,9 +23,7 @@ from pipeline.learning import checkpoint
 from pipeline.learning.loop import prefetch
 from pipeline.perception import precomputed
 from pipeline.perception.ground_plane import limit_traffic_depth
-
-if TYPE_CHECKING:
-    from pipeline.settings.perception import Perception
+from pipeline.settings.perception import Perception
 
 FILE = "encoder.pt"
 KIND = "unified encoder"
@@ -45,16 +43,24 @@ Perceived = tuple[np.ndarray, np.ndarray]  # depth float32 [B,H,W] in metres, tr
 Predict = Callable[[EncoderInput], Perceived]
 
 
-def open_encoder(folder: Path, precision: str) -> Predict:
-    """Return the function of an encoder's folder; `precision` as in section perception. Raises InputError as `load`."""
-    return _open(folder, file_hash(folder / FILE), precision)[0]
+class OpenEncoder(NamedTuple):
+    """The encoder of a folder."""
+
+    predict: Predict
+    datasets: list[str] | None  # of its fit; None: unknown
+    # Factor beyond which depth must be in other units, infinite for random weights. A network of images of one camera
+    # takes a lorry's camera, twice as high, for that one.
+    unit_error: float
+
+
+def open_encoder(folder: Path, precision: str) -> OpenEncoder:
+    """Open an encoder's folder; `precision` as in section perception. Raises InputError as :func:`load`."""
+    return _open(folder, file_hash(folder / FILE), precision)
 
 
 def warnings(folder: Path, precision: str, ingest: Iterable[Path]) -> Iterator[str]:
     """Yield a warning if an encoder was fitted to the sample alone, and a drive's ingest file is of another."""
-    if _open(folder, file_hash(folder / FILE), precision)[1] != ["sample"]:
-        return
-    for path in ingest:
+    for path in ingest if open_encoder(folder, precision).datasets == ["sample"] else ():
         with DriveReader(path, stage="ingest") as file:
             if file.params.get("dataset", "sample") != "sample":
                 fix = "Use the encoder of make street, weights/street, and ingest.image_size: [192, 640]"
@@ -62,25 +68,16 @@ def warnings(folder: Path, precision: str, ingest: Iterable[Path]) -> Iterator[s
                 return
 
 
-def unit_error(folder: Path, precision: str) -> float:
-    """Return the factor beyond which depth must be in other units: infinite for random weights.
-
-    A network of images of one camera takes a lorry's camera, twice as high, for that one.
-    """
-    return _open(folder, file_hash(folder / FILE), precision)[2]
-
-
 @lru_cache(maxsize=1)  # one for all drives of a process; a worker of a cluster outlives the file
-def _open(folder: Path, _: str, precision: str) -> tuple[Predict, list[str] | None, float]:
-    """Return the function, the datasets of a fit, None if the encoder does not say, and :func:`unit_error`."""
+def _open(folder: Path, _: str, precision: str) -> OpenEncoder:
     with error_context(fix="Make it again: dvc repro --force --single-item encoder"):
         architecture, network = load(folder / FILE)
-    predict: Predict = lambda batch: perceive(network, batch.images, batch.camera, precision)  # noqa: E731
+    datasets = architecture.get("datasets")
     if architecture["backbone"] == "precomputed":
-        predict = partial(_read_precomputed, Path(architecture["folder"]))
-    datasets, factor = architecture.get("datasets"), 2.0 if architecture["backbone"] == "precomputed" else 3.5
+        return OpenEncoder(partial(_read_precomputed, Path(architecture["folder"])), datasets, 2.0)
     random = not datasets and architecture["backbone"] in ("small", "hugging_face")
-    return predict, datasets, np.inf if random else factor
+    predict: Predict = lambda batch: perceive(network, batch.images, batch.camera, precision)  # noqa: E731
+    return OpenEncoder(predict, datasets, np.inf if random else 3.5)
 
 
 def _read_precomputed(folder: Path, batch: EncoderInput) -> Perceived:
@@ -96,10 +93,7 @@ def save(folder: Path, architecture: Architecture, state: Mapping[str, Tensor]) 
 
 
 def load(path: Path) -> tuple[Architecture, nn.Module]:
-    """Return description and network of a file of :func:`save`, in evaluation mode, on a GPU if there is one.
-
-    Raises InputError if the file is missing, damaged or does not fit this code, or if a package is missing.
-    """
+    """Return description and network of a file of :func:`save`, for evaluation, on a GPU if any. Raises InputError."""
     content = checkpoint.read(path, KIND)
     model = build(content["architecture"])
     checkpoint.load_state(model, content["net"], path)
@@ -159,7 +153,7 @@ def perceive_drive(
     path: Path,
     ingest: Path,
     encoder: Path,
-    settings: "Perception",
+    settings: Perception,
     *,
     advance: Callable[[int], object] = lambda frames: None,
 ) -> Summary:
@@ -167,14 +161,14 @@ def perceive_drive(
 
     `advance` is called with the number of frames that are done since the last call.
     """
-    predict = open_encoder(encoder, settings.precision)
+    opened = open_encoder(encoder, settings.precision)
     sections = {"encoder": {"sha256": file_hash(encoder / FILE)}, "perception": settings.model_dump()}
     with (
         DriveReader(ingest, stage="ingest") as source,
         DriveWriter(path, stage="perception", drive=source.drive, params=source.params | sections) as file,
     ):
         camera, with_image = read_camera(source), np.flatnonzero(source["has_image"])
-        file.attrs["unit_error"] = unit_error(encoder, settings.precision) if camera.height_known else np.inf
+        file.attrs["unit_error"] = opened.unit_error if camera.height_known else np.inf
         file.put("frame", source.frame[with_image])
         file.put("time_s", source.time_s[with_image], "s")
         file.append("depth_m", np.zeros((0, *camera.size), np.uint16), f"1/{DEPTH_UNITS_PER_M} m, 0 = none")
@@ -182,7 +176,7 @@ def perceive_drive(
         size = max(settings.batch, GPU_BATCH) if torch.cuda.is_available() else settings.batch
         batches = read_batches(source, camera, with_image, size)
         # One thread reads, others run the network, this one caps the depth of traffic and writes.
-        with closing(passes(predict, batches)) as results:
+        with closing(passes(opened.predict, batches)) as results:
             for depth, cls in results:
                 if settings.reach:
                     for depth_m, trainids in zip(depth, cls, strict=True):

@@ -41,8 +41,7 @@ def write(folder: Path, drive: str, frame: int, depth_m: np.ndarray, cls: np.nda
 def read(folder: Path, drive: str, frame: int, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """Return a frame's depth float32 [H,W] in metres, 0 where unknown, and trainIds uint8 [H,W], 255 for void.
 
-    Files of another size are resized to `size` (H, W) by nearest neighbour. Raises InputError if a file is missing,
-    damaged, of another pixel type, or has numbers that are not classes.
+    Files of another size are resized to `size` (H, W) by nearest neighbour. Raises InputError.
     """
     paths = [folder / drive / kind / f"{frame:010d}.png" for kind in ("depth", "cls")]
     if missing := [path for path in paths if not path.is_file()]:

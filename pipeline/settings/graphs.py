@@ -4,7 +4,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from pipeline.base.params import Count, Fraction, Positive, Section, Seed
+from pipeline.base.params import Count, Positive, Section, Seed
 
 _POINT_KEYS = {"source", "neighbourhood", "points", "sampling", "crop_m", "accumulate", "seed"}
 _KEYS: dict[str, tuple[str, set[str], set[str]]] = {  # kind → name in messages, required keys, allowed keys
@@ -22,7 +22,7 @@ class Variant(Section):
     points: Count | None = None
     sampling: Literal["uniform", "range"] = "uniform"  # range: equal numbers of points from intervals of range
     k: Annotated[int, Field(ge=0, le=32)] | None = None  # nearest neighbours; 0: points without edges
-    keep_inter_class: Fraction = 1.0
+    keep_inter_class: Annotated[float, Field(ge=0, le=1)] = 1.0
     # [left, near, right, far]: limits of the camera's x and z
     crop_m: Annotated[tuple[float, float, float, float] | None, Field(strict=False)] = None
     accumulate: Annotated[int, Field(ge=2, le=64)] | None = None  # frames in a cloud at most, the current one included

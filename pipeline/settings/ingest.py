@@ -79,15 +79,6 @@ class Ingest(Reading):
     drives: Drives
     recordings: dict[Name, Part] = {}  # drives of another dataset than source
 
-    @model_validator(mode="before")
-    @classmethod
-    def _refuse_earlier(cls, value: Any) -> Any:
-        if isinstance(value, dict) and "manifests" in value:
-            raise ValueError("manifests is of an earlier version: remove it. The drives are read as KITTI's")
-        if isinstance(value, dict) and value.get("source") == "both":
-            raise ValueError("source: both is of an earlier version: name one of each split, {train: sample, …}")
-        return value
-
     @model_validator(mode="after")
     def _check_datasets(self) -> Self:
         for drive, dataset in self.datasets().items():

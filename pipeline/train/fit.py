@@ -6,7 +6,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -25,6 +24,7 @@ from pipeline.train.frames import Files
 from pipeline.train.loss import Scale, mean_nmse, step_targets, weighted_loss
 from pipeline.train.targets import Drives, LabelledDrive
 
+STATE, PARTS = "state of training", ("net", "average", "optimiser")  # kind and modules of a resumable training
 SMALL = 8_000  # points per frame
 WARM_UP = 0.05  # share of the steps
 SMOOTHING = 3  # epochs
@@ -49,8 +49,7 @@ def fit_run(
     """Train a network of model `name`, from the state of an earlier run if there is one; write best.pt and curve.csv.
 
     `where`: of the model's entry, for messages; `drives`: of all folds; `files`: their open graph files, None: this
-    process has none; `kept`: the folder of states, see StageFolder. Returns the state's file.
-    Raises InputError if the network does not fit the graphs, or if the loss is not finite.
+    process has none; `kept`: the folder of states, see StageFolder. Returns the state's file. Raises InputError.
     """
     entry = entry.seeded(run.seed)
     scenes = runs.scenes(run.fold, run.seed, entry.scene)
@@ -138,7 +137,10 @@ class Fit:
         epochs = self.settings.epochs
         if state.is_file():
             with error_context(fix=f"Delete {state} to start again"):
-                self._resume(checkpoint.read(state, "state of training"))
+                content = checkpoint.read(state, STATE)
+            for name in PARTS:
+                getattr(self, name).load_state_dict(content[name])
+            self.best, self.curve = content["best"], content["curve"]
             after = f"continues after epoch {len(self.curve)} of {epochs}"
             print(f"{title}: {after if self._unfinished() else 'kept from an earlier run'}", flush=True)
         train, val = (windows.Reader(drives, self.entry.window, self.files) for drives in (self.train, self.val))
@@ -157,17 +159,15 @@ class Fit:
             self.curve.append({"epoch": epoch, "learning_rate": rate, "train_loss": loss, "val_nmse": error})
             if selected := selected_epoch(self.curve) == epoch:
                 self.best = copy_weights(self.average)
-            checkpoint.write(state, self._state())
+            parts = {name: getattr(self, name).state_dict() for name in PARTS}
+            checkpoint.write(state, {"kind": STATE, **parts, "best": self.best, "curve": self.curve})
             eta = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
             text = f", validation nmse {error:.3f}{' (selected)' if selected else ''}" if self.val else ""
-            # One write, as runs in parallel share the output; print writes the line's end separately.
-            line = f"{title}: {epoch} of {epochs} epochs, loss {loss:.4f}{text}, ETA {eta:.0f} s\n"
-            print(line, end="", flush=True)
-        if (done := len(self.curve)) < epochs and done > before:
+            print(f"{title}: {epoch} of {epochs} epochs, loss {loss:.4f}{text}, ETA {eta:.0f} s", flush=True)
+        if before < (done := len(self.curve)) < epochs:
             chosen = selected_epoch(self.curve)
-            print(
-                f"{title}: stopped {done - chosen} epochs after the least validation error, epoch {chosen}", flush=True
-            )
+            after = f"{done - chosen} epochs after the least validation error, epoch {chosen}"
+            print(f"{title}: stopped {after}", flush=True)
 
     def _unfinished(self) -> bool:
         done = len(self.curve)
@@ -242,15 +242,6 @@ class Fit:
             if training:
                 (error / weight_sum).backward()  # type: ignore[no-untyped-call]
         return torch.cuda.max_memory_reserved() - before
-
-    def _resume(self, state: Mapping[str, Any]) -> None:
-        for name in ("net", "average", "optimiser"):
-            getattr(self, name).load_state_dict(state[name])
-        self.best, self.curve = state["best"], state["curve"]
-
-    def _state(self) -> dict[str, Any]:
-        parts = {name: getattr(self, name).state_dict() for name in ("net", "average", "optimiser")}
-        return {"kind": "state of training", **parts, "best": self.best, "curve": self.curve}
 
 
 def copy_weights(net: nn.Module) -> dict[str, Tensor]:

@@ -67,19 +67,12 @@ def free_ram() -> int:
     return min(free) // max(1, len([*GPUS.glob("*")]))
 
 
-def collate(spans: Sequence[tuple[Graphs, int, int]]) -> dict[str, Tensor]:
+def join(spans: Sequence[tuple[Graphs, int, int]], *, pin: bool = False) -> dict[str, Tensor]:
     """Read the frames [start, stop) of each file as one batch of B frames. The files have the same columns and place.
 
     A batch has the columns, one frame after the other, and for each pointer the first row of each frame and the end,
-    int64 [B+1] on the CPU. Row numbers count from 0 in the batch, int32.
-    """
-    return number_rows(join(spans), spans[0][0])
-
-
-def join(spans: Sequence[tuple[Graphs, int, int]], *, pin: bool = False) -> dict[str, Tensor]:
-    """Read frames as :func:`collate`, but with row numbers as in the files.
-
-    `pin`: columns on the CPU in pinned memory, from which copies to a GPU do not wait; torch reuses it after them.
+    int64 [B+1] on the CPU. Row numbers are those of the files, see :func:`number_rows`. `pin`: columns on the CPU in
+    pinned memory, from which copies to a GPU do not wait; torch reuses it after them.
     """
     first, batch = spans[0][0], dict[str, Tensor]()
     for pointer in first.starts:
@@ -99,7 +92,7 @@ def join(spans: Sequence[tuple[Graphs, int, int]], *, pin: bool = False) -> dict
 
 
 def number_rows(batch: dict[str, Tensor], names: Graphs) -> dict[str, Tensor]:
-    """Make a joined batch's row numbers count from its own first row; `names`: its columns, as the file names them."""
+    """Make a joined batch's row numbers, int32, count from its first row; `names`: a file that names its columns."""
     for name, counted in names.refers_to.items():
         rows = batch[name]
         if rows.is_cuda:

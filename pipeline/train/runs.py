@@ -45,11 +45,7 @@ class Run(NamedTuple):
 
 
 def folds(splits: Mapping[str, str], entry: Entry) -> list[Fold]:
-    """Return the folds of a model, from drive → split.
-
-    Raises InputError if there are no training drives, or fewer than `train_drives`, if folds have no second test drive,
-    or if :func:`scenes` finds no other drive.
-    """
+    """Return the folds of a model, from drive → split. Raises InputError if a split has too few drives for them."""
     fit_to, limit = entry.fit_to, entry.train_drives
     train, val, test = (tuple(store.drives_in(splits, split)) for split in ("train", "val", "test"))
     if not train and fit_to != "others":

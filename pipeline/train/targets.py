@@ -110,10 +110,7 @@ def check(drives: Sequence[LabelledDrive], window: int) -> None:
 
 
 def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledDrive:
-    """Read a drive's labels from a folder of graphs and one of labels, for a model; graphs stay on disk.
-
-    Raises InputError if a label is missing, the file has no such motion, or the car drives and no frame is measured.
-    """
+    """Read a drive from a folder of graphs and one of labels, for a model; graphs stay on disk. Raises InputError."""
     graphs, labels = graphs / f"{name}.h5", labels / f"{name}.h5"
     with open_graphs(graphs) as file, DriveReader(labels, stage="labels") as truth:
         row_of = {number: row for row, number in enumerate(truth.frame.tolist())}

@@ -12,7 +12,6 @@ import yaml
 from typer.testing import CliRunner
 
 from models.encoder.street import SOURCES
-from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
 from pipeline.base.store import DriveReader
@@ -23,6 +22,7 @@ from pipeline.settings import preset
 from stages.encoder import main
 from steer.app import app
 from tests import street
+from tests.artefacts import write_index
 from tests.models.encoder.test_encoders import write_networks
 
 TRAIN, VAL, TEST = "2026_01_01_drive_0001", "2026_01_02_drive_0001", "2026_01_03_drive_0001"
@@ -37,7 +37,7 @@ def write_ingest(folder: Path, **kinds: bool) -> None:
     street.write_drive(folder, TRAIN, 6, **kinds)
     for name in (VAL, TEST):
         (folder / f"{name}.h5").write_bytes(b"not HDF5")
-    store.write_index(folder, {TRAIN: "train", VAL: "val", TEST: "test"})
+    write_index(folder, {TRAIN: "train", VAL: "val", TEST: "test"})
 
 
 @pytest.fixture
@@ -50,7 +50,7 @@ def run(ingest: Path, name: str = "encoder", size: tuple[int, int] = street.SIZE
     params = ingest.parent / "params.yaml"
     reading = yaml.safe_load((ROOT / "params.yaml").read_text())["ingest"] | {"image_size": [*size]}
     params.write_text(yaml.safe_dump({"ingest": reading, "encoder": {**SETTINGS, **settings}}))
-    out = main(ingest, ingest.parent / name, params)
+    out = main(ingest.parent, ingest.parent / name, params)
     assert out == ingest.parent / name
     return out
 
@@ -97,7 +97,8 @@ def test_an_encoder_learns_from_the_images_of_another_in_drives_of_any_split(ing
         np.testing.assert_array_equal(found[1], cls[frame])
     encoder = run(ingest, "as-it-is", backbone="precomputed", weights=str(targets), epochs=0)
     assert config(encoder)["sources"] == [f"28 PNG files in {targets}"]
-    depth_again = perceive.open_encoder(encoder, "float32")(perceive.EncoderInput(TEST, [0], cls, street.CAMERA))[0]
+    batch = perceive.EncoderInput(TEST, [0], cls, street.CAMERA)
+    depth_again, _ = perceive.open_encoder(encoder, "float32").predict(batch)
     np.testing.assert_array_equal(depth_again[0], precomputed.read(targets, TEST, 0, street.SIZE)[0])
     shutil.rmtree(targets / VAL)
     content = config(run(ingest, "taught", targets=str(targets), backbone="hugging_face", model=str(SWIN), frames=3))
@@ -145,5 +146,5 @@ def test_the_samples_encoder_is_the_default_and_was_fitted_by_its_preset_on_othe
     assert {drive[:10] for drive in made["frames_per_drive"]} <= {drive[:10] for drive in sample.train}
     content["encoder"]["weights"] = str(shipped)
     (tmp_path / "params.yaml").write_text(yaml.safe_dump(content))
-    out = main(tmp_path / "no-drives", tmp_path / "encoder", tmp_path / "params.yaml")
+    out = main(tmp_path, tmp_path / "encoder", tmp_path / "params.yaml")
     assert (out / "encoder.pt").read_bytes() == shipped.read_bytes()

@@ -10,7 +10,6 @@ import pandas as pd
 import pytest
 import torch
 
-from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.graphs import graph_file
 from pipeline.train import fit, predict
@@ -95,7 +94,7 @@ def test_a_test_drive_gets_the_network_that_was_not_fitted_to_it(folder, monkeyp
 def test_a_control_gets_the_scene_of_another_drive_in_training_and_evaluation(folder, monkeypatch):
     drives = [*SPLITS][:4]
     trained, tested = drives[:2], drives[2:]
-    store.write_index(folder / "graphs/semantic", dict.fromkeys(trained, "train") | dict.fromkeys(tested, "test"))
+    artefacts.write_index(folder / "graphs/semantic", dict.fromkeys(trained, "train") | dict.fromkeys(tested, "test"))
     write_params(folder, {"scene": "another"}, epochs=1)
     paths = [folder / f"graphs/semantic/{drive}.h5" for drive in drives]
     with monkeypatch.context() as patch:

@@ -25,7 +25,7 @@ def run(tmp_path: Path, **settings: Any) -> DriveReader:
     params = write_params(tmp_path / "params.yaml", train=[DRIVE, "2011_09_26_drive_0003"], test=[OTHER], **settings)
     if not (tmp_path / "raw" / DATE / f"{OTHER}_sync").exists():
         write_drive(tmp_path / "raw", OTHER, seed=1)
-    folder = ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params)
+    folder = ingest.main(tmp_path / "data", tmp_path / "raw", params)
     return DriveReader(folder / f"{DRIVE}.h5", stage="ingest")
 
 
@@ -140,22 +140,21 @@ def test_each_split_has_its_dataset(tmp_path):
     sample, recorded = "2026_01_01_drive_0001", "2026_11_26_drive_0001"
     for drive in (DRIVE, recorded):
         write_drive(tmp_path / "raw", drive)
-    calibration = write_drive(tmp_path / "sample", sample, frames=range(2), truth=True).parent / CALIBRATION
+    calibration = write_drive(tmp_path / "data/sample", sample, frames=range(2), truth=True).parent / CALIBRATION
     write(calibration, f"{RENDERED}\n{calibration.read_text()}")
     params = write_params(
         tmp_path / "params.yaml", train=[DRIVE, recorded], test=[sample], source={"train": "kitti", "test": "sample"}
     )
-    folders = {"sample": tmp_path / "sample", "raw": tmp_path / "raw", "out": tmp_path / "out"}
-    ingest.main(**folders, params=params)
-    assert read_index(tmp_path / "out", stage="ingest") == {DRIVE: "train", recorded: "train", sample: "test"}
+    ingest.main(tmp_path / "data", tmp_path / "raw", params)
+    assert read_index(tmp_path / "data/ingest", stage="ingest") == {DRIVE: "train", recorded: "train", sample: "test"}
     for drive, dataset, frames in ((DRIVE, "kitti", 4), (recorded, "kitti", 4), (sample, "sample", 2)):
-        with DriveReader(tmp_path / f"out/{drive}.h5", stage="ingest") as file:
+        with DriveReader(tmp_path / f"data/ingest/{drive}.h5", stage="ingest") as file:
             assert (len(file.frame), file.params["dataset"]) == (frames, dataset)
             assert ("cls" in file) == (dataset == "sample")
     twice = write_drive(tmp_path / "raw", sample)
     write_params(params, train=[sample], test=["2026_01_02_drive_0001"], source="sample")
     with pytest.raises(InputError, match=rf"{twice}: stage sample renders .* data/sample/.*{sample}_sync"):
-        ingest.main(**folders, params=params)
+        ingest.main(tmp_path / "data", tmp_path / "raw", params)
 
 
 @pytest.mark.real
@@ -163,7 +162,7 @@ def test_real_drives(real_kitti, tmp_path):
     """Drive 0001 is partly extracted: 108 packets, one image and one scan. 0042 is grey and has no LiDAR."""
     partly, grey = "2011_09_26_drive_0001", "2011_10_03_drive_0042"
     params = write_params(tmp_path / "params.yaml", train=[partly], test=[grey], image_size=[96, 320])
-    ingest.main(raw=real_kitti, out=tmp_path / "data/ingest", params=params)
+    ingest.main(tmp_path / "data", real_kitti, params)
     with DriveReader(tmp_path / f"data/ingest/{partly}.h5", stage="ingest") as file:
         np.testing.assert_array_equal(file.frame, np.arange(108))
         assert np.flatnonzero(file["has_image"]).tolist() == np.flatnonzero(file["has_lidar"]).tolist() == [5]

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.base.store import DriveReader, DriveWriter, read_index, write_index
+from pipeline.base.store import DriveReader, DriveWriter, read_index
 from pipeline.datasets.core.oxts import interpolated, make_rows
 from stages import labels
-from tests.artefacts import write_motion, write_recorded
+from tests.artefacts import write_index, write_motion, write_recorded
 from tests.kitti_drive import write_params
 
 DRIVES = {"2011_09_26_drive_0001": "train", "2011_09_26_drive_0002": "test"}
@@ -29,7 +29,7 @@ def write_ingest(folder: Path, speed: list[float], yaw_rate: list[float]) -> Non
 
 def run(tmp_path: Path, **settings: Any) -> list[DriveReader]:
     params = write_params(tmp_path / "params.yaml", train=[FIRST], test=[SECOND], labels=settings)
-    assert labels.main(tmp_path / "ingest", tmp_path / "motion", tmp_path / "labels", params) == tmp_path / "labels"
+    assert labels.main(tmp_path, params) == tmp_path / "labels"
     return [DriveReader(tmp_path / f"labels/{drive}.h5", stage="labels") for drive in DRIVES]
 
 

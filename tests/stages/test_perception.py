@@ -17,7 +17,7 @@ from pipeline.motion.drive import measure_drive
 from pipeline.perception.perceive import save
 from stages import clouds, perception, scores
 from tests import street
-from tests.artefacts import write_motion, write_recorded
+from tests.artefacts import write_index, write_motion, write_recorded
 from tests.kitti_drive import write_png
 
 SPLITS = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train", "2026_01_03_drive_0001": "test"}
@@ -43,8 +43,8 @@ def test_drives_without_images_or_lidar_have_clouds_of_what_they_have(tmp_path, 
     for drive in (BLIND, CAMERA):
         files = [tmp_path / f"{stage}/{drive}.h5" for stage in ("motion", "ingest", "perception")]
         assert measure_drive(*files)["valid"] == 0
-    store.write_index(tmp_path / "ingest", SPLITS)
-    clouds.main(tmp_path / "ingest", tmp_path / "perception", tmp_path / "clouds", tmp_path / "params.yaml")
+    write_index(tmp_path / "ingest", SPLITS)
+    clouds.main(tmp_path, tmp_path / "params.yaml")
     assert bool(store.read_index(tmp_path / "clouds/lidar", stage="clouds")) == lidar
     if not lidar:
         return
@@ -58,7 +58,7 @@ def test_drives_without_images_or_lidar_have_clouds_of_what_they_have(tmp_path, 
 def run(root: Path) -> dict[str, np.ndarray]:
     params = root / "params.yaml"
     params.write_text(yaml.safe_dump({"perception": {"batch": 3}}))
-    return read(perception.main(root / "ingest", root / "encoder", root / "perception", params), FULL, "perception")
+    return read(perception.main(root, params), FULL, "perception")
 
 
 def test_precomputed_files_are_matched_by_frame_number(tmp_path, capsys):
@@ -69,7 +69,7 @@ def test_precomputed_files_are_matched_by_frame_number(tmp_path, capsys):
     street.write_drive(tmp_path / "ingest", FULL, 5)
     with h5py.File(tmp_path / f"ingest/{FULL}.h5", "r+") as file:
         file["has_image"][:] = [1, 1, 0, 1, 1]
-    store.write_index(tmp_path / "ingest", {FULL: "test"})
+    write_index(tmp_path / "ingest", {FULL: "test"})
     save(tmp_path / "encoder", {"backbone": "precomputed", "folder": str(tmp_path / "made")}, {})
     content = run(tmp_path)
     assert "warning" not in capsys.readouterr().out

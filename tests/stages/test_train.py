@@ -10,7 +10,6 @@ import pandas as pd
 import pytest
 import torch
 
-from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.learning import checkpoint
 from pipeline.train.fit import Fit
@@ -81,7 +80,7 @@ def test_resumed_training_writes_the_same_bytes(folder, monkeypatch, capsys, ent
 def test_training_starts_anew_where_a_drive_moves_between_training_and_validation(folder, capsys, moved):
     write_params(folder, epochs=1)
     run_train(folder)
-    store.write_index(folder / "graphs/semantic", SPLITS | moved)
+    artefacts.write_index(folder / "graphs/semantic", SPLITS | moved)
     run_train(folder)
     assert "continues" not in capsys.readouterr().out
 

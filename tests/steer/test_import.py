@@ -70,7 +70,7 @@ def ingested(folder: Path, name: str = "monday", **changes: Any) -> Path:
         assert before in text
         text = text.replace(before, after)
     params.write_text(text)
-    return ingest.main(raw=folder / "data/raw", out=folder / "data/ingest", params=params)
+    return ingest.main(folder / "data", folder / "data/raw", params)
 
 
 def test_labels_follow_the_log(tmp_path, take, video, monkeypatch):
@@ -84,7 +84,7 @@ def test_labels_follow_the_log(tmp_path, take, video, monkeypatch):
     for name, recording in {"film": video, "lossless": write_folder(tmp_path / "images", images)}.items():
         take(recording, name=name, motion=log, times=times)
         folder = ingested(tmp_path, name)
-        labelled = labels.main(folder, tmp_path / "none", tmp_path / f"data/{name}", tmp_path / "params.yaml")
+        labelled = labels.main(tmp_path / "data", tmp_path / "params.yaml")
         frames = []
         for ending in ENDINGS:
             with DriveReader(labelled / f"{name}-{ending}.h5", stage="labels") as file:
@@ -181,7 +181,7 @@ def test_an_edited_log_makes_its_drives_anew_and_a_missing_file_only_what_is_not
     before = contents(tmp_path / "presets")
     write(tmp_path / "wheel-0.txt", every_second(-2.0))
     with pytest.raises(InputError, match=r"monday/wheel.csv: is not the file whose hash ingest\.recordings has"):
-        ingest.main(raw=tmp_path / "data/raw", out=tmp_path / "data/ingest", params=tmp_path / "params.yaml")
+        ingest.main(tmp_path / "data", tmp_path / "data/raw", tmp_path / "params.yaml")
     (tmp_path / "params.yaml").write_bytes(preset.PARAMS.read_bytes())
     folder = ingested(tmp_path)
     assert "monday.yaml: new hash of data/raw/monday/wheel.csv" in capsys.readouterr().out

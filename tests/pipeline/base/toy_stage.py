@@ -56,9 +56,8 @@ def _trouble(path: Path) -> None:
 
 def main(folder: Path, k: int = 2, workers: int | None = None, drives: Sequence[str] = DRIVES) -> dict[str, Any]:
     jobs = [Job(drive, f"{drive}.h5", [folder / f"input/{drive}"], partial(work, drive, folder, k)) for drive in drives]
-    with stage_folder("labels", folder / "data/toy") as stage:
+    with stage_folder("labels", folder / "data/toy", dict.fromkeys(drives, "train")) as stage:
         summaries = make_drives(stage, jobs, {"k": k}, "{frames} frames", workers)
-        store.write_index(stage.new, dict.fromkeys(drives, "train"))
     return summaries
 
 

@@ -20,20 +20,20 @@ def test_frames_and_angles_of_a_drive(tmp_path):
         write(folder / f"{name}.csv", "time_s,wheel_rad\n" + rows)
         write_video(folder / f"{name}.mp4", pictures(4, SIZE), fps=20.0)
     params = write_params(tmp_path / "params.yaml", ["hills"], ["town"], source="udacity")
-    out = ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params)
+    out = ingest.main(tmp_path / "data", tmp_path / "raw", params)
     with DriveReader(out / "hills.h5", stage="ingest") as file:
         np.testing.assert_allclose(file["steering_rad"], [0.025, -0.05, 0, 0.1])
         np.testing.assert_allclose(file.time_s, np.arange(4) / 20)
         assert ("oxts" in file, file["has_image"].tolist(), file.params["dataset"]) == (False, [1] * 4, "udacity")
     write(folder / "town.csv", "time_s,wheel_rad\n0,0\n0.1,0\n0.2,\n0.05,0\n")
     with pytest.raises(InputError, match=r"town.csv: time_s does not increase"):
-        ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params)
+        ingest.main(tmp_path / "data", tmp_path / "raw", params)
     write(folder / "town.csv", "time_s,wheel_rad\n0,0\n0.1,0\n")
     with pytest.raises(InputError, match=r"town.csv: has 2 rows, the video 4 frames"):
-        ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params)
+        ingest.main(tmp_path / "data", tmp_path / "raw", params)
     (folder / "town.csv").unlink()
     with pytest.raises(InputError, match=r"town.csv: file is missing"):
-        ingest.main(raw=tmp_path / "raw", out=tmp_path / "data/ingest", params=params)
+        ingest.main(tmp_path / "data", tmp_path / "raw", params)
 
 
 def test_an_edited_dataset_makes_no_drive_of_another_anew(tmp_path, monkeypatch):

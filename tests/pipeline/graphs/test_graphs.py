@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
@@ -13,7 +12,6 @@ from pipeline.camera import classes, geometry
 from pipeline.camera.camera import Camera
 from pipeline.camera.geometry import transform
 from pipeline.graphs import cloud, frame_graph, graph, graph_file
-from pipeline.train.frames import collate
 from tests import artefacts
 from tests.artefacts import write_motion
 from tests.models.steering.frames import FRAME, REFERS_TO, concatenated
@@ -235,11 +233,11 @@ def test_a_batch_is_its_frames_with_shifted_numbers(tmp_path, kind):
     rows = [row for span in spans for row in range(*span)]
     with graph_file.open_graphs(path) as graphs, DriveReader(path, stage="graphs") as file:
         assert graphs.contents.kind == kind
-        batch = collate([(graphs, *span) for span in spans])
-        pieces = collate([(graphs, row, row + 1) for row in rows])
+        batch = artefacts.collate(*((graphs, *span) for span in spans))
+        pieces = artefacts.collate(*((graphs, row, row + 1) for row in rows))
         expected = concatenated([{name: file.rows_of(name, row) for name in file.pointers} for row in rows])
     assert batch.keys() == pieces.keys() == expected.keys()
     for name, array in expected.items():
         np.testing.assert_array_equal(batch[name], array)
         np.testing.assert_array_equal(pieces[name], array)
-        assert batch[name].dtype == torch.int32 if name in REFERS_TO else batch[name].numpy().dtype == array.dtype
+        assert batch[name].dtype == (np.int32 if name in REFERS_TO else array.dtype)

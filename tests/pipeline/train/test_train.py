@@ -46,9 +46,6 @@ def batch_of(drives: Sequence[Timeline], *group: windows.Span, window: int = 8) 
     return {name: tensor.numpy() for name, tensor in windows.Reader(drives, window)[group].items()}
 
 
-# Drives, spans and batches
-
-
 def test_spans_cover_each_window_of_consecutive_frames_once(folder):
     drives = read(folder)
     for frame, stretches in (([3, 4, 5, 9, 10, 12], [(0, 3), (3, 5), (5, 6)]), ([], [])):
@@ -67,8 +64,8 @@ def test_batch_of_two_spans_equals_single_frames(folder):
     assert batch["windows"].shape == batch["dt_s"].shape == (4 + 2, 8)
     assert batch["windows"][3:5].tolist() == [[*range(3, 11)], [*range(11, 19)]]
     with open_graphs(drives[1].graphs) as first, open_graphs(drives[0].graphs) as second:
-        joined = frames.collate([(first, 3, 14), (second, 0, 9)])
-    assert all(np.array_equal(batch[name], joined[name].numpy()) for name in joined)
+        joined = artefacts.collate((first, 3, 14), (second, 0, 9))
+    assert all(np.array_equal(batch[name], joined[name]) for name in joined)
     assert (batch["target"] == np.concatenate([drives[1].target[10:14], drives[0].target[7:9]]).astype("f4")).all()
 
 
@@ -139,16 +136,13 @@ def test_the_control_gets_the_scene_of_another_drive_and_nothing_else_changes(fo
         for window, end in zip(batch["windows"], [*range(19, 23), 7, 8], strict=True):
             stop = max(end * others // 23 + 1, 8)
             for frame, row in zip(batch["scenes"][window], range(stop - 8, stop), strict=True):
-                alone = {name: rows.numpy() for name, rows in frames.collate([(graphs, row, row + 1)]).items()}
+                alone = artefacts.collate((graphs, row, row + 1))
                 points = slice(*batch["ptr"][frame : frame + 2])
                 assert (batch["xyz"][points] == alone["xyz"] * (2 if end > 8 else 1)).all()
                 assert (batch["degree"][points] == alone["degree"]).all()
     if others < 23:
         with pytest.raises(InputError, match="scene: another needs a window of 11 frames"):
             batch_of([control], windows.Span(0, 0, 23), window=11)
-
-
-# Readers and augmentation
 
 
 @pytest.mark.parametrize("place", ["disk", "RAM", "GPU"])
@@ -256,9 +250,6 @@ def test_the_path_in_a_larger_world_has_the_mean_curvature_of_its_stretched_cour
         assert path[0, number] == pytest.approx(expected, abs=3e-4, nan_ok=True)
 
 
-# Items ahead of their use
-
-
 @pytest.mark.parametrize("threads", [1, 3])
 def test_items_come_in_order_a_bounded_number_ahead_and_errors_after_them(threads):
     begun = list[int]()
@@ -285,9 +276,6 @@ def test_items_come_in_order_a_bounded_number_ahead_and_errors_after_them(thread
         assert number + 1 < len(begun) <= number + 1 + 4
     items.close()
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("prefetch")]
-
-
-# Scale, calibration and loss
 
 
 @pytest.mark.parametrize(("path", "entry"), [(False, {"horizon": 5}), (True, {"predict": "path"})])
@@ -334,9 +322,6 @@ def test_loss_is_the_weighted_sum_of_squares_or_of_hubers_function(robust):
     error, weight = torch.tensor([[0.5, -1.0], [9.0, 7.0]]), torch.tensor([[2.0, 1.0], [1.0, 0.0]])
     expected = 0.25 + 0.5 + 8.5 if robust else 0.5 + 1 + 81
     assert loss.weighted_loss(error + 3, torch.full((2, 2), 3.0), weight, robust).item() == expected
-
-
-# Checkpoints and predictions
 
 
 WINDOW = 4
@@ -405,9 +390,6 @@ def test_weights_that_are_not_finite_are_refused():
     net = torch.nn.Linear(3, 2)
     with pytest.raises(InputError, match="bias has values that are not finite"):
         checkpoint.load_state(net, net.state_dict() | {"bias": torch.full((2,), torch.nan)}, Path("x.pt"))
-
-
-# Runs and the kept epoch
 
 
 SPLITS = {"a": "train", "x": "test", "b": "train", "v": "val", "y": "test", "z": "test"}

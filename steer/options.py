@@ -5,15 +5,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pipeline.base.resume import ROOT
+
 if TYPE_CHECKING:
     from pipeline.video.results import Outcome
-
-CHECKOUT = Path(__file__).resolve().parents[1]
 
 
 def here_or_in_checkout(path: Path) -> Path:
     """Return the path, or where it does not exist, the same path below the checkout, if that exists."""
-    return CHECKOUT / path if not path.exists() and (CHECKOUT / path).exists() else path
+    return ROOT / path if not path.exists() and (ROOT / path).exists() else path
 
 
 def number(lowest: float, highest: float, help: str, *name: str) -> Any:

@@ -20,7 +20,7 @@ from pipeline.settings.perception import Perception
 from pipeline.train.predict import Trained
 from pipeline.video.pictures import publish
 from pipeline.video.results import Outcome, Results
-from pipeline.video.source import INGEST, MOTION, PERCEPTION, Source, folders, run_chain
+from pipeline.video.source import INGEST, MOTION, PERCEPTION, Source, run_chain, work_folder
 
 CLOUDS, GRAPHS = "clouds.h5", "graphs.h5"
 
@@ -41,7 +41,8 @@ def predict(model: Trained, source: Source, out: Path | None, encoder: Path, *, 
     variant, perception = Variant.model_validate(settings["graphs"]), Perception.model_validate(settings["perception"])
     if reading(model).lidar and not (source.files and source.files.scans and source.camera.T_cam_velo is not None):
         raise InputError(f"model {model.name} needs LiDAR scans", source.name, "Choose a model without them")
-    with folders(out) as (work, new):
+    with work_folder(out) as folder:
+        work = Path(folder)
         run_chain(source, work, reading(model), perception, encoder)
         clouds = work / (INGEST if variant.kind == "image" else CLOUDS)
         if variant.kind != "image":
@@ -59,10 +60,9 @@ def predict(model: Trained, source: Source, out: Path | None, encoder: Path, *, 
         ahead = f", each {horizon} frames ahead" if horizon else ""
         predicted = f"{model.name}: {np.isfinite(prediction[:, 0]).sum()} predictions for {frames} frames{ahead}"
         results.doubts += _differences(model, source, encoder, results.table["time_s"])
-        lines = [*source.notes, *results.lines(results.compare("predicted", horizon)), predicted]
-        if out:
-            publish(new, "steering.csv", results, source, model.car.wheelbase_m, video=video)
-    return Outcome(results.columns(), lines, results.doubts, sorted(out.iterdir()) if out else [])
+        lines = [*source.drive.notes, *results.lines(results.compare("predicted", horizon)), predicted]
+    files = publish(out, "steering.csv", results, source, model.car.wheelbase_m, video=video)
+    return Outcome(results.columns(), lines, results.doubts, files)
 
 
 def _clouds(model: Trained, source: Source) -> Clouds:

@@ -18,6 +18,7 @@ from pipeline.base.store import DriveReader
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.datasets import recording
 from pipeline.datasets.core.ingest_file import write_drive
+from pipeline.media.log import Logs
 from pipeline.motion import horizon
 from pipeline.motion.drive import measure_drive
 from pipeline.perception.perceive import perceive_drive
@@ -134,9 +135,8 @@ def test_an_imported_recording_has_the_same_numbers(tmp_path, encoder, monkeypat
     monkeypatch.chdir(preset.ROOT)
     taller = [np.pad(image, [(70, 30), (0, 0), (0, 0)], mode="edge") for image in drive(14)]
     images, K, bent = write_folder(tmp_path / "images", taller), "180,180,159.5,98", "-0.02,0.01,0,0"
-    opened = source.open_source(
-        images, READING, CAMERA_HEIGHT_M, capture=source.Capture(K=K, distortion=bent, fps=10.0)
-    )
+    capture = source.Capture(K=K, distortion=bent, fps=10.0)
+    opened = source.open_source([images], READING, CAMERA_HEIGHT_M, Logs(), None, capture)
     assert opened.camera.horizon == pytest.approx(114, abs=3)
     settings = Perception(batch=4)
     source.run_chain(opened, tmp_path, READING, settings, encoder)

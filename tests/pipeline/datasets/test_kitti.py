@@ -165,13 +165,11 @@ PLAINLY_WRONG: list[tuple[Callable[[Path], object], str | bytes, str]] = [
 ]
 
 
-def test_rays_without_a_return_and_other_sensors(tmp_path):
+def test_rays_without_a_return_are_left_out(tmp_path):
     content = SCAN.copy()
     content[5, :3], content[7:9, 1] = 0, np.nan
     write(tmp_path / "a.bin", content.tobytes())
     np.testing.assert_array_equal(read_scan(tmp_path / "a.bin"), np.delete(SCAN, [5, 7, 8], axis=0))
-    write(tmp_path / "vlp16.bin", SCAN[:400].tobytes())
-    assert len(read_scan(tmp_path / "vlp16.bin", lowest_deg=-14)) == 400
 
 
 @pytest.mark.parametrize(("read", "content", "problem"), PLAINLY_WRONG)

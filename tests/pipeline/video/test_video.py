@@ -67,7 +67,7 @@ def test_files_that_follow_each_other_are_one_recording(tmp_path):
         assert np.abs(found - images).mean() < 4
     times = "2026-11-26 12:00:00", "2026-11-26 12:00:10", "2026-11-26 12:00:12", None
     videos = [
-        recording._Video(Path(f"{n}.mp4"), 40, 40, True, 0.0, 3.9, 0.1, pd.Timestamp(t), None, [])
+        recording._Video(Path(f"{n}.mp4"), 40, 40, True, 0.0, 3.9, 0.1, pd.Timestamp(t), np.nan, [])
         for n, t in enumerate(times)
     ]
     begins_s, notes = recording._follow(videos)
@@ -533,7 +533,7 @@ def test_comparison_by_its_definition():
     table |= {"valid": valid.astype(np.uint8), "driven_rad": driven_rad}
     table["predicted_rad"] = np.where(frame < 3, np.nan, 0.05)
     labels = Labels(driven_rad, frame > -1, driven_rad, driven_rad)
-    results = Results("drive", table, [""] * 11, Truth("log.csv", "wheel_rad", labels), {})
+    results = Results("drive", table, [""] * 11, Truth("log.csv", "wheel_rad", labels), {}, [], [])
     comparison = results.compare("predicted", 2)
     target = results.table["driven_rad"][5:]
     assert (comparison["truth"], comparison["frames"], comparison["horizon"]) == ("log.csv", 6, 2)

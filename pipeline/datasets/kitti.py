@@ -96,10 +96,9 @@ class KittiDrive:
 
 
 def read_drive(files: KittiDrive, settings: Reading) -> Drive:
-    """Return a drive.
+    """Return a drive, whose frames end with a DamagedFile that lists all damaged files, if there are any.
 
-    Raises InputError if packets, times or the calibration are missing; after the last frame, DamagedFile that lists all
-    damaged files.
+    Raises InputError if packets, times or the calibration are missing.
     """
     damaged, chosen = list[DamagedFile](), files.camera_number(settings.cameras)
     camera = None if chosen is None else files.camera(chosen)
@@ -107,19 +106,18 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
         problem = "drive has scans, but calib_cam_to_cam.txt or calib_velo_to_cam.txt is missing"
         fix = "Extract the date's calibration archive, or set ingest.lidar: false"
         raise InputError(problem, files.calibration, fix)
-    packets = {number: _read(read_row, packet, damaged) for number, packet in files.oxts.items()}
-    oxts = {number: row for number, row in packets.items() if row is not None}
+    packets = ((number, _read(read_row, path, damaged)) for number, path in files.oxts.items())
+    oxts = {number: row for number, row in packets if row is not None}
     numbers, times = files.timeline(chosen)
     if not numbers or (not files.oxts and files.oxts_times.parent.is_dir()):
         fix = "Extract it. Only if labels come from another labels.source: remove the empty folder"
         raise InputError("drive has no oxts packets", files.oxts_times.parent, fix)
     # Lines of timestamps.txt correspond to existing files, including damaged ones.
-    time_s = dict(zip(numbers, read_times(times, numbers).tolist(), strict=True))
+    all_times_s = dict(zip(numbers, read_times(times, numbers).tolist(), strict=True))
+    time_s = {number: all_times_s[number] for number in oxts or numbers}
     values: dict[str, dict[int, Any]] = {"oxts": oxts} if oxts else {}
     if files.steering:
         values["steering_rad"] = read_steering(files.steering)
-    if oxts:
-        time_s = {number: time_s[number] for number in oxts}
     notes = [] if chosen is None else [f"camera {chosen}"]
     calibration = files.calibration / CALIBRATION
     text = calibration.read_text(errors="replace") if calibration.is_file() else ""
@@ -129,17 +127,15 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
 
     def frames() -> Iterator[Frame]:
         """Yield the frames, and add notes at the end."""
-        faults, counts = [*damaged], {"images": 0, "scans": 0}
+        faults = [*damaged]
         for number, seconds in time_s.items():
             frame = Frame(number, seconds)
             frame.scan = _read(read_scan, scans.get(number), faults)
             frame.image = _read(read_image, images.get(number), faults, size=size)
             frame.depth_m = _read(read_depth, depths.get(number), faults, size=size)
             frame.cls = _read(read_classes, classes.get(number), faults, size=size)
-            counts["images"] += frame.image is not None
-            counts["scans"] += frame.scan is not None
             yield frame
-        skip, every_packet = settings.on_damaged == "skip", len(packets) == len(damaged) > 0
+        skip, every_packet = settings.on_damaged == "skip", len(files.oxts) == len(damaged) > 0
         if faults and (every_packet or not skip):
             problem = "; ".join(f"{error.where}: {error.problem}" for error in faults)
             fix = "Extract them again" + ", or set ingest.on_damaged: skip to leave them out" * (not skip)
@@ -147,7 +143,7 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
             raise DamagedFile(problem, where, fix)
         for kind, paths in (("images", images), ("scans", scans)):
             lost = [error for error in faults if Path(error.where) in paths.values()]
-            if lost and not counts[kind]:  # with on_damaged: skip
+            if lost and len(lost) == len(paths.keys() & time_s.keys()):  # with on_damaged: skip
                 raise InputError(f"all {kind} of the drive are damaged: {lost[0].problem}", lost[0].where)
         others = {"images or scans without a frame": len({*images, *scans} - {*numbers})}
         others["damaged files left out"] = len(faults)
@@ -185,12 +181,11 @@ def leave_out(root: Path, settings: Ingest, required: Collection[str] = ()) -> l
     `required`.
     """
     known, splits, of = _drives(root), settings.drives.splits(), settings.datasets()
-    drives = [drive for drive in splits if of[drive] == "kitti"]
     if twice := next((drive for drive in known if of.get(drive) == "sample"), None):
         problem = f"stage sample renders a drive of the same name, data/sample/{twice[:10]}/{twice}_sync"
         fix = "Rename this folder, or set ingest.source: kitti"
         raise InputError(problem, root / twice[:10] / f"{twice}_sync", fix)
-    missing = [drive for drive in drives if drive not in known]
+    missing = [drive for drive in splits if of[drive] == "kitti" and drive not in known]
     kept = {splits[drive] for drive in splits if drive not in missing}
     for drive in missing:
         if not known or drive in required or splits[drive] not in kept:

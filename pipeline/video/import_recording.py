@@ -84,10 +84,8 @@ def _check_signs(recording: Recording, camera: Camera, logs: Logs, within: np.nd
         rate = np.where(within, log.at(recording.times_s)[row], np.nan) if log else np.zeros(0)
         if log and opposite_turns(recording.frames, camera, recording.times_s, rate, least):
             fix = "Left is positive" + ". Or pass a negative --steering-ratio" * (log is logs.wheel)
-            problem = (
-                f"turns left where {recording.path} turns right: its sign is inverted, or it is another recording's"
-            )
-            raise InputError(problem, log.name, fix)
+            causes = "its sign is inverted, or it is another recording's"
+            raise InputError(f"turns left where {recording.path} turns right: {causes}", log.name, fix)
 
 
 def cut(usable: np.ndarray, time_s: np.ndarray, shares: Sequence[float]) -> list[np.ndarray]:
@@ -115,9 +113,8 @@ def check_free(preset: Path, folders: Sequence[Path]) -> None:
     known = read(preset)["ingest"]["recordings"].values() if preset.exists() else ()
     hashes = {(part["folder"], file): value for part in known for file, value in part["files"].items()}
     for path in [path for folder in folders for path in folder.glob("*")]:
-        expected = hashes.get((path.parent.name, path.name))
         own_link = path.is_symlink() and re.match(OWN, path.name)
-        if not own_link and (not expected or content_hash(path) != expected):
+        if not own_link and content_hash(path) != hashes.get((path.parent.name, path.name)):
             raise InputError("is not as steer import wrote it", path, "Move it away, or pass another --name")
 
 

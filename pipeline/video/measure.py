@@ -12,7 +12,7 @@ from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from pipeline.video.pictures import publish
 from pipeline.video.results import Outcome, Results
-from pipeline.video.source import INGEST, MOTION, Source, run_chain, work_folder
+from pipeline.video.source import INGEST, MOTION, Source, run_chain
 
 # As the encoder was trained; of a KITTI drive, the first camera with images.
 READING = Reading(image_size=(192, 640), cameras=[2, 0, 3, 1], lidar=False, on_damaged="skip")
@@ -24,9 +24,7 @@ def measure(source: Source, out: Path | None, encoder: Path, car: Car, *, video:
     `out`: a new or empty folder; None: no files. `encoder`: a folder. Raises InputError if no frame can be read, or a
     log is unusable.
     """
-    with work_folder(out) as folder:
-        work = Path(folder)
-        run_chain(source, work, READING, Perception(batch=4), encoder)
+    with run_chain(source, out, READING, Perception(batch=4), encoder) as work:
         results = Results.read(source, work, car, look_ahead=True)
         results.doubts += warnings(encoder, "float32", [work / INGEST])
         comparison = results.compare("measured")

@@ -20,7 +20,7 @@ from pipeline.settings.perception import Perception
 from pipeline.train.predict import Trained
 from pipeline.video.pictures import publish
 from pipeline.video.results import Outcome, Results
-from pipeline.video.source import INGEST, MOTION, PERCEPTION, Source, run_chain, work_folder
+from pipeline.video.source import INGEST, MOTION, PERCEPTION, Source, run_chain
 
 CLOUDS, GRAPHS = "clouds.h5", "graphs.h5"
 
@@ -41,9 +41,7 @@ def predict(model: Trained, source: Source, out: Path | None, encoder: Path, *, 
     variant, perception = Variant.model_validate(settings["graphs"]), Perception.model_validate(settings["perception"])
     if reading(model).lidar and not (source.files and source.files.scans and source.camera.T_cam_velo is not None):
         raise InputError(f"model {model.name} needs LiDAR scans", source.name, "Choose a model without them")
-    with work_folder(out) as folder:
-        work = Path(folder)
-        run_chain(source, work, reading(model), perception, encoder)
+    with run_chain(source, out, reading(model), perception, encoder) as work:
         clouds = work / (INGEST if variant.kind == "image" else CLOUDS)
         if variant.kind != "image":
             kind = variant.source.removeprefix("clouds/")

@@ -1,7 +1,8 @@
 """Open a KITTI drive, a video or a folder of images, and run the stages' functions on its frames."""
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -74,33 +75,31 @@ def open_source(
     return Source(path, name, drive, drive.camera, len(time_s), logs, files)
 
 
-def work_folder(out: Path | None) -> TemporaryDirectory[str]:
-    """Return a temporary folder for :func:`run_chain`, on the disk of the folder of results, `out`, if there is one."""
-    if out is None:
-        return TemporaryDirectory()
-    out.parent.mkdir(parents=True, exist_ok=True)
-    return TemporaryDirectory(prefix=f".{out.name}.", suffix=".tmp", dir=out.parent)
-
-
-def run_chain(source: Source, work: Path, reading: Reading, perception: Perception, encoder: Path) -> None:
-    """Write ingest.h5, perception.h5 and motion.h5 to the folder `work`.
+@contextmanager
+def run_chain(
+    source: Source, out: Path | None, reading: Reading, perception: Perception, encoder: Path
+) -> Iterator[Path]:
+    """Yield a temporary folder with ingest.h5, perception.h5 and motion.h5, on the disk of `out`, if there is one.
 
     `encoder`: a folder. Raises InputError if no frame can be read, or the disk is too small.
     """
-    height, width = reading.image_size
-    frames, free = source.frames, shutil.disk_usage(work).free
-    needed = frames * height * width * BYTES_PER_PIXEL
-    if needed > free:
-        problem = f"{frames} frames need up to {needed / 1e9:.2g} GB, but {free / 1e9:.2g} GB are free"
-        raise InputError(problem, work, "Pass an --out on another disk")
-    ingest, perceived = work / INGEST, work / PERCEPTION
-    jobs: dict[str, Any] = {
-        INGEST: partial(write_drive, drive=source.drive, name=source.name, dataset="recording", settings=reading),
-        PERCEPTION: partial(perceive_drive, ingest=ingest, encoder=encoder, settings=perception),
-        MOTION: partial(measure_drive, ingest=ingest, perception=perceived),
-    }
-    with tqdm(total=frames, unit=" frames", disable=None) as bar:
-        for name, job in jobs.items():
-            bar.reset()
-            bar.set_description(name.removesuffix(".h5"))
-            bar.total = job(work / name, advance=bar.update)["frames"]
+    if out:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=".steer.", suffix=".tmp", dir=out and out.parent) as folder:
+        work, frames, (height, width) = Path(folder), source.frames, reading.image_size
+        needed, free = frames * height * width * BYTES_PER_PIXEL, shutil.disk_usage(work).free
+        if needed > free:
+            problem = f"{frames} frames need up to {needed / 1e9:.2g} GB, but {free / 1e9:.2g} GB are free"
+            raise InputError(problem, work, "Pass an --out on another disk")
+        ingest, perceived = work / INGEST, work / PERCEPTION
+        jobs: dict[str, Any] = {
+            INGEST: partial(write_drive, drive=source.drive, name=source.name, dataset="recording", settings=reading),
+            PERCEPTION: partial(perceive_drive, ingest=ingest, encoder=encoder, settings=perception),
+            MOTION: partial(measure_drive, ingest=ingest, perception=perceived),
+        }
+        with tqdm(total=frames, unit=" frames", disable=None) as bar:
+            for name, job in jobs.items():
+                bar.reset()
+                bar.set_description(name.removesuffix(".h5"))
+                bar.total = job(work / name, advance=bar.update)["frames"]
+        yield work

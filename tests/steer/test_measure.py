@@ -139,7 +139,6 @@ def test_an_imported_recording_has_the_same_numbers(tmp_path, encoder, monkeypat
     opened = source.open_source([images], READING, CAMERA_HEIGHT_M, Logs(), None, capture)
     assert opened.camera.horizon == pytest.approx(114, abs=3)
     settings = Perception(batch=4)
-    source.run_chain(opened, tmp_path, READING, settings, encoder)
     lens = {"distortion": bent, "camera_height": CAMERA_HEIGHT_M}
     import_recording([images] * 2, "monday", k=[K], fps=10.0, each=True, **lens)
     preset.main(str(tmp_path / "presets/monday.yaml"), tmp_path)
@@ -149,7 +148,8 @@ def test_an_imported_recording_has_the_same_numbers(tmp_path, encoder, monkeypat
     write_drive(files[0], imported, "monday-1", "recording", READING)
     perceive_drive(files[1], files[0], encoder, settings)
     measure_drive(files[2], *files[:2])
-    with DriveReader(files[2], stage="motion") as stage, DriveReader(tmp_path / "motion.h5", stage="motion") as own:
+    with source.run_chain(opened, None, READING, settings, encoder) as work:
+        stage, own = (DriveReader(path, stage="motion") for path in (files[2], work / "motion.h5"))
         assert stage["valid"].tolist() == own["valid"].tolist() == [0] + 13 * [1]
         for dataset in ("yaw_rate_radps", "speed_mps", "filtered_mps", "speed_sigma"):
             np.testing.assert_allclose(stage[dataset], own[dataset], rtol=1e-5)

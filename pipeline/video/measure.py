@@ -19,10 +19,9 @@ READING = Reading(image_size=(192, 640), cameras=[2, 0, 3, 1], lidar=False, on_d
 
 
 def measure(source: Source, out: Path | None, encoder: Path, car: Car, *, video: bool) -> Outcome:
-    """Write motion.csv, track.png, quality.json and overlay.mp4, if `video`.
+    """Write motion.csv, track.png, quality.json and, if `video`, overlay.mp4 to a free folder `out`; None: no files.
 
-    `out`: a new or empty folder; None: no files. `encoder`: a folder. Raises InputError if no frame can be read, or a
-    log is unusable.
+    `encoder`: a folder. Raises InputError if no frame can be read, or a log is unusable.
     """
     with run_chain(source, out, READING, Perception(batch=4), encoder) as work:
         results = Results.read(source, work, car, look_ahead=True)

@@ -126,23 +126,23 @@ class Results:
             rows = np.flatnonzero(np.isin(motion.frame, motion.frame if frame is None else frame))
             if not len(rows):
                 raise InputError("no frame could be read", source.path, "; ".join(source.drive.notes[:1]))
+            frame, time_s, valid = motion.frame[rows], motion.time_s[rows], motion["valid"]
             course = read_course(motion, car, look_ahead=look_ahead, height_known=source.camera.height_known)
-            truth = read_truth(raw, motion.frame[rows], source.logs, car)
-            looking_ahead = sources.read("visual", raw, work / MOTION, car)
-            measured = looking_ahead.at(np.searchsorted(raw.frame, motion.frame[rows]))
-            agreement = compare([Pair(motion.time_s[rows], truth.driven, measured)])
-            valid, codes = motion["valid"], motion["problem"][rows]
-            source.drive.notes.extend(source.logs.notes(motion.time_s[rows]))
+            truth = read_truth(raw, frame, source.logs, car)
+            measured = sources.read("visual", raw, work / MOTION, car).at(np.searchsorted(raw.frame, frame))
+            agreement = compare([Pair(time_s, truth.driven, measured)])
+            source.drive.notes.extend(source.logs.notes(time_s))
             doubts = [*_backwards(source.path, course["speed_mps"][rows], truth, car.min_speed_mps)]
             doubts += warnings(lowest_share(motion["still"], valid))
             points, residual = (np.where(valid, motion[name], np.nan) for name in ("inliers", "residual"))
-            columns = {"valid": valid, **course, "points": points, "residual": residual}
-            driven_rad = np.where(truth.driven.valid, truth.driven.steering_rad, np.nan)
-            table = {"frame": motion.frame[rows], "time_s": motion.time_s[rows], "driven_rad": driven_rad}
+            problems = [PROBLEMS[code] for code in motion["problem"][rows]]
+        columns = {"valid": valid, **course, "points": points, "residual": residual}
+        table = {"frame": frame, "time_s": time_s}
+        table["driven_rad"] = np.where(truth.driven.valid, truth.driven.steering_rad, np.nan)
         table |= {name: values[rows] for name, values in columns.items()}
         faults, lines = judge(agreement, truth.column, truth.ratio)
         doubts += [*lines[1:], *faults]
-        return cls(source.name, table, [PROBLEMS[code] for code in codes], truth, agreement, lines[:1], doubts)
+        return cls(source.name, table, problems, truth, agreement, lines[:1], doubts)
 
     def columns(self) -> pd.DataFrame:
         """Return a row per frame: the recording, the columns, and those of a predicted path for each range."""

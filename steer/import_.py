@@ -47,7 +47,7 @@ def import_recording(
     fps: options.Fps = None,
     offset: options.Offset = 0.0,
     start: Annotated[float, options.number(0, 1e10, "leave out earlier images, seconds since the first")] = 0.0,
-    end: Annotated[float | None, options.number(0, math.inf, "leave out this and later images")] = None,
+    end: Annotated[float | None, options.number(0, 1e10, "leave out this and later images")] = None,
     split: Annotated[str | None, typer.Option(metavar="TRAIN,VAL,TEST", help=_SPLIT)] = None,
     each: Annotated[bool, typer.Option("--each", help="each recording is a drive, in turn for each split")] = False,
     camera_height: options.CameraHeight = None,
@@ -62,6 +62,7 @@ def import_recording(
     from pipeline.settings.preset import PRESETS
     from pipeline.video import import_recording as importing
 
+    chosen: Any = {name: value for name, value in locals().items() if name in Part.model_fields}
     shares = numbers(split or "60,20,20", (len(SPLITS),), "--split 60,20,20")
     if min(shares) <= 0 or not math.isclose(sum(shares), 100):
         raise InputError(f"expected shares above 0 with the sum 100, got {split}", "--split", "Pass 60,20,20")
@@ -78,9 +79,6 @@ def import_recording(
     preset = PRESETS / f"{name}.yaml"
     folders = [f"{name}-{number + 1}" for number in range(len(groups))] if each else [name]
     importing.check_free(preset, [raw / folder for folder in folders])
-    chosen: Any = {"fov": fov, "distortion": distortion, "fisheye": fisheye, "fps": fps, "horizon": horizon}
-    chosen |= {"steering_ratio": steering_ratio, "offset": offset, "camera_height": camera_height}
-    chosen |= {"start": start, "end": end}
     opened = []
     for number, (folder, paths) in enumerate(zip(folders, groups, strict=True)):
         part = Part(folder=folder, files={}, K=k[number % len(k)] if k else None, **chosen)

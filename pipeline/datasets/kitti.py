@@ -47,7 +47,6 @@ class KittiDrive:
         self.oxts = _frames(folder / "oxts" / "data", ".txt")
         self.scans = _frames(folder / "velodyne_points" / "data", ".bin")
         self.oxts_times = folder / "oxts" / "timestamps.txt"
-        self.steering = folder / STEERING if (folder / STEERING).is_file() else None  # KITTI itself has none
         # Beside KITTI's own folders, written by stage sample: dense depth and classes of camera 2.
         self.truth_depth = _frames(folder / "truth" / "depth", ".png")
         self.truth_cls = _frames(folder / "truth" / "cls", ".png")
@@ -116,8 +115,8 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
     all_times_s = dict(zip(numbers, read_times(times, numbers).tolist(), strict=True))
     time_s = {number: all_times_s[number] for number in oxts or numbers}
     values: dict[str, dict[int, Any]] = {"oxts": oxts} if oxts else {}
-    if files.steering:
-        values["steering_rad"] = read_steering(files.steering)
+    if (steering := files.folder / STEERING).is_file():  # KITTI itself has none
+        values["steering_rad"] = read_steering(steering)
     notes = [] if chosen is None else [f"camera {chosen}"]
     calibration = files.calibration / CALIBRATION
     text = calibration.read_text(errors="replace") if calibration.is_file() else ""

@@ -10,6 +10,7 @@ from typing import Any, TypedDict, Unpack
 
 from pipeline.base.errors import InputError, closest
 from pipeline.base.outputs import check_free
+from pipeline.base.resume import ROOT
 from pipeline.datasets.recording import Capture
 from pipeline.labels.label import Car
 from pipeline.media.log import Logs
@@ -82,7 +83,7 @@ def predict(
     opened = _open(source, predicting.reading(trained), known | {"camera_height_m": height_m}, trained.fps)
     names = trained.drives
     trained_on = f"{len(names)} drives: {names[0]} to {names[-1]}" if len(names) > 1 else names[0]
-    opened.notes.insert(0, f"{trained.name} was trained on {trained_on}")
+    opened.drive.notes.insert(0, f"{trained.name} was trained on {trained_on}")
     return predicting.predict(trained, opened, target, Path(encoder or _encoder_beside(folder)), video=video)
 
 
@@ -118,8 +119,8 @@ def _network(model: Path) -> Path:
 
 def _encoder_beside(model: Path) -> Path:
     """Return data/encoder of a model data/train/<model>, or of a folder of a seed or fold below it; or the sample's."""
-    if model.resolve() == options.CHECKOUT / "models/steering/sample":
-        return options.CHECKOUT / "models/encoder/sample"
+    if model.resolve() == ROOT / "models/steering/sample":
+        return ROOT / "models/encoder/sample"
     for parent in model.resolve().parents[:2]:
         if parent.name == "train":
             return parent.parent / "encoder"

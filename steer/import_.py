@@ -47,7 +47,7 @@ def import_recording(
     fps: options.Fps = None,
     offset: options.Offset = 0.0,
     start: Annotated[float, options.number(0, 1e10, "leave out earlier images, seconds since the first")] = 0.0,
-    end: Annotated[float, options.number(0, math.inf, "leave out this and later images")] = math.inf,
+    end: Annotated[float | None, options.number(0, 1e10, "leave out this and later images")] = None,
     split: Annotated[str | None, typer.Option(metavar="TRAIN,VAL,TEST", help=_SPLIT)] = None,
     each: Annotated[bool, typer.Option("--each", help="each recording is a drive, in turn for each split")] = False,
     camera_height: options.CameraHeight = None,
@@ -57,10 +57,12 @@ def import_recording(
     from pipeline.base.errors import error_context
     from pipeline.base.params import check_name
     from pipeline.camera.lens import numbers
-    from pipeline.settings.ingest import Part
+    from pipeline.datasets.recording import MOTION, TIMES, WHEEL
+    from pipeline.settings.ingest import KITTI_NAMES, Part
     from pipeline.settings.preset import PRESETS
     from pipeline.video import import_recording as importing
 
+    chosen: Any = {name: value for name, value in locals().items() if name in Part.model_fields}
     shares = numbers(split or "60,20,20", (len(SPLITS),), "--split 60,20,20")
     if min(shares) <= 0 or not math.isclose(sum(shares), 100):
         raise InputError(f"expected shares above 0 with the sum 100, got {split}", "--split", "Pass 60,20,20")
@@ -77,24 +79,21 @@ def import_recording(
     preset = PRESETS / f"{name}.yaml"
     folders = [f"{name}-{number + 1}" for number in range(len(groups))] if each else [name]
     importing.check_free(preset, [raw / folder for folder in folders])
-    chosen: Any = {"fov": fov, "distortion": distortion, "fisheye": fisheye, "fps": fps, "horizon": horizon}
-    chosen |= {"steering_ratio": steering_ratio, "offset": offset, "start": start, "camera_height": camera_height}
-    chosen["end"] = None if math.isinf(end) else end
     opened = []
     for number, (folder, paths) in enumerate(zip(folders, groups, strict=True)):
         part = Part(folder=folder, files={}, K=k[number % len(k)] if k else None, **chosen)
-        angles, rates = (own[number] if own else None for own in (wheel, motion))
-        opened.append(importing.open_recording(paths, angles, rates, times, part))
-    parts = [part for one in opened for part in importing.parts(one, [100.0] if each else shares)]
-    splits = [SPLITS[number % len(SPLITS)] for number in range(len(parts))]
-    if len(parts) == 2:
-        splits = ["train", "test"]
-    names = importing.drive_names(name, [str(number + 1) for number in range(len(parts))] if each else splits)
-    drives = {drive: (of, part) for drive, of, (part, _) in zip(names, splits, parts, strict=True)}
+        logs = {WHEEL: wheel[number] if wheel else None, MOTION: motion[number] if motion else None, TIMES: times}
+        opened.append(importing.open_recording(paths, logs, part, [100.0] if each else shares))
+    parts = [part for one in opened for part in one.parts]
+    splits = ["train", "test"] if len(parts) == 2 else [SPLITS[number % 3] for number in range(len(parts))]
+    names = [f"{name}-{number if each else split}" for number, split in enumerate(splits, 1)]
+    if KITTI_NAMES.fullmatch(name):
+        names = [f"{name[:-4]}{int(name[-4:]) + number:04d}" for number in range(len(parts))]
+    drives = {drive: (of, *part) for drive, of, part in zip(names, splits, parts, strict=True)}
     with importing.linked(opened, raw, copy=copy):
         source = "oxts" if motion else "wheel" if wheel else "visual"
         importing.write_preset(preset, drives, opened[0], source)
-    for drive, of, (_, images) in zip(names, splits, parts, strict=True):
+    for drive, (of, _, images) in drives.items():
         print(f"{drive}: {images} images, {of}")
-    print(*(f"{f'{one.part.folder}: ' * each}{note}" for one in opened for note in one.recording.notes), sep="\n")
+    print(*(f"{f'{one.folder}: ' * each}{note}" for one in opened for note in one.recording.notes), sep="\n")
     print(f"next: make street && make {preset.stem}")

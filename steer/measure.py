@@ -9,7 +9,7 @@ steer measure data/sample/2026_01_18/2026_01_18_drive_0004_sync --encoder data/e
 """
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -37,10 +37,6 @@ def measure(
     encoder: Annotated[Path, typer.Option(help="folder of an encoder; make street writes the default one")] = STREET,
 ) -> None:
     """Write the measured motion and print its quality; the module's docstring is the help text."""
-    from pipeline.base.outputs import claim
     from steer import api
 
-    known: Any = {name: value for name, value in locals().items() if name in api.Options.__annotations__}
-
-    out = claim(out, options.stem(source))
-    options.report(api.measure(source, encoder=encoder, wheelbase_m=wheelbase, out=out, video=video, **known))
+    options.run(api.measure, locals(), encoder=encoder, wheelbase_m=wheelbase)

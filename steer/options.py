@@ -1,19 +1,20 @@
 """Options that several commands share."""
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pipeline.base.resume import ROOT
+
 if TYPE_CHECKING:
     from pipeline.video.results import Outcome
-
-CHECKOUT = Path(__file__).resolve().parents[1]
 
 
 def here_or_in_checkout(path: Path) -> Path:
     """Return the path, or where it does not exist, the same path below the checkout, if that exists."""
-    return CHECKOUT / path if not path.exists() and (CHECKOUT / path).exists() else path
+    return ROOT / path if not path.exists() and (ROOT / path).exists() else path
 
 
 def number(lowest: float, highest: float, help: str, *name: str) -> Any:
@@ -47,12 +48,16 @@ Offset = Annotated[float, number(-1e10, 1e10, "seconds to add to the times of --
 Video = Annotated[bool, typer.Option(help="write overlay.mp4")]
 
 
-def stem(source: list[Path]) -> str:
-    """Return the name of a recording or KITTI drive for the folder of its results."""
-    return source[0].resolve().stem.removesuffix("_sync")
+def run(function: Callable[..., "Outcome"], arguments: Mapping[str, Any], **others: Any) -> None:
+    """Call a function of `steer.api` for a free folder; print notes, files, and at most three doubts at the end.
 
+    `arguments`: a command's, of which those that all commands share are passed; `others`: its own.
+    """
+    from pipeline.base.outputs import claim
+    from steer.api import Options
 
-def report(outcome: "Outcome") -> None:
-    """Print notes, files, and at most three doubts at the end."""
+    shared = {name: arguments[name] for name in ("source", "video", *Options.__annotations__)}
+    out = claim(arguments["out"], arguments["source"][0].resolve().stem.removesuffix("_sync"))
+    outcome = function(out=out, **shared, **others)
     print(*outcome.notes, ", ".join(map(str, outcome.files)), sep="\n")
     print(*(f"doubt: {text}" for text in outcome.doubts[:3]), sep="\n", end="\n" * bool(outcome.doubts))

@@ -10,7 +10,7 @@ steer predict data/sample/2026_01_18/2026_01_18_drive_0004_sync --model models/s
 """
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -39,14 +39,10 @@ def predict(
     ] = None,
 ) -> None:
     """Write the predicted angles and print their errors; the module's docstring is the help text."""
-    from pipeline.base.outputs import claim
     from steer import api
-
-    known: Any = {name: value for name, value in locals().items() if name in api.Options.__annotations__}
 
     if model is None:
         fix = "Measure the angle: steer measure (nmse 0.008 on real drives). Or name a network of yours. That of "
         fix += "--model models/steering/sample has seen rendered streets only (nmse 1.22 on a real drive)"
         raise InputError("no network for real streets is included", "--model", fix)
-    out = claim(out, options.stem(source))
-    options.report(api.predict(source, model, encoder=encoder, out=out, video=video, **known))
+    options.run(api.predict, locals(), model=model, encoder=encoder)

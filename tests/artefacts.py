@@ -11,7 +11,8 @@ from pipeline.base import store
 from pipeline.camera.camera import Frame
 from pipeline.camera.classes import BUILDING, ROAD
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
-from pipeline.datasets.core.ingest_file import IngestFile
+from pipeline.datasets.core.drive import Drive
+from pipeline.datasets.core.ingest_file import write_drive
 from pipeline.graphs import frame_graph, graph_file
 from pipeline.labels import label, source
 from pipeline.motion.step import PROBLEMS, STANDSTILL
@@ -147,11 +148,10 @@ def write_recorded(
 ) -> None:
     """Write an ingest file without images: frames [F] at 10 Hz with packets [F,30] or recorded angles, or neither."""
     settings = Reading(image_size=(32, 32), cameras=[2], lidar=True, on_damaged="fail")
-    with IngestFile(path, path.stem, None, settings) as file:
-        for row, number in enumerate(frame.tolist()):
-            file.add(Frame(number, row / 10))
-        packets = {} if oxts is None else {"oxts": dict(zip(frame.tolist(), oxts, strict=True))}
-        file.finish(packets | {"steering_rad": steering_rad or {}})
+    packets = {} if oxts is None else {"oxts": dict(zip(frame.tolist(), oxts, strict=True))}
+    frames = [Frame(number, row / 10) for row, number in enumerate(frame.tolist())]
+    drive = Drive(None, lambda: iter(frames), packets | {"steering_rad": steering_rad or {}})
+    write_drive(path, drive, path.stem, "recording", settings)
 
 
 def write_motion(folder: Path, drive: str, rows: dict[int, tuple[float, float]], stands: Sequence[int] = ()) -> None:

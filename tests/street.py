@@ -11,7 +11,8 @@ from pipeline.camera import classes
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import CAMERA_HEIGHT_M, back_project, rays
 from pipeline.camera.images import to_units
-from pipeline.datasets.core.ingest_file import IngestFile
+from pipeline.datasets.core import ingest_file
+from pipeline.datasets.core.drive import Drive
 from pipeline.datasets.core.oxts import make_rows
 from pipeline.settings.ingest import Reading
 
@@ -108,15 +109,14 @@ def write_drive(
     """Write ``folder/<drive>.h5`` with `frames` frames that have what the flags say."""
     camera = Camera(K, SIZE, T_cam_velo=T_CAM_VELO if lidar else None)
     settings = Reading(image_size=SIZE, cameras=[2], lidar=lidar, on_damaged="fail")
-    with IngestFile(folder / f"{drive}.h5", drive, camera, settings) as file:
-        for number in range(frames):
-            frame = Frame(number, number / 10)
-            image, depth_m, cls = scene(number)
-            frame.image = image if images else None
-            frame.depth_m, frame.cls = (depth_m, cls) if dense else (None, None)
-            frame.scan = scan(depth_m) if lidar else None
-            file.add(frame)
-        file.finish({"oxts": dict(enumerate(make_rows(frames, vf=8.0)))})
+    recorded = [Frame(number, number / 10, *scene(number)) for number in range(frames)]
+    for frame in recorded:
+        frame.scan = scan(frame.depth_m) if lidar else None
+        frame.image = frame.image if images else None
+        frame.depth_m, frame.cls = (frame.depth_m, frame.cls) if dense else (None, None)
+    values = {"oxts": dict(enumerate(make_rows(frames, vf=8.0)))}
+    source = Drive(camera, lambda: iter(recorded), values)
+    ingest_file.write_drive(folder / f"{drive}.h5", source, drive, "recording", settings)
 
 
 def write_perception(folder: Path, ingest: Path, drive: str) -> None:

@@ -6,7 +6,8 @@ import numpy as np
 
 from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Frame
-from pipeline.datasets.core.ingest_file import IngestFile
+from pipeline.datasets.core.drive import Drive
+from pipeline.datasets.core.ingest_file import write_drive
 from pipeline.graphs.cloud import clouds_drive
 from pipeline.graphs.frame_graph import graphs_drive
 from pipeline.motion.drive import measure_drive
@@ -26,10 +27,8 @@ VARIANT = Variant(source="clouds/pseudo", points=200, k=4, keep_inter_class=0.2,
 def inputs(folder: Path, images: list[np.ndarray], encoder: Path) -> dict[str, np.ndarray]:
     """Return the datasets of the graph file of a drive, of the frames up to KNOWN."""
     files = {name: folder / f"{name}.h5" for name in ("ingest", "perception", "motion", "clouds", "graphs")}
-    with IngestFile(files["ingest"], "drive", street.WIDE, READING) as ingest:
-        for number, image in enumerate(images):
-            ingest.add(Frame(number, number / 10, image))
-        ingest.finish()
+    frames = [Frame(number, number / 10, image) for number, image in enumerate(images)]
+    write_drive(files["ingest"], Drive(street.WIDE, lambda: iter(frames)), "drive", "recording", READING)
     settings = Perception(batch=4)
     perceive_drive(files["perception"], files["ingest"], encoder, settings)
     measure_drive(files["motion"], files["ingest"], files["perception"])

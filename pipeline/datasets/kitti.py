@@ -5,9 +5,8 @@
 frame, and it needs all four cameras.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,13 +29,13 @@ _MAX_RANGE_M = 150.0  # the sensor's is 120 m
 
 def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
     """Return names, sizes and times of the files."""
-    files = find_drives(root, [name])[name]
+    files = find_drive(root, name)
     return stamps(files.paths(settings.cameras), files.calibration)
 
 
 def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
     """Return a drive: frames with an oxts packet or, in a drive without oxts, those with an image."""
-    return read_drive(find_drives(root, [name])[name].folder, settings)
+    return read_drive(find_drive(root, name), settings)
 
 
 class KittiDrive:
@@ -48,7 +47,6 @@ class KittiDrive:
         self.oxts = _frames(folder / "oxts" / "data", ".txt")
         self.scans = _frames(folder / "velodyne_points" / "data", ".bin")
         self.oxts_times = folder / "oxts" / "timestamps.txt"
-        self.steering = folder / STEERING if (folder / STEERING).is_file() else None  # KITTI itself has none
         # Beside KITTI's own folders, written by stage sample: dense depth and classes of camera 2.
         self.truth_depth = _frames(folder / "truth" / "depth", ".png")
         self.truth_cls = _frames(folder / "truth" / "cls", ".png")
@@ -96,76 +94,61 @@ class KittiDrive:
         return [*(path for files in frames for path in files.values()), *filter(Path.is_file, single)]
 
 
-def read_drive(folder: Path, settings: Reading) -> Drive:
-    """Return the drive in a folder.
+def read_drive(files: KittiDrive, settings: Reading) -> Drive:
+    """Return a drive, whose frames end with a DamagedFile that lists all damaged files, if there are any.
 
-    Raises InputError if packets, times or the calibration are missing; after the last frame, DamagedFile that lists all
-    damaged files.
+    Raises InputError if packets, times or the calibration are missing.
     """
-    files, damaged = KittiDrive(folder), list[DamagedFile]()
-    chosen = files.camera_number(settings.cameras)
+    damaged, chosen = list[DamagedFile](), files.camera_number(settings.cameras)
     camera = None if chosen is None else files.camera(chosen)
     if files.scans and settings.lidar and (camera is None or camera.T_cam_velo is None):
         problem = "drive has scans, but calib_cam_to_cam.txt or calib_velo_to_cam.txt is missing"
         fix = "Extract the date's calibration archive, or set ingest.lidar: false"
         raise InputError(problem, files.calibration, fix)
-    packets = {number: _read(read_row, packet, damaged) for number, packet in files.oxts.items()}
-    oxts = {number: row for number, row in packets.items() if row is not None}
+    packets = ((number, _read(read_row, path, damaged)) for number, path in files.oxts.items())
+    oxts = {number: row for number, row in packets if row is not None}
     numbers, times = files.timeline(chosen)
     if not numbers or (not files.oxts and files.oxts_times.parent.is_dir()):
         fix = "Extract it. Only if labels come from another labels.source: remove the empty folder"
         raise InputError("drive has no oxts packets", files.oxts_times.parent, fix)
     # Lines of timestamps.txt correspond to existing files, including damaged ones.
-    time_s = dict(zip(numbers, read_times(times, numbers).tolist(), strict=True))
+    all_times_s = dict(zip(numbers, read_times(times, numbers).tolist(), strict=True))
+    time_s = {number: all_times_s[number] for number in oxts or numbers}
     values: dict[str, dict[int, Any]] = {"oxts": oxts} if oxts else {}
-    if files.steering:
-        values["steering_rad"] = read_steering(files.steering)
-    if oxts:
-        time_s = {number: time_s[number] for number in oxts}
+    if (steering := files.folder / STEERING).is_file():  # KITTI itself has none
+        values["steering_rad"] = read_steering(steering)
     notes = [] if chosen is None else [f"camera {chosen}"]
     calibration = files.calibration / CALIBRATION
     text = calibration.read_text(errors="replace") if calibration.is_file() else ""
-    frames = partial(_frames_of, files, chosen, camera, time_s, settings, damaged, notes)
-    return Drive(camera, frames, values, notes, "sample" if text.startswith(f"{RENDERED}\n") else "kitti")
-
-
-def _frames_of(
-    files: KittiDrive,
-    chosen: int | None,
-    camera: Camera | None,
-    time_s: Mapping[int, float],
-    settings: Reading,
-    damaged_packets: Sequence[DamagedFile],
-    notes: list[str],
-) -> Iterator[Frame]:
-    """Yield the frames `time_s`, their numbers and times, and add notes at the end."""
     images = {} if chosen is None else files.images(chosen)
     depths, classes = (files.truth_depth, files.truth_cls) if camera else ({}, {})
     scans, size = files.scans if settings.lidar else {}, camera.size if camera else None
-    damaged, counts = [*damaged_packets], {"images": 0, "scans": 0}
-    for number, seconds in time_s.items():
-        frame = Frame(number, seconds)
-        frame.scan = _read(read_scan, scans.get(number), damaged)
-        frame.image = _read(read_image, images.get(number), damaged, size=size)
-        frame.depth_m = _read(read_depth, depths.get(number), damaged, size=size)
-        frame.cls = _read(read_classes, classes.get(number), damaged, size=size)
-        counts["images"] += frame.image is not None
-        counts["scans"] += frame.scan is not None
-        yield frame
-    skip, every_packet = settings.on_damaged == "skip", len(files.oxts) == len(damaged_packets) > 0
-    if damaged and (every_packet or not skip):
-        faults = "; ".join(f"{error.where}: {error.problem}" for error in damaged)
-        fix = "Extract them again" + ", or set ingest.on_damaged: skip to leave them out" * (not skip)
-        where = f"{len(damaged)} damaged files" + ", among them all oxts packets" * every_packet
-        raise DamagedFile(faults, where, fix)
-    for kind, paths in (("images", images), ("scans", scans)):
-        lost = [error for error in damaged if Path(error.where) in paths.values()]
-        if lost and not counts[kind]:  # with on_damaged: skip
-            raise InputError(f"all {kind} of the drive are damaged: {lost[0].problem}", lost[0].where)
-    numbers = files.timeline(chosen)[0]
-    others = {"images or scans without a frame": len({*images, *scans} - {*numbers})}
-    others["damaged files left out"] = len(damaged)
-    notes[1:] = [f"{count} {name}" for name, count in others.items() if count]
+
+    def frames() -> Iterator[Frame]:
+        """Yield the frames, and add notes at the end."""
+        faults = [*damaged]
+        for number, seconds in time_s.items():
+            frame = Frame(number, seconds)
+            frame.scan = _read(read_scan, scans.get(number), faults)
+            frame.image = _read(read_image, images.get(number), faults, size=size)
+            frame.depth_m = _read(read_depth, depths.get(number), faults, size=size)
+            frame.cls = _read(read_classes, classes.get(number), faults, size=size)
+            yield frame
+        skip, every_packet = settings.on_damaged == "skip", len(files.oxts) == len(damaged) > 0
+        if faults and (every_packet or not skip):
+            problem = "; ".join(f"{error.where}: {error.problem}" for error in faults)
+            fix = "Extract them again" + ", or set ingest.on_damaged: skip to leave them out" * (not skip)
+            where = f"{len(faults)} damaged files" + ", among them all oxts packets" * every_packet
+            raise DamagedFile(problem, where, fix)
+        for kind, paths in (("images", images), ("scans", scans)):
+            lost = [error for error in faults if Path(error.where) in paths.values()]
+            if lost and len(lost) == len(paths.keys() & time_s.keys()):  # with on_damaged: skip
+                raise InputError(f"all {kind} of the drive are damaged: {lost[0].problem}", lost[0].where)
+        others = {"images or scans without a frame": len({*images, *scans} - {*numbers})}
+        others["damaged files left out"] = len(faults)
+        notes[1:] = [f"{count} {name}" for name, count in others.items() if count]
+
+    return Drive(camera, frames, values, notes, "sample" if text.startswith(f"{RENDERED}\n") else "kitti")
 
 
 def _read(
@@ -179,17 +162,15 @@ def _read(
         return None
 
 
-def find_drives(root: Path, drives: Sequence[str]) -> dict[str, KittiDrive]:
-    """Return the named drives (such as 2011_09_26_drive_0052) below `root`. Raises InputError if one is missing."""
-    if drives and not root.is_dir():
+def find_drive(root: Path, name: str) -> KittiDrive:
+    """Return a drive (such as 2011_09_26_drive_0052) below `root`. Raises InputError if it is missing."""
+    if not root.is_dir():
         fix = f"KITTI: ln -s /path/to/kitti {root}. Sample: dvc repro sample. Only training? dvc pull labels graphs"
         raise InputError("folder is missing", root, fix)
-    known = _drives(root)
-    for drive in drives:
-        if drive not in known:
-            problem = f"drive {drive} of ingest.drives is missing ({closest(drive, known)})"
-            raise InputError(problem, root, "Extract it, or take it out of ingest.drives")
-    return {drive: KittiDrive(root / drive[:10] / f"{drive}_sync") for drive in drives}
+    if name not in (known := _drives(root)):
+        problem = f"drive {name} of ingest.drives is missing ({closest(name, known)})"
+        raise InputError(problem, root, "Extract it, or take it out of ingest.drives")
+    return KittiDrive(root / name[:10] / f"{name}_sync")
 
 
 def leave_out(root: Path, settings: Ingest, required: Collection[str] = ()) -> list[str]:
@@ -199,15 +180,15 @@ def leave_out(root: Path, settings: Ingest, required: Collection[str] = ()) -> l
     `required`.
     """
     known, splits, of = _drives(root), settings.drives.splits(), settings.datasets()
-    drives = [drive for drive in splits if of[drive] == "kitti"]
     if twice := next((drive for drive in known if of.get(drive) == "sample"), None):
         problem = f"stage sample renders a drive of the same name, data/sample/{twice[:10]}/{twice}_sync"
         fix = "Rename this folder, or set ingest.source: kitti"
         raise InputError(problem, root / twice[:10] / f"{twice}_sync", fix)
-    missing = [drive for drive in drives if drive not in known]
+    missing = [drive for drive in splits if of[drive] == "kitti" and drive not in known]
     kept = {splits[drive] for drive in splits if drive not in missing}
-    needed = [drive for drive in missing if not known or drive in required or splits[drive] not in kept]
-    find_drives(root, needed)  # raises InputError for the first
+    for drive in missing:
+        if not known or drive in required or splits[drive] not in kept:
+            find_drive(root, drive)  # raises InputError
     if missing:
         unnamed = [drive for drive in known if drive not in splits]
         hint = f" (it has {', '.join(unnamed[:5])}, which ingest.drives does not name)" if unnamed else ""
@@ -219,11 +200,11 @@ def _drives(root: Path) -> list[str]:
     return sorted(path.name.removesuffix("_sync") for path in root.glob("????_??_??/*_drive_????_sync"))
 
 
-def read_scan(path: Path, lowest_deg: float = LOWEST_DEG) -> np.ndarray:
+def read_scan(path: Path) -> np.ndarray:
     """Return a scan, float32 [P,4]: x, y, z in metres in the velodyne frame, and reflectance in 0 to 1.
 
-    Rays that did not return, with a position of 0 or NaN, are left out. `lowest_deg`: elevation that a complete scan
-    reaches. Raises DamagedFile; InputError for numbers in another format.
+    Rays that did not return, with a position of 0 or NaN, are left out. Raises DamagedFile; InputError for numbers in
+    another format.
     """
     values = np.fromfile(path, np.float32)
     if not len(values) or len(values) % 4 or path.stat().st_size % 16:
@@ -237,9 +218,9 @@ def read_scan(path: Path, lowest_deg: float = LOWEST_DEG) -> np.ndarray:
         fix = "Convert the scans: float32 x, y, z, reflectance / 255. nuScenes has five columns"
         raise InputError(problem, path, fix)
     lowest = np.degrees(np.arctan2(scan[:, 2], np.hypot(scan[:, 0], scan[:, 1])).min())
-    if lowest > lowest_deg:
+    if lowest > LOWEST_DEG:
         problem = f"scan is cut short: its {len(scan)} points end at {lowest:.1f} degrees of elevation"
-        raise DamagedFile(f"{problem} (expected below {lowest_deg:g}, as KITTI's sensor)", path)
+        raise DamagedFile(f"{problem} (expected below {LOWEST_DEG:g}, as KITTI's sensor)", path)
     return scan
 
 

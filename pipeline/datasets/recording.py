@@ -1,7 +1,7 @@
 """Videos and folders of images with logs of the car: parts of recordings in data/raw, as ingest.recordings has them."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.resume import content_hash
-from pipeline.camera.camera import Camera, Frame
+from pipeline.camera.camera import Camera
 from pipeline.camera.images import format_size
 from pipeline.camera.lens import fisheye, pinhole, undistortion
 from pipeline.datasets.core.drive import Drive
@@ -60,15 +60,22 @@ def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
         gone = f"the link's target {missing[0].readlink()}" if missing[0].is_symlink() else "the file"
         fix = "Repeat steer import, or fetch finished drives: dvc repro --pull --allow-missing"
         raise InputError(f"{gone} is missing", missing[0], fix)
-    named = {path.name: path for path in paths}
-    logs = Logs.read(named.get(WHEEL), part.steering_ratio, named.get(MOTION), part.offset)
-    capture = Capture(part.fov, part.K, part.distortion, part.fisheye, part.fps, named.get(TIMES))
-    recording, camera = open_images([path for path in paths if path.name.startswith((VIDEO, FRAMES))], capture, logs)
+    recording, camera, logs = open_part(part, {path.name: path for path in paths})
     used = usable(recording.times_s, logs, part.start, part.end)
     if not used.any():
         raise InputError("no image is left from start to end, or none with motion", f"ingest.recordings.{name}")
     camera = replace(camera, horizon=part.horizon).at_height(part.camera_height)
-    return read_drive(recording, camera, logs, used, recording.times_s[used][0])
+    values = logs.values(np.flatnonzero(used), recording.times_s[used])
+    recording.times_s = recording.times_s - recording.times_s[used][0]
+    return Drive(camera, partial(recording.frames, used), values, recording.notes)
+
+
+def open_part(part: Part, files: Mapping[str, Path]) -> tuple[Recording, Camera, Logs]:
+    """Open the images and logs of a recording, by their names in its folder and the options of a `part`."""
+    logs = Logs.read(files.get(WHEEL), part.steering_ratio, files.get(MOTION), part.offset)
+    capture = Capture(part.fov, part.K, part.distortion, part.fisheye, part.fps, files.get(TIMES))
+    images = [path for name, path in files.items() if name.startswith((VIDEO, FRAMES))]
+    return *open_images(images, capture, logs), logs
 
 
 def _paths(part: Part, root: Path) -> dict[Path, str]:
@@ -77,7 +84,7 @@ def _paths(part: Part, root: Path) -> dict[Path, str]:
 
 
 def open_images(
-    paths: Path | Sequence[Path], capture: Capture, logs: Logs = Logs(), hz: float | None = None
+    paths: Sequence[Path], capture: Capture, logs: Logs, hz: float | None = None
 ) -> tuple[Recording, Camera]:
     """Open a recording of rectified images, `hz` of them per second, after `logs` are compared with its times."""
     recording = open_recording(paths, capture.fps, capture.times, logs.check_overlap)
@@ -102,17 +109,3 @@ def usable(time_s: np.ndarray, logs: Logs, start_s: float, end_s: float | None) 
     elapsed_s = time_s - time_s[0] + ROUNDING_S
     used = (elapsed_s > start_s) & (elapsed_s <= (math.inf if end_s is None else end_s))
     return used & np.isfinite(logs.motion.at(time_s)[0]) if logs.motion else used
-
-
-def read_drive(
-    recording: Recording, camera: Camera, logs: Logs, used: np.ndarray | None = None, origin_s: float = 0.0
-) -> Drive:
-    """Return the `used` frames, bool [F], of a recording, all by default; `origin_s` is subtracted from their times."""
-    used = np.ones(len(recording.times_s), bool) if used is None else used
-    values = logs.values(np.flatnonzero(used), recording.times_s[used])
-    return Drive(camera, partial(_frames, recording, used, origin_s), values, recording.notes)
-
-
-def _frames(recording: Recording, used: np.ndarray, origin_s: float) -> Iterator[Frame]:
-    for frame in recording.frames(used):
-        yield Frame(frame.number, frame.time_s - origin_s, frame.image)

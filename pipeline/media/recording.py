@@ -1,11 +1,11 @@
 """Read a recording, a video file or a folder of images, one frame at a time, with times."""
 
+import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -66,9 +66,7 @@ class Recording:
 
         `used`: a mask of the frames, bool [F]; None: all. Times are seconds since the first image, or those of a file.
         """
-        numbers = dict(zip(self.kept.tolist(), range(len(self.kept)), strict=True))
-        if used is not None:
-            numbers = {place: number for place, number in numbers.items() if used[number]}
+        numbers = {place: row for row, place in enumerate(self.kept.tolist()) if used is None or used[row]}
         for place, image in enumerate(self.images()):
             if (number := numbers.pop(place, None)) is not None:
                 yield Frame(number, float(self.times_s[number]), self.straighten(_upright(image, self.path)))
@@ -104,7 +102,7 @@ class _Video(NamedTuple):
     length_s: float  # between the first and the last frame
     step_s: float
     created: pd.Timestamp  # NaT: unknown
-    taken_hz: float | None  # images per second by the phone's tag, where they are stored at another steady rate
+    taken_hz: float  # images per second by the phone's tag, where they are stored at another steady rate; else NaN
     notes: list[str]
 
 
@@ -130,7 +128,7 @@ def open_recording(
         raise InputError("is a folder among several files", folder, "Pass videos in order, or one folder")
     path, times_s, notes = paths[0], read_times(times) if times else None, list[str]()
     stamped, stored, last_s = False, 0, 0.0
-    if path.is_dir() and (chapters := _video_files(path)):
+    if path.is_dir() and not _files(path, _SUFFIXES) and (chapters := _files(path, _VIDEOS)):
         path, *_ = paths = chapters
     images: Callable[[], Images]
     if path.is_dir():
@@ -149,11 +147,11 @@ def open_recording(
         stored, stamped = sum(video.stored for video in videos), all(video.stamped for video in videos)
         first, last, packets = videos[0], videos[-1], sum(video.packets for video in videos)
         last_s = (packets - 1) / fps if fps else begins_s[-1] + last.length_s
-        if first.taken_hz and stamped and not fps and times_s is None:
+        if first.taken_hz > 0 and stamped and not fps and times_s is None:
             rates = f"{first.taken_hz:g} images per second were taken, {1 / first.step_s:.4g} are stored"
             raise InputError(f"time lapse or slow motion: {rates}", path, f"Pass --fps {first.taken_hz:g}")
         shifts_s = [begin + first.first_s - video.first_s for begin, video in zip(begins_s, videos, strict=True)]
-        images = partial(_decode_all, [*zip(paths, shifts_s, strict=True)])
+        images = lambda: chain.from_iterable(map(_decode, paths, shifts_s))  # noqa: E731
     if not (fps or stamped or times_s is not None):
         raise InputError("images have no times", path, "Pass --fps N, or --times FILE")
     check_span(*(times_s[[0, -1]] if times_s is not None else (0.0, last_s)))
@@ -174,13 +172,15 @@ def open_recording(
     return Recording(path, images, size, kept, times_s, notes)
 
 
-def _video_files(folder: Path) -> list[Path]:
-    """Return a folder's videos in the order of numbers in their names; none if it has images."""
-    files = [path for path in folder.iterdir() if not path.name.startswith(".")]
-    if any(path.suffix.lower() in _SUFFIXES for path in files):
-        return []
-    videos = [path for path in files if path.suffix.lower() in _VIDEOS]
-    return sorted(videos, key=lambda one: [int(x) if x.isdecimal() else x for x in re.split(r"(\d+)", one.name)])
+def _files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
+    """Return a folder's files with these suffixes, by the numbers in their names, then the names."""
+    files = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.name[0] != "."]
+    return sorted(files, key=lambda path: (_words(path), path.name))
+
+
+def _words(path: Path) -> list[Any]:
+    """Return the parts of a name, with numbers as such: img_9 comes before img_10."""
+    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", path.stem)]
 
 
 def _probe(path: Path) -> _Video:
@@ -192,10 +192,10 @@ def _probe(path: Path) -> _Video:
         known = sorted(stamp for stamp in stamps if stamp is not None) or [0]
         steps = np.diff(known) if len(known) > 1 else np.zeros(1)
         first_s, length_s, step_s = (float(x * base) for x in (known[0], known[-1] - known[0], int(np.median(steps))))
-        taken_hz, low, high = _taken_hz(container.metadata), *np.percentile(steps, [5, 95])
-        played = (taken_hz or 0) * step_s
-        if (high - low) * base > STEADY * step_s or 1 / PLAYED < played < PLAYED or not step_s:
-            taken_hz = None
+        taken_hz = float(pd.to_numeric(container.metadata.get("com.android.capture.fps"), errors="coerce"))
+        low, high = np.percentile(steps, [5, 95])
+        if (high - low) * base > STEADY * step_s or 1 / PLAYED < taken_hz * step_s < PLAYED or not step_s:
+            taken_hz = math.nan
         notes, created = list[str](), pd.to_datetime(container.metadata.get("creation_time"), errors="coerce")
         if others:
             name, *names = (f"{one.index} ({one.width} x {one.height} pixels)" for one in (stream, *others))
@@ -205,13 +205,6 @@ def _probe(path: Path) -> _Video:
         fix = f"Scale it: ffmpeg -i {path.name} -vf scale=iw*sar:ih,setsar=1 square.mp4"
         raise InputError(f"pixels are not square ({shape:.3f} times as wide as high)", path, fix)
     return video
-
-
-def _taken_hz(metadata: Mapping[str, str]) -> float | None:
-    try:
-        return float(metadata["com.android.capture.fps"])
-    except (KeyError, ValueError):
-        return None
 
 
 def _follow(videos: Sequence[_Video]) -> tuple[list[float], list[str]]:
@@ -229,15 +222,6 @@ def _follow(videos: Sequence[_Video]) -> tuple[list[float], list[str]]:
             notes.append(f"{after.path.name} begins {abs(gap_s):.1f} s {when} the end of {before.path.name}")
         begins_s.append(begins_s[-1] + whole_s + (gap_s if gap_s > WHOLE_S else 0.0))
     return begins_s, notes
-
-
-def _decode_all(videos: Sequence[tuple[Path, float]]) -> Images:
-    """Yield the images of videos, each with its path and the seconds to add to its times."""
-    for path, shift_s in videos:
-        for image in _decode(path):
-            if shift_s and image.pts is not None and image.time_base:
-                image.pts += round(shift_s / image.time_base)
-            yield image
 
 
 def _scan(images: Callable[[], Images], path: Path) -> tuple[Size, np.ndarray, list[str]]:
@@ -278,11 +262,11 @@ def _bars(light: np.ndarray, path: Path) -> list[str]:
     return [] if (height, width) == light.shape else [f"black bars make the speed wrong. Crop the images: {fix}"]
 
 
-def _decode(path: Path) -> Images:
+def _decode(path: Path, shift_s: float) -> Images:
     """Yield the images of a video from the first key frame on. Raises DamagedFile if the file is cut short.
 
-    The edit list of an MP4 or MOV file may leave out stored frames; then the others last as long as the header says.
-    Matroska has no count of frames, but a duration, that of its longest stream.
+    `shift_s` is added to their times. The edit list of an MP4 or MOV file may leave out stored frames; then the others
+    last as long as the header says. Matroska has no count of frames, but a duration, that of its longest stream.
     """
     with _container(path) as (container, (stream, *_)):
         stream.thread_type = "AUTO"
@@ -293,7 +277,10 @@ def _decode(path: Path) -> Images:
             if packet.stream is stream:
                 packets += packet.size > 0
                 if started := started or packet.is_keyframe:
-                    yield from stream.decode(packet)
+                    for image in stream.decode(packet):
+                        if shift_s and image.pts is not None and image.time_base:
+                            image.pts += round(shift_s / image.time_base)
+                        yield image
         total_s, kind = (container.duration or 0) / av.time_base, container.format.name
         cut = packets < INEXACT * stored - 1
         if "matroska" in kind or (cut and "mov" in kind):
@@ -332,21 +319,18 @@ def _upright(frame: av.VideoFrame, path: Path) -> np.ndarray:
 
 
 def _image_files(folder: Path) -> tuple[list[Path], np.ndarray]:
-    """Return the PNG and JPEG files of a folder by the numbers in their names, then the names, and their places [F].
+    """Return the PNG and JPEG files of a folder in order, and their places [F].
 
     Places leave room for missing numbers; of names without consecutive numbers they are 0, 1, …
     """
-    files = [path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.name[:2] != "._"]  # macOS
-    if not files:
+    if not (files := _files(folder, _SUFFIXES)):
         raise InputError(f"folder has no images (expected {', '.join(_SUFFIXES)})", folder)
-    parts = {path: re.split(r"(\d+)", path.stem) for path in files}
-    words = {path: [int(part) if part.isdecimal() else part for part in parts[path]] for path in files}
-    files.sort(key=lambda path: (words[path], path.name))  # img_9 before img_10
+    words = {path: _words(path) for path in files}
     for before, after in pairwise(files):
-        if words[before][1:] and cast(Any, words[after][1::2]) <= words[before][1::2]:
+        if words[before][1:] and words[after][1::2] <= words[before][1::2]:
             problem = f"{after.name} would follow {before.name}: images of two cameras, or in two formats?"
             raise InputError(problem, folder, "Pass a folder with the images of one")
-    numbers: list[Any] = [words[path][-2] for path in files if words[path][1:]]
+    numbers = [words[path][-2] for path in files if words[path][1:]]
     steps = [after - before for before, after in pairwise(numbers)] or [0]
     names = {(*words[path][:-2], words[path][-1]) for path in files}  # apart from the last number
     if len(names) > 1 or not 0 < (step := min(steps)) == sorted(steps)[len(steps) // 2] or any(n % step for n in steps):

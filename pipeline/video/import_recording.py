@@ -19,11 +19,11 @@ from pipeline.base.resume import ROOT, content_hash
 from pipeline.base.store import replacing
 from pipeline.camera.camera import Camera
 from pipeline.camera.lens import depth_limit
-from pipeline.datasets.recording import FRAMES, MOTION, TIMES, VIDEO, WHEEL, Capture, open_images, usable
+from pipeline.datasets.recording import FRAMES, MOTION, TIMES, VIDEO, WHEEL, open_part, usable
 from pipeline.media.log import Logs
 from pipeline.media.recording import Recording
 from pipeline.motion.horizon import noted_horizon, opposite_turns
-from pipeline.settings.ingest import KITTI_NAMES, Part
+from pipeline.settings.ingest import Part
 from pipeline.settings.preset import IMPORT, is_unedited, stamped
 
 OWN = rf"({VIDEO}[-.]|({FRAMES}|{WHEEL}|{MOTION}|{TIMES})$)"  # names of links
@@ -33,38 +33,49 @@ TURNING_RADPS, TURNING_RAD = 0.05, 0.03  # of the log: yaw rate, angle of the fr
 
 @dataclass
 class Imported:
-    """A recording with its logs, as :func:`open_recording` read it."""
+    """A recording with its logs, cut into parts."""
 
-    part: Part  # all of it: options, horizon and hashes
+    folder: str  # of data/raw
     files: Mapping[str, Path]  # name in the folder → file
+    parts: list[tuple[Part, int]]  # each with its number of images
     recording: Recording
     camera: Camera
-    logs: Logs
 
 
 def open_recording(
-    paths: Sequence[Path], wheel: Path | None, motion: Path | None, times: Path | None, part: Part
+    paths: Sequence[Path], log_files: Mapping[str, Path | None], part: Part, shares: Sequence[float]
 ) -> Imported:
-    """Read a recording and its logs by the options of a `part` without files; find its horizon if `part` has none.
+    """Read a recording by the options of a `part` without files, and cut it into parts with `shares` of its time.
 
-    Raises InputError if anything cannot be used, or the sign of a log is inverted.
+    `log_files`: name in the folder → file. The horizon is estimated if `part` has none. Raises InputError if anything
+    cannot be used, the sign of a log is inverted, no image is left, or a part is too short or has no angle.
     """
-    logs = Logs.read(wheel, part.steering_ratio, motion, part.offset)
-    capture = Capture(part.fov, part.K, part.distortion, part.fisheye, part.fps, times)
-    recording, camera = open_images(paths, capture, logs)
-    within = usable(recording.times_s, Logs(), part.start, part.end)
+    names = [f"{VIDEO}-{number:02d}{path.suffix}" for number, path in enumerate(paths, 1)]
+    if len(paths) == 1:
+        names = [FRAMES if paths[0].is_dir() else f"{VIDEO}{paths[0].suffix}"]
+    files = dict(zip(names, paths, strict=True)) | {name: path for name, path in log_files.items() if path}
+    recording, camera, logs = open_part(part, files)
+    time_s = recording.times_s
+    within, used = (usable(time_s, some, part.start, part.end) for some in (Logs(), logs))
     _check_signs(recording, camera, logs, within)
     row = part.horizon
     if row is None:
         row = noted_horizon(recording.path, partial(recording.frames, within), camera, recording.notes)
-    names = [f"{VIDEO}-{number:02d}{path.suffix}" for number, path in enumerate(paths, 1)]
-    if len(paths) == 1:
-        names = [FRAMES if paths[0].is_dir() else f"{VIDEO}{paths[0].suffix}"]
-    named = zip((*names, WHEEL, MOTION, TIMES), (*paths, wheel, motion, times), strict=True)
-    files = {name: path.resolve() for name, path in named if path}
+    if not used.any():
+        problem = "no image from --start to --end is left, or none with motion"
+        raise InputError(problem, fix="Change --start, --end or --offset")
+    recording.notes.extend(logs.notes(time_s[within]))
+    masks = cut(used, time_s, shares)
+    if logs.wheel and not all(np.isfinite(logs.wheel.at(time_s[rows])).any() for rows in masks):
+        raise InputError("a part has no image with an angle", "--wheel", "Check its times")
     hashes = {name: content_hash(path) for name, path in files.items()}
-    part = part.model_copy(update={"horizon": row and round(row, 2), "files": hashes})
-    return Imported(part, files, recording, camera, logs)
+    parts = []
+    for rows in masks:
+        first_s, last_s = (time_s[rows] - time_s[0])[[0, -1]]
+        span = {"start": math.floor(first_s * 1e3) / 1e3, "end": round(math.ceil(last_s * 1e3) / 1e3 + 0.002, 3)}
+        known = {"horizon": row and round(row, 2), "files": hashes}
+        parts.append((part.model_copy(update=known | span), int(rows.sum())))
+    return Imported(part.folder, files, parts, recording, camera)
 
 
 def _check_signs(recording: Recording, camera: Camera, logs: Logs, within: np.ndarray) -> None:
@@ -73,31 +84,8 @@ def _check_signs(recording: Recording, camera: Camera, logs: Logs, within: np.nd
         rate = np.where(within, log.at(recording.times_s)[row], np.nan) if log else np.zeros(0)
         if log and opposite_turns(recording.frames, camera, recording.times_s, rate, least):
             fix = "Left is positive" + ". Or pass a negative --steering-ratio" * (log is logs.wheel)
-            problem = (
-                f"turns left where {recording.path} turns right: its sign is inverted, or it is another recording's"
-            )
-            raise InputError(problem, log.name, fix)
-
-
-def parts(imported: Imported, shares: Sequence[float]) -> list[tuple[Part, int]]:
-    """Cut a recording into consecutive parts with these shares of its time; return each with its number of images.
-
-    Raises InputError if no image is left, a part is too short, or has no angle of a log.
-    """
-    part, time_s, logs = imported.part, imported.recording.times_s, imported.logs
-    within, used = (usable(time_s, some, part.start, part.end) for some in (Logs(), logs))
-    if not used.any():
-        problem = "no image from --start to --end is left, or none with motion"
-        raise InputError(problem, fix="Change --start, --end or --offset")
-    imported.recording.notes.extend(logs.notes(time_s[within]))
-    result = []
-    for rows in cut(used, time_s, shares):
-        if logs.wheel and not np.isfinite(logs.wheel.at(time_s[rows])).any():
-            raise InputError("a part has no image with an angle", "--wheel", "Check its times")
-        first_s, last_s = (time_s[rows] - time_s[0])[[0, -1]]
-        span = {"start": math.floor(first_s * 1e3) / 1e3, "end": round(math.ceil(last_s * 1e3) / 1e3 + 0.002, 3)}
-        result.append((part.model_copy(update=span), int(rows.sum())))
-    return result
+            causes = "its sign is inverted, or it is another recording's"
+            raise InputError(f"turns left where {recording.path} turns right: {causes}", log.name, fix)
 
 
 def cut(usable: np.ndarray, time_s: np.ndarray, shares: Sequence[float]) -> list[np.ndarray]:
@@ -116,13 +104,6 @@ def cut(usable: np.ndarray, time_s: np.ndarray, shares: Sequence[float]) -> list
     return masks
 
 
-def drive_names(name: str, endings: Sequence[str]) -> list[str]:
-    """Return a drive's name for each of the `endings`; with a name of KITTI's pattern, consecutive numbers."""
-    if KITTI_NAMES.fullmatch(name):
-        return [f"{name[:-4]}{int(name[-4:]) + number:04d}" for number in range(len(endings))]
-    return [f"{name}-{ending}" for ending in endings]
-
-
 def check_free(preset: Path, folders: Sequence[Path]) -> None:
     """Raise InputError if the name of a preset or one of its folders is taken by anything but an earlier import."""
     if re.search(rf"^{re.escape(preset.stem)}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE):
@@ -132,42 +113,41 @@ def check_free(preset: Path, folders: Sequence[Path]) -> None:
     known = read(preset)["ingest"]["recordings"].values() if preset.exists() else ()
     hashes = {(part["folder"], file): value for part in known for file, value in part["files"].items()}
     for path in [path for folder in folders for path in folder.glob("*")]:
-        expected = hashes.get((path.parent.name, path.name))
         own_link = path.is_symlink() and re.match(OWN, path.name)
-        if not own_link and (not expected or content_hash(path) != expected):
+        if not own_link and content_hash(path) != hashes.get((path.parent.name, path.name)):
             raise InputError("is not as steer import wrote it", path, "Move it away, or pass another --name")
 
 
 @contextmanager
 def linked(recordings: Sequence[Imported], raw: Path, *, copy: bool) -> Iterator[None]:
     """Make links to the files of recordings, or copies; after the block they replace those of an earlier import."""
-    folders = [(raw / one.part.folder).resolve() for one in recordings]
-    for path in [path for one in recordings for path in one.files.values()]:
+    folders = [(raw / one.folder).resolve() for one in recordings]
+    for path in [path.resolve() for one in recordings for path in one.files.values()]:
         if any(path.is_relative_to(folder) for folder in folders):
             raise InputError("is in a folder that this import replaces", path, "Move it away, or pass another --name")
     with ExitStack() as stack:
         for one in recordings:
-            new = stack.enter_context(replacing(raw / one.part.folder))
+            new = stack.enter_context(replacing(raw / one.folder))
             new.mkdir()
             for name, path in one.files.items():
                 if not copy:
-                    (new / name).symlink_to(path)
+                    (new / name).symlink_to(path.resolve())
                 elif path.is_dir():
                     shutil.copytree(path, new / name)
                 else:
                     shutil.copyfile(path, new / name)
         yield
         for one in recordings:
-            if (raw / one.part.folder).is_dir():
-                shutil.rmtree(raw / one.part.folder)
+            if (raw / one.folder).is_dir():
+                shutil.rmtree(raw / one.folder)
 
 
-def write_preset(path: Path, drives: Mapping[str, tuple[str, Part]], one: Imported, source: str) -> None:
-    """Write a preset of drives, name → split and part, with two models, with and without measured motion as input.
+def write_preset(path: Path, drives: Mapping[str, tuple[str, Part, int]], one: Imported, source: str) -> None:
+    """Write a preset of drives with two models, with and without measured motion as input.
 
-    Motion that is the label (`source`) cannot be an input for the same frame, so visual labels are predicted a second
-    ahead. A wheel's angle and measured motion may differ in scale: no base. `one`: of the recordings, which have one
-    camera and rate.
+    `drives`: name → split, part and number of images; `one`: of the recordings, which have one camera and rate. Motion
+    that is the label (`source`) cannot be an input for the same frame, so visual labels are predicted a second ahead. A
+    wheel's angle and measured motion may differ in scale: no base.
     """
     network = {"input": "depth", "spatial": "gnn", "temporal": "ncp", "semantics": 0.0, "equivariant": True}
     if source == "visual":
@@ -177,8 +157,8 @@ def write_preset(path: Path, drives: Mapping[str, tuple[str, Part]], one: Import
         "ingest": {
             "image_size": [192, 640],  # the depth network's training size
             "lidar": False,
-            "drives": {split: [name for name, (of, _) in drives.items() if of == split] for split in SPLITS},
-            "recordings": {name: part.model_dump(exclude_defaults=True) for name, (_, part) in drives.items()},
+            "drives": {split: [name for name, (of, *_) in drives.items() if of == split] for split in SPLITS},
+            "recordings": {name: part.model_dump(exclude_defaults=True) for name, (_, part, _) in drives.items()},
         },
         "encoder": {"backbone": "street", "weights": "weights/street/encoder.pt", "epochs": 0},
         "labels": {"source": source},

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.store import DriveReader, write_json
+from pipeline.base.store import DriveReader
 from pipeline.labels.label import Car
 from pipeline.motion.still import lowest_share
 from pipeline.perception.perceive import warnings
@@ -12,27 +12,25 @@ from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from pipeline.video.pictures import publish
 from pipeline.video.results import Outcome, Results
-from pipeline.video.source import INGEST, MOTION, Source, folders, run_chain
+from pipeline.video.source import INGEST, MOTION, Source, run_chain
 
 # As the encoder was trained; of a KITTI drive, the first camera with images.
 READING = Reading(image_size=(192, 640), cameras=[2, 0, 3, 1], lidar=False, on_damaged="skip")
 
 
 def measure(source: Source, out: Path | None, encoder: Path, car: Car, *, video: bool) -> Outcome:
-    """Write motion.csv, track.png, quality.json and overlay.mp4, if `video`.
+    """Write motion.csv, track.png, quality.json and, if `video`, overlay.mp4 to a free folder `out`; None: no files.
 
-    `out`: a new or empty folder; None: no files. `encoder`: a folder. Raises InputError if no frame can be read, or a
-    log is unusable.
+    `encoder`: a folder. Raises InputError if no frame can be read, or a log is unusable.
     """
-    with folders(out) as (work, new):
-        run_chain(source, work, READING, Perception(batch=4), encoder)
+    with run_chain(source, out, READING, Perception(batch=4), encoder) as work:
         results = Results.read(source, work, car, look_ahead=True)
         results.doubts += warnings(encoder, "float32", [work / INGEST])
         comparison = results.compare("measured")
         with DriveReader(work / MOTION, stage="motion") as motion:
             heights_m, bonnet = motion["road_height_m"], lowest_share(motion["still"], motion["valid"])
         known, sigmas = heights_m[heights_m > 0], results.table["speed_sigma"][results.table["valid"] > 0]
-        quality = {  # None where unknown; the road's height is by the encoder's depth
+        quality = results.quality = {  # None where unknown; the road's height is by the encoder's depth
             "horizon": source.camera.horizon,
             "road_frames": float((heights_m > 0).mean()),
             "road_height_m": float(np.median(known)) if len(known) else None,
@@ -49,8 +47,5 @@ def measure(source: Source, out: Path | None, encoder: Path, car: Car, *, video:
             lines.append(f"the encoder's depth puts the camera {height} and pass --camera-height: speed follows it")
         if quality["speed_sigma"] and not results.doubts:
             lines.append(f"speed and curvature may be off by {quality['speed_sigma']:.0%} (one standard deviation)")
-        if out:
-            write_json(new / "quality.json", quality)
-            publish(new, "motion.csv", results, source, car.wheelbase_m, video=video)
-    files = sorted(out.iterdir()) if out else []
-    return Outcome(results.columns(), [*source.notes, *lines], results.doubts, files)
+    files = publish(out, "motion.csv", results, source, car.wheelbase_m, video=video)
+    return Outcome(results.columns(), [*source.drive.notes, *lines], results.doubts, files)

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from matplotlib.figure import Figure
 
+from pipeline.base.store import replacing, write_json
 from pipeline.camera.camera import Camera
 from pipeline.camera.images import resized
 from pipeline.report.street_view import PATHS, STEP_M, path_steps, wheel_tracks
@@ -20,12 +21,21 @@ REACH_M = 60.0  # of paths at a constant angle
 LINES = {"measured": "tab:blue", "predicted": "tab:green", "driven": "0.2"}
 
 
-def publish(folder: Path, csv: str, results: Results, source: Source, wheelbase_m: float, *, video: bool) -> None:
-    """Write the table `csv`, track.png and, if `video`, overlay.mp4 to a folder."""
-    results.write_csv(folder / csv)
-    draw_track(folder / "track.png", results)
-    if video:
-        write_overlay(folder / "overlay.mp4", source, results, wheelbase_m)
+def publish(
+    out: Path | None, csv: str, results: Results, source: Source, wheelbase_m: float, *, video: bool
+) -> list[Path]:
+    """Write the table `csv`, track.png, the quality and, if `video`, overlay.mp4 to a folder; return the files."""
+    if out is None:
+        return []
+    with replacing(out) as new:
+        new.mkdir()
+        results.write_csv(new / csv)
+        draw_track(new / "track.png", results)
+        if results.quality:
+            write_json(new / "quality.json", results.quality)
+        if video:
+            write_overlay(new / "overlay.mp4", source, results, wheelbase_m)
+    return sorted(out.iterdir())
 
 
 def draw_track(path: Path, results: Results) -> None:

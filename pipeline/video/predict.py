@@ -20,9 +20,7 @@ from pipeline.settings.perception import Perception
 from pipeline.train.predict import Trained
 from pipeline.video.pictures import publish
 from pipeline.video.results import Outcome, Results
-from pipeline.video.source import INGEST, MOTION, PERCEPTION, Source, folders, run_chain
-
-CLOUDS, GRAPHS = "clouds.h5", "graphs.h5"
+from pipeline.video.source import INGEST, MOTION, PERCEPTION, Source, run_chain
 
 
 def reading(model: Trained) -> Reading:
@@ -32,23 +30,21 @@ def reading(model: Trained) -> Reading:
 
 
 def predict(model: Trained, source: Source, out: Path | None, encoder: Path, *, video: bool) -> Outcome:
-    """Write steering.csv, track.png and overlay.mp4.
+    """Write steering.csv, track.png and overlay.mp4; arguments as of :func:`pipeline.video.measure.measure`.
 
-    Arguments and errors as of :func:`pipeline.video.measure.measure`. Raises InputError also if the source lacks an
-    input of the model.
+    Raises InputError if no frame can be read, a log is unusable, or the source lacks an input of the model.
     """
     settings = model.settings
     variant, perception = Variant.model_validate(settings["graphs"]), Perception.model_validate(settings["perception"])
     if reading(model).lidar and not (source.files and source.files.scans and source.camera.T_cam_velo is not None):
         raise InputError(f"model {model.name} needs LiDAR scans", source.name, "Choose a model without them")
-    with folders(out) as (work, new):
-        run_chain(source, work, reading(model), perception, encoder)
-        clouds = work / (INGEST if variant.kind == "image" else CLOUDS)
+    with run_chain(source, out, reading(model), perception, encoder) as work:
+        graph, clouds = work / "graphs.h5", work / INGEST
         if variant.kind != "image":
-            kind = variant.source.removeprefix("clouds/")
+            kind, clouds = variant.source.removeprefix("clouds/"), work / "clouds.h5"
             clouds_drive(clouds, kind, work / INGEST, work / PERCEPTION, _clouds(model, source))
-        graphs_drive(work / GRAPHS, clouds, work / MOTION, variant)
-        with graph_file.open_graphs(work / GRAPHS) as graphs:
+        graphs_drive(graph, clouds, work / MOTION, variant)
+        with graph_file.open_graphs(graph) as graphs:
             results = Results.read(source, work, model.car, look_ahead=False, frame=graphs.frame)
             rows = np.isin(graphs.frame, results.table["frame"])  # a frame with a scan may lack an image
             prediction = model.predict(graphs)[rows]
@@ -59,10 +55,9 @@ def predict(model: Trained, source: Source, out: Path | None, encoder: Path, *, 
         ahead = f", each {horizon} frames ahead" if horizon else ""
         predicted = f"{model.name}: {np.isfinite(prediction[:, 0]).sum()} predictions for {frames} frames{ahead}"
         results.doubts += _differences(model, source, encoder, results.table["time_s"])
-        lines = [*source.notes, *results.lines(results.compare("predicted", horizon)), predicted]
-        if out:
-            publish(new, "steering.csv", results, source, model.car.wheelbase_m, video=video)
-    return Outcome(results.columns(), lines, results.doubts, sorted(out.iterdir()) if out else [])
+        lines = [*source.drive.notes, *results.lines(results.compare("predicted", horizon)), predicted]
+    files = publish(out, "steering.csv", results, source, model.car.wheelbase_m, video=video)
+    return Outcome(results.columns(), lines, results.doubts, files)
 
 
 def _clouds(model: Trained, source: Source) -> Clouds:

@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -106,9 +106,11 @@ class Results:
     problems: list[str]  # why the motion of each frame is not measured; empty where it is
     truth: Truth
     agreement: dict[str, Any]  # of what was driven with the measured motion: pipeline.labels.comparison.compare
+    agreement_lines: list[str]  # at most one
+    doubts: list[str]
     ahead_m: tuple[float, ...] = ()  # edges of the ranges of the predicted path, of models of the path
     path_1pm: np.ndarray | None = None  # [F,R] predicted mean curvature in each range
-    doubts: list[str] = field(default_factory=list)
+    quality: dict[str, Any] | None = None  # content of quality.json
 
     @classmethod
     def read(
@@ -123,24 +125,24 @@ class Results:
         with DriveReader(work / MOTION, stage="motion") as motion, DriveReader(work / INGEST, stage="ingest") as raw:
             rows = np.flatnonzero(np.isin(motion.frame, motion.frame if frame is None else frame))
             if not len(rows):
-                raise InputError("no frame could be read", source.path, "; ".join(source.notes[:1]))
+                raise InputError("no frame could be read", source.path, "; ".join(source.drive.notes[:1]))
+            frame, time_s, valid = motion.frame[rows], motion.time_s[rows], motion["valid"]
             course = read_course(motion, car, look_ahead=look_ahead, height_known=source.camera.height_known)
-            truth = read_truth(raw, motion.frame[rows], source.logs, car)
-            looking_ahead = sources.read("visual", raw, work / MOTION, car)
-            measured = looking_ahead.at(np.searchsorted(raw.frame, motion.frame[rows]))
-            agreement = compare([Pair(motion.time_s[rows], truth.driven, measured)])
-            valid, codes = motion["valid"], motion["problem"][rows]
-            source.notes.extend(source.logs.notes(motion.time_s[rows]))
+            truth = read_truth(raw, frame, source.logs, car)
+            measured = sources.read("visual", raw, work / MOTION, car).at(np.searchsorted(raw.frame, frame))
+            agreement = compare([Pair(time_s, truth.driven, measured)])
+            source.drive.notes.extend(source.logs.notes(time_s))
             doubts = [*_backwards(source.path, course["speed_mps"][rows], truth, car.min_speed_mps)]
             doubts += warnings(lowest_share(motion["still"], valid))
             points, residual = (np.where(valid, motion[name], np.nan) for name in ("inliers", "residual"))
-            columns = {"valid": valid, **course, "points": points, "residual": residual}
-            driven_rad = np.where(truth.driven.valid, truth.driven.steering_rad, np.nan)
-            table = {"frame": motion.frame[rows], "time_s": motion.time_s[rows], "driven_rad": driven_rad}
+            problems = [PROBLEMS[code] for code in motion["problem"][rows]]
+        columns = {"valid": valid, **course, "points": points, "residual": residual}
+        table = {"frame": frame, "time_s": time_s}
+        table["driven_rad"] = np.where(truth.driven.valid, truth.driven.steering_rad, np.nan)
         table |= {name: values[rows] for name, values in columns.items()}
-        results = cls(source.name, table, [PROBLEMS[code] for code in codes], truth, agreement)
-        results.doubts = [*doubts, *results.judged()[1]]
-        return results
+        faults, lines = judge(agreement, truth.column, truth.ratio)
+        doubts += [*lines[1:], *faults]
+        return cls(source.name, table, problems, truth, agreement, lines[:1], doubts)
 
     def columns(self) -> pd.DataFrame:
         """Return a row per frame: the recording, the columns, and those of a predicted path for each range."""
@@ -150,10 +152,9 @@ class Results:
 
     def write_csv(self, path: Path) -> None:
         """Write the :meth:`columns`; unknown values are empty."""
-        table = self.columns().astype(object)
+        table = self.columns()
         for name in table.columns[1:]:
-            form = FORMATS.get(name, ".6f")
-            table[name] = ["" if math.isnan(value) else format(value, form) for value in table[name]]
+            table[name] = table[name].map(f"{{:{FORMATS.get(name, '.6f')}}}".format, na_action="ignore")
         table.to_csv(path, index=False)
 
     def lines(self, comparison: Mapping[str, Any] | None) -> Iterator[str]:
@@ -162,7 +163,7 @@ class Results:
         reasons = ", ".join(f"{problem} ({count})" for problem, count in counts)
         measured = f"motion measured in {int(self.table['valid'].sum())} of {len(self.problems)} frames"
         yield f"{measured}; not measured: {reasons}" if reasons else measured
-        yield from self.judged()[0]
+        yield from self.agreement_lines
         if comparison is None:
             return
         ahead = f", {comparison['horizon']} frames ahead" if comparison["horizon"] else ""
@@ -172,11 +173,6 @@ class Results:
                 nmse = "-" if row["nmse"] is None else f"{row['nmse']:.3f} ({errors.interval_text(row['nmse_ci95'])})"
                 text = "" if row["correlation"] is None else f", correlation {row['correlation']:.3f}"
                 yield f"  {name}: nmse {nmse}, RMSE {row['rmse_deg']:.2f} deg{text}"
-
-    def judged(self) -> tuple[list[str], list[str]]:
-        """Return a line about how the recorded values follow the measured ones, if there are any, and doubts."""
-        faults, lines = judge(self.agreement, self.truth.column, self.truth.ratio)
-        return lines[:1], [*lines[1:], *faults]
 
     def compare(self, column: str, horizon: int = 0) -> dict[str, Any] | None:
         """Return errors of angles against the driven ones `horizon` frames later; None without common frames.

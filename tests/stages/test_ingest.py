@@ -82,9 +82,7 @@ def test_damaged_files_are_listed_at_once_or_left_out(tmp_path, capsys):
         run(tmp_path, on_damaged="skip")
     for packet in (folder / "oxts/data").iterdir():
         write(packet, "")
-    with pytest.raises(
-        InputError, match=r"9 damaged files, among them all oxts packets: .*0000000000.txt: expected 30"
-    ):
+    with pytest.raises(InputError, match=r"9 damaged files, among them all oxts packets: .*0.txt: expected 30"):
         run(tmp_path, on_damaged="skip")
 
 
@@ -109,10 +107,8 @@ def test_a_drive_that_was_ingested_before_is_not_left_out(tmp_path, capsys):
     write_drive(tmp_path / "raw")
     write_drive(tmp_path / "raw", "2011_09_26_drive_0004")
     run(tmp_path)
-    note = (
-        f"left out: {tmp_path / 'raw'} has no {third} (it has 2011_09_26_drive_0004, which ingest.drives does not name)"
-    )
-    assert note in capsys.readouterr().out
+    hint = "(it has 2011_09_26_drive_0004, which ingest.drives does not name)"
+    assert f"left out: {tmp_path / 'raw'} has no {third} {hint}" in capsys.readouterr().out
     folder, before = write_drive(tmp_path / "raw", third), contents(tmp_path / "data/ingest")
     run(tmp_path)
     assert contents(tmp_path / "data/ingest") != before

@@ -7,7 +7,7 @@ import yaml
 
 from pipeline.base import resume
 from pipeline.base.errors import InputError
-from pipeline.datasets.kitti import find_drives
+from pipeline.datasets.kitti import find_drive
 from stages import sample
 
 DRIVES = ["2026_01_01_drive_0001", "2026_01_01_drive_0002", "2026_01_05_drive_0001"]  # two dates, two cameras
@@ -35,15 +35,15 @@ def test_drives_of_the_params(tmp_path):
     assert not out.exists()
     kitti.mkdir()
     sample.main(out, params, tmp_path / "raw")
-    raw = find_drives(out, DRIVES)
-    assert [len(raw[drive].images(2)) for drive in DRIVES] == [2, 2, 3]
-    focal = [raw[drive].camera(2).K[0, 0] for drive in DRIVES]
+    raw = [find_drive(out, drive) for drive in DRIVES]
+    assert [len(drive.images(2)) for drive in raw] == [2, 2, 3]
+    focal = [drive.camera(2).K[0, 0] for drive in raw]
     assert focal[0] == focal[1] < focal[2]
     assert sorted(path.name for path in out.glob("*/*_sync")) == [f"{drive}_sync" for drive in DRIVES]
     for lidar, epochs in ((False, 0), (False, 1), (True, 0)):
         write_params(params, lidar, epochs, train=1, val=1, test=1)
         sample.main(out, params, tmp_path / "raw")
-        for number, drive in enumerate(find_drives(out, DRIVES).values()):
+        for number, drive in enumerate(find_drive(out, drive) for drive in DRIVES):
             truth = epochs > 0 or number == 2
             counts = [len(files) for files in (drive.images(2), drive.scans, drive.truth_depth, drive.truth_cls)]
             assert counts == [1, lidar, truth, truth]

@@ -18,6 +18,7 @@ from pipeline.base.store import DriveReader
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.datasets import recording
 from pipeline.datasets.core.ingest_file import write_drive
+from pipeline.media.log import Logs
 from pipeline.motion import horizon
 from pipeline.motion.drive import measure_drive
 from pipeline.perception.perceive import perceive_drive
@@ -134,12 +135,10 @@ def test_an_imported_recording_has_the_same_numbers(tmp_path, encoder, monkeypat
     monkeypatch.chdir(preset.ROOT)
     taller = [np.pad(image, [(70, 30), (0, 0), (0, 0)], mode="edge") for image in drive(14)]
     images, K, bent = write_folder(tmp_path / "images", taller), "180,180,159.5,98", "-0.02,0.01,0,0"
-    opened = source.open_source(
-        images, READING, CAMERA_HEIGHT_M, capture=source.Capture(K=K, distortion=bent, fps=10.0)
-    )
+    capture = source.Capture(K=K, distortion=bent, fps=10.0)
+    opened = source.open_source([images], READING, CAMERA_HEIGHT_M, Logs(), None, capture)
     assert opened.camera.horizon == pytest.approx(114, abs=3)
     settings = Perception(batch=4)
-    source.run_chain(opened, tmp_path, READING, settings, encoder)
     lens = {"distortion": bent, "camera_height": CAMERA_HEIGHT_M}
     import_recording([images] * 2, "monday", k=[K], fps=10.0, each=True, **lens)
     preset.main(str(tmp_path / "presets/monday.yaml"), tmp_path)
@@ -149,7 +148,8 @@ def test_an_imported_recording_has_the_same_numbers(tmp_path, encoder, monkeypat
     write_drive(files[0], imported, "monday-1", "recording", READING)
     perceive_drive(files[1], files[0], encoder, settings)
     measure_drive(files[2], *files[:2])
-    with DriveReader(files[2], stage="motion") as stage, DriveReader(tmp_path / "motion.h5", stage="motion") as own:
+    with source.run_chain(opened, None, READING, settings, encoder) as work:
+        stage, own = (DriveReader(path, stage="motion") for path in (files[2], work / "motion.h5"))
         assert stage["valid"].tolist() == own["valid"].tolist() == [0] + 13 * [1]
         for dataset in ("yaw_rate_radps", "speed_mps", "filtered_mps", "speed_sigma"):
             np.testing.assert_allclose(stage[dataset], own[dataset], rtol=1e-5)

@@ -21,7 +21,6 @@ _LIMITS = np.array([{"vf": LIMIT_MPS, "vl": LIMIT_MPS, "wu": LIMIT_RADPS}.get(na
 GRAVITY_MPS2 = 9.81
 EARTH_RADIUS_M = 6378137.0
 STEERING = "steering.csv"  # in a drive's folder: recorded angles, which KITTI itself lacks
-STEERING_COLUMNS = ("frame", "steering_rad")
 
 
 def make_rows(frames: int, **columns: np.ndarray | float) -> np.ndarray:
@@ -93,6 +92,6 @@ def read_times(path: Path, frames: Sequence[int]) -> np.ndarray:
 def read_steering(path: Path) -> dict[int, float]:
     """Return frame number → angle of the front wheels in rad, left positive. Raises InputError."""
     expected = "Expected CSV: frame (number of the image), steering_rad (angle of the front wheels, left +)"
-    table, faults = read_columns(path, dict(zip(STEERING_COLUMNS, (np.inf, LIMIT_RAD), strict=True)), expected)
+    table, faults = read_columns(path, {"frame": np.inf, "steering_rad": LIMIT_RAD}, expected)
     refuse(faults + check_increase(table["frame"], 1), path, expected)
     return table.dropna().astype({"frame": int}).set_index("frame")["steering_rad"].to_dict()

@@ -22,7 +22,8 @@ from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Frame
 from pipeline.camera.geometry import rays
 from pipeline.camera.lens import fisheye, pinhole, undistortion
-from pipeline.datasets.core.ingest_file import IngestFile
+from pipeline.datasets.core.drive import Drive
+from pipeline.datasets.core.ingest_file import write_drive
 from pipeline.datasets.core.oxts import make_rows
 from pipeline.labels.label import Car, Labels
 from pipeline.media import recording
@@ -67,7 +68,7 @@ def test_files_that_follow_each_other_are_one_recording(tmp_path):
         assert np.abs(found - images).mean() < 4
     times = "2026-11-26 12:00:00", "2026-11-26 12:00:10", "2026-11-26 12:00:12", None
     videos = [
-        recording._Video(Path(f"{n}.mp4"), 40, 40, True, 0.0, 3.9, 0.1, pd.Timestamp(t), None, [])
+        recording._Video(Path(f"{n}.mp4"), 40, 40, True, 0.0, 3.9, 0.1, pd.Timestamp(t), np.nan, [])
         for n, t in enumerate(times)
     ]
     begins_s, notes = recording._follow(videos)
@@ -509,10 +510,9 @@ def test_truth_is_that_of_the_logs_or_of_the_drive(tmp_path, wheel, motion, expe
     files[0].write_text(wheel or "")
     files[1].write_text(f"time_s,speed_mps,yaw_rate_radps\n{motion}")
     logs = Logs.read(files[0] if wheel else None, 14.0 if wheel else None, files[1] if motion else None)
-    with IngestFile(tmp_path / "a.h5", "a", None, READING) as file:
-        for number in range(4):
-            file.add(Frame(number, number / 10))
-        file.finish(logs.values(np.arange(4), np.arange(4) / 10) if logs.name else recorded)
+    values = logs.values(np.arange(4), np.arange(4) / 10) if logs.name else recorded
+    drive = Drive(None, lambda: (Frame(number, number / 10) for number in range(4)), values)
+    write_drive(tmp_path / "a.h5", drive, "a", "recording", READING)
     with DriveReader(tmp_path / "a.h5", stage="ingest") as raw:
         truth = read_truth(raw, raw.frame, logs, CAR)
     np.testing.assert_allclose(np.where(truth.driven.valid, truth.driven.steering_rad, np.nan), expected_rad)
@@ -533,7 +533,7 @@ def test_comparison_by_its_definition():
     table |= {"valid": valid.astype(np.uint8), "driven_rad": driven_rad}
     table["predicted_rad"] = np.where(frame < 3, np.nan, 0.05)
     labels = Labels(driven_rad, frame > -1, driven_rad, driven_rad)
-    results = Results("drive", table, [""] * 11, Truth("log.csv", "wheel_rad", labels), {})
+    results = Results("drive", table, [""] * 11, Truth("log.csv", "wheel_rad", labels), {}, [], [])
     comparison = results.compare("predicted", 2)
     target = results.table["driven_rad"][5:]
     assert (comparison["truth"], comparison["frames"], comparison["horizon"]) == ("log.csv", 6, 2)

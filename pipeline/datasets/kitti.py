@@ -6,7 +6,6 @@ frame, and it needs all four cameras.
 """
 
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +14,11 @@ import numpy as np
 from pipeline.base.errors import DamagedFile, InputError, closest
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import read_classes, read_depth, read_image
-from pipeline.datasets.core.calibration import CALIBRATION, RENDERED, matrix, read_calibration, read_entries
+from pipeline.datasets.core.calibration import CALIBRATION, RENDERED, read_calibration, read_entries
 from pipeline.datasets.core.drive import Drive, stamps
 from pipeline.datasets.core.oxts import STEERING, read_row, read_steering, read_times
 from pipeline.settings.ingest import Ingest, Reading
 
-HORIZON = "calib_horizon.txt"  # of drives that earlier versions imported: two recordings may have two horizons
 # The lowest laser of the HDL-64E points 24.8 degrees down and hits the road 4 m away; complete scans of KITTI reach
 # below -23.6 degrees. Files list the lasers from top to bottom, so a truncated scan lacks the low ones.
 LOWEST_DEG = -20.0
@@ -69,11 +67,8 @@ class KittiDrive:
         return number
 
     def camera(self, number: int) -> Camera:
-        """Return a calibrated camera, with the horizon's row of an imported drive. Raises InputError."""
-        camera, path = read_calibration(self.calibration, number), self.folder / HORIZON
-        if not path.is_file():
-            return camera
-        return replace(camera, horizon=float(matrix(read_entries(path), f"horizon_{number:02d}", (1,), path)[0]))
+        """Return a calibrated camera. Raises InputError."""
+        return read_calibration(self.calibration, number)
 
     def timeline(self, camera: int | None) -> tuple[list[int], Path]:
         """Return the numbers of the frames with an oxts packet, and the file with their times.
@@ -89,8 +84,7 @@ class KittiDrive:
         camera = self.camera_number(cameras)
         images = {} if camera is None else self.images(camera)
         frames = [self.oxts, self.scans, self.truth_depth, self.truth_cls, images]
-        single = [self.timeline(camera)[1], *sorted(self.calibration.glob("calib_*.txt"))]
-        single += [self.folder / name for name in (STEERING, HORIZON)]
+        single = [self.timeline(camera)[1], *sorted(self.calibration.glob("calib_*.txt")), self.folder / STEERING]
         return [*(path for files in frames for path in files.values()), *filter(Path.is_file, single)]
 
 
@@ -146,7 +140,8 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
                 raise InputError(f"all {kind} of the drive are damaged: {lost[0].problem}", lost[0].where)
         others = {"images or scans without a frame": len({*images, *scans} - {*numbers})}
         others["damaged files left out"] = len(faults)
-        notes[1:] = [f"{count} {name}" for name, count in others.items() if count]
+        lines = [f"{count} {name}" for name, count in others.items() if count]
+        notes.extend(line for line in lines if line not in notes)
 
     return Drive(camera, frames, values, notes, "sample" if text.startswith(f"{RENDERED}\n") else "kitti")
 

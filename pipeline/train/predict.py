@@ -84,6 +84,8 @@ def load(folder: str | Path, device: torch.device | str | None = None) -> Traine
             scale = Scale.parse(content["scale"])
             about = {key: content[key] for key in ("name", "seeds", "settings", "drives", "fps")}
             about["datasets"] = content.get("datasets", [])
+            height_m = about["settings"].get("perception", {}).pop("camera_height_m", None)  # of earlier versions
+            about["settings"].setdefault("camera_height_m", height_m)
         except (AttributeError, LookupError, TypeError, ValueError) as error:
             raise InputError(f"not a model of this version ({shorten(repr(error), 200)})", path) from error
         net = entry.build(**contents._asdict(), outputs=len(scale.names))

@@ -15,6 +15,7 @@ from pipeline.base.resume import ROOT
 from pipeline.graphs.graph_file import open_graphs
 from pipeline.train.predict import load
 from stages import clouds, encoder, graphs, ingest, labels, motion, perception, sample, train
+from steer import api
 from steer.predict import predict
 
 pytestmark = pytest.mark.slow
@@ -134,6 +135,12 @@ def test_a_folder_of_images(folder, tmp_path, capsys):
     assert "points was fitted to depth" not in text
     video = cv2.VideoCapture(str(out / "overlay.mp4"))
     assert (video.get(cv2.CAP_PROP_FRAME_WIDTH), video.get(cv2.CAP_PROP_FRAME_HEIGHT)) == (320, 216)  # not cropped
+
+
+def test_the_model_of_the_checkout_predicts_an_angle():
+    lens = {"K": "172.9,172.9,154.4,44.95", "fps": 10.0}
+    table = api.predict(ROOT / "examples/street", model=ROOT / "models/steering/sample", **lens).table
+    assert np.degrees(table["predicted_rad"].iloc[-1]) == pytest.approx(17.1, abs=3)
 
 
 def test_a_gap_and_a_damaged_image_start_a_new_window(folder, tmp_path, capsys):

@@ -112,7 +112,7 @@ def verdicts(results: Results) -> list[list[str]]:
         names, errors = (row[column[head]].split(", ") for head in ("networks", "nmse"))
         return ", ".join(f"{name} {error}" for name, error in zip(names, errors, strict=True))
 
-    return [["the paper's claim", "verdict", "nmse"], *([*row[:2], networks(row)] for row in rows)]
+    return [["the paper's claim", "verdict (95 %)", "nmse"], *([*row[:2], networks(row)] for row in rows)]
 
 
 def works(results: Results) -> list[list[str]]:

@@ -171,11 +171,13 @@ def scene(results: Results, head: str, rows: Sequence[tuple[str, str]]) -> list[
     names, table = [BLIND, "another scene"], []
     model, *controls = ROWS["models"]["others"]
     for row, group in rows:
-        errors = [text(results, f"{group}/{name}") for name in (model, *controls)]
+        unlearned = [get(results, f"{group}/{name}") for name in NO_LEARNING]
+        errors = [number(min(unlearned), ".3f"), *(text(results, f"{group}/{name}") for name in (*controls, model))]
         keys = [f"{group}/{model} - {name}" for name in controls]
         differences = [f"{difference(results, key)} {get(results, key, 'verdict')}" for key in keys]
         table.append([row, text(results, f"{group}/{model}", "frames", ",d"), *errors, *differences])
-    return [[head, "frames", "with the scene", *names, *(f"− {name}" for name in names)], *table]
+    heads = [head, "frames", "without learning", *names, "with the scene", *(f"scene − {name}" for name in names)]
+    return [heads, *table]
 
 
 def shown(results: Results, model: str, rivals: list[str]) -> str:

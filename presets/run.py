@@ -41,8 +41,8 @@ def main(name: str) -> None:
             if status := subprocess.run(["dvc", *words.split()], cwd=run, check=False).returncode:
                 raise typer.Exit(status)
         made = origin(name, (run / "revision").read_text("ascii"))
-        made |= {"minutes": f"{(time.monotonic() - start_s) / 60:.1f}"}
-        facts, settings = ", ".join(f"{key} {value}" for key, value in made.items()), read(run / "params.yaml")
+        took = f"{(time.monotonic() - start_s) / 60:.1f} min of the last make"
+        facts, settings = ", ".join([*map(" ".join, made.items()), took]), read(run / "params.yaml")
         content = json.loads((run / "data/report/results.json").read_text(encoding="utf-8"))
         write_json(report / f"{name}.json", made | {"results": content}, sort_keys=False)
         command, page = next_command(name, run, settings), (run / "data/report/index.html").read_text(encoding="utf-8")
@@ -62,7 +62,8 @@ def next_command(name: str, run: Path, settings: dict[str, Any]) -> str:
     drives, recordings = settings["ingest"]["drives"], settings["ingest"].get("recordings", {})
     for part in [recordings[drive] for drive in drives["test"] if drive in recordings]:
         lens = [f"--{key} {part[key]}" for key in ("fov", "K", "distortion", "fisheye") if key in part]
-        return " ".join(["steer predict VIDEO", *lens, f"--model {run}/data/train/{next(iter(settings['models']))}"])
+        model = run / "data/train" / next(iter(settings["models"]))
+        return " ".join(["steer predict VIDEO", *lens, f"--model {min(model.glob('fold-*'), default=model)}"])
     return f"$EDITOR presets/{name}.yaml && make {name}  # trains only what changed"
 
 

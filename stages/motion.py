@@ -21,6 +21,8 @@ def main(data: Path = Path("data")) -> Path:
     for drive, summary in made.items():
         for text in warnings(summary["still"]):
             print(f"{drive}: {text}")
+    if unknown := [drive for drive, summary in made.items() if not summary["scaled"]]:
+        print(f"speed may be off by 20 %: no camera height in {', '.join(unknown)}. Pass steer import --camera-height")
     frames, road = (sum(summary[name] for summary in made.values()) for name in ("frames", "road_frames"))
     if frames and road < MIN_ROAD * frames:
         fix = "models with motion: visual need base: none"

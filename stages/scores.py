@@ -44,7 +44,7 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
             for kind, motion_scores in _score_motion(drives, ingest, motion, car).items():
                 content["motion"].setdefault(kind, dict.fromkeys(SPLITS))[split] = motion_scores
         for kind in (name for name in SOURCES if not sources.load(name).MEASURED):
-            pairs = comparison.read(kind, store.drives_in(index, "train", "val"), ingest, motion, car)
+            pairs = comparison.read(kind, store.drives_in(index, "train", "val") or [*index], ingest, motion, car)
             errors, lines = comparison.judge(comparison.compare([*pairs.values()]), sources.column(kind))
             content["recorded"][kind] = {"lines": [*lines, *errors]}
         store.write_json(folder.new / "metrics.json", content)

@@ -79,8 +79,10 @@ def predict(
     """
     target, folder = _free(out), _network(options.here_or_in_checkout(Path(model)))
     trained = load(folder)
-    height_m = known.get("camera_height_m") or trained.settings.get("camera_height_m")
-    opened = _open(source, predicting.reading(trained), known | {"camera_height_m": height_m}, trained.fps)
+    opened = _open(source, predicting.reading(trained), known, trained.fps)
+    if (height_m := trained.settings.get("camera_height_m")) and not opened.camera.height_known:
+        opened = opened.at_height(height_m)
+        opened.drive.notes.insert(0, f"camera {height_m:g} m over the road, as in the model's training drives")
     names = trained.drives
     trained_on = f"{len(names)} drives: {names[0]} to {names[-1]}" if len(names) > 1 else names[0]
     opened.drive.notes.insert(0, f"{trained.name} was trained on {trained_on}")

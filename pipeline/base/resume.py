@@ -84,12 +84,12 @@ def code_hash() -> str:
 
 
 def revision(checkout: Path = Path()) -> str:
-    """Return the short hash of the commit, with "-dirty" if the code differs from it; empty without git."""
+    """Return the short hash of the commit, with "-dirty" if code or settings differ from it; empty without git."""
     if not shutil.which("git") or not (checkout / ".git").exists():
         return ""
     git = partial(subprocess.run, cwd=checkout, capture_output=True, text=True, check=False)
     commit = git(["git", "rev-parse", "--short", "HEAD"]).stdout.strip()
-    return commit + "-dirty" * bool(commit and git(["git", "diff", "--quiet", "HEAD", "--", *CODE]).returncode)
+    return commit + "-dirty" * bool(git(["git", "status", "--porcelain", "--", *CODE, "presets", "params.yaml"]).stdout)
 
 
 def meaning(path: Path) -> str:

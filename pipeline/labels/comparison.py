@@ -181,7 +181,7 @@ def check(source: str, drives: Mapping[str, Pair]) -> Iterator[str]:
     """
     compared = {drive: compare([pair]) for drive, pair in drives.items()}
     groups = {drive: found for drive, found in compared.items() if found["turning"] >= JUDGED}
-    for where, found in {**groups, "training and validation drives": compare([*drives.values()])}.items():
+    for where, found in {**groups, "all compared drives": compare([*drives.values()])}.items():
         errors, lines = judge(found, sources.column(source))
         if errors:
             raise InputError(errors[0], where, "Correct the log and import it again, or choose another labels.source")

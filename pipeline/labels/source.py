@@ -17,6 +17,7 @@ from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.datasets.core.oxts import VL, interpolated, make_rows
 from pipeline.labels.ahead import path_ahead
 from pipeline.labels.label import TURNING_RAD, Car, Labels
+from pipeline.labels.recorded import recorded_motion
 from pipeline.settings.labels import SOURCES
 from pipeline.settings.labels import Labels as Settings
 
@@ -71,9 +72,14 @@ def read(source: str, raw: DriveReader, motion: Path | None, car: Car, *, look_a
 
 
 def recorded(raw: DriveReader, car: Car) -> dict[str, Labels]:
-    """Return the labels of each source that an ingest file has: those that were recorded, not measured."""
+    """Return the labels of each source that an ingest file has: those that were recorded, not measured.
+
+    The yaw rate is a recorded one, NaN without; not that of a bicycle model.
+    """
     found = {source: _read(source, raw, None, car, True) for source in SOURCES if not load(source).MEASURED}
-    return {source: labels for source, labels in found.items() if labels is not None}
+    rates = recorded_motion(raw)
+    yaw_rate_radps = np.full(len(raw.frame), np.nan) if rates is None else rates[1]
+    return {kind: labels._replace(yaw_rate_radps=yaw_rate_radps) for kind, labels in found.items() if labels}
 
 
 def _read(source: str, raw: DriveReader, motion: Path | None, car: Car, look_ahead: bool) -> Labels | None:

@@ -72,7 +72,8 @@ def measure_drive(
             file.put(name, columns[name], unit)
         _check_unit(columns["road_height_m"][road], frames.camera.height_m, frames.unit_error)
     still = lowest_share(columns["still"], valid)
-    return {"frames": count, "valid": int(valid.sum()), "road_frames": int(road.sum()), "still": still}
+    counts = {"frames": count, "valid": int(valid.sum()), "road_frames": int(road.sum())}
+    return counts | {"still": still, "scaled": int(frames.camera.height_known)}
 
 
 def _check_unit(heights_m: np.ndarray, camera_m: float, factor: float) -> None:

@@ -80,9 +80,13 @@ def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:
 
 def _with_base(preset: Path) -> Iterator[dict[str, Any]]:
     changes = read(preset)
-    for name in changes.pop("base", []):
-        yield from _with_base(path_of(name))
+    for base in _bases(changes.pop("base", None)):
+        yield from _with_base(base)
     yield changes
+
+
+def _bases(names: Any) -> list[Path]:
+    return [path_of(name) for name in ([names] if isinstance(names, str) else names or [])]
 
 
 def path_of(name: str) -> Path:
@@ -100,11 +104,11 @@ def refresh(preset: Path, raw: Path) -> None:
     With a changed copy, which an import must not replace, the preset counts as edited.
     """
     content, hashes, changed = read(preset, comments=True), dict[Path, str](), set[Path]()
-    for name in content.get("base", []):
-        refresh(path_of(name), raw)
+    for base in _bases(content.get("base")):
+        refresh(base, raw)
     for part in filter(None, ((content.get("ingest") or {}).get("recordings") or {}).values()):
-        for name, before in part["files"].items():
-            path = raw / part["folder"] / name
+        for name, before in part.get("files", {}).items():
+            path = raw / part.get("folder", "") / name
             if path.exists() and path not in hashes:
                 hashes[path] = content_hash(path)
             if hashes.get(path, before) != before:

@@ -54,7 +54,7 @@ def view(path: Path, out: Path) -> None:
 
     with _open(path) as file:
         if "xyz" not in file or not len(file["xyz"]):
-            raise InputError("has no points", path, "Pass a file of data/clouds or data/graphs")
+            raise InputError("has no points", path, "Pass a file of point clouds, or of graphs of points")
         figure = plots.in_space(street_view.read_some(file))
     with replacing(out) as new:
         new.write_text(plots.to_html(figure, "space", "min(95vh, 105vw)", alone=True), encoding="utf-8")

@@ -42,6 +42,11 @@ class Source:
     logs: Logs
     files: kitti.KittiDrive | None = None  # None: a video, or a folder of images
 
+    def at_height(self, height_m: float | None) -> "Source":
+        """Return the source with its camera at a known height over the road; None: as it is."""
+        camera = self.camera.at_height(height_m)
+        return replace(self, camera=camera, drive=replace(self.drive, camera=camera))
+
 
 def open_source(
     paths: Sequence[Path], reading: Reading, height_m: float | None, logs: Logs, hz: float | None, capture: Capture
@@ -71,8 +76,7 @@ def open_source(
         path, name, time_s = images.path, images.path.stem, images.times_s
         drive = Drive(camera, images.frames, logs.values(np.arange(len(time_s)), time_s), images.notes)
     assert drive.camera  # as it has images
-    drive.camera = drive.camera.at_height(height_m)
-    return Source(path, name, drive, drive.camera, len(time_s), logs, files)
+    return Source(path, name, drive, drive.camera, len(time_s), logs, files).at_height(height_m)
 
 
 @contextmanager

@@ -122,10 +122,11 @@ def test_an_inverted_wheel_is_refused_and_test_drives_are_not_compared(tmp_path,
     write_index(tmp_path / "ingest", DRIVES)
     run(tmp_path, source="wheel")
     assert f"{FIRST}: recorded / measured, 130 turning frames: angle gain 1.00" in capsys.readouterr().out
-    write_index(tmp_path / "ingest", {FIRST: "test", SECOND: "val"})
     (tmp_path / "labels/index.json").unlink()
-    with pytest.raises(InputError, match=f"{SECOND}: the sign of steering_rad is inverted"):
-        run(tmp_path, source="wheel")
+    for split in ("val", "test"):  # leave-one-out has test drives only
+        write_index(tmp_path / "ingest", {FIRST: "test", SECOND: split})
+        with pytest.raises(InputError, match=f"{SECOND}: the sign of steering_rad is inverted"):
+            run(tmp_path, source="wheel")
 
 
 def test_a_split_whose_only_drive_stands_is_named(tmp_path, capsys):

@@ -8,7 +8,7 @@ A key is PRESET/KEY, with keys as in pipeline/report/summary.py: roads/angle-10/
 
 import json
 import re
-from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -105,50 +105,35 @@ def claims(results: Results) -> list[list[str]]:
 
 def verdicts(results: Results) -> list[list[str]]:
     """Return claim, verdict, and the nmse of both networks."""
-    heads, *rows = claims(results)
-    column = {head: number for number, head in enumerate(heads)}
-
-    def networks(row: list[str]) -> str:
-        names, errors = (row[column[head]].split(", ") for head in ("networks", "nmse"))
-        return ", ".join(f"{name} {error}" for name, error in zip(names, errors, strict=True))
-
-    return [["the paper's claim", "verdict (95 %)", "nmse"], *([*row[:2], networks(row)] for row in rows)]
+    table = [["the paper's claim", "verdict (95 %)", "nmse"]]
+    for (statement, verdict, *_), claim in zip(claims(results)[1:], CLAIMS, strict=True):
+        errors = (f"{name} {text(results, f'table2/angle-0/{name}')}" for name in (claim.model, claim.rival))
+        table.append([statement, verdict, ", ".join(errors)])
+    return table
 
 
 def works(results: Results) -> list[list[str]]:
     """Return a row per task that README names."""
+    return [["task", "nmse", "to compare with"], *filled(results, "works")]
 
-    def fill(cell: str) -> str:
-        return re.sub(r"\{(.*?)\}", lambda found: text(results, found[1]), cell)
 
-    return [["task", "nmse", "to compare with"], *([fill(cell) for cell in row] for row in ROWS["works"])]
+def filled(results: Results, name: str) -> list[list[str]]:
+    """Return rows of docs/tables.yaml with the figures whose keys they have in braces."""
+    return [[re.sub(r"\{(.*?)\}", lambda key: text(results, key[1]), cell) for cell in row] for row in ROWS[name]]
 
 
 def beyond(results: Results) -> list[list[str]]:
     """Return a row per question beyond the paper, and rows of measured motion."""
-    teams = min(text(results, f"udacity/{team}") for team in ("autumn", "komanda", "rambo"))
-    wheel = f"{text(results, 'udacity/steer measure')} rad"
-    measured = "steering wheel by measured motion, Udacity's test drive, RMSE"
-    udacity = [measured, wheel, *[NONE] * 3, f"best of three teams: {teams} rad"]
-    motion = sorted({text(results, key) for key in results if key.startswith("real/motion/")})
-    measured = "present angle by measured motion, six drives of KITTI"
-    kitti = [measured, " to ".join(dict.fromkeys((motion[0], motion[-1]))), *[NONE] * 4]
-    return [*questions(results, "nmse on unseen drives", ROWS["beyond"]), udacity, kitti]
+    return [*questions(results, "nmse on unseen drives", "beyond"), *filled(results, "measured")]
 
 
-def real(results: Results) -> list[list[str]]:
-    """Return a row per further question on the six real drives."""
-    return questions(results, "nmse on six drives of KITTI, trained on", ROWS["real"])
-
-
-def questions(results: Results, head: str, asked: Sequence[list[str]]) -> list[list[str]]:
-    """Return a row per question whose figures are known."""
+def questions(results: Results, head: str, name: str) -> list[list[str]]:
+    """Return a row per question of docs/tables.yaml whose figures are known."""
     rows = [[head, "without learning", BLIND, "with the scene", "mean error, °", "does the scene help?"]]
-    for question, group, kind in asked:
+    for question, group, kind in ROWS[name]:
         model, *controls = ROWS["models"].get(kind, [kind])
         if (key := f"{group}/{model}") in results:
-            errors = {name: get(results, f"{group}/{name}") for name in NO_LEARNING}
-            best = min((name for name in errors if errors[name] is not None), key=lambda name: errors[name])
+            best = best_baseline(results, group)
             blind = next((name for name in controls if "blind" in name), "")
             nmse = [text(results, f"{group}/{name}") for name in (best, blind, model)]
             degrees = text(results, key, "mae_deg", ".2f")
@@ -156,23 +141,19 @@ def questions(results: Results, head: str, asked: Sequence[list[str]]) -> list[l
     return rows
 
 
-def kinds(results: Results) -> list[list[str]]:
-    """Return a row per kind of frames."""
-    return scene(results, "nmse of the path, trained on the other recordings", ROWS["kinds"])
+def best_baseline(results: Results, group: str) -> str:
+    """Return the baseline without learning that has the smallest error."""
+    errors = {name: get(results, f"{group}/{name}") for name in NO_LEARNING}
+    return min((name for name in errors if errors[name] is not None), key=lambda name: errors[name])
 
 
-def streets(results: Results) -> list[list[str]]:
-    """Return a row per part of the nine recordings."""
-    return scene(results, "nmse of the path 10 to 20 m ahead, trained on the other eight", ROWS["streets"])
-
-
-def scene(results: Results, head: str, rows: Sequence[tuple[str, str]]) -> list[list[str]]:
-    """Return a row per group of frames: errors, and differences of the first model to the others."""
+def scene(results: Results, head: str, name: str) -> list[list[str]]:
+    """Return the errors for each group of frames, and the paired differences of the model with the scene."""
     names, table = [BLIND, "another scene"], []
     model, *controls = ROWS["models"]["others"]
-    for row, group in rows:
-        unlearned = [get(results, f"{group}/{name}") for name in NO_LEARNING]
-        errors = [number(min(unlearned), ".3f"), *(text(results, f"{group}/{name}") for name in (*controls, model))]
+    for row, group in ROWS[name]:
+        compared = (best_baseline(results, group), *controls, model)
+        errors = [text(results, f"{group}/{one}") for one in compared]
         keys = [f"{group}/{model} - {name}" for name in controls]
         differences = [f"{difference(results, key)} {get(results, key, 'verdict')}" for key in keys]
         table.append([row, text(results, f"{group}/{model}", "frames", ",d"), *errors, *differences])
@@ -232,7 +213,11 @@ def plot(results: Results) -> Figure:
     return figure
 
 
-TABLES = {table.__name__: table for table in (works, verdicts, claims, beyond, real, kinds, streets, table2, coverage)}
+TABLES = {table.__name__: table for table in (works, verdicts, claims, beyond, table2, coverage)} | {
+    "real": partial(questions, head="nmse on six drives of KITTI, trained on", name="real"),
+    "kinds": partial(scene, head="nmse of the path, trained on the other recordings", name="kinds"),
+    "streets": partial(scene, head="nmse of the path 10 to 20 m ahead, trained on the other eight", name="streets"),
+}
 
 if __name__ == "__main__":
     console.run(collect, render)

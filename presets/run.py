@@ -102,12 +102,12 @@ def copy_code(run: Path) -> None:
     (run / "revision").write_text(revision(), encoding="ascii")
 
 
-def origin(preset: str, revision: str) -> dict[str, str]:
+def origin(preset: str, commit: str) -> dict[str, str]:
     """Return what docs/results keeps of a run beside its results."""
     from torch import cuda
 
     machine = cuda.get_device_name() if cuda.is_available() else f"{os.cpu_count()} CPU cores"
-    return {"preset": preset, "revision": revision or "unknown", "date": str(date.today()), "machine": machine}
+    return {"preset": preset, "revision": commit or "unknown", "date": str(date.today()), "machine": machine}
 
 
 if __name__ == "__main__":

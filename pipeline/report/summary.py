@@ -33,7 +33,7 @@ def results(groups: Sequence[Group], scores: dict[str, Any] | None = None) -> Re
         for group in parts(whole):
             figures |= _figures(group, rows, [*product(models, models)])
         for row in (row for row in whole.models if row["val_nmse"] < np.inf):
-            known = [scores["nmse_by_seed"] for scores in row["val"].values() if scores["nmse"] is not None]
+            known = [column["nmse_by_seed"] for column in row["val"].values() if column["nmse"] is not None]
             seeds = np.mean(known, axis=0).tolist()
             figures[f"val/{row['model']}"] = entry(row["val_nmse"], seeds=seeds, roads=len(row["drives"]["train"]))
     for kind, splits in (scores or {"motion": {}})["motion"].items():

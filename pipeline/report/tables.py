@@ -101,13 +101,12 @@ def sentences(groups: Sequence[Group], absent: Sequence[str] = ()) -> list[str]:
                 f"{group.mae_deg(baseline):.2f}° and {group.nmse(baseline)[0]:.3f}. Difference in nmse "
                 f"{difference:+.3f} ({interval_text(bounds, '+.3f')}): {verdict}."
             )
-            gets = ["the structure of the scene in front"] * (best["entry"]["spatial"] != "blind")
-            gets += ["this motion"] * (best["entry"]["motion"] != "none")
-            if baseline in ("odometry", "regression"):
+            scene_alone = best["entry"]["spatial"] != "blind" and best["entry"]["motion"] == "none"
+            if scene_alone and baseline in ("odometry", "regression"):
                 texts.append(
                     f"The two answer different questions. {baseline.capitalize()} uses the car's own motion, measured "
                     f"from consecutive images: to know the present angle, use that (steer measure). {name} gets only "
-                    f"{' and '.join(gets)}: the question is what the scene tells about the angle, as in the paper."
+                    "the structure of the scene in front: the question is what it tells of the angle, as in the paper."
                 )
     if useless := [line for group in groups for line in _useless(group).values()]:
         texts.append(" ".join(useless))

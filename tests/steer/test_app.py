@@ -64,6 +64,10 @@ def test_a_frame_is_printed_and_drawn(data):
     assert cv2.imread("a.png").std() > 5
 
 
+def test_the_version_is_printed():
+    assert run("--version").startswith("steer 0.")
+
+
 def test_points_are_shown_in_a_page_that_opens(data, monkeypatch):
     opened = list[str]()
     monkeypatch.setattr("webbrowser.open", opened.append)

@@ -15,6 +15,7 @@ from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
 from pipeline.labels import comparison
 from pipeline.labels import source as sources
+from pipeline.labels.agreement import compare
 from pipeline.labels.label import Car
 from pipeline.perception.scores import Scores, read_truth
 from pipeline.settings.labels import SOURCES, Labels
@@ -45,7 +46,7 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
                 content["motion"].setdefault(kind, dict.fromkeys(SPLITS))[split] = motion_scores
         for kind in (name for name in SOURCES if not sources.load(name).MEASURED):
             pairs = comparison.read(kind, store.drives_in(index, "train", "val") or [*index], ingest, motion, car)
-            errors, lines = comparison.judge(comparison.compare([*pairs.values()]), sources.column(kind))
+            errors, lines = comparison.judge(compare([*pairs.values()]), sources.column(kind))
             content["recorded"][kind] = {"lines": [*lines, *errors]}
         store.write_json(folder.new / "metrics.json", content)
     return out

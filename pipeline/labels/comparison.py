@@ -3,42 +3,57 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.labels import source as sources
-from pipeline.labels.label import TURNING_RAD, Car, Labels, held
+from pipeline.labels.agreement import Agreement, Fit, Noise, Pair, Speed, compare
+from pipeline.labels.label import Car, Labels, held
+from pipeline.labels.rates import measured_rates
 from pipeline.metrics import nmse
 
-LAGS_S = np.array(sorted(np.arange(-40, 41) / 20, key=abs))  # [L]
-STEADY = 0.2  # standard deviation / root mean square: below, no correlation is defined
-SHOWN, SIGNED, JUDGED = 20, 40, 100  # turning frames that a comparison, an inverted sign and other errors need
+# Turning frames that a comparison needs, that an inverted sign needs to be an error, and that a wrong unit needs.
+SHOWN = 20
+SIGNED = 40
+JUDGED = 100
 # The cosine of recorded and measured values, of turning frames, is 0.97 to 1 in all parts of eight healthy logs that
 # have SIGNED turning frames; where the sign is inverted, it is the opposite.
 OPPOSITE = -0.93
-CLEAR, FOLLOWS = 0.9, 0.95  # least correlations: of few frames; of many: eight healthy logs have 0.978 and more
+# Largest lag in seconds of an inverted log: beyond, a late log of a winding road looks the same.
+TURNED_S = 0.6
 # KITTI's and rendered drives agree to 0.05 s with a correlation of 0.997, of which a lag of 0.25 s costs 0.02. A
-# steering wheel may lead the yaw rate by 0.2 s. Lags of the thirds of a healthy log differ by up to 0.1 s.
-LATE_S, LATE_COST, DRIFT_S = 0.2, 0.01, 0.3
-MAGNITUDE = 0.1  # by how much magnitudes correlate better than values with a sign
-STUCK_S, STUCK_RAD = 2.0, 4 * TURNING_RAD  # a recorded angle stays equal for longer, while the measured one varies
-OFF_CENTRE = 0.2  # of the root mean square of measured values, when these are 0: healthy logs have up to 0.06
-DEGREES, SIMILAR = math.degrees(1), 0.1  # 57.3 within a factor of 1.5: healthy gains are 0.7 to 1.2
+# steering wheel may lead the yaw rate by 0.2 s.
+LATE_S = 0.2
+LATE_COST = 0.01
+# Least lag that is printed: of healthy logs, what it gains is noise.
+PRINTED_COST = 0.002
+# Largest difference in seconds of the lags of the thirds of a log: healthy ones have up to 0.1.
+DRIFT_S = 0.3
+# Frames that turn to one side, in which a log without signs has the other one.
+OTHER_SIDE = 10
+# Least correlation of a log without signs with the magnitudes of the measured values.
+CLEAR = 0.8
+# Longest time for which a healthy log stays equal while the car turns.
+STUCK_S = 2.0
+# A unit is degrees if the logarithm of the gain to this base is within SIMILAR of 1: 57.3 within a factor of 2.
+DEGREES = math.degrees(1)
+SIMILAR = 0.17
 # Logarithms of gains. Karlsruhe's cameras measure 1.2 times the speed, a camera 1.2 m above the road 1.38 times. The
 # yaw rate depends on no scale, but on the focal length: in 243 rendered drives its gain is 0.93 to 1.07.
-UNLIKE, UNLIKE_SPEED, UNLIKE_YAW = math.log(1.3), math.log(1.4), math.log(1.15)
-MOST = 2  # doubts shown about one recording
-
-
-class Pair(NamedTuple):
-    """Recorded and measured labels of the frames [F] of a drive; measured rates are means that look ahead."""
-
-    time_s: np.ndarray
-    recorded: Labels
-    measured: Labels
+UNLIKE = math.log(1.3)
+UNLIKE_SPEED = math.log(1.4)
+UNLIKE_YAW = math.log(1.15)
+# Standard deviations of the measured speed that its errors may reach besides.
+SIGMAS = 2.0
+# Share of the frames whose speed has the wrong sign, beyond which the log's sign is inverted.
+NEGATIVE = 0.5
+UNKNOWN = "too little turning for its noise"
+"""Why a log cannot be compared."""
+# Doubts that are shown about one recording.
+MOST = 2
 
 
 def errors(measured: Labels, true: Labels) -> np.ndarray:
@@ -88,90 +103,18 @@ def read(source: str, drives: Sequence[str], ingest: Path, motion: Path, car: Ca
         with DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw:
             recorded = sources.recorded(raw, car).get(source)
             if recorded and path.is_file():
-                result[drive] = Pair(raw.time_s, recorded, sources.read("visual", raw, path, car))
+                measured = sources.read("visual", raw, path, car)
+                result[drive] = Pair(raw.time_s, recorded, measured, read_noise(raw, path))
     return result
 
 
-def compare(pairs: Sequence[Pair]) -> dict[str, Any]:
-    """Return how recorded values follow measured ones.
-
-    ``turning``: frames that turn by the measured angle. ``angle``, ``yaw_rate`` and ``speed``, where recorded: see
-    :func:`_fit`, and ``stuck_s``, the longest time for which the recording stays equal while the measured angle varies.
-    """
-    result, turns = dict[str, Any](turning=0), np.zeros(0, bool)
-    for key, name in (("angle", "steering_rad"), ("yaw_rate", "yaw_rate_radps"), ("speed", "speed_mps")):
-        lagged = [_lagged(pair, name) for pair in pairs if len(pair.time_s)]
-        if not lagged:
-            continue
-        m, r = (np.concatenate(values, axis=-1) for values in zip(*lagged, strict=True))  # [N], [L,N]
-        if key == "angle":
-            turns = np.abs(m) > TURNING_RAD  # false for NaN
-            result["turning"] = int((turns & np.isfinite(r[0])).sum())
-        if np.isfinite(m * r[0]).any():
-            result[key] = _fit(m, r, turns) | {"stuck_s": max(_stuck_s(pair, name) for pair in pairs)}
-    return result
-
-
-def _lagged(pair: Pair, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return measured values [F], and recorded ones, shifted by each lag, [L,F]; NaN where not valid."""
-    m, r = (np.where(labels.valid, getattr(labels, name), np.nan) for labels in (pair.measured, pair.recorded))
-    return m, np.stack([np.interp(pair.time_s + lag_s, pair.time_s, r, np.nan, np.nan) for lag_s in LAGS_S])
-
-
-def _stuck_s(pair: Pair, name: str) -> float:
-    longest, values = 0.0, getattr(pair.recorded, name)
-    for rows in np.split(np.arange(len(values)), np.flatnonzero(np.diff(values) != 0) + 1):  # NaN differs from NaN
-        moved = pair.measured.steering_rad[rows][pair.measured.valid[rows]]
-        if len(moved) and np.ptp(moved) > STUCK_RAD:
-            longest = max(longest, float(np.ptp(pair.time_s[rows])))
-    return longest
-
-
-def _fit(m: np.ndarray, r: np.ndarray, turns: np.ndarray) -> dict[str, Any]:
-    """Return how recorded values r [L,N] at all lags follow measured ones m [N]; `turns` bool [N].
-
-    ``frames``; ``correlation``, 0 on a steady curve or at a steady speed; ``lag_s`` of the recording, positive if it is
-    late, at which the correlation has the largest magnitude, ``best``; ``distinct``: it explains much more than any of
-    the other sign, and its magnitude is above 0.7; there ``gain``, recorded / measured root mean square, ``offset``,
-    the recorded value where the measured one is 0, and ``off_centre``, the same in measured root mean squares.
-    ``cosine``: of both values in turning frames, without lag; ``magnitude``: the best correlation of the recording with
-    measured magnitudes; ``thirds_s``: the lag of each third that follows and has SIGNED turning frames.
-    """
-    correlation, slope, mean_m, mean_r, rms_m, rms_r = _correlation(m, r)
-    best = int(np.argmax(np.abs(correlation)))
-    rival = max(0.0, (-np.sign(correlation[best]) * correlation).max())
-    used, thirds_s = turns & np.isfinite(r[0]), []
-    length = math.sqrt((m[used] ** 2).sum() * (r[0, used] ** 2).sum())
-    for rows in np.array_split(np.arange(len(m)), 3):
-        third = _correlation(m[rows], r[:, rows])[0]
-        if used[rows].sum() >= SIGNED and third.max() > CLEAR:
-            thirds_s.append(float(LAGS_S[np.argmax(third)]))
-    return {
-        "frames": int((np.isfinite(m) & np.isfinite(r[0])).sum()),
-        "correlation": float(correlation[0]),
-        "lag_s": float(LAGS_S[best]),
-        "best": float(correlation[best]),
-        "distinct": bool(1 - correlation[best] ** 2 < (1 - rival**2) / 2),
-        "gain": float(max(rms_r[best], 1e-6) / max(rms_m[best], 1e-6)),
-        "offset": (offset := float((mean_r - slope * mean_m)[best])),
-        "off_centre": offset / max(float(rms_m[best]), 1e-6),
-        "cosine": float((m[used] * r[0, used]).sum() / length) if length else 0.0,
-        "magnitude": float(_correlation(np.abs(m), r)[0].max()),
-        "thirds_s": thirds_s,
-    }
-
-
-def _correlation(m: np.ndarray, r: np.ndarray) -> np.ndarray:
-    """Return correlation, slope of r by m, both means and both root mean squares at each lag, [6,L]."""
-    used = np.isfinite(m) & np.isfinite(r)
-    count, both = used.sum(axis=1), (np.where(used, m, 0.0), np.where(used, r, 0.0))
-    (mean_m, mean_r), (mm, rr) = ([(x**n).sum(axis=1) / np.maximum(count, 1) for x in both] for n in (1, 2))
-    mr = (both[0] * both[1]).sum(axis=1) / np.maximum(count, 1) - mean_m * mean_r
-    var_m, var_r = mm - mean_m**2, rr - mean_r**2
-    varies = (var_m > STEADY**2 * mm) & (var_r > STEADY**2 * rr) & (count > count[0] / 2)
-    correlation = np.where(varies, mr, 0.0) / np.sqrt(np.where(varies, var_m * var_r, 1.0))
-    slope = np.where(varies, mr, 0.0) / np.where(varies, var_m, 1.0)
-    return np.stack([correlation, slope, mean_m, mean_r, np.sqrt(mm), np.sqrt(rr)])
+def read_noise(raw: DriveReader, motion: Path) -> Noise:
+    """Return the standard deviations of the measured rates of an ingest file's frames."""
+    sigmas = np.full((2, len(raw.frame)), np.nan)
+    with DriveReader(motion, stage="motion") as file:
+        rows = np.searchsorted(raw.frame, file.frame)
+        sigmas[:, rows] = measured_rates(file, look_ahead=True)[2:]
+    return Noise(*sigmas)
 
 
 def check(source: str, drives: Mapping[str, Pair]) -> Iterator[str]:
@@ -180,7 +123,7 @@ def check(source: str, drives: Mapping[str, Pair]) -> Iterator[str]:
     Raises InputError for an error.
     """
     compared = {drive: compare([pair]) for drive, pair in drives.items()}
-    groups = {drive: found for drive, found in compared.items() if found["turning"] >= JUDGED}
+    groups = {drive: found for drive, found in compared.items() if found.turning >= JUDGED}
     for where, found in {**groups, "all compared drives": compare([*drives.values()])}.items():
         errors, lines = judge(found, sources.column(source))
         if errors:
@@ -188,61 +131,142 @@ def check(source: str, drives: Mapping[str, Pair]) -> Iterator[str]:
         yield from (f"{'doubt: ' * (number > 0)}{where}: {line}" for number, line in enumerate(lines))
 
 
-def judge(comparison: Mapping[str, Any], column: str, ratio: float = 1.0) -> tuple[list[str], list[str]]:
-    """Return errors, and lines: a result of :func:`compare`, and up to MOST doubts, the strongest first.
+def judge(agreement: Agreement, column: str, ratio: float = 1.0) -> tuple[list[str], list[str]]:
+    """Return errors, and lines: a summary, and up to MOST doubts, the strongest first.
 
     `column` of the recorded angles, in the log times `ratio`; empty: they follow from yaw rate and speed. With few
     turning frames errors are doubts, with very few there is nothing but the speed.
     """
-    errors, doubts, texts, turning = list[str](), list[str](), list[str](), comparison["turning"]
-    for key in ("yaw_rate", "angle"):
-        if (fit := comparison.get(key)) and turning >= SHOWN:
-            late = f", the recording {abs(fit['lag_s']):.2f} s {'late' if fit['lag_s'] > 0 else 'early'}"
-            course = f", correlation {fit['correlation']:.3f}{late if fit['lag_s'] else ''}" if fit["best"] else ""
-            texts.append(f"{key.replace('_', ' ')} gain {fit['gain']:.2f}{course}")
-    key, name = ("angle", column) if column else ("yaw_rate", "yaw_rate_radps")
-    if (fit := comparison.get(key)) and turning >= SHOWN:
-        errors, doubts = _judge(fit, name, turning, ratio)
-    if (speed := comparison.get("speed")) and speed["frames"] >= SHOWN:
-        texts.append(f"speed gain {speed['gain']:.2f}")
-        if abs(math.log(speed["gain"])) > UNLIKE_SPEED * (1.4 if speed["frames"] < JUDGED else 1):  # noisy
-            causes = "km/h would give 3.6, mph 2.24; a wrong K or camera height changes the measured speed"
-            doubts.append(f"speed_mps is {speed['gain']:.2f} times what is measured: {causes}")
-    agreement = [f"recorded / measured, {turning} turning frames: {'; '.join(texts)}"] if texts else []
-    return errors, [*agreement, *doubts[:MOST]]
+    errors = list[str]()
+    doubts = list[str]()
+    if agreement.speed:
+        errors, doubts = _judge_speed(agreement.speed, agreement.speed_sigma)
+
+    fit = agreement.angle if column else agreement.yaw_rate
+    of_fit = list[str]()
+    if fit and fit.turning >= SHOWN and not errors:
+        errors, of_fit = _judge(fit, column or "yaw_rate_radps", ratio, agreement.speed_sigma)
+    unknown = fit is not None and not (_comparable(fit) or errors or of_fit)
+    summary = _summary(agreement, "angle" if column else "yaw rate", unknown)
+    return errors, [*summary, *(of_fit + doubts)[:MOST]]
 
 
-def _judge(fit: Mapping[str, Any], name: str, turning: int, ratio: float) -> tuple[list[str], list[str]]:
+def judge_turns(agreement: Agreement, column: str) -> str:
+    """Return an error of a log's sign or clock by the turns of images alone, UNKNOWN, or an empty text.
+
+    `column`: the one that was compared.
+    """
+    fit = agreement.yaw_rate or agreement.angle
+    if not fit or not _comparable(fit):
+        return UNKNOWN
+    if fit.far_s is not None:
+        return _wrong_clock(column, fit.far_s)
+    return _wrong_sign(column, fit)
+
+
+def _wrong_clock(name: str, lag_s: float) -> str:
+    return f"the clock of {name} is {_late(lag_s)}: {_offset(lag_s)}"
+
+
+def _wrong_sign(name: str, fit: Fit) -> str:
+    """Return what is wrong with the sign of a column; empty: nothing."""
+    inverted = fit.follows and fit.best < 0 and abs(fit.lag_s) <= TURNED_S
+    opposite = fit.turning >= SIGNED and fit.cosine < OPPOSITE
+    if not (inverted or opposite):
+        return ""
+    also = ". Or its angles have no sign" if fit.one_sided else ""
+    return f"the sign of {name} is inverted: left is positive{also}"
+
+
+def _summary(agreement: Agreement, judged: str, unknown: bool) -> list[str]:
+    """Return a line on gains, correlations and lags; `unknown`: what is `judged` has too little turning for them."""
+    texts = list[str]()
+    for name, fit in (("yaw rate", agreement.yaw_rate), ("angle", agreement.angle)):
+        if not fit or fit.turning < SHOWN:
+            continue
+        text = f"{name} gain {fit.gain:.2f}"
+        if fit.best:
+            text += f", correlation {fit.correlation:.3f}"
+        if fit.follows and fit.lag_gain > PRINTED_COST:
+            text += f", the recording {_late(fit.lag_s)}"
+        texts.append(text)
+    if unknown:
+        texts = [f"{judged} cannot be compared: {UNKNOWN}"]
+    if agreement.speed and agreement.speed.frames >= SHOWN:
+        texts.append(f"speed gain {agreement.speed.gain:.2f}")
+    if not texts:
+        return []
+    return [f"recorded / measured, {agreement.turning} turning frames: {'; '.join(texts)}"]
+
+
+def _comparable(fit: Fit) -> bool:
+    """Return whether a log of another road, or with another sign, would differ in the frames that turn."""
+    tells = fit.judged or fit.follows or abs(fit.cosine) > -OPPOSITE
+    return tells and fit.turning >= SHOWN
+
+
+def _late(lag_s: float) -> str:
+    return f"{abs(lag_s):.2f} s {'late' if lag_s > 0 else 'early'}"
+
+
+def _offset(lag_s: float) -> str:
+    return f"pass --offset {-lag_s:.2f}, added to an earlier one"
+
+
+def _judge_speed(speed: Speed, sigma: float) -> tuple[list[str], list[str]]:
+    """Return errors and doubts about recorded speeds."""
+    if speed.back > NEGATIVE * speed.frames >= NEGATIVE * SHOWN:
+        problem = f"speed_mps is negative in {speed.back} of {speed.frames} frames that are measured ahead"
+        return [f"{problem}, so angles have the wrong sign: forward is positive"], []
+    doubts = list[str]()
+    if speed.ahead:
+        causes = "a speed without a sign in reverse gear? These frames have no label"
+        doubts.append(f"{speed.ahead} frames go ahead by speed_mps, but are measured backwards: {causes}")
+    elif speed.back:
+        doubts.append(f"{speed.back} frames go backwards by speed_mps, but are measured ahead")
+    noisy = 1.4 if speed.frames < JUDGED else 1.0
+    if speed.frames >= SHOWN and abs(math.log(speed.gain)) > UNLIKE_SPEED * noisy + SIGMAS * sigma:
+        causes = "km/h would give 3.6, mph 2.24; a wrong K or camera height changes the measured speed"
+        doubts.append(f"speed_mps is {speed.gain:.2f} times what is measured: {causes}")
+    return [], doubts
+
+
+def _judge(fit: Fit, name: str, ratio: float, speed_sigma: float) -> tuple[list[str], list[str]]:
     """Return errors and doubts about the column `name`: the first that holds, and a time that is wrong besides."""
-    best, gain, lag_s, many = fit["best"], fit["gain"], fit["lag_s"], turning >= JUDGED
-    certain, follows = fit["distinct"] and (many or abs(best) > CLEAR), abs(best) > FOLLOWS
-    unsigned = fit["magnitude"] > max(CLEAR, abs(best) + MAGNITUDE)
-    inverted = certain and max(best, fit["correlation"]) < 0
-    opposite = turning >= SIGNED and fit["cosine"] < OPPOSITE
-    degrees = certain and abs(abs(math.log(gain, DEGREES)) - 1) < SIMILAR
-    drifts = len(fit["thirds_s"]) > 1 and np.ptp(fit["thirds_s"]) > DRIFT_S
-    off_centre = abs(fit["off_centre"]) > OFF_CENTRE
-    unlike, others = (
-        (UNLIKE_YAW, "and K or --fov") if name == "yaw_rate_radps" else (UNLIKE, "the steering ratio and K")
-    )
-    times = f"{name} is {gain:.3g} times what is measured"
-    lags = " to ".join(f"{lag:.2f}" for lag in fit["thirds_s"])
-    causes = "another drive's log, a clock that is more than 2 s off, or poorly measured motion"
-    sign, unit = f"the sign of {name} is inverted: left is positive", f"{times}: convert degrees to radians, once"
-    errors = [(sign, not unsigned and (opposite or (many and inverted))), (unit, many and degrees)]
-    doubts = [
-        (f"{name} has angles without a sign", unsigned),
-        (sign, inverted),
-        (unit, degrees),
-        (f"{name} stays equal for {fit['stuck_s']:.0f} s while the car turns", fit["stuck_s"] > STUCK_S),
-        (f"the clock of {name} drifts or jumps, or --fps is wrong: it is {lags} s late", drifts),
-        (f"{name} does not follow the measured motion: {causes}", many and 0 < abs(best) <= FOLLOWS),
-        (f"{times}: check its unit, {others}", certain and follows and abs(math.log(gain)) > unlike),
-        (f"straight ahead is {fit['offset'] * ratio:.2g} in {name}: subtract it", follows and off_centre),
-    ]
-    found = [text for text, holds in doubts if holds][:1]
-    if best > CLEAR and best - fit["correlation"] > LATE_COST and abs(lag_s) > LATE_S and not drifts:
-        late = "late" if lag_s > 0 else "early"
-        found.append(f"{name} is {abs(lag_s):.2f} s {late}: pass --offset {-lag_s:.2f}, added to an earlier one")
-    wrong = [text for text, holds in errors if holds]
-    return wrong, [] if wrong else found
+    many = fit.turning >= JUDGED
+    if fit.far_s is not None:
+        return [], [_wrong_clock(name, fit.far_s)]
+    if fit.stuck_s > STUCK_S:
+        return [], [f"{name} stays equal for {fit.stuck_s:.0f} s while the car turns"]
+
+    sign = _wrong_sign(name, fit)
+    if sign:
+        return ([sign], []) if fit.turning >= SIGNED else ([], [sign])
+    if fit.other_side >= OTHER_SIDE and fit.magnitude > max(CLEAR, fit.best):
+        return [], [f"{name} has angles without a sign"]
+
+    follows = fit.follows and fit.best > 0
+    times = f"{name} is {fit.gain:.3g} times what is measured"
+    if (follows or fit.cosine > -OPPOSITE) and abs(abs(math.log(fit.gain, DEGREES)) - 1) < SIMILAR:
+        unit = f"{times}: convert degrees to radians, once"
+        return ([unit], []) if many else ([], [unit])
+    if len(fit.thirds_s) > 1 and np.ptp(fit.thirds_s) > DRIFT_S:
+        lags = " to ".join(f"{lag:.2f}" for lag in fit.thirds_s)
+        return [], [f"the clock of {name} drifts or jumps, or --fps is wrong: it is {lags} s late"]
+    if not follows:
+        causes = "another drive's log, a clock that is far off, or poorly measured motion"
+        return [], [f"{name} does not follow the measured motion: {causes}"] if fit.judged else []
+
+    doubts = list[str]()
+    others = "the steering ratio and K"
+    unlike = UNLIKE + SIGMAS * speed_sigma
+    if name == "yaw_rate_radps":
+        others = "and K or --fov"
+        unlike = UNLIKE_YAW
+    if abs(math.log(fit.gain)) > unlike - math.log(fit.best):  # noise changes a gain by up to the correlation
+        doubts.append(f"{times}: check its unit, {others}")
+    elif fit.off_centre:
+        doubts.append(f"straight ahead is {fit.offset * ratio:.2g} in {name}: subtract it")
+    if fit.lag_gain > LATE_COST and abs(fit.lag_s) > LATE_S:
+        doubts.append(f"{name} is {_late(fit.lag_s)}: {_offset(fit.lag_s)}")
+    return [], doubts

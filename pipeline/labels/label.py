@@ -30,6 +30,13 @@ class Labels(NamedTuple):
     speed_mps: np.ndarray
     yaw_rate_radps: np.ndarray
 
+    def without(self, rows: np.ndarray) -> "Labels":
+        """Return the labels with those of some `rows`, bool [F], unknown."""
+        angle = np.where(rows, 0.0, self.steering_rad)
+        speed_mps = np.where(rows, np.nan, self.speed_mps)
+        yaw_rate_radps = np.where(rows, np.nan, self.yaw_rate_radps)
+        return Labels(angle, self.valid & ~rows, speed_mps, yaw_rate_radps)
+
     def at(self, rows: np.ndarray | slice) -> "Labels":
         """Return the labels of some `rows`."""
         return Labels(*(values[rows] for values in self))

@@ -15,6 +15,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.datasets.core.oxts import VL, interpolated, make_rows
+from pipeline.labels.agreement import backwards
 from pipeline.labels.ahead import path_ahead
 from pipeline.labels.label import TURNING_RAD, Car, Labels
 from pipeline.labels.recorded import recorded_motion
@@ -27,11 +28,17 @@ SIDEWAYS_MPS = 1.0
 
 
 def labels_drive(path: Path, ingest: Path, motion: Path | None = None, *, settings: Settings) -> Summary:
-    """Write data/labels/<drive>.h5; count frames: all, valid, in bends, sliding sideways, and interpolated."""
+    """Write data/labels/<drive>.h5; count frames: all, valid, in bends, sliding sideways, and interpolated.
+
+    Frames that are measured backwards while the recorded speed goes ahead have no label: its sign is wrong.
+    """
     with DriveReader(ingest, stage="ingest") as raw:
         drive, frame, time_s = raw.drive, raw.frame, raw.time_s
-        labels = read(settings.source, raw, motion, Car(settings.wheelbase_m, settings.min_speed_mps))
+        car = Car(settings.wheelbase_m, settings.min_speed_mps)
+        labels = read(settings.source, raw, motion, car)
         measured = load(settings.source).MEASURED
+        if motion and not measured and not column(settings.source):
+            labels = labels.without(backwards(labels, read("visual", raw, motion, car)))
         packets = raw["oxts"] if not measured and "oxts" in raw else make_rows(len(frame))
     with DriveWriter(path, stage="labels", drive=drive, params={"labels": settings.model_dump()}) as file:
         file.attrs["measured"] = int(measured)

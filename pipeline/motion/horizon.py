@@ -21,8 +21,10 @@ RANSAC_PX = 0.7
 PAIRS, PAIR_EVERY, MIN_PAIRS = 60, 10, 8
 # In six real recordings, points above the horizon are nearer in up to 12 % of the pairs; turned by 180°, in 86 %.
 MARGIN_PX, MIN_POINTS, LEAST_ABOVE = 25, 5, 4  # from the horizon; on each side; pairs that tell upside down
+TURN_PAIRS = 200  # that are compared for the yaw rate of a recording
+MAX_RADPS = 1.0  # a car turns more slowly: in KITTI at up to 0.5
 APART_S = 0.095  # of two images that are compared for a turn: the yaw of nearer ones is noise
-OPPOSITE = 0.8  # least share of pairs that show inverted signs, or images upside down
+OPPOSITE = 0.8  # least share of pairs that show images upside down
 
 
 class _Motion(NamedTuple):
@@ -86,27 +88,37 @@ def _ahead(motion: _Motion) -> tuple[float, bool | None] | None:
     return float(focus[1]), bool(np.median(parts[0]) > np.median(parts[1])) if known else None
 
 
-def opposite_turns(
-    frames: Callable[[np.ndarray], Iterator[Frame]], camera: Camera, time_s: np.ndarray, rate: np.ndarray, least: float
-) -> bool:
-    """Return whether images turn against a log, of `rate` [F] at `time_s` [F], left positive: OPPOSITE of the pairs.
+def turn_rates(frames: Callable[[np.ndarray], Iterator[Frame]], camera: Camera, time_s: np.ndarray) -> np.ndarray:
+    """Return yaw rates in rad/s, left positive, [F], by the rotations between images; NaN where none is measured.
 
-    Up to PAIRS pairs of images, APART_S apart, are compared where the magnitude of `rate` is above `least`; with fewer
-    than MIN_PAIRS the result is False. `frames` returns the frames of a mask [F].
+    Up to TURN_PAIRS pairs of images, APART_S apart and evenly spread over `time_s` [F], are compared; a rate stands at
+    the first image of its pair. `frames` returns the frames of a mask [F].
     """
+    rates = np.full(len(time_s), np.nan)
     after = np.searchsorted(time_s, time_s + APART_S)
-    turning = np.flatnonzero((np.abs(rate) > least) & (after < len(time_s)))
-    first = turning[np.unique(np.linspace(0, len(turning) - 1, PAIRS).astype(int))] if len(turning) else turning
-    used, last = np.zeros(len(time_s), bool), {int(after[row]): int(row) for row in first}
-    used[first] = used[after[first]] = True
-    images, agree = dict[int, np.ndarray](), list[bool]()
+    possible = np.flatnonzero(after < len(time_s))
+    if not len(possible):
+        return rates
+    spread = np.linspace(0, len(possible) - 1, TURN_PAIRS).round().astype(int)
+    first = possible[np.unique(spread)]
+    first_of = {int(after[row]): int(row) for row in first}
+    used = np.zeros(len(time_s), bool)
+    used[first] = True
+    used[after[first]] = True
+
+    images = dict[int, np.ndarray]()
     for frame in frames(used):
         images[frame.number] = frame.image
-        if (row := last.get(frame.number)) is not None and (motion := _motion(images[row], frame.image, camera)):
-            agree.append(bool(np.sign(motion.rotation[0, 2]) == np.sign(rate[row])))
+        row = first_of.get(frame.number)
+        if row is not None and row in images:
+            motion = _motion(images[row], frame.image, camera)
+            if motion:
+                angle_rad = float(cv2.Rodrigues(motion.rotation)[0][1, 0])  # y points down; of points, not the camera
+                rate_radps = angle_rad / (time_s[frame.number] - time_s[row])
+                rates[row] = rate_radps if abs(rate_radps) < MAX_RADPS else np.nan
         for number in [number for number in images if time_s[number] < frame.time_s - 2 * APART_S]:
             del images[number]
-    return len(agree) >= MIN_PAIRS and sum(agree) <= (1 - OPPOSITE) * len(agree)
+    return rates
 
 
 def _small(camera: Camera) -> tuple[int, int]:

@@ -36,7 +36,7 @@ def measure(source: Source, out: Path | None, encoder: Path, car: Car, *, video:
             "road_height_m": float(np.median(known)) if len(known) else None,
             "speed_sigma": float(np.median(sigmas)) if len(sigmas) else None,
             "bonnet": bonnet,
-            "recorded": results.agreement,
+            "recorded": results.agreement.content(),
             "comparison": comparison,
         }
         share = f"{quality['road_frames']:.0%}"

@@ -16,7 +16,8 @@ from pipeline.base.store import DriveReader
 from pipeline.evaluate import errors
 from pipeline.labels import rates
 from pipeline.labels import source as sources
-from pipeline.labels.comparison import Pair, compare, judge
+from pipeline.labels.agreement import Agreement, Pair, compare
+from pipeline.labels.comparison import judge, read_noise
 from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
 from pipeline.media.log import Logs
 from pipeline.motion.step import PROBLEMS
@@ -105,7 +106,7 @@ class Results:
     table: dict[str, np.ndarray]  # column → [F]; angles in rad, left positive
     problems: list[str]  # why the motion of each frame is not measured; empty where it is
     truth: Truth
-    agreement: dict[str, Any]  # of what was driven with the measured motion: pipeline.labels.comparison.compare
+    agreement: Agreement  # of what was driven with the measured motion
     agreement_lines: list[str]  # at most one
     doubts: list[str]
     ahead_m: tuple[float, ...] = ()  # edges of the ranges of the predicted path, of models of the path
@@ -129,8 +130,10 @@ class Results:
             frame, time_s, valid = motion.frame[rows], motion.time_s[rows], motion["valid"]
             course = read_course(motion, car, look_ahead=look_ahead, height_known=source.camera.height_known)
             truth = read_truth(raw, frame, source.logs, car)
-            measured = sources.read("visual", raw, work / MOTION, car).at(np.searchsorted(raw.frame, frame))
-            agreement = compare([Pair(time_s, truth.driven, measured)])
+            ingest_rows = np.searchsorted(raw.frame, frame)
+            measured = sources.read("visual", raw, work / MOTION, car).at(ingest_rows)
+            noise = read_noise(raw, work / MOTION).at(ingest_rows)
+            agreement = compare([Pair(time_s, truth.driven, measured, noise)])
             source.drive.notes.extend(source.logs.notes(time_s))
             doubts = [*_backwards(source.path, course["speed_mps"][rows], truth, car.min_speed_mps)]
             doubts += warnings(lowest_share(motion["still"], valid))
@@ -141,7 +144,7 @@ class Results:
         table["driven_rad"] = np.where(truth.driven.valid, truth.driven.steering_rad, np.nan)
         table |= {name: values[rows] for name, values in columns.items()}
         faults, lines = judge(agreement, truth.column, truth.ratio)
-        doubts += [*lines[1:], *faults]
+        doubts += [*faults, *lines[1:]]
         return cls(source.name, table, problems, truth, agreement, lines[:1], doubts)
 
     def columns(self) -> pd.DataFrame:

@@ -121,7 +121,7 @@ def test_an_inverted_wheel_is_refused_and_test_drives_are_not_compared(tmp_path,
         write_motion(tmp_path / "motion", drive, motion)
     write_index(tmp_path / "ingest", DRIVES)
     run(tmp_path, source="wheel")
-    assert f"{FIRST}: recorded / measured, 130 turning frames: angle gain 1.00" in capsys.readouterr().out
+    assert f"{FIRST}: recorded / measured, 147 turning frames: angle gain 1.00" in capsys.readouterr().out
     (tmp_path / "labels/index.json").unlink()
     for split in ("val", "test"):  # leave-one-out has test drives only
         write_index(tmp_path / "ingest", {FIRST: "test", SECOND: split})

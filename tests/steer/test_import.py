@@ -202,7 +202,7 @@ def test_the_sign_of_a_log_is_that_of_the_images(tmp_path, take):
     images = write_folder(tmp_path / "images", [street.view(pose)[0] for pose in poses])
     lens: dict[str, Any] = {"fov": None, "k": ["180,180,159.5,44"], "fps": 5.0, "split": "40,30,30", "horizon": 44.0}
     take(images, wheel=every_second(1.0), **lens)
-    with pytest.raises(InputError, match=r"turns left where .*images turns right: its sign is inverted"):
+    with pytest.raises(InputError, match=r"wheel-0.txt: the sign of wheel_rad is inverted: left is positive"):
         take(images, wheel=every_second(-1.0), **lens)
     take(images, wheel=every_second(-1.0), steering_ratio=-10.0, **lens)
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.evaluate import turns
-from pipeline.labels import ahead, comparison, label
+from pipeline.labels import agreement, ahead, comparison, label
 from pipeline.labels.label import Labels
 from pipeline.labels.rates import REACH, YAW_SIGMA_S, gaussian_mean
 
@@ -156,7 +156,9 @@ RECORDED = [  # seconds, lag, factor, speed, error, doubt
     (30, 0, 1 / 57.3, 8, "degrees to radians", None),
     (30, 0, 15, 8, None, "{} is 15 times"),
     (30, 0, 1, 28.8, None, "speed_mps is 3.60 times what is measured: km/h"),
-    (30, 10, 1, 8, None, "{} does not follow"),
+    (30, 10, 1, 8, None, "the clock of {} is 10.00 s late: pass --offset -10.00"),
+    (30, 0, 0, 8, None, "{} stays equal for 15 s while the car turns"),
+    (30, 0, 1, -8, "speed_mps is negative in 294 of 294 frames", None),
     (7, 0.5, 1, 8, None, "0.50 s late: pass --offset -0.50"),
     (7, 0, -1, 8, "the sign of {} is inverted", None),
     (3, 0, -1, 8, None, "the sign of {} is inverted"),
@@ -173,12 +175,12 @@ def test_what_was_recorded_is_compared_with_measured_motion(column, seconds, lag
         measured.steering_rad[:] += 0.002 * np.sin(1e4 * time_s)
         measured.valid[-3:], measured.speed_mps[-3:] = False, np.nan
         recorded = recorded._replace(yaw_rate_radps=np.nan * time_s) if column else recorded
-        parts.append(comparison.Pair(time_s, recorded, measured))
-    errors, lines = comparison.judge(comparison.compare(parts), column)
+        parts.append(agreement.Pair(time_s, recorded, measured))
+    errors, lines = comparison.judge(agreement.compare(parts), column)
     name = column or "yaw_rate_radps"
     assert [error.format(name) in text for text in errors] if error else not errors
     assert [doubt.format(name) in text for text in lines[1:]] == [True] if doubt else len(lines) == 1
-    assert re.search(rf"(angle|yaw rate) gain .*speed gain {speed / 8:.2f}$", lines[0])
+    assert re.search(rf"(angle|yaw rate) gain .*speed gain {abs(speed) / 8:.2f}$", lines[0])
 
 
 WINDING_S = np.arange(0, 60, 0.1)
@@ -199,7 +201,7 @@ def test_a_fault_of_a_log_is_named_by_one_doubt(doubt, change):
     measured = course(WINDING_S, 1, 8)
     recorded = measured._replace(steering_rad=change(measured.steering_rad))
     errors, (_, *doubts) = comparison.judge(
-        comparison.compare([comparison.Pair(WINDING_S, recorded, measured)]), "wheel_rad", 14.8
+        agreement.compare([agreement.Pair(WINDING_S, recorded, measured)]), "wheel_rad", 14.8
     )
     assert errors == []
     assert [doubt in text for text in doubts] == [True]
@@ -209,9 +211,9 @@ def test_a_steady_bend_or_no_frame_proves_nothing():
     time_s = np.arange(0, 30, 0.1)
     steady = Labels(*(np.full(300, value) for value in (0.1, True, 8.0, 0.3)))
     noisy = steady._replace(yaw_rate_radps=0.3 + 0.01 * np.sin(1e4 * time_s))
-    errors, (line,) = comparison.judge(comparison.compare([comparison.Pair(time_s, steady, noisy)]), "")
+    errors, (line,) = comparison.judge(agreement.compare([agreement.Pair(time_s, steady, noisy)]), "")
     assert (errors, "correlation" in line) == ([], False)
-    assert comparison.judge(comparison.compare([]), "") == ([], [])
+    assert comparison.judge(agreement.compare([]), "") == ([], [])
 
 
 @given(st.lists(st.floats(0.05, 3.0), min_size=1, max_size=30), st.integers(0, 2**32 - 1))

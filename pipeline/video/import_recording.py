@@ -94,7 +94,8 @@ def _check_logs(recording: Recording, camera: Camera, logs: Logs, within: np.nda
     if not (logs.motion or logs.wheel):
         return
     time_s = recording.times_s
-    if logs.motion and np.nanmedian(logs.motion.at(time_s)[0]) < 0:
+    speed_mps = logs.motion.at(time_s)[0] if logs.motion else np.zeros(0)
+    if logs.motion and np.sum(speed_mps < 0) > np.sum(speed_mps > 0):
         raise InputError("speed_mps is negative in most images: forward is positive", logs.motion.name)
     measured_radps = np.where(within, turn_rates(recording.frames, camera, time_s), np.nan)
     measured = _labels(measured_radps * CAR_M / TYPICAL_MPS, measured_radps)

@@ -132,7 +132,7 @@ class Results:
             measured = sources.read("visual", raw, work / MOTION, car).at(np.searchsorted(raw.frame, frame))
             agreement = compare([Pair(time_s, truth.driven, measured)])
             source.drive.notes.extend(source.logs.notes(time_s))
-            doubts = [*_backwards(source.path, course["speed_mps"][rows], truth, car.min_speed_mps)]
+            doubts = [*source.doubts, *_backwards(source.path, course["speed_mps"][rows], truth, car.min_speed_mps)]
             doubts += warnings(lowest_share(motion["still"], valid))
             points, residual = (np.where(valid, motion[name], np.nan) for name in ("inliers", "residual"))
             problems = [PROBLEMS[code] for code in motion["problem"][rows]]

@@ -58,6 +58,7 @@ def import_recording(
     from pipeline.base.params import check_name
     from pipeline.camera.lens import numbers
     from pipeline.datasets.recording import MOTION, TIMES, WHEEL
+    from pipeline.media.names import check_different
     from pipeline.settings.ingest import KITTI_NAMES, Part
     from pipeline.settings.preset import PRESETS
     from pipeline.video import import_recording as importing
@@ -79,6 +80,7 @@ def import_recording(
     preset = PRESETS / f"{name}.yaml"
     folders = [f"{name}-{number + 1}" for number in range(len(groups))] if each else [name]
     importing.check_free(preset, [raw / folder for folder in folders])
+    check_different(recording if each else [])
     opened = []
     for number, (folder, paths) in enumerate(zip(folders, groups, strict=True)):
         part = Part(folder=folder, files={}, K=k[number % len(k)] if k else None, **chosen)
@@ -95,5 +97,8 @@ def import_recording(
         importing.write_preset(preset, drives, opened[0], source)
     for drive, (of, _, images) in drives.items():
         print(f"{drive}: {images} images, {of}")
-    print(*(f"{f'{one.folder}: ' * each}{note}" for one in opened for note in one.recording.notes), sep="\n")
+    for one in opened:
+        begin = f"{one.folder}: " if each else ""
+        for line in [*one.recording.notes, *(f"doubt: {text}" for text in one.recording.doubts)]:
+            print(begin + line)
     print(f"next: make street && make {preset.stem}")

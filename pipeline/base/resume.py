@@ -20,6 +20,9 @@ CODE = (*PACKAGES, "dvc.yaml", ".dvcignore", "data/.gitignore")  # what a run ne
 # Of base/, what cannot change the bytes of a result: an edit of these files makes nothing again.
 MACHINERY = {ROOT / f"pipeline/base/{name}.py" for name in ("console", "executors", "outputs", "resume", "runner")}
 
+# Files that Windows writes to a folder while it is looked at.
+DESKTOP = ("thumbs.db", "desktop.ini")
+
 
 def stage_key(stage: str, settings: Mapping[str, Any], inputs: Sequence[Path | str], code: tuple[str, ...] = ()) -> str:
     """Return a key of the code that dvc.yaml names for the stage, of JSON-able settings, and of files or strings.
@@ -44,10 +47,16 @@ def file_hash(path: Path) -> str:
 
 
 def content_hash(path: Path) -> str:
-    """Return the SHA-256 of a file, or one of the names and contents of a folder's files."""
+    """Return the SHA-256 of a file, or one of the names and contents of a folder's files without those of a desktop."""
     if path.is_dir():
-        return digest({file.name: file_hash(file) for file in path.iterdir() if file.is_file()})
+        files = [file for file in path.iterdir() if file.is_file() and not is_of_desktop(file)]
+        return digest({file.name: file_hash(file) for file in files})
     return file_hash(path)
+
+
+def is_of_desktop(path: Path) -> bool:
+    """Return whether a file manager wrote the file: hidden files of macOS and Linux, and two of Windows."""
+    return path.name.startswith(".") or path.name.lower() in DESKTOP
 
 
 @cache

@@ -9,6 +9,7 @@ import pandas as pd
 
 from pipeline.base.errors import InputError
 from pipeline.media.columns import LIMIT_MPS, LIMIT_RAD, LIMIT_RADPS, read_columns, refuse
+from pipeline.media.names import check_name
 from pipeline.media.recording import check_times
 
 MAX_GAP_S = 0.5  # between values that are interpolated
@@ -105,6 +106,7 @@ class Logs(NamedTuple):
 
 
 def _read(path: Path, limits: Mapping[str, float], expected: str, offset_s: float) -> Log:
+    check_name(path)
     rows, faults = read_columns(path, {"time_s": np.inf, **limits}, expected)
     table = rows.drop_duplicates()
     columns = {name: table[["time_s", name]].dropna(subset=name) for name in limits}

@@ -23,10 +23,10 @@ from pipeline.base.params import RATE_TOLERANCE
 from pipeline.camera.camera import Frame
 from pipeline.camera.images import Size, format_size, read_image
 from pipeline.media.columns import check_increase, fault, refuse
+from pipeline.media.names import PICTURES, check_different, check_name, order_doubts, videos_in, visible, words
 from pipeline.media.repeats import evened, repeats
+from pipeline.media.stereo import likeness, refuse_stereo
 
-_SUFFIXES = (".png", ".jpg", ".jpeg")
-_VIDEOS = (".mp4", ".mov", ".mkv", ".avi", ".ts", ".mts", ".webm")
 _CONVERT = "Copy the file again, or convert it: ffmpeg -i {name} -c:v libx264 converted.mp4"
 # Playlists, scripts and session descriptions can open other files and sockets. So only containers and streams of frames
 # are accepted, and no protocol: FFmpeg reads the file that is already open.
@@ -40,13 +40,16 @@ _OPTIONS = {
 }
 Images = Iterator[av.VideoFrame]
 BAR, LIT, MOST = 8, 32, 0.95  # grey levels: at most BAR in MOST pixels of a black bar's row, above LIT 2 rows beside it
-STRIDE = 20  # of the images that are searched for black bars
+STRIDE = 20  # of the images that are searched for black bars, and for two images of a stereo camera
 THUMB_PX = 64  # width of the images that are compared: averages noise
 INEXACT = 0.99  # least share of the header's count of frames in a complete file, which may also lack one
 PLAYED = 1.2  # times faster or slower than taken, at most
 STEADY = 0.1  # of the median step, between the 5th and the 95th percentile: phones in the dark slow down unevenly
 WHOLE_S = 1.5  # files' times of creation are in whole seconds
 LAST_S = 0.2  # longest duration of a last image whose duration the file does not store
+
+# Seconds before damage that are left out, too: threads decode some images after the one that fails.
+BEFORE_S = 2.0
 
 
 @dataclass
@@ -59,6 +62,7 @@ class Recording:
     kept: np.ndarray  # [F] places of the frames among the images
     times_s: np.ndarray  # [F]
     notes: list[str]  # for the user
+    doubts: list[str]  # whether the files are one recording, in order
     straighten: Callable[[np.ndarray], np.ndarray] = lambda image: image  # without the lens' distortion
 
     def frames(self, used: np.ndarray | None = None) -> Iterator[Frame]:
@@ -124,12 +128,19 @@ def open_recording(
     for path in (paths := [paths] if isinstance(paths, Path) else paths):
         if not path.exists():
             raise InputError("path is missing", path, "Pass a video, or a folder of images")
+        check_name(path)
     if len(paths) > 1 and (folder := next(filter(Path.is_dir, paths), None)):
         raise InputError("is a folder among several files", folder, "Pass videos in order, or one folder")
-    path, times_s, notes = paths[0], read_times(times) if times else None, list[str]()
+    check_different(paths if len(paths) > 1 else [])
+    path, times_s = paths[0], read_times(times) if times else None
+    notes, doubts = list[str](), order_doubts(paths)
     stamped, stored, last_s = False, 0, 0.0
-    if path.is_dir() and not _files(path, _SUFFIXES) and (chapters := _files(path, _VIDEOS)):
-        path, *_ = paths = chapters
+    if path.is_dir():
+        chapters, notes = videos_in(path)
+        paths = chapters or paths
+        path = paths[0]
+        for chapter in chapters:
+            check_name(chapter)
     images: Callable[[], Images]
     if path.is_dir():
         files, places = _image_files(path)
@@ -144,6 +155,7 @@ def open_recording(
         videos = [_probe(one) for one in paths]
         begins_s, found = _follow(videos)
         notes += [note for video in videos for note in video.notes] + found
+        doubts = doubts or [*_created_earlier(videos)]
         stored, stamped = sum(video.stored for video in videos), all(video.stamped for video in videos)
         first, last, packets = videos[0], videos[-1], sum(video.packets for video in videos)
         last_s = (packets - 1) / fps if fps else begins_s[-1] + last.length_s
@@ -162,25 +174,15 @@ def open_recording(
     if times_s is None:
         times_s = np.arange(count) / fps if fps else stamps_s - stamps_s[0]
         if not (steps_ok := np.diff(times_s) > 0).all():
-            raise DamagedFile(f"timestamps do not increase at image {steps_ok.argmin() + 1}", path, "Pass --fps")
+            fix = "If the file is not damaged there, pass --fps"
+            raise DamagedFile(f"timestamps do not increase at image {steps_ok.argmin() + 1}", path, fix)
     if len(times_s) != count:
         raise InputError(f"has {count} images, but {len(times_s)} times", path)
     kept = np.flatnonzero(~repeats(change, key, times_s))
     if len(kept) < count:
         notes.append(f"{count - len(kept)} of {count} images repeat the image before and are left out")
         times_s = evened(times_s[kept], float(np.median(np.diff(times_s))))
-    return Recording(path, images, size, kept, times_s, notes)
-
-
-def _files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
-    """Return a folder's files with these suffixes, by the numbers in their names, then the names."""
-    files = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.name[0] != "."]
-    return sorted(files, key=lambda path: (_words(path), path.name))
-
-
-def _words(path: Path) -> list[Any]:
-    """Return the parts of a name, with numbers as such: img_9 comes before img_10."""
-    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", path.stem)]
+    return Recording(path, images, size, kept, times_s, notes, doubts)
 
 
 def _probe(path: Path) -> _Video:
@@ -224,15 +226,25 @@ def _follow(videos: Sequence[_Video]) -> tuple[list[float], list[str]]:
     return begins_s, notes
 
 
+def _created_earlier(videos: Sequence[_Video]) -> Iterator[str]:
+    """Yield a doubt for each video that was created before the one that it follows."""
+    for before, after in pairwise(videos):
+        early_s = (before.created - after.created) / pd.Timedelta(seconds=1)
+        if early_s > WHOLE_S:  # false for NaT
+            created = f"{after.path.name} follows {before.path.name}, but was created {early_s:.0f} s earlier"
+            yield f"{created}: is the order of the files right?"
+
+
 def _scan(images: Callable[[], Images], path: Path) -> tuple[Size, np.ndarray, list[str]]:
     """Return the size of N images; timestamps, NaN: none, `change` and `key` of :func:`repeats` [3,N]; and notes.
 
-    Raises InputError if the size changes.
+    Raises InputError if the size changes, or if images are those of a stereo camera.
     """
     if (first := next(images(), None)) is None:
         raise DamagedFile("video has no frames", path, _CONVERT.format(name=path.name))
     shrink, rows, before, shape = VideoReformatter(), [], np.array(np.inf), (first.height, first.width)
     light = np.zeros(shape, np.uint8)
+    likenesses = list[tuple[float, float]]()
     small = min(THUMB_PX, shape[1]), max(1, shape[0] * THUMB_PX // shape[1])
     for number, image in enumerate(tqdm(images(), "scan", unit=" images", disable=None)):
         if (image.height, image.width) != shape:
@@ -242,7 +254,10 @@ def _scan(images: Callable[[], Images], path: Path) -> tuple[Size, np.ndarray, l
         rows.append((image.time, np.abs(grey - before).mean(), image.key_frame, image.interlaced_frame))
         before = grey
         if number % STRIDE == 0:
-            light = np.maximum(light, image.to_ndarray(format="gray"))
+            sample = image.to_ndarray(format="gray")
+            light = np.maximum(light, sample)
+            likenesses.append(likeness(sample))
+    refuse_stereo(np.array(likenesses), path)
     *columns, interlaced = np.array(rows, float).T
     fix = f"ffmpeg -i {path.name} -vf bwdif=send_frame progressive.mp4"
     fields = [f"interlaced images falsify the motion. Deinterlace them: {fix}"] if interlaced.any() else []
@@ -263,7 +278,7 @@ def _bars(light: np.ndarray, path: Path) -> list[str]:
 
 
 def _decode(path: Path, shift_s: float) -> Images:
-    """Yield the images of a video from the first key frame on. Raises DamagedFile if the file is cut short.
+    """Yield the images of a video from the first key frame on. Raises DamagedFile if it is cut short or has bad bytes.
 
     `shift_s` is added to their times. The edit list of an MP4 or MOV file may leave out stored frames; then the others
     last as long as the header says. Matroska has no count of frames, but a duration, that of its longest stream.
@@ -271,13 +286,17 @@ def _decode(path: Path, shift_s: float) -> Images:
     with _container(path) as (container, (stream, *_)):
         stream.thread_type = "AUTO"
         stored, packets, started, end_s = stream.frames, 0, False, 0.0
+        begin_s = float((stream.start_time or 0) * (stream.time_base or 0))
         for packet in container.demux():
             if not packet.is_corrupt:  # cut short
                 end_s = max(end_s, float(((packet.pts or 0) + (packet.duration or 0)) * (packet.time_base or 0)))
             if packet.stream is stream:
                 packets += packet.size > 0
                 if started := started or packet.is_keyframe:
-                    for image in stream.decode(packet):
+                    time_s = float((packet.pts or 0) * (packet.time_base or 0)) - begin_s
+                    with _place_of_damage(path, packets, time_s):
+                        decoded = stream.decode(packet)
+                    for image in decoded:
                         if shift_s and image.pts is not None and image.time_base:
                             image.pts += round(shift_s / image.time_base)
                         yield image
@@ -288,6 +307,18 @@ def _decode(path: Path, shift_s: float) -> Images:
         if cut:
             end = f"{packets} of {stored} frames" if stored else f"{end_s:.1f} of {total_s:.1f} s"
             raise DamagedFile(f"ends after {end}", path, _CONVERT.format(name=path.name))
+
+
+@contextmanager
+def _place_of_damage(path: Path, number: int, time_s: float) -> Iterator[None]:
+    """Raise DamagedFile for an error in the block, which decodes the packet of about image `number`."""
+    try:
+        yield
+    except av.FFmpegError as error:
+        copy = "Copy the file again"
+        if time_s > 2 * BEFORE_S:
+            copy += f", or use the part before: ffmpeg -i {path.name} -t {int(time_s - BEFORE_S)} -c copy start.mp4"
+        raise DamagedFile(f"is damaged at about image {number}, {time_s:.1f} s", path, copy) from error
 
 
 @contextmanager
@@ -323,16 +354,16 @@ def _image_files(folder: Path) -> tuple[list[Path], np.ndarray]:
 
     Places leave room for missing numbers; of names without consecutive numbers they are 0, 1, …
     """
-    if not (files := _files(folder, _SUFFIXES)):
-        raise InputError(f"folder has no images (expected {', '.join(_SUFFIXES)})", folder)
-    words = {path: _words(path) for path in files}
+    if not (files := visible(folder, PICTURES)):
+        raise InputError(f"folder has no images (expected {', '.join(PICTURES)})", folder)
+    parts = {path: words(path) for path in files}
     for before, after in pairwise(files):
-        if words[before][1:] and words[after][1::2] <= words[before][1::2]:
+        if parts[before][1:] and parts[after][1::2] <= parts[before][1::2]:
             problem = f"{after.name} would follow {before.name}: images of two cameras, or in two formats?"
             raise InputError(problem, folder, "Pass a folder with the images of one")
-    numbers = [words[path][-2] for path in files if words[path][1:]]
+    numbers = [parts[path][-2] for path in files if parts[path][1:]]
     steps = [after - before for before, after in pairwise(numbers)] or [0]
-    names = {(*words[path][:-2], words[path][-1]) for path in files}  # apart from the last number
+    names = {(*parts[path][:-2], parts[path][-1]) for path in files}  # apart from the last number
     if len(names) > 1 or not 0 < (step := min(steps)) == sorted(steps)[len(steps) // 2] or any(n % step for n in steps):
         return files, np.arange(len(files))
     return files, np.array([(number - numbers[0]) // step for number in numbers])
@@ -340,6 +371,7 @@ def _image_files(folder: Path) -> tuple[list[Path], np.ndarray]:
 
 def read_times(path: Path) -> np.ndarray:
     """Return the times of images, one number in seconds per line, float64 [F]. Raises InputError."""
+    check_name(path)
     words = pd.Series(path.read_text("utf-8-sig", errors="replace").split(), name="time", dtype=str)
     words.index += 1
     times_s = pd.to_numeric(words, errors="coerce").astype(float)

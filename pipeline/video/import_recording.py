@@ -15,7 +15,7 @@ import yaml
 
 from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS, read
-from pipeline.base.resume import ROOT, content_hash
+from pipeline.base.resume import ROOT, content_hash, is_of_desktop
 from pipeline.base.store import replacing
 from pipeline.camera.camera import Camera
 from pipeline.camera.lens import depth_limit
@@ -141,7 +141,7 @@ def check_free(preset: Path, folders: Sequence[Path]) -> None:
         raise InputError("is not as steer import wrote it", preset, "Move it away, or pass another --name")
     known = read(preset)["ingest"]["recordings"].values() if preset.exists() else ()
     hashes = {(part["folder"], file): value for part in known for file, value in part["files"].items()}
-    for path in [path for folder in folders for path in folder.glob("*")]:
+    for path in [path for folder in folders for path in folder.glob("*") if not is_of_desktop(path)]:
         own_link = path.is_symlink() and re.match(OWN, path.name)
         if not own_link and content_hash(path) != hashes.get((path.parent.name, path.name)):
             raise InputError("is not as steer import wrote it", path, "Move it away, or pass another --name")

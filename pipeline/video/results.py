@@ -135,7 +135,7 @@ class Results:
             noise = read_noise(raw, work / MOTION).at(ingest_rows)
             agreement = compare([Pair(time_s, truth.driven, measured, noise)])
             source.drive.notes.extend(source.logs.notes(time_s))
-            doubts = [*_backwards(source.path, course["speed_mps"][rows], truth, car.min_speed_mps)]
+            doubts = [*source.doubts, *_backwards(source.path, course["speed_mps"][rows], truth, car.min_speed_mps)]
             doubts += warnings(lowest_share(motion["still"], valid))
             points, residual = (np.where(valid, motion[name], np.nan) for name in ("inliers", "residual"))
             problems = [PROBLEMS[code] for code in motion["problem"][rows]]

@@ -41,6 +41,7 @@ class Source:
     frames: int
     logs: Logs
     files: kitti.KittiDrive | None = None  # None: a video, or a folder of images
+    doubts: Sequence[str] = ()  # whether the files are one recording, in order
 
     def at_height(self, height_m: float | None) -> "Source":
         """Return the source with its camera at a known height over the road; None: as it is."""
@@ -69,14 +70,16 @@ def open_source(
         drive, name = kitti.read_drive(files, reading), files.folder.name.removesuffix("_sync")
         if logs.name:
             drive.values = logs.values(np.array(numbers), time_s)
+        doubts = list[str]()
     else:
         files = None
         images, camera = open_images(paths, capture, logs, hz)
         camera = replace(camera, horizon=noted_horizon(images.path, images.frames, camera, images.notes))
         path, name, time_s = images.path, images.path.stem, images.times_s
         drive = Drive(camera, images.frames, logs.values(np.arange(len(time_s)), time_s), images.notes)
+        doubts = images.doubts
     assert drive.camera  # as it has images
-    return Source(path, name, drive, drive.camera, len(time_s), logs, files).at_height(height_m)
+    return Source(path, name, drive, drive.camera, len(time_s), logs, files, doubts).at_height(height_m)
 
 
 @contextmanager

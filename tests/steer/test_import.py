@@ -56,6 +56,15 @@ def video(tmp_path_factory) -> Path:
     return write_video(tmp_path_factory.mktemp("video") / "drive.mp4", np.resize(pictures(12), (FRAMES, *SIZE, 3)))
 
 
+@pytest.fixture(scope="module")
+def videos(tmp_path_factory, video) -> list[Path]:
+    """Return copies of the video with different bytes at the end."""
+    paths = [tmp_path_factory.mktemp("videos") / f"{number}.mp4" for number in range(4)]
+    for number, path in enumerate(paths):
+        path.write_bytes(video.read_bytes() + b"\0\0\0\x09free" + bytes([number]))
+    return paths
+
+
 def every_second(angle: float) -> str:
     """Return a log of the steering wheel."""
     return "time_s,wheel_rad\n" + "".join(f"{half / 2},{angle}\n" for half in range(-2, 60))
@@ -139,21 +148,22 @@ def test_the_preset_is_one_that_check_accepts(tmp_path, take, video, source, opt
     assert links == {"video.mp4", *(f"{log}.csv" for log in options)}
 
 
-def test_each_recording_is_a_drive_for_the_splits_in_turn(tmp_path, take, video):
+def test_each_recording_is_a_drive_for_the_splits_in_turn(tmp_path, take, videos):
     cameras: dict[str, Any] = {"fov": None, "k": ["50,50,31.5,23.5"] * 3 + ["60,60,31.5,23.5"]}
     logs = {"motion": [STEADY] * 4, **cameras}
-    content = take(video, video, video, video, name="2027_03_31_drive_0004", each=True, copy=True, **logs)
+    content = take(*videos, name="2027_03_31_drive_0004", each=True, copy=True, **logs)
     assert content["ingest"]["recordings"]["2027_03_31_drive_0007"]["K"] == "60,60,31.5,23.5"
     drives = preset.Params.model_validate(content).ingest.drives
     assert [*drives.splits()] == [f"2027_03_31_drive_{number:04d}" for number in (4, 7, 5, 6)]
-    assert (tmp_path / "data/raw/2027_03_31_drive_0004-4/video.mp4").read_bytes() == video.read_bytes()
+    assert (tmp_path / "data/raw/2027_03_31_drive_0004-4/video.mp4").read_bytes() == videos[3].read_bytes()
 
 
-def test_an_import_keeps_what_it_did_not_write(tmp_path, take, video, monkeypatch):
+def test_an_import_keeps_what_it_did_not_write(tmp_path, take, video, videos, monkeypatch):
     """Its own copy as the source, and a copied log that was edited; links of an earlier import may be replaced."""
     for _ in range(2):
-        take(video, video, video, each=True)
-        take(video, video, each=True)
+        take(*videos[:3], each=True)
+        take(*videos[:2], each=True)
+        write(tmp_path / "data/raw/monday-1/.DS_Store", "")
     take(video, name="copied", copy=True, wheel=every_second(1.0))
     with pytest.raises(InputError, match=r"copied/video.mp4: is in a folder that this import replaces"):
         take(tmp_path / "data/raw/copied/video.mp4", name="copied")
@@ -251,15 +261,17 @@ PLAINLY_WRONG = [
     ({"each": True}, "--each needs two recordings"),
     ({"wheel": every_second(1.0), "steering_ratio": 0.5}, "a magnitude of 1 or more"),
     ({"wheel": [every_second(1.0)] * 2}, "--wheel: expected 1, one per recording"),
-    ({"recordings": 2}, "is a folder among several files"),
+    ({"more": lambda video: [video.parent]}, "is a folder among several files"),
+    ({"more": lambda video: [video]}, "has the same content as .*drive.mp4"),
+    ({"more": lambda video: [video], "each": True}, "has the same content as .*drive.mp4"),
 ]
 
 
 @pytest.mark.parametrize(("options", "problem"), PLAINLY_WRONG)
 def test_plainly_wrong_imports_write_nothing(tmp_path, take, video, options, problem):
-    recordings = [video, video.parent][: options.pop("recordings", 1)]
+    more = options.pop("more", lambda video: [])(video)
     with pytest.raises(InputError, match=problem):
-        take(*recordings, **options)
+        take(video, *more, **options)
     assert [name for name in contents(tmp_path) if name.startswith(("data", "presets"))] == []
 
 

@@ -455,6 +455,16 @@ def test_a_key_has_the_meaning_of_code(tmp_path, before, after, equal):
     assert (resume.meaning(paths[0]) == resume.meaning(paths[1])) == equal
 
 
+def test_the_hash_of_a_folder_ignores_files_of_file_managers(tmp_path):
+    write_text(tmp_path / "1.png", "a")
+    expected = resume.digest({"1.png": resume.file_hash(tmp_path / "1.png")})
+    for name in (".DS_Store", "._1.png", "Thumbs.db", "desktop.ini"):
+        write_text(tmp_path / name, "b")
+        assert resume.content_hash(tmp_path) == expected
+    write_text(tmp_path / "2.png", "a")
+    assert resume.content_hash(tmp_path) != expected
+
+
 @pytest.mark.parametrize(
     ("error", "line"),
     [

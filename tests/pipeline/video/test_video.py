@@ -1,5 +1,6 @@
 """Recordings: frames, times, intrinsics, logs, plainly wrong files; results: course, truth, comparison, pictures."""
 
+import os
 import re
 import socket
 import struct
@@ -28,6 +29,7 @@ from pipeline.datasets.core.oxts import make_rows
 from pipeline.labels.label import Car, Labels
 from pipeline.media import recording
 from pipeline.media.log import Log, Logs
+from pipeline.media.names import group, order_doubts
 from pipeline.media.recording import open_recording, read_times
 from pipeline.motion.step import durations
 from pipeline.video.measure import READING
@@ -76,6 +78,52 @@ def test_files_that_follow_each_other_are_one_recording(tmp_path):
     assert notes == ["1.mp4 begins 6.0 s after the end of 0.mp4", "2.mp4 begins 2.0 s before the end of 1.mp4"]
 
 
+NAMES = {
+    "part_10 part_9": ["part_9 part_10"],
+    "2024-05-01_13-00-00-front 2024-05-01_12-59-00-front": ["2024-05-01_12-59-00-front 2024-05-01_13-00-00-front"],
+    "2024-05-01_12-00-00-back 2024-05-01_12-00-00-front": ["2024-05-01_12-00-00-back", "2024-05-01_12-00-00-front"],
+    "20240501_120000_EF 20240501_115900_NF": ["20240501_115900_NF 20240501_120000_EF"],
+    "20240501_120000_NF 20240501_120000_NR": ["20240501_120000_NF", "20240501_120000_NR"],
+    "NO20240501-120000-000001F NO20240501-120100-000002F": ["NO20240501-120000-000001F NO20240501-120100-000002F"],
+    "GX020042 GX010043 GX010042": ["GX010042 GX020042", "GX010043"],
+    "GP010042 GP020042 GOPR0042": ["GOPR0042 GP010042 GP020042"],
+    "DJI_0002 DJI_0001": ["DJI_0001 DJI_0002"],
+    "DJI_20240501120000_0001_D DJI_20240501115000_0000_D": ["DJI_20240501115000_0000_D DJI_20240501120000_0001_D"],
+    "cam2_1 cam1_1 cam1_2 cam1_3": ["cam1_1 cam1_2 cam1_3", "cam2_1"],
+    "12-59-00 13-00-00": ["12-59-00 13-00-00"],
+}
+
+
+@pytest.mark.parametrize(("names", "recordings"), NAMES.items())
+def test_files_of_one_recording_differ_in_one_rising_number(names, recordings):
+    groups = group([Path(f"{name}.mp4") for name in names.split()])
+    assert sorted(" ".join(path.stem for path in paths) for paths in groups.values()) == recordings
+
+
+def test_doubts_on_the_order_of_files(tmp_path):
+    """By the numbers in names, or else the times at which videos were created; a picture beside videos is ignored."""
+    stream = {"images": pictures(5)}
+    first = write_streams(tmp_path / "part_1.mp4", stream, created="2026-11-26T12:00:00")
+    second = write_streams(tmp_path / "part_2.mp4", stream | {"images": pictures(6)}, created="2026-11-26T12:00:01")
+    write_png(tmp_path / "thumb.png", pictures(1)[0])
+    assert open_recording([first, second]).doubts == []
+    assert open_recording([second, first]).doubts == [
+        "part_1.mp4 follows part_2.mp4, unlike the numbers in their names: is the order right?"
+    ]
+    recording = open_recording(tmp_path)
+    assert recording.path == first
+    assert recording.notes == ["the folder's 2 videos are used, not thumb.png"]
+    early, late = first.rename(tmp_path / "a.mp4"), second.rename(tmp_path / "b.mp4")
+    (tmp_path / "c").mkdir()
+    last = write_streams(tmp_path / "c/c.mp4", {"images": pictures(7)}, created="2026-11-26T11:00:00")
+    assert open_recording([early, late]).doubts == []
+    assert open_recording([early, last]).doubts == [
+        "c.mp4 follows a.mp4, but was created 3600 s earlier: is the order of the files right?"
+    ]
+    turns = [tmp_path / f"{name}.mp4" for name in ("1_front", "1_back", "2_front", "2_back")]
+    assert order_doubts(turns)[0].startswith("files of *_back.mp4 and *_front.mp4 take turns")
+
+
 def test_time_lapse_and_slow_motion_need_their_rate(tmp_path):
     """By the tag of phones; a rate that varies, as in the dark, is a video's own."""
     stream = {"images": images_of_a_street()[:20], "fps": 30}
@@ -116,12 +164,16 @@ def write_stream(path: Path, frames: int = 30, codec: str = "libx264", shape: in
     return write_streams(path, {"codec": codec, "shape": shape, "images": pictures(frames)}, **options)
 
 
-def write_streams(path: Path, *streams: dict[str, Any], taken_hz: float | None = None, **options: str) -> Path:
+def write_streams(
+    path: Path, *streams: dict[str, Any], taken_hz: float | None = None, created: str = "", **options: str
+) -> Path:
     """Write video streams, each a dict of the images and how they are stored."""
     with av.open(str(path), "w", options=options) as file:
         written = []
         if taken_hz:
             file.metadata["com.android.capture.fps"] = str(taken_hz)
+        if created:
+            file.metadata["creation_time"] = created
         for one in streams:
             codec, fps = one.get("codec", "libx264"), one.get("fps", 10)
             stream = file.add_stream(codec, rate=fps, options=one.get("options", {}))
@@ -269,6 +321,34 @@ def sizes(path: Path) -> None:
     write_png(path / "2.png", pictures(1, (40, 64))[0])
 
 
+def damage(path: Path) -> None:
+    """Write a video with zeros in its middle."""
+    content = bytearray(write_streams(path, {"images": images_of_a_street()}).read_bytes())
+    middle = len(content) // 2
+    content[middle : middle + 4000] = bytes(4000)
+    path.write_bytes(content)
+
+
+def two_cameras(path: Path) -> None:
+    for number, name in enumerate(("12-00-00-front", "12-00-00-back", "12-01-00-front", "12-01-00-back")):
+        write_png(path / "thumb.png", pictures(1)[0])
+        write_video(path / f"2026-05-01_{name}.mp4", pictures(2 + number))
+
+
+def two_recordings(path: Path) -> None:
+    path.mkdir()
+    for number, name in enumerate(("GX010042", "GX020042", "GX010043")):
+        write_video(path / f"{name}.mp4", pictures(2 + number))
+
+
+def stereo(path: Path, axis: int) -> None:
+    """Write images of a rendered stereo camera, side by side or one above the other."""
+    poses = street.arc(3, 0.1, 8.0)
+    right = [pose @ np.array([[1, 0, 0, 0.25], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]) for pose in poses]
+    pairs = [[street.view(pose)[0] for pose in pair] for pair in zip(poses, right, strict=True)]
+    write_video(path, [np.concatenate(pair, axis) for pair in pairs])
+
+
 PLAINLY_WRONG: list[tuple[str, Callable[[Path], object], str]] = [
     ("mirrored.mp4", lambda path: show(path, -1, 0, 0, 1), "mirrors"),
     ("avchd.mp4", lambda path: write_stream(path, codec="mpeg4", shape=2), "not square"),
@@ -278,6 +358,12 @@ PLAINLY_WRONG: list[tuple[str, Callable[[Path], object], str]] = [
     ("repeated.ts", repeated, "do not increase"),
     ("exif", lambda path: orient(path / "1.png"), "EXIF orientation"),
     ("sizes", sizes, "image 1 has 64 x 40 pixels .*64 x 48"),
+    ("damaged.mp4", damage, r"damaged at about image \d+, \d+\.\d s.*Copy the file again"),
+    ("cameras", two_cameras, r"2 cameras or recordings: \*-back.mp4, \*-front.mp4\. Pass the files of one"),
+    ("chapters", two_recordings, r"2 cameras or recordings: GX\*0042.mp4, GX010043.mp4"),
+    ("side.mp4", lambda path: stereo(path, 1), "side by side.* crop=iw/2:ih:0:0 left.mp4"),
+    ("above.mp4", lambda path: stereo(path, 0), "above the other.* crop=iw:ih/2:0:0 upper.mp4"),
+    (os.fsdecode(b"stra\xdfe.mp4"), lambda path: write_stream(path.with_name("a.mp4")).rename(path), "not UTF-8"),
     ("text.mp4", lambda path: path.write_text("not a video"), "cannot be decoded as a video"),
     ("none.mp4", lambda path: None, "missing"),
 ]  # fmt: skip
@@ -289,7 +375,7 @@ def test_plainly_wrong_recordings(tmp_path, name, write, problem):
     write(path)
     with pytest.raises(InputError, match=problem) as raised:
         list(open_recording(path, None if Path(name).suffix else 10).frames())
-    assert raised.value.where.startswith(str(path))
+    assert raised.value.where.startswith(str(path).encode(errors="replace").decode())
 
 
 SDP = "v=0\no=- 0 0 IN IP4 127.0.0.1\ns=x\nc=IN IP4 127.0.0.1\nt=0 0\nm=video {port} RTP/AVP 96\n"

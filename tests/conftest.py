@@ -10,6 +10,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("STEER_WORKERS", "1")
 
 import pytest
+from hypothesis import settings
+
+# A busy machine takes seconds for an example that takes milliseconds elsewhere.
+settings.register_profile("any machine", deadline=None)
+settings.load_profile("any machine")
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 

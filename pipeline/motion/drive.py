@@ -92,13 +92,13 @@ def _summarise(
     moving = valid | np.isin(columns["problem"], LOST)
     road = columns["road_height_m"] > 0
     both = road & np.isfinite(road_class)
-    length_m = np.linalg.norm(columns["T_before_now"][valid, :3, 3], axis=1)
+    length_m = np.linalg.norm(columns["T_before_now"][:, :3, 3], axis=1)
     return {
         "frames": len(valid),
         "valid": int(valid.sum()),
         "moving": int(moving.sum()),
         "step_s": _median(duration_s[moving]),
-        "step_m": _median(length_m),
+        "step_m": _median(length_m[valid & road]),  # without a road, its scale is unknown
         "still": lowest_share(columns["still"], valid),
         "road_frames": int(road.sum()),
         "height_ratio": _median(columns["road_height_m"][road]) / camera.height_m,

@@ -5,8 +5,8 @@ from pathlib import Path
 from pipeline.base import console, store
 from pipeline.base.outputs import stage_folder
 from pipeline.base.runner import file_jobs, make_drives
+from pipeline.motion.doubts import check_unit, find_doubts
 from pipeline.motion.drive import measure_drive
-from pipeline.motion.still import warnings
 
 MIN_ROAD = 0.5  # share of frames with a road, below which the scale is called uncertain
 
@@ -18,9 +18,15 @@ def main(data: Path = Path("data")) -> Path:
     jobs = file_jobs(splits, inputs, measure_drive)
     with stage_folder("motion", out, splits) as folder:
         made = make_drives(folder, jobs, {}, "{frames} frames, {valid} measured")
+        check_unit(made)
+    # One line for each kind of doubt: what is wrong with one drive is wrong with most.
+    found = dict[str, dict[str, str]]()
     for drive, summary in made.items():
-        for text in warnings(summary["still"]):
-            print(f"{drive}: {text}")
+        for kind, text in find_doubts(summary):
+            found.setdefault(kind, {})[drive] = text
+    for texts in found.values():
+        drive = next(iter(texts))
+        print(f"doubt: {drive} ({len(texts)} of {len(made)} drives): {texts[drive]}")
     if unknown := [drive for drive, summary in made.items() if not summary["scaled"]]:
         print(f"speed may be off by 20 %: no camera height in {', '.join(unknown)}. Pass steer import --camera-height")
     frames, road = (sum(summary[name] for summary in made.values()) for name in ("frames", "road_frames"))

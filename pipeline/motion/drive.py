@@ -5,15 +5,18 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.errors import InputError
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
-from pipeline.camera.camera import DriveFrames
-from pipeline.motion.step import LEAST_NOISE, PROBLEMS, durations, filter_speed, rates
+from pipeline.camera.camera import Camera, DriveFrames
+from pipeline.motion.roll import EVERY, Roll
+from pipeline.motion.step import LEAST_NOISE, PROBLEMS, STANDSTILL, durations, filter_speed, rates
 from pipeline.motion.still import lowest_share
 from pipeline.motion.visual import Odometry
 
-ROAD_FRAMES = 50  # that tell a unit
+# Share of the class road in front of the car from which a frame's classes show a road.
+ROAD_BY_CLASS = 0.5
+# Reasons of frames that are not measured, though the car may move.
+LOST = [code for code, text in enumerate(PROBLEMS) if text not in ("", "no previous frame", *STANDSTILL)]
 UNITS = {
     "yaw_rate_radps": "rad/s, left positive",
     "speed_mps": "m/s, forward positive",
@@ -40,7 +43,8 @@ def measure_drive(
 
     All values are causal: they depend on a frame and earlier ones only. Where motion is not measured, ``valid`` and the
     rates are 0, and ``problem`` is the reason. Depth is scaled so that the road is as far below the camera as its
-    height, if that is known. `advance` is called with the number of frames that are done since the last call.
+    height, if that is known. `advance` is called with the number of frames that are done since the last call. Returns
+    counts and medians for :mod:`pipeline.motion.doubts`, which are also attributes of the file.
     """
     with (
         DriveFrames(ingest, perception) as frames,
@@ -49,6 +53,7 @@ def measure_drive(
         count, odometry = len(frames.frame), Odometry(frames.camera)
         columns = dict(zip(UNITS, np.zeros((len(UNITS), count), np.float32), strict=True))
         columns |= {"inliers": np.zeros(count, np.int32), "problem": np.zeros(count, np.uint8)}
+        roll, road_class = Roll(frames.camera), np.zeros(count)
         columns |= {"scale": np.ones(count, np.float32), "T_before_now": np.tile(np.eye(4, dtype="f4"), (count, 1, 1))}
         for row, (frame, duration_s) in enumerate(zip(frames, durations(frames.frame, frames.time_s), strict=True)):
             step = odometry.step(frame)
@@ -59,6 +64,9 @@ def measure_drive(
                 values |= step._asdict()
             for name, value in values.items():
                 columns[name][row] = value
+            road_class[row] = odometry.road_class
+            if row % EVERY == 0:
+                roll.add(frame.image)
             advance(1)
         valid, road = columns["problem"] == 0, columns["road_height_m"] > 0
         measured = frames.time_s[valid], columns["speed_mps"][valid], road[valid]
@@ -70,17 +78,36 @@ def measure_drive(
         file.put("valid", valid.astype(np.uint8))
         for name, unit in UNITS.items():
             file.put(name, columns[name], unit)
-        _check_unit(columns["road_height_m"][road], frames.camera.height_m, frames.unit_error)
-    still = lowest_share(columns["still"], valid)
-    counts = {"frames": count, "valid": int(valid.sum()), "road_frames": int(road.sum())}
-    return counts | {"still": still, "scaled": int(frames.camera.height_known)}
+        summary = _summarise(columns, road_class, durations(frames.frame, frames.time_s), frames.camera)
+        summary |= {"roll_deg": roll.degrees(), "unit_error": frames.unit_error}
+        file.attrs |= summary
+    return summary
 
 
-def _check_unit(heights_m: np.ndarray, camera_m: float, factor: float) -> None:
-    """Raise InputError if the road of many frames is `factor` times farther from or nearer to the camera than known."""
-    height_m = float(np.median(heights_m)) if len(heights_m) >= ROAD_FRAMES else camera_m
-    if not 1 / factor < height_m / camera_m < factor:
-        problem = (
-            f"by depth, the road is {height_m:.2f} m below a camera {camera_m:.2f} m above it: depth in other units?"
-        )
-        raise InputError(problem, fix="PNG files of backbone: precomputed have metres × 256. Or correct the height")
+def _summarise(
+    columns: dict[str, np.ndarray], road_class: np.ndarray, duration_s: np.ndarray, camera: Camera
+) -> Summary:
+    """Return counts and medians of F frames: columns → [F], share of the class road [F], durations of steps [F]."""
+    valid = columns["problem"] == 0
+    moving = valid | np.isin(columns["problem"], LOST)
+    road = columns["road_height_m"] > 0
+    both = road & np.isfinite(road_class)
+    length_m = np.linalg.norm(columns["T_before_now"][:, :3, 3], axis=1)
+    return {
+        "frames": len(valid),
+        "valid": int(valid.sum()),
+        "moving": int(moving.sum()),
+        "step_s": _median(duration_s[moving]),
+        "step_m": _median(length_m[valid & road]),  # without a road, its scale is unknown
+        "still": lowest_share(columns["still"], valid),
+        "road_frames": int(road.sum()),
+        "height_ratio": _median(columns["road_height_m"][road]) / camera.height_m,
+        "road_class": float(road_class[both].mean()) if both.any() else 1.0,
+        "road_class_frames": int((road_class > ROAD_BY_CLASS).sum()),
+        "scaled": int(camera.height_known),
+    }
+
+
+def _median(values: np.ndarray) -> float:
+    """Return the median of values [N]; 0 if there are none."""
+    return float(np.median(values)) if len(values) else 0.0

@@ -32,6 +32,7 @@ class Road:
         self._camera_height_m = camera.height_m if camera.height_known else None
         self._heights: deque[float] = deque(maxlen=HEIGHTS)
         self.frame_height_m = 0.0  # the last frame's, of the camera over the road in uncorrected depth; 0: no road
+        self.in_front = np.zeros(camera.size, bool)  # the last frame's pixels where a road is searched
         self._ways: deque[tuple[float, float]] = deque(maxlen=STEPS)  # metres down and ahead, of forward steps
 
     def find(self, depth_m: np.ndarray, usable: np.ndarray, still: np.ndarray) -> tuple[np.ndarray, float]:
@@ -42,8 +43,9 @@ class Road:
         below = self._down - self.slope  # of the plane along the direction of travel
         height_m = depth_m * below.astype(np.float32)
         in_front = (below > 1 / PATCH_LENGTH) & (np.abs(self._right) < PATCH_HALF_WIDTH * below)
+        self.in_front = in_front & ~still
         patch, self.frame_height_m = height_m[usable & in_front], 0.0
-        if len(patch) > MIN_VISIBLE * (in_front & ~still).sum():
+        if len(patch) > MIN_VISIBLE * self.in_front.sum():
             median = float(np.median(patch))
             if (np.abs(patch / median - 1) < FLAT).mean() > MIN_FLAT:
                 self.frame_height_m = median

@@ -13,19 +13,11 @@ KEEP = 0.9  # share of the sums that remains at the next image
 LEAST = 400.0  # squared grey levels; smaller expected changes are noise
 STILL = 0.2  # largest ratio of changes to expected changes where nothing moves
 QUANTILE, MOVES = 0.75, 0.9  # the car moves if the quantile QUANTILE of the ratios exceeds MOVES
-MAX_SHARE = 0.05  # of the lowest row: recordings without a bonnet have 0
 
 
 def lowest_share(shares: np.ndarray, valid: np.ndarray) -> float:
     """Return the median of the lowest row's shares without street [F] of valid frames: others may show a standstill."""
     return float(np.median(shares[valid > 0])) if valid.any() else 0.0
-
-
-def warnings(share: float) -> list[str]:
-    """Return warnings about a recording, whose lowest row shows no street in this `share`, see :func:`lowest_share`."""
-    found = "a bonnet, or text, hides the lowest rows"
-    text = f"{found}: depth around it is wrong, so the speed is unreliable. Crop the images above it"
-    return [text] if share > MAX_SHARE else []
 
 
 class Still:

@@ -37,6 +37,7 @@ class Odometry:
         self._enlarged = -(-MIN_WIDTH // width)
         self.road = Road(camera)
         self.still = Still(camera)
+        self.road_class = np.nan  # share of the class road where a road is searched, in the last frame; NaN: no classes
         self._number: int | None = None
         self._grey = np.empty(0, np.uint8)
         self._points = np.empty((0, 3)), np.empty(0), 1.0  # of the previous frame: see _lift
@@ -94,10 +95,15 @@ class Odometry:
         nearest, farthest = cv2.erode(depth_m, AROUND), cv2.dilate(depth_m, AROUND)
         usable = (nearest > MIN_DEPTH_M) & (farthest < self._max_depth_m) & (farthest < EDGE * nearest)
         usable &= ~(still := self.still.mask)
+        quality = corner_quality(grey)
+        shows_something = bool(quality.max() > ON_ROAD[1])  # unlike a black image, of which depth is imagined
+        usable &= shows_something
         traffic = cv2.dilate(MOVING[frame.cls].astype(np.uint8), AROUND) > 0  # and its surroundings
         # Trust depth over classes: road pixels are never traffic. In grey images, shaded road has the class of cars.
         road, scale = self.road.find(depth_m, usable, still)
-        quality = corner_quality(grey)
+        cls = frame.cls[self.road.in_front & shows_something]
+        known = cls[cls != classes.VOID]
+        self.road_class = float((known == classes.ROAD).mean()) if len(known) else np.nan
         on_road = best_corners(quality * self._enlarge(road), *ON_ROAD)
         elsewhere = best_corners(quality * self._enlarge(usable & ~road & ~traffic), *ELSEWHERE)
         uv = self._smaller(np.concatenate([on_road, elsewhere]))

@@ -49,7 +49,7 @@ class OpenEncoder(NamedTuple):
     predict: Predict
     datasets: list[str] | None  # of its fit; None: unknown
     # Factor beyond which depth must be in other units, infinite for random weights. A network of images of one camera
-    # takes a lorry's camera, twice as high, for that one.
+    # takes a lorry's camera, twice as high, for that one. A wrong unit of files is wrong by 2 or more.
     unit_error: float
 
 
@@ -74,7 +74,7 @@ def _open(folder: Path, _: str, precision: str) -> OpenEncoder:
         architecture, network = load(folder / FILE)
     datasets = architecture.get("datasets")
     if architecture["backbone"] == "precomputed":
-        return OpenEncoder(partial(_read_precomputed, Path(architecture["folder"])), datasets, 2.0)
+        return OpenEncoder(partial(_read_precomputed, Path(architecture["folder"])), datasets, 1.8)
     random = not datasets and architecture["backbone"] in ("small", "hugging_face")
     predict: Predict = lambda batch: perceive(network, batch.images, batch.camera, precision)  # noqa: E731
     return OpenEncoder(predict, datasets, np.inf if random else 3.5)

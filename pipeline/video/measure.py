@@ -6,7 +6,6 @@ import numpy as np
 
 from pipeline.base.store import DriveReader
 from pipeline.labels.label import Car
-from pipeline.motion.still import lowest_share
 from pipeline.perception.perceive import warnings
 from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
@@ -28,7 +27,7 @@ def measure(source: Source, out: Path | None, encoder: Path, car: Car, *, video:
         results.doubts += warnings(encoder, "float32", [work / INGEST])
         comparison = results.compare("measured")
         with DriveReader(work / MOTION, stage="motion") as motion:
-            heights_m, bonnet = motion["road_height_m"], lowest_share(motion["still"], motion["valid"])
+            heights_m, bonnet = motion["road_height_m"], float(motion.attrs["still"])
         known, sigmas = heights_m[heights_m > 0], results.table["speed_sigma"][results.table["valid"] > 0]
         quality = results.quality = {  # None where unknown; the road's height is by the encoder's depth
             "horizon": source.camera.horizon,

@@ -20,8 +20,8 @@ from pipeline.labels.agreement import Agreement, Pair, compare
 from pipeline.labels.comparison import judge, read_noise
 from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
 from pipeline.media.log import Logs
+from pipeline.motion.doubts import find_doubts
 from pipeline.motion.step import PROBLEMS
-from pipeline.motion.still import lowest_share, warnings
 from pipeline.settings.evaluate import Evaluate
 from pipeline.video.source import INGEST, MOTION, Source
 
@@ -136,7 +136,7 @@ class Results:
             agreement = compare([Pair(time_s, truth.driven, measured, noise)])
             source.drive.notes.extend(source.logs.notes(time_s))
             doubts = [*source.doubts, *_backwards(source.path, course["speed_mps"][rows], truth, car.min_speed_mps)]
-            doubts += warnings(lowest_share(motion["still"], valid))
+            doubts += [text for _, text in find_doubts(motion.attrs)]
             points, residual = (np.where(valid, motion[name], np.nan) for name in ("inliers", "residual"))
             problems = [PROBLEMS[code] for code in motion["problem"][rows]]
         columns = {"valid": valid, **course, "points": points, "residual": residual}

@@ -20,6 +20,7 @@ from pipeline.datasets.core.ingest_file import write_drive
 from pipeline.datasets.core.oxts import read_times
 from pipeline.datasets.recording import Capture, open_images
 from pipeline.media.log import Logs
+from pipeline.motion.doubts import check_unit
 from pipeline.motion.drive import measure_drive
 from pipeline.motion.horizon import noted_horizon
 from pipeline.perception.perceive import perceive_drive
@@ -108,5 +109,7 @@ def run_chain(
             for name, job in jobs.items():
                 bar.reset()
                 bar.set_description(name.removesuffix(".h5"))
-                bar.total = job(work / name, advance=bar.update)["frames"]
+                summary = job(work / name, advance=bar.update)
+                bar.total = summary["frames"]
+        check_unit({source.name: summary})
         yield work

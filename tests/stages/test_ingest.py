@@ -11,8 +11,11 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, read_index
-from pipeline.camera.camera import Camera
+from pipeline.camera.camera import Camera, Frame
 from pipeline.datasets.core.calibration import CALIBRATION, RENDERED
+from pipeline.datasets.core.drive import Drive
+from pipeline.datasets.core.ingest_file import write_drive as write_ingest
+from pipeline.video.measure import READING
 from stages import ingest
 from tests.kitti_drive import DATE, DRIVE, SIZE, contents, write, write_drive, write_params, write_png
 
@@ -100,6 +103,21 @@ def test_plainly_incomplete_drives(tmp_path, missing, problem):
     shutil.rmtree(path) if path.is_dir() else path.unlink()
     with pytest.raises(InputError, match=problem):
         run(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("size", "values", "problem"),
+    [
+        (SIZE[::-1], {}, r"image of frame 0 has 64 x 48 .*Camera\.size is \(H, W\), here \(48, 64\)"),
+        ((96, 128), {}, r"image of frame 0 has 64 x 48 pixels, expected 128 x 96, the size of Drive\.camera"),
+        (SIZE, {"speed_mp": {0: 1.0}}, r"unknown name speed_mp: did you mean speed_mps\?"),
+    ],
+)
+def test_a_wrong_file_of_a_dataset(tmp_path, size, values, problem):
+    frames = [Frame(0, 0.0, np.zeros((*SIZE, 3), np.uint8))]
+    drive = Drive(Camera(np.array([[50, 0, 31.3], [0, 50, 22.2], [0, 0, 1]]), size), lambda: iter(frames), values)
+    with pytest.raises(InputError, match=problem):
+        write_ingest(tmp_path / "drive.h5", drive, "drive", "mine", READING)
 
 
 def test_a_drive_that_was_ingested_before_is_not_left_out(tmp_path, capsys):

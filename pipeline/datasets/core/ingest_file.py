@@ -3,18 +3,18 @@
 Each row belongs to a frame number. Missing data has the fill value, and ``has_<name>`` is 0.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.base.errors import InputError
+from pipeline.base.errors import InputError, closest
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
-from pipeline.camera.camera import camera_height, write_camera
+from pipeline.camera.camera import Camera, Frame, camera_height, write_camera
 from pipeline.camera.classes import VOID
-from pipeline.camera.images import nearest, resized, to_units
+from pipeline.camera.images import format_size, nearest, resized, to_units
 from pipeline.datasets.core.drive import Drive
 from pipeline.settings.ingest import Reading
 
@@ -47,8 +47,9 @@ def write_drive(
     """Write a drive of `dataset`; `advance` is called with the number of frames that are done since the last call.
 
     Images are cropped around the horizon. Returns the counts of frames, images, scans, …, and ``counts``, a text.
-    Raises InputError if there are no frames.
+    Raises InputError if there are no frames, pixels of another size than the camera's, or values with an unknown name.
     """
+    _check_names(drive.values)
     camera, size, values = drive.camera, settings.image_size, drive.values
     crop = camera.crop_to(size) if camera else None
     params: dict[str, Any] = {"dataset": drive.dataset or dataset, "ingest": settings.model_dump(mode="json")}
@@ -57,6 +58,7 @@ def write_drive(
     rows, written = list[tuple[float, ...]](), {"image"}  # number, time, points, and whether it has the HAS; maps
     with DriveWriter(path, stage="ingest", drive=name, params=params) as file:
         for frame in drive.frames():
+            _check_size(frame, camera)
             depth = None if frame.depth_m is None else to_units(frame.depth_m)
             maps = {"image": frame.image, "depth": depth, "cls": frame.cls}
             for key, pixels in maps.items():
@@ -94,3 +96,25 @@ def write_drive(
     counts = dict(zip(HAS, map(sum, present), strict=True)) | {"steering": int(steered.sum())}
     texts = [*(f"{counts[key]} {text}" for key, text in COUNTS.items() if counts[key]), *drive.notes]
     return {"frames": len(numbers)} | counts | {"counts": "".join(f", {text}" for text in texts)}
+
+
+def _check_names(values: Mapping[str, Any]) -> None:
+    """Raise InputError if values have a name that no file of stage ingest has: they would be lost."""
+    for name in values:
+        if name not in VALUES:
+            raise InputError(f"Drive.values has the unknown name {name}: {closest(name, [*VALUES])}")
+
+
+def _check_size(frame: Frame, camera: Camera | None) -> None:
+    """Raise InputError if pixels of a frame have another size than the camera, whose crop would cut them."""
+    if camera is None:
+        return
+    for kind, pixels in (("image", frame.image), ("depth_m", frame.depth_m), ("cls", frame.cls)):
+        if pixels is None or pixels.shape[:2] == camera.size:
+            continue
+        problem = f"{kind} of frame {frame.number} has {format_size(pixels.shape)} pixels"
+        expected = f"expected {format_size(camera.size)}, the size of Drive.camera"
+        fix = "Give the camera the size of the complete images, and K for this size"
+        if pixels.shape[:2] == camera.size[::-1]:
+            fix = f"Camera.size is (H, W), here ({pixels.shape[0]}, {pixels.shape[1]})"
+        raise InputError(f"{problem}, {expected}", fix=fix)

@@ -1,8 +1,11 @@
 """Measured motion: poses, the road's slope and scale, rates, the filtered speed, and odometry on a rendered street."""
 
+import re
+from contextlib import nullcontext
 from dataclasses import replace
 from itertools import pairwise
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,8 +15,10 @@ from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import project, transform
-from pipeline.motion import drive, horizon, step, visual
+from pipeline.motion import horizon, step, visual
+from pipeline.motion.doubts import check_unit, find_doubts
 from pipeline.motion.pose import estimate_pose
+from pipeline.motion.roll import Roll
 from pipeline.motion.step import TYPICAL_MPS, filter_speed
 from pipeline.motion.still import Still, lowest_share
 from tests import street
@@ -213,13 +218,68 @@ def test_traffic_is_excluded_by_its_class():
     assert not any(one and abs(step.rates(one.T_before_now, DT_S)[1] - 6) < 0.3 for one in measured(frames))
 
 
-def test_depth_in_another_unit_is_refused():
-    """By the road of many frames."""
-    drive._check_unit(np.full(49, 6.07), 1.6, 2.0)
-    drive._check_unit(np.full(50, 2.9), 1.6, 2.0)
-    for height_m in (6.07, 0.7):
-        with pytest.raises(InputError, match=f"the road is {height_m:.2f} m below a camera 1.60 m above it"):
-            drive._check_unit(np.full(50, height_m), 1.6, 2.0)
+# Of a drive by day at 10 images per second.
+HEALTHY = {
+    "frames": 100, "valid": 98, "moving": 99, "step_s": 0.104, "step_m": 0.9, "still": 0.0, "roll_deg": 1.4,
+    "road_frames": 99, "height_ratio": 1.0, "road_class": 0.8, "road_class_frames": 95, "unit_error": 1.8,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"step_s": 0.207}, r"images are 0\.21 s apart"),
+        ({"step_m": 2.3, "valid": 40}, r"images are 2\.3 m apart"),
+        ({"valid": 88}, "only 88 of 99 frames with a moving car are measured"),
+        ({"roll_deg": 3.2}, r"turned by 3° clockwise.*rotate=-3\*PI/180"),
+        ({"roll_deg": -10.0}, r"turned by 10° counterclockwise.*rotate=10\*PI/180"),
+        ({"road_class": 0.0}, "only 0% of the road .* classes of another numbering"),
+        ({"road_frames": 5}, "depth shows a road in 5 frames, classes in 95: inverse depth"),
+        ({"still": 0.1}, "a bonnet, or text"),
+    ],
+)
+def test_doubts(changes, text):
+    assert [*find_doubts(HEALTHY)] == []
+    ((_, found),) = find_doubts(HEALTHY | changes)
+    assert re.search(text, found)
+
+
+@pytest.mark.parametrize(("ratio", "refused"), [(1.1, False), (3.9, True), (0.5, True)])
+def test_depth_in_another_unit_is_refused(ratio, refused):
+    """By the road of many frames, of one drive or of several."""
+    drive = HEALTHY | {"height_ratio": ratio, "road_frames": 30}
+    check_unit({"1": drive})
+    check_unit({"1": drive | {"unit_error": np.inf, "road_frames": 300}})
+    for drives in ({"1": drive, "2": drive}, {"1": HEALTHY, "2": HEALTHY, "3": drive | {"road_frames": 50}}):
+        with pytest.raises(InputError, match=f"road is {ratio:.2f} times") if refused else nullcontext():
+            check_unit(drives)
+
+
+@pytest.mark.parametrize("turned_deg", [-10, -3, 0, 3])
+def test_roll_is_that_of_upright_edges(turned_deg):
+    """Counterclockwise, as OpenCV turns images; an image without edges has none."""
+    camera, rng = street.WIDE, np.random.default_rng(0)
+    height, width = camera.size
+    bars = np.repeat(rng.integers(0, 255, width // 8, np.uint8), 8)
+    image = np.broadcast_to(bars[None, :, None], (height, width, 3)).copy()
+    turn = cv2.getRotationMatrix2D((width / 2, height / 2), turned_deg, 1)
+    roll = Roll(camera)
+    roll.add(np.zeros_like(image))
+    assert roll.degrees() == 0
+    roll.add(cv2.warpAffine(image, turn, (width, height)))
+    assert roll.degrees() == pytest.approx(-turned_deg, abs=0.5)
+
+
+def test_a_black_image_shows_no_road():
+    """Also where depth is that of a road."""
+    frames = views(*street.arc(2, 0.0, 6.0))
+    odometry = visual.Odometry(street.WIDE)
+    odometry.step(frames[0])
+    assert odometry.road.frame_height_m > 0
+    assert odometry.road_class > 0.5
+    odometry.step(replace(frames[1], image=np.zeros_like(frames[1].image)))
+    assert odometry.road.frame_height_m == 0
+    assert np.isnan(odometry.road_class)
 
 
 def test_images_upside_down_are_refused():

@@ -140,7 +140,8 @@ def test_an_imported_recording_has_the_same_numbers(tmp_path, encoder, monkeypat
     assert opened.camera.horizon == pytest.approx(114, abs=3)
     settings = Perception(batch=4)
     lens = {"distortion": bent, "camera_height": CAMERA_HEIGHT_M}
-    import_recording([images] * 2, "monday", k=[K], fps=10.0, each=True, **lens)
+    other = write_folder(tmp_path / "other", taller[1:])
+    import_recording([images, other], "monday", k=[K], fps=10.0, each=True, **lens)
     preset.main(str(tmp_path / "presets/monday.yaml"), tmp_path)
     files = [tmp_path / f"imported/{stage}.h5" for stage in ("ingest", "perception", "motion")]
     settings_of = load(Ingest, tmp_path / "params.yaml")

@@ -84,12 +84,17 @@ def code_hash() -> str:
 
 
 def revision(checkout: Path = Path()) -> str:
-    """Return the short hash of the commit, with "-dirty" if code or settings differ from it; empty without git."""
+    """Return the short hash of the commit, with "-dirty" if code or settings differ from it; empty without git.
+
+    A preset that git does not know, such as one by steer import, does not count: the page of its run shows it.
+    """
     if not shutil.which("git") or not (checkout / ".git").exists():
         return ""
     git = partial(subprocess.run, cwd=checkout, capture_output=True, text=True, check=False)
     commit = git(["git", "rev-parse", "--short", "HEAD"]).stdout.strip()
-    return commit + "-dirty" * bool(git(["git", "status", "--porcelain", "--", *CODE, "presets", "params.yaml"]).stdout)
+    status = git(["git", "status", "--porcelain", "--", *CODE, "presets", "params.yaml"]).stdout.splitlines()
+    changed = [line for line in status if not line.startswith("?? presets/")]
+    return commit + "-dirty" * bool(changed)
 
 
 def meaning(path: Path) -> str:

@@ -18,8 +18,7 @@ from pipeline.settings.graphs import Variant
 from pipeline.settings.ingest import Ingest
 from pipeline.settings.labels import Labels
 from pipeline.settings.train import Train
-
-NAMES = [path.stem for path in sorted(preset.PRESETS.glob("[a-z]*.yaml"))]
+from tests.presets import NAMES
 
 
 def edited(tmp_path: Path, key: str, value: Any) -> Path:

@@ -18,7 +18,9 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("pipeline", "models", "stages")
 CODE = (*PACKAGES, "dvc.yaml", ".dvcignore", "data/.gitignore")  # what a run needs of the checkout, without settings
 # Of base/, what cannot change the bytes of a result: an edit of these files makes nothing again.
-MACHINERY = {ROOT / f"pipeline/base/{name}.py" for name in ("console", "executors", "outputs", "resume", "runner")}
+MACHINERY = {
+    ROOT / f"pipeline/base/{name}.py" for name in ("console", "earlier", "executors", "outputs", "resume", "runner")
+}
 
 
 def stage_key(stage: str, settings: Mapping[str, Any], inputs: Sequence[Path | str], code: tuple[str, ...] = ()) -> str:

@@ -12,6 +12,7 @@ import pytest
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, read_index
 from pipeline.camera.camera import Camera
+from pipeline.datasets import kitti
 from pipeline.datasets.core.calibration import CALIBRATION, RENDERED
 from stages import ingest
 from tests.kitti_drive import DATE, DRIVE, SIZE, contents, write, write_drive, write_params, write_png
@@ -100,6 +101,25 @@ def test_plainly_incomplete_drives(tmp_path, missing, problem):
     shutil.rmtree(path) if path.is_dir() else path.unlink()
     with pytest.raises(InputError, match=problem):
         run(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("place", "problem"),
+    [
+        (f"{DATE}/{DRIVE}_extract", "an unsynced drive. Download the synced archive"),
+        (f"{DATE}/{DRIVE}", f"move it to {DATE}/{DRIVE}_sync"),
+        (f"{DRIVE}_sync", f"move it to {DATE}/{DRIVE}_sync"),
+        (f"{DRIVE}_sync/{DATE}/{DRIVE}_sync", f"move it to {DATE}/{DRIVE}_sync"),
+        (f"{DRIVE}_sync.zip", "extract it in"),
+    ],
+)
+def test_a_drive_at_another_place_is_found(tmp_path, place, problem):
+    folder = write_drive(tmp_path / "drives")
+    path = tmp_path / "raw" / place
+    path.parent.mkdir(parents=True)
+    folder.rename(path)
+    with pytest.raises(InputError, match=f"is missing. Found {place}: {problem}"):
+        kitti.find_drive(tmp_path / "raw", DRIVE)
 
 
 def test_a_drive_that_was_ingested_before_is_not_left_out(tmp_path, capsys):

@@ -13,7 +13,8 @@ PRESETS := $(filter-out encoder street,$(patsubst presets/%.yaml,%,$(wildcard pr
 .PHONY: demo help $(PRESETS) encoder street udacity params test bench lint format setup system
 
 demo: setup            ## run the complete chain on the embedded sample and print its table
-	@git rev-parse 2>/dev/null || if [ -e .git ]; then git rev-parse; else dvc config --local core.no_scm true; fi  # GitHub's ZIP
+	@git rev-parse 2>/dev/null || if [ -e .git ] && command -v git >/dev/null; then git rev-parse; else \
+	dvc config --local core.no_scm true; fi  # GitHub's ZIP, or a container without git
 	dvc repro check graphs labels
 	@mkdir -p .dvc/tmp && rm -f .dvc/tmp/train@*  # errors, shown after all models have ended; xargs stops at DVC's 255
 	@dvc stage list --name-only | grep '^train@' | xargs -n 1 -P 2 sh -c \

@@ -1,5 +1,6 @@
 """The command `steer`, and its verbs `show` and `view`. Large imports are inside functions, so that help is quick."""
 
+from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
@@ -9,6 +10,9 @@ import typer
 from pipeline.base.console import guarded
 from pipeline.base.errors import InputError
 from steer import import_, measure, perceive, predict
+
+# Python's default browsers where there is no screen, as over SSH. They would wait for keys in the terminal.
+TEXT_BROWSERS = ("www-browser", "links", "elinks", "lynx", "w3m")
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -75,7 +79,10 @@ def view(
     out = claim(out, path.stem, ".html")
     artefact.view(path, out)
     print(out)
-    webbrowser.open(out.absolute().as_uri())
+    with suppress(webbrowser.Error):  # there is none
+        browser = webbrowser.get()
+        if browser.basename not in TEXT_BROWSERS:
+            browser.open(out.absolute().as_uri())
 
 
 app.command("predict", no_args_is_help=True, help=predict.__doc__)(guarded(predict.predict))

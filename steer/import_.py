@@ -57,7 +57,7 @@ def import_recording(
     from pipeline.base.errors import error_context
     from pipeline.base.params import check_name
     from pipeline.camera.lens import numbers
-    from pipeline.datasets.recording import MOTION, TIMES, WHEEL
+    from pipeline.datasets.recording import MOTION, TIMES, WHEEL, read_logs
     from pipeline.media.names import check_different
     from pipeline.settings.ingest import KITTI_NAMES, Part
     from pipeline.settings.preset import PRESETS
@@ -81,11 +81,13 @@ def import_recording(
     folders = [f"{name}-{number + 1}" for number in range(len(groups))] if each else [name]
     importing.check_free(preset, [raw / folder for folder in folders])
     check_different(recording if each else [])
-    opened = []
+    takes = []
     for number, (folder, paths) in enumerate(zip(folders, groups, strict=True)):
         part = Part(folder=folder, files={}, K=k[number % len(k)] if k else None, **chosen)
         logs = {WHEEL: wheel[number] if wheel else None, MOTION: motion[number] if motion else None, TIMES: times}
-        opened.append(importing.open_recording(paths, logs, part, [100.0] if each else shares))
+        read_logs(part, logs)  # finds faults of all logs before the first video is decoded
+        takes.append((paths, logs, part))
+    opened = [importing.open_recording(*take, [100.0] if each else shares) for take in takes]
     parts = [part for one in opened for part in one.parts]
     splits = ["train", "test"] if len(parts) == 2 else [SPLITS[number % 3] for number in range(len(parts))]
     names = [f"{name}-{number if each else split}" for number, split in enumerate(splits, 1)]

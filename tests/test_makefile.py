@@ -113,6 +113,8 @@ def test_a_revision_names_the_commit_and_edits_of_the_code(tmp_path):
     commit = revision(tmp_path)
     assert re.fullmatch("[0-9a-f]{7}", commit)
     (tmp_path / "results.json").touch()
+    (tmp_path / "presets").mkdir()
+    (tmp_path / "presets/monday.yaml").touch()
     assert revision(tmp_path) == commit
     (tmp_path / "dvc.yaml").write_text("stages: {a: }")
     assert revision(tmp_path) == f"{commit}-dirty"

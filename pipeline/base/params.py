@@ -6,6 +6,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
+from pipeline.base.earlier import find_earlier
 from pipeline.base.errors import InputError, closest, error_context
 
 
@@ -97,6 +98,9 @@ def parse(kind: type[M], value: Any, where: str = "", path: Path | None = None) 
     try:
         return kind.model_validate(value)
     except ValidationError as error:
+        earlier, way_on = find_earlier(value, where)
+        if earlier:
+            raise InputError(f"{earlier} is of an earlier version", path or "", way_on) from error
         first = error.errors()[0]
         key = ".".join(str(part) for part in (where, *first["loc"]) if part not in ("", "[key]"))
         problem = first["msg"].removeprefix("Value error, ")

@@ -18,7 +18,9 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("pipeline", "models", "stages")
 CODE = (*PACKAGES, "dvc.yaml", ".dvcignore", "data/.gitignore")  # what a run needs of the checkout, without settings
 # Of base/, what cannot change the bytes of a result: an edit of these files makes nothing again.
-MACHINERY = {ROOT / f"pipeline/base/{name}.py" for name in ("console", "executors", "outputs", "resume", "runner")}
+MACHINERY = {
+    ROOT / f"pipeline/base/{name}.py" for name in ("console", "earlier", "executors", "outputs", "resume", "runner")
+}
 
 # Files that Windows writes to a folder while it is looked at.
 DESKTOP = ("thumbs.db", "desktop.ini")
@@ -93,12 +95,17 @@ def code_hash() -> str:
 
 
 def revision(checkout: Path = Path()) -> str:
-    """Return the short hash of the commit, with "-dirty" if code or settings differ from it; empty without git."""
+    """Return the short hash of the commit, with "-dirty" if code or settings differ from it; empty without git.
+
+    A preset that git does not know, such as one by steer import, does not count: the page of its run shows it.
+    """
     if not shutil.which("git") or not (checkout / ".git").exists():
         return ""
     git = partial(subprocess.run, cwd=checkout, capture_output=True, text=True, check=False)
     commit = git(["git", "rev-parse", "--short", "HEAD"]).stdout.strip()
-    return commit + "-dirty" * bool(git(["git", "status", "--porcelain", "--", *CODE, "presets", "params.yaml"]).stdout)
+    status = git(["git", "status", "--porcelain", "--", *CODE, "presets", "params.yaml"]).stdout.splitlines()
+    changed = [line for line in status if not line.startswith("?? presets/")]
+    return commit + "-dirty" * bool(changed)
 
 
 def meaning(path: Path) -> str:

@@ -13,6 +13,13 @@ import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError
 
+# Oldest main version of OpenCV, as in pyproject.toml. Installing opencv-python replaces it without a word from pip.
+OPENCV = 5
+_version = getattr(cv2, "__version__", "0")  # after pip uninstall opencv-python, the module is empty
+if int(_version.partition(".")[0]) < OPENCV:
+    _fix = f'Install it again: pip install --force-reinstall --no-deps "opencv-python-headless>={OPENCV}.0"'
+    # Ends the process, as stages import this file outside of the function that prints an InputError.
+    raise SystemExit(f"error: expected OpenCV {OPENCV}.0 or later, got {_version}. {_fix}")
 Size = tuple[int, int]  # (H, W) pixels
 DEPTH_UNITS_PER_M = 256  # of stored depth, as in KITTI's depth benchmark; 0: no depth
 MAX_UNITS = np.iinfo(np.uint16).max

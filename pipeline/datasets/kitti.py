@@ -23,6 +23,7 @@ from pipeline.settings.ingest import Ingest, Reading
 # below -23.6 degrees. Files list the lasers from top to bottom, so a truncated scan lacks the low ones.
 LOWEST_DEG = -20.0
 _MAX_RANGE_M = 150.0  # the sensor's is 120 m
+UNSYNCED = "_extract"  # end of the names of drives whose images are not rectified and whose scans have other times
 
 
 def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
@@ -86,6 +87,20 @@ class KittiDrive:
         frames = [self.oxts, self.scans, self.truth_depth, self.truth_cls, images]
         single = [self.timeline(camera)[1], *sorted(self.calibration.glob("calib_*.txt")), self.folder / STEERING]
         return [*(path for files in frames for path in files.values()), *filter(Path.is_file, single)]
+
+
+def open_folder(path: Path) -> KittiDrive:
+    """Return the drive of a folder, which may be a link: its date's calibration lies beside the link or its target.
+
+    Raises InputError if drives are in folders below it.
+    """
+    below = [image.parent for level in ("*", "*/*") for image in sorted(path.glob(f"{level}/image_0?"))]
+    if below:
+        raise InputError("is a folder around drives", path, f"Pass one of them: {below[0]}")
+    folder = path.absolute()
+    if not (folder.parent / CALIBRATION).is_file():
+        folder = path.resolve()
+    return KittiDrive(folder)
 
 
 def read_drive(files: KittiDrive, settings: Reading) -> Drive:
@@ -163,8 +178,11 @@ def find_drive(root: Path, name: str) -> KittiDrive:
         fix = f"KITTI: ln -s /path/to/kitti {root}. Sample: dvc repro sample. Only training? dvc pull labels graphs"
         raise InputError("folder is missing", root, fix)
     if name not in (known := _drives(root)):
-        problem = f"drive {name} of ingest.drives is missing ({closest(name, known)})"
-        raise InputError(problem, root, "Extract it, or take it out of ingest.drives")
+        problem = f"drive {name} of ingest.drives is missing"
+        if elsewhere := _elsewhere(root, name):
+            raise InputError(problem, root, elsewhere)
+        fix = "Extract it, or take it out of ingest.drives"
+        raise InputError(f"{problem} ({closest(name, known)})", root, fix)
     return KittiDrive(root / name[:10] / f"{name}_sync")
 
 
@@ -184,11 +202,28 @@ def leave_out(root: Path, settings: Ingest, required: Collection[str] = ()) -> l
     for drive in missing:
         if not known or drive in required or splits[drive] not in kept:
             find_drive(root, drive)  # raises InputError
+        if elsewhere := _elsewhere(root, drive):
+            print(f"left out: {drive}. {elsewhere}", flush=True)
     if missing:
         unnamed = [drive for drive in known if drive not in splits]
         hint = f" (it has {', '.join(unnamed[:5])}, which ingest.drives does not name)" if unnamed else ""
         print(f"left out: {root} has no {', '.join(missing)}{hint}", flush=True)
     return missing
+
+
+def _elsewhere(root: Path, name: str) -> str:
+    """Return what was found of a drive that is not at its place below `root`, and the way on; empty if nothing was."""
+    place = f"{name[:10]}/{name}_sync"
+    found = [path for start in ("", "*/", "*/*/") for path in sorted(root.glob(f"{start}{name}*"))]
+    for path in found:
+        if path.suffix != ".zip" and not any(path.glob("*/data")):  # a folder around the drive
+            continue
+        if path.stem.endswith(UNSYNCED):
+            return f"Found {path.relative_to(root)}: an unsynced drive. Download the synced archive, {name}_sync.zip"
+        if path.suffix == ".zip":
+            return f"Found {path.relative_to(root)}: extract it in {root}"
+        return f"Found {path.relative_to(root)}: move it to {place}, and its date's calib_*.txt to {name[:10]}/"
+    return ""
 
 
 def _drives(root: Path) -> list[str]:
@@ -214,8 +249,8 @@ def read_scan(path: Path) -> np.ndarray:
         raise InputError(problem, path, fix)
     lowest = np.degrees(np.arctan2(scan[:, 2], np.hypot(scan[:, 0], scan[:, 1])).min())
     if lowest > LOWEST_DEG:
-        problem = f"scan is cut short: its {len(scan)} points end at {lowest:.1f} degrees of elevation"
-        raise DamagedFile(f"{problem} (expected below {LOWEST_DEG:g}, as KITTI's sensor)", path)
+        problem = f"scan is cut short at {lowest:.1f} degrees of elevation, or of another LiDAR than the HDL-64E"
+        raise DamagedFile(f"{problem} (expected below {LOWEST_DEG:g}, LOWEST_DEG in pipeline/datasets/kitti.py)", path)
     return scan
 
 

@@ -70,9 +70,14 @@ def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
     return Drive(camera, partial(recording.frames, used), values, recording.notes)
 
 
+def read_logs(part: Part, files: Mapping[str, Path | None]) -> Logs:
+    """Read the logs of a recording, by their names in its folder and the options of a `part`."""
+    return Logs.read(files.get(WHEEL), part.steering_ratio, files.get(MOTION), part.offset)
+
+
 def open_part(part: Part, files: Mapping[str, Path]) -> tuple[Recording, Camera, Logs]:
     """Open the images and logs of a recording, by their names in its folder and the options of a `part`."""
-    logs = Logs.read(files.get(WHEEL), part.steering_ratio, files.get(MOTION), part.offset)
+    logs = read_logs(part, files)
     capture = Capture(part.fov, part.K, part.distortion, part.fisheye, part.fps, files.get(TIMES))
     images = [path for name, path in files.items() if name.startswith((VIDEO, FRAMES))]
     return *open_images(images, capture, logs), logs

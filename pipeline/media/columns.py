@@ -18,7 +18,11 @@ def read_columns(path: Path, limits: Mapping[str, float], expected: str) -> tupl
     `limits`: names of the columns → largest plausible magnitudes. All columns but the first may have empty cells. The
     separator is a comma, a semicolon or a tab. Raises InputError, with the hint `expected`, for a missing column.
     """
+    if b"\0" in path.read_bytes():  # of Excel's Unicode text, and of PowerShell's files
+        raise InputError("is in UTF-16", path, f"Save it as UTF-8: iconv -f UTF-16 -t UTF-8 {path.name} > utf8.csv")
     lines = path.read_text("utf-8-sig", errors="replace").splitlines() or [""]
+    if lines[0].startswith("sep="):
+        raise InputError("line 1 is Excel's separator, not the names of columns", path, f"Remove line 1: {lines[0]}")
     separator = max(",;\t", key=lines[0].count)
     places = range(1 + max(line.count(separator) for line in lines))
     text = {"dtype": str, "encoding": "utf-8-sig", "encoding_errors": "replace", "skipinitialspace": True}

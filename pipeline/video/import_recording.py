@@ -159,16 +159,29 @@ def linked(recordings: Sequence[Imported], raw: Path, *, copy: bool) -> Iterator
             new = stack.enter_context(replacing(raw / one.folder))
             new.mkdir()
             for name, path in one.files.items():
-                if not copy:
-                    (new / name).symlink_to(path.resolve())
-                elif path.is_dir():
-                    shutil.copytree(path, new / name)
-                else:
-                    shutil.copyfile(path, new / name)
+                if copy or not _link(new / name, path):
+                    _copy(path, new / name)
         yield
         for one in recordings:
             if (raw / one.folder).is_dir():
                 shutil.rmtree(raw / one.folder)
+
+
+def _link(link: Path, path: Path) -> bool:
+    """Make a link, or print a note and return False on a disk without links, such as exFAT."""
+    try:
+        link.symlink_to(path.resolve())
+    except OSError as error:
+        print(f"{path.name} is copied: a link cannot be made there ({error.strerror})")
+        return False
+    return True
+
+
+def _copy(path: Path, target: Path) -> None:
+    if path.is_dir():
+        shutil.copytree(path, target)
+    else:
+        shutil.copyfile(path, target)
 
 
 def write_preset(path: Path, drives: Mapping[str, tuple[str, Part, int]], one: Imported, source: str) -> None:

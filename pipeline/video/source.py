@@ -60,11 +60,14 @@ def open_source(
     `logs` has no value in its time.
     """
     path = paths[0]
-    files = kitti.KittiDrive(path.resolve()) if path.is_dir() and len(paths) == 1 else None
+    files = kitti.open_folder(path) if path.is_dir() and len(paths) == 1 else None
     if files and any(files.images(camera) for camera in reading.cameras):
         if any(capture):
             fix = "Remove --fov, --K, --distortion, --fisheye, --fps and --times"
             raise InputError("a KITTI drive has its own calibration and times", path, fix)
+        if files.folder.name.endswith(kitti.UNSYNCED):
+            fix = f"Download the synced archive, {files.folder.name.removesuffix(kitti.UNSYNCED)}_sync.zip"
+            raise InputError("is an unsynced drive: its images are not rectified", path, fix)
         numbers, times = files.timeline(files.camera_number(reading.cameras))
         time_s = read_times(times, numbers)
         logs.check_overlap(*time_s[[0, -1]])

@@ -11,6 +11,7 @@ from models.steering.spatial import polar
 from pipeline.base.errors import InputError
 from pipeline.settings import preset
 from stages import check
+from tests.presets import NAMES
 
 ROOT = Path(__file__).resolve().parents[2]
 MODEL = "models.sa-gnn-ncp"
@@ -35,7 +36,7 @@ def run(folder: Path, content: dict[str, Any]) -> Path:
     return check.main(folder / "params.yaml")
 
 
-@pytest.mark.parametrize("name", [None, *sorted(path.stem for path in preset.PRESETS.glob("[a-z]*.yaml"))])
+@pytest.mark.parametrize("name", [None, *NAMES])
 def test_the_projects_own_files_are_valid(name, tmp_path, monkeypatch, capsys):
     """Without weights of real streets, which check does not download."""
     monkeypatch.chdir(tmp_path)

@@ -12,6 +12,7 @@ import pytest
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, read_index
 from pipeline.camera.camera import Camera, Frame
+from pipeline.datasets import kitti
 from pipeline.datasets.core.calibration import CALIBRATION, RENDERED
 from pipeline.datasets.core.drive import Drive
 from pipeline.datasets.core.ingest_file import write_drive as write_ingest
@@ -118,6 +119,25 @@ def test_a_wrong_file_of_a_dataset(tmp_path, size, values, problem):
     drive = Drive(Camera(np.array([[50, 0, 31.3], [0, 50, 22.2], [0, 0, 1]]), size), lambda: iter(frames), values)
     with pytest.raises(InputError, match=problem):
         write_ingest(tmp_path / "drive.h5", drive, "drive", "mine", READING)
+
+
+@pytest.mark.parametrize(
+    ("place", "problem"),
+    [
+        (f"{DATE}/{DRIVE}_extract", "an unsynced drive. Download the synced archive"),
+        (f"{DATE}/{DRIVE}", f"move it to {DATE}/{DRIVE}_sync"),
+        (f"{DRIVE}_sync", f"move it to {DATE}/{DRIVE}_sync"),
+        (f"{DRIVE}_sync/{DATE}/{DRIVE}_sync", f"move it to {DATE}/{DRIVE}_sync"),
+        (f"{DRIVE}_sync.zip", "extract it in"),
+    ],
+)
+def test_a_drive_at_another_place_is_found(tmp_path, place, problem):
+    folder = write_drive(tmp_path / "drives")
+    path = tmp_path / "raw" / place
+    path.parent.mkdir(parents=True)
+    folder.rename(path)
+    with pytest.raises(InputError, match=f"is missing. Found {place}: {problem}"):
+        kitti.find_drive(tmp_path / "raw", DRIVE)
 
 
 def test_a_drive_that_was_ingested_before_is_not_left_out(tmp_path, capsys):

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import pytest
@@ -70,12 +71,15 @@ def test_the_version_is_printed():
 
 def test_points_are_shown_in_a_page_that_opens(data, monkeypatch):
     opened = list[str]()
-    monkeypatch.setattr("webbrowser.open", opened.append)
+    browser = SimpleNamespace(basename="firefox", open=opened.append)
+    monkeypatch.setattr("webbrowser.get", lambda: browser)
     for out in (f"out/{DRIVE}.html", f"out/{DRIVE}-2.html"):
         assert run("view", data / f"graphs/semantic/{DRIVE}.h5") == f"{out}\n"
     text = Path(out).read_text()
     assert (opened[1], '"name":"edges"' in text) == (Path(out).absolute().as_uri(), True)
     assert "has no points" in run("view", data / f"labels/{DRIVE}.h5", status=1)
+    browser.basename = "w3m"  # as over SSH
+    assert run("view", data / f"graphs/semantic/{DRIVE}.h5") == f"out/{DRIVE}-3.html\n"
     assert len(opened) == 2
 
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -148,6 +149,13 @@ def test_the_preset_is_one_that_check_accepts(tmp_path, take, video, source, opt
     assert links == {"video.mp4", *(f"{log}.csv" for log in options)}
 
 
+def test_files_are_copied_on_a_disk_without_links(tmp_path, take, video, monkeypatch, capsys):
+    monkeypatch.setattr(Path, "symlink_to", Mock(side_effect=PermissionError(1, "Operation not permitted")))
+    take(video)
+    assert "drive.mp4 is copied: a link cannot be made there (Operation not permitted)" in capsys.readouterr().out
+    assert (tmp_path / "data/raw/monday/video.mp4").read_bytes() == video.read_bytes()
+
+
 def test_each_recording_is_a_drive_for_the_splits_in_turn(tmp_path, take, videos):
     cameras: dict[str, Any] = {"fov": None, "k": ["50,50,31.5,23.5"] * 3 + ["60,60,31.5,23.5"]}
     logs = {"motion": [STEADY] * 4, **cameras}
@@ -264,6 +272,10 @@ PLAINLY_WRONG = [
     ({"more": lambda video: [video.parent]}, "is a folder among several files"),
     ({"more": lambda video: [video]}, "has the same content as .*drive.mp4"),
     ({"more": lambda video: [video], "each": True}, "has the same content as .*drive.mp4"),
+    (
+        {"motion": [STEADY, "time_s,speed\n"], "each": True, "more": lambda video: [video.parent]},
+        "motion-1.txt: has no column speed_mps",
+    ),
 ]
 
 

@@ -18,8 +18,7 @@ from pipeline.settings.graphs import Variant
 from pipeline.settings.ingest import Ingest
 from pipeline.settings.labels import Labels
 from pipeline.settings.train import Train
-
-NAMES = [path.stem for path in sorted(preset.PRESETS.glob("[a-z]*.yaml"))]
+from tests.presets import NAMES
 
 
 def edited(tmp_path: Path, key: str, value: Any) -> Path:
@@ -70,6 +69,13 @@ def test_faults_name_file_key_and_value(tmp_path, section, key, value, problem):
         (partial(params.load, Train), "", "expected sections"),
         (lambda path: preset.text(str(path)), "models:\n  '*': null\n", "models.*at least 1"),
         (lambda path: preset.text(str(path)), "train:\n  epochs: null\n", r"train\.epochs: Field required"),
+        (
+            lambda path: preset.text(str(path)),
+            "ingest: {manifests: {}}",
+            r"ingest\.manifests is of an earlier.* steer im",
+        ),
+        (lambda path: preset.text(str(path)), "ingest: {source: both}", "ingest.source: both is of an earlier version"),
+        (partial(params.load_entry, Variant, "graphs", "a"), "graphs: {a: {cloud: lidar}}", r"graphs\.a\.cloud is of"),
     ],
 )
 def test_a_faulty_file_is_named(tmp_path, read, text, problem):

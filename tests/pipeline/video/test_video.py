@@ -503,6 +503,8 @@ WHEEL = "time_s,wheel_rad\n"
         (WHEEL + "1,0.1\n1.1,6.2\n", "wheel_rad is 0 to 2π"),
         (WHEEL + "1,0\n1.1,45\n", "wheel_rad is implausible .*: '45' in line 3"),
         ("frame,wheel_rad\n0,1\n", "has no column time_s"),
+        (WHEEL + "\0" * 2, "is in UTF-16. Save it as UTF-8"),
+        ("sep=;\n" + WHEEL, "line 1 is Excel's separator, .*Remove line 1: sep=;"),
         (WHEEL, "wheel_rad has fewer than 2 values"),
         ("1\n2\n2\n", "time does not increase .*: 2.0 in line 3"),
         ("0\n100\nx\n", "'x' in line 3; time has a median step .*divide milliseconds by 1000"),

@@ -1,0 +1,56 @@
+"""Settings of earlier versions, and what replaces them."""
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+# The dotted key, with * for the name of an entry, or "key: value" where only a value went → the way on.
+EARLIER = {
+    "encoder.frozen": "Remove it: a fit trains all weights",
+    "encoder.teacher": "Remove it. Encoders of real streets are published ones: backbone: street",
+    "encoder.weights.backbone": "Name the encoder: backbone: street, or another one of docs/models.md; weights: null",
+    "encoder.weights.class_head": "Name the encoder: backbone: street, or another one of docs/models.md; weights: null",
+    "evaluate.curvature_bins_1pm": "Remove it: bends and turns at junctions have fixed limits",
+    "evaluate.path": "Remove it: paths are integrated by the bicycle model",
+    "graphs.*.accumulate.frames": "Write the number itself: accumulate: 8",
+    "graphs.*.cloud": "Write source: clouds/pseudo or clouds/lidar",
+    "ingest.manifests": "Remove it and repeat steer import, which writes ingest.recordings",
+    "ingest.source: both": "Name the dataset of each split: source: {train: sample, val: sample, test: kitti}",
+    "labels.source: lidar": "Write source: visual",
+    "labels.standstill": "Remove it: frames below min_speed_mps have no label; min_speed_mps: 0 gives all of them one",
+    "models.*.fit_to: both": "Write fit_to: train-then-others",
+    "models.*.motion: lidar": "Write motion: visual",
+    "models.*.roads": "Rename it: train_drives",
+    "models.*.uncertainty": "Remove it: networks predict no standard deviation",
+    "motion": "Remove the section: motion is always measured from the images",
+    "perception.camera_height_m": "Remove it. Of own recordings, steer import --camera-height; KITTI's is calibrated",
+    "perception.depth_scale": "Remove it: stage motion scales depth by the camera's height",
+    "pictures": "Remove the section: stage report draws the pictures",
+    "sample.replay": "Remove it: the sample has roads of its own only",
+    "town": "Rename the section: sample",
+    "train.batch_runs": "Rename it: batch_spans",
+    "train.keep": "Remove it: weights are those of the lowest validation error, averaged over three epochs",
+    "train.mirror": "Remove it. Networks that treat left and right alike have equivariant: true in models",
+    "train.noise": "Remove it: training has no simulated errors but rescale",
+    "train.precision": "Remove it: training is in float32",
+    "train.run_windows": "Rename it: span_windows",
+}
+
+
+def find_earlier(settings: Any, where: str) -> tuple[str, str]:
+    """Return the first earlier key in the settings at the dotted key `where`, and the way on; empty without any."""
+    for key in _keys(settings, where):
+        way_on = EARLIER.get(re.sub(r"^(models|graphs)\.[^.]+", r"\1.*", key))
+        if way_on:
+            return key, way_on
+    return "", ""
+
+
+def _keys(settings: Any, where: str) -> Iterator[str]:
+    """Yield the dotted keys of nested settings, and "key: value" of values."""
+    yield where
+    if not isinstance(settings, dict):
+        yield f"{where}: {settings}"
+        return
+    for name, part in settings.items():
+        yield from _keys(part, f"{where}.{name}" if where else str(name))

@@ -1,6 +1,7 @@
 """Read ``params.yaml``: each section is a typed class in ``pipeline/settings/``, and a stage loads only its own."""
 
 import re
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -26,6 +27,11 @@ ImageSize = Annotated[tuple[_Side, _Side], Field(strict=False)]  # [H, W] in pix
 SPLITS = ("train", "val", "test")
 RATE_TOLERANCE = 0.2  # relative difference of frame rates, in training and of a recording to predict
 _COPY = "Copy it from the project's own params.yaml"
+# Keys that have left: their dotted place, in which * is any name, and what to do instead.
+REMOVED = {
+    "base": "A preset merges no others: copy their settings into it",
+    "models.*.train_drives": "Remove it, and name fewer drives in ingest.drives.train",
+}
 
 
 class Section(BaseModel):
@@ -92,8 +98,21 @@ def read(path: Path, *, comments: bool = False) -> dict[str, Any]:
     return content
 
 
+def refuse_removed(value: Any, where: str = "", path: Path | None = None) -> None:
+    """Raise InputError for a key of REMOVED in the nested mapping `value` at the dotted key `where`."""
+    if not isinstance(value, dict):
+        return
+    for name, content in value.items():
+        key = f"{where}.{name}".removeprefix(".")
+        for pattern, fix in REMOVED.items():
+            if fnmatchcase(key, pattern):
+                raise InputError("this setting has left", ": ".join(filter(None, [str(path or ""), key])), fix)
+        refuse_removed(content, key, path)
+
+
 def parse(kind: type[M], value: Any, where: str = "", path: Path | None = None) -> M:
     """Validate `value` at the dotted key `where` of the file at `path`. Raises InputError."""
+    refuse_removed(value, where, path)
     try:
         return kind.model_validate(value)
     except ValidationError as error:

@@ -252,7 +252,6 @@ def claim_cells(claim: paper.Claim, errors: Sequence[tuple[Any, Any]], differenc
 def _model(row: Row) -> dict[str, str]:
     entry, unpruned = row["entry"], row["edges_per_frame_unpruned"]
     layer, cell = (f" ({entry[key]})" if key in entry else "" for key in ("layer", "cell"))  # of pyg, of ncp
-    limit = f" ({entry['train_drives']} drives)" if entry.get("train_drives") is not None else ""
     names = ("semantics", "window", "equivariant", "motion")
     return {
         "model": row["model"],
@@ -263,7 +262,7 @@ def _model(row: Row) -> dict[str, str]:
         "spatial": entry["spatial"] + layer,
         "temporal": entry["temporal"] + cell,
         **{name: number(entry.get(name)) for name in names},
-        "fit": f"{entry['fit_to']}{limit}",
+        "fit": entry["fit_to"],
     }
 
 

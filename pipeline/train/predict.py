@@ -20,6 +20,8 @@ from pipeline.train.loss import Scale
 from pipeline.train.targets import Timeline
 
 KIND = "steering net"  # of checkpoint
+# Settings of entries that have left, and the value at which a network is the same without them.
+REMOVED = {"train_drives": None}
 WINDOWS = 96  # per batch of predictions; limits the memory
 
 
@@ -80,18 +82,30 @@ def load(folder: str | Path, device: torch.device | str | None = None) -> Traine
     with error_context(fix="Train it again: dvc repro --force --single-item train@MODEL"):
         content = checkpoint.read(path, KIND)
         try:
-            entry, contents = Entry.model_validate(content["entry"]), Contents(**content["contents"])
+            entry, contents = read_entry(content["entry"], path), Contents(**content["contents"])
             scale = Scale.parse(content["scale"])
             about = {key: content[key] for key in ("name", "seeds", "settings", "drives", "fps")}
             about["datasets"] = content.get("datasets", [])
             height_m = about["settings"].get("perception", {}).pop("camera_height_m", None)  # of earlier versions
             about["settings"].setdefault("camera_height_m", height_m)
+        except InputError:
+            raise
         except (AttributeError, LookupError, TypeError, ValueError) as error:
             raise InputError(f"not a model of this version ({shorten(repr(error), 200)})", path) from error
         net = entry.build(**contents._asdict(), outputs=len(scale.names))
         checkpoint.load_state(net, content["net"], path)
     net.to(device or ("cuda" if torch.cuda.is_available() else "cpu")).eval()
     return Trained(**about, entry=entry, contents=contents, scale=scale, net=net)
+
+
+def read_entry(content: dict[str, Any], path: Path) -> Entry:
+    """Return the entry of a checkpoint, which may be of an earlier revision. Raises InputError."""
+    settings = dict(content)
+    for key, default in REMOVED.items():
+        value = settings.pop(key, default)
+        if value != default:
+            raise InputError(f"was trained by revision 0919269e with {key}: {value}", path, "Use that revision")
+    return Entry.model_validate(settings)
 
 
 def predict_drives(net: SteeringNet, reader: windows.Reader, scale: Scale) -> list[np.ndarray]:

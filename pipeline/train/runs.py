@@ -18,7 +18,7 @@ from pipeline.settings.models import Entry
 
 
 class Fold(NamedTuple):
-    """Training, validation and test drives of one network; with `train_drives`, training drives repeat."""
+    """Training, validation and test drives of one network."""
 
     name: str | None  # the test drive that is not used for training; None: none is
     train: tuple[str, ...]
@@ -46,14 +46,10 @@ class Run(NamedTuple):
 
 def folds(splits: Mapping[str, str], entry: Entry) -> list[Fold]:
     """Return the folds of a model, from drive → split. Raises InputError if a split has too few drives for them."""
-    fit_to, limit = entry.fit_to, entry.train_drives
+    fit_to = entry.fit_to
     train, val, test = (tuple(store.drives_in(splits, split)) for split in ("train", "val", "test"))
     if not train and fit_to != "others":
         raise InputError("there are no training drives", fix="Name some in ingest.drives.train")
-    if limit is not None and limit > len(train):
-        raise InputError(f"train_drives = {limit}, but there are {len(train)} training drives")
-    if limit is not None:  # evenly spread, and repeated for as many steps per epoch as with all
-        train = tuple(train[number % limit * len(train) // limit] for number in range(len(train)))
     result = [Fold(None, train, val, test)]
     if fit_to != "train":
         start = Fold(None, train, val, ()) if fit_to == "train-then-others" else None

@@ -67,8 +67,6 @@ def test_measured_motion_is_not_both_input_and_label(tmp_path):
         (f"{MODEL}.input", "semantc", "input: unknown variant 'semantc': did you mean semantic"),
         (f"{MODEL}.spatial", "cnnn", "spatial.*cnnn.*cnn"),
         ("ingest.lidar", False, "models.gnn-lstm: input = 'lidar-50k' needs scans, but ingest.lidar is false"),
-        (f"{MODEL}.train_drives", 1000, r"train_drives.*training drives"),
-        (MODEL, GNN | {"train_drives": 1, "scene": "another"}, "another needs two .*drive_0001 alone"),
         (f"{MODEL}.input", "image", "spatial.*gnn.*images"),
         ("models.cnn-ncp.input", "semantic", "spatial.*cnn.*expects images"),
         (f"{MODEL}.wiring", {"comand": 5}, "wiring.comand"),
@@ -92,6 +90,7 @@ def test_measured_motion_is_not_both_input_and_label(tmp_path):
         ("encoder", PAIR | {"classes": SWIN}, "type swin have no map of classes. Families that work: segformer, up"),
         ("encoder", DINOV2, "encoder: depth: depth.pth: file is missing"),
         ("model", {}, "model.*did you mean models"),
+        (f"{MODEL}.train_drives", 30, f"{MODEL}.train_drives: this setting has left. Remove it, and name fewer dri"),
     ],
 )
 def test_a_fault_is_one_line_with_its_key(tmp_path, where, value, message):

@@ -62,7 +62,7 @@ def test_a_network_with_the_papers_name_and_other_settings_is_not_the_papers():
         return paper.find("sa-gnn-ncp", examples.ENTRY | change, variant)
 
     assert found({}, cell="eq4", features=64) == paper.PAPER["sa-gnn-ncp"]
-    changes = {"temporal": "lstm", "semantics": 0.0, "alpha": 5.0, "equivariant": True, "train_drives": 3}
+    changes = {"temporal": "lstm", "semantics": 0.0, "alpha": 5.0, "equivariant": True, "scene": "another"}
     assert not any(found({}, **{key: value}) for key, value in changes.items())
     assert found({"accumulate": 8}) is None
 

@@ -70,6 +70,7 @@ def test_faults_name_file_key_and_value(tmp_path, section, key, value, problem):
         (partial(params.load, Train), "", "expected sections"),
         (lambda path: preset.text(str(path)), "models:\n  '*': null\n", "models.*at least 1"),
         (lambda path: preset.text(str(path)), "train:\n  epochs: null\n", r"train\.epochs: Field required"),
+        (lambda path: preset.text(str(path)), "base: [roads]\n", "base: this setting has left. A preset merges no o"),
     ],
 )
 def test_a_faulty_file_is_named(tmp_path, read, text, problem):

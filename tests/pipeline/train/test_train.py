@@ -371,6 +371,7 @@ def test_code_in_a_file_does_not_run(tmp_path):
         ("nett", {}, r"best\.pt is missing.*train/net"),
         ("net", {"kind": "encoder"}, "expected a checkpoint of .* steering net.*Train it again"),
         ("net", {"entry": {"spatial": "nothing"}}, "Train it again"),
+        ("net", {"entry": {"train_drives": 30}}, "revision 0919269e with train_drives: 30. Use that revision"),
         ("net", {"scale": None}, "Train it again"),
         ("net", {"net": {"weight": torch.zeros(1)}}, "Train it again"),
         ("cut", {}, "file is damaged"),
@@ -407,11 +408,6 @@ def test_runs_are_seeds_and_folds():
         assert [run.folder for run in result] == [model / "fold-z", model / "seed-5/fold-x"]
         assert str(result[0]) == "seed 0 without z"
         assert result[1].start == (start and runs.Run(5, start, model / "seed-5/first"))
-    many = {f"{number}": "train" for number in range(5)} | SPLITS
-    assert runs.folds(many, entry(train_drives=2))[0].train == ("0", "3", "0", "3", "0", "3", "0")
-    assert runs.folds(SPLITS, entry(fit_to="train-then-others", train_drives=1))[0].start.train == ("a", "a")
-    with pytest.raises(InputError, match="2 training drives"):
-        runs.folds(SPLITS, entry(train_drives=3))
     with pytest.raises(InputError, match="two test drives"):
         runs.folds({"a": "test"}, entry(fit_to="others"))
 

@@ -262,7 +262,6 @@ def _model(row: Row) -> dict[str, str]:
         "spatial": entry["spatial"] + layer,
         "temporal": entry["temporal"] + cell,
         **{name: number(entry.get(name)) for name in names},
-        "fit": entry["fit_to"],
     }
 
 

@@ -35,8 +35,6 @@ class Entry(Section):
     base: Literal["motion", "none"] = "motion"
     # another: a control with the scene of another drive of the split
     scene: Literal["same", "another"] = "same"
-    # others: a network per test drive, trained on the other test drives; train-then-others: before, on training drives
-    fit_to: Literal["train", "others", "train-then-others"] = "train"
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -21,7 +21,7 @@ from pipeline.train.targets import Timeline
 
 KIND = "steering net"  # of checkpoint
 # Settings of entries that have left, and the value at which a network is the same without them.
-REMOVED = {"train_drives": None}
+REMOVED = {"fit_to": "train", "train_drives": None}
 WINDOWS = 96  # per batch of predictions; limits the memory
 
 
@@ -35,7 +35,7 @@ class Trained(NamedTuple):
     scale: Scale
     settings: dict[str, Any]  # section → settings that made graphs and labels of its training drives
     drives: list[str]  # of training
-    datasets: list[str]  # of the training drives, also of the network it started from; []: unknown
+    datasets: list[str]  # of the training drives; []: unknown
     fps: float  # their frame rate
     net: SteeringNet
 
@@ -70,7 +70,7 @@ class Trained(NamedTuple):
 
 
 def load(folder: str | Path, device: torch.device | str | None = None) -> Trained:
-    """Load best.pt of a trained model: data/train/<model>, or a folder seed-<n> or fold-<drive> in it.
+    """Load best.pt of a trained model: data/train/<model>, or a folder seed-<n> in it.
 
     `device` None: a GPU if there is one. Raises InputError if there is none, or if this code cannot rebuild it.
     """

@@ -90,6 +90,7 @@ def test_measured_motion_is_not_both_input_and_label(tmp_path):
         ("encoder", PAIR | {"classes": SWIN}, "type swin have no map of classes. Families that work: segformer, up"),
         ("encoder", DINOV2, "encoder: depth: depth.pth: file is missing"),
         ("model", {}, "model.*did you mean models"),
+        ("ingest.source", {"test": "kitti"}, "ingest.source.test: this setting has left. Name one dataset"),
         (f"{MODEL}.train_drives", 30, f"{MODEL}.train_drives: this setting has left. Remove it, and name fewer dri"),
     ],
 )

@@ -8,7 +8,7 @@ import typer
 
 from pipeline.base.console import guarded
 from pipeline.base.errors import InputError
-from steer import import_, measure, perceive, predict
+from steer import import_, measure, predict
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -80,7 +80,6 @@ def view(
 
 app.command("predict", no_args_is_help=True, help=predict.__doc__)(guarded(predict.predict))
 app.command("measure", no_args_is_help=True, help=measure.__doc__)(guarded(measure.measure))
-app.command("perceive", no_args_is_help=True, help=perceive.__doc__)(guarded(perceive.perceive))
 app.command("import", no_args_is_help=True, help=import_.__doc__)(guarded(import_.import_recording))
 app.command("show", no_args_is_help=True)(guarded(show))
 app.command("view", no_args_is_help=True)(guarded(view))

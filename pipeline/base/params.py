@@ -30,6 +30,7 @@ _COPY = "Copy it from the project's own params.yaml"
 # Keys that have left: their dotted place, in which * is any name, and what to do instead.
 REMOVED = {
     "base": "A preset merges no others: copy their settings into it",
+    "encoder.targets": "Remove it: the fit takes ground truth of the drives",
     "ingest.source.*": "Name one dataset for all drives",
     "models.*.fit_to": "Remove it: networks are trained on the drives of ingest.drives.train",
     "models.*.train_drives": "Remove it, and name fewer drives in ingest.drives.train",

@@ -19,7 +19,6 @@ GNN = PYG | {"spatial": "gnn"}
 FIT = {"epochs": 0, "frames": 1, "batch": 1, "learning_rate": 0.1, "seed": 0}
 PAIR = {"backbone": "pair", "depth": "a/b", "classes": "c/d", "focal_by_width": 0.6, **FIT}
 SWIN = str(ROOT / "models/encoder/swin-t")
-DINOV2 = {"backbone": "dinov2", "model": "a/b", "depth": "depth.pth", "classes": "classes.pth", **FIT}
 
 
 def changed(where: str, value: Any) -> dict[str, Any]:
@@ -88,8 +87,9 @@ def test_measured_motion_is_not_both_input_and_label(tmp_path):
         ("encoder", {"backbone": "pair", "depth": "a/b", **FIT}, "pair needs classes and focal_by_width, or an enc"),
         ("encoder", PAIR | {"depth": "some/where/else"}, "depth: 'some/where/else' is not a folder with a config.json"),
         ("encoder", PAIR | {"classes": SWIN}, "type swin have no map of classes. Families that work: segformer, up"),
-        ("encoder", DINOV2, "encoder: depth: depth.pth: file is missing"),
+        ("encoder.backbone", "dinov2", "encoder.backbone: Input should be 'small', 'street'"),
         ("model", {}, "model.*did you mean models"),
+        ("encoder.targets", "data/targets", "encoder.targets: this setting has left. Remove it: the fit takes ground"),
         ("ingest.source", {"test": "kitti"}, "ingest.source.test: this setting has left. Name one dataset"),
         (f"{MODEL}.train_drives", 30, f"{MODEL}.train_drives: this setting has left. Remove it, and name fewer dri"),
     ],

@@ -33,7 +33,7 @@ LINK = re.compile(r"\[[^\]]*\]\(([^)]+)\)")
 CODE = re.compile(r"```(?:\w*\n)?(.*?)```|`([^`]+)`", re.DOTALL)
 SECTIONS = {key: getattr(section.annotation, "model_fields", {}) for key, section in preset.Params.model_fields.items()}
 PLACEHOLDERS = {"models/steering/spatial/height.py", "models/steering/spatial/NAME.py", "presets/NAME.yaml"}
-PLACEHOLDERS |= {f"presets/{name}.yaml" for name in ("monday", "NAME", "first")}
+PLACEHOLDERS |= {f"presets/{name}.yaml" for name in ("monday", "NAME")}
 OTHERS = {"--force", "--single-item", "--wait-for-lock", "--pull", "--downstream", "--allow-missing"}  # of DVC
 OTHERS |= {"--nthreads", "--nworkers"}  # of Dask
 

@@ -27,8 +27,12 @@ ImageSize = Annotated[tuple[_Side, _Side], Field(strict=False)]  # [H, W] in pix
 SPLITS = ("train", "val", "test")
 RATE_TOLERANCE = 0.2  # relative difference of frame rates, in training and of a recording to predict
 _COPY = "Copy it from the project's own params.yaml"
-# Keys that have left: their dotted place, in which * is any name, and what to do instead.
+# What has left: keys by their dotted place, in which * is any name, and presets; and what to do instead.
 REMOVED = {
+    **dict.fromkeys(
+        ["presets/real", "presets/streets", "presets/transfer", "presets/winding", "presets/winding-wheel"],
+        "Its question is closed, see docs/log.md: git switch --detach 0919269e runs it",
+    ),
     "base": "A preset merges no others: copy their settings into it",
     "encoder.targets": "Remove it: the fit takes ground truth of the drives",
     "ingest.source.*": "Name one dataset for all drives",

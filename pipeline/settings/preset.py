@@ -12,7 +12,7 @@ from ruamel.yaml import YAML
 
 from pipeline.base import console
 from pipeline.base.errors import InputError
-from pipeline.base.params import Name, Section, parse, read
+from pipeline.base.params import REMOVED, Name, Section, parse, read
 from pipeline.base.resume import ROOT, content_hash
 from pipeline.base.store import replacing
 from pipeline.settings.clouds import Clouds
@@ -80,6 +80,8 @@ def path_of(name: str) -> Path:
     """Return the file of a preset, of presets/ or a path. Raises InputError if there is none."""
     preset = Path(name) if "/" in name or name.endswith((".yaml", ".yml")) else PRESETS / f"{name}.yaml"
     if not preset.is_file():
+        if fix := REMOVED.get(f"presets/{preset.stem}"):
+            raise InputError("this preset has left", name, fix)
         names = ", ".join(sorted(file.stem for file in PRESETS.glob("*.yaml")))
         raise InputError("there is no such preset", name, f"Choose one of {names}")
     return preset

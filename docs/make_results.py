@@ -1,25 +1,22 @@
-"""Render the tables of the pages and docs/roads.png from the runs in docs/results.
+"""Render the tables of the pages from the runs in docs/results.
 
     python -m docs.make_results collect data/report/roads.json    # adds a run of `make roads`, or replaces it
     python -m docs.make_results render
 
-A key is PRESET/KEY, with keys as in pipeline/report/summary.py: roads/angle-10/motion-10.
+A key is PRESET/KEY, with keys as in pipeline/report/summary.py: roads/angle-10/motion-10. measured.json has figures of
+runs of earlier revisions, each with its revision.
 """
 
 import json
 import re
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 import yaml
-from matplotlib.figure import Figure
 
 from pipeline.base import console, store
 from pipeline.base.errors import InputError
-from pipeline.report import street_view
 from pipeline.report.paper import CLAIMS, PAPER
 from pipeline.report.results import NO_LEARNING
 from pipeline.report.summary import Results
@@ -46,18 +43,17 @@ def collect(source: Path, name: Annotated[str, typer.Argument(help="default: the
 
 
 def render() -> None:
-    """Write the tables into the pages, and the plot."""
+    """Write the tables into the pages."""
     for page, content in pages(read()).items():
         page.write_text(content, encoding="utf-8")
-    street_view.save(plot(read()), DOCS / "roads.png", dpi=100)
 
 
 def read() -> Results:
-    """Return PRESET/KEY → figure with its revision and date, of all runs; a later run of a preset takes precedence."""
+    """Return PRESET/KEY → figure of all runs; a later run of a preset takes precedence."""
     runs = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(RUNS.glob("*.json"))]
     figures: Results = {}
     for run in sorted(runs, key=lambda run: str(run["date"])):
-        figures |= {f"{run['preset']}/{key}": entry | {"run": run} for key, entry in run["results"].items()}
+        figures |= {f"{run['preset']}/{key}": entry for key, entry in run["results"].items()}
     return figures
 
 
@@ -124,41 +120,23 @@ def filled(results: Results, name: str) -> list[list[str]]:
 
 def beyond(results: Results) -> list[list[str]]:
     """Return a row per question beyond the paper, and rows of measured motion."""
-    return [*questions(results, "nmse on unseen drives", "beyond"), *filled(results, "measured")]
-
-
-def questions(results: Results, head: str, name: str) -> list[list[str]]:
-    """Return a row per question of docs/tables.yaml whose figures are known."""
-    rows = [[head, "without learning", BLIND, "with the scene", "mean error, °", "does the scene help?"]]
-    for question, group, kind in ROWS[name]:
+    heads = ["nmse on unseen drives", "without learning", BLIND, "with the scene", "mean error, °"]
+    rows = [[*heads, "does the scene help?"]]
+    for question, group, kind in ROWS["beyond"]:
         model, *controls = ROWS["models"].get(kind, [kind])
-        if (key := f"{group}/{model}") in results:
-            best = best_baseline(results, group)
-            blind = next((name for name in controls if "blind" in name), "")
-            nmse = [text(results, f"{group}/{name}") for name in (best, blind, model)]
-            degrees = text(results, key, "mae_deg", ".2f")
-            rows.append([question, *nmse, degrees, shown(results, key, [best, *controls])])
-    return rows
+        key = f"{group}/{model}"
+        best = best_baseline(results, group)
+        blind = next((name for name in controls if "blind" in name), "")
+        nmse = [text(results, f"{group}/{name}") for name in (best, blind, model)]
+        degrees = text(results, key, "mae_deg", ".2f")
+        rows.append([question, *nmse, degrees, shown(results, key, [best, *controls])])
+    return [*rows, *filled(results, "measured")]
 
 
 def best_baseline(results: Results, group: str) -> str:
     """Return the baseline without learning that has the smallest error."""
     errors = {name: get(results, f"{group}/{name}") for name in NO_LEARNING}
     return min((name for name in errors if errors[name] is not None), key=lambda name: errors[name])
-
-
-def scene(results: Results, head: str, name: str) -> list[list[str]]:
-    """Return the errors for each group of frames, and the paired differences of the model with the scene."""
-    names, table = [BLIND, "another scene"], []
-    model, *controls = ROWS["models"]["others"]
-    for row, group in ROWS[name]:
-        compared = (best_baseline(results, group), *controls, model)
-        errors = [text(results, f"{group}/{one}") for one in compared]
-        keys = [f"{group}/{model} - {name}" for name in controls]
-        differences = [f"{difference(results, key)} {get(results, key, 'verdict')}" for key in keys]
-        table.append([row, text(results, f"{group}/{model}", "frames", ",d"), *errors, *differences])
-    heads = [head, "frames", "without learning", *names, "with the scene", *(f"scene − {name}" for name in names)]
-    return [heads, *table]
 
 
 def shown(results: Results, model: str, rivals: list[str]) -> str:
@@ -196,28 +174,7 @@ def coverage(results: Results) -> list[list[str]]:
     return [["test set", *worlds], *rows]
 
 
-def plot(results: Results) -> Figure:
-    """Return sa-gnn-ncp's validation nmse over the number of training roads: a dot per seed, a line of the medians."""
-    points = [values for key, values in results.items() if re.fullmatch(r"roads/val/sa-gnn-ncp(-\d+)?", key)]
-    points.sort(key=lambda values: values["roads"])
-    figure = Figure(figsize=(7, 3), layout="constrained")
-    axes = figure.subplots()
-    axes.plot([values["roads"] for values in points], [np.median(values["seeds"]) for values in points], "b-")
-    for values in points:
-        axes.plot([values["roads"]] * len(values["seeds"]), values["seeds"], "b.", markersize=4)
-    axes.set_xscale("log")
-    axes.set_xticks([30, 60, 120, 240], ["30", "60", "120", "240"])
-    axes.minorticks_off()
-    axes.set(xlabel="training roads of 60 frames, equally many steps", ylabel="validation nmse", ylim=(0, None))
-    axes.grid(alpha=0.3)
-    return figure
-
-
-TABLES = {table.__name__: table for table in (works, verdicts, claims, beyond, table2, coverage)} | {
-    "real": partial(questions, head="nmse on six drives of KITTI, trained on", name="real"),
-    "kinds": partial(scene, head="nmse of the path, trained on the other recordings", name="kinds"),
-    "streets": partial(scene, head="nmse of the path 10 to 20 m ahead, trained on the other eight", name="streets"),
-}
+TABLES = {table.__name__: table for table in (works, verdicts, claims, beyond, table2, coverage)}
 
 if __name__ == "__main__":
     console.run(collect, render)

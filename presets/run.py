@@ -62,8 +62,7 @@ def next_command(name: str, run: Path, settings: dict[str, Any]) -> str:
     drives, recordings = settings["ingest"]["drives"], settings["ingest"].get("recordings", {})
     for part in [recordings[drive] for drive in drives["test"] if drive in recordings]:
         lens = [f"--{key} {part[key]}" for key in ("fov", "K", "distortion", "fisheye") if key in part]
-        model = run / "data/train" / next(iter(settings["models"]))
-        return " ".join(["steer predict VIDEO", *lens, f"--model {min(model.glob('fold-*'), default=model)}"])
+        return " ".join(["steer predict VIDEO", *lens, f"--model {run}/data/train/{next(iter(settings['models']))}"])
     return f"$EDITOR presets/{name}.yaml && make {name}  # trains only what changed"
 
 

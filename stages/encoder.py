@@ -13,7 +13,7 @@ from pipeline.base.errors import error_context
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
 from pipeline.base.runner import Job, Summary, make_drives
-from pipeline.perception import fit, perceive, precomputed
+from pipeline.perception import fit, perceive
 from pipeline.perception.create import create
 from pipeline.perception.examples import Examples
 from pipeline.settings.encoder import Encoder
@@ -35,12 +35,8 @@ def main(data: Path = Path("data"), out: Path = Path("data/encoder"), params: Pa
     with stage_folder("encoder", out) as stage:
         if settings.epochs:
             perceive.save(stage.kept / "start", architecture, model.state_dict())
-            splits = store.read_index(ingest, stage="ingest")
-            drives = store.drives_in(splits, "train")
-            if settings.targets:  # images need no label, so the split does not matter
-                drives = [drive for drive in splits if (settings.targets / drive).is_dir()]
+            drives = store.drives_in(store.read_index(ingest, stage="ingest"), "train")
             inputs: list[Path | str] = [stage.kept / "start" / perceive.FILE, *(ingest / f"{d}.h5" for d in drives)]
-            inputs += [precomputed.fingerprint(settings.targets)[1]] if settings.targets else []
             work = partial(
                 _fit, model=model, architecture=architecture, settings=settings, ingest=ingest, drives=drives
             )
@@ -67,7 +63,7 @@ def _fit(
 ) -> Summary:
     """Write the fitted encoder.pt to `path`. Return its curve and config's keys."""
     model.to("cuda" if torch.cuda.is_available() else "cpu")
-    with Examples(ingest, drives, settings.frames, settings.targets) as examples:
+    with Examples(ingest, drives, settings.frames) as examples:
         curve = fit.fit(model, examples, settings)
         before = architecture.get("datasets", ["unknown"] if settings.weights else [])
         datasets = sorted({*before, *examples.datasets})

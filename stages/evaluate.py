@@ -28,17 +28,16 @@ def main(
     """Write metrics.json and, for the test drives, predictions.csv.
 
     Metrics are means over the seeds and ignore invalid frames. Predictions of further seeds go to folders seed-<n>.
-    With folds, each test drive is evaluated with the network that was not fitted to it, and each other drive with the
-    first network that was. Returns the model's folder.
+    Returns the model's folder.
     """
-    settings, train, out = load(Evaluate, params), data / "train" / name, data / "evaluate" / name
+    settings = load(Evaluate, params)
+    train = data / "train" / name
+    out = data / "evaluate" / name
     with stage_folder(f"evaluate@{name}", out) as folder:
-        best = min(train.glob("fold-*/best.pt"), default=train / "best.pt")
-        first = predict.load(best.parent)
-        entry, variant = first.entry, data / "graphs" / first.entry.input
-        folds = runs.folds(store.read_index(variant, stage="graphs"), entry)
-        models = {run: predict.load(run.folder) for run in runs.runs(train, first.seeds, folds)}
-        cases = _predict(models, variant, data / "labels")
+        first = predict.load(train)
+        entry = first.entry
+        models = {run.seed: predict.load(run.folder) for run in runs.runs(train, first.seeds)}
+        cases = _predict(models, data / "graphs" / entry.input, data / "labels")
         tested = [case.drive for case in cases["test"]]
         result: dict[str, Any] = {
             "model": name,
@@ -61,33 +60,31 @@ def main(
             error = trained[first.seeds.index(seed)]
             print(f"{name}: seed {seed} failed to train: nmse {error:.3f} on its own training drives", flush=True)
         store.write_json(folder.new / "metrics.json", result, sort_keys=False)
-        for number, place in enumerate(runs.folders(folder.new, first.seeds).values()):
-            write_predictions(place / "predictions.csv", cases["test"], number)
+        for number, run in enumerate(runs.runs(folder.new, first.seeds)):
+            write_predictions(run.folder / "predictions.csv", cases["test"], number)
     print(f"{name}: test nmse {', '.join(_summary(*column) for column in result['test'].items())}")
     return out
 
 
-def _predict(models: Mapping[runs.Run, predict.Trained], variant: Path, labels: Path) -> dict[str, list[Case]]:
-    """Return split → drives with the predictions of all seeds; a drive of several folds once, from the first."""
-    cases: dict[str, dict[str, Case]] = {part: {} for part in SPLITS}
-    for fold in dict.fromkeys(run.fold for run in models):
-        of_fold = {run.seed: model for run, model in models.items() if run.fold == fold}
-        seeds = [(model, runs.scenes(fold, seed, model.entry.scene)) for seed, model in of_fold.items()]
-        first = seeds[0][0]
-        for part, drives in cases.items():
-            for name in (name for name in getattr(fold, part) if name not in drives):
-                drive = read_drive(variant, labels, name, first.entry)
-                if drive.columns != first.scale.names:
-                    problem = f"labels.ahead_m differs from the ranges of the trained model (got {drive.ahead_m})"
-                    raise InputError(problem, drive.labels, f"Train it again: dvc repro train@{first.name}")
-                seen = [variant / f"{scenes[name]}.h5" for _, scenes in seeds]
-                files = Files(seen)  # for all seeds
-                files.load(first.net.device)
-                with graph_file.open_graphs(drive.graphs) as graphs:
-                    pairs = zip(seeds, seen, strict=True)
-                    predictions = [model.predict(graphs, scene, files) for (model, _), scene in pairs]
-                drives[name] = Case(drive, predictions, first.scale)
-    return {part: list(drives.values()) for part, drives in cases.items()}
+def _predict(models: Mapping[int, predict.Trained], variant: Path, labels: Path) -> dict[str, list[Case]]:
+    """Return split → drives with the predictions of the models, seed → network."""
+    splits = store.read_index(variant, stage="graphs")
+    scenes = [runs.scenes(splits, seed, model.entry.scene) for seed, model in models.items()]
+    first = next(iter(models.values()))
+    cases: dict[str, list[Case]] = {part: [] for part in SPLITS}
+    for name, part in splits.items():
+        drive = read_drive(variant, labels, name, first.entry)
+        if drive.columns != first.scale.names:
+            problem = f"labels.ahead_m differs from the ranges of the trained model (got {drive.ahead_m})"
+            raise InputError(problem, drive.labels, f"Train it again: dvc repro train@{first.name}")
+        seen = [variant / f"{of_seed[name]}.h5" for of_seed in scenes]
+        files = Files(seen)  # for all seeds
+        files.load(first.net.device)
+        with graph_file.open_graphs(drive.graphs) as graphs:
+            pairs = zip(models.values(), seen, strict=True)
+            predictions = [model.predict(graphs, scene, files) for model, scene in pairs]
+        cases[part].append(Case(drive, predictions, first.scale))
+    return cases
 
 
 def _summary(column: str, scores: Mapping[str, Any]) -> str:

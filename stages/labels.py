@@ -22,7 +22,7 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     """
     settings, ingest, motion, out = load(Labels, params), data / "ingest", data / "motion", data / "labels"
     splits = store.read_index(ingest, stage="ingest")
-    # Not with test drives: a lag fitted to them would align the truth with odometry. Leave-one-out has no others.
+    # Not with test drives: a lag fitted to them would align the truth with odometry.
     drives = store.drives_in(splits, "train", "val") or [*splits]
     car = Car(settings.wheelbase_m, settings.min_speed_mps)
     for line in comparison.check(settings.source, comparison.read(settings.source, drives, ingest, motion, car)):

@@ -46,7 +46,7 @@ def main(
         for name in ("learning", "figures"):  # DVC expects each output, even an empty one
             (folder.new / name).mkdir()
         for path in (path for model in evaluated for path in (data / "train" / model).rglob("curve.csv")):
-            network = ".".join(path.relative_to(data / "train").parts[:-1])  # MODEL.seed-N.fold-DRIVE
+            network = ".".join(path.relative_to(data / "train").parts[:-1])  # MODEL.seed-N
             curve = pd.read_csv(path, dtype=str).drop(columns="learning_rate")
             # DVC draws an empty field as 0, and nan as a gap.
             curve.to_csv(folder.new / f"learning/{network}.csv", index=False, lineterminator="\n", na_rep="nan")

@@ -7,7 +7,6 @@ from pipeline.base import console
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
 from pipeline.base.runner import Job, make_drives
-from pipeline.datasets.kitti import leave_out
 from pipeline.sample.drive import render_drive
 from pipeline.sample.rig import make_rig, write_calibration
 from pipeline.settings.encoder import Encoder
@@ -15,11 +14,8 @@ from pipeline.settings.ingest import Ingest
 from pipeline.settings.sample import Sample
 
 
-def main(out: Path = Path("data/sample"), params: Path = Path("params.yaml"), raw: Path = Path("data/raw")) -> Path:
-    """Render the drives of section ingest that belong to the sample.
-
-    Returns the stage's folder. Raises InputError if `raw` lacks a drive that stage `ingest` needs, before it renders.
-    """
+def main(out: Path = Path("data/sample"), params: Path = Path("params.yaml")) -> Path:
+    """Render the drives of section ingest that belong to the sample. Returns the stage's folder."""
     settings, ingest, encoder = load(Sample, params), load(Ingest, params), load(Encoder, params)
     scan_rays = settings.scan_rays if ingest.lidar else None
     render, jobs, sources = partial(render_drive, settings=settings, lidar=ingest.lidar), [], ingest.datasets()
@@ -31,8 +27,6 @@ def main(out: Path = Path("data/sample"), params: Path = Path("params.yaml"), ra
                 jobs.append(Job(drive, f"{drive[:10]}/{drive}_sync", [f"{frames} {truth} {scan_rays}"], work))
     if not jobs:
         print("nothing to render: ingest.drives has no drive of the sample")
-    else:
-        leave_out(raw, ingest)
     with stage_folder("sample", out) as folder:
         make_drives(folder, jobs, settings.model_dump(include={"image_size", "seed"}), "{frames} frames, {metres} m")
         for date in {job.drive[:10] for job in jobs}:

@@ -120,7 +120,7 @@ def _network(model: Path) -> Path:
 
 
 def _encoder_beside(model: Path) -> Path:
-    """Return data/encoder of a model data/train/<model>, or of a folder of a seed or fold below it; or the sample's."""
+    """Return data/encoder of a model data/train/<model>, or of the folder of a seed in it; or the sample's."""
     if model.resolve() == ROOT / "models/steering/sample":
         return ROOT / "models/encoder/sample"
     for parent in model.resolve().parents[:2]:

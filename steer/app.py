@@ -9,7 +9,7 @@ import typer
 
 from pipeline.base.console import guarded
 from pipeline.base.errors import InputError
-from steer import import_, measure, perceive, predict
+from steer import import_, measure, predict
 
 # Python's default browsers where there is no screen, as over SSH. They would wait for keys in the terminal.
 TEXT_BROWSERS = ("www-browser", "links", "elinks", "lynx", "w3m")
@@ -87,7 +87,6 @@ def view(
 
 app.command("predict", no_args_is_help=True, help=predict.__doc__)(guarded(predict.predict))
 app.command("measure", no_args_is_help=True, help=measure.__doc__)(guarded(measure.measure))
-app.command("perceive", no_args_is_help=True, help=perceive.__doc__)(guarded(perceive.perceive))
 app.command("import", no_args_is_help=True, help=import_.__doc__)(guarded(import_.import_recording))
 app.command("show", no_args_is_help=True)(guarded(show))
 app.command("view", no_args_is_help=True)(guarded(view))

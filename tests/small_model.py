@@ -13,7 +13,6 @@ from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_fea
 from models.steering.core.options import NetworkOptions, Sizes
 from pipeline.settings.models import Entry
 from stages import evaluate, train
-from tests.artefacts import write_index
 
 PARAMS = Path(__file__).resolve().parents[1] / "params.yaml"
 SPLITS = {
@@ -65,12 +64,3 @@ def run_train(folder: Path) -> Path:
 
 def run_evaluate(folder: Path) -> Path:
     return evaluate.main("net", folder, folder / "params.yaml")
-
-
-def write_two_test_drives(folder: Path) -> list[str]:
-    """Make two of the training drives test drives; return the test drives."""
-    tested = ["2026_01_01_drive_0002", "2026_01_01_drive_0003"]
-    splits = {**SPLITS, **dict.fromkeys(tested, "test")}
-    del splits["2026_01_03_drive_0001"]
-    write_index(folder / "graphs/semantic", splits)
-    return tested

@@ -8,7 +8,6 @@ from contextlib import nullcontext
 from pathlib import Path
 from types import ModuleType
 
-import cv2
 import numpy as np
 import pytest
 import typer
@@ -20,7 +19,6 @@ from pipeline.base.resume import ROOT
 from pipeline.base.store import DriveReader
 from pipeline.evaluate import errors
 from pipeline.labels import source
-from pipeline.report import street_view
 from pipeline.settings import preset
 from pipeline.settings.labels import Labels
 from pipeline.settings.models import Entry
@@ -35,7 +33,7 @@ LINK = re.compile(r"\[[^\]]*\]\(([^)]+)\)")
 CODE = re.compile(r"```(?:\w*\n)?(.*?)```|`([^`]+)`", re.DOTALL)
 SECTIONS = {key: getattr(section.annotation, "model_fields", {}) for key, section in preset.Params.model_fields.items()}
 PLACEHOLDERS = {"models/steering/spatial/height.py", "models/steering/spatial/NAME.py", "presets/NAME.yaml"}
-PLACEHOLDERS |= {f"presets/{name}.yaml" for name in ("monday", "NAME", "first")}
+PLACEHOLDERS |= {f"presets/{name}.yaml" for name in ("monday", "NAME")}
 OTHERS = {"--force", "--single-item", "--wait-for-lock", "--pull", "--downstream", "--allow-missing"}  # of DVC
 OTHERS |= {"--nthreads", "--nworkers"}  # of Dask
 
@@ -65,12 +63,9 @@ def test_links_lead_to_files_and_headings_and_prose_has_110_columns(page):
     assert wide == []
 
 
-def test_tables_and_plot_are_rendered_from_the_results(tmp_path):
-    results = make_results.read()
-    assert [page.name for page, text in make_results.pages(results).items() if text != page.read_text()] == []
-    street_view.save(make_results.plot(results), tmp_path / "roads.png", dpi=100)
-    committed, rendered = (cv2.imread(str(folder / "roads.png")).astype(int) for folder in (ROOT / "docs", tmp_path))
-    assert np.abs(rendered - committed).mean() < 0.1
+def test_tables_are_rendered_from_the_results():
+    pages = make_results.pages(make_results.read())
+    assert [page.name for page, text in pages.items() if text != page.read_text()] == []
 
 
 def test_a_run_of_committed_code_is_collected(tmp_path, monkeypatch):
@@ -83,7 +78,7 @@ def test_a_run_of_committed_code_is_collected(tmp_path, monkeypatch):
             nullcontext() if revision.isalnum() and revision != "unknown" else pytest.raises(InputError, match=revision)
         ):
             make_results.collect(tmp_path / "new")
-    assert make_results.read()["mine/a/b"] == {"figure": 0.5, "run": run | {"revision": "abc1234"}}
+    assert make_results.read()["mine/a/b"] == {"figure": 0.5}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

@@ -7,7 +7,6 @@ it is built again without a hub. No code of a hub runs; weights are tensors only
 import json
 import logging
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -32,41 +31,34 @@ FAMILIES = {  # setting → the task in names of transformers, and families that
     "depth": ("DEPTH_ESTIMATION", "depth_anything, glpn, zoedepth"),
     "classes": ("SEMANTIC_SEGMENTATION", "segformer, upernet, mobilevit, mobilenet_v2"),
 }
-SYNONYMS = {
-    "road": "street, rd normal street, drivable cobblestone, driveable surface, road shoulder, runway, dirt track, "
-    "service lane, bike lane, cycling lane, crosswalk, crosswalk plain, zebra crossing, marking, lane marking, "
-    "road marking, road line, manhole, catch basin, pothole",
-    "sidewalk": "pavement, path, floor, pedestrian area, traffic island, curb, curb cut, curbstone",
-    "building": "house, skyscraper, tower, hovel, booth, grandstand, garage, awning, canopy, windowpane, door, "
-    "screen door, blind, column, stairs, stairway, step, trade name",
-    "fence": "railing, bannister, barrier, other barrier, fence guard rail",
-    "pole": "streetlight, utility pole, column pole",
-    "traffic sign": "signboard, sign symbol, traffic sign front, traffic sign direction front",
-    "vegetation": "tree, plant, palm, flower, nature object",
-    "terrain": "grass, earth, field, land, sand, rock, hill, mountain",
-    "person": "pedestrian, individual, person group",
-    "rider": "bicyclist, motorcyclist, other rider",
-    "car": "van",
-    "train": "on rails, tram, tram train",
-    "motorcycle": "minibike, motorbike",
-}
-"""Names in ADE20K, Mapillary and others of Cityscapes' classes. The rest is void, also bridges, as in Cityscapes."""
-NUMBERS = {
-    synonym.replace(" ", "") + plural: number
-    for number, name in enumerate(NAMES)
-    for synonym in f"{name}, {SYNONYMS.get(name, name)}".split(", ")
-    for plural in ("", "s", "es")
-}
-# After any other word, as in non-road or void--car-mount, a name is another class.
-CATEGORIES = "flat|human|vehicle|construction|object|nature(?! object)|structure|barrier|support|person(?! group)|rider"
+# Cityscapes' class → its names in ADE20K and Mapillary Vistas beside its own, in lower case. All other names are void,
+# also bridges, as in Cityscapes.
+LABELS = {
+    "road": [
+        "runway", "dirt track", "bike lane", "crosswalk - plain", "service lane", "lane marking - crosswalk",
+        "lane marking - general", "catch basin", "manhole", "pothole",
+    ],
+    "sidewalk": ["floor", "path", "curb", "curb cut", "pedestrian area"],
+    "building": [
+        "windowpane", "door", "house", "column", "skyscraper", "grandstand", "stairs", "screen door", "stairway",
+        "blind", "hovel", "tower", "awning", "booth", "canopy", "step", "trade name",
+    ],
+    "fence": ["railing", "bannister", "barrier"],
+    "pole": ["streetlight", "street light", "utility pole"],
+    "traffic sign": ["signboard", "traffic sign (front)"],
+    "vegetation": ["tree", "plant", "flower", "palm"],
+    "terrain": ["grass", "earth", "mountain", "field", "rock", "sand", "hill", "land"],
+    "rider": ["bicyclist", "motorcyclist", "other rider"],
+    "car": ["van"],
+    "train": ["on rails"],
+    "motorcycle": ["minibike"],
+}  # fmt: skip
+NUMBERS = {label: number for number, name in enumerate(NAMES) for label in (name, *LABELS.get(name, ()))}
 
 
 def class_number(label: str) -> int:
-    """Return the trainId, or COUNT for void, of a label: "car, auto", "Car 1", "flat-road", "object--traffic-light"."""
-    words = " ".join(re.findall("[a-z]+", re.split("[,;]", label.lower())[0]))
-    name = re.sub(f"^(({CATEGORIES}) )+", "", words).replace(" ", "")
-    # Labels continue after these words, as in marking--discrete--symbol--bicycle and Traffic Light - Pedestrians.
-    return NUMBERS.get(re.sub("^((lane|road)?marking|trafficlight).*", r"\1", name), COUNT)
+    """Return the trainId of a name in Cityscapes, ADE20K or Mapillary Vistas, or COUNT for void."""
+    return NUMBERS.get(label.strip().lower(), COUNT)
 
 
 class CityscapesLogits(nn.Module):

@@ -13,7 +13,6 @@ from typing import Any
 
 from torch import nn
 
-from models.encoder.dinov2 import DinoV2
 from models.encoder.hugging_face import HuggingFace, Pair
 from models.encoder.small import Small
 from models.encoder.street import Street
@@ -26,7 +25,6 @@ BUILD: dict[str, Callable[[Architecture], nn.Module]] = {
     "street": lambda architecture: Street(),
     "pair": Pair,
     "hugging_face": HuggingFace,
-    "dinov2": DinoV2,
     "precomputed": lambda architecture: nn.Module(),  # files instead of a network
 }
 

@@ -4,9 +4,17 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
+# Revision that has what left since: presets, options and controls of closed questions.
+LAST = "0919269e"
+# Presets that have left.
+PRESETS = ("real", "streets", "transfer", "winding", "winding-wheel")
+
 # The dotted key, with * for the name of an entry, or "key: value" where only a value went → the way on.
 EARLIER = {
+    "base": "Copy the settings of these presets into this one",
+    "encoder.backbone: dinov2": f"Choose another one of docs/models.md, or use revision {LAST}",
     "encoder.frozen": "Remove it: a fit trains all weights",
+    "encoder.targets": "Remove it: the fit takes ground truth of the drives",
     "encoder.teacher": "Remove it. Encoders of real streets are published ones: backbone: street",
     "encoder.weights.backbone": "Name the encoder: backbone: street, or another one of docs/models.md; weights: null",
     "encoder.weights.class_head": "Name the encoder: backbone: street, or another one of docs/models.md; weights: null",
@@ -15,12 +23,14 @@ EARLIER = {
     "graphs.*.accumulate.frames": "Write the number itself: accumulate: 8",
     "graphs.*.cloud": "Write source: clouds/pseudo or clouds/lidar",
     "ingest.manifests": "Remove it and repeat steer import, which writes ingest.recordings",
-    "ingest.source: both": "Name the dataset of each split: source: {train: sample, val: sample, test: kitti}",
+    "ingest.source.test": "Name one dataset for all drives: source: kitti",
+    "ingest.source: both": "Name one dataset for all drives: source: kitti",
     "labels.source: lidar": "Write source: visual",
     "labels.standstill": "Remove it: frames below min_speed_mps have no label; min_speed_mps: 0 gives all of them one",
-    "models.*.fit_to: both": "Write fit_to: train-then-others",
+    "models.*.fit_to": "Remove it: networks are trained on the drives of ingest.drives.train",
     "models.*.motion: lidar": "Write motion: visual",
-    "models.*.roads": "Rename it: train_drives",
+    "models.*.roads": "Remove it, and name fewer drives in ingest.drives.train",
+    "models.*.train_drives": "Remove it, and name fewer drives in ingest.drives.train",
     "models.*.uncertainty": "Remove it: networks predict no standard deviation",
     "motion": "Remove the section: motion is always measured from the images",
     "perception.camera_height_m": "Remove it. Of own recordings, steer import --camera-height; KITTI's is calibrated",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from torch import hub, nn
 
-from models.encoder import dinov2, hugging_face, street
+from models.encoder import hugging_face, street
 from models.encoder.unified_encoder import Architecture, build
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.resume import file_hash
@@ -31,9 +31,6 @@ def create(settings: Encoder) -> tuple[Architecture, nn.Module]:
 
 def check(settings: Encoder) -> None:
     """Raise InputError if a file, a folder or a package is missing; the hub is not asked."""
-    if settings.targets:
-        with error_context("targets"):
-            precomputed.find(settings.targets)
     if settings.backbone in NEEDED:
         with error_context("backbone"):
             hugging_face.transformers()
@@ -44,9 +41,7 @@ def check(settings: Encoder) -> None:
     for key in NEEDED.get(settings.backbone, ()):
         with error_context(key):
             value = getattr(settings, key)
-            if settings.backbone == "dinov2" and key != "model":
-                check_weights(Path(value))  # of a head
-            elif isinstance(value, str):
+            if isinstance(value, str):
                 hugging_face.check(value, key)
 
 
@@ -78,7 +73,6 @@ CREATE: dict[str, Callable[[Encoder], tuple[Architecture, nn.Module]]] = {
     "street": _create_street,
     "pair": hugging_face.create_pair,
     "hugging_face": hugging_face.create_backbone,
-    "dinov2": dinov2.create_dinov2,
     "precomputed": _create_precomputed,
 }
 """Kind → its description, with `sources` where weights were published: a line each; and the network with weights."""

@@ -11,7 +11,6 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Camera, read_camera
-from pipeline.perception import precomputed
 from pipeline.perception.scores import read_truth
 
 LUMA = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601
@@ -30,22 +29,20 @@ class Example(NamedTuple):
 class Examples(ExitStack):
     """Training frames by number, read on access; a context manager."""
 
-    def __init__(self, ingest: Path, drives: Sequence[str], frames: int, targets: Path | None = None) -> None:
-        """Choose `frames` frames with an image and a target, evenly spread over `drives` of stage ingest.
+    def __init__(self, ingest: Path, drives: Sequence[str], frames: int) -> None:
+        """Choose `frames` frames with an image and ground truth, evenly spread over `drives` of stage ingest.
 
-        `targets` is a folder of PNG files in place of the drives' own depth and classes. Raises InputError unless at
-        least one of the drives' frames with an image has depth, and one classes.
+        Raises InputError unless at least one of the drives' frames with an image has depth, and one classes.
         """
-        self._folder = targets
         super().__init__()
         files = [self.enter_context(DriveReader(ingest / f"{name}.h5", stage="ingest")) for name in drives]
         # The fit does not use the height.
-        drives_with = [(file, read_camera(file), _has_targets(file, targets)) for file in files]
+        drives_with = [(file, read_camera(file), _has_truth(file)) for file in files]
         for column, kind in enumerate(("depth or LiDAR", "classes")):
             if not any(has[:, column].any() for _, _, has in drives_with):
                 self.close()
-                fix = "Write them: steer perceive" if targets else "Name a fitted encoder.pt, and set encoder.epochs: 0"
-                raise InputError(f"no image of the training drives has {kind}", targets or ingest, fix)
+                fix = "Name a fitted encoder.pt, and set encoder.epochs: 0"
+                raise InputError(f"no image of the training drives has {kind}", ingest, fix)
         rows = [
             (file, camera, row) for file, camera, has in drives_with for row in np.flatnonzero(has.any(axis=1)).tolist()
         ]
@@ -60,19 +57,13 @@ class Examples(ExitStack):
 
     def __getitem__(self, i: int) -> Example:
         file, camera, row = self._frames[i]
-        if self._folder:
-            targets = precomputed.read(self._folder, file.drive, int(file.frame[row]), camera.size)
-        else:
-            truth = read_truth(file, camera, row)
-            targets = truth.depth_m, truth.cls
-        return Example(file.row("image", row), camera, *targets)
+        truth = read_truth(file, camera, row)
+        return Example(file.row("image", row), camera, truth.depth_m, truth.cls)
 
 
-def _has_targets(file: DriveReader, folder: Path | None) -> np.ndarray:
+def _has_truth(file: DriveReader) -> np.ndarray:
     """Return whether each frame has an image with depth, and with classes, bool [F,2]."""
     depth, lidar, cls, image = (file[f"has_{kind}"].astype(bool) for kind in ("depth", "lidar", "cls", "image"))
-    if folder:
-        return np.stack([image, image], axis=1)
     return np.stack([depth | lidar, cls], axis=1) & image[:, None]
 
 

@@ -4,11 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.base.resume import digest, file_hash
 from pipeline.camera import classes
-from pipeline.camera.images import nearest, read_classes, read_depth, to_units, write_png
+from pipeline.camera.images import nearest, read_classes, read_depth
 
 LAYOUT = (
     "Expected files: DRIVE/depth/0000000000.png (16 bit, metres x 256, 0 = none) and DRIVE/cls/0000000000.png (8 bit, "
@@ -28,14 +27,6 @@ def fingerprint(folder: Path) -> tuple[int, str]:
     """Return the number of PNG files below a folder, and a hash of names and contents. Raises InputError if none."""
     files = find(folder)
     return len(files), digest({str(file.relative_to(folder)): file_hash(file) for file in files})
-
-
-def write(folder: Path, drive: str, frame: int, depth_m: np.ndarray, cls: np.ndarray) -> None:
-    """Write a frame's depth [H,W] in metres, 0 in the sky, and trainIds uint8 [H,W]."""
-    depth = to_units(np.where(cls == classes.SKY, 0, depth_m))
-    for kind, pixels in (("depth", depth), ("cls", cls)):
-        with store.replacing(folder / drive / kind / f"{frame:010d}.png") as tmp:
-            write_png(tmp, pixels)
 
 
 def read(folder: Path, drive: str, frame: int, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:

@@ -13,8 +13,7 @@ from pipeline.perception.ground_plane import ground_plane_depth
 
 MIN_DEPTH_M, MAX_DEPTH_M = 1.0, 80.0
 DEPTH_ERRORS = ("abs_rel", "rmse_m", "delta1")
-# The encoder's depth and the flat-ground baseline, each against dense truth and LiDAR; each over the full image and, as
-# KEY_eigen, over Eigen's crop.
+# The encoder's depth and the flat-ground baseline, each against dense truth and LiDAR, in Eigen's crop.
 DEPTH_SCORES = ("depth_dense", "depth_lidar", "ground_plane_dense", "ground_plane_lidar")
 EIGEN_ROWS, EIGEN_COLUMNS = (0.3324324, 0.91351351), (0.0359477, 0.96405229)  # shares of height and width
 
@@ -96,8 +95,7 @@ class Scores:
     """
 
     def __init__(self) -> None:
-        keys = [key + crop for key in DEPTH_SCORES for crop in ("", "_eigen")]
-        self.sums = {key: np.zeros(1 + len(DEPTH_ERRORS) + 2) for key in keys}  # frames, errors, covered, known
+        self.sums = {key: np.zeros(1 + len(DEPTH_ERRORS) + 2) for key in DEPTH_SCORES}  # frames, errors, covered, known
         self.sums |= {"class_frames": np.zeros(1), "confusion": np.zeros((classes.COUNT, classes.COUNT + 1))}
 
     def add_frame(self, depth_m: np.ndarray, cls: np.ndarray, camera: Camera, truth: Truth) -> None:
@@ -111,12 +109,12 @@ class Scores:
 
     def add_depth(self, key: str, predicted_m: np.ndarray, truth_m: np.ndarray) -> None:
         """Add the depth [H,W] of a frame, scored against a truth, under a key of DEPTH_SCORES."""
-        full, crop = (predicted_m, truth_m), (eigen_crop(predicted_m), eigen_crop(truth_m))
-        for name, (predicted, truth) in ((key, full), (f"{key}_eigen", crop)):
-            known = in_range(truth)
-            errors = depth_errors(predicted, truth)
-            frame = (0, 0, 0, 0) if errors is None else (1, *errors)
-            self.sums[name] += [*frame, (known & (predicted > 0)).sum(), known.sum()]
+        predicted = eigen_crop(predicted_m)
+        truth = eigen_crop(truth_m)
+        known = in_range(truth)
+        errors = depth_errors(predicted, truth)
+        frame = (0, 0, 0, 0) if errors is None else (1, *errors)
+        self.sums[key] += [*frame, (known & (predicted > 0)).sum(), known.sum()]
 
     def add_classes(self, predicted: np.ndarray, truth: np.ndarray) -> None:
         """Add the classes [H,W] of a frame."""
@@ -129,10 +127,9 @@ class Scores:
             self.sums[key] += values
 
     def report(self) -> dict[str, Any]:
-        """Return DEPTH_SCORES, full and cropped, and classes; None without frames with that ground truth."""
-        *depth_keys, _, _ = self.sums
-        scores: dict[str, Any] = dict.fromkeys([*depth_keys, "classes"])
-        for key in depth_keys:
+        """Return DEPTH_SCORES and classes; None without frames with that ground truth."""
+        scores: dict[str, Any] = dict.fromkeys([*DEPTH_SCORES, "classes"])
+        for key in DEPTH_SCORES:
             frames, *errors, covered, known = self.sums[key].tolist()
             if frames:
                 means = {name: error / frames for name, error in zip(DEPTH_ERRORS, errors, strict=True)}

@@ -15,7 +15,7 @@ from pipeline.report.figures import Figures
 from pipeline.report.results import Group
 from pipeline.report.tables import Table
 
-_LEARNING = "Each line is a seed or fold: nmse on the validation drives; dotted, without these, the training loss."
+_LEARNING = "Each line is a seed: nmse on the validation drives; dotted, without these, the training loss."
 _SPACE = "Points and edges of the same drive in 3D. Drag to turn, move the slider, click a class to hide it."
 
 

@@ -28,8 +28,7 @@ PAPER = {  # in the order of Table 2
 # Settings of all seven, compared where a model has them. The paper gives no learning rates and no other widths. It
 # prints its NCP as eq. 4 and cites the paper of the LTC cell, so both count. Only the CNN weights frames (alpha).
 _COMMON = {
-    "equivariant": False, "motion": "none", "horizon": 0, "predict": "angle", "fit_to": "train", "train_drives": None,
-    "scene": "same", "width": 1.0,
+    "equivariant": False, "motion": "none", "horizon": 0, "predict": "angle", "scene": "same", "width": 1.0,
 }  # fmt: skip
 
 

@@ -58,7 +58,7 @@ def over_time(predictions: pd.DataFrame, look: Styles) -> go.Figure:
 
 
 def learning(curves: dict[str, pd.DataFrame], look: Styles) -> go.Figure:
-    """Plot the curves of networks MODEL[.seed-N][.fold-DRIVE]: training loss, dotted, of those without validation."""
+    """Plot the curves of networks MODEL[.seed-N]: training loss, dotted, of those without validation."""
     figure = go.Figure(layout=_PLANE | {"xaxis_title": "epoch", "yaxis_title": "error; 1: a constant angle"})
     legend = {network.split(".")[0]: network for network in reversed(curves)}  # model → its first network
     for network, curve in curves.items():

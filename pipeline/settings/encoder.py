@@ -12,20 +12,18 @@ Hub = Annotated[str, Field(min_length=1, description="a name on the hub, or a fo
 NEEDED = {
     "pair": ("depth", "classes", "focal_by_width"),
     "hugging_face": ("model",),
-    "dinov2": ("model", "depth", "classes"),
 }
 FITTED = {"small", "hugging_face"}
 
 
 class Encoder(Section):
-    backbone: Literal["small", "street", "pair", "hugging_face", "dinov2", "precomputed"]
+    backbone: Literal["small", "street", "pair", "hugging_face", "precomputed"]
     weights: FilePath | None = None
     depth: Hub | None = None
     classes: Hub | None = None
     model: Hub | None = None
     depth_unit: Literal["metric"] | None = None
     focal_by_width: Positive | None = None
-    targets: FilePath | None = None
     epochs: Annotated[int, Field(ge=0)]
     frames: Count
     batch: Count

@@ -75,7 +75,7 @@ class Reading(Section):
 
 
 class Ingest(Reading):
-    source: str | dict[Literal["train", "val", "test"], str]  # a file of pipeline/datasets; of all drives or by split
+    source: str  # a file of pipeline/datasets
     drives: Drives
     recordings: dict[Name, Part] = {}  # drives of another dataset than source
 
@@ -92,8 +92,4 @@ class Ingest(Reading):
 
     def datasets(self) -> dict[str, str]:
         """Return drive → dataset, a file of pipeline/datasets; recordings are those of `recordings`."""
-        of_split: dict[Any, str] = self.source if isinstance(self.source, dict) else dict.fromkeys(SPLITS, self.source)
-        return {
-            drive: RECORDING if drive in self.recordings else of_split.get(split, RECORDING)
-            for drive, split in self.drives.splits().items()
-        }
+        return {drive: RECORDING if drive in self.recordings else self.source for drive in self.drives.splits()}

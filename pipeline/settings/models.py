@@ -6,7 +6,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from models.steering.core import options, steering_net
 from pipeline.base.errors import InputError, closest
-from pipeline.base.params import Count, Rate, Section, parse
+from pipeline.base.params import Rate, Section, parse
 
 FRAMES = {"graph": "kNN graphs", "pointnet2": "points with neighbourhood: pointnet2", "image": "images"}
 
@@ -35,14 +35,9 @@ class Entry(Section):
     base: Literal["motion", "none"] = "motion"
     # another: a control with the scene of another drive of the split
     scene: Literal["same", "another"] = "same"
-    # others: a network per test drive, trained on the other test drives; train-then-others: before, on training drives
-    fit_to: Literal["train", "others", "train-then-others"] = "train"
-    train_drives: Count | None = None  # use only n training drives, evenly spread and repeated; null: all
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if self.train_drives is not None and self.fit_to == "others":
-            raise ValueError("fit_to: others uses no training drives: remove train_drives, or choose another fit_to")
         for key in ("horizon", "alpha") if self.predict == "path" else ():
             if value := getattr(self, key):
                 raise ValueError(f"predict: path has no {key} (got {value}): remove {key}")

@@ -3,7 +3,6 @@
 import hashlib
 import io
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,7 +10,7 @@ import typer
 from pydantic import Field
 from ruamel.yaml import YAML
 
-from pipeline.base import console
+from pipeline.base import console, earlier
 from pipeline.base.errors import InputError
 from pipeline.base.params import Name, Section, parse, read
 from pipeline.base.resume import ROOT, content_hash
@@ -67,32 +66,23 @@ def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:
     """Return a complete `params` file with the changes of preset `name`, of presets/ or a path, and with its comments.
 
     Mappings are merged key by key; any other value replaces the old one. null removes a key, so its default applies,
-    and ``"*": null`` removes all earlier keys, so that a list of models is replaced. `base` lists presets whose changes
-    come before. Raises InputError.
+    and ``"*": null`` removes all earlier keys, so that a list of models is replaced. Raises InputError.
     """
-    preset, content = path_of(name), read(params, comments=True)
+    preset = path_of(name)
+    content = read(params, comments=True)
     parse(Params, content, path=params)
-    for changes in _with_base(preset):
-        _merge(content, changes)
+    _merge(content, read(preset))
     parse(Params, content, path=preset)
     return content
-
-
-def _with_base(preset: Path) -> Iterator[dict[str, Any]]:
-    changes = read(preset)
-    for base in _bases(changes.pop("base", None)):
-        yield from _with_base(base)
-    yield changes
-
-
-def _bases(names: Any) -> list[Path]:
-    return [path_of(name) for name in ([names] if isinstance(names, str) else names or [])]
 
 
 def path_of(name: str) -> Path:
     """Return the file of a preset, of presets/ or a path. Raises InputError if there is none."""
     preset = Path(name) if "/" in name or name.endswith((".yaml", ".yml")) else PRESETS / f"{name}.yaml"
     if not preset.is_file():
+        if preset.stem in earlier.PRESETS:
+            fix = f"Its question is closed, see docs/log.md. git switch --detach {earlier.LAST} runs it"
+            raise InputError("is a preset of an earlier version", name, fix)
         names = ", ".join(sorted(file.stem for file in PRESETS.glob("*.yaml")))
         raise InputError("there is no such preset", name, f"Choose one of {names}")
     return preset
@@ -104,8 +94,6 @@ def refresh(preset: Path, raw: Path) -> None:
     With a changed copy, which an import must not replace, the preset counts as edited.
     """
     content, hashes, changed = read(preset, comments=True), dict[Path, str](), set[Path]()
-    for base in _bases(content.get("base")):
-        refresh(base, raw)
     for part in filter(None, ((content.get("ingest") or {}).get("recordings") or {}).values()):
         for name, before in part.get("files", {}).items():
             path = raw / part.get("folder", "") / name

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from models.steering.core.steering_net import SteeringNet
+from pipeline.base import store
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.resume import stage_key
 from pipeline.learning import checkpoint
@@ -44,19 +45,29 @@ def selected_epoch(curve: Sequence[Mapping[str, float]]) -> int:
 
 
 def fit_run(
-    run: runs.Run, name: str, where: str, entry: Entry, settings: Train, drives: Drives, files: Files | None, kept: Path
+    run: runs.Run,
+    name: str,
+    where: str,
+    entry: Entry,
+    settings: Train,
+    splits: Mapping[str, str],
+    drives: Drives,
+    files: Files | None,
+    kept: Path,
 ) -> Path:
     """Train a network of model `name`, from the state of an earlier run if there is one; write best.pt and curve.csv.
 
-    `where`: of the model's entry, for messages; `drives`: of all folds; `files`: their open graph files, None: this
-    process has none; `kept`: the folder of states, see StageFolder. Returns the state's file. Raises InputError.
+    `where`: of the model's entry, for messages; `splits`: drive → split; `files`: open graph files, None: this process
+    has none; `kept`: the folder of states, see StageFolder. Returns the state's file. Raises InputError.
     """
     entry = entry.seeded(run.seed)
-    scenes = runs.scenes(run.fold, run.seed, entry.scene)
+    scenes = runs.scenes(splits, run.seed, entry.scene)
     seen = {drive: replace(drives[drive], scene=drives[other].graphs) for drive, other in scenes.items()}
     usable = {drive: labelled for drive, labelled in seen.items() if labelled.has_window(entry.window)}
-    train, val = ([usable[drive] for drive in part if drive in usable] for part in (run.fold.train, run.fold.val))
-    device, contents = "cuda" if torch.cuda.is_available() else "cpu", train[0].contents
+    train = [usable[drive] for drive in store.drives_in(splits, "train") if drive in usable]
+    val = [usable[drive] for drive in store.drives_in(splits, "val") if drive in usable]
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    contents = train[0].contents
     if device == "cpu" and 0 < np.mean(train[0].counts.get("points", 0)) < SMALL:
         # With few points a second thread has little to do, and slows each of a step's hundreds of small operations
         # where another process uses its core. One thread's sums are also the same on each machine.
@@ -67,31 +78,26 @@ def fit_run(
         net = entry.build(**contents._asdict(), outputs=len(train[0].columns))
     net.to(device)
     paths = [*dict.fromkeys(path for drive in train + val for path in (drive.graphs, drive.labels, drive.scene))]
-    if run.start:
-        paths.append(run.start.folder / "best.pt")
-        checkpoint.load_state(net, checkpoint.read(paths[-1], predict.KIND)["net"], paths[-1])
     inputs = {
         "entry": entry.model_dump(mode="json"),
         "train": settings.model_dump(exclude={"seeds"}),
         "seed": run.seed,
-        "fold": run.fold.name,
-        "drives": [*dict.fromkeys(drive.name for drive in train)],
+        "drives": [drive.name for drive in train],
         "val": [drive.name for drive in val],
     }
-    begun = [drives[drive] for drive in (run.start.fold.train if run.start else ())]
     metadata = {
         "kind": predict.KIND,
         "name": name,
         "seeds": settings.seeds,
         "contents": contents._asdict(),
         "settings": train[0].settings,
-        "datasets": sorted({drive.settings.get("dataset", "unknown") for drive in (*train, *begun)}),
+        "datasets": sorted({drive.settings.get("dataset", "unknown") for drive in train}),
         "fps": float(1 / np.median(np.concatenate([np.diff(drive.time_s) for drive in train]))),
         **inputs,
     }
     fit = Fit(net, entry, settings, run.seed, train, val, files or Files(drive.scene for drive in train + val))
     state = kept / f"{stage_key('train', inputs, paths)}.pt"
-    fit.run(state, f"{name} {run}")
+    fit.run(state, f"{name} seed {run.seed}")
     best = {"scale": fit.scale.content, "epoch": selected_epoch(fit.curve), "net": fit.best}
     checkpoint.write(run.folder / "best.pt", metadata | best)
     pd.DataFrame(fit.curve).to_csv(run.folder / "curve.csv", index=False, float_format="%.6g", lineterminator="\n")

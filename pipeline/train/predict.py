@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from models.steering.core.steering_net import SteeringNet
+from pipeline.base.earlier import LAST
 from pipeline.base.errors import InputError, error_context
 from pipeline.graphs.graph_file import Contents, Graphs, open_graphs
 from pipeline.labels import label
@@ -20,6 +21,8 @@ from pipeline.train.loss import Scale
 from pipeline.train.targets import Timeline
 
 KIND = "steering net"  # of checkpoint
+# Settings of entries that have left, and the value at which a network is the same without them.
+REMOVED = {"fit_to": "train", "train_drives": None}
 WINDOWS = 96  # per batch of predictions; limits the memory
 
 
@@ -33,7 +36,7 @@ class Trained(NamedTuple):
     scale: Scale
     settings: dict[str, Any]  # section → settings that made graphs and labels of its training drives
     drives: list[str]  # of training
-    datasets: list[str]  # of the training drives, also of the network it started from; []: unknown
+    datasets: list[str]  # of the training drives; []: unknown
     fps: float  # their frame rate
     net: SteeringNet
 
@@ -68,7 +71,7 @@ class Trained(NamedTuple):
 
 
 def load(folder: str | Path, device: torch.device | str | None = None) -> Trained:
-    """Load best.pt of a trained model: data/train/<model>, or a folder seed-<n> or fold-<drive> in it.
+    """Load best.pt of a trained model: data/train/<model>, or a folder seed-<n> in it.
 
     `device` None: a GPU if there is one. Raises InputError if there is none, or if this code cannot rebuild it.
     """
@@ -80,18 +83,30 @@ def load(folder: str | Path, device: torch.device | str | None = None) -> Traine
     with error_context(fix="Train it again: dvc repro --force --single-item train@MODEL"):
         content = checkpoint.read(path, KIND)
         try:
-            entry, contents = Entry.model_validate(content["entry"]), Contents(**content["contents"])
+            entry, contents = read_entry(content["entry"], path), Contents(**content["contents"])
             scale = Scale.parse(content["scale"])
             about = {key: content[key] for key in ("name", "seeds", "settings", "drives", "fps")}
             about["datasets"] = content.get("datasets", [])
             height_m = about["settings"].get("perception", {}).pop("camera_height_m", None)  # of earlier versions
             about["settings"].setdefault("camera_height_m", height_m)
+        except InputError:
+            raise
         except (AttributeError, LookupError, TypeError, ValueError) as error:
             raise InputError(f"not a model of this version ({shorten(repr(error), 200)})", path) from error
         net = entry.build(**contents._asdict(), outputs=len(scale.names))
         checkpoint.load_state(net, content["net"], path)
     net.to(device or ("cuda" if torch.cuda.is_available() else "cpu")).eval()
     return Trained(**about, entry=entry, contents=contents, scale=scale, net=net)
+
+
+def read_entry(content: dict[str, Any], path: Path) -> Entry:
+    """Return the entry of a checkpoint, which may be of an earlier revision. Raises InputError."""
+    settings = dict(content)
+    for key, default in REMOVED.items():
+        value = settings.pop(key, default)
+        if value != default:
+            raise InputError(f"was trained by revision {LAST} with {key}: {value}", path, "Use that revision")
+    return Entry.model_validate(settings)
 
 
 def predict_drives(net: SteeringNet, reader: windows.Reader, scale: Scale) -> list[np.ndarray]:

@@ -20,7 +20,6 @@ GNN = PYG | {"spatial": "gnn"}
 FIT = {"epochs": 0, "frames": 1, "batch": 1, "learning_rate": 0.1, "seed": 0}
 PAIR = {"backbone": "pair", "depth": "a/b", "classes": "c/d", "focal_by_width": 0.6, **FIT}
 SWIN = str(ROOT / "models/encoder/swin-t")
-DINOV2 = {"backbone": "dinov2", "model": "a/b", "depth": "depth.pth", "classes": "classes.pth", **FIT}
 
 
 def changed(where: str, value: Any) -> dict[str, Any]:
@@ -68,8 +67,6 @@ def test_measured_motion_is_not_both_input_and_label(tmp_path):
         (f"{MODEL}.input", "semantc", "input: unknown variant 'semantc': did you mean semantic"),
         (f"{MODEL}.spatial", "cnnn", "spatial.*cnnn.*cnn"),
         ("ingest.lidar", False, "models.gnn-lstm: input = 'lidar-50k' needs scans, but ingest.lidar is false"),
-        (f"{MODEL}.train_drives", 1000, r"train_drives.*training drives"),
-        (MODEL, GNN | {"train_drives": 1, "scene": "another"}, "another needs two .*drive_0001 alone"),
         (f"{MODEL}.input", "image", "spatial.*gnn.*images"),
         ("models.cnn-ncp.input", "semantic", "spatial.*cnn.*expects images"),
         (f"{MODEL}.wiring", {"comand": 5}, "wiring.comand"),
@@ -91,8 +88,15 @@ def test_measured_motion_is_not_both_input_and_label(tmp_path):
         ("encoder", {"backbone": "pair", "depth": "a/b", **FIT}, "pair needs classes and focal_by_width, or an enc"),
         ("encoder", PAIR | {"depth": "some/where/else"}, "depth: 'some/where/else' is not a folder with a config.json"),
         ("encoder", PAIR | {"classes": SWIN}, "type swin have no map of classes. Families that work: segformer, up"),
-        ("encoder", DINOV2, "encoder: depth: depth.pth: file is missing"),
+        ("encoder.backbone", "dinov2", "encoder.backbone: dinov2 is of an earlier version. Choose another"),
         ("model", {}, "model.*did you mean models"),
+        (
+            "encoder.targets",
+            "data/targets",
+            "encoder.targets is of an earlier version. Remove it: the fit takes ground",
+        ),
+        ("ingest.source", {"test": "kitti"}, "ingest.source.test is of an earlier version. Name one dataset"),
+        (f"{MODEL}.train_drives", 30, f"{MODEL}.train_drives is of an earlier version. Remove it, and name fewer"),
     ],
 )
 def test_a_fault_is_one_line_with_its_key(tmp_path, where, value, message):

@@ -1,32 +1,24 @@
 import json
 import re
-import shutil
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pytest
 import torch
 import yaml
-from typer.testing import CliRunner
 
 from models.encoder.street import SOURCES
 from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
-from pipeline.base.store import DriveReader
-from pipeline.camera import classes
-from pipeline.camera.camera import read_camera
-from pipeline.perception import perceive, precomputed
+from pipeline.perception import perceive
 from pipeline.settings import preset
 from stages.encoder import main
-from steer.app import app
 from tests import street
 from tests.artefacts import write_index
 from tests.models.encoder.test_encoders import write_networks
 
 TRAIN, VAL, TEST = "2026_01_01_drive_0001", "2026_01_02_drive_0001", "2026_01_03_drive_0001"
-SWIN = ROOT / "models/encoder/swin-t"
 SETTINGS = {
     "backbone": "small", "weights": None, "epochs": 1, "frames": 6, "batch": 3, "learning_rate": 0.003, "seed": 0,
 }  # fmt: skip
@@ -78,31 +70,6 @@ def test_the_fit_uses_training_drives_only_and_reports_itself(ingest, fitted):
     assert curve["epoch"].tolist() == [1, 2]
     assert all(curve[loss][1] < curve[loss][0] for loss in ("depth", "classes"))
     assert curve["loss"][1] == pytest.approx(content["losses"]["loss"], rel=1e-4)
-
-
-def test_an_encoder_learns_from_the_images_of_another_in_drives_of_any_split(ingest, fitted):
-    for drive in (VAL, TEST):
-        street.write_drive(ingest, drive, 4, dense=False)
-    targets = ingest.parent / "targets"
-    command = ["perceive", "--encoder", str(fitted), "--ingest", str(ingest), "--out", str(targets)]
-    result = CliRunner().invoke(app, command)
-    assert result.output.splitlines()[-1] == f"{TEST}: 4 frames"
-    again = CliRunner().invoke(app, command)
-    assert (again.exit_code, again.output.count("\n")) == (1, 1), "the folder is not free"
-    with DriveReader(ingest / f"{TEST}.h5", stage="ingest") as file:
-        depth, cls = perceive.perceive(perceive.load(fitted / "encoder.pt")[1], file["image"], read_camera(file))
-    for frame in range(4):
-        found = precomputed.read(targets, TEST, frame, street.SIZE)
-        np.testing.assert_allclose(found[0], np.where(cls[frame] == classes.SKY, 0, depth[frame]), atol=1 / 256)
-        np.testing.assert_array_equal(found[1], cls[frame])
-    encoder = run(ingest, "as-it-is", backbone="precomputed", weights=str(targets), epochs=0)
-    assert config(encoder)["sources"] == [f"28 PNG files in {targets}"]
-    batch = perceive.EncoderInput(TEST, [0], cls, street.CAMERA)
-    depth_again, _ = perceive.open_encoder(encoder, "float32").predict(batch)
-    np.testing.assert_array_equal(depth_again[0], precomputed.read(targets, TEST, 0, street.SIZE)[0])
-    shutil.rmtree(targets / VAL)
-    content = config(run(ingest, "taught", targets=str(targets), backbone="hugging_face", model=str(SWIN), frames=3))
-    assert content["frames_per_drive"] == {TRAIN: 2, TEST: 1}
 
 
 def test_a_network_that_does_not_take_images_of_ingest_is_one_line_before_any_drive(tmp_path):

@@ -8,14 +8,13 @@ import h5py
 import numpy as np
 import pandas as pd
 import pytest
-import torch
 
 from pipeline.base.errors import InputError
 from pipeline.graphs import graph_file
 from pipeline.train import fit, predict
 from tests import artefacts
 from tests.kitti_drive import contents
-from tests.small_model import EDGES_M, SPLITS, TEST, run_evaluate, run_train, write_params, write_two_test_drives
+from tests.small_model import EDGES_M, SPLITS, TEST, run_evaluate, run_train, write_params
 
 COLUMNS = {"angle": ["steering_rad"], "path": ["path_0-5m_1pm", "path_5-10m_1pm", "path_10-20m_1pm"]}
 
@@ -55,40 +54,6 @@ def test_metrics_are_means_over_seeds_and_files_repeat(folder, predicted):
         assert scores["nmse"] == pytest.approx(np.mean(mse) / zero, rel=1e-3)
         np.testing.assert_allclose(scores["nmse_by_seed"], np.array(mse) / zero, rtol=1e-2)
         assert scores["nmse_ci95"] is None  # one drive, shorter than two blocks
-
-
-@pytest.mark.parametrize("fit_to", [pytest.param("others", marks=pytest.mark.slow), "train-then-others"])
-def test_a_test_drive_gets_the_network_that_was_not_fitted_to_it(folder, monkeypatch, fit_to):
-    tested = write_two_test_drives(folder)
-    write_params(folder, {"fit_to": fit_to}, epochs=1, seeds=[0, 7])
-    starts, run = dict[str, dict[str, torch.Tensor]](), fit.Fit.run
-
-    def record(self: fit.Fit, state: Path, title: str) -> None:
-        starts[title] = fit.copy_weights(self.net)
-        run(self, state, title)
-
-    monkeypatch.setattr(fit.Fit, "run", record)
-    trained, evaluated = run_train(folder), run_evaluate(folder)
-    result = read_metrics(evaluated)
-    assert result["drives"] == {"train": tested[::-1], "val": [], "test": tested}
-    for split in ("train", "test"):  # each drive once
-        assert result[split]["steering_rad"]["frames"] == len(result["drives"][split]) * (60 - 3)
-    for seed in ("", "seed-7/"):
-        first = trained / f"{seed}first"
-        assert first.exists() == (fit_to == "train-then-others")
-        if first.exists():
-            assert predict.load(first).drives == ["2026_01_01_drive_0001"]
-            learned = predict.load(first).net.state_dict()
-            for drive in tested:
-                torch.testing.assert_close(starts[f"net seed {seed[5:-1] or 0} without {drive}"], dict(learned))
-        table = pd.read_csv(evaluated / f"{seed}predictions.csv")
-        for drive in tested:
-            model = predict.load(trained / f"{seed}fold-{drive}")
-            assert drive not in model.drives
-            with graph_file.open_graphs(folder / f"graphs/semantic/{drive}.h5") as graphs:
-                predicted_rad = model.predict(graphs)[:, 0]
-            found = table[table["drive"] == drive]["predicted_steering_rad"]
-            np.testing.assert_allclose(found, predicted_rad, atol=1e-6)
 
 
 def test_a_control_gets_the_scene_of_another_drive_in_training_and_evaluation(folder, monkeypatch):

@@ -170,23 +170,18 @@ def test_a_folder_without_images_is_empty(tmp_path, name):
     assert run(tmp_path)["has_image"].tolist() == [0, 1, 0, 0]
 
 
-def test_each_split_has_its_dataset(tmp_path):
-    sample, recorded = "2026_01_01_drive_0001", "2026_11_26_drive_0001"
-    for drive in (DRIVE, recorded):
-        write_drive(tmp_path / "raw", drive)
-    calibration = write_drive(tmp_path / "data/sample", sample, frames=range(2), truth=True).parent / CALIBRATION
-    write(calibration, f"{RENDERED}\n{calibration.read_text()}")
-    params = write_params(
-        tmp_path / "params.yaml", train=[DRIVE, recorded], test=[sample], source={"train": "kitti", "test": "sample"}
-    )
+def test_drives_of_the_sample_are_those_that_were_rendered(tmp_path):
+    sample, tested = "2026_01_01_drive_0001", "2026_01_02_drive_0001"
+    for drive in (sample, tested):
+        folder = write_drive(tmp_path / "data/sample", drive, frames=range(2), truth=True)
+        calibration = folder.parent / CALIBRATION
+        write(calibration, f"{RENDERED}\n{calibration.read_text()}")
+    params = write_params(tmp_path / "params.yaml", train=[sample], test=[tested], source="sample")
     ingest.main(tmp_path / "data", tmp_path / "raw", params)
-    assert read_index(tmp_path / "data/ingest", stage="ingest") == {DRIVE: "train", recorded: "train", sample: "test"}
-    for drive, dataset, frames in ((DRIVE, "kitti", 4), (recorded, "kitti", 4), (sample, "sample", 2)):
-        with DriveReader(tmp_path / f"data/ingest/{drive}.h5", stage="ingest") as file:
-            assert (len(file.frame), file.params["dataset"]) == (frames, dataset)
-            assert ("cls" in file) == (dataset == "sample")
+    assert read_index(tmp_path / "data/ingest", stage="ingest") == {sample: "train", tested: "test"}
+    with DriveReader(tmp_path / f"data/ingest/{sample}.h5", stage="ingest") as file:
+        assert (len(file.frame), file.params["dataset"], "cls" in file) == (2, "sample", True)
     twice = write_drive(tmp_path / "raw", sample)
-    write_params(params, train=[sample], test=["2026_01_02_drive_0001"], source="sample")
     with pytest.raises(InputError, match=rf"{twice}: stage sample renders .* data/sample/.*{sample}_sync"):
         ingest.main(tmp_path / "data", tmp_path / "raw", params)
 

@@ -25,7 +25,7 @@ def test_all_files_are_written_and_repeat(tmp_path):
     assert {path.name for path in (tmp_path / "report").iterdir() if path.is_dir()} == {"learning", "figures"}
     examples.write_model(tmp_path, examples.metrics("sa-gnn-ncp"))
     examples.write_model(tmp_path, examples.metrics("scene", predict="path"))
-    for folder in ("", "seed-1/fold-a/"):
+    for folder in ("", "seed-1/"):
         curve = tmp_path / f"train/sa-gnn-ncp/{folder}curve.csv"
         curve.parent.mkdir(parents=True)
         curve.write_text("epoch,learning_rate,train_loss,val_nmse\n1,0.003,0.70,0.6\n2,0.001,0.5,\n")
@@ -48,7 +48,7 @@ def test_all_files_are_written_and_repeat(tmp_path):
     assert metrics["steering angle"]["sa-gnn-ncp"]["test nmse"] == pytest.approx(0.2)
     assert {"0-5 m train nmse", "0-5 m test nmse, 95 % from"} <= metrics["path ahead"]["scene"].keys()
     assert made[0]["sa-gnn-ncp.csv"] == b"epoch,train_loss,val_nmse\n1,0.70,0.6\n2,0.5,nan\n"
-    assert "sa-gnn-ncp.seed-1.fold-a.csv" in made[0]
+    assert "sa-gnn-ncp.seed-1.csv" in made[0]
     assert b"No result here: absent." in made[0]["index.html"]
     assert b"b0.pt: its URL (its terms)" in made[0]["index.html"]
     assert b"wheel: gain 1.03" in made[0]["index.html"]

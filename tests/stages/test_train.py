@@ -15,7 +15,7 @@ from pipeline.learning import checkpoint
 from pipeline.train.fit import Fit
 from tests import artefacts, small_model
 from tests.kitti_drive import contents
-from tests.small_model import EDGES_M, SPLITS, TEST, run_evaluate, run_train, write_params, write_two_test_drives
+from tests.small_model import EDGES_M, SPLITS, TEST, run_evaluate, run_train, write_params
 
 
 def load(path: Path) -> dict[str, object]:
@@ -38,20 +38,10 @@ def test_a_trained_model_follows_the_bend_and_knows_its_settings(folder):
     assert best["epoch"] == 1 + curve["val_nmse"].rolling(3, min_periods=1).mean().argmin()
 
 
-@pytest.mark.parametrize(
-    ("entry", "files", "continued"),
-    [
-        ({}, 2, "net seed 0: continues after epoch 2 of 3"),
-        ({"predict": "path"}, 2, "net seed 0: continues after epoch 2 of 3"),
-        ({"spatial": "users"}, 2, "net seed 0: continues after epoch 2 of 3"),
-        ({"fit_to": "train-then-others"}, 5, "net seed 0 without 2026_01_01_drive_0002: continues after epoch 1 of 3"),
-    ],
-)
-def test_resumed_training_writes_the_same_bytes(folder, monkeypatch, capsys, entry, files, continued):
+@pytest.mark.parametrize("entry", [{}, {"predict": "path"}, {"spatial": "users"}], ids=["angle", "path", "users"])
+def test_resumed_training_writes_the_same_bytes(folder, monkeypatch, capsys, entry):
     monkeypatch.setenv("STEER_WORKERS", "1")
     small_model.add_users_network(monkeypatch)
-    if "fit_to" in entry:
-        write_two_test_drives(folder)
     write_params(folder, entry | {"motion": "visual"}, epochs=3)
     complete = contents(run_train(folder))
     shutil.rmtree(folder / "train")
@@ -61,7 +51,7 @@ def test_resumed_training_writes_the_same_bytes(folder, monkeypatch, capsys, ent
     def interrupt(path: Path, content: dict[str, object]) -> None:
         write(path, content)
         written.append(path)
-        if len(written) == files:
+        if len(written) == 2:
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
@@ -70,7 +60,7 @@ def test_resumed_training_writes_the_same_bytes(folder, monkeypatch, capsys, ent
             run_train(folder)
     assert not (folder / "train/net").exists()
     assert contents(run_train(folder)) == complete
-    assert continued in capsys.readouterr().out
+    assert "net seed 0: continues after epoch 2 of 3" in capsys.readouterr().out
     with monkeypatch.context() as patch:  # with its networks kept, as when test drives are added, nothing is trained
         patch.setattr(Fit, "_train", None)
         assert contents(run_train(folder)) == complete

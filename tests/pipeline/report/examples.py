@@ -14,7 +14,7 @@ SETTINGS = Evaluate(bootstrap_samples=50, bootstrap_block_frames=5, seed=0)
 DRIVES = ("2026_01_03_drive_0002", "2026_01_03_drive_0003")
 ENTRY = {
     "input": "semantic", "spatial": "gnn", "temporal": "ncp", "cell": "ltc", "window": 8, "equivariant": False,
-    "semantics": 1.0, "motion": "none", "horizon": 0, "fit_to": "train", "train_drives": None, "predict": "angle",
+    "semantics": 1.0, "motion": "none", "horizon": 0, "predict": "angle",
     "scene": "same",
 }  # fmt: skip
 ANGLE = {"steering_rad": {"unit": "rad", "from_m": None, "to_m": None}}

@@ -76,6 +76,7 @@ def test_faults_name_file_key_and_value(tmp_path, section, key, value, problem):
         ),
         (lambda path: preset.text(str(path)), "ingest: {source: both}", "ingest.source: both is of an earlier version"),
         (partial(params.load_entry, Variant, "graphs", "a"), "graphs: {a: {cloud: lidar}}", r"graphs\.a\.cloud is of"),
+        (lambda path: preset.text(str(path)), "base: [roads]\n", "base is of an earlier version. Copy the settings"),
     ],
 )
 def test_a_faulty_file_is_named(tmp_path, read, text, problem):
@@ -97,8 +98,7 @@ def test_a_preset_is_written_as_its_merged_content_with_all_comments(name):
     _, *rest = text.splitlines()
     original = preset.PARAMS.read_text()
     assert [line for line in rest if line.lstrip().startswith("#")] == re.findall(r"^ *#.*", original, re.MULTILINE)
-    changes = [*preset._with_base(preset.path_of(name))]
-    replaced, section = {key for part in changes for key, value in part.items() if "*" in value}, ""
+    replaced, section = {key for key, value in params.read(preset.path_of(name)).items() if "*" in value}, ""
     for line in original.splitlines():
         section = line.partition(":")[0] if line[:1].isalpha() else section
         code, _, comment = line.partition(" # ")
@@ -109,7 +109,7 @@ def test_a_preset_is_written_as_its_merged_content_with_all_comments(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_row_and_its_controls_differ_in_the_scene_only(name):
-    """The row of NAME-blind or NAME-another is NAME; path-another-others is a control of path-others."""
+    """The row of NAME-blind or NAME-another is NAME."""
     models = preset.Params.model_validate(preset.merged(name)).models
     for key, entry in models.items():
         kind = "blind" if entry.spatial == "blind" else entry.scene
@@ -126,13 +126,6 @@ def test_a_star_removes_all_earlier_entries(tmp_path):
     assert preset.merged(str(tmp_path / "mine.yaml"))["models"] == {"sa-gnn-ncp": yaml.safe_load(model)}
 
 
-def test_the_base_of_a_preset_comes_before_it():
-    base, content = preset.merged("winding"), preset.merged("winding-wheel")
-    assert (base["labels"].pop("source"), content["labels"].pop("source")) == ("visual", "wheel")
-    assert (base["train"].pop("rescale"), content["train"].pop("rescale")) == (1.25, 1.0)
-    assert base == content
-
-
 def test_params_are_replaced_unless_they_have_edits_that_git_lacks(tmp_path, monkeypatch):
     def git(words: str) -> None:
         subprocess.run(f"git -c user.name=a -c user.email=a {words}".split(), check=True)
@@ -142,13 +135,13 @@ def test_params_are_replaced_unless_they_have_edits_that_git_lacks(tmp_path, mon
     params.write_text(preset.PARAMS.read_text())
     for words in ("init -q", "add .", "commit -qm a"):
         git(words)
-    for name in ("real", "real", "table2"):  # one after another; the second time changes nothing
+    for name in ("street", "street", "table2"):  # one after another; the second time changes nothing
         preset.main(name)
     assert params.read_text().count("# Written by make params") == 1
     content = yaml.safe_load(params.read_text())
-    assert content["models"] == preset.merged("real")["models"] | preset.merged("table2")["models"]
+    assert content["models"] == preset.merged("street")["models"] | preset.merged("table2")["models"]
     added = {key: preset.merged("table2")["ingest"][key] for key in ("lidar", "drives")}
-    assert content["ingest"] == preset.merged("real")["ingest"] | added
+    assert content["ingest"] == preset.merged("street")["ingest"] | added
 
     edited = params.read_text().replace("bootstrap_samples: 2000", "bootstrap_samples: 100")
     params.write_text(edited)

@@ -332,7 +332,7 @@ def write_model(folder: Path, change: dict[str, Any] | None = None) -> Path:
     torch.manual_seed(0)
     model = entry(spatial="gnn", semantics=1.0, features=8, window=WINDOW)
     scale = {"names": ["steering_rad"], "gain": [1.0], "std": [0.12], "mean": [0.01], "odometry_gain": None}
-    content = {"kind": predict.KIND, "name": "net", "seed": 0, "seeds": [0], "fold": None, "scale": scale}
+    content = {"kind": predict.KIND, "name": "net", "seed": 0, "seeds": [0], "scale": scale}
     content |= {"contents": {"kind": "graph"}, "entry": model.model_dump(mode="json"), "settings": artefacts.LABELS}
     content |= {"drives": ["a"], "fps": 10.0, "net": model.build("graph").state_dict()}
     checkpoint.write(folder / "best.pt", content | (change or {}))
@@ -371,6 +371,7 @@ def test_code_in_a_file_does_not_run(tmp_path):
         ("nett", {}, r"best\.pt is missing.*train/net"),
         ("net", {"kind": "encoder"}, "expected a checkpoint of .* steering net.*Train it again"),
         ("net", {"entry": {"spatial": "nothing"}}, "Train it again"),
+        ("net", {"entry": {"fit_to": "others"}}, "by revision 0919269e with fit_to: others. Use that revision"),
         ("net", {"scale": None}, "Train it again"),
         ("net", {"net": {"weight": torch.zeros(1)}}, "Train it again"),
         ("cut", {}, "file is damaged"),
@@ -395,41 +396,22 @@ def test_weights_that_are_not_finite_are_refused():
 SPLITS = {"a": "train", "x": "test", "b": "train", "v": "val", "y": "test", "z": "test"}
 
 
-def test_runs_are_seeds_and_folds():
+def test_runs_are_seeds():
     model = Path("data/train/gnn")
-    result = runs.runs(model, [3, 0], runs.folds(SPLITS, entry()))
-    assert [(str(run), run.folder) for run in result] == [("seed 3", model), ("seed 0", model / "seed-0")]
-    assert {run.fold for run in result} == {runs.Fold(None, ("a", "b"), ("v",), ("x", "y", "z"))}
-    for fit_to, start in (("others", None), ("train-then-others", runs.Fold(None, ("a", "b"), ("v",), ()))):
-        folds = runs.folds(SPLITS, entry(fit_to=fit_to))
-        assert folds[1] == runs.Fold("y", ("x", "z"), (), ("y",), start)
-        result = runs.runs(model, [0, 5], folds)[2:4]
-        assert [run.folder for run in result] == [model / "fold-z", model / "seed-5/fold-x"]
-        assert str(result[0]) == "seed 0 without z"
-        assert result[1].start == (start and runs.Run(5, start, model / "seed-5/first"))
-    many = {f"{number}": "train" for number in range(5)} | SPLITS
-    assert runs.folds(many, entry(train_drives=2))[0].train == ("0", "3", "0", "3", "0", "3", "0")
-    assert runs.folds(SPLITS, entry(fit_to="train-then-others", train_drives=1))[0].start.train == ("a", "a")
-    with pytest.raises(InputError, match="2 training drives"):
-        runs.folds(SPLITS, entry(train_drives=3))
-    with pytest.raises(InputError, match="two test drives"):
-        runs.folds({"a": "test"}, entry(fit_to="others"))
+    assert runs.runs(model, [3, 0]) == [runs.Run(3, model), runs.Run(0, model / "seed-0")]
+    with pytest.raises(InputError, match="no training drives"):
+        runs.check({"x": "test"}, "same")
 
 
 def test_the_scene_of_another_drive_is_one_of_the_same_split_drawn_per_seed():
     splits = {"a": "train", "a2": "train", "a3": "train", "v": "val", "v2": "val", "x": "test", "x2": "test"}
-    (fold,) = runs.folds(splits, entry(scene="another"))
-    drawn = [runs.scenes(fold, seed, "another") for seed in range(20)]
+    drawn = [runs.scenes(splits, seed, "another") for seed in range(20)]
     assert all(other != drive and other[0] == drive[0] for scenes in drawn for drive, other in scenes.items())
     assert {scenes["a"] for scenes in drawn} == {"a2", "a3"}
-    assert drawn[0] == runs.scenes(fold, 0, "another")
-    assert runs.scenes(fold, 0, "same") == {name: name for name in splits}
-    for fold in runs.folds(SPLITS, entry(fit_to="others", scene="another")):
-        scenes = runs.scenes(fold, 0, "another")
-        assert scenes[fold.name] in fold.train
-        assert {scenes[name] for name in fold.train} == {*fold.train}
+    assert drawn[0] == runs.scenes(splits, 0, "another")
+    assert runs.scenes(splits, 0, "same") == {name: name for name in splits}
     with pytest.raises(InputError, match=r"needs two drives that are used alike \(got v alone"):
-        runs.folds(SPLITS, entry(scene="another"))
+        runs.check(SPLITS, "another")
 
 
 @pytest.mark.parametrize(

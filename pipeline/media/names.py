@@ -58,7 +58,8 @@ def videos_in(folder: Path) -> tuple[list[Path], list[str]]:
         patterns = sorted(groups)
         more = f" and {len(groups) - NAMED} more" if len(groups) > NAMED else ""
         problem = f"has videos of {len(groups)} cameras or recordings: {', '.join(patterns[:NAMED])}{more}"
-        raise InputError(problem, folder, f"Pass the files of one, for instance {folder / patterns[0]}")
+        example = next((pattern for pattern in patterns if "front" in pattern.lower()), patterns[0])
+        raise InputError(problem, folder, f"Pass the files of one, for instance {folder / example}")
     notes = [f"the folder's {len(videos)} videos are used, not {_some(pictures)}"] if pictures else []
     return next(iter(groups.values())), notes
 

@@ -4,12 +4,12 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-# Revision that has what left since: presets, options and controls of closed questions.
+# Last revision with the presets, options and controls of closed questions.
 LAST = "0919269e"
-# Presets that have left.
+# Removed presets.
 PRESETS = ("real", "streets", "transfer", "winding", "winding-wheel")
 
-# The dotted key, with * for the name of an entry, or "key: value" where only a value went → the way on.
+# The dotted key, with * for the name of an entry, or "key: value" if only a value was removed → what to do.
 EARLIER = {
     "base": "Copy the settings of these presets into this one",
     "encoder.backbone: dinov2": f"Choose another one of docs/models.md, or use revision {LAST}",
@@ -23,6 +23,7 @@ EARLIER = {
     "graphs.*.accumulate.frames": "Write the number itself: accumulate: 8",
     "graphs.*.cloud": "Write source: clouds/pseudo or clouds/lidar",
     "ingest.manifests": "Remove it and repeat steer import, which writes ingest.recordings",
+    "ingest.source.train": "Name one dataset for all drives: source: kitti",
     "ingest.source.test": "Name one dataset for all drives: source: kitti",
     "ingest.source: both": "Name one dataset for all drives: source: kitti",
     "labels.source: lidar": "Write source: visual",
@@ -48,7 +49,7 @@ EARLIER = {
 
 
 def find_earlier(settings: Any, where: str) -> tuple[str, str]:
-    """Return the first earlier key in the settings at the dotted key `where`, and the way on; empty without any."""
+    """Return the first earlier key in the settings at the dotted key `where`, and what to do; empty without any."""
     for key in _keys(settings, where):
         way_on = EARLIER.get(re.sub(r"^(models|graphs)\.[^.]+", r"\1.*", key))
         if way_on:

@@ -46,6 +46,8 @@ ZERO_FRAMES = 20
 # square. Healthy logs have up to 1.2 sigmas.
 OFFSET_SIGMAS = 2.5
 OFFSET_SHARE = 0.03
+# Least speed in m/s that has a sign: at standstill, recorded speeds reach -0.15.
+MOVES_MPS = 0.5
 # Turning frames that a third of the frames needs to tell its own lag, and its least correlation there.
 THIRD_FRAMES = 40
 THIRD_FOLLOWS = 0.9
@@ -165,7 +167,7 @@ def backwards(recorded: Labels, measured: Labels) -> np.ndarray:
 
 
 def _moves(labels: Labels) -> np.ndarray:
-    return np.isfinite(labels.speed_mps) & labels.valid
+    return labels.valid & (np.abs(labels.speed_mps) >= MOVES_MPS)  # false for NaN
 
 
 def _speed(pairs: Sequence[Pair]) -> Speed | None:
@@ -174,7 +176,7 @@ def _speed(pairs: Sequence[Pair]) -> Speed | None:
     both = np.isfinite(recorded) & np.isfinite(measured)
     if not both.any():
         return None
-    gain = np.sqrt(np.mean(recorded[both] ** 2) / np.mean(measured[both] ** 2))
+    gain = np.sqrt(np.mean(recorded[both] ** 2) / np.mean(measured[both] ** 2))  # above 0, as both move
     ahead = np.sum((recorded > 0) & (measured < 0))
     back = np.sum((recorded < 0) & (measured > 0))
     return Speed(int(both.sum()), float(gain), int(ahead), int(back))
@@ -295,7 +297,8 @@ def _lags_of_thirds(m: np.ndarray, shifted: Sequence[np.ndarray], turning: np.nd
     """Return the lag of each third of the frames that follows; `shifted`: recorded values [N] at each of NEAR_S."""
     lags_s = list[float]()
     for rows in np.array_split(np.arange(len(m)), 3):
-        correlations = [_moments(m[rows], values[rows], least=len(rows) / 2).correlation for values in shifted]
+        least = np.isfinite(m[rows] + shifted[0][rows]).sum() / 2
+        correlations = [_moments(m[rows], values[rows], least).correlation for values in shifted]
         if turning[rows].sum() >= THIRD_FRAMES and max(correlations) > THIRD_FOLLOWS:
             lags_s.append(float(NEAR_S[np.argmax(correlations)]))
     return tuple(lags_s)
@@ -303,7 +306,7 @@ def _lags_of_thirds(m: np.ndarray, shifted: Sequence[np.ndarray], turning: np.nd
 
 def _stuck_s(pair: Pair, name: str) -> float:
     """Return the longest time for which the recording stays equal while the measured angle varies, or is not 0."""
-    values = getattr(pair.recorded, name)
+    values = _valid(pair.recorded, name)  # a frame without a value has 0 in the file
     sigma_rad = _sigma(pair, "steering_rad")
     turning = _turns(pair)
     longest_s = 0.0
@@ -321,7 +324,7 @@ def _stuck_s(pair: Pair, name: str) -> float:
 
 
 def _far_lag(pairs: Sequence[Pair], name: str, m: np.ndarray, noise: float) -> float | None:
-    """Return the lag beyond the near ones at which the recording follows in all respects; None if there is none.
+    """Return the lag of FAR_S at which the recording follows, with a plausible gain; None if there is none.
 
     The other lags have to explain it much worse, since a bend resembles other bends.
     """

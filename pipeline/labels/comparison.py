@@ -50,8 +50,8 @@ UNLIKE_YAW = math.log(1.15)
 SIGMAS = 2.0
 # Share of the frames whose speed has the wrong sign, beyond which the log's sign is inverted.
 NEGATIVE = 0.5
+# Why a log cannot be compared.
 UNKNOWN = "too little turning for its noise"
-"""Why a log cannot be compared."""
 # Doubts that are shown about one recording.
 MOST = 2
 
@@ -123,8 +123,10 @@ def check(source: str, drives: Mapping[str, Pair]) -> Iterator[str]:
     Raises InputError for an error.
     """
     compared = {drive: compare([pair]) for drive, pair in drives.items()}
-    groups = {drive: found for drive, found in compared.items() if found.turning >= JUDGED}
-    for where, found in {**groups, "all compared drives": compare([*drives.values()])}.items():
+    groups = {drive: found for drive, found in compared.items() if found.turning >= JUDGED or len(drives) == 1}
+    if len(drives) > 1:
+        groups["all compared drives"] = compare([*drives.values()])
+    for where, found in groups.items():
         errors, lines = judge(found, sources.column(source))
         if errors:
             raise InputError(errors[0], where, "Correct the log and import it again, or choose another labels.source")
@@ -140,7 +142,7 @@ def judge(agreement: Agreement, column: str, ratio: float = 1.0) -> tuple[list[s
     errors = list[str]()
     doubts = list[str]()
     if agreement.speed:
-        errors, doubts = _judge_speed(agreement.speed, agreement.speed_sigma)
+        errors, doubts = _judge_speed(agreement.speed, agreement.speed_sigma, column)
 
     fit = agreement.angle if column else agreement.yaw_rate
     of_fit = list[str]()
@@ -151,17 +153,20 @@ def judge(agreement: Agreement, column: str, ratio: float = 1.0) -> tuple[list[s
     return errors, [*summary, *(of_fit + doubts)[:MOST]]
 
 
-def judge_turns(agreement: Agreement, column: str) -> str:
-    """Return an error of a log's sign or clock by the turns of images alone, UNKNOWN, or an empty text.
+def judge_turns(agreement: Agreement, column: str) -> tuple[str, str]:
+    """Return an error of a log's sign or clock by the turns of images alone, and a fix; or UNKNOWN, or empty texts.
 
-    `column`: the one that was compared.
+    `column`: the one that was compared. Pairs of images are independent of each other, so SHOWN of them suffice.
     """
     fit = agreement.yaw_rate or agreement.angle
     if not fit or not _comparable(fit):
-        return UNKNOWN
+        return UNKNOWN, ""
     if fit.far_s is not None:
-        return _wrong_clock(column, fit.far_s)
-    return _wrong_sign(column, fit)
+        return _wrong_clock(column, fit.far_s), ""
+    sign = _wrong_sign(column, fit)
+    if sign and fit is agreement.angle:
+        return sign, "A negative --steering-ratio inverts it"
+    return sign, ""
 
 
 def _wrong_clock(name: str, lag_s: float) -> str:
@@ -213,16 +218,21 @@ def _offset(lag_s: float) -> str:
     return f"pass --offset {-lag_s:.2f}, added to an earlier one"
 
 
-def _judge_speed(speed: Speed, sigma: float) -> tuple[list[str], list[str]]:
-    """Return errors and doubts about recorded speeds."""
+def _judge_speed(speed: Speed, sigma: float, column: str) -> tuple[list[str], list[str]]:
+    """Return errors and doubts about recorded speeds, from which angles follow unless they have a `column`."""
+    doubts = list[str]()
     if speed.back > NEGATIVE * speed.frames >= NEGATIVE * SHOWN:
         problem = f"speed_mps is negative in {speed.back} of {speed.frames} frames that are measured ahead"
-        return [f"{problem}, so angles have the wrong sign: forward is positive"], []
-    doubts = list[str]()
+        if not column:
+            return [f"{problem}, so angles have the wrong sign: forward is positive"], []
+        doubts.append(f"{problem}: forward is positive")
     if speed.ahead:
-        causes = "a speed without a sign in reverse gear? These frames have no label"
-        doubts.append(f"{speed.ahead} frames go ahead by speed_mps, but are measured backwards: {causes}")
-    elif speed.back:
+        text = f"{speed.ahead} frames go ahead by speed_mps, but are measured backwards"
+        text += ": a speed without a sign in reverse gear?"
+        if not column:
+            text += " Stage labels gives them no label"
+        doubts.append(text)
+    if 0 < speed.back <= NEGATIVE * speed.frames:
         doubts.append(f"{speed.back} frames go backwards by speed_mps, but are measured ahead")
     noisy = 1.4 if speed.frames < JUDGED else 1.0
     if speed.frames >= SHOWN and abs(math.log(speed.gain)) > UNLIKE_SPEED * noisy + SIGMAS * sigma:
@@ -236,12 +246,11 @@ def _judge(fit: Fit, name: str, ratio: float, speed_sigma: float) -> tuple[list[
     many = fit.turning >= JUDGED
     if fit.far_s is not None:
         return [], [_wrong_clock(name, fit.far_s)]
-    if fit.stuck_s > STUCK_S:
-        return [], [f"{name} stays equal for {fit.stuck_s:.0f} s while the car turns"]
-
     sign = _wrong_sign(name, fit)
     if sign:
         return ([sign], []) if fit.turning >= SIGNED else ([], [sign])
+    if fit.stuck_s > STUCK_S:
+        return [], [f"{name} stays equal for {fit.stuck_s:.0f} s while the car turns"]
     if fit.other_side >= OTHER_SIDE and fit.magnitude > max(CLEAR, fit.best):
         return [], [f"{name} has angles without a sign"]
 

@@ -100,7 +100,7 @@ def _by_rising_number(paths: Sequence[Path]) -> dict[str, list[Path]]:
         parts = _parts(path)
         for place in rising:
             parts[2 * place + 1] = "*"
-        groups["".join(parts) + path.suffix].append(path)
+        groups["".join(parts) + paths[0].suffix].append(path)
     return groups
 
 

@@ -64,9 +64,9 @@ def check_unit(summaries: Mapping[str, Summary]) -> None:
     """Raise InputError if the road of many frames, of one drive or all, is farther or nearer than it can be.
 
     `summaries`: drive → summary. Drives with a camera of unknown height, or an encoder with random weights, do not
-    count: their `unit_error` is infinite.
+    count: their `unit_error` is 0.
     """
-    known = {drive: summary for drive, summary in summaries.items() if np.isfinite(summary["unit_error"])}
+    known = {drive: summary for drive, summary in summaries.items() if summary["unit_error"]}
     for drives in [*([drive] for drive in known), [*known]]:
         frames = [known[drive]["road_frames"] for drive in drives]
         if sum(frames) < ROAD_FRAMES:

@@ -79,7 +79,10 @@ def measure_drive(
         for name, unit in UNITS.items():
             file.put(name, columns[name], unit)
         summary = _summarise(columns, road_class, durations(frames.frame, frames.time_s), frames.camera)
-        summary |= {"roll_deg": roll.degrees(), "unit_error": frames.unit_error}
+        summary |= {
+            "roll_deg": roll.degrees(),
+            "unit_error": frames.unit_error if np.isfinite(frames.unit_error) else 0.0,
+        }
         file.attrs |= summary
     return summary
 

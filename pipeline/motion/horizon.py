@@ -88,15 +88,17 @@ def _ahead(motion: _Motion) -> tuple[float, bool | None] | None:
     return float(focus[1]), bool(np.median(parts[0]) > np.median(parts[1])) if known else None
 
 
-def turn_rates(frames: Callable[[np.ndarray], Iterator[Frame]], camera: Camera, time_s: np.ndarray) -> np.ndarray:
+def turn_rates(
+    frames: Callable[[np.ndarray], Iterator[Frame]], camera: Camera, time_s: np.ndarray, within: np.ndarray
+) -> np.ndarray:
     """Return yaw rates in rad/s, left positive, [F], by the rotations between images; NaN where none is measured.
 
-    Up to TURN_PAIRS pairs of images, APART_S apart and evenly spread over `time_s` [F], are compared; a rate stands at
-    the first image of its pair. `frames` returns the frames of a mask [F].
+    Up to TURN_PAIRS pairs of the images `within` some time, bool [F], are compared, APART_S apart and evenly spread; a
+    rate stands at the first image of its pair. `time_s`: [F]. `frames` returns the frames of a mask [F].
     """
     rates = np.full(len(time_s), np.nan)
     after = np.searchsorted(time_s, time_s + APART_S)
-    possible = np.flatnonzero(after < len(time_s))
+    possible = np.flatnonzero(within & np.append(within, False)[after])
     if not len(possible):
         return rates
     spread = np.linspace(0, len(possible) - 1, TURN_PAIRS).round().astype(int)

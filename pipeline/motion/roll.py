@@ -64,7 +64,7 @@ class Roll:
 
     def degrees(self) -> float:
         """Return by how much the images are rolled, clockwise positive; 0 if too few edges are upright."""
-        if self._counts.sum() < MIN_SHARE * self._pixels * max(self._images, 1):
+        if self._counts.sum() <= MIN_SHARE * self._pixels * max(self._images, 1):
             return 0.0
         reach = round(3 * SMOOTH_DEG / BIN_DEG)
         kernel = np.exp(-((np.arange(-reach, reach + 1) * BIN_DEG / SMOOTH_DEG) ** 2) / 2)

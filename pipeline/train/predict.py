@@ -21,7 +21,7 @@ from pipeline.train.loss import Scale
 from pipeline.train.targets import Timeline
 
 KIND = "steering net"  # of checkpoint
-# Settings of entries that have left, and the value at which a network is the same without them.
+# Removed settings of entries, and their defaults. Networks with other values belong to closed questions.
 REMOVED = {"fit_to": "train", "train_drives": None}
 WINDOWS = 96  # per batch of predictions; limits the memory
 

@@ -20,7 +20,7 @@ from pipeline.base.store import replacing
 from pipeline.camera.camera import Camera
 from pipeline.camera.lens import depth_limit
 from pipeline.datasets.recording import FRAMES, MOTION, TIMES, VIDEO, WHEEL, open_part, usable
-from pipeline.labels.agreement import Noise, Pair, compare
+from pipeline.labels.agreement import MOVES_MPS, Noise, Pair, compare
 from pipeline.labels.comparison import UNKNOWN, judge_turns
 from pipeline.labels.label import Labels
 from pipeline.media.log import Logs
@@ -86,7 +86,7 @@ def open_recording(
 
 
 def _check_logs(recording: Recording, camera: Camera, logs: Logs, within: np.ndarray) -> None:
-    """Compare logs with the turns of the images `within` start and end, bool [F], and add a note if that is impossible.
+    """Compare logs with the turns of the images `within` start and end, bool [F]; add a note if too few images turn.
 
     Raises InputError if the sign or the clock of a log is wrong. The images give no speed: the angle of a wheel is
     compared with that of a car at TYPICAL_MPS.
@@ -94,10 +94,11 @@ def _check_logs(recording: Recording, camera: Camera, logs: Logs, within: np.nda
     if not (logs.motion or logs.wheel):
         return
     time_s = recording.times_s
-    speed_mps = logs.motion.at(time_s)[0] if logs.motion else np.zeros(0)
-    if logs.motion and np.sum(speed_mps < 0) > np.sum(speed_mps > 0):
-        raise InputError("speed_mps is negative in most images: forward is positive", logs.motion.name)
-    measured_radps = np.where(within, turn_rates(recording.frames, camera, time_s), np.nan)
+    if logs.motion:
+        speed_mps = logs.motion.at(time_s[within])[0]
+        if np.sum(speed_mps < -MOVES_MPS) > np.sum(speed_mps > MOVES_MPS):
+            raise InputError("speed_mps is negative in most images: forward is positive", logs.motion.name)
+    measured_radps = turn_rates(recording.frames, camera, time_s, within)
     measured = _labels(measured_radps * CAR_M / TYPICAL_MPS, measured_radps)
     noise = Noise(np.full(len(time_s), TURN_SIGMA_RADPS), np.full(len(time_s), np.nan))
     unknown = np.full(len(time_s), np.nan)
@@ -105,11 +106,11 @@ def _check_logs(recording: Recording, camera: Camera, logs: Logs, within: np.nda
         if not log:
             continue
         recorded = _labels(unknown, log.at(time_s)[1]) if log is logs.motion else _labels(log.at(time_s)[0], unknown)
-        problem = judge_turns(compare([Pair(time_s, recorded, measured, noise)]), column)
+        problem, fix = judge_turns(compare([Pair(time_s, recorded, measured, noise)]), column)
         if problem == UNKNOWN:
             recording.notes.append(f"{log.name} cannot be compared with the turns of the images: {problem}")
         elif problem:
-            raise InputError(problem, log.name, "A negative --steering-ratio turns signs" if log is logs.wheel else "")
+            raise InputError(problem, log.name, fix)
 
 
 def _labels(steering_rad: np.ndarray, yaw_rate_radps: np.ndarray) -> Labels:

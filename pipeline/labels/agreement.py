@@ -37,15 +37,18 @@ TELLING = 0.8
 # Ratio of standard deviation and root mean square below which values are steady: no correlation is defined.
 STEADY = 0.2
 
-# A recording is stuck if it stays equal while the measured angle varies by more than this, and more than by noise.
-STUCK_RAD = 0.005
-STUCK_SIGMAS = 8.0
+# A recording is stuck if it stays equal while the measured values, without a tenth of them on each side, vary by more
+# than these standard deviations, plus a share of the recorded value. Rendered bends reach 3.4 of them for 3 s.
+STUCK_SIGMAS = 5.0
+STUCK_SHARE = 0.1
 # Turning frames during which a recording of 0 is stuck.
 ZERO_FRAMES = 20
 # Largest recorded value where the measured one is 0: in sigmas of the measurement, plus a share of its root mean
 # square. Healthy logs have up to 1.2 sigmas.
 OFFSET_SIGMAS = 2.5
 OFFSET_SHARE = 0.03
+# A bend that never straightens tells its offset by the gain alone: share of its least measured value.
+OFFSET_GAP = 0.1
 # Least speed in m/s that has a sign: at standstill, recorded speeds reach -0.15.
 MOVES_MPS = 0.5
 # Turning frames that a third of the frames needs to tell its own lag, and its least correlation there.
@@ -119,7 +122,7 @@ class Fit(NamedTuple):
     off_centre: bool  # the offset is beyond noise and beyond those of healthy logs
     cosine: float  # of both values in turning frames, without a lag
     thirds_s: tuple[float, ...]  # lag of each third that follows
-    stuck_s: float  # longest time for which the recording stays equal while the measured angle varies
+    stuck_s: float  # longest time for which the recording stays equal while the measured values vary
     far_s: float | None  # lag at which the recording of another clock would follow
 
 
@@ -205,6 +208,7 @@ def _fit(pairs: Sequence[Pair], name: str) -> Fit | None:
     cosine = (m[turning] * r[turning]).sum() / length if length else 0.0
 
     one_sided = bool((r[used] >= 0).all() or (r[used] <= 0).all())
+    straightest = float(np.percentile(np.abs(m[used]), 5))
     follows = at_best.follows(noise)
     gain = at_best.gain
     offset = at_best.mean_r - math.copysign(gain, at_best.correlation) * at_best.mean_m if follows else 0.0
@@ -222,7 +226,7 @@ def _fit(pairs: Sequence[Pair], name: str) -> Fit | None:
         other_side=int((turning & (m * np.sign(r[used].sum()) < 0)).sum()) if one_sided else 0,
         gain=gain,
         offset=offset,
-        off_centre=abs(offset) > OFFSET_SIGMAS * noise + OFFSET_SHARE * at_best.rms_m,
+        off_centre=abs(offset) > OFFSET_SIGMAS * noise + OFFSET_SHARE * at_best.rms_m + OFFSET_GAP * straightest,
         cosine=float(cosine),
         thirds_s=_lags_of_thirds(m, shifted, turning),
         stuck_s=max(_stuck_s(pair, name) for pair in pairs),
@@ -305,9 +309,10 @@ def _lags_of_thirds(m: np.ndarray, shifted: Sequence[np.ndarray], turning: np.nd
 
 
 def _stuck_s(pair: Pair, name: str) -> float:
-    """Return the longest time for which the recording stays equal while the measured angle varies, or is not 0."""
+    """Return the longest time for which the recording stays equal while the measured values vary, or is 0 in turns."""
     values = _valid(pair.recorded, name)  # a frame without a value has 0 in the file
-    sigma_rad = _sigma(pair, "steering_rad")
+    measured = _valid(pair.measured, name)
+    sigma = _sigma(pair, name)
     turning = _turns(pair)
     longest_s = 0.0
     edges = [0, *(np.flatnonzero(np.diff(values) != 0) + 1), len(values)]  # NaN differs from NaN
@@ -315,8 +320,8 @@ def _stuck_s(pair: Pair, name: str) -> float:
         rows = np.arange(first, last)[pair.measured.valid[first:last]]
         if not len(rows):
             continue
-        noise_rad = float(np.median(sigma_rad[rows]))
-        varies = np.ptp(pair.measured.steering_rad[rows]) > max(STUCK_RAD, STUCK_SIGMAS * noise_rad)
+        low, high = np.percentile(measured[rows], [10, 90])
+        varies = high - low > STUCK_SIGMAS * np.median(sigma[rows]) + STUCK_SHARE * abs(values[first])
         is_zero_in_turns = values[first] == 0 and turning[rows].sum() >= ZERO_FRAMES
         if varies or is_zero_in_turns:
             longest_s = max(longest_s, float(np.ptp(pair.time_s[rows])))

@@ -17,8 +17,11 @@ MAX_STEP_M = 2.0
 MAX_ROLL_DEG = 2.5
 # Least share of the frames with a moving car that are measured. Recordings by day have 1.
 MIN_MEASURED = 0.9
-# Least number of frames from which shares are computed.
+# Share that is doubted in a drive of any length: a queue of cars hides the street for a second or two of a short one.
+FEW_MEASURED = 0.5
+# Least number of frames from which shares are computed, and from which MIN_MEASURED is asked.
 MIN_FRAMES = 10
+LONG = 60
 # Least share of the class road where depth shows a road. Recordings, grey ones too, have 0.8 and more.
 MIN_ROAD_CLASS = 0.1
 # Least share of frames with a road by depth among those with a road by classes. Recordings have 1.
@@ -51,11 +54,12 @@ def _step_doubts(summary: Mapping[str, float]) -> Iterator[tuple[str, str]]:
     """Yield a doubt if images are too far apart, otherwise if too many are not measured."""
     step_s, step_m = summary["step_s"], summary["step_m"]
     valid, moving = summary["valid"], summary["moving"]
+    least = MIN_MEASURED if moving >= LONG else FEW_MEASURED
     if step_s > MAX_STEP_S or step_m > MAX_STEP_M:
         apart = f"{step_s:.2f} s" if step_s > MAX_STEP_S else f"{step_m:.1f} m"
         problem = f"images are {apart} apart: only slow frames are measured, and their speed is too low"
         yield "step", f"{problem}. Use a recording with more images per second, 10 for a car in a town"
-    elif moving >= MIN_FRAMES and valid < MIN_MEASURED * moving:
+    elif moving >= MIN_FRAMES and valid < least * moving:
         share = f"only {valid:.0f} of {moving:.0f} frames with a moving car are measured, and these are unreliable"
         yield "measured", f"{share}: darkness, fog, or drops on the lens? Use a recording by day, or clean the lens"
 

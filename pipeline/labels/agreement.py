@@ -45,10 +45,12 @@ STUCK_SHARE = 0.1
 ZERO_FRAMES = 20
 # Largest recorded value where the measured one is 0: in sigmas of the measurement, plus a share of its root mean
 # square. Healthy logs have up to 1.2 sigmas.
-OFFSET_SIGMAS = 2.5
-OFFSET_SHARE = 0.03
+OFFSET_SIGMAS = 2.0
+OFFSET_SHARE = 0.025
 # A bend that never straightens tells its offset by the gain alone: share of its least measured value.
 OFFSET_GAP = 0.1
+# Frames that an offset needs: a single short bend, which is measured at changing depths, has an apparent one.
+OFFSET_FRAMES = 60
 # Least speed in m/s that has a sign: at standstill, recorded speeds reach -0.15.
 MOVES_MPS = 0.5
 # Turning frames that a third of the frames needs to tell its own lag, and its least correlation there.
@@ -209,6 +211,7 @@ def _fit(pairs: Sequence[Pair], name: str) -> Fit | None:
 
     one_sided = bool((r[used] >= 0).all() or (r[used] <= 0).all())
     straightest = float(np.percentile(np.abs(m[used]), 5))
+    largest_offset = OFFSET_SIGMAS * noise + OFFSET_SHARE * at_best.rms_m + OFFSET_GAP * straightest
     follows = at_best.follows(noise)
     gain = at_best.gain
     offset = at_best.mean_r - math.copysign(gain, at_best.correlation) * at_best.mean_m if follows else 0.0
@@ -226,7 +229,7 @@ def _fit(pairs: Sequence[Pair], name: str) -> Fit | None:
         other_side=int((turning & (m * np.sign(r[used].sum()) < 0)).sum()) if one_sided else 0,
         gain=gain,
         offset=offset,
-        off_centre=abs(offset) > OFFSET_SIGMAS * noise + OFFSET_SHARE * at_best.rms_m + OFFSET_GAP * straightest,
+        off_centre=bool(used.sum() >= OFFSET_FRAMES and abs(offset) > largest_offset),
         cosine=float(cosine),
         thirds_s=_lags_of_thirds(m, shifted, turning),
         stuck_s=max(_stuck_s(pair, name) for pair in pairs),

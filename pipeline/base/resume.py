@@ -49,7 +49,10 @@ def file_hash(path: Path) -> str:
 
 
 def content_hash(path: Path) -> str:
-    """Return the SHA-256 of a file, or one of the names and contents of a folder's files without those of a desktop."""
+    """Return the SHA-256 of a file, or one of the names and contents of a folder's files.
+
+    Files that a file manager wrote do not count.
+    """
     if path.is_dir():
         files = [file for file in path.iterdir() if file.is_file() and not is_of_desktop(file)]
         return digest({file.name: file_hash(file) for file in files})

@@ -116,12 +116,12 @@ class Fit(NamedTuple):
     lag_gain: float  # by how much the lag raises the magnitude of the correlation beyond what noise can
     judged: bool  # the measured values vary so much that a log of another road would differ
     follows: bool  # as closely as noise allows, with either sign
-    magnitude: float  # largest correlation of the recording with the magnitudes of the measured values
-    one_sided: bool  # no recorded value has another sign than the others
-    other_side: int  # frames that turn to the other side than any recorded value
+    one_sided: bool  # all recorded values have the same sign, or are 0
+    magnitude: float  # if one-sided, largest correlation of the recording with the magnitudes of the measured values
+    other_side: int  # if one-sided, number of frames that turn to the other side
     gain: float  # recorded / measured
     offset: float  # recorded value where the measured one is 0
-    off_centre: bool  # the offset is beyond noise and beyond those of healthy logs
+    off_centre: bool  # the offset is larger than noise and the offsets of healthy logs explain
     cosine: float  # of both values in turning frames, without a lag
     thirds_s: tuple[float, ...]  # lag of each third that follows
     stuck_s: float  # longest time for which the recording stays equal while the measured values vary
@@ -205,11 +205,19 @@ def _fit(pairs: Sequence[Pair], name: str) -> Fit | None:
     slack = noise**2 / max(at_best.std_m**2, 1e-12)
     lag_gain = abs(at_best.correlation) - abs(near[0].correlation) - slack
 
+    # Direction and side of the turns, which a steady bend shows, too.
     turning = used & np.concatenate([_turns(pair) for pair in pairs])
     length = math.sqrt((m[turning] ** 2).sum() * (r[turning] ** 2).sum())
     cosine = (m[turning] * r[turning]).sum() / length if length else 0.0
 
     one_sided = bool((r[used] >= 0).all() or (r[used] <= 0).all())
+    other_side = 0
+    magnitude = 0.0
+    if one_sided:
+        other_side = int((turning & (m * np.sign(r[used].sum()) < 0)).sum())
+        magnitude = max(_moments(np.abs(m), values, least=used.sum() / 2).correlation for values in shifted)
+
+    # The recorded value straight ahead, which is known if the car comes near to it.
     straightest = float(np.percentile(np.abs(m[used]), 5))
     largest_offset = OFFSET_SIGMAS * noise + OFFSET_SHARE * at_best.rms_m + OFFSET_GAP * straightest
     follows = at_best.follows(noise)
@@ -224,9 +232,9 @@ def _fit(pairs: Sequence[Pair], name: str) -> Fit | None:
         lag_gain=lag_gain,
         judged=at_best.needed(noise) >= TELLING**2,
         follows=follows,
-        magnitude=max(_moments(np.abs(m), values, least=used.sum() / 2).correlation for values in shifted),
         one_sided=one_sided,
-        other_side=int((turning & (m * np.sign(r[used].sum()) < 0)).sum()) if one_sided else 0,
+        magnitude=magnitude,
+        other_side=other_side,
         gain=gain,
         offset=offset,
         off_centre=bool(used.sum() >= OFFSET_FRAMES and abs(offset) > largest_offset),
@@ -269,7 +277,7 @@ def _turns(pair: Pair) -> np.ndarray:
 
 
 def _sigma(pair: Pair, name: str) -> np.ndarray:
-    """Return the standard deviations of the measured values [F]: that of an angle is L / v times the yaw rate's."""
+    """Return the standard deviations of the measured values [F]; for an angle, those of the yaw rate times L / v."""
     sigma = _yaw_sigma(pair)
     if name == "steering_rad":
         with np.errstate(divide="ignore", invalid="ignore"):

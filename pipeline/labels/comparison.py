@@ -15,9 +15,11 @@ from pipeline.labels.label import Car, Labels, held
 from pipeline.labels.rates import measured_rates
 from pipeline.metrics import nmse
 
-# Turning frames that a comparison needs, that an inverted sign needs to be an error, and that a wrong unit needs.
+# Turning frames that a comparison needs.
 SHOWN = 20
+# Turning frames from which an inverted sign is an error.
 SIGNED = 40
+# Turning frames from which a wrong unit is an error, and a drive is compared alone.
 JUDGED = 100
 # The cosine of recorded and measured values, of turning frames, is 0.97 to 1 in all parts of eight healthy logs that
 # have SIGNED turning frames; where the sign is inverted, it is the opposite.
@@ -174,7 +176,7 @@ def _wrong_clock(name: str, lag_s: float) -> str:
 
 
 def _wrong_sign(name: str, fit: Fit) -> str:
-    """Return what is wrong with the sign of a column; empty: nothing."""
+    """Return a message if the sign of a column is inverted, else an empty text."""
     inverted = fit.follows and fit.best < 0 and abs(fit.lag_s) <= TURNED_S
     opposite = fit.turning >= SIGNED and fit.cosine < OPPOSITE
     if not (inverted or opposite):

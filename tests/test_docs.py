@@ -7,6 +7,7 @@ import sys
 from contextlib import nullcontext
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -143,16 +144,17 @@ def test_the_dataset_of_the_documentation_yields_each_window_once(tmp_path, monk
 
 
 def test_the_examples_of_a_label_source_and_of_a_metric_work(tmp_path, monkeypatch):
-    """As files that are found by their names."""
-    for name, part in (("labels.sources", "MEASURED = False"), ("metrics", "def score")):
-        module = ModuleType(f"pipeline.{name}.example")
-        exec(code_block(part), vars(module))
-        monkeypatch.setitem(sys.modules, module.__name__, module)
+    """The source as a file that is found by its name."""
+    module = ModuleType("pipeline.labels.sources.example")
+    exec(code_block("MEASURED = False"), vars(module))
+    monkeypatch.setitem(sys.modules, module.__name__, module)
     monkeypatch.setattr("pipeline.settings.labels.SOURCES", ["example", "oxts", "wheel"])
     artefacts.write_recorded(tmp_path / "a.h5", np.arange(3), None, {0: 0.2, 2: -0.1})
     settings = Labels(source="example", wheelbase_m=2.7, min_speed_mps=1.0)
     source.labels_drive(tmp_path / "labels.h5", tmp_path / "a.h5", settings=settings)
     with DriveReader(tmp_path / "labels.h5", stage="labels") as file:
         assert (file["steering_rad"].tolist(), file["valid"].tolist()) == ([0.1, 0, -0.05], [1, 0, 1])
-    monkeypatch.setitem(errors.METRICS, "example", sys.modules["pipeline.metrics.example"])
-    assert errors.scores(np.zeros(4), np.array([0.01, -0.02, 0.05, 0.5]))["example"] == 0.5
+    names = dict[str, Any]()
+    exec(code_block("def within_2_deg"), names)
+    monkeypatch.setitem(errors.METRICS, "within_2_deg", names["within_2_deg"])
+    assert errors.scores(np.zeros(4), np.array([0.01, -0.02, 0.05, 0.5]))["within_2_deg"] == 0.5

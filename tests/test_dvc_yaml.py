@@ -16,13 +16,13 @@ CONFIG: dict[str, Any] = yaml.safe_load((resume.ROOT / "dvc.yaml").read_text())
 STAGES: dict[str, Any] = {name: {**stage, **stage.get("do", {})} for name, stage in CONFIG["stages"].items()}
 NETWORKS = {"${item.spatial}": "models/steering/spatial", "${item.temporal}": "models/steering/temporal"}
 IMPORTS = grimp.build_graph(*resume.PACKAGES, exclude_type_checking_imports=True, cache_dir=None)
-FOUND = {"pipeline/datasets", "pipeline/labels", "pipeline/metrics"}  # with files that are found by their names
+FOUND = {"pipeline/datasets", "pipeline/labels"}  # with files that are found by their names
 PACKAGES = {  # that these stages list although they do not import every file; of other packages they list single files
     "perception": {"pipeline/base", "pipeline/camera", "models/encoder"},
     "clouds": {"pipeline/base", "pipeline/camera"},
     "graphs": {"pipeline/base", "pipeline/camera", "pipeline/graphs"},
-    "train": {"pipeline/base", "pipeline/learning", "pipeline/train"},
-    "evaluate": {"pipeline/base", "pipeline/learning", "pipeline/metrics", "pipeline/train"},
+    "train": {"pipeline/base", "pipeline/train"},
+    "evaluate": {"pipeline/base", "pipeline/train"},
 }
 TRAINING = {"train", "evaluate"}
 

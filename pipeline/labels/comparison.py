@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import InputError
+from pipeline.base.metrics import nmse
 from pipeline.base.store import DriveReader
 from pipeline.labels import source as sources
 from pipeline.labels.agreement import Agreement, Fit, Noise, Pair, Speed, compare
 from pipeline.labels.label import Car, Labels, held
 from pipeline.labels.rates import measured_rates
-from pipeline.metrics import nmse
 
 # Turning frames that a comparison needs.
 SHOWN = 20
@@ -90,7 +90,7 @@ def score(drives: Sequence[np.ndarray]) -> dict[str, Any] | None:
         "yaw_rmse_degps": float(np.sqrt((yaw_degps**2).mean())) if len(yaw_degps) else None,
         "yaw_median_degps": float(np.median(np.abs(yaw_degps))) if len(yaw_degps) else None,
         "speed_ratio": float(np.median(ratio)) if len(ratio) else None,
-        "nmse": nmse.score(true_rad, true_rad + error_rad),
+        "nmse": nmse(true_rad, true_rad + error_rad),
     }
 
 

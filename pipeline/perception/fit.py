@@ -11,8 +11,8 @@ from torch import Tensor, nn
 from tqdm import tqdm
 
 from pipeline.base.errors import InputError
+from pipeline.base.loop import prefetch, warm_up_cosine
 from pipeline.camera import classes
-from pipeline.learning.loop import prefetch, warm_up_cosine
 from pipeline.perception.examples import Examples, augment
 from pipeline.settings.encoder import Encoder
 

@@ -11,16 +11,16 @@ import torch
 from torch import Tensor, nn
 
 from models.encoder.unified_encoder import Architecture, build
+from pipeline.base import checkpoint
 from pipeline.base.errors import error_context
 from pipeline.base.executors import default_workers
+from pipeline.base.loop import prefetch
 from pipeline.base.resume import file_hash
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, read_camera
 from pipeline.camera.images import DEPTH_UNITS_PER_M, Size, to_units
-from pipeline.learning import checkpoint
-from pipeline.learning.loop import prefetch
 from pipeline.perception import precomputed
 from pipeline.perception.ground_plane import limit_traffic_depth
 from pipeline.settings.perception import Perception

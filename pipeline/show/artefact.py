@@ -16,7 +16,7 @@ Content = dict[str, Any]
 def describe(path: Path) -> Content:
     """Return a drive's file or a checkpoint as plain values. Raises InputError if it is missing, damaged or another."""
     if path.suffix == ".pt":
-        from pipeline.learning import checkpoint
+        from pipeline.base import checkpoint
 
         return {"bytes": path.stat().st_size if path.is_file() else 0, **_without_tensors(checkpoint.load(path))}
     with _open(path) as file:

@@ -13,11 +13,10 @@ import torch
 from torch import Tensor, nn
 
 from models.steering.core.steering_net import SteeringNet
-from pipeline.base import store
+from pipeline.base import checkpoint, store
 from pipeline.base.errors import InputError, error_context
+from pipeline.base.loop import warm_up_cosine
 from pipeline.base.resume import stage_key
-from pipeline.learning import checkpoint
-from pipeline.learning.loop import warm_up_cosine
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
 from pipeline.train import predict, runs, windows

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from pipeline.base.errors import InputError
-from pipeline.metrics import nmse
+from pipeline.base.metrics import nmse
 from pipeline.train.targets import LabelledDrive
 
 
@@ -66,7 +66,7 @@ def mean_nmse(drives: Sequence[LabelledDrive], predictions: Sequence[np.ndarray]
     """Return the mean over the columns of the nmse; NaN if every target is 0."""
     pairs = zip(np.concatenate([drive.target for drive in drives]).T, np.concatenate(predictions).T, strict=True)
     known = ((truth, predicted, np.isfinite(predicted - truth)) for truth, predicted in pairs)
-    values = [nmse.score(truth[rows], predicted[rows]) for truth, predicted, rows in known]
+    values = [nmse(truth[rows], predicted[rows]) for truth, predicted, rows in known]
     return float(np.mean(of_columns)) if (of_columns := [value for value in values if value is not None]) else np.nan
 
 

@@ -9,11 +9,11 @@ import numpy as np
 import torch
 
 from models.steering.core.steering_net import SteeringNet
+from pipeline.base import checkpoint
 from pipeline.base.earlier import LAST
 from pipeline.base.errors import InputError, error_context
 from pipeline.graphs.graph_file import Contents, Graphs, open_graphs
 from pipeline.labels import label
-from pipeline.learning import checkpoint
 from pipeline.settings.models import Entry
 from pipeline.train import windows
 from pipeline.train.frames import Files

@@ -26,8 +26,8 @@ import torch
 from torch import Tensor
 
 from pipeline.base.errors import InputError
+from pipeline.base.loop import prefetch
 from pipeline.graphs.graph_file import Graphs
-from pipeline.learning.loop import prefetch
 from pipeline.train.frames import Files, join, number_rows, per_frame
 from pipeline.train.targets import Timeline, window_values
 

@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 import torch
 
+from pipeline.base import checkpoint
 from pipeline.base.errors import InputError
-from pipeline.learning import checkpoint
 from pipeline.train.fit import Fit
 from tests import artefacts, small_model
 from tests.kitti_drive import contents

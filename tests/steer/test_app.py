@@ -10,8 +10,8 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
+from pipeline.base import checkpoint
 from pipeline.base.resume import ROOT
-from pipeline.learning import checkpoint
 from steer.app import app
 from tests.artefacts import write_dataset
 

@@ -16,9 +16,9 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.base import checkpoint, loop
 from pipeline.base.errors import InputError
 from pipeline.graphs.graph_file import Arrays, open_graphs
-from pipeline.learning import checkpoint, loop
 from pipeline.settings.train import Train
 from pipeline.train import fit, frames, loss, predict, runs, targets, windows
 from pipeline.train.loss import Scale

@@ -22,7 +22,7 @@ from pipeline.camera import classes
 from pipeline.camera.camera import Camera, read_camera
 from pipeline.camera.images import DEPTH_UNITS_PER_M, Size, to_units
 from pipeline.perception import precomputed
-from pipeline.perception.ground_plane import limit_traffic_depth
+from pipeline.perception.reach import limit_traffic_depth
 from pipeline.settings.perception import Perception
 
 FILE = "encoder.pt"

@@ -8,8 +8,8 @@ import numpy as np
 from pipeline.base.store import DriveReader
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, scan_depth
+from pipeline.camera.ground_plane import ground_plane_depth
 from pipeline.camera.images import to_metres
-from pipeline.perception.ground_plane import ground_plane_depth
 
 MIN_DEPTH_M, MAX_DEPTH_M = 1.0, 80.0
 DEPTH_ERRORS = ("abs_rel", "rmse_m", "delta1")

@@ -1,4 +1,4 @@
-"""The depth of flat ground: a baseline for encoders, and a cap on the depth of traffic (perception.reach)."""
+"""The depth of flat ground: a baseline for encoders, and the reference of a cap on the depth of traffic."""
 
 import numpy as np
 
@@ -21,16 +21,3 @@ def ground_plane_depth(cls: np.ndarray, camera: Camera) -> np.ndarray:
     ground = np.isin(cls, classes.GROUND) & (plane < MAX_GROUND_M)
     rows = np.where(ground, np.arange(height)[:, None], height - 1)
     return np.take_along_axis(plane, np.minimum.accumulate(rows[::-1])[::-1], axis=0)
-
-
-def limit_traffic_depth(depth: np.ndarray, cls: np.ndarray, camera: Camera, reach: float) -> None:
-    """Cap the depth of traffic [H,W] in metres, in place, at `reach` times the depth of flat ground at its lower edge.
-
-    Depth networks mistake smooth and bright surfaces, such as the side of a tanker, for the sky.
-    The cap is wrong on slopes: traffic gets too little depth on descents steeper than `reach` allows, and on ascents
-    the cap has no effect. A vehicle behind another one gets the depth of the nearer one.
-    """
-    traffic = np.isin(cls, classes.TRAFFIC)
-    if traffic.any():
-        ground_m = ground_plane_depth(cls, camera)
-        depth[traffic] = np.minimum(depth[traffic], reach * ground_m[traffic])

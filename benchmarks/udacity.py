@@ -16,9 +16,9 @@ import typer
 from pipeline.base import console, store
 from pipeline.base.outputs import claim
 from pipeline.base.resume import revision
-from pipeline.datasets import udacity
+from pipeline.ingest.datasets import udacity
+from pipeline.ingest.log import Logs
 from pipeline.labels.label import Car
-from pipeline.media.log import Logs
 from pipeline.video.measure import measure
 from pipeline.video.source import Source
 from presets.run import origin

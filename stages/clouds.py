@@ -8,8 +8,8 @@ from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
 from pipeline.base.runner import file_jobs, make_drives
 from pipeline.graphs import cloud
+from pipeline.ingest.settings import Ingest
 from pipeline.settings.clouds import Clouds
-from pipeline.settings.ingest import Ingest
 
 
 def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:

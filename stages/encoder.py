@@ -13,11 +13,11 @@ from pipeline.base.errors import error_context
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
 from pipeline.base.runner import Job, Summary, make_drives
+from pipeline.ingest.settings import Ingest
 from pipeline.perception import fit, perceive
 from pipeline.perception.create import create
 from pipeline.perception.examples import Examples
 from pipeline.settings.encoder import Encoder
-from pipeline.settings.ingest import Ingest
 
 
 def main(data: Path = Path("data"), out: Path = Path("data/encoder"), params: Path = Path("params.yaml")) -> Path:

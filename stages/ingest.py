@@ -8,13 +8,13 @@ from pipeline.base import console, store
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
 from pipeline.base.resume import digest
-from pipeline.base.runner import Job, Summary, make_drives
-from pipeline.datasets import kitti
-from pipeline.datasets.core import drive as datasets
-from pipeline.datasets.core.ingest_file import write_drive
-from pipeline.settings.ingest import Ingest, Reading
+from pipeline.base.runner import Job, make_drives
+from pipeline.ingest import drive as datasets
+from pipeline.ingest.datasets import kitti
+from pipeline.ingest.ingest_file import ingest_drive
+from pipeline.ingest.settings import Ingest, Reading
 
-WRITER = "pipeline/datasets/core/ingest_file.py"
+WRITER = "pipeline/ingest/ingest_file.py"
 
 
 def main(data: Path = Path("data"), raw: Path = Path("data/raw"), params: Path = Path("params.yaml")) -> Path:
@@ -29,17 +29,12 @@ def main(data: Path = Path("data"), raw: Path = Path("data/raw"), params: Path =
         root = data / "sample" if of[name] == "sample" else raw
         facts[name] = datasets.load(of[name]).fingerprint(name, settings, root)
         work = partial(ingest_drive, name=name, dataset=of[name], settings=settings, root=root, reading=reading)
-        code = f"pipeline/datasets/{of[name]}.py", WRITER
+        code = f"pipeline/ingest/datasets/{of[name]}.py", WRITER
         jobs.append(Job(name, f"{name}.h5", [digest([of[name], facts[name]])], work, code))
     jobs.sort(key=lambda job: len(facts[job.drive]), reverse=True)  # the longest first
     with stage_folder("ingest", out, splits) as stage:
         make_drives(stage, jobs, reading, "{frames} frames{counts}")
     return out
-
-
-def ingest_drive(path: Path, name: str, dataset: str, settings: Ingest, root: Path, reading: Reading) -> Summary:
-    """Write a drive's file."""
-    return write_drive(path, datasets.load(dataset).open_drive(name, settings, root), name, dataset, reading)
 
 
 if __name__ == "__main__":

@@ -13,11 +13,12 @@ from pipeline.base.params import SPLITS, load
 from pipeline.base.runner import Summary, file_jobs, make_drives
 from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
+from pipeline.ingest.truth import read_truth
 from pipeline.labels import comparison
 from pipeline.labels import source as sources
 from pipeline.labels.agreement import compare
 from pipeline.labels.label import Car
-from pipeline.perception.scores import Scores, read_truth
+from pipeline.perception.scores import Scores
 from pipeline.settings.labels import SOURCES, Labels
 
 

@@ -57,9 +57,9 @@ def import_recording(
     from pipeline.base.errors import error_context
     from pipeline.base.params import check_name
     from pipeline.camera.lens import numbers
-    from pipeline.datasets.recording import MOTION, TIMES, WHEEL, read_logs
-    from pipeline.media.names import check_different
-    from pipeline.settings.ingest import KITTI_NAMES, Part
+    from pipeline.ingest.datasets.recording import MOTION, TIMES, WHEEL, read_logs
+    from pipeline.ingest.names import check_different
+    from pipeline.ingest.settings import KITTI_NAMES, Part
     from pipeline.settings.preset import PRESETS
     from pipeline.video import import_recording as importing
 

@@ -11,13 +11,13 @@ from pipeline.base import store
 from pipeline.camera.camera import Frame
 from pipeline.camera.classes import BUILDING, ROAD
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
-from pipeline.datasets.core.drive import Drive
-from pipeline.datasets.core.ingest_file import write_drive
 from pipeline.graphs import frame_graph, graph_file
+from pipeline.ingest.drive import Drive
+from pipeline.ingest.ingest_file import write_drive
+from pipeline.ingest.settings import Reading
 from pipeline.labels import label, source
 from pipeline.motion.step import PROBLEMS, STANDSTILL
 from pipeline.settings.graphs import Variant
-from pipeline.settings.ingest import Reading
 from pipeline.settings.labels import Labels
 from pipeline.train.frames import join, number_rows
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import yaml
 
-from pipeline.datasets.core.oxts import VF, WU
+from pipeline.ingest.packets import VF, WU
 
 DATE = "2011_09_26"
 DRIVE = f"{DATE}_drive_0001"

@@ -11,10 +11,10 @@ from pipeline.camera import classes
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import CAMERA_HEIGHT_M, back_project, rays
 from pipeline.camera.images import to_units
-from pipeline.datasets.core import ingest_file
-from pipeline.datasets.core.drive import Drive
-from pipeline.datasets.core.oxts import make_rows
-from pipeline.settings.ingest import Reading
+from pipeline.ingest import ingest_file
+from pipeline.ingest.drive import Drive
+from pipeline.ingest.packets import make_rows
+from pipeline.ingest.settings import Reading
 
 SIZE = (32, 64)
 K = np.array([[40.0, 0.0, 31.0], [0.0, 40.0, 12.0], [0.0, 0.0, 1.0]])

@@ -16,7 +16,7 @@ CONFIG: dict[str, Any] = yaml.safe_load((resume.ROOT / "dvc.yaml").read_text())
 STAGES: dict[str, Any] = {name: {**stage, **stage.get("do", {})} for name, stage in CONFIG["stages"].items()}
 NETWORKS = {"${item.spatial}": "models/steering/spatial", "${item.temporal}": "models/steering/temporal"}
 IMPORTS = grimp.build_graph(*resume.PACKAGES, exclude_type_checking_imports=True, cache_dir=None)
-FOUND = {"pipeline/datasets", "pipeline/labels"}  # with files that are found by their names
+FOUND = {"pipeline/ingest", "pipeline/labels"}  # with files that are found by their names
 PACKAGES = {  # that these stages list although they do not import every file; of other packages they list single files
     "perception": {"pipeline/base", "pipeline/camera", "models/encoder"},
     "clouds": {"pipeline/base", "pipeline/camera"},
@@ -99,6 +99,7 @@ def test_sections_that_a_stage_reads_are_its_params(name):
     tree = ast.parse((resume.ROOT / "stages" / f"{name}.py").read_text())
     modules = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
     read = {module.removeprefix("pipeline.settings.") for module in modules if module.startswith("pipeline.settings.")}
+    read |= {module.split(".")[1] for module in modules if re.fullmatch(r"pipeline\.\w+\.settings", module)}
     listed = {param.split(".")[0] for param in STAGES[name].get("params", [])}
     # check depends on the whole file; of models, report reads only names.
     assert listed == {"check": set(), "report": {"models", "evaluate"}}.get(name, read)

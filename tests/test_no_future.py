@@ -6,15 +6,15 @@ import numpy as np
 
 from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Frame
-from pipeline.datasets.core.drive import Drive
-from pipeline.datasets.core.ingest_file import write_drive
 from pipeline.graphs.cloud import clouds_drive
 from pipeline.graphs.frame_graph import graphs_drive
+from pipeline.ingest.drive import Drive
+from pipeline.ingest.ingest_file import write_drive
+from pipeline.ingest.settings import Reading
 from pipeline.motion.drive import measure_drive
 from pipeline.perception.perceive import perceive_drive
 from pipeline.settings.clouds import Clouds
 from pipeline.settings.graphs import Variant
-from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from tests import street
 from tests.flat_ground import write_encoder

@@ -3,7 +3,7 @@
 import numpy as np
 
 from pipeline.base.store import DriveReader
-from pipeline.datasets.core.oxts import VF, WU, interpolated
+from pipeline.ingest.packets import VF, WU, interpolated
 from pipeline.labels.rates import measured_rates, stands
 
 

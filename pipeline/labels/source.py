@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader, DriveWriter
-from pipeline.datasets.core.oxts import VL, interpolated, make_rows
+from pipeline.ingest.packets import VL, interpolated, make_rows
 from pipeline.labels.agreement import backwards
 from pipeline.labels.ahead import path_ahead
 from pipeline.labels.label import TURNING_RAD, Car, Labels

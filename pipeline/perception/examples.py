@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Camera, read_camera
-from pipeline.perception.scores import read_truth
+from pipeline.ingest.truth import read_truth
 
 LUMA = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601
 GREY = 0.15  # share of augmented images without colour: some drives have a grey camera

@@ -1,40 +1,20 @@
-"""Ground truth of depth and classes, from dense labels or a LiDAR scan, and errors of predictions against it."""
+"""Errors of depth and classes against ground truth."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from pipeline.base.store import DriveReader
 from pipeline.camera import classes
-from pipeline.camera.camera import Camera, scan_depth
+from pipeline.camera.camera import Camera
 from pipeline.camera.ground_plane import ground_plane_depth
-from pipeline.camera.images import to_metres
+from pipeline.ingest.truth import Truth
 
 MIN_DEPTH_M, MAX_DEPTH_M = 1.0, 80.0
 DEPTH_ERRORS = ("abs_rel", "rmse_m", "delta1")
 # The encoder's depth and the flat-ground baseline, each against dense truth and LiDAR, in Eigen's crop.
 DEPTH_SCORES = ("depth_dense", "depth_lidar", "ground_plane_dense", "ground_plane_lidar")
 EIGEN_ROWS, EIGEN_COLUMNS = (0.3324324, 0.91351351), (0.0359477, 0.96405229)  # shares of height and width
-
-
-class Truth(NamedTuple):
-    """Depth [H,W] in metres, 0 where unknown, and trainIds uint8 [H,W], 255 where unknown, of a frame."""
-
-    depth_m: np.ndarray
-    depth_source: str  # dense, lidar, or empty
-    cls: np.ndarray
-
-
-def read_truth(drive: DriveReader, camera: Camera, row: int) -> Truth:
-    """Return the ground truth of a row of an ingest file. Dense depth takes precedence over projected LiDAR."""
-    depth_m, source = np.zeros(camera.size, np.float32), ""
-    if drive.row("has_depth", row):
-        depth_m, source = to_metres(drive.row("depth", row)).astype(np.float32), "dense"
-    elif drive.row("has_lidar", row):
-        depth_m, source = scan_depth(drive.rows_of("lidar", row), camera), "lidar"
-    cls = drive.row("cls", row) if drive.row("has_cls", row) else np.full(camera.size, classes.VOID, np.uint8)
-    return Truth(depth_m, source, cls)
 
 
 def depth_errors(predicted_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray | None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipeline.datasets.core.oxts import EARTH_RADIUS_M, GRAVITY_MPS2, format_packet, format_times, make_rows
+from pipeline.ingest.packets import EARTH_RADIUS_M, GRAVITY_MPS2, format_packet, format_times, make_rows
 from pipeline.sample.motion import Journey
 from pipeline.sample.route import IMU_HEIGHT_M, rotation
 

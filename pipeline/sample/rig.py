@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.camera import classes, geometry
 from pipeline.camera.geometry import CAMERA_HEIGHT_M, SCANNER_HEIGHT_M, rigid
 from pipeline.camera.images import MAX_UNITS, to_metres
-from pipeline.datasets.core.calibration import CALIBRATION, write_entries
+from pipeline.ingest.calibration import CALIBRATION, write_entries
 from pipeline.sample.light import Light, shade
 from pipeline.sample.route import IMU_HEIGHT_M, rotation
 from pipeline.sample.world import World, dot

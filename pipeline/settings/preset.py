@@ -15,11 +15,11 @@ from pipeline.base.errors import InputError
 from pipeline.base.params import Name, Section, parse, read
 from pipeline.base.resume import ROOT, content_hash
 from pipeline.base.store import replacing
+from pipeline.ingest.settings import Ingest
 from pipeline.settings.clouds import Clouds
 from pipeline.settings.encoder import Encoder
 from pipeline.settings.evaluate import Evaluate
 from pipeline.settings.graphs import Variant
-from pipeline.settings.ingest import Ingest
 from pipeline.settings.labels import Labels
 from pipeline.settings.models import Entry
 from pipeline.settings.perception import Perception

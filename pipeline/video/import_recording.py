@@ -19,15 +19,15 @@ from pipeline.base.resume import ROOT, content_hash, is_of_desktop
 from pipeline.base.store import replacing
 from pipeline.camera.camera import Camera
 from pipeline.camera.lens import depth_limit
-from pipeline.datasets.recording import FRAMES, MOTION, TIMES, VIDEO, WHEEL, open_part, usable
+from pipeline.ingest.datasets.recording import FRAMES, MOTION, TIMES, VIDEO, WHEEL, open_part, usable
+from pipeline.ingest.log import Logs
+from pipeline.ingest.media import Recording
+from pipeline.ingest.settings import Part
 from pipeline.labels.agreement import MOVES_MPS, Noise, Pair, compare
 from pipeline.labels.comparison import UNKNOWN, judge_turns
 from pipeline.labels.label import Labels
-from pipeline.media.log import Logs
-from pipeline.media.recording import Recording
 from pipeline.motion.horizon import noted_horizon, turn_rates
 from pipeline.motion.step import TYPICAL_MPS
-from pipeline.settings.ingest import Part
 from pipeline.settings.preset import IMPORT, is_unedited, stamped
 
 OWN = rf"({VIDEO}[-.]|({FRAMES}|{WHEEL}|{MOTION}|{TIMES})$)"  # names of links

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.store import DriveReader
+from pipeline.ingest.settings import Reading
 from pipeline.labels.label import Car
 from pipeline.perception.perceive import warnings
-from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from pipeline.video.pictures import publish
 from pipeline.video.results import Outcome, Results

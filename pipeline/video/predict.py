@@ -12,10 +12,10 @@ from pipeline.camera.lens import MAX_DEPTH_M, depth_limit
 from pipeline.graphs import graph_file
 from pipeline.graphs.cloud import clouds_drive
 from pipeline.graphs.frame_graph import graphs_drive
+from pipeline.ingest.settings import Reading
 from pipeline.perception.perceive import FILE
 from pipeline.settings.clouds import Clouds
 from pipeline.settings.graphs import Variant
-from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 from pipeline.train.predict import Trained
 from pipeline.video.pictures import publish

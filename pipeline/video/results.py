@@ -14,12 +14,12 @@ import pandas as pd
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.evaluate import errors
+from pipeline.ingest.log import Logs
 from pipeline.labels import rates
 from pipeline.labels import source as sources
 from pipeline.labels.agreement import Agreement, Pair, compare
 from pipeline.labels.comparison import judge, read_noise
 from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
-from pipeline.media.log import Logs
 from pipeline.motion.doubts import find_doubts
 from pipeline.motion.step import PROBLEMS
 from pipeline.settings.evaluate import Evaluate

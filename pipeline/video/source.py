@@ -14,17 +14,17 @@ from tqdm import tqdm
 
 from pipeline.base.errors import InputError
 from pipeline.camera.camera import Camera
-from pipeline.datasets import kitti
-from pipeline.datasets.core.drive import Drive
-from pipeline.datasets.core.ingest_file import write_drive
-from pipeline.datasets.core.oxts import read_times
-from pipeline.datasets.recording import Capture, open_images
-from pipeline.media.log import Logs
+from pipeline.ingest.datasets import kitti
+from pipeline.ingest.datasets.recording import Capture, open_images
+from pipeline.ingest.drive import Drive
+from pipeline.ingest.ingest_file import write_drive
+from pipeline.ingest.log import Logs
+from pipeline.ingest.packets import read_times
+from pipeline.ingest.settings import Reading
 from pipeline.motion.doubts import check_unit
 from pipeline.motion.drive import measure_drive
 from pipeline.motion.horizon import noted_horizon
 from pipeline.perception.perceive import perceive_drive
-from pipeline.settings.ingest import Reading
 from pipeline.settings.perception import Perception
 
 INGEST, PERCEPTION, MOTION = "ingest.h5", "perception.h5", "motion.h5"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.media.log import Logs
-from pipeline.media.recording import open_recording
+from pipeline.ingest.log import Logs
+from pipeline.ingest.media import open_recording
 from tests.kitti_drive import SIZE, pictures, write
 
 

@@ -12,10 +12,10 @@ import pytest
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, read_index
 from pipeline.camera.camera import Camera, Frame
-from pipeline.datasets import kitti
-from pipeline.datasets.core.calibration import CALIBRATION, RENDERED
-from pipeline.datasets.core.drive import Drive
-from pipeline.datasets.core.ingest_file import write_drive as write_ingest
+from pipeline.ingest.calibration import CALIBRATION, RENDERED
+from pipeline.ingest.datasets import kitti
+from pipeline.ingest.drive import Drive
+from pipeline.ingest.ingest_file import write_drive as write_ingest
 from pipeline.video.measure import READING
 from stages import ingest
 from tests.kitti_drive import DATE, DRIVE, SIZE, contents, write, write_drive, write_params, write_png

@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, DriveWriter, read_index
-from pipeline.datasets.core.oxts import interpolated, make_rows
+from pipeline.ingest.packets import interpolated, make_rows
 from stages import labels
 from tests.artefacts import write_index, write_motion, write_recorded
 from tests.kitti_drive import write_params

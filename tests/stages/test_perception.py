@@ -11,7 +11,7 @@ from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
 from pipeline.camera import classes
-from pipeline.datasets.core.oxts import make_rows
+from pipeline.ingest.packets import make_rows
 from pipeline.labels.label import Car
 from pipeline.motion.drive import measure_drive
 from pipeline.perception.perceive import save

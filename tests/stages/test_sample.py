@@ -5,7 +5,7 @@ from pathlib import Path
 import yaml
 
 from pipeline.base import resume
-from pipeline.datasets.kitti import find_drive
+from pipeline.ingest.datasets.kitti import find_drive
 from stages import sample
 
 DRIVES = ["2026_01_01_drive_0001", "2026_01_01_drive_0002", "2026_01_05_drive_0001"]  # two dates, two cameras

@@ -24,7 +24,7 @@ from pipeline.base.resume import ROOT
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, scan_depth
 from pipeline.camera.images import read_image, resized
-from pipeline.datasets.kitti import KittiDrive, read_scan
+from pipeline.ingest.datasets.kitti import KittiDrive, read_scan
 from pipeline.perception.create import create as create_encoder
 from pipeline.perception.perceive import load, perceive, save
 from pipeline.perception.scores import class_ious, confusion, depth_errors, eigen_crop

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.datasets.core import oxts
-from pipeline.datasets.kitti import KittiDrive
 from pipeline.evaluate import errors, metrics, turns
 from pipeline.evaluate.turns import drift, segments
+from pipeline.ingest import packets
+from pipeline.ingest.datasets.kitti import KittiDrive
 from pipeline.labels import label
 from pipeline.settings.evaluate import Evaluate
 from pipeline.train.loss import Scale
@@ -228,10 +228,10 @@ def test_paths_of_true_angles_follow_gnss(real_kitti, tmp_path):
 
 def off_the_track(raw: KittiDrive) -> np.ndarray:
     """Return how many metres per 100 m the path of true angles ends beside GNSS, for pieces of 100 m."""
-    rows = np.array([oxts.read_row(path) for path in raw.oxts.values()])
-    time_s = oxts.read_times(raw.oxts_times, list(raw.oxts))
-    lat, lon, yaw, speed = (rows[:, oxts.COLUMNS.index(name)] for name in ("lat", "lon", "yaw", "vf"))
-    angle, *_ = label.steering_labels(rows[:, oxts.WU], speed, label.Car(2.7, 1.0))
+    rows = np.array([packets.read_row(path) for path in raw.oxts.values()])
+    time_s = packets.read_times(raw.oxts_times, list(raw.oxts))
+    lat, lon, yaw, speed = (rows[:, packets.COLUMNS.index(name)] for name in ("lat", "lon", "yaw", "vf"))
+    angle, *_ = label.steering_labels(rows[:, packets.WU], speed, label.Car(2.7, 1.0))
     # Mercator's, as KITTI's own tools have it: metres at the drive's latitude, x to the east, y to the north.
     radius_m = 6378137.0 * np.cos(np.deg2rad(lat[0]))
     gnss = radius_m * np.stack([np.deg2rad(lon), np.log(np.tan(np.deg2rad(90 + lat) / 2))], axis=1)

@@ -10,8 +10,9 @@ from pipeline.base.params import load
 from pipeline.base.resume import ROOT
 from pipeline.camera import classes, geometry
 from pipeline.camera.images import read_pixels, to_metres
-from pipeline.datasets.core.oxts import COLUMNS
-from pipeline.datasets.kitti import KittiDrive, read_scan
+from pipeline.ingest.datasets.kitti import KittiDrive, read_scan
+from pipeline.ingest.packets import COLUMNS
+from pipeline.ingest.settings import Ingest
 from pipeline.labels.label import steering_angle
 from pipeline.sample import motion
 from pipeline.sample.drive import random_of, render_drive, theme
@@ -23,7 +24,6 @@ from pipeline.sample.rig import make_rig, write_calibration
 from pipeline.sample.route import AHEAD_M, DECK, IMU_LEFT_M, STEP_M, draw_route, rotation, unit
 from pipeline.sample.street import build_street
 from pipeline.sample.world import World
-from pipeline.settings.ingest import Ingest
 from pipeline.settings.sample import Sample
 
 

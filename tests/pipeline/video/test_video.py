@@ -23,14 +23,14 @@ from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Frame
 from pipeline.camera.geometry import rays
 from pipeline.camera.lens import fisheye, pinhole, undistortion
-from pipeline.datasets.core.drive import Drive
-from pipeline.datasets.core.ingest_file import write_drive
-from pipeline.datasets.core.oxts import make_rows
+from pipeline.ingest import media
+from pipeline.ingest.drive import Drive
+from pipeline.ingest.ingest_file import write_drive
+from pipeline.ingest.log import Log, Logs
+from pipeline.ingest.media import open_recording, read_times
+from pipeline.ingest.names import group, order_doubts
+from pipeline.ingest.packets import make_rows
 from pipeline.labels.label import Car, Labels
-from pipeline.media import recording
-from pipeline.media.log import Log, Logs
-from pipeline.media.names import group, order_doubts
-from pipeline.media.recording import open_recording, read_times
 from pipeline.motion.step import durations
 from pipeline.video.measure import READING
 from pipeline.video.results import Results, Truth, read_course, read_truth
@@ -70,10 +70,10 @@ def test_files_that_follow_each_other_are_one_recording(tmp_path):
         assert np.abs(found - images).mean() < 4
     times = "2026-11-26 12:00:00", "2026-11-26 12:00:10", "2026-11-26 12:00:12", None
     videos = [
-        recording._Video(Path(f"{n}.mp4"), 40, 40, True, 0.0, 3.9, 0.1, pd.Timestamp(t), np.nan, [])
+        media._Video(Path(f"{n}.mp4"), 40, 40, True, 0.0, 3.9, 0.1, pd.Timestamp(t), np.nan, [])
         for n, t in enumerate(times)
     ]
-    begins_s, notes = recording._follow(videos)
+    begins_s, notes = media._follow(videos)
     assert begins_s == [0, 10, 14, 18]
     assert notes == ["1.mp4 begins 6.0 s after the end of 0.mp4", "2.mp4 begins 2.0 s before the end of 1.mp4"]
 
@@ -547,7 +547,7 @@ def test_a_log_of_another_time_is_refused_before_images_are_decoded(tmp_path, mo
         write_stream(path)
     times.write_text("\n".join(str(start_s + number / 10) for number in range(30)))
     options = {"times": times} if name == "times" else {"fps": 10.0} if name in ("a.h264", "images") else {}
-    monkeypatch.setattr(recording, "_scan", None)  # which decodes
+    monkeypatch.setattr(media, "_scan", None)  # which decodes
     spans_s: list[tuple[float, float]] = []
     with pytest.raises(TypeError):
         open_recording(path, **options, check_span=lambda *span_s: spans_s.append(span_s))

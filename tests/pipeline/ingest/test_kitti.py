@@ -15,10 +15,10 @@ from pipeline.base.errors import InputError
 from pipeline.base.resume import digest
 from pipeline.camera.geometry import depth_image, project, transform
 from pipeline.camera.images import read_pixels
-from pipeline.datasets import kitti, sample
-from pipeline.datasets.core import oxts
-from pipeline.datasets.core.calibration import read_calibration
-from pipeline.datasets.kitti import KittiDrive, read_scan
+from pipeline.ingest import packets
+from pipeline.ingest.calibration import read_calibration
+from pipeline.ingest.datasets import kitti, sample
+from pipeline.ingest.datasets.kitti import KittiDrive, read_scan
 from tests.kitti_drive import DATE, DRIVE, scan, write, write_calibration, write_drive
 
 
@@ -96,20 +96,20 @@ def test_real_calibration_agrees_with_pykitti(real_kitti):
 def test_columns_equal_pykittis():
     from pykitti.utils import OxtsPacket
 
-    assert OxtsPacket._fields == oxts.COLUMNS
-    assert (oxts.VF, oxts.VL, oxts.WU) == (8, 9, 22)
+    assert OxtsPacket._fields == packets.COLUMNS
+    assert (packets.VF, packets.VL, packets.WU) == (8, 9, 22)
 
 
 @given(st.integers(0, 2**32 - 1))
 def test_packets_and_times_round_trip(tmp_path_factory, seed):
     rng, path = np.random.default_rng(seed), tmp_path_factory.mktemp("oxts") / "a.txt"
     row = rng.uniform(-1, 1, 30)
-    row[oxts.COLUMNS.index("navstat") :] = [4, 9, 4, 4, 4]
-    path.write_bytes(oxts.format_packet(row))
-    np.testing.assert_allclose(oxts.read_row(path), row, rtol=1e-12)
+    row[packets.COLUMNS.index("navstat") :] = [4, 9, 4, 4, 4]
+    path.write_bytes(packets.format_packet(row))
+    np.testing.assert_allclose(packets.read_row(path), row, rtol=1e-12)
     time_s = np.cumsum(rng.integers(1, 10**10, 5)) / 1e9
-    path.write_bytes(oxts.format_times(time_s, "2027_03_31", 8 * 3600))
-    np.testing.assert_allclose(oxts.read_times(path, [*range(5)]), time_s - time_s[0], atol=1e-9)
+    path.write_bytes(packets.format_times(time_s, "2027_03_31", 8 * 3600))
+    np.testing.assert_allclose(packets.read_times(path, [*range(5)]), time_s - time_s[0], atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -122,11 +122,11 @@ def test_packets_and_times_round_trip(tmp_path_factory, seed):
 )
 def test_lines_and_frames(tmp_path, lines, frames, expected):
     write(tmp_path / "a.txt", "".join(f"2011-09-26 13:02:{text}\n" if text else "\n" for text in lines))
-    np.testing.assert_allclose(oxts.read_times(tmp_path / "a.txt", frames), expected, atol=1e-12)
+    np.testing.assert_allclose(packets.read_times(tmp_path / "a.txt", frames), expected, atol=1e-12)
 
 
 def read_three(path: Path) -> np.ndarray:
-    return oxts.read_times(path, [0, 1, 2])
+    return packets.read_times(path, [0, 1, 2])
 
 
 def read_camera(path: Path) -> object:
@@ -147,18 +147,18 @@ SCAN = scan(np.random.default_rng(0), 640)
 BYTES = (SCAN * np.float32([1, 1, 1, 255])).tobytes()
 PLAINLY_WRONG: list[tuple[Callable[[Path], object], str | bytes, str]] = [
     (read_scan, SCAN.tobytes()[:-7], "cut short at 10233 bytes"),
-    (read_scan, SCAN[:400].tobytes(), "cut short at -14.7 degrees .*LOWEST_DEG in pipeline/datasets/kitti.py"),
+    (read_scan, SCAN[:400].tobytes(), "cut short at -14.7 degrees .*LOWEST_DEG in pipeline/ingest/datasets/kitti.py"),
     (read_scan, BYTES, r"reflectance is .*, expected 0 to 1\. Convert"),
     (read_scan, np.c_[SCAN, np.ones(640, "f4")].tobytes(), "nuScenes has five columns"),
     (read_scan, (0 * SCAN).tobytes(), "no point"),
-    (oxts.read_row, "", "got 0"),
-    (oxts.read_row, "1.0 " * 22 + "nan " + "1.0 " * 7, "wu = nan"),
+    (packets.read_row, "", "got 0"),
+    (packets.read_row, "1.0 " * 22 + "nan " + "1.0 " * 7, "wu = nan"),
     (read_three, lines(25.0, 25.1), "got 2"),
     (read_three, lines(25.0, 25.2, 25.1), "time does not increase .*: 0.1 in line 3"),
     (read_three, lines(25.0, 25.1, "x"), "time is not a date and time: '2011-09-26 13:02:x' in line 3"),
     (read_camera, "P_rect_02: 5.000000000e+01→P_rect_02: inf", "P_rect_02: expected 12 finite"),
     (read_camera, "calib_time:→<html>\ncalib_time:", "not a calibration file"),
-    (oxts.read_steering, "frame,steering_rad\n3,2.5\n", "steering_rad is implausible .*: '2.5' in line 2"),
+    (packets.read_steering, "frame,steering_rad\n3,2.5\n", "steering_rad is implausible .*: '2.5' in line 2"),
 ]
 
 

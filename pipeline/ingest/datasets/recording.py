@@ -14,10 +14,10 @@ from pipeline.base.resume import content_hash
 from pipeline.camera.camera import Camera
 from pipeline.camera.images import format_size
 from pipeline.camera.lens import fisheye, pinhole, undistortion
-from pipeline.datasets.core.drive import Drive
-from pipeline.media.log import ROUNDING_S, Logs
-from pipeline.media.recording import Recording, open_recording
-from pipeline.settings.ingest import Ingest, Part
+from pipeline.ingest.drive import Drive
+from pipeline.ingest.log import ROUNDING_S, Logs
+from pipeline.ingest.media import Recording, open_recording
+from pipeline.ingest.settings import Ingest, Part
 
 VIDEO, FRAMES = "video", "frames"  # beginnings of the names of files in a folder of data/raw
 WHEEL, MOTION, TIMES = "wheel.csv", "motion.csv", "times.txt"

@@ -22,10 +22,10 @@ from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.params import RATE_TOLERANCE
 from pipeline.camera.camera import Frame
 from pipeline.camera.images import Size, format_size, read_image
-from pipeline.media.columns import check_increase, fault, refuse
-from pipeline.media.names import PICTURES, check_different, check_name, order_doubts, videos_in, visible, words
-from pipeline.media.repeats import evened, repeats
-from pipeline.media.stereo import likeness, refuse_stereo
+from pipeline.ingest.columns import check_increase, fault, refuse
+from pipeline.ingest.names import PICTURES, check_different, check_name, order_doubts, videos_in, visible, words
+from pipeline.ingest.repeats import evened, repeats
+from pipeline.ingest.stereo import likeness, refuse_stereo
 
 _CONVERT = "Copy the file again, or convert it: ffmpeg -i {name} -c:v libx264 converted.mp4"
 # Playlists, scripts and session descriptions can open other files and sockets. So only containers and streams of frames

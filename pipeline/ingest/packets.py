@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.media.columns import LIMIT_MPS, LIMIT_RAD, LIMIT_RADPS, check_increase, fault, read_columns, refuse
+from pipeline.ingest.columns import LIMIT_MPS, LIMIT_RAD, LIMIT_RADPS, check_increase, fault, read_columns, refuse
 
 COLUMNS = (
     "lat", "lon", "alt", "roll", "pitch", "yaw", "vn", "ve", "vf", "vl", "vu", "ax", "ay", "az", "af", "al", "au",

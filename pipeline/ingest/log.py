@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 
 from pipeline.base.errors import InputError
-from pipeline.media.columns import LIMIT_MPS, LIMIT_RAD, LIMIT_RADPS, read_columns, refuse
-from pipeline.media.names import check_name
-from pipeline.media.recording import check_times
+from pipeline.ingest.columns import LIMIT_MPS, LIMIT_RAD, LIMIT_RADPS, read_columns, refuse
+from pipeline.ingest.media import check_times
+from pipeline.ingest.names import check_name
 
 MAX_GAP_S = 0.5  # between values that are interpolated
 WRAPPED_RAD = 5.0  # between two values: no wheel turns this fast

@@ -10,7 +10,7 @@ from pipeline.base.errors import closest
 from pipeline.base.params import SPLITS, ImageSize, Name, Positive, Section
 
 RECORDING = "recording"
-DATASETS = sorted(path.stem for path in (Path(__file__).parents[1] / "datasets").glob("[!_]*.py"))
+DATASETS = sorted(path.stem for path in (Path(__file__).parent / "datasets").glob("[!_]*.py"))
 KITTI_NAMES = re.compile(r"\d{4}_\d\d_\d\d_drive_\d{4}")  # also of the sample
 
 
@@ -75,7 +75,7 @@ class Reading(Section):
 
 
 class Ingest(Reading):
-    source: str  # a file of pipeline/datasets
+    source: str  # a file of pipeline/ingest/datasets
     drives: Drives
     recordings: dict[Name, Part] = {}  # drives of another dataset than source
 
@@ -83,7 +83,9 @@ class Ingest(Reading):
     def _check_datasets(self) -> Self:
         for drive, dataset in self.datasets().items():
             if dataset not in DATASETS:
-                raise ValueError(f"source: there is no pipeline/datasets/{dataset}.py ({closest(dataset, DATASETS)})")
+                raise ValueError(
+                    f"source: there is no pipeline/ingest/datasets/{dataset}.py ({closest(dataset, DATASETS)})"
+                )
             if dataset == RECORDING and drive not in self.recordings:
                 raise ValueError(f"{drive} has no entry in recordings: steer import writes them")
             if dataset in ("kitti", "sample") and not KITTI_NAMES.fullmatch(drive):
@@ -91,5 +93,5 @@ class Ingest(Reading):
         return self
 
     def datasets(self) -> dict[str, str]:
-        """Return drive → dataset, a file of pipeline/datasets; recordings are those of `recordings`."""
+        """Return drive → dataset, a file of pipeline/ingest/datasets; recordings are those of `recordings`."""
         return {drive: RECORDING if drive in self.recordings else self.source for drive in self.drives.splits()}

@@ -11,10 +11,10 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.camera.lens import pinhole, undistortion
-from pipeline.datasets.core.drive import Drive, stamps
-from pipeline.media.columns import LIMIT_RAD, check_increase, read_columns, refuse
-from pipeline.media.recording import open_recording
-from pipeline.settings.ingest import Ingest
+from pipeline.ingest.columns import LIMIT_RAD, check_increase, read_columns, refuse
+from pipeline.ingest.drive import Drive, stamps
+from pipeline.ingest.media import open_recording
+from pipeline.ingest.settings import Ingest
 
 # Of the right-hand camera of this rig and size: sensor_info/camera_calibration/right_camera/ost.yaml of the challenge.
 K, DISTORTION = "2152,2166,268,303", "-0.042,-0.89,0,0"

@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.resume import file_hash
-from pipeline.datasets import kitti
-from pipeline.settings.ingest import Ingest
+from pipeline.ingest.datasets import kitti
+from pipeline.ingest.settings import Ingest
 
 open_drive = kitti.open_drive
 

@@ -15,8 +15,8 @@ from pipeline.base.store import DriveWriter
 from pipeline.camera.camera import Camera, Frame, camera_height, write_camera
 from pipeline.camera.classes import VOID
 from pipeline.camera.images import format_size, nearest, resized, to_units
-from pipeline.datasets.core.drive import Drive
-from pipeline.settings.ingest import Reading
+from pipeline.ingest.drive import Drive, load
+from pipeline.ingest.settings import Ingest, Reading
 
 # Name → unit, value of missing pixels, how pixels are resized.
 MAPS: dict[str, tuple[str, np.ndarray, Callable[..., np.ndarray]]] = {
@@ -39,6 +39,11 @@ COUNTS = {
     "cls": "class maps",
     "steering": "steering angles",
 }
+
+
+def ingest_drive(path: Path, name: str, dataset: str, settings: Ingest, root: Path, reading: Reading) -> Summary:
+    """Write the file of drive `name` of a dataset below `root`, see pipeline/ingest/drive.py."""
+    return write_drive(path, load(dataset).open_drive(name, settings, root), name, dataset, reading)
 
 
 def write_drive(

@@ -6,7 +6,7 @@ import pytest
 from pipeline.base import resume
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
-from pipeline.datasets import udacity
+from pipeline.ingest.datasets import udacity
 from stages import ingest
 from tests.kitti_drive import pictures, write, write_params, write_video
 
@@ -40,14 +40,14 @@ def test_an_edited_dataset_makes_no_drive_of_another_anew(tmp_path, monkeypatch)
     def keys() -> list[str]:
         resume._import_hash.cache_clear()
         return [
-            resume.stage_key("ingest", {}, [], (f"pipeline/datasets/{name}.py", ingest.WRITER))
+            resume.stage_key("ingest", {}, [], (f"pipeline/ingest/datasets/{name}.py", ingest.WRITER))
             for name in ("kitti", "udacity", "recording")
         ]
 
     meaning, before = resume.meaning, keys()
     for edited, changed in {
         udacity.__file__: [False, True, False],
-        str(resume.ROOT / "pipeline/media/recording.py"): [False, True, True],
+        str(resume.ROOT / "pipeline/ingest/media.py"): [False, True, True],
         str(resume.ROOT / ingest.WRITER): [True] * 3,
     }.items():
         monkeypatch.setattr(resume, "meaning", lambda path, edited=edited: meaning(path) + "#" * (str(path) == edited))

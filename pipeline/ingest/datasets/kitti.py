@@ -14,10 +14,10 @@ import numpy as np
 from pipeline.base.errors import DamagedFile, InputError, closest
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import read_classes, read_depth, read_image
-from pipeline.datasets.core.calibration import CALIBRATION, RENDERED, read_calibration, read_entries
-from pipeline.datasets.core.drive import Drive, stamps
-from pipeline.datasets.core.oxts import STEERING, read_row, read_steering, read_times
-from pipeline.settings.ingest import Ingest, Reading
+from pipeline.ingest.calibration import CALIBRATION, RENDERED, read_calibration, read_entries
+from pipeline.ingest.drive import Drive, stamps
+from pipeline.ingest.packets import STEERING, read_row, read_steering, read_times
+from pipeline.ingest.settings import Ingest, Reading
 
 # The lowest laser of the HDL-64E points 24.8 degrees down and hits the road 4 m away; complete scans of KITTI reach
 # below -23.6 degrees. Files list the lasers from top to bottom, so a truncated scan lacks the low ones.
@@ -250,7 +250,9 @@ def read_scan(path: Path) -> np.ndarray:
     lowest = np.degrees(np.arctan2(scan[:, 2], np.hypot(scan[:, 0], scan[:, 1])).min())
     if lowest > LOWEST_DEG:
         problem = f"scan is cut short at {lowest:.1f} degrees of elevation, or of another LiDAR than the HDL-64E"
-        raise DamagedFile(f"{problem} (expected below {LOWEST_DEG:g}, LOWEST_DEG in pipeline/datasets/kitti.py)", path)
+        raise DamagedFile(
+            f"{problem} (expected below {LOWEST_DEG:g}, LOWEST_DEG in pipeline/ingest/datasets/kitti.py)", path
+        )
     return scan
 
 

@@ -1,4 +1,4 @@
-"""What a dataset's file, ``pipeline/datasets/NAME.py``, gives to stage ingest: two functions by drive name.
+"""What a dataset's file, ``pipeline/ingest/datasets/NAME.py``, gives to stage ingest: two functions by drive name.
 
 - ``fingerprint(name, settings, root)``: JSON-able facts that change with the drive's files, for instance
   :func:`stamps`; drives with more of them are read first. Each run calls it for each drive, so it decodes no images.
@@ -30,7 +30,7 @@ class Drive:
 
 def load(name: str) -> Any:
     """Return the module of a dataset's file; section ingest has checked that it exists."""
-    return importlib.import_module(f"pipeline.datasets.{name}")
+    return importlib.import_module(f"pipeline.ingest.datasets.{name}")
 
 
 def stamps(paths: Iterable[Path], folder: Path) -> list[Any]:

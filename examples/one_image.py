@@ -11,19 +11,20 @@ from models.steering.spatial.gnn import normalised_adjacency
 from pipeline.camera.camera import Camera
 from pipeline.camera.geometry import back_project
 from pipeline.camera.images import read_image
+from pipeline.encoder import encoder_file
 from pipeline.graphs import cloud, graph, graph_file
-from pipeline.perception import perceive
+from pipeline.perception.perceive import perceive
 from pipeline.report import street_view
 from pipeline.train import predict
 
 torch.set_grad_enabled(False)
 K = np.array([[172.9, 0, 154.4], [0, 172.9, 44.95], [0, 0, 1]])  # pixels
-_, encoder = perceive.load(Path("models/encoder/sample/encoder.pt"))
+_, encoder = encoder_file.load(Path("models/encoder/sample/encoder.pt"))
 model = predict.load("models/steering/sample", device="cpu")
 gcn, standardise, ncp = model.net.spatial, model.net.scale, model.net.temporal
 images = np.stack([read_image(path) for path in sorted(Path("examples/street").glob("*.png"))])  # [8,H,W,3]
 rng, features = np.random.default_rng(0), []
-for depth_m, cls in zip(*perceive.perceive(encoder, images, Camera(K, images.shape[1:3])), strict=True):  # each [H,W]
+for depth_m, cls in zip(*perceive(encoder, images, Camera(K, images.shape[1:3])), strict=True):  # each [H,W]
     solid = cloud.solid(depth_m, cls, max_depth_m=80)  # no sky, void or far pixels
     xyz, point_cls = back_project(depth_m, K)[solid].astype(np.float32), cls[solid]  # eq. 6: metres [P,3], trainIds [P]
     drawn = cloud.draw(len(xyz), 1000, rng)

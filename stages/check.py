@@ -5,8 +5,8 @@ from pathlib import Path
 from pipeline.base import console
 from pipeline.base.errors import InputError, closest, error_context
 from pipeline.base.params import parse, read
+from pipeline.encoder import create
 from pipeline.labels import source
-from pipeline.perception import create
 from pipeline.settings.models import Entry
 from pipeline.settings.preset import Params
 from pipeline.train import runs

@@ -7,17 +7,16 @@ from typing import Any
 import pandas as pd
 import torch
 
-from models.encoder.unified_encoder import Architecture
 from pipeline.base import console, store
 from pipeline.base.errors import error_context
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
-from pipeline.base.runner import Job, Summary, make_drives
+from pipeline.base.runner import Job, make_drives
+from pipeline.encoder import encoder_file
+from pipeline.encoder.create import create
+from pipeline.encoder.fit import fit_drives
+from pipeline.encoder.settings import Encoder
 from pipeline.ingest.settings import Ingest
-from pipeline.perception import fit, perceive
-from pipeline.perception.create import create
-from pipeline.perception.examples import Examples
-from pipeline.settings.encoder import Encoder
 
 
 def main(data: Path = Path("data"), out: Path = Path("data/encoder"), params: Path = Path("params.yaml")) -> Path:
@@ -30,22 +29,22 @@ def main(data: Path = Path("data"), out: Path = Path("data/encoder"), params: Pa
     size = load(Ingest, params).image_size
     with error_context(params), error_context(f"backbone {settings.backbone}, ingest.image_size {list(size)}"):
         if settings.backbone != "precomputed":
-            perceive.check_size(model, size)
+            encoder_file.check_size(model, size)
     curve: list[dict[str, float]] = []
     with stage_folder("encoder", out) as stage:
         if settings.epochs:
-            perceive.save(stage.kept / "start", architecture, model.state_dict())
+            encoder_file.save(stage.kept / "start", architecture, model.state_dict())
             drives = store.drives_in(store.read_index(ingest, stage="ingest"), "train")
-            inputs: list[Path | str] = [stage.kept / "start" / perceive.FILE, *(ingest / f"{d}.h5" for d in drives)]
+            inputs: list[Path | str] = [stage.kept / "start" / encoder_file.FILE, *(ingest / f"{d}.h5" for d in drives)]
             work = partial(
-                _fit, model=model, architecture=architecture, settings=settings, ingest=ingest, drives=drives
+                fit_drives, model=model, architecture=architecture, settings=settings, ingest=ingest, drives=drives
             )
-            job = Job("encoder", perceive.FILE, inputs, work)
+            job = Job("encoder", encoder_file.FILE, inputs, work)
             fitted = make_drives(stage, [job], settings, "{frames} frames", workers=1)["encoder"]
             curve = fitted["curve"]
             config |= fitted["config"] | {"losses": {name: curve[-1][name] for name in ("loss", "depth", "classes")}}
         else:
-            perceive.save(stage.new, architecture, model.state_dict())
+            encoder_file.save(stage.new, architecture, model.state_dict())
         parameters = sum(parameter.numel() for parameter in model.parameters())
         config |= {"sources": architecture.get("sources", []), "parameters": parameters}
         store.write_json(stage.new / "config.json", config)
@@ -56,20 +55,6 @@ def main(data: Path = Path("data"), out: Path = Path("data/encoder"), params: Pa
     for line in (f"{settings.backbone}, {parameters:,} parameters, {action}", *config["sources"]):
         print(f"encoder: {line}", flush=True)
     return out
-
-
-def _fit(
-    path: Path, *, model: Any, architecture: Architecture, settings: Encoder, ingest: Path, drives: list[str]
-) -> Summary:
-    """Write the fitted encoder.pt to `path`. Return its curve and config's keys."""
-    model.to("cuda" if torch.cuda.is_available() else "cpu")
-    with Examples(ingest, drives, settings.frames) as examples:
-        curve = fit.fit(model, examples, settings)
-        before = architecture.get("datasets", ["unknown"] if settings.weights else [])
-        datasets = sorted({*before, *examples.datasets})
-        perceive.save(path.parent, {**architecture, "datasets": datasets}, model.state_dict())
-        config = {"frames_per_drive": examples.frames_per_drive, "image_size": list(examples.size)}
-        return {"frames": len(examples), "curve": curve, "config": config}
 
 
 if __name__ == "__main__":

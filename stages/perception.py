@@ -11,8 +11,9 @@ from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
 from pipeline.base.resume import file_hash
 from pipeline.base.runner import file_jobs, make_drives
-from pipeline.perception.perceive import FILE, perceive_drive, warnings
-from pipeline.settings.perception import Perception
+from pipeline.encoder.encoder_file import FILE
+from pipeline.perception.perceive import perceive_drive, warnings
+from pipeline.perception.settings import Perception
 
 
 def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:

@@ -7,10 +7,10 @@ from pipeline.base import console
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
 from pipeline.base.runner import Job, make_drives
+from pipeline.encoder.settings import Encoder
 from pipeline.ingest.settings import Ingest
 from pipeline.sample.drive import render_drive
 from pipeline.sample.rig import make_rig, write_calibration
-from pipeline.settings.encoder import Encoder
 from pipeline.settings.sample import Sample
 
 

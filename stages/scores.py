@@ -18,7 +18,7 @@ from pipeline.labels import comparison
 from pipeline.labels import source as sources
 from pipeline.labels.agreement import compare
 from pipeline.labels.label import Car
-from pipeline.perception.scores import Scores
+from pipeline.scores.pixels import Scores
 from pipeline.settings.labels import SOURCES, Labels
 
 

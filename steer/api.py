@@ -11,11 +11,11 @@ from typing import Any, TypedDict, Unpack
 from pipeline.base.errors import InputError, closest
 from pipeline.base.outputs import check_free
 from pipeline.base.resume import ROOT
+from pipeline.encoder.encoder_file import FILE
 from pipeline.ingest.datasets.recording import Capture
 from pipeline.ingest.log import Logs
 from pipeline.ingest.settings import Reading
 from pipeline.labels.label import Car
-from pipeline.perception.perceive import FILE
 from pipeline.train.predict import load
 from pipeline.video import measure as measuring
 from pipeline.video import predict as predicting

@@ -10,7 +10,7 @@ from models.encoder.heads import ray_slopes
 from models.encoder.unified_encoder import BUILD
 from pipeline.camera import classes
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
-from pipeline.perception.perceive import save
+from pipeline.encoder.encoder_file import save
 
 
 class FlatGround(nn.Module):

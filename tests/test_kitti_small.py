@@ -37,7 +37,7 @@ def link_drive(half: Path, raw: Path, name: str) -> None:
 @pytest.mark.real
 def test_kitti_small_runs_on_real_drives(real_half, real_weights, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("pipeline.perception.create.WEIGHTS", real_weights)
+    monkeypatch.setattr("pipeline.encoder.create.WEIGHTS", real_weights)
     for name in DRIVES.values():
         link_drive(real_half, tmp_path / "data/raw", name)
     content = preset.merged("kitti-small")

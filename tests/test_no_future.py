@@ -13,9 +13,9 @@ from pipeline.ingest.ingest_file import write_drive
 from pipeline.ingest.settings import Reading
 from pipeline.motion.drive import measure_drive
 from pipeline.perception.perceive import perceive_drive
+from pipeline.perception.settings import Perception
 from pipeline.settings.clouds import Clouds
 from pipeline.settings.graphs import Variant
-from pipeline.settings.perception import Perception
 from tests import street
 from tests.flat_ground import write_encoder
 

@@ -1,6 +1,6 @@
 """Predict depth and classes of images with the encoder of a folder: a network, or precomputed files."""
 
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
 from functools import lru_cache, partial
 from pathlib import Path
@@ -8,10 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import nn
 
-from models.encoder.unified_encoder import Architecture, build
-from pipeline.base import checkpoint
 from pipeline.base.errors import error_context
 from pipeline.base.executors import default_workers
 from pipeline.base.loop import prefetch
@@ -20,13 +18,12 @@ from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, read_camera
-from pipeline.camera.images import DEPTH_UNITS_PER_M, Size, to_units
-from pipeline.perception import precomputed
+from pipeline.camera.images import DEPTH_UNITS_PER_M, to_units
+from pipeline.encoder import precomputed
+from pipeline.encoder.encoder_file import FILE, load
 from pipeline.perception.reach import limit_traffic_depth
-from pipeline.settings.perception import Perception
+from pipeline.perception.settings import Perception
 
-FILE = "encoder.pt"
-KIND = "unified encoder"
 GPU_BATCH = 32  # images per pass at least; a CPU runs them one by one
 
 
@@ -54,7 +51,7 @@ class OpenEncoder(NamedTuple):
 
 
 def open_encoder(folder: Path, precision: str) -> OpenEncoder:
-    """Open an encoder's folder; `precision` as in section perception. Raises InputError as :func:`load`."""
+    """Open an encoder's folder; `precision` as in section perception. Raises InputError if it cannot be read."""
     return _open(folder, file_hash(folder / FILE), precision)
 
 
@@ -85,22 +82,6 @@ def _read_precomputed(folder: Path, batch: EncoderInput) -> Perceived:
     return np.stack([depth for depth, _ in frames]), np.stack([cls for _, cls in frames])
 
 
-def save(folder: Path, architecture: Architecture, state: Mapping[str, Tensor]) -> None:
-    """Write ``encoder.pt`` in one step."""
-    # Strides are part of the file; a contiguous clone removes channels last.
-    tensors = {name: x.detach().cpu().clone(memory_format=torch.contiguous_format) for name, x in state.items()}
-    checkpoint.write(folder / FILE, {"kind": KIND, "architecture": dict(architecture), "net": tensors})
-
-
-def load(path: Path) -> tuple[Architecture, nn.Module]:
-    """Return description and network of a file of :func:`save`, for evaluation, on a GPU if any. Raises InputError."""
-    content = checkpoint.read(path, KIND)
-    model = build(content["architecture"])
-    checkpoint.load_state(model, content["net"], path)
-    model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # 1.6x faster on a CPU, measured
-    return content["architecture"], model.to("cuda" if torch.cuda.is_available() else "cpu").eval()
-
-
 def perceive(model: nn.Module, images: np.ndarray, camera: Camera, precision: str = "float32") -> Perceived:
     """Return depth float32 [B,H,W] in metres and trainIds uint8 [B,H,W] of RGB images uint8 [B,H,W,3].
 
@@ -122,14 +103,6 @@ def perceive(model: nn.Module, images: np.ndarray, camera: Camera, precision: st
         cls = torch.cat([logits.argmax(dim=1) for _, logits in outputs])
         cls.masked_fill_(cls == classes.COUNT, classes.VOID)  # some networks have logits of void, last
         return depth.cpu().numpy(), cls.to(torch.uint8).cpu().numpy()
-
-
-def check_size(model: nn.Module, size: Size) -> None:
-    """Raise ValueError unless the network predicts depth and classes of a grey image of `size` (H, W)."""
-    camera = Camera(np.array([[size[1], 0, size[1] / 2], [0, size[1], size[0] / 2], [0, 0, 1]]), size)
-    depth, cls = perceive(model.eval(), np.full((1, *size, 3), 128, np.uint8), camera)
-    if {depth.shape[1:], cls.shape[1:]} != {size} or not 0 <= depth.min() <= depth.max() < np.inf or not depth.any():
-        raise ValueError(f"depth {depth.shape[1:]} is {depth.min():.3g} to {depth.max():.3g}, classes {cls.shape[1:]}")
 
 
 def passes(predict: Predict, batches: Generator[EncoderInput]) -> Generator[Perceived]:

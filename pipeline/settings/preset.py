@@ -15,14 +15,14 @@ from pipeline.base.errors import InputError
 from pipeline.base.params import Name, Section, parse, read
 from pipeline.base.resume import ROOT, content_hash
 from pipeline.base.store import replacing
+from pipeline.encoder.settings import Encoder
 from pipeline.ingest.settings import Ingest
+from pipeline.perception.settings import Perception
 from pipeline.settings.clouds import Clouds
-from pipeline.settings.encoder import Encoder
 from pipeline.settings.evaluate import Evaluate
 from pipeline.settings.graphs import Variant
 from pipeline.settings.labels import Labels
 from pipeline.settings.models import Entry
-from pipeline.settings.perception import Perception
 from pipeline.settings.sample import Sample
 from pipeline.settings.train import Train
 

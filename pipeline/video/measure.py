@@ -8,7 +8,7 @@ from pipeline.base.store import DriveReader
 from pipeline.ingest.settings import Reading
 from pipeline.labels.label import Car
 from pipeline.perception.perceive import warnings
-from pipeline.settings.perception import Perception
+from pipeline.perception.settings import Perception
 from pipeline.video.pictures import publish
 from pipeline.video.results import Outcome, Results
 from pipeline.video.source import INGEST, MOTION, Source, run_chain

@@ -25,7 +25,7 @@ from pipeline.motion.doubts import check_unit
 from pipeline.motion.drive import measure_drive
 from pipeline.motion.horizon import noted_horizon
 from pipeline.perception.perceive import perceive_drive
-from pipeline.settings.perception import Perception
+from pipeline.perception.settings import Perception
 
 INGEST, PERCEPTION, MOTION = "ingest.h5", "perception.h5", "motion.h5"
 BYTES_PER_PIXEL = 6  # image 3, depth 2, class 1

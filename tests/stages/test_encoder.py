@@ -11,7 +11,7 @@ import yaml
 from models.encoder.street import SOURCES
 from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
-from pipeline.perception import perceive
+from pipeline.encoder import encoder_file
 from pipeline.settings import preset
 from stages.encoder import main
 from tests import street
@@ -65,7 +65,7 @@ def test_the_fit_uses_training_drives_only_and_reports_itself(ingest, fitted):
     assert (out / "encoder.pt").read_bytes() == (fitted / "encoder.pt").read_bytes(), "equal input, equal bytes"
     content = config(out)
     assert content["frames_per_drive"] == {TRAIN: 6}
-    assert perceive.load(out / "encoder.pt")[0] == {"backbone": "small", "datasets": ["recording"]}
+    assert encoder_file.load(out / "encoder.pt")[0] == {"backbone": "small", "datasets": ["recording"]}
     curve = pd.read_csv(out / "curve.csv")
     assert curve["epoch"].tolist() == [1, 2]
     assert all(curve[loss][1] < curve[loss][0] for loss in ("depth", "classes"))
@@ -86,12 +86,12 @@ def test_depth_of_no_pixel_is_a_fault_of_the_network(depth):
     model = torch.nn.Linear(1, 1)
     model.forward = lambda image, K: (torch.full((1, 32, 64), depth), torch.zeros(1, 19, 32, 64))
     with pytest.raises(ValueError, match=r"^depth \(32, 64\) is .*, classes \(32, 64\)$"):
-        perceive.check_size(model, (32, 64))
+        encoder_file.check_size(model, (32, 64))
 
 
 @pytest.mark.real
 def test_the_encoder_of_streets_takes_published_files_and_names_their_terms(tmp_path, real_weights, monkeypatch):
-    monkeypatch.setattr("pipeline.perception.create.WEIGHTS", real_weights)
+    monkeypatch.setattr("pipeline.encoder.create.WEIGHTS", real_weights)
     out = run(tmp_path / "no-drives", backbone="street", epochs=0)
     sources = config(out)["sources"]
     assert [source.split(":")[0] for source in sources] == [*SOURCES]

@@ -11,10 +11,10 @@ from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
 from pipeline.camera import classes
+from pipeline.encoder.encoder_file import save
 from pipeline.ingest.packets import make_rows
 from pipeline.labels.label import Car
 from pipeline.motion.drive import measure_drive
-from pipeline.perception.perceive import save
 from stages import clouds, perception, scores
 from tests import street
 from tests.artefacts import write_index, write_motion, write_recorded

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pipeline.base import store
-from pipeline.perception.scores import Scores
+from pipeline.scores.pixels import Scores
 from stages import report
 from tests.pipeline.report import examples
 

@@ -23,8 +23,8 @@ from pipeline.ingest.settings import Ingest
 from pipeline.motion import horizon
 from pipeline.motion.drive import measure_drive
 from pipeline.perception.perceive import perceive_drive
+from pipeline.perception.settings import Perception
 from pipeline.settings import preset
-from pipeline.settings.perception import Perception
 from pipeline.video import source
 from pipeline.video.measure import READING
 from steer import api

@@ -24,11 +24,12 @@ from pipeline.base.resume import ROOT
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, scan_depth
 from pipeline.camera.images import read_image, resized
+from pipeline.encoder.create import create as create_encoder
+from pipeline.encoder.encoder_file import load, save
+from pipeline.encoder.settings import Encoder
 from pipeline.ingest.datasets.kitti import KittiDrive, read_scan
-from pipeline.perception.create import create as create_encoder
-from pipeline.perception.perceive import load, perceive, save
-from pipeline.perception.scores import class_ious, confusion, depth_errors, eigen_crop
-from pipeline.settings.encoder import Encoder
+from pipeline.perception.perceive import perceive
+from pipeline.scores.pixels import class_ious, confusion, depth_errors, eigen_crop
 from tests.artefacts import Trap
 
 LABELS = ("road", "Tree", "sky", "zebra")

@@ -15,14 +15,15 @@ from pipeline.camera import classes
 from pipeline.camera.camera import Camera, read_camera, scan_depth
 from pipeline.camera.geometry import back_project, rays
 from pipeline.camera.ground_plane import ground_plane_depth
+from pipeline.encoder.create import create, fetch
+from pipeline.encoder.encoder_file import save
+from pipeline.encoder.examples import Example, Examples, mirrored
+from pipeline.encoder.fit import depth_and_class_loss
+from pipeline.encoder.settings import Encoder
 from pipeline.ingest.truth import Truth, read_truth
-from pipeline.perception.create import create, fetch
-from pipeline.perception.examples import Example, Examples, mirrored
-from pipeline.perception.fit import depth_and_class_loss
-from pipeline.perception.perceive import passes, save
+from pipeline.perception.perceive import passes
 from pipeline.perception.reach import limit_traffic_depth
-from pipeline.perception.scores import Scores, depth_errors, eigen_crop
-from pipeline.settings.encoder import Encoder
+from pipeline.scores.pixels import Scores, depth_errors, eigen_crop
 from tests import street
 
 

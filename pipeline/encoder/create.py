@@ -10,8 +10,8 @@ from models.encoder import hugging_face, street
 from models.encoder.unified_encoder import Architecture, build
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.resume import file_hash
-from pipeline.perception import perceive, precomputed
-from pipeline.settings.encoder import NEEDED, Encoder
+from pipeline.encoder import encoder_file, precomputed
+from pipeline.encoder.settings import NEEDED, Encoder
 
 WEIGHTS = Path("weights")  # downloaded files, and the folder street of make street
 
@@ -22,7 +22,7 @@ def create(settings: Encoder) -> tuple[Architecture, nn.Module]:
         return CREATE[settings.backbone](settings)
     with error_context("weights"):
         check_weights(settings.weights)
-        architecture, model = perceive.load(settings.weights)
+        architecture, model = encoder_file.load(settings.weights)
         if architecture["backbone"] != settings.backbone:
             problem = f"backbone is {architecture['backbone']!r}, expected {settings.backbone!r}"
             raise InputError(problem, settings.weights, "Name another file")

@@ -2,7 +2,8 @@
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -10,15 +11,32 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from tqdm import tqdm
 
+from models.encoder.unified_encoder import Architecture
 from pipeline.base.errors import InputError
 from pipeline.base.loop import prefetch, warm_up_cosine
+from pipeline.base.runner import Summary
 from pipeline.camera import classes
-from pipeline.perception.examples import Examples, augment
-from pipeline.settings.encoder import Encoder
+from pipeline.encoder.encoder_file import save
+from pipeline.encoder.examples import Examples, augment
+from pipeline.encoder.settings import Encoder
 
 WARM_UP = 0.15  # share of the steps with a rising learning rate
 WEIGHT_DECAY = 1e-4
 MAX_RELATIVE_ERROR = 6.0
+
+
+def fit_drives(
+    path: Path, *, model: nn.Module, architecture: Architecture, settings: Encoder, ingest: Path, drives: Sequence[str]
+) -> Summary:
+    """Write the encoder fitted to drives of stage ingest to `path`. Return its curve, and keys of its config.json."""
+    model.to("cuda" if torch.cuda.is_available() else "cpu")
+    with Examples(ingest, drives, settings.frames) as examples:
+        curve = fit(model, examples, settings)
+        before = architecture.get("datasets", ["unknown"] if settings.weights else [])
+        datasets = sorted({*before, *examples.datasets})
+        save(path.parent, {**architecture, "datasets": datasets}, model.state_dict())
+        config = {"frames_per_drive": examples.frames_per_drive, "image_size": list(examples.size)}
+        return {"frames": len(examples), "curve": curve, "config": config}
 
 
 def fit(model: nn.Module, examples: Examples, settings: Encoder) -> list[dict[str, float]]:

@@ -9,9 +9,9 @@ from pipeline.base.params import load
 from pipeline.base.runner import Job, make_drives
 from pipeline.encoder.settings import Encoder
 from pipeline.ingest.settings import Ingest
-from pipeline.sample.drive import render_drive
+from pipeline.sample.render import render_drive
 from pipeline.sample.rig import make_rig, write_calibration
-from pipeline.settings.sample import Sample
+from pipeline.sample.settings import Sample
 
 
 def main(out: Path = Path("data/sample"), params: Path = Path("params.yaml")) -> Path:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.sample import shapes
-from pipeline.sample.motion import Journey
+from pipeline.sample.journey import Journey
 from pipeline.sample.route import IMU_LEFT_M
 
 SIGHT_M = 100.0  # farther cars are not rendered

@@ -3,7 +3,7 @@
 import numpy as np
 
 from pipeline.ingest.packets import EARTH_RADIUS_M, GRAVITY_MPS2, format_packet, format_times, make_rows
-from pipeline.sample.motion import Journey
+from pipeline.sample.journey import Journey
 from pipeline.sample.route import IMU_HEIGHT_M, rotation
 
 ALTITUDE_M = 110.0  # of the road

@@ -14,17 +14,17 @@ from pipeline.ingest.datasets.kitti import KittiDrive, read_scan
 from pipeline.ingest.packets import COLUMNS
 from pipeline.ingest.settings import Ingest
 from pipeline.labels.label import steering_angle
-from pipeline.sample import motion
-from pipeline.sample.drive import random_of, render_drive, theme
+from pipeline.sample import journey as journeys
+from pipeline.sample.inertial import RATES_LATE_S, oxts_rows
+from pipeline.sample.journey import Journey, draw_body, draw_journey, frame_times, speed_profile
 from pipeline.sample.light import draw_ground_colours
-from pipeline.sample.motion import Journey, draw_body, draw_journey, frame_times, speed_profile
-from pipeline.sample.oxts import RATES_LATE_S, oxts_rows
 from pipeline.sample.plan import draw_character, draw_plan
+from pipeline.sample.render import random_of, render_drive, theme
 from pipeline.sample.rig import make_rig, write_calibration
 from pipeline.sample.route import AHEAD_M, DECK, IMU_LEFT_M, STEP_M, draw_route, rotation, unit
-from pipeline.sample.street import build_street
+from pipeline.sample.scenery import build_street
+from pipeline.sample.settings import Sample
 from pipeline.sample.world import World
-from pipeline.settings.sample import Sample
 
 
 @pytest.mark.parametrize(("seed", "first"), [*enumerate(DECK)])
@@ -46,7 +46,7 @@ def journey(request) -> Journey:
     rng = np.random.default_rng(seed)
     times = frame_times(rng, 200)
     route = draw_route(rng, 9.0 * times[-1] + AHEAD_M, 3.5, "left")
-    travel = motion.drive(route, speed_profile(route, 9.0, 3.0, stops), times, 2.0)
+    travel = journeys.drive(route, speed_profile(route, 9.0, 3.0, stops), times, 2.0)
     return Journey(route, travel, travel, draw_body(route, travel, rng))
 
 

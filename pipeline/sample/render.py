@@ -8,16 +8,16 @@ import cv2
 import numpy as np
 
 from pipeline.camera.images import to_units, write_png
+from pipeline.sample.inertial import record
+from pipeline.sample.journey import draw_journey
 from pipeline.sample.light import draw_ground_colours, draw_light
-from pipeline.sample.motion import draw_journey
-from pipeline.sample.oxts import record
 from pipeline.sample.plan import QUARTERS, draw_character, draw_plan
 from pipeline.sample.rig import ImageSensor, Scanner, make_rig
 from pipeline.sample.route import DECK
-from pipeline.sample.street import build_street
+from pipeline.sample.scenery import build_street
+from pipeline.sample.settings import Sample
 from pipeline.sample.traffic import draw_traffic
 from pipeline.sample.world import World
-from pipeline.settings.sample import Sample
 
 # Level 1 and one filter per file: half the time of writing and two thirds of reading for 13 kB more of a frame's 130.
 _LEVEL = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER)

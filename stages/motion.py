@@ -6,7 +6,7 @@ from pipeline.base import console, store
 from pipeline.base.outputs import stage_folder
 from pipeline.base.runner import file_jobs, make_drives
 from pipeline.motion.doubts import check_unit, find_doubts
-from pipeline.motion.drive import measure_drive
+from pipeline.motion.motion_file import measure_drive
 
 MIN_ROAD = 0.5  # share of frames with a road, below which the scale is called uncertain
 

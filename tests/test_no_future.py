@@ -11,7 +11,7 @@ from pipeline.graphs.frame_graph import graphs_drive
 from pipeline.ingest.drive import Drive
 from pipeline.ingest.ingest_file import write_drive
 from pipeline.ingest.settings import Reading
-from pipeline.motion.drive import measure_drive
+from pipeline.motion.motion_file import measure_drive
 from pipeline.perception.perceive import perceive_drive
 from pipeline.perception.settings import Perception
 from pipeline.settings.clouds import Clouds

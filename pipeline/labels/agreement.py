@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pipeline.labels.label import Labels
-from pipeline.labels.rates import YAW_NOISE_RADPS
+from pipeline.motion.rates import YAW_NOISE_RADPS
 
 # A measured yaw rate beyond this many standard deviations is a turn, not noise.
 TURNS_SIGMAS = 3.0

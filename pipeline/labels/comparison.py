@@ -13,7 +13,7 @@ from pipeline.base.store import DriveReader
 from pipeline.labels import source as sources
 from pipeline.labels.agreement import Agreement, Fit, Noise, Pair, Speed, compare
 from pipeline.labels.label import Car, Labels, held
-from pipeline.labels.rates import measured_rates
+from pipeline.motion.rates import measured_rates
 
 # Turning frames that a comparison needs.
 SHOWN = 20

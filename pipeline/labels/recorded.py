@@ -4,7 +4,7 @@ import numpy as np
 
 from pipeline.base.store import DriveReader
 from pipeline.ingest.packets import VF, WU, interpolated
-from pipeline.labels.rates import measured_rates, stands
+from pipeline.motion.rates import measured_rates, stands
 
 
 def recorded_motion(raw: DriveReader) -> np.ndarray | None:

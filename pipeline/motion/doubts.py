@@ -1,4 +1,4 @@
-"""Doubts about a drive's measured motion, by the summary of :func:`pipeline.motion.drive.measure_drive`."""
+"""Doubts about a drive's measured motion, by the summary of :func:`pipeline.motion.motion_file.measure_drive`."""
 
 from collections.abc import Iterator, Mapping
 

@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.base.errors import InputError, error_context
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import project
-from pipeline.motion.visual import best_corners, corner_quality, track
+from pipeline.motion.odometry import best_corners, corner_quality, track
 
 WIDTH = 640  # px, of the images that are tracked
 CELL, MIN_QUALITY = 24, 2e-5

@@ -15,11 +15,11 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.evaluate import errors
 from pipeline.ingest.log import Logs
-from pipeline.labels import rates
 from pipeline.labels import source as sources
 from pipeline.labels.agreement import Agreement, Pair, compare
 from pipeline.labels.comparison import judge, read_noise
 from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
+from pipeline.motion import rates
 from pipeline.motion.doubts import find_doubts
 from pipeline.motion.step import PROBLEMS
 from pipeline.settings.evaluate import Evaluate
@@ -71,7 +71,7 @@ def read_course(motion: DriveReader, car: Car, *, look_ahead: bool, height_known
 
     x and y are the position ahead and to the left of the first frame. ``speed_sigma`` and ``measured_sigma_rad`` are
     standard deviations, that of the speed relative. Curvature and angle are also NaN below the minimum speed.
-    `look_ahead`: as of :func:`pipeline.labels.rates.measured_rates`; `height_known`: of the camera over the road.
+    `look_ahead`: as of :func:`pipeline.motion.rates.measured_rates`; `height_known`: of the camera over the road.
     """
     valid, time_s, rows = motion["valid"].astype(bool), motion.time_s, np.arange(len(motion.time_s))
     yaw_rate, speed_mps, yaw_sigma, speed_sigma = rates.measured_rates(motion, look_ahead=look_ahead)

@@ -22,8 +22,8 @@ from pipeline.ingest.log import Logs
 from pipeline.ingest.packets import read_times
 from pipeline.ingest.settings import Reading
 from pipeline.motion.doubts import check_unit
-from pipeline.motion.drive import measure_drive
 from pipeline.motion.horizon import noted_horizon
+from pipeline.motion.motion_file import measure_drive
 from pipeline.perception.perceive import perceive_drive
 from pipeline.perception.settings import Perception
 

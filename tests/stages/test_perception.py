@@ -14,7 +14,7 @@ from pipeline.camera import classes
 from pipeline.encoder.encoder_file import save
 from pipeline.ingest.packets import make_rows
 from pipeline.labels.label import Car
-from pipeline.motion.drive import measure_drive
+from pipeline.motion.motion_file import measure_drive
 from stages import clouds, perception, scores
 from tests import street
 from tests.artefacts import write_index, write_motion, write_recorded

@@ -21,7 +21,7 @@ from pipeline.ingest.ingest_file import write_drive
 from pipeline.ingest.log import Logs
 from pipeline.ingest.settings import Ingest
 from pipeline.motion import horizon
-from pipeline.motion.drive import measure_drive
+from pipeline.motion.motion_file import measure_drive
 from pipeline.perception.perceive import perceive_drive
 from pipeline.perception.settings import Perception
 from pipeline.settings import preset

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pipeline.evaluate import turns
 from pipeline.labels import agreement, ahead, comparison, label
 from pipeline.labels.label import Labels
-from pipeline.labels.rates import REACH, YAW_SIGMA_S, gaussian_mean
+from pipeline.motion.rates import REACH, YAW_SIGMA_S, gaussian_mean
 
 L = 2.7
 CAR = label.Car(L, 1.0)

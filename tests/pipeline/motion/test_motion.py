@@ -15,8 +15,9 @@ from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import project, transform
-from pipeline.motion import horizon, step, visual
+from pipeline.motion import horizon, step
 from pipeline.motion.doubts import check_unit, find_doubts
+from pipeline.motion.odometry import Odometry
 from pipeline.motion.pose import estimate_pose
 from pipeline.motion.roll import Roll
 from pipeline.motion.step import TYPICAL_MPS, filter_speed
@@ -137,7 +138,7 @@ def views(*poses: np.ndarray) -> list[Frame]:
 def measured(
     frames: list[Frame], camera: Camera = street.WIDE.at_height(street.WIDE.height_m)
 ) -> list[step.Step | None]:
-    odometry = visual.Odometry(camera)
+    odometry = Odometry(camera)
     return [odometry.step(frame) for frame in frames]
 
 
@@ -273,7 +274,7 @@ def test_roll_is_that_of_upright_edges(turned_deg):
 def test_a_black_image_shows_no_road():
     """Also where depth is that of a road."""
     frames = views(*street.arc(2, 0.0, 6.0))
-    odometry = visual.Odometry(street.WIDE)
+    odometry = Odometry(street.WIDE)
     odometry.step(frames[0])
     assert odometry.road.frame_height_m > 0
     assert odometry.road_class > 0.5

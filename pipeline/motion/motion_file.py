@@ -8,10 +8,10 @@ import numpy as np
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
 from pipeline.camera.camera import Camera, DriveFrames
+from pipeline.motion.odometry import Odometry
 from pipeline.motion.roll import EVERY, Roll
 from pipeline.motion.step import LEAST_NOISE, PROBLEMS, STANDSTILL, durations, filter_speed, rates
 from pipeline.motion.still import lowest_share
-from pipeline.motion.visual import Odometry
 
 # Share of the class road in front of the car from which a frame's classes show a road.
 ROAD_BY_CLASS = 0.5

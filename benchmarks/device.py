@@ -20,8 +20,8 @@ from pipeline.base.params import load
 from pipeline.base.resume import ROOT
 from pipeline.camera.camera import Camera
 from pipeline.labels import label, source
+from pipeline.labels.settings import Labels
 from pipeline.perception.perceive import GPU_BATCH, perceive
-from pipeline.settings.labels import Labels
 from pipeline.settings.models import Entry
 from pipeline.settings.train import Train
 from pipeline.train import frames, windows

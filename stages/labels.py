@@ -8,11 +8,10 @@ from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
 from pipeline.base.runner import file_jobs, make_drives
 from pipeline.labels import comparison
+from pipeline.labels.doubts import find_doubts
 from pipeline.labels.label import Car
+from pipeline.labels.settings import Labels
 from pipeline.labels.source import labels_drive
-from pipeline.settings.labels import Labels
-
-WINDOW = 8  # frames that a network sees, by default
 
 
 def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
@@ -20,7 +19,10 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
 
     Recorded labels are first compared with measured motion. Raises InputError if their sign or unit is wrong.
     """
-    settings, ingest, motion, out = load(Labels, params), data / "ingest", data / "motion", data / "labels"
+    settings = load(Labels, params)
+    ingest = data / "ingest"
+    motion = data / "motion"
+    out = data / "labels"
     splits = store.read_index(ingest, stage="ingest")
     # Not with test drives: a lag fitted to them would align the truth with odometry.
     drives = store.drives_in(splits, "train", "val") or [*splits]
@@ -33,19 +35,8 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     with stage_folder("labels", out, splits) as folder:
         # One worker, as this is less work than starting a process.
         summaries = make_drives(folder, jobs, settings, text, workers=1)
-    for split in dict.fromkeys(splits.values()):
-        of_split, counts = store.drives_in(splits, split), ("frames", "valid", "turning")
-        frames, valid, turning = (sum(summaries[name][key] for name in of_split) for key in counts)
-        fix = "Add drives, or cut a recording otherwise: steer import --split 60,30,10"
-        if valid < WINDOW:
-            print(f"doubt: {valid} of {frames} frames of {', '.join(of_split)} have a label: the car stands? {fix}")
-        elif turning < comparison.SHOWN:
-            print(f"doubt: {turning} of {frames} frames of split {split} turn, too few to tell models apart. {fix}")
-    if count := sum(summary["interpolated"] for summary in summaries.values()):
-        print(f"{count} oxts packets are interpolated, not measured: they are no targets, and paths ahead end there")
-    if suspect := [drive for drive, summary in summaries.items() if summary["sideways"]]:
-        names = ", ".join(suspect)
-        print(f"implausible labels: oxts has the car sliding sideways in {names}. Remove them from ingest.drives")
+    for line in find_doubts(splits, summaries):
+        print(line)
     return out
 
 

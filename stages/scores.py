@@ -18,8 +18,8 @@ from pipeline.labels import comparison
 from pipeline.labels import source as sources
 from pipeline.labels.agreement import compare
 from pipeline.labels.label import Car
+from pipeline.labels.settings import SOURCES, Labels
 from pipeline.scores.pixels import Scores
-from pipeline.settings.labels import SOURCES, Labels
 
 
 def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:

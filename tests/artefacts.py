@@ -16,9 +16,9 @@ from pipeline.ingest.drive import Drive
 from pipeline.ingest.ingest_file import write_drive
 from pipeline.ingest.settings import Reading
 from pipeline.labels import label, source
+from pipeline.labels.settings import Labels
 from pipeline.motion.step import PROBLEMS, STANDSTILL
 from pipeline.settings.graphs import Variant
-from pipeline.settings.labels import Labels
 from pipeline.train.frames import join, number_rows
 
 WHEELBASE_M = 2.7

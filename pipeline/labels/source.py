@@ -19,8 +19,8 @@ from pipeline.labels.agreement import backwards
 from pipeline.labels.ahead import path_ahead
 from pipeline.labels.label import TURNING_RAD, Car, Labels
 from pipeline.labels.recorded import recorded_motion
-from pipeline.settings.labels import SOURCES
-from pipeline.settings.labels import Labels as Settings
+from pipeline.labels.settings import SOURCES
+from pipeline.labels.settings import Labels as Settings
 
 # Cars do not slide sideways: vl stays below 0.4 m/s in KITTI. Above this limit, heading or GNSS velocity is wrong, and
 # the label with it: 2011_09_26_drive_0093 has 14 m/s to the left and then 11 m/s backwards.

@@ -13,10 +13,10 @@ from models.steering.core import options
 from pipeline.base import params
 from pipeline.base.errors import InputError
 from pipeline.ingest.settings import Ingest
+from pipeline.labels.settings import Labels
 from pipeline.settings import preset
 from pipeline.settings.clouds import Clouds
 from pipeline.settings.graphs import Variant
-from pipeline.settings.labels import Labels
 from pipeline.settings.train import Train
 from tests.presets import NAMES
 

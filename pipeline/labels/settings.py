@@ -8,7 +8,7 @@ from pydantic import Field, field_validator
 from pipeline.base.errors import closest
 from pipeline.base.params import Positive, Section
 
-SOURCES = sorted(path.stem for path in (Path(__file__).parents[1] / "labels/sources").glob("[!_]*.py"))
+SOURCES = sorted(path.stem for path in (Path(__file__).parent / "sources").glob("[!_]*.py"))
 
 
 class Labels(Section):

@@ -1,18 +1,16 @@
-"""Compare labels from two sources: errors of measured motion, and faults of what was recorded."""
+"""Compare recorded labels with measured motion: faults of what was recorded."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from pipeline.base.errors import InputError
-from pipeline.base.metrics import nmse
 from pipeline.base.store import DriveReader
 from pipeline.labels import source as sources
 from pipeline.labels.agreement import Agreement, Fit, Noise, Pair, Speed, compare
-from pipeline.labels.label import Car, Labels, held
+from pipeline.labels.label import Car
 from pipeline.motion.rates import measured_rates
 
 # Turning frames that a comparison needs.
@@ -56,42 +54,6 @@ NEGATIVE = 0.5
 UNKNOWN = "too little turning for its noise"
 # Doubts that are shown about one recording.
 MOST = 2
-
-
-def errors(measured: Labels, true: Labels) -> np.ndarray:
-    """Return errors of the labels from one source against those of another, for the same frames, for :func:`score`.
-
-    [5,F]: measured, 0 or 1; then, NaN where not compared, the error of the yaw rate in rad/s, measured / true speed,
-    the error of the angle in rad, and the true angle. An angle that is not measured repeats the last one.
-    """
-    both, held_rad = measured.valid & true.valid, held(measured.steering_rad, measured.valid, initial=np.nan)
-    yaw_radps = np.where(both, measured.yaw_rate_radps - true.yaw_rate_radps, np.nan)
-    ratio = np.divide(measured.speed_mps, true.speed_mps, out=np.full(len(both), np.nan), where=both)
-    true_rad = np.where(true.valid & np.isfinite(held_rad), true.steering_rad, np.nan)
-    return np.stack([measured.valid, yaw_radps, ratio, held_rad - true_rad, true_rad])
-
-
-def score(drives: Sequence[np.ndarray]) -> dict[str, Any] | None:
-    """Return the scores over all frames of `drives`, each of :func:`errors`; None without frames. Undefined: None.
-
-    ``valid``: share of valid labels; ``judged``: frames in nmse; ``speed_ratio``: median of measured / true speed;
-    ``nmse``: of the last measured steering angle.
-    """
-    measured, *compared = np.concatenate([np.zeros((5, 0)), *drives], axis=1)
-    if not len(measured):
-        return None
-    yaw_radps, ratio, error_rad, true_rad = (values[np.isfinite(values)] for values in compared)
-    yaw_degps = np.degrees(yaw_radps)
-    return {
-        "drives": sum(drive.size > 0 for drive in drives),
-        "frames": len(measured),
-        "valid": float(measured.mean()),
-        "judged": len(true_rad),
-        "yaw_rmse_degps": float(np.sqrt((yaw_degps**2).mean())) if len(yaw_degps) else None,
-        "yaw_median_degps": float(np.median(np.abs(yaw_degps))) if len(yaw_degps) else None,
-        "speed_ratio": float(np.median(ratio)) if len(ratio) else None,
-        "nmse": nmse(true_rad, true_rad + error_rad),
-    }
 
 
 def read(source: str, drives: Sequence[str], ingest: Path, motion: Path, car: Car) -> dict[str, Pair]:

@@ -1,4 +1,4 @@
-"""Stages perception by precomputed files, clouds of drives with LiDAR, images or both, and the scores of motion."""
+"""Stages perception by precomputed files, and clouds of drives with LiDAR, images or both."""
 
 from pathlib import Path
 
@@ -12,12 +12,10 @@ from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
 from pipeline.camera import classes
 from pipeline.encoder.encoder_file import save
-from pipeline.ingest.packets import make_rows
-from pipeline.labels.label import Car
 from pipeline.motion.motion_file import measure_drive
-from stages import clouds, perception, scores
+from stages import clouds, perception
 from tests import street
-from tests.artefacts import write_index, write_motion, write_recorded
+from tests.artefacts import write_index
 from tests.kitti_drive import write_png
 
 SPLITS = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train", "2026_01_03_drive_0001": "test"}
@@ -81,27 +79,3 @@ def test_precomputed_files_are_matched_by_frame_number(tmp_path, capsys):
     with pytest.raises(InputError, match="later"):  # this process has the first encoder open
         run(tmp_path)
     assert f"encoder was fitted to rendered streets alone: wrong depth on {FULL}" in capsys.readouterr().out
-
-
-DRIVE, FRAMES = "2027_03_31_drive_0001", 20
-SPEED_MPS, YAW_RATE_RADPS = 10.0, 0.2
-TRUE_RAD = float(np.arctan(2.7 * YAW_RATE_RADPS / SPEED_MPS))
-
-
-@pytest.mark.parametrize("with_oxts", [False, True])
-@pytest.mark.parametrize("with_wheel", [False, True])
-def test_only_recorded_values_are_a_reference(tmp_path, with_oxts, with_wheel):
-    """The measured speed is 10 % too high, and the recorded angle 0.01 rad off."""
-    oxts = make_rows(FRAMES, vf=SPEED_MPS, wu=YAW_RATE_RADPS) if with_oxts else None
-    angles = dict.fromkeys(range(FRAMES), TRUE_RAD + 0.01) if with_wheel else None
-    write_recorded(tmp_path / f"ingest/{DRIVE}.h5", np.arange(FRAMES), oxts, angles)
-    write_motion(tmp_path / "motion", DRIVE, dict.fromkeys(range(FRAMES), (1.1 * SPEED_MPS, YAW_RATE_RADPS)))
-    found = scores._score_motion([DRIVE], ingest=tmp_path / "ingest", motion=tmp_path / "motion", car=Car(2.7, 1.0))
-    compared = {"visual": with_oxts, "visual-wheel": with_wheel, "wheel": with_oxts and with_wheel}
-    assert set(found) == {kind for kind, expected in compared.items() if expected}
-    for kind, result in found.items():
-        assert result["judged"] == FRAMES
-        with_rates = kind == "visual"  # a wheel has neither speed nor yaw rate, whatever its labels borrow
-        assert result["speed_ratio"] == (pytest.approx(1.1) if with_rates else None), kind
-        assert (result["yaw_rmse_degps"] is None) == (not with_rates), kind
-        assert 0 < result["nmse"] < 0.1

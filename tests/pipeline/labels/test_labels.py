@@ -1,4 +1,4 @@
-"""The steering label, paths, the path ahead of simulated drives, means of rates, and errors of one source."""
+"""The steering label, paths, the path ahead of simulated drives, and means of rates."""
 
 import re
 from collections.abc import Callable
@@ -116,27 +116,6 @@ def test_no_path_passes_a_reversing_a_missing_or_an_unmeasured_frame(change):
     np.testing.assert_array_equal(valid[:40], (at_m[:, None] + EDGES_M[1:])[:40] <= at_m[39] + 1e-9)
     np.testing.assert_array_equal(valid[41:], complete[41:])
     assert np.isfinite(curvature).all()
-
-
-def moved(yaw_rate: float, speed: float, measured: list[int]) -> Labels:
-    """Return the labels of five frames, of which the last is slow."""
-    rates = yaw_rate * np.array(measured), speed * np.array([1, 1, 1, 1, 0.03]) * measured
-    labels = label.steering_labels(*rates, CAR)
-    return labels._replace(valid=labels.valid & np.array(measured, bool))
-
-
-def test_scores_use_measured_frames_above_the_minimum_speed():
-    true, held = np.arctan(L * 0.2 / 6), np.arctan(L * 0.21 / 6.6)
-    scores = comparison.score([comparison.errors(moved(0.21, 6.6, [0, 1, 0, 1, 1]), moved(0.2, 6.0, [1] * 5))])
-    expected = {"drives": 1, "frames": 5, "valid": 2 / 5, "judged": 3, "speed_ratio": 1.1}
-    expected |= dict.fromkeys(("yaw_rmse_degps", "yaw_median_degps"), np.degrees(0.01))
-    expected["nmse"] = (held - true) ** 2 / true**2  # frames 1 to 3: the first is not measured yet, the last too slow
-    assert scores == pytest.approx(expected)
-    assert comparison.score([]) is None
-    true, unknown = moved(0.2, 6.0, [1] * 5), np.full(5, np.nan)
-    wheel = Labels(1.1 * true.steering_rad, true.valid, unknown, unknown)
-    scores = comparison.score([comparison.errors(wheel, true)])
-    assert (scores["yaw_rmse_degps"], scores["speed_ratio"], scores["nmse"]) == (None, None, pytest.approx(0.01))
 
 
 def course(time_s: np.ndarray, factor: float, speed: float) -> Labels:

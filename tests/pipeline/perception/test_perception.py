@@ -1,7 +1,6 @@
 """Encoders: weights, the fit, passes; depth in metres, ground truth, and errors of depth and classes."""
 
 import hashlib
-import json
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +19,9 @@ from pipeline.encoder.encoder_file import save
 from pipeline.encoder.examples import Example, Examples, mirrored
 from pipeline.encoder.fit import depth_and_class_loss
 from pipeline.encoder.settings import Encoder
-from pipeline.ingest.truth import Truth, read_truth
+from pipeline.ingest.truth import read_truth
 from pipeline.perception.perceive import passes
 from pipeline.perception.reach import limit_traffic_depth
-from pipeline.scores.pixels import Scores, depth_errors, eigen_crop
 from tests import street
 
 
@@ -167,55 +165,3 @@ def test_hidden_points_are_dropped_and_ground_stays():
     assert hidden.any()
     assert not kept[hidden].any()
     np.testing.assert_array_equal(kept[:, :98], ground_kept[:, :98])
-
-
-@pytest.mark.parametrize(
-    ("truth", "predicted", "expected"),
-    [
-        ([10, 20, 0, 0.9, 81, 40], [11, 30, 5, 5, 5, 40], [(0.1 + 0.5) / 3, np.sqrt(101 / 3), 2 / 3]),  # out of range
-        ([80, 1], [1000, 0.1], [0, 0, 1]),  # clipped
-        ([10, 20, 40], [11, 0, 40], [0.05, np.sqrt(1 / 2), 1]),  # a hole in the prediction
-    ],
-)
-def test_depth_errors_equal_hand_values(truth, predicted, expected):
-    np.testing.assert_allclose(depth_errors(np.array(predicted), np.array(truth, float)), expected)
-
-
-def test_flat_ground_is_scored_at_the_pixels_of_the_encoder():
-    _, depth_m, cls = street.scene(0)
-    stored = np.where(np.random.default_rng(0).random(street.SIZE) < 0.3, 0, depth_m)
-    scores = Scores()
-    scores.add_frame(stored, cls, street.CAMERA, Truth(depth_m, "dense", cls))
-    report = scores.report()
-    flat = np.where(stored > 0, ground_plane_depth(cls, street.CAMERA), 0)
-    assert report["depth_dense"]["abs_rel"] == 0
-    error, *_ = depth_errors(eigen_crop(flat), eigen_crop(depth_m))
-    assert report["ground_plane_dense"]["abs_rel"] == pytest.approx(error)
-    assert 0.5 < report["depth_dense"]["coverage"] == report["ground_plane_dense"]["coverage"] < 0.8
-    assert report["depth_lidar"] is None
-    assert report["classes"]["pixel_accuracy"] == 1
-    assert report["classes"]["mean_iou"] == 1
-
-
-def test_class_scores_equal_hand_values():
-    scores = Scores()
-    truth = np.array([0, 0, 0, 1, 1, classes.VOID, 18, 18])
-    scores.add_classes(np.array([0, 0, 1, 1, 2, 5, 18, classes.VOID], np.uint8), truth)  # void is an error
-    report = scores.report()["classes"]
-    ious = {classes.NAMES[0]: 2 / 3, classes.NAMES[1]: 1 / 3, classes.NAMES[18]: 1 / 2}  # 2 is not in the truth
-    assert report["iou"] == pytest.approx(ious)
-    assert report["mean_iou"] == pytest.approx(1 / 2)
-    assert report["pixel_accuracy"] == pytest.approx(4 / 7)
-
-
-def test_scores_add_up_over_drives_through_json():
-    rng, every, total = np.random.default_rng(0), Scores(), Scores()
-    for _ in range(2):
-        part, (depth, truth), (cls, true_cls) = Scores(), rng.uniform(2, 60, (2, 5, 6)), rng.integers(0, 4, (2, 5, 6))
-        for scores in (every, part):
-            scores.add_depth("depth_dense", depth, truth)
-            scores.add_classes(cls, true_cls)
-        total.add(json.loads(json.dumps({key: sums.tolist() for key, sums in part.sums.items()})))
-    assert total.report()["depth_dense"] == pytest.approx(every.report()["depth_dense"])
-    assert total.report()["classes"] == every.report()["classes"]
-    assert set(Scores().report().values()) == {None}

@@ -1,0 +1,61 @@
+"""Score what was perceived and measured of a drive, and of the drives of each split."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pipeline.base.params import SPLITS
+from pipeline.base.runner import Summary
+from pipeline.base.store import DriveReader, drives_in, write_json
+from pipeline.camera.camera import read_camera
+from pipeline.camera.images import to_metres
+from pipeline.ingest.truth import read_truth
+from pipeline.labels import comparison
+from pipeline.labels import source as sources
+from pipeline.labels.agreement import compare
+from pipeline.labels.label import Car
+from pipeline.labels.settings import SOURCES
+from pipeline.scores.motion_scores import score_motion
+from pipeline.scores.pixels import Scores
+
+
+def score_drive(path: Path, *, ingest: Path, perception: Path, motion: Path, car: Car) -> Summary:
+    """Write the scores of a drive, DRIVE/metrics.json. Return its sums, for :meth:`Scores.add`."""
+    scores = Scores()
+    with (
+        DriveReader(ingest, stage="ingest") as source,
+        DriveReader(perception, stage="perception") as perceived,
+    ):
+        camera = read_camera(source)
+        for row, number in enumerate(perceived.frame):
+            depth_m, cls = to_metres(perceived.row("depth_m", row)), perceived.row("cls", row)
+            scores.add_frame(depth_m, cls, camera, read_truth(source, camera, source.row_of(number)))
+    of_motion = score_motion([ingest.stem], ingest.parent, motion.parent, car)
+    write_json(path, {**scores.report(), "motion": of_motion})
+    return {"frames": len(perceived.frame), "sums": {key: sums.tolist() for key, sums in scores.sums.items()}}
+
+
+def score_splits(
+    splits: Mapping[str, str], summaries: Mapping[str, Summary], ingest: Path, motion: Path, car: Car
+) -> dict[str, Any]:
+    """Return the scores of the validation and test drives; those of training drives are None.
+
+    `splits`: drive → split, of all drives; `summaries`: of :func:`score_drive`, of those that are scored; `ingest` and
+    `motion`: the folders of these stages. Recorded motion is compared on training and validation drives, if any.
+    """
+    content: dict[str, Any] = {"motion": {}, "recorded": {}, "train": Scores().report()}
+    for split in ("val", "test"):
+        scores = Scores()
+        drives = drives_in(splits, split)
+        for drive in drives:
+            scores.add(summaries[drive]["sums"])
+        content[split] = scores.report()
+        for kind, motion_scores in score_motion(drives, ingest, motion, car).items():
+            content["motion"].setdefault(kind, dict.fromkeys(SPLITS))[split] = motion_scores
+
+    compared = drives_in(splits, "train", "val") or [*splits]
+    for kind in (name for name in SOURCES if not sources.load(name).MEASURED):
+        pairs = comparison.read(kind, compared, ingest, motion, car)
+        errors, lines = comparison.judge(compare([*pairs.values()]), sources.column(kind))
+        content["recorded"][kind] = {"lines": [*lines, *errors]}
+    return content

@@ -13,8 +13,8 @@ from models.steering.core.batch import GraphBatch, from_arrays
 from pipeline.base import store
 from pipeline.camera.classes import BUILDING, ROAD
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
+from pipeline.clouds.cloud import Cloud
 from pipeline.graphs import frame_graph, graph_file
-from pipeline.graphs.cloud import Cloud
 from pipeline.settings.graphs import Variant
 from pipeline.train.frames import join, number_rows
 

@@ -11,8 +11,9 @@ from models.steering.spatial.gnn import normalised_adjacency
 from pipeline.camera.camera import Camera
 from pipeline.camera.geometry import back_project
 from pipeline.camera.images import read_image
+from pipeline.clouds import cloud
 from pipeline.encoder import encoder_file
-from pipeline.graphs import cloud, graph, graph_file
+from pipeline.graphs import graph, graph_file
 from pipeline.perception.perceive import perceive
 from pipeline.report import street_view
 from pipeline.train import predict

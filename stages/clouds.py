@@ -7,9 +7,9 @@ from pipeline.base import console, store
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
 from pipeline.base.runner import file_jobs, make_drives
-from pipeline.graphs import cloud
+from pipeline.clouds import cloud
+from pipeline.clouds.settings import Clouds
 from pipeline.ingest.settings import Ingest
-from pipeline.settings.clouds import Clouds
 
 
 def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:

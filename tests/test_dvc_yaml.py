@@ -20,7 +20,7 @@ FOUND = {"pipeline/ingest", "pipeline/labels"}  # with files that are found by t
 PACKAGES = {  # that these stages list although they do not import every file; of other packages they list single files
     "perception": {"pipeline/base", "pipeline/camera", "models/encoder"},
     "clouds": {"pipeline/base", "pipeline/camera"},
-    "graphs": {"pipeline/base", "pipeline/camera", "pipeline/graphs"},
+    "graphs": {"pipeline/base", "pipeline/camera", "pipeline/clouds", "pipeline/graphs"},
     "train": {"pipeline/base", "pipeline/train"},
     "evaluate": {"pipeline/base", "pipeline/train"},
 }

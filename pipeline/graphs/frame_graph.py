@@ -8,8 +8,8 @@ import numpy as np
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.camera.geometry import transform
+from pipeline.clouds.cloud import Cloud, draw_points, frame_rng, ordered
 from pipeline.graphs import graph, graph_file
-from pipeline.graphs.cloud import Cloud, draw_points, frame_rng, ordered
 from pipeline.graphs.graph_file import Column, Columns
 from pipeline.settings.graphs import Variant
 

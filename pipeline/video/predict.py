@@ -9,13 +9,13 @@ from pipeline.base.errors import InputError
 from pipeline.base.params import RATE_TOLERANCE
 from pipeline.base.resume import file_hash
 from pipeline.camera.lens import MAX_DEPTH_M, depth_limit
+from pipeline.clouds.cloud import clouds_drive
+from pipeline.clouds.settings import Clouds
 from pipeline.encoder.encoder_file import FILE
 from pipeline.graphs import graph_file
-from pipeline.graphs.cloud import clouds_drive
 from pipeline.graphs.frame_graph import graphs_drive
 from pipeline.ingest.settings import Reading
 from pipeline.perception.settings import Perception
-from pipeline.settings.clouds import Clouds
 from pipeline.settings.graphs import Variant
 from pipeline.train.predict import Trained
 from pipeline.video.pictures import publish

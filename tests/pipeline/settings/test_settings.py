@@ -12,10 +12,10 @@ import yaml
 from models.steering.core import options
 from pipeline.base import params
 from pipeline.base.errors import InputError
+from pipeline.clouds.settings import Clouds
 from pipeline.ingest.settings import Ingest
 from pipeline.labels.settings import Labels
 from pipeline.settings import preset
-from pipeline.settings.clouds import Clouds
 from pipeline.settings.graphs import Variant
 from pipeline.settings.train import Train
 from tests.presets import NAMES

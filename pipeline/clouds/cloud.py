@@ -17,7 +17,7 @@ from pipeline.camera import classes, geometry
 from pipeline.camera.camera import Camera, DriveFrames, visible
 
 if TYPE_CHECKING:
-    from pipeline.settings.clouds import Clouds
+    from pipeline.clouds.settings import Clouds
 
 Cloud = tuple[np.ndarray, np.ndarray]  # xyz float32 [P,3] in metres, cls uint8 [P] (trainIds)
 

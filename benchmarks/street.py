@@ -15,7 +15,7 @@ from pipeline.camera.classes import BUILDING, ROAD
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.clouds.cloud import Cloud
 from pipeline.graphs import frame_graph, graph_file
-from pipeline.settings.graphs import Variant
+from pipeline.graphs.settings import Variant
 from pipeline.train.frames import join, number_rows
 
 ROUNDS = 5

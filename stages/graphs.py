@@ -11,7 +11,7 @@ from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load_entry
 from pipeline.base.runner import file_jobs, make_drives
 from pipeline.graphs.frame_graph import graphs_drive
-from pipeline.settings.graphs import Variant
+from pipeline.graphs.settings import Variant
 
 
 def main(

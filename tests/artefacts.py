@@ -12,13 +12,13 @@ from pipeline.camera.camera import Frame
 from pipeline.camera.classes import BUILDING, ROAD
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.graphs import frame_graph, graph_file
+from pipeline.graphs.settings import Variant
 from pipeline.ingest.drive import Drive
 from pipeline.ingest.ingest_file import write_drive
 from pipeline.ingest.settings import Reading
 from pipeline.labels import label, source
 from pipeline.labels.settings import Labels
 from pipeline.motion.step import PROBLEMS, STANDSTILL
-from pipeline.settings.graphs import Variant
 from pipeline.train.frames import join, number_rows
 
 WHEELBASE_M = 2.7
@@ -175,3 +175,9 @@ def write_motion(folder: Path, drive: str, rows: dict[int, tuple[float, float]],
         for name, value in {"road_height_m": 1, "speed_sigma": 0.05, "scale": 1}.items():
             file.put(name, np.full(len(rows), value, np.float32))
         file.put("T_before_now", forth)
+
+
+def points(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Return random points [P,3] in metres and classes [P], with more spread ahead than to the sides."""
+    rng = np.random.default_rng(seed)
+    return (rng.normal(size=(count, 3)) * [10, 2, 30]).astype(np.float32), rng.integers(0, 4, count, np.uint8)

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from pipeline.base import resume
-from pipeline.settings.graphs import Variant
+from pipeline.graphs.settings import Variant
 
 CONFIG: dict[str, Any] = yaml.safe_load((resume.ROOT / "dvc.yaml").read_text())
 STAGES: dict[str, Any] = {name: {**stage, **stage.get("do", {})} for name, stage in CONFIG["stages"].items()}

@@ -9,13 +9,13 @@ from pipeline.camera.camera import Frame
 from pipeline.clouds.cloud import clouds_drive
 from pipeline.clouds.settings import Clouds
 from pipeline.graphs.frame_graph import graphs_drive
+from pipeline.graphs.settings import Variant
 from pipeline.ingest.drive import Drive
 from pipeline.ingest.ingest_file import write_drive
 from pipeline.ingest.settings import Reading
 from pipeline.motion.motion_file import measure_drive
 from pipeline.perception.perceive import perceive_drive
 from pipeline.perception.settings import Perception
-from pipeline.settings.graphs import Variant
 from tests import street
 from tests.flat_ground import write_encoder
 

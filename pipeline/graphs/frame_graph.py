@@ -11,7 +11,7 @@ from pipeline.camera.geometry import transform
 from pipeline.clouds.cloud import Cloud, draw_points, frame_rng, ordered
 from pipeline.graphs import graph, graph_file
 from pipeline.graphs.graph_file import Column, Columns
-from pipeline.settings.graphs import Variant
+from pipeline.graphs.settings import Variant
 
 
 def graphs_drive(path: Path, source: Path, motion: Path, variant: Variant) -> Summary:

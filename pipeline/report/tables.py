@@ -10,9 +10,9 @@ import pandas as pd
 
 from pipeline.base.params import SPLITS
 from pipeline.evaluate.errors import interval_text
+from pipeline.graphs.settings import Variant
 from pipeline.report import paper
 from pipeline.report.results import BASELINES, NO_LEARNING, USELESS, Difference, Group, Row
-from pipeline.settings.graphs import Variant
 
 NONE = "–"  # cell without a value
 _RESULTS = (

@@ -14,9 +14,9 @@ from pipeline.clouds.settings import Clouds
 from pipeline.encoder.encoder_file import FILE
 from pipeline.graphs import graph_file
 from pipeline.graphs.frame_graph import graphs_drive
+from pipeline.graphs.settings import Variant
 from pipeline.ingest.settings import Reading
 from pipeline.perception.settings import Perception
-from pipeline.settings.graphs import Variant
 from pipeline.train.predict import Trained
 from pipeline.video.pictures import publish
 from pipeline.video.results import Outcome, Results

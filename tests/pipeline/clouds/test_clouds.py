@@ -6,8 +6,13 @@ import pytest
 from pipeline.camera import classes, geometry
 from pipeline.camera.camera import Camera
 from pipeline.clouds import cloud
+from tests import artefacts
 
 K = np.array([[100.0, 0, 19.5], [0, 100.0, 9.5], [0, 0, 1]])
+
+
+def rows_of(part: np.ndarray, xyz: np.ndarray) -> list[int]:
+    return [int(np.flatnonzero((xyz == point).all(axis=1))[0]) for point in part]
 
 
 def test_pseudo_cloud_has_a_point_per_valid_pixel():
@@ -52,7 +57,7 @@ def test_morton_order_equals_bitwise_interleaving():
 
 
 def test_drawn_points_depend_on_the_frame_alone_lie_in_the_crop_and_keep_order_and_class():
-    xyz, cls = points(900)
+    xyz, cls = artefacts.points(900)
 
     def drawn(count: int, frame: int) -> list[int]:
         part, labels = cloud.draw_points((xyz, cls), (-5, 0, 5, 20), count, cloud.frame_rng(0, "drive", frame))

@@ -1,4 +1,4 @@
-"""Clouds, their sampling and accumulation, kNN graphs, the neighbourhoods of PointNet++, and graph files."""
+"""Accumulated clouds, kNN graphs, the neighbourhoods of PointNet++, and graph files."""
 
 import numpy as np
 import pytest
@@ -9,21 +9,11 @@ from scipy.spatial import cKDTree
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.camera.geometry import transform
-from pipeline.clouds import cloud
 from pipeline.graphs import frame_graph, graph, graph_file
 from tests import artefacts
 from tests.artefacts import write_motion
 from tests.models.steering.frames import FRAME, REFERS_TO, concatenated
 from tests.street import pose
-
-
-def points(count: int, seed: int = 0) -> cloud.Cloud:
-    rng = np.random.default_rng(seed)
-    return (rng.normal(size=(count, 3)) * [10, 2, 30]).astype(np.float32), rng.integers(0, 4, count, np.uint8)
-
-
-def rows_of(part: np.ndarray, xyz: np.ndarray) -> list[int]:
-    return [int(np.flatnonzero((xyz == point).all(axis=1))[0]) for point in part]
 
 
 @pytest.mark.parametrize(
@@ -69,7 +59,7 @@ def test_steps_have_the_length_unit_of_the_clouds(tmp_path):
 @given(st.integers(0, 120), st.integers(0, 8), st.sampled_from([0.0, 0.2, 1.0]), st.integers(0, 2**16))
 def test_a_graph_is_the_symmetric_knn_graph_pruned_between_classes(count, k, keep, seed):
     """Paper Fig. 3: directed edges are counted, 600 for 100 points."""
-    xyz, cls = points(count, seed)
+    xyz, cls = artefacts.points(count, seed)
     made = graph.prune(graph.undirected(graph.nearest(xyz, k)), cls, keep, np.random.default_rng(seed))
     near = range(2, min(k, count - 1) + 2)
     neighbours = cKDTree(xyz).query(xyz, near)[1] if count > 1 and k else np.empty((count, 0), int)

@@ -13,10 +13,10 @@ from models.steering.core import options
 from pipeline.base import params
 from pipeline.base.errors import InputError
 from pipeline.clouds.settings import Clouds
+from pipeline.graphs.settings import Variant
 from pipeline.ingest.settings import Ingest
 from pipeline.labels.settings import Labels
 from pipeline.settings import preset
-from pipeline.settings.graphs import Variant
 from pipeline.settings.train import Train
 from tests.presets import NAMES
 

@@ -22,10 +22,10 @@ from pipeline.camera.camera import Camera
 from pipeline.labels import label, source
 from pipeline.labels.settings import Labels
 from pipeline.perception.perceive import GPU_BATCH, perceive
-from pipeline.settings.models import Entry
-from pipeline.settings.train import Train
 from pipeline.train import frames, windows
+from pipeline.train.entry import Entry
 from pipeline.train.fit import Fit
+from pipeline.train.settings import Train
 from pipeline.train.targets import LabelledDrive, read_drive
 
 DRIVES = 8

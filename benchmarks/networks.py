@@ -16,7 +16,7 @@ from models.steering.core.cell.ltc import LTC
 from models.steering.core.features import mean_max_pool, node_features
 from models.steering.core.wiring import ncp
 from models.steering.spatial.gnn import GCN, GCNLayer, Options
-from pipeline.settings.models import Entry
+from pipeline.train.entry import Entry
 
 GCN_FRAMES = 4  # per batch
 WINDOW, FEATURES = 8, 32

@@ -16,12 +16,12 @@ from pipeline.encoder import encoder_file
 from pipeline.graphs import graph, graph_file
 from pipeline.perception.perceive import perceive
 from pipeline.report import street_view
-from pipeline.train import predict
+from pipeline.train import trained
 
 torch.set_grad_enabled(False)
 K = np.array([[172.9, 0, 154.4], [0, 172.9, 44.95], [0, 0, 1]])  # pixels
 _, encoder = encoder_file.load(Path("models/encoder/sample/encoder.pt"))
-model = predict.load("models/steering/sample", device="cpu")
+model = trained.load("models/steering/sample", device="cpu")
 gcn, standardise, ncp = model.net.spatial, model.net.scale, model.net.temporal
 images = np.stack([read_image(path) for path in sorted(Path("examples/street").glob("*.png"))])  # [8,H,W,3]
 rng, features = np.random.default_rng(0), []

@@ -7,9 +7,9 @@ from pipeline.base.errors import InputError, closest, error_context
 from pipeline.base.params import parse, read
 from pipeline.encoder import create
 from pipeline.labels import source
-from pipeline.settings.models import Entry
 from pipeline.settings.preset import Params
 from pipeline.train import runs
+from pipeline.train.entry import Entry
 
 
 def main(params: Path = Path("params.yaml")) -> Path:

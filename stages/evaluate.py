@@ -15,7 +15,7 @@ from pipeline.evaluate.errors import interval_text, untrained
 from pipeline.evaluate.metrics import Case, columns, inputs, metrics, turning_frames, write_predictions
 from pipeline.graphs import graph_file
 from pipeline.settings.evaluate import Evaluate
-from pipeline.train import predict, runs
+from pipeline.train import runs, trained
 from pipeline.train.frames import Files
 from pipeline.train.targets import read_drive
 
@@ -34,9 +34,9 @@ def main(
     train = data / "train" / name
     out = data / "evaluate" / name
     with stage_folder(f"evaluate@{name}", out) as folder:
-        first = predict.load(train)
+        first = trained.load(train)
         entry = first.entry
-        models = {run.seed: predict.load(run.folder) for run in runs.runs(train, first.seeds)}
+        models = {run.seed: trained.load(run.folder) for run in runs.runs(train, first.seeds)}
         cases = _predict(models, data / "graphs" / entry.input, data / "labels")
         tested = [case.drive for case in cases["test"]]
         result: dict[str, Any] = {
@@ -54,10 +54,10 @@ def main(
             **{part: metrics(drives, settings) if drives else None for part, drives in cases.items()},
         }
         by_seed = [scores["nmse_by_seed"] for scores in (result["train"] or {}).values()]
-        trained = np.array(by_seed, float).reshape(-1, len(first.seeds)).mean(axis=0)
-        result["untrained"] = [first.seeds[number] for number in untrained(trained)]
+        train_nmse = np.array(by_seed, float).reshape(-1, len(first.seeds)).mean(axis=0)
+        result["untrained"] = [first.seeds[number] for number in untrained(train_nmse)]
         for seed in result["untrained"]:
-            error = trained[first.seeds.index(seed)]
+            error = train_nmse[first.seeds.index(seed)]
             print(f"{name}: seed {seed} failed to train: nmse {error:.3f} on its own training drives", flush=True)
         store.write_json(folder.new / "metrics.json", result, sort_keys=False)
         for number, run in enumerate(runs.runs(folder.new, first.seeds)):
@@ -66,7 +66,7 @@ def main(
     return out
 
 
-def _predict(models: Mapping[int, predict.Trained], variant: Path, labels: Path) -> dict[str, list[Case]]:
+def _predict(models: Mapping[int, trained.Trained], variant: Path, labels: Path) -> dict[str, list[Case]]:
     """Return split → drives with the predictions of the models, seed → network."""
     splits = store.read_index(variant, stage="graphs")
     scenes = [runs.scenes(splits, seed, model.entry.scene) for seed, model in models.items()]

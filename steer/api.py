@@ -16,7 +16,7 @@ from pipeline.ingest.datasets.recording import Capture
 from pipeline.ingest.log import Logs
 from pipeline.ingest.settings import Reading
 from pipeline.labels.label import Car
-from pipeline.train.predict import load
+from pipeline.train.trained import load
 from pipeline.video import measure as measuring
 from pipeline.video import predict as predicting
 from pipeline.video.results import Outcome

@@ -11,7 +11,7 @@ from models.steering.core import options
 from models.steering.core.batch import FrameKind, GraphBatch
 from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_features
 from models.steering.core.options import NetworkOptions, Sizes
-from pipeline.settings.models import Entry
+from pipeline.train.entry import Entry
 from stages import evaluate, train
 
 PARAMS = Path(__file__).resolve().parents[1] / "params.yaml"

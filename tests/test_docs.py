@@ -22,7 +22,7 @@ from pipeline.evaluate import errors
 from pipeline.labels import source
 from pipeline.labels.settings import Labels
 from pipeline.settings import preset
-from pipeline.settings.models import Entry
+from pipeline.train.entry import Entry
 from steer.app import app
 from tests import artefacts
 

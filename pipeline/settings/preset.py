@@ -23,8 +23,8 @@ from pipeline.labels.settings import Labels
 from pipeline.perception.settings import Perception
 from pipeline.sample.settings import Sample
 from pipeline.settings.evaluate import Evaluate
-from pipeline.settings.models import Entry
-from pipeline.settings.train import Train
+from pipeline.train.entry import Entry
+from pipeline.train.settings import Train
 
 PRESETS = ROOT / "presets"
 PARAMS = ROOT / "params.yaml"

@@ -1,4 +1,4 @@
-"""Fit a steering network to the training drives, with early stopping and resume."""
+"""Fit one steering network to the training drives, with early stopping and resume."""
 
 import copy
 import math
@@ -8,24 +8,21 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import torch
 from torch import Tensor, nn
 
 from models.steering.core.steering_net import SteeringNet
-from pipeline.base import checkpoint, store
+from pipeline.base import checkpoint
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.loop import warm_up_cosine
-from pipeline.base.resume import stage_key
-from pipeline.settings.models import Entry
-from pipeline.settings.train import Train
-from pipeline.train import predict, runs, windows
+from pipeline.train import trained, windows
+from pipeline.train.entry import Entry
 from pipeline.train.frames import Files
 from pipeline.train.loss import Scale, mean_nmse, step_targets, weighted_loss
-from pipeline.train.targets import Drives, LabelledDrive
+from pipeline.train.settings import Train
+from pipeline.train.targets import LabelledDrive
 
 STATE, PARTS = "state of training", ("net", "average", "optimiser")  # kind and modules of a resumable training
-SMALL = 8_000  # points per frame
 WARM_UP = 0.05  # share of the steps
 SMOOTHING = 3  # epochs
 # Share of the spans whose motion is hidden from a network that predicts ahead. Motion alone is a good first guess: a
@@ -41,66 +38,6 @@ def selected_epoch(curve: Sequence[Mapping[str, float]]) -> int:
     errors = [row["val_nmse"] for row in curve]
     means = {end: np.mean(errors[max(0, end - SMOOTHING) : end]) for end in range(1, len(errors) + 1)}
     return min((end for end in means if np.isfinite(means[end])), key=means.__getitem__, default=len(errors))
-
-
-def fit_run(
-    run: runs.Run,
-    name: str,
-    where: str,
-    entry: Entry,
-    settings: Train,
-    splits: Mapping[str, str],
-    drives: Drives,
-    files: Files | None,
-    kept: Path,
-) -> Path:
-    """Train a network of model `name`, from the state of an earlier run if there is one; write best.pt and curve.csv.
-
-    `where`: of the model's entry, for messages; `splits`: drive → split; `files`: open graph files, None: this process
-    has none; `kept`: the folder of states, see StageFolder. Returns the state's file. Raises InputError.
-    """
-    entry = entry.seeded(run.seed)
-    scenes = runs.scenes(splits, run.seed, entry.scene)
-    seen = {drive: replace(drives[drive], scene=drives[other].graphs) for drive, other in scenes.items()}
-    usable = {drive: labelled for drive, labelled in seen.items() if labelled.has_window(entry.window)}
-    train = [usable[drive] for drive in store.drives_in(splits, "train") if drive in usable]
-    val = [usable[drive] for drive in store.drives_in(splits, "val") if drive in usable]
-    device = "cuda" if torch.cuda.is_available() else "cpu"
-    contents = train[0].contents
-    if device == "cpu" and 0 < np.mean(train[0].counts.get("points", 0)) < SMALL:
-        # With few points a second thread has little to do, and slows each of a step's hundreds of small operations
-        # where another process uses its core. One thread's sums are also the same on each machine.
-        torch.set_num_threads(1)
-    torch.backends.cudnn.allow_tf32 = False  # float32 also in convolutions
-    torch.manual_seed(run.seed)
-    with error_context(where=where):
-        net = entry.build(**contents._asdict(), outputs=len(train[0].columns))
-    net.to(device)
-    paths = [*dict.fromkeys(path for drive in train + val for path in (drive.graphs, drive.labels, drive.scene))]
-    inputs = {
-        "entry": entry.model_dump(mode="json"),
-        "train": settings.model_dump(exclude={"seeds"}),
-        "seed": run.seed,
-        "drives": [drive.name for drive in train],
-        "val": [drive.name for drive in val],
-    }
-    metadata = {
-        "kind": predict.KIND,
-        "name": name,
-        "seeds": settings.seeds,
-        "contents": contents._asdict(),
-        "settings": train[0].settings,
-        "datasets": sorted({drive.settings.get("dataset", "unknown") for drive in train}),
-        "fps": float(1 / np.median(np.concatenate([np.diff(drive.time_s) for drive in train]))),
-        **inputs,
-    }
-    fit = Fit(net, entry, settings, run.seed, train, val, files or Files(drive.scene for drive in train + val))
-    state = kept / f"{stage_key('train', inputs, paths)}.pt"
-    fit.run(state, f"{name} seed {run.seed}")
-    best = {"scale": fit.scale.content, "epoch": selected_epoch(fit.curve), "net": fit.best}
-    checkpoint.write(run.folder / "best.pt", metadata | best)
-    pd.DataFrame(fit.curve).to_csv(run.folder / "curve.csv", index=False, float_format="%.6g", lineterminator="\n")
-    return state
 
 
 @dataclass
@@ -160,7 +97,7 @@ class Fit:
                 raise InputError(problem, title, "Lower train.learning_rate or clip_norm")
             error = math.nan
             if self.val:
-                error = mean_nmse(self.val, predict.predict_drives(self.average, val, self.scale))
+                error = mean_nmse(self.val, trained.predict_drives(self.average, val, self.scale))
             self.curve.append({"epoch": epoch, "learning_rate": rate, "train_loss": loss, "val_nmse": error})
             if selected := selected_epoch(self.curve) == epoch:
                 self.best = copy_weights(self.average)
@@ -236,7 +173,7 @@ class Fit:
         torch.cuda.empty_cache()
         reader = windows.Reader([*self.train, *self.val], self.entry.window, self.files)
         net, before = copy.deepcopy(self.net), torch.cuda.memory_reserved()
-        tested = windows.spans(reader.timelines, self.entry.window, predict.WINDOWS)
+        tested = windows.spans(reader.timelines, self.entry.window, trained.WINDOWS)
         steps = self._plan(1), [[span] for span in tested]
         step, batch = (max(part, key=lambda group: sum(span.stop - span.start for span in group)) for part in steps)
         torch.cuda.reset_peak_memory_stats()

@@ -15,10 +15,11 @@ import numpy as np
 
 from models.steering.core.recurrent import NOMINAL_STEP_S
 from pipeline.base.errors import InputError
+from pipeline.base.params import RATE_TOLERANCE
 from pipeline.base.store import DriveReader
 from pipeline.graphs.graph_file import Arrays, Contents, Graphs, MeasuredMotion, open_graphs
 from pipeline.labels import label
-from pipeline.settings.models import Entry
+from pipeline.train.entry import Entry
 
 
 @dataclass(frozen=True)
@@ -107,6 +108,14 @@ def check(drives: Sequence[LabelledDrive], window: int) -> None:
         raise InputError(problem, first.graphs.parent, "Use a smaller window, other drives or another input")
     if not any(np.nan_to_num(drive.target).any() for drive in drives):
         raise InputError(f"every valid label of {names} is 0", first.labels.parent, "Add drives with bends")
+
+
+def rate_doubt(drives: Drives, train: Sequence[str]) -> str | None:
+    """Return a line if some `drives` have another frame rate than the drives `train`; None if they are alike."""
+    hz = {name: 1 / np.median(np.diff(drive.time_s)) for name, drive in drives.items() if len(drive.time_s) > 1}
+    usual_hz = np.median([hz[name] for name in train if name in hz])
+    others = [f"{name} {hz[name]:.1f}" for name in hz if abs(hz[name] / usual_hz - 1) > RATE_TOLERANCE]
+    return f"training drives have {usual_hz:.1f} frames/s, but {', '.join(others)}" if others else None
 
 
 def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledDrive:

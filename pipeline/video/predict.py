@@ -17,7 +17,7 @@ from pipeline.graphs.frame_graph import graphs_drive
 from pipeline.graphs.settings import Variant
 from pipeline.ingest.settings import Reading
 from pipeline.perception.settings import Perception
-from pipeline.train.predict import Trained
+from pipeline.train.trained import Trained
 from pipeline.video.pictures import publish
 from pipeline.video.results import Outcome, Results
 from pipeline.video.source import INGEST, MOTION, PERCEPTION, Source, run_chain

@@ -13,7 +13,7 @@ import yaml
 from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
 from pipeline.graphs.graph_file import open_graphs
-from pipeline.train.predict import load
+from pipeline.train.trained import load
 from stages import clouds, encoder, graphs, ingest, labels, motion, perception, sample, train
 from steer import api
 from steer.predict import predict

@@ -11,7 +11,7 @@ from models.steering.core.options import NetworkOptions, load
 from models.steering.core.steering_net import EPSILON, FeatureScale, SteeringNet
 from models.steering.spatial import gnn
 from models.steering.temporal.ncp import CELLS
-from pipeline.settings.models import Entry
+from pipeline.train.entry import Entry
 from tests.models.steering import frames
 from tests.models.steering.test_networks import NETWORKS, keys
 

@@ -21,7 +21,7 @@ from pipeline.report.page import write_page
 from pipeline.report.street_view import HALF_TRACK_M, STEP_M, View, path_steps, read_view, wheel_tracks
 from pipeline.scores.pixels import Scores
 from pipeline.settings import preset
-from pipeline.settings.models import Entry
+from pipeline.train.entry import Entry
 from tests import artefacts, street
 from tests.pipeline.report import examples
 from tests.pipeline.report.examples import metrics

@@ -17,7 +17,7 @@ from pipeline.graphs.settings import Variant
 from pipeline.ingest.settings import Ingest
 from pipeline.labels.settings import Labels
 from pipeline.settings import preset
-from pipeline.settings.train import Train
+from pipeline.train.settings import Train
 from tests.presets import NAMES
 
 

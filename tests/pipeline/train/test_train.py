@@ -19,9 +19,9 @@ from hypothesis import strategies as st
 from pipeline.base import checkpoint, loop
 from pipeline.base.errors import InputError
 from pipeline.graphs.graph_file import Arrays, open_graphs
-from pipeline.settings.train import Train
-from pipeline.train import fit, frames, loss, predict, runs, targets, windows
+from pipeline.train import fit, frames, loss, runs, targets, trained, windows
 from pipeline.train.loss import Scale
+from pipeline.train.settings import Train
 from pipeline.train.targets import LabelledDrive, Timeline, read_drive
 from tests import artefacts, small_model
 from tests.kitti_drive import write
@@ -332,7 +332,7 @@ def write_model(folder: Path, change: dict[str, Any] | None = None) -> Path:
     torch.manual_seed(0)
     model = entry(spatial="gnn", semantics=1.0, features=8, window=WINDOW)
     scale = {"names": ["steering_rad"], "gain": [1.0], "std": [0.12], "mean": [0.01], "odometry_gain": None}
-    content = {"kind": predict.KIND, "name": "net", "seed": 0, "seeds": [0], "scale": scale}
+    content = {"kind": trained.KIND, "name": "net", "seed": 0, "seeds": [0], "scale": scale}
     content |= {"contents": {"kind": "graph"}, "entry": model.model_dump(mode="json"), "settings": artefacts.LABELS}
     content |= {"drives": ["a"], "fps": 10.0, "net": model.build("graph").state_dict()}
     checkpoint.write(folder / "best.pt", content | (change or {}))
@@ -342,7 +342,7 @@ def write_model(folder: Path, change: dict[str, Any] | None = None) -> Path:
 def test_shared_frames_equal_naive_windows_and_gaps_are_nan(tmp_path):
     numbers = np.array([*range(10, 22), *range(25, 36), 40])  # stretches of 12, 11 and 1 frames
     artefacts.write_graphs(tmp_path / "drive.h5", 0.1 * np.sin(numbers / 5), numbers, 40)
-    model = predict.load(str(write_model(tmp_path / "net")), "cpu")
+    model = trained.load(str(write_model(tmp_path / "net")), "cpu")
     with open_graphs(tmp_path / "drive.h5") as graphs:
         steering_rad = model.predict(graphs)[:, 0]
         timeline = Timeline.read(graphs, model.car, model.entry)
@@ -383,7 +383,7 @@ def test_a_wrong_checkpoint_is_one_line(tmp_path, name, change, message):
     if name == "cut":
         write(folder / "best.pt", (written / "best.pt").read_bytes()[:-200])
     with pytest.raises(InputError, match=message) as raised:
-        predict.load(folder, "cpu")
+        trained.load(folder, "cpu")
     assert "\n" not in str(raised.value)
 
 

@@ -14,8 +14,8 @@ from pipeline.base.earlier import LAST
 from pipeline.base.errors import InputError, error_context
 from pipeline.graphs.graph_file import Contents, Graphs, open_graphs
 from pipeline.labels import label
-from pipeline.settings.models import Entry
 from pipeline.train import windows
+from pipeline.train.entry import Entry
 from pipeline.train.frames import Files
 from pipeline.train.loss import Scale
 from pipeline.train.targets import Timeline

@@ -10,10 +10,10 @@ import typer
 from pipeline.base import console, store
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import entries, load
+from pipeline.evaluate.settings import Evaluate
 from pipeline.report import results, summary, tables
 from pipeline.report.figures import draw
 from pipeline.report.page import write_page
-from pipeline.settings.evaluate import Evaluate
 
 
 def main(

@@ -18,7 +18,7 @@ from docs import make_results
 from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
 from pipeline.base.store import DriveReader
-from pipeline.evaluate import errors
+from pipeline.evaluate import statistics
 from pipeline.labels import source
 from pipeline.labels.settings import Labels
 from pipeline.settings import preset
@@ -156,5 +156,5 @@ def test_the_examples_of_a_label_source_and_of_a_metric_work(tmp_path, monkeypat
         assert (file["steering_rad"].tolist(), file["valid"].tolist()) == ([0.1, 0, -0.05], [1, 0, 1])
     names = dict[str, Any]()
     exec(code_block("def within_2_deg"), names)
-    monkeypatch.setitem(errors.METRICS, "within_2_deg", names["within_2_deg"])
-    assert errors.scores(np.zeros(4), np.array([0.01, -0.02, 0.05, 0.5]))["within_2_deg"] == 0.5
+    monkeypatch.setitem(statistics.METRICS, "within_2_deg", names["within_2_deg"])
+    assert statistics.scores(np.zeros(4), np.array([0.01, -0.02, 0.05, 0.5]))["within_2_deg"] == 0.5

@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 
 from pipeline.base import store
-from pipeline.evaluate import errors
+from pipeline.evaluate import statistics
+from pipeline.evaluate.settings import Evaluate
 from pipeline.report import paper
-from pipeline.settings.evaluate import Evaluate
 
 NO_LEARNING = {  # baseline → what it predicts
     "zero": "always straight ahead",
@@ -62,15 +62,15 @@ class Group:
         mean, zero = error.mean(axis=0) - sum(values.mean(axis=0) for values in other), np.nansum(truth**2, axis=0)
         known = zero > 0
         value = float((np.nansum(mean, axis=0)[known] / zero[known]).mean()) if known.any() else None
-        return value, errors.interval(error, truth, self.drive, self.settings, *other)
+        return value, statistics.interval(error, truth, self.drive, self.settings, *other)
 
     def difference(self, name: str, minus: str, column: str | None = None) -> Difference:
         """Return the paired difference in nmse of a model from another or a baseline."""
         value, bounds = self.nmse(name, minus, column)
         seeds = min(len(self.predicted[of]) for of in (name, minus) if of not in BASELINES)
-        part = errors.parts(self.drive, self.settings.bootstrap_block_frames)
+        part = statistics.parts(self.drive, self.settings.bootstrap_block_frames)
         counted = np.isfinite(self.truth[:, self._columns(column)]).any(axis=1)
-        return value, bounds, errors.verdict(bounds, seeds, len(np.unique(part[counted])))
+        return value, bounds, statistics.verdict(bounds, seeds, len(np.unique(part[counted])))
 
     def _columns(self, column: str | None) -> list[int]:
         return [*range(len(self.labels))] if column is None else [[*self.labels].index(column)]
@@ -80,8 +80,8 @@ class Group:
         number = [*self.labels].index(column)
         rows = np.isfinite(self.truth[:, number])
         truth, predicted = self.truth[rows, number], self.predicted[name][:, rows, number]
-        by_seed = [errors.scores(truth, seed)["nmse"] for seed in predicted]
-        return errors.scores(truth, predicted) | {"by_seed": by_seed}
+        by_seed = [statistics.scores(truth, seed)["nmse"] for seed in predicted]
+        return statistics.scores(truth, predicted) | {"by_seed": by_seed}
 
     def mae_deg(self, name: str) -> float:
         """Return the mean absolute error in degrees, of the angle or of the turn in all ranges together."""

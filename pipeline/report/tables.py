@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from pipeline.base.params import SPLITS
-from pipeline.evaluate.errors import interval_text
+from pipeline.evaluate.statistics import interval_text
 from pipeline.graphs.settings import Variant
 from pipeline.report import paper
 from pipeline.report.results import BASELINES, NO_LEARNING, USELESS, Difference, Group, Row

@@ -17,12 +17,12 @@ from pipeline.base.resume import ROOT, content_hash
 from pipeline.base.store import replacing
 from pipeline.clouds.settings import Clouds
 from pipeline.encoder.settings import Encoder
+from pipeline.evaluate.settings import Evaluate
 from pipeline.graphs.settings import Variant
 from pipeline.ingest.settings import Ingest
 from pipeline.labels.settings import Labels
 from pipeline.perception.settings import Perception
 from pipeline.sample.settings import Sample
-from pipeline.settings.evaluate import Evaluate
 from pipeline.train.entry import Entry
 from pipeline.train.settings import Train
 

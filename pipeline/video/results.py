@@ -13,7 +13,8 @@ import pandas as pd
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
-from pipeline.evaluate import errors
+from pipeline.evaluate import statistics
+from pipeline.evaluate.settings import Evaluate
 from pipeline.ingest.log import Logs
 from pipeline.labels import source as sources
 from pipeline.labels.agreement import Agreement, Pair, compare
@@ -22,7 +23,6 @@ from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
 from pipeline.motion import rates
 from pipeline.motion.doubts import find_doubts
 from pipeline.motion.step import PROBLEMS
-from pipeline.settings.evaluate import Evaluate
 from pipeline.video.source import INGEST, MOTION, Source
 
 BACKWARDS = 0.5  # share of the moving frames: beyond, the camera looks back
@@ -173,7 +173,9 @@ class Results:
         yield f"truth from {comparison['truth']}, {comparison['frames']} frames{ahead}:"
         for name in ("predicted", "measured", "zero"):
             if row := comparison.get(name):
-                nmse = "-" if row["nmse"] is None else f"{row['nmse']:.3f} ({errors.interval_text(row['nmse_ci95'])})"
+                nmse = (
+                    "-" if row["nmse"] is None else f"{row['nmse']:.3f} ({statistics.interval_text(row['nmse_ci95'])})"
+                )
                 text = "" if row["correlation"] is None else f", correlation {row['correlation']:.3f}"
                 yield f"  {name}: nmse {nmse}, RMSE {row['rmse_deg']:.2f} deg{text}"
 
@@ -216,10 +218,10 @@ def _errors(target_rad: np.ndarray, angle_rad: np.ndarray, settings: Evaluate) -
     Frames without a target do not count.
     """
     error, known, drive = (angle_rad - target_rad)[None] ** 2, np.isfinite(target_rad), np.zeros(len(target_rad), int)
-    parts = np.unique(errors.parts(drive, settings.bootstrap_block_frames)[known])
-    bounds = errors.interval(error, target_rad, drive, settings) if len(parts) >= errors.LEAST_DRIVES else None
+    parts = np.unique(statistics.parts(drive, settings.bootstrap_block_frames)[known])
+    bounds = statistics.interval(error, target_rad, drive, settings) if len(parts) >= statistics.LEAST_DRIVES else None
     target_rad, angle_rad = target_rad[known], angle_rad[known]
-    scores = errors.scores(target_rad, angle_rad)
+    scores = statistics.scores(target_rad, angle_rad)
     varies = np.ptp(target_rad) > 0 and np.ptp(angle_rad) > 0
     return {
         "nmse": scores["nmse"],

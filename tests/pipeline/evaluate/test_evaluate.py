@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.evaluate import errors, metrics, turns
+from pipeline.evaluate import statistics, turns
+from pipeline.evaluate.cases import Case, metrics
+from pipeline.evaluate.settings import Evaluate
 from pipeline.evaluate.turns import drift, segments
 from pipeline.ingest import packets
 from pipeline.ingest.datasets.kitti import KittiDrive
 from pipeline.labels import label
-from pipeline.settings.evaluate import Evaluate
 from pipeline.train.loss import Scale
 from pipeline.train.targets import LabelledDrive, read_drive
 from tests import artefacts
@@ -37,10 +38,10 @@ def folder(tmp_path) -> Path:
     return tmp_path
 
 
-def case(drive: LabelledDrive, *seeds: np.ndarray, mean: float = 0.0) -> metrics.Case:
+def case(drive: LabelledDrive, *seeds: np.ndarray, mean: float = 0.0) -> Case:
     gain = None if drive.odometry is None else np.array([0.5])
     scale = Scale(["steering_rad"], np.ones(1), np.ones(1), np.array([mean]), gain)
-    return metrics.Case(drive, seeds, scale)
+    return Case(drive, seeds, scale)
 
 
 def test_invalid_and_early_frames_do_not_count(folder):
@@ -50,7 +51,7 @@ def test_invalid_and_early_frames_do_not_count(folder):
         angles[:3] = np.nan
     test[0].target[10:15], predicted[0][10:15] = np.nan, 99.0
     cases = [case(drive, angles) for drive, angles in zip(test, predicted, strict=True)]
-    found = metrics.metrics(cases, settings(block=5, samples=100))["steering_rad"]
+    found = metrics(cases, settings(block=5, samples=100))["steering_rad"]
     assert found["frames"] == 2 * (30 - 3) - 5
     assert found["mse"] == pytest.approx(0.01**2)
     assert found["nmse_ci95"][0] <= found["nmse"] <= found["nmse_ci95"][1]
@@ -81,15 +82,15 @@ def test_odometry_needs_motion_in_all_frames_and_other_labels(folder, monkeypatc
 
 
 def test_scores_by_hand():
-    result = errors.scores(np.array([0.1, -0.1, 0.2]), np.array([0.1, 0.1, 0.1]))
+    result = statistics.scores(np.array([0.1, -0.1, 0.2]), np.array([0.1, 0.1, 0.1]))
     assert result["frames"] == 3
     assert result["mse"] == pytest.approx((0 + 0.04 + 0.01) / 3)
     assert result["nmse"] == pytest.approx(0.05 / 0.06)
     assert result["mae"] == pytest.approx(0.1)
     assert result["rmse"] == pytest.approx(np.sqrt(0.05 / 3))
-    assert set(errors.scores(np.empty(0), np.empty(0)).values()) == {0, None}
+    assert set(statistics.scores(np.empty(0), np.empty(0)).values()) == {0, None}
     steering = np.sin(np.arange(300) / 20)
-    assert errors.scores(steering, 0 * steering)["nmse"] == 1.0
+    assert statistics.scores(steering, 0 * steering)["nmse"] == 1.0
     assert interval(steering, steering, np.zeros(300), 50, 200) == [1.0, 1.0]
 
 
@@ -98,13 +99,13 @@ def test_scores_by_hand():
     [([0.1, 0.2, 0.6], [2]), ([0.3, 0.4, 0.6], []), ([0.95, 0.1], [0]), ([0.95], [0]), ([np.nan, 0.1], [])],
 )
 def test_seeds_that_did_not_train(nmse, untrained):
-    assert errors.untrained(np.array(nmse)) == untrained
+    assert statistics.untrained(np.array(nmse)) == untrained
 
 
 def interval(steering, error, drive, block, samples, *other: np.ndarray) -> list[float] | None:
     """Return the interval for errors [N] or [S,N] in rad."""
     squared, *others = (np.atleast_2d(values) ** 2 for values in (error, *other))
-    return errors.interval(squared, steering, drive, settings(block, samples), *others)
+    return statistics.interval(squared, steering, drive, settings(block, samples), *others)
 
 
 def test_intervals_of_paired_differences_have_their_coverage():
@@ -118,13 +119,13 @@ def test_intervals_of_paired_differences_have_their_coverage():
             for nmse in (0.146, 0.124):
                 spread = sum(rng.normal(-(s**2) / 2, s, n) for s, n in ((0.3, (5, 1)), (0.5, 30), (0.5, (5, 30))))
                 models.append(nmse * true**2 * np.exp(spread)[:, road])
-            low, high = errors.interval(models[0], true, drive, settings(100, 300), models[1]) or (1, 0)
+            low, high = statistics.interval(models[0], true, drive, settings(100, 300), models[1]) or (1, 0)
             hits += low <= 0.146 - 0.124 <= high
         assert 0.88 <= hits / 60 <= 0.99
 
 
 def test_drives_of_two_or_more_blocks_are_cut_into_equal_parts():
-    part = errors.parts(np.repeat([4, 7, 2, 3], [5, 9, 10, 27]), 5)
+    part = statistics.parts(np.repeat([4, 7, 2, 3], [5, 9, 10, 27]), 5)
     assert np.bincount(part).tolist() == [5, 9, 5, 5, 6, 6, 5, 5, 5]
 
 
@@ -172,7 +173,7 @@ def test_the_difference_of_two_models_has_a_narrower_interval():
     assert high - low < 0.5 * (alone[1] - alone[0])
     assert interval(steering, one[:1], drive, 50, 500, one[:1]) == [0.0, 0.0]
     first, second = (values[:1, :, None] ** 2 * [1, 2, 3] for values in (one, other))  # three columns, drawn together
-    paired = errors.interval(first, np.stack([steering] * 3, axis=-1), drive, settings(50, 500), second)
+    paired = statistics.interval(first, np.stack([steering] * 3, axis=-1), drive, settings(50, 500), second)
     assert paired == pytest.approx([2 * low, 2 * high])
 
 

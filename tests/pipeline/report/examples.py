@@ -7,8 +7,8 @@ import numpy as np
 import pandas as pd
 
 from pipeline.base import store
+from pipeline.evaluate.settings import Evaluate
 from pipeline.report.results import Group, load_groups
-from pipeline.settings.evaluate import Evaluate
 
 SETTINGS = Evaluate(bootstrap_samples=50, bootstrap_block_frames=5, seed=0)
 DRIVES = ("2026_01_03_drive_0002", "2026_01_03_drive_0003")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.metrics import mae, mse, nmse, rmse
-from pipeline.settings.evaluate import Evaluate
+from pipeline.evaluate.settings import Evaluate
 
 LEAST_DRIVES = 10  # for a verdict
 METRICS: dict[str, Callable[[np.ndarray, np.ndarray], float | None]] = {

@@ -1,6 +1,6 @@
-"""Compute the metrics of one split, column by column, for metrics.json; and write predictions.csv."""
+"""Predict the drives of a model's splits, compute the errors of each column, and write predictions.csv."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
 from pathlib import Path
@@ -9,12 +9,19 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pipeline.evaluate import errors
+from pipeline.base.errors import InputError
+from pipeline.base.params import SPLITS
+from pipeline.base.store import read_index
+from pipeline.evaluate import statistics
+from pipeline.evaluate.settings import Evaluate
 from pipeline.evaluate.turns import drift, read_onsets
+from pipeline.graphs.graph_file import open_graphs
 from pipeline.labels import label
-from pipeline.settings.evaluate import Evaluate
+from pipeline.train import runs
+from pipeline.train.frames import Files
 from pipeline.train.loss import Scale
-from pipeline.train.targets import LabelledDrive
+from pipeline.train.targets import LabelledDrive, read_drive
+from pipeline.train.trained import Trained
 
 SIZES = {"points_per_frame": "points", "edges_per_frame": "edges_kept", "edges_per_frame_unpruned": "edges_knn"}
 
@@ -50,6 +57,62 @@ class Case:
         return {name: np.broadcast_to(value, drive.target.shape) for name, value in values.items()}
 
 
+def predict_cases(models: Mapping[int, Trained], variant: Path, labels: Path) -> dict[str, list[Case]]:
+    """Return split → drives with the predictions of the models, seed → network.
+
+    `variant`, `labels`: the folders of the graphs and of the labels. Raises InputError if these have other ranges.
+    """
+    splits = read_index(variant, stage="graphs")
+    scenes = [runs.scenes(splits, seed, model.entry.scene) for seed, model in models.items()]
+    first = next(iter(models.values()))
+    cases: dict[str, list[Case]] = {part: [] for part in SPLITS}
+    for name, part in splits.items():
+        drive = read_drive(variant, labels, name, first.entry)
+        if drive.columns != first.scale.names:
+            problem = f"labels.ahead_m differs from the ranges of the trained model (got {drive.ahead_m})"
+            raise InputError(problem, drive.labels, f"Train it again: dvc repro train@{first.name}")
+        seen = [variant / f"{of_seed[name]}.h5" for of_seed in scenes]
+        files = Files(seen)  # for all seeds
+        files.load(first.net.device)
+        with open_graphs(drive.graphs) as graphs:
+            pairs = zip(models.values(), seen, strict=True)
+            predictions = [model.predict(graphs, scene, files) for model, scene in pairs]
+        cases[part].append(Case(drive, predictions, first.scale))
+    return cases
+
+
+def evaluate_model(
+    name: str, first: Trained, cases: Mapping[str, Sequence[Case]], settings: Evaluate
+) -> dict[str, Any]:
+    """Return the content of metrics.json, see data/README.md: errors on the cases of each split.
+
+    `first`: the network of the model's first seed.
+    """
+    tested = [case.drive for case in cases["test"]]
+    result: dict[str, Any] = {
+        "model": name,
+        "entry": first.entry.model_dump(mode="json"),
+        "seeds": first.seeds,
+        "drives": {
+            part: [case.drive.name for case in drives if case.drive.has_window(first.entry.window)]
+            for part, drives in cases.items()
+        },
+        "turning_frames": turning_frames([case.drive for case in cases["train"]]),
+        "parameters": sum(weights.numel() for weights in first.net.parameters()),
+        "columns": columns(tested[0]),
+        **inputs(tested),
+        **{part: metrics(drives, settings) if drives else None for part, drives in cases.items()},
+    }
+    result["untrained"] = [first.seeds[number] for number in statistics.untrained(train_nmse(result))]
+    return result
+
+
+def train_nmse(result: Mapping[str, Any]) -> np.ndarray:
+    """Return the nmse [S] of each seed on its own training drives, the mean over the columns."""
+    by_seed = [scores["nmse_by_seed"] for scores in (result["train"] or {}).values()]
+    return np.array(by_seed, float).reshape(-1, len(result["seeds"])).mean(axis=0)
+
+
 def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, Any]]:
     """Return column → errors with confidence interval, of frames with a target and a prediction; and drift."""
     drives = [case.drive for case in cases]
@@ -62,9 +125,9 @@ def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, An
     for column, name in enumerate(drives[0].columns):
         known = np.isfinite(error[..., column]).all(axis=0)
         true, of_seeds = truth[known, column], predicted[:, known, column]
-        result[name] = errors.scores(true, of_seeds) | {
-            "nmse_ci95": errors.interval(error[..., column], truth[:, column], number, settings),
-            "nmse_by_seed": [errors.scores(true, one_seed)["nmse"] for one_seed in of_seeds],
+        result[name] = statistics.scores(true, of_seeds) | {
+            "nmse_ci95": statistics.interval(error[..., column], truth[:, column], number, settings),
+            "nmse_by_seed": [statistics.scores(true, one_seed)["nmse"] for one_seed in of_seeds],
             "drift_m_per_100m": _drift(drives, by_seed),
         }
     return result
@@ -123,3 +186,12 @@ def write_predictions(path: Path, cases: Sequence[Case], seed: int) -> None:
         tables.append(pd.DataFrame(table))
     path.parent.mkdir(parents=True, exist_ok=True)
     pd.concat(tables).to_csv(path, index=False, lineterminator="\n", float_format="%.9f")
+
+
+def summary(column: str, scores: Mapping[str, Any]) -> str:
+    """Return the nmse of a column as text, with its spread over seeds and its interval."""
+    if scores["nmse"] is None:
+        return f"{column} unknown"
+    spread = f" ± {np.std(scores['nmse_by_seed'], ddof=1):.3f}" if len(scores["nmse_by_seed"]) > 1 else ""
+    interval = statistics.interval_text(scores["nmse_ci95"])
+    return f"{column} {scores['nmse']:.3f}{spread} ({interval}; {scores['frames']} frames)"

@@ -31,15 +31,15 @@ $(PRESETS): setup
 	@python -m presets.run "$@"
 
 $(CLOSED): setup       # presets that have left: says where they run
-	@python -m pipeline.settings.preset "$@"
+	@python -m pipeline.check.preset "$@"
 
 encoder: setup         ## fit the sample's encoder, models/encoder/sample, on roads that no other settings name: 15 min
-	@python -m pipeline.settings.preset encoder runs/encoder
+	@python -m pipeline.check.preset encoder runs/encoder
 	@cd runs/encoder && export PYTHONPATH=../.. && for stage in sample ingest encoder; do python -m stages.$$stage || exit; done
 	@mkdir -p models/encoder/sample && cp runs/encoder/data/encoder/encoder.pt runs/encoder/data/encoder/config.json models/encoder/sample
 
 street: setup          ## make the encoder of real streets, weights/street, from published weights: seconds
-	@python -m pipeline.settings.preset street runs/street
+	@python -m pipeline.check.preset street runs/street
 	@python -m stages.encoder --params runs/street/params.yaml --out weights/street
 
 UDACITY ?= data/raw/udacity
@@ -48,7 +48,7 @@ udacity: street        ## compare with the teams of Udacity's Challenge 2; UDACI
 	$(UDACITY)/udacity_leaderboard.csv
 
 params: setup          ## write the settings of a preset into params.yaml: make params PRESET=kitti, or your own file
-	@python -m pipeline.settings.preset "$(PRESET)"
+	@python -m pipeline.check.preset "$(PRESET)"
 
 test: setup            ## run all tests, with coverage
 	OMP_NUM_THREADS=1 pytest -n "$$(nproc 2>/dev/null || getconf _NPROCESSORS_ONLN)" --dist loadfile --no-loadscope-reorder --cov --cov-report=term:skip-covered --cov-fail-under=92

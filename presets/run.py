@@ -20,7 +20,7 @@ from pipeline.base.outputs import locked
 from pipeline.base.params import read
 from pipeline.base.resume import CODE, file_hash, revision
 from pipeline.base.store import write_json
-from pipeline.settings import preset
+from pipeline.check import preset
 
 DVC = ("config cache.type hardlink,copy", "cache dir .dvc/cache", "repro")
 

@@ -57,10 +57,10 @@ def import_recording(
     from pipeline.base.errors import error_context
     from pipeline.base.params import check_name
     from pipeline.camera.lens import numbers
+    from pipeline.check.preset import PRESETS
     from pipeline.ingest.datasets.recording import MOTION, TIMES, WHEEL, read_logs
     from pipeline.ingest.names import check_different
     from pipeline.ingest.settings import KITTI_NAMES, Part
-    from pipeline.settings.preset import PRESETS
     from pipeline.video import import_recording as importing
 
     chosen: Any = {name: value for name, value in locals().items() if name in Part.model_fields}

@@ -1,6 +1,6 @@
 """Names of the project's own presets."""
 
-from pipeline.settings.preset import IMPORT, PRESETS
+from pipeline.check.preset import IMPORT, PRESETS
 
 # Without those that steer import wrote, whose files and encoder may be missing, or which an earlier version wrote.
 NAMES = [

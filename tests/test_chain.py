@@ -201,7 +201,7 @@ def test_the_first_and_the_last_row_of_preset_kitti_train(folder):
     edit_params(folder, ingest=params["ingest"] | {"drives": drives, "lidar": True})
     run(folder, "python", "-m", "stages.sample", "--out", "data/raw")
     run(folder, "git", "checkout", "params.yaml")
-    run(folder, "python", "-m", "pipeline.settings.preset", "kitti")  # make params PRESET=kitti
+    run(folder, "python", "-m", "pipeline.check.preset", "kitti")  # make params PRESET=kitti
     kitti, rows = yaml.safe_load((folder / "params.yaml").read_text()), ("cnn-ncp", "motion-10-blind")
     edit_params(
         folder,

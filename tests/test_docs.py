@@ -18,10 +18,10 @@ from docs import make_results
 from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
 from pipeline.base.store import DriveReader
+from pipeline.check import preset
 from pipeline.evaluate import statistics
 from pipeline.labels import source
 from pipeline.labels.settings import Labels
-from pipeline.settings import preset
 from pipeline.train.entry import Entry
 from steer.app import app
 from tests import artefacts

@@ -98,8 +98,7 @@ def test_deps_on_data_are_exactly_outs(name):
 def test_sections_that_a_stage_reads_are_its_params(name):
     tree = ast.parse((resume.ROOT / "stages" / f"{name}.py").read_text())
     modules = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
-    read = {module.removeprefix("pipeline.settings.") for module in modules if module.startswith("pipeline.settings.")}
-    read |= {module.split(".")[1] for module in modules if re.fullmatch(r"pipeline\.\w+\.settings", module)}
+    read = {module.split(".")[1] for module in modules if re.fullmatch(r"pipeline\.\w+\.settings", module)}
     read |= {"models"} & {"models" for module in modules if module == "pipeline.train.entry"}
     listed = {param.split(".")[0] for param in STAGES[name].get("params", [])}
     # check depends on the whole file; of models, report reads only names.

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from pipeline.settings import preset
+from pipeline.check import preset
 from stages import check, clouds, encoder, evaluate, graphs, ingest, labels, motion, perception, report, scores, train
 
 DRIVES = {"train": "2011_09_26_drive_0005", "val": "2011_09_26_drive_0039", "test": "2011_10_03_drive_0042"}

@@ -12,7 +12,7 @@ import yaml
 from filelock import FileLock
 
 from pipeline.base.resume import ROOT, revision
-from pipeline.settings import preset
+from pipeline.check import preset
 
 DVC = """#!/bin/sh
 echo "$@" >> {log}

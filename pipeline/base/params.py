@@ -1,4 +1,4 @@
-"""Read ``params.yaml``: each section is a typed class in ``pipeline/settings/``, and a stage loads only its own."""
+"""Read ``params.yaml``: a section is a typed class in its stage's ``settings.py``, and a stage loads only its own."""
 
 import re
 from pathlib import Path

@@ -26,8 +26,10 @@ USELESS = 0.95  # nmse on the test drives above which a model has learned nothin
 # A model's metrics.json with `paper`, its :class:`paper.Published` or None, and `val_nmse`, its nmse on the validation
 # drives, mean over its columns, inf if it is unknown.
 Row = dict[str, Any]
-Estimate = tuple[float | None, list[float] | None]  # a value, None if unknown, and its :func:`errors.interval`
-Difference = tuple[float | None, list[float] | None, str]  # the same of a difference, and its :func:`errors.verdict`
+Estimate = tuple[float | None, list[float] | None]  # a value, None if unknown, and its :func:`statistics.interval`
+Difference = tuple[
+    float | None, list[float] | None, str
+]  # the same of a difference, and its :func:`statistics.verdict`
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ class Group:
         return [*range(len(self.labels))] if column is None else [[*self.labels].index(column)]
 
     def scores(self, name: str, column: str) -> dict[str, Any]:
-        """Return the :func:`errors.scores` of a model or baseline, and the nmse of each seed as `by_seed`."""
+        """Return the :func:`statistics.scores` of a model or baseline, and the nmse of each seed as `by_seed`."""
         number = [*self.labels].index(column)
         rows = np.isfinite(self.truth[:, number])
         truth, predicted = self.truth[rows, number], self.predicted[name][:, rows, number]

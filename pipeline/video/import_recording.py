@@ -19,6 +19,7 @@ from pipeline.base.resume import ROOT, content_hash, is_of_desktop
 from pipeline.base.store import replacing
 from pipeline.camera.camera import Camera
 from pipeline.camera.lens import depth_limit
+from pipeline.check.preset import IMPORT, is_unedited, stamped
 from pipeline.ingest.datasets.recording import FRAMES, MOTION, TIMES, VIDEO, WHEEL, open_part, usable
 from pipeline.ingest.log import Logs
 from pipeline.ingest.media import Recording
@@ -28,7 +29,6 @@ from pipeline.labels.comparison import UNKNOWN, judge_turns
 from pipeline.labels.label import Labels
 from pipeline.motion.horizon import noted_horizon, turn_rates
 from pipeline.motion.step import TYPICAL_MPS
-from pipeline.settings.preset import IMPORT, is_unedited, stamped
 
 OWN = rf"({VIDEO}[-.]|({FRAMES}|{WHEEL}|{MOTION}|{TIMES})$)"  # names of links
 GAP_S = 2.0  # left out between the parts of a split: neighbouring images are almost the same

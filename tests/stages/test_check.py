@@ -9,7 +9,7 @@ import yaml
 from models.steering.core import options
 from models.steering.spatial import polar
 from pipeline.base.errors import InputError
-from pipeline.settings import preset
+from pipeline.check import preset
 from stages import check
 from tests.presets import NAMES
 

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
+from pipeline.check import preset
 from pipeline.labels.label import Car, steering_labels
-from pipeline.settings import preset
 from pipeline.video.import_recording import GAP_S, cut
 from stages import check, ingest, labels
 from steer.import_ import import_recording

@@ -16,6 +16,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.params import load
 from pipeline.base.store import DriveReader
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
+from pipeline.check import preset
 from pipeline.ingest.datasets import recording
 from pipeline.ingest.ingest_file import write_drive
 from pipeline.ingest.log import Logs
@@ -24,7 +25,6 @@ from pipeline.motion import horizon
 from pipeline.motion.motion_file import measure_drive
 from pipeline.perception.perceive import perceive_drive
 from pipeline.perception.settings import Perception
-from pipeline.settings import preset
 from pipeline.video import source
 from pipeline.video.measure import READING
 from steer import api

@@ -14,13 +14,13 @@ from pipeline.base import store
 from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Camera, read_camera
 from pipeline.camera.classes import ROAD, VOID
+from pipeline.check import preset
 from pipeline.clouds.cloud import clouds_drive
 from pipeline.clouds.settings import Clouds
 from pipeline.report import figures, paper, plots, tables
 from pipeline.report.page import write_page
 from pipeline.report.street_view import HALF_TRACK_M, STEP_M, View, path_steps, read_view, wheel_tracks
 from pipeline.scores.pixels import Scores
-from pipeline.settings import preset
 from pipeline.train.entry import Entry
 from tests import artefacts, street
 from tests.pipeline.report import examples

@@ -1,4 +1,4 @@
-"""All sections of ``params.yaml`` as one type, and the command that writes the changes of a preset into the file."""
+"""Presets, sets of changes to ``params.yaml``, and the command that writes those of one into the file."""
 
 import hashlib
 import io
@@ -7,43 +7,18 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from pydantic import Field
 from ruamel.yaml import YAML
 
 from pipeline.base import console, earlier
 from pipeline.base.errors import InputError
-from pipeline.base.params import Name, Section, parse, read
+from pipeline.base.params import parse, read
 from pipeline.base.resume import ROOT, content_hash
 from pipeline.base.store import replacing
-from pipeline.clouds.settings import Clouds
-from pipeline.encoder.settings import Encoder
-from pipeline.evaluate.settings import Evaluate
-from pipeline.graphs.settings import Variant
-from pipeline.ingest.settings import Ingest
-from pipeline.labels.settings import Labels
-from pipeline.perception.settings import Perception
-from pipeline.sample.settings import Sample
-from pipeline.train.entry import Entry
-from pipeline.train.settings import Train
+from pipeline.check.settings import Params
 
 PRESETS = ROOT / "presets"
 PARAMS = ROOT / "params.yaml"
 _AUTHOR, IMPORT = "make params", "steer import"
-
-
-class Params(Section):
-    """All of params.yaml."""
-
-    sample: Sample
-    ingest: Ingest
-    labels: Labels
-    encoder: Encoder
-    perception: Perception
-    clouds: Clouds
-    graphs: Annotated[dict[Name, Variant], Field(min_length=1)]
-    models: Annotated[dict[Name, Entry], Field(min_length=1)]
-    train: Train
-    evaluate: Evaluate
 
 
 def main(

@@ -1,0 +1,32 @@
+"""All sections of ``params.yaml`` as one type."""
+
+from typing import Annotated
+
+from pydantic import Field
+
+from pipeline.base.params import Name, Section
+from pipeline.clouds.settings import Clouds
+from pipeline.encoder.settings import Encoder
+from pipeline.evaluate.settings import Evaluate
+from pipeline.graphs.settings import Variant
+from pipeline.ingest.settings import Ingest
+from pipeline.labels.settings import Labels
+from pipeline.perception.settings import Perception
+from pipeline.sample.settings import Sample
+from pipeline.train.entry import Entry
+from pipeline.train.settings import Train
+
+
+class Params(Section):
+    """All of params.yaml."""
+
+    sample: Sample
+    ingest: Ingest
+    labels: Labels
+    encoder: Encoder
+    perception: Perception
+    clouds: Clouds
+    graphs: Annotated[dict[Name, Variant], Field(min_length=1)]
+    models: Annotated[dict[Name, Entry], Field(min_length=1)]
+    train: Train
+    evaluate: Evaluate

@@ -19,11 +19,11 @@ from pipeline.base.resume import revision
 from pipeline.ingest.datasets import udacity
 from pipeline.ingest.log import Logs
 from pipeline.labels.label import Car
-from pipeline.video.measure import measure
-from pipeline.video.source import Source
 from presets.run import origin
-from steer import options
-from steer.measure import STREET
+from steer.api import here_or_in_checkout
+from steer.chain import Source
+from steer.commands.measure import STREET
+from steer.measure import measure
 
 FITTED_S = 30.0
 LAGS_S = np.arange(-0.2, 0.41, 0.02)  # of the measured motion behind the wheel
@@ -61,7 +61,7 @@ def compare(
     drive = udacity.read_drive(video, wheel)
     assert drive.camera
     source = Source(video, video.stem, drive, drive.camera, len(drive.values["steering_rad"]), Logs())
-    measure(source, out, options.here_or_in_checkout(STREET), Car(2.7, min_speed_mps=1.0), video=False)
+    measure(source, out, here_or_in_checkout(STREET), Car(2.7, min_speed_mps=1.0), video=False)
     motion = np.genfromtxt(out / "motion.csv", delimiter=",", names=True, usecols=range(1, 9))
     wheel_rad = udacity.STEERING_RATIO * np.array([*drive.values["steering_rad"].values()])
     time_s = motion["time_s"]

@@ -17,11 +17,10 @@ from pipeline.ingest.log import Logs
 from pipeline.ingest.settings import Reading
 from pipeline.labels.label import Car
 from pipeline.train.trained import load
-from pipeline.video import measure as measuring
-from pipeline.video import predict as predicting
-from pipeline.video.results import Outcome
-from pipeline.video.source import Source, open_source
-from steer import options
+from steer import measure as measuring
+from steer import predict as predicting
+from steer.chain import Source, open_source
+from steer.outcome import Outcome
 
 PathLike = Path | str
 Recording = PathLike | Sequence[PathLike]  # videos in order, or a folder: of a KITTI drive, of images or of videos
@@ -57,7 +56,7 @@ def measure(
     `out`: a new or empty folder for motion.csv, track.png, quality.json and, with `video`, overlay.mp4; None: no files.
     Raises InputError for input that cannot be used.
     """
-    target, folder = _free(out), options.here_or_in_checkout(Path(encoder))
+    target, folder = _free(out), here_or_in_checkout(Path(encoder))
     if not (folder / FILE).is_file():
         raise InputError("no encoder", encoder, "Make one for real streets: make street. Or pass --encoder")
     opened = _open(source, measuring.READING, known)
@@ -77,7 +76,7 @@ def predict(
 
     `encoder`: its folder; None: data/encoder beside the model's data/train. `out`, errors: as of :func:`measure`.
     """
-    target, folder = _free(out), _network(options.here_or_in_checkout(Path(model)))
+    target, folder = _free(out), _network(here_or_in_checkout(Path(model)))
     trained = load(folder)
     opened = _open(source, predicting.reading(trained), known, trained.fps)
     if (height_m := trained.settings.get("camera_height_m")) and not opened.camera.height_known:
@@ -93,6 +92,11 @@ def _free(out: PathLike | None) -> Path | None:
     if out is not None:
         check_free(Path(out))
     return None if out is None else Path(out)
+
+
+def here_or_in_checkout(path: Path) -> Path:
+    """Return the path, or where it does not exist, the same path below the checkout, if that exists."""
+    return ROOT / path if not path.exists() and (ROOT / path).exists() else path
 
 
 def _open(source: Recording, reading: Reading, known: Options, hz: float | None = None) -> Source:

@@ -9,7 +9,7 @@ import typer
 
 from pipeline.base.console import guarded
 from pipeline.base.errors import InputError
-from steer import import_, measure, predict
+from steer.commands import import_, measure, predict
 
 # Python's default browsers where there is no screen, as over SSH. They would wait for keys in the terminal.
 TEXT_BROWSERS = ("www-browser", "links", "elinks", "lynx", "w3m")
@@ -50,7 +50,7 @@ def show(
     import yaml
 
     from pipeline.base.outputs import check_free
-    from pipeline.show import artefact
+    from steer import artefact
 
     if out and (frame is None or out.suffix != ".png"):
         raise InputError("expected --frame and the name of a PNG file", "--out")
@@ -72,7 +72,7 @@ def view(
     import webbrowser
 
     from pipeline.base.outputs import claim
-    from pipeline.show import artefact
+    from steer import artefact
 
     if out and out.suffix != ".html":
         raise InputError("expected the name of an HTML file", "--out")

@@ -1,42 +1,50 @@
-"""Measure the motion and the course of a car from the frames of its camera, by visual odometry.
-
-Rates and angles are in rad (curvature in 1/m), left positive. A frame whose motion cannot be measured has valid = 0 and
-no numbers. quality.json says how certain the scale is.
-
-\b
-steer measure street.mp4 --fov 65
-steer measure data/sample/2026_01_18/2026_01_18_drive_0004_sync --encoder data/encoder
-"""
+"""Measure the motion of a car from the frames of a source: a CSV file, a video, the track, and their quality."""
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
+import numpy as np
 
-from steer import options
+from pipeline.base.store import DriveReader
+from pipeline.ingest.settings import Reading
+from pipeline.labels.label import Car
+from pipeline.perception.perceive import warnings
+from pipeline.perception.settings import Perception
+from steer.chain import INGEST, MOTION, Source, run_chain
+from steer.outcome import Outcome, Results
+from steer.pictures import publish
 
-STREET = Path("weights/street")
+# As the encoder was trained; of a KITTI drive, the first camera with images.
+READING = Reading(image_size=(192, 640), cameras=[2, 0, 3, 1], lidar=False, on_damaged="skip")
 
 
-def measure(
-    source: options.SourcePath,
-    out: options.Out = None,
-    fov_deg: options.Fov = None,
-    K: options.K = None,
-    distortion: options.Distortion = None,
-    fisheye: options.Fisheye = None,
-    fps: options.Fps = None,
-    times: options.Times = None,
-    camera_height_m: options.CameraHeight = None,
-    wheelbase: Annotated[float, options.number(0.5, 20, "distance between the axles, metres")] = 2.7,
-    wheel: options.Wheel = None,
-    steering_ratio: options.SteeringRatio = None,
-    motion: options.Motion = None,
-    offset_s: options.Offset = 0.0,
-    video: options.Video = True,
-    encoder: Annotated[Path, typer.Option(help="folder of an encoder; make street writes the default one")] = STREET,
-) -> None:
-    """Write the measured motion and print its quality; the module's docstring is the help text."""
-    from steer import api
+def measure(source: Source, out: Path | None, encoder: Path, car: Car, *, video: bool) -> Outcome:
+    """Write motion.csv, track.png, quality.json and, if `video`, overlay.mp4 to a free folder `out`; None: no files.
 
-    options.run(api.measure, locals(), encoder=encoder, wheelbase_m=wheelbase)
+    `encoder`: a folder. Raises InputError if no frame can be read, or a log is unusable.
+    """
+    with run_chain(source, out, READING, Perception(batch=4), encoder) as work:
+        results = Results.read(source, work, car, look_ahead=True)
+        results.doubts += warnings(encoder, "float32", [work / INGEST])
+        comparison = results.compare("measured")
+        with DriveReader(work / MOTION, stage="motion") as motion:
+            heights_m, bonnet = motion["road_height_m"], float(motion.attrs["still"])
+        known, sigmas = heights_m[heights_m > 0], results.table["speed_sigma"][results.table["valid"] > 0]
+        quality = results.quality = {  # None where unknown; the road's height is by the encoder's depth
+            "horizon": source.camera.horizon,
+            "road_frames": float((heights_m > 0).mean()),
+            "road_height_m": float(np.median(known)) if len(known) else None,
+            "speed_sigma": float(np.median(sigmas)) if len(sigmas) else None,
+            "bonnet": bonnet,
+            "recorded": results.agreement.content(),
+            "comparison": comparison,
+        }
+        share = f"{quality['road_frames']:.0%}"
+        elsewhere = "" if share == "100%" else "; elsewhere speed stays near a typical car's"
+        lines = [*results.lines(comparison), f"road found in {share} of the frames{elsewhere}"]
+        if quality["road_height_m"] and not source.camera.height_known:
+            height = f"{quality['road_height_m']:.2f} m above the road. Measure it"
+            lines.append(f"the encoder's depth puts the camera {height} and pass --camera-height: speed follows it")
+        if quality["speed_sigma"] and not results.doubts:
+            lines.append(f"speed and curvature may be off by {quality['speed_sigma']:.0%} (one standard deviation)")
+    files = publish(out, "motion.csv", results, source, car.wheelbase_m, video=video)
+    return Outcome(results.columns(), [*source.drive.notes, *lines], results.doubts, files)

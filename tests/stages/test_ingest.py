@@ -16,8 +16,8 @@ from pipeline.ingest.calibration import CALIBRATION, RENDERED
 from pipeline.ingest.datasets import kitti
 from pipeline.ingest.drive import Drive
 from pipeline.ingest.ingest_file import write_drive as write_ingest
-from pipeline.video.measure import READING
 from stages import ingest
+from steer.measure import READING
 from tests.kitti_drive import DATE, DRIVE, SIZE, contents, write, write_drive, write_params, write_png
 
 OTHER = "2011_09_26_drive_0002"

@@ -16,9 +16,9 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.check import preset
 from pipeline.labels.label import Car, steering_labels
-from pipeline.video.import_recording import GAP_S, cut
 from stages import check, ingest, labels
-from steer.import_ import import_recording
+from steer.commands.import_ import import_recording
+from steer.import_recording import GAP_S, cut
 from tests import street
 from tests.kitti_drive import SIZE, contents, pictures, write, write_folder, write_video
 

@@ -25,11 +25,10 @@ from pipeline.motion import horizon
 from pipeline.motion.motion_file import measure_drive
 from pipeline.perception.perceive import perceive_drive
 from pipeline.perception.settings import Perception
-from pipeline.video import source
-from pipeline.video.measure import READING
-from steer import api
-from steer.import_ import import_recording
-from steer.measure import measure
+from steer import api, chain
+from steer.commands.import_ import import_recording
+from steer.commands.measure import measure
+from steer.measure import READING
 from tests import street
 from tests.flat_ground import write_encoder
 from tests.kitti_drive import write, write_folder
@@ -122,7 +121,7 @@ def test_a_cut_is_not_a_motion(tmp_path, encoder):
 
 def test_a_killed_run_leaves_nothing(tmp_path, encoder, monkeypatch):
     images = write_folder(tmp_path / "images", drive(4))
-    monkeypatch.setattr(source, "measure_drive", Mock(side_effect=KeyboardInterrupt))
+    monkeypatch.setattr(chain, "measure_drive", Mock(side_effect=KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         measure([images], out=tmp_path / "results/out", encoder=encoder, **LENS)
     assert [*(tmp_path / "results").iterdir()] == []
@@ -135,8 +134,8 @@ def test_an_imported_recording_has_the_same_numbers(tmp_path, encoder, monkeypat
     monkeypatch.chdir(preset.ROOT)
     taller = [np.pad(image, [(70, 30), (0, 0), (0, 0)], mode="edge") for image in drive(14)]
     images, K, bent = write_folder(tmp_path / "images", taller), "180,180,159.5,98", "-0.02,0.01,0,0"
-    capture = source.Capture(K=K, distortion=bent, fps=10.0)
-    opened = source.open_source([images], READING, CAMERA_HEIGHT_M, Logs(), None, capture)
+    capture = chain.Capture(K=K, distortion=bent, fps=10.0)
+    opened = chain.open_source([images], READING, CAMERA_HEIGHT_M, Logs(), None, capture)
     assert opened.camera.horizon == pytest.approx(114, abs=3)
     settings = Perception(batch=4)
     lens = {"distortion": bent, "camera_height": CAMERA_HEIGHT_M}
@@ -149,7 +148,7 @@ def test_an_imported_recording_has_the_same_numbers(tmp_path, encoder, monkeypat
     write_drive(files[0], imported, "monday-1", "recording", READING)
     perceive_drive(files[1], files[0], encoder, settings)
     measure_drive(files[2], *files[:2])
-    with source.run_chain(opened, None, READING, settings, encoder) as work:
+    with chain.run_chain(opened, None, READING, settings, encoder) as work:
         stage, own = (DriveReader(path, stage="motion") for path in (files[2], work / "motion.h5"))
         assert stage["valid"].tolist() == own["valid"].tolist() == [0] + 13 * [1]
         for dataset in ("yaw_rate_radps", "speed_mps", "filtered_mps", "speed_sigma"):

@@ -16,7 +16,7 @@ from pipeline.graphs.graph_file import open_graphs
 from pipeline.train.trained import load
 from stages import clouds, encoder, graphs, ingest, labels, motion, perception, sample, train
 from steer import api
-from steer.predict import predict
+from steer.commands.predict import predict
 
 pytestmark = pytest.mark.slow
 

@@ -7,9 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.base.errors import DamagedFile
-from pipeline.camera.camera import BELOW_HORIZON, Camera
+from pipeline.camera import classes
+from pipeline.camera.camera import BELOW_HORIZON, Camera, scan_depth
 from pipeline.camera.geometry import back_project, depth_image, project, rays
+from pipeline.camera.ground_plane import ground_plane_depth
 from pipeline.camera.images import nearest, read_pixels, resized
+from tests import street
 
 K = np.array([[70.0, 0, 31.4], [0, 72.0, 20.7], [0, 0, 1]])
 SIZE, SMALL = (40, 64), (20, 16)
@@ -97,3 +100,33 @@ def test_plainly_wrong_images(tmp_path, content, problem):
     (tmp_path / "a").write_bytes(content)
     with pytest.raises(DamagedFile, match=problem):
         read_pixels(tmp_path / "a")
+
+
+def test_ground_is_a_plane_and_objects_have_the_depth_of_their_foot():
+    _, truth, cls = street.scene(0)
+    depth = ground_plane_depth(cls, street.CAMERA)
+    ground = cls == classes.ROAD
+    np.testing.assert_allclose(back_project(depth, street.K)[ground][:, 1], 1.65)
+    np.testing.assert_allclose(depth[ground], truth[ground])
+    # The street's walls are upright, so each wall pixel is as far as the first road pixel below it, or nearer.
+    for column in range(0, street.SIZE[1], 7):
+        foot = np.flatnonzero(ground[:, column])[:1]
+        if foot.size:
+            np.testing.assert_allclose(depth[: foot[0], column], depth[foot[0], column])
+
+
+def test_hidden_points_are_dropped_and_ground_stays():
+    camera = Camera(np.array([[360.0, 0, 160], [0, 360, 40], [0, 0, 1]]), (100, 320), T_cam_velo=np.eye(4))
+    rows = np.arange(100)[:, None]
+    ground = np.where(rows > 45, 1.65 * 360 / np.maximum(rows - 40, 1), 0) * np.ones((1, 320))
+    ground[:, 1::3] = 0
+    wall = ground.copy()
+    wall[20:80:2, 100:140:2] = 6.0  # a car, and street points behind it between its own
+    kept, ground_kept = (scan_depth(back_project(depth, camera.K)[depth > 0], camera) for depth in (wall, ground))
+    np.testing.assert_allclose(ground_kept, ground, rtol=1e-6)
+    np.testing.assert_allclose(kept[20:80:2, 100:140:2], 6.0)
+    hidden = np.zeros_like(wall, bool)
+    hidden[46:79, 100:139] = wall[46:79, 100:139] > 7.5
+    assert hidden.any()
+    assert not kept[hidden].any()
+    np.testing.assert_array_equal(kept[:, :98], ground_kept[:, :98])

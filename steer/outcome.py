@@ -23,7 +23,7 @@ from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
 from pipeline.motion import rates
 from pipeline.motion.doubts import find_doubts
 from pipeline.motion.step import PROBLEMS
-from pipeline.video.source import INGEST, MOTION, Source
+from steer.chain import INGEST, MOTION, Source
 
 BACKWARDS = 0.5  # share of the moving frames: beyond, the camera looks back
 BRIDGED_S = 1.0  # longest gap over which the track continues with the last motion
@@ -117,7 +117,7 @@ class Results:
     def read(
         cls, source: Source, work: Path, car: Car, *, look_ahead: bool, frame: np.ndarray | None = None
     ) -> "Results":
-        """Return the measured motion of the files that :func:`pipeline.video.source.run_chain` wrote to `work`.
+        """Return the measured motion of the files that :func:`steer.chain.run_chain` wrote to `work`.
 
         Columns: frame, time_s, driven_rad, valid, those of :func:`read_course`, and the points that agree with the
         motion, with their median error `residual` in px. `frame`: numbers of the frames in the results, if their motion

@@ -13,8 +13,8 @@ from pipeline.base.store import replacing, write_json
 from pipeline.camera.camera import Camera
 from pipeline.camera.images import resized
 from pipeline.report.street_view import PATHS, STEP_M, path_steps, wheel_tracks
-from pipeline.video.results import Results
-from pipeline.video.source import Source
+from steer.chain import Source
+from steer.outcome import Results
 
 MAX_WIDTH = 1280  # px, of the video
 REACH_M = 60.0  # of paths at a constant angle

@@ -1,4 +1,4 @@
-"""Recordings: frames, times, intrinsics, logs, plainly wrong files; results: course, truth, comparison, pictures."""
+"""Recordings: frames, times, logs, and plainly wrong files."""
 
 import os
 import re
@@ -19,23 +19,12 @@ import pytest
 from av.stream import Disposition
 
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.base.store import DriveReader
-from pipeline.camera.camera import Frame
-from pipeline.camera.geometry import rays
-from pipeline.camera.lens import fisheye, pinhole, undistortion
 from pipeline.ingest import media
-from pipeline.ingest.drive import Drive
-from pipeline.ingest.ingest_file import write_drive
 from pipeline.ingest.log import Log, Logs
 from pipeline.ingest.media import open_recording, read_times
 from pipeline.ingest.names import group, order_doubts
-from pipeline.ingest.packets import make_rows
-from pipeline.labels.label import Car, Labels
 from pipeline.motion.step import durations
-from pipeline.video.measure import READING
-from pipeline.video.results import Results, Truth, read_course, read_truth
 from tests import street
-from tests.artefacts import write_motion
 from tests.kitti_drive import SIZE, pictures, write_folder, write_png, write_video
 
 
@@ -404,59 +393,6 @@ def test_a_playlist_opens_no_socket_and_no_other_file(tmp_path, name, text):
             server.accept()
 
 
-def test_field_of_view_spans_the_edges():
-    K = pinhole((480, 640), fov_deg=90).K
-    left, right = np.linalg.inv(K) @ [-0.5, 0, 1], np.linalg.inv(K) @ [639.5, 0, 1]  # half a pixel beyond the centres
-    assert np.rad2deg(np.arctan(right[0]) - np.arctan(left[0])) == pytest.approx(90)
-    middle = rays(K, (480, 640))[239:241, 319:321].mean(axis=(0, 1))
-    np.testing.assert_allclose(middle, [0, 0, 1], atol=1e-12)
-
-
-def test_a_fisheye_lens_is_rectified():
-    """A point at a known angle from the axis comes to lie where the pinhole sees it, by --fov as by --K."""
-    size, half = (400, 640), np.deg2rad(61)
-    K = f"{320 / half},{320 / half},319.5,199.5"
-    for given in ({"fov_deg": 122.0}, {"K": K}):
-        camera, straighten = fisheye(size, "0,0,0,0", **given)
-        assert 2 * np.rad2deg(np.arctan(320 / camera.K[0, 0])) == pytest.approx(90)
-        for angle, turn in ((0.6, 0.0), (0.5, 2.5)):
-            direction = np.array([np.cos(turn), np.sin(turn)])
-            u, v = np.rint(np.array([319.5, 199.5]) + 320 / half * angle * direction).astype(int)
-            image = np.zeros((*size, 3), np.uint8)
-            image[v - 1 : v + 2, u - 1 : u + 2] = 255
-            row, column = np.argwhere(straighten(image)[..., 0] > 200).mean(axis=0)
-            found = (np.array([column, row]) - 319.5 + np.array([0, 120])) / camera.K[0, 0]
-            np.testing.assert_allclose(found, np.tan(angle) * direction, atol=0.006)
-    assert fisheye(size, "0.1,0,0,0", fov_deg=60)[0].K[0, 0] == pytest.approx(320 / np.tan(np.deg2rad(30)), rel=1e-3)
-    with pytest.raises(InputError, match=r"cover 122°, more than 100°.*0,0,0,0"):
-        pinhole(size, fov_deg=122)
-
-
-@pytest.mark.parametrize("given", [{"K": "a,b,c,d"}, {"K": "50,50,65,20"}, {}, {"fov_deg": 90, "K": "1,1,1,1"}])
-def test_plainly_wrong_intrinsics(given):
-    with pytest.raises(InputError):
-        pinhole((48, 64), **given)
-    for text, problem in (
-        ("0.1,0,0,x", "expected 4 or 5 numbers"),
-        ("0.04,0.02,-0.03,0.01", "Pass these as --fisheye"),
-    ):
-        with pytest.raises(InputError, match=problem):
-            undistortion(pinhole((48, 64), fov_deg=90), text)
-
-
-UDACITY, KITTI, HALF_KITTI = "2152,2166,268,303", "721.5,721.5,609.6,172.9", "360.2,361.7,304.0,86.4"
-
-
-def test_intrinsics_are_for_the_size_of_the_images():
-    for K, size in ((UDACITY, (480, 640)), (KITTI, (375, 1242)), (HALF_KITTI, (188, 620))):
-        undistortion(pinhole(size, K=K), "-0.042,-0.89,0,0")
-        for other in (size[0] // 2, size[1] // 2), (2 * size[0], 2 * size[1]):
-            with pytest.raises(InputError, match="another image size"):
-                pinhole(other, K=K)
-    with pytest.raises(InputError, match="another image size"):
-        pinhole((500, 1656), K=KITTI)  # 4 / 3 of its size
-
-
 HEAD = "time_s,speed_mps,yaw_rate_radps\n"
 
 
@@ -558,76 +494,3 @@ def test_a_log_of_another_time_is_refused_before_images_are_decoded(tmp_path, mo
         logs = Logs.read(None, None, log(tmp_path, text), offset_s + start_s)
         with nullcontext() if expected is None else pytest.raises(InputError, match=f"pass --offset {expected},"):
             logs.check_overlap(*span_s)
-
-
-CAR = Car(2.7, 1.0)
-
-
-def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path):
-    """Frames are 10 s apart: a gap of one frame ends the motion."""
-    write_motion(tmp_path, "drive", {0: (0, 0), 1: (8.0, 0.02), 2: (8.0, 0.02), 3: (0, 0), 4: (0.5, 0.0)})
-    with DriveReader(tmp_path / "drive.h5", stage="motion") as motion:
-        causal, unknown = (read_course(motion, CAR, look_ahead=False, height_known=known) for known in (True, False))
-    assert np.isnan(causal["speed_mps"]).tolist() == [True, False, False, True, False]
-    assert causal["measured_rad"][1:3] == pytest.approx(np.arctan(2.7 * 0.02 / 8.0))
-    assert np.isnan(causal["measured_rad"][4])  # below the minimum speed
-    assert causal["heading_rad"][1:3] == pytest.approx([0.2, 0.4])
-    assert causal["x_m"][1] == pytest.approx(80 * np.cos(0.1))
-    assert causal["y_m"][1] == pytest.approx(80 * np.sin(0.1))
-    assert causal["heading_rad"][4] == pytest.approx(0.4)
-    assert (unknown["speed_sigma"][1:3] > 0.2).all()
-    assert (unknown["measured_sigma_rad"][1:3] > causal["measured_sigma_rad"][1:3]).all()
-
-
-@pytest.mark.parametrize(
-    ("wheel", "motion", "expected_rad"),
-    [
-        (None, None, [np.nan, 0.1, np.nan, -0.2]),
-        (None, "oxts", [np.arctan(2.7 * 0.05), np.nan, np.arctan(2.7 * 0.05), np.nan]),
-        (None, "0.05,10,0.5\n0.25,20,0.5\n", [np.nan, np.arctan(1.35 / 12.5), np.arctan(1.35 / 17.5), np.nan]),
-        ("time_s,wheel_rad\n0.1,1.4\n0.3,0\n", None, [np.nan, 0.1, 0.05, 0]),
-        ("time_s,wheel_rad\n0,1.4\n0.2,2.8\n", "0.05,10,0.5\n0.25,20,0.5\n", [0.1, 0.15, 0.2, np.nan]),
-    ],
-)
-def test_truth_is_that_of_the_logs_or_of_the_drive(tmp_path, wheel, motion, expected_rad):
-    files = [tmp_path / "wheel.csv", tmp_path / "motion.csv"]
-    recorded: dict[str, Any] = {"steering_rad": {1: 0.1, 3: -0.2}}
-    if motion == "oxts":  # whose angles are unknown at standstill, and in interpolated packets
-        packets = make_rows(4, vf=np.array([10, 0.5, 10, 10]), wu=0.5, velmode=np.array([0, 4, 4, -1]))
-        motion, recorded = None, {"oxts": dict(enumerate(packets))}
-    files[0].write_text(wheel or "")
-    files[1].write_text(f"time_s,speed_mps,yaw_rate_radps\n{motion}")
-    logs = Logs.read(files[0] if wheel else None, 14.0 if wheel else None, files[1] if motion else None)
-    values = logs.values(np.arange(4), np.arange(4) / 10) if logs.name else recorded
-    drive = Drive(None, lambda: (Frame(number, number / 10) for number in range(4)), values)
-    write_drive(tmp_path / "a.h5", drive, "a", "recording", READING)
-    with DriveReader(tmp_path / "a.h5", stage="ingest") as raw:
-        truth = read_truth(raw, raw.frame, logs, CAR)
-    np.testing.assert_allclose(np.where(truth.driven.valid, truth.driven.steering_rad, np.nan), expected_rad)
-    if motion:
-        np.testing.assert_allclose(truth.driven.speed_mps, [np.nan, 12.5, 17.5, np.nan])
-    names = [name for name, log in (("wheel.csv", wheel), ("motion.csv", motion)) if log]
-    assert truth.name == (" and ".join(names) or ("oxts" if "oxts" in recorded else "steering.csv"))
-    for path, offset_s, problem in ((files[0], 0, "--steering-ratio"), (None, 1, "--offset needs a log")):
-        with pytest.raises(InputError, match=problem):
-            Logs.read(path, None, None, offset_s)
-
-
-def test_comparison_by_its_definition():
-    """With the angle two frames later; the measured angle is held in frame 5, and not known in frame 0."""
-    frame, driven_rad = np.arange(11), np.random.default_rng(0).normal(0, 0.1, 11)
-    valid = ~np.isin(frame, [0, 5])
-    table = {"frame": frame, "time_s": frame / 10, "measured_rad": np.where(valid, 0.2, np.nan)}
-    table |= {"valid": valid.astype(np.uint8), "driven_rad": driven_rad}
-    table["predicted_rad"] = np.where(frame < 3, np.nan, 0.05)
-    labels = Labels(driven_rad, frame > -1, driven_rad, driven_rad)
-    results = Results("drive", table, [""] * 11, Truth("log.csv", "wheel_rad", labels), {}, [], [])
-    comparison = results.compare("predicted", 2)
-    target = results.table["driven_rad"][5:]
-    assert (comparison["truth"], comparison["frames"], comparison["horizon"]) == ("log.csv", 6, 2)
-    for name, angle in (("predicted", 0.05), ("measured", 0.2), ("zero", 0.0)):
-        error = ((angle - target) ** 2).mean()
-        assert comparison[name]["nmse"] == pytest.approx(error / (target**2).mean())
-        assert comparison[name]["rmse_deg"] == pytest.approx(np.rad2deg(np.sqrt(error)))
-    results.table["driven_rad"] = np.full(11, np.nan)
-    assert results.compare("predicted") is None

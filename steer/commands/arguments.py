@@ -6,15 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pipeline.base.resume import ROOT
-
 if TYPE_CHECKING:
-    from pipeline.video.results import Outcome
-
-
-def here_or_in_checkout(path: Path) -> Path:
-    """Return the path, or where it does not exist, the same path below the checkout, if that exists."""
-    return ROOT / path if not path.exists() and (ROOT / path).exists() else path
+    from steer.outcome import Outcome
 
 
 def number(lowest: float, highest: float, help: str, *name: str) -> Any:

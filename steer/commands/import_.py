@@ -24,7 +24,7 @@ import typer
 
 from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS
-from steer import options
+from steer.commands import arguments
 
 _SPLIT = "shares of the time in %; default: 60,20,20"
 Logs = Annotated[list[Path] | None, typer.Option(metavar="CSV", help="log; with --each, one per recording")]
@@ -35,22 +35,24 @@ def import_recording(
     name: Annotated[str | None, typer.Option(help="of the preset; default: the file's")] = None,
     motion: Logs = None,
     wheel: Logs = None,
-    steering_ratio: options.SteeringRatio = None,
-    fov: options.Fov = None,
+    steering_ratio: arguments.SteeringRatio = None,
+    fov: arguments.Fov = None,
     k: Annotated[
         list[str] | None, typer.Option("--K", metavar="FX,FY,CX,CY", help="intrinsics; with --each, one or each's")
     ] = None,
-    distortion: options.Distortion = None,
-    fisheye: options.Fisheye = None,
-    horizon: Annotated[float | None, options.number(-1e4, 1e4, "row of the road's horizon; default: estimated")] = None,
-    times: options.Times = None,
-    fps: options.Fps = None,
-    offset: options.Offset = 0.0,
-    start: Annotated[float, options.number(0, 1e10, "leave out earlier images, seconds since the first")] = 0.0,
-    end: Annotated[float | None, options.number(0, 1e10, "leave out this and later images")] = None,
+    distortion: arguments.Distortion = None,
+    fisheye: arguments.Fisheye = None,
+    horizon: Annotated[
+        float | None, arguments.number(-1e4, 1e4, "row of the road's horizon; default: estimated")
+    ] = None,
+    times: arguments.Times = None,
+    fps: arguments.Fps = None,
+    offset: arguments.Offset = 0.0,
+    start: Annotated[float, arguments.number(0, 1e10, "leave out earlier images, seconds since the first")] = 0.0,
+    end: Annotated[float | None, arguments.number(0, 1e10, "leave out this and later images")] = None,
     split: Annotated[str | None, typer.Option(metavar="TRAIN,VAL,TEST", help=_SPLIT)] = None,
     each: Annotated[bool, typer.Option("--each", help="each recording is a drive, in turn for each split")] = False,
-    camera_height: options.CameraHeight = None,
+    camera_height: arguments.CameraHeight = None,
     copy: Annotated[bool, typer.Option("--copy", help="copy the files instead of linking them")] = False,
 ) -> None:
     """Write links and a preset; the module's docstring is the help text."""
@@ -61,7 +63,7 @@ def import_recording(
     from pipeline.ingest.datasets.recording import MOTION, TIMES, WHEEL, read_logs
     from pipeline.ingest.names import check_different
     from pipeline.ingest.settings import KITTI_NAMES, Part
-    from pipeline.video import import_recording as importing
+    from steer import import_recording as importing
 
     chosen: Any = {name: value for name, value in locals().items() if name in Part.model_fields}
     shares = numbers(split or "60,20,20", (len(SPLITS),), "--split 60,20,20")

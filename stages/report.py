@@ -35,7 +35,7 @@ def main(
     steering = tables.steering_tables(groups)
     perceived = tables.perception_tables(scores) if scores else []
     for kind, row in scores["recorded"].items() if scores else ():
-        notes += [f"{'recorded motion' if kind == 'oxts' else kind}: {line}" for line in row["lines"]]
+        notes += [f"{'recorded motion' if kind == 'recorded' else kind}: {line}" for line in row["lines"]]
     story = tables.sentences(groups, [model for model in models if model not in evaluated])
     first = "\n\n".join(fill(line, 110) for line in story)
     text = "\n\n".join([first, *(table.markdown() for table in (*steering, *perceived))]).lstrip()

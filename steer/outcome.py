@@ -56,11 +56,11 @@ def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> 
     With two logs the angle is the wheel's; in a drive with oxts, theirs.
     """
     recorded = sources.recorded(ingest, car)
-    if not recorded.keys() & {"oxts", "wheel"}:
+    if not recorded.keys() & {"recorded", "wheel"}:
         unknown = np.full(len(frame), np.nan)
         return Truth("", "", steering_labels(unknown, unknown, car))
-    source = next((name for name in ("wheel", "oxts")[:: 1 if logs.wheel else -1] if name in recorded), "")
-    name = logs.name or {"wheel": "steering.csv"}.get(source, source)
+    source = next((name for name in ("wheel", "recorded")[:: 1 if logs.wheel else -1] if name in recorded), "")
+    name = logs.name or {"wheel": "steering.csv", "recorded": "oxts"}[source]
     column = "wheel_rad" if logs.wheel else sources.column(source)
     driven = recorded[source].at(np.searchsorted(ingest.frame, frame))
     return Truth(name, column, driven, logs.wheel.ratio if logs.wheel else 1.0)

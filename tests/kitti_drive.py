@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import yaml
 
-from pipeline.ingest.packets import VF, WU
+from pipeline.ingest.packets import MOTION
 
 DATE = "2011_09_26"
 DRIVE = f"{DATE}_drive_0001"
@@ -30,7 +30,7 @@ def write_drive(
             write_png(folder / f"truth/cls/{name}.png", rng.integers(0, 19, SIZE, np.uint8))
         write(folder / f"velodyne_points/data/{name}.bin", scan(rng).tobytes())
         row = rng.normal(0, 0.1, 30)
-        row[VF], row[WU] = rng.uniform(2, 12), rng.normal(0, 0.2)
+        row[MOTION["speed_mps"]], row[MOTION["yaw_rate_radps"]] = rng.uniform(2, 12), rng.normal(0, 0.2)
         write(folder / f"oxts/data/{name}.txt", " ".join(f"{x:.12f}" for x in row) + "\n")
     write(folder / "oxts/timestamps.txt", "".join(f"2011-09-26 13:02:{25 + i / 10:012.9f}\n" for i in range(LINES)))
     write_calibration(folder.parent)

@@ -148,7 +148,7 @@ def test_the_examples_of_a_label_source_and_of_a_metric_work(tmp_path, monkeypat
     module = ModuleType("pipeline.labels.sources.example")
     exec(code_block("MEASURED = False"), vars(module))
     monkeypatch.setitem(sys.modules, module.__name__, module)
-    monkeypatch.setattr("pipeline.labels.settings.SOURCES", ["example", "oxts", "wheel"])
+    monkeypatch.setattr("pipeline.labels.settings.SOURCES", ["example", "recorded", "wheel"])
     artefacts.write_recorded(tmp_path / "a.h5", np.arange(3), None, {0: 0.2, 2: -0.1})
     settings = Labels(source="example", wheelbase_m=2.7, min_speed_mps=1.0)
     source.labels_drive(tmp_path / "labels.h5", tmp_path / "a.h5", settings=settings)

@@ -19,7 +19,7 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 
-SCHEMA = 5
+SCHEMA = 6
 INDEX = "index.json"  # of a stage's folder
 _CHUNK_ROWS = 32768  # of ragged data
 # Sizes and speeds of the alternatives: docs/log.md. Blosc2 would let a file name a codec that runs code.

@@ -22,7 +22,7 @@ class Drive:
 
     camera: Camera | None  # of complete, rectified images; None: no images and no scans
     frames: Callable[[], Iterator[Frame]]  # in ascending numbers; images, depth and classes have the camera's size
-    # Name → frame number → value: oxts [30], steering_rad, speed_mps and yaw_rate_radps, see ingest_file.VALUES
+    # Name → frame number → value: steering_rad; speed_mps and yaw_rate_radps, or oxts [30]; see ingest_file.VALUES
     values: Mapping[str, Mapping[int, Any]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)  # for the user; complete after the last frame
     dataset: str = ""  # if it is another than the file's name

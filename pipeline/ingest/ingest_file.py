@@ -16,6 +16,7 @@ from pipeline.camera.camera import Camera, Frame, camera_height, write_camera
 from pipeline.camera.classes import VOID
 from pipeline.camera.images import format_size, nearest, resized, to_units
 from pipeline.ingest.drive import Drive, load
+from pipeline.ingest.packets import recorded_motion
 from pipeline.ingest.settings import Ingest, Reading
 
 # Name → unit, value of missing pixels, how pixels are resized.
@@ -30,6 +31,7 @@ VALUES: dict[str, tuple[str, float]] = {
     "oxts": ("as KITTI's oxts/dataformat.txt", np.nan),
     "steering_rad": ("rad, left positive", 0.0),
     "speed_mps": ("m/s, forward positive", np.nan),
+    "left_mps": ("m/s, left positive", np.nan),
     "yaw_rate_radps": ("rad/s, left positive", np.nan),
 }
 COUNTS = {
@@ -55,7 +57,8 @@ def write_drive(
     Raises InputError if there are no frames, pixels of another size than the camera's, or values with an unknown name.
     """
     _check_names(drive.values)
-    camera, size, values = drive.camera, settings.image_size, drive.values
+    camera, size = drive.camera, settings.image_size
+    values = {**recorded_motion(drive.values.get("oxts", {})), **drive.values}
     crop = camera.crop_to(size) if camera else None
     params: dict[str, Any] = {"dataset": drive.dataset or dataset, "ingest": settings.model_dump(mode="json")}
     if camera and camera.height_known and camera.height_m != camera_height(camera.T_cam_velo):

@@ -1,6 +1,6 @@
 """Recorded motion of a drive: KITTI's inertial and GNSS packets ("oxts"), timestamps, and steering angles."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ COLUMNS = (
     "orimode",
 )  # fmt: skip
 # Speeds forward and to the left, m/s, parallel to the earth's surface; yaw rate about the upward axis, rad/s, left +.
-VF, VL, WU = (COLUMNS.index(name) for name in ("vf", "vl", "wu"))
+MOTION = {"speed_mps": COLUMNS.index("vf"), "left_mps": COLUMNS.index("vl"), "yaw_rate_radps": COLUMNS.index("wu")}
 _COUNTS = COLUMNS.index("navstat")  # integers from here on
 _LIMITS = np.array([{"vf": LIMIT_MPS, "vl": LIMIT_MPS, "wu": LIMIT_RADPS}.get(name, np.inf) for name in COLUMNS])
 GRAVITY_MPS2 = 9.81
@@ -37,6 +37,18 @@ def interpolated(rows: np.ndarray) -> np.ndarray:
     Labels from interpolated packets of 2011_10_03_drive_0027 are off by 0.04 rad rms, others by 0.006.
     """
     return np.asarray((rows[:, COLUMNS.index("posmode") :] == -1).any(axis=1))
+
+
+def recorded_motion(packets: Mapping[int, np.ndarray]) -> dict[str, dict[int, float]]:
+    """Return name → frame number → value of packets [30]: speeds forward and to the left, and the yaw rate.
+
+    In m/s and rad/s, left positive; NaN in an interpolated packet, which is no measurement.
+    """
+    measured = {number: row for number, row in packets.items() if not interpolated(row[None])[0]}
+    return {
+        name: {number: float(measured[number][column]) if number in measured else np.nan for number in packets}
+        for name, column in MOTION.items()
+    }
 
 
 def format_packet(row: np.ndarray) -> bytes:

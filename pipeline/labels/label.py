@@ -1,7 +1,7 @@
 """Compute steering labels (paper section 4.1) from the car's motion.
 
-Signs: yaw rate and steering angle are positive to the left. The speed v is oxts' ``vf``, parallel to the earth's
-surface, and the yaw rate ψ̇ the corresponding ``wu``.
+Signs: yaw rate and steering angle are positive to the left. Speed v and yaw rate ψ̇ of KITTI's drives are ``vf``
+and ``wu`` of its packets, parallel to the earth's surface.
 """
 
 from typing import NamedTuple

@@ -12,7 +12,7 @@ SOURCES = sorted(path.stem for path in (Path(__file__).parent / "sources").glob(
 
 
 class Labels(Section):
-    source: str = "oxts"  # a file of pipeline/labels/sources
+    source: str = "recorded"  # a file of pipeline/labels/sources; oxts is another name of recorded
     wheelbase_m: Positive
     min_speed_mps: Annotated[float, Field(ge=0)]
     ahead_m: list[Annotated[float, Field(ge=0, le=200)]] = []  # no camera shows a road farther away
@@ -21,6 +21,7 @@ class Labels(Section):
     @field_validator("source")
     @classmethod
     def _check_source(cls, source: str) -> str:
+        source = "recorded" if source == "oxts" else source
         if source not in SOURCES:
             raise ValueError(f"there is no pipeline/labels/sources/{source}.py ({closest(source, SOURCES)})")
         return source

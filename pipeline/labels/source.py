@@ -14,11 +14,10 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader, DriveWriter
-from pipeline.ingest.packets import VL, interpolated, make_rows
 from pipeline.labels.agreement import backwards
 from pipeline.labels.ahead import path_ahead
+from pipeline.labels.by_row import recorded_motion
 from pipeline.labels.label import TURNING_RAD, Car, Labels
-from pipeline.labels.recorded import recorded_motion
 from pipeline.labels.settings import SOURCES
 from pipeline.labels.settings import Labels as Settings
 
@@ -39,13 +38,15 @@ def labels_drive(path: Path, ingest: Path, motion: Path | None = None, *, settin
         measured = load(settings.source).MEASURED
         if motion and not measured and not column(settings.source):
             labels = labels.without(backwards(labels, read("visual", raw, motion, car)))
-        packets = raw["oxts"] if not measured and "oxts" in raw else make_rows(len(frame))
+        unknown = sideways = np.zeros(len(frame), bool)
+        if not measured and "oxts" in raw:
+            unknown = np.isnan(raw["speed_mps"])
+            sideways = np.abs(raw["left_mps"]) > SIDEWAYS_MPS
     with DriveWriter(path, stage="labels", drive=drive, params={"labels": settings.model_dump()}) as file:
         file.attrs["measured"] = int(measured)
         write(file, frame, time_s, labels, settings)
-    guessed = interpolated(packets)
     counts = {"valid": labels.valid, "turning": labels.valid & (np.abs(labels.steering_rad) > TURNING_RAD)}
-    counts |= {"sideways": (np.abs(packets[:, VL]) > SIDEWAYS_MPS) & ~guessed, "interpolated": guessed}
+    counts |= {"sideways": sideways, "interpolated": unknown}
     return {"frames": len(frame)} | {name: int(mask.sum()) for name, mask in counts.items()}
 
 

@@ -14,7 +14,7 @@ from pipeline.labels.label import Car, Labels, held
 
 
 def score_motion(drives: list[str], ingest: Path, motion: Path, car: Car) -> dict[str, Any]:
-    """Return scores of the measured motion that models get (visual), and of steering angles (wheel), against oxts.
+    """Return scores, against recorded motion, of the motion that models get (visual) and of steering angles (wheel).
 
     ``visual-wheel``: against steering angles. Only what the `drives` recorded is compared, possibly nothing.
     """
@@ -32,7 +32,7 @@ def score_motion(drives: list[str], ingest: Path, motion: Path, car: Car) -> dic
                 labels["wheel"] = labels["wheel"]._replace(speed_mps=unknown, yaw_rate_radps=unknown)
         for reference, kind in product(references, rows):
             if kind != reference:
-                name = kind if reference == "oxts" else f"{kind}-{reference}"
+                name = kind if reference == "recorded" else f"{kind}-{reference}"
                 pair = labels[kind].at(rows[kind]), labels[reference].at(rows[kind])
                 errors.setdefault(name, []).append(label_errors(*pair))
     return {kind: score(errors_of_kind) for kind, errors_of_kind in errors.items()}

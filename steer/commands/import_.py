@@ -97,7 +97,7 @@ def import_recording(
         names = [f"{name[:-4]}{int(name[-4:]) + number:04d}" for number in range(len(parts))]
     drives = {drive: (of, *part) for drive, of, part in zip(names, splits, parts, strict=True)}
     with importing.linked(opened, raw, copy=copy):
-        source = "oxts" if motion else "wheel" if wheel else "visual"
+        source = "recorded" if motion else "wheel" if wheel else "visual"
         importing.write_preset(preset, drives, opened[0], source)
     for drive, (of, _, images) in drives.items():
         print(f"{drive}: {images} images, {of}")

@@ -16,6 +16,7 @@ from pipeline.ingest.calibration import CALIBRATION, RENDERED
 from pipeline.ingest.datasets import kitti
 from pipeline.ingest.drive import Drive
 from pipeline.ingest.ingest_file import write_drive as write_ingest
+from pipeline.ingest.packets import COLUMNS
 from stages import ingest
 from steer.measure import READING
 from tests.kitti_drive import DATE, DRIVE, SIZE, contents, write, write_drive, write_params, write_png
@@ -50,6 +51,8 @@ def test_rows_go_by_frame_number(tmp_path):
             np.testing.assert_array_equal(file[f"has_{name}"], present)
         oxts = [np.loadtxt(folder / f"oxts/data/{frame:010d}.txt") for frame in file.frame]
         np.testing.assert_array_equal(file["oxts"], oxts)
+        for name, column in {"speed_mps": "vf", "left_mps": "vl", "yaw_rate_radps": "wu"}.items():
+            np.testing.assert_array_equal(file[name], np.array(oxts)[:, COLUMNS.index(column)])
         for row, name in ((1, "0000000003.JPEG"), (3, "0000000007.png")):
             image = cv2.imread(str(folder / "image_02/data" / name))[..., ::-1]
             image = cv2.resize(image, NEW[::-1], interpolation=cv2.INTER_AREA)

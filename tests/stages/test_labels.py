@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, DriveWriter, read_index
-from pipeline.ingest.packets import interpolated, make_rows
+from pipeline.ingest.packets import interpolated, make_rows, recorded_motion
 from stages import labels
 from tests.artefacts import write_index, write_motion, write_recorded
 from tests.kitti_drive import write_params
@@ -81,7 +81,7 @@ def test_an_interpolated_packet_is_no_target_and_ends_the_path_ahead(tmp_path, c
         write_recorded(tmp_path / f"ingest/{drive}.h5", frame, rows, dict.fromkeys(range(30), 0.1))
         write_motion(tmp_path / "motion", drive, dict.fromkeys(range(30), (5.0, 0.1)))
     write_index(tmp_path / "ingest", DRIVES)
-    for source, valid in {"oxts": frame != 20, "wheel": frame >= 0, "visual": frame >= 0}.items():
+    for source, valid in {"recorded": frame != 20, "wheel": frame >= 0, "visual": frame >= 0}.items():
         file, _ = run(tmp_path, source=source, ahead_m=[0, 5])
         np.testing.assert_array_equal(file["valid"], valid)
         text = f"{valid.sum()} valid, {valid.sum()} turning, {int(source != 'visual')} interpolated"
@@ -101,8 +101,11 @@ def test_interpolated_packets_of_kitti(real_kitti, tmp_path):
                 packets[member.name[11:32]].append(archive.extractfile(member).read().split())  # type: ignore[union-attr]
     for drive, rows in packets.items():
         with DriveWriter(tmp_path / f"ingest/{drive}.h5", stage="ingest", drive=drive, params={}) as file:
-            for name, values in (("frame", range(len(rows))), ("time_s", np.arange(len(rows)) / 10), ("oxts", rows)):
-                file.put(name, np.array(values, float))
+            numbered = dict(enumerate(np.array(rows, float)))
+            values = {name: [*column.values()] for name, column in recorded_motion(numbered).items()}
+            values |= {"frame": range(len(rows)), "time_s": np.arange(len(rows)) / 10, "oxts": rows}
+            for name, column in values.items():
+                file.put(name, np.array(column, float))
     write_index(tmp_path / "ingest", dict.fromkeys(packets, "train"))
     run(tmp_path, ahead_m=[0, 0.1])
     for drive, rows in packets.items():
@@ -141,7 +144,7 @@ def test_a_split_whose_only_drive_stands_is_named(tmp_path, capsys):
 
 
 def test_a_source_that_a_drive_lacks(recorded):
-    with pytest.raises(InputError, match=r"no labels\.source: oxts"):
+    with pytest.raises(InputError, match=r"no labels\.source: recorded"):
         run(recorded, source="oxts")
     write_ingest(recorded / "ingest", speed=[5.0], yaw_rate=[0.0])
     with pytest.raises(InputError, match=r"steering\.csv"):

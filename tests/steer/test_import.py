@@ -130,7 +130,7 @@ def test_angles_of_the_wheel_are_interpolated_from_start_to_end(tmp_path, take, 
     ("source", "options", "base", "horizon"),
     [
         ("visual", {}, "motion", 10),
-        ("oxts", {"motion": STEADY}, "motion", 0),
+        ("recorded", {"motion": STEADY}, "motion", 0),
         ("wheel", {"wheel": every_second(1.0)}, "none", 0),
     ],
 )

@@ -1,8 +1,8 @@
 """The motion that stage motion measures in images, by visual odometry."""
 
 from pipeline.base.store import DriveReader
+from pipeline.labels.by_row import measured_motion
 from pipeline.labels.label import Car, Labels, steering_labels
-from pipeline.labels.recorded import measured_motion
 
 MEASURED = True
 

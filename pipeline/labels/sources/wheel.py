@@ -3,8 +3,8 @@
 import numpy as np
 
 from pipeline.base.store import DriveReader
+from pipeline.labels.by_row import measured_motion, recorded_motion
 from pipeline.labels.label import Car, Labels
-from pipeline.labels.recorded import measured_motion, recorded_motion
 
 MEASURED = False
 COLUMN = "steering_rad"

@@ -136,7 +136,7 @@ def test_a_file_from_elsewhere_opens_no_other_file_and_runs_no_filter_of_others(
 @pytest.mark.parametrize(
     ("name", "stage", "change", "problem"),
     [
-        ("a", "ingest", None, "expected stage 'ingest', schema 5; got stage 'clouds', schema 5"),
+        ("a", "ingest", None, "expected stage 'ingest', schema 6; got stage 'clouds', schema 6"),
         ("a", "clouds", Path.unlink, "missing"),
         ("2011_09_26_drive_0002", "clouds", None, f"contains drive {DRIVE}"),
         ("a", "clouds", lambda path: h5py.File(path, "r+").attrs.update(schema=3), "got stage 'clouds', schema 3"),

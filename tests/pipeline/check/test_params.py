@@ -151,3 +151,7 @@ def test_params_are_replaced_unless_they_have_edits_that_git_lacks(tmp_path, mon
     git("commit -qam edits")
     preset.main("table2")
     assert yaml.safe_load(params.read_text())["evaluate"]["bootstrap_samples"] == 100
+
+
+def test_oxts_is_another_name_of_recorded_labels():
+    assert Labels(source="oxts", wheelbase_m=2.7, min_speed_mps=1.0).source == "recorded"

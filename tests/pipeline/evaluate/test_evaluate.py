@@ -232,7 +232,7 @@ def off_the_track(raw: KittiDrive) -> np.ndarray:
     rows = np.array([packets.read_row(path) for path in raw.oxts.values()])
     time_s = packets.read_times(raw.oxts_times, list(raw.oxts))
     lat, lon, yaw, speed = (rows[:, packets.COLUMNS.index(name)] for name in ("lat", "lon", "yaw", "vf"))
-    angle, *_ = label.steering_labels(rows[:, packets.WU], speed, label.Car(2.7, 1.0))
+    angle, *_ = label.steering_labels(rows[:, packets.MOTION["yaw_rate_radps"]], speed, label.Car(2.7, 1.0))
     # Mercator's, as KITTI's own tools have it: metres at the drive's latitude, x to the east, y to the north.
     radius_m = 6378137.0 * np.cos(np.deg2rad(lat[0]))
     gnss = radius_m * np.stack([np.deg2rad(lon), np.log(np.tan(np.deg2rad(90 + lat) / 2))], axis=1)

@@ -97,7 +97,7 @@ def test_columns_equal_pykittis():
     from pykitti.utils import OxtsPacket
 
     assert OxtsPacket._fields == packets.COLUMNS
-    assert (packets.VF, packets.VL, packets.WU) == (8, 9, 22)
+    assert packets.MOTION == {"speed_mps": 8, "left_mps": 9, "yaw_rate_radps": 22}
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -3,18 +3,14 @@
 import numpy as np
 
 from pipeline.base.store import DriveReader
-from pipeline.ingest.packets import VF, WU, interpolated
 from pipeline.motion.rates import measured_rates, stands
 
 
 def recorded_motion(raw: DriveReader) -> np.ndarray | None:
     """Return recorded speeds in m/s and yaw rates in rad/s, left positive, [2,F]; None if the drive has none.
 
-    An interpolated packet of oxts is no measurement.
+    They are unknown where KITTI interpolated a packet, which is no measurement.
     """
-    if "oxts" in raw:
-        packets = raw["oxts"]
-        return np.where(interpolated(packets), np.nan, packets[:, [VF, WU]].T)
     return np.stack([raw["speed_mps"], raw["yaw_rate_radps"]]) if "speed_mps" in raw else None
 
 

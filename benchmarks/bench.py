@@ -9,7 +9,7 @@ import torch
 import typer
 
 from benchmarks import device, networks
-from benchmarks.street import POINTS, make_street
+from benchmarks.timing import POINTS, make_street
 from pipeline.base import console
 from pipeline.base.errors import InputError, closest
 from pipeline.base.executors import usable_cores

@@ -13,7 +13,7 @@ import torch
 from torch.profiler import ProfilerActivity, profile
 
 from benchmarks.networks import MODEL
-from benchmarks.street import DEVICE, FRAMES, make_street, milliseconds
+from benchmarks.timing import DEVICE, FRAMES, make_street, milliseconds
 from models.encoder.unified_encoder import build
 from pipeline.base import store
 from pipeline.base.params import load

@@ -11,7 +11,7 @@ from torch_geometric.data import Batch
 from torch_geometric.nn import GCNConv
 from torch_geometric.nn.conv.gcn_conv import gcn_norm
 
-from benchmarks.street import DEVICE, FRAMES, Row, Street, milliseconds
+from benchmarks.timing import DEVICE, FRAMES, Row, Street, milliseconds
 from models.steering.core.cell.ltc import LTC
 from models.steering.core.features import mean_max_pool, node_features
 from models.steering.core.wiring import ncp

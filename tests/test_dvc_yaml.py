@@ -49,14 +49,26 @@ def _imported(*modules: str) -> set[Path]:
     return {Path(*module.split(".")).with_suffix(".py") for module in found}
 
 
-def test_one_name_four_places():
+def test_one_name_five_places():
+    """A file of stages/, an entry of dvc.yaml, a section, a folder of data/, and a room of pipeline/."""
     files = {path.stem for path in (resume.ROOT / "stages").glob("*.py")}
-    assert files == set(STAGES)
+    rooms = {path.name for path in (resume.ROOT / "pipeline").iterdir() if any(path.glob("*.py"))}
+    assert files == set(STAGES) == rooms - {"base", "camera"}
     for name, stage in STAGES.items():
         argument = r' "\${DVC_STAGE#*@}"' if "foreach" in stage else ""
         assert stage["cmd"] == f"python -m stages.{name}{argument}"
         for out in _outs(stage):
             assert out.split("/")[:2] == ["data", name]
+
+
+def test_no_two_rooms_have_a_module_of_one_name():
+    """Unless it is the same thing of two stages."""
+    places: dict[str, set[str]] = {}
+    for folder in ("pipeline", "models", "steer", "benchmarks"):
+        for file in (resume.ROOT / folder).rglob("*.py"):
+            parts = file.relative_to(resume.ROOT).parts
+            places.setdefault(file.stem, set()).add("/".join(parts[:2]) if folder == "pipeline" else folder)
+    assert {name for name, rooms in places.items() if len(rooms) > 1} == {"doubts", "fit", "settings", "udacity"}
 
 
 @pytest.mark.parametrize("name", STAGES)

@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch_geometric.nn.conv.gcn_conv import gcn_norm
 
-from benchmarks import bench, networks, street, udacity
+from benchmarks import bench, networks, timing, udacity
 from models.steering.core.features import node_features
 from models.steering.spatial.gnn import GCN, Options
 from pipeline.base.errors import InputError
@@ -14,7 +14,7 @@ POINTS = 150
 
 
 def test_all_rows_are_measured_with_one_thread(monkeypatch, capsys):
-    monkeypatch.setattr(street, "ROUNDS", 1)
+    monkeypatch.setattr(timing, "ROUNDS", 1)
     monkeypatch.setattr(networks, "REPEATS", 1)
     torch.set_num_threads(2)
     bench.main(points=POINTS)
@@ -32,7 +32,7 @@ def test_all_rows_are_measured_with_one_thread(monkeypatch, capsys):
 
 
 def test_pyg_gets_the_same_graph_and_computes_the_same(tmp_path):
-    made = street.make_street(tmp_path, POINTS)
+    made = timing.make_street(tmp_path, POINTS)
     data = [torch.load(path, weights_only=False) for path in made.frames[:2]]
     batch, start = made.batch(2), len(data[0].pos)
     assert torch.equal(torch.cat([frame.pos for frame in data]), batch.xyz)

@@ -22,7 +22,7 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     splits = store.read_index(inputs["ingest"], stage="ingest")
     for kind, drives in {"pseudo": splits, "lidar": splits if load(Ingest, params).lidar else {}}.items():
         work = partial(cloud.clouds_drive, kind=kind, settings=settings)
-        with stage_folder(f"clouds@{kind}", out / kind, drives) as folder:
+        with stage_folder(f"clouds@{kind}", out / kind, drives, params=params) as folder:
             make_drives(folder, file_jobs(drives, inputs, work), settings, "{frames} frames, {points} points")
     return out
 

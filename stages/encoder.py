@@ -23,15 +23,15 @@ def main(data: Path = Path("data"), out: Path = Path("data/encoder"), params: Pa
     """Write encoder.pt, config.json and curve.csv. Return the folder."""
     settings, ingest = load(Encoder, params), data / "ingest"
     config: dict[str, Any] = settings.model_dump(mode="json", exclude_none=True)
-    torch.manual_seed(settings.seed)
-    with error_context(params), error_context("encoder"):
-        architecture, model = create(settings)
-    size = load(Ingest, params).image_size
-    with error_context(params), error_context(f"backbone {settings.backbone}, ingest.image_size {list(size)}"):
-        if settings.backbone != "precomputed":
-            encoder_file.check_size(model, size)
-    curve: list[dict[str, float]] = []
-    with stage_folder("encoder", out) as stage:
+    with stage_folder("encoder", out, params=params) as stage:
+        torch.manual_seed(settings.seed)
+        with error_context(params), error_context("encoder"):
+            architecture, model = create(settings)
+        size = load(Ingest, params).image_size
+        with error_context(params), error_context(f"backbone {settings.backbone}, ingest.image_size {list(size)}"):
+            if settings.backbone != "precomputed":
+                encoder_file.check_size(model, size)
+        curve: list[dict[str, float]] = []
         if settings.epochs:
             encoder_file.save(stage.kept / "start", architecture, model.state_dict())
             drives = store.drives_in(store.read_index(ingest, stage="ingest"), "train")

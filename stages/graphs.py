@@ -25,7 +25,7 @@ def main(
     splits = store.read_index(source, stage=variant.source.split("/")[0])
     jobs = file_jobs(splits, {"source": source, "motion": data / "motion"}, partial(graphs_drive, variant=variant))
     text = "{frames} frames" if variant.kind == "image" else "{frames} frames, {points} points"
-    with stage_folder(f"graphs@{name}", out, splits) as folder:
+    with stage_folder(f"graphs@{name}", out, splits, params=params) as folder:
         make_drives(folder, jobs, variant, text)
     return out
 

@@ -24,15 +24,15 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     motion = data / "motion"
     out = data / "labels"
     splits = store.read_index(ingest, stage="ingest")
-    # Not with test drives: a lag fitted to them would align the truth with odometry.
-    drives = store.drives_in(splits, "train", "val") or [*splits]
-    car = Car(settings.wheelbase_m, settings.min_speed_mps)
-    for line in comparison.check(settings.source, comparison.read(settings.source, drives, ingest, motion, car)):
-        print(line, flush=True)
-    inputs = {"ingest": ingest} | ({"motion": motion} if motion.is_dir() else {})
-    jobs = file_jobs(splits, inputs, partial(labels_drive, settings=settings))
-    text = "{frames} frames, {valid} valid, {turning} turning, {interpolated} interpolated"
-    with stage_folder("labels", out, splits) as folder:
+    with stage_folder("labels", out, splits, params=params) as folder:
+        # Not with test drives: a lag fitted to them would align the truth with odometry.
+        drives = store.drives_in(splits, "train", "val") or [*splits]
+        car = Car(settings.wheelbase_m, settings.min_speed_mps)
+        for line in comparison.check(settings.source, comparison.read(settings.source, drives, ingest, motion, car)):
+            print(line, flush=True)
+        inputs = {"ingest": ingest} | ({"motion": motion} if motion.is_dir() else {})
+        jobs = file_jobs(splits, inputs, partial(labels_drive, settings=settings))
+        text = "{frames} frames, {valid} valid, {turning} turning, {interpolated} interpolated"
         # One worker, as this is less work than starting a process.
         summaries = make_drives(folder, jobs, settings, text, workers=1)
     for line in find_doubts(splits, summaries):

@@ -25,21 +25,21 @@ def main(
 
     Models of the params file that are not evaluated on this machine are named.
     """
-    models = entries("models", params)
-    evaluated = [model for model in models if (data / "evaluate" / model / "metrics.json").is_file()]
-    groups = results.load_groups({model: data / "evaluate" / model for model in evaluated}, load(Evaluate, params))
-    path = data / "scores" / "metrics.json"
-    scores = store.read_json(path, stage="scores") if path.is_file() else None
-    path = data / "encoder" / "config.json"
-    notes = store.read_json(path, stage="encoder").get("sources", []) if path.is_file() else []
-    steering = tables.steering_tables(groups)
-    perceived = tables.perception_tables(scores) if scores else []
-    for kind, row in scores["recorded"].items() if scores else ():
-        notes += [f"{'recorded motion' if kind == 'recorded' else kind}: {line}" for line in row["lines"]]
-    story = tables.sentences(groups, [model for model in models if model not in evaluated])
-    first = "\n\n".join(fill(line, 110) for line in story)
-    text = "\n\n".join([first, *(table.markdown() for table in (*steering, *perceived))]).lstrip()
-    with stage_folder("report", out, shared=True) as folder:
+    with stage_folder("report", out, params=params) as folder:
+        models = entries("models", params)
+        evaluated = [model for model in models if (data / "evaluate" / model / "metrics.json").is_file()]
+        groups = results.load_groups({model: data / "evaluate" / model for model in evaluated}, load(Evaluate, params))
+        path = data / "scores" / "metrics.json"
+        scores = store.read_json(path, stage="scores") if path.is_file() else None
+        path = data / "encoder" / "config.json"
+        notes = store.read_json(path, stage="encoder").get("sources", []) if path.is_file() else []
+        steering = tables.steering_tables(groups)
+        perceived = tables.perception_tables(scores) if scores else []
+        for kind, row in scores["recorded"].items() if scores else ():
+            notes += [f"{'recorded motion' if kind == 'recorded' else kind}: {line}" for line in row["lines"]]
+        story = tables.sentences(groups, [model for model in models if model not in evaluated])
+        first = "\n\n".join(fill(line, 110) for line in story)
+        text = "\n\n".join([first, *(table.markdown() for table in (*steering, *perceived))]).lstrip()
         (folder.new / "table.md").write_text(f"{text}\n", encoding="utf-8")
         store.write_json(folder.new / "metrics.json", results.dvc_metrics(groups))
         store.write_json(folder.new / "results.json", summary.results(groups, scores))

@@ -27,7 +27,7 @@ def main(out: Path = Path("data/sample"), params: Path = Path("params.yaml")) ->
                 jobs.append(Job(drive, f"{drive[:10]}/{drive}_sync", [f"{frames} {truth} {scan_rays}"], work))
     if not jobs:
         print("nothing to render: ingest.drives has no drive of the sample")
-    with stage_folder("sample", out) as folder:
+    with stage_folder("sample", out, params=params) as folder:
         make_drives(folder, jobs, settings.model_dump(include={"image_size", "seed"}), "{frames} frames, {metres} m")
         for date in {job.drive[:10] for job in jobs}:
             write_calibration(make_rig(settings.image_size, date), folder.new / date)

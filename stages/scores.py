@@ -25,7 +25,7 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     scored = {drive: split for drive, split in splits.items() if split != "train"}
     jobs = file_jobs(scored, inputs, partial(score_drive, car=car), "{}/metrics.json")
     out = data / "scores"
-    with stage_folder("scores", out) as folder:
+    with stage_folder("scores", out, params=params) as folder:
         summaries = make_drives(folder, jobs, car._asdict(), "{frames} frames")
         content = score_splits(splits, summaries, inputs["ingest"], inputs["motion"], car)
         store.write_json(folder.new / "metrics.json", content)

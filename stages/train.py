@@ -32,14 +32,15 @@ def main(
     entry = load_entry(Entry, "models", name, params)
     settings = settings.model_copy(update={"learning_rate": entry.learning_rate or settings.learning_rate})
     variant = data / "graphs" / entry.input
-    splits = store.read_index(variant, stage="graphs")
-    where = f"{params}: models.{name}"
-    with error_context(where=where):
-        runs.check(splits, entry.scene)
-    parts = {split: store.drives_in(splits, split) for split in SPLITS}
-    names = [drive for part in parts.values() for drive in part]
-    drives = {drive: read_drive(variant, data / "labels", drive, entry) for drive in names}
-    with stage_folder(f"train@{name}", out / name) as folder:
+    with stage_folder(f"train@{name}", out / name, params=params, own=entry.networks) as folder:
+        splits = store.read_index(variant, stage="graphs")
+        where = f"{params}: models.{name}"
+        with error_context(where=where):
+            runs.check(splits, entry.scene)
+        parts = {split: store.drives_in(splits, split) for split in SPLITS}
+        names = [drive for part in parts.values() for drive in part]
+        drives = {drive: read_drive(variant, data / "labels", drive, entry) for drive in names}
+
         # Errors before the first network is trained.
         for part in filter(None, parts.values()):
             check([drives[drive] for drive in part], entry.window)
@@ -50,7 +51,7 @@ def main(
             print(f"{name}: no validation drives, so no early stopping: keeps the last epoch", flush=True)
 
         todo = runs.runs(folder.new, settings.seeds)
-        folder.used.update(fit_model(todo, name, where, entry, settings, splits, drives, folder.kept))
+        folder.used.update(fit_model(todo, name, where, entry, settings, splits, drives, folder))
         folder.used.update(folder.kept.glob("*.pt"))  # of all code and settings: small, and costly to make
     return out / name
 

@@ -1,6 +1,7 @@
 """Shared fixtures. Real data lies beside the checkout and is never part of it (KITTI is non-commercial)."""
 
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -28,6 +29,20 @@ def _real(name: str) -> Callable[[], Path]:
             pytest.skip(f"real data is absent: ../shared/{name} does not lie beside the checkout")
         return SHARED / name
 
+    return folder
+
+
+@pytest.fixture
+def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the code that stage check and cache keys read instead of the project's own."""
+    from pipeline.base import resume
+
+    folder = tmp_path / "checkout"
+    for name in (*resume.PACKAGES, "dvc.yaml"):
+        path = resume.ROOT / name
+        shutil.copytree(path, folder / name) if path.is_dir() else shutil.copy(path, folder / name)
+    monkeypatch.setattr(resume, "ROOT", folder)
+    monkeypatch.setattr(resume, "_LOADED", {})
     return folder
 
 

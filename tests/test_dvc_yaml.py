@@ -5,7 +5,6 @@ import re
 from pathlib import Path
 from typing import Any, get_args
 
-import grimp
 import pytest
 import yaml
 
@@ -15,7 +14,6 @@ from pipeline.graphs.settings import Variant
 CONFIG: dict[str, Any] = yaml.safe_load((resume.ROOT / "dvc.yaml").read_text())
 STAGES: dict[str, Any] = {name: {**stage, **stage.get("do", {})} for name, stage in CONFIG["stages"].items()}
 NETWORKS = {"${item.spatial}": "models/steering/spatial", "${item.temporal}": "models/steering/temporal"}
-IMPORTS = grimp.build_graph(*resume.PACKAGES, exclude_type_checking_imports=True, cache_dir=None)
 FOUND = {"pipeline/ingest", "pipeline/labels"}  # with files that are found by their names
 PACKAGES = {  # that these stages list although they do not import every file; of other packages they list single files
     "perception": {"pipeline/base", "pipeline/camera", "models/encoder"},
@@ -36,17 +34,6 @@ def _files(dep: str) -> set[Path]:
     assert path.exists(), dep
     files = path.rglob("*.py") if path.is_dir() else {path} - {path.with_suffix(".j2")}  # a template imports nothing
     return {file.relative_to(resume.ROOT) for file in files}
-
-
-def _imported(*modules: str) -> set[Path]:
-    """Return the source files that modules import, directly or not, themselves included, also inside functions."""
-    found, queue = set[str](), [*modules]
-    while queue:
-        module = queue.pop()
-        if module not in found and module in IMPORTS.modules:
-            found.add(module)
-            queue += IMPORTS.find_modules_directly_imported_by(module)
-    return {Path(*module.split(".")).with_suffix(".py") for module in found}
 
 
 def test_one_name_five_places():
@@ -73,25 +60,18 @@ def test_no_two_rooms_have_a_module_of_one_name():
 
 @pytest.mark.parametrize("name", STAGES)
 def test_what_a_stage_imports_is_covered(name):
-    modules = [f"stages.{name}"]
+    files = {Path(f"stages/{name}.py")}
     if name in TRAINING:
-        folders = [*NETWORKS.values(), "models/steering/core/cell"]
-        modules += [".".join(file.with_suffix("").parts) for folder in folders for file in _files(folder)]
+        for folder in (*NETWORKS.values(), "models/steering/core/cell"):
+            files |= _files(folder)
     for package in FOUND & {*_code(name)}:
-        modules += [".".join(file.with_suffix("").parts) for file in _files(package)]
-    imported = _imported(*modules)
+        files |= _files(package)
+    imported = resume.imported(files)
     assert imported <= _covered(name)
     if name in PACKAGES:
         assert _covered(name) - imported <= {path for package in PACKAGES[name] for path in _files(package)}
     else:
         assert all(_files(dep) & imported for dep in _code(name)), "a dep that is not used"
-
-
-@pytest.mark.parametrize("network", [file for folder in NETWORKS.values() for file in sorted(_files(folder))], ids=str)
-def test_a_network_imports_only_code_that_dvc_tracks_for_it(network):
-    common = ("pipeline/camera/classes.py", "pipeline/base/errors.py")
-    tracked = {network, *map(Path, common), *_files("models/steering/core")}
-    assert _imported(".".join(network.with_suffix("").parts)) <= tracked
 
 
 @pytest.mark.parametrize("name", STAGES)

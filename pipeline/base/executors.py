@@ -11,8 +11,8 @@ from pathlib import Path
 from threading import Thread
 from typing import Any, TypeVar
 
-from pipeline.base import resume
 from pipeline.base.errors import InputError
+from pipeline.base.resume import Code
 
 SCHEDULER = "STEER_SCHEDULER"
 # A forked child would inherit the thread pools of torch, OpenCV and Open3D in an unusable state.
@@ -39,13 +39,14 @@ def default_workers() -> int:
 
 
 def run_jobs(
-    work: Callable[[J], Any], jobs: Sequence[J], *, workers: int | None = None, threads: int | None = None
+    work: Callable[[J], Any], jobs: Sequence[J], code: Code, *, workers: int | None = None, threads: int | None = None
 ) -> Iterator[tuple[J, Any]]:
     """Yield each job with the result of ``work(job)``, picklable, as they finish.
 
     `workers` are processes, None: :func:`default_workers`; with a Dask cluster, its workers instead, unless 1.
-    Each process has `threads` threads; None: the cores are divided, and a single job runs in this process.
-    Raises the first error after the jobs in progress are done; no other job is started.
+    Each process has `threads` threads; None: the cores are divided, and a single job runs in this process. `code`: of
+    `work`, which workers compare with theirs. Raises the first error after the jobs in progress are done; no other job
+    is started.
     """
     count = min(workers or default_workers(), len(jobs))
     cluster = os.environ.get(SCHEDULER) if count and workers != 1 else None
@@ -55,8 +56,9 @@ def run_jobs(
         return
     threads = threads or max(1, default_workers() // count)
     if cluster:
-        work = partial(_call_on_worker, work, str(Path.cwd()), resume.code_hash())
+        work = partial(_call_on_cluster, work, code, str(Path.cwd()))
     else:
+        work = partial(_call, work, code)
         os.environ["OMP_NUM_THREADS"] = str(threads)  # read when a worker imports its libraries
     with _cluster(cluster) if cluster else ProcessPoolExecutor(count, _SPAWN, _start_worker, (threads,)) as pool:
         futures = {pool.submit(work, job): job for job in jobs}
@@ -104,13 +106,21 @@ def _cluster(address: str) -> Iterator[Executor]:
         yield client.get_executor(pure=False)
 
 
-def _call_on_worker(work: Callable[[J], Any], folder: str, code: str, job: J) -> Any:
-    """Call ``work(job)`` on a Dask worker, in the caller's folder. Raises InputError if its code's hash differs."""
-    if resume.code_hash() != code:
+def _call(work: Callable[[J], Any], code: Code, job: J) -> Any:
+    """Call ``work(job)``, whose modules this process has just loaded. Raises InputError if their code was edited."""
+    code.check()
+    return work(job)
+
+
+def _call_on_cluster(work: Callable[[J], Any], code: Code, folder: str, job: J) -> Any:
+    """Call ``work(job)`` on a Dask worker, in the caller's folder. Raises InputError if its code differs."""
+    try:
+        code.check()
+    except InputError as error:
         from distributed import get_worker
 
-        problem, fix = f"other code in {resume.ROOT}", "Update it, and start the worker again from this environment"
-        raise InputError(problem, f"worker {get_worker().address}", fix)
+        fix = "Update it, and start the worker again from this environment"
+        raise InputError(f"other code in {error.where}", f"worker {get_worker().address}", fix) from error
     import cv2
 
     cv2.setNumThreads(1)

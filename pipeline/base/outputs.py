@@ -1,8 +1,8 @@
-"""The two rules for output. A command writes a folder that is free; a stage replaces the files of its index."""
+"""The two rules for output: a command writes a folder that is free, a stage also one that it wrote before."""
 
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from filelock import FileLock, Timeout
 
 from pipeline.base.errors import InputError
+from pipeline.base.resume import UNDO, Code
 from pipeline.base.store import INDEX, NO_LOCKS, read_json, replacing, write_json
 
 _FIX = "Pass another --out, or move it away"
@@ -42,7 +43,7 @@ def _is_free(path: Path) -> bool:
 class StageFolder(NamedTuple):
     """Where a stage works while it runs."""
 
-    stage: str  # its name in dvc.yaml
+    code: Code  # of the stage, as this process loaded it
     new: Path  # empty; what the stage writes here becomes the content of its output folder
     kept: Path  # data/.drives/STAGE or data/.drives/STAGE-ENTRY, outside of all DVC outputs, for the next run
     used: set[Path]  # children of `kept` that this run needs; a success removes all others
@@ -67,61 +68,74 @@ def locked(folder: Path, path: str) -> Iterator[None]:
 
 @contextmanager
 def stage_folder(
-    stage: str, out: Path, drives: Mapping[str, str] | None = None, *, shared: bool = False
+    stage: str,
+    out: Path,
+    drives: Mapping[str, str] | None = None,
+    *,
+    params: Path | None = None,
+    own: Iterable[str] = (),
 ) -> Iterator[StageFolder]:
-    """Hold the lock of the output folder `out`, and publish what the block writes when it ends without error.
+    """Hold the lock of the output folder `out`, and move there what the block writes, when it ends without error.
 
-    The files in ``StageFolder.new`` replace those that an earlier run listed in ``out/index.json``. The new index also
-    has `drives`, drive → split for each DRIVE.h5, in order. `stage` is a name in ``dvc.yaml``; with an entry,
-    ``graphs@NAME``, `out` is a folder in the stage's folder. If `shared`, `out` may hold other files.
+    `stage` is a name in ``dvc.yaml``; with an entry, ``graphs@NAME``, `out` is a folder in the stage's folder. `drives`
+    are written to ``out/index.json``: drive → split for each DRIVE.h5, in order. `own`: see :meth:`Code.of`.
 
-    Raises InputError if another process writes `out`, or if `out` holds files that this stage did not write.
+    Raises InputError if another process writes `out`, if `out` holds files that this stage did not write, or if the
+    code or the sections of `params` were edited since the start, for which DVC would take the result.
     """
     name, _, entry = stage.partition("@")
     root = out.parent if entry else out
     kept = root.with_name(".drives") / (f"{root.name}-{out.name}" if entry else out.name)
     kept.mkdir(parents=True, exist_ok=True)
+    index: dict[str, Any] = {} if drives is None else {"drives": dict(drives)}
+    index |= {"stage": name, "entry": entry}
     with locked(out, f"{kept}.lock"):
-        owner = {"stage": name, "entry": entry}
-        before = _own_files(out, owner, shared)
-        folder = StageFolder(name, kept / "new", kept, set())
-        shutil.rmtree(folder.new, ignore_errors=True)
+        _check_owner(out, index)
+        code = Code.of(name, own)
+        sections = code.sections(params, entry)
+        folder = StageFolder(code, kept / "new", kept, set())
+        _remove(folder.new)
         folder.new.mkdir()
         yield folder
-        index = {} if drives is None else {"drives": dict(drives)}
-        _publish(folder.new, out, before, index | owner)
+
+        code.check()
+        for key, content in code.sections(params, entry).items():
+            if content != sections[key]:
+                raise InputError(f"{key} was edited while stage {stage} ran", params or "", UNDO)
+        write_json(folder.new / INDEX, index, sort_keys=False)
+        _move(folder.new, out)
         for path in set(kept.iterdir()) - folder.used:
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
+            _remove(path)
 
 
-def _own_files(out: Path, owner: dict[str, str], shared: bool) -> set[str]:
-    """Return the files in `out` that an earlier run of the stage wrote."""
-    if not (out / INDEX).is_file():
-        if not shared and any(not path.name.startswith(".") for path in out.glob("*")):
-            raise InputError("folder has files that no stage wrote", out, _FIX)
-        return set()
-    index = read_json(out / INDEX, stage=owner["stage"])
-    if {key: index.get(key) for key in owner} != owner:
-        raise InputError(f"expected a folder of stage {'@'.join(filter(None, owner.values()))}", out, _FIX)
-    return {file for file in index["files"] if (out / file).resolve().is_relative_to(out.resolve())}
+def _check_owner(out: Path, index: Mapping[str, Any]) -> None:
+    """Raise InputError if `out` holds files that the stage did not write. DVC empties it, and asks nobody."""
+    if "DVC_STAGE" in os.environ or all(path.name.startswith(".") for path in out.glob("*")):
+        return
+    before = read_json(out / INDEX, stage=index["stage"]) if (out / INDEX).is_file() else {}
+    if (before.get("stage"), before.get("entry")) != (index["stage"], index["entry"]):
+        stage = "@".join(filter(None, (index["stage"], index["entry"])))
+        raise InputError(f"folder has files that stage {stage} did not write", out, _FIX)
 
 
-def _publish(new: Path, out: Path, before: set[str], index: Mapping[str, Any]) -> None:
-    """Replace the files `before` in `out` by those in `new`. Readers of the index find no file of a removed drive."""
-    paths = sorted(path.relative_to(new) for path in new.rglob("*"))
-    files = [str(path) for path in paths if (new / path).is_file()]
-    for file in files:
-        if file not in before and (out / file).exists():
-            raise InputError("file is in the way, which no stage wrote", out / file, "Move it away")
-    for file in before.difference(files):
-        (out / file).unlink(missing_ok=True)
+def _move(new: Path, out: Path) -> None:
+    """Move the content of `new` to `out`, in place of what has the same names there, and of drives that are no more."""
+    out.mkdir(parents=True, exist_ok=True)
+    _remove(out / INDEX)  # no stage reads the folder until this is there again, as the last file
+    paths = sorted(new.iterdir(), key=lambda path: path.name == INDEX)
+    for name in {path.name for path in (*out.glob("*.h5"), *paths)}:
+        _remove(out / name)
     for path in paths:
-        if (new / path).is_dir():  # DVC expects also an empty one
-            (out / path).mkdir(parents=True, exist_ok=True)
-    write_json(out / INDEX, {**index, "files": files}, sort_keys=False)
-    for file in files:
-        with replacing(out / file) as tmp:
-            link(new / file, tmp)
+        with replacing(out / path.name) as tmp:
+            shutil.move(path, tmp)
+
+
+def _remove(path: Path) -> None:
+    """Remove a file or a folder, if there is one."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def link(path: str | Path, target: str | Path) -> None:

@@ -1,6 +1,8 @@
 """Read ``params.yaml``: a section is a typed class in its stage's ``settings.py``, and a stage loads only its own."""
 
+import copy
 import re
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -77,13 +79,12 @@ def entries(mapping: str, path: Path) -> dict[str, Any]:
 
 def read(path: Path, *, comments: bool = False) -> dict[str, Any]:
     """Return the sections of a YAML 1.2 file, with `comments` for ruamel's writer. Raises InputError."""
-    from ruamel.yaml import YAML  # here, as workers read no YAML
-    from ruamel.yaml.error import YAMLError
-
     if not path.is_file():
         raise InputError("file is missing", path, f"Run from the repository's root, or: git checkout {path.name}")
+    from ruamel.yaml.error import YAMLError  # here, as workers read no YAML
+
     try:
-        content = YAML(typ="rt" if comments else "safe", pure=True).load(path.read_text("utf-8-sig"))
+        content = copy.deepcopy(_parse_yaml(path.read_text("utf-8-sig"), comments))
     except (YAMLError, ValueError) as error:
         mark = getattr(error, "problem_mark", None)
         where = f"{path}:{mark.line + 1}" if mark else path
@@ -91,6 +92,13 @@ def read(path: Path, *, comments: bool = False) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise InputError("expected sections", path)
     return content
+
+
+@cache
+def _parse_yaml(text: str, comments: bool) -> Any:
+    from ruamel.yaml import YAML
+
+    return YAML(typ="rt" if comments else "safe", pure=True).load(text)
 
 
 def parse(kind: type[M], value: Any, where: str = "", path: Path | None = None) -> M:

@@ -31,7 +31,7 @@ class Job(NamedTuple):
     target: str  # path of its file or folder in the stage's folder
     inputs: Sequence[Path | str]  # files and strings that determine the content, with the stage's code and settings
     work: Callable[[Path], Summary]  # picklable; writes the file or folder to a path, returns a JSON-able summary
-    code: Sequence[str] = ()  # files whose imports are the drive's code; by default, the code of the stage
+    own: tuple[str, ...] = ()  # files of code that only such drives need, see Code.of
 
 
 def file_jobs(
@@ -56,8 +56,10 @@ def make_drives(
     """
     settings = settings.model_dump(mode="json") if isinstance(settings, BaseModel) else settings
 
+    code = {own: folder.code.hash(own) for own in {job.own for job in jobs}}
+
     def result(job: Job) -> Path:
-        key = stage_key(folder.stage, {"drive": job.drive, **settings}, job.inputs, tuple(job.code))
+        key = stage_key(code[job.own], {"drive": job.drive, **settings}, job.inputs)
         return folder.kept / f"{job.drive}-{key}" / Path(job.target).name
 
     with ThreadPoolExecutor(workers or default_workers()) as pool:  # hashing files releases Python's lock
@@ -69,7 +71,7 @@ def make_drives(
     # Drives with the most data start first, so that all processes end at about the same time.
     todo.sort(key=lambda job: -sum(path.stat().st_size for path in job.inputs if isinstance(path, Path)))
     tasks = [(job.drive, kept[job.drive], job.work) for job in todo]
-    for (drive, path, _), (summary, seconds) in run_jobs(_make, tasks, workers=workers):
+    for (drive, path, _), (summary, seconds) in run_jobs(_make, tasks, folder.code, workers=workers):
         size = sum(file.stat().st_size for file in path.parent.rglob("*") if file.is_file())
         rate = f", {summary['frames'] / seconds:.1f} frames/s" if summary.get("frames") else ""
         print(f"{drive}: {describe.format_map(summary)}, {size / 1e6:.1f} MB, {seconds:.1f} s{rate}", flush=True)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import torch
 
 from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS
@@ -65,6 +66,8 @@ def predict_cases(models: Mapping[int, Trained], variant: Path, labels: Path) ->
     splits = read_index(variant, stage="graphs")
     scenes = [runs.scenes(splits, seed, model.entry.scene) for seed, model in models.items()]
     first = next(iter(models.values()))
+    if first.net.device.type == "cpu":
+        torch.set_num_threads(1)  # as in training: sums of more threads differ
     cases: dict[str, list[Case]] = {part: [] for part in SPLITS}
     for name, part in splits.items():
         drive = read_drive(variant, labels, name, first.entry)

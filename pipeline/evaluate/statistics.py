@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.base.errors import InputError
 from pipeline.base.metrics import mae, mse, nmse, rmse
 from pipeline.evaluate.settings import Evaluate
 
@@ -25,11 +26,18 @@ METRICS: dict[str, Callable[[np.ndarray, np.ndarray], float | None]] = {
 def scores(truth: np.ndarray, predicted: np.ndarray) -> dict[str, Any]:
     """Return frames, and the METRICS of predictions for true values [N].
 
-    Without frames, or if a prediction is NaN, all are None.
+    Without frames, or if a prediction is NaN, all are None. Raises InputError if a metric returns another number.
     """
     if not len(truth) or np.isnan(predicted).any():
         return {"frames": 0, **dict.fromkeys(METRICS)}
-    return {"frames": len(truth)} | {name: metric(truth, predicted) for name, metric in METRICS.items()}
+    result: dict[str, Any] = {"frames": len(truth)}
+    for name, metric in METRICS.items():
+        value = metric(truth, predicted)
+        if value is not None and not math.isfinite(value):
+            fix = "Return a finite number, or None where there is none"
+            raise InputError(f"metric {name} returned {value}", "pipeline/evaluate/statistics.py", fix)
+        result[name] = value
+    return result
 
 
 def interval(

@@ -62,6 +62,11 @@ class Entry(Section):
             complete |= parse(network, {key: value[key] for key in network.model_fields if key in value}).model_dump()
         return complete
 
+    @property
+    def networks(self) -> list[str]:
+        """The files of the two networks."""
+        return [f"models/steering/spatial/{self.spatial}.py", f"models/steering/temporal/{self.temporal}.py"]
+
     def seeded(self, seed: int) -> Self:
         """Return the entry with `seed` for the wiring of an NCP, unless it has one."""
         wiring = (self.model_extra or {}).get("wiring")

@@ -13,6 +13,7 @@ import torch
 from pipeline.base import checkpoint, store
 from pipeline.base.errors import error_context
 from pipeline.base.executors import SCHEDULER, default_workers, run_jobs
+from pipeline.base.outputs import StageFolder
 from pipeline.base.resume import stage_key
 from pipeline.train import runs, trained
 from pipeline.train.entry import Entry
@@ -20,8 +21,6 @@ from pipeline.train.fit import Fit, selected_epoch
 from pipeline.train.frames import Files
 from pipeline.train.settings import Train
 from pipeline.train.targets import Drives
-
-SMALL = 8_000  # points per frame
 
 
 def fit_model(
@@ -32,7 +31,7 @@ def fit_model(
     settings: Train,
     splits: Mapping[str, str],
     drives: Drives,
-    kept: Path,
+    folder: StageFolder,
 ) -> set[Path]:
     """Train the networks of model `name`: in parallel on CPUs, one process each, and one after the other on a GPU.
 
@@ -50,11 +49,12 @@ def fit_model(
         splits=splits,
         drives=drives,
         files=files if alone else None,
-        kept=kept,
+        code=folder.code.hash(),
+        kept=folder.kept,
     )
     if alone or len(todo) == 1:
         return {job(run) for run in todo}
-    return {state for _, state in run_jobs(job, todo, threads=1)}
+    return {state for _, state in run_jobs(job, todo, folder.code, threads=1)}
 
 
 def fit_run(
@@ -66,12 +66,14 @@ def fit_run(
     splits: Mapping[str, str],
     drives: Drives,
     files: Files | None,
+    code: str,
     kept: Path,
 ) -> Path:
     """Train a network of model `name`, from the state of an earlier run if there is one; write best.pt and curve.csv.
 
     `where`: of the model's entry, for messages; `splits`: drive → split; `files`: open graph files, None: this process
-    has none; `kept`: the folder of states, see StageFolder. Returns the state's file. Raises InputError.
+    has none; `code`: its hash; `kept`: the folder of states, see StageFolder. Returns the file of the state. Raises
+    InputError.
     """
     entry = entry.seeded(run.seed)
     scenes = runs.scenes(splits, run.seed, entry.scene)
@@ -81,10 +83,8 @@ def fit_run(
     val = [usable[drive] for drive in store.drives_in(splits, "val") if drive in usable]
     device = "cuda" if torch.cuda.is_available() else "cpu"
     contents = train[0].contents
-    if device == "cpu" and 0 < np.mean(train[0].counts.get("points", 0)) < SMALL:
-        # With few points a second thread has little to do, and slows each of a step's hundreds of small operations
-        # where another process uses its core. One thread's sums are also the same on each machine.
-        torch.set_num_threads(1)
+    if device == "cpu":
+        torch.set_num_threads(1)  # sums of more threads differ, and with them the weights
     torch.backends.cudnn.allow_tf32 = False  # float32 also in convolutions
     torch.manual_seed(run.seed)
     with error_context(where=where):
@@ -109,7 +109,7 @@ def fit_run(
         **inputs,
     }
     fitting = Fit(net, entry, settings, run.seed, train, val, files or Files(drive.scene for drive in train + val))
-    state = kept / f"{stage_key('train', inputs, paths)}.pt"
+    state = kept / f"{stage_key(code, inputs, paths)}.pt"
     fitting.run(state, f"{name} seed {run.seed}")
     best = {"scale": fitting.scale.content, "epoch": selected_epoch(fitting.curve), "net": fitting.best}
     checkpoint.write(run.folder / "best.pt", metadata | best)

@@ -1,12 +1,10 @@
-"""A dataset in one file: Udacity's Challenge 2, through stage ingest; and what the keys of drives depend on."""
+"""A dataset in one file: Udacity's Challenge 2, through stage ingest."""
 
 import numpy as np
 import pytest
 
-from pipeline.base import resume
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
-from pipeline.ingest.datasets import udacity
 from stages import ingest
 from tests.kitti_drive import pictures, write, write_params, write_video
 
@@ -34,22 +32,3 @@ def test_frames_and_angles_of_a_drive(tmp_path):
     (folder / "town.csv").unlink()
     with pytest.raises(InputError, match=r"town.csv: file is missing"):
         ingest.main(tmp_path / "data", tmp_path / "raw", params)
-
-
-def test_an_edited_dataset_makes_no_drive_of_another_anew(tmp_path, monkeypatch):
-    def keys() -> list[str]:
-        resume._import_hash.cache_clear()
-        return [
-            resume.stage_key("ingest", {}, [], (f"pipeline/ingest/datasets/{name}.py", ingest.WRITER))
-            for name in ("kitti", "udacity", "recording")
-        ]
-
-    meaning, before = resume.meaning, keys()
-    for edited, changed in {
-        udacity.__file__: [False, True, False],
-        str(resume.ROOT / "pipeline/ingest/media.py"): [False, True, True],
-        str(resume.ROOT / ingest.WRITER): [True] * 3,
-    }.items():
-        monkeypatch.setattr(resume, "meaning", lambda path, edited=edited: meaning(path) + "#" * (str(path) == edited))
-        assert [key != old for key, old in zip(keys(), before, strict=True)] == changed
-    resume._import_hash.cache_clear()

@@ -106,6 +106,20 @@ def test_seeds_in_parallel_processes_equal_those_trained_alone(folder, monkeypat
     assert not torch.equal(first["net"]["spatial.read_out.weight"], alone["spatial.read_out.weight"])
 
 
+def test_a_network_and_its_errors_do_not_depend_on_threads(tmp_path):
+    """Sums of several threads differ from those of one, in a CNN for instance."""
+    artefacts.write_dataset(tmp_path, SPLITS, frames=60, points=60, kind="image", motion=True)
+    write_params(tmp_path, {"spatial": "cnn", "temporal": "lstm"}, epochs=2)
+    results = []
+    for threads in (1, 2):
+        torch.set_num_threads(threads)
+        weights = contents(run_train(tmp_path))
+        torch.set_num_threads(threads)
+        results.append((weights, contents(run_evaluate(tmp_path))))
+        shutil.rmtree(tmp_path / ".drives")
+    assert results[0] == results[1]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "entry", "epochs", "limit"),

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pipeline.base.errors import InputError
 from pipeline.evaluate import statistics, turns
 from pipeline.evaluate.cases import Case, metrics
 from pipeline.evaluate.settings import Evaluate
@@ -56,6 +57,12 @@ def test_invalid_and_early_frames_do_not_count(folder):
     assert found["mse"] == pytest.approx(0.01**2)
     assert found["nmse_ci95"][0] <= found["nmse"] <= found["nmse_ci95"][1]
     assert found["nmse_by_seed"] == [found["nmse"]]
+
+
+def test_a_metric_that_returns_no_number_is_named(monkeypatch):
+    monkeypatch.setitem(statistics.METRICS, "worst", lambda truth, predicted: float("nan"))
+    with pytest.raises(InputError, match="metric worst returned nan"):
+        statistics.scores(np.ones(3), np.ones(3))
 
 
 @pytest.mark.parametrize("source", ["oxts", "visual"])

@@ -30,7 +30,7 @@ TOOLS = {
 # Distributions of modules with another name.
 DISTRIBUTIONS = {"cv2": "opencv-python-headless"}
 # What to do after an edit while a stage ran.
-UNDO = "Undo the edit and repeat the command: the result is taken in seconds. With the edit, it is computed again"
+UNDO = "Undo the edit and repeat the command: finished work is taken in seconds. With the edit, it is made again"
 # Ends of the names of files that Python and editors leave beside code.
 LEFT = (".pyc", ".pyo", "~")
 # Files that Windows writes to a folder while it is looked at.
@@ -179,7 +179,7 @@ class Code:
         code = cls(stage, {file: (ROOT / file).read_bytes() for file in files}, {f: _stamp(ROOT / f) for f in files})
         for file in files:
             if _LOADED.get(file, code.stamps[file]) != code.stamps[file]:
-                raise InputError("was edited while the command started", ROOT / file, "Repeat the command")
+                raise InputError("was edited while the command started", file, "Repeat the command")
         return code
 
     @cached_property
@@ -206,7 +206,7 @@ class Code:
             content = (ROOT / file).read_bytes() if now != (0, 0) else b""
             if loaded in (stamp, now) and parse_module(file, content).meaning == self.modules[file].meaning:
                 continue
-            raise InputError(f"was edited while stage {self.stage} ran", ROOT / file, UNDO)
+            raise InputError(f"was edited while stage {self.stage} ran", file, UNDO)
 
     def sections(self, params: Path | None, entry: str) -> dict[str, Any]:
         """Return what dvc.yaml lists of a params file for an entry of the stage: dotted key → content."""

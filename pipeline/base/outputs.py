@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
@@ -73,7 +73,7 @@ def stage_folder(
     drives: Mapping[str, str] | None = None,
     *,
     params: Path | None = None,
-    own: Iterable[str] = (),
+    own: Collection[str] = (),
 ) -> Iterator[StageFolder]:
     """Hold the lock of the output folder `out`, and move there what the block writes, when it ends without error.
 

@@ -10,7 +10,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
 from pathlib import Path
@@ -126,7 +126,7 @@ def imported(files: Iterable[Path]) -> set[Path]:
     return result
 
 
-def listed(stage: str, own: Iterable[str] = ()) -> set[Path]:
+def listed(stage: str, own: Collection[str] = ()) -> set[Path]:
     """Return the files of code that dvc.yaml lists for a stage, relative to ROOT; for ``${…}``, those in `own`."""
     files = set[Path]()
     for dep in _dvc_entry(stage)["deps"]:
@@ -170,16 +170,15 @@ class Code:
     stamps: Mapping[Path, tuple[int, int]]
 
     @classmethod
-    def of(cls, stage: str, own: Iterable[str] = ()) -> "Code":
+    def of(cls, stage: str, own: Collection[str] = ()) -> "Code":
         """Read the code that dvc.yaml lists for a stage. Raises InputError if this process may have loaded other code.
 
         `own`: of networks or datasets, which have a file each, those that the stage needs.
         """
         files = _without_alternatives(listed(stage, own), own)
-        code = cls(stage, {file: (ROOT / file).read_bytes() for file in files}, {f: _stamp(ROOT / f) for f in files})
-        for file in files:
-            if _LOADED.get(file, code.stamps[file]) != code.stamps[file]:
-                raise InputError("was edited while the command started", file, "Repeat the command")
+        content = {file: (ROOT / file).read_bytes() for file in files}
+        code = cls(stage, content, {file: _stamp(ROOT / file) for file in files})
+        code.check()
         return code
 
     @cached_property
@@ -189,7 +188,7 @@ class Code:
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"modules": self.modules, "content": {}}
 
-    def hash(self, own: Iterable[str] = ()) -> str:
+    def hash(self, own: Collection[str] = ()) -> str:
         """Return the hash of the meaning of the code and of the versions of the packages that it imports."""
         modules = {str(file): self.modules[file] for file in _without_alternatives({*self.content}, own)}
         names = {name.partition(".")[0] for module in modules.values() for name in module.names}

@@ -154,5 +154,5 @@ def test_a_worker_compares_the_code_that_it_loaded(checkout, monkeypatch):
     monkeypatch.setattr(resume, "_LOADED", {})
     code.check()
     monkeypatch.setattr(resume, "_LOADED", loaded)
-    with pytest.raises(InputError, match="was edited while the command started"):
+    with pytest.raises(InputError, match="was edited while stage labels ran"):
         Code.of("labels")

@@ -223,10 +223,12 @@ class Code:
 
 def _without_alternatives(files: set[Path], own: Iterable[str]) -> set[Path]:
     """Return files without those beside the files `own`, unless these import them."""
-    paths = [Path(path) for path in own]
-    folders = {path.parent for path in paths}
-    needed = imported(paths)
-    return {file for file in files if file.parent not in folders or file in needed}
+    needed = {Path(path) for path in own}
+    folders = {path.parent for path in needed}
+    alternatives = {file for file in files if file.parent in folders} - needed
+    if alternatives:
+        alternatives -= imported(needed)
+    return files - alternatives
 
 
 def _is_installed(module: str) -> bool:

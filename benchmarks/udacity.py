@@ -14,10 +14,9 @@ import numpy as np
 import typer
 
 from pipeline.base import console, store
-from pipeline.base.outputs import claim
+from pipeline.base.outputs import claimed
 from pipeline.base.resume import revision
 from pipeline.ingest.datasets import udacity
-from pipeline.ingest.log import Logs
 from pipeline.labels.label import Car
 from presets.run import origin
 from steer.api import here_or_in_checkout
@@ -57,10 +56,14 @@ def compare(
     leaderboard: Annotated[Path, typer.Argument(help="the teams' predictions of the frames")],
 ) -> None:
     """Measure the drive, compare with the teams, and write motion.csv and results.json to out/udacity."""
-    teams, out = np.genfromtxt(leaderboard, delimiter=",", names=True), claim(None, "udacity")
+    with claimed(None, "udacity") as out:
+        _compare(video, wheel, np.genfromtxt(leaderboard, delimiter=",", names=True), out)
+
+
+def _compare(video: Path, wheel: Path, teams: np.ndarray, out: Path) -> None:
     drive = udacity.read_drive(video, wheel)
     assert drive.camera
-    source = Source(video, video.stem, drive, drive.camera, len(drive.values["steering_rad"]), Logs())
+    source = Source(video, video.stem, drive, drive.camera, len(drive.values["steering_rad"]), {})
     measure(source, out, here_or_in_checkout(STREET), Car(2.7, min_speed_mps=1.0), video=False)
     motion = np.genfromtxt(out / "motion.csv", delimiter=",", names=True, usecols=range(1, 9))
     wheel_rad = udacity.STEERING_RATIO * np.array([*drive.values["steering_rad"].values()])

@@ -6,79 +6,65 @@ drive = measure("street.mp4", fov_deg=65)  # drive.table: pandas, a row per fram
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Any
 
-from pipeline.base.errors import InputError, closest
+from pipeline.base.errors import InputError
 from pipeline.base.outputs import check_free
+from pipeline.base.params import from_python
 from pipeline.base.resume import ROOT
 from pipeline.encoder.encoder_file import FILE
-from pipeline.ingest.datasets.recording import Capture
-from pipeline.ingest.log import Logs
-from pipeline.ingest.settings import Reading
+from pipeline.ingest.settings import RecordingOptions
 from pipeline.labels.label import Car
 from pipeline.train.trained import load
 from steer import measure as measuring
 from steer import predict as predicting
-from steer.chain import Source, open_source
+from steer.chain import open_source
 from steer.outcome import Outcome
+from steer.parameters import MeasureOptions
 
 PathLike = Path | str
-Recording = PathLike | Sequence[PathLike]  # videos in order, or a folder: of a KITTI drive, of images or of videos
-
-
-class Options(TypedDict, total=False):
-    """What is known about a recording, see docs/real.md; None as if not given."""
-
-    fov_deg: float | None  # horizontal
-    K: str | Sequence[float] | None  # fx, fy, cx, cy in pixels; distortion, fisheye: also as text or numbers
-    distortion: str | Sequence[float] | None  # k1, k2, p1, p2[, k3]
-    fisheye: str | Sequence[float] | None  # k1, k2, k3, k4
-    fps: float | None
-    times: PathLike | None
-    camera_height_m: float | None
-    wheel: PathLike | None
-    steering_ratio: float | None
-    motion: PathLike | None
-    offset_s: float  # seconds to add to the times of logs
+Paths = PathLike | Sequence[PathLike]  # videos in order, or a folder: of a KITTI drive, of images or of videos
 
 
 def measure(
-    source: Recording,
+    source: Paths,
     *,
     encoder: PathLike = "weights/street",
-    wheelbase_m: float = 2.7,
     out: PathLike | None = None,
     video: bool = False,
-    **known: Unpack[Options],
+    **options: Any,
 ) -> Outcome:
     """Measure the motion of a car from the images of its camera.
 
     `out`: a new or empty folder for motion.csv, track.png, quality.json and, with `video`, overlay.mp4; None: no files.
-    Raises InputError for input that cannot be used.
+    `options`: of :class:`steer.parameters.MeasureOptions`. Raises InputError for input that cannot be used.
     """
+    known = from_python(MeasureOptions, options)
     target, folder = _free(out), here_or_in_checkout(Path(encoder))
     if not (folder / FILE).is_file():
         raise InputError("no encoder", encoder, "Make one for real streets: make street. Or pass --encoder")
-    opened = _open(source, measuring.READING, known)
-    return measuring.measure(opened, target, folder, Car(wheelbase_m, min_speed_mps=1.0), video=video)
+    opened = open_source(_paths(source), measuring.READING, known)
+    return measuring.measure(opened, target, folder, Car(known.wheelbase_m, min_speed_mps=1.0), video=video)
 
 
 def predict(
-    source: Recording,
+    source: Paths,
     model: PathLike,
     *,
     encoder: PathLike | None = None,
     out: PathLike | None = None,
     video: bool = False,
-    **known: Unpack[Options],
+    **options: Any,
 ) -> Outcome:
     """Predict the steering angle of each frame by a trained model: its folder, or runs/NAME.
 
-    `encoder`: its folder; None: data/encoder beside the model's data/train. `out`, errors: as of :func:`measure`.
+    `encoder`: its folder; None: data/encoder beside the model's data/train. `options`: of a recording, see
+    :class:`pipeline.ingest.settings.RecordingOptions`. `out`, errors: as of :func:`measure`.
     """
+    known = from_python(RecordingOptions, options)
     target, folder = _free(out), _network(here_or_in_checkout(Path(model)))
     trained = load(folder)
-    opened = _open(source, predicting.reading(trained), known, trained.fps)
+    opened = open_source(_paths(source), predicting.reading(trained), known, trained.fps)
     if (height_m := trained.settings.get("camera_height_m")) and not opened.camera.height_known:
         opened = opened.at_height(height_m)
         opened.drive.notes.insert(0, f"camera {height_m:g} m over the road, as in the model's training drives")
@@ -99,20 +85,8 @@ def here_or_in_checkout(path: Path) -> Path:
     return ROOT / path if not path.exists() and (ROOT / path).exists() else path
 
 
-def _open(source: Recording, reading: Reading, known: Options, hz: float | None = None) -> Source:
-    if unknown := known.keys() - Options.__annotations__.keys():
-        raise TypeError(f"unknown option {min(unknown)!r}: {closest(min(unknown), [*Options.__annotations__])}")
-    files = known.get("wheel"), known.get("motion"), known.get("times")
-    wheel, motion, times = (Path(file) if file else None for file in files)
-    logs = Logs.read(wheel, known.get("steering_ratio"), motion, known.get("offset_s", 0.0))
-    K, distortion, fisheye = (_text(known.get(name)) for name in ("K", "distortion", "fisheye"))
-    paths = [Path(path) for path in ([source] if isinstance(source, Path | str) else source)]
-    capture = Capture(known.get("fov_deg"), K, distortion, fisheye, known.get("fps"), times)
-    return open_source(paths, reading, known.get("camera_height_m"), logs, hz, capture)
-
-
-def _text(numbers: Any) -> str | None:
-    return numbers if numbers is None or isinstance(numbers, str) else ",".join(map(str, numbers))
+def _paths(source: Paths) -> list[Path]:
+    return [Path(path) for path in ([source] if isinstance(source, Path | str) else source)]
 
 
 def _network(model: Path) -> Path:

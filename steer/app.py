@@ -9,7 +9,9 @@ import typer
 
 from pipeline.base.console import guarded
 from pipeline.base.errors import InputError
+from pipeline.ingest.settings import Part, RecordingOptions
 from steer.commands import import_, measure, predict
+from steer.parameters import MeasureOptions, with_options
 
 # Python's default browsers where there is no screen, as over SSH. They would wait for keys in the terminal.
 TEXT_BROWSERS = ("www-browser", "links", "elinks", "lynx", "w3m")
@@ -71,23 +73,27 @@ def view(
     """
     import webbrowser
 
-    from pipeline.base.outputs import claim
+    from pipeline.base.outputs import claimed
     from steer import artefact
 
     if out and out.suffix != ".html":
         raise InputError("expected the name of an HTML file", "--out")
-    out = claim(out, path.stem, ".html")
-    artefact.view(path, out)
-    print(out)
+    with claimed(out, path.stem, ".html") as page:
+        artefact.view(path, page)
+    print(page)
     with suppress(webbrowser.Error):  # there is none
         browser = webbrowser.get()
         if browser.basename not in TEXT_BROWSERS:
-            browser.open(out.absolute().as_uri())
+            browser.open(page.absolute().as_uri())
 
 
-app.command("predict", no_args_is_help=True, help=predict.__doc__)(guarded(predict.predict))
-app.command("measure", no_args_is_help=True, help=measure.__doc__)(guarded(measure.measure))
-app.command("import", no_args_is_help=True, help=import_.__doc__)(guarded(import_.import_recording))
+COMMANDS = {
+    "predict": (predict, with_options(predict.predict, RecordingOptions)),
+    "measure": (measure, with_options(measure.measure, MeasureOptions)),
+    "import": (import_, with_options(import_.import_recording, Part, repeated=import_.EACH)),
+}
+for name, (module, command) in COMMANDS.items():
+    app.command(name, no_args_is_help=True, help=module.__doc__)(guarded(command))
 app.command("show", no_args_is_help=True)(guarded(show))
 app.command("view", no_args_is_help=True)(guarded(view))
 

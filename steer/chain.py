@@ -15,12 +15,12 @@ from tqdm import tqdm
 from pipeline.base.errors import InputError
 from pipeline.camera.camera import Camera
 from pipeline.ingest.datasets import kitti
-from pipeline.ingest.datasets.recording import Capture, open_images
 from pipeline.ingest.drive import Drive
 from pipeline.ingest.ingest_file import write_drive
-from pipeline.ingest.log import Logs
+from pipeline.ingest.log import Logs, logged_values, read_logs
 from pipeline.ingest.packets import read_times
-from pipeline.ingest.settings import Reading
+from pipeline.ingest.recording import open_recording
+from pipeline.ingest.settings import Reading, RecordingOptions
 from pipeline.motion.doubts import check_unit
 from pipeline.motion.horizon import noted_horizon
 from pipeline.motion.motion_file import measure_drive
@@ -50,40 +50,51 @@ class Source:
         return replace(self, camera=camera, drive=replace(self.drive, camera=camera))
 
 
-def open_source(
-    paths: Sequence[Path], reading: Reading, height_m: float | None, logs: Logs, hz: float | None, capture: Capture
-) -> Source:
-    """Open a KITTI drive's folder that has images; or a folder of images, or videos.
+def open_source(paths: Sequence[Path], reading: Reading, options: RecordingOptions, hz: float | None = None) -> Source:
+    """Open a KITTI drive's folder that has images; or a recording, of which `hz` frames per second are kept.
 
-    `height_m`: of the camera over the road; None: from a KITTI drive's calibration, else unknown. `hz`, `capture`: of
-    :func:`open_images`. Raises InputError if it is none of them, lacks a calibration, cannot be read, or one of the
-    `logs` has no value in its time.
+    Raises InputError if it is none of them, lacks a calibration, cannot be read, or one of the logs has no value in its
+    time.
     """
     path = paths[0]
     files = kitti.open_folder(path) if path.is_dir() and len(paths) == 1 else None
     if files and any(files.images(camera) for camera in reading.cameras):
-        if any(capture):
-            fix = "Remove --fov, --K, --distortion, --fisheye, --fps and --times"
-            raise InputError("a KITTI drive has its own calibration and times", path, fix)
-        if files.folder.name.endswith(kitti.UNSYNCED):
-            fix = f"Download the synced archive, {files.folder.name.removesuffix(kitti.UNSYNCED)}_sync.zip"
-            raise InputError("is an unsynced drive: its images are not rectified", path, fix)
-        numbers, times = files.timeline(files.camera_number(reading.cameras))
-        time_s = read_times(times, numbers)
-        logs.check_overlap(*time_s[[0, -1]])
-        drive, name = kitti.read_drive(files, reading), files.folder.name.removesuffix("_sync")
-        if logs.name:
-            drive.values = logs.values(np.array(numbers), time_s)
-        doubts = list[str]()
+        source = _open_kitti(path, files, reading, options)
     else:
-        files = None
-        images, camera = open_images(paths, capture, logs, hz)
-        camera = replace(camera, horizon=noted_horizon(images.path, images.frames, camera, images.notes))
-        path, name, time_s = images.path, images.path.stem, images.times_s
-        drive = Drive(camera, images.frames, logs.values(np.arange(len(time_s)), time_s), images.notes)
-        doubts = images.doubts
+        source = _open_recording(paths, options, hz)
+    return source.at_height(options.camera_height_m)
+
+
+def _open_kitti(path: Path, files: kitti.KittiDrive, reading: Reading, options: RecordingOptions) -> Source:
+    if any((options.fov_deg, options.K, options.distortion, options.fisheye, options.fps, options.times)):
+        fix = "Remove --fov, --K, --distortion, --fisheye, --fps and --times"
+        raise InputError("a KITTI drive has its own calibration and times", path, fix)
+    if files.folder.name.endswith(kitti.UNSYNCED):
+        fix = f"Download the synced archive, {files.folder.name.removesuffix(kitti.UNSYNCED)}_sync.zip"
+        raise InputError("is an unsynced drive: its images are not rectified", path, fix)
+    logs = read_logs(options)
+    numbers, times = files.timeline(files.camera_number(reading.cameras))
+    time_s = read_times(times, numbers)
+    for log in logs.values():
+        log.check_overlap(*time_s[[0, -1]])
+    drive = kitti.read_drive(files, reading)
+    if logs:
+        drive.values = logged_values(logs, np.array(numbers), time_s)
     assert drive.camera  # as it has images
-    return Source(path, name, drive, drive.camera, len(time_s), logs, files, doubts).at_height(height_m)
+    return Source(path, files.folder.name.removesuffix("_sync"), drive, drive.camera, len(time_s), logs, files)
+
+
+def _open_recording(paths: Sequence[Path], options: RecordingOptions, hz: float | None) -> Source:
+    recording = open_recording(paths, options)
+    if hz:
+        recording.resample(hz)
+    path = recording.path
+    time_s = recording.times_s
+    row = noted_horizon(path, recording.frames, recording.camera, recording.notes)
+    camera = replace(recording.camera, horizon=row)
+    values = logged_values(recording.logs, np.arange(len(time_s)), time_s)
+    drive = Drive(camera, recording.frames, values, recording.notes)
+    return Source(path, path.stem, drive, camera, len(time_s), recording.logs, doubts=recording.doubts)
 
 
 @contextmanager

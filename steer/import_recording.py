@@ -1,121 +1,86 @@
 """Import recordings with their logs: links in data/raw/NAME, and a preset that names their parts as drives."""
 
+import hashlib
 import math
 import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+import pandas as pd
 import yaml
 
 from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS, read
 from pipeline.base.resume import ROOT, content_hash, is_of_desktop
 from pipeline.base.store import replacing
-from pipeline.camera.camera import Camera
 from pipeline.camera.lens import depth_limit
-from pipeline.check.preset import IMPORT, is_unedited, stamped
-from pipeline.ingest.datasets.recording import FRAMES, MOTION, TIMES, VIDEO, WHEEL, open_part, usable
-from pipeline.ingest.log import Logs
-from pipeline.ingest.media import Recording
+from pipeline.check.preset import IMPORT, check_name_is_free, is_unedited, stamped
+from pipeline.check.recording_logs import check_logs
+from pipeline.ingest.datasets.recording import FRAMES, MOTION, SCAN, TIMES, VIDEO, WHEEL, usable
+from pipeline.ingest.log import log_notes
+from pipeline.ingest.recording import Recording
 from pipeline.ingest.settings import Part
-from pipeline.labels.agreement import MOVES_MPS, Noise, Pair, compare
-from pipeline.labels.comparison import UNKNOWN, judge_turns
-from pipeline.labels.label import Labels
-from pipeline.motion.horizon import noted_horizon, turn_rates
-from pipeline.motion.step import TYPICAL_MPS
+from pipeline.motion.horizon import noted_horizon
 
+TEMPLATE = Path(__file__).with_name("imported.yaml")
 OWN = rf"({VIDEO}[-.]|({FRAMES}|{WHEEL}|{MOTION}|{TIMES})$)"  # names of links
+# What a checkout of the project has.
+CHECKOUT = ("params.yaml", "dvc.yaml", "presets")
+OTHER_NAME = "Move it away, or pass another --name"
 GAP_S = 2.0  # left out between the parts of a split: neighbouring images are almost the same
-# Standard deviation of a yaw rate by the rotation between two images: it is 0.010 to 0.016 on five real recordings.
-TURN_SIGMA_RADPS = 0.012
-# A car's wheelbase, for the angle at a typical speed.
-CAR_M = 2.7
 
 
-@dataclass
-class Imported:
-    """A recording with its logs, cut into parts."""
-
-    folder: str  # of data/raw
-    files: Mapping[str, Path]  # name in the folder → file
-    parts: list[tuple[Part, int]]  # each with its number of images
-    recording: Recording
-    camera: Camera
-
-
-def open_recording(
-    paths: Sequence[Path], log_files: Mapping[str, Path | None], part: Part, shares: Sequence[float]
-) -> Imported:
-    """Read a recording by the options of a `part` without files, and cut it into parts with `shares` of its time.
-
-    `log_files`: name in the folder → file. The horizon is estimated if `part` has none. Raises InputError if anything
-    cannot be used, the sign or the clock of a log is wrong, no image is left, or a part is too short or has no angle.
-    """
+def files_of(paths: Sequence[Path], part: Part, scan: pd.DataFrame) -> dict[str, Path | str]:
+    """Return the content of the folder of a recording: name → file, or text."""
     names = [f"{VIDEO}-{number:02d}{path.suffix}" for number, path in enumerate(paths, 1)]
     if len(paths) == 1:
         names = [FRAMES if paths[0].is_dir() else f"{VIDEO}{paths[0].suffix}"]
-    files = dict(zip(names, paths, strict=True)) | {name: path for name, path in log_files.items() if path}
-    recording, camera, logs = open_part(part, files)
+    files: dict[str, Path | str] = dict(zip(names, paths, strict=True))
+    for name, log in ((WHEEL, part.wheel), (MOTION, part.motion), (TIMES, part.times)):
+        if log:
+            files[name] = log
+    return files | {SCAN: stamped(scan.to_csv(index=False), IMPORT)}
+
+
+def cut_recording(
+    recording: Recording, part: Part, files: Mapping[str, Path | str], shares: Sequence[float]
+) -> list[tuple[Part, int]]:
+    """Cut a recording with the options `part` into parts with `shares` of its time, each with its number of images.
+
+    The horizon is estimated if `part` has none. Raises InputError if the sign or the clock of a log is wrong, no image
+    is left, or a part is too short or has no angle.
+    """
     time_s = recording.times_s
-    within, used = (usable(time_s, some, part.start, part.end) for some in (Logs(), logs))
-    _check_logs(recording, camera, logs, within)
+    logs = recording.logs
+    within = usable(time_s, {}, part.start, part.end)
+    used = check_logs(recording, part.start, part.end)
     row = part.horizon
     if row is None:
-        row = noted_horizon(recording.path, partial(recording.frames, within), camera, recording.notes)
-    if not used.any():
-        problem = "no image from --start to --end is left, or none with motion"
-        raise InputError(problem, fix="Change --start, --end or --offset")
-    recording.notes.extend(logs.notes(time_s[within]))
+        frames = partial(recording.frames, within)
+        row = noted_horizon(recording.path, frames, recording.camera, recording.notes)
+    recording.notes.extend(log_notes(logs, time_s[within]))
     masks = cut(used, time_s, shares)
-    if logs.wheel and not all(np.isfinite(logs.wheel.at(time_s[rows])).any() for rows in masks):
+    if "wheel" in logs and not all(np.isfinite(logs["wheel"].at(time_s[rows])).any() for rows in masks):
         raise InputError("a part has no image with an angle", "--wheel", "Check its times")
-    hashes = {name: content_hash(path) for name, path in files.items()}
+
+    hashes = {name: _hash(content) for name, content in files.items()}
+    known = {"horizon": row and round(row, 2), "files": hashes, "wheel": None, "motion": None, "times": None}
     parts = []
     for rows in masks:
         first_s, last_s = (time_s[rows] - time_s[0])[[0, -1]]
         span = {"start": math.floor(first_s * 1e3) / 1e3, "end": round(math.ceil(last_s * 1e3) / 1e3 + 0.002, 3)}
-        known = {"horizon": row and round(row, 2), "files": hashes}
         parts.append((part.model_copy(update=known | span), int(rows.sum())))
-    return Imported(part.folder, files, parts, recording, camera)
+    return parts
 
 
-def _check_logs(recording: Recording, camera: Camera, logs: Logs, within: np.ndarray) -> None:
-    """Compare logs with the turns of the images `within` start and end, bool [F]; add a note if too few images turn.
-
-    Raises InputError if the sign or the clock of a log is wrong. The images give no speed: the angle of a wheel is
-    compared with that of a car at TYPICAL_MPS.
-    """
-    if not (logs.motion or logs.wheel):
-        return
-    time_s = recording.times_s
-    if logs.motion:
-        speed_mps = logs.motion.at(time_s[within])[0]
-        if np.sum(speed_mps < -MOVES_MPS) > np.sum(speed_mps > MOVES_MPS):
-            raise InputError("speed_mps is negative in most images: forward is positive", logs.motion.name)
-    measured_radps = turn_rates(recording.frames, camera, time_s, within)
-    measured = _labels(measured_radps * CAR_M / TYPICAL_MPS, measured_radps)
-    noise = Noise(np.full(len(time_s), TURN_SIGMA_RADPS), np.full(len(time_s), np.nan))
-    unknown = np.full(len(time_s), np.nan)
-    for log, column in ((logs.motion, "yaw_rate_radps"), (logs.wheel, "wheel_rad")):
-        if not log:
-            continue
-        recorded = _labels(unknown, log.at(time_s)[1]) if log is logs.motion else _labels(log.at(time_s)[0], unknown)
-        problem, fix = judge_turns(compare([Pair(time_s, recorded, measured, noise)]), column)
-        if problem == UNKNOWN:
-            recording.notes.append(f"{log.name} cannot be compared with the turns of the images: {problem}")
-        elif problem:
-            raise InputError(problem, log.name, fix)
-
-
-def _labels(steering_rad: np.ndarray, yaw_rate_radps: np.ndarray) -> Labels:
-    known = np.isfinite(steering_rad) | np.isfinite(yaw_rate_radps)
-    return Labels(steering_rad, known, np.full(len(known), np.nan), yaw_rate_radps)
+def _hash(content: Path | str) -> str:
+    if isinstance(content, Path):
+        return content_hash(content)
+    return hashlib.sha256(content.encode()).hexdigest()
 
 
 def cut(usable: np.ndarray, time_s: np.ndarray, shares: Sequence[float]) -> list[np.ndarray]:
@@ -134,38 +99,75 @@ def cut(usable: np.ndarray, time_s: np.ndarray, shares: Sequence[float]) -> list
     return masks
 
 
-def check_free(preset: Path, folders: Sequence[Path]) -> None:
-    """Raise InputError if the name of a preset or one of its folders is taken by anything but an earlier import."""
-    if re.search(rf"^{re.escape(preset.stem)}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE):
-        raise InputError("is a target of make", preset.stem, "Pass another --name")
+def check_checkout(folder: Path) -> None:
+    """Raise InputError if `folder` is in another checkout of the project than the code that runs, as in a worktree."""
+    for place in (folder, *folder.parents):
+        if all((place / name).exists() for name in CHECKOUT):
+            if place.resolve() != ROOT:
+                fix = f"Run it with this checkout's code: cd {place} && python -m steer.app import …"
+                raise InputError(f"is not the checkout of the installed steer, {ROOT}", place, fix)
+            return
+
+
+def check_free(preset: Path, recordings: Mapping[Path, Sequence[Path]]) -> None:
+    """Raise InputError if the name of a preset or a folder of `recordings` is taken by anything but an earlier import.
+
+    `recordings`: folder below data/raw → images that are imported to it. Copies of other images stay, as they may be
+    the only ones.
+    """
+    check_name_is_free(preset.stem)
     if preset.exists() and not is_unedited(preset):
-        raise InputError("is not as steer import wrote it", preset, "Move it away, or pass another --name")
-    known = read(preset)["ingest"]["recordings"].values() if preset.exists() else ()
-    hashes = {(part["folder"], file): value for part in known for file, value in part["files"].items()}
-    for path in [path for folder in folders for path in folder.glob("*") if not is_of_desktop(path)]:
-        own_link = path.is_symlink() and re.match(OWN, path.name)
-        if not own_link and content_hash(path) != hashes.get((path.parent.name, path.name)):
-            raise InputError("is not as steer import wrote it", path, "Move it away, or pass another --name")
+        raise InputError("is not as steer import wrote it", preset, OTHER_NAME)
+    parts = read(preset)["ingest"]["recordings"].values() if preset.exists() else ()
+    hashes = {(part["folder"], file): value for part in parts for file, value in part["files"].items()}
+    for folder, images in recordings.items():
+        if folder.parent.is_symlink() and not folder.parent.is_dir():
+            raise InputError(
+                "is a link to a folder that is missing", folder.parent, "Mount its disk, or remove the link"
+            )
+        if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+            raise InputError("is a link or a file, expected a folder by steer import", folder, OTHER_NAME)
+        for path in folder.glob("*"):
+            own_link = path.is_symlink() and re.match(OWN, path.name)
+            if not own_link and not (path.is_file() and is_of_desktop(path)):
+                _check_copy(path, hashes.get((folder.name, path.name), ""), images)
+
+
+def _check_copy(path: Path, expected: str, images: Sequence[Path]) -> None:
+    """Raise InputError unless an import wrote a file or folder, with the hash `expected`, as a copy of these images."""
+    # Of the folders in a folder, an import copies nothing; scan.csv may be of a preset that has left.
+    mine = next((below for below in path.glob("*") if below.is_dir()), None)
+    is_scan = path.name == SCAN and is_unedited(path)
+    if mine or not (is_scan or content_hash(path) == expected):
+        raise InputError("is not as steer import wrote it", mine or path, OTHER_NAME)
+    is_image = path.name.startswith((VIDEO, FRAMES))
+    if is_image and expected not in [content_hash(image) for image in images if image.exists()]:
+        raise InputError("is a copy of another recording, maybe the only one", path, "Pass another --name")
 
 
 @contextmanager
-def linked(recordings: Sequence[Imported], raw: Path, *, copy: bool) -> Iterator[None]:
-    """Make links to the files of recordings, or copies; after the block they replace those of an earlier import."""
-    folders = [(raw / one.folder).resolve() for one in recordings]
-    for path in [path.resolve() for one in recordings for path in one.files.values()]:
+def linked(recordings: Mapping[Path, Mapping[str, Path | str]], *, copy: bool) -> Iterator[None]:
+    """Fill the folders of recordings with links to files, or copies; after the block they replace those before.
+
+    `recordings`: folder → what :func:`files_of` returns.
+    """
+    folders = [folder.resolve() for folder in recordings]
+    files = [path for content in recordings.values() for path in content.values() if isinstance(path, Path)]
+    for path in [path.resolve() for path in files]:
         if any(path.is_relative_to(folder) for folder in folders):
-            raise InputError("is in a folder that this import replaces", path, "Move it away, or pass another --name")
+            raise InputError("is in a folder that this import replaces", path, OTHER_NAME)
     with ExitStack() as stack:
-        for one in recordings:
-            new = stack.enter_context(replacing(raw / one.folder))
+        for folder, content in recordings.items():
+            new = stack.enter_context(replacing(folder))
             new.mkdir()
-            for name, path in one.files.items():
-                if copy or not _link(new / name, path):
-                    _copy(path, new / name)
+            for name, source in content.items():
+                if isinstance(source, str):
+                    (new / name).write_text(source, encoding="utf-8")
+                elif copy or not _link(new / name, source):
+                    _copy(source, new / name)
         yield
-        for one in recordings:
-            if (raw / one.folder).is_dir():
-                shutil.rmtree(raw / one.folder)
+        for folder in filter(Path.is_dir, recordings):
+            shutil.rmtree(folder)
 
 
 def _link(link: Path, path: Path) -> bool:
@@ -180,41 +182,37 @@ def _link(link: Path, path: Path) -> bool:
 
 def _copy(path: Path, target: Path) -> None:
     if path.is_dir():
-        shutil.copytree(path, target)
+        target.mkdir()
+        for file in filter(Path.is_file, path.iterdir()):
+            shutil.copyfile(file, target / file.name)
     else:
         shutil.copyfile(path, target)
 
 
-def write_preset(path: Path, drives: Mapping[str, tuple[str, Part, int]], one: Imported, source: str) -> None:
+def write_preset(path: Path, drives: Mapping[str, tuple[str, Part, int]], one: Recording, source: str) -> None:
     """Write a preset of drives with two models, with and without measured motion as input.
 
     `drives`: name → split, part and number of images; `one`: of the recordings, which have one camera and rate. Motion
     that is the label (`source`) cannot be an input for the same frame, so visual labels are predicted a second ahead. A
-    wheel's angle and measured motion may differ in scale: no base.
+    wheel's angle and measured motion may differ in scale: no base. Recorded angles do not scale with the scene.
     """
-    network = {"input": "depth", "spatial": "gnn", "temporal": "ncp", "semantics": 0.0, "equivariant": True}
-    if source == "visual":
-        hz = (len(one.recording.times_s) - 1) / float(np.ptp(one.recording.times_s) or 1.0)
-        network["horizon"] = max(1, round(hz))
-    settings: dict[str, Any] = {
-        "ingest": {
-            "image_size": [192, 640],  # the depth network's training size
-            "lidar": False,
-            "drives": {split: [name for name, (of, *_) in drives.items() if of == split] for split in SPLITS},
-            "recordings": {name: part.model_dump(exclude_defaults=True) for name, (_, part, _) in drives.items()},
+    settings = yaml.safe_load(TEMPLATE.read_text(encoding="utf-8"))
+    own = {"times", "motion", "wheel"}  # paths of files that are in the folder
+    settings["ingest"] |= {
+        "drives": {split: [name for name, (of, *_) in drives.items() if of == split] for split in SPLITS},
+        "recordings": {
+            name: part.model_dump(by_alias=True, exclude_defaults=True, exclude=own)
+            for name, (_, part, _) in drives.items()
         },
-        "encoder": {"backbone": "street", "weights": "weights/street/encoder.pt", "epochs": 0},
-        "labels": {"source": source},
-        "clouds": {"max_depth_m": float(round(depth_limit(one.camera)))},
-        "graphs": {"*": None, "depth": {"source": "clouds/pseudo", "points": 1000, "k": 6}},
-        "models": {
-            "*": None,
-            "motion": network | {"motion": "visual"} | ({"base": "none"} if source == "wheel" else {}),
-            "scene": network,
-        },
-        # A single recording is small. Recorded angles do not scale with the scene.
-        "train": {"epochs": 40} | ({"rescale": 1.0} if source == "wheel" else {}),
     }
+    settings["labels"]["source"] = source
+    settings["clouds"]["max_depth_m"] = float(round(depth_limit(one.camera)))
+    if source == "visual":
+        hz = (len(one.times_s) - 1) / float(np.ptp(one.times_s) or 1.0)
+        settings["models"]["motion"]["horizon"] = settings["models"]["scene"]["horizon"] = max(1, round(hz))
+    if source == "wheel":
+        settings["models"]["motion"]["base"] = "none"
+        settings["train"]["rescale"] = 1.0
     text = f"# Networks of own recordings: make street, then make {path.stem}\n"
     text += yaml.safe_dump(settings, sort_keys=False)
     with replacing(path) as unfinished:

@@ -15,7 +15,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.evaluate import statistics
 from pipeline.evaluate.settings import Evaluate
-from pipeline.ingest.log import Logs
+from pipeline.ingest.log import Logs, log_names, log_notes
 from pipeline.labels import source as sources
 from pipeline.labels.agreement import Agreement, Pair, compare
 from pipeline.labels.comparison import judge, read_noise
@@ -59,11 +59,11 @@ def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> 
     if not recorded.keys() & {"recorded", "wheel"}:
         unknown = np.full(len(frame), np.nan)
         return Truth("", "", steering_labels(unknown, unknown, car))
-    source = next((name for name in ("wheel", "recorded")[:: 1 if logs.wheel else -1] if name in recorded), "")
-    name = logs.name or {"wheel": "steering.csv", "recorded": "oxts"}[source]
-    column = "wheel_rad" if logs.wheel else sources.column(source)
+    source = next((name for name in ("wheel", "recorded")[:: 1 if "wheel" in logs else -1] if name in recorded), "")
+    name = log_names(logs) or {"wheel": "steering.csv", "recorded": "oxts"}[source]
+    column = "wheel_rad" if "wheel" in logs else sources.column(source)
     driven = recorded[source].at(np.searchsorted(ingest.frame, frame))
-    return Truth(name, column, driven, logs.wheel.ratio if logs.wheel else 1.0)
+    return Truth(name, column, driven, logs["wheel"].ratio if "wheel" in logs else 1.0)
 
 
 def read_course(motion: DriveReader, car: Car, *, look_ahead: bool, height_known: bool) -> dict[str, np.ndarray]:
@@ -134,7 +134,7 @@ class Results:
             measured = sources.read("visual", raw, work / MOTION, car).at(ingest_rows)
             noise = read_noise(raw, work / MOTION).at(ingest_rows)
             agreement = compare([Pair(time_s, truth.driven, measured, noise)])
-            source.drive.notes.extend(source.logs.notes(time_s))
+            source.drive.notes.extend(log_notes(source.logs, time_s))
             doubts = [*source.doubts, *_backwards(source.path, course["speed_mps"][rows], truth, car.min_speed_mps)]
             doubts += [text for _, text in find_doubts(motion.attrs)]
             points, residual = (np.where(valid, motion[name], np.nan) for name in ("inliers", "residual"))

@@ -118,3 +118,9 @@ def test_a_revision_names_the_commit_and_edits_of_the_code(tmp_path):
     assert revision(tmp_path) == commit
     (tmp_path / "dvc.yaml").write_text("stages: {a: }")
     assert revision(tmp_path) == f"{commit}-dirty"
+
+
+def test_no_preset_has_the_name_of_a_target():
+    text = (ROOT / "Makefile").read_text()
+    targets = {*re.findall(r"^([a-z]+):", text, re.MULTILINE), *re.search("CLOSED := (.*)", text)[1].split()}
+    assert targets == {*preset.TARGETS}

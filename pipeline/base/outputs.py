@@ -24,16 +24,39 @@ def check_free(path: Path) -> None:
         raise InputError("exists already" + f" and holds {names}" * bool(names), path, _FIX)
 
 
-def claim(out: Path | None, stem: str, suffix: str = "") -> Path:
-    """Return `out`, or the first free path of out/STEM, out/STEM-2, …. Raises InputError unless `out` is free.
+@contextmanager
+def claimed(out: Path | None, stem: str, suffix: str = "") -> Iterator[Path]:
+    """Yield `out`, which has to be free, or the first path of out/STEM, out/STEM-2, … that does not exist.
 
-    `suffix`: of a file, for instance .html; empty for a folder.
+    That path is made at once, so that another process takes the next one, and removed if the block leaves it empty.
+    `suffix`: of a file, for instance .html; empty for a folder. Raises InputError unless `out` is free.
     """
     if out is not None:
         check_free(out)
-        return out
+        yield out
+        return
     numbered = (Path("out", stem + f"-{number}" * (number > 1) + suffix) for number in count(1))
-    return next(path for path in numbered if _is_free(path))
+    path = next(path for path in numbered if _make(path, is_file=bool(suffix)))
+    try:
+        yield path
+    finally:
+        if path.is_dir() and _is_free(path):
+            path.rmdir()
+        elif path.is_file() and not path.stat().st_size:
+            path.unlink()
+
+
+def _make(path: Path, *, is_file: bool) -> bool:
+    """Make an empty file or folder; return False if something is there."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        if is_file:
+            path.touch(exist_ok=False)
+        else:
+            path.mkdir()
+    except FileExistsError:
+        return False
+    return True
 
 
 def _is_free(path: Path) -> bool:

@@ -40,9 +40,10 @@ class Section(BaseModel):
     @classmethod
     def _check_keys(cls, value: Any) -> Any:
         """Report an unknown key first: it may be a missing key, misspelt."""
+        keys = [field.alias or name for name, field in cls.model_fields.items()]
         for name in value if isinstance(value, dict) and cls.model_config["extra"] == "forbid" else ():
-            if name not in cls.model_fields:
-                raise ValueError(f"unknown key {name!r}: {closest(str(name), [*cls.model_fields])}")
+            if name not in keys:
+                raise ValueError(f"unknown key {name!r}: {closest(str(name), keys)}")
         return value
 
 
@@ -116,3 +117,12 @@ def parse(kind: type[M], value: Any, where: str = "", path: Path | None = None) 
             problem += f" (got {first['input']!r:.80})"
         place = ": ".join(str(part) for part in (path, key) if part)
         raise InputError(problem, place, _COPY if first["type"] == "missing" else "") from error
+
+
+def from_python(kind: type[S], options: dict[str, Any]) -> S:
+    """Validate options by the names of fields; None as if not given. Raises TypeError for another name, InputError."""
+    for name in options:
+        if name not in kind.model_fields:
+            raise TypeError(f"unknown option {name!r}: {closest(name, [*kind.model_fields])}")
+    given = {name: value for name, value in options.items() if value is not None}
+    return parse(kind, {kind.model_fields[name].alias or name: value for name, value in given.items()})

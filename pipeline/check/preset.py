@@ -18,6 +18,13 @@ from pipeline.check.settings import Params
 
 PRESETS = ROOT / "presets"
 PARAMS = ROOT / "params.yaml"
+# Targets of the Makefile that are no presets, and presets that are none of its general target.
+TARGETS = (
+    *("demo", "help", "encoder", "street", "udacity", "params", "test", "bench", "lint", "format", "setup", "system"),
+    *earlier.PRESETS,
+)
+# Files that stage report writes: the page of a preset of this name would replace them in DVC's cache.
+REPORT = ("index", "metrics", "results", "table")
 _AUTHOR, IMPORT = "make params", "steer import"
 
 
@@ -122,6 +129,14 @@ def is_unedited(path: Path) -> bool:
     """Return whether a file is as :func:`stamped` returned it."""
     first, _, rest = path.read_text("utf-8", errors="replace").partition("\n")
     return first.endswith(f" {hashlib.sha256(rest.encode()).hexdigest()}")
+
+
+def check_name_is_free(name: str) -> None:
+    """Raise InputError for the name of a preset that is another target of make, or that of a file in data/report."""
+    if name in TARGETS:
+        raise InputError("is a target of make", name, "Pass another --name")
+    if name in REPORT:
+        raise InputError("is the name of a file that stage report writes", name, "Pass another --name")
 
 
 if __name__ == "__main__":

@@ -1,11 +1,10 @@
-"""Read a recording, a video file or a folder of images, one frame at a time, with times."""
+"""Read the images of a recording, from video files or a folder of images, and look at all of them once."""
 
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from itertools import chain, pairwise
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -19,12 +18,8 @@ from av.video.stream import VideoStream
 from tqdm import tqdm
 
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.base.params import RATE_TOLERANCE
-from pipeline.camera.camera import Frame
 from pipeline.camera.images import Size, format_size, read_image
-from pipeline.ingest.columns import check_increase, fault, refuse
-from pipeline.ingest.names import PICTURES, check_different, check_name, order_doubts, videos_in, visible, words
-from pipeline.ingest.repeats import evened, repeats
+from pipeline.ingest.names import PICTURES, order_doubts, visible, words
 from pipeline.ingest.stereo import likeness, refuse_stereo
 
 _CONVERT = "Copy the file again, or convert it: ffmpeg -i {name} -c:v libx264 converted.mp4"
@@ -52,49 +47,6 @@ LAST_S = 0.2  # longest duration of a last image whose duration the file does no
 BEFORE_S = 2.0
 
 
-@dataclass
-class Recording:
-    """Images in order, without repeats; their times come from a file, a fixed rate or the video."""
-
-    path: Path
-    images: Callable[[], Images]
-    size: Size
-    kept: np.ndarray  # [F] places of the frames among the images
-    times_s: np.ndarray  # [F]
-    notes: list[str]  # for the user
-    doubts: list[str]  # whether the files are one recording, in order
-    straighten: Callable[[np.ndarray], np.ndarray] = lambda image: image  # without the lens' distortion
-
-    def frames(self, used: np.ndarray | None = None) -> Iterator[Frame]:
-        """Yield number, time and straightened image RGB uint8 [H,W,3] of the frames; a second call starts again.
-
-        `used`: a mask of the frames, bool [F]; None: all. Times are seconds since the first image, or those of a file.
-        """
-        numbers = {place: row for row, place in enumerate(self.kept.tolist()) if used is None or used[row]}
-        for place, image in enumerate(self.images()):
-            if (number := numbers.pop(place, None)) is not None:
-                yield Frame(number, float(self.times_s[number]), self.straighten(_upright(image, self.path)))
-                if not numbers:
-                    return
-
-    def resample(self, hz: float) -> None:
-        """Keep only the frames nearest to a grid of `hz`; of a recording at about n times `hz`, every n-th frame.
-
-        Raises InputError if the recording is slower than `hz` by more than RATE_TOLERANCE.
-        """
-        time_s, apart = self.times_s, min(20, len(self.times_s) - 1)  # frames: steps may be uneven
-        own_hz = apart / float(np.median(time_s[apart:] - time_s[:-apart])) if apart else hz
-        ratio, rates = own_hz / hz, f"the recording has {own_hz:.1f} frames/s, the model was fitted to {hz:.1f}"
-        if ratio < 1 - RATE_TOLERANCE:
-            raise InputError(rates, self.path, "Pass the right --fps, or another --model")
-        if ratio > 1 + RATE_TOLERANCE:
-            step_s = (round(ratio) if abs(ratio / round(ratio) - 1) < RATE_TOLERANCE / 2 else ratio) / own_hz
-            grid_s = np.arange(time_s[0], time_s[-1], step_s)
-            rows = np.unique(np.searchsorted((time_s[1:] + time_s[:-1]) / 2, grid_s))
-            self.kept, self.times_s = self.kept[rows], time_s[rows]
-            self.notes.append(f"{len(rows)} of {len(time_s)} frames are used: {rates}")
-
-
 class _Video(NamedTuple):
     """What the container of a video says, without decoding."""
 
@@ -110,79 +62,92 @@ class _Video(NamedTuple):
     notes: list[str]
 
 
-def open_recording(
-    paths: Path | Sequence[Path],
-    fps: float | None = None,
-    times: Path | None = None,
-    check_span: Callable[[float, float], object] = lambda first_s, last_s: None,
-) -> Recording:
-    """Open a video file, several that follow each other, a folder of these, or one of images; decode it once.
+class ImageFolder:
+    """The images of a folder, in order; their times follow from a rate, or from names in nanoseconds."""
 
-    `fps`, or a file of `times` for :func:`read_times`, replaces timestamps of a video and those in names of images.
-    `check_span` gets the times of the first and the last image before any is decoded. Raises InputError if there are no
-    images or they have no usable times, if images are mirrored or of several sizes, or if pixels are not square;
-    DamagedFile if an image cannot be decoded, images are missing at the end, or timestamps do not increase.
-    """
-    if fps and times:
-        raise InputError("expected one source of the images' times, got two", fix="Pass --fps or --times")
-    for path in (paths := [paths] if isinstance(paths, Path) else paths):
-        if not path.exists():
-            raise InputError("path is missing", path, "Pass a video, or a folder of images")
-        check_name(path)
-    if len(paths) > 1 and (folder := next(filter(Path.is_dir, paths), None)):
-        raise InputError("is a folder among several files", folder, "Pass videos in order, or one folder")
-    check_different(paths if len(paths) > 1 else [])
-    path, times_s = paths[0], read_times(times) if times else None
-    notes, doubts = list[str](), order_doubts(paths)
-    stamped, stored, last_s = False, 0, 0.0
-    if path.is_dir():
-        chapters, notes = videos_in(path)
-        paths = chapters or paths
-        path = paths[0]
-        for chapter in chapters:
-            check_name(chapter)
-    images: Callable[[], Images]
-    if path.is_dir():
-        files, places = _image_files(path)
-        images = lambda: (av.VideoFrame.from_ndarray(read_image(file), "rgb24") for file in files)  # noqa: E731
+    stored = 0  # images by a header
+
+    def __init__(self, folder: Path, fps: float | None) -> None:
+        self.path = folder
+        self.notes = list[str]()
+        self.doubts = list[str]()
+        self._files, places = _image_files(folder)
+        self._times_s: np.ndarray | None = None
         if fps:
-            times_s = places / fps
-            if missing := places[-1] + 1 - len(files):
-                notes.append(f"{missing} numbers are missing in the names of {len(files)} images: times leave gaps")
-        elif not times and all(re.fullmatch("[12][0-9]{18}", file.stem) for file in files):
-            times_s = np.array([(int(file.stem) - int(files[0].stem)) / 1e9 for file in files])  # ns since 1970
-    else:
-        videos = [_probe(one) for one in paths]
-        begins_s, found = _follow(videos)
-        notes += [note for video in videos for note in video.notes] + found
-        doubts = doubts or [*_created_earlier(videos)]
-        stored, stamped = sum(video.stored for video in videos), all(video.stamped for video in videos)
-        first, last, packets = videos[0], videos[-1], sum(video.packets for video in videos)
-        last_s = (packets - 1) / fps if fps else begins_s[-1] + last.length_s
-        if first.taken_hz > 0 and stamped and not fps and times_s is None:
+            self._times_s = places / fps
+            if missing := places[-1] + 1 - len(places):
+                self.notes.append(
+                    f"{missing} numbers are missing in the names of {len(places)} images: times leave gaps"
+                )
+        elif all(re.fullmatch("[12][0-9]{18}", file.stem) for file in self._files):  # ns since 1970
+            first = int(self._files[0].stem)
+            self._times_s = np.array([(int(file.stem) - first) / 1e9 for file in self._files])
+
+    def images(self) -> Images:
+        """Yield the images; a second call starts again."""
+        return (av.VideoFrame.from_ndarray(read_image(file), "rgb24") for file in self._files)
+
+    def span_s(self) -> tuple[float, float]:
+        """Return the times of the first and the last image, without decoding. Raises InputError without times."""
+        if self._times_s is None:
+            raise _without_times(self.path)
+        return float(self._times_s[0]), float(self._times_s[-1])
+
+    def times_s(self, stamps_s: np.ndarray) -> np.ndarray:
+        """Return the times of the images [N], which have no time stamps of their own."""
+        if self._times_s is None:
+            raise _without_times(self.path)
+        return self._times_s
+
+
+class VideoFiles:
+    """Videos that follow each other; their times are their own, or follow from a rate."""
+
+    def __init__(self, paths: Sequence[Path], fps: float | None) -> None:
+        self.path = paths[0]
+        self._fps = fps
+        self._videos = [_probe(path) for path in paths]
+        self._begins_s, gaps = _follow(self._videos)
+        self.stored = sum(video.stored for video in self._videos)  # images by the headers, 0: unknown
+        self.notes = [note for video in self._videos for note in video.notes] + gaps
+        self.doubts = order_doubts(paths) if len(paths) > 1 else []  # whether this is one recording, in order
+        self.doubts = self.doubts or [*_created_earlier(self._videos)]
+
+    def images(self) -> Images:
+        """Yield the images; a second call starts again."""
+        first_s = self._videos[0].first_s
+        for video, begin_s in zip(self._videos, self._begins_s, strict=True):
+            yield from _decode(video.path, begin_s + first_s - video.first_s)
+
+    def span_s(self) -> tuple[float, float]:
+        """Return the times of the first and the last image, without decoding.
+
+        Raises InputError without times, and for time lapse or slow motion, whose times are not those of the camera.
+        """
+        first = self._videos[0]
+        if self._fps:
+            return 0.0, (sum(video.packets for video in self._videos) - 1) / self._fps
+        if not all(video.stamped for video in self._videos):
+            raise _without_times(self.path)
+        if first.taken_hz > 0:  # false for NaN
             rates = f"{first.taken_hz:g} images per second were taken, {1 / first.step_s:.4g} are stored"
-            raise InputError(f"time lapse or slow motion: {rates}", path, f"Pass --fps {first.taken_hz:g}")
-        shifts_s = [begin + first.first_s - video.first_s for begin, video in zip(begins_s, videos, strict=True)]
-        images = lambda: chain.from_iterable(map(_decode, paths, shifts_s))  # noqa: E731
-    if not (fps or stamped or times_s is not None):
-        raise InputError("images have no times", path, "Pass --fps N, or --times FILE")
-    check_span(*(times_s[[0, -1]] if times_s is not None else (0.0, last_s)))
-    size, (stamps_s, change, key), found = _scan(images, path)
-    notes += found
-    if (count := len(change)) < INEXACT * stored - 1:
-        notes.append(f"{count} of the file's {stored} frames are used: it was trimmed, and times begin there")
-    if times_s is None:
-        times_s = np.arange(count) / fps if fps else stamps_s - stamps_s[0]
-        if not (steps_ok := np.diff(times_s) > 0).all():
+            raise InputError(f"time lapse or slow motion: {rates}", self.path, f"Pass --fps {first.taken_hz:g}")
+        return 0.0, self._begins_s[-1] + self._videos[-1].length_s
+
+    def times_s(self, stamps_s: np.ndarray) -> np.ndarray:
+        """Return the times of the images [N] by their time stamps. Raises DamagedFile if these do not increase."""
+        if self._fps:
+            return np.arange(len(stamps_s)) / self._fps
+        times_s = stamps_s - stamps_s[0]
+        increases = np.diff(times_s) > 0
+        if not increases.all():
             fix = "If the file is not damaged there, pass --fps"
-            raise DamagedFile(f"timestamps do not increase at image {steps_ok.argmin() + 1}", path, fix)
-    if len(times_s) != count:
-        raise InputError(f"has {count} images, but {len(times_s)} times", path)
-    kept = np.flatnonzero(~repeats(change, key, times_s))
-    if len(kept) < count:
-        notes.append(f"{count - len(kept)} of {count} images repeat the image before and are left out")
-        times_s = evened(times_s[kept], float(np.median(np.diff(times_s))))
-    return Recording(path, images, size, kept, times_s, notes, doubts)
+            raise DamagedFile(f"timestamps do not increase at image {increases.argmin() + 1}", self.path, fix)
+        return times_s
+
+
+def _without_times(path: Path) -> InputError:
+    return InputError("images have no times", path, "Pass --fps N, or --times FILE")
 
 
 def _probe(path: Path) -> _Video:
@@ -235,21 +200,32 @@ def _created_earlier(videos: Sequence[_Video]) -> Iterator[str]:
             yield f"{created}: is the order of the files right?"
 
 
-def _scan(images: Callable[[], Images], path: Path) -> tuple[Size, np.ndarray, list[str]]:
-    """Return the size of N images; timestamps, NaN: none, `change` and `key` of :func:`repeats` [3,N]; and notes.
+def image_size(source: ImageFolder | VideoFiles) -> Size:
+    """Return the size of the first image. Raises DamagedFile if there is none."""
+    first = next(iter(source.images()), None)
+    if first is None:
+        raise DamagedFile("video has no frames", source.path, _CONVERT.format(name=source.path.name))
+    return upright(first, source.path).shape[:2]
+
+
+def scan(source: ImageFolder | VideoFiles) -> tuple[pd.DataFrame, list[str]]:
+    """Return time stamps, NaN: none, and `change` and `key` of :func:`repeats` of all images, a row each; and notes.
 
     Raises InputError if the size changes, or if images are those of a stereo camera.
     """
-    if (first := next(images(), None)) is None:
-        raise DamagedFile("video has no frames", path, _CONVERT.format(name=path.name))
-    shrink, rows, before, shape = VideoReformatter(), [], np.array(np.inf), (first.height, first.width)
-    light = np.zeros(shape, np.uint8)
+    shrink = VideoReformatter()
+    rows = []
+    before = np.array(np.inf)
+    shape: Size = (0, 0)
     likenesses = list[tuple[float, float]]()
-    small = min(THUMB_PX, shape[1]), max(1, shape[0] * THUMB_PX // shape[1])
-    for number, image in enumerate(tqdm(images(), "scan", unit=" images", disable=None)):
+    for number, image in enumerate(tqdm(source.images(), "scan", unit=" images", disable=None)):
+        if number == 0:
+            shape = image.height, image.width
+            light = np.zeros(shape, np.uint8)
+            small = min(THUMB_PX, shape[1]), max(1, shape[0] * THUMB_PX // shape[1])
         if (image.height, image.width) != shape:
             sizes = f"{image.width} x {image.height} pixels (expected {format_size(shape)}, as the first one)"
-            raise InputError(f"image {number} has {sizes}", path, "Images of one recording have one size")
+            raise InputError(f"image {number} has {sizes}", source.path, "Images of one recording have one size")
         grey = shrink.reformat(image, *small, "gray", interpolation="AREA").to_ndarray().astype(np.float32)
         rows.append((image.time, np.abs(grey - before).mean(), image.key_frame, image.interlaced_frame))
         before = grey
@@ -257,11 +233,11 @@ def _scan(images: Callable[[], Images], path: Path) -> tuple[Size, np.ndarray, l
             sample = image.to_ndarray(format="gray")
             light = np.maximum(light, sample)
             likenesses.append(likeness(sample))
-    refuse_stereo(np.array(likenesses), path)
-    *columns, interlaced = np.array(rows, float).T
-    fix = f"ffmpeg -i {path.name} -vf bwdif=send_frame progressive.mp4"
-    fields = [f"interlaced images falsify the motion. Deinterlace them: {fix}"] if interlaced.any() else []
-    return _upright(first, path).shape[:2], np.array(columns), fields + _bars(light, path)
+    refuse_stereo(np.array(likenesses), source.path)
+    table = pd.DataFrame(np.array(rows, float), columns=["time_s", "change", "key", "interlaced"])
+    fix = f"ffmpeg -i {source.path.name} -vf bwdif=send_frame progressive.mp4"
+    fields = [f"interlaced images falsify the motion. Deinterlace them: {fix}"] if table.pop("interlaced").any() else []
+    return table, fields + _bars(light, source.path)
 
 
 def _bars(light: np.ndarray, path: Path) -> list[str]:
@@ -337,7 +313,7 @@ def _container(path: Path) -> Iterator[tuple[InputContainer, list[VideoStream]]]
             raise DamagedFile(problem, path, _CONVERT.format(name=path.name)) from error
 
 
-def _upright(frame: av.VideoFrame, path: Path) -> np.ndarray:
+def upright(frame: av.VideoFrame, path: Path) -> np.ndarray:
     """Return the image RGB uint8 [H,W,3], rotated by its display matrix. Raises InputError for other matrices."""
     image, display = frame.to_ndarray(format="rgb24"), cast(Any, frame.side_data.get("DISPLAYMATRIX"))
     if display is not None:
@@ -367,26 +343,3 @@ def _image_files(folder: Path) -> tuple[list[Path], np.ndarray]:
     if len(names) > 1 or not 0 < (step := min(steps)) == sorted(steps)[len(steps) // 2] or any(n % step for n in steps):
         return files, np.arange(len(files))
     return files, np.array([(number - numbers[0]) // step for number in numbers])
-
-
-def read_times(path: Path) -> np.ndarray:
-    """Return the times of images, one number in seconds per line, float64 [F]. Raises InputError."""
-    check_name(path)
-    words = pd.Series(path.read_text("utf-8-sig", errors="replace").split(), name="time", dtype=str)
-    words.index += 1
-    times_s = pd.to_numeric(words, errors="coerce").astype(float)
-    faults = fault(words[times_s.isna()], "is not a number") + check_times(times_s, 2.0)  # of ms, steps are 10 and more
-    refuse(faults, path, "Expected one number per line, in seconds")
-    return times_s.to_numpy()
-
-
-def check_times(times_s: pd.Series, longest_s: float, column: str = "") -> list[str]:
-    """Return faults of the times of a `column`: too few, no increase, a median step below 1 ms or above `longest_s`."""
-    if len(times_s) < 2:
-        return [f"{column or times_s.name} has fewer than 2 values"]
-    faults, step_s = check_increase(times_s, 1e-5), float(times_s.diff().median())
-    if 0 < step_s < 0.999e-3 or step_s > longest_s:
-        units = "divide milliseconds by 1000, nanoseconds by 1e9; values farther apart are not interpolated"
-        expected = f"expected 0.001 to {longest_s:.1g} s: {units}"
-        faults += fault(times_s.head(1), f"has a median step of {step_s:g} ({expected})")
-    return faults

@@ -1,13 +1,16 @@
 """Section ``ingest``: drives of each split, their datasets, and what to read of them."""
 
+import math
 import re
+from collections.abc import Iterable
+from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from pipeline.base.errors import closest
-from pipeline.base.params import SPLITS, ImageSize, Name, Positive, Section
+from pipeline.base.params import SPLITS, ImageSize, Name, Section
 
 RECORDING = "recording"
 DATASETS = sorted(path.stem for path in (Path(__file__).parent / "datasets").glob("[!_]*.py"))
@@ -47,22 +50,73 @@ def _expand_range(name: Any) -> list[Any]:
     return [f"{match[1]}{number:0{len(match[2])}d}" for number in numbers] or [name]
 
 
-class Part(Section):
-    """A part of a recording; `steer import` writes these. Options as of that command."""
+def _joined(numbers: Any) -> Any:
+    """Return several numbers as text, as on the command line."""
+    if isinstance(numbers, str) or not isinstance(numbers, Iterable):
+        return numbers
+    return ",".join(map(str, numbers))
+
+
+Numbers = Annotated[str | None, BeforeValidator(_joined)]
+File = Annotated[Path | None, Field(strict=False)]
+
+
+class RecordingOptions(Section):
+    """What is known about a recording: the lens, the images' times, the camera's height, and logs of the car.
+
+    The command line and ingest.recordings use the aliases, Python the names with units.
+    """
+
+    fov_deg: float | None = Field(
+        default=None, alias="fov", ge=5, le=170, description="intrinsics: horizontal field of view, degrees"
+    )
+    K: Numbers = Field(default=None, description="intrinsics: in pixels", examples=["FX,FY,CX,CY"])
+    distortion: Numbers = Field(
+        default=None, description="lens distortion by OpenCV's model; default: none", examples=["K1,K2,P1,P2[,K3]"]
+    )
+    fisheye: Numbers = Field(
+        default=None, description="of a fisheye lens, by OpenCV's model; 0,0,0,0: equidistant", examples=["K1,K2,K3,K4"]
+    )
+    fps: float | None = Field(
+        default=None, ge=0.01, le=1000, description="times: images per second; default: a video's own times"
+    )
+    times: File = Field(default=None, description="times: a file with the seconds of each image, one per line")
+    camera_height_m: float | None = Field(
+        default=None, alias="camera_height", ge=0.3, le=5, description="height of the camera over the road, metres"
+    )
+    motion: File = Field(default=None, description="CSV with time_s, speed_mps, yaw_rate_radps (left +)")
+    wheel: File = Field(default=None, description="CSV with time_s and wheel_rad (left +)")
+    steering_ratio: float | None = Field(
+        default=None, ge=-50, le=50, description="steering wheel's angle / front wheels'; negative: turns the sign"
+    )
+    offset_s: float = Field(
+        default=0.0,
+        alias="offset",
+        ge=-1e10,
+        le=1e10,
+        description="seconds to add to the times of --motion and --wheel",
+    )
+
+
+class Part(RecordingOptions):
+    """A part of a recording in data/raw; `steer import` writes these. Its logs and times are among its files."""
 
     folder: Name  # of data/raw
-    fov: float | None = None
-    K: str | None = None
-    distortion: str | None = None
-    fisheye: str | None = None
-    fps: float | None = None
-    steering_ratio: float | None = None
-    offset: float = 0.0
-    horizon: float | None = None  # row of the complete images
-    camera_height: Positive | None = None
-    start: float = 0.0  # seconds since the first image
-    end: float | None = None
     files: dict[str, str]  # name in the folder → SHA-256
+    horizon: float | None = Field(
+        default=None, ge=-1e4, le=1e4, description="row of the road's horizon; default: estimated"
+    )
+    start: float = Field(default=0.0, ge=0, le=1e10, description="leave out earlier images, seconds since the first")
+    end: float | None = Field(default=None, ge=0, le=1e10, description="leave out this and later images")
+
+    def shares_images(self, other: Self) -> bool:
+        """Return whether another part has images of this one."""
+        ends = (math.inf if part.end is None else part.end for part in (self, other))
+        return self.folder == other.folder and max(self.start, other.start) < min(ends)
+
+    def span(self) -> str:
+        """Return the span as text."""
+        return f"{self.start:g} s to {'the end' if self.end is None else f'{self.end:g} s'}"
 
 
 class Reading(Section):
@@ -90,6 +144,22 @@ class Ingest(Reading):
                 raise ValueError(f"{drive} has no entry in recordings: steer import writes them")
             if dataset in ("kitti", "sample") and not KITTI_NAMES.fullmatch(drive):
                 raise ValueError(f"drives: expected a drive's name, such as 2011_09_26_drive_0052 (got {drive!r})")
+        return self
+
+    @model_validator(mode="after")
+    def _check_recordings(self) -> Self:
+        """Raise ValueError for logs that are not in files, and for drives that share images.
+
+        A network would be tested on images that it was trained on.
+        """
+        for drive, part in self.recordings.items():
+            if part.times or part.motion or part.wheel:
+                raise ValueError(f"recordings.{drive}: logs and times are listed in files: steer import writes them")
+        parts = [(drive, self.recordings[drive]) for drive in self.drives.splits() if drive in self.recordings]
+        for (drive, part), (other, other_part) in combinations(parts, 2):
+            if part.shares_images(other_part):
+                spans = f"{drive} is {part.span()}, {other} is {other_part.span()} of data/raw/{part.folder}"
+                raise ValueError(f"recordings overlap: {spans}. Change start or end of one, or remove it from drives")
         return self
 
     def datasets(self) -> dict[str, str]:

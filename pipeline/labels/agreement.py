@@ -37,11 +37,11 @@ TELLING = 0.8
 # Ratio of standard deviation and root mean square below which values are steady: no correlation is defined.
 STEADY = 0.2
 
-# A recording is stuck if it stays equal while the measured values, without a tenth of them on each side, vary by more
+# A log is stuck if it stays equal while the measured values, without a tenth of them on each side, vary by more
 # than these standard deviations, plus a share of the recorded value. Rendered bends reach 3.4 of them for 3 s.
 STUCK_SIGMAS = 5.0
 STUCK_SHARE = 0.1
-# Turning frames during which a recording of 0 is stuck.
+# Turning frames during which a log of zeros is stuck.
 ZERO_FRAMES = 20
 # Largest recorded value where the measured one is 0: in sigmas of the measurement, plus a share of its root mean
 # square. Healthy logs have up to 1.2 sigmas.
@@ -111,21 +111,21 @@ class Fit(NamedTuple):
     frames: int  # with both values
     turning: int  # of these
     correlation: float  # without a lag
-    lag_s: float  # of the recording, positive if it is late
-    best: float  # correlation at this lag; 0 on a steady curve, or if the recording is constant
+    lag_s: float  # of the log, positive if it is late
+    best: float  # correlation at this lag; 0 on a steady curve, or if the log is constant
     lag_gain: float  # by how much the lag raises the magnitude of the correlation beyond what noise can
     judged: bool  # the measured values vary so much that a log of another road would differ
     follows: bool  # as closely as noise allows, with either sign
     one_sided: bool  # all recorded values have the same sign, or are 0
-    magnitude: float  # if one-sided, largest correlation of the recording with the magnitudes of the measured values
+    magnitude: float  # if one-sided, largest correlation of the log with the magnitudes of the measured values
     other_side: int  # if one-sided, number of frames that turn to the other side
     gain: float  # recorded / measured
     offset: float  # recorded value where the measured one is 0
     off_centre: bool  # the offset is larger than noise and the offsets of healthy logs explain
     cosine: float  # of both values in turning frames, without a lag
     thirds_s: tuple[float, ...]  # lag of each third that follows
-    stuck_s: float  # longest time for which the recording stays equal while the measured values vary
-    far_s: float | None  # lag at which the recording of another clock would follow
+    stuck_s: float  # longest time for which the log stays equal while the measured values vary
+    far_s: float | None  # lag at which the log of another clock would follow
 
 
 class Speed(NamedTuple):
@@ -195,7 +195,7 @@ def _fit(pairs: Sequence[Pair], name: str) -> Fit | None:
     if not used.any():
         return None
 
-    # The lag at which the recording follows best, and by how much better than without one.
+    # The lag at which the log follows best, and by how much better than without one.
     shifted = [_at_lag(pairs, name, lag_s) for lag_s in NEAR_S]
     near = [_moments(m, values, least=used.sum() / 2) for values in shifted]
     correlations = np.array([moments.correlation for moments in near])
@@ -320,7 +320,7 @@ def _lags_of_thirds(m: np.ndarray, shifted: Sequence[np.ndarray], turning: np.nd
 
 
 def _stuck_s(pair: Pair, name: str) -> float:
-    """Return the longest time for which the recording stays equal while the measured values vary, or is 0 in turns."""
+    """Return the longest time for which the log stays equal while the measured values vary, or is 0 in turns."""
     values = _valid(pair.recorded, name)  # a frame without a value has 0 in the file
     measured = _valid(pair.measured, name)
     sigma = _sigma(pair, name)
@@ -340,7 +340,7 @@ def _stuck_s(pair: Pair, name: str) -> float:
 
 
 def _far_lag(pairs: Sequence[Pair], name: str, m: np.ndarray, noise: float) -> float | None:
-    """Return the lag of FAR_S at which the recording follows, with a plausible gain; None if there is none.
+    """Return the lag of FAR_S at which the log follows, with a plausible gain; None if there is none.
 
     The other lags have to explain it much worse, since a bend resembles other bends.
     """

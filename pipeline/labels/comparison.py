@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.labels import source as sources
-from pipeline.labels.agreement import Agreement, Fit, Noise, Pair, Speed, compare
+from pipeline.labels.agreement import MOVES_MPS, Agreement, Fit, Noise, Pair, Speed, compare
 from pipeline.labels.label import Car
 from pipeline.motion.rates import measured_rates
 
@@ -117,11 +117,14 @@ def judge(agreement: Agreement, column: str, ratio: float = 1.0) -> tuple[list[s
     return errors, [*summary, *(of_fit + doubts)[:MOST]]
 
 
-def judge_turns(agreement: Agreement, column: str) -> tuple[str, str]:
+def judge_turns(agreement: Agreement, column: str, speed_mps: np.ndarray) -> tuple[str, str]:
     """Return an error of a log's sign or clock by the turns of images alone, and a fix; or UNKNOWN, or empty texts.
 
-    `column`: the one that was compared. Pairs of images are independent of each other, so SHOWN of them suffice.
+    `column`: the one that was compared; `speed_mps`: recorded, NaN where unknown, of which images tell the sign alone.
+    Pairs of images are independent of each other, so SHOWN of them suffice.
     """
+    if np.sum(speed_mps < -MOVES_MPS) > np.sum(speed_mps > MOVES_MPS):
+        return "speed_mps is negative in most images: forward is positive", ""
     fit = agreement.yaw_rate or agreement.angle
     if not fit or not _comparable(fit):
         return UNKNOWN, ""
@@ -157,7 +160,7 @@ def _summary(agreement: Agreement, judged: str, unknown: bool) -> list[str]:
         if fit.best:
             text += f", correlation {fit.correlation:.3f}"
         if fit.follows and fit.lag_gain > PRINTED_COST:
-            text += f", the recording {_late(fit.lag_s)}"
+            text += f", the log {_late(fit.lag_s)}"
         texts.append(text)
     if unknown:
         texts = [f"{judged} cannot be compared: {UNKNOWN}"]

@@ -24,85 +24,88 @@ import typer
 
 from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS
-from steer.commands import arguments
 
 _SPLIT = "shares of the time in %; default: 60,20,20"
-Logs = Annotated[list[Path] | None, typer.Option(metavar="CSV", help="log; with --each, one per recording")]
+# Options that are passed once per recording with --each; cameras may also share one K.
+EACH = ("motion", "wheel", "K")
 
 
 def import_recording(
     recording: Annotated[list[Path], typer.Argument(help="videos in order, or a folder of videos or of images")],
     name: Annotated[str | None, typer.Option(help="of the preset; default: the file's")] = None,
-    motion: Logs = None,
-    wheel: Logs = None,
-    steering_ratio: arguments.SteeringRatio = None,
-    fov: arguments.Fov = None,
-    k: Annotated[
-        list[str] | None, typer.Option("--K", metavar="FX,FY,CX,CY", help="intrinsics; with --each, one or each's")
-    ] = None,
-    distortion: arguments.Distortion = None,
-    fisheye: arguments.Fisheye = None,
-    horizon: Annotated[
-        float | None, arguments.number(-1e4, 1e4, "row of the road's horizon; default: estimated")
-    ] = None,
-    times: arguments.Times = None,
-    fps: arguments.Fps = None,
-    offset: arguments.Offset = 0.0,
-    start: Annotated[float, arguments.number(0, 1e10, "leave out earlier images, seconds since the first")] = 0.0,
-    end: Annotated[float | None, arguments.number(0, 1e10, "leave out this and later images")] = None,
     split: Annotated[str | None, typer.Option(metavar="TRAIN,VAL,TEST", help=_SPLIT)] = None,
     each: Annotated[bool, typer.Option("--each", help="each recording is a drive, in turn for each split")] = False,
-    camera_height: arguments.CameraHeight = None,
     copy: Annotated[bool, typer.Option("--copy", help="copy the files instead of linking them")] = False,
+    **options: Any,
 ) -> None:
     """Write links and a preset; the module's docstring is the help text."""
     from pipeline.base.errors import error_context
-    from pipeline.base.params import check_name
+    from pipeline.base.params import check_name, from_python
     from pipeline.camera.lens import numbers
     from pipeline.check.preset import PRESETS
-    from pipeline.ingest.datasets.recording import MOTION, TIMES, WHEEL, read_logs
+    from pipeline.ingest.log import read_logs
     from pipeline.ingest.names import check_different
+    from pipeline.ingest.recording import open_recording
     from pipeline.ingest.settings import KITTI_NAMES, Part
     from steer import import_recording as importing
 
-    chosen: Any = {name: value for name, value in locals().items() if name in Part.model_fields}
     shares = numbers(split or "60,20,20", (len(SPLITS),), "--split 60,20,20")
     if min(shares) <= 0 or not math.isclose(sum(shares), 100):
         raise InputError(f"expected shares above 0 with the sum 100, got {split}", "--split", "Pass 60,20,20")
-    groups = [[path] for path in recording] if each else [recording]
-    if each and (len(groups) < 2 or split or times):
+    if each and (len(recording) < 2 or split or options.get("times")):
         raise InputError("--each needs two recordings or more, and takes neither --split nor --times")
-    for option, given in (("--motion", motion), ("--wheel", wheel), ("--K", k)):
-        if given and len(given) != len(groups) and (option != "--K" or len(given) > 1):
+    groups = [recording]
+    if each:
+        groups = [[path] for path in recording]
+        shares = [100.0]
+        check_different(recording)
+    own = {option: options.pop(option) for option in EACH if options.get(option)}
+    for option, given in own.items():
+        if len(given) != len(groups) and (option != "K" or len(given) > 1):
             problem = f"expected {len(groups)}, one per recording (got {len(given)})"
-            raise InputError(problem, option, "With --each, each path is a recording" * (not each))
-    name, raw = name or recording[0].stem, PRESETS.parent / "data/raw"
+            raise InputError(problem, f"--{option}", "" if each else "With --each, each path is a recording")
+
+    name = name or recording[0].stem
     with error_context("--name"):
         check_name(name)
     preset = PRESETS / f"{name}.yaml"
+    raw = PRESETS.parent / "data/raw"
     folders = [f"{name}-{number + 1}" for number in range(len(groups))] if each else [name]
-    importing.check_free(preset, [raw / folder for folder in folders])
-    check_different(recording if each else [])
-    takes = []
-    for number, (folder, paths) in enumerate(zip(folders, groups, strict=True)):
-        part = Part(folder=folder, files={}, K=k[number % len(k)] if k else None, **chosen)
-        logs = {WHEEL: wheel[number] if wheel else None, MOTION: motion[number] if motion else None, TIMES: times}
-        read_logs(part, logs)  # finds faults of all logs before the first video is decoded
-        takes.append((paths, logs, part))
-    opened = [importing.open_recording(*take, [100.0] if each else shares) for take in takes]
-    parts = [part for one in opened for part in one.parts]
+    importing.check_checkout(Path.cwd())
+    importing.check_free(preset, {raw / folder: paths for folder, paths in zip(folders, groups, strict=True)})
+
+    # Faults of all options and logs are found before the first video is decoded.
+    wholes = []
+    for number, folder in enumerate(folders):
+        of_recording = {option: given[number % len(given)] for option, given in own.items()}
+        whole = from_python(Part, {**options, **of_recording, "folder": folder, "files": {}})
+        read_logs(whole)
+        wholes.append(whole)
+
+    recordings = []
+    contents = {}
+    parts = []
+    for paths, whole in zip(groups, wholes, strict=True):
+        opened = open_recording(paths, whole)
+        files = importing.files_of(paths, whole, opened.scan)
+        parts += importing.cut_recording(opened, whole, files, shares)
+        recordings.append(opened)
+        contents[raw / whole.folder] = files
+
+    # Names of the drives, and their splits.
     splits = ["train", "test"] if len(parts) == 2 else [SPLITS[number % 3] for number in range(len(parts))]
     names = [f"{name}-{number if each else split}" for number, split in enumerate(splits, 1)]
     if KITTI_NAMES.fullmatch(name):
         names = [f"{name[:-4]}{int(name[-4:]) + number:04d}" for number in range(len(parts))]
     drives = {drive: (of, *part) for drive, of, part in zip(names, splits, parts, strict=True)}
-    with importing.linked(opened, raw, copy=copy):
-        source = "recorded" if motion else "wheel" if wheel else "visual"
-        importing.write_preset(preset, drives, opened[0], source)
+
+    with importing.linked(contents, copy=copy):
+        source = "recorded" if "motion" in own else "wheel" if "wheel" in own else "visual"
+        importing.write_preset(preset, drives, recordings[0], source)
     for drive, (of, _, images) in drives.items():
         print(f"{drive}: {images} images, {of}")
-    for one in opened:
-        begin = f"{one.folder}: " if each else ""
-        for line in [*one.recording.notes, *(f"doubt: {text}" for text in one.recording.doubts)]:
+    for opened, whole in zip(recordings, wholes, strict=True):
+        begin = f"{whole.folder}: " if each else ""
+        for line in [*opened.notes, *(f"doubt: {text}" for text in opened.doubts)]:
             print(begin + line)
     print(f"next: make street && make {preset.stem}")

@@ -9,7 +9,7 @@ steer measure data/sample/2026_01_18/2026_01_18_drive_0004_sync --encoder data/e
 """
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -21,22 +21,11 @@ STREET = Path("weights/street")
 def measure(
     source: arguments.SourcePath,
     out: arguments.Out = None,
-    fov_deg: arguments.Fov = None,
-    K: arguments.K = None,
-    distortion: arguments.Distortion = None,
-    fisheye: arguments.Fisheye = None,
-    fps: arguments.Fps = None,
-    times: arguments.Times = None,
-    camera_height_m: arguments.CameraHeight = None,
-    wheelbase: Annotated[float, arguments.number(0.5, 20, "distance between the axles, metres")] = 2.7,
-    wheel: arguments.Wheel = None,
-    steering_ratio: arguments.SteeringRatio = None,
-    motion: arguments.Motion = None,
-    offset_s: arguments.Offset = 0.0,
     video: arguments.Video = True,
     encoder: Annotated[Path, typer.Option(help="folder of an encoder; make street writes the default one")] = STREET,
+    **options: Any,
 ) -> None:
     """Write the measured motion and print its quality; the module's docstring is the help text."""
     from steer import api
 
-    arguments.run(api.measure, locals(), encoder=encoder, wheelbase_m=wheelbase)
+    arguments.run(api.measure, source, out, video=video, encoder=encoder, **options)

@@ -10,7 +10,7 @@ steer predict data/sample/2026_01_18/2026_01_18_drive_0004_sync --model models/s
 """
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -22,21 +22,11 @@ def predict(
     source: arguments.SourcePath,
     model: Annotated[Path | None, typer.Option(help="folder of a trained model, or runs/NAME")] = None,
     out: arguments.Out = None,
-    fov_deg: arguments.Fov = None,
-    K: arguments.K = None,
-    distortion: arguments.Distortion = None,
-    fisheye: arguments.Fisheye = None,
-    fps: arguments.Fps = None,
-    times: arguments.Times = None,
-    camera_height_m: arguments.CameraHeight = None,
-    wheel: arguments.Wheel = None,
-    steering_ratio: arguments.SteeringRatio = None,
-    motion: arguments.Motion = None,
-    offset_s: arguments.Offset = 0.0,
     video: arguments.Video = True,
     encoder: Annotated[
         Path | None, typer.Option(help="folder of an encoder; default: data/encoder beside the model's data/train")
     ] = None,
+    **options: Any,
 ) -> None:
     """Write the predicted angles and print their errors; the module's docstring is the help text."""
     from steer import api
@@ -45,4 +35,4 @@ def predict(
         fix = "Measure the angle: steer measure (nmse 0.008 on real drives). Or name a network of yours. That of "
         fix += "--model models/steering/sample has seen rendered streets only (nmse 1.22 on a real drive)"
         raise InputError("no network for real streets is included", "--model", fix)
-    arguments.run(api.predict, locals(), model=model, encoder=encoder)
+    arguments.run(api.predict, source, out, video=video, model=model, encoder=encoder, **options)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.ingest.log import Logs
-from pipeline.ingest.media import open_recording
+from pipeline.ingest.recording import open_recording
+from pipeline.ingest.settings import RecordingOptions
 from tests.kitti_drive import SIZE, pictures, write
 
 
@@ -30,8 +30,8 @@ def test_recordings_of_ros(tmp_path, kind, file):
                 data = (store.serialize_ros1 if ros1 else store.serialize_cdr)(store.types[name](*values), name)
                 writer.write(connection, 17 * 10**17 + row * 10**8, data)
     main(tmp_path / file, tmp_path / "out", "/image", ["speed_mps=/speed:data", "yaw_rate_radps=/yaw:data"])
-    recording, logs = open_recording(tmp_path / "out/images"), Logs.read(None, None, tmp_path / "out/log.csv")
-    np.testing.assert_allclose(logs.motion.at(recording.times_s), [[5, 6, 7, 8], [0, 0.1, 0.2, 0.3]])
+    recording = open_recording([tmp_path / "out/images"], RecordingOptions(fov=80, motion=tmp_path / "out/log.csv"))
+    np.testing.assert_allclose(recording.logs["motion"].at(recording.times_s), [[5, 6, 7, 8], [0, 0.1, 0.2, 0.3]])
     np.testing.assert_array_equal([frame.image for frame in recording.frames()], pictures(4))
 
 

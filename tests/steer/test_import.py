@@ -15,6 +15,8 @@ from hypothesis import strategies as st
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.check import preset
+from pipeline.check.recording_logs import check_recording_logs
+from pipeline.ingest.settings import Part
 from pipeline.labels.label import Car, steering_labels
 from stages import check, ingest, labels
 from steer.commands.import_ import import_recording
@@ -45,7 +47,7 @@ def take(tmp_path, monkeypatch) -> Callable[..., dict[str, Any]]:
             options[log] = files[0] if log == "times" else files
         if "wheel" in options:
             options["steering_ratio"] = options.get("steering_ratio", 10.0)
-        import_recording([*recordings], **{"name": name, "fov": 80.0, **options})
+        import_recording([*recordings], **{"name": name, "fov_deg": 80.0, **options})
         return preset.merged(str(tmp_path / f"presets/{name}.yaml"))
 
     return imported
@@ -135,18 +137,18 @@ def test_angles_of_the_wheel_are_interpolated_from_start_to_end(tmp_path, take, 
     ],
 )
 def test_the_preset_is_one_that_check_accepts(tmp_path, take, video, source, options, base, horizon):
-    content = take(video, camera_height=1.4, **options)
+    content = take(video, camera_height_m=1.4, **options)
     assert list(content["models"]) == ["motion", "scene"]
     settings = preset.Params.model_validate(content)
     assert settings.labels.source == source
-    assert {part.camera_height for part in settings.ingest.recordings.values()} == {1.4}
+    assert {part.camera_height_m for part in settings.ingest.recordings.values()} == {1.4}
     assert settings.ingest.drives.splits() == {f"monday-{ending}": ending for ending in ENDINGS}
     assert (settings.models["motion"].base, settings.models["motion"].horizon) == (base, horizon)
     for model in settings.models.values():
         check.check_model(model, settings)
     assert str(tmp_path) not in str(content)
-    links = {path.name for path in (tmp_path / "data/raw/monday").iterdir() if path.is_symlink()}
-    assert links == {"video.mp4", *(f"{log}.csv" for log in options)}
+    files = {path.name: path.is_symlink() for path in (tmp_path / "data/raw/monday").iterdir()}
+    assert files == {"video.mp4": True, "scan.csv": False} | {f"{log}.csv": True for log in options}
 
 
 def test_files_are_copied_on_a_disk_without_links(tmp_path, take, video, monkeypatch, capsys):
@@ -157,7 +159,7 @@ def test_files_are_copied_on_a_disk_without_links(tmp_path, take, video, monkeyp
 
 
 def test_each_recording_is_a_drive_for_the_splits_in_turn(tmp_path, take, videos):
-    cameras: dict[str, Any] = {"fov": None, "k": ["50,50,31.5,23.5"] * 3 + ["60,60,31.5,23.5"]}
+    cameras: dict[str, Any] = {"fov_deg": None, "K": ["50,50,31.5,23.5"] * 3 + ["60,60,31.5,23.5"]}
     logs = {"motion": [STEADY] * 4, **cameras}
     content = take(*videos, name="2027_03_31_drive_0004", each=True, copy=True, **logs)
     assert content["ingest"]["recordings"]["2027_03_31_drive_0007"]["K"] == "60,60,31.5,23.5"
@@ -218,11 +220,21 @@ def test_the_sign_of_a_log_is_that_of_the_images(tmp_path, take):
     """The rendered street turns left: a log that turns right is refused, and a negative ratio turns it."""
     poses = street.arc(60, 0.1, 4.0)
     images = write_folder(tmp_path / "images", [street.view(pose)[0] for pose in poses])
-    lens: dict[str, Any] = {"fov": None, "k": ["180,180,159.5,44"], "fps": 5.0, "split": "40,30,30", "horizon": 44.0}
+    lens: dict[str, Any] = {
+        "fov_deg": None,
+        "K": ["180,180,159.5,44"],
+        "fps": 5.0,
+        "split": "40,30,30",
+        "horizon": 44.0,
+    }
     take(images, wheel=every_second(1.0), **lens)
     with pytest.raises(InputError, match=r"wheel-0.txt: the sign of wheel_rad is inverted: left is positive"):
         take(images, wheel=every_second(-1.0), **lens)
-    take(images, wheel=every_second(-1.0), steering_ratio=-10.0, **lens)
+    content = take(images, wheel=every_second(-1.0), steering_ratio=-10.0, **lens)
+    write(tmp_path / "wheel-0.txt", every_second(1.0))  # edited later: make checks it as import did
+    part = Part.model_validate(content["ingest"]["recordings"]["monday-train"])
+    with pytest.raises(InputError, match=r"wheel.csv: the sign of wheel_rad is inverted"):
+        check_recording_logs(part.model_copy(update={"end": None}), tmp_path / "data/raw/monday")
 
 
 def distorted(image: np.ndarray, K: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
@@ -237,9 +249,9 @@ def test_distortion_is_removed_and_images_are_cropped_around_the_horizon(tmp_pat
     K, coefficients = np.array([[50, 0, 31.5], [0, 50, 23.5], [0, 0, 1]]), np.array([-0.2, 0.03, 0, 0])
     pixels = np.resize(pictures(12), (FRAMES, *SIZE, 3))
     images = np.stack([distorted(image, K, coefficients) for image in pixels])
-    folder, lens = write_folder(tmp_path / "images", images), {"k": ["50,50,31.5,23.5"], "distortion": "-0.2,0.03,0,0"}
+    folder, lens = write_folder(tmp_path / "images", images), {"K": ["50,50,31.5,23.5"], "distortion": "-0.2,0.03,0,0"}
     for name, horizon, first in (("low", 10.0, 3), ("high", 30.0, 23)):  # 16 rows around the horizon, a little below
-        take(folder, name=name, fov=None, horizon=horizon, fps=10.0, **lens)
+        take(folder, name=name, fov_deg=None, horizon=horizon, fps=10.0, **lens)
         out = ingested(tmp_path, name, **{"- 192\n  - 640": "- 32\n  - 128"})
         with DriveReader(out / f"{name}-train.h5", stage="ingest") as file:
             expected = cv2.resize(pixels[5, first : first + 16], (128, 32))
@@ -247,20 +259,54 @@ def test_distortion_is_removed_and_images_are_cropped_around_the_horizon(tmp_pat
             assert file["K"][1, 2] == pytest.approx(2 * (23.5 - first + 0.5) - 0.5)
 
 
-def test_only_what_an_import_wrote_is_replaced(tmp_path, take, video):
+def other_video(folder: Path, video: Path) -> Path:
+    """Return another video of the same name, as the next ride on an emptied card."""
+    path = folder / "next/drive.mp4"
+    path.parent.mkdir(exist_ok=True)
+    path.write_bytes(video.read_bytes() + b"\0\0\0\x08free")
+    return path
+
+
+NOT_REPLACED: list[tuple[Callable[[Path, Path], object], Callable[[Path, Path], Path], str]] = [
+    (lambda raw, video: write(raw / "notes.txt", "mine"), lambda _, video: video, "notes.txt: is not as steer import"),
+    (lambda raw, video: write(raw / ".git/config", "mine"), lambda _, video: video, "git: is not as steer import"),
+    (
+        lambda raw, video: None,
+        other_video,
+        "video.mp4: is a copy of another recording, maybe the only one. Pass",
+    ),
+]
+
+
+@pytest.mark.parametrize(("edit", "recording", "problem"), NOT_REPLACED)
+def test_only_what_an_import_wrote_is_replaced(tmp_path, take, video, edit, recording, problem):
     take(video, copy=True)
     take(video, start=1.0, copy=True)
-    write(tmp_path / "data/raw/monday/notes.txt", "mine")
-    before = contents(tmp_path)
-    with pytest.raises(InputError, match=r"notes.txt: is not as steer import wrote it"):
-        take(video)
-    assert contents(tmp_path) == before
+    edit(tmp_path / "data/raw/monday", video)
+    path, before = recording(tmp_path, video), contents(tmp_path)
+    with pytest.raises(InputError, match=problem):
+        take(path, copy=True)
+    assert {name: content for name, content in contents(tmp_path).items() if name in before} == before
+
+
+def test_files_below_copied_images_stay(tmp_path, take):
+    """The copy itself has only the images: of a folder's folders nothing is read."""
+    images = write_folder(tmp_path / "images", np.resize(pictures(12), (FRAMES, *SIZE, 3)))
+    write(images / "masks/0.png", "of the source")
+    take(images, fps=10.0, copy=True)
+    frames = tmp_path / "data/raw/monday/frames"
+    assert not (frames / "masks").exists()
+    write(frames / "masks/0.png", "mine")
+    with pytest.raises(InputError, match=r"frames/masks: is not as steer import wrote it. Move it away"):
+        take(images, fps=10.0, copy=True)
+    assert (frames / "masks/0.png").read_text() == "mine"
 
 
 PLAINLY_WRONG = [
-    ({"fov": None}, "--fov DEGREES"),
+    ({"fov_deg": None}, "--fov DEGREES"),
     ({"name": "a b"}, "--name: expected at most 100 letters"),
     ({"name": "street"}, "street: is a target of make"),
+    *(({"name": name}, f"{name}: is the name of a file that stage report writes") for name in preset.REPORT),
     ({"motion": HEAD + "-.2,5,0\n-.1,5,0\n20,5,0\n20.1,5,0\n20.2,5,0\n"}, "--end or --offset"),
     ({"motion": HEAD + "7200,5,0\n7200.1,5,0\n"}, "images from 0.0 to 19.9 s.*--offset -7200,"),
     ({"start": 30.0}, "--start"),
@@ -285,6 +331,34 @@ def test_plainly_wrong_imports_write_nothing(tmp_path, take, video, options, pro
     with pytest.raises(InputError, match=problem):
         take(video, *more, **options)
     assert [name for name in contents(tmp_path) if name.startswith(("data", "presets"))] == []
+
+
+def test_a_file_or_a_link_in_the_place_of_a_folder_stays(tmp_path, take, video):
+    place, raw = tmp_path / "data/raw/monday", tmp_path / "data/raw"
+    for path, make, problem in (
+        (place, lambda: write(place, "mine"), "raw/monday: is a link or a file, expected a folder by steer import"),
+        (place, lambda: place.symlink_to(video.parent), "raw/monday: is a link or a file"),
+        (
+            raw,
+            lambda: (raw.rmdir(), raw.symlink_to(tmp_path / "gone")),
+            "data/raw: is a link to a folder that is missi",
+        ),
+    ):
+        make()
+        with pytest.raises(InputError, match=problem):
+            take(video)
+        assert [*(tmp_path / "presets").iterdir()] == []
+        path.unlink()
+
+
+def test_another_checkout_is_refused(tmp_path, take, video, monkeypatch):
+    for name in ("params.yaml", "dvc.yaml", "presets/kitti.yaml"):
+        write(tmp_path / "worktree" / name, "")
+    (tmp_path / "worktree/street").mkdir()
+    monkeypatch.chdir(tmp_path / "worktree/street")
+    with pytest.raises(InputError, match=r"worktree: is not the checkout of the installed steer, .*python -m steer"):
+        take(video)
+    assert [*(tmp_path / "presets").iterdir()] == []
 
 
 @given(st.integers(0, 200), st.integers(700, 1000), st.integers(20, 60), st.integers(20, 39))

@@ -17,10 +17,10 @@ from pipeline.base.params import load
 from pipeline.base.store import DriveReader
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.check import preset
+from pipeline.ingest import recording as opening
 from pipeline.ingest.datasets import recording
 from pipeline.ingest.ingest_file import write_drive
-from pipeline.ingest.log import Logs
-from pipeline.ingest.settings import Ingest
+from pipeline.ingest.settings import Ingest, RecordingOptions
 from pipeline.motion import horizon
 from pipeline.motion.motion_file import measure_drive
 from pipeline.perception.perceive import perceive_drive
@@ -61,7 +61,13 @@ def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
     found = api.measure(str(images), encoder=encoder, **LENS | {"K": [180, 180, 159.5, 44]})
     assert (found.table["valid"].sum(), found.files, found.doubts) == (29, [], [])
     with pytest.raises(TypeError, match=r"'camera_height': did you mean camera_height_m"):
-        api.measure(images, encoder=encoder, camera_height=1.4)  # type: ignore[call-arg]
+        api.measure(images, encoder=encoder, camera_height=1.4)
+    for name, value, limits in (
+        ("wheelbase_m", 2700, r"wheelbase: .*less than or equal to 20 \(got 2700\)"),
+        ("fov_deg", "65", r"fov: .*valid number \(got '65'\)"),
+    ):
+        with pytest.raises(InputError, match=limits):
+            api.measure(images, encoder=encoder, **{name: value})
     assert found.notes[1] == "motion measured in 29 of 30 frames; not measured: no previous frame (1)"
     assert "can.csv covers 21 of 30 images" in text
     assert "times what is measured: km/h would give 3.6" in text
@@ -134,17 +140,25 @@ def test_an_imported_recording_has_the_same_numbers(tmp_path, encoder, monkeypat
     monkeypatch.chdir(preset.ROOT)
     taller = [np.pad(image, [(70, 30), (0, 0), (0, 0)], mode="edge") for image in drive(14)]
     images, K, bent = write_folder(tmp_path / "images", taller), "180,180,159.5,98", "-0.02,0.01,0,0"
-    capture = chain.Capture(K=K, distortion=bent, fps=10.0)
-    opened = chain.open_source([images], READING, CAMERA_HEIGHT_M, Logs(), None, capture)
+    options = RecordingOptions(K=K, distortion=bent, fps=10.0, camera_height=CAMERA_HEIGHT_M)
+    opened = chain.open_source([images], READING, options)
     assert opened.camera.horizon == pytest.approx(114, abs=3)
     settings = Perception(batch=4)
-    lens = {"distortion": bent, "camera_height": CAMERA_HEIGHT_M}
+    lens = {"distortion": bent, "camera_height_m": CAMERA_HEIGHT_M}
     other = write_folder(tmp_path / "other", taller[1:])
-    import_recording([images, other], "monday", k=[K], fps=10.0, each=True, **lens)
+    import_recording([images, other], "monday", K=[K], fps=10.0, each=True, **lens)
     preset.main(str(tmp_path / "presets/monday.yaml"), tmp_path)
     files = [tmp_path / f"imported/{stage}.h5" for stage in ("ingest", "perception", "motion")]
     settings_of = load(Ingest, tmp_path / "params.yaml")
-    imported = recording.open_drive("monday-1", settings_of, tmp_path / "data/raw")
+    with monkeypatch.context() as patch:
+        patch.setattr(opening, "scan", None)  # import has decoded all images once
+        imported = recording.open_drive("monday-1", settings_of, tmp_path / "data/raw")
+    part = settings_of.recordings["monday-1"]
+    without = {name: value for name, value in part.files.items() if name != recording.SCAN}  # of an earlier version
+    scanned = recording.open_part(part.model_copy(update={"files": without}), tmp_path / "data/raw/monday-1")
+    pd.testing.assert_frame_equal(
+        scanned.scan, recording.open_part(part, tmp_path / "data/raw/monday-1").scan, check_exact=True
+    )
     write_drive(files[0], imported, "monday-1", "recording", READING)
     perceive_drive(files[1], files[0], encoder, settings)
     measure_drive(files[2], *files[:2])

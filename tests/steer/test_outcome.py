@@ -10,8 +10,9 @@ from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Frame
 from pipeline.ingest.drive import Drive
 from pipeline.ingest.ingest_file import write_drive
-from pipeline.ingest.log import Logs
+from pipeline.ingest.log import logged_values, read_logs
 from pipeline.ingest.packets import make_rows
+from pipeline.ingest.settings import RecordingOptions
 from pipeline.labels.label import Car, Labels
 from steer.measure import READING
 from steer.outcome import Results, Truth, read_course, read_truth
@@ -54,8 +55,9 @@ def test_truth_is_that_of_the_logs_or_of_the_drive(tmp_path, wheel, motion, expe
         motion, recorded = None, {"oxts": dict(enumerate(packets))}
     files[0].write_text(wheel or "")
     files[1].write_text(f"time_s,speed_mps,yaw_rate_radps\n{motion}")
-    logs = Logs.read(files[0] if wheel else None, 14.0 if wheel else None, files[1] if motion else None)
-    values = logs.values(np.arange(4), np.arange(4) / 10) if logs.name else recorded
+    options = {"wheel": files[0], "steering_ratio": 14.0} if wheel else {}
+    logs = read_logs(RecordingOptions(**options, motion=files[1] if motion else None))
+    values = logged_values(logs, np.arange(4), np.arange(4) / 10) if logs else recorded
     drive = Drive(None, lambda: (Frame(number, number / 10) for number in range(4)), values)
     write_drive(tmp_path / "a.h5", drive, "a", "recording", READING)
     with DriveReader(tmp_path / "a.h5", stage="ingest") as raw:
@@ -67,7 +69,7 @@ def test_truth_is_that_of_the_logs_or_of_the_drive(tmp_path, wheel, motion, expe
     assert truth.name == (" and ".join(names) or ("oxts" if "oxts" in recorded else "steering.csv"))
     for path, offset_s, problem in ((files[0], 0, "--steering-ratio"), (None, 1, "--offset needs a log")):
         with pytest.raises(InputError, match=problem):
-            Logs.read(path, None, None, offset_s)
+            read_logs(RecordingOptions(wheel=path, offset=offset_s))
 
 
 def test_comparison_by_its_definition():

@@ -1,37 +1,25 @@
 """Videos and folders of images with logs of the car: parts of recordings in data/raw, as ingest.recordings has them."""
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from pipeline.base.errors import InputError
 from pipeline.base.resume import content_hash
-from pipeline.camera.camera import Camera
-from pipeline.camera.images import format_size
-from pipeline.camera.lens import fisheye, pinhole, undistortion
 from pipeline.ingest.drive import Drive
-from pipeline.ingest.log import ROUNDING_S, Logs
-from pipeline.ingest.media import Recording, open_recording
+from pipeline.ingest.log import ROUNDING_S, Logs, logged_values
+from pipeline.ingest.recording import Recording, open_recording
 from pipeline.ingest.settings import Ingest, Part
 
 VIDEO, FRAMES = "video", "frames"  # beginnings of the names of files in a folder of data/raw
 WHEEL, MOTION, TIMES = "wheel.csv", "motion.csv", "times.txt"
-
-
-class Capture(NamedTuple):
-    """Options for a recording, which has no calibration of its own; None: not given."""
-
-    fov_deg: float | None = None
-    K: str | None = None
-    distortion: str | None = None
-    fisheye: str | None = None
-    fps: float | None = None
-    times: Path | None = None
+# What steer import found when it decoded all images, so that no part is decoded for it again.
+SCAN = "scan.csv"
 
 
 def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
@@ -60,27 +48,25 @@ def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
         gone = f"the link's target {missing[0].readlink()}" if missing[0].is_symlink() else "the file"
         fix = "Repeat steer import, or fetch finished drives: dvc repro --pull --allow-missing"
         raise InputError(f"{gone} is missing", missing[0], fix)
-    recording, camera, logs = open_part(part, {path.name: path for path in paths})
-    used = usable(recording.times_s, logs, part.start, part.end)
+    recording = open_part(part, root / part.folder)
+    used = usable(recording.times_s, recording.logs, part.start, part.end)
     if not used.any():
         raise InputError("no image is left from start to end, or none with motion", f"ingest.recordings.{name}")
-    camera = replace(camera, horizon=part.horizon).at_height(part.camera_height)
-    values = logs.values(np.flatnonzero(used), recording.times_s[used])
+    camera = replace(recording.camera, horizon=part.horizon).at_height(part.camera_height_m)
+    values = logged_values(recording.logs, np.flatnonzero(used), recording.times_s[used])
     recording.times_s = recording.times_s - recording.times_s[used][0]
     return Drive(camera, partial(recording.frames, used), values, recording.notes)
 
 
-def read_logs(part: Part, files: Mapping[str, Path | None]) -> Logs:
-    """Read the logs of a recording, by their names in its folder and the options of a `part`."""
-    return Logs.read(files.get(WHEEL), part.steering_ratio, files.get(MOTION), part.offset)
-
-
-def open_part(part: Part, files: Mapping[str, Path]) -> tuple[Recording, Camera, Logs]:
-    """Open the images and logs of a recording, by their names in its folder and the options of a `part`."""
-    logs = read_logs(part, files)
-    capture = Capture(part.fov, part.K, part.distortion, part.fisheye, part.fps, files.get(TIMES))
+def open_part(part: Part, folder: Path) -> Recording:
+    """Open the recording of a part, whose files are in `folder`."""
+    files = {name: folder / name for name in part.files}
+    logs = {"wheel": files.get(WHEEL), "motion": files.get(MOTION), "times": files.get(TIMES)}
     images = [path for name, path in files.items() if name.startswith((VIDEO, FRAMES))]
-    return *open_images(images, capture, logs), logs
+    scanned = None
+    if SCAN in files:
+        scanned = pd.read_csv(files[SCAN], comment="#", dtype=str).astype(float)  # to the last digit
+    return open_recording(images, part.model_copy(update=logs), scanned=scanned)
 
 
 def _paths(part: Part, root: Path) -> dict[Path, str]:
@@ -88,29 +74,10 @@ def _paths(part: Part, root: Path) -> dict[Path, str]:
     return {root / part.folder / name: expected for name, expected in part.files.items()}
 
 
-def open_images(
-    paths: Sequence[Path], capture: Capture, logs: Logs, hz: float | None = None
-) -> tuple[Recording, Camera]:
-    """Open a recording of rectified images, `hz` of them per second, after `logs` are compared with its times."""
-    recording = open_recording(paths, capture.fps, capture.times, logs.check_overlap)
-    if recording.size[0] > recording.size[1]:
-        sizes = f"images are taller than wide ({format_size(recording.size)} pixels): is it rotated by 90 degrees?"
-        raise InputError(sizes, recording.path, "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)")
-    if capture.distortion and capture.fisheye:
-        raise InputError("expected one model of the lens, got two", fix="Pass --distortion or --fisheye")
-    if capture.fisheye:
-        camera, recording.straighten = fisheye(recording.size, capture.fisheye, capture.fov_deg, capture.K)
-    else:
-        camera = pinhole(recording.size, capture.fov_deg, capture.K)
-    if capture.distortion:
-        recording.straighten = undistortion(camera, capture.distortion)
-    if hz:
-        recording.resample(hz)
-    return recording, camera
-
-
 def usable(time_s: np.ndarray, logs: Logs, start_s: float, end_s: float | None) -> np.ndarray:
     """Return which images bool [F] at `time_s` [F] lie in [start, end) since the first, and have a logged motion."""
     elapsed_s = time_s - time_s[0] + ROUNDING_S
     used = (elapsed_s > start_s) & (elapsed_s <= (math.inf if end_s is None else end_s))
-    return used & np.isfinite(logs.motion.at(time_s)[0]) if logs.motion else used
+    if "motion" in logs:
+        used &= np.isfinite(logs["motion"].at(time_s)[0])
+    return used

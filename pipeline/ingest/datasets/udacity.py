@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import InputError
-from pipeline.camera.lens import pinhole, undistortion
 from pipeline.ingest.columns import LIMIT_RAD, check_increase, read_columns, refuse
 from pipeline.ingest.drive import Drive, stamps
-from pipeline.ingest.media import open_recording
-from pipeline.ingest.settings import Ingest
+from pipeline.ingest.recording import open_recording
+from pipeline.ingest.settings import Ingest, RecordingOptions
 
 # Of the right-hand camera of this rig and size: sensor_info/camera_calibration/right_camera/ost.yaml of the challenge.
 K, DISTORTION = "2152,2166,268,303", "-0.042,-0.89,0,0"
@@ -35,9 +34,8 @@ def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
 
 def read_drive(video: Path, log: Path) -> Drive:
     """Return the drive of two files. Raises InputError if they do not fit."""
-    images = open_recording(video)
-    camera = replace(pinhole(images.size, K=K), horizon=HORIZON).at_height(CAMERA_HEIGHT_M)
-    images.straighten = undistortion(camera, DISTORTION)
+    images = open_recording([video], RecordingOptions(K=K, distortion=DISTORTION))
+    camera = replace(images.camera, horizon=HORIZON).at_height(CAMERA_HEIGHT_M)
     limits = {"time_s": np.inf, "wheel_rad": LIMIT_RAD * STEERING_RATIO}
     table, faults = read_columns(log, limits, "Expected CSV: time_s, wheel_rad")
     faults += check_increase(table["time_s"], 1e-5)

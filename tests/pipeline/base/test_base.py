@@ -22,7 +22,7 @@ import pytest
 from pipeline.base import console, executors, resume, store
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.executors import SCHEDULER
-from pipeline.base.outputs import claim, stage_folder
+from pipeline.base.outputs import claimed, stage_folder
 from pipeline.base.resume import ROOT
 from pipeline.base.store import DriveReader, DriveWriter, read_json
 from tests.artefacts import write_index
@@ -241,19 +241,26 @@ def test_a_folder_of_others_is_refused_and_their_files_stay(tmp_path, monkeypatc
 
 @pytest.mark.parametrize(
     ("existing", "expected"),
-    [(["ride/poses.txt"], "ride-2"), (["ride/poses.txt", "ride-2/.hidden"], "ride-3"), (["ride"], "ride-2")],
+    [
+        ([], "ride"),
+        (["ride/poses.txt"], "ride-2"),
+        (["ride/poses.txt", "ride-2/.hidden"], "ride-3"),
+        (["ride"], "ride-2"),
+    ],
 )
 def test_a_command_takes_the_first_free_folder(tmp_path, monkeypatch, existing, expected):
+    """A second one at the same time the next; folders that stay empty go."""
     monkeypatch.chdir(tmp_path)
-    ride = Path("out/ride")
-    assert claim(None, "ride") == claim(ride, "ride") == ride
     for name in existing:
         write_text(Path("out") / name, "foreign")
     before = contents(tmp_path)
-    assert claim(None, "ride") == Path("out") / expected
-    with pytest.raises(InputError, match="Pass another --out"):
-        claim(ride, "ride")
-    assert contents(tmp_path) == before
+    with claimed(None, "ride") as out, claimed(None, "ride") as other:
+        assert (out, out.is_dir(), other.is_dir()) == (Path("out") / expected, True, True)
+        write_text(other / "motion.csv", "")
+    assert contents(tmp_path) == before | {str(other / "motion.csv"): b""}
+    for name in existing[:1]:
+        with pytest.raises(InputError, match="Pass another --out"), claimed(Path("out") / name, "ride"):
+            pass
 
 
 @pytest.fixture

@@ -61,6 +61,13 @@ def test_faults_name_file_key_and_value(tmp_path, section, key, value, problem):
     assert raised.value.where.startswith(str(path))
 
 
+def _parts(train: str, test: str) -> str:
+    """Return a preset of two parts of one recording."""
+    part = "{folder: mine, files: {}, "
+    parts = f"{{b: {part}{train[1:]}, a: {part}{test[1:]}}}"
+    return f"ingest: {{drives: {{train: [b], val: [], test: [a]}}, recordings: {parts}}}\n"
+
+
 @pytest.mark.parametrize(
     ("read", "text", "problem"),
     [
@@ -69,6 +76,11 @@ def test_faults_name_file_key_and_value(tmp_path, section, key, value, problem):
         (partial(params.load, Train), "", "expected sections"),
         (lambda path: preset.text(str(path)), "models:\n  '*': null\n", "models.*at least 1"),
         (lambda path: preset.text(str(path)), "train:\n  epochs: null\n", r"train\.epochs: Field required"),
+        (
+            lambda path: preset.text(str(path)),
+            _parts("{start: 0, end: 12}", "{start: 11.5}"),
+            r"recordings overlap: b is 0 s to 12 s, a is 11.5 s to the end of data/raw/mine. Change start or end",
+        ),
         (
             lambda path: preset.text(str(path)),
             "ingest: {manifests: {}}",

@@ -1,0 +1,57 @@
+"""Options of the commands, from the declarations that settings and Python take, too."""
+
+import inspect
+from collections.abc import Callable, Collection
+from typing import Annotated, Any, get_args
+
+import typer
+from annotated_types import Ge, Le
+from pydantic import Field
+from pydantic.fields import FieldInfo
+
+from pipeline.base.params import Section
+from pipeline.ingest.settings import RecordingOptions
+
+
+class MeasureOptions(RecordingOptions):
+    """Options of a recording, and the car's wheelbase, which a trained model knows."""
+
+    wheelbase_m: float = Field(
+        default=2.7, alias="wheelbase", ge=0.5, le=20, description="distance between the axles, metres"
+    )
+
+
+def with_options(
+    command: Callable[..., None], kind: type[Section], *, repeated: Collection[str] = ()
+) -> Callable[..., None]:
+    """Return a command with an option for each field of `kind` that has a description, in place of its ``**options``.
+
+    Options that are `repeated` get a list.
+    """
+    signature = inspect.signature(command)
+    parameters = [one for one in signature.parameters.values() if one.kind is not inspect.Parameter.VAR_KEYWORD]
+    for name, field in kind.model_fields.items():
+        if field.description:
+            parameters.append(_parameter(name, field, repeated=name in repeated))
+    command.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return command
+
+
+def _parameter(name: str, field: FieldInfo, *, repeated: bool) -> inspect.Parameter:
+    """Return a field as a parameter with the limits and the help of its declaration."""
+    limits: dict[str, Any] = {}
+    for limit in field.metadata:
+        if isinstance(limit, Ge):
+            limits["min"] = limit.ge
+        if isinstance(limit, Le):
+            limits["max"] = limit.le
+    annotation: Any = field.annotation
+    text = field.description
+    if repeated:
+        annotation = list[get_args(annotation)[0]] | None  # type: ignore[misc]
+        text = f"{text}; with --each, one per recording"
+    flag = f"--{(field.alias or name).replace('_', '-')}"
+    metavar = field.examples[0] if field.examples else None
+    option = typer.Option(flag, help=text, metavar=metavar, **limits)
+    kind = inspect.Parameter.KEYWORD_ONLY
+    return inspect.Parameter(name, kind, default=field.default, annotation=Annotated[annotation, option])

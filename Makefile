@@ -7,6 +7,10 @@ BIN := $(VENV)/bin
 export PATH := $(abspath $(BIN)):$(PATH)
 SHELL := /bin/bash
 export DVC_NO_ANALYTICS := 1
+# DVC asks for the user's name, which a container may lack: docker run --user 1234.
+ifndef LOGNAME
+export LOGNAME := $(shell id -un 2>/dev/null || id -u)
+endif
 # uv installs no bytecode. Where this is set, as in many containers, each process would compile its libraries anew.
 unexport PYTHONDONTWRITEBYTECODE
 CLOSED := real streets transfer winding winding-wheel
@@ -35,7 +39,7 @@ $(CLOSED): setup       # presets that have left: says where they run
 
 encoder: setup         ## fit the sample's encoder, models/encoder/sample, on roads that no other settings name: 15 min
 	@python -m pipeline.check.preset encoder runs/encoder
-	@cd runs/encoder && export PYTHONPATH=../.. && for stage in sample ingest encoder; do python -m stages.$$stage || exit; done
+	@cd runs/encoder && export PYTHONPATH="$(CURDIR)" && for stage in sample ingest encoder; do python -m stages.$$stage || exit; done
 	@mkdir -p models/encoder/sample && cp runs/encoder/data/encoder/encoder.pt runs/encoder/data/encoder/config.json models/encoder/sample
 
 street: setup          ## make the encoder of real streets, weights/street, from published weights: seconds

@@ -38,14 +38,14 @@ def collect(source: Path, name: Annotated[str, typer.Argument(help="default: the
         raise InputError(problem, source, "Commit the code and repeat the run")
     figures = ",\n".join(f"{json.dumps(key)}: {json.dumps(entry)}" for key, entry in run.pop("results").items())
     path = RUNS / f"{name or run['preset']}.json"
-    path.write_text(f'{json.dumps(run)[:-1]}, "results": {{\n{figures}\n}}}}\n', encoding="utf-8")
+    store.write_text(path, f'{json.dumps(run)[:-1]}, "results": {{\n{figures}\n}}}}\n')
     render()
 
 
 def render() -> None:
     """Write the tables into the pages."""
     for page, content in pages(read()).items():
-        page.write_text(content, encoding="utf-8")
+        store.write_text(page, content)
 
 
 def read() -> Results:

@@ -7,54 +7,187 @@ import shutil
 import signal
 import subprocess
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from datetime import date
 from html import escape
 from pathlib import Path
 from typing import Any
 
+import psutil
 import typer
 import yaml
 
 from pipeline.base import console
+from pipeline.base.checkout import CHECKOUT
+from pipeline.base.errors import InputError
 from pipeline.base.outputs import locked
-from pipeline.base.params import read
-from pipeline.base.resume import CODE, file_hash, revision
-from pipeline.base.store import write_json
+from pipeline.base.params import parse, read
+from pipeline.base.resume import CODE, revision
+from pipeline.base.store import write_json, write_text
 from pipeline.check import preset
+from pipeline.encoder.settings import Encoder
+from pipeline.encoder.weights import weights_hash
 
 DVC = ("config cache.type hardlink,copy", "cache dir .dvc/cache", "repro")
+# File in runs/NAME with the commit of the code, the first that is written.
+REVISION = "revision"
 
 
 def main(name: str) -> None:
     """Run preset `name` and copy its report to data/report/NAME.*. Raises InputError if it is running already."""
-    run, report, start_s = Path("runs") / name, Path("data/report"), time.monotonic()
-    for folder in (run / "data", report, Path("weights")):
-        folder.mkdir(parents=True, exist_ok=True)
+    start_s = time.monotonic()
+    run = Path("runs") / name
+
+    # Nothing is written before all settings are known.
+    preset.check_name_is_free(name)
+    params = preset.base_of(name, Path("params.yaml"))
+    settings = preset.merged(name, params)
+    preset.take_logs(settings, Path("data/raw"))
+    take_weights(settings["encoder"])
+
+    run.parent.mkdir(exist_ok=True)
     with locked(run, f"{run}.lock"):
+        check_is_run(run)
+        write_text(run / REVISION, revision())
+        write_text(run / CHECKOUT, str(Path.cwd()))
+        preset.write(settings, run / "params.yaml", f"make {name}")
         copy_code(run)
-        preset.main(name, run)
-        for place, target in ((run / "data/raw", "../../../data/raw"), (run / "weights", "../../weights")):
-            place.unlink(missing_ok=True)
-            place.symlink_to(target)
-        signal.signal(signal.SIGINT, lambda *_: None)  # DVC ends by itself; killed, it would leave locks
-        for words in (*["init --quiet --no-scm"][(run / ".dvc").is_dir() :], *DVC):
-            if status := subprocess.run(["dvc", *words.split()], cwd=run, check=False).returncode:
-                raise typer.Exit(status)
-        made = origin(name, (run / "revision").read_text("ascii"))
+        release_locks(run / ".dvc/tmp/rwlock")
+        run_dvc(run)
+
+        made = origin(name, (run / REVISION).read_text("ascii"))
         took = f"{(time.monotonic() - start_s) / 60:.1f} min of the last make"
-        facts, settings = ", ".join([*map(" ".join, made.items()), took]), read(run / "params.yaml")
+        facts = ", ".join([*map(" ".join, made.items()), took])
+        command = next_command(name, run, settings)
+        page = (run / "data/report/index.html").read_text(encoding="utf-8")
+        page = with_facts(page, facts, changes(read(run / "params.yaml"), read(params)), command)
         content = json.loads((run / "data/report/results.json").read_text(encoding="utf-8"))
+        table = (run / "data/report/table.md").read_text(encoding="utf-8")
+        report = Path("data/report")
         write_json(report / f"{name}.json", made | {"results": content}, sort_keys=False)
-        command, page = next_command(name, run, settings), (run / "data/report/index.html").read_text(encoding="utf-8")
-        page = with_facts(page, facts, changes(settings, read(Path("params.yaml"))), command)
-        (report / f"{name}.html").write_text(page, encoding="utf-8")
-        shutil.copyfile(run / "data/report/table.md", report / f"{name}.md")
-    print((report / f"{name}.md").read_text(encoding="utf-8"), f"Open {report}/{name}.html in a browser.", sep="")
+        write_text(report / f"{name}.html", page)
+        write_text(report / f"{name}.md", table)
+
+    print(table, f"Open {report}/{name}.html in a browser.", sep="")
     print(facts, f"next: {command}", sep="\n")
     if settings["ingest"].get("recordings"):
         recorded = json.loads((run / "data/scores/metrics.json").read_text(encoding="utf-8"))["recorded"]
         for doubt in dict.fromkeys(line for log in recorded.values() for line in log["lines"][1:]):
             print(f"doubt: {doubt}")
+
+
+def check_is_run(run: Path) -> None:
+    """Raise InputError if a folder has files, but none by an earlier run."""
+    if run.exists() and any(run.iterdir()) and not (run / REVISION).exists():
+        raise InputError("is a folder that no run made", run, "Move it away, or rename the preset")
+
+
+def take_weights(encoder: dict[str, Any]) -> None:
+    """Add the hash of the weights to section encoder, so that DVC notices a file that was replaced."""
+    found = weights_hash(parse(Encoder, encoder, "encoder"))
+    if found:
+        encoder["weights_sha256"] = found
+
+
+def copy_code(run: Path) -> None:
+    """Copy the code. copied.json lists the files: only these are removed where the code no longer has them."""
+    listed = run / "copied.json"
+    before = set(json.loads(listed.read_text(encoding="utf-8"))) if listed.exists() else set()
+    paths = [file for name in CODE for file in ([Path(name)] if Path(name).is_file() else Path(name).rglob("*.*"))]
+    now = {str(path) for path in paths if path.is_file() and path.suffix != ".pyc"}
+    for name in before - now:
+        (run / name).unlink(missing_ok=True)
+    for name in now:
+        (run / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(name, run / name)
+    write_json(listed, sorted(now))
+
+
+def release_locks(path: Path) -> None:
+    """Remove the entries of DVC's lock file whose process is not the one that wrote them.
+
+    DVC keeps them while any process has this number, as on another machine or after the restart of a container.
+    """
+    if not path.is_file():
+        return
+    written_s = path.stat().st_mtime
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:  # half a file, by a kill
+        content = {}
+    write = {file: entry for file, entry in content.get("write", {}).items() if is_dvc(entry["pid"], written_s)}
+    read = {}
+    for file, entries in content.get("read", {}).items():
+        alive = [entry for entry in entries if is_dvc(entry["pid"], written_s)]
+        if alive:
+            read[file] = alive
+    write_text(path, json.dumps({"write": write, "read": read}))
+
+
+def is_dvc(pid: int, since_s: float) -> bool:
+    """Return whether a process is a ``dvc`` that started before the time `since_s`."""
+    try:
+        process = psutil.Process(pid)
+        words = process.cmdline()
+        return process.create_time() < since_s and "dvc" in [Path(word).name for word in words]
+    except psutil.NoSuchProcess:
+        return False
+
+
+def run_dvc(run: Path) -> None:
+    """Run DVC's commands. Raises Exit with the status of the first that fails."""
+    commands = [*DVC]
+    if not (run / ".dvc").is_dir():
+        commands.insert(0, "init --quiet --no-scm")
+    status = 0
+    for words in commands:
+        # A group of its own: `timeout` and a closed terminal signal all processes of the group of make.
+        process = subprocess.Popen(["dvc", *words.split()], cwd=run, process_group=0, stdin=subprocess.DEVNULL)
+        with interrupting(process.pid):
+            status = process.wait()
+        if status:
+            break
+    keep_lock(run, ended_well=not status)
+    if status:
+        raise typer.Exit(status)
+
+
+@contextmanager
+def interrupting(group: int) -> Iterator[None]:
+    """Pass signals that end this process on to a group of processes, as Ctrl-C: DVC and stages end by themselves.
+
+    Killed, DVC would leave locks, and a stage would go on without it.
+    """
+
+    def interrupt(*_: object) -> None:
+        with suppress(ProcessLookupError):
+            os.killpg(group, signal.SIGINT)
+
+    handlers = {}
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) != signal.SIG_IGN:  # as nohup does with SIGHUP
+            handlers[number] = signal.signal(number, interrupt)
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+
+
+def keep_lock(run: Path, *, ended_well: bool) -> None:
+    """Keep dvc.lock, which names results, of the last run that ended well before the current results.
+
+    It is dvc.lock.before; dvc.lock.ended is of the last run that ended well, whether or not results differ.
+    """
+    lock = run / "dvc.lock"
+    ended = run / "dvc.lock.ended"
+    if not lock.exists():
+        return
+    if ended.exists() and ended.read_bytes() != lock.read_bytes():
+        write_text(run / "dvc.lock.before", ended.read_text(encoding="utf-8"))
+    if ended_well:
+        write_text(ended, lock.read_text(encoding="utf-8"))
 
 
 def next_command(name: str, run: Path, settings: dict[str, Any]) -> str:
@@ -78,27 +211,6 @@ def with_facts(page: str, facts: str, settings: dict[str, Any], command: str) ->
     summary = f"<summary>{escape(facts)}; settings that differ from params.yaml</summary>"
     page = page.replace("</h1>", f"</h1>\n<details>{summary}<pre>{escape(text)}</pre></details>", 1)
     return re.sub("(?<=Next: <code>).*(?=</code>)", lambda _: escape(command), page)
-
-
-def copy_code(run: Path) -> None:
-    """Copy the code; if it differs from the last copy, keep dvc.lock, which names its results, as dvc.lock.before.
-
-    copied.json lists the files with their hashes: only these are removed where the code no longer has them. The file
-    `revision` names the commit.
-    """
-    listed, lock = run / "copied.json", run / "dvc.lock"
-    before = json.loads(listed.read_text(encoding="utf-8")) if listed.exists() else {}
-    paths = [file for name in CODE for file in ([Path(name)] if Path(name).is_file() else Path(name).rglob("*.*"))]
-    now = {str(path): file_hash(path) for path in paths if path.is_file() and path.suffix != ".pyc"}
-    if now != before and lock.exists():
-        shutil.copyfile(lock, run / "dvc.lock.before")
-    for name in before.keys() - now.keys():
-        (run / name).unlink(missing_ok=True)
-    for name in now:
-        (run / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(name, run / name)
-    write_json(listed, now)
-    (run / "revision").write_text(revision(), encoding="ascii")
 
 
 def origin(preset: str, commit: str) -> dict[str, str]:

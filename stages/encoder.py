@@ -22,7 +22,7 @@ from pipeline.ingest.settings import Ingest
 def main(data: Path = Path("data"), out: Path = Path("data/encoder"), params: Path = Path("params.yaml")) -> Path:
     """Write encoder.pt, config.json and curve.csv. Return the folder."""
     settings, ingest = load(Encoder, params), data / "ingest"
-    config: dict[str, Any] = settings.model_dump(mode="json", exclude_none=True)
+    config: dict[str, Any] = settings.model_dump(mode="json", exclude_none=True, exclude={"weights_sha256"})
     with stage_folder("encoder", out, params=params) as stage:
         torch.manual_seed(settings.seed)
         with error_context(params), error_context("encoder"):

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base import console, store
+from pipeline.base.checkout import in_checkout
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
 from pipeline.base.resume import digest
@@ -17,6 +18,7 @@ from pipeline.ingest.settings import Ingest, Reading
 
 def main(data: Path = Path("data"), raw: Path = Path("data/raw"), params: Path = Path("params.yaml")) -> Path:
     """Read images, scans, calibration, and what was recorded or rendered beside them. Returns the folder."""
+    raw = in_checkout(raw)
     settings = load(Ingest, params)
     reading = Reading(**settings.model_dump(include=set(Reading.model_fields)))
     out = data / "ingest"

@@ -1,18 +1,26 @@
 """Test the Makefile: presets with a DVC that only logs its calls."""
 
+import json
 import os
 import re
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 import yaml
 from filelock import FileLock
 
-from pipeline.base.resume import ROOT, revision
+from pipeline.base.checkout import in_checkout
+from pipeline.base.errors import InputError
+from pipeline.base.resume import ROOT, file_hash, revision
 from pipeline.check import preset
+from pipeline.encoder import create
+from pipeline.encoder.settings import Encoder
+from pipeline.encoder.weights import weights_hash
+from presets import run
 
 DVC = """#!/bin/sh
 echo "$@" >> {log}
@@ -23,7 +31,9 @@ stage) echo train@fails train@works | tr ' ' '\\n' ;;
   case "$4" in train@fails) echo "$4: loss is nan" >&2; exit 255 ;; esac
   sleep 0.5; echo "trained $4" >> {log} ;;
 repro)
+  [ ! -e wait ] || {{ trap 'sleep .5; echo ended >> {log}; exit 130' INT; while :; do sleep .1; done; }}
   mkdir -p data/report && ls stages > dvc.lock
+  [ ! -e stages/broken.py ] || exit 255
   echo "<h1>Steering report</h1> Next: <code>dvc exp run</code>" > data/report/index.html
   echo {{}} > data/report/results.json
   echo "| $(basename "$PWD") |" > data/report/table.md ;;
@@ -49,24 +59,33 @@ def checkout(tmp_path) -> Path:
     return folder
 
 
-def make(checkout: Path, target: str) -> subprocess.CompletedProcess[str]:
-    """Run make without the target setup, which would install packages."""
+def start(checkout: Path, target: str) -> subprocess.Popen[str]:
+    """Start make without the target setup, which would install packages."""
     environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "MAKEFLAGS")}
     command = ["make", "-o", "setup", "VENV=fake", target]
-    return subprocess.run(command, cwd=checkout, env=environment, capture_output=True, text=True, check=False)
+    pipe = subprocess.PIPE
+    return subprocess.Popen(command, cwd=checkout, env=environment, stdout=pipe, stderr=pipe, text=True)
+
+
+def make(checkout: Path, target: str) -> subprocess.CompletedProcess[str]:
+    process = start(checkout, target)
+    output, errors = process.communicate()
+    return subprocess.CompletedProcess(process.args, process.returncode, output, errors)
 
 
 @pytest.mark.slow
 def test_a_preset_runs_in_a_copy_of_the_code(checkout):
+    """Also where `runs` is on another disk."""
     params = (checkout / "params.yaml").read_text()
+    (checkout.parent / "disk").mkdir()
+    (checkout / "runs").symlink_to(checkout.parent / "disk")
     done = make(checkout, "kitti")
     assert done.returncode == 0, done.stderr
-    run = checkout / "runs/kitti"
-    assert yaml.safe_load((run / "params.yaml").read_text()) == preset.merged("kitti")
+    folder = checkout / "runs/kitti"
+    assert yaml.safe_load((folder / "params.yaml").read_text()) == preset.merged("kitti")
     for copied in ("dvc.yaml", ".dvcignore", "data/.gitignore", "stages/check.py", "pipeline/labels/label.py"):
-        assert (run / copied).read_bytes() == (ROOT / copied).read_bytes()
-    assert (run / "data/raw").resolve() == checkout / "data/raw"
-    assert (run / "weights").resolve() == checkout / "weights"
+        assert (folder / copied).read_bytes() == (ROOT / copied).read_bytes()
+    assert (folder / "checkout").read_text() == str(checkout)
     assert (checkout / "data/report/kitti.md").read_text() == "| kitti |\n"
     page = (checkout / "data/report/kitti.html").read_text()
     assert "<h1>Steering report</h1>\n<details><summary>preset kitti, revision unknown, date 20" in page
@@ -77,15 +96,17 @@ def test_a_preset_runs_in_a_copy_of_the_code(checkout):
     first = ["init --quiet --no-scm", "config cache.type hardlink,copy", "cache dir .dvc/cache", "repro"]
     assert (checkout / "calls").read_text().splitlines() == first
 
-    (run / "pipeline/mine.py").write_text("mine")  # a user's file stays, one that the code no longer has goes
-    lock = (run / "dvc.lock").read_text()
+    (folder / "pipeline/mine.py").write_text("mine")  # a user's file stays, one that the code no longer has goes
+    lock = (folder / "dvc.lock").read_text()
     make(checkout, "kitti")
-    assert not (run / "dvc.lock.before").exists(), "the code is the same"
-    (checkout / "stages/labels.py").rename(checkout / "stages/renamed.py")
+    assert not (folder / "dvc.lock.before").exists(), "the results are the same"
+    (checkout / "stages/labels.py").rename(checkout / "stages/broken.py")
+    assert make(checkout, "kitti").returncode != 0
+    (checkout / "stages/broken.py").rename(checkout / "stages/repaired.py")
     make(checkout, "kitti")
-    assert (run / "pipeline/mine.py").read_text() == "mine"
-    assert not (run / "stages/labels.py").exists()
-    assert (run / "dvc.lock.before").read_text() == lock != (run / "dvc.lock").read_text()
+    assert (folder / "pipeline/mine.py").read_text() == "mine"
+    assert not (folder / "stages/labels.py").exists()
+    assert (folder / "dvc.lock.before").read_text() == lock != (folder / "dvc.lock").read_text()
 
     calls = (checkout / "calls").read_text()
     with FileLock(checkout / "runs/kitti.lock"):
@@ -93,6 +114,95 @@ def test_a_preset_runs_in_a_copy_of_the_code(checkout):
     assert done.returncode != 0
     assert "runs/kitti: another process is writing it" in done.stderr
     assert (checkout / "calls").read_text() == calls
+
+
+REFUSED = [
+    ("table", {"presets/table.yaml": "train: {}"}, "table: is the name of a file that stage report writes"),
+    ("roads", {"runs/roads/dvc.yaml": "mine"}, "runs/roads: is a folder that no run made"),
+    ("roads", {"runs/roads/revision": "", "runs/roads/params.yaml": "a: 1"}, "runs/roads/params.yaml: was edited"),
+    (
+        "roads",
+        {"params.yaml": preset.stamped("a: 1", "make params PRESET=kitti")},
+        "PRESET=kitti wrote it, so",
+    ),
+    ("roads", {"params.yaml": preset.stamped("a: 1", "make kitti")}, "make kitti wrote it, so preset roads does not"),
+    ("mine", {"presets/mine.yaml": "encoder: {weights: no.pt}"}, "no.pt: file is missing"),
+]
+
+
+@pytest.mark.parametrize(("name", "files", "problem"), REFUSED)
+def test_a_run_that_would_replace_other_files_or_mix_settings_is_refused(checkout, monkeypatch, name, files, problem):
+    monkeypatch.chdir(checkout)
+    monkeypatch.setattr(preset, "PRESETS", checkout / "presets")
+    for file, text in files.items():
+        Path(file).parent.mkdir(parents=True, exist_ok=True)
+        Path(file).write_text(text)
+    with pytest.raises(InputError, match=problem):
+        run.main(name)
+    assert all(Path(file).read_text() == text for file, text in files.items())
+    assert not Path("calls").exists()
+
+
+def test_a_run_takes_weights_from_its_checkout(tmp_path, monkeypatch):
+    """By path: a folder without links, on any disk."""
+    (tmp_path / "checkout").mkdir()
+    (tmp_path / "checkout/encoder.pt").write_text("weights")
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run/checkout").write_text(f"{tmp_path}/checkout")
+    monkeypatch.chdir(tmp_path / "run")
+    encoder = preset.merged("roads")["encoder"] | {"weights": "encoder.pt"}
+    create.check(Encoder(**encoder))
+    assert weights_hash(Encoder(**encoder)) == file_hash(tmp_path / "checkout/encoder.pt")
+    assert in_checkout(tmp_path / "elsewhere") == tmp_path / "elsewhere"
+
+
+def test_other_weights_under_the_same_name_change_the_settings(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("encoder.pt").write_text("first")
+    encoder = preset.merged("roads")["encoder"] | {"weights": "encoder.pt"}
+    run.take_weights(encoder)
+    first = dict(encoder)
+    assert first["weights_sha256"] == file_hash(Path("encoder.pt"))
+    Path("encoder.pt").write_text("second")
+    run.take_weights(encoder)
+    assert encoder["weights_sha256"] != first["weights_sha256"]
+    with pytest.raises(InputError, match=r"encoder.pt: is not the file whose hash .* Repeat make NAME"):
+        create.create(Encoder(**first))
+
+
+@pytest.mark.slow
+def test_sigterm_ends_dvc_as_ctrl_c_does(checkout):
+    folder = checkout / "runs/kitti"
+    folder.mkdir(parents=True)
+    (folder / "revision").touch()
+    (folder / "wait").touch()
+    process = start(checkout, "kitti")
+    calls = checkout / "calls"
+    while not (calls.exists() and "\nrepro" in calls.read_text()):
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.1)
+    time.sleep(0.2)
+    process.terminate()
+    process.communicate()
+    assert calls.read_text().endswith("repro\nended\n")
+
+
+def test_locks_of_processes_that_are_no_dvc_are_released(tmp_path):
+    """As on another machine, or after the restart of a container: a process of the number lives."""
+    path = tmp_path / "rwlock"
+    with subprocess.Popen(["sh", "-c", "read line", "dvc"], stdin=subprocess.PIPE) as dvc:
+        alive = {"pid": dvc.pid, "cmd": "dvc repro"}
+        other = {"pid": os.getpid(), "cmd": "dvc repro"}
+        content = {"write": {"a": alive, "b": other}, "read": {"c": [alive, other], "d": [other]}}
+        path.write_text(json.dumps(content))
+        now_s = time.time()
+        os.utime(path, (now_s + 5, now_s + 5))
+        run.release_locks(path)
+        assert json.loads(path.read_text()) == {"write": {"a": alive}, "read": {"c": [alive]}}
+        os.utime(path, (now_s - 60, now_s - 60))  # before the process started
+        run.release_locks(path)
+        assert json.loads(path.read_text()) == {"write": {}, "read": {}}
+        dvc.communicate(b"")
 
 
 @pytest.mark.slow

@@ -19,6 +19,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from models.encoder.heads import CellClasses, CellDepth, ray_slopes, resized, scaled_by_focal
+from pipeline.base.checkout import in_checkout
 from pipeline.base.errors import InputError
 from pipeline.camera.classes import COUNT, NAMES, ROAD
 
@@ -108,8 +109,8 @@ def check(name: str, key: str = "") -> None:
     A folder's network has to be of a family for `key`, depth or classes.
     """
     library, path = transformers(), Path(name)
-    config = path / "config.json"
-    is_folder = path.is_absolute() or path.parent.is_dir() or len(path.parts) > 2
+    config = in_checkout(path) / "config.json"
+    is_folder = path.is_absolute() or in_checkout(path).parent.is_dir() or len(path.parts) > 2
     if is_folder and not config.is_file():
         raise InputError(f"{name!r} is not a folder with a config.json, nor a name of Hugging Face's hub")
     if key in FAMILIES and config.is_file():
@@ -123,7 +124,7 @@ def check(name: str, key: str = "") -> None:
 def describe(name: str) -> tuple[Path, dict[str, Any], list[str]]:
     """Return folder, description and, of a network that is downloaded from the hub, the revision. Raises InputError."""
     check(name)
-    folder, sources = Path(name), []
+    folder, sources = in_checkout(Path(name)), []
     with loading(name):
         if not folder.is_dir():
             from huggingface_hub import snapshot_download

@@ -219,8 +219,17 @@ def _fault(problem: str, path: Path, stage: str) -> InputError:
 
 def write_json(path: Path, content: Any, *, sort_keys: bool = True) -> None:
     """Write JSON in one step, so that no reader gets half a file."""
+    write_text(path, json.dumps(content, indent=1, sort_keys=sort_keys, allow_nan=False) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text in one step; a hard link to the earlier file, as in DVC's cache, keeps that one."""
     with replacing(path) as tmp:
-        tmp.write_text(json.dumps(content, indent=1, sort_keys=sort_keys, allow_nan=False) + "\n", encoding="utf-8")
+        try:
+            tmp.write_text(text, encoding="utf-8")
+        except OSError as error:  # of a full disk, without a name
+            error.filename = str(path)
+            raise
 
 
 def read_json(path: Path, *, stage: str) -> dict[str, Any]:

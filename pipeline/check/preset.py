@@ -2,7 +2,7 @@
 
 import hashlib
 import io
-import subprocess
+import shutil
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,8 +13,11 @@ from pipeline.base import console, earlier
 from pipeline.base.errors import InputError
 from pipeline.base.params import parse, read
 from pipeline.base.resume import ROOT, content_hash
-from pipeline.base.store import replacing
+from pipeline.base.store import replacing, write_text
+from pipeline.check.recording_logs import check_recording_logs
 from pipeline.check.settings import Params
+from pipeline.ingest.datasets.recording import MOTION, WHEEL
+from pipeline.ingest.settings import Part
 
 PRESETS = ROOT / "presets"
 PARAMS = ROOT / "params.yaml"
@@ -23,25 +26,58 @@ TARGETS = (
     *("demo", "help", "encoder", "street", "udacity", "params", "test", "bench", "lint", "format", "setup", "system"),
     *earlier.PRESETS,
 )
-# Files that stage report writes: the page of a preset of this name would replace them in DVC's cache.
-REPORT = ("index", "metrics", "results", "table")
-_AUTHOR, IMPORT = "make params", "steer import"
+# Authors of files, see stamped.
+_AUTHOR = "make params"
+IMPORT = "steer import"
+_STAMP = "# Written by "
 
 
 def main(
     name: Annotated[str, typer.Argument(metavar="PRESET", help="a name in presets/, or a file")],
     folder: Annotated[Path, typer.Argument(help="where to write params.yaml")] = Path(),
 ) -> None:
-    """Write params.yaml with the changes of a preset. Raises InputError if it was edited by hand since its commit."""
-    merged(name, Path("params.yaml"))  # finds faults
-    refresh(path_of(name), Path("data/raw"))
-    result, out = text(name, Path("params.yaml")), folder / "params.yaml"
-    status = ["git", "status", "--porcelain", "--untracked-files=no", out.name]
-    if out.exists() and not is_unedited(out) and subprocess.run(status, cwd=folder, capture_output=True).stdout:
-        raise InputError("has edits that are not committed", out, f"Commit them, or undo: git checkout {out}")
-    with replacing(out) as path:
-        path.write_text(result, encoding="utf-8")
-    print(f"wrote {out}: params.yaml with the changes of preset {name}")
+    """Write params.yaml with the changes of a preset, and keep the file before it as params.yaml.before.
+
+    Raises InputError if the file was edited since it was written, or written by another preset.
+    """
+    params = Path("params.yaml")
+    out = folder / params
+    author = f"{_AUTHOR} PRESET={name}"
+    if not (out.exists() and out.samefile(params)):  # make street and make encoder: settings of one encoder
+        write(merged(name, params), out, author)
+        return
+    base = base_of(name, params)
+    content = merged(name, base)
+    take_logs(content, Path("data/raw"))
+    if base == params:
+        with replacing(before(params)) as kept:
+            shutil.copyfile(params, kept)
+    write_text(params, text(content, author))
+    print(f"wrote {params} with the changes of preset {name}; the file before is {before(params)}")
+
+
+def before(params: Path) -> Path:
+    """Return the path of the file that ``make params`` replaced."""
+    return params.with_name(f"{params.name}.before")
+
+
+def base_of(name: str, params: Path) -> Path:
+    """Return the file to which a preset applies: `params`, or what it was before ``make params`` with this preset.
+
+    Raises InputError if another preset wrote `params`, if it was edited since, or if it is a copy of that of a run.
+    """
+    author = author_of(params)
+    if not author:
+        return params
+    if author == f"{_AUTHOR} PRESET={name}" and is_unedited(params) and before(params).is_file():
+        return before(params)
+    problem = f"{author} wrote it, so preset {name} does not apply to it"
+    if not is_unedited(params):
+        problem = f"{author} wrote it, and it was edited since, so preset {name} does not apply to it"
+    way_back = f"mv {before(params)} {params}"
+    if not before(params).is_file():
+        way_back = f"git log {params} names earlier versions, git checkout COMMIT {params} restores one"
+    raise InputError(problem, params, f"Run it as it is: dvc repro. Or go back: {way_back}")
 
 
 def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:
@@ -70,40 +106,62 @@ def path_of(name: str) -> Path:
     return preset
 
 
-def refresh(preset: Path, raw: Path) -> None:
-    """Replace the hashes in a preset of recordings whose files below `raw` have changed; missing files keep theirs.
+def take_logs(content: dict[str, Any], raw: Path) -> None:
+    """Replace the hashes of logs below `raw` that were edited since their import; missing files keep theirs.
 
-    With a changed copy, which an import must not replace, the preset counts as edited.
+    Raises InputError for images that were not imported, and for a log that an import would refuse.
     """
-    content, hashes, changed = read(preset, comments=True), dict[Path, str](), set[Path]()
-    for part in filter(None, ((content.get("ingest") or {}).get("recordings") or {}).values()):
-        for name, before in part.get("files", {}).items():
-            path = raw / part.get("folder", "") / name
-            if path.exists() and path not in hashes:
-                hashes[path] = content_hash(path)
-            if hashes.get(path, before) != before:
-                part["files"][name] = hashes[path]
-                changed.add(path)
-    if changed:
-        as_imported = is_unedited(preset) and all(path.is_symlink() for path in changed)
-        with replacing(preset) as new:
-            text = _dumped(content)
-            new.write_text(stamped(text, IMPORT) if as_imported else text, encoding="utf-8")
-        print(f"{preset}: new hash of {', '.join(map(str, sorted(changed)))}")
+    folders: dict[str, list[Any]] = {}
+    for part in content["ingest"].get("recordings", {}).values():
+        folders.setdefault(part["folder"], []).append(part)
+    for name, parts in folders.items():
+        edited = find_edited(raw / name, parts[0]["files"])
+        if not edited:
+            continue
+        print(f"edited since steer import: {', '.join(str(raw / name / file) for file in edited)}", flush=True)
+        if all((raw / name / file).exists() for file in parts[0]["files"]):
+            # All parts at once: from the first start to the last end.
+            ends = [part.get("end") for part in parts]
+            whole = dict(parts[0])
+            whole["start"] = min(part.get("start", 0.0) for part in parts)
+            whole["end"] = None if None in ends else max(ends)
+            check_recording_logs(Part(**whole), raw / name)
+        # Without the images, only drives that were made or fetched with this log can be used.
+        for part in parts:
+            part["files"].update(edited)
 
 
-def text(name: str, params: Path = PARAMS) -> str:
-    """Return :func:`merged` as YAML, :func:`stamped`."""
-    return stamped(_dumped(merged(name, params)), _AUTHOR)
+def find_edited(folder: Path, files: dict[str, str]) -> dict[str, str]:
+    """Return the logs of a recording that have another hash than in `files`, with their new hashes.
+
+    Raises InputError for other images or times of images.
+    """
+    edited = {}
+    for name, expected in files.items():
+        path = folder / name
+        found = content_hash(path) if path.exists() else expected
+        if found == expected:
+            continue
+        if name not in (WHEEL, MOTION):
+            problem = "is not what was imported: lens, horizon and parts of the preset may not fit it"
+            raise InputError(problem, path, "Repeat steer import")
+        edited[name] = found
+    return edited
 
 
-def _dumped(content: dict[str, Any]) -> str:
-    """Return content with comments as YAML, without the line of :func:`stamped`."""
+def text(content: dict[str, Any], author: str) -> str:
+    """Return content with comments as YAML, :func:`stamped`."""
     writer, stream = YAML(), io.StringIO()
     writer.default_flow_style = False  # as DVC writes, so that `dvc exp run -S` changes one line
     writer.dump(content, stream)
-    first, _, rest = stream.getvalue().partition("\n")
-    return rest if first.startswith("# Written by ") else stream.getvalue()
+    return stamped(stream.getvalue(), author)
+
+
+def write(content: dict[str, Any], out: Path, author: str) -> None:
+    """Write a params file. Raises InputError if there is one that is not as an earlier call wrote it."""
+    if out.exists() and not is_unedited(out):
+        raise InputError("was edited, and would be replaced", out, "Move the edits to the preset, then delete the file")
+    write_text(out, text(content, author))
 
 
 def _merge(content: dict[str, Any], changes: dict[str, Any]) -> None:
@@ -120,9 +178,15 @@ def _merge(content: dict[str, Any], changes: dict[str, Any]) -> None:
 
 
 def stamped(content: str, author: str) -> str:
-    """Return the content of a file below a line with its hash, for :func:`is_unedited`."""
+    """Return the content of a file below a line with its author and its hash, for :func:`is_unedited`."""
     digest = hashlib.sha256(content.encode()).hexdigest()
-    return f"# Written by {author}; SHA-256 of the other lines: {digest}\n{content}"
+    return f"{_STAMP}{author}; SHA-256 of the other lines: {digest}\n{content}"
+
+
+def author_of(path: Path) -> str:
+    """Return the author of a file that :func:`stamped` returned, also of an edited one; empty for other files."""
+    first = path.read_text("utf-8", errors="replace").partition("\n")[0] if path.exists() else ""
+    return first.removeprefix(_STAMP).partition(";")[0] if first.startswith(_STAMP) else ""
 
 
 def is_unedited(path: Path) -> bool:
@@ -134,9 +198,10 @@ def is_unedited(path: Path) -> bool:
 def check_name_is_free(name: str) -> None:
     """Raise InputError for the name of a preset that is another target of make, or that of a file in data/report."""
     if name in TARGETS:
-        raise InputError("is a target of make", name, "Pass another --name")
-    if name in REPORT:
-        raise InputError("is the name of a file that stage report writes", name, "Pass another --name")
+        raise InputError("is a target of make", name, "Choose another name")
+    outs = read(ROOT / "dvc.yaml")["stages"]["report"]["outs"]
+    if name in {Path(out).stem for out in outs}:  # the page of the run would replace it, in DVC's cache, too
+        raise InputError("is the name of a file that stage report writes", name, "Choose another name")
 
 
 if __name__ == "__main__":

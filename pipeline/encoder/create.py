@@ -8,21 +8,23 @@ from torch import hub, nn
 
 from models.encoder import hugging_face, street
 from models.encoder.unified_encoder import Architecture, build
+from pipeline.base.checkout import in_checkout
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.resume import file_hash
 from pipeline.encoder import encoder_file, precomputed
 from pipeline.encoder.settings import NEEDED, Encoder
-
-WEIGHTS = Path("weights")  # downloaded files, and the folder street of make street
+from pipeline.encoder.weights import WEIGHTS, find, weights_hash
 
 
 def create(settings: Encoder) -> tuple[Architecture, nn.Module]:
     """Return description and network of section ``encoder``. Raises InputError if a file is missing or does not fit."""
+    with error_context("weights"):
+        if settings.weights_sha256 not in (None, weights_hash(settings)):
+            raise InputError("is not the file whose hash weights_sha256 has", settings.weights, "Repeat make NAME")
     if settings.weights is None or settings.backbone == "precomputed":
         return CREATE[settings.backbone](settings)
     with error_context("weights"):
-        check_weights(settings.weights)
-        architecture, model = encoder_file.load(settings.weights)
+        architecture, model = encoder_file.load(find(settings.weights))
         if architecture["backbone"] != settings.backbone:
             problem = f"backbone is {architecture['backbone']!r}, expected {settings.backbone!r}"
             raise InputError(problem, settings.weights, "Name another file")
@@ -36,7 +38,10 @@ def check(settings: Encoder) -> None:
             hugging_face.transformers()
     if settings.weights:
         with error_context("weights"):
-            (precomputed.find if settings.backbone == "precomputed" else check_weights)(settings.weights)
+            if settings.backbone == "precomputed":
+                precomputed.find(in_checkout(settings.weights))
+            else:
+                find(settings.weights)
         return
     for key in NEEDED.get(settings.backbone, ()):
         with error_context(key):
@@ -45,25 +50,18 @@ def check(settings: Encoder) -> None:
                 hugging_face.check(value, key)
 
 
-def check_weights(path: Path) -> None:
-    """Raise InputError if there is no file at `path`."""
-    if not path.is_file():
-        fix = "Make it: make street" if path.parent == WEIGHTS / "street" else "Put it there, or name another one"
-        raise InputError("file is missing", path, fix)
-
-
 def _create_street(settings: Encoder) -> tuple[Architecture, nn.Module]:
     for path, (url, sha256, _) in street.SOURCES.items():
-        fetch(WEIGHTS / path, url, sha256)
+        fetch(in_checkout(WEIGHTS / path), url, sha256)
     model = street.Street()
-    model.load_published(WEIGHTS)
+    model.load_published(in_checkout(WEIGHTS))
     sources = [f"{path}: {url} ({terms})" for path, (url, _, terms) in street.SOURCES.items()]
     return {"backbone": settings.backbone, "sources": sources}, model
 
 
 def _create_precomputed(settings: Encoder) -> tuple[Architecture, nn.Module]:
     assert settings.weights
-    count, sha256 = precomputed.fingerprint(settings.weights)
+    count, sha256 = precomputed.fingerprint(in_checkout(settings.weights))
     architecture = {"backbone": "precomputed", "folder": str(settings.weights), "sha256": sha256}
     return architecture | {"sources": [f"{count} PNG files in {settings.weights}"]}, nn.Module()
 

@@ -19,6 +19,7 @@ FITTED = {"small", "hugging_face"}
 class Encoder(Section):
     backbone: Literal["small", "street", "pair", "hugging_face", "precomputed"]
     weights: FilePath | None = None
+    weights_sha256: str | None = None  # of the weights; make NAME writes it, so that DVC notices another file
     depth: Hub | None = None
     classes: Hub | None = None
     model: Hub | None = None

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from pipeline.base.checkout import in_checkout
 from pipeline.base.errors import error_context
 from pipeline.base.executors import default_workers
 from pipeline.base.loop import prefetch
@@ -71,7 +72,8 @@ def _open(folder: Path, _: str, precision: str) -> OpenEncoder:
         architecture, network = load(folder / FILE)
     datasets = architecture.get("datasets")
     if architecture["backbone"] == "precomputed":
-        return OpenEncoder(partial(_read_precomputed, Path(architecture["folder"])), datasets, 1.8)
+        files = in_checkout(Path(architecture["folder"]))
+        return OpenEncoder(partial(_read_precomputed, files), datasets, 1.8)
     random = not datasets and architecture["backbone"] in ("small", "hugging_face")
     predict: Predict = lambda batch: perceive(network, batch.images, batch.camera, precision)  # noqa: E731
     return OpenEncoder(predict, datasets, np.inf if random else 3.5)

@@ -24,7 +24,7 @@ SWIN = str(ROOT / "models/encoder/swin-t")
 
 def changed(where: str, value: Any) -> dict[str, Any]:
     """Return the content of params.yaml with preset table2, and one value changed or added."""
-    content = yaml.safe_load(preset.text("table2"))
+    content = yaml.safe_load(preset.text(preset.merged("table2"), "a test"))
     *path, key = where.split(".")
     reduce(dict.__getitem__, path, content)[key] = value
     return content
@@ -40,7 +40,11 @@ def test_the_projects_own_files_are_valid(name, tmp_path, monkeypatch, capsys):
     """Without weights of real streets, which check does not download."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "models").symlink_to(ROOT / "models")
-    content = yaml.safe_load(preset.text(name)) if name else yaml.safe_load((ROOT / "params.yaml").read_text())
+    content = (
+        yaml.safe_load(preset.text(preset.merged(name), "a test"))
+        if name
+        else yaml.safe_load((ROOT / "params.yaml").read_text())
+    )
     run(tmp_path, content)
     assert capsys.readouterr().out == ""
 
@@ -58,6 +62,17 @@ def test_measured_motion_is_not_both_input_and_label(tmp_path):
         run(tmp_path, content)
     content["labels"]["ahead_m"] = []
     with pytest.raises(InputError, match=r"models\.net: predict: path needs labels\.ahead_m"):
+        run(tmp_path, content)
+
+
+def test_weights_are_looked_for_where_stage_encoder_will_run(tmp_path):
+    """dvc.lock names an encoder of the same settings: DVC takes it from its cache, or fetches it."""
+    content = changed("encoder.weights", "no.pt")
+    lock = {"stages": {"encoder": {"params": {"params.yaml": {"encoder": content["encoder"]}}}}}
+    (tmp_path / "dvc.lock").write_text(yaml.safe_dump(lock))
+    run(tmp_path, content)
+    content["encoder"]["seed"] = 1
+    with pytest.raises(InputError, match=r"weights: no.pt: file is missing"):
         run(tmp_path, content)
 
 

@@ -1,7 +1,6 @@
 """params.yaml: values, faults with file, key, value and what is expected, and presets that keep its comments."""
 
 import re
-import subprocess
 from functools import partial, reduce
 from pathlib import Path
 from typing import Any
@@ -74,21 +73,25 @@ def _parts(train: str, test: str) -> str:
         (partial(params.load, Train), "train: 1\ntrain: 2\n", "invalid YAML.*duplicate key"),
         (partial(params.load, Train), "trian: {}", r"no section 'train': did you mean trian\?"),
         (partial(params.load, Train), "", "expected sections"),
-        (lambda path: preset.text(str(path)), "models:\n  '*': null\n", "models.*at least 1"),
-        (lambda path: preset.text(str(path)), "train:\n  epochs: null\n", r"train\.epochs: Field required"),
+        (lambda path: preset.merged(str(path)), "models:\n  '*': null\n", "models.*at least 1"),
+        (lambda path: preset.merged(str(path)), "train:\n  epochs: null\n", r"train\.epochs: Field required"),
         (
-            lambda path: preset.text(str(path)),
+            lambda path: preset.merged(str(path)),
             _parts("{start: 0, end: 12}", "{start: 11.5}"),
             r"recordings overlap: b is 0 s to 12 s, a is 11.5 s to the end of data/raw/mine. Change start or end",
         ),
         (
-            lambda path: preset.text(str(path)),
+            lambda path: preset.merged(str(path)),
             "ingest: {manifests: {}}",
             r"ingest\.manifests is of an earlier.* steer im",
         ),
-        (lambda path: preset.text(str(path)), "ingest: {source: both}", "ingest.source: both is of an earlier version"),
+        (
+            lambda path: preset.merged(str(path)),
+            "ingest: {source: both}",
+            "ingest.source: both is of an earlier version",
+        ),
         (partial(params.load_entry, Variant, "graphs", "a"), "graphs: {a: {cloud: lidar}}", r"graphs\.a\.cloud is of"),
-        (lambda path: preset.text(str(path)), "base: [roads]\n", "base is of an earlier version. Copy the settings"),
+        (lambda path: preset.merged(str(path)), "base: [roads]\n", "base is of an earlier version. Copy the settings"),
     ],
 )
 def test_a_faulty_file_is_named(tmp_path, read, text, problem):
@@ -105,7 +108,7 @@ def test_invalid_names(tmp_path, name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_preset_is_written_as_its_merged_content_with_all_comments(name):
-    text = preset.text(name)
+    text = preset.text(preset.merged(name), "a test")
     assert yaml.safe_load(text) == preset.merged(name)
     _, *rest = text.splitlines()
     original = preset.PARAMS.read_text()
@@ -138,31 +141,37 @@ def test_a_star_removes_all_earlier_entries(tmp_path):
     assert preset.merged(str(tmp_path / "mine.yaml"))["models"] == {"sa-gnn-ncp": yaml.safe_load(model)}
 
 
-def test_params_are_replaced_unless_they_have_edits_that_git_lacks(tmp_path, monkeypatch):
-    def git(words: str) -> None:
-        subprocess.run(f"git -c user.name=a -c user.email=a {words}".split(), check=True)
-
+def test_one_preset_at_a_time_is_written_into_params(tmp_path, monkeypatch):
+    """Also without git: to the file as the user edited it, which is kept; edits made since are not replaced."""
     monkeypatch.chdir(tmp_path)
-    params = Path("params.yaml")
-    params.write_text(preset.PARAMS.read_text())
-    for words in ("init -q", "add .", "commit -qm a"):
-        git(words)
-    for name in ("street", "street", "table2"):  # one after another; the second time changes nothing
-        preset.main(name)
-    assert params.read_text().count("# Written by make params") == 1
-    content = yaml.safe_load(params.read_text())
-    assert content["models"] == preset.merged("street")["models"] | preset.merged("table2")["models"]
-    added = {key: preset.merged("table2")["ingest"][key] for key in ("lidar", "drives")}
-    assert content["ingest"] == preset.merged("street")["ingest"] | added
-
-    edited = params.read_text().replace("bootstrap_samples: 2000", "bootstrap_samples: 100")
+    params, before = Path("params.yaml"), Path("params.yaml.before")
+    edited = preset.PARAMS.read_text().replace("bootstrap_samples: 2000", "bootstrap_samples: 100")
     params.write_text(edited)
-    with pytest.raises(InputError, match="not committed"):
+    for _ in range(2):  # the second time changes nothing
         preset.main("table2")
-    assert params.read_text() == edited
-    git("commit -qam edits")
-    preset.main("table2")
-    assert yaml.safe_load(params.read_text())["evaluate"]["bootstrap_samples"] == 100
+        assert before.read_text() == edited
+        assert yaml.safe_load(params.read_text()) == preset.merged("table2", before)
+    assert preset.base_of("table2", params) == before
+    written = params.read_text()
+    with pytest.raises(
+        InputError, match=r"PRESET=table2 wrote it, so preset roads .* mv params.yaml.before params.yaml"
+    ):
+        preset.main("roads")
+
+    params.write_text(written.replace("seeds:", "seeds: [7]"))
+    with pytest.raises(InputError, match=r"and it was edited since, so preset table2 does not apply"):
+        preset.main("table2")
+    params.write_text(written)
+    before.unlink()
+    with pytest.raises(InputError, match=r"git checkout COMMIT params.yaml"):
+        preset.main("table2")
+    assert params.read_text() == written
+
+    preset.main("street", Path("runs/street"))  # as make street does, for any params.yaml
+    Path("runs/street/params.yaml").write_text("edits")
+    with pytest.raises(InputError, match=r"runs/street/params.yaml: was edited, and would be replaced"):
+        preset.main("street", Path("runs/street"))
+    assert params.read_text() == written
 
 
 def test_oxts_is_another_name_of_recorded_labels():

@@ -1,0 +1,30 @@
+"""The file or folder that encoder.weights names."""
+
+from pathlib import Path
+
+from pipeline.base.checkout import in_checkout
+from pipeline.base.errors import InputError
+from pipeline.base.resume import file_hash
+from pipeline.encoder import precomputed
+from pipeline.encoder.settings import Encoder
+
+# Folder of the checkout for downloaded files, and for those of make street in its folder street.
+WEIGHTS = Path("weights")
+
+
+def weights_hash(settings: Encoder) -> str | None:
+    """Return the SHA-256 of the file, or of the PNG files; None without weights. Raises InputError if it is missing."""
+    if settings.weights is None:
+        return None
+    if settings.backbone == "precomputed":
+        return precomputed.fingerprint(in_checkout(settings.weights))[1]
+    return file_hash(find(settings.weights))
+
+
+def find(weights: Path) -> Path:
+    """Return the path of a file of the checkout. Raises InputError if it is missing."""
+    path = in_checkout(weights)
+    if not path.is_file():
+        fix = "Make it: make street" if weights.parent == WEIGHTS / "street" else "Put it there, or name another one"
+        raise InputError("file is missing", weights, fix)
+    return path

@@ -15,10 +15,9 @@ import typer
 
 from pipeline.base import console, store
 from pipeline.base.outputs import claimed
-from pipeline.base.resume import revision
 from pipeline.ingest.datasets import udacity
 from pipeline.labels.label import Car
-from presets.run import origin
+from pipeline.report.origin import origin
 from steer.api import here_or_in_checkout
 from steer.chain import Source
 from steer.commands.measure import STREET
@@ -78,7 +77,7 @@ def _compare(video: Path, wheel: Path, teams: np.ndarray, out: Path) -> None:
         predicted[row] = fits[row].angle(time_s, measured)
     rmse = {name: float(np.sqrt(((angle - wheel_rad)[rest] ** 2).mean())) for name, angle in predicted.items()}
     results = {name: {"figure": value} for name, value in rmse.items()}
-    store.write_json(out / "results.json", origin("udacity", revision()) | {"results": results}, sort_keys=False)
+    store.write_json(out / "results.json", {"preset": "udacity"} | origin() | {"results": results}, sort_keys=False)
     print("| wheel's angle | RMSE rad |", "|---|--:|", sep="\n")
     for name, value in sorted(rmse.items(), key=lambda item: -item[1]):
         print(f"| {name} | {value:.4f} |")

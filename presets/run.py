@@ -9,7 +9,6 @@ import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from datetime import date
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -28,10 +27,9 @@ from pipeline.base.store import write_json, write_text
 from pipeline.check import preset
 from pipeline.encoder.settings import Encoder
 from pipeline.encoder.weights import weights_hash
+from pipeline.report.origin import REVISION, origin
 
 DVC = ("config cache.type hardlink,copy", "cache dir .dvc/cache", "repro")
-# File in runs/NAME with the commit of the code, the first that is written.
-REVISION = "revision"
 
 
 def main(name: str) -> None:
@@ -56,7 +54,7 @@ def main(name: str) -> None:
         release_locks(run / ".dvc/tmp/rwlock")
         run_dvc(run)
 
-        made = origin(name, (run / REVISION).read_text("ascii"))
+        made = {"preset": name} | origin(run)
         took = f"{(time.monotonic() - start_s) / 60:.1f} min of the last make"
         facts = ", ".join([*map(" ".join, made.items()), took])
         command = next_command(name, run, settings)
@@ -211,14 +209,6 @@ def with_facts(page: str, facts: str, settings: dict[str, Any], command: str) ->
     summary = f"<summary>{escape(facts)}; settings that differ from params.yaml</summary>"
     page = page.replace("</h1>", f"</h1>\n<details>{summary}<pre>{escape(text)}</pre></details>", 1)
     return re.sub("(?<=Next: <code>).*(?=</code>)", lambda _: escape(command), page)
-
-
-def origin(preset: str, commit: str) -> dict[str, str]:
-    """Return what docs/results keeps of a run beside its results."""
-    from torch import cuda
-
-    machine = cuda.get_device_name() if cuda.is_available() else f"{os.cpu_count()} CPU cores"
-    return {"preset": preset, "revision": commit or "unknown", "date": str(date.today()), "machine": machine}
 
 
 if __name__ == "__main__":

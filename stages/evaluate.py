@@ -18,10 +18,9 @@ def main(
     data: Path = Path("data"),
     params: Path = Path("params.yaml"),
 ) -> Path:
-    """Write metrics.json and, for the test drives, predictions.csv.
+    """Write metrics.json and, for the test drives, predictions.csv. Return the model's folder.
 
-    Metrics are means over the seeds and ignore invalid frames. Predictions of further seeds go to folders seed-<n>.
-    Returns the model's folder.
+    Metrics are means over the seeds and ignore invalid frames.
     """
     settings = load(Evaluate, params)
     train = data / "train" / name
@@ -35,8 +34,7 @@ def main(
             error = train_nmse(result)[first.seeds.index(seed)]
             print(f"{name}: seed {seed} failed to train: nmse {error:.3f} on its own training drives", flush=True)
         store.write_json(folder.new / "metrics.json", result, sort_keys=False)
-        for number, run in enumerate(runs.runs(folder.new, first.seeds)):
-            write_predictions(run.folder / "predictions.csv", cases["test"], number)
+        write_predictions(folder.new / "predictions.csv", name, first.seeds, cases["test"])
     print(f"{name}: test nmse {', '.join(summary(*column) for column in result['test'].items())}")
     return out
 

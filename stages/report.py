@@ -13,7 +13,8 @@ from pipeline.base.params import entries, load
 from pipeline.evaluate.settings import Evaluate
 from pipeline.report import results, summary, tables
 from pipeline.report.figures import draw
-from pipeline.report.page import write_page
+from pipeline.report.origin import origin
+from pipeline.report.page import Story, write_page
 
 
 def main(
@@ -33,16 +34,24 @@ def main(
         scores = store.read_json(path, stage="scores") if path.is_file() else None
         path = data / "encoder" / "config.json"
         notes = store.read_json(path, stage="encoder").get("sources", []) if path.is_file() else []
-        steering = tables.steering_tables(groups)
+        figures = summary.results(groups, scores)
+        steering = tables.steering_tables(groups, figures)
         perceived = tables.perception_tables(scores) if scores else []
+        doubts = []
         for kind, row in scores["recorded"].items() if scores else ():
-            notes += [f"{'recorded motion' if kind == 'recorded' else kind}: {line}" for line in row["lines"]]
-        story = tables.sentences(groups, [model for model in models if model not in evaluated])
-        first = "\n\n".join(fill(line, 110) for line in story)
-        text = "\n\n".join([first, *(table.markdown() for table in (*steering, *perceived))]).lstrip()
+            name = "recorded motion" if kind == "recorded" else kind
+            notes += [f"{name}: {line}" for line in row["lines"][:1]]
+            doubts += [f"{name}: {line}" for line in row["lines"][1:]]
+        sentences = tables.sentences(groups, figures, [model for model in models if model not in evaluated])
+        first = "\n\n".join(fill(line, 110) for line in sentences)
+        all_tables = [*steering.results, *steering.paper, *steering.details, *perceived]
+        definitions = [tables.definitions()] if groups else []
+        text = "\n\n".join([first, *(table.markdown() for table in all_tables), *definitions]).lstrip()
+        origin_text = ", ".join(" ".join(item) for item in origin().items())
+        story = Story(tables.headline(groups, figures), sentences, doubts, origin_text)
         (folder.new / "table.md").write_text(f"{text}\n", encoding="utf-8")
-        store.write_json(folder.new / "metrics.json", results.dvc_metrics(groups))
-        store.write_json(folder.new / "results.json", summary.results(groups, scores))
+        store.write_json(folder.new / "metrics.json", summary.dvc_metrics(groups, figures))
+        store.write_json(folder.new / "results.json", summary.rounded(figures))
         for name in ("learning", "figures"):  # DVC expects each output, even an empty one
             (folder.new / name).mkdir()
         for path in (path for model in evaluated for path in (data / "train" / model).rglob("curve.csv")):
@@ -50,8 +59,8 @@ def main(
             curve = pd.read_csv(path, dtype=str).drop(columns="learning_rate")
             # DVC draws an empty field as 0, and nan as a gap.
             curve.to_csv(folder.new / f"learning/{network}.csv", index=False, lineterminator="\n", na_rep="nan")
-        figures = draw(folder.new / "figures", groups, data)
-        write_page(folder.new / "index.html", story, groups, steering, [*notes, *perceived], figures)
+        pictures = draw(folder.new / "figures", groups, data)
+        write_page(folder.new / "index.html", story, groups, figures, steering, [*notes, *perceived], pictures)
     print(first, f"Tables: {out.absolute()}/table.md. Page: {out.absolute()}/index.html", sep="\n")
     return out
 

@@ -7,7 +7,6 @@ import sys
 from contextlib import nullcontext
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,8 +22,10 @@ from pipeline.evaluate import statistics
 from pipeline.labels import source
 from pipeline.labels.settings import Labels
 from pipeline.train.entry import Entry
+from stages import report
 from steer.app import app
 from tests import artefacts
+from tests.pipeline.report import examples
 
 PAGES = [ROOT / "README.md", ROOT / "data/README.md"] + [
     ROOT / f"docs/{name}.md" for name in ("models", "paper", "real", "results", "running")
@@ -143,7 +144,7 @@ def test_the_dataset_of_the_documentation_yields_each_window_once(tmp_path, monk
         assert net(*net.inputs(batch)).isfinite().all()
 
 
-def test_the_examples_of_a_label_source_and_of_a_metric_work(tmp_path, monkeypatch):
+def test_the_example_of_a_label_source_works(tmp_path, monkeypatch):
     """The source as a file that is found by its name."""
     module = ModuleType("pipeline.labels.sources.example")
     exec(code_block("MEASURED = False"), vars(module))
@@ -154,7 +155,22 @@ def test_the_examples_of_a_label_source_and_of_a_metric_work(tmp_path, monkeypat
     source.labels_drive(tmp_path / "labels.h5", tmp_path / "a.h5", settings=settings)
     with DriveReader(tmp_path / "labels.h5", stage="labels") as file:
         assert (file["steering_rad"].tolist(), file["valid"].tolist()) == ([0.1, 0, -0.05], [1, 0, 1])
-    names = dict[str, Any]()
-    exec(code_block("def within_2_deg"), names)
-    monkeypatch.setitem(statistics.METRICS, "within_2_deg", names["within_2_deg"])
+
+
+def test_a_metric_of_the_documentation_stands_in_tables_page_and_dvc_metrics(tmp_path, monkeypatch):
+    """Also for baselines."""
+    monkeypatch.setattr(statistics, "METRICS", dict(statistics.METRICS))
+    exec(code_block("def within_2_deg"), {"METRICS": statistics.METRICS, "Metric": statistics.Metric})
     assert statistics.scores(np.zeros(4), np.array([0.01, -0.02, 0.05, 0.5]))["within_2_deg"] == 0.5
+    content = examples.metrics("net", baselines={"odometry": 0.04})
+    examples.write_model(tmp_path, content)
+    (tmp_path / "params.yaml").write_text(
+        "models: {net: {}}\nevaluate: {bootstrap_samples: 9, bootstrap_block_frames: 5, seed: 0}\n"
+    )
+    report.main(tmp_path, tmp_path / "report", tmp_path / "params.yaml")
+    head, _, *rows = [line for line in (tmp_path / "report/table.md").read_text().splitlines() if line[:1] == "|"][:6]
+    column = [cell.strip() for cell in head.split("|")].index("within_2_deg")
+    assert all(re.fullmatch(r"[01]\.\d{3}", row.split("|")[column].strip()) for row in rows)
+    metrics = json.loads((tmp_path / "report/metrics.json").read_text())["steering angle"]
+    assert {name for name, values in metrics.items() if "test within_2_deg" in values} == {*metrics}
+    assert "within_2_deg" in (tmp_path / "report/index.html").read_text()

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise, product
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -173,21 +173,22 @@ def inputs(drives: Sequence[LabelledDrive]) -> dict[str, Any]:
     return result
 
 
-def write_predictions(path: Path, cases: Sequence[Case], seed: int) -> None:
-    """Write one row per frame with the predictions of seed number `seed`; unknown values are empty fields.
+def write_predictions(path: Path, name: str, seeds: Sequence[int], cases: Sequence[Case]) -> None:
+    """Write the table of model `name`, one row per seed and frame; unknown values are empty fields.
 
     `frame`, `time_s` and `speed_mps` belong to the last input frame. For each column C of the model, `true_C` and
     `predicted_C` are those `horizon` frames later. Further columns: the :meth:`Case.baselines`, as `odometry_C`.
     """
     tables = []
-    for case in cases:
-        drive = case.drive
-        values = {"true": drive.target, "predicted": case.predictions[seed], **case.baselines()}
-        table = {"drive": drive.name, "frame": drive.frame, "time_s": drive.time_s, "speed_mps": drive.driven.speed_mps}
-        for (number, name), (kind, of) in product(enumerate(drive.columns), values.items()):
-            table[f"{kind}_{name}"] = of[:, number]
-        tables.append(pd.DataFrame(table))
-    path.parent.mkdir(parents=True, exist_ok=True)
+    for number, seed in enumerate(seeds):
+        for case in cases:
+            drive = case.drive
+            table = {"model": name, "seed": seed, "drive": drive.name, "frame": drive.frame, "time_s": drive.time_s}
+            table["speed_mps"] = drive.driven.speed_mps
+            values = {"true": drive.target, "predicted": case.predictions[number], **case.baselines()}
+            for column, target in enumerate(drive.columns):
+                table |= {f"{kind}_{target}": of_kind[:, column] for kind, of_kind in values.items()}
+            tables.append(pd.DataFrame(table))
     pd.concat(tables).to_csv(path, index=False, lineterminator="\n", float_format="%.9f")
 
 

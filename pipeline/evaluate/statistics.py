@@ -5,7 +5,7 @@ One column at a time, in rad or 1/m. Predictions are [N], or [S,N] for S seeds, 
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,13 +14,28 @@ from pipeline.base.metrics import mae, mse, nmse, rmse
 from pipeline.evaluate.settings import Evaluate
 
 LEAST_DRIVES = 10  # for a verdict
-METRICS: dict[str, Callable[[np.ndarray, np.ndarray], float | None]] = {
-    "mae": mae,
-    "mse": mse,
-    "nmse": nmse,
-    "rmse": rmse,
+
+
+class Metric(NamedTuple):
+    """An error of predictions, [N] or [S,N] of S seeds, for true values [N]; None where it is not defined."""
+
+    compute: Callable[[np.ndarray, np.ndarray], float | None]
+    # Whether tables, page and DVC's metrics show it beside nmse and the mean error in degrees.
+    shown: bool = True
+
+
+# All are in metrics.json. Your own metric is one more entry.
+METRICS: dict[str, Metric] = {
+    "mae": Metric(mae, shown=False),
+    "mse": Metric(mse, shown=False),
+    "nmse": Metric(nmse, shown=False),
+    "rmse": Metric(rmse, shown=False),
 }
-"""Name → function of true values [N] and predictions, [N] or [S,N] of S seeds. Your own metric is one more."""
+
+
+def shown_metrics() -> list[str]:
+    """Return the names of the METRICS that tables show."""
+    return [name for name, metric in METRICS.items() if metric.shown]
 
 
 def scores(truth: np.ndarray, predicted: np.ndarray) -> dict[str, Any]:
@@ -32,7 +47,7 @@ def scores(truth: np.ndarray, predicted: np.ndarray) -> dict[str, Any]:
         return {"frames": 0, **dict.fromkeys(METRICS)}
     result: dict[str, Any] = {"frames": len(truth)}
     for name, metric in METRICS.items():
-        value = metric(truth, predicted)
+        value = metric.compute(truth, predicted)
         if value is not None and not math.isfinite(value):
             fix = "Return a finite number, or None where there is none"
             raise InputError(f"metric {name} returned {value}", "pipeline/evaluate/statistics.py", fix)
@@ -56,29 +71,69 @@ def interval(
         drive: [N], the number of each frame's drive.
         other: squared errors of a second model, for the paired difference, narrower if both err on the same roads.
     """
-    models = [truth[None] ** 2, error] if other is None else [truth[None] ** 2, error, other]
-    models = [values.reshape(*values.shape[:2], -1) for values in models]  # [S,N,R]
-    counted = np.all([np.isfinite(values).all(axis=0) for values in models], axis=0)  # [N,R]
+    squares = (truth**2).reshape(1, len(truth), -1)  # [1,N,R]
+    models = [values.reshape(*values.shape[:2], -1) for values in (error, other) if values is not None]
+    counted = np.all([np.isfinite(values).all(axis=0) for values in (squares, *models)], axis=0)  # [N,R]
+    part = parts(drive, settings.bootstrap_block_frames)
+    zero = sums_by_part(squares, counted, part)[0]  # [D,R], errors of always predicting zero
+    errors = [sums_by_part(values, counted, part) for values in models]  # each [S,D,R]
+
+    bends = zero.any(axis=0)
+    if len(zero) < 2 or not bends.any():
+        return None
+    zero = zero[:, bends]
+    errors = [values[..., bends] for values in errors]
+
+    # Errors of the first model, less those of the second one, on roads and with seeds that are drawn.
+    rng = np.random.default_rng(settings.seed)
+    drawn_parts = draw(len(zero), settings.bootstrap_samples, rng)
+    drawn = drawn_error(errors[0], drawn_parts, draw_seeds(len(errors[0]), settings.bootstrap_samples, rng))
+    mean = mean_nmse(errors[0], zero)
+    if len(errors) > 1:
+        drawn = drawn - drawn_error(errors[1], drawn_parts, draw_seeds(len(errors[1]), settings.bootstrap_samples, rng))
+        mean -= mean_nmse(errors[1], zero)
+    drawn_zero = np.einsum("bd,dr->br", drawn_parts, zero)
+    drawn_nmse = np.divide(drawn, drawn_zero, out=np.full_like(drawn, np.nan), where=drawn_zero > 0).mean(axis=1)
+
+    low, high = mean + widened(len(zero)) * (np.nanpercentile(drawn_nmse, [2.5, 97.5]) - mean)
+    if other is None:  # no error is below 0
+        return [max(float(low), 0.0), max(float(high), 0.0)]
+    return [float(low), float(high)]
+
+
+def sums_by_part(values: np.ndarray, counted: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Return the sums [S,D,R] of values [S,N,R] over the frames of each part that has `counted` ones, bool [N,R]."""
     rows = counted.any(axis=1)
-    _, first = np.unique(parts(drive, settings.bootstrap_block_frames)[rows], return_index=True)
-    if len(first) < 2:
-        return None
-    models = [np.add.reduceat(np.where(counted, values, 0.0)[:, rows], first, axis=1) for values in models]  # [S,D,R]
-    (zero,), *sums = (values[..., models[0].any(axis=(0, 1))] for values in models)
-    if not zero.size:
-        return None
-    rng, samples = np.random.default_rng(settings.seed), settings.bootstrap_samples
-    count, drawn, mean = len(zero), np.zeros((samples, zero.shape[1])), 0.0
-    drives = rng.multinomial(count, np.full(count, 1 / count), samples)  # how often each is drawn
-    for sign, values in zip((1, -1), sums, strict=False):
-        n = len(values)
-        seeds = 1 + math.sqrt(n / max(n - 1, 1)) * (rng.multinomial(n, np.full(n, 1 / n), samples) - 1)
-        drawn += sign * np.einsum("bs,bsr->br", seeds, np.einsum("bd,sdr->bsr", drives, values)) / n
-        mean += sign * (values.mean(axis=0).sum(axis=0) / zero.sum(axis=0)).mean()
-    zeros = np.einsum("bd,dr->br", drives, zero)
-    drawn = np.divide(drawn, zeros, out=np.full_like(drawn, np.nan), where=zeros > 0).mean(axis=1)
-    bounds = mean + math.sqrt(count / (count - 1)) * (np.nanpercentile(drawn, [2.5, 97.5]) - mean)
-    return [float(bound) for bound in (bounds.clip(min=0.0) if other is None else bounds)]
+    _, first = np.unique(part[rows], return_index=True)
+    if not len(first):
+        return np.zeros((len(values), 0, values.shape[-1]))
+    return np.add.reduceat(np.where(counted, values, 0.0)[:, rows], first, axis=1)
+
+
+def draw(count: int, samples: int, rng: np.random.Generator) -> np.ndarray:
+    """Return how often each of `count` things is drawn with replacement, [samples,count]."""
+    return rng.multinomial(count, np.full(count, 1 / count), samples)
+
+
+def draw_seeds(count: int, samples: int, rng: np.random.Generator) -> np.ndarray:
+    """Return the weight of each seed in a mean over drawn seeds, [samples,count], widened."""
+    return 1 + widened(count) * (draw(count, samples, rng) - 1)
+
+
+def widened(count: int) -> float:
+    """Return the factor by which deviations of a mean over drawn things are too small."""
+    return math.sqrt(count / max(count - 1, 1))
+
+
+def drawn_error(errors: np.ndarray, drawn_parts: np.ndarray, seeds: np.ndarray) -> np.ndarray:
+    """Return the error [B,R] of each draw, the mean over seeds weighted by [B,S], of errors [S,D,R] by part."""
+    by_seed = np.einsum("bd,sdr->bsr", drawn_parts, errors)
+    return np.einsum("bs,bsr->br", seeds, by_seed) / len(errors)
+
+
+def mean_nmse(errors: np.ndarray, zero: np.ndarray) -> float:
+    """Return the nmse of errors [S,D,R], the mean over seeds and columns, for those of zero [D,R]."""
+    return float((errors.mean(axis=0).sum(axis=0) / zero.sum(axis=0)).mean())
 
 
 def parts(drive: np.ndarray, block_frames: int) -> np.ndarray:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
@@ -13,9 +14,11 @@ from plotly.offline import get_plotlyjs
 from pipeline.report import plots
 from pipeline.report.figures import Figures
 from pipeline.report.results import Group
-from pipeline.report.tables import Table
+from pipeline.report.summary import Results
+from pipeline.report.tables import DEFINITIONS, SteeringTables, Table
 
 _LEARNING = "Each line is a seed: nmse on the validation drives; dotted, without these, the training loss."
+_ERRORS = "nmse on the test drives, with its 95 % interval; 0 is perfect, 1 is useless"
 _SPACE = "Points and edges of the same drive in 3D. Drag to turn, move the slider, click a class to hide it."
 
 
@@ -27,25 +30,42 @@ class Figure(NamedTuple):
 Content = Sequence[str | Table | Figure]
 
 
+class Story(NamedTuple):
+    """What stands above the sections."""
+
+    headline: str
+    sentences: Sequence[str]
+    doubts: Sequence[str]
+    origin: str  # revision, date and machine
+
+
 def write_page(
-    path: Path, story: list[str], groups: list[Group], tables: list[Table], perception: Content, figures: Figures
+    path: Path,
+    story: Story,
+    groups: Sequence[Group],
+    figures: Results,
+    tables: SteeringTables,
+    perception: Content,
+    pictures: Figures,
 ) -> None:
     """Write the page beside folders figures and learning. `perception`: sources of the encoder's weights; tables."""
-    captions, views = figures
-    pictures = {name: _picture(path.parent / f"figures/{name}.png", caption) for name, caption in captions.items()}
+    captions, views = pictures
+    drawn = {name: _picture(path.parent / f"figures/{name}.png", caption) for name, caption in captions.items()}
     curves = {file.stem: pd.read_csv(file) for file in sorted((path.parent / "learning").glob("*.csv"))}
     look = plots.styles(groups)
+    errors = [Figure(f"{_ERRORS}: {group.title}.", _errors(group, figures, look)) for group in groups]
     learning = [Figure(_LEARNING, plots.to_html(plots.learning(curves, look), "learning"))] if curves else []
     space = [Figure(_SPACE, plots.to_html(plots.in_space(views), "space", "min(32rem, 105vw)"))] if views else []
-    first, paper = (tuple(table for table in tables if table.title.startswith(start)) for start in ("Res", "The paper"))
     sections: dict[str, Content] = {
-        "From image to graph": [*(pictures[name] for name in pictures if name == "chain"), *space],
-        "Results": first,
-        "The paper": paper,
-        **{f"Test drives: {group.title}": _test_drives(group, pictures, look) for group in groups},
+        "Errors": errors,
+        "From image to graph": [*(drawn[name] for name in drawn if name == "chain"), *space],
+        "Results": tables.results,
+        "The paper": tables.paper,
+        **{f"Test drives: {group.title}": _test_drives(group, drawn, look) for group in groups},
         "Learning curves": learning,
-        "Models in detail": [table for table in tables if table not in (*first, *paper)],
+        "Models in detail": tables.details,
         "Depth, classes and motion": perception,
+        "Definitions": [f"{word}: {meaning}" for word, meaning in DEFINITIONS.items()] if groups else [],
     }
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
@@ -60,21 +80,30 @@ def write_page(
     path.write_text(html, encoding="utf-8")
 
 
+def _errors(group: Group, figures: Results, look: plots.Styles) -> str:
+    height = f"{4 + 2 * len(group.predicted)}rem"
+    return plots.to_html(plots.errors(group, figures, look), f"{group.key}-errors", height)
+
+
 def _picture(path: Path, caption: str) -> Figure:
     png = base64.b64encode(path.read_bytes()).decode("ascii")
     return Figure(caption, Markup('<img src="data:image/png;base64,{}" alt="{}" loading="lazy">').format(png, caption))
 
 
 def _test_drives(group: Group, pictures: dict[str, Figure], look: plots.Styles) -> Content:
-    angle = " The angle is the turn of the path over all ranges." if any(group.labels.values()) else ""
-    model, drives = group.by_error[0]["model"], group.predictions["drive"].nunique()
-    content: list[str | Figure] = [
-        f"Of {drives} drives the best, the median and the worst by mean squared error of {model}: predictions of the "
-        f"first seed.{angle} Drag to zoom, double-click to reset, click the legend to hide."
-    ]
+    """Return the angles over time of the best, the median and the worst drive, on one axis, and their pictures."""
+    drives = group.predictions["drive"].nunique()
+    first = "The only test drive"
+    if drives > 1:
+        first = f"Of {drives} test drives, the best, the median and the worst by error of {group.by_error[0]['model']}"
+    turn = " The angle is the turn of the path over all ranges." if any(group.labels.values()) else ""
+    hint = "Drag to zoom, double-click to reset, click the legend to hide."
+    content: list[str | Figure] = [f"{first}: predictions of the first seed.{turn} {hint}"]
+    typical = group.predictions[group.predictions["drive"].isin(group.typical_drives)]
+    limit_deg = float(np.nanmax(np.abs(typical[["true_deg", "predicted_deg"]].to_numpy()), initial=1.0))
     for drive, rank in group.typical_drives.items():
         rows = group.predictions[group.predictions["drive"] == drive]
-        plot = plots.to_html(plots.over_time(rows, look), f"{group.key}-{rank}")
+        plot = plots.to_html(plots.over_time(rows, look, limit_deg), f"{group.key}-{rank}")
         content.append(Figure(f"The {rank} drive, {drive}: {group.title} over time", plot))
         content += [pictures[name] for name in pictures if name == f"{group.key}-{rank}"]
     return content

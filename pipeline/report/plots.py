@@ -1,4 +1,4 @@
-"""Build the page's interactive plots: angles over time, learning curves, and points with their graph in 3D."""
+"""Build the page's interactive plots: errors, angles over time, learning curves, and points with their graph in 3D."""
 
 from collections.abc import Sequence
 from itertools import cycle
@@ -11,6 +11,7 @@ import plotly.graph_objects as go
 from pipeline.camera import classes
 from pipeline.report.results import Group
 from pipeline.report.street_view import View
+from pipeline.report.summary import Results, key
 
 COLOURS = ("#0b57a4", "#d1495b", "#2e8b57", "#8a5fbf", "#1b998b", "#7a6a53", "#c2185b")
 Styles = dict[str, dict[str, Any]]
@@ -43,12 +44,32 @@ def to_html(figure: go.Figure, name: str, height: str = "24rem", *, alone: bool 
     return str(figure.to_html(div_id=name, config={"responsive": True, "displayModeBar": False}, **options))
 
 
-def over_time(predictions: pd.DataFrame, look: Styles) -> go.Figure:
-    """Plot driven angle, odometry and the predictions of each model over the time of one drive, in degrees, left +."""
+def errors(group: Group, figures: Results, look: Styles) -> go.Figure:
+    """Plot the nmse of each model and baseline with its 95 % interval, a range of a path beside the other."""
+    figure = go.Figure(layout=_PLANE | {"xaxis_title": "nmse", "yaxis": {"autorange": "reversed"}})
+    figure.update_layout(showlegend=len(group.labels) > 1, margin={"l": 130})
+    for label in group.labels.values():
+        entries = [figures[key(group.key, name, label)] for name in group.predicted]
+        values = [entry["figure"] for entry in entries]
+        ends = [entry["interval"] or (entry["figure"], entry["figure"]) for entry in entries]
+        bars = {
+            "array": [high - value for value, (_, high) in zip(values, ends, strict=True) if value is not None],
+            "arrayminus": [value - low for value, (low, _) in zip(values, ends, strict=True) if value is not None],
+        }
+        figure.add_scatter(x=values, y=[*group.predicted], error_x=bars, mode="markers", name=label or "nmse")
+    return figure
+
+
+def over_time(predictions: pd.DataFrame, look: Styles, limit_deg: float) -> go.Figure:
+    """Plot driven angle, odometry and the predictions of each model over the time of one drive, in degrees, left +.
+
+    `limit_deg`: end of the axis on both sides.
+    """
     truth = predictions.drop_duplicates("frame").sort_values("frame")
     lines = {"driven": (truth, "true_deg"), "odometry": (truth, "odometry_deg")}
     lines |= {name: (rows, "predicted_deg") for name, rows in predictions.groupby("model", sort=False)}
     figure = go.Figure(layout=_PLANE | {"xaxis_title": "time in s", "yaxis_title": "deg, left +"})
+    figure.update_yaxes(range=[-1.05 * limit_deg, 1.05 * limit_deg])
     for name, (rows, column) in lines.items():
         if rows[column].notna().any():
             hover = {"text": rows["frame"].tolist(), "hovertemplate": "%{y:.2f}° at %{x:.1f} s, frame %{text}"}

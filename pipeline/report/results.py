@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -44,8 +43,8 @@ class Group:
     labels: dict[str, str]  # column → label: empty for the steering angle, "5-10 m" for a range of the path ahead
     length_m: dict[str, float]  # column → length of the range, by which its curvature makes a turn; 1 for the angle
     models: list[Row]  # in the order of the paper, then as given
-    # predictions.csv of each model's first seed, with columns model, elapsed_s since the drive's first frame, and cost,
-    # the squared error; in degrees, left +, true_deg, predicted_deg and odometry_deg: of the steering angle, or of the
+    # predictions.csv of each model's first seed, with columns elapsed_s since the drive's first frame, and cost, the
+    # squared error; in degrees, left +, true_deg, predicted_deg and odometry_deg: of the steering angle, or of the
     # turn in all ranges of the path together.
     predictions: pd.DataFrame
     settings: Evaluate
@@ -58,13 +57,18 @@ class Group:
 
         Of one column, or the mean of all that are not 0 everywhere.
         """
+        truth = self.truth[:, self._columns(column)]
+        error = self._squared_error(name, column)
+        if minus is None:
+            return _nmse(error.mean(axis=0), truth), statistics.interval(error, truth, self.drive, self.settings)
+        other = self._squared_error(minus, column)
+        value = _nmse(error.mean(axis=0) - other.mean(axis=0), truth)
+        return value, statistics.interval(error, truth, self.drive, self.settings, other)
+
+    def _squared_error(self, name: str, column: str | None) -> np.ndarray:
+        """Return the squared errors [S,N,R] of a model or baseline, in one column or all."""
         columns = self._columns(column)
-        truth = self.truth[:, columns]
-        error, *other = ((self.predicted[of][..., columns] - truth) ** 2 for of in (name, minus) if of)
-        mean, zero = error.mean(axis=0) - sum(values.mean(axis=0) for values in other), np.nansum(truth**2, axis=0)
-        known = zero > 0
-        value = float((np.nansum(mean, axis=0)[known] / zero[known]).mean()) if known.any() else None
-        return value, statistics.interval(error, truth, self.drive, self.settings, *other)
+        return np.square(self.predicted[name][..., columns] - self.truth[:, columns])
 
     def difference(self, name: str, minus: str, column: str | None = None) -> Difference:
         """Return the paired difference in nmse of a model from another or a baseline."""
@@ -73,6 +77,10 @@ class Group:
         part = statistics.parts(self.drive, self.settings.bootstrap_block_frames)
         counted = np.isfinite(self.truth[:, self._columns(column)]).any(axis=1)
         return value, bounds, statistics.verdict(bounds, seeds, len(np.unique(part[counted])))
+
+    def column_of(self, label: str) -> str | None:
+        """Return the column with a label; of a path, None without one: all ranges together."""
+        return next((column for column, of_column in self.labels.items() if of_column == label), None)
 
     def _columns(self, column: str | None) -> list[int]:
         return [*range(len(self.labels))] if column is None else [[*self.labels].index(column)]
@@ -107,7 +115,7 @@ class Group:
         return min((name for name in NO_LEARNING if name in self.predicted), key=self._rank)
 
     def _rank(self, name: str) -> float:
-        value, _ = self.nmse(name)
+        value = _nmse(self._squared_error(name, None).mean(axis=0), self.truth)
         return np.inf if value is None else value
 
     @property
@@ -121,6 +129,13 @@ class Group:
     def first_seed(self, model: str) -> pd.DataFrame:
         """Return the predictions of the first seed of a model."""
         return self.predictions[self.predictions["model"] == model]
+
+
+def _nmse(error: np.ndarray, truth: np.ndarray) -> float | None:
+    """Return Σ error / Σ truth² of arrays [N,R], the mean over columns; None if every true value is 0."""
+    zero = np.nansum(truth**2, axis=0)
+    bends = zero > 0
+    return float((np.nansum(error, axis=0)[bends] / zero[bends]).mean()) if bends.any() else None
 
 
 def load_groups(folders: Mapping[str, Path], settings: Evaluate) -> list[Group]:
@@ -142,9 +157,11 @@ def load_groups(folders: Mapping[str, Path], settings: Evaluate) -> list[Group]:
         labels = {name: "" if far is None else f"{near:g}-{far:g} m" for name, (near, far) in ranges.items()}
         length_m = {name: 1.0 if far is None else far - near for name, (near, far) in ranges.items()}
         models = [row["model"] for row in ranked]
-        runs = [_load_predictions(folders[name], name, length_m) for name in models]
-        predictions = pd.concat(runs, ignore_index=True)
-        aligned, first = _align(predictions, models, [*columns]), predictions[predictions["run"] == ""]
+        tables = {name: _load_predictions(folders[name], name, length_m) for name in models}
+        predictions = pd.concat(tables.values(), ignore_index=True)
+        aligned = _align(predictions, models, [*columns])
+        firsts = [table[table["seed"] == table["seed"].iloc[0]] for table in tables.values()]
+        first = pd.concat(firsts, ignore_index=True)
         groups.append(Group(f"{predict}-{horizon}", title, labels, length_m, ranked, first, settings, **aligned))
     return groups
 
@@ -158,7 +175,9 @@ def _align(predictions: pd.DataFrame, models: Sequence[str], columns: Sequence[s
         return table.reindex(first.index).reindex(columns=[f"{kind}_{name}" for name in columns]).to_numpy(float)
 
     predicted = {
-        model: np.stack([values(seed, "predicted") for _, seed in rows[rows["model"] == model].groupby("run")])
+        model: np.stack(
+            [values(of_seed, "predicted") for _, of_seed in rows[rows["model"] == model].groupby("seed", sort=False)]
+        )
         for model in models
     }
     common = np.all([np.isfinite(seeds).all(axis=0) for seeds in predicted.values()], axis=0)
@@ -175,29 +194,11 @@ def _align(predictions: pd.DataFrame, models: Sequence[str], columns: Sequence[s
 
 
 def _load_predictions(folder: Path, model: str, length_m: Mapping[str, float]) -> pd.DataFrame:
-    """Load predictions.csv of all seeds below a folder, with columns as in :class:`Group` and ``run``, the seed."""
-    tables = []
-    for path in sorted(folder.rglob("predictions.csv")):
-        table = pd.read_csv(path, dtype={"drive": str})
-        for kind in ("true", "predicted", "odometry"):
-            values = [table.get(f"{kind}_{name}", np.nan) * length for name, length in length_m.items()]
-            table[f"{kind}_deg"] = np.rad2deg(sum(values))
-        elapsed_s = table["time_s"] - table.groupby("drive")["time_s"].transform("first")
-        run = ".".join(path.parent.relative_to(folder).parts)
-        cost = (table["predicted_deg"] - table["true_deg"]) ** 2
-        tables.append(table.assign(model=model, run=run, elapsed_s=elapsed_s, cost=cost))
-    return pd.concat(tables, ignore_index=True)
-
-
-def dvc_metrics(groups: Sequence[Group]) -> dict[str, Any]:
-    """Return group → model or baseline → range and split → nmse, of test also its interval; DVC joins keys by dots."""
-    result: dict[str, Any] = {group.title: {name: {} for name in group.predicted} for group in groups}
-    for group in groups:
-        for name, (column, label) in product(group.predicted, group.labels.items()):
-            value, bounds = group.nmse(name, column=column)
-            names = (f"{label} test nmse{end}".strip() for end in ("", ", 95 % from", ", 95 % to"))
-            result[group.title][name] |= zip(names, (value, *(bounds or ())), strict=False)
-        for row, (column, label), split in product(group.models, group.labels.items(), ("train", "val")):
-            if row[split]:
-                result[group.title][row["model"]][f"{label} {split} nmse".strip()] = row[split][column]["nmse"]
-    return result
+    """Load a model's predictions.csv, with the columns of :class:`Group`."""
+    table = pd.read_csv(folder / "predictions.csv", dtype={"drive": str})
+    for kind in ("true", "predicted", "odometry"):
+        turns_rad = [table.get(f"{kind}_{name}", np.nan) * length for name, length in length_m.items()]
+        table[f"{kind}_deg"] = np.rad2deg(sum(turns_rad))
+    elapsed_s = table["time_s"] - table.groupby("drive")["time_s"].transform("first")
+    cost = (table["predicted_deg"] - table["true_deg"]) ** 2
+    return table.assign(model=model, elapsed_s=elapsed_s, cost=cost)

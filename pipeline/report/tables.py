@@ -1,6 +1,6 @@
 """Build the text of table.md and of the page: first sentences, tables of models and baselines, and of perception."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import combinations, product
 from textwrap import fill
 from typing import Any, NamedTuple
@@ -9,20 +9,37 @@ import numpy as np
 import pandas as pd
 
 from pipeline.base.params import SPLITS
-from pipeline.evaluate.statistics import interval_text
+from pipeline.evaluate.statistics import interval_text, shown_metrics
 from pipeline.graphs.settings import Variant
 from pipeline.report import paper
-from pipeline.report.results import BASELINES, NO_LEARNING, USELESS, Difference, Group, Row
+from pipeline.report.results import BASELINES, NO_LEARNING, USELESS, Group, Row
+from pipeline.report.summary import Results, key
 
 NONE = "–"  # cell without a value
-_RESULTS = (
-    "nmse = MSE / MSE of always predicting zero: 0 is perfect, 1 is useless; ± one standard deviation between seeds; "
-    "in parentheses the 95 % interval for other roads and seeds (bootstrap; with one seed, for other roads only). "
-    "drift: of the path by measured speed and predicted angles, m per 100 m (Figure 5 of the paper), on all frames "
-    "that the model predicts. edges: directed kNN edges per frame after pruning. Baselines: zero and train_mean are "
-    "constants; persistence repeats the last true angle, which no model gets; odometry repeats the measured angle; "
-    "regression is its best multiple on the training drives."
-)
+DEFINITIONS = {
+    "nmse": (
+        "MSE / MSE of always predicting zero: 0 is perfect, 1 is useless; ± one standard deviation between seeds; in "
+        "parentheses the 95 % interval for other roads and seeds (bootstrap; with one seed, for other roads only)."
+    ),
+    "MAE deg": "mean absolute error of the angle in degrees.",
+    "drift": (
+        "of the path by measured speed and predicted angles, m per 100 m (Figure 5 of the paper), on all frames that "
+        "the model predicts."
+    ),
+    "edges": "directed kNN edges per frame after pruning.",
+    "zero, train_mean": "baselines that are constants.",
+    "persistence": "a baseline that repeats the last true angle, which no model gets.",
+    "odometry": "a baseline that repeats the measured angle.",
+    "regression": "a baseline: the best multiple of odometry on the training drives.",
+    "differences": (
+        "paired differences in nmse on the frames of the results, mean over the seeds, with their 95 % intervals: "
+        "below 0, the first is better. With one seed, the interval is of these networks only, which is too few to "
+        "compare methods: add some to train.seeds. Fewer than ten drives are too few, too. The model with the least "
+        "validation error (without validation: test error) is compared with the best baseline without learning and "
+        "with the other models; models that differ in one setting, with each other."
+    ),
+}
+CHOSEN = " ✓"
 _PAPER = (
     "MSE of the models that have the settings of a network of the paper: in its Table 2, and here in rad², train and "
     "val on all frames of the model. The paper's unit cannot be rad² of this label (docs/paper.md): compare only order "
@@ -31,12 +48,6 @@ _PAPER = (
 _CLAIMS = (
     "nmse and mean absolute error of both networks; MSE of the first relative to the second's, in the paper's Table 2 "
     "and here; the verdict is by the paired difference in nmse and its 95 % interval, as under Differences."
-)
-_DIFFERENCES = (
-    "Paired difference in nmse on the frames of the results, mean over the seeds, with its 95 % interval: below 0, the "
-    "first is better. With one seed, the interval is of these networks only; fewer than ten drives are too few to "
-    "compare methods. The model with the least validation error (without validation: test error) is compared with the "
-    "best baseline without learning and with the other models; models that differ in one setting, with each other."
 )
 _DEPTH = (
     "Each depth as abs rel, RMSE in metres, δ1, from 1 to 80 m, in Eigen's crop, the usual one of KITTI: means over "
@@ -76,30 +87,57 @@ class Table(NamedTuple):
         return "\n\n".join(filter(None, [f"## {self.title}", "\n".join(lines), fill(self.note, 110)]))
 
 
+def definitions() -> str:
+    """Return the definitions of the tables' words as Markdown."""
+    lines = [fill(f"- {word}: {meaning}", 110, subsequent_indent="  ") for word, meaning in DEFINITIONS.items()]
+    return "\n".join(["## Definitions", "", *lines])
+
+
 def number(value: Any, form: str = "") -> str:
     """Return a value as text, NONE without one."""
     return NONE if value is None or pd.isna(value) else format(value, form)
 
 
-def sentences(groups: Sequence[Group], absent: Sequence[str] = ()) -> list[str]:
+def headline(groups: Sequence[Group], figures: Results) -> str:
+    """Return one sentence on what the first group's best model shows; empty without a bend in the test drives."""
+    if not groups:
+        return ""
+    group = groups[0]
+    name = group.by_error[0]["model"]
+    baseline = group.best_baseline
+    error = figures[key(group.key, name)]["figure"]
+    without = figures[key(group.key, baseline)]["figure"]
+    difference = figures[key(group.key, name, minus=baseline)]
+    if error is None or difference["figure"] is None:
+        return ""
+    found = f"{name} predicts the {group.title} with an nmse of {error:.3f}"
+    return f"{found}; {baseline}, without learning, has {without:.3f} ({difference['verdict']})."
+
+
+def sentences(groups: Sequence[Group], figures: Results, absent: Sequence[str] = ()) -> list[str]:
     """Return texts on the best model of the first group, on models that learned nothing, and on absent ones."""
     texts = []
     if groups:
-        group, best = groups[0], groups[0].by_error[0]
-        name, baseline = best["model"], group.best_baseline
-        (nmse, interval), (difference, bounds, verdict) = group.nmse(name), group.difference(name, baseline)
+        group = groups[0]
+        best = group.by_error[0]
+        name = best["model"]
+        baseline = group.best_baseline
+        errors = figures[key(group.key, name)]
+        without = figures[key(group.key, baseline)]
+        difference = figures[key(group.key, name, minus=baseline)]
         choice = "validation error" if group.validated else "test error (there is no validation)"
         count = len(np.unique(group.drive[np.isfinite(group.truth).any(axis=1)]))
         drives = "1 drive" if count == 1 else f"{count} drives"
-        if difference is not None:  # there is a bend in the test drives
+        if difference["figure"] is not None:  # there is a bend in the test drives
             texts.append(
                 f"On {drives} that it was not trained on, {name}, the model with the least {choice}, predicts "
                 f"the {'turn of the ' * any(group.labels.values())}{group.title} with a mean absolute error of "
-                f"{group.mae_deg(name):.2f}° and an nmse of {nmse:.3f} (95 % interval: {interval_text(interval)}); "
-                "nmse is the squared error relative to that of always driving straight ahead, so 0 is perfect and 1 "
-                f"is useless. The best baseline without learning, {baseline} ({NO_LEARNING[baseline]}), has "
-                f"{group.mae_deg(baseline):.2f}° and {group.nmse(baseline)[0]:.3f}. Difference in nmse "
-                f"{difference:+.3f} ({interval_text(bounds, '+.3f')}): {verdict}."
+                f"{errors['mae_deg']:.2f}° and an nmse of {errors['figure']:.3f} (95 % interval: "
+                f"{interval_text(errors['interval'])}); nmse is the squared error relative to that of always driving "
+                f"straight ahead, so 0 is perfect and 1 is useless. The best baseline without learning, {baseline} "
+                f"({NO_LEARNING[baseline]}), has {without['mae_deg']:.2f}° and {without['figure']:.3f}. Difference in "
+                f"nmse {difference['figure']:+.3f} ({interval_text(difference['interval'], '+.3f')}): "
+                f"{difference['verdict']}."
             )
             scene_alone = best["entry"]["spatial"] != "blind" and best["entry"]["motion"] == "none"
             if scene_alone and baseline in ("odometry", "regression"):
@@ -108,7 +146,7 @@ def sentences(groups: Sequence[Group], absent: Sequence[str] = ()) -> list[str]:
                     f"from consecutive images: to know the present angle, use that (steer measure). {name} gets only "
                     "the structure of the scene in front: the question is what it tells of the angle, as in the paper."
                 )
-    if useless := [line for group in groups for line in _useless(group).values()]:
+    if useless := [line for group in groups for line in _useless(group, figures).values()]:
         texts.append(" ".join(useless))
     if absent:
         texts.append(
@@ -118,46 +156,62 @@ def sentences(groups: Sequence[Group], absent: Sequence[str] = ()) -> list[str]:
     return texts
 
 
-def _useless(group: Group) -> dict[str, str]:
+def _useless(group: Group, figures: Results) -> dict[str, str]:
     """Return model → a sentence, for each model of a group that has learned nothing."""
     return {
         row["model"]: f"{row['model']} learned nothing (test nmse above {USELESS}); its training drives have "
         f"{row['turning_frames']:,} turning frames (radius below 135 m)."
         for row in group.models
-        if (group.nmse(row["model"])[0] or 0.0) > USELESS
+        if (figures[key(group.key, row["model"])]["figure"] or 0.0) > USELESS
     }
 
 
-def steering_tables(groups: Sequence[Group]) -> list[Table]:
-    """Return the tables of all groups: first the errors of each group, then details."""
-    notes = [_frames(group) + _RESULTS * (group is groups[0]) for group in groups]
+class SteeringTables(NamedTuple):
+    """The tables of all groups that have rows."""
+
+    results: list[Table]  # errors of models and baselines
+    paper: list[Table]  # its claims and its Table 2
+    details: list[Table]  # differences, and the models' inputs and settings
+
+
+def steering_tables(groups: Sequence[Group], figures: Results) -> SteeringTables:
+    """Return the tables of all groups. The paper's numbers are shown for networks whose claim can be judged."""
+    results = [Table(f"Results: {group.title}", _results(group, figures), _frames(group, figures)) for group in groups]
     present = [group for group in groups if group.key == "angle-0"]
-    tables = [
-        *(Table(f"Results: {group.title}", _results(group), note) for group, note in zip(groups, notes, strict=True)),
-        Table("The paper's claims", [row for group in present for row in _claims(group)], _CLAIMS),
-        *(Table(f"Differences: {group.title}", _differences(group), _DIFFERENCES) for group in groups),
-        Table("The paper's Table 2", [row for group in present for row in _as_published(group)], _PAPER),
-        Table("Models", [_model(row) for group in groups for row in group.models]),
+    claims = [claim for group in present for claim in _claims(group)]
+    judged = {name for claim in claims for name in (claim.model, claim.rival)}
+    published = [row for group in present for row in _as_published(group, figures) if row["model"] in judged]
+    paper_tables = [
+        Table("The paper's claims", [claim_cells(claim, "angle-0", figures) for claim in claims], _CLAIMS),
+        Table("The paper's Table 2", published, _PAPER),
     ]
-    return [table for table in tables if table.rows]
+    details = [Table(f"Differences: {group.title}", _differences(group, figures)) for group in groups]
+    details.append(Table("Models", [_model(row) for group in groups for row in group.models]))
+    return SteeringTables(*([table for table in part if table.rows] for part in (results, paper_tables, details)))
 
 
-def _results(group: Group) -> list[dict[str, str]]:
-    models, useless, rows = {row["model"]: row for row in group.models}, _useless(group), []
+def _results(group: Group, figures: Results) -> list[dict[str, str]]:
+    models = {row["model"]: row for row in group.models}
+    useless = _useless(group, figures)
+    chosen = group.by_error[0]["model"]
+    rows = []
     for name in group.predicted:
         row = models.get(name, {})
-        marks = " †" * bool(row.get("untrained")) + " ‡" * (name in useless)
+        marks = CHOSEN if name == chosen else ""
+        marks += " †" if row.get("untrained") else ""
+        marks += " ‡" if name in useless else ""
         cells = {"model": f"*{name}*" if name in BASELINES else name + marks}
         for column, label in group.labels.items():
-            nmse, bounds = group.nmse(name, column=column)
-            text = number(nmse, ".3f")
-            if row and nmse is not None:
-                by_seed = group.scores(name, column)["by_seed"]
-                spread = f" ± {np.std(by_seed, ddof=1):.3f}" if len(by_seed) > 1 else ""
-                text += f"{spread} ({interval_text(bounds)})"
+            errors = figures[key(group.key, name, label)]
+            text = number(errors["figure"], ".3f")
+            if row and errors["figure"] is not None:
+                spread = f" ± {np.std(errors['seeds'], ddof=1):.3f}" if len(errors["seeds"]) > 1 else ""
+                text += f"{spread} ({interval_text(errors['interval'])})"
             cells[f"nmse {label}".strip()] = text
+            for metric in shown_metrics():
+                cells[f"{metric} {label}".strip()] = number(errors[metric], ".3f")
             if not label:
-                cells["MAE deg"] = number(group.mae_deg(name), ".2f")
+                cells["MAE deg"] = number(errors["mae_deg"], ".2f")
             if group.key == "angle-0":
                 cells["drift"] = number(row["test"][column]["drift_m_per_100m"] if row else None, ".1f")
         cells["parameters"] = number(row.get("parameters"), ",d")
@@ -166,17 +220,18 @@ def _results(group: Group) -> list[dict[str, str]]:
     return rows
 
 
-def _frames(group: Group) -> str:
+def _frames(group: Group, figures: Results) -> str:
     """Return a note on frames, on seeds that failed to train, and on models that have learned nothing."""
     known = np.isfinite(group.truth).sum(axis=0)
     frames = ", ".join(f"{label} {count:,}".strip() for label, count in zip(group.labels.values(), known, strict=True))
     counts = {row["model"]: (len(row.get("untrained", ())), len(row["seeds"])) for row in group.models}
     stuck = [f"† {few} of {seeds} seeds of {model} failed to train. " for model, (few, seeds) in counts.items() if few]
-    useless = [f"‡ {line} " for line in _useless(group).values()]
-    return f"{''.join(stuck + useless)}Test frames that every model of the table predicts: {frames}. "
+    useless = [f"‡ {line} " for line in _useless(group, figures).values()]
+    chosen = f"✓ has the least {'validation' if group.validated else 'test'} error. "
+    return "".join([chosen, *stuck, *useless, f"Test frames that every model of the table predicts: {frames}."])
 
 
-def _differences(group: Group) -> list[dict[str, str]]:
+def _differences(group: Group, figures: Results) -> list[dict[str, str]]:
     best, *others = [row["model"] for row in group.by_error]
     pairs = {(best, name): "" for name in (group.best_baseline, *others)}
     for pair in combinations(group.models, 2):
@@ -187,12 +242,17 @@ def _differences(group: Group) -> list[dict[str, str]]:
     rows = []
     for (first, second), setting in pairs.items():
         cells = {"models": f"{first} − {second}{setting}"}
-        for column, label in group.labels.items():
-            nmse, bounds, verdict = group.difference(first, second, column)
-            text = NONE if nmse is None else f"{nmse:+.3f} ({interval_text(bounds, '+.3f')}) {verdict}"
-            cells[label or "nmse"] = text
+        for label in group.labels.values():
+            cells[label or "nmse"] = difference_text(figures[key(group.key, first, label, second)])
         rows.append(cells)
     return rows
+
+
+def difference_text(entry: Mapping[str, Any]) -> str:
+    """Return a paired difference in nmse with its interval and verdict."""
+    if entry["figure"] is None:
+        return NONE
+    return f"{entry['figure']:+.3f} ({interval_text(entry['interval'], '+.3f')}) {entry['verdict']}"
 
 
 def _changed(*pair: Row) -> list[str]:
@@ -205,47 +265,52 @@ def _changed(*pair: Row) -> list[str]:
     return [f"{key}: {a} → {b}" for key, a, b in settings if a != b]
 
 
-def _as_published(group: Group) -> list[dict[str, str]]:
+def _as_published(group: Group, figures: Results) -> list[dict[str, str]]:
     return [
         {"model": row["model"], "paper train": str(row["paper"].train_mse), "paper test": str(row["paper"].test_mse)}
         | {split: number(row[split] and row[split]["steering_rad"]["mse"], "#.3g") for split in ("train", "val")}
-        | {"test": number(group.scores(row["model"], "steering_rad")["mse"], "#.3g")}
+        | {"test": number(figures[key(group.key, row["model"])]["mse"], "#.3g")}
         for row in group.models
         if row["paper"]
     ]
 
 
-def _claims(group: Group) -> list[dict[str, str]]:
-    """Return a row per claim whose two networks have the paper's settings, but for PointNet++'s width."""
-    models, rows = {row["model"]: row for row in group.models}, []
+def _claims(group: Group) -> list[paper.Claim]:
+    """Return the claims whose two networks have the paper's settings, but for PointNet++'s width."""
+    models = {row["model"]: row for row in group.models}
 
     def as_meant(name: str, claim: paper.Claim) -> bool:
         if name not in paper.PAPER:
             return len(_changed(models[claim.model], models[name])) == 1
         return paper.find(name, models[name]["entry"] | {"width": 1.0}, models[name]["variant"]) is not None
 
+    claims = []
     for claim in paper.CLAIMS:
         pair = claim.model, claim.rival
         if {*pair} <= models.keys() and all(as_meant(name, claim) for name in pair):
-            errors = [(group.nmse(name)[0], group.mae_deg(name)) for name in pair]
-            rows.append(claim_cells(claim, errors, group.difference(*pair)))
-    return rows
+            claims.append(claim)
+    return claims
 
 
-def claim_cells(claim: paper.Claim, errors: Sequence[tuple[Any, Any]], difference: Difference) -> dict[str, str]:
-    """Return a row about a claim for the nmse and mean error in degrees of its two networks, None if unknown."""
-    ((ours, ours_deg), (other, other_deg)), (nmse, bounds, outcome) = errors, difference
+def claim_cells(claim: paper.Claim, group: str, figures: Results) -> dict[str, str]:
+    """Return a row about a claim, by the figures of its two networks in a group."""
+    first = figures[key(group, claim.model)]
+    second = figures[key(group, claim.rival)]
+    difference = figures[key(group, claim.model, minus=claim.rival)]
+    interval = interval_text(difference["interval"], "+.3f")
+    ours = first["figure"]
+    other = second["figure"]
     verdicts = {"better": "reversed" if claim.comparable else "confirmed", "worse": "reversed"}
     model, rival = paper.PAPER.get(claim.model), paper.PAPER.get(claim.rival)
     return {
         "the paper's claim": claim.text,
-        "verdict": verdicts.get(outcome, outcome),
+        "verdict": verdicts.get(difference["verdict"], str(difference["verdict"])),
         "networks": f"{claim.model}, {claim.rival}",
         "nmse": f"{number(ours, '.3f')}, {number(other, '.3f')}",
-        "mean error, °": f"{number(ours_deg, '.2f')}, {number(other_deg, '.2f')}",
+        "mean error, °": f"{number(first['mae_deg'], '.2f')}, {number(second['mae_deg'], '.2f')}",
         "MSE ratio: paper": number(model.test_mse / rival.test_mse if model and rival else None, ".2f"),
         "here": number(ours / other if ours is not None and other else None, ".2f"),
-        "difference in nmse": f"{number(nmse, '+.3f')} ({interval_text(bounds, '+.3f')})",
+        "difference in nmse": f"{number(difference['figure'], '+.3f')} ({interval})",
     }
 
 

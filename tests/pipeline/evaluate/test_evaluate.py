@@ -60,7 +60,7 @@ def test_invalid_and_early_frames_do_not_count(folder):
 
 
 def test_a_metric_that_returns_no_number_is_named(monkeypatch):
-    monkeypatch.setitem(statistics.METRICS, "worst", lambda truth, predicted: float("nan"))
+    monkeypatch.setitem(statistics.METRICS, "worst", statistics.Metric(lambda truth, predicted: float("nan")))
     with pytest.raises(InputError, match="metric worst returned nan"):
         statistics.scores(np.ones(3), np.ones(3))
 

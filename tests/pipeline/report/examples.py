@@ -33,7 +33,7 @@ def metrics(
     if not entry.get("horizon") and columns is ANGLE:
         test["drift_m_per_100m"] = 3.0
     return {
-        "model": model, "entry": ENTRY | entry, "seeds": [0], "parameters": 9259,
+        "model": model, "entry": ENTRY | entry, "seeds": [0], "parameters": 9259, "drives": {"train": []},
         "variant": {"source": "clouds/pseudo", "k": 6, "keep_inter_class": 0.2}, "turning_frames": 1200,
         "points_per_frame": 1000.0, "edges_per_frame": 5160.0, "edges_per_frame_unpruned": 6000.0,
         "columns": columns, "val": None, "train": {column: {"nmse": 0.1, "mse": 1.23e-6} for column in columns},
@@ -65,16 +65,14 @@ def predictions(
 
 
 def write_model(data: Path, content: dict[str, Any], table: pd.DataFrame | None = None) -> None:
-    """Write metrics.json, and predictions.csv for each seed, below data/evaluate."""
+    """Write metrics.json and predictions.csv below data/evaluate; a table without seeds is that of each seed."""
     folder = data / "evaluate" / content["model"]
     store.write_json(folder / "metrics.json", content, sort_keys=False)
     if table is None:
         test = next(iter(content["test"].values()))
         table = predictions(test["nmse"], content["columns"], test["baselines"])
-    for number, seed in enumerate(content["seeds"]):
-        own = folder / f"seed-{seed}" if number else folder
-        own.mkdir(exist_ok=True)
-        table.to_csv(own / "predictions.csv", index=False)
+    seeds = [table.assign(seed=seed) for seed in content["seeds"]] if "seed" not in table else [table]
+    pd.concat(seeds).assign(model=content["model"]).to_csv(folder / "predictions.csv", index=False)
 
 
 def load(data: Path, *models: str) -> list[Group]:

@@ -17,8 +17,9 @@ from pipeline.camera.classes import ROAD, VOID
 from pipeline.check import preset
 from pipeline.clouds.cloud import clouds_drive
 from pipeline.clouds.settings import Clouds
-from pipeline.report import figures, paper, plots, tables
-from pipeline.report.page import write_page
+from pipeline.report import figures, paper, plots, summary, tables
+from pipeline.report.page import Story, write_page
+from pipeline.report.results import Group
 from pipeline.report.street_view import HALF_TRACK_M, STEP_M, View, path_steps, read_view, wheel_tracks
 from pipeline.scores.pixels import Scores
 from pipeline.train.entry import Entry
@@ -78,25 +79,36 @@ def test_angles_in_degrees_are_those_of_the_wheels_or_the_turns_of_a_path(tmp_pa
 
 
 def build(data: Path, *contents: dict[str, object]) -> dict[str, tables.Table]:
-    return {table.title: table for table in tables.steering_tables(examples.groups(data, *contents))}
+    return {table.title: table for table in steering_tables(examples.groups(data, *contents))}
+
+
+def steering_tables(groups: list[Group]) -> list[tables.Table]:
+    results, paper_tables, details = tables.steering_tables(groups, summary.results(groups))
+    return [*results, *paper_tables, *details]
+
+
+def sentences(groups: list[Group]) -> list[str]:
+    return tables.sentences(groups, summary.results(groups))
 
 
 def test_the_first_table_fits_a_terminal(tmp_path):
     content = metrics("pointnet2-lstm", baselines={"odometry": 0.04}, horizon=10) | {"seeds": [0, 1], "untrained": [1]}
     content["parameters"] = 1_408_259
-    examples.write_model(tmp_path, content)
-    seed, right = examples.predictions(0.3), examples.predictions()["frame"].between(10, 15)
-    seed.loc[right, "predicted_steering_rad"] = seed["true_steering_rad"]
-    seed.to_csv(tmp_path / "evaluate/pointnet2-lstm/seed-1/predictions.csv", index=False)
+    first = examples.predictions(0.2, baselines={"odometry": 0.04})
+    second, right = examples.predictions(0.3), examples.predictions()["frame"].between(10, 15)
+    second.loc[right, "predicted_steering_rad"] = second["true_steering_rad"]
+    examples.write_model(tmp_path, content, pd.concat([first.assign(seed=0), second.assign(seed=1)]))
     examples.write_model(tmp_path, metrics("dead", 0.96, horizon=10))
-    table, *_ = tables.steering_tables(groups := examples.load(tmp_path, "pointnet2-lstm", "dead"))
+    table, *_ = steering_tables(groups := examples.load(tmp_path, "pointnet2-lstm", "dead"))
     assert max(map(len, table.markdown().splitlines())) <= 110
-    *_, useless = tables.sentences(groups)
+    *_, useless = sentences(groups)
     assert useless.startswith("dead learned nothing (test nmse above 0.95); its training drives have 1,200 turning ")
-    assert table.note.startswith(f"† 1 of 2 seeds of pointnet2-lstm failed to train. ‡ {useless} Test frames that ")
+    assert table.note.startswith(
+        f"✓ has the least test error. † 1 of 2 seeds of pointnet2-lstm failed to train. ‡ {useless} Test frames that "
+    )
     rows = {row["model"]: row for row in table.rows}
     assert "dead ‡" in rows
-    found = rows["pointnet2-lstm †"]
+    found = rows["pointnet2-lstm ✓ †"]
     assert found["nmse"] == "0.232 ± 0.046 (0.179 to 0.309)"
     assert (found["parameters"], found["edges"]) == ("1,408,259", "5,160")
     assert rows["*odometry*"]["nmse"] == "0.040"
@@ -136,7 +148,7 @@ def test_all_rows_are_compared_on_common_frames_with_one_zero(tmp_path):
     assert [row["model"] for row in group.by_error] == ["short", "long"]
     assert [group.nmse(name)[0] for name in ("short", "long", "zero")] == pytest.approx([0.3, 0.5, 1.0])
     assert {group.scores(name, "steering_rad")["frames"] for name in group.predicted} == {2 * 22}
-    assert "short, the model with the least test error (there is no validation), " in tables.sentences([group])[0]
+    assert "short, the model with the least test error (there is no validation), " in sentences([group])[0]
     assert group.nmse("short", minus="long") == (pytest.approx(-0.2), pytest.approx([-0.2, -0.2]))
     unknown = (7**2 + 8**2) / sum(np.delete(np.arange(7, 30), 13) ** 2)
     assert group.nmse("odometry")[0] == pytest.approx(0.5 * (1 + unknown))
@@ -147,10 +159,10 @@ def test_models_without_common_frames_or_on_straight_roads_have_no_difference(tm
     for model, drive in zip(("scene", "blind"), examples.DRIVES, strict=True):
         examples.write_model(tmp_path, metrics(model), table[table["drive"] == drive])
     groups = examples.load(tmp_path, "scene", "blind")
-    built = {table.title: table for table in tables.steering_tables(groups)}
+    built = {table.title: table for table in steering_tables(groups)}
     assert {row["nmse"] for row in built["Differences: steering angle"].rows} == {tables.NONE}
     straight = examples.groups(tmp_path, metrics("straight", None))
-    assert tables.sentences(groups) == tables.sentences([]) == tables.sentences(straight) == []
+    assert sentences(groups) == sentences([]) == sentences(straight) == []
 
 
 def test_models_that_differ_in_one_setting_have_a_difference(tmp_path):
@@ -176,7 +188,7 @@ def test_models_that_differ_in_one_setting_have_a_difference(tmp_path):
     assert path[1:] == ["path − path-blind (spatial: gnn → blind)", "path − path-another (scene: same → another)"]
     assert found["Differences: path ahead"].rows[1]["5-10 m"] == "-0.300 (-0.300 to -0.300) too few seeds"
     rows = {row["model"]: row for row in found["Results: path ahead"].rows}
-    assert (rows["path"]["nmse 0-5 m"], rows["*odometry*"]["nmse 5-10 m"]) == ("0.200 (0.200 to 0.200)", "0.400")
+    assert (rows["path ✓"]["nmse 0-5 m"], rows["*odometry*"]["nmse 5-10 m"]) == ("0.200 (0.200 to 0.200)", "0.400")
     (row,) = found["The paper's Table 2"].rows  # of the only model with the settings of one of its networks
     assert (row["model"], row["paper test"], row["train"]) == ("sa-gnn-ncp", "0.0771", "1.23e-06")
 
@@ -209,8 +221,11 @@ def test_the_best_validated_model_has_a_verdict(tmp_path, monkeypatch, nmse, bas
     """Methods are compared with two seeds; the two drives have ten parts that count as drives, or eight."""
     models = metrics("other", 0.01, baselines, predict=predict), metrics("net", nmse, baselines, predict=predict)
     for model, columns in zip(models, ((0.4, 0.4), (0.5, 0.1)), strict=True):
-        model["val"] = {name: {"nmse": value} for name, value in zip(model["columns"], columns[::-1], strict=False)}
-    text, *purpose = tables.sentences(examples.groups(tmp_path, *models))
+        model["val"] = {
+            name: {"nmse": value, "nmse_by_seed": [value]}
+            for name, value in zip(model["columns"], columns[::-1], strict=False)
+        }
+    text, *purpose = sentences(examples.groups(tmp_path, *models))
     assert all("steer measure). net gets only the structure of the scene in front: " in line for line in purpose)
     assert len(purpose) == bool(baselines)
     title, metres = {"angle": ("steering angle", 1), "path": ("turn of the path ahead", 10)}[predict]
@@ -221,10 +236,10 @@ def test_the_best_validated_model_has_a_verdict(tmp_path, monkeypatch, nmse, bas
     assert text.endswith(": too few seeds.")
     for model in models:
         model["seeds"] = [0, 1]
-    text, *_ = tables.sentences(examples.groups(tmp_path, *models))
+    text, *_ = sentences(examples.groups(tmp_path, *models))
     assert verdict in text
     monkeypatch.setattr(examples, "SETTINGS", examples.SETTINGS.model_copy(update={"bootstrap_block_frames": 6}))
-    assert tables.sentences(examples.groups(tmp_path, *models))[0].endswith(": too few drives.")
+    assert sentences(examples.groups(tmp_path, *models))[0].endswith(": too few drives.")
 
 
 # Pictures
@@ -315,8 +330,9 @@ def test_the_largest_error_of_a_typical_drive_is_drawn(tmp_path, monkeypatch):
 
 EVIL = "x</script><script>alert(1)</script>"
 SECTIONS = [
-    "From image to graph", "Results", "The paper", "Test drives: steering angle",
+    "Errors", "From image to graph", "Results", "Test drives: steering angle",
     "Test drives: steering angle, 10 frames ahead", "Test drives: path ahead", "Learning curves", "Models in detail",
+    "Definitions",
 ]  # fmt: skip
 
 
@@ -330,16 +346,21 @@ def test_the_page_is_complete_self_contained_and_runs_no_script_of_a_name(tmp_pa
     (tmp_path / "learning").mkdir()
     (tmp_path / "learning/sa-gnn-ncp.csv").write_text("epoch,train_loss,val_nmse\n1,0.7,nan\n")
     view = View(7, xyz=np.array([[1.0, 2, 3], [4, 5, 6]]), points_cls=np.full(2, ROAD), edges=np.array([[0, 1]]))
-    content = groups, tables.steering_tables(groups), [], ({"chain": "Figure 1.", "angle-0-worst": "Error."}, [view])
-    write_page(tmp_path / "index.html", ["A sentence <b>."], *content)
+    results = summary.results(groups)
+    story = Story("Found.", ["A sentence <b>."], ["a clock is late"], "revision 1234567")
+    pictures = {"chain": "Figure 1.", "angle-0-worst": "Error."}, [view]
+    built = tables.steering_tables(groups, results)
+    write_page(tmp_path / "index.html", story, groups, results, built, [], pictures)
     text = (tmp_path / "index.html").read_text(encoding="utf-8")
     assert [html.unescape(title) for title in re.findall(r"<h2>(.*?)</h2>", text)] == SECTIONS
     assert re.findall(r'<a href="#(.*?)">', text) == re.findall(r'<section id="(.*?)">', text)
     own = re.sub(r"<script>.*?</script>", "", text, count=1, flags=re.DOTALL)  # without plotly
     assert not re.findall(r'(?:src|href)="(?!#|data:)', own)
-    assert own.index("A sentence &lt;b&gt;.") < own.index("Figure 1.") < own.index("<h2>Results")
+    found = ["Found.", "Doubt: a clock is late", "A sentence &lt;b&gt;.", "<h2>Errors", "Figure 1.", "<h2>Results"]
+    assert [own.index(text) for text in found] == sorted(own.index(text) for text in found)
+    assert "revision 1234567" in own
     names = re.findall(r'Plotly\.newPlot\(\s*"(.*?)"', own)
-    assert len({*names}) == len(names) == 2 + 2 * len(groups)  # in space, learning curves, two drives each
+    assert len({*names}) == len(names) == 2 + 3 * len(groups)  # in space, learning curves; errors and two drives each
     assert "alert(1)" in own
     assert "<script>alert(1)" not in own
 

@@ -9,7 +9,7 @@ SHELL := /bin/bash
 export DVC_NO_ANALYTICS := 1
 # DVC asks for the user's name, which a container may lack: docker run --user 1234.
 ifndef LOGNAME
-export LOGNAME := $(shell id -un 2>/dev/null || id -u)
+export LOGNAME := $(firstword $(shell id -un 2>/dev/null || id -u))
 endif
 # uv installs no bytecode. Where this is set, as in many containers, each process would compile its libraries anew.
 unexport PYTHONDONTWRITEBYTECODE

@@ -42,7 +42,7 @@ def main(name: str) -> None:
     params = preset.base_of(name, Path("params.yaml"))
     settings = preset.merged(name, params)
     preset.take_logs(settings, Path("data/raw"))
-    take_weights(settings["encoder"])
+    take_weights(settings["encoder"], run / "params.yaml")
 
     run.parent.mkdir(exist_ok=True)
     with locked(run, f"{run}.lock"):
@@ -81,8 +81,16 @@ def check_is_run(run: Path) -> None:
         raise InputError("is a folder that no run made", run, "Move it away, or rename the preset")
 
 
-def take_weights(encoder: dict[str, Any]) -> None:
-    """Add the hash of the weights to section encoder, so that DVC notices a file that was replaced."""
+def take_weights(encoder: dict[str, Any], params: Path) -> None:
+    """Add the hash of the weights to section encoder, so that DVC notices a file that was replaced.
+
+    A missing file keeps the hash that the run's `params` have of it: results of an earlier run need no weights.
+    """
+    earlier = read(params).get("encoder", {}) if params.is_file() else {}
+    same_file = earlier.get("weights") == encoder.get("weights")
+    if same_file and "weights_sha256" in earlier and not Path(encoder["weights"]).exists():
+        encoder["weights_sha256"] = earlier["weights_sha256"]
+        return
     found = weights_hash(parse(Encoder, encoder, "encoder"))
     if found:
         encoder["weights_sha256"] = found
@@ -129,7 +137,7 @@ def is_dvc(pid: int, since_s: float) -> bool:
         process = psutil.Process(pid)
         words = process.cmdline()
         return process.create_time() < since_s and "dvc" in [Path(word).name for word in words]
-    except psutil.NoSuchProcess:
+    except (psutil.NoSuchProcess, psutil.AccessDenied):  # that of another user is no run here: the folder is locked
         return False
 
 
@@ -138,36 +146,45 @@ def run_dvc(run: Path) -> None:
     commands = [*DVC]
     if not (run / ".dvc").is_dir():
         commands.insert(0, "init --quiet --no-scm")
+    if (run / "dvc.lock").exists() and not (run / "dvc.lock.ended").exists():  # of an earlier version
+        keep_lock(run, ended_well=True)
     status = 0
-    for words in commands:
-        # A group of its own: `timeout` and a closed terminal signal all processes of the group of make.
-        process = subprocess.Popen(["dvc", *words.split()], cwd=run, process_group=0, stdin=subprocess.DEVNULL)
-        with interrupting(process.pid):
-            status = process.wait()
-        if status:
-            break
+    groups = list[int]()
+    with interrupting(groups) as interrupted:
+        for words in commands:
+            # A group of its own: `timeout` and a closed terminal signal all processes of the group of make.
+            process = subprocess.Popen(["dvc", *words.split()], cwd=run, process_group=0, stdin=subprocess.DEVNULL)
+            groups.append(process.pid)
+            if interrupted:  # before the process was known
+                os.killpg(process.pid, signal.SIGINT)
+            status = process.wait() or len(interrupted)
+            if status:
+                break
     keep_lock(run, ended_well=not status)
     if status:
         raise typer.Exit(status)
 
 
 @contextmanager
-def interrupting(group: int) -> Iterator[None]:
-    """Pass signals that end this process on to a group of processes, as Ctrl-C: DVC and stages end by themselves.
+def interrupting(groups: list[int]) -> Iterator[list[int]]:
+    """Pass signals that end this process on to the last group of processes, as Ctrl-C; yield the list of signals.
 
-    Killed, DVC would leave locks, and a stage would go on without it.
+    DVC and stages end by themselves. Killed, DVC would leave locks, and a stage would go on without it.
     """
+    interrupted = list[int]()
 
-    def interrupt(*_: object) -> None:
+    def interrupt(number: int, _: object) -> None:
+        interrupted.append(number)
         with suppress(ProcessLookupError):
-            os.killpg(group, signal.SIGINT)
+            if groups:
+                os.killpg(groups[-1], signal.SIGINT)
 
     handlers = {}
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) != signal.SIG_IGN:  # as nohup does with SIGHUP
             handlers[number] = signal.signal(number, interrupt)
     try:
-        yield
+        yield interrupted
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)

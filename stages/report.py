@@ -47,7 +47,7 @@ def main(
         all_tables = [*steering.results, *steering.paper, *steering.details, *perceived]
         definitions = [tables.definitions()] if groups else []
         text = "\n\n".join([first, *(table.markdown() for table in all_tables), *definitions]).lstrip()
-        origin_text = ", ".join(" ".join(item) for item in origin().items())
+        origin_text = "Page made at " + ", ".join(" ".join(item) for item in origin().items())
         story = Story(tables.headline(groups, figures), sentences, doubts, origin_text)
         (folder.new / "table.md").write_text(f"{text}\n", encoding="utf-8")
         store.write_json(folder.new / "metrics.json", summary.dvc_metrics(groups, figures))

@@ -18,12 +18,12 @@ from pipeline.base.params import SPLITS, read
 from pipeline.base.resume import ROOT, content_hash, is_of_desktop
 from pipeline.base.store import replacing
 from pipeline.camera.lens import depth_limit
-from pipeline.check.preset import IMPORT, check_name_is_free, is_unedited, stamped
+from pipeline.check.preset import IMPORT, author_of, check_name_is_free, is_unedited, stamped
 from pipeline.check.recording_logs import check_logs
-from pipeline.ingest.datasets.recording import FRAMES, MOTION, SCAN, TIMES, VIDEO, WHEEL, usable
+from pipeline.ingest.datasets.recording import MOTION, SCAN, TIMES, WHEEL, usable
 from pipeline.ingest.log import log_notes
 from pipeline.ingest.recording import Recording
-from pipeline.ingest.settings import Part
+from pipeline.ingest.settings import FRAMES, VIDEO, Part
 from pipeline.motion.horizon import noted_horizon
 
 TEMPLATE = Path(__file__).with_name("imported.yaml")
@@ -116,7 +116,7 @@ def check_free(preset: Path, recordings: Mapping[Path, Sequence[Path]]) -> None:
     the only ones.
     """
     check_name_is_free(preset.stem)
-    if preset.exists() and not is_unedited(preset):
+    if preset.exists() and not (author_of(preset) == IMPORT and is_unedited(preset)):
         raise InputError("is not as steer import wrote it", preset, OTHER_NAME)
     parts = read(preset)["ingest"]["recordings"].values() if preset.exists() else ()
     hashes = {(part["folder"], file): value for part in parts for file, value in part["files"].items()}

@@ -222,10 +222,10 @@ class Code:
 
 
 def _without_alternatives(files: set[Path], own: Iterable[str]) -> set[Path]:
-    """Return files without those beside the files `own`, unless these import them."""
+    """Return files without the modules beside the files `own`, unless these import them; data files there stay."""
     needed = {Path(path) for path in own}
     folders = {path.parent for path in needed}
-    alternatives = {file for file in files if file.parent in folders} - needed
+    alternatives = {file for file in files if file.suffix == ".py" and file.parent in folders} - needed
     if alternatives:
         alternatives -= imported(needed)
     return files - alternatives

@@ -44,14 +44,14 @@ def main(
     out = folder / params
     author = f"{_AUTHOR} PRESET={name}"
     if not (out.exists() and out.samefile(params)):  # make street and make encoder: settings of one encoder
-        write(merged(name, params), out, author)
+        is_of_preset = author_of(params).startswith(_AUTHOR) and before(params).is_file()
+        write(merged(name, before(params) if is_of_preset else params), out, author)
         return
     base = base_of(name, params)
     content = merged(name, base)
     take_logs(content, Path("data/raw"))
-    if base == params:
-        with replacing(before(params)) as kept:
-            shutil.copyfile(params, kept)
+    if not author_of(params):
+        keep_before(params)
     write_text(params, text(content, author))
     print(f"wrote {params} with the changes of preset {name}; the file before is {before(params)}")
 
@@ -59,6 +59,15 @@ def main(
 def before(params: Path) -> Path:
     """Return the path of the file that ``make params`` replaced."""
     return params.with_name(f"{params.name}.before")
+
+
+def keep_before(params: Path) -> None:
+    """Keep `params`, which a preset will replace. Raises InputError if another file is kept already."""
+    kept = before(params)
+    if kept.exists() and kept.read_bytes() != params.read_bytes():
+        raise InputError("holds other settings, which this command would replace", kept, "Move or delete it")
+    with replacing(kept) as new:
+        shutil.copyfile(params, new)
 
 
 def base_of(name: str, params: Path) -> Path:
@@ -69,8 +78,9 @@ def base_of(name: str, params: Path) -> Path:
     author = author_of(params)
     if not author:
         return params
-    if author == f"{_AUTHOR} PRESET={name}" and is_unedited(params) and before(params).is_file():
-        return before(params)
+    if author == f"{_AUTHOR} PRESET={name}" and is_unedited(params):
+        # A clone has params.yaml alone: the preset once more changes nothing there.
+        return before(params) if before(params).is_file() else params
     problem = f"{author} wrote it, so preset {name} does not apply to it"
     if not is_unedited(params):
         problem = f"{author} wrote it, and it was edited since, so preset {name} does not apply to it"
@@ -154,7 +164,10 @@ def text(content: dict[str, Any], author: str) -> str:
     writer, stream = YAML(), io.StringIO()
     writer.default_flow_style = False  # as DVC writes, so that `dvc exp run -S` changes one line
     writer.dump(content, stream)
-    return stamped(stream.getvalue(), author)
+    dumped = stream.getvalue()
+    if dumped.startswith(_STAMP):  # of the file to which the changes were applied
+        dumped = dumped.partition("\n")[2]
+    return stamped(dumped, author)
 
 
 def write(content: dict[str, Any], out: Path, author: str) -> None:
@@ -200,7 +213,8 @@ def check_name_is_free(name: str) -> None:
     if name in TARGETS:
         raise InputError("is a target of make", name, "Choose another name")
     outs = read(ROOT / "dvc.yaml")["stages"]["report"]["outs"]
-    if name in {Path(out).stem for out in outs}:  # the page of the run would replace it, in DVC's cache, too
+    # The page of the run would replace it, in DVC's cache, too; also on a disk that ignores case.
+    if name.lower() in {Path(out).stem for out in outs}:
         raise InputError("is the name of a file that stage report writes", name, "Choose another name")
 
 

@@ -19,7 +19,7 @@ from pipeline.encoder.weights import WEIGHTS, find, weights_hash
 def create(settings: Encoder) -> tuple[Architecture, nn.Module]:
     """Return description and network of section ``encoder``. Raises InputError if a file is missing or does not fit."""
     with error_context("weights"):
-        if settings.weights_sha256 not in (None, weights_hash(settings)):
+        if settings.weights and settings.weights_sha256 not in (None, weights_hash(settings)):
             raise InputError("is not the file whose hash weights_sha256 has", settings.weights, "Repeat make NAME")
     if settings.weights is None or settings.backbone == "precomputed":
         return CREATE[settings.backbone](settings)

@@ -51,7 +51,7 @@ def scores(truth: np.ndarray, predicted: np.ndarray) -> dict[str, Any]:
         if value is not None and not math.isfinite(value):
             fix = "Return a finite number, or None where there is none"
             raise InputError(f"metric {name} returned {value}", "pipeline/evaluate/statistics.py", fix)
-        result[name] = value
+        result[name] = None if value is None else float(value)
     return result
 
 

@@ -13,6 +13,9 @@ from pipeline.base.errors import closest
 from pipeline.base.params import SPLITS, ImageSize, Name, Section
 
 RECORDING = "recording"
+# Beginnings of the names of videos, and the name of a folder of images, in a folder of data/raw.
+VIDEO = "video"
+FRAMES = "frames"
 DATASETS = sorted(path.stem for path in (Path(__file__).parent / "datasets").glob("[!_]*.py"))
 KITTI_NAMES = re.compile(r"\d{4}_\d\d_\d\d_drive_\d{4}")  # also of the sample
 
@@ -110,9 +113,14 @@ class Part(RecordingOptions):
     end: float | None = Field(default=None, ge=0, le=1e10, description="leave out this and later images")
 
     def shares_images(self, other: Self) -> bool:
-        """Return whether another part has images of this one."""
+        """Return whether another part has images of this one, also in a folder of another name."""
         ends = (math.inf if part.end is None else part.end for part in (self, other))
-        return self.folder == other.folder and max(self.start, other.start) < min(ends)
+        same_files = self.folder == other.folder or self.image_hashes() & other.image_hashes()
+        return bool(same_files) and max(self.start, other.start) < min(ends)
+
+    def image_hashes(self) -> set[str]:
+        """Return the hashes of the videos, or of the folder of images."""
+        return {found for name, found in self.files.items() if name.startswith((VIDEO, FRAMES))}
 
     def span(self) -> str:
         """Return the span as text."""

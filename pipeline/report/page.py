@@ -53,7 +53,7 @@ def write_page(
     drawn = {name: _picture(path.parent / f"figures/{name}.png", caption) for name, caption in captions.items()}
     curves = {file.stem: pd.read_csv(file) for file in sorted((path.parent / "learning").glob("*.csv"))}
     look = plots.styles(groups)
-    errors = [Figure(f"{_ERRORS}: {group.title}.", _errors(group, figures, look)) for group in groups]
+    errors = [Figure(f"{_ERRORS}: {group.title}.", _errors(group, figures)) for group in groups]
     learning = [Figure(_LEARNING, plots.to_html(plots.learning(curves, look), "learning"))] if curves else []
     space = [Figure(_SPACE, plots.to_html(plots.in_space(views), "space", "min(32rem, 105vw)"))] if views else []
     sections: dict[str, Content] = {
@@ -80,9 +80,9 @@ def write_page(
     path.write_text(html, encoding="utf-8")
 
 
-def _errors(group: Group, figures: Results, look: plots.Styles) -> str:
+def _errors(group: Group, figures: Results) -> str:
     height = f"{4 + 2 * len(group.predicted)}rem"
-    return plots.to_html(plots.errors(group, figures, look), f"{group.key}-errors", height)
+    return plots.to_html(plots.errors(group, figures), f"{group.key}-errors", height)
 
 
 def _picture(path: Path, caption: str) -> Figure:

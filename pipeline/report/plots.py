@@ -44,7 +44,7 @@ def to_html(figure: go.Figure, name: str, height: str = "24rem", *, alone: bool 
     return str(figure.to_html(div_id=name, config={"responsive": True, "displayModeBar": False}, **options))
 
 
-def errors(group: Group, figures: Results, look: Styles) -> go.Figure:
+def errors(group: Group, figures: Results) -> go.Figure:
     """Plot the nmse of each model and baseline with its 95 % interval, a range of a path beside the other."""
     figure = go.Figure(layout=_PLANE | {"xaxis_title": "nmse", "yaxis": {"autorange": "reversed"}})
     figure.update_layout(showlegend=len(group.labels) > 1, margin={"l": 130})

@@ -14,9 +14,8 @@ from pipeline.base.resume import content_hash
 from pipeline.ingest.drive import Drive
 from pipeline.ingest.log import ROUNDING_S, Logs, logged_values
 from pipeline.ingest.recording import Recording, open_recording
-from pipeline.ingest.settings import Ingest, Part
+from pipeline.ingest.settings import FRAMES, VIDEO, Ingest, Part
 
-VIDEO, FRAMES = "video", "frames"  # beginnings of the names of files in a folder of data/raw
 WHEEL, MOTION, TIMES = "wheel.csv", "motion.csv", "times.txt"
 # What steer import found when it decoded all images, so that no part is decoded for it again.
 SCAN = "scan.csv"

@@ -52,6 +52,7 @@ def edit(path: Path, before: str, after: str) -> None:
         (f"{DATASETS}/kitti.py", "", "LIMIT = 1\n", {"kitti", "sample"}),
         (f"{DATASETS}/udacity.py", "", "LIMIT = 1\n", set()),
         (f"{DATASETS}/mine.py", "", "LIMIT = 1\n", set()),
+        (f"{DATASETS}/lens.yaml", "", "fov: 60\n", {"kitti", "sample", "recording"}),
         ("pipeline/labels/helper/__init__.py", "", "LIMIT = 1\n", {"labels"}),
         ("pipeline/labels/label.py", "", "LIMIT = 1\n", {"labels", "gnn", "polar"}),
         ("models/encoder/words.txt", "", "road", {"perception"}),

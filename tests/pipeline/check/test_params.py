@@ -164,8 +164,15 @@ def test_one_preset_at_a_time_is_written_into_params(tmp_path, monkeypatch):
     params.write_text(written)
     before.unlink()
     with pytest.raises(InputError, match=r"git checkout COMMIT params.yaml"):
-        preset.main("table2")
+        preset.main("roads")
+    preset.main("table2")  # as in a clone, which has no file before
     assert params.read_text() == written
+    before.write_text("other settings")
+    params.write_text(edited)
+    with pytest.raises(InputError, match=r"params\.yaml\.before: holds other settings"):
+        preset.main("table2")
+    before.unlink()
+    params.write_text(written)
 
     preset.main("street", Path("runs/street"))  # as make street does, for any params.yaml
     Path("runs/street/params.yaml").write_text("edits")

@@ -181,8 +181,10 @@ def interrupting(groups: list[int]) -> Iterator[list[int]]:
 
     handlers = {}
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) != signal.SIG_IGN:  # as nohup does with SIGHUP
+        if signal.getsignal(number) != signal.SIG_IGN:
             handlers[number] = signal.signal(number, interrupt)
+        elif number == signal.SIGINT:  # as in the background of a script: DVC would inherit that, and not end
+            handlers[number] = signal.signal(number, lambda *_: None)
     try:
         yield interrupted
     finally:

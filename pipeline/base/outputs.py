@@ -142,7 +142,7 @@ def _check_owner(out: Path, index: Mapping[str, Any]) -> None:
 
 
 def _move(new: Path, out: Path) -> None:
-    """Move the content of `new` to `out`, in place of what has the same names there, and of drives that are no more."""
+    """Move the content of `new` to `out`; replace files of the same names, and remove drives of earlier runs."""
     out.mkdir(parents=True, exist_ok=True)
     _remove(out / INDEX)  # no stage reads the folder until this is there again, as the last file
     paths = sorted(new.iterdir(), key=lambda path: path.name == INDEX)

@@ -1,4 +1,4 @@
-"""Cache keys: reuse a result only if its code, packages, settings and inputs are those of this run."""
+"""Cache keys: reuse a result only if code, packages, settings and inputs match."""
 
 import ast
 import fnmatch
@@ -144,7 +144,7 @@ def _dvc_entry(stage: str) -> dict[str, Any]:
 
 
 def _files(path: Path) -> set[Path]:
-    """Return a file, or those of a folder, relative to ROOT, without what Python, editors and file managers leave."""
+    """Return a file, or the files of a folder, relative to ROOT; not those that Python and editors leave."""
     files = [file for file in (path, *path.rglob("*")) if file.is_file() and not is_of_desktop(file)]
     return {file.relative_to(ROOT) for file in files if not file.name.endswith(LEFT)}
 

@@ -1,4 +1,4 @@
-"""Presets, sets of changes to ``params.yaml``, and the command that writes those of one into the file."""
+"""Presets, which are sets of changes to ``params.yaml``, and the command that applies a preset to the file."""
 
 import hashlib
 import io
@@ -73,7 +73,7 @@ def keep_before(params: Path) -> None:
 def base_of(name: str, params: Path) -> Path:
     """Return the file to which a preset applies: `params`, or what it was before ``make params`` with this preset.
 
-    Raises InputError if another preset wrote `params`, if it was edited since, or if it is a copy of that of a run.
+    Raises InputError if another preset wrote `params`, if `params` was edited since, or if a run wrote it.
     """
     author = author_of(params)
     if not author:

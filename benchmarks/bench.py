@@ -1,4 +1,6 @@
-"""Measure this project beside alternatives, in turn on the same arrays and one thread, and its stages: make bench."""
+"""Measure this project beside alternatives, in turn on the same arrays and one thread, and its
+stages: make bench.
+"""
 
 import platform
 import tempfile
@@ -14,12 +16,18 @@ from pipeline.base import console
 from pipeline.base.errors import InputError, closest
 from pipeline.base.executors import usable_cores
 
-ROWS = {"gcn_vs_pyg_edge_index": networks.gcn, "windows_vs_naive": networks.training, "ltc": networks.ltc}
+ROWS = {
+    "gcn_vs_pyg_edge_index": networks.gcn,
+    "windows_vs_naive": networks.training,
+    "ltc": networks.ltc,
+}
 
 
 def main(
     names: Annotated[list[str] | None, typer.Argument(metavar="ROW", help="default: all")] = None,
-    points: Annotated[int, typer.Option(help="per frame of a random street; default: the paper's")] = POINTS,
+    points: Annotated[
+        int, typer.Option(help="per frame of a random street; default: the paper's")
+    ] = POINTS,
 ) -> None:
     """Measure rows and print them as a Markdown table."""
     for name in names or []:
@@ -28,14 +36,23 @@ def main(
     torch.set_num_threads(1)
     cpu = f"{platform.machine()}, {usable_cores()} cores, 1 thread"
     print(f"{torch.cuda.get_device_name()}; {cpu}" if torch.cuda.is_available() else cpu)
-    print("| row | ours | alternative | unit | ratio | ours / alternative |", "|---|--:|--:|---|--:|---|", sep="\n")
+    print(
+        "| row | ours | alternative | unit | ratio | ours / alternative |",
+        "|---|--:|--:|---|--:|---|",
+        sep="\n",
+    )
     with tempfile.TemporaryDirectory() as folder:
         street = make_street(Path(folder), points)
         for name in names or ROWS:
             row = ROWS[name](street)
             ours, alternative = row.measure()
-            ratio = ours / alternative if row.unit.endswith("/s") else alternative / ours  # above 1: ours is better
-            print(f"| {name} | {ours:.3g} | {alternative:.3g} | {row.unit} | {ratio:.3g} | {row.what} |", flush=True)
+            # above 1: ours is better
+            ratio = ours / alternative if row.unit.endswith("/s") else alternative / ours
+            print(
+                f"| {name} | {ours:.3g} | {alternative:.3g} | {row.unit} | {ratio:.3g} | "
+                f"{row.what} |",
+                flush=True,
+            )
         if not names:
             print("", "| points | by the stages' own code | |", "|--:|---|--:|", sep="\n")
             for count in sorted({min(1000, points), points}):

@@ -45,11 +45,21 @@ class Timed(Fit):
 
 
 def training(folder: Path, points: int) -> Figures:
-    """Yield what a training of the demo's sa-gnn-ncp on a street of random points takes, by stage train's own code."""
+    """Yield what a training of the demo's sa-gnn-ncp on a street of random points takes, by stage
+    train's own code.
+    """
     drives = _drives(folder, points)
     paths, settings = [drive.graphs for drive in drives], load(Train, ROOT / "params.yaml")
     net = ENTRY.build("graph").to(DEVICE)
-    fit = Timed(net, ENTRY, settings.model_copy(update={"epochs": 1}), 0, drives[1:], drives[:1], frames.Files(paths))
+    fit = Timed(
+        net,
+        ENTRY,
+        settings.model_copy(update={"epochs": 1}),
+        0,
+        drives[1:],
+        drives[:1],
+        frames.Files(paths),
+    )
     start = time.perf_counter()
     with redirect_stdout(sys.stderr):  # outside of the table
         fit.run(folder / "state.pt", f"{points} points")
@@ -67,11 +77,25 @@ def training(folder: Path, points: int) -> Figures:
             fit._train(reader, 3)
             wall_s += time.perf_counter()
         events = profiled.key_averages()
-        kernels = [event for event in events if event.device_type.name == "CUDA" and not event.is_user_annotation]
-        yield "kernel time / wall time", sum(event.self_device_time_total for event in kernels) / wall_s / 1e6
-        yield "launches per step", sum(event.count for event in events if "Launch" in event.key) / steps
-        for text in ("Synchronize", "Pageable ->"):  # the end of an epoch and the profiler wait, too
-            yield f"events with {text} in an epoch of {steps} steps", sum(e.count for e in events if text in e.key)
+        kernels = [
+            event
+            for event in events
+            if event.device_type.name == "CUDA" and not event.is_user_annotation
+        ]
+        yield (
+            "kernel time / wall time",
+            sum(event.self_device_time_total for event in kernels) / wall_s / 1e6,
+        )
+        yield (
+            "launches per step",
+            sum(event.count for event in events if "Launch" in event.key) / steps,
+        )
+        # the end of an epoch and the profiler wait, too
+        for text in ("Synchronize", "Pageable ->"):
+            yield (
+                f"events with {text} in an epoch of {steps} steps",
+                sum(e.count for e in events if text in e.key),
+            )
         yield "peak memory, GiB", torch.cuda.max_memory_allocated() / 2**30
     batch, alone = reader[[windows.Span(0, 0, FRAMES)]], copy.deepcopy(net).cpu().eval()
     with torch.no_grad():
@@ -84,7 +108,9 @@ def perception() -> Figures:
     for backbone, size in ENCODERS.items():
         network = build({"backbone": backbone}).to(DEVICE, memory_format=torch.channels_last).eval()  # type: ignore[call-overload]
         images = np.zeros((GPU_BATCH if DEVICE == "cuda" else 1, *size, 3), np.uint8)
-        camera = Camera(np.array([[size[1], 0, size[1] / 2], [0, size[1], size[0] / 2], [0, 0, 1]]), size)
+        camera = Camera(
+            np.array([[size[1], 0, size[1] / 2], [0, size[1], size[0] / 2], [0, 0, 1]]), size
+        )
         measure = milliseconds(lambda: perceive(network, images, camera, "auto"), len(images))  # noqa: B023
         yield f"perception, {backbone}, ms/image", min(measure() for _ in range(3))
 
@@ -93,11 +119,15 @@ def _drives(folder: Path, points: int) -> list[LabelledDrive]:
     """Write DRIVES times the same street, with a label for each frame."""
     street, frame = make_street(folder, points), np.arange(FRAMES)
     angle_rad, speed_mps = 0.1 * np.sin(frame / 5), np.full(FRAMES, 8.0)
-    labels = label.Labels(angle_rad, np.ones(FRAMES, bool), speed_mps, speed_mps * np.tan(angle_rad) / 2.7)
+    labels = label.Labels(
+        angle_rad, np.ones(FRAMES, bool), speed_mps, speed_mps * np.tan(angle_rad) / 2.7
+    )
     settings = Labels(wheelbase_m=2.7, min_speed_mps=1.0)
     for name in (names := [f"street-{number}" for number in range(DRIVES)]):
         os.link(street.file, folder / f"{name}.h5")
         params = {"labels": settings.model_dump()}
-        with store.DriveWriter(folder / f"labels/{name}.h5", stage="labels", drive=name, params=params) as file:
+        with store.DriveWriter(
+            folder / f"labels/{name}.h5", stage="labels", drive=name, params=params
+        ) as file:
             source.write(file, frame, frame * 0.1, labels, settings)
     return [read_drive(folder, folder / "labels", name, ENTRY) for name in names]

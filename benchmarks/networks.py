@@ -1,4 +1,6 @@
-"""Measure networks beside PyTorch Geometric and ncps: convolutions, LTC, a training step with its reading."""
+"""Measure networks beside PyTorch Geometric and ncps: convolutions, LTC, a training step with its
+reading.
+"""
 
 from collections.abc import Callable
 from typing import Any, cast
@@ -22,17 +24,27 @@ GCN_FRAMES = 4  # per batch
 WINDOW, FEATURES = 8, 32
 WINDOWS = FRAMES - WINDOW + 1
 REPEATS = 10  # of the LTC cell
-MODEL = {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": WINDOW, "semantics": 1.0}
+MODEL = {
+    "input": "semantic",
+    "spatial": "gnn",
+    "temporal": "ncp",
+    "window": WINDOW,
+    "semantics": 1.0,
+}
 
 
 def gcn(street: Street) -> Row:
-    """Compare graph convolutions with GCNConv on edge_index, normalised once per batch for all layers."""
+    """Compare graph convolutions with GCNConv on edge_index, normalised once per batch for all
+    layers.
+    """
     batch, net = street.batch(GCN_FRAMES), GCN(1, Options(semantics=0.0)).to(DEVICE)
     layers = pyg_layers(net)
 
     def alternative() -> None:
         x = node_features(batch.xyz, batch.cls, 0.0)
-        _backward(features(x, layers, gcn_norm(batch.edge_index, None, len(x)), batch.ptr, net.read_out))
+        _backward(
+            features(x, layers, gcn_norm(batch.edge_index, None, len(x)), batch.ptr, net.read_out)
+        )
 
     ours = milliseconds(lambda: _backward(net(batch)), GCN_FRAMES)
     what = f"{street.title}: three graph convolutions / PyG GCNConv on edge_index, both ways"
@@ -49,8 +61,12 @@ def pyg_layers(net: GCN, normalize: bool = False) -> nn.ModuleList:
     return layers.to(net.read_out.weight.device)
 
 
-def features(x: Tensor, layers: nn.ModuleList, graph: tuple[Tensor, ...], ptr: Tensor, read_out: nn.Module) -> Tensor:
-    """Return the features [B,F] that GCN computes from node features x, by PyTorch Geometric's `layers`."""
+def features(
+    x: Tensor, layers: nn.ModuleList, graph: tuple[Tensor, ...], ptr: Tensor, read_out: nn.Module
+) -> Tensor:
+    """Return the features [B,F] that GCN computes from node features x, by PyTorch Geometric's
+    `layers`.
+    """
     for layer in layers:
         x = layer(x, *graph).relu()
     return read_out(mean_max_pool(x, ptr))
@@ -65,7 +81,9 @@ def ltc(_: Street) -> Row:
         for _ in range(REPEATS):
             _backward(forward()[:, -1, 0])
 
-    ours = milliseconds(lambda: repeat(lambda: cell(cell.project_inputs(x)[windows], dt_s)), REPEATS)
+    ours = milliseconds(
+        lambda: repeat(lambda: cell(cell.project_inputs(x)[windows], dt_s)), REPEATS
+    )
     alternative = milliseconds(lambda: repeat(lambda: ncps_cell(x[windows])[0]), REPEATS)
     what = f"{WINDOWS} windows of {WINDOW} frames, {FEATURES} features: LTC / ncps LTC, both ways"
     return Row(ours, alternative, "ms", what)
@@ -74,21 +92,33 @@ def ltc(_: Street) -> Row:
 def ncps_ltc() -> nn.Module:
     """Return the LTC network of ncps on a wiring of the same sizes."""
     neurons = {"inter_neurons": 12, "command_neurons": 6, "motor_neurons": 1}
-    synapses = {"sensory_fanout": 6, "inter_fanout": 4, "recurrent_command_synapses": 6, "motor_fanin": 6}
+    synapses = {
+        "sensory_fanout": 6,
+        "inter_fanout": 4,
+        "recurrent_command_synapses": 6,
+        "motor_fanin": 6,
+    }
     return ncps_torch.LTC(FEATURES, NCP(**neurons, **synapses), batch_first=True)
 
 
 def training(street: Street) -> Row:
-    """Compare training steps, reading included, on windows that share frames with PyG and ncps on one at a time."""
+    """Compare training steps, reading included, on windows that share frames with PyG and ncps on
+    one at a time.
+    """
     shared, naive = Entry.model_validate(MODEL).build("graph").to(DEVICE), NaiveNet().to(DEVICE)
     paths = street.frames[:WINDOW]
 
     def read_window() -> Any:
-        return Batch.from_data_list([torch.load(path, weights_only=False) for path in paths]).to(DEVICE)
+        return Batch.from_data_list([torch.load(path, weights_only=False) for path in paths]).to(
+            DEVICE
+        )
 
     ours = milliseconds(_step(shared, lambda: shared(street.batch(FRAMES), *_windows())), WINDOWS)
     alternative = milliseconds(_step(naive, lambda: naive(read_window())))
-    what = f"{street.title}: training with shared frames / PyG + ncps, each window read and encoded for itself"
+    what = (
+        f"{street.title}: training with shared frames / PyG + ncps, each window read and encoded "
+        "for itself"
+    )
     return Row(lambda: 1e3 / ours(), lambda: 1e3 / alternative(), "windows/s", what)
 
 

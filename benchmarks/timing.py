@@ -20,7 +20,8 @@ from pipeline.train.frames import join, number_rows
 
 ROUNDS = 5
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
-Measurement = Callable[[], float]  # does the work once and returns the result in the unit of the row
+# does the work once and returns the result in the unit of the row
+Measurement = Callable[[], float]
 FRAMES = 31  # a span of 24 windows of 8 frames
 POINTS, K, KEEP_INTER_CLASS = 43_000, 6, 0.2  # paper, Table 1
 
@@ -34,9 +35,13 @@ class Row(NamedTuple):
     what: str
 
     def measure(self) -> list[float]:
-        """Return the medians of both, run once to warm up, then in turn, so that other load affects both."""
+        """Return the medians of both, run once to warm up, then in turn, so that other load affects
+        both.
+        """
         self.ours(), self.alternative()
-        return np.median([(self.ours(), self.alternative()) for _ in range(ROUNDS)], axis=0).tolist()
+        return np.median(
+            [(self.ours(), self.alternative()) for _ in range(ROUNDS)], axis=0
+        ).tolist()
 
 
 def milliseconds(work: Callable[[], object], items: int = 1) -> Measurement:
@@ -68,7 +73,9 @@ class Street(NamedTuple):
 
 
 def make_street(folder: Path, points: int) -> Street:
-    """Write FRAMES graphs of random `points` on a road and on a wall on either side, in camera axes, to `folder`."""
+    """Write FRAMES graphs of random `points` on a road and on a wall on either side, in camera
+    axes, to `folder`.
+    """
     rng, frame = np.random.default_rng(0), np.arange(FRAMES)
     variant = Variant(source="clouds/pseudo", points=points, k=K, keep_inter_class=KEEP_INTER_CLASS)
 
@@ -80,11 +87,16 @@ def make_street(folder: Path, points: int) -> Street:
         return xyz, np.where(wall, BUILDING, ROAD).astype(np.uint8)
 
     graphs = (frame_graph.build(cloud(), variant, "street", number) for number in range(FRAMES))
-    street = Street(f"{points:,} points", folder / "graphs.h5", [folder / f"{number}.pt" for number in frame])
+    street = Street(
+        f"{points:,} points", folder / "graphs.h5", [folder / f"{number}.pt" for number in frame]
+    )
     params = {"graphs": variant.model_dump()}
     with store.DriveWriter(street.file, stage="graphs", drive="street", params=params) as file:
         graph_file.write(file, frame, frame * 0.1, graphs, frame_graph.empty_frame(variant))
     for path, block in zip(street.frames, street.batch(FRAMES, "cpu").blocks(1), strict=True):
-        # Float32 points and int64 edges, as PyG's operators need them. Clones: a view would save all frames.
-        torch.save(Data(pos=block.xyz.clone(), cls=block.cls.long(), edge_index=block.edge_index), path)
+        # Float32 points and int64 edges, as PyG's operators need them. Clones: a view would save
+        # all frames.
+        torch.save(
+            Data(pos=block.xyz.clone(), cls=block.cls.long(), edge_index=block.edge_index), path
+        )
     return street

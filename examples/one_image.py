@@ -1,4 +1,6 @@
-"""The method, step by step: eight images of a street to the steering angle. Run python -m examples.one_image."""
+"""The method, step by step: eight images of a street to the steering angle. Run python -m
+examples.one_image.
+"""
 
 from pathlib import Path
 
@@ -23,20 +25,30 @@ K = np.array([[172.9, 0, 154.4], [0, 172.9, 44.95], [0, 0, 1]])  # pixels
 _, encoder = encoder_file.load(Path("models/encoder/sample/encoder.pt"))
 model = trained.load("models/steering/sample", device="cpu")
 gcn, standardise, ncp = model.net.spatial, model.net.scale, model.net.temporal
-images = np.stack([read_image(path) for path in sorted(Path("examples/street").glob("*.png"))])  # [8,H,W,3]
+# [8,H,W,3]
+images = np.stack([read_image(path) for path in sorted(Path("examples/street").glob("*.png"))])
 rng, features = np.random.default_rng(0), []
-for depth_m, cls in zip(*perceive(encoder, images, Camera(K, images.shape[1:3])), strict=True):  # each [H,W]
+# each [H,W]
+for depth_m, cls in zip(*perceive(encoder, images, Camera(K, images.shape[1:3])), strict=True):
     solid = cloud.solid(depth_m, cls, max_depth_m=80)  # no sky, void or far pixels
-    xyz, point_cls = back_project(depth_m, K)[solid].astype(np.float32), cls[solid]  # eq. 6: metres [P,3], trainIds [P]
+    # eq. 6: metres [P,3], trainIds [P]
+    xyz, point_cls = back_project(depth_m, K)[solid].astype(np.float32), cls[solid]
     drawn = cloud.draw(len(xyz), 1000, rng)
     xyz, point_cls = xyz[drawn], point_cls[drawn]
-    pruned = graph.prune(graph.undirected(graph.nearest(xyz, k=6)), point_cls, keep_inter_class=0.2, rng=rng)  # Fig. 3
-    x = node_features(torch.from_numpy(xyz), torch.from_numpy(point_cls), semantics=1.0)  # eq. 7: [P,25]
-    adjacency = normalised_adjacency(torch.from_numpy(pruned.degree), torch.from_numpy(pruned.indices), x.dtype)
+    # Fig. 3
+    pruned = graph.prune(
+        graph.undirected(graph.nearest(xyz, k=6)), point_cls, keep_inter_class=0.2, rng=rng
+    )
+    # eq. 7: [P,25]
+    x = node_features(torch.from_numpy(xyz), torch.from_numpy(point_cls), semantics=1.0)
+    adjacency = normalised_adjacency(
+        torch.from_numpy(pruned.degree), torch.from_numpy(pruned.indices), x.dtype
+    )
     for layer in gcn.layers:
         x = layer(adjacency, x)  # GCNLayer, eq. 3
     features.append(gcn.read_out(mean_max_pool(x, torch.tensor([0, len(x)]))))  # [1,32]
-inputs = ncp.project_inputs(standardise(torch.cat(features)))[None]  # [1,8,..], a window of eight frames
+# [1,8,..], a window of eight frames
+inputs = ncp.project_inputs(standardise(torch.cat(features)))[None]
 outputs = ncp(inputs, torch.full((1, 8), NOMINAL_STEP_S))  # [1,8,1]
 angle_deg = np.degrees(model.scale.decode(outputs[:, -1].numpy(), base=np.zeros(1)).item())
 print(title := f"steering angle: predicted {angle_deg:.1f}°, driven 17.1° (left +)")

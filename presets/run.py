@@ -1,4 +1,6 @@
-"""Run a preset in a copy of the code, runs/NAME, a DVC repository with its own cache: ``make NAME``."""
+"""Run a preset in a copy of the code, runs/NAME, a DVC repository with its own cache: ``make
+NAME``.
+"""
 
 import json
 import os
@@ -33,7 +35,9 @@ DVC = ("config cache.type hardlink,copy", "cache dir .dvc/cache", "repro")
 
 
 def main(name: str) -> None:
-    """Run preset `name` and copy its report to data/report/NAME.*. Raises InputError if it is running already."""
+    """Run preset `name` and copy its report to data/report/NAME.*. Raises InputError if it is
+    running already.
+    """
     start_s = time.monotonic()
     run = Path("runs") / name
 
@@ -70,7 +74,9 @@ def main(name: str) -> None:
     print(table, f"Open {report}/{name}.html in a browser.", sep="")
     print(facts, f"next: {command}", sep="\n")
     if settings["ingest"].get("recordings"):
-        recorded = json.loads((run / "data/scores/metrics.json").read_text(encoding="utf-8"))["recorded"]
+        recorded = json.loads((run / "data/scores/metrics.json").read_text(encoding="utf-8"))[
+            "recorded"
+        ]
         for doubt in dict.fromkeys(line for log in recorded.values() for line in log["lines"][1:]):
             print(f"doubt: {doubt}")
 
@@ -84,7 +90,8 @@ def check_is_run(run: Path) -> None:
 def take_weights(encoder: dict[str, Any], params: Path) -> None:
     """Add the hash of the weights to section encoder, so that DVC notices a file that was replaced.
 
-    A missing file keeps the hash that the run's `params` have of it: results of an earlier run need no weights.
+    A missing file keeps the hash that the run's `params` have of it: results of an earlier run need
+    no weights.
     """
     earlier = read(params).get("encoder", {}) if params.is_file() else {}
     same_file = earlier.get("weights") == encoder.get("weights")
@@ -97,10 +104,16 @@ def take_weights(encoder: dict[str, Any], params: Path) -> None:
 
 
 def copy_code(run: Path) -> None:
-    """Copy the code. copied.json lists the files: only these are removed where the code no longer has them."""
+    """Copy the code. copied.json lists the files: only these are removed where the code no longer
+    has them.
+    """
     listed = run / "copied.json"
     before = set(json.loads(listed.read_text(encoding="utf-8"))) if listed.exists() else set()
-    paths = [file for name in CODE for file in ([Path(name)] if Path(name).is_file() else Path(name).rglob("*.*"))]
+    paths = [
+        file
+        for name in CODE
+        for file in ([Path(name)] if Path(name).is_file() else Path(name).rglob("*.*"))
+    ]
     now = {str(path) for path in paths if path.is_file() and path.suffix != ".pyc"}
     for name in before - now:
         (run / name).unlink(missing_ok=True)
@@ -113,7 +126,8 @@ def copy_code(run: Path) -> None:
 def release_locks(path: Path) -> None:
     """Remove the entries of DVC's lock file whose process is not the one that wrote them.
 
-    DVC keeps them while any process has this number, as on another machine or after the restart of a container.
+    DVC keeps them while any process has this number, as on another machine or after the restart of
+    a container.
     """
     if not path.is_file():
         return
@@ -122,7 +136,11 @@ def release_locks(path: Path) -> None:
         content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError:  # half a file, by a kill
         content = {}
-    write = {file: entry for file, entry in content.get("write", {}).items() if is_dvc(entry["pid"], written_s)}
+    write = {
+        file: entry
+        for file, entry in content.get("write", {}).items()
+        if is_dvc(entry["pid"], written_s)
+    }
     read = {}
     for file, entries in content.get("read", {}).items():
         alive = [entry for entry in entries if is_dvc(entry["pid"], written_s)]
@@ -137,7 +155,8 @@ def is_dvc(pid: int, since_s: float) -> bool:
         process = psutil.Process(pid)
         words = process.cmdline()
         return process.create_time() < since_s and "dvc" in [Path(word).name for word in words]
-    except (psutil.NoSuchProcess, psutil.AccessDenied):  # that of another user is no run here: the folder is locked
+    # that of another user is no run here: the folder is locked
+    except (psutil.NoSuchProcess, psutil.AccessDenied):
         return False
 
 
@@ -146,14 +165,18 @@ def run_dvc(run: Path) -> None:
     commands = [*DVC]
     if not (run / ".dvc").is_dir():
         commands.insert(0, "init --quiet --no-scm")
-    if (run / "dvc.lock").exists() and not (run / "dvc.lock.ended").exists():  # of an earlier version
+    # of an earlier version
+    if (run / "dvc.lock").exists() and not (run / "dvc.lock.ended").exists():
         keep_lock(run, ended_well=True)
     status = 0
     groups = list[int]()
     with interrupting(groups) as interrupted:
         for words in commands:
-            # A group of its own: `timeout` and a closed terminal signal all processes of the group of make.
-            process = subprocess.Popen(["dvc", *words.split()], cwd=run, process_group=0, stdin=subprocess.DEVNULL)
+            # A group of its own: `timeout` and a closed terminal signal all processes of the group
+            # of make.
+            process = subprocess.Popen(
+                ["dvc", *words.split()], cwd=run, process_group=0, stdin=subprocess.DEVNULL
+            )
             groups.append(process.pid)
             if interrupted:  # before the process was known
                 os.killpg(process.pid, signal.SIGINT)
@@ -167,9 +190,11 @@ def run_dvc(run: Path) -> None:
 
 @contextmanager
 def interrupting(groups: list[int]) -> Iterator[list[int]]:
-    """Pass signals that end this process on to the last group of processes, as Ctrl-C; yield the list of signals.
+    """Pass signals that end this process on to the last group of processes, as Ctrl-C; yield the
+    list of signals.
 
-    DVC and stages end by themselves. Killed, DVC would leave locks, and a stage would go on without it.
+    DVC and stages end by themselves. Killed, DVC would leave locks, and a stage would go on without
+    it.
     """
     interrupted = list[int]()
 
@@ -183,7 +208,8 @@ def interrupting(groups: list[int]) -> Iterator[list[int]]:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) != signal.SIG_IGN:
             handlers[number] = signal.signal(number, interrupt)
-        elif number == signal.SIGINT:  # as in the background of a script: DVC would inherit that, and not end
+        # as in the background of a script: DVC would inherit that, and not end
+        elif number == signal.SIGINT:
             handlers[number] = signal.signal(number, lambda *_: None)
     try:
         yield interrupted
@@ -193,9 +219,11 @@ def interrupting(groups: list[int]) -> Iterator[list[int]]:
 
 
 def keep_lock(run: Path, *, ended_well: bool) -> None:
-    """Keep dvc.lock, which names results, of the last run that ended well before the current results.
+    """Keep dvc.lock, which names results, of the last run that ended well before the current
+    results.
 
-    It is dvc.lock.before; dvc.lock.ended is of the last run that ended well, whether or not results differ.
+    It is dvc.lock.before; dvc.lock.ended is of the last run that ended well, whether or not results
+    differ.
     """
     lock = run / "dvc.lock"
     ended = run / "dvc.lock.ended"
@@ -208,22 +236,39 @@ def keep_lock(run: Path, *, ended_well: bool) -> None:
 
 
 def next_command(name: str, run: Path, settings: dict[str, Any]) -> str:
-    """Return the command after a run: a prediction with the lens of a recording, or the next run."""
+    """Return the command after a run: a prediction with the lens of a recording, or the next
+    run.
+    """
     drives, recordings = settings["ingest"]["drives"], settings["ingest"].get("recordings", {})
     for part in [recordings[drive] for drive in drives["test"] if drive in recordings]:
-        lens = [f"--{key} {part[key]}" for key in ("fov", "K", "distortion", "fisheye") if key in part]
-        return " ".join(["steer predict VIDEO", *lens, f"--model {run}/data/train/{next(iter(settings['models']))}"])
+        lens = [
+            f"--{key} {part[key]}" for key in ("fov", "K", "distortion", "fisheye") if key in part
+        ]
+        return " ".join(
+            [
+                "steer predict VIDEO",
+                *lens,
+                f"--model {run}/data/train/{next(iter(settings['models']))}",
+            ]
+        )
     return f"$EDITOR presets/{name}.yaml && make {name}  # trains only what changed"
 
 
 def changes(new: dict[str, Any], old: dict[str, Any]) -> dict[str, Any]:
     """Return what differs in nested settings, as a preset: None for a key that `new` lacks."""
-    both = {key: (new.get(key), old.get(key)) for key in {**old, **new} if new.get(key) != old.get(key)}
-    return {key: changes(a, b) if isinstance(a, dict) and isinstance(b, dict) else a for key, (a, b) in both.items()}
+    both = {
+        key: (new.get(key), old.get(key)) for key in {**old, **new} if new.get(key) != old.get(key)
+    }
+    return {
+        key: changes(a, b) if isinstance(a, dict) and isinstance(b, dict) else a
+        for key, (a, b) in both.items()
+    }
 
 
 def with_facts(page: str, facts: str, settings: dict[str, Any], command: str) -> str:
-    """Return the page of a stage with what the stage cannot know: where it comes from, and the next command."""
+    """Return the page of a stage with what the stage cannot know: where it comes from, and the next
+    command.
+    """
     text = yaml.safe_dump(settings, allow_unicode=True, sort_keys=False)
     summary = f"<summary>{escape(facts)}; settings that differ from params.yaml</summary>"
     page = page.replace("</h1>", f"</h1>\n<details>{summary}<pre>{escape(text)}</pre></details>", 1)

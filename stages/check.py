@@ -1,4 +1,6 @@
-"""Stage check: find faults of params.yaml before any other stage runs. It reads no weights and has no outputs."""
+"""Stage check: find faults of params.yaml before any other stage runs. It reads no weights and has
+no outputs.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,8 @@ from pipeline.encoder import create
 
 
 def main(params: Path = Path("params.yaml")) -> Path:
-    """Validate all sections and imports, build each steering network once, and look for the encoder's files.
+    """Validate all sections and imports, build each steering network once, and look for the
+    encoder's files.
 
     Returns `params`.
     """
@@ -31,7 +34,9 @@ def main(params: Path = Path("params.yaml")) -> Path:
 
 
 def has_encoder(lock: Path, settings: dict[str, Any]) -> bool:
-    """Return whether dvc.lock has an encoder of these settings: DVC takes or fetches it, as if its files were here."""
+    """Return whether dvc.lock has an encoder of these settings: DVC takes or fetches it, as if its
+    files were here.
+    """
     if not lock.is_file():
         return False
     encoder = read(lock).get("stages", {}).get("encoder", {})

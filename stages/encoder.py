@@ -19,30 +19,47 @@ from pipeline.encoder.settings import Encoder
 from pipeline.ingest.settings import Ingest
 
 
-def main(data: Path = Path("data"), out: Path = Path("data/encoder"), params: Path = Path("params.yaml")) -> Path:
+def main(
+    data: Path = Path("data"), out: Path = Path("data/encoder"), params: Path = Path("params.yaml")
+) -> Path:
     """Write encoder.pt, config.json and curve.csv. Return the folder."""
     settings, ingest = load(Encoder, params), data / "ingest"
-    config: dict[str, Any] = settings.model_dump(mode="json", exclude_none=True, exclude={"weights_sha256"})
+    config: dict[str, Any] = settings.model_dump(
+        mode="json", exclude_none=True, exclude={"weights_sha256"}
+    )
     with stage_folder("encoder", out, params=params) as stage:
         torch.manual_seed(settings.seed)
         with error_context(params), error_context("encoder"):
             architecture, model = create(settings)
         size = load(Ingest, params).image_size
-        with error_context(params), error_context(f"backbone {settings.backbone}, ingest.image_size {list(size)}"):
+        with (
+            error_context(params),
+            error_context(f"backbone {settings.backbone}, ingest.image_size {list(size)}"),
+        ):
             if settings.backbone != "precomputed":
                 encoder_file.check_size(model, size)
         curve: list[dict[str, float]] = []
         if settings.epochs:
             encoder_file.save(stage.kept / "start", architecture, model.state_dict())
             drives = store.drives_in(store.read_index(ingest, stage="ingest"), "train")
-            inputs: list[Path | str] = [stage.kept / "start" / encoder_file.FILE, *(ingest / f"{d}.h5" for d in drives)]
+            inputs: list[Path | str] = [
+                stage.kept / "start" / encoder_file.FILE,
+                *(ingest / f"{d}.h5" for d in drives),
+            ]
             work = partial(
-                fit_drives, model=model, architecture=architecture, settings=settings, ingest=ingest, drives=drives
+                fit_drives,
+                model=model,
+                architecture=architecture,
+                settings=settings,
+                ingest=ingest,
+                drives=drives,
             )
             job = Job("encoder", encoder_file.FILE, inputs, work)
             fitted = make_drives(stage, [job], settings, "{frames} frames", workers=1)["encoder"]
             curve = fitted["curve"]
-            config |= fitted["config"] | {"losses": {name: curve[-1][name] for name in ("loss", "depth", "classes")}}
+            config |= fitted["config"] | {
+                "losses": {name: curve[-1][name] for name in ("loss", "depth", "classes")}
+            }
         else:
             encoder_file.save(stage.new, architecture, model.state_dict())
         parameters = sum(parameter.numel() for parameter in model.parameters())

@@ -1,4 +1,6 @@
-"""Compute the errors of a trained model on each split, beside those of the baselines: data/evaluate/<model>/."""
+"""Compute the errors of a trained model on each split, beside those of the baselines:
+data/evaluate/<model>/.
+"""
 
 from pathlib import Path
 from typing import Annotated
@@ -8,13 +10,21 @@ import typer
 from pipeline.base import console, store
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
-from pipeline.evaluate.cases import evaluate_model, predict_cases, summary, train_nmse, write_predictions
+from pipeline.evaluate.cases import (
+    evaluate_model,
+    predict_cases,
+    summary,
+    train_nmse,
+    write_predictions,
+)
 from pipeline.evaluate.settings import Evaluate
 from pipeline.train import runs, trained
 
 
 def main(
-    name: Annotated[str, typer.Argument(metavar="MODEL", help="an entry of models: in the params file")],
+    name: Annotated[
+        str, typer.Argument(metavar="MODEL", help="an entry of models: in the params file")
+    ],
     data: Path = Path("data"),
     params: Path = Path("params.yaml"),
 ) -> Path:
@@ -32,7 +42,10 @@ def main(
         result = evaluate_model(name, first, cases, settings)
         for seed in result["untrained"]:
             error = train_nmse(result)[first.seeds.index(seed)]
-            print(f"{name}: seed {seed} failed to train: nmse {error:.3f} on its own training drives", flush=True)
+            print(
+                f"{name}: seed {seed} failed to train: nmse {error:.3f} on its own training drives",
+                flush=True,
+            )
         store.write_json(folder.new / "metrics.json", result, sort_keys=False)
         write_predictions(folder.new / "predictions.csv", name, first.seeds, cases["test"])
     print(f"{name}: test nmse {', '.join(summary(*column) for column in result['test'].items())}")

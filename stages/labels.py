@@ -1,4 +1,6 @@
-"""Compute steering labels from the source that params.yaml names, and statistics of their plausibility."""
+"""Compute steering labels from the source that params.yaml names, and statistics of their
+plausibility.
+"""
 
 from functools import partial
 from pathlib import Path
@@ -15,9 +17,11 @@ from pipeline.labels.source import labels_drive
 
 
 def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
-    """Compute each frame's steering angle (paper section 4.1), path ahead and their validity. Returns the folder.
+    """Compute each frame's steering angle (paper section 4.1), path ahead and their validity.
+    Returns the folder.
 
-    Recorded labels are first compared with measured motion. Raises InputError if their sign or unit is wrong.
+    Recorded labels are first compared with measured motion. Raises InputError if their sign or unit
+    is wrong.
     """
     settings = load(Labels, params)
     ingest = data / "ingest"
@@ -28,7 +32,9 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
         # Not with test drives: a lag fitted to them would align the truth with odometry.
         drives = store.drives_in(splits, "train", "val") or [*splits]
         car = Car(settings.wheelbase_m, settings.min_speed_mps)
-        for line in comparison.check(settings.source, comparison.read(settings.source, drives, ingest, motion, car)):
+        for line in comparison.check(
+            settings.source, comparison.read(settings.source, drives, ingest, motion, car)
+        ):
             print(line, flush=True)
         inputs = {"ingest": ingest} | ({"motion": motion} if motion.is_dir() else {})
         jobs = file_jobs(splits, inputs, partial(labels_drive, settings=settings))

@@ -1,4 +1,6 @@
-"""Stage motion: measure the car's motion since the previous frame, without oxts, data/motion/<drive>.h5."""
+"""Stage motion: measure the car's motion since the previous frame, without oxts,
+data/motion/<drive>.h5.
+"""
 
 from pathlib import Path
 
@@ -28,11 +30,19 @@ def main(data: Path = Path("data")) -> Path:
         drive = next(iter(texts))
         print(f"doubt: {drive} ({len(texts)} of {len(made)} drives): {texts[drive]}")
     if unknown := [drive for drive, summary in made.items() if not summary["scaled"]]:
-        print(f"speed may be off by 20 %: no camera height in {', '.join(unknown)}. Pass steer import --camera-height")
-    frames, road = (sum(summary[name] for summary in made.values()) for name in ("frames", "road_frames"))
+        print(
+            f"speed may be off by 20 %: no camera height in {', '.join(unknown)}. Pass steer "
+            "import --camera-height"
+        )
+    frames, road = (
+        sum(summary[name] for summary in made.values()) for name in ("frames", "road_frames")
+    )
     if frames and road < MIN_ROAD * frames:
         fix = "models with motion: visual need base: none"
-        print(f"the road was found in only {road / frames:.0%} of the frames, so the speed is uncertain: {fix}")
+        print(
+            f"the road was found in only {road / frames:.0%} of the frames, so the speed is "
+            f"uncertain: {fix}"
+        )
     return out
 
 

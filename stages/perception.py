@@ -1,4 +1,6 @@
-"""Stage perception: predict depth and classes of every image with the unified encoder, data/perception/<drive>.h5."""
+"""Stage perception: predict depth and classes of every image with the unified encoder,
+data/perception/<drive>.h5.
+"""
 
 from functools import partial
 from pathlib import Path
@@ -18,17 +20,26 @@ from pipeline.perception.settings import Perception
 
 def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     """Predict depth and classes of each image, and store both. Returns the output folder."""
-    settings, ingest, encoder, out = load(Perception, params), data / "ingest", data / "encoder", data / "perception"
+    settings, ingest, encoder, out = (
+        load(Perception, params),
+        data / "ingest",
+        data / "encoder",
+        data / "perception",
+    )
     splits = store.read_index(ingest, stage="ingest")
     with stage_folder("perception", out, splits, params=params) as folder:
         # Reports a bad checkpoint, too: once, not from each worker.
-        for line in warnings(encoder, settings.precision, (ingest / f"{drive}.h5" for drive in splits)):
+        for line in warnings(
+            encoder, settings.precision, (ingest / f"{drive}.h5" for drive in splits)
+        ):
             print(line, flush=True)
         # Two processes keep a GPU busy: one reads and writes while the other encodes.
         workers = min(2, default_workers()) if torch.cuda.is_available() else None
         work = partial(perceive_drive, encoder=encoder, settings=settings)
         key = settings.model_dump() | {"encoder": file_hash(encoder / FILE)}
-        make_drives(folder, file_jobs(splits, {"ingest": ingest}, work), key, "{frames} frames", workers)
+        make_drives(
+            folder, file_jobs(splits, {"ingest": ingest}, work), key, "{frames} frames", workers
+        )
     return out
 
 

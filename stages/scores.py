@@ -13,10 +13,11 @@ from pipeline.scores.score import score_drive, score_splits
 
 
 def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
-    """Write metrics.json with the scores of validation and test drives, and <drive>/metrics.json of each of them.
+    """Write metrics.json with the scores of validation and test drives, and <drive>/metrics.json of
+    each of them.
 
-    The scores of training drives are None. Keys ``motion`` and ``recorded``: see data/README.md; angles and valid
-    frames are defined as in the labels. Returns the output folder.
+    The scores of training drives are None. Keys ``motion`` and ``recorded``: see data/README.md;
+    angles and valid frames are defined as in the labels. Returns the output folder.
     """
     labels = load(Labels, params)
     car = Car(labels.wheelbase_m, labels.min_speed_mps)

@@ -18,19 +18,23 @@ from pipeline.train.targets import check, rate_doubt, read_drive
 
 
 def main(
-    name: Annotated[str, typer.Argument(metavar="MODEL", help="an entry of models in the params file")],
+    name: Annotated[
+        str, typer.Argument(metavar="MODEL", help="an entry of models in the params file")
+    ],
     data: Path = Path("data"),
     out: Annotated[Path, typer.Option(help="parent of the model's folder")] = Path("data/train"),
     params: Path = Path("params.yaml"),
 ) -> Path:
     """Train the model, stop early when the validation error stops falling, and keep the best epoch.
 
-    One network per seed: in parallel on CPUs, one process each, and one after the other on a GPU. Returns the model's
-    folder.
+    One network per seed: in parallel on CPUs, one process each, and one after the other on a GPU.
+    Returns the model's folder.
     """
     settings = load(Train, params)
     entry = load_entry(Entry, "models", name, params)
-    settings = settings.model_copy(update={"learning_rate": entry.learning_rate or settings.learning_rate})
+    settings = settings.model_copy(
+        update={"learning_rate": entry.learning_rate or settings.learning_rate}
+    )
     variant = data / "graphs" / entry.input
     with stage_folder(f"train@{name}", out / name, params=params, own=entry.networks) as folder:
         splits = store.read_index(variant, stage="graphs")
@@ -48,11 +52,15 @@ def main(
         if doubt := rate_doubt(drives, parts["train"]):
             print(f"{name}: {doubt}", flush=True)
         if not parts["val"]:
-            print(f"{name}: no validation drives, so no early stopping: keeps the last epoch", flush=True)
+            print(
+                f"{name}: no validation drives, so no early stopping: keeps the last epoch",
+                flush=True,
+            )
 
         todo = runs.runs(folder.new, settings.seeds)
         folder.used.update(fit_model(todo, name, where, entry, settings, splits, drives, folder))
-        folder.used.update(folder.kept.glob("*.pt"))  # of all code and settings: small, and costly to make
+        # of all code and settings: small, and costly to make
+        folder.used.update(folder.kept.glob("*.pt"))
     return out / name
 
 

@@ -1,4 +1,6 @@
-"""The command `steer`, and its verbs `show` and `view`. Large imports are inside functions, so that help is quick."""
+"""The command `steer`, and its verbs `show` and `view`. Large imports are inside functions, so that
+help is quick.
+"""
 
 from contextlib import suppress
 from importlib.metadata import version
@@ -13,7 +15,8 @@ from pipeline.ingest.settings import Part, RecordingOptions
 from steer.commands import import_, measure, predict
 from steer.parameters import MeasureOptions, with_options
 
-# Python's default browsers where there is no screen, as over SSH. They would wait for keys in the terminal.
+# Python's default browsers where there is no screen, as over SSH. They would wait for keys in the
+# terminal.
 TEXT_BROWSERS = ("www-browser", "links", "elinks", "lynx", "w3m")
 
 app = typer.Typer(
@@ -33,14 +36,25 @@ def _version(requested: bool) -> None:
 
 
 @app.callback()
-def steer(_: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True)] = False) -> None:
-    """Measure motion, predict steering angles with a trained model, import recordings, and inspect data."""
+def steer(
+    _: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True)] = False,
+) -> None:
+    """Measure motion, predict steering angles with a trained model, import recordings, and inspect
+    data.
+    """
 
 
 def show(
-    path: Annotated[Path, typer.Argument(metavar="FILE", help="a drive's .h5 file of any stage, or a checkpoint")],
-    frame: Annotated[int | None, typer.Option(min=0, help="print the numbers of this frame")] = None,
-    out: Annotated[Path | None, typer.Option(metavar="PNG", help="draw the frame's images and points, too")] = None,
+    path: Annotated[
+        Path,
+        typer.Argument(metavar="FILE", help="a drive's .h5 file of any stage, or a checkpoint"),
+    ],
+    frame: Annotated[
+        int | None, typer.Option(min=0, help="print the numbers of this frame")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="PNG", help="draw the frame's images and points, too")
+    ] = None,
 ) -> None:
     """Print a file's attributes, datasets and settings, or one of its frames.
 
@@ -59,12 +73,21 @@ def show(
     if out:
         check_free(out)
     content = artefact.describe(path) if frame is None else artefact.frame(path, frame, out)
-    print(yaml.safe_dump(content, sort_keys=False, default_flow_style=None, allow_unicode=True, width=110).rstrip())
+    print(
+        yaml.safe_dump(
+            content, sort_keys=False, default_flow_style=None, allow_unicode=True, width=110
+        ).rstrip()
+    )
 
 
 def view(
-    path: Annotated[Path, typer.Argument(metavar="FILE", help="a drive's .h5 file of data/clouds or data/graphs")],
-    out: Annotated[Path | None, typer.Option(metavar="HTML", help="new file; default: out/DRIVE.html")] = None,
+    path: Annotated[
+        Path,
+        typer.Argument(metavar="FILE", help="a drive's .h5 file of data/clouds or data/graphs"),
+    ],
+    out: Annotated[
+        Path | None, typer.Option(metavar="HTML", help="new file; default: out/DRIVE.html")
+    ] = None,
 ) -> None:
     """Write some frames of a point cloud or graph in 3D as a page, and open it in the browser.
 

@@ -1,4 +1,6 @@
-"""Open a KITTI drive, a video or a folder of images, and run the stages' functions on its frames."""
+"""Open a KITTI drive, a video or a folder of images, and run the stages' functions on its
+frames.
+"""
 
 import shutil
 from collections.abc import Iterator, Sequence
@@ -50,11 +52,14 @@ class Source:
         return replace(self, camera=camera, drive=replace(self.drive, camera=camera))
 
 
-def open_source(paths: Sequence[Path], reading: Reading, options: RecordingOptions, hz: float | None = None) -> Source:
-    """Open a KITTI drive's folder that has images; or a recording, of which `hz` frames per second are kept.
+def open_source(
+    paths: Sequence[Path], reading: Reading, options: RecordingOptions, hz: float | None = None
+) -> Source:
+    """Open a KITTI drive's folder that has images; or a recording, of which `hz` frames per second
+    are kept.
 
-    Raises InputError if it is none of them, lacks a calibration, cannot be read, or one of the logs has no value in its
-    time.
+    Raises InputError if it is none of them, lacks a calibration, cannot be read, or one of the logs
+    has no value in its time.
     """
     path = paths[0]
     files = kitti.open_folder(path) if path.is_dir() and len(paths) == 1 else None
@@ -65,12 +70,26 @@ def open_source(paths: Sequence[Path], reading: Reading, options: RecordingOptio
     return source.at_height(options.camera_height_m)
 
 
-def _open_kitti(path: Path, files: kitti.KittiDrive, reading: Reading, options: RecordingOptions) -> Source:
-    if any((options.fov_deg, options.K, options.distortion, options.fisheye, options.fps, options.times)):
+def _open_kitti(
+    path: Path, files: kitti.KittiDrive, reading: Reading, options: RecordingOptions
+) -> Source:
+    if any(
+        (
+            options.fov_deg,
+            options.K,
+            options.distortion,
+            options.fisheye,
+            options.fps,
+            options.times,
+        )
+    ):
         fix = "Remove --fov, --K, --distortion, --fisheye, --fps and --times"
         raise InputError("a KITTI drive has its own calibration and times", path, fix)
     if files.folder.name.endswith(kitti.UNSYNCED):
-        fix = f"Download the synced archive, {files.folder.name.removesuffix(kitti.UNSYNCED)}_sync.zip"
+        fix = (
+            "Download the synced archive, "
+            f"{files.folder.name.removesuffix(kitti.UNSYNCED)}_sync.zip"
+        )
         raise InputError("is an unsynced drive: its images are not rectified", path, fix)
     logs = read_logs(options)
     numbers, times = files.timeline(files.camera_number(reading.cameras))
@@ -81,7 +100,9 @@ def _open_kitti(path: Path, files: kitti.KittiDrive, reading: Reading, options: 
     if logs:
         drive.values = logged_values(logs, np.array(numbers), time_s)
     assert drive.camera  # as it has images
-    return Source(path, files.folder.name.removesuffix("_sync"), drive, drive.camera, len(time_s), logs, files)
+    return Source(
+        path, files.folder.name.removesuffix("_sync"), drive, drive.camera, len(time_s), logs, files
+    )
 
 
 def _open_recording(paths: Sequence[Path], options: RecordingOptions, hz: float | None) -> Source:
@@ -94,14 +115,17 @@ def _open_recording(paths: Sequence[Path], options: RecordingOptions, hz: float 
     camera = replace(recording.camera, horizon=row)
     values = logged_values(recording.logs, np.arange(len(time_s)), time_s)
     drive = Drive(camera, recording.frames, values, recording.notes)
-    return Source(path, path.stem, drive, camera, len(time_s), recording.logs, doubts=recording.doubts)
+    return Source(
+        path, path.stem, drive, camera, len(time_s), recording.logs, doubts=recording.doubts
+    )
 
 
 @contextmanager
 def run_chain(
     source: Source, out: Path | None, reading: Reading, perception: Perception, encoder: Path
 ) -> Iterator[Path]:
-    """Yield a temporary folder with ingest.h5, perception.h5 and motion.h5, on the disk of `out`, if there is one.
+    """Yield a temporary folder with ingest.h5, perception.h5 and motion.h5, on the disk of `out`,
+    if there is one.
 
     `encoder`: a folder. Raises InputError if no frame can be read, or the disk is too small.
     """
@@ -111,12 +135,23 @@ def run_chain(
         work, frames, (height, width) = Path(folder), source.frames, reading.image_size
         needed, free = frames * height * width * BYTES_PER_PIXEL, shutil.disk_usage(work).free
         if needed > free:
-            problem = f"{frames} frames need up to {needed / 1e9:.2g} GB, but {free / 1e9:.2g} GB are free"
+            problem = (
+                f"{frames} frames need up to {needed / 1e9:.2g} GB, but {free / 1e9:.2g} GB are "
+                "free"
+            )
             raise InputError(problem, work, "Pass an --out on another disk")
         ingest, perceived = work / INGEST, work / PERCEPTION
         jobs: dict[str, Any] = {
-            INGEST: partial(write_drive, drive=source.drive, name=source.name, dataset="recording", settings=reading),
-            PERCEPTION: partial(perceive_drive, ingest=ingest, encoder=encoder, settings=perception),
+            INGEST: partial(
+                write_drive,
+                drive=source.drive,
+                name=source.name,
+                dataset="recording",
+                settings=reading,
+            ),
+            PERCEPTION: partial(
+                perceive_drive, ingest=ingest, encoder=encoder, settings=perception
+            ),
             MOTION: partial(measure_drive, ingest=ingest, perception=perceived),
         }
         with tqdm(total=frames, unit=" frames", disable=None) as bar:

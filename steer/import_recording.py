@@ -1,4 +1,6 @@
-"""Import recordings with their logs: links in data/raw/NAME, and a preset that names their parts as drives."""
+"""Import recordings with their logs: links in data/raw/NAME, and a preset that names their parts as
+drives.
+"""
 
 import hashlib
 import math
@@ -49,10 +51,11 @@ def files_of(paths: Sequence[Path], part: Part, scan: pd.DataFrame) -> dict[str,
 def cut_recording(
     recording: Recording, part: Part, files: Mapping[str, Path | str], shares: Sequence[float]
 ) -> list[tuple[Part, int]]:
-    """Cut a recording with the options `part` into parts with `shares` of its time, each with its number of images.
+    """Cut a recording with the options `part` into parts with `shares` of its time, each with its
+    number of images.
 
-    The horizon is estimated if `part` has none. Raises InputError if the sign or the clock of a log is wrong, no image
-    is left, or a part is too short or has no angle.
+    The horizon is estimated if `part` has none. Raises InputError if the sign or the clock of a log
+    is wrong, no image is left, or a part is too short or has no angle.
     """
     time_s = recording.times_s
     logs = recording.logs
@@ -64,15 +67,26 @@ def cut_recording(
         row = noted_horizon(recording.path, frames, recording.camera, recording.notes)
     recording.notes.extend(log_notes(logs, time_s[within]))
     masks = cut(used, time_s, shares)
-    if "wheel" in logs and not all(np.isfinite(logs["wheel"].at(time_s[rows])).any() for rows in masks):
+    if "wheel" in logs and not all(
+        np.isfinite(logs["wheel"].at(time_s[rows])).any() for rows in masks
+    ):
         raise InputError("a part has no image with an angle", "--wheel", "Check its times")
 
     hashes = {name: _hash(content) for name, content in files.items()}
-    known = {"horizon": row and round(row, 2), "files": hashes, "wheel": None, "motion": None, "times": None}
+    known = {
+        "horizon": row and round(row, 2),
+        "files": hashes,
+        "wheel": None,
+        "motion": None,
+        "times": None,
+    }
     parts = []
     for rows in masks:
         first_s, last_s = (time_s[rows] - time_s[0])[[0, -1]]
-        span = {"start": math.floor(first_s * 1e3) / 1e3, "end": round(math.ceil(last_s * 1e3) / 1e3 + 0.002, 3)}
+        span = {
+            "start": math.floor(first_s * 1e3) / 1e3,
+            "end": round(math.ceil(last_s * 1e3) / 1e3 + 0.002, 3),
+        }
         parts.append((part.model_copy(update=known | span), int(rows.sum())))
     return parts
 
@@ -84,49 +98,69 @@ def _hash(content: Path | str) -> str:
 
 
 def cut(usable: np.ndarray, time_s: np.ndarray, shares: Sequence[float]) -> list[np.ndarray]:
-    """Cut the `usable` images, bool [F], taken at `time_s` [F], into consecutive parts; return a mask of each.
+    """Cut the `usable` images, bool [F], taken at `time_s` [F], into consecutive parts; return a
+    mask of each.
 
-    GAP_S are left out between two parts. Raises InputError if a part would have fewer than two images.
+    GAP_S are left out between two parts. Raises InputError if a part would have fewer than two
+    images.
     """
     first_s, last_s = time_s[usable][[0, -1]]
     edges_s = first_s + (last_s - first_s) * np.cumsum([0.0, *shares]) / sum(shares)
     ends_s = [*(edges_s[1:-1] - GAP_S), math.inf]
-    masks = [usable & (time_s >= begin) & (time_s < end) for begin, end in zip(edges_s[:-1], ends_s, strict=True)]
-    if short := next((share for share, mask in zip(shares, masks, strict=True) if mask.sum() < 2), None):
-        problem = f"the part of {short:g} % has fewer than 2 images ({last_s - first_s:.1f} s in all)"
+    masks = [
+        usable & (time_s >= begin) & (time_s < end)
+        for begin, end in zip(edges_s[:-1], ends_s, strict=True)
+    ]
+    if short := next(
+        (share for share, mask in zip(shares, masks, strict=True) if mask.sum() < 2), None
+    ):
+        problem = (
+            f"the part of {short:g} % has fewer than 2 images ({last_s - first_s:.1f} s in all)"
+        )
         fix = f"Pass a longer recording, or other shares: {GAP_S:g} s are left out between parts"
         raise InputError(problem, "--split", fix)
     return masks
 
 
 def check_checkout(folder: Path) -> None:
-    """Raise InputError if `folder` is in another checkout of the project than the code that runs, as in a worktree."""
+    """Raise InputError if `folder` is in another checkout of the project than the code that runs,
+    as in a worktree.
+    """
     for place in (folder, *folder.parents):
         if all((place / name).exists() for name in CHECKOUT):
             if place.resolve() != ROOT:
-                fix = f"Run it with this checkout's code: cd {place} && python -m steer.app import …"
+                fix = (
+                    f"Run it with this checkout's code: cd {place} && python -m steer.app import …"
+                )
                 raise InputError(f"is not the checkout of the installed steer, {ROOT}", place, fix)
             return
 
 
 def check_free(preset: Path, recordings: Mapping[Path, Sequence[Path]]) -> None:
-    """Raise InputError if the name of a preset or a folder of `recordings` is taken by anything but an earlier import.
+    """Raise InputError if the name of a preset or a folder of `recordings` is taken by anything but
+    an earlier import.
 
-    `recordings`: folder below data/raw → images that are imported to it. Copies of other images stay, as they may be
-    the only ones.
+    `recordings`: folder below data/raw → images that are imported to it. Copies of other images
+    stay, as they may be the only ones.
     """
     check_name_is_free(preset.stem)
     if preset.exists() and not (author_of(preset) == IMPORT and is_unedited(preset)):
         raise InputError("is not as steer import wrote it", preset, OTHER_NAME)
     parts = read(preset)["ingest"]["recordings"].values() if preset.exists() else ()
-    hashes = {(part["folder"], file): value for part in parts for file, value in part["files"].items()}
+    hashes = {
+        (part["folder"], file): value for part in parts for file, value in part["files"].items()
+    }
     for folder, images in recordings.items():
         if folder.parent.is_symlink() and not folder.parent.is_dir():
             raise InputError(
-                "is a link to a folder that is missing", folder.parent, "Mount its disk, or remove the link"
+                "is a link to a folder that is missing",
+                folder.parent,
+                "Mount its disk, or remove the link",
             )
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-            raise InputError("is a link or a file, expected a folder by steer import", folder, OTHER_NAME)
+            raise InputError(
+                "is a link or a file, expected a folder by steer import", folder, OTHER_NAME
+            )
         for path in folder.glob("*"):
             own_link = path.is_symlink() and re.match(OWN, path.name)
             if not own_link and not (path.is_file() and is_of_desktop(path)):
@@ -134,25 +168,36 @@ def check_free(preset: Path, recordings: Mapping[Path, Sequence[Path]]) -> None:
 
 
 def _check_copy(path: Path, expected: str, images: Sequence[Path]) -> None:
-    """Raise InputError unless an import wrote a file or folder, with the hash `expected`, as a copy of these images."""
-    # Of the folders in a folder, an import copies nothing; scan.csv may be of a preset that has left.
+    """Raise InputError unless an import wrote a file or folder, with the hash `expected`, as a copy
+    of these images.
+    """
+    # Of the folders in a folder, an import copies nothing; scan.csv may be of a preset that has
+    # left.
     mine = next((below for below in path.glob("*") if below.is_dir()), None)
     is_scan = path.name == SCAN and is_unedited(path)
     if mine or not (is_scan or content_hash(path) == expected):
         raise InputError("is not as steer import wrote it", mine or path, OTHER_NAME)
     is_image = path.name.startswith((VIDEO, FRAMES))
     if is_image and expected not in [content_hash(image) for image in images if image.exists()]:
-        raise InputError("is a copy of another recording, maybe the only one", path, "Pass another --name")
+        raise InputError(
+            "is a copy of another recording, maybe the only one", path, "Pass another --name"
+        )
 
 
 @contextmanager
 def linked(recordings: Mapping[Path, Mapping[str, Path | str]], *, copy: bool) -> Iterator[None]:
-    """Fill the folders of recordings with links to files, or copies; after the block they replace those before.
+    """Fill the folders of recordings with links to files, or copies; after the block they replace
+    those before.
 
     `recordings`: folder → what :func:`files_of` returns.
     """
     folders = [folder.resolve() for folder in recordings]
-    files = [path for content in recordings.values() for path in content.values() if isinstance(path, Path)]
+    files = [
+        path
+        for content in recordings.values()
+        for path in content.values()
+        if isinstance(path, Path)
+    ]
     for path in [path.resolve() for path in files]:
         if any(path.is_relative_to(folder) for folder in folders):
             raise InputError("is in a folder that this import replaces", path, OTHER_NAME)
@@ -189,17 +234,22 @@ def _copy(path: Path, target: Path) -> None:
         shutil.copyfile(path, target)
 
 
-def write_preset(path: Path, drives: Mapping[str, tuple[str, Part, int]], one: Recording, source: str) -> None:
+def write_preset(
+    path: Path, drives: Mapping[str, tuple[str, Part, int]], one: Recording, source: str
+) -> None:
     """Write a preset of drives with two models, with and without measured motion as input.
 
-    `drives`: name → split, part and number of images; `one`: of the recordings, which have one camera and rate. Motion
-    that is the label (`source`) cannot be an input for the same frame, so visual labels are predicted a second ahead. A
-    wheel's angle and measured motion may differ in scale: no base. Recorded angles do not scale with the scene.
+    `drives`: name → split, part and number of images; `one`: of the recordings, which have one
+    camera and rate. Motion that is the label (`source`) cannot be an input for the same frame, so
+    visual labels are predicted a second ahead. A wheel's angle and measured motion may differ in
+    scale: no base. Recorded angles do not scale with the scene.
     """
     settings = yaml.safe_load(TEMPLATE.read_text(encoding="utf-8"))
     own = {"times", "motion", "wheel"}  # paths of files that are in the folder
     settings["ingest"] |= {
-        "drives": {split: [name for name, (of, *_) in drives.items() if of == split] for split in SPLITS},
+        "drives": {
+            split: [name for name, (of, *_) in drives.items() if of == split] for split in SPLITS
+        },
         "recordings": {
             name: part.model_dump(by_alias=True, exclude_defaults=True, exclude=own)
             for name, (_, part, _) in drives.items()
@@ -209,7 +259,9 @@ def write_preset(path: Path, drives: Mapping[str, tuple[str, Part, int]], one: R
     settings["clouds"]["max_depth_m"] = float(round(depth_limit(one.camera)))
     if source == "visual":
         hz = (len(one.times_s) - 1) / float(np.ptp(one.times_s) or 1.0)
-        settings["models"]["motion"]["horizon"] = settings["models"]["scene"]["horizon"] = max(1, round(hz))
+        settings["models"]["motion"]["horizon"] = settings["models"]["scene"]["horizon"] = max(
+            1, round(hz)
+        )
     if source == "wheel":
         settings["models"]["motion"]["base"] = "none"
         settings["train"]["rescale"] = 1.0

@@ -17,19 +17,28 @@ class MeasureOptions(RecordingOptions):
     """Options of a recording, and the car's wheelbase, which a trained model knows."""
 
     wheelbase_m: float = Field(
-        default=2.7, alias="wheelbase", ge=0.5, le=20, description="distance between the axles, metres"
+        default=2.7,
+        alias="wheelbase",
+        ge=0.5,
+        le=20,
+        description="distance between the axles, metres",
     )
 
 
 def with_options(
     command: Callable[..., None], kind: type[Section], *, repeated: Collection[str] = ()
 ) -> Callable[..., None]:
-    """Return a command with an option for each field of `kind` that has a description, in place of its ``**options``.
+    """Return a command with an option for each field of `kind` that has a description, in place of
+    its ``**options``.
 
     Options that are `repeated` get a list.
     """
     signature = inspect.signature(command)
-    parameters = [one for one in signature.parameters.values() if one.kind is not inspect.Parameter.VAR_KEYWORD]
+    parameters = [
+        one
+        for one in signature.parameters.values()
+        if one.kind is not inspect.Parameter.VAR_KEYWORD
+    ]
     for name, field in kind.model_fields.items():
         if field.description:
             parameters.append(_parameter(name, field, repeated=name in repeated))
@@ -54,4 +63,6 @@ def _parameter(name: str, field: FieldInfo, *, repeated: bool) -> inspect.Parame
     metavar = field.examples[0] if field.examples else None
     option = typer.Option(flag, help=text, metavar=metavar, **limits)
     kind = inspect.Parameter.KEYWORD_ONLY
-    return inspect.Parameter(name, kind, default=field.default, annotation=Annotated[annotation, option])
+    return inspect.Parameter(
+        name, kind, default=field.default, annotation=Annotated[annotation, option]
+    )

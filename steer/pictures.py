@@ -1,4 +1,6 @@
-"""Draw results: a picture of the track, speeds and angles, and a video with paths on the street and a legend."""
+"""Draw results: a picture of the track, speeds and angles, and a video with paths on the street and
+a legend.
+"""
 
 from collections.abc import Iterator
 from fractions import Fraction
@@ -24,7 +26,9 @@ LINES = {"measured": "tab:blue", "predicted": "tab:green", "driven": "0.2"}
 def publish(
     out: Path | None, csv: str, results: Results, source: Source, wheelbase_m: float, *, video: bool
 ) -> list[Path]:
-    """Write the table `csv`, track.png, the quality and, if `video`, overlay.mp4 to a folder; return the files."""
+    """Write the table `csv`, track.png, the quality and, if `video`, overlay.mp4 to a folder;
+    return the files.
+    """
     if out is None:
         return []
     with replacing(out) as new:
@@ -43,8 +47,15 @@ def draw_track(path: Path, results: Results) -> None:
     table, time_s = results.table, results.table["time_s"]
     figure = Figure((10, 5), layout="constrained")
     grid = figure.add_gridspec(2, 2, width_ratios=[1.2, 1])
-    above, speed, steering = (figure.add_subplot(grid[place]) for place in (np.s_[:, 0], np.s_[0, 1], np.s_[1, 1]))
-    above.set(title=f"{results.name}: measured track", xlabel="to the right, m", ylabel="ahead, m", aspect="equal")
+    above, speed, steering = (
+        figure.add_subplot(grid[place]) for place in (np.s_[:, 0], np.s_[0, 1], np.s_[1, 1])
+    )
+    above.set(
+        title=f"{results.name}: measured track",
+        xlabel="to the right, m",
+        ylabel="ahead, m",
+        aspect="equal",
+    )
     above.set_adjustable("datalim")
     above.plot(-table["y_m"], table["x_m"], color=LINES["measured"])
     above.plot(0, 0, "o", color="tab:green")  # the start
@@ -55,14 +66,18 @@ def draw_track(path: Path, results: Results) -> None:
     for axes, curves in ((speed, speeds), (steering, angles)):
         for name, values in curves.items():
             axes.plot(time_s, values, ".", markersize=3, color=LINES[name], label=name)
-    steering.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, frameon=False)  # above the curves
+    # above the curves
+    steering.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, frameon=False)
     figure.savefig(path, dpi=110, metadata={"Software": None})  # without the version of matplotlib
 
 
 def write_overlay(path: Path, source: Source, results: Results, wheelbase_m: float) -> None:
-    """Write an H.264 video of the results on the complete images of `source`, at most MAX_WIDTH wide."""
+    """Write an H.264 video of the results on the complete images of `source`, at most MAX_WIDTH
+    wide.
+    """
     scale = min(1.0, MAX_WIDTH / source.camera.size[1])
-    height, width = (max(2, int(side * scale) // 2 * 2) for side in source.camera.size)  # even for 4:2:0
+    # even for 4:2:0
+    height, width = (max(2, int(side * scale) // 2 * 2) for side in source.camera.size)
     camera, paths = source.camera.scaled((height, width)), dict[str, np.ndarray]()
     for name in PATHS:  # curvature of each step of the path of each frame [N,F], NaN where unknown
         if name == "predicted" and results.path_1pm is not None:
@@ -84,24 +99,37 @@ def write_overlay(path: Path, source: Source, results: Results, wheelbase_m: flo
         file.mux(stream.encode())
 
 
-def _draw(image: np.ndarray, camera: Camera, paths: dict[str, np.ndarray], results: Results, row: int) -> None:
+def _draw(
+    image: np.ndarray, camera: Camera, paths: dict[str, np.ndarray], results: Results, row: int
+) -> None:
     """Draw the paths of a row on the road, and the legend."""
     level = camera.K[1, 2] if camera.horizon is None else camera.horizon
     slope = (level - camera.K[1, 2]) / camera.K[1, 1]  # of the road, metres down per metre ahead
     for name, path in paths.items():
         if np.isfinite(path[:, row]).all():
-            sides = [np.rint(side).astype(np.int32) for side in wheel_tracks(path[:, row], camera, slope)]
-            cv2.polylines(image, sides, False, PATHS[name], max(1, round(camera.size[1] / 480)), cv2.LINE_AA)
-    size = max(0.3, min(0.7, camera.size[1] / 960, camera.size[0] / 300))  # 0.5: the longest text has 400 px
+            sides = [
+                np.rint(side).astype(np.int32) for side in wheel_tracks(path[:, row], camera, slope)
+            ]
+            cv2.polylines(
+                image, sides, False, PATHS[name], max(1, round(camera.size[1] / 480)), cv2.LINE_AA
+            )
+    # 0.5: the longest text has 400 px
+    size = max(0.3, min(0.7, camera.size[1] / 960, camera.size[0] / 300))
     for line, (text, colour) in enumerate(_legend(paths, results, row), start=1):
         x, y = round(16 * size), round(36 * size * line)
-        outline = [(x + dx, y + dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]  # OpenCV draws thicker text wider
-        for place, shade in (*((place, (0, 0, 0)) for place in outline), ((x, y), colour)):  # readable on any ground
+        # OpenCV draws thicker text wider
+        outline = [(x + dx, y + dy) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
+        # readable on any ground
+        for place, shade in (*((place, (0, 0, 0)) for place in outline), ((x, y), colour)):
             cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, size, shade, 1, cv2.LINE_AA)
 
 
-def _legend(paths: dict[str, np.ndarray], results: Results, row: int) -> Iterator[tuple[str, tuple[int, int, int]]]:
-    """Yield lines and colours: time and speed, then the angle of each path, or how far a predicted path turns."""
+def _legend(
+    paths: dict[str, np.ndarray], results: Results, row: int
+) -> Iterator[tuple[str, tuple[int, int, int]]]:
+    """Yield lines and colours: time and speed, then the angle of each path, or how far a predicted
+    path turns.
+    """
     table = results.table
     speed = f"   {table['speed_mps'][row]:.1f} m/s" if table["valid"][row] else ""
     yield f"{table['time_s'][row]:.1f} s{speed}", (255, 255, 255)
@@ -110,7 +138,10 @@ def _legend(paths: dict[str, np.ndarray], results: Results, row: int) -> Iterato
         if np.isfinite(angle_deg):
             text = f"{angle_deg:+.1f} deg"
         elif np.isfinite(path[:, row]).all():
-            text = f"turns {np.degrees(path[:, row].sum() * STEP_M):+.1f} deg in {results.ahead_m[-1]:g} m"
+            text = (
+                f"turns {np.degrees(path[:, row].sum() * STEP_M):+.1f} deg in "
+                f"{results.ahead_m[-1]:g} m"
+            )
         elif name == "measured":
             text = results.problems[row] or "low speed"
         yield f"{name}: {text}", PATHS[name]

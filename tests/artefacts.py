@@ -1,4 +1,6 @@
-"""Small artefacts of earlier stages, made of arithmetic, so that a stage can be tested without running those before."""
+"""Small artefacts of earlier stages, made of arithmetic, so that a stage can be tested without
+running those before.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,7 +28,12 @@ GRAPHS = {"graphs": {"k": 6, "keep_inter_class": 0.2}}
 VARIANTS: dict[str, dict[str, Any]] = {
     "graph": {"k": 6, "keep_inter_class": 0.2},
     "points": {"k": 0},
-    "pointnet2": {"neighbourhood": "pointnet2", "centres": [16, 5], "radius_m": [8.0, 16.0], "neighbours": [6, 4]},
+    "pointnet2": {
+        "neighbourhood": "pointnet2",
+        "centres": [16, 5],
+        "radius_m": [8.0, 16.0],
+        "neighbours": [6, 4],
+    },
 }
 MEASURED = {"measured": 0}  # attributes of files of labels
 LABELS = {"labels": {"wheelbase_m": WHEELBASE_M, "min_speed_mps": 1.0}}
@@ -42,26 +49,40 @@ class Trap:
         return Path.touch, (self.path,)
 
 
-def bend(curvature_1pm: float, points: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Return xyz [points,3] and cls of a road that bends left with `curvature_1pm`, and walls along it."""
+def bend(
+    curvature_1pm: float, points: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return xyz [points,3] and cls of a road that bends left with `curvature_1pm`, and walls along
+    it.
+    """
     z = rng.uniform(3, 40, points)
     wall = rng.random(points) < 0.4
     offset = np.where(wall, rng.choice([-8.0, 8.0], points), rng.uniform(-4, 4, points))
     y = np.where(wall, rng.uniform(-3, CAMERA_HEIGHT_M, points), CAMERA_HEIGHT_M)
     x = offset - curvature_1pm * z**2 / 2  # the camera's x points right
-    return np.stack([x, y, z], axis=1).astype(np.float32), np.where(wall, BUILDING, ROAD).astype(np.uint8)
+    return np.stack([x, y, z], axis=1).astype(np.float32), np.where(wall, BUILDING, ROAD).astype(
+        np.uint8
+    )
 
 
 def write_labels(
-    path: Path, steering_rad: np.ndarray, frame: np.ndarray, valid: Any = None, ahead_m: Sequence[float] = ()
+    path: Path,
+    steering_rad: np.ndarray,
+    frame: np.ndarray,
+    valid: Any = None,
+    ahead_m: Sequence[float] = (),
 ) -> None:
-    """Write a drive's labels file for frames [F] at 10 Hz and 8 m/s, with the path ahead if there are edges."""
+    """Write a drive's labels file for frames [F] at 10 Hz and 8 m/s, with the path ahead if there
+    are edges.
+    """
     speed_mps = np.full(len(frame), 8.0)
     params = {"labels": LABELS["labels"] | {"ahead_m": [*ahead_m]}} if ahead_m else LABELS
     with store.DriveWriter(path, stage="labels", drive=path.stem, params=params) as file:
         file.attrs |= MEASURED
         rates = speed_mps, speed_mps * np.tan(steering_rad) / WHEELBASE_M
-        labels = label.Labels(steering_rad, np.ones(len(frame), bool) if valid is None else valid, *rates)
+        labels = label.Labels(
+            steering_rad, np.ones(len(frame), bool) if valid is None else valid, *rates
+        )
         source.write(file, frame, frame * 0.1, labels, Labels(**params["labels"]))
 
 
@@ -74,16 +95,24 @@ def stripes(steering_rad: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def write_graphs(
-    path: Path, steering_rad: np.ndarray, frame: np.ndarray, points: int, kind: str = "graph", rng: Any = None
+    path: Path,
+    steering_rad: np.ndarray,
+    frame: np.ndarray,
+    points: int,
+    kind: str = "graph",
+    rng: Any = None,
 ) -> None:
     """Write a drive's graphs file whose frames [F] show roads that bend as `steering_rad` says.
 
-    `kind`: of VARIANTS, or image, which has no `points`. Clouds of kind pointnet2 differ in size, and the last is
-    smaller than its centres.
+    `kind`: of VARIANTS, or image, which has no `points`. Clouds of kind pointnet2 differ in size,
+    and the last is smaller than its centres.
     """
     rng = rng or np.random.default_rng(0)
     if kind == "image":
-        frames = ({"image": graph_file.Column(image[None], "RGB", "ptr")} for image in stripes(steering_rad, rng))
+        frames = (
+            {"image": graph_file.Column(image[None], "RGB", "ptr")}
+            for image in stripes(steering_rad, rng)
+        )
         empty = {"image": graph_file.Column(np.empty((0, 32, 48, 3), np.uint8), "RGB", "ptr")}
     else:
         variant = Variant(source="clouds/pseudo", points=points, **VARIANTS[kind])
@@ -91,18 +120,27 @@ def write_graphs(
         if kind == "pointnet2":
             counts = [points - 2 * (row % 3) for row in range(len(frame) - 1)] + [7]
         curvature_1pm = np.tan(steering_rad) / WHEELBASE_M
-        clouds = (bend(value, count, rng) for value, count in zip(curvature_1pm, counts, strict=True))
-        frames, empty = (frame_graph.connect(cloud, variant, rng) for cloud in clouds), frame_graph.empty_frame(variant)
+        clouds = (
+            bend(value, count, rng) for value, count in zip(curvature_1pm, counts, strict=True)
+        )
+        frames, empty = (
+            (frame_graph.connect(cloud, variant, rng) for cloud in clouds),
+            frame_graph.empty_frame(variant),
+        )
     with store.DriveWriter(path, stage="graphs", drive=path.stem, params=GRAPHS) as file:
         graph_file.write(file, frame, frame * 0.1, frames, empty)
 
 
 def add_motion(path: Path, steering_rad: np.ndarray, valid: np.ndarray | None = None) -> None:
-    """Add to a graphs file the motion of a car that steers `steering_rad` [G] at 8 m/s; 0 where it is not `valid`."""
+    """Add to a graphs file the motion of a car that steers `steering_rad` [G] at 8 m/s; 0 where it
+    is not `valid`.
+    """
     valid = np.ones(len(steering_rad), np.uint8) if valid is None else valid.astype(np.uint8)
     speed_mps = np.where(valid, 8.0, 0.0)
     with h5py.File(path, "a") as file:
-        file["motion_yaw_rate_radps"] = (speed_mps * np.tan(steering_rad) / WHEELBASE_M).astype(np.float32)
+        file["motion_yaw_rate_radps"] = (speed_mps * np.tan(steering_rad) / WHEELBASE_M).astype(
+            np.float32
+        )
         file["motion_speed_mps"] = speed_mps.astype(np.float32)
         file["motion_valid"] = valid
 
@@ -144,9 +182,14 @@ def write_dataset(
 
 
 def write_recorded(
-    path: Path, frame: np.ndarray, oxts: np.ndarray | None = None, steering_rad: dict[int, float] | None = None
+    path: Path,
+    frame: np.ndarray,
+    oxts: np.ndarray | None = None,
+    steering_rad: dict[int, float] | None = None,
 ) -> None:
-    """Write an ingest file without images: frames [F] at 10 Hz with packets [F,30] or recorded angles, or neither."""
+    """Write an ingest file without images: frames [F] at 10 Hz with packets [F,30] or recorded
+    angles, or neither.
+    """
     settings = Reading(image_size=(32, 32), cameras=[2], lidar=True, on_damaged="fail")
     packets = {} if oxts is None else {"oxts": dict(zip(frame.tolist(), oxts, strict=True))}
     frames = [Frame(number, row / 10) for row, number in enumerate(frame.tolist())]
@@ -154,8 +197,11 @@ def write_recorded(
     write_drive(path, drive, path.stem, "recording", settings)
 
 
-def write_motion(folder: Path, drive: str, rows: dict[int, tuple[float, float]], stands: Sequence[int] = ()) -> None:
-    """Write measured motion: frame number → speed and yaw rate; 0, 0 is not measured, in `stands` as nothing moves.
+def write_motion(
+    folder: Path, drive: str, rows: dict[int, tuple[float, float]], stands: Sequence[int] = ()
+) -> None:
+    """Write measured motion: frame number → speed and yaw rate; 0, 0 is not measured, in `stands`
+    as nothing moves.
 
     Frames are 10 s apart, so that means over neighbours are the frames' own values.
     """
@@ -178,6 +224,10 @@ def write_motion(folder: Path, drive: str, rows: dict[int, tuple[float, float]],
 
 
 def points(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Return random points [P,3] in metres and classes [P], with more spread ahead than to the sides."""
+    """Return random points [P,3] in metres and classes [P], with more spread ahead than to the
+    sides.
+    """
     rng = np.random.default_rng(seed)
-    return (rng.normal(size=(count, 3)) * [10, 2, 30]).astype(np.float32), rng.integers(0, 4, count, np.uint8)
+    return (rng.normal(size=(count, 3)) * [10, 2, 30]).astype(np.float32), rng.integers(
+        0, 4, count, np.uint8
+    )

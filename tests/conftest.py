@@ -1,12 +1,14 @@
-"""Shared fixtures. Real data lies beside the checkout and is never part of it (KITTI is non-commercial)."""
+"""Shared fixtures. Real data lies beside the checkout and is never part of it (KITTI is
+non-commercial).
+"""
 
 import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-# The tests' networks are tiny: threads that wait for each other, and processes that import torch, cost more than they
-# bring. Before torch is imported.
+# The tests' networks are tiny: threads that wait for each other, and processes that import torch,
+# cost more than they bring. Before torch is imported.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("STEER_WORKERS", "1")
 
@@ -21,7 +23,9 @@ SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 
 def _real(name: str) -> Callable[[], Path]:
-    """Return the fixture of a folder of real data; tests that use it are skipped where it is absent."""
+    """Return the fixture of a folder of real data; tests that use it are skipped where it is
+    absent.
+    """
 
     @pytest.fixture(scope="session")
     def folder() -> Path:
@@ -65,5 +69,12 @@ real_camvid = _real("camvid")  # test images and labels
 
 @pytest.hookimpl(tryfirst=True)  # before pytest selects by markers
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Start the chain first, and beside it the stages: the longest files, one process of pytest-xdist each."""
-    items.sort(key=lambda item: (item.path.stem != "test_chain", item.path.parent.name not in ("stages", "steer")))
+    """Start the chain first, and beside it the stages: the longest files, one process of
+    pytest-xdist each.
+    """
+    items.sort(
+        key=lambda item: (
+            item.path.stem != "test_chain",
+            item.path.parent.name not in ("stages", "steer"),
+        )
+    )

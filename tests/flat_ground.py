@@ -16,7 +16,8 @@ from pipeline.encoder.encoder_file import save
 class FlatGround(nn.Module):
     def __init__(self) -> None:
         super().__init__()
-        self.unused = nn.Parameter(torch.zeros(1))  # the encoder's runner needs one to find the device
+        # the encoder's runner needs one to find the device
+        self.unused = nn.Parameter(torch.zeros(1))
 
     def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
         rays = ray_slopes(K, image.shape[-2:])

@@ -2,7 +2,8 @@
 
 from pipeline.check.preset import IMPORT, PRESETS
 
-# Without those that steer import wrote, whose files and encoder may be missing, or which an earlier version wrote.
+# Without those that steer import wrote, whose files and encoder may be missing, or which an earlier
+# version wrote.
 NAMES = [
     path.stem
     for path in sorted(PRESETS.glob("[a-z]*.yaml"))

@@ -1,4 +1,6 @@
-"""A small model on small graphs: its params.yaml, and the stages train and evaluate; and a network of a user."""
+"""A small model on small graphs: its params.yaml, and the stages train and evaluate; and a network
+of a user.
+"""
 
 from pathlib import Path
 from typing import ClassVar
@@ -16,9 +18,12 @@ from stages import evaluate, train
 
 PARAMS = Path(__file__).resolve().parents[1] / "params.yaml"
 SPLITS = {
-    "2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train", "2026_01_01_drive_0003": "train",
-    "2026_01_02_drive_0001": "val", "2026_01_03_drive_0001": "test",
-}  # fmt: skip
+    "2026_01_01_drive_0001": "train",
+    "2026_01_01_drive_0002": "train",
+    "2026_01_01_drive_0003": "train",
+    "2026_01_02_drive_0001": "val",
+    "2026_01_03_drive_0001": "test",
+}
 TEST, EDGES_M = "2026_01_03_drive_0001", [0, 5, 10, 20]
 
 
@@ -32,19 +37,32 @@ class UsersOptions(NetworkOptions):
 
     def build(self, sizes: Sizes) -> nn.Module:
         inputs = 2 * NODE_FEATURES
-        return UsersNetwork(nn.BatchNorm1d(inputs), nn.Dropout(), nn.Linear(inputs, sizes.features), nn.Tanh())
+        return UsersNetwork(
+            nn.BatchNorm1d(inputs), nn.Dropout(), nn.Linear(inputs, sizes.features), nn.Tanh()
+        )
 
 
 def add_users_network(patch: pytest.MonkeyPatch) -> None:
     """Add `spatial: users`, as a file users.py would."""
     load = options.load
-    patch.setattr(options, "load", lambda part, name: UsersOptions if name == "users" else load(part, name))
+    patch.setattr(
+        options, "load", lambda part, name: UsersOptions if name == "users" else load(part, name)
+    )
 
 
 def write_params(folder: Path, model: dict[str, object] | None = None, **settings: object) -> None:
-    """Write params.yaml with the model `net`, whose entry is changed by `model`, and section train by `settings`."""
+    """Write params.yaml with the model `net`, whose entry is changed by `model`, and section train
+    by `settings`.
+    """
     content = yaml.safe_load(PARAMS.read_text())
-    entry = {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": 4, "features": 8, "equivariant": True}
+    entry = {
+        "input": "semantic",
+        "spatial": "gnn",
+        "temporal": "ncp",
+        "window": 4,
+        "features": 8,
+        "equivariant": True,
+    }
     entry |= model or {}
     options = {"cnn": {}, "pointnet2": {"semantics": 1.0}, "polar": {}, "users": {}}.get(
         str(entry["spatial"]), {"layers": [16, 16], "semantics": 1.0}
@@ -55,7 +73,9 @@ def write_params(folder: Path, model: dict[str, object] | None = None, **setting
 
 
 def entry(**changes: object) -> Entry:
-    return Entry.model_validate({"input": "semantic", "spatial": "polar", "temporal": "ncp"} | changes)
+    return Entry.model_validate(
+        {"input": "semantic", "spatial": "polar", "temporal": "ncp"} | changes
+    )
 
 
 def run_train(folder: Path) -> Path:

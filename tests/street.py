@@ -1,4 +1,6 @@
-"""A street with a textured road and houses, seen exactly from wherever the camera is, and as files of the stages."""
+"""A street with a textured road and houses, seen exactly from wherever the camera is, and as files
+of the stages.
+"""
 
 from functools import cache
 from pathlib import Path
@@ -21,7 +23,11 @@ K = np.array([[40.0, 0.0, 31.0], [0.0, 40.0, 12.0], [0.0, 0.0, 1.0]])
 # velodyne x forward, y left, z up → camera x right, y down, z forward, with a small offset
 T_CAM_VELO = np.array([[0.0, -1, 0, 0.0], [0, 0, -1, -0.1], [1, 0, 0, -0.3], [0, 0, 0, 1]])
 CAMERA = Camera(K, SIZE)  # of the files: a few kilobytes
-WIDE, FINER = Camera(np.array([[180.0, 0.0, 159.5], [0.0, 180.0, 44.0], [0.0, 0.0, 1.0]]), (96, 320)), 2  # of motion
+# of motion
+WIDE, FINER = (
+    Camera(np.array([[180.0, 0.0, 159.5], [0.0, 180.0, 44.0], [0.0, 0.0, 1.0]]), (96, 320)),
+    2,
+)
 
 
 HALF_WIDTH_M, END_M, ROOF_M = 7.0, 60.0, 5.0
@@ -41,20 +47,28 @@ def _texture(a: np.ndarray, b: np.ndarray, seed: int) -> np.ndarray:
     return total / 3
 
 
-def view(T_world_cam: np.ndarray, camera: Camera = WIDE) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return image uint8 [H,W,3], depth float32 [H,W] in metres, 0 in the sky, and trainIds, as seen from a pose.
+def view(
+    T_world_cam: np.ndarray, camera: Camera = WIDE
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return image uint8 [H,W,3], depth float32 [H,W] in metres, 0 in the sky, and trainIds, as
+    seen from a pose.
 
     The world's frame is that of a camera at the beginning of the street, which leads along z.
     """
     fine = camera.size[0] * FINER, camera.size[1] * FINER
-    grey, *_ = _render(T_world_cam, camera.scaled(fine).K, fine)  # aliases of a coarse image would not move as it does
+    # aliases of a coarse image would not move as it does
+    grey, *_ = _render(T_world_cam, camera.scaled(fine).K, fine)
     image = cv2.resize(grey, camera.size[::-1], interpolation=cv2.INTER_AREA).astype(np.uint8)
     _, depth, which, sky = _render(T_world_cam, camera.K, camera.size)
-    cls = np.where(sky, classes.SKY, np.where(which == 0, classes.ROAD, classes.BUILDING)).astype(np.uint8)
+    cls = np.where(sky, classes.SKY, np.where(which == 0, classes.ROAD, classes.BUILDING)).astype(
+        np.uint8
+    )
     return np.repeat(image[..., None], 3, axis=-1), np.where(sky, 0, depth).astype(np.float32), cls
 
 
-def _render(T_world_cam: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> tuple[np.ndarray, ...]:
+def _render(
+    T_world_cam: np.ndarray, K: np.ndarray, size: tuple[int, int]
+) -> tuple[np.ndarray, ...]:
     """Return brightness, depth, the number of the plane and whether it is sky, each [H,W]."""
     direction = rays(K, size) @ T_world_cam[:3, :3].T  # of depth 1
     origin = T_world_cam[:3, 3]
@@ -68,16 +82,23 @@ def _render(T_world_cam: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> tu
     depth = np.stack([np.where(plane > 0, plane, np.inf) for plane in planes])
     which, depth = depth.argmin(axis=0), depth.min(axis=0)
     place = origin + direction * np.where(np.isfinite(depth), depth, 0)[..., None]
-    grey = np.choose(which, [
-        _texture(place[..., 0], place[..., 2], 1), _texture(place[..., 1], place[..., 2], 2),
-        _texture(place[..., 1], place[..., 2], 3), _texture(place[..., 0], place[..., 1], 4),
-    ])  # fmt: skip
+    grey = np.choose(
+        which,
+        [
+            _texture(place[..., 0], place[..., 2], 1),
+            _texture(place[..., 1], place[..., 2], 2),
+            _texture(place[..., 1], place[..., 2], 3),
+            _texture(place[..., 0], place[..., 1], 4),
+        ],
+    )
     sky = place[..., 1] < -ROOF_M
     return np.where(sky, 230, grey).astype(np.float32), depth, which, sky
 
 
 def pose(heading_rad: float, x: float, z: float) -> np.ndarray:
-    """Return T_world_cam [4,4] of a camera that looks `heading_rad` to the left of the street, at x and z in metres."""
+    """Return T_world_cam [4,4] of a camera that looks `heading_rad` to the left of the street, at x
+    and z in metres.
+    """
     T = np.eye(4)
     T[0, 0] = T[2, 2] = np.cos(heading_rad)
     T[0, 2], T[2, 0] = -np.sin(heading_rad), np.sin(heading_rad)
@@ -93,18 +114,30 @@ def arc(frames: int, yaw_rate_radps: float, speed_mps: float) -> list[np.ndarray
         poses.append(pose(heading, x, z))
         middle = heading + yaw_rate_radps * dt_s / 2
         chord = speed_mps * dt_s * np.sinc(yaw_rate_radps * dt_s / 2 / np.pi)
-        x, z, heading = x - chord * np.sin(middle), z + chord * np.cos(middle), heading + yaw_rate_radps * dt_s
+        x, z, heading = (
+            x - chord * np.sin(middle),
+            z + chord * np.cos(middle),
+            heading + yaw_rate_radps * dt_s,
+        )
     return poses
 
 
 def scene(frame: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return image uint8 [H,W,3] in colour, depth float64 [H,W] and classes uint8 [H,W] of a frame, seen by CAMERA."""
+    """Return image uint8 [H,W,3] in colour, depth float64 [H,W] and classes uint8 [H,W] of a frame,
+    seen by CAMERA.
+    """
     image, depth_m, cls = view(pose(0.0, np.sin(frame), 2.0 * (frame % 20)), CAMERA)
     return image // 2 + classes.COLOURS[cls].astype(np.uint8) // 2, depth_m.astype(np.float64), cls
 
 
 def write_drive(
-    folder: Path, drive: str, frames: int, *, dense: bool = True, lidar: bool = False, images: bool = True
+    folder: Path,
+    drive: str,
+    frames: int,
+    *,
+    dense: bool = True,
+    lidar: bool = False,
+    images: bool = True,
 ) -> None:
     """Write ``folder/<drive>.h5`` with `frames` frames that have what the flags say."""
     camera = Camera(K, SIZE, T_cam_velo=T_CAM_VELO if lidar else None)
@@ -120,17 +153,24 @@ def write_drive(
 
 
 def write_perception(folder: Path, ingest: Path, drive: str) -> None:
-    """Write ``folder/<drive>.h5`` with the true depth and classes of the frames that have an image."""
+    """Write ``folder/<drive>.h5`` with the true depth and classes of the frames that have an
+    image.
+    """
     params = {"perception": {"batch": 4}}
     with (
         store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
-        store.DriveWriter(folder / f"{drive}.h5", stage="perception", drive=drive, params=params) as file,
+        store.DriveWriter(
+            folder / f"{drive}.h5", stage="perception", drive=drive, params=params
+        ) as file,
     ):
         rows = np.flatnonzero(raw["has_image"])
         scenes = [scene(row) for row in rows]
         file.put("frame", raw.frame[rows])
         file.put("time_s", raw.time_s[rows])
-        file.put("depth_m", np.array([to_units(depth) for _, depth, _ in scenes], np.uint16).reshape(-1, *SIZE))
+        file.put(
+            "depth_m",
+            np.array([to_units(depth) for _, depth, _ in scenes], np.uint16).reshape(-1, *SIZE),
+        )
         file.put("cls", np.array([cls for *_, cls in scenes], np.uint8).reshape(-1, *SIZE))
 
 

@@ -24,17 +24,34 @@ pytestmark = pytest.mark.slow
 MODEL = "sa-gnn-ncp"
 NETWORK = [f"train@{MODEL}", f"evaluate@{MODEL}"]
 STAGES = (
-    "sample", "ingest", "encoder", "perception", "motion", "labels", "scores", "clouds", "graphs", "train",
-    "evaluate", "report",
-)  # fmt: skip
+    "sample",
+    "ingest",
+    "encoder",
+    "perception",
+    "motion",
+    "labels",
+    "scores",
+    "clouds",
+    "graphs",
+    "train",
+    "evaluate",
+    "report",
+)
 
 
 def run(folder: Path, *command: str, fails: bool = False) -> str:
-    """Run a command in a scratch copy, with this environment on the copy's code, and return its output."""
+    """Run a command in a scratch copy, with this environment on the copy's code, and return its
+    output.
+    """
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     variables = {"PATH": path, "DVC_NO_ANALYTICS": "1", "PYTHONPATH": str(folder)}
     done = subprocess.run(
-        command, cwd=folder, env={**os.environ, **variables}, capture_output=True, text=True, check=False
+        command,
+        cwd=folder,
+        env={**os.environ, **variables},
+        capture_output=True,
+        text=True,
+        check=False,
     )
     output = done.stdout + done.stderr
     assert (done.returncode != 0) == fails, output
@@ -43,7 +60,17 @@ def run(folder: Path, *command: str, fails: bool = False) -> str:
 
 def commit(folder: Path) -> None:
     run(folder, "git", "add", "-A")
-    run(folder, "git", "-c", "user.name=test", "-c", "user.email=test@example.org", "commit", "-qm", "scratch")
+    run(
+        folder,
+        "git",
+        "-c",
+        "user.name=test",
+        "-c",
+        "user.email=test@example.org",
+        "commit",
+        "-qm",
+        "scratch",
+    )
 
 
 def edit_params(folder: Path, **sections: Any) -> None:
@@ -64,7 +91,9 @@ def outputs(folder: Path) -> dict[str, dict[str, bytes]]:
 
 @pytest.fixture(scope="module")
 def chain(tmp_path_factory) -> Path:
-    """A chain of four short drives that has run to its end, in a repository of its own; its output is chain.log."""
+    """A chain of four short drives that has run to its end, in a repository of its own; its output
+    is chain.log.
+    """
     folder = tmp_path_factory.mktemp("chain") / "chain"
     for name in run(ROOT, "git", "ls-files", "-co", "--exclude-standard").split():
         if (ROOT / name).is_file():
@@ -75,9 +104,14 @@ def chain(tmp_path_factory) -> Path:
     drives = {"train": ["2026_01_01_drive_0001..0002"], "val": ["2026_01_02_drive_0001"]}
     edit_params(
         folder,
-        sample=params["sample"] | {"image_size": [64, 208], "frames": {"train": 24, "val": 14, "test": 20}},
+        sample=params["sample"]
+        | {"image_size": [64, 208], "frames": {"train": 24, "val": 14, "test": 20}},
         ingest=params["ingest"]
-        | {"image_size": [64, 208], "lidar": True, "drives": drives | {"test": ["2026_01_03_drive_0001"]}},
+        | {
+            "image_size": [64, 208],
+            "lidar": True,
+            "drives": drives | {"test": ["2026_01_03_drive_0001"]},
+        },
         encoder=params["encoder"] | {"weights": None, "epochs": 2, "frames": 24},
         clouds=params["clouds"] | {"max_points": 3000},
         graphs={
@@ -105,8 +139,12 @@ def test_every_stage_runs_once_in_order_and_the_table_has_its_numbers(chain):
     assert ran.count("graphs") == 2
     assert tuple(name for name in dict.fromkeys(ran) if name in STAGES) == STAGES
     table = (chain / "data/report/table.md").read_text()
-    nmse = json.loads((chain / f"data/evaluate/{MODEL}/metrics.json").read_text())["test"]["steering_rad"]["nmse"]
-    accuracy = json.loads((chain / "data/scores/metrics.json").read_text())["test"]["classes"]["pixel_accuracy"]
+    nmse = json.loads((chain / f"data/evaluate/{MODEL}/metrics.json").read_text())["test"][
+        "steering_rad"
+    ]["nmse"]
+    accuracy = json.loads((chain / "data/scores/metrics.json").read_text())["test"]["classes"][
+        "pixel_accuracy"
+    ]
     assert any(f"{nmse:.3f}" in row for row in table.splitlines() if row.startswith(f"| {MODEL}"))
     assert f"{accuracy:.3f}" in table
 
@@ -133,7 +171,9 @@ EDITS: list[tuple[str, set[str]]] = [  # a file or a setting, and the stages tha
 
 
 def test_an_edit_reruns_what_dvc_yaml_promises(folder, monkeypatch):
-    """The stages with changed deps or params; DVC runs those after them only if their inputs differ."""
+    """The stages with changed deps or params; DVC runs those after them only if their inputs
+    differ.
+    """
     monkeypatch.chdir(folder)  # DVC names stages relative to it
     for name, expected in EDITS:
         path = folder / (name if "/" in name else "params.yaml")
@@ -160,7 +200,11 @@ def test_faults_are_one_line_and_leave_all_outputs(chain, folder):
     (folder / "params.yaml").write_text(params.replace("input: semantic", "input: semantc"))
     check_refused(run(folder, "dvc", "repro", fails=True), f"models.{MODEL}: input", "semantc")
     (folder / "params.yaml").write_text(params)
-    scan = sorted((folder / "data/sample/2026_01_01/2026_01_01_drive_0001_sync/velodyne_points/data").iterdir())[3]
+    scan = sorted(
+        (
+            folder / "data/sample/2026_01_01/2026_01_01_drive_0001_sync/velodyne_points/data"
+        ).iterdir()
+    )[3]
     content = scan.read_bytes()
     scan.write_bytes(content[:-7])
     output = run(folder, "dvc", "repro", "ingest", "--single-item", fails=True)
@@ -181,14 +225,16 @@ def test_a_new_drive_costs_one_drive_per_stage(folder):
     ingest = yaml.safe_load((folder / "params.yaml").read_text())["ingest"]
     ingest["drives"]["val"] = ["2026_01_02_drive_0001..0002"]
     edit_params(folder, ingest=ingest)
-    for name in ("camera/geometry.py", "base/console.py"):  # DVC starts each stage, which keeps its drives
+    # DVC starts each stage, which keeps its drives
+    for name in ("camera/geometry.py", "base/console.py"):
         path = folder / "pipeline" / name
         path.write_text(path.read_text().replace('"""', '"""An edited docstring: ', 1))
     output = run(folder, "dvc", "repro", "graphs", "labels", "scores")
     ran = [stage for stage in stages_run(output) if stage != "check"]
     assert {stage.split("@")[0] for stage in ran} == {*STAGES[:9]}
     kept = re.findall(r"(\d+) of (\d+) drives kept from earlier runs", output)
-    # The encoder is fitted once. Stage clouds makes drives of images and of scans; scores has no training drives.
+    # The encoder is fitted once. Stage clouds makes drives of images and of scans; scores has no
+    # training drives.
     assert sorted(kept) == [("1", "1"), ("2", "3"), *[("4", "5")] * (len(ran) - 1)]
 
 
@@ -197,17 +243,28 @@ def test_the_first_and_the_last_row_of_preset_kitti_train(folder):
     shutil.copyfile(ROOT / "params.yaml", folder / "params.yaml")
     commit(folder)
     params = yaml.safe_load((folder / "params.yaml").read_text())
-    drives = {"train": ["2026_01_01_drive_0001"], "val": ["2026_01_01_drive_0002"], "test": ["2026_01_03_drive_0001"]}
+    drives = {
+        "train": ["2026_01_01_drive_0001"],
+        "val": ["2026_01_01_drive_0002"],
+        "test": ["2026_01_03_drive_0001"],
+    }
     edit_params(folder, ingest=params["ingest"] | {"drives": drives, "lidar": True})
     run(folder, "python", "-m", "stages.sample", "--out", "data/raw")
     run(folder, "git", "checkout", "params.yaml")
     run(folder, "python", "-m", "pipeline.check.preset", "kitti")  # make params PRESET=kitti
-    kitti, rows = yaml.safe_load((folder / "params.yaml").read_text()), ("cnn-ncp", "motion-10-blind")
+    kitti, rows = (
+        yaml.safe_load((folder / "params.yaml").read_text()),
+        ("cnn-ncp", "motion-10-blind"),
+    )
     edit_params(
         folder,
         ingest=kitti["ingest"] | {"image_size": [96, 320], "drives": drives},
         encoder=params["encoder"],
-        graphs={name: variant | {"points": 400} for name, variant in kitti["graphs"].items() if name != "image"}
+        graphs={
+            name: variant | {"points": 400}
+            for name, variant in kitti["graphs"].items()
+            if name != "image"
+        }
         | {"image": kitti["graphs"]["image"]},
         models={name: kitti["models"][name] for name in rows},
         train=kitti["train"] | {"epochs": 2},
@@ -222,7 +279,13 @@ def test_a_network_is_added_by_a_file_and_trained_alone(folder):
     network = code_block("class Height(nn.Module)").removeprefix("python\n")
     (folder / "models/steering/spatial/height.py").write_text(network)
     models = yaml.safe_load((folder / "params.yaml").read_text())["models"]
-    mine = {"input": "semantic", "spatial": "height", "temporal": "lstm", "window": 4, "semantics": 1.0}
+    mine = {
+        "input": "semantic",
+        "spatial": "height",
+        "temporal": "lstm",
+        "window": 4,
+        "semantics": 1.0,
+    }
     edit_params(folder, models=models | {"mine": mine})
     ran = stages_run(run(folder, "dvc", "repro", "train@mine", "evaluate@mine"))
     assert ran == ["train@mine", "evaluate@mine"]
@@ -240,7 +303,9 @@ def test_a_second_machine_trains_the_same_network_on_the_firsts_graphs(folder, t
     command = f"dvc repro --pull --downstream train@{MODEL}"
     assert code_block(command)
     assert stages_run(run(second, *command.split())) == [*NETWORK, "report"]
-    fetched = {str(path.relative_to(second / "data")) for path in (second / "data").glob("[a-z]*/*")}
+    fetched = {
+        str(path.relative_to(second / "data")) for path in (second / "data").glob("[a-z]*/*")
+    }
     unused = ("sample", "ingest", "perception", "clouds", "graphs/lidar")
     assert not [path for path in fetched if path.startswith(unused)]
     best = f"data/train/{MODEL}/best.pt"

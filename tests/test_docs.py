@@ -1,4 +1,6 @@
-"""Test the Markdown pages: their number, size and width, and that links and names lead to something that exists."""
+"""Test the Markdown pages: their number, size and width, and that links and names lead to something
+that exists.
+"""
 
 import importlib
 import json
@@ -33,10 +35,25 @@ PAGES = [ROOT / "README.md", ROOT / "data/README.md"] + [
 TEXTS = [*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "docs/log.md"]
 LINK = re.compile(r"\[[^\]]*\]\(([^)]+)\)")
 CODE = re.compile(r"```(?:\w*\n)?(.*?)```|`([^`]+)`", re.DOTALL)
-SECTIONS = {key: getattr(section.annotation, "model_fields", {}) for key, section in preset.Params.model_fields.items()}
-PLACEHOLDERS = {"models/steering/spatial/height.py", "models/steering/spatial/NAME.py", "presets/NAME.yaml"}
+SECTIONS = {
+    key: getattr(section.annotation, "model_fields", {})
+    for key, section in preset.Params.model_fields.items()
+}
+PLACEHOLDERS = {
+    "models/steering/spatial/height.py",
+    "models/steering/spatial/NAME.py",
+    "presets/NAME.yaml",
+}
 PLACEHOLDERS |= {f"presets/{name}.yaml" for name in ("monday", "NAME")}
-OTHERS = {"--force", "--single-item", "--wait-for-lock", "--pull", "--downstream", "--allow-missing"}  # of DVC
+# of DVC
+OTHERS = {
+    "--force",
+    "--single-item",
+    "--wait-for-lock",
+    "--pull",
+    "--downstream",
+    "--allow-missing",
+}
 OTHERS |= {"--nthreads", "--nworkers"}  # of Dask
 
 
@@ -61,7 +78,9 @@ def test_links_lead_to_files_and_headings_and_prose_has_110_columns(page):
             assert target.exists(), link
             assert not anchor or anchor in headings(target), link
     prose = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
-    wide = [line for line in prose.splitlines() if len(line) > 110 and not line.startswith(("|", "!"))]
+    wide = [
+        line for line in prose.splitlines() if len(line) > 110 and not line.startswith(("|", "!"))
+    ]
     assert wide == []
 
 
@@ -73,11 +92,18 @@ def test_tables_are_rendered_from_the_results():
 def test_a_run_of_committed_code_is_collected(tmp_path, monkeypatch):
     monkeypatch.setattr(make_results, "RUNS", tmp_path)
     monkeypatch.setattr(make_results, "render", lambda: None)
-    run = {"preset": "mine", "date": "2026-01-01", "machine": "2 CPU cores", "results": {"a/b": {"figure": 0.5}}}
+    run = {
+        "preset": "mine",
+        "date": "2026-01-01",
+        "machine": "2 CPU cores",
+        "results": {"a/b": {"figure": 0.5}},
+    }
     for revision in ("abc1234", "abc1234-dirty", "unknown"):
         (tmp_path / "new").write_text(json.dumps(run | {"revision": revision}))
         with (
-            nullcontext() if revision.isalnum() and revision != "unknown" else pytest.raises(InputError, match=revision)
+            nullcontext()
+            if revision.isalnum() and revision != "unknown"
+            else pytest.raises(InputError, match=revision)
         ):
             make_results.collect(tmp_path / "new")
     assert make_results.read()["mine/a/b"] == {"figure": 0.5}
@@ -86,7 +112,11 @@ def test_a_run_of_committed_code_is_collected(tmp_path, monkeypatch):
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_figures_outside_of_rendered_tables_name_their_revision(page):
     prose = CODE.sub("", make_results.TABLE.sub("", page.read_text()))
-    figures = [part for part in re.split("^#", prose, flags=re.MULTILINE) if re.search(r"(?<![\d.])\d?\.\d{3}\b", part)]
+    figures = [
+        part
+        for part in re.split("^#", prose, flags=re.MULTILINE)
+        if re.search(r"(?<![\d.])\d?\.\d{3}\b", part)
+    ]
     assert [part for part in figures if not re.search(r"\b[0-9a-f]{7}\b", part)] == []
 
 
@@ -95,10 +125,14 @@ def test_there_are_seven_pages():
     readme = PAGES[0].read_text()
     example = (ROOT / "examples/one_image.py").read_text()
     assert [line for line in code_block("gcn.layers").splitlines()[1:] if line not in example] == []
-    assert [path.name for path in (ROOT / "pipeline").glob("[!_]*/") if f"{path.name}/" not in readme] == []
+    assert [
+        path.name for path in (ROOT / "pipeline").glob("[!_]*/") if f"{path.name}/" not in readme
+    ] == []
 
 
-@pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize(
+    "page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: str(page.relative_to(ROOT))
+)
 def test_names_exist(page):
     """Paths of the repository, settings, targets of make, and the commands and options of steer."""
     code = "\n".join(block or span for block, span in CODE.findall(page.read_text()))
@@ -106,8 +140,16 @@ def test_names_exist(page):
     assert [path for path in paths if not (ROOT / path).exists() and path not in PLACEHOLDERS] == []
 
     spans = " ".join(span for _, span in CODE.findall(page.read_text()))
-    settings = [(section, key) for section, key in re.findall(r"\b([a-z]+)\.([a-z_]+)\b", spans) if section in SECTIONS]
-    assert [f"{section}.{key}" for section, key in settings if key not in SECTIONS[section] and key != "pt"] == []
+    settings = [
+        (section, key)
+        for section, key in re.findall(r"\b([a-z]+)\.([a-z_]+)\b", spans)
+        if section in SECTIONS
+    ]
+    assert [
+        f"{section}.{key}"
+        for section, key in settings
+        if key not in SECTIONS[section] and key != "pt"
+    ] == []
 
     targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
     targets += [Path(path).stem for path in (*(ROOT / "presets").glob("*.yaml"), *PLACEHOLDERS)]
@@ -116,8 +158,18 @@ def test_names_exist(page):
     steer = typer.main.get_command(app)
     commands = steer.commands  # type: ignore[attr-defined]
     assert {*re.findall(r"\bsteer ([a-z]+)", code)} <= {*commands}
-    options = {name for command in (steer, *commands.values()) for option in command.params for name in option.opts}
-    options |= {name for command in commands.values() for option in command.params for name in option.secondary_opts}
+    options = {
+        name
+        for command in (steer, *commands.values())
+        for option in command.params
+        for name in option.opts
+    }
+    options |= {
+        name
+        for command in commands.values()
+        for option in command.params
+        for name in option.secondary_opts
+    }
     assert {*re.findall(r"(?<!\S)--[a-zA-Z][\w-]*", code)} <= options | OTHERS
 
 
@@ -127,9 +179,13 @@ def test_the_dataset_of_the_documentation_yields_each_window_once(tmp_path, monk
     """Also in processes of a DataLoader, which start in either way."""
     drives = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train"}
     artefacts.write_dataset(tmp_path, drives, frames=23, points=12)
-    (tmp_path / f"users{start}.py").write_text(code_block("class Windows(Dataset)").removeprefix("python\n"))
+    (tmp_path / f"users{start}.py").write_text(
+        code_block("class Windows(Dataset)").removeprefix("python\n")
+    )
     monkeypatch.syspath_prepend(tmp_path)
-    entry = Entry.model_validate({"input": "semantic", "spatial": "gnn", "temporal": "lstm", "semantics": 1.0})
+    entry = Entry.model_validate(
+        {"input": "semantic", "spatial": "gnn", "temporal": "lstm", "semantics": 1.0}
+    )
     windows = importlib.import_module(f"users{start}").Windows
     dataset = windows(tmp_path / "graphs/semantic", tmp_path / "labels", [*drives], entry)
     assert dataset[0]["ptr"].shape == (9,)  # this process has files open
@@ -154,13 +210,18 @@ def test_the_example_of_a_label_source_works(tmp_path, monkeypatch):
     settings = Labels(source="example", wheelbase_m=2.7, min_speed_mps=1.0)
     source.labels_drive(tmp_path / "labels.h5", tmp_path / "a.h5", settings=settings)
     with DriveReader(tmp_path / "labels.h5", stage="labels") as file:
-        assert (file["steering_rad"].tolist(), file["valid"].tolist()) == ([0.1, 0, -0.05], [1, 0, 1])
+        assert (file["steering_rad"].tolist(), file["valid"].tolist()) == (
+            [0.1, 0, -0.05],
+            [1, 0, 1],
+        )
 
 
 def test_a_metric_of_the_documentation_stands_in_tables_page_and_dvc_metrics(tmp_path, monkeypatch):
     """Also for baselines."""
     monkeypatch.setattr(statistics, "METRICS", dict(statistics.METRICS))
-    exec(code_block("def within_2_deg"), {"METRICS": statistics.METRICS, "Metric": statistics.Metric})
+    exec(
+        code_block("def within_2_deg"), {"METRICS": statistics.METRICS, "Metric": statistics.Metric}
+    )
     assert statistics.scores(np.zeros(4), np.array([0.01, -0.02, 0.05, 0.5]))["within_2_deg"] == 0.5
     content = examples.metrics("net", baselines={"odometry": 0.04})
     examples.write_model(tmp_path, content)
@@ -168,7 +229,9 @@ def test_a_metric_of_the_documentation_stands_in_tables_page_and_dvc_metrics(tmp
         "models: {net: {}}\nevaluate: {bootstrap_samples: 9, bootstrap_block_frames: 5, seed: 0}\n"
     )
     report.main(tmp_path, tmp_path / "report", tmp_path / "params.yaml")
-    head, _, *rows = [line for line in (tmp_path / "report/table.md").read_text().splitlines() if line[:1] == "|"][:6]
+    head, _, *rows = [
+        line for line in (tmp_path / "report/table.md").read_text().splitlines() if line[:1] == "|"
+    ][:6]
     column = [cell.strip() for cell in head.split("|")].index("within_2_deg")
     assert all(re.fullmatch(r"[01]\.\d{3}", row.split("|")[column].strip()) for row in rows)
     metrics = json.loads((tmp_path / "report/metrics.json").read_text())["steering angle"]

@@ -1,4 +1,6 @@
-"""dvc.yaml agrees with the code: a stage depends on every file that it imports, and on little else."""
+"""dvc.yaml agrees with the code: a stage depends on every file that it imports, and on little
+else.
+"""
 
 import ast
 import re
@@ -12,10 +14,17 @@ from pipeline.base import resume
 from pipeline.graphs.settings import Variant
 
 CONFIG: dict[str, Any] = yaml.safe_load((resume.ROOT / "dvc.yaml").read_text())
-STAGES: dict[str, Any] = {name: {**stage, **stage.get("do", {})} for name, stage in CONFIG["stages"].items()}
-NETWORKS = {"${item.spatial}": "models/steering/spatial", "${item.temporal}": "models/steering/temporal"}
+STAGES: dict[str, Any] = {
+    name: {**stage, **stage.get("do", {})} for name, stage in CONFIG["stages"].items()
+}
+NETWORKS = {
+    "${item.spatial}": "models/steering/spatial",
+    "${item.temporal}": "models/steering/temporal",
+}
 FOUND = {"pipeline/ingest", "pipeline/labels"}  # with files that are found by their names
-PACKAGES = {  # that these stages list although they do not import every file; of other packages they list single files
+# that these stages list although they do not import every file; of other packages they list single
+# files
+PACKAGES = {
     "perception": {"pipeline/base", "pipeline/camera", "models/encoder"},
     "clouds": {"pipeline/base", "pipeline/camera"},
     "graphs": {"pipeline/base", "pipeline/camera", "pipeline/clouds", "pipeline/graphs"},
@@ -32,12 +41,15 @@ def _files(dep: str) -> set[Path]:
             return _files(folder)
     path = resume.ROOT / dep
     assert path.exists(), dep
-    files = path.rglob("*.py") if path.is_dir() else {path} - {path.with_suffix(".j2")}  # a template imports nothing
+    # a template imports nothing
+    files = path.rglob("*.py") if path.is_dir() else {path} - {path.with_suffix(".j2")}
     return {file.relative_to(resume.ROOT) for file in files}
 
 
 def test_one_name_five_places():
-    """A file of stages/, an entry of dvc.yaml, a section, a folder of data/, and a room of pipeline/."""
+    """A file of stages/, an entry of dvc.yaml, a section, a folder of data/, and a room of
+    pipeline/.
+    """
     files = {path.stem for path in (resume.ROOT / "stages").glob("*.py")}
     rooms = {path.name for path in (resume.ROOT / "pipeline").iterdir() if any(path.glob("*.py"))}
     assert files == set(STAGES) == rooms - {"base", "camera"}
@@ -54,8 +66,15 @@ def test_no_two_rooms_have_a_module_of_one_name():
     for folder in ("pipeline", "models", "steer", "benchmarks"):
         for file in (resume.ROOT / folder).rglob("*.py"):
             parts = file.relative_to(resume.ROOT).parts
-            places.setdefault(file.stem, set()).add("/".join(parts[:2]) if folder == "pipeline" else folder)
-    assert {name for name, rooms in places.items() if len(rooms) > 1} == {"doubts", "fit", "settings", "udacity"}
+            places.setdefault(file.stem, set()).add(
+                "/".join(parts[:2]) if folder == "pipeline" else folder
+            )
+    assert {name for name, rooms in places.items() if len(rooms) > 1} == {
+        "doubts",
+        "fit",
+        "settings",
+        "udacity",
+    }
 
 
 @pytest.mark.parametrize("name", STAGES)
@@ -69,20 +88,27 @@ def test_what_a_stage_imports_is_covered(name):
     imported = resume.imported(files)
     assert imported <= _covered(name)
     if name in PACKAGES:
-        assert _covered(name) - imported <= {path for package in PACKAGES[name] for path in _files(package)}
+        assert _covered(name) - imported <= {
+            path for package in PACKAGES[name] for path in _files(package)
+        }
     else:
         assert all(_files(dep) & imported for dep in _code(name)), "a dep that is not used"
 
 
 @pytest.mark.parametrize("name", STAGES)
 def test_deps_on_data_are_exactly_outs(name):
-    """Depending on a parent folder of outputs would miss the order of stages. Only report, which collects, may."""
+    """Depending on a parent folder of outputs would miss the order of stages. Only report, which
+    collects, may.
+    """
     outs = {out for stage in STAGES.values() for out in _outs(stage)}
     sources = {f"data/{source}" for source in get_args(Variant.model_fields["source"].annotation)}
     for dep in STAGES[name]["deps"]:
         if dep == "data/${item.source}":
             assert sources <= outs
-        elif dep.startswith("data/") and (name, dep) not in {("report", "data/evaluate"), ("report", "data/train")}:
+        elif dep.startswith("data/") and (name, dep) not in {
+            ("report", "data/evaluate"),
+            ("report", "data/train"),
+        }:
             assert re.sub(r"\$\{item\.\w+\}", "${key}", dep) in outs
 
 
@@ -90,7 +116,11 @@ def test_deps_on_data_are_exactly_outs(name):
 def test_sections_that_a_stage_reads_are_its_params(name):
     tree = ast.parse((resume.ROOT / "stages" / f"{name}.py").read_text())
     modules = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
-    read = {module.split(".")[1] for module in modules if re.fullmatch(r"pipeline\.\w+\.settings", module)}
+    read = {
+        module.split(".")[1]
+        for module in modules
+        if re.fullmatch(r"pipeline\.\w+\.settings", module)
+    }
     read |= {"models"} & {"models" for module in modules if module == "pipeline.train.entry"}
     listed = {param.split(".")[0] for param in STAGES[name].get("params", [])}
     # check depends on the whole file; of models, report reads only names.
@@ -106,4 +136,6 @@ def _covered(name: str) -> set[Path]:
 
 
 def _code(name: str) -> list[str]:
-    return [dep for dep in STAGES[name]["deps"] if not dep.startswith("data/") and dep != "params.yaml"]
+    return [
+        dep for dep in STAGES[name]["deps"] if not dep.startswith("data/") and dep != "params.yaml"
+    ]

@@ -8,9 +8,26 @@ import pytest
 import yaml
 
 from pipeline.check import preset
-from stages import check, clouds, encoder, evaluate, graphs, ingest, labels, motion, perception, report, scores, train
+from stages import (
+    check,
+    clouds,
+    encoder,
+    evaluate,
+    graphs,
+    ingest,
+    labels,
+    motion,
+    perception,
+    report,
+    scores,
+    train,
+)
 
-DRIVES = {"train": "2011_09_26_drive_0005", "val": "2011_09_26_drive_0039", "test": "2011_10_03_drive_0042"}
+DRIVES = {
+    "train": "2011_09_26_drive_0005",
+    "val": "2011_09_26_drive_0039",
+    "test": "2011_10_03_drive_0042",
+}
 IMAGES = 16  # of each drive
 
 

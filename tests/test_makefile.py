@@ -31,7 +31,8 @@ stage) echo train@fails train@works | tr ' ' '\\n' ;;
   case "$4" in train@fails) echo "$4: loss is nan" >&2; exit 255 ;; esac
   sleep 0.5; echo "trained $4" >> {log} ;;
 repro)
-  [ ! -e wait ] || {{ trap 'sleep .5; echo ended >> {log}; exit 130' INT; while :; do sleep .1; done; }}
+  ended='sleep .5; echo ended >> {log}; exit 130'
+  [ ! -e wait ] || {{ trap "$ended" INT; while :; do sleep .1; done; }}
   mkdir -p data/report && ls stages > dvc.lock
   [ ! -e stages/broken.py ] || exit 255
   echo "<h1>Steering report</h1> Next: <code>dvc exp run</code>" > data/report/index.html
@@ -61,10 +62,14 @@ def checkout(tmp_path) -> Path:
 
 def start(checkout: Path, target: str) -> subprocess.Popen[str]:
     """Start make without the target setup, which would install packages."""
-    environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "MAKEFLAGS")}
+    environment = {
+        name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "MAKEFLAGS")
+    }
     command = ["make", "-o", "setup", "VENV=fake", target]
     pipe = subprocess.PIPE
-    return subprocess.Popen(command, cwd=checkout, env=environment, stdout=pipe, stderr=pipe, text=True)
+    return subprocess.Popen(
+        command, cwd=checkout, env=environment, stdout=pipe, stderr=pipe, text=True
+    )
 
 
 def make(checkout: Path, target: str) -> subprocess.CompletedProcess[str]:
@@ -83,20 +88,35 @@ def test_a_preset_runs_in_a_copy_of_the_code(checkout):
     assert done.returncode == 0, done.stderr
     folder = checkout / "runs/kitti"
     assert yaml.safe_load((folder / "params.yaml").read_text()) == preset.merged("kitti")
-    for copied in ("dvc.yaml", ".dvcignore", "data/.gitignore", "stages/check.py", "pipeline/labels/label.py"):
+    for copied in (
+        "dvc.yaml",
+        ".dvcignore",
+        "data/.gitignore",
+        "stages/check.py",
+        "pipeline/labels/label.py",
+    ):
         assert (folder / copied).read_bytes() == (ROOT / copied).read_bytes()
     assert (folder / "checkout").read_text() == str(checkout)
     assert (checkout / "data/report/kitti.md").read_text() == "| kitti |\n"
     page = (checkout / "data/report/kitti.html").read_text()
-    assert "<h1>Steering report</h1>\n<details><summary>preset kitti, revision unknown, date 20" in page
+    assert (
+        "<h1>Steering report</h1>\n<details><summary>preset kitti, revision unknown, date 20"
+        in page
+    )
     assert "<pre>ingest:\n  source: kitti\n" in page
     assert "Next: <code>$EDITOR presets/kitti.yaml &amp;&amp; make kitti " in page
     assert "\npreset kitti, revision unknown, date 20" in done.stdout
     assert (checkout / "params.yaml").read_text() == params
-    first = ["init --quiet --no-scm", "config cache.type hardlink,copy", "cache dir .dvc/cache", "repro"]
+    first = [
+        "init --quiet --no-scm",
+        "config cache.type hardlink,copy",
+        "cache dir .dvc/cache",
+        "repro",
+    ]
     assert (checkout / "calls").read_text().splitlines() == first
 
-    (folder / "pipeline/mine.py").write_text("mine")  # a user's file stays, one that the code no longer has goes
+    # a user's file stays, one that the code no longer has goes
+    (folder / "pipeline/mine.py").write_text("mine")
     lock = (folder / "dvc.lock").read_text()
     make(checkout, "kitti")
     assert not (folder / "dvc.lock.before").exists(), "the results are the same"
@@ -117,21 +137,35 @@ def test_a_preset_runs_in_a_copy_of_the_code(checkout):
 
 
 REFUSED = [
-    ("table", {"presets/table.yaml": "train: {}"}, "table: is the name of a file that stage report writes"),
+    (
+        "table",
+        {"presets/table.yaml": "train: {}"},
+        "table: is the name of a file that stage report writes",
+    ),
     ("roads", {"runs/roads/dvc.yaml": "mine"}, "runs/roads: is a folder that no run made"),
-    ("roads", {"runs/roads/revision": "", "runs/roads/params.yaml": "a: 1"}, "runs/roads/params.yaml: was edited"),
+    (
+        "roads",
+        {"runs/roads/revision": "", "runs/roads/params.yaml": "a: 1"},
+        "runs/roads/params.yaml: was edited",
+    ),
     (
         "roads",
         {"params.yaml": preset.stamped("a: 1", "make params PRESET=kitti")},
         "PRESET=kitti wrote it, so",
     ),
-    ("roads", {"params.yaml": preset.stamped("a: 1", "make kitti")}, "make kitti wrote it, so preset roads does not"),
+    (
+        "roads",
+        {"params.yaml": preset.stamped("a: 1", "make kitti")},
+        "make kitti wrote it, so preset roads does not",
+    ),
     ("mine", {"presets/mine.yaml": "encoder: {weights: no.pt}"}, "no.pt: file is missing"),
 ]
 
 
 @pytest.mark.parametrize(("name", "files", "problem"), REFUSED)
-def test_a_run_that_would_replace_other_files_or_mix_settings_is_refused(checkout, monkeypatch, name, files, problem):
+def test_a_run_that_would_replace_other_files_or_mix_settings_is_refused(
+    checkout, monkeypatch, name, files, problem
+):
     monkeypatch.chdir(checkout)
     monkeypatch.setattr(preset, "PRESETS", checkout / "presets")
     for file, text in files.items():
@@ -166,7 +200,9 @@ def test_other_weights_under_the_same_name_change_the_settings(tmp_path, monkeyp
     Path("encoder.pt").write_text("second")
     run.take_weights(encoder, Path("params.yaml"))
     assert encoder["weights_sha256"] != first["weights_sha256"]
-    with pytest.raises(InputError, match=r"encoder.pt: is not the file whose hash .* Repeat make NAME"):
+    with pytest.raises(
+        InputError, match=r"encoder.pt: is not the file whose hash .* Repeat make NAME"
+    ):
         create.create(Encoder(**first))
     preset.write({"encoder": first}, Path("params.yaml"), "make roads")
     Path("encoder.pt").unlink()  # results of the earlier run need no weights
@@ -236,5 +272,8 @@ def test_a_revision_names_the_commit_and_edits_of_the_code(tmp_path):
 
 def test_no_preset_has_the_name_of_a_target():
     text = (ROOT / "Makefile").read_text()
-    targets = {*re.findall(r"^([a-z]+):", text, re.MULTILINE), *re.search("CLOSED := (.*)", text)[1].split()}
+    targets = {
+        *re.findall(r"^([a-z]+):", text, re.MULTILINE),
+        *re.search("CLOSED := (.*)", text)[1].split(),
+    }
     assert targets == {*preset.TARGETS}

@@ -26,9 +26,14 @@ VARIANT = Variant(source="clouds/pseudo", points=200, k=4, keep_inter_class=0.2,
 
 def inputs(folder: Path, images: list[np.ndarray], encoder: Path) -> dict[str, np.ndarray]:
     """Return the datasets of the graph file of a drive, of the frames up to KNOWN."""
-    files = {name: folder / f"{name}.h5" for name in ("ingest", "perception", "motion", "clouds", "graphs")}
+    files = {
+        name: folder / f"{name}.h5"
+        for name in ("ingest", "perception", "motion", "clouds", "graphs")
+    }
     frames = [Frame(number, number / 10, image) for number, image in enumerate(images)]
-    write_drive(files["ingest"], Drive(street.WIDE, lambda: iter(frames)), "drive", "recording", READING)
+    write_drive(
+        files["ingest"], Drive(street.WIDE, lambda: iter(frames)), "drive", "recording", READING
+    )
     settings = Perception(batch=4)
     perceive_drive(files["perception"], files["ingest"], encoder, settings)
     measure_drive(files["motion"], files["ingest"], files["perception"])
@@ -38,16 +43,26 @@ def inputs(folder: Path, images: list[np.ndarray], encoder: Path) -> dict[str, n
     with DriveReader(files["graphs"], stage="graphs") as file:
         assert file["motion_valid"][1:KNOWN].all()
         rows = [file.rows_of(name, row) for name in file.pointers for row in range(KNOWN)]
-        known = {name: file[name][:KNOWN] for name, data in file.datasets.items() if len(data) == len(images)}
+        known = {
+            name: file[name][:KNOWN]
+            for name, data in file.datasets.items()
+            if len(data) == len(images)
+        }
     return {**known, "points": np.concatenate([row.ravel() for row in rows])}
 
 
 def test_later_frames_change_no_input(tmp_path, monkeypatch):
     encoder = write_encoder(tmp_path / "encoder", monkeypatch)
     images = [street.view(pose)[0] for pose in street.arc(FRAMES, 0.2, 8.0)]
-    noise = np.random.default_rng(0).integers(0, 255, (FRAMES - KNOWN, *street.WIDE.size, 3), np.uint8)
+    noise = np.random.default_rng(0).integers(
+        0, 255, (FRAMES - KNOWN, *street.WIDE.size, 3), np.uint8
+    )
     one = inputs(tmp_path / "one", images, encoder)
     other = inputs(tmp_path / "other", [*images[:KNOWN], *noise], encoder)
-    assert one.keys() == other.keys() > {"motion_speed_mps", "motion_yaw_rate_radps", "motion_valid", "time_s"}
+    assert (
+        one.keys()
+        == other.keys()
+        > {"motion_speed_mps", "motion_yaw_rate_radps", "motion_valid", "time_s"}
+    )
     for name, values in one.items():
         np.testing.assert_array_equal(values, other[name], err_msg=name)

@@ -26,7 +26,10 @@ class EfficientViT(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.backbone, self.head = Backbone(), Head()
-        self.register_buffer("mean_std", torch.tensor([MEAN, STD])[..., None, None], persistent=False)  # [2,3,1,1]
+        # [2,3,1,1]
+        self.register_buffer(
+            "mean_std", torch.tensor([MEAN, STD])[..., None, None], persistent=False
+        )
 
     def forward(self, image: Tensor) -> Tensor:
         mean, std = self.mean_std
@@ -39,12 +42,20 @@ class Backbone(nn.Module):
         first, *widths = WIDTHS
         depth_conv = conv(first, first, 3, groups=first).append(nn.Hardswish())
         separable = named(depth_conv=depth_conv, point_conv=conv(first, first))
-        self.input_stem = ops(conv(3, first, 3, stride=2).append(nn.Hardswish()), Residual(separable))
+        self.input_stem = ops(
+            conv(3, first, 3, stride=2).append(nn.Hardswish()), Residual(separable)
+        )
         self.stages, inputs = nn.ModuleList(), first
         for level, width in enumerate(widths):
             attention = level >= 2  # its convolutions have a bias instead of a batch norm
-            blocks = [attention_block(width) for _ in range(2)] if attention else [Residual(bottleneck(width, width))]
-            self.stages.append(ops(named(main=bottleneck(inputs, width, 2, bias=attention)), *blocks))
+            blocks = (
+                [attention_block(width) for _ in range(2)]
+                if attention
+                else [Residual(bottleneck(width, width))]
+            )
+            self.stages.append(
+                ops(named(main=bottleneck(inputs, width, 2, bias=attention)), *blocks)
+            )
             inputs = width
 
     def forward(self, x: Tensor) -> list[Tensor]:
@@ -64,7 +75,9 @@ class Head(nn.Module):
         self.input_ops = nn.ModuleList([ops(coarse, fourfold), ops(middle, doubled), fine])
         self.middle = ops(Residual(bottleneck(DECODED, DECODED)))
         last = named(conv=nn.Conv2d(4 * DECODED, classes.COUNT, 1))
-        self.output_ops = nn.ModuleList([ops(conv(DECODED, 4 * DECODED).append(nn.Hardswish()), last)])
+        self.output_ops = nn.ModuleList(
+            [ops(conv(DECODED, 4 * DECODED).append(nn.Hardswish()), last)]
+        )
 
     def forward(self, maps: list[Tensor]) -> Tensor:
         x = sum(side(x) for side, x in zip(self.input_ops, reversed(maps), strict=True))
@@ -81,7 +94,9 @@ class Residual(nn.Module):
 
 
 class LinearAttention(nn.Module):
-    """Multi-scale attention with ReLU instead of softmax: its cost grows linearly with the number of pixels."""
+    """Multi-scale attention with ReLU instead of softmax: its cost grows linearly with the number
+    of pixels.
+    """
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -95,7 +110,8 @@ class LinearAttention(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         qkv = self.qkv(x)
         scales = torch.cat([qkv, self.aggreg[0](qkv)], dim=1)  # [B,6C,H,W]
-        with torch.autocast(x.device.type, enabled=False):  # sums over all pixels are inaccurate in half precision
+        # sums over all pixels are inaccurate in half precision
+        with torch.autocast(x.device.type, enabled=False):
             heads = scales.float().reshape(len(x), -1, 3 * HEAD_WIDTH, x[0, 0].numel())
             q, k, v = heads.chunk(3, dim=2)  # [B,heads,16,HW]
             v = F.pad(v, (0, 0, 0, 1), value=1)  # its last row sums up the weights
@@ -105,11 +121,19 @@ class LinearAttention(nn.Module):
 
 
 def conv(
-    inputs: int, outputs: int, size: int = 1, *, stride: int = 1, groups: int = 1, bias: bool = False
+    inputs: int,
+    outputs: int,
+    size: int = 1,
+    *,
+    stride: int = 1,
+    groups: int = 1,
+    bias: bool = False,
 ) -> nn.Sequential:
     """Return a convolution and, unless it has a bias, batch norm."""
     norm = {} if bias else {"norm": nn.BatchNorm2d(outputs)}
-    return named(conv=nn.Conv2d(inputs, outputs, size, stride, size // 2, groups=groups, bias=bias), **norm)
+    return named(
+        conv=nn.Conv2d(inputs, outputs, size, stride, size // 2, groups=groups, bias=bias), **norm
+    )
 
 
 def bottleneck(inputs: int, outputs: int, stride: int = 1, *, bias: bool = False) -> nn.Sequential:
@@ -117,7 +141,9 @@ def bottleneck(inputs: int, outputs: int, stride: int = 1, *, bias: bool = False
     width = 4 * inputs
     return named(
         inverted_conv=conv(inputs, width, bias=bias).append(nn.Hardswish()),
-        depth_conv=conv(width, width, 3, stride=stride, groups=width, bias=bias).append(nn.Hardswish()),
+        depth_conv=conv(width, width, 3, stride=stride, groups=width, bias=bias).append(
+            nn.Hardswish()
+        ),
         point_conv=conv(width, outputs),
     )
 

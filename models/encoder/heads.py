@@ -13,16 +13,22 @@ MIN_DEPTH_M, MAX_DEPTH_M = 0.5, 120.0
 
 
 def resized(x: Tensor, size: Sequence[int]) -> Tensor:
-    """Interpolate a map [B,C,h,w] to `size`, in float32, with averages where it shrinks; pixel centres stay aligned."""
+    """Interpolate a map [B,C,h,w] to `size`, in float32, with averages where it shrinks; pixel
+    centres stay aligned.
+    """
     if x.shape[-2:] == torch.Size(size):
         return x
-    return F.interpolate(x.float(), tuple(size), mode="bilinear", align_corners=False, antialias=True)
+    return F.interpolate(
+        x.float(), tuple(size), mode="bilinear", align_corners=False, antialias=True
+    )
 
 
 def scaled_by_focal(depth: Tensor, K: Tensor, trained: float) -> Tensor:
-    """Scale depth [B,H,W] of a network that was trained with one camera to the camera with intrinsics K [B,3,3].
+    """Scale depth [B,H,W] of a network that was trained with one camera to the camera with
+    intrinsics K [B,3,3].
 
-    `trained` is focal length / image width of its training images: a longer lens makes objects look nearer.
+    `trained` is focal length / image width of its training images: a longer lens makes objects look
+    nearer.
     """
     return depth * (K[:, 0, 0] / depth.shape[-1] / trained).to(depth.dtype)[:, None, None]
 
@@ -37,28 +43,37 @@ def ray_slopes(K: Tensor, size: torch.Size) -> Tensor:
 
 
 class Pointwise(nn.Conv2d):
-    """A 1x1 convolution as a product on channels last. On one thread, torch's changes the layout and back."""
+    """A 1x1 convolution as a product on channels last. On one thread, torch's changes the layout
+    and back.
+    """
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__(inputs, outputs, 1)
 
     def forward(self, x: Tensor) -> Tensor:
-        return F.linear(x.permute(0, 2, 3, 1), self.weight.flatten(1), self.bias).permute(0, 3, 1, 2)
+        return F.linear(x.permute(0, 2, 3, 1), self.weight.flatten(1), self.bias).permute(
+            0, 3, 1, 2
+        )
 
 
 class CellDepth(nn.Module):
-    """Depth of all pixels of a feature's cell (sub-pixel convolution). Interpolation would blur edges of objects."""
+    """Depth of all pixels of a feature's cell (sub-pixel convolution). Interpolation would blur
+    edges of objects.
+    """
 
     def __init__(self, channels: int, stride: int) -> None:
         super().__init__()
-        self.layers = nn.Sequential(Pointwise(channels, channels), nn.ReLU(), Pointwise(channels, stride**2))
+        self.layers = nn.Sequential(
+            Pointwise(channels, channels), nn.ReLU(), Pointwise(channels, stride**2)
+        )
         self.stride = stride
 
     def forward(self, features: Tensor, rays: Tensor) -> Tensor:
         """Return depth [B,H,W] from features [B,channels,ceil(H/stride),ceil(W/stride)]."""
-        cells = F.pixel_shuffle(self.layers(features), self.stride)[:, 0]  # cells at the edges are cropped
-        # Over the logarithm: relative errors count equally near and far. Half precision at log(120 m) has an error of
-        # 1.6 % of the depth.
+        # cells at the edges are cropped
+        cells = F.pixel_shuffle(self.layers(features), self.stride)[:, 0]
+        # Over the logarithm: relative errors count equally near and far. Half precision at log(120
+        # m) has an error of 1.6 % of the depth.
         share = torch.sigmoid(cells[..., : rays.shape[-2], : rays.shape[-1]].float())
         return torch.exp(math.log(MIN_DEPTH_M) + math.log(MAX_DEPTH_M / MIN_DEPTH_M) * share)
 
@@ -73,13 +88,19 @@ class CellClasses(nn.Module):
 
     def forward(self, features: Tensor, rays: Tensor) -> Tensor:
         """Return logits [B,19,H,W] from features [B,channels,ceil(H/stride),ceil(W/stride)]."""
-        # The weights are ordered by class, then pixel. Reordered by pixel, the logits of a pixel stay adjacent in
-        # memory through shuffle, softmax and their gradients, without copies.
+        # The weights are ordered by class, then pixel. Reordered by pixel, the logits of a pixel
+        # stay adjacent in memory through shuffle, softmax and their gradients, without copies.
         weight, bias = (
-            x.reshape(classes.COUNT, self.stride**2, -1).transpose(0, 1).flatten(0, 1) for x in self.layer.parameters()
+            x.reshape(classes.COUNT, self.stride**2, -1).transpose(0, 1).flatten(0, 1)
+            for x in self.layer.parameters()
         )
-        cells = F.linear(features.permute(0, 2, 3, 1), weight, bias[:, 0])  # [B,h,w,stride·stride·19]
+        # [B,h,w,stride·stride·19]
+        cells = F.linear(features.permute(0, 2, 3, 1), weight, bias[:, 0])
         batch, height, width, _ = cells.shape
-        pixels = cells.view(batch, height, width, self.stride, self.stride, classes.COUNT).transpose(2, 3)
-        logits = pixels.reshape(batch, height * self.stride, width * self.stride, classes.COUNT).permute(0, 3, 1, 2)
+        pixels = cells.view(
+            batch, height, width, self.stride, self.stride, classes.COUNT
+        ).transpose(2, 3)
+        logits = pixels.reshape(
+            batch, height * self.stride, width * self.stride, classes.COUNT
+        ).permute(0, 3, 1, 2)
         return logits[..., : rays.shape[-2], : rays.shape[-1]]

@@ -1,7 +1,9 @@
-"""Networks of Hugging Face, by name or folder: a pair of two networks, and one backbone with the heads of this project.
+"""Networks of Hugging Face, by name or folder: a pair of two networks, and one backbone with the
+heads of this project.
 
-A network is described by ``{"config", "mean", "std"}``, its configuration and the normalisation of its images, so that
-it is built again without a hub. No code of a hub runs; weights are tensors only.
+A network is described by ``{"config", "mean", "std"}``, its configuration and the normalisation of
+its images, so that it is built again without a hub. No code of a hub runs; weights are tensors
+only.
 """
 
 import json
@@ -25,24 +27,51 @@ from pipeline.camera.classes import COUNT, NAMES, ROAD
 
 IMAGENET = {"image_mean": [0.485, 0.456, 0.406], "image_std": [0.229, 0.224, 0.225]}
 STRIDE, LEVELS, WIDTH = 4, 4, 64  # of the maps that our heads read: stride, number, channels
-# Weights that published files lack: a unit of DPT that its forward pass does not use, and norms that a fit trains.
+# Weights that published files lack: a unit of DPT that its forward pass does not use, and norms
+# that a fit trains.
 UNPUBLISHED = ("neck.fusion_stage.layers.0.residual_layer1.", "hidden_states_norms.")
-NO_DEPTH_M = {"depth_pro": "inverse until its post-processing", "prompt_depth_anything": "relative to a depth sensor's"}
+NO_DEPTH_M = {
+    "depth_pro": "inverse until its post-processing",
+    "prompt_depth_anything": "relative to a depth sensor's",
+}
 FAMILIES = {  # setting → the task in names of transformers, and families that work
     "depth": ("DEPTH_ESTIMATION", "depth_anything, glpn, zoedepth"),
     "classes": ("SEMANTIC_SEGMENTATION", "segformer, upernet, mobilevit, mobilenet_v2"),
 }
-# Cityscapes' class → its names in ADE20K and Mapillary Vistas beside its own, in lower case. All other names are void,
-# also bridges, as in Cityscapes.
+# Cityscapes' class → its names in ADE20K and Mapillary Vistas beside its own, in lower case. All
+# other names are void, also bridges, as in Cityscapes.
 LABELS = {
     "road": [
-        "runway", "dirt track", "bike lane", "crosswalk - plain", "service lane", "lane marking - crosswalk",
-        "lane marking - general", "catch basin", "manhole", "pothole",
+        "runway",
+        "dirt track",
+        "bike lane",
+        "crosswalk - plain",
+        "service lane",
+        "lane marking - crosswalk",
+        "lane marking - general",
+        "catch basin",
+        "manhole",
+        "pothole",
     ],
     "sidewalk": ["floor", "path", "curb", "curb cut", "pedestrian area"],
     "building": [
-        "windowpane", "door", "house", "column", "skyscraper", "grandstand", "stairs", "screen door", "stairway",
-        "blind", "hovel", "tower", "awning", "booth", "canopy", "step", "trade name",
+        "windowpane",
+        "door",
+        "house",
+        "column",
+        "skyscraper",
+        "grandstand",
+        "stairs",
+        "screen door",
+        "stairway",
+        "blind",
+        "hovel",
+        "tower",
+        "awning",
+        "booth",
+        "canopy",
+        "step",
+        "trade name",
     ],
     "fence": ["railing", "bannister", "barrier"],
     "pole": ["streetlight", "street light", "utility pole"],
@@ -53,8 +82,10 @@ LABELS = {
     "car": ["van"],
     "train": ["on rails"],
     "motorcycle": ["minibike"],
-}  # fmt: skip
-NUMBERS = {label: number for number, name in enumerate(NAMES) for label in (name, *LABELS.get(name, ()))}
+}
+NUMBERS = {
+    label: number for number, name in enumerate(NAMES) for label in (name, *LABELS.get(name, ()))
+}
 
 
 def class_number(label: str) -> int:
@@ -71,20 +102,28 @@ class CityscapesLogits(nn.Module):
         super().__init__()
         self.void = [label for label in labels if class_number(label) == COUNT]
         numbers = torch.tensor([class_number(label) for label in labels])
-        self.register_buffer("members", F.one_hot(numbers, COUNT + 1).float().T[..., None, None], persistent=False)
+        self.register_buffer(
+            "members", F.one_hot(numbers, COUNT + 1).float().T[..., None, None], persistent=False
+        )
 
     def forward(self, logits: Tensor) -> Tensor:
-        """Add the probabilities of a class's members. One without members has a finite loss and is not predicted."""
+        """Add the probabilities of a class's members. One without members has a finite loss and is
+        not predicted.
+        """
         with torch.autocast(logits.device.type, enabled=False):
             return F.conv2d(logits.float().softmax(dim=1), self.members).clamp(min=1e-6).log()
 
 
 def transformers() -> ModuleType:
-    """Return Hugging Face's package, with its messages off. Raises InputError if it is not installed."""
+    """Return Hugging Face's package, with its messages off. Raises InputError if it is not
+    installed.
+    """
     try:
         import transformers
     except ImportError as error:
-        raise InputError("this backbone needs the package transformers: pip install '.[pretrained]'") from error
+        raise InputError(
+            "this backbone needs the package transformers: pip install '.[pretrained]'"
+        ) from error
     transformers.logging.set_verbosity_error()  # type: ignore[no-untyped-call]
     transformers.logging.disable_progress_bar()  # type: ignore[no-untyped-call]
     logging.getLogger("huggingface_hub").setLevel(logging.ERROR)
@@ -104,7 +143,8 @@ def loading(name: str | Path, action: str = "load") -> Iterator[None]:
 
 
 def check(name: str, key: str = "") -> None:
-    """Raise InputError if `name` can only be a folder but has no configuration, or if the package is missing.
+    """Raise InputError if `name` can only be a folder but has no configuration, or if the package
+    is missing.
 
     A folder's network has to be of a family for `key`, depth or classes.
     """
@@ -112,24 +152,38 @@ def check(name: str, key: str = "") -> None:
     config = in_checkout(path) / "config.json"
     is_folder = path.is_absolute() or in_checkout(path).parent.is_dir() or len(path.parts) > 2
     if is_folder and not config.is_file():
-        raise InputError(f"{name!r} is not a folder with a config.json, nor a name of Hugging Face's hub")
+        raise InputError(
+            f"{name!r} is not a folder with a config.json, nor a name of Hugging Face's hub"
+        )
     if key in FAMILIES and config.is_file():
         task, others = FAMILIES[key]
         with loading(name):
             family = json.loads(config.read_text())["model_type"]
-        if family not in getattr(library.models.auto.modeling_auto, f"MODEL_FOR_{task}_MAPPING_NAMES"):
-            raise InputError(f"networks of type {family} have no map of {key}", name, f"Families that work: {others}")
+        if family not in getattr(
+            library.models.auto.modeling_auto, f"MODEL_FOR_{task}_MAPPING_NAMES"
+        ):
+            raise InputError(
+                f"networks of type {family} have no map of {key}",
+                name,
+                f"Families that work: {others}",
+            )
 
 
 def describe(name: str) -> tuple[Path, dict[str, Any], list[str]]:
-    """Return folder, description and, of a network that is downloaded from the hub, the revision. Raises InputError."""
+    """Return folder, description and, of a network that is downloaded from the hub, the revision.
+    Raises InputError.
+    """
     check(name)
     folder, sources = in_checkout(Path(name)), []
     with loading(name):
         if not folder.is_dir():
             from huggingface_hub import snapshot_download
 
-            folder = Path(snapshot_download(name, allow_patterns=["*config.json", "*.safetensors*", "pytorch_model*"]))
+            folder = Path(
+                snapshot_download(
+                    name, allow_patterns=["*config.json", "*.safetensors*", "pytorch_model*"]
+                )
+            )
             sources = [f"https://huggingface.co/{name}/tree/{folder.name}"]
         config = transformers().AutoConfig.from_pretrained(folder, trust_remote_code=False)
         content = json.loads(config.to_json_string(use_diff=False))
@@ -138,40 +192,65 @@ def describe(name: str) -> tuple[Path, dict[str, Any], list[str]]:
     del content["_name_or_path"]
     normalised = images.get("do_normalize", "image_mean" in images)
     images = IMAGENET | images if normalised else {"image_mean": [0.0] * 3, "image_std": [1.0] * 3}
-    return folder, {"config": content, "mean": images["image_mean"], "std": images["image_std"]}, sources
+    return (
+        folder,
+        {"config": content, "mean": images["image_mean"], "std": images["image_std"]},
+        sources,
+    )
 
 
 class Network(nn.Module):
-    """A network of transformers with its normalisation, on images padded at the right and bottom for its patches."""
+    """A network of transformers with its normalisation, on images padded at the right and bottom
+    for its patches.
+    """
 
     mean_std: Tensor
 
-    def __init__(self, auto: str, description: Mapping[str, Any], folder: Path | None = None) -> None:
-        """`auto` is the class of transformers that builds it. Without a `folder` of weights they are random."""
+    def __init__(
+        self, auto: str, description: Mapping[str, Any], folder: Path | None = None
+    ) -> None:
+        """`auto` is the class of transformers that builds it. Without a `folder` of weights they
+        are random.
+        """
         super().__init__()
         library = transformers()
         config = library.AutoConfig.for_model(**description["config"])
         patch = getattr(getattr(config, "backbone_config", None) or config, "patch_size", None)
         # Backbones other than a ViT halve the image up to five times.
-        self.multiple = math.lcm(2 * patch, STRIDE) if isinstance(patch, int) and patch > STRIDE else 32
+        self.multiple = (
+            math.lcm(2 * patch, STRIDE) if isinstance(patch, int) and patch > STRIDE else 32
+        )
         if auto == "AutoBackbone":
             stages = len(getattr(config, "stage_names", ())) - 1  # without the stem
-            config.out_indices = sorted({max(1, stages * level // LEVELS) for level in range(1, LEVELS + 1)})
+            config.out_indices = sorted(
+                {max(1, stages * level // LEVELS) for level in range(1, LEVELS + 1)}
+            )
         with loading(folder or config.model_type):
             self.network = getattr(library, auto).from_config(config, trust_remote_code=False)
             if folder:
                 self.network, report = type(self.network).from_pretrained(
-                    folder, config=config, dtype=torch.float32, weights_only=True, output_loading_info=True
+                    folder,
+                    config=config,
+                    dtype=torch.float32,
+                    weights_only=True,
+                    output_loading_info=True,
                 )
-                if missing := sorted(name for name in report["missing_keys"] if not name.startswith(UNPUBLISHED)):
-                    raise InputError(f"its weights lack {missing[0]}, {len(missing)} tensors in all")
+                if missing := sorted(
+                    name for name in report["missing_keys"] if not name.startswith(UNPUBLISHED)
+                ):
+                    raise InputError(
+                        f"its weights lack {missing[0]}, {len(missing)} tensors in all"
+                    )
         mean_std = torch.tensor([description["mean"], description["std"]])[..., None, None]
         self.register_buffer("mean_std", mean_std, persistent=False)  # [2,3,1,1]
 
     def forward(self, image: Tensor, **options: Any) -> Any:
         """Return the network's output for an RGB image uint8 [B,3,H,W]."""
         (mean, std), (height, width) = self.mean_std, image.shape[-2:]
-        padded = F.pad((image.float() / 255 - mean) / std, (0, -width % self.multiple, 0, -height % self.multiple))
+        padded = F.pad(
+            (image.float() / 255 - mean) / std,
+            (0, -width % self.multiple, 0, -height % self.multiple),
+        )
         with loading(self.network.config.model_type, "run"):
             return self.network(padded, **options)
 
@@ -180,21 +259,34 @@ class Network(nn.Module):
         return torch.Size(side + -side % self.multiple for side in size)
 
     def enlarged(self, x: Tensor, size: Sequence[int]) -> Tensor:
-        """Interpolate a map [B,C,h,w] of the padded image and crop it to the image of `size`, [B,C,H,W]."""
+        """Interpolate a map [B,C,h,w] of the padded image and crop it to the image of `size`,
+        [B,C,H,W].
+        """
         (height, width), (h, w) = self.padded(size), x.shape[-2:]
-        if abs(h * width - w * height) > height + width:  # plain DPT takes 4 x 16 patches for a square of 8 x 8
-            raise InputError(f"{self.network.config.model_type!r} returns {h} x {w} pixels for {height} x {width}")
+        # plain DPT takes 4 x 16 patches for a square of 8 x 8
+        if abs(h * width - w * height) > height + width:
+            raise InputError(
+                f"{self.network.config.model_type!r} returns {h} x {w} pixels for {height} x "
+                f"{width}"
+            )
         return resized(x, (height, width))[..., : size[0], : size[1]]
 
 
 class Pair(nn.Module):
     """Two networks, one for depth and one for classes."""
 
-    def __init__(self, architecture: Mapping[str, Any], depth: Path | None = None, classes: Path | None = None) -> None:
+    def __init__(
+        self,
+        architecture: Mapping[str, Any],
+        depth: Path | None = None,
+        classes: Path | None = None,
+    ) -> None:
         super().__init__()
         self.depth = Network("AutoModelForDepthEstimation", architecture["depth"], depth)
         self.classes = Network("AutoModelForSemanticSegmentation", architecture["classes"], classes)
-        self.cityscapes = CityscapesLogits([name for _, name in sorted(self.classes.network.config.id2label.items())])
+        self.cityscapes = CityscapesLogits(
+            [name for _, name in sorted(self.classes.network.config.id2label.items())]
+        )
         self.focal_by_width = architecture["focal_by_width"]
 
     def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
@@ -216,7 +308,10 @@ class HuggingFace(nn.Module):
 
     def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
         height, width = image.shape[-2:]
-        maps, rays = self.backbone(image).feature_maps, ray_slopes(K, self.backbone.padded((height, width)))
+        maps, rays = (
+            self.backbone(image).feature_maps,
+            ray_slopes(K, self.backbone.padded((height, width))),
+        )
         depth, logits = self.depth_head(maps, rays), self.class_head(maps, rays)
         return depth[..., :height, :width], logits[..., :height, :width]
 
@@ -228,39 +323,65 @@ class Pyramid(nn.Module):
         super().__init__()
         self.sides = nn.ModuleList(nn.Conv2d(count, WIDTH, 1) for count in channels)
         self.smooth = nn.Sequential(
-            nn.Conv2d(WIDTH + 2, WIDTH, 3, padding=1), nn.ReLU(), nn.Conv2d(WIDTH, WIDTH, 3, padding=1), nn.ReLU()
+            nn.Conv2d(WIDTH + 2, WIDTH, 3, padding=1),
+            nn.ReLU(),
+            nn.Conv2d(WIDTH, WIDTH, 3, padding=1),
+            nn.ReLU(),
         )
         self.head = head
 
     def forward(self, maps: Sequence[Tensor], rays: Tensor) -> Tensor:
         """Return the head's output for maps of the image of `rays` [B,2,H,W]."""
         size = [side // STRIDE for side in rays.shape[-2:]]
-        y = torch.stack([resized(side(x), size) for side, x in zip(self.sides, maps, strict=True)]).sum(dim=0)
+        y = torch.stack(
+            [resized(side(x), size) for side, x in zip(self.sides, maps, strict=True)]
+        ).sum(dim=0)
         return self.head(self.smooth(torch.cat([y, resized(rays, size)], dim=1)), rays)
 
 
 def create_pair(settings: Any) -> tuple[dict[str, Any], nn.Module]:
-    """Return architecture and network of section ``encoder``. Raises InputError, also if depth is not in metres."""
+    """Return architecture and network of section ``encoder``. Raises InputError, also if depth is
+    not in metres.
+    """
     depth_folder, depth, depth_sources = describe(settings.depth)
     classes_folder, classes, classes_sources = describe(settings.classes)
     architecture: dict[str, Any] = {"backbone": "pair", "depth": depth, "classes": classes}
-    architecture |= {"focal_by_width": settings.focal_by_width, "sources": depth_sources + classes_sources}
+    architecture |= {
+        "focal_by_width": settings.focal_by_width,
+        "sources": depth_sources + classes_sources,
+    }
     network = Pair(architecture, depth_folder, classes_folder)
     config = depth["config"]
-    unit = NO_DEPTH_M.get(config["model_type"]) or config.get("depth_estimation_type") or settings.depth_unit
+    unit = (
+        NO_DEPTH_M.get(config["model_type"])
+        or config.get("depth_estimation_type")
+        or settings.depth_unit
+    )
     if unit != "metric":
-        problem = f"is {unit}" if unit else "has an unknown unit. If it is metres, not 1/metres, set depth_unit: metric"
+        problem = (
+            f"is {unit}"
+            if unit
+            else "has an unknown unit. If it is metres, not 1/metres, set depth_unit: metric"
+        )
         raise InputError(f"the depth of {settings.depth!r} {problem}")
     if not network.cityscapes.members[ROAD].any():
         labels = ", ".join([*network.classes.network.config.id2label.values()][:5])
-        raise InputError(f"no class of {settings.classes!r} is road: {labels}, … Name them by id2label in config.json")
+        raise InputError(
+            f"no class of {settings.classes!r} is road: {labels}, … Name them by id2label in "
+            "config.json"
+        )
     void = ", ".join(network.cityscapes.void) or "none"
-    print(f"encoder: max_depth: {config.get('max_depth') or 'none'}; classes that are void: {void}", flush=True)
+    print(
+        f"encoder: max_depth: {config.get('max_depth') or 'none'}; classes that are void: {void}",
+        flush=True,
+    )
     return architecture, network
 
 
 def create_backbone(settings: Any) -> tuple[dict[str, Any], nn.Module]:
-    """Return architecture and network of section ``encoder``; its heads are random. Raises InputError."""
+    """Return architecture and network of section ``encoder``; its heads are random. Raises
+    InputError.
+    """
     folder, description, sources = describe(settings.model)
     architecture = {"backbone": "hugging_face", "model": description, "sources": sources}
     published = any(folder.glob("*.safetensors")) or any(folder.glob("pytorch_model*.bin"))

@@ -1,6 +1,7 @@
 """RT-MonoDepth-S (Feng et al. 2024): depth of real streets in metres.
 
-Attributes have the names of the authors' files ``encoder.pth`` and ``depth.pth`` of ``s/ms_640_192``.
+Attributes have the names of the authors' files ``encoder.pth`` and ``depth.pth`` of
+``s/ms_640_192``.
 """
 
 from collections import OrderedDict
@@ -24,7 +25,8 @@ NEAR, FAR = 0.1, 100.0  # range of depth in units
 class RTMonoDepthS(nn.Module):
     """RGB image [B,3,H,W] from 0 to 1 and intrinsics [B,3,3] → depth [B,H,W] in metres.
 
-    It estimates depth from the size of objects at KITTI's focal length, and assumes the height of KITTI's camera.
+    It estimates depth from the size of objects at KITTI's focal length, and assumes the height of
+    KITTI's camera.
     """
 
     def __init__(self) -> None:
@@ -43,7 +45,10 @@ class Encoder(nn.Module):
         self.conv1 = nn.Conv2d(3, WIDTHS[0], 7, stride=2, padding=3, bias=False)
         self.convs = nn.Sequential()
         for inputs, outputs in pairwise(WIDTHS):
-            first, second = nn.Conv2d(inputs, outputs, 3, 2, padding=1), nn.Conv2d(outputs, outputs, 3, padding=1)
+            first, second = (
+                nn.Conv2d(inputs, outputs, 3, 2, padding=1),
+                nn.Conv2d(outputs, outputs, 3, padding=1),
+            )
             self.convs.append(nn.Sequential(first, nn.LeakyReLU(0.1), second, nn.LeakyReLU(0.1)))
 
     def forward(self, image: Tensor) -> Tensor:
@@ -57,14 +62,17 @@ class Decoder(nn.Module):
         self.decoder = nn.ModuleList()
         for inputs, outputs in pairwise((WIDTHS[-1], *DECODED)):
             self.decoder += [conv_elu(inputs, outputs), conv_elu(outputs, outputs)]
-        self.decoder.append(nn.Sequential(OrderedDict(conv3=nn.Conv2d(DECODED[-1], 1, 3, padding=1))))
+        self.decoder.append(
+            nn.Sequential(OrderedDict(conv3=nn.Conv2d(DECODED[-1], 1, 3, padding=1)))
+        )
 
     def forward(self, x: Tensor) -> Tensor:
         """Return inverse depth from 0 to 1, [B,1,16h,16w], of a map [B,192,h,w]."""
         for level in range(len(DECODED)):
             x = F.interpolate(self.decoder[2 * level](x), scale_factor=2, mode="nearest")
             x = self.decoder[2 * level + 1](x)
-        return torch.sigmoid(self.decoder[-1](x).float())  # half precision is too coarse for large depths
+        # half precision is too coarse for large depths
+        return torch.sigmoid(self.decoder[-1](x).float())
 
 
 def conv_elu(inputs: int, outputs: int) -> nn.Sequential:

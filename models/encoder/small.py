@@ -16,17 +16,23 @@ class Small(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.backbone = UNet()
-        self.depth_head, self.class_head = CellDepth(UNet.channels, STRIDE), CellClasses(UNet.channels, STRIDE)
+        self.depth_head, self.class_head = (
+            CellDepth(UNet.channels, STRIDE),
+            CellClasses(UNet.channels, STRIDE),
+        )
 
     def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
-        # At a fixed camera height the slope of a pixel's ray determines the depth of the ground for any focal length.
+        # At a fixed camera height the slope of a pixel's ray determines the depth of the ground for
+        # any focal length.
         rays = ray_slopes(K, image.shape[-2:])
         features = self.backbone((image.float() / 255 - MEAN) / STD, rays)
         return self.depth_head(features, rays), self.class_head(features, rays)
 
 
 class UNet(nn.Module):
-    """Four halvings down, three doublings up with skips, for a receptive field of most of the image."""
+    """Four halvings down, three doublings up with skips, for a receptive field of most of the
+    image.
+    """
 
     channels = 2 * WIDTHS[0]
 
@@ -41,7 +47,9 @@ class UNet(nn.Module):
         self.up3, self.up2, self.up1 = conv(c, c), conv(b, b), conv(a, self.channels)
 
     def forward(self, image: Tensor, rays: Tensor) -> Tensor:
-        """Return features [B,channels,ceil(H/2),ceil(W/2)] of a normalised image [B,3,H,W] and its rays [B,2,H,W]."""
+        """Return features [B,channels,ceil(H/2),ceil(W/2)] of a normalised image [B,3,H,W] and its
+        rays [B,2,H,W].
+        """
         x1 = self.down1(torch.cat([image, rays], dim=1))  # [B,a,H/2,W/2]
         x2 = self.down2(x1)  # [B,b,H/4,W/4]
         x3 = self.down3(x2)  # [B,c,H/8,W/8]

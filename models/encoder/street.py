@@ -1,4 +1,6 @@
-"""The encoder of real streets: depth of RT-MonoDepth-S and classes of EfficientViT-Seg-B0, both as published."""
+"""The encoder of real streets: depth of RT-MonoDepth-S and classes of EfficientViT-Seg-B0, both as
+published.
+"""
 
 import math
 from pathlib import Path
@@ -10,11 +12,9 @@ from models.encoder.efficientvit import STRIDE, EfficientViT
 from models.encoder.heads import resized
 from models.encoder.rtmonodepth_s import RTMonoDepthS
 
-ENLARGED = 1.5  # of the image before it is classified: small images have too few pixels for a stride of 32
-_RTMONODEPTH = (
-    "https://github.com/Ashwani564/RT-Monodepth-Construction/raw/d9a171f0a98b4c7ccd4713197af5e26689b0adfb/"
-    "weights/RTMonoDepth/s/ms_640_192/"
-)
+# of the image before it is classified: small images have too few pixels for a stride of 32
+ENLARGED = 1.5
+_RTMONODEPTH = "https://github.com/Ashwani564/RT-Monodepth-Construction/raw/d9a171f0a98b4c7ccd4713197af5e26689b0adfb/weights/RTMonoDepth/s/ms_640_192/"
 _MONODEPTH2 = "Monodepth2's terms: non-commercial use only"
 SOURCES = {
     "rtmonodepth-s/encoder.pth": (
@@ -51,8 +51,14 @@ class Street(nn.Module):
     def load_published(self, folder: Path) -> None:
         """Load the files of SOURCES below a folder."""
         files = (folder / path for path in SOURCES)
-        encoder, decoder, classes = (torch.load(file, weights_only=True, map_location="cpu") for file in files)
-        self.depth.encoder.load_state_dict({name: x for name, x in encoder.items() if isinstance(x, Tensor)})
+        encoder, decoder, classes = (
+            torch.load(file, weights_only=True, map_location="cpu") for file in files
+        )
+        self.depth.encoder.load_state_dict(
+            {name: x for name, x in encoder.items() if isinstance(x, Tensor)}
+        )
         coarser = ("decoder.9.", "decoder.10.")  # heads at 1/2 and 1/4, for its training only
-        self.depth.decoder.load_state_dict({name: x for name, x in decoder.items() if not name.startswith(coarser)})
+        self.depth.decoder.load_state_dict(
+            {name: x for name, x in decoder.items() if not name.startswith(coarser)}
+        )
         self.classes.load_state_dict(classes["state_dict"])

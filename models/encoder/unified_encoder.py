@@ -1,4 +1,5 @@
-"""Encoders: networks of metric depth and Cityscapes classes of an image (paper §3.2), by a description of them.
+"""Encoders: networks of metric depth and Cityscapes classes of an image (paper §3.2), by a
+description of them.
 
 An encoder is a module ``forward(image, K) -> (depth, logits)``:
 
@@ -30,7 +31,11 @@ BUILD: dict[str, Callable[[Architecture], nn.Module]] = {
 
 
 def build(architecture: Architecture) -> nn.Module:
-    """Return the described encoder, with random weights. Raises InputError for an unknown kind or a missing package."""
+    """Return the described encoder, with random weights. Raises InputError for an unknown kind or a
+    missing package.
+    """
     if architecture["backbone"] not in BUILD:
-        raise InputError(f"unknown backbone {architecture['backbone']!r} (known: {', '.join(BUILD)})")
+        raise InputError(
+            f"unknown backbone {architecture['backbone']!r} (known: {', '.join(BUILD)})"
+        )
     return BUILD[architecture["backbone"]](architecture)

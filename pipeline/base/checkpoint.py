@@ -1,4 +1,6 @@
-"""Files of tensors: written in one step, read without running code, loaded into a network only if all tensors match."""
+"""Files of tensors: written in one step, read without running code, loaded into a network only if
+all tensors match.
+"""
 
 import io
 from collections.abc import Mapping
@@ -14,7 +16,8 @@ from pipeline.base.store import replacing
 
 def write(path: Path, content: Mapping[str, Any]) -> None:
     """Write tensors and plain values by name, in one step."""
-    # Through memory: on a full disk torch's own writer raises RuntimeError, a plain file OSError with the reason.
+    # Through memory: on a full disk torch's own writer raises RuntimeError, a plain file OSError
+    # with the reason.
     buffer = io.BytesIO()
     torch.save(content, buffer)
     with replacing(path) as tmp:
@@ -22,7 +25,9 @@ def write(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def read(path: Path, kind: str) -> dict[str, Any]:
-    """Read a file of :func:`write` whose ``content["kind"]`` is `kind`. Raises InputError; callers add the fix."""
+    """Read a file of :func:`write` whose ``content["kind"]`` is `kind`. Raises InputError; callers
+    add the fix.
+    """
     content = load(path)
     if not isinstance(content, dict) or content.get("kind") != kind:
         raise InputError(f"expected a checkpoint of this project's {kind}", path)
@@ -30,22 +35,31 @@ def read(path: Path, kind: str) -> dict[str, Any]:
 
 
 def load(path: Path) -> Any:
-    """Return the content of a file of torch.save on the CPU. Code in it does not run: then it raises InputError."""
+    """Return the content of a file of torch.save on the CPU. Code in it does not run: then it
+    raises InputError.
+    """
     if not path.is_file():
         raise InputError("file is missing", path)
     try:
         return torch.load(path, weights_only=True, map_location="cpu")
-    except Exception as error:  # torch raises various kinds for a damaged file, OSError and UnpicklingError among them
-        raise InputError("file is damaged, or has more than tensors and plain values", path) from error
+    # torch raises various kinds for a damaged file, OSError and UnpicklingError among them
+    except Exception as error:
+        raise InputError(
+            "file is damaged, or has more than tensors and plain values", path
+        ) from error
 
 
 def load_state(module: torch.nn.Module, state: Mapping[str, Any], path: Path) -> None:
-    """Copy tensors into a module. Raises InputError unless all names and shapes agree and all values are finite."""
+    """Copy tensors into a module. Raises InputError unless all names and shapes agree and all
+    values are finite.
+    """
     try:
         module.load_state_dict(state, strict=True)
     except (RuntimeError, TypeError) as error:
         difference = str(error).splitlines()[-1].strip()
-        raise InputError(f"file does not match the network: {shorten(difference, 200)}", path) from error
+        raise InputError(
+            f"file does not match the network: {shorten(difference, 200)}", path
+        ) from error
     for name, tensor in state.items():
         if not tensor.isfinite().all():
             raise InputError(f"{name} has values that are not finite", path)

@@ -9,15 +9,20 @@ LAST = "0919269e"
 # Removed presets.
 PRESETS = ("real", "streets", "transfer", "winding", "winding-wheel")
 
-# The dotted key, with * for the name of an entry, or "key: value" if only a value was removed → what to do.
+# The dotted key, with * for the name of an entry, or "key: value" if only a value was removed →
+# what to do.
 EARLIER = {
     "base": "Copy the settings of these presets into this one",
     "encoder.backbone: dinov2": f"Choose another one of docs/models.md, or use revision {LAST}",
     "encoder.frozen": "Remove it: a fit trains all weights",
     "encoder.targets": "Remove it: the fit takes ground truth of the drives",
     "encoder.teacher": "Remove it. Encoders of real streets are published ones: backbone: street",
-    "encoder.weights.backbone": "Name the encoder: backbone: street, or another one of docs/models.md; weights: null",
-    "encoder.weights.class_head": "Name the encoder: backbone: street, or another one of docs/models.md; weights: null",
+    "encoder.weights.backbone": (
+        "Name the encoder: backbone: street, or another one of docs/models.md; weights: null"
+    ),
+    "encoder.weights.class_head": (
+        "Name the encoder: backbone: street, or another one of docs/models.md; weights: null"
+    ),
     "evaluate.curvature_bins_1pm": "Remove it: bends and turns at junctions have fixed limits",
     "evaluate.path": "Remove it: paths are integrated by the bicycle model",
     "graphs.*.accumulate.frames": "Write the number itself: accumulate: 8",
@@ -27,21 +32,30 @@ EARLIER = {
     "ingest.source.test": "Name one dataset for all drives: source: kitti",
     "ingest.source: both": "Name one dataset for all drives: source: kitti",
     "labels.source: lidar": "Write source: visual",
-    "labels.standstill": "Remove it: frames below min_speed_mps have no label; min_speed_mps: 0 gives all of them one",
+    "labels.standstill": (
+        "Remove it: frames below min_speed_mps have no label; min_speed_mps: 0 gives all of them "
+        "one"
+    ),
     "models.*.fit_to": "Remove it: networks are trained on the drives of ingest.drives.train",
     "models.*.motion: lidar": "Write motion: visual",
     "models.*.roads": "Remove it, and name fewer drives in ingest.drives.train",
     "models.*.train_drives": "Remove it, and name fewer drives in ingest.drives.train",
     "models.*.uncertainty": "Remove it: networks predict no standard deviation",
     "motion": "Remove the section: motion is always measured from the images",
-    "perception.camera_height_m": "Remove it. Of own recordings, steer import --camera-height; KITTI's is calibrated",
+    "perception.camera_height_m": (
+        "Remove it. Of own recordings, steer import --camera-height; KITTI's is calibrated"
+    ),
     "perception.depth_scale": "Remove it: stage motion scales depth by the camera's height",
     "pictures": "Remove the section: stage report draws the pictures",
     "sample.replay": "Remove it: the sample has roads of its own only",
     "town": "Rename the section: sample",
     "train.batch_runs": "Rename it: batch_spans",
-    "train.keep": "Remove it: weights are those of the lowest validation error, averaged over three epochs",
-    "train.mirror": "Remove it. Networks that treat left and right alike have equivariant: true in models",
+    "train.keep": (
+        "Remove it: weights are those of the lowest validation error, averaged over three epochs"
+    ),
+    "train.mirror": (
+        "Remove it. Networks that treat left and right alike have equivariant: true in models"
+    ),
     "train.noise": "Remove it: training has no simulated errors but rescale",
     "train.precision": "Remove it: training is in float32",
     "train.run_windows": "Rename it: span_windows",
@@ -49,7 +63,9 @@ EARLIER = {
 
 
 def find_earlier(settings: Any, where: str) -> tuple[str, str]:
-    """Return the first earlier key in the settings at the dotted key `where`, and what to do; empty without any."""
+    """Return the first earlier key in the settings at the dotted key `where`, and what to do; empty
+    without any.
+    """
     for key in _keys(settings, where):
         way_on = EARLIER.get(re.sub(r"^(models|graphs)\.[^.]+", r"\1.*", key))
         if way_on:

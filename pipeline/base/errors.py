@@ -6,7 +6,9 @@ from contextlib import contextmanager
 
 
 class InputError(ValueError):
-    """A fault that the user can fix, rendered as ``<where>: <problem>. <fix>``; in a validator, one of pydantic's."""
+    """A fault that the user can fix, rendered as ``<where>: <problem>. <fix>``; in a validator, one
+    of pydantic's.
+    """
 
     def __init__(self, problem: str, where: object = "", fix: str = "") -> None:
         """`where`: a file, parameter or drive; `fix`: a sentence or command for the user."""

@@ -11,12 +11,18 @@ R = TypeVar("R")
 
 
 def prefetch(
-    work: Callable[[T], R], items: Iterable[T], threads: int = 1, ahead: int = 2, init: Callable[[], None] | None = None
+    work: Callable[[T], R],
+    items: Iterable[T],
+    threads: int = 1,
+    ahead: int = 2,
+    init: Callable[[], None] | None = None,
 ) -> Generator[R]:
-    """Yield ``work(item)`` of each item, in order; `threads` threads work, and the caller's thread computes the items.
+    """Yield ``work(item)`` of each item, in order; `threads` threads work, and the caller's thread
+    computes the items.
 
-    This helps where work waits for a disk, or for a library that releases Python's lock. At most `ahead` results exist
-    besides the one at the caller. Closing this generator waits for work in progress. Each thread calls `init` first.
+    This helps where work waits for a disk, or for a library that releases Python's lock. At most
+    `ahead` results exist besides the one at the caller. Closing this generator waits for work in
+    progress. Each thread calls `init` first.
     """
     with ThreadPoolExecutor(threads, "prefetch", initializer=init) as pool:
         ready: deque[Future[R]] = deque()
@@ -31,7 +37,9 @@ def prefetch(
 
 
 def warm_up_cosine(progress: float, warm_up: float) -> float:
-    """Return the factor of the learning rate at `progress` in [0,1]: linear up to `warm_up`, then half a cosine."""
+    """Return the factor of the learning rate at `progress` in [0,1]: linear up to `warm_up`, then
+    half a cosine.
+    """
     if progress < warm_up:
         return 0.05 + 0.95 * progress / warm_up
     return 0.5 * (1 + math.cos(math.pi * (progress - warm_up) / (1 - warm_up)))

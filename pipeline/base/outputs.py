@@ -1,4 +1,6 @@
-"""The two rules for output: a command writes a folder that is free, a stage also one that it wrote before."""
+"""The two rules for output: a command writes a folder that is free, a stage also one that it wrote
+before.
+"""
 
 import os
 import shutil
@@ -26,10 +28,12 @@ def check_free(path: Path) -> None:
 
 @contextmanager
 def claimed(out: Path | None, stem: str, suffix: str = "") -> Iterator[Path]:
-    """Yield `out`, which has to be free, or the first path of out/STEM, out/STEM-2, … that does not exist.
+    """Yield `out`, which has to be free, or the first path of out/STEM, out/STEM-2, … that does not
+    exist.
 
-    That path is made at once, so that another process takes the next one, and removed if the block leaves it empty.
-    `suffix`: of a file, for instance .html; empty for a folder. Raises InputError unless `out` is free.
+    That path is made at once, so that another process takes the next one, and removed if the block
+    leaves it empty. `suffix`: of a file, for instance .html; empty for a folder. Raises InputError
+    unless `out` is free.
     """
     if out is not None:
         check_free(out)
@@ -68,13 +72,16 @@ class StageFolder(NamedTuple):
 
     code: Code  # of the stage, as this process loaded it
     new: Path  # empty; what the stage writes here becomes the content of its output folder
-    kept: Path  # data/.drives/STAGE or data/.drives/STAGE-ENTRY, outside of all DVC outputs, for the next run
+    # data/.drives/STAGE or data/.drives/STAGE-ENTRY, outside of all DVC outputs, for the next run
+    kept: Path
     used: set[Path]  # children of `kept` that this run needs; a success removes all others
 
 
 @contextmanager
 def locked(folder: Path, path: str) -> Iterator[None]:
-    """Hold the lock `path` of a folder. Raises InputError if another process does, or the file system has no locks."""
+    """Hold the lock `path` of a folder. Raises InputError if another process does, or the file
+    system has no locks.
+    """
     try:
         lock = FileLock(path, fallback_to_soft=False).acquire(timeout=0)
     except Timeout:
@@ -98,13 +105,16 @@ def stage_folder(
     params: Path | None = None,
     own: Collection[str] = (),
 ) -> Iterator[StageFolder]:
-    """Hold the lock of the output folder `out`, and move there what the block writes, when it ends without error.
+    """Hold the lock of the output folder `out`, and move there what the block writes, when it ends
+    without error.
 
-    `stage` is a name in ``dvc.yaml``; with an entry, ``graphs@NAME``, `out` is a folder in the stage's folder. `drives`
-    are written to ``out/index.json``: drive → split for each DRIVE.h5, in order. `own`: see :meth:`Code.of`.
+    `stage` is a name in ``dvc.yaml``; with an entry, ``graphs@NAME``, `out` is a folder in the
+    stage's folder. `drives` are written to ``out/index.json``: drive → split for each DRIVE.h5, in
+    order. `own`: see :meth:`Code.of`.
 
-    Raises InputError if another process writes `out`, if `out` holds files that this stage did not write, or if the
-    code or the sections of `params` were edited since the start, for which DVC would take the result.
+    Raises InputError if another process writes `out`, if `out` holds files that this stage did not
+    write, or if the code or the sections of `params` were edited since the start, for which DVC
+    would take the result.
     """
     name, _, entry = stage.partition("@")
     root = out.parent if entry else out
@@ -132,7 +142,9 @@ def stage_folder(
 
 
 def _check_owner(out: Path, index: Mapping[str, Any]) -> None:
-    """Raise InputError if `out` holds files that the stage did not write. DVC empties it, and asks nobody."""
+    """Raise InputError if `out` holds files that the stage did not write. DVC empties it, and asks
+    nobody.
+    """
     if "DVC_STAGE" in os.environ or all(path.name.startswith(".") for path in out.glob("*")):
         return
     before = read_json(out / INDEX, stage=index["stage"]) if (out / INDEX).is_file() else {}
@@ -142,7 +154,9 @@ def _check_owner(out: Path, index: Mapping[str, Any]) -> None:
 
 
 def _move(new: Path, out: Path) -> None:
-    """Move the content of `new` to `out`; replace files of the same names, and remove drives of earlier runs."""
+    """Move the content of `new` to `out`; replace files of the same names, and remove drives of
+    earlier runs.
+    """
     out.mkdir(parents=True, exist_ok=True)
     _remove(out / INDEX)  # no stage reads the folder until this is there again, as the last file
     paths = sorted(new.iterdir(), key=lambda path: path.name == INDEX)

@@ -1,4 +1,6 @@
-"""Read ``params.yaml``: a section is a typed class in its stage's ``settings.py``, and a stage loads only its own."""
+"""Read ``params.yaml``: a section is a typed class in its stage's ``settings.py``, and a stage
+loads only its own.
+"""
 
 import copy
 import re
@@ -13,10 +15,14 @@ from pipeline.base.errors import InputError, closest, error_context
 
 
 def check_name(name: Any) -> str:
-    """Return a name of an entry or a drive, safe for a stage, a folder and a shell. Raises InputError."""
+    """Return a name of an entry or a drive, safe for a stage, a folder and a shell. Raises
+    InputError.
+    """
     if isinstance(name, str) and re.fullmatch("[A-Za-z0-9][A-Za-z0-9_-]{,99}", name):
         return name
-    raise InputError("expected at most 100 letters A-Z and a-z, digits, _ and -; quote names such as 1 or on")
+    raise InputError(
+        "expected at most 100 letters A-Z and a-z, digits, _ and -; quote names such as 1 or on"
+    )
 
 
 Name = Annotated[str, BeforeValidator(check_name)]
@@ -25,14 +31,18 @@ Rate = Annotated[float, Field(gt=0, le=10, description="learning rate")]
 Count = Annotated[int, Field(ge=1, le=10**9)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 _Side = Annotated[int, Field(ge=32, le=4096)]
-ImageSize = Annotated[tuple[_Side, _Side], Field(strict=False)]  # [H, W] in pixels; a strict tuple takes no YAML list
+# [H, W] in pixels; a strict tuple takes no YAML list
+ImageSize = Annotated[tuple[_Side, _Side], Field(strict=False)]
 SPLITS = ("train", "val", "test")
-RATE_TOLERANCE = 0.2  # relative difference of frame rates, in training and of a recording to predict
+# relative difference of frame rates, in training and of a recording to predict
+RATE_TOLERANCE = 0.2
 _COPY = "Copy it from the project's own params.yaml"
 
 
 class Section(BaseModel):
-    """One section of the params file, or one entry of a mapping section. Numbers in quotes and true are no numbers."""
+    """One section of the params file, or one entry of a mapping section. Numbers in quotes and true
+    are no numbers.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
@@ -41,7 +51,9 @@ class Section(BaseModel):
     def _check_keys(cls, value: Any) -> Any:
         """Report an unknown key first: it may be a missing key, misspelt."""
         keys = [field.alias or name for name, field in cls.model_fields.items()]
-        for name in value if isinstance(value, dict) and cls.model_config["extra"] == "forbid" else ():
+        for name in (
+            value if isinstance(value, dict) and cls.model_config["extra"] == "forbid" else ()
+        ):
             if name not in keys:
                 raise ValueError(f"unknown key {name!r}: {closest(str(name), keys)}")
         return value
@@ -52,7 +64,9 @@ M = TypeVar("M", bound=BaseModel)
 
 
 def load(section: type[S], path: Path) -> S:
-    """Read the section of the params file at `path` that has the name of the class. Raises InputError."""
+    """Read the section of the params file at `path` that has the name of the class. Raises
+    InputError.
+    """
     content, key = read(path), section.__name__.lower()
     if key not in content:
         raise InputError(f"no section {key!r}: {closest(key, [*map(str, content)])}", path, _COPY)
@@ -60,7 +74,9 @@ def load(section: type[S], path: Path) -> S:
 
 
 def load_entry(kind: type[S], mapping: str, name: str, path: Path) -> S:
-    """Read one entry of a mapping section, for instance variant `name` of ``graphs``. Raises InputError."""
+    """Read one entry of a mapping section, for instance variant `name` of ``graphs``. Raises
+    InputError.
+    """
     content = entries(mapping, path)
     if name not in content:
         raise InputError(f"{mapping} has no entry {name!r}: {closest(name, list(content))}", path)
@@ -68,10 +84,14 @@ def load_entry(kind: type[S], mapping: str, name: str, path: Path) -> S:
 
 
 def entries(mapping: str, path: Path) -> dict[str, Any]:
-    """Return name → content of a mapping section (``graphs`` or ``models``), in the file's order. Raises InputError."""
+    """Return name → content of a mapping section (``graphs`` or ``models``), in the file's order.
+    Raises InputError.
+    """
     content = read(path).get(mapping)
     if not isinstance(content, dict) or not content:
-        raise InputError(f"section {mapping!r} is missing or empty: it needs at least one entry", path)
+        raise InputError(
+            f"section {mapping!r} is missing or empty: it needs at least one entry", path
+        )
     for name in content:
         with error_context(f"{path}: {mapping}: name {name!r}"):
             check_name(name)
@@ -79,9 +99,13 @@ def entries(mapping: str, path: Path) -> dict[str, Any]:
 
 
 def read(path: Path, *, comments: bool = False) -> dict[str, Any]:
-    """Return the sections of a YAML 1.2 file, with `comments` for ruamel's writer. Raises InputError."""
+    """Return the sections of a YAML 1.2 file, with `comments` for ruamel's writer. Raises
+    InputError.
+    """
     if not path.is_file():
-        raise InputError("file is missing", path, f"Run from the repository's root, or: git checkout {path.name}")
+        raise InputError(
+            "file is missing", path, f"Run from the repository's root, or: git checkout {path.name}"
+        )
     from ruamel.yaml.error import YAMLError  # here, as workers read no YAML
 
     try:
@@ -120,9 +144,13 @@ def parse(kind: type[M], value: Any, where: str = "", path: Path | None = None) 
 
 
 def from_python(kind: type[S], options: dict[str, Any]) -> S:
-    """Validate options by the names of fields; None as if not given. Raises TypeError for another name, InputError."""
+    """Validate options by the names of fields; None as if not given. Raises TypeError for another
+    name, InputError.
+    """
     for name in options:
         if name not in kind.model_fields:
             raise TypeError(f"unknown option {name!r}: {closest(name, [*kind.model_fields])}")
     given = {name: value for name, value in options.items() if value is not None}
-    return parse(kind, {kind.model_fields[name].alias or name: value for name, value in given.items()})
+    return parse(
+        kind, {kind.model_fields[name].alias or name: value for name, value in given.items()}
+    )

@@ -21,16 +21,31 @@ from pipeline.base.params import read
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("pipeline", "models", "stages")
-CODE = (*PACKAGES, "dvc.yaml", ".dvcignore", "data/.gitignore")  # what a run needs of the checkout, without settings
-# Modules whose versions change no number: command lines, settings, locks, progress, memory, clusters, downloads, pages.
+# what a run needs of the checkout, without settings
+CODE = (*PACKAGES, "dvc.yaml", ".dvcignore", "data/.gitignore")
+# Modules whose versions change no number: command lines, settings, locks, progress, memory,
+# clusters, downloads, pages.
 TOOLS = {
-    "distributed", "filelock", "huggingface_hub", "jinja2", "markupsafe", "matplotlib", "plotly", "psutil", "pydantic",
-    "ruamel", "tqdm", "typer",
-}  # fmt: skip
+    "distributed",
+    "filelock",
+    "huggingface_hub",
+    "jinja2",
+    "markupsafe",
+    "matplotlib",
+    "plotly",
+    "psutil",
+    "pydantic",
+    "ruamel",
+    "tqdm",
+    "typer",
+}
 # Distributions of modules with another name.
 DISTRIBUTIONS = {"cv2": "opencv-python-headless"}
 # What to do after an edit while a stage ran.
-UNDO = "Undo the edit and repeat the command: finished work is taken in seconds. With the edit, it is made again"
+UNDO = (
+    "Undo the edit and repeat the command: finished work is taken in seconds. With the edit, it "
+    "is made again"
+)
 # Ends of the names of files that Python and editors leave beside code.
 LEFT = (".pyc", ".pyo", "~")
 # Files that Windows writes to a folder while it is looked at.
@@ -51,7 +66,11 @@ def digest(content: Any) -> str:
 def file_hash(path: Path) -> str:
     """Return the SHA-256 of a file as hex. Raises InputError if it is missing."""
     if not path.is_file():
-        raise InputError("file is missing", path, "Make it: dvc repro. Or fetch it from another machine: dvc pull")
+        raise InputError(
+            "file is missing",
+            path,
+            "Make it: dvc repro. Or fetch it from another machine: dvc pull",
+        )
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -68,14 +87,17 @@ def content_hash(path: Path) -> str:
 
 
 def is_of_desktop(path: Path) -> bool:
-    """Return whether a file manager wrote the file: hidden files of macOS and Linux, and two of Windows."""
+    """Return whether a file manager wrote the file: hidden files of macOS and Linux, and two of
+    Windows.
+    """
     return path.name.startswith(".") or path.name.lower() in DESKTOP
 
 
 class Module(NamedTuple):
     """What matters of a file's content."""
 
-    meaning: str  # hash of its syntax tree, without docstrings and comments; of a data file, of its bytes
+    # hash of its syntax tree, without docstrings and comments; of a data file, of its bytes
+    meaning: str
     names: frozenset[str]  # of imported modules; of "from a import b", a and a.b
 
 
@@ -96,13 +118,18 @@ def parse_module(file: Path, content: bytes) -> Module:
             package = file.parts[: -node.level] if node.level else ()
             module = ".".join([*package, *filter(None, [node.module])])
             names |= {module, *(f"{module}.{alias.name}" for alias in node.names)}
-    code = ast.unparse(_WithoutDocstrings().visit(tree))  # ast.dump differs more between versions of Python
+    # ast.dump differs more between versions of Python
+    code = ast.unparse(_WithoutDocstrings().visit(tree))
     return Module(hashlib.sha256(code.encode()).hexdigest(), frozenset(names))
 
 
 class _WithoutDocstrings(ast.NodeTransformer):
     def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
-        return None if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str) else node
+        return (
+            None
+            if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+            else node
+        )
 
 
 def imports(file: Path) -> set[Path]:
@@ -110,12 +137,17 @@ def imports(file: Path) -> set[Path]:
     result = set[Path]()
     for name in parse_module(file, (ROOT / file).read_bytes()).names:
         module = Path(*name.split("."))
-        result |= {module.with_suffix(".py"), *(folder / "__init__.py" for folder in (module, *module.parents))}
+        result |= {
+            module.with_suffix(".py"),
+            *(folder / "__init__.py" for folder in (module, *module.parents)),
+        }
     return {path for path in result if (ROOT / path).is_file()}
 
 
 def imported(files: Iterable[Path]) -> set[Path]:
-    """Return files and all files of the project that they import, directly or not; paths are relative to ROOT."""
+    """Return files and all files of the project that they import, directly or not; paths are
+    relative to ROOT.
+    """
     result = set[Path]()
     queue = [file for file in files if (ROOT / file).is_file()]
     while queue:
@@ -127,7 +159,9 @@ def imported(files: Iterable[Path]) -> set[Path]:
 
 
 def listed(stage: str, own: Collection[str] = ()) -> set[Path]:
-    """Return the files of code that dvc.yaml lists for a stage, relative to ROOT; for ``${…}``, those in `own`."""
+    """Return the files of code that dvc.yaml lists for a stage, relative to ROOT; for ``${…}``,
+    those in `own`.
+    """
     files = set[Path]()
     for dep in _dvc_entry(stage)["deps"]:
         if "${" in dep:
@@ -144,8 +178,12 @@ def _dvc_entry(stage: str) -> dict[str, Any]:
 
 
 def _files(path: Path) -> set[Path]:
-    """Return a file, or the files of a folder, relative to ROOT; not those that Python and editors leave."""
-    files = [file for file in (path, *path.rglob("*")) if file.is_file() and not is_of_desktop(file)]
+    """Return a file, or the files of a folder, relative to ROOT; not those that Python and editors
+    leave.
+    """
+    files = [
+        file for file in (path, *path.rglob("*")) if file.is_file() and not is_of_desktop(file)
+    ]
     return {file.relative_to(ROOT) for file in files if not file.name.endswith(LEFT)}
 
 
@@ -157,7 +195,8 @@ def _stamp(path: Path) -> tuple[int, int]:
     return stat.st_mtime_ns, stat.st_size
 
 
-# Of each module, its stamp before this process loads it: stages import base/ before all other rooms.
+# Of each module, its stamp before this process loads it: stages import base/ before all other
+# rooms.
 _LOADED = {file: _stamp(ROOT / file) for package in PACKAGES for file in _files(ROOT / package)}
 
 
@@ -171,7 +210,8 @@ class Code:
 
     @classmethod
     def of(cls, stage: str, own: Collection[str] = ()) -> "Code":
-        """Read the code that dvc.yaml lists for a stage. Raises InputError if this process may have loaded other code.
+        """Read the code that dvc.yaml lists for a stage. Raises InputError if this process may have
+        loaded other code.
 
         `own`: of networks or datasets, which have a file each, those that the stage needs.
         """
@@ -189,26 +229,37 @@ class Code:
         return self.__dict__ | {"modules": self.modules, "content": {}}
 
     def hash(self, own: Collection[str] = ()) -> str:
-        """Return the hash of the meaning of the code and of the versions of the packages that it imports."""
-        modules = {str(file): self.modules[file] for file in _without_alternatives({*self.content}, own)}
+        """Return the hash of the meaning of the code and of the versions of the packages that it
+        imports.
+        """
+        modules = {
+            str(file): self.modules[file] for file in _without_alternatives({*self.content}, own)
+        }
         names = {name.partition(".")[0] for module in modules.values() for name in module.names}
         packages = {name: _version(name) for name in names - TOOLS if _is_installed(name)}
         return digest([{file: module.meaning for file, module in modules.items()}, packages])
 
     def check(self) -> None:
-        """Raise InputError if the code on disk, or that this process loaded, has another meaning than at the start."""
+        """Raise InputError if the code on disk, or that this process loaded, has another meaning
+        than at the start.
+        """
         for file, stamp in self.stamps.items():
             now = _stamp(ROOT / file)
             loaded = _LOADED.get(file, now)
             if loaded == stamp == now:
                 continue
             content = (ROOT / file).read_bytes() if now != (0, 0) else b""
-            if loaded in (stamp, now) and parse_module(file, content).meaning == self.modules[file].meaning:
+            if (
+                loaded in (stamp, now)
+                and parse_module(file, content).meaning == self.modules[file].meaning
+            ):
                 continue
             raise InputError(f"was edited while stage {self.stage} ran", file, UNDO)
 
     def sections(self, params: Path | None, entry: str) -> dict[str, Any]:
-        """Return what dvc.yaml lists of a params file for an entry of the stage: dotted key → content."""
+        """Return what dvc.yaml lists of a params file for an entry of the stage: dotted key →
+        content.
+        """
         result = dict[str, Any]()
         if not params:
             return result
@@ -222,10 +273,14 @@ class Code:
 
 
 def _without_alternatives(files: set[Path], own: Iterable[str]) -> set[Path]:
-    """Return files without the modules beside the files `own`, unless these import them; data files there stay."""
+    """Return files without the modules beside the files `own`, unless these import them; data files
+    there stay.
+    """
     needed = {Path(path) for path in own}
     folders = {path.parent for path in needed}
-    alternatives = {file for file in files if file.suffix == ".py" and file.parent in folders} - needed
+    alternatives = {
+        file for file in files if file.suffix == ".py" and file.parent in folders
+    } - needed
     if alternatives:
         alternatives -= imported(needed)
     return files - alternatives
@@ -233,7 +288,11 @@ def _without_alternatives(files: set[Path], own: Iterable[str]) -> set[Path]:
 
 def _is_installed(module: str) -> bool:
     """Return whether a module is of an installed package, not of Python or of the project."""
-    if module in sys.stdlib_module_names or (ROOT / module).exists() or (ROOT / f"{module}.py").exists():
+    if (
+        module in sys.stdlib_module_names
+        or (ROOT / module).exists()
+        or (ROOT / f"{module}.py").exists()
+    ):
         return False
     return importlib.util.find_spec(module) is not None
 
@@ -249,14 +308,18 @@ def _version(module: str) -> str:
 
 
 def revision(checkout: Path = Path()) -> str:
-    """Return the short hash of the commit, with "-dirty" if code or settings differ from it; empty without git.
+    """Return the short hash of the commit, with "-dirty" if code or settings differ from it; empty
+    without git.
 
-    A preset that git does not know, such as one by steer import, does not count: the page of its run shows it.
+    A preset that git does not know, such as one by steer import, does not count: the page of its
+    run shows it.
     """
     if not shutil.which("git") or not (checkout / ".git").exists():
         return ""
     git = partial(subprocess.run, cwd=checkout, capture_output=True, text=True, check=False)
     commit = git(["git", "rev-parse", "--short", "HEAD"]).stdout.strip()
-    status = git(["git", "status", "--porcelain", "--", *CODE, "presets", "params.yaml"]).stdout.splitlines()
+    status = git(
+        ["git", "status", "--porcelain", "--", *CODE, "presets", "params.yaml"]
+    ).stdout.splitlines()
     changed = [line for line in status if not line.startswith("?? presets/")]
     return commit + "-dirty" * bool(changed)

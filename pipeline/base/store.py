@@ -1,7 +1,8 @@
-"""Read and write the HDF5 files and indexes that stages exchange. data/README.md describes their content.
+"""Read and write the HDF5 files and indexes that stages exchange. data/README.md describes their
+content.
 
-Files are deterministic: written once, in a fixed order, with no clock, host or user inside. They may come from
-elsewhere, see :func:`_datasets`.
+Files are deterministic: written once, in a fixed order, with no clock, host or user inside. They
+may come from elsewhere, see :func:`_datasets`.
 """
 
 import errno
@@ -22,24 +23,30 @@ from pipeline.base.errors import InputError
 SCHEMA = 6
 INDEX = "index.json"  # of a stage's folder
 _CHUNK_ROWS = 32768  # of ragged data
-# Sizes and speeds of the alternatives: docs/log.md. Blosc2 would let a file name a codec that runs code.
+# Sizes and speeds of the alternatives: docs/log.md. Blosc2 would let a file name a codec that runs
+# code.
 _POINTS = hdf5plugin.Blosc(cname="lz4", shuffle=hdf5plugin.Blosc.BITSHUFFLE)
 _PIXELS = hdf5plugin.Blosc(cname="zstd", clevel=3, shuffle=hdf5plugin.Blosc.SHUFFLE)
 NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)  # errors of a file system without locks
 _CACHE_BYTES = 1 << 20  # of chunks, for each dataset of an open file
-_H5PY_ERRORS = (OSError, RuntimeError, LookupError, ValueError, TypeError)  # what h5py raises for damaged bytes
+# what h5py raises for damaged bytes
+_H5PY_ERRORS = (OSError, RuntimeError, LookupError, ValueError, TypeError)
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a unique temporary path beside `path`, which replaces `path` when the block ends without error.
+    """Yield a unique temporary path beside `path`, which replaces `path` when the block ends
+    without error.
 
-    The block creates a file or a folder there. A folder replaces only an empty folder. The temporary path is
-    ``.NAME.????????.tmp/NAME``, so the suffix still gives the format, and a glob for ``*.h5`` does not match.
+    The block creates a file or a folder there. A folder replaces only an empty folder. The
+    temporary path is ``.NAME.????????.tmp/NAME``, so the suffix still gives the format, and a glob
+    for ``*.h5`` does not match.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     # A folder of its own, as a file from mkstemp is unreadable for other users.
-    with tempfile.TemporaryDirectory(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent) as folder:
+    with tempfile.TemporaryDirectory(
+        prefix=f".{path.name}.", suffix=".tmp", dir=path.parent
+    ) as folder:
         tmp = Path(folder) / path.name
         yield tmp
         tmp.replace(path)
@@ -48,8 +55,8 @@ def replacing(path: Path) -> Iterator[Path]:
 class Sink(io.FileIO):
     """The file below an HDF5 file. It records the first error and continues.
 
-    HDF5 writes much of a file while closing it, where h5py drops errors: on a full disk, an incomplete file would look
-    complete, and the process would crash at its end.
+    HDF5 writes much of a file while closing it, where h5py drops errors: on a full disk, an
+    incomplete file would look complete, and the process would crash at its end.
     """
 
     error: OSError | None = None
@@ -72,14 +79,18 @@ class Sink(io.FileIO):
         return size or 0
 
     def check(self, path: Path) -> None:
-        """Raise the recorded error, if there is one, as an error of `path`, the file's final name."""
+        """Raise the recorded error, if there is one, as an error of `path`, the file's final
+        name.
+        """
         if self.error:
             self.error.filename = str(path)
             raise self.error
 
 
 class DriveWriter(ExitStack):
-    """Write one drive's file, a context manager. The file appears when the block ends without error."""
+    """Write one drive's file, a context manager. The file appears when the block ends without
+    error.
+    """
 
     def __init__(self, path: Path, *, stage: str, drive: str, params: Mapping[str, Any]) -> None:
         """`params`: JSON-able, section of params.yaml → its content."""
@@ -87,7 +98,8 @@ class DriveWriter(ExitStack):
         self.path = path
         self.attrs: dict[str, Any] = {"schema": SCHEMA, "stage": stage, "drive": drive}
         self.attrs["params"] = json.dumps(params, sort_keys=True)
-        # Open until the end: HDF5 writes chunks when a dataset is closed, on which the bytes depend.
+        # Open until the end: HDF5 writes chunks when a dataset is closed, on which the bytes
+        # depend.
         self._datasets: dict[str, h5py.Dataset] = {}
 
     def put(self, name: str, array: np.ndarray, unit: str = "", **options: Any) -> None:
@@ -96,19 +108,28 @@ class DriveWriter(ExitStack):
         self._datasets[name].attrs["unit"] = unit
 
     def put_pointers(self, name: str, counts: Iterable[int], unit: str = "") -> None:
-        """Write the first row of each frame, and the end, int64 [F+1], for `counts` [F] of rows per frame."""
+        """Write the first row of each frame, and the end, int64 [F+1], for `counts` [F] of rows per
+        frame.
+        """
         self.put(name, np.cumsum([0, *counts], dtype=np.int64), unit)
 
-    def append(self, name: str, rows: np.ndarray, unit: str = "", pointer: str = "", refers_to: str = "") -> None:
-        """Add `rows` [n, ...] at the end of dataset `name`; the first call creates it with their dtype and shape.
+    def append(
+        self, name: str, rows: np.ndarray, unit: str = "", pointer: str = "", refers_to: str = ""
+    ) -> None:
+        """Add `rows` [n, ...] at the end of dataset `name`; the first call creates it with their
+        dtype and shape.
 
-        `pointer`: the dataset with each frame's first row, see :meth:`put_pointers`; without it, a row per frame.
-        `refers_to`: the dataset whose rows these numbers refer to.
+        `pointer`: the dataset with each frame's first row, see :meth:`put_pointers`; without it, a
+        row per frame. `refers_to`: the dataset whose rows these numbers refer to.
         """
         if name not in self._datasets:
             # An image is one chunk, so that frames can be read one by one; points share chunks.
             length, encoding = (1, _PIXELS) if rows.ndim >= 3 else (_CHUNK_ROWS, _POINTS)
-            options = {"maxshape": (None, *rows.shape[1:]), "chunks": (length, *rows.shape[1:]), **encoding}
+            options = {
+                "maxshape": (None, *rows.shape[1:]),
+                "chunks": (length, *rows.shape[1:]),
+                **encoding,
+            }
             self.put(name, rows[:0], unit, **options)
             named = {"pointer": pointer, "refers_to": refers_to}
             self._datasets[name].attrs.update({key: value for key, value in named.items() if value})
@@ -126,7 +147,9 @@ class DriveWriter(ExitStack):
 
 
 class DriveReader(ExitStack):
-    """Read one drive's file, a context manager. Raises InputError unless it is a valid file of `stage` (None: any)."""
+    """Read one drive's file, a context manager. Raises InputError unless it is a valid file of
+    `stage` (None: any).
+    """
 
     def __init__(self, path: Path, *, stage: str | None) -> None:
         super().__init__()
@@ -136,30 +159,47 @@ class DriveReader(ExitStack):
         try:
             file = self.enter_context(_open(path))
             self.attrs: dict[str, Any] = dict(file.attrs)
-            self.drive, written_by, schema = (str(self.attrs.get(name)) for name in ("drive", "stage", "schema"))
+            self.drive, written_by, schema = (
+                str(self.attrs.get(name)) for name in ("drive", "stage", "schema")
+            )
             self.datasets = _datasets(file)
-            # Ragged dataset → dataset with the first row of each frame; dataset of numbers of rows → that with the rows
+            # Ragged dataset → dataset with the first row of each frame; dataset of numbers of rows
+            # → that with the rows
             self.pointers, self.refers_to = (
-                {name: str(data.attrs[key]) for name, data in self.datasets.items() if key in data.attrs}
+                {
+                    name: str(data.attrs[key])
+                    for name, data in self.datasets.items()
+                    if key in data.attrs
+                }
                 for key in ("pointer", "refers_to")
             )
         except BlockingIOError as error:
-            raise InputError("another process has it open for writing", path, "Close it there, then repeat") from error
+            raise InputError(
+                "another process has it open for writing", path, "Close it there, then repeat"
+            ) from error
         except _H5PY_ERRORS as error:
             raise _fault(f"damaged ({error})", path, self._stage) from error
         if (written_by, schema) != (stage or written_by, str(SCHEMA)):
-            problem = f"expected stage {self._stage!r}, schema {SCHEMA}; got stage {written_by!r}, schema {schema}"
+            problem = (
+                f"expected stage {self._stage!r}, schema {SCHEMA}; got stage {written_by!r}, "
+                f"schema {schema}"
+            )
             raise _fault(problem, path, self._stage)
         if path.with_name(INDEX).is_file() and self.drive != path.stem:
             raise _fault(f"contains drive {self.drive}", path, self._stage)
-        self.params: dict[str, Any] = json.loads(self.attrs["params"])  # section of params.yaml → its content
+        # section of params.yaml → its content
+        self.params: dict[str, Any] = json.loads(self.attrs["params"])
         self.frame = self["frame"]  # KITTI frame numbers, int32 [F], ascending
         self.time_s = self["time_s"]  # seconds since the drive's first frame, float64 [F]
 
     def row_of(self, number: int) -> int:
-        """Return the row of the frame with this KITTI number. Raises InputError if the file has no such frame."""
+        """Return the row of the frame with this KITTI number. Raises InputError if the file has no
+        such frame.
+        """
         if number not in self.frame:
-            raise InputError(f"has no frame {number} (frames: {self.frame[:1]} to {self.frame[-1:]})", self.path)
+            raise InputError(
+                f"has no frame {number} (frames: {self.frame[:1]} to {self.frame[-1:]})", self.path
+            )
         return int(np.searchsorted(self.frame, number))
 
     def __contains__(self, name: str) -> bool:
@@ -170,22 +210,30 @@ class DriveReader(ExitStack):
         return self.row(name, ())
 
     def row(self, name: str, index: int | slice | tuple[()]) -> Any:
-        """Return ``dataset[index]`` without reading the rest. Raises InputError if it is missing or damaged."""
+        """Return ``dataset[index]`` without reading the rest. Raises InputError if it is missing or
+        damaged.
+        """
         if name not in self.datasets:
             raise InputError(f"no dataset {name!r} (it has {', '.join(self.datasets)})", self.path)
         try:
             return self.datasets[name][index]
         except _H5PY_ERRORS as error:
-            raise _fault(f"damaged in dataset {name!r} ({error})", self.path, self._stage) from error
+            raise _fault(
+                f"damaged in dataset {name!r} ({error})", self.path, self._stage
+            ) from error
 
     def rows_of(self, name: str, frame_row: int) -> np.ndarray:
-        """Return one frame's rows of a ragged dataset. `frame_row`: the frame's row in ``frame``."""
+        """Return one frame's rows of a ragged dataset. `frame_row`: the frame's row in
+        ``frame``.
+        """
         start, stop = self.row(self.pointers[name], slice(frame_row, frame_row + 2))
         return self.row(name, slice(start, stop))
 
 
 def _open(path: Path) -> h5py.File:
-    """Open a file for reading; without a lock where the file system has none, as files appear complete."""
+    """Open a file for reading; without a lock where the file system has none, as files appear
+    complete.
+    """
     try:
         return h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES)
     except OSError as error:
@@ -195,9 +243,11 @@ def _open(path: Path) -> h5py.File:
 
 
 def _datasets(file: h5py.File) -> dict[str, h5py.Dataset]:
-    """Return name → dataset of a file. Raises ValueError unless all are arrays of numbers in the file itself.
+    """Return name → dataset of a file. Raises ValueError unless all are arrays of numbers in the
+    file itself.
 
-    HDF5 would follow links, external storage and virtual datasets to other files, and filters of plugins run code.
+    HDF5 would follow links, external storage and virtual datasets to other files, and filters of
+    plugins run code.
     """
     datasets = {}
     for name in file:
@@ -208,13 +258,19 @@ def _datasets(file: h5py.File) -> dict[str, h5py.Dataset]:
             raise ValueError(f"{name!r}: expected an array of numbers")
         created = datasets[name].id.get_create_plist()
         filters = {created.get_filter(i)[0] for i in range(created.get_nfilters())}
-        if datasets[name].is_virtual or created.get_external_count() or filters - {hdf5plugin.Blosc.filter_id}:
+        if (
+            datasets[name].is_virtual
+            or created.get_external_count()
+            or filters - {hdf5plugin.Blosc.filter_id}
+        ):
             raise ValueError(f"{name!r} has external storage or a filter other than Blosc")
     return datasets
 
 
 def _fault(problem: str, path: Path, stage: str) -> InputError:
-    return InputError(problem, path, f"Make it: dvc repro {stage}. Or fetch it: git pull, dvc pull {stage}")
+    return InputError(
+        problem, path, f"Make it: dvc repro {stage}. Or fetch it: git pull, dvc pull {stage}"
+    )
 
 
 def write_json(path: Path, content: Any, *, sort_keys: bool = True) -> None:
@@ -223,7 +279,9 @@ def write_json(path: Path, content: Any, *, sort_keys: bool = True) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text in one step; a hard link to the earlier file, as in DVC's cache, keeps that one."""
+    """Write a text in one step; a hard link to the earlier file, as in DVC's cache, keeps that
+    one.
+    """
     with replacing(path) as tmp:
         try:
             tmp.write_text(text, encoding="utf-8")
@@ -243,7 +301,9 @@ def read_json(path: Path, *, stage: str) -> dict[str, Any]:
 
 
 def read_index(folder: Path, *, stage: str) -> dict[str, str]:
-    """Return drive → split of a stage's folder, in its order. Raises InputError if a drive in it has no file."""
+    """Return drive → split of a stage's folder, in its order. Raises InputError if a drive in it
+    has no file.
+    """
     drives: dict[str, str] = read_json(folder / INDEX, stage=stage).get("drives", {})
     if missing := [drive for drive in drives if not (folder / f"{drive}.h5").is_file()]:
         raise _fault(f"no file for {', '.join(missing)} of index.json", folder, stage)

@@ -10,23 +10,35 @@ import cv2
 import numpy as np
 
 from pipeline.base.store import DriveReader, DriveWriter
-from pipeline.camera.geometry import CAMERA_HEIGHT_M, SCANNER_HEIGHT_M, depth_image, pixels_of, transform
+from pipeline.camera.geometry import (
+    CAMERA_HEIGHT_M,
+    SCANNER_HEIGHT_M,
+    depth_image,
+    pixels_of,
+    transform,
+)
 from pipeline.camera.images import Crop, Size, to_metres
 
-SAME_SHAPE = 0.03  # largest relative difference of aspect ratios that resizing may change; KITTI's sizes need 0.01
-BELOW_HORIZON = 0.0115  # centre of a crop below the horizon, as a share of the width; measured on KITTI's images
+# largest relative difference of aspect ratios that resizing may change; KITTI's sizes need 0.01
+SAME_SHAPE = 0.03
+# centre of a crop below the horizon, as a share of the width; measured on KITTI's images
+BELOW_HORIZON = 0.0115
 OCCLUDER_RAD = 0.004
-OCCLUDED_RATIO = 1.25  # neighbouring rings on flat ground differ by a quarter in distance only beyond 60 m
+# neighbouring rings on flat ground differ by a quarter in distance only beyond 60 m
+OCCLUDED_RATIO = 1.25
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A rectified camera. Frame: x right, y down, z forward; the origin is the projection centre."""
+    """A rectified camera. Frame: x right, y down, z forward; the origin is the projection
+    centre.
+    """
 
     K: Any  # [3,3] pixels, of images of this size; None: unknown
     size: Size  # (H, W)
     height_m: float = CAMERA_HEIGHT_M  # over the road; KITTI's unless height_known
-    T_cam_velo: Any = None  # [4,4], points from the velodyne frame to the camera frame; None: no LiDAR
+    # [4,4], points from the velodyne frame to the camera frame; None: no LiDAR
+    T_cam_velo: Any = None
     horizon: float | None = None  # row of the road's horizon; None: unknown
     height_known: bool = False
 
@@ -62,8 +74,9 @@ class Camera:
     def crop_to(self, aspect: Size) -> Crop:
         """Return the largest part of complete images with the aspect ratio of `aspect` (H, W).
 
-        Its centre is BELOW_HORIZON below the horizon or, if that is unknown, the principal point, as far as the image
-        reaches. An image whose aspect ratio differs by at most SAME_SHAPE is used completely.
+        Its centre is BELOW_HORIZON below the horizon or, if that is unknown, the principal point,
+        as far as the image reaches. An image whose aspect ratio differs by at most SAME_SHAPE is
+        used completely.
         """
         height, width = self.size
         ratio = height * aspect[1] / (width * aspect[0])
@@ -93,28 +106,35 @@ class Frame:
 
 
 def camera_height(T_cam_velo: np.ndarray | None) -> float | None:
-    """Return a camera's height over flat ground in metres from its calibration [4,4]; None if that is None."""
+    """Return a camera's height over flat ground in metres from its calibration [4,4]; None if that
+    is None.
+    """
     # The scanner's height is fixed on KITTI's cars; its z points up.
     return None if T_cam_velo is None else SCANNER_HEIGHT_M + float(np.linalg.inv(T_cam_velo)[2, 3])
 
 
 def scan_depth(scan: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return the :func:`depth_image` float32 [H,W] of the visible points of a LiDAR scan [P,≥3], velodyne x, y, z."""
+    """Return the :func:`depth_image` float32 [H,W] of the visible points of a LiDAR scan [P,≥3],
+    velodyne x, y, z.
+    """
     xyz = transform(camera.T_cam_velo, scan[:, :3].astype(np.float64))
     return depth_image(xyz[visible(xyz, camera)[0]], camera.K, camera.size).astype(np.float32)
 
 
 def visible(xyz: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the :func:`pixels_of` the points [N,3] of a scan, in the camera frame, that the camera sees.
+    """Return the :func:`pixels_of` the points [N,3] of a scan, in the camera frame, that the camera
+    sees.
 
-    The scanner is above the camera and looks over objects, so points behind an object project between those of the
-    object. A point is hidden if another one within 0.23 degrees, about one ring of KITTI's scanner, is a fifth nearer.
+    The scanner is above the camera and looks over objects, so points behind an object project
+    between those of the object. A point is hidden if another one within 0.23 degrees, about one
+    ring of KITTI's scanner, is a fifth nearer.
     """
     inside, row, column = pixels_of(xyz, camera.K, camera.size)
     nearest_m = depth_image(xyz, camera.K, camera.size)
     nearest_m[nearest_m == 0] = np.inf
     reach = [max(1, round(OCCLUDER_RAD * f)) for f in (camera.K[1, 1], camera.K[0, 0])]
-    nearest_m = cv2.erode(nearest_m, np.ones([2 * pixels + 1 for pixels in reach]))  # erosion is a local minimum
+    # erosion is a local minimum
+    nearest_m = cv2.erode(nearest_m, np.ones([2 * pixels + 1 for pixels in reach]))
     seen = xyz[inside, 2] / OCCLUDED_RATIO <= nearest_m[row, column]
     return inside[seen], row[seen], column[seen]
 
@@ -135,7 +155,8 @@ def read_camera(file: DriveReader) -> Camera:
 
 
 class DriveFrames(ExitStack):
-    """The frames of a drive that have an image, or with `scans` those that have a scan, matched by frame number.
+    """The frames of a drive that have an image, or with `scans` those that have a scan, matched by
+    frame number.
 
     A context manager on the drive's files of stages ingest and perception.
     """
@@ -143,16 +164,23 @@ class DriveFrames(ExitStack):
     def __init__(self, ingest: Path, perception: Path, *, scans: bool = False) -> None:
         super().__init__()
         raw = self._ingest = self.enter_context(DriveReader(ingest, stage="ingest"))
-        perceived = self._perception = self.enter_context(DriveReader(perception, stage="perception"))
-        source, rows = (raw, np.flatnonzero(raw["has_lidar"])) if scans else (perceived, slice(None))
+        perceived = self._perception = self.enter_context(
+            DriveReader(perception, stage="perception")
+        )
+        source, rows = (
+            (raw, np.flatnonzero(raw["has_lidar"])) if scans else (perceived, slice(None))
+        )
         self.drive, self.params, self._scans = raw.drive, perceived.params, scans
         self.frame = source.frame[rows]  # KITTI frame numbers, int32 [F]
         self.time_s = source.time_s[rows]  # float64 [F]
         self.camera = read_camera(raw)
-        self.unit_error = float(perceived.attrs.get("unit_error", np.inf))  # of depth, by the height of the camera
+        # of depth, by the height of the camera
+        self.unit_error = float(perceived.attrs.get("unit_error", np.inf))
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield frames with image, depth and classes; or with a scan, and classes where there is an image."""
+        """Yield frames with image, depth and classes; or with a scan, and classes where there is an
+        image.
+        """
         image_row = {number: row for row, number in enumerate(self._perception.frame.tolist())}
         for number, time_s in zip(self.frame.tolist(), self.time_s.tolist(), strict=True):
             frame, row = Frame(number, time_s), image_row.get(number)

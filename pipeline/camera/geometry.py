@@ -1,7 +1,8 @@
 """Project and back-project with a pinhole camera (paper eq. 6), and apply rigid transforms.
 
-Frames: camera = rectified, x right, y down, z forward; velodyne = x forward, y left, z up. ``T_a_b`` takes points from
-frame b to frame a. Pixel (u, v) = (column, row); integer coordinates are pixel centres, as in KITTI's calibration.
+Frames: camera = rectified, x right, y down, z forward; velodyne = x forward, y left, z up.
+``T_a_b`` takes points from frame b to frame a. Pixel (u, v) = (column, row); integer coordinates
+are pixel centres, as in KITTI's calibration.
 """
 
 import numpy as np
@@ -26,7 +27,9 @@ def back_project(depth_m: np.ndarray, K: np.ndarray) -> np.ndarray:
 
 
 def project(xyz: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixels (u, v) [N,2] and depths z [N] of camera-frame points [N,3]. Points with z ≤ 0 get NaN pixels."""
+    """Return pixels (u, v) [N,2] and depths z [N] of camera-frame points [N,3]. Points with z ≤ 0
+    get NaN pixels.
+    """
     homogeneous = xyz @ K.T
     z = homogeneous[:, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -34,8 +37,12 @@ def project(xyz: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return uv, z
 
 
-def pixels_of(xyz: np.ndarray, K: np.ndarray, size: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the camera-frame points [N,3] inside an image of `size` (H, W): indices [M], pixels' rows and columns."""
+def pixels_of(
+    xyz: np.ndarray, K: np.ndarray, size: tuple[int, ...]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the camera-frame points [N,3] inside an image of `size` (H, W): indices [M], pixels'
+    rows and columns.
+    """
     uv = np.rint(project(xyz, K)[0])
     inside = np.flatnonzero(((uv >= 0) & (uv < size[::-1])).all(axis=1))  # NaN compares as False
     column, row = uv[inside].astype(np.int64).T
@@ -57,7 +64,8 @@ def transform(T: np.ndarray, xyz: np.ndarray) -> np.ndarray:
 def depth_image(xyz: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Return the depth [H,W] in metres of the nearest point in each pixel, 0 where there is none.
 
-    `xyz` [N,3] in the camera frame. KITTI's depth benchmark makes sparse depth from scans in this way.
+    `xyz` [N,3] in the camera frame. KITTI's depth benchmark makes sparse depth from scans in this
+    way.
     """
     inside, row, column = pixels_of(xyz, K, size)
     depth = np.full(size, np.inf)

@@ -1,4 +1,6 @@
-"""Intrinsics of a camera from a field of view or four numbers; undistortion; how far a lens sees."""
+"""Intrinsics of a camera from a field of view or four numbers; undistortion; how far a lens
+sees.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -11,20 +13,22 @@ from pipeline.camera.camera import Camera
 from pipeline.camera.images import Size
 
 _FOCAL_PER_WIDTH = 100.0  # largest plausible ratio
-# Largest offsets of a principal point from the middle, as shares of width and height: of either, and of both to the
-# same side, as in an image of another size. Udacity's camera has −0.08 and 0.13.
+# Largest offsets of a principal point from the middle, as shares of width and height: of either,
+# and of both to the same side, as in an image of another size. Udacity's camera has −0.08 and 0.13.
 _OFF_CENTRE, _OFF_BOTH = 0.2, 0.1
-MAX_DEPTH_M, WIDE = 80.0, 0.65  # of depth that is used, for a lens with a focal length of up to WIDE image widths
+# of depth that is used, for a lens with a focal length of up to WIDE image widths
+MAX_DEPTH_M, WIDE = 80.0, 0.65
 MAX_TANGENTIAL = 0.01  # of p1 and p2: elements of a lens that are not parallel
 MAX_FOV_DEG = 100  # of a lens without distortion
 RECTIFIED_FOV_DEG = 90  # of a fisheye lens at most: beyond, the middle of the image becomes coarse
 
 
 def pinhole(size: Size, fov_deg: float | None = None, K: str | None = None) -> Camera:
-    """Return the camera of images of `size` (H, W), by either the horizontal angle between their edges or `K`.
+    """Return the camera of images of `size` (H, W), by either the horizontal angle between their
+    edges or `K`.
 
-    `fov_deg` is for square pixels and a centred principal point, `K` is "fx,fy,cx,cy" for this size. Raises InputError
-    if none or both are given, or a value is implausible.
+    `fov_deg` is for square pixels and a centred principal point, `K` is "fx,fy,cx,cy" for this
+    size. Raises InputError if none or both are given, or a value is implausible.
     """
     if (fov_deg is None) == (K is None):
         fix = "Pass --fov DEGREES (horizontal) or --K fx,fy,cx,cy (pixels)"
@@ -39,7 +43,9 @@ def pinhole(size: Size, fov_deg: float | None = None, K: str | None = None) -> C
 
 
 def _camera(size: Size, edge: float | None, K: str | None) -> Camera:
-    """Return a camera of images of `size` by `K`, or where `edge`, the half width in focal lengths, is given."""
+    """Return a camera of images of `size` by `K`, or where `edge`, the half width in focal lengths,
+    is given.
+    """
     height, width = size
     if edge is not None:
         fx = fy = width / 2 / edge
@@ -56,13 +62,17 @@ def _camera(size: Size, edge: float | None, K: str | None) -> Camera:
 def fisheye(
     size: Size, text: str, fov_deg: float | None = None, K: str | None = None
 ) -> tuple[Camera, Callable[[np.ndarray], np.ndarray]]:
-    """Return a pinhole camera of up to 90°, and a function that rectifies a fisheye lens' images uint8 [H,W,3] for it.
+    """Return a pinhole camera of up to 90°, and a function that rectifies a fisheye lens' images
+    uint8 [H,W,3] for it.
 
-    `text`: "k1,k2,k3,k4" of OpenCV's fisheye model, an angle θ from the axis lies θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸)
-    focal lengths from the principal point; zeros: equidistant. `fov_deg` or `K` as in :func:`pinhole`, of the lens.
+    `text`: "k1,k2,k3,k4" of OpenCV's fisheye model, an angle θ from the axis lies θ (1 + k1 θ² + k2
+    θ⁴ + k3 θ⁶ + k4 θ⁸) focal lengths from the principal point; zeros: equidistant. `fov_deg` or `K`
+    as in :func:`pinhole`, of the lens.
     """
     if (fov_deg is None) == (K is None):
-        raise InputError("expected one source of camera intrinsics", fix="Pass --fov or --K of the fisheye lens")
+        raise InputError(
+            "expected one source of camera intrinsics", fix="Pass --fov or --K of the fisheye lens"
+        )
     coefficients = np.array(numbers(text, (4,), "--fisheye 0,0,0,0"))
     radius = None  # focal lengths
     if fov_deg:
@@ -71,9 +81,12 @@ def fisheye(
     lens = _camera(size, radius, K)
     middle = lens.K[1, 2]
     edges = np.array([[[-0.5, middle], [size[1] - 0.5, middle]]])
-    edge = np.abs(cv2.fisheye.undistortPoints(edges, lens.K, coefficients)[0, :, 0]).min()  # tangents
+    # tangents
+    edge = np.abs(cv2.fisheye.undistortPoints(edges, lens.K, coefficients)[0, :, 0]).min()
     camera = _camera(size, min(math.tan(math.radians(RECTIFIED_FOV_DEG) / 2), float(edge)), None)
-    maps = cv2.fisheye.initUndistortRectifyMap(lens.K, coefficients, np.eye(3), camera.K, size[::-1], cv2.CV_16SC2)
+    maps = cv2.fisheye.initUndistortRectifyMap(
+        lens.K, coefficients, np.eye(3), camera.K, size[::-1], cv2.CV_16SC2
+    )
     return camera, lambda image: np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR))
 
 
@@ -85,19 +98,25 @@ def numbers(text: str, counts: Sequence[int], example: str) -> list[float]:
         values = []
     if len(values) not in counts:
         expected = " or ".join(map(str, counts))
-        raise InputError(f"expected {expected} numbers, got {text!r}", example.split()[0], f"Example: {example}")
+        raise InputError(
+            f"expected {expected} numbers, got {text!r}", example.split()[0], f"Example: {example}"
+        )
     return values
 
 
 def undistortion(camera: Camera, text: str) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function that rectifies images uint8 [H,W,3] of a camera with this distortion; K stays as it is.
+    """Return a function that rectifies images uint8 [H,W,3] of a camera with this distortion; K
+    stays as it is.
 
-    `text`: "k1,k2,p1,p2" or "k1,k2,p1,p2,k3" of OpenCV's model. Raises InputError for other texts, and for numbers of a
-    fisheye lens.
+    `text`: "k1,k2,p1,p2" or "k1,k2,p1,p2,k3" of OpenCV's model. Raises InputError for other texts,
+    and for numbers of a fisheye lens.
     """
     coefficients = np.array(numbers(text, (4, 5), "--distortion -0.37,0.2,0,0"))
     if np.abs(coefficients[2:4]).max() > MAX_TANGENTIAL:
-        problem = f"p1 and p2 are {text.split(',')[2]} and {text.split(',')[3]} (expected up to {MAX_TANGENTIAL})"
+        problem = (
+            f"p1 and p2 are {text.split(',')[2]} and {text.split(',')[3]} (expected up to "
+            f"{MAX_TANGENTIAL})"
+        )
         raise InputError(f"{problem}: a fisheye lens?", "--distortion", "Pass these as --fisheye")
     size = camera.size[::-1]
     maps = cv2.initUndistortRectifyMap(camera.K, coefficients, None, camera.K, size, cv2.CV_16SC2)
@@ -105,19 +124,29 @@ def undistortion(camera: Camera, text: str) -> Callable[[np.ndarray], np.ndarray
 
 
 def check_pinhole(K: np.ndarray, size: Size, where: str) -> None:
-    """Raise InputError if K [3,3] is implausible for images of `size` (H, W): focal length, centre, skew."""
+    """Raise InputError if K [3,3] is implausible for images of `size` (H, W): focal length, centre,
+    skew.
+    """
     height, width = size
     fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     focal = min(fx, fy) > 1 and max(fx, fy) < _FOCAL_PER_WIDTH * width  # false for NaN
     pinhole = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     off = np.array([cx / width, cy / height]) - 0.5
-    centred = np.abs(off).max() <= _OFF_CENTRE and not (off > _OFF_BOTH).all() and not (off < -_OFF_BOTH).all()
+    centred = (
+        np.abs(off).max() <= _OFF_CENTRE
+        and not (off > _OFF_BOTH).all()
+        and not (off < -_OFF_BOTH).all()
+    )
     if not (focal and centred and np.allclose(K, pinhole, atol=1e-3)):
         numbers = f"focal lengths {fx:g}, {fy:g} and centre {cx:g}, {cy:g}"
         guess = "" if centred else ". K is for another image size?"
-        raise InputError(f"implausible intrinsics of {width} x {height} pixels: {numbers}{guess}", where)
+        raise InputError(
+            f"implausible intrinsics of {width} x {height} pixels: {numbers}{guess}", where
+        )
 
 
 def depth_limit(camera: Camera) -> float:
-    """Return the largest usable depth in metres, which grows with focal lengths beyond WIDE image widths."""
+    """Return the largest usable depth in metres, which grows with focal lengths beyond WIDE image
+    widths.
+    """
     return MAX_DEPTH_M * max(1.0, camera.K[0, 0] / (WIDE * camera.size[1]))

@@ -10,11 +10,21 @@ METRICS = "pipeline/evaluate/statistics.py"
 
 
 def check_code(settings: Params) -> None:
-    """Raise InputError if a file that `settings` name imports code that dvc.yaml does not list for its stage."""
-    datasets = {f"pipeline/ingest/datasets/{name}.py" for name in settings.ingest.datasets().values()}
+    """Raise InputError if a file that `settings` name imports code that dvc.yaml does not list for
+    its stage.
+    """
+    datasets = {
+        f"pipeline/ingest/datasets/{name}.py" for name in settings.ingest.datasets().values()
+    }
     networks = {file for model in settings.models.values() for file in model.networks}
     source = f"pipeline/labels/sources/{settings.labels.source}.py"
-    files = {"ingest": datasets, "labels": {source}, "scores": {source}, "train": networks, "evaluate": {METRICS}}
+    files = {
+        "ingest": datasets,
+        "labels": {source},
+        "scores": {source},
+        "train": networks,
+        "evaluate": {METRICS},
+    }
     for stage, names in files.items():
         for name in sorted(names):
             check_file(name, stage)
@@ -27,5 +37,10 @@ def check_file(name: str, stage: str) -> None:
         missing = imports(file) - code
         if missing:
             names = " and ".join(sorted(map(str, missing)))
-            problem = f"imports {names}, which dvc.yaml does not list for stage {stage}: its edits would change nothing"
-            raise InputError(problem, file, f"List it in dvc.yaml, deps of {stage}, or do not import it")
+            problem = (
+                f"imports {names}, which dvc.yaml does not list for stage {stage}: its edits "
+                "would change nothing"
+            )
+            raise InputError(
+                problem, file, f"List it in dvc.yaml, deps of {stage}, or do not import it"
+            )

@@ -1,4 +1,6 @@
-"""Compare the logs of a recording with its images: their times, the sign of their values, and their clock."""
+"""Compare the logs of a recording with its images: their times, the sign of their values, and their
+clock.
+"""
 
 from pathlib import Path
 
@@ -14,27 +16,31 @@ from pipeline.labels.label import Labels
 from pipeline.motion.horizon import turn_rates
 from pipeline.motion.step import TYPICAL_MPS
 
-# Standard deviation of a yaw rate by the rotation between two images: it is 0.010 to 0.016 on five real recordings.
+# Standard deviation of a yaw rate by the rotation between two images: it is 0.010 to 0.016 on five
+# real recordings.
 TURN_SIGMA_RADPS = 0.012
 # A car's wheelbase, for the angle at a typical speed.
 CAR_M = 2.7
 
 
 def check_recording_logs(part: Part, folder: Path) -> None:
-    """Check the logs of a recording whose files are in `folder`, as steer import does, from start to end of a `part`.
+    """Check the logs of a recording whose files are in `folder`, as steer import does, from start
+    to end of a `part`.
 
-    To check all parts of a recording at once, pass one that starts with the first and ends with the last. Raises
-    InputError for a log that cannot be read, is of another time, or has a wrong sign or clock, and for a part of which
-    no image is left.
+    To check all parts of a recording at once, pass one that starts with the first and ends with the
+    last. Raises InputError for a log that cannot be read, is of another time, or has a wrong sign
+    or clock, and for a part of which no image is left.
     """
     check_logs(open_part(part, folder), part.start, part.end)
 
 
 def check_logs(recording: Recording, start_s: float, end_s: float | None) -> np.ndarray:
-    """Compare a recording's logs with its turns from start to end; return which images there have logged motion [F].
+    """Compare a recording's logs with its turns from start to end; return which images there have
+    logged motion [F].
 
-    A note is added to the recording if too few images turn. The images give no speed: the angle of a wheel is compared
-    with a car's at TYPICAL_MPS. Raises InputError if the sign or the clock of a log is wrong, or no image is left.
+    A note is added to the recording if too few images turn. The images give no speed: the angle of
+    a wheel is compared with a car's at TYPICAL_MPS. Raises InputError if the sign or the clock of a
+    log is wrong, or no image is left.
     """
     time_s = recording.times_s
     if recording.logs:
@@ -63,9 +69,13 @@ def _compare_turns(recording: Recording, within: np.ndarray) -> None:
             column = "wheel_rad"
             recorded = _labels(values[0], unknown)
             speed_mps = unknown
-        problem, fix = judge_turns(compare([Pair(time_s, recorded, measured, noise)]), column, speed_mps)
+        problem, fix = judge_turns(
+            compare([Pair(time_s, recorded, measured, noise)]), column, speed_mps
+        )
         if problem == UNKNOWN:
-            recording.notes.append(f"{log.name} cannot be compared with the turns of the images: {problem}")
+            recording.notes.append(
+                f"{log.name} cannot be compared with the turns of the images: {problem}"
+            )
         elif problem:
             raise InputError(problem, log.name, fix)
 

@@ -1,4 +1,6 @@
-"""Create the encoder of section ``encoder``: build it, and load weights that are downloaded once and verified."""
+"""Create the encoder of section ``encoder``: build it, and load weights that are downloaded once
+and verified.
+"""
 
 import sys
 from collections.abc import Callable
@@ -17,10 +19,16 @@ from pipeline.encoder.weights import WEIGHTS, find, weights_hash
 
 
 def create(settings: Encoder) -> tuple[Architecture, nn.Module]:
-    """Return description and network of section ``encoder``. Raises InputError if a file is missing or does not fit."""
+    """Return description and network of section ``encoder``. Raises InputError if a file is missing
+    or does not fit.
+    """
     with error_context("weights"):
         if settings.weights and settings.weights_sha256 not in (None, weights_hash(settings)):
-            raise InputError("is not the file whose hash weights_sha256 has", settings.weights, "Repeat make NAME")
+            raise InputError(
+                "is not the file whose hash weights_sha256 has",
+                settings.weights,
+                "Repeat make NAME",
+            )
     if settings.weights is None or settings.backbone == "precomputed":
         return CREATE[settings.backbone](settings)
     with error_context("weights"):
@@ -73,14 +81,22 @@ CREATE: dict[str, Callable[[Encoder], tuple[Architecture, nn.Module]]] = {
     "hugging_face": hugging_face.create_backbone,
     "precomputed": _create_precomputed,
 }
-"""Kind → its description, with `sources` where weights were published: a line each; and the network with weights."""
+"""Kind → its description, with `sources` where weights were published: a line each; and the network
+with weights.
+"""
 
 
 def fetch(path: Path, url: str, sha256: str) -> None:
-    """Download a file if it is missing. Raises InputError if the download fails or the hash differs."""
+    """Download a file if it is missing. Raises InputError if the download fails or the hash
+    differs.
+    """
     if path.exists():
         if file_hash(path) != sha256:
-            raise InputError(f"SHA-256 is {file_hash(path)}, expected {sha256}", path, "Delete it to download it again")
+            raise InputError(
+                f"SHA-256 is {file_hash(path)}, expected {sha256}",
+                path,
+                "Delete it to download it again",
+            )
         return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -10,8 +10,8 @@ from pipeline.camera import classes
 from pipeline.camera.images import nearest, read_classes, read_depth
 
 LAYOUT = (
-    "Expected files: DRIVE/depth/0000000000.png (16 bit, metres x 256, 0 = none) and DRIVE/cls/0000000000.png (8 bit, "
-    "trainIds)"
+    "Expected files: DRIVE/depth/0000000000.png (16 bit, metres x 256, 0 = none) and "
+    "DRIVE/cls/0000000000.png (8 bit, trainIds)"
 )
 
 
@@ -24,13 +24,18 @@ def find(folder: Path) -> list[Path]:
 
 
 def fingerprint(folder: Path) -> tuple[int, str]:
-    """Return the number of PNG files below a folder, and a hash of names and contents. Raises InputError if none."""
+    """Return the number of PNG files below a folder, and a hash of names and contents. Raises
+    InputError if none.
+    """
     files = find(folder)
     return len(files), digest({str(file.relative_to(folder)): file_hash(file) for file in files})
 
 
-def read(folder: Path, drive: str, frame: int, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return a frame's depth float32 [H,W] in metres, 0 where unknown, and trainIds uint8 [H,W], 255 for void.
+def read(
+    folder: Path, drive: str, frame: int, size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return a frame's depth float32 [H,W] in metres, 0 where unknown, and trainIds uint8 [H,W],
+    255 for void.
 
     Files of another size are resized to `size` (H, W) by nearest neighbour. Raises InputError.
     """
@@ -41,5 +46,7 @@ def read(folder: Path, drive: str, frame: int, size: tuple[int, int]) -> tuple[n
     cls = nearest(read_classes(paths[1]), size)
     unknown = np.setdiff1d(cls, [*range(classes.COUNT), classes.VOID])
     if unknown.size:
-        raise InputError(f"class {unknown[0]}, expected trainIds 0 to {classes.COUNT - 1}, or 255", paths[1])
+        raise InputError(
+            f"class {unknown[0]}, expected trainIds 0 to {classes.COUNT - 1}, or 255", paths[1]
+        )
     return depth, cls

@@ -19,7 +19,8 @@ FITTED = {"small", "hugging_face"}
 class Encoder(Section):
     backbone: Literal["small", "street", "pair", "hugging_face", "precomputed"]
     weights: FilePath | None = None
-    weights_sha256: str | None = None  # of the weights; make NAME writes it, so that DVC notices another file
+    # of the weights; make NAME writes it, so that DVC notices another file
+    weights_sha256: str | None = None
     depth: Hub | None = None
     classes: Hub | None = None
     model: Hub | None = None
@@ -42,5 +43,7 @@ class Encoder(Section):
         if self.epochs and self.backbone not in FITTED:
             raise ValueError(f"{kind} is not fitted: set epochs: 0")
         if not self.epochs and not self.weights and self.backbone in FITTED:
-            raise ValueError(f"{kind} with epochs: 0 needs a fitted encoder.pt in weights, or set epochs")
+            raise ValueError(
+                f"{kind} with epochs: 0 needs a fitted encoder.pt in weights, or set epochs"
+            )
         return self

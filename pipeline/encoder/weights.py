@@ -13,7 +13,9 @@ WEIGHTS = Path("weights")
 
 
 def weights_hash(settings: Encoder) -> str | None:
-    """Return the SHA-256 of the file, or of the PNG files; None without weights. Raises InputError if it is missing."""
+    """Return the SHA-256 of the file, or of the PNG files; None without weights. Raises InputError
+    if it is missing.
+    """
     if settings.weights is None:
         return None
     if settings.backbone == "precomputed":
@@ -25,6 +27,10 @@ def find(weights: Path) -> Path:
     """Return the path of a file of the checkout. Raises InputError if it is missing."""
     path = in_checkout(weights)
     if not path.is_file():
-        fix = "Make it: make street" if weights.parent == WEIGHTS / "street" else "Put it there, or name another one"
+        fix = (
+            "Make it: make street"
+            if weights.parent == WEIGHTS / "street"
+            else "Put it there, or name another one"
+        )
         raise InputError("file is missing", weights, fix)
     return path

@@ -1,4 +1,6 @@
-"""Predict the drives of a model's splits, compute the errors of each column, and write predictions.csv."""
+"""Predict the drives of a model's splits, compute the errors of each column, and write
+predictions.csv.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,7 +26,11 @@ from pipeline.train.loss import Scale
 from pipeline.train.targets import LabelledDrive, read_drive
 from pipeline.train.trained import Trained
 
-SIZES = {"points_per_frame": "points", "edges_per_frame": "edges_kept", "edges_per_frame_unpruned": "edges_knn"}
+SIZES = {
+    "points_per_frame": "points",
+    "edges_per_frame": "edges_kept",
+    "edges_per_frame_unpruned": "edges_knn",
+}
 
 
 @dataclass(frozen=True)
@@ -39,10 +45,11 @@ class Case:
         """Return the values [G,R] of predictors that do not use the scene.
 
         - train_mean: the mean of the training targets.
-        - persistence: the last true angle before the target frame. No model gets it as input. Not for a path, whose
-          truth is in the future.
+        - persistence: the last true angle before the target frame. No model gets it as input. Not
+          for a path, whose truth is in the future.
         - odometry: measured at the last input frame; NaN before the first measurement.
-        - regression: odometry times its regression coefficient on the training drives, with 0 for NaN; NaN if all are.
+        - regression: odometry times its regression coefficient on the training drives, with 0 for
+          NaN; NaN if all are.
         """
         drive, scale = self.drive, self.scale
         values = {"train_mean": scale.mean}
@@ -54,14 +61,19 @@ class Case:
             values["odometry"] = drive.odometry
             if scale.odometry_gain is not None:
                 measured = np.isfinite(drive.odometry).any()
-                values["regression"] = scale.odometry_gain * (np.nan_to_num(drive.odometry) if measured else np.nan)
+                values["regression"] = scale.odometry_gain * (
+                    np.nan_to_num(drive.odometry) if measured else np.nan
+                )
         return {name: np.broadcast_to(value, drive.target.shape) for name, value in values.items()}
 
 
-def predict_cases(models: Mapping[int, Trained], variant: Path, labels: Path) -> dict[str, list[Case]]:
+def predict_cases(
+    models: Mapping[int, Trained], variant: Path, labels: Path
+) -> dict[str, list[Case]]:
     """Return split → drives with the predictions of the models, seed → network.
 
-    `variant`, `labels`: the folders of the graphs and of the labels. Raises InputError if these have other ranges.
+    `variant`, `labels`: the folders of the graphs and of the labels. Raises InputError if these
+    have other ranges.
     """
     splits = read_index(variant, stage="graphs")
     scenes = [runs.scenes(splits, seed, model.entry.scene) for seed, model in models.items()]
@@ -72,7 +84,9 @@ def predict_cases(models: Mapping[int, Trained], variant: Path, labels: Path) ->
     for name, part in splits.items():
         drive = read_drive(variant, labels, name, first.entry)
         if drive.columns != first.scale.names:
-            problem = f"labels.ahead_m differs from the ranges of the trained model (got {drive.ahead_m})"
+            problem = (
+                f"labels.ahead_m differs from the ranges of the trained model (got {drive.ahead_m})"
+            )
             raise InputError(problem, drive.labels, f"Train it again: dvc repro train@{first.name}")
         seen = [variant / f"{of_seed[name]}.h5" for of_seed in scenes]
         files = Files(seen)  # for all seeds
@@ -106,7 +120,9 @@ def evaluate_model(
         **inputs(tested),
         **{part: metrics(drives, settings) if drives else None for part, drives in cases.items()},
     }
-    result["untrained"] = [first.seeds[number] for number in statistics.untrained(train_nmse(result))]
+    result["untrained"] = [
+        first.seeds[number] for number in statistics.untrained(train_nmse(result))
+    ]
     return result
 
 
@@ -117,7 +133,9 @@ def train_nmse(result: Mapping[str, Any]) -> np.ndarray:
 
 
 def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, Any]]:
-    """Return column → errors with confidence interval, of frames with a target and a prediction; and drift."""
+    """Return column → errors with confidence interval, of frames with a target and a prediction;
+    and drift.
+    """
     drives = [case.drive for case in cases]
     truth = np.concatenate([drive.target for drive in drives])  # [N,R]
     by_seed = [*zip(*(case.predictions for case in cases), strict=True)]
@@ -129,15 +147,21 @@ def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, An
         known = np.isfinite(error[..., column]).all(axis=0)
         true, of_seeds = truth[known, column], predicted[:, known, column]
         result[name] = statistics.scores(true, of_seeds) | {
-            "nmse_ci95": statistics.interval(error[..., column], truth[:, column], number, settings),
+            "nmse_ci95": statistics.interval(
+                error[..., column], truth[:, column], number, settings
+            ),
             "nmse_by_seed": [statistics.scores(true, one_seed)["nmse"] for one_seed in of_seeds],
             "drift_m_per_100m": _drift(drives, by_seed),
         }
     return result
 
 
-def _drift(drives: Sequence[LabelledDrive], by_seed: Iterable[Iterable[np.ndarray]]) -> float | None:
-    """Return the mean :func:`drift` of the predictions by seed and drive; None with a horizon and for a path."""
+def _drift(
+    drives: Sequence[LabelledDrive], by_seed: Iterable[Iterable[np.ndarray]]
+) -> float | None:
+    """Return the mean :func:`drift` of the predictions by seed and drive; None with a horizon and
+    for a path.
+    """
     if drives[0].horizon or drives[0].ahead_m:
         return None
     onsets = [read_onsets(drive) for drive in drives]
@@ -156,16 +180,24 @@ def columns(drive: LabelledDrive) -> dict[str, dict[str, Any]]:
 
 
 def turning_frames(drives: Sequence[LabelledDrive]) -> int:
-    """Return the number of frames whose target turns: the angle, or the path in any of its ranges."""
+    """Return the number of frames whose target turns: the angle, or the path in any of its
+    ranges.
+    """
     frames = 0
     for drive in drives:
-        angle_rad = np.arctan(drive.target * drive.settings["labels"]["wheelbase_m"]) if drive.ahead_m else drive.target
+        angle_rad = (
+            np.arctan(drive.target * drive.settings["labels"]["wheelbase_m"])
+            if drive.ahead_m
+            else drive.target
+        )
         frames += int((np.abs(angle_rad) > label.TURNING_RAD).any(axis=1).sum())
     return frames
 
 
 def inputs(drives: Sequence[LabelledDrive]) -> dict[str, Any]:
-    """Return the graph variant's settings, and mean points and directed edges per frame; None where unknown."""
+    """Return the graph variant's settings, and mean points and directed edges per frame; None where
+    unknown.
+    """
     result = {"variant": drives[-1].settings.get("graphs", {})}
     for key, name in SIZES.items():
         counts = [drive.counts[name] for drive in drives if name in drive.counts]
@@ -176,18 +208,31 @@ def inputs(drives: Sequence[LabelledDrive]) -> dict[str, Any]:
 def write_predictions(path: Path, name: str, seeds: Sequence[int], cases: Sequence[Case]) -> None:
     """Write the table of model `name`, one row per seed and frame; unknown values are empty fields.
 
-    `frame`, `time_s` and `speed_mps` belong to the last input frame. For each column C of the model, `true_C` and
-    `predicted_C` are those `horizon` frames later. Further columns: the :meth:`Case.baselines`, as `odometry_C`.
+    `frame`, `time_s` and `speed_mps` belong to the last input frame. For each column C of the
+    model, `true_C` and `predicted_C` are those `horizon` frames later. Further columns: the
+    :meth:`Case.baselines`, as `odometry_C`.
     """
     tables = []
     for number, seed in enumerate(seeds):
         for case in cases:
             drive = case.drive
-            table = {"model": name, "seed": seed, "drive": drive.name, "frame": drive.frame, "time_s": drive.time_s}
+            table = {
+                "model": name,
+                "seed": seed,
+                "drive": drive.name,
+                "frame": drive.frame,
+                "time_s": drive.time_s,
+            }
             table["speed_mps"] = drive.driven.speed_mps
-            values = {"true": drive.target, "predicted": case.predictions[number], **case.baselines()}
+            values = {
+                "true": drive.target,
+                "predicted": case.predictions[number],
+                **case.baselines(),
+            }
             for column, target in enumerate(drive.columns):
-                table |= {f"{kind}_{target}": of_kind[:, column] for kind, of_kind in values.items()}
+                table |= {
+                    f"{kind}_{target}": of_kind[:, column] for kind, of_kind in values.items()
+                }
             tables.append(pd.DataFrame(table))
     pd.concat(tables).to_csv(path, index=False, lineterminator="\n", float_format="%.9f")
 
@@ -196,6 +241,10 @@ def summary(column: str, scores: Mapping[str, Any]) -> str:
     """Return the nmse of a column as text, with its spread over seeds and its interval."""
     if scores["nmse"] is None:
         return f"{column} unknown"
-    spread = f" ± {np.std(scores['nmse_by_seed'], ddof=1):.3f}" if len(scores["nmse_by_seed"]) > 1 else ""
+    spread = (
+        f" ± {np.std(scores['nmse_by_seed'], ddof=1):.3f}"
+        if len(scores["nmse_by_seed"]) > 1
+        else ""
+    )
     interval = statistics.interval_text(scores["nmse_ci95"])
     return f"{column} {scores['nmse']:.3f}{spread} ({interval}; {scores['frames']} frames)"

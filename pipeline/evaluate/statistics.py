@@ -1,6 +1,7 @@
 """Compute errors of predictions and their confidence intervals.
 
-One column at a time, in rad or 1/m. Predictions are [N], or [S,N] for S seeds, over which errors are averaged.
+One column at a time, in rad or 1/m. Predictions are [N], or [S,N] for S seeds, over which errors
+are averaged.
 """
 
 import math
@@ -17,7 +18,9 @@ LEAST_DRIVES = 10  # for a verdict
 
 
 class Metric(NamedTuple):
-    """An error of predictions, [N] or [S,N] of S seeds, for true values [N]; None where it is not defined."""
+    """An error of predictions, [N] or [S,N] of S seeds, for true values [N]; None where it is not
+    defined.
+    """
 
     compute: Callable[[np.ndarray, np.ndarray], float | None]
     # Whether tables, page and DVC's metrics show it beside nmse and the mean error in degrees.
@@ -41,7 +44,8 @@ def shown_metrics() -> list[str]:
 def scores(truth: np.ndarray, predicted: np.ndarray) -> dict[str, Any]:
     """Return frames, and the METRICS of predictions for true values [N].
 
-    Without frames, or if a prediction is NaN, all are None. Raises InputError if a metric returns another number.
+    Without frames, or if a prediction is NaN, all are None. Raises InputError if a metric returns
+    another number.
     """
     if not len(truth) or np.isnan(predicted).any():
         return {"frames": 0, **dict.fromkeys(METRICS)}
@@ -50,30 +54,41 @@ def scores(truth: np.ndarray, predicted: np.ndarray) -> dict[str, Any]:
         value = metric.compute(truth, predicted)
         if value is not None and not math.isfinite(value):
             fix = "Return a finite number, or None where there is none"
-            raise InputError(f"metric {name} returned {value}", "pipeline/evaluate/statistics.py", fix)
+            raise InputError(
+                f"metric {name} returned {value}", "pipeline/evaluate/statistics.py", fix
+            )
         result[name] = None if value is None else float(value)
     return result
 
 
 def interval(
-    error: np.ndarray, truth: np.ndarray, drive: np.ndarray, settings: Evaluate, other: np.ndarray | None = None
+    error: np.ndarray,
+    truth: np.ndarray,
+    drive: np.ndarray,
+    settings: Evaluate,
+    other: np.ndarray | None = None,
 ) -> list[float] | None:
     """Return the 95 % interval of Σ error / Σ truth² over other roads and seeds, from a bootstrap.
 
-    The :func:`parts` of drives are drawn with replacement, and independently the seeds of each model. n values have a
-    variance that is too small by (n - 1) / n, so deviations from the mean are multiplied by √(n / (n - 1)), for seeds
-    as for parts. With one seed the interval is of these networks only. None with one part, or if every true value is 0.
+    The :func:`parts` of drives are drawn with replacement, and independently the seeds of each
+    model. n values have a variance that is too small by (n - 1) / n, so deviations from the mean
+    are multiplied by √(n / (n - 1)), for seeds as for parts. With one seed the interval is of these
+    networks only. None with one part, or if every true value is 0.
 
     Args:
-        error: squared errors [S,N] of S seeds, for all frames in time order, NaN for those that do not count; [S,N,R]
-            for the interval of the mean over R columns.
+        error: squared errors [S,N] of S seeds, for all frames in time order, NaN for those that do
+            not count; [S,N,R] for the interval of the mean over R columns.
         truth: [N] or [N,R], true values.
         drive: [N], the number of each frame's drive.
-        other: squared errors of a second model, for the paired difference, narrower if both err on the same roads.
+        other: squared errors of a second model, for the paired difference, narrower if both err on
+            the same roads.
     """
     squares = (truth**2).reshape(1, len(truth), -1)  # [1,N,R]
-    models = [values.reshape(*values.shape[:2], -1) for values in (error, other) if values is not None]
-    counted = np.all([np.isfinite(values).all(axis=0) for values in (squares, *models)], axis=0)  # [N,R]
+    models = [
+        values.reshape(*values.shape[:2], -1) for values in (error, other) if values is not None
+    ]
+    # [N,R]
+    counted = np.all([np.isfinite(values).all(axis=0) for values in (squares, *models)], axis=0)
     part = parts(drive, settings.bootstrap_block_frames)
     zero = sums_by_part(squares, counted, part)[0]  # [D,R], errors of always predicting zero
     errors = [sums_by_part(values, counted, part) for values in models]  # each [S,D,R]
@@ -84,16 +99,23 @@ def interval(
     zero = zero[:, bends]
     errors = [values[..., bends] for values in errors]
 
-    # Errors of the first model, less those of the second one, on roads and with seeds that are drawn.
+    # Errors of the first model, less those of the second one, on roads and with seeds that are
+    # drawn.
     rng = np.random.default_rng(settings.seed)
     drawn_parts = draw(len(zero), settings.bootstrap_samples, rng)
-    drawn = drawn_error(errors[0], drawn_parts, draw_seeds(len(errors[0]), settings.bootstrap_samples, rng))
+    drawn = drawn_error(
+        errors[0], drawn_parts, draw_seeds(len(errors[0]), settings.bootstrap_samples, rng)
+    )
     mean = mean_nmse(errors[0], zero)
     if len(errors) > 1:
-        drawn = drawn - drawn_error(errors[1], drawn_parts, draw_seeds(len(errors[1]), settings.bootstrap_samples, rng))
+        drawn = drawn - drawn_error(
+            errors[1], drawn_parts, draw_seeds(len(errors[1]), settings.bootstrap_samples, rng)
+        )
         mean -= mean_nmse(errors[1], zero)
     drawn_zero = np.einsum("bd,dr->br", drawn_parts, zero)
-    drawn_nmse = np.divide(drawn, drawn_zero, out=np.full_like(drawn, np.nan), where=drawn_zero > 0).mean(axis=1)
+    drawn_nmse = np.divide(
+        drawn, drawn_zero, out=np.full_like(drawn, np.nan), where=drawn_zero > 0
+    ).mean(axis=1)
 
     low, high = mean + widened(len(zero)) * (np.nanpercentile(drawn_nmse, [2.5, 97.5]) - mean)
     if other is None:  # no error is below 0
@@ -102,7 +124,9 @@ def interval(
 
 
 def sums_by_part(values: np.ndarray, counted: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Return the sums [S,D,R] of values [S,N,R] over the frames of each part that has `counted` ones, bool [N,R]."""
+    """Return the sums [S,D,R] of values [S,N,R] over the frames of each part that has `counted`
+    ones, bool [N,R].
+    """
     rows = counted.any(axis=1)
     _, first = np.unique(part[rows], return_index=True)
     if not len(first):
@@ -126,23 +150,32 @@ def widened(count: int) -> float:
 
 
 def drawn_error(errors: np.ndarray, drawn_parts: np.ndarray, seeds: np.ndarray) -> np.ndarray:
-    """Return the error [B,R] of each draw, the mean over seeds weighted by [B,S], of errors [S,D,R] by part."""
+    """Return the error [B,R] of each draw, the mean over seeds weighted by [B,S], of errors [S,D,R]
+    by part.
+    """
     by_seed = np.einsum("bd,sdr->bsr", drawn_parts, errors)
     return np.einsum("bs,bsr->br", seeds, by_seed) / len(errors)
 
 
 def mean_nmse(errors: np.ndarray, zero: np.ndarray) -> float:
-    """Return the nmse of errors [S,D,R], the mean over seeds and columns, for those of zero [D,R]."""
+    """Return the nmse of errors [S,D,R], the mean over seeds and columns, for those of zero
+    [D,R].
+    """
     return float((errors.mean(axis=0).sum(axis=0) / zero.sum(axis=0)).mean())
 
 
 def parts(drive: np.ndarray, block_frames: int) -> np.ndarray:
     """Return the number [N] of the part of each frame, for the numbers [N] of the frames' drives.
 
-    A drive of two or more blocks is cut into equal parts of at least one block, which count as drives.
+    A drive of two or more blocks is cut into equal parts of at least one block, which count as
+    drives.
     """
     drives = np.split(drive, np.flatnonzero(np.diff(drive)) + 1)
-    lengths = [len(part) for rows in drives for part in np.array_split(rows, max(len(rows) // block_frames, 1))]
+    lengths = [
+        len(part)
+        for rows in drives
+        for part in np.array_split(rows, max(len(rows) // block_frames, 1))
+    ]
     return np.repeat(np.arange(len(lengths)), lengths)
 
 
@@ -166,4 +199,8 @@ def untrained(nmse: np.ndarray) -> list[int]:
 
 def interval_text(bounds: Sequence[float] | None, form: str = ".3f") -> str:
     """Return the bounds of an :func:`interval` as text, the reason if it is None."""
-    return "too short for an interval" if bounds is None else " to ".join(format(bound, form) for bound in bounds)
+    return (
+        "too short for an interval"
+        if bounds is None
+        else " to ".join(format(bound, form) for bound in bounds)
+    )

@@ -1,9 +1,11 @@
-"""Onsets of turns, where the driver chooses a way that the scene does not determine; and the drift of predicted paths.
+"""Onsets of turns, where the driver chooses a way that the scene does not determine; and the drift
+of predicted paths.
 
-The rule uses recorded motion only. An onset is the frame at which |curvature| exceeds STRAIGHT_1PM after one second
-below it, if the car turns by at least TURN_RAD within the next REACH_M metres: a turn at a street corner, no bend of
-the road and no manoeuvre around an obstacle. On KITTI's drives it finds turns of 70° to 100°. Where the label is
-invalid, for instance while the car waits at a corner, the curvature of the last valid frame is used.
+The rule uses recorded motion only. An onset is the frame at which |curvature| exceeds STRAIGHT_1PM
+after one second below it, if the car turns by at least TURN_RAD within the next REACH_M metres: a
+turn at a street corner, no bend of the road and no manoeuvre around an obstacle. On KITTI's drives
+it finds turns of 70° to 100°. Where the label is invalid, for instance while the car waits at a
+corner, the curvature of the last valid frame is used.
 """
 
 from collections.abc import Iterable
@@ -25,14 +27,22 @@ def onsets(time_s: np.ndarray, curvature_1pm: np.ndarray, labels: label.Labels) 
     """Return the rows, int64, at which a turn begins, for the frames [F] of a drive."""
     straight = label.held(np.abs(curvature_1pm), labels.valid, initial=np.inf) < STRAIGHT_1PM
     dt = np.diff(time_s, prepend=time_s[:1])
-    distance_m, heading_rad = np.cumsum(np.abs(labels.speed_mps) * dt), np.cumsum(labels.yaw_rate_radps * dt)
+    distance_m, heading_rad = (
+        np.cumsum(np.abs(labels.speed_mps) * dt),
+        np.cumsum(labels.yaw_rate_radps * dt),
+    )
     step = np.median(np.diff(time_s)) if len(time_s) > 1 else np.inf
     rows = []
     for row in np.flatnonzero(straight[:-1] & ~straight[1:]) + 1:
         before = (time_s >= time_s[row] - SECOND_S) & (time_s < time_s[row])
-        complete = before.sum() >= MIN_FRAMES * SECOND_S / step  # false at the start of a drive and after a gap
+        # false at the start of a drive and after a gap
+        complete = before.sum() >= MIN_FRAMES * SECOND_S / step
         end = min(np.searchsorted(distance_m, distance_m[row] + REACH_M), len(distance_m) - 1)
-        if complete and straight[before].all() and abs(heading_rad[end] - heading_rad[row]) >= TURN_RAD:
+        if (
+            complete
+            and straight[before].all()
+            and abs(heading_rad[end] - heading_rad[row]) >= TURN_RAD
+        ):
             rows.append(row)
     return np.array(rows, np.int64)
 
@@ -44,39 +54,54 @@ def read_onsets(drive: LabelledDrive) -> np.ndarray:
         return np.isin(drive.frame, file.frame[rows])
 
 
-def path(steering_rad: np.ndarray, speed_mps: np.ndarray, time_s: np.ndarray, wheelbase_m: float) -> np.ndarray:
-    """Return the car's positions [F,2] in metres, x ahead and y to the left of its start: ψ ← ψ + v/L tan Θ dt.
+def path(
+    steering_rad: np.ndarray, speed_mps: np.ndarray, time_s: np.ndarray, wheelbase_m: float
+) -> np.ndarray:
+    """Return the car's positions [F,2] in metres, x ahead and y to the left of its start: ψ ← ψ +
+    v/L tan Θ dt.
 
-    The paper's formula as printed, [x, y] ← [x, y] + v dt [cos Θ, sin Θ], takes the steering angle as the heading. The
-    speed and angle of a frame describe the step that ends there: in KITTI, the rates in oxts lag half a step behind the
-    poses. So paths of true angles stay within 1 m per 100 m of the recorded track in 23 of 30 drives; with rates that
-    apply until the next frame, in 12 (tests/pipeline/evaluate/test_evaluate.py).
+    The paper's formula as printed, [x, y] ← [x, y] + v dt [cos Θ, sin Θ], takes the steering angle
+    as the heading. The speed and angle of a frame describe the step that ends there: in KITTI, the
+    rates in oxts lag half a step behind the poses. So paths of true angles stay within 1 m per 100
+    m of the recorded track in 23 of 30 drives; with rates that apply until the next frame, in 12
+    (tests/pipeline/evaluate/test_evaluate.py).
     """
     dt, speed_mps = np.diff(time_s), speed_mps[1:]
     turned = speed_mps / wheelbase_m * np.tan(steering_rad[1:]) * dt
-    heading = np.cumsum(turned) - turned / 2  # halfway through the step: the direction of the arc's chord
+    # halfway through the step: the direction of the arc's chord
+    heading = np.cumsum(turned) - turned / 2
     steps = (speed_mps * dt)[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
 
 
 def segments(onset: np.ndarray, predicted_rad: np.ndarray) -> list[np.ndarray]:
-    """Return the rows between restarts, which have predictions [F]; `onset` bool [F]: a turn begins."""
+    """Return the rows between restarts, which have predictions [F]; `onset` bool [F]: a turn
+    begins.
+    """
     rows = np.flatnonzero(~np.isnan(predicted_rad))
     restarts = np.flatnonzero((np.diff(rows) > 1) | onset[rows[1:]]) + 1
     return [segment for segment in np.split(rows, restarts) if len(segment) > 1]
 
 
 def drift(drives: Iterable[tuple[LabelledDrive, np.ndarray, np.ndarray]]) -> float | None:
-    """Return the distance in metres between predicted and true end of a segment, per 100 m (the paper's Figure 5).
+    """Return the distance in metres between predicted and true end of a segment, per 100 m (the
+    paper's Figure 5).
 
-    Each drive comes with its onsets, bool [G], and predicted angles [G]; speed and time are measured. At an onset of a
-    turn, and after frames without a prediction, the predicted path restarts at the true one. None without segments.
+    Each drive comes with its onsets, bool [G], and predicted angles [G]; speed and time are
+    measured. At an onset of a turn, and after frames without a prediction, the predicted path
+    restarts at the true one. None without segments.
     """
     error_m = distance_m = 0.0
     for drive, onset, predicted_rad in drives:
         for rows in segments(onset, predicted_rad):
-            motion = drive.driven.speed_mps[rows], drive.time_s[rows], drive.settings["labels"]["wheelbase_m"]
-            true, predicted = (path(angle[rows], *motion) for angle in (drive.driven.steering_rad, predicted_rad))
+            motion = (
+                drive.driven.speed_mps[rows],
+                drive.time_s[rows],
+                drive.settings["labels"]["wheelbase_m"],
+            )
+            true, predicted = (
+                path(angle[rows], *motion) for angle in (drive.driven.steering_rad, predicted_rad)
+            )
             error_m += float(np.linalg.norm(predicted[-1] - true[-1]))
             distance_m += float(np.linalg.norm(np.diff(true, axis=0), axis=1).sum())
     return 100 * error_m / distance_m if distance_m else None

@@ -2,11 +2,13 @@
 
 A frame is a dict of columns, whose arrays are by kind of frame
 
-- graph: xyz float32 [P,3] in metres, cls uint8 [P], and the kNN graph: degree uint8 [P], indices [ΣP degree];
+- graph: xyz float32 [P,3] in metres, cls uint8 [P], and the kNN graph: degree uint8 [P], indices
+  [ΣP degree];
 - pointnet2: xyz, cls, and for each level l from 1 centres_l [M] and neighbours_l [M,n];
 - image: image uint8 [1,H,W,3].
 
-A column declares where each frame starts and, if it holds row numbers, what it counts. The file keeps both.
+A column declares where each frame starts and, if it holds row numbers, what it counts. The file
+keeps both.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -33,7 +35,8 @@ class Column(NamedTuple):
     rows: np.ndarray
     unit: str
     pointer: str = ""  # array with the first row of each frame; "": a row per frame
-    refers_to: str = ""  # column whose rows these numbers count, from 0 in each frame; "": no row numbers
+    # column whose rows these numbers count, from 0 in each frame; "": no row numbers
+    refers_to: str = ""
 
 
 Columns = dict[str, Column]
@@ -47,12 +50,17 @@ class Contents(NamedTuple):
     image_size: tuple[int, int] | None = None  # (H, W)
 
     def __str__(self) -> str:
-        sizes = {"pointnet2": f" with {self.levels} levels", "image": f" of {self.image_size} (H, W) pixels"}
+        sizes = {
+            "pointnet2": f" with {self.levels} levels",
+            "image": f" of {self.image_size} (H, W) pixels",
+        }
         return f"frames of kind {self.kind}{sizes.get(self.kind, '')}"
 
 
 class MeasuredMotion(NamedTuple):
-    """Motion of the car since the previous frame, left and forward positive; all 0 where it is not valid."""
+    """Motion of the car since the previous frame, left and forward positive; all 0 where it is not
+    valid.
+    """
 
     yaw_rate_radps: np.ndarray  # float32 [G]
     speed_mps: np.ndarray  # float32 [G]
@@ -60,11 +68,17 @@ class MeasuredMotion(NamedTuple):
 
 
 def write(
-    file: store.DriveWriter, frame: np.ndarray, time_s: np.ndarray, frames: Iterable[Columns], empty: Columns
+    file: store.DriveWriter,
+    frame: np.ndarray,
+    time_s: np.ndarray,
+    frames: Iterable[Columns],
+    empty: Columns,
 ) -> dict[str, int]:
-    """Write KITTI frame numbers [F], times [F], and the frames; return the numbers of frames and points.
+    """Write KITTI frame numbers [F], times [F], and the frames; return the numbers of frames and
+    points.
 
-    `empty`: the columns without rows, which create the datasets also in the file of a drive without frames.
+    `empty`: the columns without rows, which create the datasets also in the file of a drive without
+    frames.
     """
     file.put("frame", np.asarray(frame, np.int32))
     file.put("time_s", time_s, unit="s")
@@ -72,15 +86,23 @@ def write(
     for columns in chain([empty], frames):
         for name, column in columns.items():
             file.append(name, *column)
-        lengths.append({column.pointer: len(column.rows) for column in columns.values() if column.pointer})
+        lengths.append(
+            {column.pointer: len(column.rows) for column in columns.values() if column.pointer}
+        )
     for pointer in lengths[0]:
-        file.put_pointers(pointer, [frame_lengths[pointer] for frame_lengths in lengths[1:]], unit="row")
-    points = {"points": sum(frame_lengths["ptr"] for frame_lengths in lengths)} if "xyz" in empty else {}
+        file.put_pointers(
+            pointer, [frame_lengths[pointer] for frame_lengths in lengths[1:]], unit="row"
+        )
+    points = (
+        {"points": sum(frame_lengths["ptr"] for frame_lengths in lengths)} if "xyz" in empty else {}
+    )
     return {"frames": len(frame), **points}
 
 
 def put_motion(file: store.DriveWriter, frame: np.ndarray, motion: store.DriveReader) -> None:
-    """Write the measured motion of frame numbers [F]; 0 and not valid for frames that the motion file lacks."""
+    """Write the measured motion of frame numbers [F]; 0 and not valid for frames that the motion
+    file lacks.
+    """
     _, here, measured = np.intersect1d(frame, motion.frame, return_indices=True)
     for name, (source, unit) in MOTION.items():
         values = motion[source]
@@ -113,11 +135,15 @@ class Graphs(store.DriveReader):
             return Contents(kind="image", image_size=(height, width))
         if "degree" in self:
             return Contents(kind="graph")
-        return Contents(kind="pointnet2", levels=next(n for n in count() if f"centres_{n + 1}" not in self))
+        return Contents(
+            kind="pointnet2", levels=next(n for n in count() if f"centres_{n + 1}" not in self)
+        )
 
     @cached_property
     def counts(self) -> Arrays:
-        """Numbers per frame [G], as far as the file has them: points, edges_knn and edges_kept (directed)."""
+        """Numbers per frame [G], as far as the file has them: points, edges_knn and edges_kept
+        (directed).
+        """
         points = {"points": np.diff(self["ptr"])} if "xyz" in self else {}
         return points | {name: self[name] for name in ("edges_knn", "edges_kept") if name in self}
 
@@ -133,7 +159,9 @@ class Graphs(store.DriveReader):
 
 
 def open_graphs(path: str | Path) -> Graphs:
-    """Open a graph file, a context manager. Raises InputError if it is missing, damaged or of another stage."""
+    """Open a graph file, a context manager. Raises InputError if it is missing, damaged or of
+    another stage.
+    """
     return Graphs(Path(path), stage="graphs")
 
 

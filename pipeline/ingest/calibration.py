@@ -16,22 +16,31 @@ RENDERED = "dataset: sample"  # its first line, of rendered drives
 
 
 def read_calibration(folder: Path, number: int) -> Camera:
-    """Read camera `number` from a date folder's files. Raises InputError for missing or wrong entries."""
+    """Read camera `number` from a date folder's files. Raises InputError for missing or wrong
+    entries.
+    """
     path, velo = folder / CALIBRATION, folder / "calib_velo_to_cam.txt"
     with error_context(fix="Extract the date's calibration archive (…_calib.zip) again"):
         entries = read_entries(path)
         P = matrix(entries, f"P_rect_{number:02d}", (3, 4), path)
-        width, height = np.rint(matrix(entries, f"S_rect_{number:02d}", (2,), path)).astype(int).tolist()
+        width, height = (
+            np.rint(matrix(entries, f"S_rect_{number:02d}", (2,), path)).astype(int).tolist()
+        )
         K, size = P[:, :3], (height, width)
         check_pinhole(K, size, f"{path}: P_rect_{number:02d}")
         if not velo.exists():
             return Camera(K, size)
-        # P_rect projects from the reference camera's frame, P = K [I | t]: t shifts points to this camera. All three
-        # components count: with x alone (as in pykitti) depths are off by t_z, 3 mm.
+        # P_rect projects from the reference camera's frame, P = K [I | t]: t shifts points to this
+        # camera. All three components count: with x alone (as in pykitti) depths are off by t_z, 3
+        # mm.
         shift = rigid(np.eye(3), np.linalg.solve(K, P[:, 3]))
         rectify = rigid(matrix(entries, "R_rect_00", (3, 3), path), np.zeros(3))
         entries = read_entries(velo)
-        T_cam_velo = shift @ rectify @ rigid(matrix(entries, "R", (3, 3), velo), matrix(entries, "T", (3,), velo))
+        T_cam_velo = (
+            shift
+            @ rectify
+            @ rigid(matrix(entries, "R", (3, 3), velo), matrix(entries, "T", (3,), velo))
+        )
         return Camera(K, size, T_cam_velo=T_cam_velo).at_height(camera_height(T_cam_velo))
 
 
@@ -47,7 +56,9 @@ def read_entries(path: Path) -> dict[str, np.ndarray]:
         raise InputError(f"is not a calibration file ({error})", path) from error
 
 
-def matrix(entries: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...], path: Path) -> np.ndarray:
+def matrix(
+    entries: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...], path: Path
+) -> np.ndarray:
     """Return entry `name` of the file at `path` in this shape. Raises InputError."""
     if name not in entries:
         raise InputError(f"has no entry {name}", path)
@@ -61,5 +72,9 @@ def write_entries(path: Path, entries: Mapping[str, str | np.ndarray]) -> None:
     """Write the entries in one step: text unchanged, numbers with 13 digits."""
     with replacing(path) as tmp, tmp.open("w", encoding="ascii") as file:
         for name, value in entries.items():
-            text = value if isinstance(value, str) else " ".join(f"{number:.12e}" for number in value.ravel())
+            text = (
+                value
+                if isinstance(value, str)
+                else " ".join(f"{number:.12e}" for number in value.ravel())
+            )
             file.write(f"{name}: {text}\n")

@@ -1,4 +1,5 @@
-"""Write the ingest file, data/ingest/<drive>.h5: everything that later stages need of a drive of any dataset.
+"""Write the ingest file, data/ingest/<drive>.h5: everything that later stages need of a drive of
+any dataset.
 
 Each row belongs to a frame number. Missing data has the fill value, and ``has_<name>`` is 0.
 """
@@ -26,7 +27,8 @@ MAPS: dict[str, tuple[str, np.ndarray, Callable[..., np.ndarray]]] = {
     "cls": (f"trainId, {VOID} = void", np.array(VOID, np.uint8), nearest),
 }
 HAS = (*MAPS, "lidar")
-# Of the values of a frame: unit, and the value of a frame without one. Of oxts, each frame has a packet.
+# Of the values of a frame: unit, and the value of a frame without one. Of oxts, each frame has a
+# packet.
 VALUES: dict[str, tuple[str, float]] = {
     "oxts": ("as KITTI's oxts/dataformat.txt", np.nan),
     "steering_rad": ("rad, left positive", 0.0),
@@ -43,27 +45,40 @@ COUNTS = {
 }
 
 
-def ingest_drive(path: Path, name: str, dataset: str, settings: Ingest, root: Path, reading: Reading) -> Summary:
+def ingest_drive(
+    path: Path, name: str, dataset: str, settings: Ingest, root: Path, reading: Reading
+) -> Summary:
     """Write the file of drive `name` of a dataset below `root`, see pipeline/ingest/drive.py."""
     return write_drive(path, load(dataset).open_drive(name, settings, root), name, dataset, reading)
 
 
 def write_drive(
-    path: Path, drive: Drive, name: str, dataset: str, settings: Reading, advance: Callable[[int], object] | None = None
+    path: Path,
+    drive: Drive,
+    name: str,
+    dataset: str,
+    settings: Reading,
+    advance: Callable[[int], object] | None = None,
 ) -> Summary:
-    """Write a drive of `dataset`; `advance` is called with the number of frames that are done since the last call.
+    """Write a drive of `dataset`; `advance` is called with the number of frames that are done since
+    the last call.
 
-    Images are cropped around the horizon. Returns the counts of frames, images, scans, …, and ``counts``, a text.
-    Raises InputError if there are no frames, pixels of another size than the camera's, or values with an unknown name.
+    Images are cropped around the horizon. Returns the counts of frames, images, scans, …, and
+    ``counts``, a text. Raises InputError if there are no frames, pixels of another size than the
+    camera's, or values with an unknown name.
     """
     _check_names(drive.values)
     camera, size = drive.camera, settings.image_size
     values = {**recorded_motion(drive.values.get("oxts", {})), **drive.values}
     crop = camera.crop_to(size) if camera else None
-    params: dict[str, Any] = {"dataset": drive.dataset or dataset, "ingest": settings.model_dump(mode="json")}
+    params: dict[str, Any] = {
+        "dataset": drive.dataset or dataset,
+        "ingest": settings.model_dump(mode="json"),
+    }
     if camera and camera.height_known and camera.height_m != camera_height(camera.T_cam_velo):
         params["camera_height_m"] = camera.height_m
-    rows, written = list[tuple[float, ...]](), {"image"}  # number, time, points, and whether it has the HAS; maps
+    # number, time, points, and whether it has the HAS; maps
+    rows, written = list[tuple[float, ...]](), {"image"}
     with DriveWriter(path, stage="ingest", drive=name, params=params) as file:
         for frame in drive.frames():
             _check_size(frame, camera)
@@ -77,7 +92,9 @@ def write_drive(
                     for _ in rows:
                         file.append(key, empty[None], unit)
                 if key in written:
-                    row = resize(crop.pixels(pixels), size) if pixels is not None and crop else empty
+                    row = (
+                        resize(crop.pixels(pixels), size) if pixels is not None and crop else empty
+                    )
                     file.append(key, row[None], unit)
             scan = np.zeros((0, 4), np.float32) if frame.scan is None else frame.scan
             file.append("lidar", scan, "m, m, m, reflectance", "lidar_ptr")
@@ -102,19 +119,28 @@ def write_drive(
         for key, of_frames in zip(HAS, present, strict=True):
             file.put(f"has_{key}", np.array(of_frames, np.uint8))
     counts = dict(zip(HAS, map(sum, present), strict=True)) | {"steering": int(steered.sum())}
-    texts = [*(f"{counts[key]} {text}" for key, text in COUNTS.items() if counts[key]), *drive.notes]
+    texts = [
+        *(f"{counts[key]} {text}" for key, text in COUNTS.items() if counts[key]),
+        *drive.notes,
+    ]
     return {"frames": len(numbers)} | counts | {"counts": "".join(f", {text}" for text in texts)}
 
 
 def _check_names(values: Mapping[str, Any]) -> None:
-    """Raise InputError if values have a name that no file of stage ingest has: they would be lost."""
+    """Raise InputError if values have a name that no file of stage ingest has: they would be
+    lost.
+    """
     for name in values:
         if name not in VALUES:
-            raise InputError(f"Drive.values has the unknown name {name}: {closest(name, [*VALUES])}")
+            raise InputError(
+                f"Drive.values has the unknown name {name}: {closest(name, [*VALUES])}"
+            )
 
 
 def _check_size(frame: Frame, camera: Camera | None) -> None:
-    """Raise InputError if pixels of a frame have another size than the camera, whose crop would cut them."""
+    """Raise InputError if pixels of a frame have another size than the camera, whose crop would cut
+    them.
+    """
     if camera is None:
         return
     for kind, pixels in (("image", frame.image), ("depth_m", frame.depth_m), ("cls", frame.cls)):

@@ -1,4 +1,6 @@
-"""Find the files of one recording by their names: a folder's videos or images, of one camera and in order."""
+"""Find the files of one recording by their names: a folder's videos or images, of one camera and in
+order.
+"""
 
 import re
 from collections import defaultdict
@@ -12,15 +14,21 @@ from pipeline.base.resume import content_hash
 
 PICTURES = (".png", ".jpg", ".jpeg")
 VIDEOS = (".mp4", ".mov", ".mkv", ".avi", ".ts", ".mts", ".webm")
-# Largest number of pictures per video of a folder that are thumbnails or photographs; more of them are a recording.
+# Largest number of pictures per video of a folder that are thumbnails or photographs; more of them
+# are a recording.
 BESIDE = 10
 # Number of patterns of names in an error message.
 NAMED = 6
-# Times are one number: 2024-05-01_12-00-00, 20240501_120000, 20240501120000123, and 12-00-00 without a date.
-_NUMBER = re.compile(r"(20\d\d\D?\d\d\D?\d\d\D?\d\d\D?\d\d\D?\d\d\d*|\d\d[-.]\d\d[-.]\d\d(?!\d)|\d+)")
-# Names of GoPro: GX020042 is the second chapter of recording 0042; of older cameras, GP010042 follows GOPR0042.
+# Times are one number: 2024-05-01_12-00-00, 20240501_120000, 20240501120000123, and 12-00-00
+# without a date.
+_NUMBER = re.compile(
+    r"(20\d\d\D?\d\d\D?\d\d\D?\d\d\D?\d\d\D?\d\d\d*|\d\d[-.]\d\d[-.]\d\d(?!\d)|\d+)"
+)
+# Names of GoPro: GX020042 is the second chapter of recording 0042; of older cameras, GP010042
+# follows GOPR0042.
 _GOPRO = re.compile(r"(G[HLSX](?=\d{6})|GP(?=\d{6})|GOPR(?=\d{4}$))(\d\d)??(\d{4})")
-# Names of BlackVue: 20240501_120000_NF has the mode N (others are E for events, P for parking), and the camera F.
+# Names of BlackVue: 20240501_120000_NF has the mode N (others are E for events, P for parking), and
+# the camera F.
 _BLACKVUE = re.compile(r"(\d{8}_\d{6})_[A-Z]([A-Z])")
 
 
@@ -34,33 +42,45 @@ def check_name(path: Path) -> None:
 
 
 def check_different(paths: Sequence[Path]) -> None:
-    """Raise InputError if two files, or two folders, have the same content; missing ones are for the caller."""
+    """Raise InputError if two files, or two folders, have the same content; missing ones are for
+    the caller.
+    """
     known = dict[str, Path]()
     for path in filter(Path.exists, paths):
         value = content_hash(path)
         if value in known:
-            raise InputError(f"has the same content as {known[value]}", path, "Pass each recording once")
+            raise InputError(
+                f"has the same content as {known[value]}", path, "Pass each recording once"
+            )
         known[value] = path
 
 
 def videos_in(folder: Path) -> tuple[list[Path], list[str]]:
-    """Return the videos of a folder in order, none if its images are the recording; and notes on ignored files.
+    """Return the videos of a folder in order, none if its images are the recording; and notes on
+    ignored files.
 
     Raises InputError for videos of several cameras or recordings.
     """
     videos, pictures = visible(folder, VIDEOS), visible(folder, PICTURES)
     if len(pictures) > BESIDE * len(videos):
-        return [], [f"the folder's {len(pictures)} images are used, not {_some(videos)}"] if videos else []
+        return [], [
+            f"the folder's {len(pictures)} images are used, not {_some(videos)}"
+        ] if videos else []
     if not videos:
         return [], []
     groups = group(videos)
     if len(groups) > 1:
         patterns = sorted(groups)
         more = f" and {len(groups) - NAMED} more" if len(groups) > NAMED else ""
-        problem = f"has videos of {len(groups)} cameras or recordings: {', '.join(patterns[:NAMED])}{more}"
+        problem = (
+            f"has videos of {len(groups)} cameras or recordings: "
+            f"{', '.join(patterns[:NAMED])}{more}"
+        )
         example = next((pattern for pattern in patterns if "front" in pattern.lower()), patterns[0])
         raise InputError(problem, folder, f"Pass the files of one, for instance {folder / example}")
-    notes = [f"the folder's {len(videos)} videos are used, not {_some(pictures)}"] if pictures else []
+    notes = (
+        [f"the folder's {len(videos)} videos are used, not {_some(pictures)}"] if pictures else []
+    )
     return next(iter(groups.values())), notes
 
 
@@ -70,9 +90,11 @@ def _some(files: Sequence[Path]) -> str:
 
 
 def group(files: Sequence[Path]) -> dict[str, list[Path]]:
-    """Return the files of each recording in order, by a pattern of their names; * stands for the number that rises.
+    """Return the files of each recording in order, by a pattern of their names; * stands for the
+    number that rises.
 
-    Names of one recording differ in one number. Others may rise with it, as a counter does with the time.
+    Names of one recording differ in one number. Others may rise with it, as a counter does with the
+    time.
     """
     alike = defaultdict[tuple[str, ...], list[Path]](list)
     for path in files:
@@ -109,7 +131,9 @@ def _rise(before: Sequence[int], after: Sequence[int]) -> bool:
 
 
 def _parts(path: Path) -> list[str]:
-    """Return the parts of a name: text, number, text, and so on; the number of a recording of GoPro is a text."""
+    """Return the parts of a name: text, number, text, and so on; the number of a recording of GoPro
+    is a text.
+    """
     if match := _GOPRO.fullmatch(path.stem):
         camera, chapter, recording = match.groups()
         return ["G" if camera in ("GP", "GOPR") else camera, chapter or "0", recording]
@@ -129,18 +153,28 @@ def order_doubts(paths: Sequence[Path]) -> list[str]:
     patterns = {path: pattern for pattern, members in groups.items() for path in members}
     runs = [pattern for pattern, _ in groupby(patterns[path] for path in paths)]
     if len(runs) > len(groups):
-        return [f"files of {' and '.join(sorted(groups)[:NAMED])} take turns: are these several cameras or recordings?"]
+        return [
+            f"files of {' and '.join(sorted(groups)[:NAMED])} take turns: are these several "
+            "cameras or recordings?"
+        ]
     for members in groups.values():
         given = [path for path in paths if path in members]
         for before, after in pairwise(given):
             if members.index(after) < members.index(before):
-                return [f"{after.name} follows {before.name}, unlike the numbers in their names: is the order right?"]
+                return [
+                    f"{after.name} follows {before.name}, unlike the numbers in their names: is "
+                    "the order right?"
+                ]
     return []
 
 
 def visible(folder: Path, suffixes: Sequence[str]) -> list[Path]:
-    """Return a folder's files with these suffixes, by the numbers in their names, then the names."""
-    files = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.name[0] != "."]
+    """Return a folder's files with these suffixes, by the numbers in their names, then the
+    names.
+    """
+    files = [
+        path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.name[0] != "."
+    ]
     return sorted(files, key=lambda path: (words(path), path.name))
 
 

@@ -1,4 +1,6 @@
-"""Open a recording: a user's video files or images with their times, the camera, and logs of the car."""
+"""Open a recording: a user's video files or images with their times, the camera, and logs of the
+car.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -41,19 +43,26 @@ class Recording:
         return self.source.path
 
     def frames(self, used: np.ndarray | None = None) -> Iterator[Frame]:
-        """Yield number, time and straightened image RGB uint8 [H,W,3] of the frames; a second call starts again.
+        """Yield number, time and straightened image RGB uint8 [H,W,3] of the frames; a second call
+        starts again.
 
-        `used`: a mask of the frames, bool [F]; None: all. Times are seconds since the first image, or those of a file.
+        `used`: a mask of the frames, bool [F]; None: all. Times are seconds since the first image,
+        or those of a file.
         """
-        numbers = {place: row for row, place in enumerate(self.kept.tolist()) if used is None or used[row]}
+        numbers = {
+            place: row for row, place in enumerate(self.kept.tolist()) if used is None or used[row]
+        }
         for place, image in enumerate(self.source.images()):
             if (number := numbers.pop(place, None)) is not None:
-                yield Frame(number, float(self.times_s[number]), self.straighten(upright(image, self.path)))
+                yield Frame(
+                    number, float(self.times_s[number]), self.straighten(upright(image, self.path))
+                )
                 if not numbers:
                     return
 
     def resample(self, hz: float) -> None:
-        """Keep only the frames nearest to a grid of `hz`; of a recording at about n times `hz`, every n-th frame.
+        """Keep only the frames nearest to a grid of `hz`; of a recording at about n times `hz`,
+        every n-th frame.
 
         Raises InputError if the recording is slower than `hz` by more than RATE_TOLERANCE.
         """
@@ -65,7 +74,9 @@ class Recording:
         if ratio < 1 - RATE_TOLERANCE:
             raise InputError(rates, self.path, "Pass the right --fps, or another --model")
         if ratio > 1 + RATE_TOLERANCE:
-            step_s = (round(ratio) if abs(ratio / round(ratio) - 1) < RATE_TOLERANCE / 2 else ratio) / own_hz
+            step_s = (
+                round(ratio) if abs(ratio / round(ratio) - 1) < RATE_TOLERANCE / 2 else ratio
+            ) / own_hz
             grid_s = np.arange(time_s[0], time_s[-1], step_s)
             rows = np.unique(np.searchsorted((time_s[1:] + time_s[:-1]) / 2, grid_s))
             self.kept = self.kept[rows]
@@ -78,13 +89,16 @@ def open_recording(
 ) -> Recording:
     """Open a video file, several that follow each other, a folder of these, or one of images.
 
-    All images are decoded once, unless they were `scanned` before. Raises InputError if there are no images or they
-    have no usable times, if they are mirrored or of several sizes, if pixels are not square, for a lens that does not
-    fit, and for logs of another time, before any image is decoded; DamagedFile if an image cannot be decoded, images
-    are missing at the end, or timestamps do not increase.
+    All images are decoded once, unless they were `scanned` before. Raises InputError if there are
+    no images or they have no usable times, if they are mirrored or of several sizes, if pixels are
+    not square, for a lens that does not fit, and for logs of another time, before any image is
+    decoded; DamagedFile if an image cannot be decoded, images are missing at the end, or timestamps
+    do not increase.
     """
     if options.fps and options.times:
-        raise InputError("expected one source of the images' times, got two", fix="Pass --fps or --times")
+        raise InputError(
+            "expected one source of the images' times, got two", fix="Pass --fps or --times"
+        )
     logs = read_logs(options)
     source = _find_images(paths, options.fps)
     times_s = read_times(options.times) if options.times else None
@@ -99,15 +113,22 @@ def open_recording(
         notes += found
     count = len(scanned)
     if count < INEXACT * source.stored - 1:
-        notes.append(f"{count} of the file's {source.stored} frames are used: it was trimmed, and times begin there")
+        notes.append(
+            f"{count} of the file's {source.stored} frames are used: it was trimmed, and times "
+            "begin there"
+        )
     if times_s is None:
         times_s = source.times_s(scanned["time_s"].to_numpy())
     if len(times_s) != count:
         raise InputError(f"has {count} images, but {len(times_s)} times", source.path)
 
-    kept = np.flatnonzero(~repeats(scanned["change"].to_numpy(), scanned["key"].to_numpy(), times_s))
+    kept = np.flatnonzero(
+        ~repeats(scanned["change"].to_numpy(), scanned["key"].to_numpy(), times_s)
+    )
     if len(kept) < count:
-        notes.append(f"{count - len(kept)} of {count} images repeat the image before and are left out")
+        notes.append(
+            f"{count - len(kept)} of {count} images repeat the image before and are left out"
+        )
         times_s = evened(times_s[kept], float(np.median(np.diff(times_s))))
     camera, straighten = _lens(options, size, source.path)
     return Recording(source, camera, straighten, scanned, kept, times_s, logs, notes, source.doubts)
@@ -121,7 +142,9 @@ def _find_images(paths: Sequence[Path], fps: float | None) -> ImageFolder | Vide
         check_name(path)
     if len(paths) > 1:
         if folder := next(filter(Path.is_dir, paths), None):
-            raise InputError("is a folder among several files", folder, "Pass videos in order, or one folder")
+            raise InputError(
+                "is a folder among several files", folder, "Pass videos in order, or one folder"
+            )
         check_different(paths)
     if not paths[0].is_dir():
         return VideoFiles(paths, fps)
@@ -135,12 +158,21 @@ def _find_images(paths: Sequence[Path], fps: float | None) -> ImageFolder | Vide
 
 
 def _lens(options: RecordingOptions, size: Size, path: Path) -> tuple[Camera, Straighten]:
-    """Return the camera of straightened images, and the function that straightens them. Raises InputError."""
+    """Return the camera of straightened images, and the function that straightens them. Raises
+    InputError.
+    """
     if size[0] > size[1]:
-        sizes = f"images are taller than wide ({format_size(size)} pixels): is it rotated by 90 degrees?"
-        raise InputError(sizes, path, "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)")
+        sizes = (
+            f"images are taller than wide ({format_size(size)} pixels): is it rotated by 90 "
+            "degrees?"
+        )
+        raise InputError(
+            sizes, path, "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)"
+        )
     if options.distortion and options.fisheye:
-        raise InputError("expected one model of the lens, got two", fix="Pass --distortion or --fisheye")
+        raise InputError(
+            "expected one model of the lens, got two", fix="Pass --distortion or --fisheye"
+        )
     if options.fisheye:
         return fisheye(size, options.fisheye, options.fov_deg, options.K)
     camera = pinhole(size, options.fov_deg, options.K)

@@ -1,19 +1,26 @@
-"""Find the images that a conversion to a higher frame rate repeats, and even the times of the others."""
+"""Find the images that a conversion to a higher frame rate repeats, and even the times of the
+others.
+"""
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 RUN_S = 0.5  # a longer run of unchanged images is a standing car
-UNCHANGED = 0.3  # change of a repeat, relative to those around its run: at most 0.2, on real streets at least 0.5
-NOISE, KEY_NOISE = 0.7, 2.5  # grey levels: of an encoder, and what its key frames add at a low bit rate
+# change of a repeat, relative to those around its run: at most 0.2, on real streets at least 0.5
+UNCHANGED = 0.3
+# grey levels: of an encoder, and what its key frames add at a low bit rate
+NOISE, KEY_NOISE = 0.7, 2.5
 SOME = 0.03  # share of repeats in a conversion
-EVEN_S, JITTER = 3.0, 1.3  # times are evened over it; largest deviations, in steps of the grid: cameras jitter
+# times are evened over it; largest deviations, in steps of the grid: cameras jitter
+EVEN_S, JITTER = 3.0, 1.3
 
 
 def repeats(change: np.ndarray, key: np.ndarray, time_s: np.ndarray) -> np.ndarray:
-    """Return which of N images repeat the one before, bool [N]: in runs without change below RUN_S, between changes.
+    """Return which of N images repeat the one before, bool [N]: in runs without change below RUN_S,
+    between changes.
 
-    `change` [N]: mean difference to the image before, in grey levels, infinite for the first. `key` [N]: 1: key frame.
+    `change` [N]: mean difference to the image before, in grey levels, infinite for the first. `key`
+    [N]: 1: key frame.
     """
     result, shown_s = np.zeros(len(change), bool), np.append(time_s, time_s[-1])
     least = np.append(np.where(key > key.min(), change - KEY_NOISE, change), np.inf)
@@ -21,7 +28,10 @@ def repeats(change: np.ndarray, key: np.ndarray, time_s: np.ndarray) -> np.ndarr
         for first in np.flatnonzero(least[1:-1] < UNCHANGED * least[:-2]) + 1:
             for after in range(first + 1, np.searchsorted(shown_s, shown_s[first - 1] + RUN_S)):
                 around, run = min(least[first - 1], least[after]), slice(first, after)
-                if NOISE < around < np.inf and max(least[run].max(), surely[run].min()) < UNCHANGED * around:
+                if (
+                    NOISE < around < np.inf
+                    and max(least[run].max(), surely[run].min()) < UNCHANGED * around
+                ):
                     result[run] = True
         if result.mean() < SOME:
             break
@@ -29,11 +39,12 @@ def repeats(change: np.ndarray, key: np.ndarray, time_s: np.ndarray) -> np.ndarr
 
 
 def evened(time_s: np.ndarray, grid_s: float) -> np.ndarray:
-    """Return times [F] of regular images, which a conversion has moved to the next place of a grid with step `grid_s`.
+    """Return times [F] of regular images, which a conversion has moved to the next place of a grid
+    with step `grid_s`.
 
-    Each time is read from the line through a window of EVEN_S: the one with the least deviation and, of similar ones,
-    that with the image nearest to its middle. So windows end where the camera paused. A time stays if all deviate by
-    more than the grid explains.
+    Each time is read from the line through a window of EVEN_S: the one with the least deviation
+    and, of similar ones, that with the image nearest to its middle. So windows end where the camera
+    paused. A time stays if all deviate by more than the grid explains.
     """
     count = min(len(time_s), 2 * round(EVEN_S / 2 / float(np.median(np.diff(time_s)))) + 1)
     windows, place = sliding_window_view(time_s, count), np.arange(count) - (count - 1) / 2

@@ -21,7 +21,9 @@ KITTI_NAMES = re.compile(r"\d{4}_\d\d_\d\d_drive_\d{4}")  # also of the sample
 
 
 class Drives(Section):
-    """Drives of each split. 2026_01_01_drive_0001..0009 stands for the nine drives 1 to 9 of a date."""
+    """Drives of each split. 2026_01_01_drive_0001..0009 stands for the nine drives 1 to 9 of a
+    date.
+    """
 
     train: list[Name] = []
     val: list[Name] = []
@@ -30,13 +32,19 @@ class Drives(Section):
     @field_validator(*SPLITS, mode="before")
     @classmethod
     def _expand(cls, names: Any) -> Any:
-        return [drive for name in names for drive in _expand_range(name)] if isinstance(names, list) else names
+        return (
+            [drive for name in names for drive in _expand_range(name)]
+            if isinstance(names, list)
+            else names
+        )
 
     @model_validator(mode="after")
     def _disjoint(self) -> Self:
         names = self.train + self.val + self.test
         if twice := sorted({name for name in names if names.count(name) > 1}):
-            raise ValueError(f"{', '.join(twice)} is listed more than once (expected one split per drive)")
+            raise ValueError(
+                f"{', '.join(twice)} is listed more than once (expected one split per drive)"
+            )
         return self
 
     def splits(self) -> dict[str, str]:
@@ -45,7 +53,9 @@ class Drives(Section):
 
 
 def _expand_range(name: Any) -> list[Any]:
-    """Return the drives of a range. Any other name stays, and an empty range, which is no drive's name."""
+    """Return the drives of a range. Any other name stays, and an empty range, which is no drive's
+    name.
+    """
     match = re.fullmatch(r"(.*?)([0-9]+)\.\.([0-9]+)", str(name))
     if not match or len(match[2]) != len(match[3]):
         return [name]
@@ -65,32 +75,55 @@ File = Annotated[Path | None, Field(strict=False)]
 
 
 class RecordingOptions(Section):
-    """What is known about a recording: the lens, the images' times, the camera's height, and logs of the car.
+    """What is known about a recording: the lens, the images' times, the camera's height, and logs
+    of the car.
 
     The command line and ingest.recordings use the aliases, Python the names with units.
     """
 
     fov_deg: float | None = Field(
-        default=None, alias="fov", ge=5, le=170, description="intrinsics: horizontal field of view, degrees"
+        default=None,
+        alias="fov",
+        ge=5,
+        le=170,
+        description="intrinsics: horizontal field of view, degrees",
     )
     K: Numbers = Field(default=None, description="intrinsics: in pixels", examples=["FX,FY,CX,CY"])
     distortion: Numbers = Field(
-        default=None, description="lens distortion by OpenCV's model; default: none", examples=["K1,K2,P1,P2[,K3]"]
+        default=None,
+        description="lens distortion by OpenCV's model; default: none",
+        examples=["K1,K2,P1,P2[,K3]"],
     )
     fisheye: Numbers = Field(
-        default=None, description="of a fisheye lens, by OpenCV's model; 0,0,0,0: equidistant", examples=["K1,K2,K3,K4"]
+        default=None,
+        description="of a fisheye lens, by OpenCV's model; 0,0,0,0: equidistant",
+        examples=["K1,K2,K3,K4"],
     )
     fps: float | None = Field(
-        default=None, ge=0.01, le=1000, description="times: images per second; default: a video's own times"
+        default=None,
+        ge=0.01,
+        le=1000,
+        description="times: images per second; default: a video's own times",
     )
-    times: File = Field(default=None, description="times: a file with the seconds of each image, one per line")
+    times: File = Field(
+        default=None, description="times: a file with the seconds of each image, one per line"
+    )
     camera_height_m: float | None = Field(
-        default=None, alias="camera_height", ge=0.3, le=5, description="height of the camera over the road, metres"
+        default=None,
+        alias="camera_height",
+        ge=0.3,
+        le=5,
+        description="height of the camera over the road, metres",
     )
-    motion: File = Field(default=None, description="CSV with time_s, speed_mps, yaw_rate_radps (left +)")
+    motion: File = Field(
+        default=None, description="CSV with time_s, speed_mps, yaw_rate_radps (left +)"
+    )
     wheel: File = Field(default=None, description="CSV with time_s and wheel_rad (left +)")
     steering_ratio: float | None = Field(
-        default=None, ge=-50, le=50, description="steering wheel's angle / front wheels'; negative: turns the sign"
+        default=None,
+        ge=-50,
+        le=50,
+        description="steering wheel's angle / front wheels'; negative: turns the sign",
     )
     offset_s: float = Field(
         default=0.0,
@@ -102,15 +135,21 @@ class RecordingOptions(Section):
 
 
 class Part(RecordingOptions):
-    """A part of a recording in data/raw; `steer import` writes these. Its logs and times are among its files."""
+    """A part of a recording in data/raw; `steer import` writes these. Its logs and times are among
+    its files.
+    """
 
     folder: Name  # of data/raw
     files: dict[str, str]  # name in the folder → SHA-256
     horizon: float | None = Field(
         default=None, ge=-1e4, le=1e4, description="row of the road's horizon; default: estimated"
     )
-    start: float = Field(default=0.0, ge=0, le=1e10, description="leave out earlier images, seconds since the first")
-    end: float | None = Field(default=None, ge=0, le=1e10, description="leave out this and later images")
+    start: float = Field(
+        default=0.0, ge=0, le=1e10, description="leave out earlier images, seconds since the first"
+    )
+    end: float | None = Field(
+        default=None, ge=0, le=1e10, description="leave out this and later images"
+    )
 
     def shares_images(self, other: Self) -> bool:
         """Return whether another part has images of this one, also in a folder of another name."""
@@ -146,12 +185,16 @@ class Ingest(Reading):
         for drive, dataset in self.datasets().items():
             if dataset not in DATASETS:
                 raise ValueError(
-                    f"source: there is no pipeline/ingest/datasets/{dataset}.py ({closest(dataset, DATASETS)})"
+                    f"source: there is no pipeline/ingest/datasets/{dataset}.py "
+                    f"({closest(dataset, DATASETS)})"
                 )
             if dataset == RECORDING and drive not in self.recordings:
                 raise ValueError(f"{drive} has no entry in recordings: steer import writes them")
             if dataset in ("kitti", "sample") and not KITTI_NAMES.fullmatch(drive):
-                raise ValueError(f"drives: expected a drive's name, such as 2011_09_26_drive_0052 (got {drive!r})")
+                raise ValueError(
+                    "drives: expected a drive's name, such as 2011_09_26_drive_0052 (got "
+                    f"{drive!r})"
+                )
         return self
 
     @model_validator(mode="after")
@@ -162,14 +205,32 @@ class Ingest(Reading):
         """
         for drive, part in self.recordings.items():
             if part.times or part.motion or part.wheel:
-                raise ValueError(f"recordings.{drive}: logs and times are listed in files: steer import writes them")
-        parts = [(drive, self.recordings[drive]) for drive in self.drives.splits() if drive in self.recordings]
+                raise ValueError(
+                    f"recordings.{drive}: logs and times are listed in files: steer import writes "
+                    "them"
+                )
+        parts = [
+            (drive, self.recordings[drive])
+            for drive in self.drives.splits()
+            if drive in self.recordings
+        ]
         for (drive, part), (other, other_part) in combinations(parts, 2):
             if part.shares_images(other_part):
-                spans = f"{drive} is {part.span()}, {other} is {other_part.span()} of data/raw/{part.folder}"
-                raise ValueError(f"recordings overlap: {spans}. Change start or end of one, or remove it from drives")
+                spans = (
+                    f"{drive} is {part.span()}, {other} is {other_part.span()} of "
+                    f"data/raw/{part.folder}"
+                )
+                raise ValueError(
+                    f"recordings overlap: {spans}. Change start or end of one, or remove it from "
+                    "drives"
+                )
         return self
 
     def datasets(self) -> dict[str, str]:
-        """Return drive → dataset, a file of pipeline/ingest/datasets; recordings are those of `recordings`."""
-        return {drive: RECORDING if drive in self.recordings else self.source for drive in self.drives.splits()}
+        """Return drive → dataset, a file of pipeline/ingest/datasets; recordings are those of
+        `recordings`.
+        """
+        return {
+            drive: RECORDING if drive in self.recordings else self.source
+            for drive in self.drives.splits()
+        }

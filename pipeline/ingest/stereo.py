@@ -1,4 +1,6 @@
-"""Recognise videos of a stereo camera, which hold both of its images: side by side, or one above the other."""
+"""Recognise videos of a stereo camera, which hold both of its images: side by side, or one above
+the other.
+"""
 
 from pathlib import Path
 
@@ -9,7 +11,8 @@ from pipeline.base.errors import InputError
 
 # Width in pixels of a half when the halves are compared.
 WIDTH = 240
-# Largest shift in pixels between the two images: 12 % of their width, as of a thing 3 m before KITTI's.
+# Largest shift in pixels between the two images: 12 % of their width, as of a thing 3 m before
+# KITTI's.
 REACH = 28
 # Blocks of a half in each direction; each has its own shift.
 BLOCKS = 6
@@ -19,31 +22,39 @@ LEAST_HEIGHT = 4
 STRUCTURE = 0.5
 # Least share of the blocks that have structure.
 STRUCTURED = 1 / 3
-# Least correlation of the halves of a stereo camera's image, a median. It is 0.66 at a baseline of 54 cm and 0.9 at
-# 12 cm; other images of streets have at most 0.25, also at night, in fog or with black bars, and 0.44 out of focus.
+# Least correlation of the halves of a stereo camera's image, a median. It is 0.66 at a baseline of
+# 54 cm and 0.9 at 12 cm; other images of streets have at most 0.25, also at night, in fog or with
+# black bars, and 0.44 out of focus.
 ALIKE = 0.55
 
 
 def likeness(grey: np.ndarray) -> tuple[float, float]:
-    """Return the correlations of the left and the right half of an image uint8 [H,W], and of the upper and the lower.
+    """Return the correlations of the left and the right half of an image uint8 [H,W], and of the
+    upper and the lower.
 
     NaN if there is not enough structure.
     """
     wide = _structure(grey, 2 * WIDTH)
     narrow = _structure(grey, WIDTH)
     middle = len(narrow) // 2
-    return _correlation(wide[:, :WIDTH], wide[:, WIDTH:]), _correlation(narrow[:middle], narrow[middle : 2 * middle])
+    return _correlation(wide[:, :WIDTH], wide[:, WIDTH:]), _correlation(
+        narrow[:middle], narrow[middle : 2 * middle]
+    )
 
 
 def _structure(grey: np.ndarray, width: int) -> np.ndarray:
-    """Return the derivative of an image along both axes; it is 0 at edges of black bars, which both halves share."""
+    """Return the derivative of an image along both axes; it is 0 at edges of black bars, which both
+    halves share.
+    """
     height = max(1, round(grey.shape[0] * width / grey.shape[1]))
     small = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
     return np.asarray(cv2.Sobel(small, cv2.CV_32F, 1, 1, ksize=5, scale=1 / 32))
 
 
 def _correlation(first: np.ndarray, second: np.ndarray) -> float:
-    """Return the median correlation of the blocks of one half with the other, each where it fits best in its rows."""
+    """Return the median correlation of the blocks of one half with the other, each where it fits
+    best in its rows.
+    """
     height, width = first.shape
     correlations = list[float]()
     if height < LEAST_HEIGHT * BLOCKS:
@@ -53,7 +64,9 @@ def _correlation(first: np.ndarray, second: np.ndarray) -> float:
             block = first[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
             if block.std() > STRUCTURE:
                 within = slice(max(0, columns[0] - REACH), columns[-1] + 1 + REACH)
-                found = cv2.matchTemplate(second[rows[0] : rows[-1] + 1, within], block, cv2.TM_CCOEFF_NORMED)
+                found = cv2.matchTemplate(
+                    second[rows[0] : rows[-1] + 1, within], block, cv2.TM_CCOEFF_NORMED
+                )
                 correlations.append(float(found.max()))
     return float(np.median(correlations)) if len(correlations) >= STRUCTURED * BLOCKS**2 else np.nan
 
@@ -73,4 +86,6 @@ def _median(values: np.ndarray) -> float:
 
 def _refuse(where: str, half: str, size: str, path: Path) -> None:
     crop = f"ffmpeg -i {path.name} -vf crop={size}:0:0 {half}.mp4"
-    raise InputError(f"has both images of a stereo camera, {where}", path, f"Crop the {half} one: {crop}")
+    raise InputError(
+        f"has both images of a stereo camera, {where}", path, f"Crop the {half} one: {crop}"
+    )

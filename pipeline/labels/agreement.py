@@ -1,7 +1,9 @@
-"""Measure how the values of a log follow those that are measured in images: correlation, lag, gain and offset.
+"""Measure how the values of a log follow those that are measured in images: correlation, lag, gain
+and offset.
 
-What can be judged depends on the noise of the measured values. A frame turns if its measured yaw rate is beyond
-TURNS_SIGMAS standard deviations, so half a minute of a motorway can tell as much as a few corners of a city.
+What can be judged depends on the noise of the measured values. A frame turns if its measured yaw
+rate is beyond TURNS_SIGMAS standard deviations, so half a minute of a motorway can tell as much as
+a few corners of a city.
 """
 
 import math
@@ -21,7 +23,8 @@ TURNS_SIGMAS = 3.0
 NEAR_S = np.array(sorted(np.arange(-40, 41) / 20, key=abs))
 # Lags of a log with another clock, for instance GPS time, which is 18 s ahead of UTC.
 FAR_S = np.array(sorted(np.arange(-300, 301) / 10, key=abs))
-# Frames that have both values at a far lag: fewer show a single bend, which any other bend resembles.
+# Frames that have both values at a far lag: fewer show a single bend, which any other bend
+# resembles.
 FAR_FRAMES = 60
 # Largest gain, or its inverse, of a log that follows at a far lag.
 FAR_GAIN = 3.0
@@ -34,26 +37,31 @@ FOLLOWS = 0.95
 UNEXPLAINED = 1.5**2
 # Least correlation, after the allowance for noise, that tells a log from another one.
 TELLING = 0.8
-# Ratio of standard deviation and root mean square below which values are steady: no correlation is defined.
+# Ratio of standard deviation and root mean square below which values are steady: no correlation is
+# defined.
 STEADY = 0.2
 
-# A log is stuck if it stays equal while the measured values, without a tenth of them on each side, vary by more
-# than these standard deviations, plus a share of the recorded value. Rendered bends reach 3.4 of them for 3 s.
+# A log is stuck if it stays equal while the measured values, without a tenth of them on each side,
+# vary by more than these standard deviations, plus a share of the recorded value. Rendered bends
+# reach 3.4 of them for 3 s.
 STUCK_SIGMAS = 5.0
 STUCK_SHARE = 0.1
 # Turning frames during which a log of zeros is stuck.
 ZERO_FRAMES = 20
-# Largest recorded value where the measured one is 0: in sigmas of the measurement, plus a share of its root mean
-# square. Healthy logs have up to 1.2 sigmas.
+# Largest recorded value where the measured one is 0: in sigmas of the measurement, plus a share of
+# its root mean square. Healthy logs have up to 1.2 sigmas.
 OFFSET_SIGMAS = 2.0
 OFFSET_SHARE = 0.025
-# A bend that never straightens tells its offset by the gain alone: share of its least measured value.
+# A bend that never straightens tells its offset by the gain alone: share of its least measured
+# value.
 OFFSET_GAP = 0.1
-# Frames that an offset needs: a single short bend, which is measured at changing depths, has an apparent one.
+# Frames that an offset needs: a single short bend, which is measured at changing depths, has an
+# apparent one.
 OFFSET_FRAMES = 60
 # Least speed in m/s that has a sign: at standstill, recorded speeds reach -0.15.
 MOVES_MPS = 0.5
-# Turning frames that a third of the frames needs to tell its own lag, and its least correlation there.
+# Turning frames that a third of the frames needs to tell its own lag, and its least correlation
+# there.
 THIRD_FRAMES = 40
 THIRD_FOLLOWS = 0.9
 
@@ -70,12 +78,15 @@ class Noise(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """Recorded and measured labels of the frames [F] of a drive; measured rates are means that look ahead."""
+    """Recorded and measured labels of the frames [F] of a drive; measured rates are means that look
+    ahead.
+    """
 
     time_s: np.ndarray
     recorded: Labels
     measured: Labels
-    noise: Noise | None = None  # None: estimated from the scatter of the yaw rates; the speed is exact
+    # None: estimated from the scatter of the yaw rates; the speed is exact
+    noise: Noise | None = None
 
 
 class Moments(NamedTuple):
@@ -91,7 +102,9 @@ class Moments(NamedTuple):
 
     @property
     def gain(self) -> float:
-        """Return recorded / measured values, by their variations or, where these are steady, by their magnitudes."""
+        """Return recorded / measured values, by their variations or, where these are steady, by
+        their magnitudes.
+        """
         if self.correlation:
             return self.std_r / self.std_m
         return max(self.rms_r, 1e-6) / max(self.rms_m, 1e-6)
@@ -106,18 +119,22 @@ class Moments(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """How recorded values follow measured ones, at the lag with the largest magnitude of their correlation."""
+    """How recorded values follow measured ones, at the lag with the largest magnitude of their
+    correlation.
+    """
 
     frames: int  # with both values
     turning: int  # of these
     correlation: float  # without a lag
     lag_s: float  # of the log, positive if it is late
     best: float  # correlation at this lag; 0 on a steady curve, or if the log is constant
-    lag_gain: float  # by how much the lag raises the magnitude of the correlation beyond what noise can
+    # by how much the lag raises the magnitude of the correlation beyond what noise can
+    lag_gain: float
     judged: bool  # the measured values vary so much that a log of another road would differ
     follows: bool  # as closely as noise allows, with either sign
     one_sided: bool  # all recorded values have the same sign, or are 0
-    magnitude: float  # if one-sided, largest correlation of the log with the magnitudes of the measured values
+    # if one-sided, largest correlation of the log with the magnitudes of the measured values
+    magnitude: float
     other_side: int  # if one-sided, number of frames that turn to the other side
     gain: float  # recorded / measured
     offset: float  # recorded value where the measured one is 0
@@ -148,7 +165,11 @@ class Agreement(NamedTuple):
 
     def content(self) -> dict[str, Any]:
         """Return the values for a JSON file."""
-        fits = {name: value._asdict() for name, value in self._asdict().items() if isinstance(value, Fit | Speed)}
+        fits = {
+            name: value._asdict()
+            for name, value in self._asdict().items()
+            if isinstance(value, Fit | Speed)
+        }
         return {"turning": self.turning, "speed_sigma": self.speed_sigma, **fits}
 
 
@@ -167,7 +188,9 @@ def compare(pairs: Sequence[Pair]) -> Agreement:
 
 
 def backwards(recorded: Labels, measured: Labels) -> np.ndarray:
-    """Return the frames that are measured backwards while the log goes ahead, bool [F]; slow frames do not count."""
+    """Return the frames that are measured backwards while the log goes ahead, bool [F]; slow frames
+    do not count.
+    """
     return _moves(recorded) & _moves(measured) & (measured.speed_mps < 0) & (recorded.speed_mps > 0)
 
 
@@ -176,19 +199,26 @@ def _moves(labels: Labels) -> np.ndarray:
 
 
 def _speed(pairs: Sequence[Pair]) -> Speed | None:
-    recorded = np.concatenate([np.where(_moves(pair.recorded), pair.recorded.speed_mps, np.nan) for pair in pairs])
-    measured = np.concatenate([np.where(_moves(pair.measured), pair.measured.speed_mps, np.nan) for pair in pairs])
+    recorded = np.concatenate(
+        [np.where(_moves(pair.recorded), pair.recorded.speed_mps, np.nan) for pair in pairs]
+    )
+    measured = np.concatenate(
+        [np.where(_moves(pair.measured), pair.measured.speed_mps, np.nan) for pair in pairs]
+    )
     both = np.isfinite(recorded) & np.isfinite(measured)
     if not both.any():
         return None
-    gain = np.sqrt(np.mean(recorded[both] ** 2) / np.mean(measured[both] ** 2))  # above 0, as both move
+    # above 0, as both move
+    gain = np.sqrt(np.mean(recorded[both] ** 2) / np.mean(measured[both] ** 2))
     ahead = np.sum((recorded > 0) & (measured < 0))
     back = np.sum((recorded < 0) & (measured > 0))
     return Speed(int(both.sum()), float(gain), int(ahead), int(back))
 
 
 def _fit(pairs: Sequence[Pair], name: str) -> Fit | None:
-    """Return how recorded values of the field `name` follow measured ones; None without a frame that has both."""
+    """Return how recorded values of the field `name` follow measured ones; None without a frame
+    that has both.
+    """
     m = np.concatenate([_valid(pair.measured, name) for pair in pairs])
     r = _at_lag(pairs, name, 0.0)
     used = np.isfinite(m) & np.isfinite(r)
@@ -215,14 +245,20 @@ def _fit(pairs: Sequence[Pair], name: str) -> Fit | None:
     magnitude = 0.0
     if one_sided:
         other_side = int((turning & (m * np.sign(r[used].sum()) < 0)).sum())
-        magnitude = max(_moments(np.abs(m), values, least=used.sum() / 2).correlation for values in shifted)
+        magnitude = max(
+            _moments(np.abs(m), values, least=used.sum() / 2).correlation for values in shifted
+        )
 
     # The recorded value straight ahead, which is known if the car comes near to it.
     straightest = float(np.percentile(np.abs(m[used]), 5))
     largest_offset = OFFSET_SIGMAS * noise + OFFSET_SHARE * at_best.rms_m + OFFSET_GAP * straightest
     follows = at_best.follows(noise)
     gain = at_best.gain
-    offset = at_best.mean_r - math.copysign(gain, at_best.correlation) * at_best.mean_m if follows else 0.0
+    offset = (
+        at_best.mean_r - math.copysign(gain, at_best.correlation) * at_best.mean_m
+        if follows
+        else 0.0
+    )
     return Fit(
         frames=int(used.sum()),
         turning=int(turning.sum()),
@@ -250,7 +286,9 @@ def _valid(labels: Labels, name: str) -> np.ndarray:
 
 
 def _at_lag(pairs: Sequence[Pair], name: str, lag_s: float) -> np.ndarray:
-    """Return the recorded values that are `lag_s` late, at the frames of all pairs [N]; NaN where there are none."""
+    """Return the recorded values that are `lag_s` late, at the frames of all pairs [N]; NaN where
+    there are none.
+    """
     parts = []
     for pair in pairs:
         values = _valid(pair.recorded, name)
@@ -261,23 +299,28 @@ def _at_lag(pairs: Sequence[Pair], name: str, lag_s: float) -> np.ndarray:
 def _yaw_sigma(pair: Pair) -> np.ndarray:
     """Return the standard deviations of the measured yaw rates [F] in rad/s.
 
-    Unknown ones follow from the scatter of successive rates: of independent noise, the median magnitude of the
-    differences is 0.954 standard deviations.
+    Unknown ones follow from the scatter of successive rates: of independent noise, the median
+    magnitude of the differences is 0.954 standard deviations.
     """
     if pair.noise:
         return np.nan_to_num(pair.noise.yaw_rate_radps, nan=YAW_NOISE_RADPS)
     yaw_radps = pair.measured.yaw_rate_radps[pair.measured.valid]
-    scatter_radps = float(np.median(np.abs(np.diff(yaw_radps)))) / 0.954 if len(yaw_radps) > 1 else 0.0
+    scatter_radps = (
+        float(np.median(np.abs(np.diff(yaw_radps)))) / 0.954 if len(yaw_radps) > 1 else 0.0
+    )
     return np.full(len(pair.time_s), max(YAW_NOISE_RADPS, scatter_radps))
 
 
 def _turns(pair: Pair) -> np.ndarray:
     """Return which frames turn, bool [F]."""
-    return np.abs(_valid(pair.measured, "yaw_rate_radps")) > TURNS_SIGMAS * _yaw_sigma(pair)  # false for NaN
+    # false for NaN
+    return np.abs(_valid(pair.measured, "yaw_rate_radps")) > TURNS_SIGMAS * _yaw_sigma(pair)
 
 
 def _sigma(pair: Pair, name: str) -> np.ndarray:
-    """Return the standard deviations of the measured values [F]; for an angle, those of the yaw rate times L / v."""
+    """Return the standard deviations of the measured values [F]; for an angle, those of the yaw
+    rate times L / v.
+    """
     sigma = _yaw_sigma(pair)
     if name == "steering_rad":
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -286,13 +329,17 @@ def _sigma(pair: Pair, name: str) -> np.ndarray:
 
 
 def _noise(pairs: Sequence[Pair], name: str) -> float:
-    """Return the root mean square of the standard deviations of the measured values; 0 without any."""
+    """Return the root mean square of the standard deviations of the measured values; 0 without
+    any.
+    """
     sigma = np.concatenate([_sigma(pair, name)[pair.measured.valid] for pair in pairs])
     return float(np.sqrt(np.mean(sigma**2))) if len(sigma) else 0.0
 
 
 def _moments(m: np.ndarray, r: np.ndarray, least: float) -> Moments:
-    """Return the statistics of values [N], NaN where unknown; without correlation below the `least` number."""
+    """Return the statistics of values [N], NaN where unknown; without correlation below the `least`
+    number.
+    """
     used = np.isfinite(m) & np.isfinite(r)
     if not used.any():
         return Moments(*[0.0] * len(Moments._fields))
@@ -308,8 +355,12 @@ def _moments(m: np.ndarray, r: np.ndarray, least: float) -> Moments:
     return Moments(correlation, float(m.mean()), float(r.mean()), std_m, std_r, rms_m, rms_r)
 
 
-def _lags_of_thirds(m: np.ndarray, shifted: Sequence[np.ndarray], turning: np.ndarray) -> tuple[float, ...]:
-    """Return the lag of each third of the frames that follows; `shifted`: recorded values [N] at each of NEAR_S."""
+def _lags_of_thirds(
+    m: np.ndarray, shifted: Sequence[np.ndarray], turning: np.ndarray
+) -> tuple[float, ...]:
+    """Return the lag of each third of the frames that follows; `shifted`: recorded values [N] at
+    each of NEAR_S.
+    """
     lags_s = list[float]()
     for rows in np.array_split(np.arange(len(m)), 3):
         least = np.isfinite(m[rows] + shifted[0][rows]).sum() / 2
@@ -320,7 +371,9 @@ def _lags_of_thirds(m: np.ndarray, shifted: Sequence[np.ndarray], turning: np.nd
 
 
 def _stuck_s(pair: Pair, name: str) -> float:
-    """Return the longest time for which the log stays equal while the measured values vary, or is 0 in turns."""
+    """Return the longest time for which the log stays equal while the measured values vary, or is 0
+    in turns.
+    """
     values = _valid(pair.recorded, name)  # a frame without a value has 0 in the file
     measured = _valid(pair.measured, name)
     sigma = _sigma(pair, name)
@@ -332,7 +385,9 @@ def _stuck_s(pair: Pair, name: str) -> float:
         if not len(rows):
             continue
         low, high = np.percentile(measured[rows], [10, 90])
-        varies = high - low > STUCK_SIGMAS * np.median(sigma[rows]) + STUCK_SHARE * abs(values[first])
+        varies = high - low > STUCK_SIGMAS * np.median(sigma[rows]) + STUCK_SHARE * abs(
+            values[first]
+        )
         is_zero_in_turns = values[first] == 0 and turning[rows].sum() >= ZERO_FRAMES
         if varies or is_zero_in_turns:
             longest_s = max(longest_s, float(np.ptp(pair.time_s[rows])))
@@ -340,7 +395,8 @@ def _stuck_s(pair: Pair, name: str) -> float:
 
 
 def _far_lag(pairs: Sequence[Pair], name: str, m: np.ndarray, noise: float) -> float | None:
-    """Return the lag of FAR_S at which the log follows, with a plausible gain; None if there is none.
+    """Return the lag of FAR_S at which the log follows, with a plausible gain; None if there is
+    none.
 
     The other lags have to explain it much worse, since a bend resembles other bends.
     """

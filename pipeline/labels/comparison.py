@@ -19,13 +19,13 @@ SHOWN = 20
 SIGNED = 40
 # Turning frames from which a wrong unit is an error, and a drive is compared alone.
 JUDGED = 100
-# The cosine of recorded and measured values, of turning frames, is 0.97 to 1 in all parts of eight healthy logs that
-# have SIGNED turning frames; where the sign is inverted, it is the opposite.
+# The cosine of recorded and measured values, of turning frames, is 0.97 to 1 in all parts of eight
+# healthy logs that have SIGNED turning frames; where the sign is inverted, it is the opposite.
 OPPOSITE = -0.93
 # Largest lag in seconds of an inverted log: beyond, a late log of a winding road looks the same.
 TURNED_S = 0.6
-# KITTI's and rendered drives agree to 0.05 s with a correlation of 0.997, of which a lag of 0.25 s costs 0.02. A
-# steering wheel may lead the yaw rate by 0.2 s.
+# KITTI's and rendered drives agree to 0.05 s with a correlation of 0.997, of which a lag of 0.25 s
+# costs 0.02. A steering wheel may lead the yaw rate by 0.2 s.
 LATE_S = 0.2
 LATE_COST = 0.01
 # Least lag that is printed: of healthy logs, what it gains is noise.
@@ -38,11 +38,13 @@ OTHER_SIDE = 10
 CLEAR = 0.8
 # Longest time for which a healthy log stays equal while the car turns.
 STUCK_S = 2.0
-# A unit is degrees if the logarithm of the gain to this base is within SIMILAR of 1: 57.3 within a factor of 2.
+# A unit is degrees if the logarithm of the gain to this base is within SIMILAR of 1: 57.3 within a
+# factor of 2.
 DEGREES = math.degrees(1)
 SIMILAR = 0.17
-# Logarithms of gains. Karlsruhe's cameras measure 1.2 times the speed, a camera 1.2 m above the road 1.38 times. The
-# yaw rate depends on no scale, but on the focal length: in 243 rendered drives its gain is 0.93 to 1.07.
+# Logarithms of gains. Karlsruhe's cameras measure 1.2 times the speed, a camera 1.2 m above the
+# road 1.38 times. The yaw rate depends on no scale, but on the focal length: in 243 rendered drives
+# its gain is 0.93 to 1.07.
 UNLIKE = math.log(1.3)
 UNLIKE_SPEED = math.log(1.4)
 UNLIKE_YAW = math.log(1.15)
@@ -56,7 +58,9 @@ UNKNOWN = "too little turning for its noise"
 MOST = 2
 
 
-def read(source: str, drives: Sequence[str], ingest: Path, motion: Path, car: Car) -> dict[str, Pair]:
+def read(
+    source: str, drives: Sequence[str], ingest: Path, motion: Path, car: Car
+) -> dict[str, Pair]:
     """Return drive → labels, without drives that lack the recorded `source` or measured motion.
 
     `ingest`, `motion`: the folders of these stages.
@@ -87,21 +91,31 @@ def check(source: str, drives: Mapping[str, Pair]) -> Iterator[str]:
     Raises InputError for an error.
     """
     compared = {drive: compare([pair]) for drive, pair in drives.items()}
-    groups = {drive: found for drive, found in compared.items() if found.turning >= JUDGED or len(drives) == 1}
+    groups = {
+        drive: found
+        for drive, found in compared.items()
+        if found.turning >= JUDGED or len(drives) == 1
+    }
     if len(drives) > 1:
         groups["all compared drives"] = compare([*drives.values()])
     for where, found in groups.items():
         errors, lines = judge(found, sources.column(source))
         if errors:
-            raise InputError(errors[0], where, "Correct the log and import it again, or choose another labels.source")
-        yield from (f"{'doubt: ' * (number > 0)}{where}: {line}" for number, line in enumerate(lines))
+            raise InputError(
+                errors[0],
+                where,
+                "Correct the log and import it again, or choose another labels.source",
+            )
+        yield from (
+            f"{'doubt: ' * (number > 0)}{where}: {line}" for number, line in enumerate(lines)
+        )
 
 
 def judge(agreement: Agreement, column: str, ratio: float = 1.0) -> tuple[list[str], list[str]]:
     """Return errors, and lines: a summary, and up to MOST doubts, the strongest first.
 
-    `column` of the recorded angles, in the log times `ratio`; empty: they follow from yaw rate and speed. With few
-    turning frames errors are doubts, with very few there is nothing but the speed.
+    `column` of the recorded angles, in the log times `ratio`; empty: they follow from yaw rate and
+    speed. With few turning frames errors are doubts, with very few there is nothing but the speed.
     """
     errors = list[str]()
     doubts = list[str]()
@@ -118,10 +132,11 @@ def judge(agreement: Agreement, column: str, ratio: float = 1.0) -> tuple[list[s
 
 
 def judge_turns(agreement: Agreement, column: str, speed_mps: np.ndarray) -> tuple[str, str]:
-    """Return an error of a log's sign or clock by the turns of images alone, and a fix; or UNKNOWN, or empty texts.
+    """Return an error of a log's sign or clock by the turns of images alone, and a fix; or UNKNOWN,
+    or empty texts.
 
-    `column`: the one that was compared; `speed_mps`: recorded, NaN where unknown, of which images tell the sign alone.
-    Pairs of images are independent of each other, so SHOWN of them suffice.
+    `column`: the one that was compared; `speed_mps`: recorded, NaN where unknown, of which images
+    tell the sign alone. Pairs of images are independent of each other, so SHOWN of them suffice.
     """
     if np.sum(speed_mps < -MOVES_MPS) > np.sum(speed_mps > MOVES_MPS):
         return "speed_mps is negative in most images: forward is positive", ""
@@ -151,7 +166,9 @@ def _wrong_sign(name: str, fit: Fit) -> str:
 
 
 def _summary(agreement: Agreement, judged: str, unknown: bool) -> list[str]:
-    """Return a line on gains, correlations and lags; `unknown`: what is `judged` has too little turning for them."""
+    """Return a line on gains, correlations and lags; `unknown`: what is `judged` has too little
+    turning for them.
+    """
     texts = list[str]()
     for name, fit in (("yaw rate", agreement.yaw_rate), ("angle", agreement.angle)):
         if not fit or fit.turning < SHOWN:
@@ -172,7 +189,9 @@ def _summary(agreement: Agreement, judged: str, unknown: bool) -> list[str]:
 
 
 def _comparable(fit: Fit) -> bool:
-    """Return whether a log of another road, or with another sign, would differ in the frames that turn."""
+    """Return whether a log of another road, or with another sign, would differ in the frames that
+    turn.
+    """
     tells = fit.judged or fit.follows or abs(fit.cosine) > -OPPOSITE
     return tells and fit.turning >= SHOWN
 
@@ -186,10 +205,15 @@ def _offset(lag_s: float) -> str:
 
 
 def _judge_speed(speed: Speed, sigma: float, column: str) -> tuple[list[str], list[str]]:
-    """Return errors and doubts about recorded speeds, from which angles follow unless they have a `column`."""
+    """Return errors and doubts about recorded speeds, from which angles follow unless they have a
+    `column`.
+    """
     doubts = list[str]()
     if speed.back > NEGATIVE * speed.frames >= NEGATIVE * SHOWN:
-        problem = f"speed_mps is negative in {speed.back} of {speed.frames} frames that are measured ahead"
+        problem = (
+            f"speed_mps is negative in {speed.back} of {speed.frames} frames that are measured "
+            "ahead"
+        )
         if not column:
             return [f"{problem}, so angles have the wrong sign: forward is positive"], []
         doubts.append(f"{problem}: forward is positive")
@@ -203,13 +227,17 @@ def _judge_speed(speed: Speed, sigma: float, column: str) -> tuple[list[str], li
         doubts.append(f"{speed.back} frames go backwards by speed_mps, but are measured ahead")
     noisy = 1.4 if speed.frames < JUDGED else 1.0
     if speed.frames >= SHOWN and abs(math.log(speed.gain)) > UNLIKE_SPEED * noisy + SIGMAS * sigma:
-        causes = "km/h would give 3.6, mph 2.24; a wrong K or camera height changes the measured speed"
+        causes = (
+            "km/h would give 3.6, mph 2.24; a wrong K or camera height changes the measured speed"
+        )
         doubts.append(f"speed_mps is {speed.gain:.2f} times what is measured: {causes}")
     return [], doubts
 
 
 def _judge(fit: Fit, name: str, ratio: float, speed_sigma: float) -> tuple[list[str], list[str]]:
-    """Return errors and doubts about the column `name`: the first that holds, and a time that is wrong besides."""
+    """Return errors and doubts about the column `name`: the first that holds, and a time that is
+    wrong besides.
+    """
     many = fit.turning >= JUDGED
     if fit.far_s is not None:
         return [], [_wrong_clock(name, fit.far_s)]
@@ -242,7 +270,8 @@ def _judge(fit: Fit, name: str, ratio: float, speed_sigma: float) -> tuple[list[
     if name == "yaw_rate_radps":
         others = "and K or --fov"
         unlike = UNLIKE_YAW
-    if abs(math.log(fit.gain)) > unlike - math.log(fit.best):  # noise changes a gain by up to the correlation
+    # noise changes a gain by up to the correlation
+    if abs(math.log(fit.gain)) > unlike - math.log(fit.best):
         doubts.append(f"{times}: check its unit, {others}")
     elif fit.off_centre:
         doubts.append(f"straight ahead is {fit.offset * ratio:.2g} in {name}: subtract it")

@@ -1,4 +1,6 @@
-"""Doubts about the labels of a run, by the summaries of :func:`pipeline.labels.source.labels_drive`."""
+"""Doubts about the labels of a run, by the summaries of
+:func:`pipeline.labels.source.labels_drive`.
+"""
 
 from collections.abc import Iterator, Mapping
 
@@ -10,7 +12,8 @@ WINDOW = 8  # frames that a network sees, by default
 
 
 def find_doubts(splits: Mapping[str, str], summaries: Mapping[str, Summary]) -> Iterator[str]:
-    """Yield a line for each split with few labels or turns; on interpolated packets; and on implausible drives.
+    """Yield a line for each split with few labels or turns; on interpolated packets; and on
+    implausible drives.
 
     `splits`: drive → split; `summaries`: drive → summary.
     """
@@ -21,11 +24,23 @@ def find_doubts(splits: Mapping[str, str], summaries: Mapping[str, Summary]) -> 
         turning = sum(summaries[drive]["turning"] for drive in drives)
         fix = "Add drives, or cut a recording otherwise: steer import --split 60,30,10"
         if valid < WINDOW:
-            yield f"doubt: {valid} of {frames} frames of {', '.join(drives)} have a label: the car stands? {fix}"
+            yield (
+                f"doubt: {valid} of {frames} frames of {', '.join(drives)} have a label: the car "
+                f"stands? {fix}"
+            )
         elif turning < SHOWN:
-            yield f"doubt: {turning} of {frames} frames of split {split} turn, too few to tell models apart. {fix}"
+            yield (
+                f"doubt: {turning} of {frames} frames of split {split} turn, too few to tell "
+                f"models apart. {fix}"
+            )
     if count := sum(summary["interpolated"] for summary in summaries.values()):
-        yield f"{count} oxts packets are interpolated, not measured: they are no targets, and paths ahead end there"
+        yield (
+            f"{count} oxts packets are interpolated, not measured: they are no targets, and paths "
+            "ahead end there"
+        )
     if suspect := [drive for drive, summary in summaries.items() if summary["sideways"]]:
         names = ", ".join(suspect)
-        yield f"implausible labels: oxts has the car sliding sideways in {names}. Remove them from ingest.drives"
+        yield (
+            f"implausible labels: oxts has the car sliding sideways in {names}. Remove them from "
+            "ingest.drives"
+        )

@@ -1,7 +1,7 @@
 """Compute steering labels (paper section 4.1) from the car's motion.
 
-Signs: yaw rate and steering angle are positive to the left. Speed v and yaw rate ψ̇ of KITTI's drives are ``vf``
-and ``wu`` of its packets, parallel to the earth's surface.
+Signs: yaw rate and steering angle are positive to the left. Speed v and yaw rate ψ̇ of KITTI's
+drives are ``vf`` and ``wu`` of its packets, parallel to the earth's surface.
 """
 
 from typing import NamedTuple
@@ -23,7 +23,9 @@ class Car(NamedTuple):
 
 
 class Labels(NamedTuple):
-    """Labels of a drive's frames [F]; speed and yaw rate are NaN where the source has none, in a file 0."""
+    """Labels of a drive's frames [F]; speed and yaw rate are NaN where the source has none, in a
+    file 0.
+    """
 
     steering_rad: np.ndarray  # float64, left positive; 0 where unknown
     valid: np.ndarray  # bool
@@ -44,14 +46,19 @@ class Labels(NamedTuple):
 
 def read(file: DriveReader) -> Labels:
     """Return the labels in data/labels/<drive>.h5."""
-    return Labels(file["steering_rad"], file["valid"].astype(bool), file["speed_mps"], file["yaw_rate_radps"])
+    return Labels(
+        file["steering_rad"], file["valid"].astype(bool), file["speed_mps"], file["yaw_rate_radps"]
+    )
 
 
-def steering_angle(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, wheelbase_m: float) -> np.ndarray:
-    """Return atan(L ψ̇ / v) [F] in rad, the front wheel angle of the bicycle model; 0 where both are 0.
+def steering_angle(
+    yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, wheelbase_m: float
+) -> np.ndarray:
+    """Return atan(L ψ̇ / v) [F] in rad, the front wheel angle of the bicycle model; 0 where both
+    are 0.
 
-    In reverse v and ψ̇ both change sign, so the formula holds there too: left stays positive. At standstill it divides
-    noise by noise, up to ±π/2.
+    In reverse v and ψ̇ both change sign, so the formula holds there too: left stays positive. At
+    standstill it divides noise by noise, up to ±π/2.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         angle = np.arctan(wheelbase_m * yaw_rate_radps / speed_mps)
@@ -59,20 +66,30 @@ def steering_angle(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, wheelbase_
 
 
 def steering_labels(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, car: Car) -> Labels:
-    """Return the labels of motion [F], NaN where unknown; valid from the car's minimum speed on, also in reverse."""
+    """Return the labels of motion [F], NaN where unknown; valid from the car's minimum speed on,
+    also in reverse.
+    """
     known = np.isfinite(speed_mps)
     steering_rad = np.where(known, steering_angle(yaw_rate_radps, speed_mps, car.wheelbase_m), 0.0)
-    return Labels(steering_rad, known & (np.abs(speed_mps) >= car.min_speed_mps), speed_mps, yaw_rate_radps)
+    return Labels(
+        steering_rad, known & (np.abs(speed_mps) >= car.min_speed_mps), speed_mps, yaw_rate_radps
+    )
 
 
 def held(values: np.ndarray, valid: np.ndarray, initial: float = 0.0) -> np.ndarray:
-    """Return `values` [F] with each that is not `valid` replaced by the last valid one, or else by `initial`."""
+    """Return `values` [F] with each that is not `valid` replaced by the last valid one, or else by
+    `initial`.
+    """
     last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), -1))
     return np.append(values, initial)[last]
 
 
-def measured_angle(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, valid: np.ndarray, car: Car) -> np.ndarray:
-    """Return the angle of measured motion, float64 [F] in rad; an unmeasured frame repeats the last, first ones NaN."""
+def measured_angle(
+    yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, valid: np.ndarray, car: Car
+) -> np.ndarray:
+    """Return the angle of measured motion, float64 [F] in rad; an unmeasured frame repeats the
+    last, first ones NaN.
+    """
     speed_mps = np.where(valid, speed_mps, np.nan).astype(np.float64)
     labels = steering_labels(yaw_rate_radps.astype(np.float64), speed_mps, car)
     return held(labels.steering_rad, labels.valid, initial=np.nan)

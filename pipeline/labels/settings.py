@@ -23,7 +23,9 @@ class Labels(Section):
     def _check_source(cls, source: str) -> str:
         source = "recorded" if source == "oxts" else source
         if source not in SOURCES:
-            raise ValueError(f"there is no pipeline/labels/sources/{source}.py ({closest(source, SOURCES)})")
+            raise ValueError(
+                f"there is no pipeline/labels/sources/{source}.py ({closest(source, SOURCES)})"
+            )
         return source
 
     @field_validator("ahead_m")

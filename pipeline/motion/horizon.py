@@ -1,4 +1,6 @@
-"""What two consecutive images say without depth, by their essential matrix: the road's horizon, and left or right."""
+"""What two consecutive images say without depth, by their essential matrix: the road's horizon, and
+left or right.
+"""
 
 from collections.abc import Callable, Iterable, Iterator
 from itertools import islice, pairwise
@@ -19,8 +21,10 @@ MIN_TRACKS, MIN_INLIERS = 60, 0.4
 MIN_FLOW_PX = 1.0  # below, the direction of travel is noise
 RANSAC_PX = 0.7
 PAIRS, PAIR_EVERY, MIN_PAIRS = 60, 10, 8
-# In six real recordings, points above the horizon are nearer in up to 12 % of the pairs; turned by 180°, in 86 %.
-MARGIN_PX, MIN_POINTS, LEAST_ABOVE = 25, 5, 4  # from the horizon; on each side; pairs that tell upside down
+# In six real recordings, points above the horizon are nearer in up to 12 % of the pairs; turned by
+# 180°, in 86 %.
+# from the horizon; on each side; pairs that tell upside down
+MARGIN_PX, MIN_POINTS, LEAST_ABOVE = 25, 5, 4
 TURN_PAIRS = 200  # that are compared for the yaw rate of a recording
 MAX_RADPS = 1.0  # a car turns more slowly: in KITTI at up to 0.5
 APART_S = 0.095  # of two images that are compared for a turn: the yaw of nearer ones is noise
@@ -28,7 +32,9 @@ OPPOSITE = 0.8  # least share of pairs that show images upside down
 
 
 class _Motion(NamedTuple):
-    """Between two images, of points to the later camera: rotation [3,3], and a translation [3] of unknown length."""
+    """Between two images, of points to the later camera: rotation [3,3], and a translation [3] of
+    unknown length.
+    """
 
     rotation: np.ndarray
     translation: np.ndarray
@@ -40,17 +46,25 @@ class _Motion(NamedTuple):
 def find_horizon(frames: Iterable[Frame], camera: Camera) -> float | None:
     """Return the image row of the direction of travel; None if too few images show one.
 
-    It is the median over pairs of consecutive images, spread over the first 600. The row depends little on the focal
-    length. A camera on a car travels along the road, so this is the road's horizon. Raises InputError if the images are
-    upside down, because points above the horizon are nearer than points below it.
+    It is the median over pairs of consecutive images, spread over the first 600. The row depends
+    little on the focal length. A camera on a car travels along the road, so this is the road's
+    horizon. Raises InputError if the images are upside down, because points above the horizon are
+    nearer than points below it.
     """
     images = (frame.image for frame in frames if frame.image is not None)
     pairs = islice(pairwise(images), 0, PAIRS * PAIR_EVERY, PAIR_EVERY)
-    found = [seen for before, now in pairs if (motion := _motion(before, now, camera)) and (seen := _ahead(motion))]
+    found = [
+        seen
+        for before, now in pairs
+        if (motion := _motion(before, now, camera)) and (seen := _ahead(motion))
+    ]
     above = [nearer_above for _, nearer_above in found if nearer_above is not None]
     if len(above) >= LEAST_ABOVE and sum(above) >= OPPOSITE * len(above):
         share = f"{sum(above)} of {len(above)} pairs of images"
-        problem = f"images are upside down: in {share}, points above the horizon are nearer than points below it"
+        problem = (
+            f"images are upside down: in {share}, points above the horizon are nearer than points "
+            "below it"
+        )
         raise InputError(problem, fix="Turn them: ffmpeg -i in.mp4 -vf hflip,vflip upright.mp4")
     if len(found) < MIN_PAIRS:
         return None
@@ -58,7 +72,9 @@ def find_horizon(frames: Iterable[Frame], camera: Camera) -> float | None:
     return (row + 0.5) * scale - 0.5
 
 
-def noted_horizon(path: Path, frames: Callable[[], Iterator[Frame]], camera: Camera, notes: list[str]) -> float | None:
+def noted_horizon(
+    path: Path, frames: Callable[[], Iterator[Frame]], camera: Camera, notes: list[str]
+) -> float | None:
     """Return :func:`find_horizon` of the recording at `path`, and add a note about it."""
     with error_context(path):
         row = find_horizon(frames(), camera)
@@ -68,20 +84,26 @@ def noted_horizon(path: Path, frames: Callable[[], Iterator[Frame]], camera: Cam
 
 
 def _ahead(motion: _Motion) -> tuple[float, bool | None] | None:
-    """Return the row of the direction of travel, and whether points above it are nearer than those below.
+    """Return the row of the direction of travel, and whether points above it are nearer than those
+    below.
 
-    None without a car's motion; the second is None with few points. Nearness is the flow without the rotation, relative
-    to the distance from the focus of expansion, in the middle of the image.
+    None without a car's motion; the second is None with few points. Nearness is the flow without
+    the rotation, relative to the distance from the focus of expansion, in the middle of the image.
     """
     right, down, ahead = -motion.rotation.T @ motion.translation
     if abs(ahead) < 0.9:  # of a unit vector: not a car's motion
         return None
-    rays = np.linalg.solve(motion.K, np.column_stack([motion.uv_now, np.ones(len(motion.uv_now))]).T)
+    rays = np.linalg.solve(
+        motion.K, np.column_stack([motion.uv_now, np.ones(len(motion.uv_now))]).T
+    )
     uv_now = project((motion.rotation.T @ rays).T, motion.K)[0]
     focus = motion.K[:2, :2] @ [right / ahead, down / ahead] + motion.K[:2, 2]
     away = motion.uv - focus
-    nearness = np.abs(((uv_now - motion.uv) * away).sum(axis=1) / np.maximum((away**2).sum(axis=1), 1.0))
-    moves = np.abs(motion.uv_now - motion.uv).max(axis=1) > MIN_FLOW_PX / 2  # unlike a bonnet, and text
+    nearness = np.abs(
+        ((uv_now - motion.uv) * away).sum(axis=1) / np.maximum((away**2).sum(axis=1), 1.0)
+    )
+    # unlike a bonnet, and text
+    moves = np.abs(motion.uv_now - motion.uv).max(axis=1) > MIN_FLOW_PX / 2
     middle = moves & (np.abs(away[:, 0]) < WIDTH / 4)
     parts = [nearness[middle & (side * away[:, 1] > MARGIN_PX)] for side in (-1, 1)]
     known = min(map(len, parts)) >= MIN_POINTS
@@ -89,12 +111,17 @@ def _ahead(motion: _Motion) -> tuple[float, bool | None] | None:
 
 
 def turn_rates(
-    frames: Callable[[np.ndarray], Iterator[Frame]], camera: Camera, time_s: np.ndarray, within: np.ndarray
+    frames: Callable[[np.ndarray], Iterator[Frame]],
+    camera: Camera,
+    time_s: np.ndarray,
+    within: np.ndarray,
 ) -> np.ndarray:
-    """Return yaw rates in rad/s, left positive, [F], by the rotations between images; NaN where none is measured.
+    """Return yaw rates in rad/s, left positive, [F], by the rotations between images; NaN where
+    none is measured.
 
-    Up to TURN_PAIRS pairs of the images `within` some time, bool [F], are compared, APART_S apart and evenly spread; a
-    rate stands at the first image of its pair. `time_s`: [F]. `frames` returns the frames of a mask [F].
+    Up to TURN_PAIRS pairs of the images `within` some time, bool [F], are compared, APART_S apart
+    and evenly spread; a rate stands at the first image of its pair. `time_s`: [F]. `frames` returns
+    the frames of a mask [F].
     """
     rates = np.full(len(time_s), np.nan)
     after = np.searchsorted(time_s, time_s + APART_S)
@@ -115,7 +142,8 @@ def turn_rates(
         if row is not None and row in images:
             motion = _motion(images[row], frame.image, camera)
             if motion:
-                angle_rad = float(cv2.Rodrigues(motion.rotation)[0][1, 0])  # y points down; of points, not the camera
+                # y points down; of points, not the camera
+                angle_rad = float(cv2.Rodrigues(motion.rotation)[0][1, 0])
                 rate_radps = angle_rad / (time_s[frame.number] - time_s[row])
                 rates[row] = rate_radps if abs(rate_radps) < MAX_RADPS else np.nan
         for number in [number for number in images if time_s[number] < frame.time_s - 2 * APART_S]:
@@ -131,7 +159,9 @@ def _motion(before: np.ndarray, now: np.ndarray, camera: Camera) -> _Motion | No
     """Return the motion between two images; None if it cannot be measured."""
     small = _small(camera)
     first, second = (
-        cv2.resize(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), small[::-1], interpolation=cv2.INTER_AREA)
+        cv2.resize(
+            cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), small[::-1], interpolation=cv2.INTER_AREA
+        )
         for image in (before, now)
     )
     K = camera.scaled(small).K

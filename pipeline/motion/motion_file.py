@@ -16,7 +16,9 @@ from pipeline.motion.still import lowest_share
 # Share of the class road in front of the car from which a frame's classes show a road.
 ROAD_BY_CLASS = 0.5
 # Reasons of frames that are not measured, though the car may move.
-LOST = [code for code, text in enumerate(PROBLEMS) if text not in ("", "no previous frame", *STANDSTILL)]
+LOST = [
+    code for code, text in enumerate(PROBLEMS) if text not in ("", "no previous frame", *STANDSTILL)
+]
 UNITS = {
     "yaw_rate_radps": "rad/s, left positive",
     "speed_mps": "m/s, forward positive",
@@ -26,7 +28,10 @@ UNITS = {
     "T_before_now": "m",
     "road_height_m": "m below the camera in the encoder's depth, 0 = no road found",
     "still": "share of the lowest row that shows no street",
-    "problem": f"0 = measured; {', '.join(f'{code} = {text}' for code, text in enumerate(PROBLEMS) if code)}",
+    "problem": (
+        "0 = measured; "
+        f"{', '.join(f'{code} = {text}' for code, text in enumerate(PROBLEMS) if code)}"
+    ),
     "filtered_mps": "m/s, speed_mps after a causal filter of the error of depth's scale",
     "speed_sigma": "relative standard deviation of filtered_mps",
 }
@@ -41,10 +46,11 @@ def measure_drive(
 ) -> Summary:
     """Write the motion of each frame with an image since the previous frame, by visual odometry.
 
-    All values are causal: they depend on a frame and earlier ones only. Where motion is not measured, ``valid`` and the
-    rates are 0, and ``problem`` is the reason. Depth is scaled so that the road is as far below the camera as its
-    height, if that is known. `advance` is called with the number of frames that are done since the last call. Returns
-    counts and medians for :mod:`pipeline.motion.doubts`, which are also attributes of the file.
+    All values are causal: they depend on a frame and earlier ones only. Where motion is not
+    measured, ``valid`` and the rates are 0, and ``problem`` is the reason. Depth is scaled so that
+    the road is as far below the camera as its height, if that is known. `advance` is called with
+    the number of frames that are done since the last call. Returns counts and medians for
+    :mod:`pipeline.motion.doubts`, which are also attributes of the file.
     """
     with (
         DriveFrames(ingest, perception) as frames,
@@ -54,13 +60,27 @@ def measure_drive(
         columns = dict(zip(UNITS, np.zeros((len(UNITS), count), np.float32), strict=True))
         columns |= {"inliers": np.zeros(count, np.int32), "problem": np.zeros(count, np.uint8)}
         roll, road_class = Roll(frames.camera), np.zeros(count)
-        columns |= {"scale": np.ones(count, np.float32), "T_before_now": np.tile(np.eye(4, dtype="f4"), (count, 1, 1))}
-        for row, (frame, duration_s) in enumerate(zip(frames, durations(frames.frame, frames.time_s), strict=True)):
+        columns |= {
+            "scale": np.ones(count, np.float32),
+            "T_before_now": np.tile(np.eye(4, dtype="f4"), (count, 1, 1)),
+        }
+        for row, (frame, duration_s) in enumerate(
+            zip(frames, durations(frames.frame, frames.time_s), strict=True)
+        ):
             step = odometry.step(frame)
-            values = {"problem": PROBLEMS.index(odometry.problem), "road_height_m": odometry.road.frame_height_m}
+            values = {
+                "problem": PROBLEMS.index(odometry.problem),
+                "road_height_m": odometry.road.frame_height_m,
+            }
             values["still"] = odometry.still.mask[-1].mean()
             if step:
-                values |= dict(zip(("yaw_rate_radps", "speed_mps"), rates(step.T_before_now, duration_s), strict=True))
+                values |= dict(
+                    zip(
+                        ("yaw_rate_radps", "speed_mps"),
+                        rates(step.T_before_now, duration_s),
+                        strict=True,
+                    )
+                )
                 values |= step._asdict()
             for name, value in values.items():
                 columns[name][row] = value
@@ -78,7 +98,9 @@ def measure_drive(
         file.put("valid", valid.astype(np.uint8))
         for name, unit in UNITS.items():
             file.put(name, columns[name], unit)
-        summary = _summarise(columns, road_class, durations(frames.frame, frames.time_s), frames.camera)
+        summary = _summarise(
+            columns, road_class, durations(frames.frame, frames.time_s), frames.camera
+        )
         summary |= {
             "roll_deg": roll.degrees(),
             "unit_error": frames.unit_error if np.isfinite(frames.unit_error) else 0.0,
@@ -90,7 +112,9 @@ def measure_drive(
 def _summarise(
     columns: dict[str, np.ndarray], road_class: np.ndarray, duration_s: np.ndarray, camera: Camera
 ) -> Summary:
-    """Return counts and medians of F frames: columns → [F], share of the class road [F], durations of steps [F]."""
+    """Return counts and medians of F frames: columns → [F], share of the class road [F], durations
+    of steps [F].
+    """
     valid = columns["problem"] == 0
     moving = valid | np.isin(columns["problem"], LOST)
     road = columns["road_height_m"] > 0

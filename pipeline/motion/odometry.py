@@ -1,4 +1,6 @@
-"""Visual odometry from images and their depth: track corners, lift them to 3D, estimate the pose."""
+"""Visual odometry from images and their depth: track corners, lift them to 3D, estimate the
+pose.
+"""
 
 import cv2
 import numpy as np
@@ -13,17 +15,23 @@ from pipeline.motion.step import STANDSTILL, Step
 from pipeline.motion.still import Still
 
 MOVING = np.isin(np.arange(256), classes.TRAFFIC)
-MIN_WIDTH = 640  # px; smaller images are enlarged, since the error of tracking is a fixed fraction of a pixel
+# px; smaller images are enlarged, since the error of tracking is a fixed fraction of a pixel
+MIN_WIDTH = 640
 MIN_DEPTH_M = 0.5
-EDGE = 1.3  # largest ratio of depths around a corner: at depth edges, the depth of a corner is ambiguous
+# largest ratio of depths around a corner: at depth edges, the depth of a corner is ambiguous
+EDGE = 1.3
 AROUND = np.ones((5, 5), np.uint8)
-ON_ROAD, ELSEWHERE = (16, 2e-5), (24, 1e-4)  # cell px, least quality: a road has few and weak corners
+# cell px, least quality: a road has few and weak corners
+ON_ROAD, ELSEWHERE = (16, 2e-5), (24, 1e-4)
 ROAD_SIGMA, DEPTH_SIGMA = 0.07, 0.5  # relative standard deviations of depth
-STANDSTILL_PX, STANDSTILL_M = 0.1, 0.02  # the car stands if the median corner, or the camera, moves less
-SIDEWAYS_M, SIDEWAYS_SHARE = 0.1, 0.5  # largest sideways motion: a constant plus a share of the forward motion
+# the car stands if the median corner, or the camera, moves less
+STANDSTILL_PX, STANDSTILL_M = 0.1, 0.02
+# largest sideways motion: a constant plus a share of the forward motion
+SIDEWAYS_M, SIDEWAYS_SHARE = 0.1, 0.5
 MAX_FORWARD_M = 10.0
 PER_CELL = 2  # corners
-WINDOW, LEVELS = (11, 11), 2  # px, pyramid levels; a larger window is slower and covers several depths
+# px, pyramid levels; a larger window is slower and covers several depths
+WINDOW, LEVELS = (11, 11), 2
 CRITERIA = (3, 8, 0.03)  # 8 iterations, or a change below 0.03 px
 ROUND_TRIP_PX = 0.5  # largest distance between a corner and its track to the next image and back
 
@@ -37,7 +45,8 @@ class Odometry:
         self._enlarged = -(-MIN_WIDTH // width)
         self.road = Road(camera)
         self.still = Still(camera)
-        self.road_class = np.nan  # share of the class road where a road is searched, in the last frame; NaN: no classes
+        # share of the class road where a road is searched, in the last frame; NaN: no classes
+        self.road_class = np.nan
         self._number: int | None = None
         self._grey = np.empty(0, np.uint8)
         self._points = np.empty((0, 3)), np.empty(0), 1.0  # of the previous frame: see _lift
@@ -45,7 +54,9 @@ class Odometry:
         self.problem = ""  # why the last step could not be measured; empty if it was
 
     def step(self, frame: Frame) -> Step | None:
-        """Return the motion since the previous frame; None where it cannot be measured. Frames come in order."""
+        """Return the motion since the previous frame; None where it cannot be measured. Frames come
+        in order.
+        """
         grey, factor = cv2.cvtColor(frame.image, cv2.COLOR_RGB2GRAY), self._enlarged
         if factor > 1:
             grey = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
@@ -62,7 +73,9 @@ class Odometry:
         return step
 
     def _measure(self, grey: np.ndarray) -> Step | str:
-        """Return the motion since the previous frame, or why it cannot be measured: one of PROBLEMS."""
+        """Return the motion since the previous frame, or why it cannot be measured: one of
+        PROBLEMS.
+        """
         xyz, depth_sigma, scale = self._points
         uv_before = project(xyz, self._K)[0]
         uv_guess, T_previous = uv_before, None
@@ -85,21 +98,35 @@ class Odometry:
         right, down, forward = T_before_now[:3, 3]
         if np.linalg.norm(T_before_now[:3, 3]) < STANDSTILL_M:
             return STANDSTILL[1]
-        if np.hypot(right, down) >= SIDEWAYS_M + SIDEWAYS_SHARE * abs(forward) or abs(forward) >= MAX_FORWARD_M:
+        if (
+            np.hypot(right, down) >= SIDEWAYS_M + SIDEWAYS_SHARE * abs(forward)
+            or abs(forward) >= MAX_FORWARD_M
+        ):
             return "a motion that is not a car's"
-        return Step(T_before_now, int(pose.inliers.sum()), float(np.median(pose.error_px[pose.inliers])), scale)
+        return Step(
+            T_before_now,
+            int(pose.inliers.sum()),
+            float(np.median(pose.error_px[pose.inliers])),
+            scale,
+        )
 
     def _lift(self, frame: Frame, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return the corners as points [N,3] in metres, relative sigma of their depths [N], factor applied to depth."""
+        """Return the corners as points [N,3] in metres, relative sigma of their depths [N], factor
+        applied to depth.
+        """
         depth_m = frame.depth_m.astype(np.float32)
         nearest, farthest = cv2.erode(depth_m, AROUND), cv2.dilate(depth_m, AROUND)
-        usable = (nearest > MIN_DEPTH_M) & (farthest < self._max_depth_m) & (farthest < EDGE * nearest)
+        usable = (
+            (nearest > MIN_DEPTH_M) & (farthest < self._max_depth_m) & (farthest < EDGE * nearest)
+        )
         usable &= ~(still := self.still.mask)
         quality = corner_quality(grey)
-        shows_something = bool(quality.max() > ON_ROAD[1])  # unlike a black image, of which depth is imagined
+        # unlike a black image, of which depth is imagined
+        shows_something = bool(quality.max() > ON_ROAD[1])
         usable &= shows_something
         traffic = cv2.dilate(MOVING[frame.cls].astype(np.uint8), AROUND) > 0  # and its surroundings
-        # Trust depth over classes: road pixels are never traffic. In grey images, shaded road has the class of cars.
+        # Trust depth over classes: road pixels are never traffic. In grey images, shaded road has
+        # the class of cars.
         road, scale = self.road.find(depth_m, usable, still)
         cls = frame.cls[self.road.in_front & shows_something]
         known = cls[cls != classes.VOID]
@@ -125,13 +152,17 @@ class Odometry:
 
 
 def corner_quality(grey: np.ndarray) -> np.ndarray:
-    """Return the least eigenvalue of an image's structure tensor over 3 x 3 px, [H,W]; 0 but at its local maxima."""
+    """Return the least eigenvalue of an image's structure tensor over 3 x 3 px, [H,W]; 0 but at its
+    local maxima.
+    """
     quality = cv2.cornerMinEigenVal(grey, blockSize=3)  # of intensities from 0 to 1
     return np.where(quality == cv2.dilate(quality, np.ones((5, 5), np.uint8)), quality, 0)
 
 
 def best_corners(quality: np.ndarray, cell: int, min_quality: float) -> np.ndarray:
-    """Return the PER_CELL best corners above `min_quality` of each square of `cell` px, float32 [N,2] as (u, v)."""
+    """Return the PER_CELL best corners above `min_quality` of each square of `cell` px, float32
+    [N,2] as (u, v).
+    """
     v, u = np.nonzero(quality > min_quality)
     best_first = np.argsort(-quality[v, u], kind="stable")
     v, u = v[best_first], u[best_first]
@@ -143,18 +174,25 @@ def best_corners(quality: np.ndarray, cell: int, min_quality: float) -> np.ndarr
     return np.stack([u[chosen], v[chosen]], axis=-1).astype(np.float32)
 
 
-def track(before: np.ndarray, now: np.ndarray, uv: np.ndarray, uv_guess: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Track corners of image `before` to image `now`, both uint8 [H,W], by pyramidal Lucas-Kanade, forth and back.
+def track(
+    before: np.ndarray, now: np.ndarray, uv: np.ndarray, uv_guess: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Track corners of image `before` to image `now`, both uint8 [H,W], by pyramidal Lucas-Kanade,
+    forth and back.
 
-    Returns positions in `now` and whether they passed the round-trip check, bool [N], for corners `uv` and initial
-    positions `uv_guess`, all float32 [N,2].
+    Returns positions in `now` and whether they passed the round-trip check, bool [N], for corners
+    `uv` and initial positions `uv_guess`, all float32 [N,2].
     """
     if not len(uv):
         return uv, np.zeros(0, bool)
     options = WINDOW, LEVELS, CRITERIA, cv2.OPTFLOW_USE_INITIAL_FLOW
-    forth, forth_ok, _ = cv2.calcOpticalFlowPyrLK(before, now, uv, uv_guess.copy(), None, None, *options)
+    forth, forth_ok, _ = cv2.calcOpticalFlowPyrLK(
+        before, now, uv, uv_guess.copy(), None, None, *options
+    )
     back_guess = forth - (uv_guess - uv)
-    back, back_ok, _ = cv2.calcOpticalFlowPyrLK(now, before, forth, back_guess, None, None, *options)
+    back, back_ok, _ = cv2.calcOpticalFlowPyrLK(
+        now, before, forth, back_guess, None, None, *options
+    )
     height, width = now.shape
     inside = (forth >= 0).all(axis=1) & (forth[:, 0] < width) & (forth[:, 1] < height)
     returned = np.linalg.norm(back - uv, axis=1) < ROUND_TRIP_PX

@@ -1,12 +1,14 @@
-"""Yaw rates and speeds of measured motion: causal, as models get them, or for labels, smoothed with later frames."""
+"""Yaw rates and speeds of measured motion: causal, as models get them, or for labels, smoothed with
+later frames.
+"""
 
 import numpy as np
 
 from pipeline.base.store import DriveReader
 from pipeline.motion.step import LEAST_MPS, LEAST_NOISE, PROBLEMS, STANDSTILL, filter_speed
 
-# Standard deviations of the Gaussians. A driver turns the wheel in a second, and a car changes its speed more slowly; a
-# speed from one pair of images has much more noise than a yaw rate.
+# Standard deviations of the Gaussians. A driver turns the wheel in a second, and a car changes its
+# speed more slowly; a speed from one pair of images has much more noise than a yaw rate.
 YAW_SIGMA_S, SPEED_SIGMA_S = 0.2, 0.5
 REACH = 2.0  # sigmas on both sides
 YAW_NOISE_RADPS = 0.003  # least error of a yaw rate: KITTI odometry 03 has 0.2 deg/s
@@ -15,12 +17,15 @@ YAW_NOISE_RADPS = 0.003  # least error of a yaw rate: KITTI odometry 03 has 0.2 
 def measured_rates(motion: DriveReader, *, look_ahead: bool) -> np.ndarray:
     """Return the rates in a file of stage motion, [4,F], NaN where not measured.
 
-    They are yaw rates in rad/s, left positive; forward speeds in m/s; and standard deviations of both, the speed's is
-    relative. With `look_ahead`, rates are Gaussian means, and the speeds are filtered afterwards.
+    They are yaw rates in rad/s, left positive; forward speeds in m/s; and standard deviations of
+    both, the speed's is relative. With `look_ahead`, rates are Gaussian means, and the speeds are
+    filtered afterwards.
     """
     valid, rates = motion["valid"].astype(bool), np.full((4, len(motion.frame)), np.nan)
     names = ("yaw_rate_radps", "speed_mps", "filtered_mps", "speed_sigma", "road_height_m")
-    yaw_radps, speed_mps, filtered_mps, speed_sigma, road_m = (motion[name][valid].astype(np.float64) for name in names)
+    yaw_radps, speed_mps, filtered_mps, speed_sigma, road_m = (
+        motion[name][valid].astype(np.float64) for name in names
+    )
     yaw_sigma = np.full(len(yaw_radps), YAW_NOISE_RADPS)
     if look_ahead:
         time_s = motion.time_s[valid]
@@ -38,10 +43,13 @@ def stands(motion: DriveReader) -> np.ndarray:
     return np.isin(motion["problem"], [PROBLEMS.index(text) for text in STANDSTILL])
 
 
-def gaussian_mean(time_s: np.ndarray, values: np.ndarray, sigma_s: float) -> tuple[np.ndarray, np.ndarray]:
+def gaussian_mean(
+    time_s: np.ndarray, values: np.ndarray, sigma_s: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the Gaussian mean of `values` [M] around each time [M], and its error.
 
-    The error is that of independent noise, whose consecutive differences have a median of 0.954 standard deviations.
+    The error is that of independent noise, whose consecutive differences have a median of 0.954
+    standard deviations.
     """
     mean, error = np.zeros((2, len(time_s)))
     reach_s = REACH * max(YAW_SIGMA_S, SPEED_SIGMA_S)

@@ -1,4 +1,6 @@
-"""The roll of the camera about its axis, by edges in the image that are upright in the world: walls, poles, trees."""
+"""The roll of the camera about its axis, by edges in the image that are upright in the world:
+walls, poles, trees.
+"""
 
 import cv2
 import numpy as np
@@ -17,16 +19,19 @@ SMOOTH_DEG = 2.0
 IMAGE_PX = 1.0
 # Standard deviation in pixels of the Gaussian that smooths products of gradients.
 PRODUCTS_PX = 2.5
-# Least coherence of the gradients around a pixel of an edge: 1 is a straight edge, 0 has no direction.
+# Least coherence of the gradients around a pixel of an edge: 1 is a straight edge, 0 has no
+# direction.
 COHERENT = 0.9
 # Least magnitude of the gradient by Sobel at an edge, in grey levels.
 STRONG = 30.0
-# Share of the width left out on either side: a video that was rotated by software has oblique black corners there.
+# Share of the width left out on either side: a video that was rotated by software has oblique black
+# corners there.
 MARGIN = 0.1
-# Least share of the pixels above the horizon on such edges. Recordings with buildings or trees have 0.01 and more, the
-# motorway of 2011_10_03_drive_0042 0.0009.
+# Least share of the pixels above the horizon on such edges. Recordings with buildings or trees have
+# 0.01 and more, the motorway of 2011_10_03_drive_0042 0.0009.
 MIN_SHARE = 0.006
-# Least ratio of the peak of the histogram to its median. Streets have 3.3 to 12, bare hills, whose angles mislead, 1.5.
+# Least ratio of the peak of the histogram to its median. Streets have 3.3 to 12, bare hills, whose
+# angles mislead, 1.5.
 MIN_PEAK = 3.0
 
 
@@ -50,7 +55,8 @@ class Roll:
         across = cv2.Sobel(grey, cv2.CV_32F, 1, 0)
         down = cv2.Sobel(grey, cv2.CV_32F, 0, 1)
 
-        # The structure tensor around each pixel; the direction of its larger eigenvector is that of the gradient.
+        # The structure tensor around each pixel; the direction of its larger eigenvector is that of
+        # the gradient.
         xx = cv2.GaussianBlur(across * across, (0, 0), PRODUCTS_PX)
         yy = cv2.GaussianBlur(down * down, (0, 0), PRODUCTS_PX)
         xy = cv2.GaussianBlur(across * down, (0, 0), PRODUCTS_PX)
@@ -63,7 +69,9 @@ class Roll:
         self._images += 1
 
     def degrees(self) -> float:
-        """Return by how much the images are rolled, clockwise positive; 0 if too few edges are upright."""
+        """Return by how much the images are rolled, clockwise positive; 0 if too few edges are
+        upright.
+        """
         if self._counts.sum() <= MIN_SHARE * self._pixels * max(self._images, 1):
             return 0.0
         reach = round(3 * SMOOTH_DEG / BIN_DEG)

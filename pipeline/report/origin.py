@@ -11,7 +11,9 @@ REVISION = "revision"
 
 
 def origin(folder: Path = ROOT) -> dict[str, str]:
-    """Return what is kept of a run beside its results; `folder`: a checkout, or a copy of its code."""
+    """Return what is kept of a run beside its results; `folder`: a checkout, or a copy of its
+    code.
+    """
     from torch import cuda
 
     copied = folder / REVISION

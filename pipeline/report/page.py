@@ -13,13 +13,18 @@ from plotly.offline import get_plotlyjs
 
 from pipeline.report import plots
 from pipeline.report.figures import Figures
-from pipeline.report.results import Group
+from pipeline.report.results import Group, Row
 from pipeline.report.summary import Results
 from pipeline.report.tables import DEFINITIONS, SteeringTables, Table
 
-_LEARNING = "Each line is a seed: nmse on the validation drives; dotted, without these, the training loss."
+_LEARNING = (
+    "Each line is a seed: nmse on the validation drives; dotted, without these, the training loss."
+)
 _ERRORS = "nmse on the test drives, with its 95 % interval; 0 is perfect, 1 is useless"
-_SPACE = "Points and edges of the same drive in 3D. Drag to turn, move the slider, click a class to hide it."
+_SPACE = (
+    "Points and edges of the same drive in 3D. Drag to turn, move the slider, click a class to "
+    "hide it."
+)
 
 
 class Figure(NamedTuple):
@@ -48,14 +53,29 @@ def write_page(
     perception: Content,
     pictures: Figures,
 ) -> None:
-    """Write the page beside folders figures and learning. `perception`: sources of the encoder's weights; tables."""
+    """Write the page beside folders figures and learning. `perception`: sources of the encoder's
+    weights; tables.
+    """
     captions, views = pictures
-    drawn = {name: _picture(path.parent / f"figures/{name}.png", caption) for name, caption in captions.items()}
-    curves = {file.stem: pd.read_csv(file) for file in sorted((path.parent / "learning").glob("*.csv"))}
+    drawn = {
+        name: _picture(path.parent / f"figures/{name}.png", caption)
+        for name, caption in captions.items()
+    }
+    curves = {
+        file.stem: pd.read_csv(file) for file in sorted((path.parent / "learning").glob("*.csv"))
+    }
     look = plots.styles(groups)
     errors = [Figure(f"{_ERRORS}: {group.title}.", _errors(group, figures)) for group in groups]
-    learning = [Figure(_LEARNING, plots.to_html(plots.learning(curves, look), "learning"))] if curves else []
-    space = [Figure(_SPACE, plots.to_html(plots.in_space(views), "space", "min(32rem, 105vw)"))] if views else []
+    learning = (
+        [Figure(_LEARNING, plots.to_html(plots.learning(curves, look), "learning"))]
+        if curves
+        else []
+    )
+    space = (
+        [Figure(_SPACE, plots.to_html(plots.in_space(views), "space", "min(32rem, 105vw)"))]
+        if views
+        else []
+    )
     sections: dict[str, Content] = {
         "Errors": errors,
         "From image to graph": [*(drawn[name] for name in drawn if name == "chain"), *space],
@@ -65,19 +85,29 @@ def write_page(
         "Learning curves": learning,
         "Models in detail": tables.details,
         "Depth, classes and motion": perception,
-        "Definitions": [f"{word}: {meaning}" for word, meaning in DEFINITIONS.items()] if groups else [],
+        "Definitions": [f"{word}: {meaning}" for word, meaning in DEFINITIONS.items()]
+        if groups
+        else [],
     }
     environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
     )
-    best = groups[0].by_error[0] if groups else None
     html = environment.get_template("page.html.j2").render(
         story=story,
         sections={title: content for title, content in sections.items() if content},
-        change=best and f"models.{best['model']}.temporal={'ncp' if best['entry']['temporal'] == 'lstm' else 'lstm'}",
+        change=_swap(groups[0].by_error[0]) if groups else "",
         plotly=get_plotlyjs(),
     )
     path.write_text(html, encoding="utf-8")
+
+
+def _swap(row: Row) -> str:
+    """Return a change of settings that trains a model with another network of the sequence."""
+    temporal = "ncp" if row["entry"]["temporal"] == "lstm" else "lstm"
+    return f"models.{row['model']}.temporal={temporal}"
 
 
 def _errors(group: Group, figures: Results) -> str:
@@ -87,20 +117,32 @@ def _errors(group: Group, figures: Results) -> str:
 
 def _picture(path: Path, caption: str) -> Figure:
     png = base64.b64encode(path.read_bytes()).decode("ascii")
-    return Figure(caption, Markup('<img src="data:image/png;base64,{}" alt="{}" loading="lazy">').format(png, caption))
+    return Figure(
+        caption,
+        Markup('<img src="data:image/png;base64,{}" alt="{}" loading="lazy">').format(png, caption),
+    )
 
 
 def _test_drives(group: Group, pictures: dict[str, Figure], look: plots.Styles) -> Content:
-    """Return the angles over time of the best, the median and the worst drive, on one axis, and their pictures."""
+    """Return the angles over time of the best, the median and the worst drive, on one axis, and
+    their pictures.
+    """
     drives = group.predictions["drive"].nunique()
     first = "The only test drive"
     if drives > 1:
-        first = f"Of {drives} test drives, the best, the median and the worst by error of {group.by_error[0]['model']}"
-    turn = " The angle is the turn of the path over all ranges." if any(group.labels.values()) else ""
+        first = (
+            f"Of {drives} test drives, the best, the median and the worst by error of "
+            f"{group.by_error[0]['model']}"
+        )
+    turn = (
+        " The angle is the turn of the path over all ranges." if any(group.labels.values()) else ""
+    )
     hint = "Drag to zoom, double-click to reset, click the legend to hide."
     content: list[str | Figure] = [f"{first}: predictions of the first seed.{turn} {hint}"]
     typical = group.predictions[group.predictions["drive"].isin(group.typical_drives)]
-    limit_deg = float(np.nanmax(np.abs(typical[["true_deg", "predicted_deg"]].to_numpy()), initial=1.0))
+    limit_deg = float(
+        np.nanmax(np.abs(typical[["true_deg", "predicted_deg"]].to_numpy()), initial=1.0)
+    )
     for drive, rank in group.typical_drives.items():
         rows = group.predictions[group.predictions["drive"] == drive]
         plot = plots.to_html(plots.over_time(rows, look, limit_deg), f"{group.key}-{rank}")

@@ -1,4 +1,6 @@
-"""The paper's seven networks, with their settings (Table 1) and errors (Table 2), and its claims about them."""
+"""The paper's seven networks, with their settings (Table 1) and errors (Table 2), and its claims
+about them.
+"""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -25,15 +27,23 @@ PAPER = {  # in the order of Table 2
     "do-gnn-ncp": Published("depth", "gnn", "ncp", 8, 0, 0.038, 0.081),
     "sa-gnn-ncp": Published("semantic", "gnn", "ncp", 8, 1, 0.037, 0.0771),
 }
-# Settings of all seven, compared where a model has them. The paper gives no learning rates and no other widths. It
-# prints its NCP as eq. 4 and cites the paper of the LTC cell, so both count. Only the CNN weights frames (alpha).
+# Settings of all seven, compared where a model has them. The paper gives no learning rates and no
+# other widths. It prints its NCP as eq. 4 and cites the paper of the LTC cell, so both count. Only
+# the CNN weights frames (alpha).
 _COMMON = {
-    "equivariant": False, "motion": "none", "horizon": 0, "predict": "angle", "scene": "same", "width": 1.0,
-}  # fmt: skip
+    "equivariant": False,
+    "motion": "none",
+    "horizon": 0,
+    "predict": "angle",
+    "scene": "same",
+    "width": 1.0,
+}
 
 
 class Claim(NamedTuple):
-    """A claim of the paper about two models: the first has a smaller error, or, if `comparable`, one as large."""
+    """A claim of the paper about two models: the first has a smaller error, or, if `comparable`,
+    one as large.
+    """
 
     text: str
     model: str
@@ -54,9 +64,13 @@ CLAIMS = (
 
 
 def find(name: str, entry: Mapping[str, Any], variant: Mapping[str, Any]) -> Published | None:
-    """Return the paper's network of a model's name, None without one or if the model has other settings."""
+    """Return the paper's network of a model's name, None without one or if the model has other
+    settings.
+    """
     if (network := PAPER.get(name)) is None or variant.get("accumulate"):
         return None
     expected = _COMMON | dict(zip(network._fields[:5], network, strict=False))
     expected |= {} if network.spatial == "cnn" else {"alpha": 0}
-    return network if all(entry.get(key, value) == value for key, value in expected.items()) else None
+    return (
+        network if all(entry.get(key, value) == value for key, value in expected.items()) else None
+    )

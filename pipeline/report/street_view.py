@@ -1,4 +1,6 @@
-"""Draw a frame with its cloud or graph (the paper's Figures 1 and 2), and a car's path on a plane road in an image."""
+"""Draw a frame with its cloud or graph (the paper's Figures 1 and 2), and a car's path on a plane
+road in an image.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -41,22 +43,36 @@ class View(NamedTuple):
     edge_count: int = 0  # directed kNN edges after pruning, as in the paper and in all tables
 
     def images(self) -> dict[str, np.ndarray]:
-        """Return title → pixels of image, depth (transparent where invalid) and classes (unless all are void)."""
+        """Return title → pixels of image, depth (transparent where invalid) and classes (unless all
+        are void).
+        """
         depth = None
         if self.depth_m is not None:
             depth = np.asarray(DEPTH_SCALE.to_rgba(np.ma.masked_equal(self.depth_m, 0), bytes=True))
-        cls = None if self.cls is None or (self.cls == classes.VOID).all() else classes.colourise(self.cls)
+        cls = (
+            None
+            if self.cls is None or (self.cls == classes.VOID).all()
+            else classes.colourise(self.cls)
+        )
         images = {f"frame {self.frame}": self.rgb, "depth": depth, "classes": cls}
         return {title: pixels for title, pixels in images.items() if pixels is not None}
 
 
 def read_view(number: int, *files: DriveReader) -> View:
-    """Read a frame from files of any stages; a later file takes precedence. Raises InputError if a file lacks it."""
+    """Read a frame from files of any stages; a later file takes precedence. Raises InputError if a
+    file lacks it.
+    """
     parts: dict[str, Any] = {}
     for file in files:
         row = file.row_of(number)
-        for name, key in (("image", "rgb"), ("depth", "depth_m"), ("depth_m", "depth_m"), ("cls", "cls")):
-            # In ingest, a frame may lack them; in other files, image may be of a graph, and cls of points.
+        for name, key in (
+            ("image", "rgb"),
+            ("depth", "depth_m"),
+            ("depth_m", "depth_m"),
+            ("cls", "cls"),
+        ):
+            # In ingest, a frame may lack them; in other files, image may be of a graph, and cls of
+            # points.
             present = f"has_{name}" not in file or file[f"has_{name}"][row]
             if present and name in file and file.datasets[name].ndim > 2:
                 pixels = file.row(name, row)
@@ -83,9 +99,13 @@ def draw_image(panel: Axes, pixels: np.ndarray, title: str, **style: Any) -> Non
 
 
 def draw_points(panel: Axes, view: View, **style: Any) -> None:
-    """Draw the points of a frame from above, in the colours of their classes, high points on top."""
+    """Draw the points of a frame from above, in the colours of their classes, high points on
+    top.
+    """
     xyz, cls, edges = np.asarray(view.xyz), np.asarray(view.points_cls), view.edges
-    name, count = ("cloud", "") if edges is None else ("graph", f", {view.edge_count:,} directed edges")
+    name, count = (
+        ("cloud", "") if edges is None else ("graph", f", {view.edge_count:,} directed edges")
+    )
     void = "; black: no class" if (cls == classes.VOID).any() else ""
     panel.set_title(f"{name} from above: {len(xyz):,} points{count}{void}", **style)
     if edges is not None:
@@ -95,19 +115,28 @@ def draw_points(panel: Axes, view: View, **style: Any) -> None:
     size = 1.0 if edges is None else float(np.clip(4_000 / max(len(xyz), 1), 1, 12))
     colours = classes.colourise(cls[order]) / 255
     panel.scatter(xyz[order, 0], xyz[order, 2], s=size, c=colours, linewidths=0)
-    panel.set(xlabel="x in m", ylabel="z in m", aspect="equal", xlim=(LEFT_M, RIGHT_M), ylim=(0, AHEAD_M))
+    panel.set(
+        xlabel="x in m", ylabel="z in m", aspect="equal", xlim=(LEFT_M, RIGHT_M), ylim=(0, AHEAD_M)
+    )
 
 
 def class_legend(figure: Figure, view: View, columns: int) -> None:
     """Add a legend below the figure: the colours of the classes of all pixels and points."""
     parts = [np.unique(cls).tolist() for cls in (view.cls, view.points_cls) if cls is not None]
     present = sorted({number for part in parts for number in part if number < classes.COUNT})
-    patches = [Patch(color=classes.COLOURS[number] / 255, label=classes.NAMES[number]) for number in present]
-    figure.legend(handles=patches, loc="outside lower center", ncols=columns, fontsize="small", frameon=False)
+    patches = [
+        Patch(color=classes.COLOURS[number] / 255, label=classes.NAMES[number])
+        for number in present
+    ]
+    figure.legend(
+        handles=patches, loc="outside lower center", ncols=columns, fontsize="small", frameon=False
+    )
 
 
 def sheet(title: str, view: View) -> Figure:
-    """Draw the images of a frame beside its points from above, with the depth scale and the names of the classes."""
+    """Draw the images of a frame beside its points from above, with the depth scale and the names
+    of the classes.
+    """
     images, style = view.images(), {"fontsize": "small", "loc": "left"}
     figure = Figure(figsize=(10, 6), layout="constrained")
     widths = [5 if images else 0.1, 4 if view.xyz is not None else 0.1]
@@ -127,16 +156,21 @@ def sheet(title: str, view: View) -> Figure:
 
 
 def save(figure: Figure, path: Path, dpi: int = 110) -> None:
-    """Write `figure` to a PNG file in one step, without a version number: the same figure gives the same bytes."""
+    """Write `figure` to a PNG file in one step, without a version number: the same figure gives the
+    same bytes.
+    """
     with replacing(path) as unfinished:
-        figure.savefig(unfinished, format="png", dpi=dpi, metadata={"Software": "semantic-steering"})
+        figure.savefig(
+            unfinished, format="png", dpi=dpi, metadata={"Software": "semantic-steering"}
+        )
 
 
 def wheel_tracks(curvature_1pm: np.ndarray, camera: Camera, slope: float = 0.0) -> list[np.ndarray]:
-    """Return the pixels (u, v) of the left and the right wheel's track, each [N,2], until they turn back.
+    """Return the pixels (u, v) of the left and the right wheel's track, each [N,2], until they turn
+    back.
 
-    `curvature_1pm` [N]: of each step of STEP_M, left positive; `camera`: at its height over the road; `slope`: metres
-    that the road falls per metre ahead in the camera's frame.
+    `curvature_1pm` [N]: of each step of STEP_M, left positive; `camera`: at its height over the
+    road; `slope`: metres that the road falls per metre ahead in the camera's frame.
     """
     heading_rad = np.append(0, np.cumsum(curvature_1pm * STEP_M))
     halfway_rad = (heading_rad[1:] + heading_rad[:-1]) / 2
@@ -154,7 +188,8 @@ def wheel_tracks(curvature_1pm: np.ndarray, camera: Camera, slope: float = 0.0) 
 
 
 def path_steps(path_1pm: Sequence[float] | np.ndarray, ahead_m: Sequence[float]) -> np.ndarray:
-    """Return the curvature [N] of each STEP_M of a path with mean curvature `path_1pm` [R] in ranges of edges [R+1].
+    """Return the curvature [N] of each STEP_M of a path with mean curvature `path_1pm` [R] in
+    ranges of edges [R+1].
 
     Before the first edge, the path has the curvature of the first range.
     """

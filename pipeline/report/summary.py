@@ -1,8 +1,10 @@
-"""All errors of a run and their differences, computed once: tables, page, DVC's metrics and results.json have these.
+"""All errors of a run and their differences, computed once: tables, page, DVC's metrics and
+results.json have these.
 
-A key is GROUP/ROW or, of a range, GROUP/RANGE/ROW: angle-10/motion-10, path-0/10-20 m/path. A row is a model, a
-baseline, or "A - B", their paired difference in nmse. GROUP/ROW of a path is the mean over its ranges. val/MODEL is the
-validation error. docs/results has the results.json of published runs.
+A key is GROUP/ROW or, of a range, GROUP/RANGE/ROW: angle-10/motion-10, path-0/10-20 m/path. A row
+is a model, a baseline, or "A - B", their paired difference in nmse. GROUP/ROW of a path is the mean
+over its ranges. val/MODEL is the validation error. docs/results has the results.json of published
+runs.
 """
 
 import json
@@ -26,7 +28,9 @@ def key(group: str, row: str, label: str = "", minus: str = "") -> str:
 
 
 def results(groups: list[Group], scores: Mapping[str, Any] | None = None) -> Results:
-    """Return errors and differences of groups, validation errors, and errors of measured motion by stage scores."""
+    """Return errors and differences of groups, validation errors, and errors of measured motion by
+    stage scores.
+    """
     figures = Results()
     for group in groups:
         labels = dict.fromkeys(["", *group.labels.values()])
@@ -35,18 +39,31 @@ def results(groups: list[Group], scores: Mapping[str, Any] | None = None) -> Res
             figures |= _differences(group, label)
         for row in group.models:
             if row["val_nmse"] < np.inf:
-                known = [column["nmse_by_seed"] for column in row["val"].values() if column["nmse"] is not None]
+                known = [
+                    column["nmse_by_seed"]
+                    for column in row["val"].values()
+                    if column["nmse"] is not None
+                ]
                 seeds = np.mean(known, axis=0).tolist()
                 roads = len(row["drives"]["train"])
-                figures[f"val/{row['model']}"] = {"figure": row["val_nmse"], "seeds": seeds, "roads": roads}
+                figures[f"val/{row['model']}"] = {
+                    "figure": row["val_nmse"],
+                    "seeds": seeds,
+                    "roads": roads,
+                }
     for kind, splits in (scores or {"motion": {}})["motion"].items():
         if splits["test"]:
-            figures[f"motion/{kind}"] = {"figure": splits["test"]["nmse"], "frames": splits["test"]["judged"]}
+            figures[f"motion/{kind}"] = {
+                "figure": splits["test"]["nmse"],
+                "frames": splits["test"]["judged"],
+            }
     return figures
 
 
 def _errors(group: Group, label: str) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield key and errors of each model and baseline, in a range or, without a label, in all together."""
+    """Yield key and errors of each model and baseline, in a range or, without a label, in all
+    together.
+    """
     column = group.column_of(label)
     for name in group.predicted:
         value, bounds = group.nmse(name, column=column)
@@ -56,24 +73,36 @@ def _errors(group: Group, label: str) -> Iterator[tuple[str, dict[str, Any]]]:
         else:
             scores = group.scores(name, column)
             mae_deg = scores["mae"] and np.degrees(scores["mae"] * group.length_m[column])
-            entry |= {"frames": scores["frames"], "seeds": scores["by_seed"], "mse": scores["mse"], "mae_deg": mae_deg}
+            entry |= {
+                "frames": scores["frames"],
+                "seeds": scores["by_seed"],
+                "mse": scores["mse"],
+                "mae_deg": mae_deg,
+            }
             entry |= {metric: scores[metric] for metric in shown_metrics()}
         yield key(group.key, name, label), entry
 
 
 def _differences(group: Group, label: str) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield key and paired difference of each model from each other one and from the baselines without the truth."""
+    """Yield key and paired difference of each model from each other one and from the baselines
+    without the truth.
+    """
     column = group.column_of(label)
     models = [row["model"] for row in group.models]
     others = [name for name in group.predicted if name in models or name in NO_LEARNING]
     for first, other in product(models, others):
         if first != other:
             value, bounds, verdict = group.difference(first, other, column)
-            yield key(group.key, first, label, other), {"figure": value, "interval": bounds, "verdict": verdict}
+            yield (
+                key(group.key, first, label, other),
+                {"figure": value, "interval": bounds, "verdict": verdict},
+            )
 
 
 def dvc_metrics(groups: list[Group], figures: Results) -> dict[str, Any]:
-    """Return group → model or baseline → range and split → nmse, of test also its interval; DVC joins keys by dots."""
+    """Return group → model or baseline → range and split → nmse, of test also its interval; DVC
+    joins keys by dots.
+    """
     result: dict[str, Any] = {}
     for group in groups:
         rows = {row["model"]: row for row in group.models}
@@ -82,12 +111,16 @@ def dvc_metrics(groups: list[Group], figures: Results) -> dict[str, Any]:
             entry = figures[key(group.key, name, label)]
             values = {"test nmse": entry["figure"]}
             if entry["interval"]:
-                values |= zip(("test nmse, 95 % from", "test nmse, 95 % to"), entry["interval"], strict=True)
+                values |= zip(
+                    ("test nmse, 95 % from", "test nmse, 95 % to"), entry["interval"], strict=True
+                )
             values |= {f"test {metric}": entry[metric] for metric in shown_metrics()}
             for split in ("train", "val"):
                 if name in rows and rows[name][split]:
                     values[f"{split} nmse"] = rows[name][split][column]["nmse"]
-            result[group.title][name] |= {f"{label} {what}".strip(): value for what, value in values.items()}
+            result[group.title][name] |= {
+                f"{label} {what}".strip(): value for what, value in values.items()
+            }
     return result
 
 

@@ -10,20 +10,24 @@ from pipeline.sample.route import AHEAD_M, IMU_HEIGHT_M, STEP_M, Route, draw_rou
 
 PERIOD_S = 0.1036  # KITTI's synchronised stream
 JITTER_S = 0.001
-FRAMES_AFTER = 45  # recorded by oxts after the last image: most drive on for 30 m, the path ahead of the last images
+# recorded by oxts after the last image: most drive on for 30 m, the path ahead of the last images
+FRAMES_AFTER = 45
 ACCELERATE_MPS2, BRAKE_MPS2 = 1.8, 2.2
 LATERAL_MPS2 = (1.5, 3.2)  # range over drivers
 _WAIT_S = (0.8, 2.0)  # of a stop
 
 _LEAN_RAD_PER_MPS2, _DIVE_RAD_PER_MPS2 = 0.004, 0.003
-_BUMPS_RAD, _BUMPS_M = np.deg2rad((0.03, 0.2)), (0.002, 0.012)  # range of a drive's standard deviation
+# range of a drive's standard deviation
+_BUMPS_RAD, _BUMPS_M = np.deg2rad((0.03, 0.2)), (0.002, 0.012)
 _BUMP_M = 2.0  # half the length of a bump along the road
 _SPRING_FRAMES = 5  # response of the body to a step of the acceleration
 _GRID_M = 0.25
 
 
 class Travel(NamedTuple):
-    """The ego's progress per frame: time_s, s_m (along the route), speed_mps, acceleration_mps2, all [F]."""
+    """The ego's progress per frame: time_s, s_m (along the route), speed_mps, acceleration_mps2,
+    all [F].
+    """
 
     time_s: np.ndarray
     s_m: np.ndarray
@@ -32,7 +36,9 @@ class Travel(NamedTuple):
 
 
 class Body(NamedTuple):
-    """Per frame [F]: roll_rad (positive: left side up), pitch_rad (positive: front down), as in oxts; heave_m."""
+    """Per frame [F]: roll_rad (positive: left side up), pitch_rad (positive: front down), as in
+    oxts; heave_m.
+    """
 
     roll_rad: np.ndarray
     pitch_rad: np.ndarray
@@ -40,7 +46,9 @@ class Body(NamedTuple):
 
 
 class Journey(NamedTuple):
-    """The IMU's `motion` along the route for F frames, and how it continues `after` them for FRAMES_AFTER frames."""
+    """The IMU's `motion` along the route for F frames, and how it continues `after` them for
+    FRAMES_AFTER frames.
+    """
 
     route: Route
     motion: Travel
@@ -48,7 +56,9 @@ class Journey(NamedTuple):
     body: Body
 
     def continued(self) -> "Journey":
-        """Return the journey with the frames `after`, on which the body leans as in the last frame."""
+        """Return the journey with the frames `after`, on which the body leans as in the last
+        frame.
+        """
         motion = Travel(*map(np.concatenate, zip(self.motion, self.after, strict=True)))
         body = Body(*(np.pad(lean, (0, len(self.after.s_m)), mode="edge") for lean in self.body))
         return Journey(self.route, motion, self.after, body)
@@ -60,12 +70,18 @@ class Journey(NamedTuple):
         return rigid(R, [*xy, IMU_HEIGHT_M + self.body.heave_m[frame]])
 
 
-def draw_journey(rng: np.random.Generator, frames: int, character: Character, first: str) -> Journey:
-    """Draw a road that begins with the manoeuvre `first`, and a drive of `frames` frames in its lane."""
+def draw_journey(
+    rng: np.random.Generator, frames: int, character: Character, first: str
+) -> Journey:
+    """Draw a road that begins with the manoeuvre `first`, and a drive of `frames` frames in its
+    lane.
+    """
     times = frame_times(rng, frames)
     cruise = rng.uniform(*character.cruise_mps)
     route = draw_route(rng, cruise * times[-1] + AHEAD_M, character.lane_m, first)
-    speed = speed_profile(route, cruise, rng.uniform(*LATERAL_MPS2), draw_stops(rng, route, 0.75 * cruise * times[-1]))
+    speed = speed_profile(
+        route, cruise, rng.uniform(*LATERAL_MPS2), draw_stops(rng, route, 0.75 * cruise * times[-1])
+    )
     wait_s = rng.uniform(*_WAIT_S)
     motion = drive(route, speed, times, wait_s)
     after = drive(route, speed, times[-1] + PERIOD_S * np.arange(1, FRAMES_AFTER + 1), wait_s)
@@ -78,8 +94,12 @@ def frame_times(rng: np.random.Generator, frames: int) -> np.ndarray:
     return times - times[0]
 
 
-def speed_profile(route: Route, cruise_mps: float, lateral_mps2: float, stops_m: tuple[float, ...] = ()) -> np.ndarray:
-    """Return the speed at the route's samples [N], limited by `lateral_mps2` in bends, zero at `stops_m`."""
+def speed_profile(
+    route: Route, cruise_mps: float, lateral_mps2: float, stops_m: tuple[float, ...] = ()
+) -> np.ndarray:
+    """Return the speed at the route's samples [N], limited by `lateral_mps2` in bends, zero at
+    `stops_m`.
+    """
     curvature = np.maximum(np.abs(route.curvature_1pm), 1e-6)
     speed = np.minimum(cruise_mps, np.sqrt(lateral_mps2 / curvature))
     speed[[round((stop - route.s_m[0]) / STEP_M) for stop in stops_m]] = 0.0
@@ -91,7 +111,9 @@ def speed_profile(route: Route, cruise_mps: float, lateral_mps2: float, stops_m:
 
 
 def draw_stops(rng: np.random.Generator, route: Route, before_m: float) -> tuple[float, ...]:
-    """Draw the places where the ego halts: in some drives, ahead of a junction before `before_m`."""
+    """Draw the places where the ego halts: in some drives, ahead of a junction before
+    `before_m`.
+    """
     places = [junction - 13.0 for junction in route.junctions_m if 15 < junction - 13 < before_m]
     return (places[int(rng.integers(len(places)))],) if places and rng.random() < 0.2 else ()
 
@@ -99,23 +121,29 @@ def draw_stops(rng: np.random.Generator, route: Route, before_m: float) -> tuple
 def drive(route: Route, speed_mps: np.ndarray, times_s: np.ndarray, wait_s: float) -> Travel:
     """Follow `speed_mps` [N] along the route from s = 0; wait for `wait_s` where it is zero.
 
-    Acceleration is constant between samples of the route, so that positions integrate speeds exactly.
+    Acceleration is constant between samples of the route, so that positions integrate speeds
+    exactly.
     """
     start = round(-route.s_m[0] / STEP_M)
     s, v = route.s_m[start:], speed_mps[start:]
     stop = np.flatnonzero(v == 0)
-    s, v = np.insert(s, stop, s[stop]), np.insert(v, stop, 0.0)  # two knots per stop: arrival and departure
+    # two knots per stop: arrival and departure
+    s, v = np.insert(s, stop, s[stop]), np.insert(v, stop, 0.0)
     ds, both = np.diff(s), v[1:] + v[:-1]
     duration = np.where(both > 0, 2 * ds / np.where(both > 0, both, 1.0), wait_s)
     knots = np.concatenate([[0.0], np.cumsum(duration)])
     i = np.searchsorted(knots, times_s, side="right") - 1
     acceleration = np.diff(v)[i] / duration[i]
     t = times_s - knots[i]
-    return Travel(times_s, s[i] + v[i] * t + acceleration * t**2 / 2, v[i] + acceleration * t, acceleration)
+    return Travel(
+        times_s, s[i] + v[i] * t + acceleration * t**2 / 2, v[i] + acceleration * t, acceleration
+    )
 
 
 def draw_body(route: Route, motion: Travel, rng: np.random.Generator) -> Body:
-    """Draw the body's motion: it leans out of bends, dives under braking and follows bumps along the road."""
+    """Draw the body's motion: it leans out of bends, dives under braking and follows bumps along
+    the road.
+    """
     grid = np.arange(motion.s_m[0], motion.s_m[-1] + _GRID_M, _GRID_M)
     reach = round(3 * _BUMP_M / _GRID_M)
     kernel = np.exp(-((np.arange(-reach, reach + 1) * _GRID_M / _BUMP_M) ** 2) / 2)

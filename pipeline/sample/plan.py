@@ -1,4 +1,6 @@
-"""Draw the quarter that a drive crosses, and its ground plan: a raster of ground kinds and distances to the road."""
+"""Draw the quarter that a drive crosses, and its ground plan: a raster of ground kinds and
+distances to the road.
+"""
 
 from typing import NamedTuple
 
@@ -21,7 +23,8 @@ class Character(NamedTuple):
 
     lane_m: float
     cruise_mps: tuple[float, float]
-    kerbside: bool  # cars park at both kerbs of a street without markings; otherwise in bays beside the lanes
+    # cars park at both kerbs of a street without markings; otherwise in bays beside the lanes
+    kerbside: bool
     pavement_m: float
     setback_m: tuple[float, float]  # of houses, behind the pavement
     storeys: tuple[int, int]
@@ -43,7 +46,9 @@ def draw_character(rng: np.random.Generator, quarter: str) -> Character:
     narrow = (rng.uniform(2.0, 2.5), (5.0, 8.0), True, rng.uniform(1.3, 2.2))
     table = {
         "centre": Character(*wide, (0.0, 0.6), (3, 6), (0.0, 3.0), 0.3, 0.0, 0.8, parked),
-        "narrow": Character(*narrow, (0.0, 3.0), (2, 4), (0.0, 6.0), 0.3, 0.5, 1.0, rng.uniform(0.55, 0.95)),
+        "narrow": Character(
+            *narrow, (0.0, 3.0), (2, 4), (0.0, 6.0), 0.3, 0.5, 1.0, rng.uniform(0.55, 0.95)
+        ),
         "suburb": Character(*wide, (4.0, 9.0), (1, 3), (4.0, 12.0), 0.8, 0.6, 0.5, parked),
         "terraces": Character(*wide, (1.5, 4.0), (2, 4), (0.0, 6.0), 0.5, 0.4, 0.7, parked),
         "village": Character(*wide, (2.0, 12.0), (1, 3), (6.0, 25.0), 0.9, 0.3, 0.4, parked),
@@ -52,16 +57,21 @@ def draw_character(rng: np.random.Generator, quarter: str) -> Character:
 
 
 class Plan(NamedTuple):
-    """`kind` uint8 [Y,X] of GRASS ... KERBSTONE; `to_road_m` float32 [Y,X]; `origin` [2] world x, y of cell (0, 0)."""
+    """`kind` uint8 [Y,X] of GRASS ... KERBSTONE; `to_road_m` float32 [Y,X]; `origin` [2] world x, y
+    of cell (0, 0).
+    """
 
     kind: np.ndarray
     to_road_m: np.ndarray
     origin: np.ndarray
-    bays: dict[int, np.ndarray]  # side (+1 left, -1 right) -> width for parked cars at the route's samples
+    # side (+1 left, -1 right) -> width for parked cars at the route's samples
+    bays: dict[int, np.ndarray]
     parking: np.ndarray  # bool, whether cars may park at the route's samples
 
     def cells(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return rows and columns [...] of the nearest cells to points at x, y [...], clipped to the border."""
+        """Return rows and columns [...] of the nearest cells to points at x, y [...], clipped to
+        the border.
+        """
         row, column = (
             np.rint((along - origin) / CELL_M).astype(np.int64).clip(0, size - 1)
             for along, origin, size in zip((y, x), self.origin[::-1], self.kind.shape, strict=True)
@@ -108,13 +118,25 @@ def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> P
 
 
 def _paint_markings(
-    paint: np.ndarray, route: Route, bays: dict[int, np.ndarray], origin: np.ndarray, rng: np.random.Generator
+    paint: np.ndarray,
+    route: Route,
+    bays: dict[int, np.ndarray],
+    origin: np.ndarray,
+    rng: np.random.Generator,
 ) -> None:
     """Paint bays, the line between the lanes, and in some drives lines along the edges."""
     s = route.s_m[_EVERY]
     for sign, edge in ((1, route.left_m), (-1, route.right_m)):
-        _paint_band(paint, route.at(s, edge)[0], route.at(s, edge + sign * bays[sign][_EVERY])[0], origin, BAY)
-    clear = np.all([np.abs(s - junction) > 11 for junction in route.junctions_m], axis=0) | np.zeros(len(s), bool)
+        _paint_band(
+            paint,
+            route.at(s, edge)[0],
+            route.at(s, edge + sign * bays[sign][_EVERY])[0],
+            origin,
+            BAY,
+        )
+    clear = np.all(
+        [np.abs(s - junction) > 11 for junction in route.junctions_m], axis=0
+    ) | np.zeros(len(s), bool)
     for i in np.flatnonzero(clear[:-1] & ((s[:-1] % 5) < 2.5)):  # dashed: 2.5 m on, 2.5 m off
         _paint_line(paint, route.at(s[i : i + 2], route.centre_m)[0], origin)
     if rng.random() < 0.5:
@@ -133,7 +155,9 @@ def _may_park(route: Route, kerbside: bool) -> np.ndarray:
     return np.convolve(blocked, np.ones(2 * reach + 1), "same") == 0
 
 
-def _bay_width(route: Route, parking: np.ndarray, rng: np.random.Generator, character: Character) -> np.ndarray:
+def _bay_width(
+    route: Route, parking: np.ndarray, rng: np.random.Generator, character: Character
+) -> np.ndarray:
     """Draw the width for parked cars [N]: bays come in stretches; kerbs are free throughout."""
     width = np.full(len(route.s_m), BAY_M if character.kerbside else 0.0)
     if not character.kerbside and rng.random() < character.bays:
@@ -154,7 +178,9 @@ def _close(mask: np.ndarray, radius_m: float) -> np.ndarray:
     return (closed | (mask > 0)).astype(np.uint8)
 
 
-def _paint_band(canvas: np.ndarray, left: np.ndarray, right: np.ndarray, origin: np.ndarray, value: int) -> None:
+def _paint_band(
+    canvas: np.ndarray, left: np.ndarray, right: np.ndarray, origin: np.ndarray, value: int
+) -> None:
     for i in range(len(left) - 1):
         quad = np.array([left[i], left[i + 1], right[i + 1], right[i]])
         cv2.fillConvexPoly(canvas, _fixed(quad, origin), value, shift=4)

@@ -19,16 +19,20 @@ from pipeline.sample.settings import Sample
 from pipeline.sample.traffic import draw_traffic
 from pipeline.sample.world import World
 
-# Level 1 and one filter per file: half the time of writing and two thirds of reading for 13 kB more of a frame's 130.
+# Level 1 and one filter per file: half the time of writing and two thirds of reading for 13 kB more
+# of a frame's 130.
 _LEVEL = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER)
 
 
-def render_drive(path: Path, drive: str, settings: Sample, *, frames: int, lidar: bool, truth: bool) -> dict[str, Any]:
-    """Lay out the drive named `drive` (2026_01_01_drive_0001), and render `frames` frames into the new folder `path`.
+def render_drive(
+    path: Path, drive: str, settings: Sample, *, frames: int, lidar: bool, truth: bool
+) -> dict[str, Any]:
+    """Lay out the drive named `drive` (2026_01_01_drive_0001), and render `frames` frames into the
+    new folder `path`.
 
-    The name and the seed determine road, street, light and motion. Oxts files continue for some frames after the last
-    image, for labels of the path ahead. `lidar`: add scans; `truth`: add truth/depth (16-bit PNG, metres x 256, 0:
-    none) and truth/cls (trainIds) of the images.
+    The name and the seed determine road, street, light and motion. Oxts files continue for some
+    frames after the last image, for labels of the path ahead. `lidar`: add scans; `truth`: add
+    truth/depth (16-bit PNG, metres x 256, 0: none) and truth/cls (trainIds) of the images.
 
     Returns the number of frames and metres driven.
     """
@@ -43,7 +47,9 @@ def render_drive(path: Path, drive: str, settings: Sample, *, frames: int, lidar
     rig = make_rig(settings.image_size, drive[:10])
     camera, scanner = ImageSensor(rig), Scanner(rig, settings.scan_rays) if lidar else None
 
-    images, oxts, scans = (path / sensor / "data" for sensor in ("image_02", "oxts", "velodyne_points"))
+    images, oxts, scans = (
+        path / sensor / "data" for sensor in ("image_02", "oxts", "velodyne_points")
+    )
     depths, classes = path / "truth" / "depth", path / "truth" / "cls"
     for folder in (images, oxts, *[scans] * bool(scanner)):
         folder.mkdir(parents=True)
@@ -69,7 +75,9 @@ def render_drive(path: Path, drive: str, settings: Sample, *, frames: int, lidar
 
 
 def theme(drive: str) -> tuple[str, str]:
-    """Return a drive's quarter and first manoeuvre. They vary with number and date: a few short drives cover all."""
+    """Return a drive's quarter and first manoeuvre. They vary with number and date: a few short
+    drives cover all.
+    """
     day, number = int(drive[8:10]), int(drive[-4:])
     return QUARTERS[(number - 2 * day) % len(QUARTERS)], DECK[(number - day) % len(DECK)]
 

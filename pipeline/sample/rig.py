@@ -1,7 +1,8 @@
 """The sensors on the car: KITTI's calibration files, camera images and LiDAR scans.
 
-The rig resembles KITTI's: the scanner is 0.8 m in front of the IMU, the cameras 0.27 m in front of the scanner. Some
-dates have other cameras, as other cars would. ``T_a_b`` takes points from frame b to frame a.
+The rig resembles KITTI's: the scanner is 0.8 m in front of the IMU, the cameras 0.27 m in front of
+the scanner. Some dates have other cameras, as other cars would. ``T_a_b`` takes points from frame b
+to frame a.
 """
 
 from pathlib import Path
@@ -17,8 +18,10 @@ from pipeline.sample.light import Light, shade
 from pipeline.sample.route import IMU_HEIGHT_M, rotation
 from pipeline.sample.world import World, dot
 
-CAMERAS_LEFT_M = {0: 0.0, 1: -0.537, 2: 0.0622, 3: -0.4706}  # of camera 0: grey left, right, colour left, right
-_LEVEL = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])  # x forward, y left, z up -> x right, y down, z forward
+# of camera 0: grey left, right, colour left, right
+CAMERAS_LEFT_M = {0: 0.0, 1: -0.537, 2: 0.0622, 3: -0.4706}
+# x forward, y left, z up -> x right, y down, z forward
+_LEVEL = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
 
 ELEVATION_DEG = (2.0, -24.8)  # of the HDL-64E's lasers, top to bottom
 SCAN_RANGE_M = 90.0
@@ -26,11 +29,16 @@ FARTHEST_M = float(to_metres(np.array(MAX_UNITS)))  # of stored depth
 RANGE_NOISE_M = 0.015
 _RESOLUTION_M = 1 / 1024  # of points: finer than the noise, and stored scans are smaller
 _REFLECTANCE = np.full(256, 0.3, np.float32)
-_REFLECTANCE[[classes.ROAD, classes.SIDEWALK, classes.TERRAIN, classes.VEGETATION]] = 0.18, 0.28, 0.35, 0.3
+_REFLECTANCE[[classes.ROAD, classes.SIDEWALK, classes.TERRAIN, classes.VEGETATION]] = (
+    0.18,
+    0.28,
+    0.35,
+    0.3,
+)
 
 _FOCAL_PER_WIDTH = 360.8 / 621  # KITTI's
-# Focal length relative to KITTI's, principal point as shares of width and height, height over the road in metres. The
-# scanner's height is constant, so that T_cam_velo determines the camera's.
+# Focal length relative to KITTI's, principal point as shares of width and height, height over the
+# road in metres. The scanner's height is constant, so that T_cam_velo determines the camera's.
 _KITTI = (1.0, 304.5 / 621, 86.2 / 188, CAMERA_HEIGHT_M)
 _CAMERAS_OF_DATE = {
     "2026_01_04": (0.86, 0.506, 0.478, 1.55),
@@ -64,31 +72,43 @@ class Rig(NamedTuple):
 
     @property
     def T_cam2_imu(self) -> np.ndarray:
-        """Transform [4,4] from the IMU to the rectified left colour camera, as computed from the files."""
+        """Transform [4,4] from the IMU to the rectified left colour camera, as computed from the
+        files.
+        """
         shift = rigid(np.eye(3), [self.P_rect[2][0, 3] / self.P_rect[2][0, 0], 0, 0])
         return shift @ rigid(self.R_rect, np.zeros(3)) @ self.T_cam_velo @ self.T_velo_imu
 
 
 def make_rig(size: tuple[int, int], date: str) -> Rig:
-    """Return the calibration of a date (2026_01_01) for images of `size` [H, W], of square pixels."""
+    """Return the calibration of a date (2026_01_01) for images of `size` [H, W], of square
+    pixels.
+    """
     height, width = size
     focal, x, y, height_m = _CAMERAS_OF_DATE.get(date, _KITTI)
     f = focal * _FOCAL_PER_WIDTH * width
     K = np.array([[f, 0, x * width], [0, f, y * height], [0, 0, 1]])
     P = {n: np.column_stack([K, [f * left, 0.0, 0.0]]) for n, left in CAMERAS_LEFT_M.items()}
-    T_velo_imu = rigid(rotation(0.002, -0.0015, 0.001), [-0.81, 0.30, IMU_HEIGHT_M - SCANNER_HEIGHT_M])
+    T_velo_imu = rigid(
+        rotation(0.002, -0.0015, 0.001), [-0.81, 0.30, IMU_HEIGHT_M - SCANNER_HEIGHT_M]
+    )
     R_rect = rotation(-0.004, 0.007, -0.009)
-    # Rectified cameras point straight ahead up to mounting errors of milliradians; the tilts of raw camera and scanner
-    # cancel.
+    # Rectified cameras point straight ahead up to mounting errors of milliradians; the tilts of raw
+    # camera and scanner cancel.
     R = R_rect.T @ rotation(0.004, -0.002, 0.001) @ _LEVEL @ T_velo_imu[:3, :3].T
     T_cam_velo = rigid(R, R_rect.T @ [0.0, round(height_m - SCANNER_HEIGHT_M, 3), -0.27])
     return Rig(size, P, R_rect, T_cam_velo, T_velo_imu)
 
 
 def write_calibration(rig: Rig, folder: Path) -> None:
-    """Write calib_cam_to_cam.txt, calib_velo_to_cam.txt and calib_imu_to_velo.txt into a date's folder."""
+    """Write calib_cam_to_cam.txt, calib_velo_to_cam.txt and calib_imu_to_velo.txt into a date's
+    folder.
+    """
     time = {"calib_time": "01-Jan-2026 12:00:00"}
-    cameras: dict[str, str | np.ndarray] = {"dataset": "sample", **time, "corner_dist": "9.950000e-02"}
+    cameras: dict[str, str | np.ndarray] = {
+        "dataset": "sample",
+        **time,
+        "corner_dist": "9.950000e-02",
+    }
     for camera, P in rig.P_rect.items():
         cameras[f"S_rect_{camera:02d}"] = np.array(rig.size[::-1], float)
         cameras[f"R_rect_{camera:02d}"] = rig.R_rect
@@ -104,17 +124,24 @@ class ImageSensor:
     def __init__(self, rig: Rig) -> None:
         self._size = rig.size
         forward = geometry.rays(rig.P_rect[2][:, :3], rig.size).reshape(-1, 3).T
-        self._z_per_m = (1 / np.linalg.norm(forward, axis=0)).astype(np.float32)  # depth along the axis per distance
+        # depth along the axis per distance
+        self._z_per_m = (1 / np.linalg.norm(forward, axis=0)).astype(np.float32)
         self._directions = (forward * self._z_per_m).astype(np.float32)
         self._T_imu_cam = np.linalg.inv(rig.T_cam2_imu)
 
-    def take(self, world: World, light: Light, T_world_imu: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return RGB uint8 [H,W,3], depth [H,W] in metres (0: sky or too far to be stored), classes uint8 [H,W]."""
+    def take(
+        self, world: World, light: Light, T_world_imu: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return RGB uint8 [H,W,3], depth [H,W] in metres (0: sky or too far to be stored), classes
+        uint8 [H,W].
+        """
         rays = _rays(T_world_imu @ self._T_imu_cam, self._directions)
         hits = world.cast(rays)
-        facing = np.flatnonzero(dot(hits.normal, light.sun.astype(np.float32)) > 0)  # the sky has no normal
+        # the sky has no normal
+        facing = np.flatnonzero(dot(hits.normal, light.sun.astype(np.float32)) > 0)
         points = rays[:3, facing] + hits.distance_m[facing] * rays[3:, facing]
-        points += np.float32(0.01) * hits.normal[:, facing]  # off the surface, which would shade itself
+        # off the surface, which would shade itself
+        points += np.float32(0.01) * hits.normal[:, facing]
         lit = np.zeros(rays.shape[1], bool)
         lit[facing] = world.lit(points, light.sun)
         picture = shade(light, hits, rays, lit, self._size)
@@ -131,7 +158,8 @@ class Scanner:
         elevation = np.deg2rad(np.linspace(*ELEVATION_DEG, rings))[:, None]
         azimuth = np.arange(per_ring)[None] * 2 * np.pi / per_ring
         forward, up = np.cos(elevation), np.sin(elevation)
-        directions = np.broadcast_arrays(forward * np.cos(azimuth), forward * np.sin(azimuth), up)  # [rings,per_ring]
+        # [rings,per_ring]
+        directions = np.broadcast_arrays(forward * np.cos(azimuth), forward * np.sin(azimuth), up)
         self._directions = np.stack(directions).reshape(3, -1).astype(np.float32)
         self._T_imu_velo = np.linalg.inv(rig.T_velo_imu)
 
@@ -140,10 +168,17 @@ class Scanner:
         rays = _rays(T_world_imu @ self._T_imu_velo, self._directions)
         hits = world.cast(rays)
         distance = hits.distance_m + rng.normal(0, RANGE_NOISE_M, rays.shape[1])
-        reflectance = _REFLECTANCE[hits.cls] + 0.5 * hits.colour.mean(axis=0) * rng.uniform(0.6, 1.0, rays.shape[1])
+        reflectance = _REFLECTANCE[hits.cls] + 0.5 * hits.colour.mean(axis=0) * rng.uniform(
+            0.6, 1.0, rays.shape[1]
+        )
         in_range = np.flatnonzero(hits.distance_m < SCAN_RANGE_M)
-        xyz = np.rint(self._directions[:, in_range] * distance[in_range] / _RESOLUTION_M) * _RESOLUTION_M
-        return np.stack([*xyz, np.round(np.clip(reflectance[in_range], 0, 0.99), 2)], axis=-1).astype(np.float32)
+        xyz = (
+            np.rint(self._directions[:, in_range] * distance[in_range] / _RESOLUTION_M)
+            * _RESOLUTION_M
+        )
+        return np.stack(
+            [*xyz, np.round(np.clip(reflectance[in_range], 0, 0.99), 2)], axis=-1
+        ).astype(np.float32)
 
 
 def _rays(T_world_sensor: np.ndarray, directions: np.ndarray) -> np.ndarray:

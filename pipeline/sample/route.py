@@ -1,7 +1,8 @@
 """The ego's path: straights and bends with clothoid transitions; turns at crossings and side roads.
 
-World frame: x east, y north, z up, metres; headings counter-clockwise from east. It is the path of the IMU (the rear
-axle): its curvature is continuous and piecewise linear in arc length, which makes the steering label exact.
+World frame: x east, y north, z up, metres; headings counter-clockwise from east. It is the path of
+the IMU (the rear axle): its curvature is continuous and piecewise linear in arc length, which makes
+the steering label exact.
 """
 
 from typing import NamedTuple
@@ -12,11 +13,12 @@ STEP_M = 0.1
 BEHIND_M = 40.0  # road behind the first frame, for the LiDAR
 AHEAD_M = 110.0  # road ahead of the last frame, for the camera
 IMU_HEIGHT_M = 0.93  # of the IMU over the road
-IMU_LEFT_M = 0.3  # offset of the IMU from the car's centre line, as in KITTI; the car is centred in its lane
+# offset of the IMU from the car's centre line, as in KITTI; the car is centred in its lane
+IMU_LEFT_M = 0.3
 
 DECK = ("right", "bend+", "crossing", "left", "sweep-", "corner+", "bend-", "sweep+", "corner-")
-"""Manoeuvres, shuffled for every road: right and left turns at crossings, corners of wider roads, bends, long sweeps
-(+ left, - right), and straight on past side roads."""
+"""Manoeuvres, shuffled for every road: right and left turns at crossings, corners of wider roads,
+bends, long sweeps (+ left, - right), and straight on past side roads."""
 _APART_M, _ROOM_M = 60.0, 32.0  # stretches farther apart along the road keep this distance
 _ARM_M, _ARM_HALF_M = (28.0, 45.0), (2.6, 4.2)  # length and half the width of side roads
 
@@ -34,7 +36,9 @@ class Arm(NamedTuple):
 
 
 class Route(NamedTuple):
-    """The path sampled every ``STEP_M``: s [N] from -BEHIND_M, xy [N,2], heading_rad [N], curvature_1pm [N]."""
+    """The path sampled every ``STEP_M``: s [N] from -BEHIND_M, xy [N,2], heading_rad [N],
+    curvature_1pm [N].
+    """
 
     s_m: np.ndarray
     xy: np.ndarray
@@ -59,7 +63,9 @@ class Route(NamedTuple):
         """Offset of the line between the lanes."""
         return (self.left_m + self.right_m) / 2
 
-    def at(self, s_m: np.ndarray | float, offset_m: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    def at(
+        self, s_m: np.ndarray | float, offset_m: np.ndarray | float = 0.0
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return points [..., 2] at `offset_m` to the left of the path, and headings [...]."""
         heading = np.interp(s_m, self.s_m, self.heading_rad)
         xy = np.stack([np.interp(s_m, self.s_m, self.xy[:, axis]) for axis in (0, 1)], axis=-1)
@@ -89,15 +95,24 @@ def rotation(x: float, y: float, z: float) -> np.ndarray:
 
 
 def bend(angle_rad: float, radius_m: float, transition_m: float) -> list[Piece]:
-    """Return the pieces clothoid, arc, clothoid for a turn by `angle_rad` (left positive) at `radius_m`."""
-    transition_m = min(transition_m, abs(angle_rad) * radius_m)  # the clothoids turn by transition / radius
+    """Return the pieces clothoid, arc, clothoid for a turn by `angle_rad` (left positive) at
+    `radius_m`.
+    """
+    # the clothoids turn by transition / radius
+    transition_m = min(transition_m, abs(angle_rad) * radius_m)
     curvature = np.sign(angle_rad) / radius_m
     arc_m = abs(angle_rad) * radius_m - transition_m
-    return [(transition_m, 0.0, curvature), (arc_m, curvature, curvature), (transition_m, curvature, 0.0)]
+    return [
+        (transition_m, 0.0, curvature),
+        (arc_m, curvature, curvature),
+        (transition_m, curvature, 0.0),
+    ]
 
 
 def trace(pieces: list[Piece]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return s [N], xy [N,2], heading [N], curvature [N] along `pieces`, from the origin eastwards."""
+    """Return s [N], xy [N,2], heading [N], curvature [N] along `pieces`, from the origin
+    eastwards.
+    """
     knots = np.concatenate([[0.0], np.cumsum([piece[0] for piece in pieces])])
     s = np.arange(0, knots[-1], STEP_M)
     index = np.clip(np.searchsorted(knots, s, side="right") - 1, 0, len(pieces) - 1)
@@ -108,11 +123,13 @@ def trace(pieces: list[Piece]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
     return s, np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)]), heading, curvature
 
 
-def draw_route(rng: np.random.Generator, length_m: float, lane_m: float, first: str = "crossing") -> Route:
+def draw_route(
+    rng: np.random.Generator, length_m: float, lane_m: float, first: str = "crossing"
+) -> Route:
     """Draw a road of at least `length_m` after the first frame that does not cross itself.
 
-    It begins with the manoeuvre `first` of :data:`DECK`, often in the middle of it: otherwise all short drives would
-    begin with a straight.
+    It begins with the manoeuvre `first` of :data:`DECK`, often in the middle of it: otherwise all
+    short drives would begin with a straight.
     """
     while True:
         route = _draw(rng, length_m, lane_m, first)
@@ -137,7 +154,9 @@ def _draw(rng: np.random.Generator, length_m: float, lane_m: float, first: str) 
     # The first frame lies some metres before the first manoeuvre, or in it.
     (_, start, end), *_ = begun
     origin = round(rng.uniform(start - 12.0, start + 0.6 * (end - start)) / STEP_M) * STEP_M
-    s, xy, heading, curvature = (part[round((origin - BEHIND_M) / STEP_M) :] for part in trace(pieces))
+    s, xy, heading, curvature = (
+        part[round((origin - BEHIND_M) / STEP_M) :] for part in trace(pieces)
+    )
     s = s - origin
     stop = int(np.searchsorted(s, length_m))
     route = Route(s[:stop], xy[:stop], heading[:stop], curvature[:stop], lane_m, (), ())
@@ -157,13 +176,19 @@ def _manoeuvre(card: str, lane_m: float, rng: np.random.Generator) -> list[Piece
     if kind == "right":
         return bend(-np.deg2rad(rng.uniform(75, 100)), rng.uniform(5.0, 7.0), rng.uniform(4, 6))
     if kind == "left":  # across the other lane
-        return bend(np.deg2rad(rng.uniform(75, 100)), 0.6 * lane_m + rng.uniform(4.7, 8.0), rng.uniform(5, 8))
+        return bend(
+            np.deg2rad(rng.uniform(75, 100)),
+            0.6 * lane_m + rng.uniform(4.7, 8.0),
+            rng.uniform(5, 8),
+        )
     if kind == "corner":
         return bend(side * np.deg2rad(rng.uniform(75, 100)), rng.uniform(9, 14), rng.uniform(7, 10))
     if kind == "bend":
         return bend(side * np.deg2rad(rng.uniform(35, 75)), rng.uniform(12, 30), rng.uniform(7, 11))
     if kind == "sweep":
-        return bend(side * np.deg2rad(rng.uniform(12, 30)), rng.uniform(40, 200), rng.uniform(10, 15))
+        return bend(
+            side * np.deg2rad(rng.uniform(12, 30)), rng.uniform(40, 200), rng.uniform(10, 15)
+        )
     return [(rng.uniform(16, 22), 0.0, 0.0)]
 
 
@@ -181,8 +206,11 @@ def _clear_of_itself(route: Route) -> bool:
     return True
 
 
-def _draw_arms(route: Route, kind: str, start: float, end: float, rng: np.random.Generator) -> list[Arm]:
-    """Draw the side roads of a crossing, or of a junction where the ego turns, from s = `start` to `end`.
+def _draw_arms(
+    route: Route, kind: str, start: float, end: float, rng: np.random.Generator
+) -> list[Arm]:
+    """Draw the side roads of a crossing, or of a junction where the ego turns, from s = `start` to
+    `end`.
 
     Those of a turn are closed: otherwise the image would not show which way the ego goes.
     """
@@ -192,10 +220,14 @@ def _draw_arms(route: Route, kind: str, start: float, end: float, rng: np.random
     if kind == "crossing":
         square = heading_in + np.pi / 2 + np.deg2rad(rng.uniform(-10, 10))
         sides = [[0.0], [np.pi], [0.0, np.pi]][rng.integers(3)]
-        return [Arm((first + last) / 2, float(square + turn), False, length, half) for turn in sides]
+        return [
+            Arm((first + last) / 2, float(square + turn), False, length, half) for turn in sides
+        ]
     # The roads' centre lines intersect at the junction.
     into, out = unit(heading_in), unit(heading_out)
     middle = first + np.linalg.solve(np.stack([into, -out], axis=1), last - first)[0] * into
     which = rng.integers(4)  # corner | T-junction, entered from its stem | straight on | both
-    headings = [float(heading_out + np.pi)] * (which in (1, 3)) + [float(heading_in)] * (which in (2, 3))
+    headings = [float(heading_out + np.pi)] * (which in (1, 3)) + [float(heading_in)] * (
+        which in (2, 3)
+    )
     return [Arm(middle, heading, True, length, half) for heading in headings]

@@ -1,4 +1,6 @@
-"""Build the static street: kerbs, barriers, houses, trees, posts, hedges, parked cars, woods on the horizon."""
+"""Build the static street: kerbs, barriers, houses, trees, posts, hedges, parked cars, woods on the
+horizon.
+"""
 
 from typing import NamedTuple
 
@@ -12,8 +14,16 @@ from pipeline.sample.route import Route, unit
 from pipeline.sample.shapes import Mesh
 
 BARRIER_M = (2.0, 3.5)  # from the junction's edge to the barrier of a closed arm
-_WALLS = [(0.62, 0.50, 0.38), (0.70, 0.66, 0.58), (0.55, 0.30, 0.24), (0.78, 0.76, 0.72), (0.48, 0.46, 0.44),
-          (0.66, 0.56, 0.36), (0.42, 0.28, 0.24), (0.60, 0.62, 0.64)]  # fmt: skip
+_WALLS = [
+    (0.62, 0.50, 0.38),
+    (0.70, 0.66, 0.58),
+    (0.55, 0.30, 0.24),
+    (0.78, 0.76, 0.72),
+    (0.48, 0.46, 0.44),
+    (0.66, 0.56, 0.36),
+    (0.42, 0.28, 0.24),
+    (0.60, 0.62, 0.64),
+]
 _ROOFS = [(0.38, 0.16, 0.12), (0.22, 0.20, 0.20), (0.30, 0.24, 0.22), (0.42, 0.24, 0.16)]
 _LEAVES = [(0.16, 0.30, 0.08), (0.22, 0.34, 0.10), (0.12, 0.24, 0.10), (0.30, 0.34, 0.12)]
 
@@ -25,26 +35,40 @@ class Ground:
         self.plan = plan
         self._taken: np.ndarray = np.zeros(plan.kind.shape, np.uint8)
 
-    def claim(self, xy: np.ndarray, outward_rad: float, size: tuple[float, float], clear_m: float) -> bool:
-        """Take a rectangle of `size` (along the street, away from it) if it is free and keeps `clear_m` from roads."""
+    def claim(
+        self, xy: np.ndarray, outward_rad: float, size: tuple[float, float], clear_m: float
+    ) -> bool:
+        """Take a rectangle of `size` (along the street, away from it) if it is free and keeps
+        `clear_m` from roads.
+        """
         along, away = unit(outward_rad - np.pi / 2) * size[0] / 2, unit(outward_rad) * size[1] / 2
-        corners = np.array([xy + along + away, xy - along + away, xy - along - away, xy + along - away])
+        corners = np.array(
+            [xy + along + away, xy - along + away, xy - along - away, xy + along - away]
+        )
         cells = np.rint((corners - self.plan.origin) / CELL_M).astype(np.int32)
         lowest, highest = cells.min(axis=0), cells.max(axis=0) + 1
-        if (lowest < 0).any() or highest[0] > self._taken.shape[1] or highest[1] > self._taken.shape[0]:
+        if (
+            (lowest < 0).any()
+            or highest[0] > self._taken.shape[1]
+            or highest[1] > self._taken.shape[0]
+        ):
             return False
         window = (slice(lowest[1], highest[1]), slice(lowest[0], highest[0]))
         footprint = np.zeros(self._taken[window].shape, np.uint8)
         cv2.fillConvexPoly(footprint, cells - lowest, 1)
         inside = footprint > 0
-        if (self._taken[window][inside] > 0).any() or (self.plan.to_road_m[window][inside] < clear_m).any():
+        if (self._taken[window][inside] > 0).any() or (
+            self.plan.to_road_m[window][inside] < clear_m
+        ).any():
             return False
         self._taken[window][inside] = 1
         return True
 
 
 class Frontage(NamedTuple):
-    """One side of a road: the line of its edge, [N,2] every half metre, and the outward headings [N]."""
+    """One side of a road: the line of its edge, [N,2] every half metre, and the outward headings
+    [N].
+    """
 
     edge: np.ndarray
     outward_rad: np.ndarray
@@ -53,7 +77,9 @@ class Frontage(NamedTuple):
 def build_street(route: Route, plan: Plan, character: Character, rng: np.random.Generator) -> Mesh:
     """Return the mesh of all static objects, without the ground."""
     ground = Ground(plan)
-    parts = [shapes.wall(outline, KERB_M, (0.5, 0.5, 0.49), classes.SIDEWALK) for outline in plan.kerbs()]
+    parts = [
+        shapes.wall(outline, KERB_M, (0.5, 0.5, 0.49), classes.SIDEWALK) for outline in plan.kerbs()
+    ]
     parts += [_horizon(plan, rng), *_barriers(route, rng)]
     parts += _parked_cars(route, plan, character, rng)
     for frontage in frontages(route, plan):
@@ -85,11 +111,15 @@ def _barriers(route: Route, rng: np.random.Generator) -> list[Mesh]:
         for i, across in enumerate(boards):
             colour = (0.75, 0.08, 0.06) if i % 2 else (0.9, 0.9, 0.88)
             xy = middle + across * unit(arm.heading_rad + np.pi / 2)
-            parts.append(shapes.box((0.12, 0.7, 1.15), colour, classes.FENCE).placed(xy, arm.heading_rad))
+            parts.append(
+                shapes.box((0.12, 0.7, 1.15), colour, classes.FENCE).placed(xy, arm.heading_rad)
+            )
     return parts
 
 
-def _houses(frontage: Frontage, ground: Ground, character: Character, rng: np.random.Generator) -> list[Mesh]:
+def _houses(
+    frontage: Frontage, ground: Ground, character: Character, rng: np.random.Generator
+) -> list[Mesh]:
     parts, i = [], int(rng.integers(4))
     setback = rng.uniform(*character.setback_m)
     while i < len(frontage.edge):
@@ -98,7 +128,9 @@ def _houses(frontage: Frontage, ground: Ground, character: Character, rng: np.ra
         outward = frontage.outward_rad[middle]
         back = character.pavement_m + setback + rng.uniform(0, 0.8) + depth / 2
         xy = frontage.edge[middle] + back * unit(outward)
-        if ground.claim(xy, outward, (length, depth), character.pavement_m + character.setback_m[0] * 0.6):
+        if ground.claim(
+            xy, outward, (length, depth), character.pavement_m + character.setback_m[0] * 0.6
+        ):
             wall = np.array(_WALLS[rng.integers(len(_WALLS))]) * rng.uniform(0.85, 1.1)
             storeys = rng.integers(character.storeys[0], character.storeys[1] + 1)
             roof_m = 0.0 if storeys > 4 else rng.uniform(1.5, 3.5)
@@ -113,10 +145,13 @@ def _houses(frontage: Frontage, ground: Ground, character: Character, rng: np.ra
     return parts
 
 
-def _furniture(frontage: Frontage, ground: Ground, character: Character, rng: np.random.Generator) -> list[Mesh]:
+def _furniture(
+    frontage: Frontage, ground: Ground, character: Character, rng: np.random.Generator
+) -> list[Mesh]:
     parts: list[Mesh] = []
     clear = character.pavement_m
-    for i in range(int(rng.integers(20)), len(frontage.edge), int(rng.integers(38, 56))):  # lamp posts near the kerb
+    # lamp posts near the kerb
+    for i in range(int(rng.integers(20)), len(frontage.edge), int(rng.integers(38, 56))):
         xy = frontage.edge[i] + 0.75 * unit(frontage.outward_rad[i])
         if ground.claim(xy, 0.0, (0.5, 0.5), 0.4):
             post = shapes.lamp_post(rng.uniform(5.5, 7.5))
@@ -132,7 +167,11 @@ def _furniture(frontage: Frontage, ground: Ground, character: Character, rng: np
             back = clear - 0.5 if character.setback_m[1] < 2 else clear + rng.uniform(1.5, 7)
             xy = frontage.edge[i] + back * unit(outward)
             if ground.claim(xy, 0.0, (1.2, 1.2), min(back - 0.7, clear)):
-                parts.append(shapes.tree(rng, rng.uniform(5, 9), _leaves(rng)).placed(xy, rng.uniform(0, 6.28), KERB_M))
+                parts.append(
+                    shapes.tree(rng, rng.uniform(5, 9), _leaves(rng)).placed(
+                        xy, rng.uniform(0, 6.28), KERB_M
+                    )
+                )
     return parts
 
 
@@ -151,11 +190,15 @@ def _backdrop(ground: Ground, character: Character, rng: np.random.Generator) ->
                 house = shapes.house((*dims, height), wall, _ROOFS[rng.integers(len(_ROOFS))], 2.5)
                 parts.append(house.placed(xy, heading, KERB_M))
         elif ground.claim(xy, heading, (3, 3), character.pavement_m + 6):
-            parts.append(shapes.tree(rng, rng.uniform(6, 12), _leaves(rng)).placed(xy, heading, KERB_M))
+            parts.append(
+                shapes.tree(rng, rng.uniform(6, 12), _leaves(rng)).placed(xy, heading, KERB_M)
+            )
     return parts
 
 
-def _parked_cars(route: Route, plan: Plan, character: Character, rng: np.random.Generator) -> list[Mesh]:
+def _parked_cars(
+    route: Route, plan: Plan, character: Character, rng: np.random.Generator
+) -> list[Mesh]:
     parts = []
     for side, edge in ((1, route.left_m), (-1, route.right_m)):
         s = route.s_m[0] + 3.0
@@ -166,7 +209,8 @@ def _parked_cars(route: Route, plan: Plan, character: Character, rng: np.random.
                 offset = edge + side * (1.0 + rng.uniform(-0.1, 0.1))
                 xy, heading = route.at(s, offset)
                 car = shapes.car(rng).placed(xy, float(heading) + (np.pi if side > 0 else 0))
-                if np.linalg.norm(route.xy - xy, axis=1).min() > abs(offset) - 0.2:  # clear of other stretches
+                # clear of other stretches
+                if np.linalg.norm(route.xy - xy, axis=1).min() > abs(offset) - 0.2:
                     parts.append(car)
             s += 5.6 + rng.uniform(0, 0.8)
     return parts
@@ -198,7 +242,8 @@ def frontages(route: Route, plan: Plan) -> list[Frontage]:
             outward = arm.heading_rad + side * np.pi / 2
             xy = arm.xy + along + arm.half_m * unit(outward)
             sides.append(Frontage(xy, np.full(len(xy), outward)))
-        across = np.arange(-12, 12, 0.5)[:, None] * unit(arm.heading_rad + np.pi / 2)  # closes the arm's far end
+        # closes the arm's far end
+        across = np.arange(-12, 12, 0.5)[:, None] * unit(arm.heading_rad + np.pi / 2)
         xy = arm.xy + arm.length_m * unit(arm.heading_rad) + across
         sides.append(Frontage(xy, np.full(len(xy), arm.heading_rad)))
     return sides

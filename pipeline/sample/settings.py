@@ -10,5 +10,6 @@ from pipeline.base.params import Count, ImageSize, Section, Seed
 class Sample(Section):
     seed: Seed
     image_size: ImageSize
-    frames: Annotated[dict[Literal["train", "val", "test"], Count], Field(min_length=3)]  # per drive of each split
+    # per drive of each split
+    frames: Annotated[dict[Literal["train", "val", "test"], Count], Field(min_length=3)]
     scan_rays: Annotated[tuple[Count, Count], Field(strict=False)]

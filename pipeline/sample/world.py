@@ -1,4 +1,6 @@
-"""Cast rays at the sample: objects and traffic as triangles (Open3D's ray casting), the ground as two planes."""
+"""Cast rays at the sample: objects and traffic as triangles (Open3D's ray casting), the ground as
+two planes.
+"""
 
 from typing import Any, NamedTuple
 
@@ -17,8 +19,8 @@ _SHADOW_M = 150.0  # longest shadow
 
 
 class Hits(NamedTuple):
-    """Per ray: distance [N] (inf: sky), cls uint8 [N], colour [3,N] albedo, normal [3,N] towards the viewer (sky: 0),
-    ground int8 [N]: the plan's kind, -1 for objects and sky."""
+    """Per ray: distance [N] (inf: sky), cls uint8 [N], colour [3,N] albedo, normal [3,N] towards
+    the viewer (sky: 0), ground int8 [N]: the plan's kind, -1 for objects and sky."""
 
     distance_m: np.ndarray
     cls: np.ndarray
@@ -30,8 +32,8 @@ class Hits(NamedTuple):
 class World:
     """One drive's street; traffic is set frame by frame.
 
-    Rays and points are float32 [6,N] (origin, unit direction) and [3,N]: numpy is several times faster on rows than on
-    triples.
+    Rays and points are float32 [6,N] (origin, unit direction) and [3,N]: numpy is several times
+    faster on rows than on triples.
     """
 
     def __init__(self, plan: Plan, street: Mesh, ground_colours: np.ndarray) -> None:
@@ -46,8 +48,12 @@ class World:
         self._layers = [self._street, *(_Layer(car) for car in cars)]
         # Surface numbers: the kinds of ground, the sky, the triangles of each layer.
         sky, meshes = np.zeros((1, 3), np.float32), [layer.mesh for layer in self._layers]
-        self._cls = np.concatenate([_GROUND_CLASS, np.array([classes.SKY], np.uint8), *(mesh.cls for mesh in meshes)])
-        self._colour = np.concatenate([self._ground_colours, sky, *(mesh.colour for mesh in meshes)]).T.copy()
+        self._cls = np.concatenate(
+            [_GROUND_CLASS, np.array([classes.SKY], np.uint8), *(mesh.cls for mesh in meshes)]
+        )
+        self._colour = np.concatenate(
+            [self._ground_colours, sky, *(mesh.colour for mesh in meshes)]
+        ).T.copy()
 
     def cast(self, rays: np.ndarray) -> Hits:
         """Return the first hits of `rays` [6,N]."""
@@ -59,16 +65,24 @@ class World:
             t, triangle, facing = layer.cast(rays[:, candidates])
             nearer = t < distance[candidates]
             ray = candidates[nearer]
-            distance[ray], surface[ray], normal[:, ray] = t[nearer], triangle[nearer] + first, facing[:, nearer]
+            distance[ray], surface[ray], normal[:, ray] = (
+                t[nearer],
+                triangle[nearer] + first,
+                facing[:, nearer],
+            )
             first += len(layer.mesh.cls)
         ground = self._cast_ground(rays, distance)
         met = ground >= 0
         surface = np.where(met, ground, surface)
         normal[:2, met], normal[2, met] = 0, 1
-        return Hits(distance, self._cls.take(surface), self._colour.take(surface, axis=1), normal, ground)
+        return Hits(
+            distance, self._cls.take(surface), self._colour.take(surface, axis=1), normal, ground
+        )
 
     def lit(self, points: np.ndarray, sun: np.ndarray) -> np.ndarray:
-        """Return bool [N]: `points` [3,N] are not in the shadow for the sun in direction `sun` [3]."""
+        """Return bool [N]: `points` [3,N] are not in the shadow for the sun in direction `sun`
+        [3].
+        """
         rays = np.empty((6, points.shape[1]), np.float32)
         rays[:3], rays[3:] = points, sun[:, None]
         lit = np.ones(points.shape[1], bool)
@@ -77,7 +91,9 @@ class World:
         return lit
 
     def _cast_ground(self, rays: np.ndarray, distance: np.ndarray) -> np.ndarray:
-        """Lower `distance` in place where the ground is nearer; return its kind there, otherwise -1."""
+        """Lower `distance` in place where the ground is nearer; return its kind there, otherwise
+        -1.
+        """
         kind = np.full(rays.shape[1], -1, np.int8)
         down = np.flatnonzero(rays[5] < -1e-6)
         for level, on_road in ((KERB_M, False), (0.0, True)):
@@ -119,7 +135,9 @@ class _Layer:
     def blocks(self, rays: np.ndarray) -> np.ndarray:
         """Return the indices of the rays that hit."""
         candidates = self.near(rays)
-        return candidates[self._scene.test_occlusions(_tensor(rays[:, candidates].T), 0.02, _SHADOW_M).numpy()]
+        return candidates[
+            self._scene.test_occlusions(_tensor(rays[:, candidates].T), 0.02, _SHADOW_M).numpy()
+        ]
 
     def near(self, rays: np.ndarray) -> np.ndarray:
         """Return the indices of the rays whose line intersects the mesh's bounding sphere."""
@@ -130,7 +148,9 @@ class _Layer:
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the products [...] of vectors [3, ...]. Unlike BLAS's, the result does not depend on threads."""
+    """Return the products [...] of vectors [3, ...]. Unlike BLAS's, the result does not depend on
+    threads.
+    """
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 

@@ -14,22 +14,31 @@ from pipeline.labels.label import Car, Labels, held
 
 
 def score_motion(drives: list[str], ingest: Path, motion: Path, car: Car) -> dict[str, Any]:
-    """Return scores, against recorded motion, of the motion that models get (visual) and of steering angles (wheel).
+    """Return scores, against recorded motion, of the motion that models get (visual) and of
+    steering angles (wheel).
 
-    ``visual-wheel``: against steering angles. Only what the `drives` recorded is compared, possibly nothing.
+    ``visual-wheel``: against steering angles. Only what the `drives` recorded is compared, possibly
+    nothing.
     """
     errors: dict[str, list[np.ndarray]] = {}
     for drive in drives:
         with DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw:
             references, measured = source.recorded(raw, car), motion / f"{drive}.h5"
             kinds = ("visual", *references)
-            labels = {kind: source.read(kind, raw, measured, car, look_ahead=False) for kind in kinds}
+            labels = {
+                kind: source.read(kind, raw, measured, car, look_ahead=False) for kind in kinds
+            }
             with DriveReader(measured, stage="motion") as file:
                 rows = {"visual": np.searchsorted(raw.frame, file.frame)}
             if "wheel" in references:
-                rows["wheel"], unknown = np.flatnonzero(raw["has_steering"]), np.full(len(raw.frame), np.nan)
+                rows["wheel"], unknown = (
+                    np.flatnonzero(raw["has_steering"]),
+                    np.full(len(raw.frame), np.nan),
+                )
                 # A wheel records no speed: these labels have the speed of another source.
-                labels["wheel"] = labels["wheel"]._replace(speed_mps=unknown, yaw_rate_radps=unknown)
+                labels["wheel"] = labels["wheel"]._replace(
+                    speed_mps=unknown, yaw_rate_radps=unknown
+                )
         for reference, kind in product(references, rows):
             if kind != reference:
                 name = kind if reference == "recorded" else f"{kind}-{reference}"
@@ -39,23 +48,31 @@ def score_motion(drives: list[str], ingest: Path, motion: Path, car: Car) -> dic
 
 
 def label_errors(measured: Labels, true: Labels) -> np.ndarray:
-    """Return errors of the labels from one source against those of another, for the same frames, for :func:`score`.
+    """Return errors of the labels from one source against those of another, for the same frames,
+    for :func:`score`.
 
-    [5,F]: measured, 0 or 1; then, NaN where not compared, the error of the yaw rate in rad/s, measured / true speed,
-    the error of the angle in rad, and the true angle. An angle that is not measured repeats the last one.
+    [5,F]: measured, 0 or 1; then, NaN where not compared, the error of the yaw rate in rad/s,
+    measured / true speed, the error of the angle in rad, and the true angle. An angle that is not
+    measured repeats the last one.
     """
-    both, held_rad = measured.valid & true.valid, held(measured.steering_rad, measured.valid, initial=np.nan)
+    both, held_rad = (
+        measured.valid & true.valid,
+        held(measured.steering_rad, measured.valid, initial=np.nan),
+    )
     yaw_radps = np.where(both, measured.yaw_rate_radps - true.yaw_rate_radps, np.nan)
-    ratio = np.divide(measured.speed_mps, true.speed_mps, out=np.full(len(both), np.nan), where=both)
+    ratio = np.divide(
+        measured.speed_mps, true.speed_mps, out=np.full(len(both), np.nan), where=both
+    )
     true_rad = np.where(true.valid & np.isfinite(held_rad), true.steering_rad, np.nan)
     return np.stack([measured.valid, yaw_radps, ratio, held_rad - true_rad, true_rad])
 
 
 def score(drives: Sequence[np.ndarray]) -> dict[str, Any] | None:
-    """Return the scores over all frames of `drives`, each of :func:`errors`; None without frames. Undefined: None.
+    """Return the scores over all frames of `drives`, each of :func:`errors`; None without frames.
+    Undefined: None.
 
-    ``valid``: share of valid labels; ``judged``: frames in nmse; ``speed_ratio``: median of measured / true speed;
-    ``nmse``: of the last measured steering angle.
+    ``valid``: share of valid labels; ``judged``: frames in nmse; ``speed_ratio``: median of
+    measured / true speed; ``nmse``: of the last measured steering angle.
     """
     measured, *compared = np.concatenate([np.zeros((5, 0)), *drives], axis=1)
     if not len(measured):

@@ -12,17 +12,20 @@ from pipeline.ingest.truth import Truth
 
 MIN_DEPTH_M, MAX_DEPTH_M = 1.0, 80.0
 DEPTH_ERRORS = ("abs_rel", "rmse_m", "delta1")
-# The encoder's depth and the flat-ground baseline, each against dense truth and LiDAR, in Eigen's crop.
+# The encoder's depth and the flat-ground baseline, each against dense truth and LiDAR, in Eigen's
+# crop.
 DEPTH_SCORES = ("depth_dense", "depth_lidar", "ground_plane_dense", "ground_plane_lidar")
-EIGEN_ROWS, EIGEN_COLUMNS = (0.3324324, 0.91351351), (0.0359477, 0.96405229)  # shares of height and width
+# shares of height and width
+EIGEN_ROWS, EIGEN_COLUMNS = (0.3324324, 0.91351351), (0.0359477, 0.96405229)
 
 
 def depth_errors(predicted_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray | None:
-    """Return [abs rel, RMSE in metres, δ1] of an image over pixels with a true depth of 1 to 80 m; None without any.
+    """Return [abs rel, RMSE in metres, δ1] of an image over pixels with a true depth of 1 to 80 m;
+    None without any.
 
-    Abs rel is the mean of |d - d*| / d*, δ1 the share of pixels with max(d/d*, d*/d) < 1.25 (Eigen et al. 2014, who
-    also clip the prediction to the range). Both arguments are in metres, [H,W]; 0 is unknown, and pixels with a
-    prediction of 0 are not scored.
+    Abs rel is the mean of |d - d*| / d*, δ1 the share of pixels with max(d/d*, d*/d) < 1.25 (Eigen
+    et al. 2014, who also clip the prediction to the range). Both arguments are in metres, [H,W]; 0
+    is unknown, and pixels with a prediction of 0 are not scored.
     """
     valid = in_range(truth_m) & (predicted_m > 0)
     if not valid.any():
@@ -42,9 +45,9 @@ def in_range(truth_m: np.ndarray) -> np.ndarray:
 def eigen_crop(image: np.ndarray) -> np.ndarray:
     """Return KITTI's "Eigen crop" of an image [H,W].
 
-    It reproduces the numbers of Eigen et al. 2014 and was found by Godard et al. 2017 (monodepth's ``--eigen_crop``).
-    Many papers that write "Eigen split" use the crop of Garg et al. 2016 instead, with rows from 0.408 to 0.992 of the
-    height: lower, so with more road.
+    It reproduces the numbers of Eigen et al. 2014 and was found by Godard et al. 2017 (monodepth's
+    ``--eigen_crop``). Many papers that write "Eigen split" use the crop of Garg et al. 2016
+    instead, with rows from 0.408 to 0.992 of the height: lower, so with more road.
     """
     height, width = image.shape
     (top, bottom), (left, right) = EIGEN_ROWS, EIGEN_COLUMNS
@@ -52,7 +55,8 @@ def eigen_crop(image: np.ndarray) -> np.ndarray:
 
 
 def confusion(predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Return the confusion matrix int64 [19,20]: true class by row, predicted class by column, void last.
+    """Return the confusion matrix int64 [19,20]: true class by row, predicted class by column, void
+    last.
 
     `predicted` and `truth` hold trainIds, of the same shape. Pixels with void truth do not count.
     """
@@ -62,24 +66,34 @@ def confusion(predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
 
 
 def class_ious(matrix: np.ndarray) -> np.ndarray:
-    """Return the intersection over union of each class [19] of a confusion matrix; NaN if the truth lacks the class."""
+    """Return the intersection over union of each class [19] of a confusion matrix; NaN if the truth
+    lacks the class.
+    """
     union = matrix.sum(axis=0)[: classes.COUNT] + matrix.sum(axis=1) - matrix.diagonal()
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.where(matrix.sum(axis=1) > 0, matrix.diagonal() / union, np.nan)
 
 
 class Scores:
-    """Sums of depth and class errors over many frames, which can be stored as JSON and added over drives.
+    """Sums of depth and class errors over many frames, which can be stored as JSON and added over
+    drives.
 
-    Depth errors are means over images of :func:`depth_errors`; coverage and classes are counted over all pixels.
+    Depth errors are means over images of :func:`depth_errors`; coverage and classes are counted
+    over all pixels.
     """
 
     def __init__(self) -> None:
-        self.sums = {key: np.zeros(1 + len(DEPTH_ERRORS) + 2) for key in DEPTH_SCORES}  # frames, errors, covered, known
-        self.sums |= {"class_frames": np.zeros(1), "confusion": np.zeros((classes.COUNT, classes.COUNT + 1))}
+        # frames, errors, covered, known
+        self.sums = {key: np.zeros(1 + len(DEPTH_ERRORS) + 2) for key in DEPTH_SCORES}
+        self.sums |= {
+            "class_frames": np.zeros(1),
+            "confusion": np.zeros((classes.COUNT, classes.COUNT + 1)),
+        }
 
     def add_frame(self, depth_m: np.ndarray, cls: np.ndarray, camera: Camera, truth: Truth) -> None:
-        """Add predicted classes and depth [H,W], 0 = none, and the flat-ground baseline at the pixels with depth."""
+        """Add predicted classes and depth [H,W], 0 = none, and the flat-ground baseline at the
+        pixels with depth.
+        """
         if truth.depth_source:
             flat_m = np.where(depth_m > 0, ground_plane_depth(cls, camera), 0)
             self.add_depth(f"depth_{truth.depth_source}", depth_m, truth.depth_m)
@@ -112,7 +126,9 @@ class Scores:
         for key in DEPTH_SCORES:
             frames, *errors, covered, known = self.sums[key].tolist()
             if frames:
-                means = {name: error / frames for name, error in zip(DEPTH_ERRORS, errors, strict=True)}
+                means = {
+                    name: error / frames for name, error in zip(DEPTH_ERRORS, errors, strict=True)
+                }
                 scores[key] = {"frames": int(frames), **means, "coverage": covered / known}
         matrix = self.sums["confusion"]
         ious = zip(classes.NAMES, class_ious(matrix).tolist(), strict=True)

@@ -29,19 +29,29 @@ def score_drive(path: Path, *, ingest: Path, perception: Path, motion: Path, car
         camera = read_camera(source)
         for row, number in enumerate(perceived.frame):
             depth_m, cls = to_metres(perceived.row("depth_m", row)), perceived.row("cls", row)
-            scores.add_frame(depth_m, cls, camera, read_truth(source, camera, source.row_of(number)))
+            scores.add_frame(
+                depth_m, cls, camera, read_truth(source, camera, source.row_of(number))
+            )
     of_motion = score_motion([ingest.stem], ingest.parent, motion.parent, car)
     write_json(path, {**scores.report(), "motion": of_motion})
-    return {"frames": len(perceived.frame), "sums": {key: sums.tolist() for key, sums in scores.sums.items()}}
+    return {
+        "frames": len(perceived.frame),
+        "sums": {key: sums.tolist() for key, sums in scores.sums.items()},
+    }
 
 
 def score_splits(
-    splits: Mapping[str, str], summaries: Mapping[str, Summary], ingest: Path, motion: Path, car: Car
+    splits: Mapping[str, str],
+    summaries: Mapping[str, Summary],
+    ingest: Path,
+    motion: Path,
+    car: Car,
 ) -> dict[str, Any]:
     """Return the scores of the validation and test drives; those of training drives are None.
 
-    `splits`: drive → split, of all drives; `summaries`: of :func:`score_drive`, of those that are scored; `ingest` and
-    `motion`: the folders of these stages. Recorded motion is compared on training and validation drives, if any.
+    `splits`: drive → split, of all drives; `summaries`: of :func:`score_drive`, of those that are
+    scored; `ingest` and `motion`: the folders of these stages. Recorded motion is compared on
+    training and validation drives, if any.
     """
     content: dict[str, Any] = {"motion": {}, "recorded": {}, "train": Scores().report()}
     for split in ("val", "test"):

@@ -22,29 +22,40 @@ from pipeline.train.loss import Scale, mean_nmse, step_targets, weighted_loss
 from pipeline.train.settings import Train
 from pipeline.train.targets import LabelledDrive
 
-STATE, PARTS = "state of training", ("net", "average", "optimiser")  # kind and modules of a resumable training
+# kind and modules of a resumable training
+STATE, PARTS = "state of training", ("net", "average", "optimiser")
 WARM_UP = 0.05  # share of the steps
 SMOOTHING = 3  # epochs
-# Share of the spans whose motion is hidden from a network that predicts ahead. Motion alone is a good first guess: a
-# network that always has it learns to use the scene late or never.
+# Share of the spans whose motion is hidden from a network that predicts ahead. Motion alone is a
+# good first guess: a network that always has it learns to use the scene late or never.
 MOTION_DROPOUT = 0.5
 
 
 def selected_epoch(curve: Sequence[Mapping[str, float]]) -> int:
-    """Return the number of the epoch of a learning curve whose weights are kept; the last one without validation.
+    """Return the number of the epoch of a learning curve whose weights are kept; the last one
+    without validation.
 
-    It has the lowest mean of the errors of this epoch and the two before, since one epoch's error is noisy.
+    It has the lowest mean of the errors of this epoch and the two before, since one epoch's error
+    is noisy.
     """
     errors = [row["val_nmse"] for row in curve]
-    means = {end: np.mean(errors[max(0, end - SMOOTHING) : end]) for end in range(1, len(errors) + 1)}
-    return min((end for end in means if np.isfinite(means[end])), key=means.__getitem__, default=len(errors))
+    means = {
+        end: np.mean(errors[max(0, end - SMOOTHING) : end]) for end in range(1, len(errors) + 1)
+    }
+    return min(
+        (end for end in means if np.isfinite(means[end])),
+        key=means.__getitem__,
+        default=len(errors),
+    )
 
 
 @dataclass
 class Fit:
-    """One training run: a network, the moving average of its weights, an optimiser, and the learning curve.
+    """One training run: a network, the moving average of its weights, an optimiser, and the
+    learning curve.
 
-    The average, with the network's buffers, is validated and selected: single steps fluctuate at a high learning rate.
+    The average, with the network's buffers, is validated and selected: single steps fluctuate at a
+    high learning rate.
     """
 
     net: SteeringNet
@@ -58,23 +69,30 @@ class Fit:
     def __post_init__(self) -> None:
         self.scale = Scale.from_drives(self.train)
         device, dtype = self.net.device, next(self.net.parameters()).dtype
-        self._gain, self._std = (torch.from_numpy(v).to(device, dtype) for v in (self.scale.gain, self.scale.std))
-        self.net.scale.momentum = min(0.1, 1 - self.settings.average)  # the frames of a single step are too few
+        self._gain, self._std = (
+            torch.from_numpy(v).to(device, dtype) for v in (self.scale.gain, self.scale.std)
+        )
+        # the frames of a single step are too few
+        self.net.scale.momentum = min(0.1, 1 - self.settings.average)
         self.average = copy.deepcopy(self.net)
         self.best = copy_weights(self.net)
         # Weight decay for matrices only: an offset or a time constant need not be small.
         matrices = [parameter for parameter in self.net.parameters() if parameter.ndim > 1]
         vectors = [parameter for parameter in self.net.parameters() if parameter.ndim <= 1]
         decay = self.settings.weight_decay
-        groups = [{"params": matrices, "weight_decay": decay}, {"params": vectors, "weight_decay": 0.0}]
+        groups = [
+            {"params": matrices, "weight_decay": decay},
+            {"params": vectors, "weight_decay": 0.0},
+        ]
         self.optimiser = torch.optim.AdamW(groups, lr=self.settings.learning_rate, fused=True)
-        self.curve: list[dict[str, float]] = []  # epoch, learning_rate, train_loss, val_nmse (NaN without validation)
+        # epoch, learning_rate, train_loss, val_nmse (NaN without validation)
+        self.curve: list[dict[str, float]] = []
 
     def run(self, state: Path, title: str) -> None:
         """Train until the last epoch, or until validation stops improving.
 
-        Results are `best`, the weights of the selected epoch, `curve` and `scale`. After each epoch the file `state` is
-        written. If it exists, training continues from it, to the same result.
+        Results are `best`, the weights of the selected epoch, `curve` and `scale`. After each epoch
+        the file `state` is written. If it exists, training continues from it, to the same result.
         """
         epochs = self.settings.epochs
         if state.is_file():
@@ -84,8 +102,14 @@ class Fit:
                 getattr(self, name).load_state_dict(content[name])
             self.best, self.curve = content["best"], content["curve"]
             after = f"continues after epoch {len(self.curve)} of {epochs}"
-            print(f"{title}: {after if self._unfinished() else 'kept from an earlier run'}", flush=True)
-        train, val = (windows.Reader(drives, self.entry.window, self.files) for drives in (self.train, self.val))
+            print(
+                f"{title}: {after if self._unfinished() else 'kept from an earlier run'}",
+                flush=True,
+            )
+        train, val = (
+            windows.Reader(drives, self.entry.window, self.files)
+            for drives in (self.train, self.val)
+        )
         if self._unfinished():
             self.files.load(self.net.device, self._peak)
         started, before = time.perf_counter(), len(self.curve)
@@ -98,14 +122,25 @@ class Fit:
             error = math.nan
             if self.val:
                 error = mean_nmse(self.val, trained.predict_drives(self.average, val, self.scale))
-            self.curve.append({"epoch": epoch, "learning_rate": rate, "train_loss": loss, "val_nmse": error})
+            self.curve.append(
+                {"epoch": epoch, "learning_rate": rate, "train_loss": loss, "val_nmse": error}
+            )
             if selected := selected_epoch(self.curve) == epoch:
                 self.best = copy_weights(self.average)
             parts = {name: getattr(self, name).state_dict() for name in PARTS}
-            checkpoint.write(state, {"kind": STATE, **parts, "best": self.best, "curve": self.curve})
+            checkpoint.write(
+                state, {"kind": STATE, **parts, "best": self.best, "curve": self.curve}
+            )
             eta = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
-            text = f", validation nmse {error:.3f}{' (selected)' if selected else ''}" if self.val else ""
-            print(f"{title}: {epoch} of {epochs} epochs, loss {loss:.4f}{text}, ETA {eta:.0f} s", flush=True)
+            text = (
+                f", validation nmse {error:.3f}{' (selected)' if selected else ''}"
+                if self.val
+                else ""
+            )
+            print(
+                f"{title}: {epoch} of {epochs} epochs, loss {loss:.4f}{text}, ETA {eta:.0f} s",
+                flush=True,
+            )
         if before < (done := len(self.curve)) < epochs:
             chosen = selected_epoch(self.curve)
             after = f"{done - chosen} epochs after the least validation error, epoch {chosen}"
@@ -113,21 +148,36 @@ class Fit:
 
     def _unfinished(self) -> bool:
         done = len(self.curve)
-        return done < self.settings.epochs and done - selected_epoch(self.curve) < self.settings.patience
+        return (
+            done < self.settings.epochs
+            and done - selected_epoch(self.curve) < self.settings.patience
+        )
 
     def _plan(self, epoch: int) -> list[list[windows.Span]]:
         """Return the spans of each step of an epoch."""
-        # All random numbers of an epoch derive from its number, so a resumed run equals an uninterrupted one.
+        # All random numbers of an epoch derive from its number, so a resumed run equals an
+        # uninterrupted one.
         settings, rng = self.settings, np.random.default_rng([self.seed, epoch])
         window = self.entry.window
         spans = windows.spans(self.train, window, settings.span_windows, rng)
-        spans = [span for span in spans if self.train[span.drive].has_target(span.start + window - 1, span.stop)]
+        spans = [
+            span
+            for span in spans
+            if self.train[span.drive].has_target(span.start + window - 1, span.stop)
+        ]
         rng.shuffle(spans)
         factor = (settings.rescale ** rng.uniform(-1, 1, len(spans))).astype(np.float32).tolist()
         # Without the scene, an equivariant network without motion has the output 0 and no gradient.
-        hides = (self.entry.horizon or self.entry.predict == "path") and self.net.motion and self.net.sees
+        hides = (
+            (self.entry.horizon or self.entry.predict == "path")
+            and self.net.motion
+            and self.net.sees
+        )
         hidden = (rng.random(len(spans)) < MOTION_DROPOUT * bool(hides)).tolist()
-        spans = [replace(span, factor=f, hidden=h) for span, f, h in zip(spans, factor, hidden, strict=True)]
+        spans = [
+            replace(span, factor=f, hidden=h)
+            for span, f, h in zip(spans, factor, hidden, strict=True)
+        ]
         # About equally many, as the features of a single frame have no variance.
         parts = np.array_split(np.arange(len(spans)), -(-len(spans) // settings.batch_spans))
         return [[spans[row] for row in part] for part in parts]
@@ -137,7 +187,8 @@ class Fit:
         settings, device, net = self.settings, self.net.device, self.net
         steps = self._plan(epoch)
         net.train()
-        torch.manual_seed(int(np.random.SeedSequence([self.seed, epoch]).generate_state(1)[0]))  # of dropout, see _plan
+        # of dropout, see _plan
+        torch.manual_seed(int(np.random.SeedSequence([self.seed, epoch]).generate_state(1)[0]))
         errors, weight_sums = [], []
         for step, batch in enumerate(reader.batches(steps, device)):
             progress = (epoch - 1 + step / len(steps)) / settings.epochs
@@ -155,30 +206,44 @@ class Fit:
         return error / weight, self.optimiser.param_groups[0]["lr"]
 
     def _error(self, net: SteeringNet, batch: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """Return the loss of a batch before it is divided by the sum of the weights, and this sum."""
+        """Return the loss of a batch before it is divided by the sum of the weights, and this
+        sum.
+        """
         residual, weight = step_targets(batch, self._gain, self._std, self.entry.alpha)
-        error = weighted_loss(net(*net.inputs(batch)), residual, weight, self.entry.predict == "path")
-        # Each span has a valid target, but all ranges of a scaled path may be unknown: then the error is 0, too.
+        error = weighted_loss(
+            net(*net.inputs(batch)), residual, weight, self.entry.predict == "path"
+        )
+        # Each span has a valid target, but all ranges of a scaled path may be unknown: then the
+        # error is 0, too.
         return error, weight.sum().clamp_min(1e-6)
 
     @torch.no_grad()
     def _update_average(self, first: bool) -> None:
-        """Move the averaged parameters towards the network's; the first time, and buffers always, copy them."""
+        """Move the averaged parameters towards the network's; the first time, and buffers always,
+        copy them.
+        """
         weight = 1.0 if first else 1 - self.settings.average
         torch._foreach_lerp_((*self.average.parameters(),), (*self.net.parameters(),), weight)
         torch._foreach_copy_((*self.average.buffers(),), (*self.net.buffers(),))
 
     def _peak(self) -> int:
-        """Return the bytes on the GPU of the largest step and of the largest batch of a validation."""
+        """Return the bytes on the GPU of the largest step and of the largest batch of a
+        validation.
+        """
         torch.cuda.empty_cache()
         reader = windows.Reader([*self.train, *self.val], self.entry.window, self.files)
         net, before = copy.deepcopy(self.net), torch.cuda.memory_reserved()
         tested = windows.spans(reader.timelines, self.entry.window, trained.WINDOWS)
         steps = self._plan(1), [[span] for span in tested]
-        step, batch = (max(part, key=lambda group: sum(span.stop - span.start for span in group)) for part in steps)
+        step, batch = (
+            max(part, key=lambda group: sum(span.stop - span.start for span in group))
+            for part in steps
+        )
         torch.cuda.reset_peak_memory_stats()
         # Twice, as the first step's error and graph live until the second has its own.
-        for arrays, training in zip(reader.batches([step, step, batch], net.device), (True, True, False), strict=True):
+        for arrays, training in zip(
+            reader.batches([step, step, batch], net.device), (True, True, False), strict=True
+        ):
             with torch.set_grad_enabled(training):
                 error, weight_sum = self._error(net.train(training), arrays)
             if training:

@@ -33,7 +33,8 @@ def fit_model(
     drives: Drives,
     folder: StageFolder,
 ) -> set[Path]:
-    """Train the networks of model `name`: in parallel on CPUs, one process each, and one after the other on a GPU.
+    """Train the networks of model `name`: in parallel on CPUs, one process each, and one after the
+    other on a GPU.
 
     Arguments as of :func:`fit_run`. Returns the files of their states.
     """
@@ -69,16 +70,21 @@ def fit_run(
     code: str,
     kept: Path,
 ) -> Path:
-    """Train a network of model `name`, from the state of an earlier run if there is one; write best.pt and curve.csv.
+    """Train a network of model `name`, from the state of an earlier run if there is one; write
+    best.pt and curve.csv.
 
-    `where`: of the model's entry, for messages; `splits`: drive → split; `files`: open graph files, None: this process
-    has none; `code`: its hash; `kept`: the folder of states, see StageFolder. Returns the file of the state. Raises
-    InputError.
+    `where`: of the model's entry, for messages; `splits`: drive → split; `files`: open graph files,
+    None: this process has none; `code`: its hash; `kept`: the folder of states, see StageFolder.
+    Returns the file of the state. Raises InputError.
     """
     entry = entry.seeded(run.seed)
     scenes = runs.scenes(splits, run.seed, entry.scene)
-    seen = {drive: replace(drives[drive], scene=drives[other].graphs) for drive, other in scenes.items()}
-    usable = {drive: labelled for drive, labelled in seen.items() if labelled.has_window(entry.window)}
+    seen = {
+        drive: replace(drives[drive], scene=drives[other].graphs) for drive, other in scenes.items()
+    }
+    usable = {
+        drive: labelled for drive, labelled in seen.items() if labelled.has_window(entry.window)
+    }
     train = [usable[drive] for drive in store.drives_in(splits, "train") if drive in usable]
     val = [usable[drive] for drive in store.drives_in(splits, "val") if drive in usable]
     device = "cuda" if torch.cuda.is_available() else "cpu"
@@ -90,7 +96,11 @@ def fit_run(
     with error_context(where=where):
         net = entry.build(**contents._asdict(), outputs=len(train[0].columns))
     net.to(device)
-    paths = [*dict.fromkeys(path for drive in train + val for path in (drive.graphs, drive.labels, drive.scene))]
+    paths = [
+        *dict.fromkeys(
+            path for drive in train + val for path in (drive.graphs, drive.labels, drive.scene)
+        )
+    ]
     inputs = {
         "entry": entry.model_dump(mode="json"),
         "train": settings.model_dump(exclude={"seeds"}),
@@ -108,10 +118,24 @@ def fit_run(
         "fps": float(1 / np.median(np.concatenate([np.diff(drive.time_s) for drive in train]))),
         **inputs,
     }
-    fitting = Fit(net, entry, settings, run.seed, train, val, files or Files(drive.scene for drive in train + val))
+    fitting = Fit(
+        net,
+        entry,
+        settings,
+        run.seed,
+        train,
+        val,
+        files or Files(drive.scene for drive in train + val),
+    )
     state = kept / f"{stage_key(code, inputs, paths)}.pt"
     fitting.run(state, f"{name} seed {run.seed}")
-    best = {"scale": fitting.scale.content, "epoch": selected_epoch(fitting.curve), "net": fitting.best}
+    best = {
+        "scale": fitting.scale.content,
+        "epoch": selected_epoch(fitting.curve),
+        "net": fitting.best,
+    }
     checkpoint.write(run.folder / "best.pt", metadata | best)
-    pd.DataFrame(fitting.curve).to_csv(run.folder / "curve.csv", index=False, float_format="%.6g", lineterminator="\n")
+    pd.DataFrame(fitting.curve).to_csv(
+        run.folder / "curve.csv", index=False, float_format="%.6g", lineterminator="\n"
+    )
     return state

@@ -18,10 +18,10 @@ from pipeline.train.targets import LabelledDrive
 class Scale:
     """y = gain · base + std · output, in each of R columns.
 
-    base is the measured angle or curvature of the window's last frame, or 0, see `base` of a model's entry. For an
-    angle gain is 1, for a range of the path the regression coefficient of y on base; std is the standard deviation of
-    y - gain · base. So output 0 means the best prediction from base alone. The mean of y, and its regression
-    coefficient on odometry, are for baselines.
+    base is the measured angle or curvature of the window's last frame, or 0, see `base` of a
+    model's entry. For an angle gain is 1, for a range of the path the regression coefficient of y
+    on base; std is the standard deviation of y - gain · base. So output 0 means the best prediction
+    from base alone. The mean of y, and its regression coefficient on odometry, are for baselines.
     """
 
     names: list[str]  # LabelledDrive.columns
@@ -37,19 +37,28 @@ class Scale:
         for (near, far), driven in zip(pairwise(edges_m), np.isfinite(y).any(axis=0), strict=False):
             if not driven:
                 names = ", ".join(drive.name for drive in drives)
-                problem = f"predict: path: no frame is followed by a path from {near:g} to {far:g} m in {names}"
-                raise InputError(problem, drives[0].labels.parent, "Add longer drives, or shorten labels.ahead_m")
+                problem = (
+                    f"predict: path: no frame is followed by a path from {near:g} to {far:g} m in "
+                    f"{names}"
+                )
+                raise InputError(
+                    problem, drives[0].labels.parent, "Add longer drives, or shorten labels.ahead_m"
+                )
         base = np.concatenate([drive.base for drive in drives])[:, None]
         gain = _regress(base, y) if edges_m else np.ones(1)
         std = np.maximum(np.nanstd(y - gain * base, axis=0), 1e-6)  # 0 for a straight road
         measured = [drive.odometry for drive in drives if drive.odometry is not None]
-        odometry_gain = _regress(np.concatenate(measured), y) if len(measured) == len(drives) else None
+        odometry_gain = (
+            _regress(np.concatenate(measured), y) if len(measured) == len(drives) else None
+        )
         return cls(drives[0].columns, gain, std, np.nanmean(y, axis=0), odometry_gain)
 
     @classmethod
     def parse(cls, content: dict[str, Any]) -> "Scale":
         """Return the scale of :attr:`content`. Raises TypeError or ValueError."""
-        arrays: Any = {name: value and np.array(value) for name, value in content.items() if name != "names"}
+        arrays: Any = {
+            name: value and np.array(value) for name, value in content.items() if name != "names"
+        }
         return cls(content["names"], **arrays)
 
     @property
@@ -64,22 +73,35 @@ class Scale:
 
 def mean_nmse(drives: Sequence[LabelledDrive], predictions: Sequence[np.ndarray]) -> float:
     """Return the mean over the columns of the nmse; NaN if every target is 0."""
-    pairs = zip(np.concatenate([drive.target for drive in drives]).T, np.concatenate(predictions).T, strict=True)
+    pairs = zip(
+        np.concatenate([drive.target for drive in drives]).T,
+        np.concatenate(predictions).T,
+        strict=True,
+    )
     known = ((truth, predicted, np.isfinite(predicted - truth)) for truth, predicted in pairs)
     values = [nmse(truth[rows], predicted[rows]) for truth, predicted, rows in known]
-    return float(np.mean(of_columns)) if (of_columns := [value for value in values if value is not None]) else np.nan
+    return (
+        float(np.mean(of_columns))
+        if (of_columns := [value for value in values if value is not None])
+        else np.nan
+    )
 
 
 def _regress(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the regression coefficients [R] of y [N,R] on x [N,R] or [N,1], without offset; 0 if x is 0."""
+    """Return the regression coefficients [R] of y [N,R] on x [N,R] or [N,1], without offset; 0 if x
+    is 0.
+    """
     known = np.isfinite(x) & np.isfinite(y)
     x, y = np.where(known, x, 0.0), np.where(known, y, 0.0)
     square = (x**2).sum(axis=0)
     return np.divide((x * y).sum(axis=0), square, out=np.zeros_like(square), where=square > 0)
 
 
-def step_targets(batch: Mapping[str, Tensor], gain: Tensor, std: Tensor, alpha: float) -> tuple[Tensor, Tensor]:
-    """Return the outputs that the network should have, and their weights exp(α |target|) of eq. 9, both [W,R].
+def step_targets(
+    batch: Mapping[str, Tensor], gain: Tensor, std: Tensor, alpha: float
+) -> tuple[Tensor, Tensor]:
+    """Return the outputs that the network should have, and their weights exp(α |target|) of eq. 9,
+    both [W,R].
 
     `gain` and `std` [R]: of the Scale. The weight of an unknown target is 0.
     """
@@ -90,10 +112,11 @@ def step_targets(batch: Mapping[str, Tensor], gain: Tensor, std: Tensor, alpha: 
 
 
 def weighted_loss(predicted: Tensor, target: Tensor, weight: Tensor, robust: bool) -> Tensor:
-    """Return Σ w (ŷ - y)² over windows and columns [W,R]: paper eq. 9 when divided by Σ w, as `Fit` does.
+    """Return Σ w (ŷ - y)² over windows and columns [W,R]: paper eq. 9 when divided by Σ w, as `Fit`
+    does.
 
-    With `robust` Σ w Huber(ŷ - y), which is linear beyond one standard deviation: the path at a junction is the
-    driver's choice, and squared errors there would dominate.
+    With `robust` Σ w Huber(ŷ - y), which is linear beyond one standard deviation: the path at a
+    junction is the driver's choice, and squared errors there would dominate.
     """
     criterion = nn.functional.huber_loss if robust else nn.functional.mse_loss
     return (weight * criterion(predicted, target, reduction="none")).sum()

@@ -20,8 +20,13 @@ class Run(NamedTuple):
 
 
 def runs(model: Path, seeds: Sequence[int]) -> list[Run]:
-    """Return the runs of a model: that of the first seed in the folder `model`, the others in subfolders."""
-    return [Run(seed, model / f"seed-{seed}" if position else model) for position, seed in enumerate(seeds)]
+    """Return the runs of a model: that of the first seed in the folder `model`, the others in
+    subfolders.
+    """
+    return [
+        Run(seed, model / f"seed-{seed}" if position else model)
+        for position, seed in enumerate(seeds)
+    ]
 
 
 def check(splits: Mapping[str, str], scene: str) -> None:
@@ -32,7 +37,8 @@ def check(splits: Mapping[str, str], scene: str) -> None:
 
 
 def scenes(splits: Mapping[str, str], seed: int, scene: str) -> dict[str, str]:
-    """Return drive → drive whose scene it gets: its own, or with `scene` another one of its split, drawn once per seed.
+    """Return drive → drive whose scene it gets: its own, or with `scene` another one of its split,
+    drawn once per seed.
 
     Raises InputError if a split has only one drive.
     """
@@ -40,9 +46,13 @@ def scenes(splits: Mapping[str, str], seed: int, scene: str) -> dict[str, str]:
     for split in SPLITS:
         drives = store.drives_in(splits, split)
         for drive in drives:
-            others = [other for other in drives if other != drive] if scene == "another" else [drive]
+            others = (
+                [other for other in drives if other != drive] if scene == "another" else [drive]
+            )
             if not others:
                 problem = f"scene: another needs two drives that are used alike (got {drive} alone)"
                 raise InputError(problem, fix="Add drives to its split")
-            result[drive] = others[np.random.default_rng([seed, crc32(drive.encode())]).integers(len(others))]
+            result[drive] = others[
+                np.random.default_rng([seed, crc32(drive.encode())]).integers(len(others))
+            ]
     return result

@@ -1,7 +1,8 @@
-"""Targets of a drive by frame, the measured value that a network's output is added to, and both in a larger world.
+"""Targets of a drive by frame, the measured value that a network's output is added to, and both in
+a larger world.
 
-A column is a quantity that a network predicts: the steering angle, or the mean curvature in one range of the path
-ahead. Letters: G frames of a graph file, W windows, R columns.
+A column is a quantity that a network predicts: the steering angle, or the mean curvature in one
+range of the path ahead. Letters: G frames of a graph file, W windows, R columns.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,10 +28,13 @@ class Timeline:
     """Times and measured motion of a graph file's G frames, by row."""
 
     graphs: Path
-    scene: Path  # graph file whose frames a network sees: this one, or another drive's, see `scene` of a model's entry
+    # graph file whose frames a network sees: this one, or another drive's, see `scene` of a model's
+    # entry
+    scene: Path
     frame: np.ndarray  # int32 [G], KITTI frame numbers, ascending
     time_s: np.ndarray  # float64 [G]
-    base: np.ndarray  # float64 [G], measured value that the output is added to, see `base` of a model's entry
+    # float64 [G], measured value that the output is added to, see `base` of a model's entry
+    base: np.ndarray
     motion: np.ndarray | None  # float32 [G,4], as in windows.py; None without motion
 
     @classmethod
@@ -39,10 +43,14 @@ class Timeline:
         base, motion = np.zeros(len(graphs.frame)), None
         if entry.motion != "none":
             if (measured := graphs.motion) is None:
-                raise InputError("no measured motion", graphs.path, "Make it again: dvc repro graphs")
+                raise InputError(
+                    "no measured motion", graphs.path, "Make it again: dvc repro graphs"
+                )
             angle_rad = np.nan_to_num(label.measured_angle(*measured, car))
             motion = np.stack([angle_rad, *measured], axis=1).astype(np.float32)
-            base = np.nan_to_num(_odometry(measured, car, entry)) if entry.base == "motion" else base
+            base = (
+                np.nan_to_num(_odometry(measured, car, entry)) if entry.base == "motion" else base
+            )
         return cls(graphs.path, graphs.path, graphs.frame, graphs.time_s, base, motion)
 
     @cached_property
@@ -61,7 +69,9 @@ class Timeline:
 
 @dataclass(frozen=True)
 class LabelledDrive(Timeline):
-    """A drive's frames with their targets, of the angle `horizon` frames after each, or of the path ahead."""
+    """A drive's frames with their targets, of the angle `horizon` frames after each, or of the path
+    ahead.
+    """
 
     name: str
     labels: Path
@@ -69,24 +79,29 @@ class LabelledDrive(Timeline):
     contents: Contents  # of the graph file, as the following
     counts: Arrays
     horizon: int
-    ahead_m: tuple[float, ...]  # R+1 edges of the ranges of the path ahead; none with predict: angle
+    # R+1 edges of the ranges of the path ahead; none with predict: angle
+    ahead_m: tuple[float, ...]
     target: np.ndarray  # float64 [G,R], NaN without a valid label
     driven: label.Labels  # of the frames themselves
-    # Measured value [G,1], which a later unmeasured frame repeats; NaN before the first. None without motion in the
-    # file, and at horizon 0 if the labels are from the same measurement.
+    # Measured value [G,1], which a later unmeasured frame repeats; NaN before the first. None
+    # without motion in the file, and at horizon 0 if the labels are from the same measurement.
     odometry: np.ndarray | None
 
     @property
     def columns(self) -> list[str]:
         """One for each range of a path, or that of the angle."""
-        return [f"path_{near:g}-{far:g}m_1pm" for near, far in pairwise(self.ahead_m)] or ["steering_rad"]
+        return [f"path_{near:g}-{far:g}m_1pm" for near, far in pairwise(self.ahead_m)] or [
+            "steering_rad"
+        ]
 
     def has_target(self, start: int, stop: int) -> bool:
         """Return whether a row of [start, stop) has a target."""
         return bool(np.isfinite(self.target[start:stop]).any())
 
     def has_window(self, window: int) -> bool:
-        """Return whether a window of consecutive frames ends at a target: the drive can train and evaluate."""
+        """Return whether a window of consecutive frames ends at a target: the drive can train and
+        evaluate.
+        """
         return any(self.has_target(start + window - 1, stop) for start, stop in self.stretches)
 
 
@@ -94,36 +109,65 @@ Drives = Mapping[str, LabelledDrive]
 
 
 def check(drives: Sequence[LabelledDrive], window: int) -> None:
-    """Raise InputError if drives can neither train nor evaluate: no point, no window with a target, all labels 0."""
+    """Raise InputError if drives can neither train nor evaluate: no point, no window with a target,
+    all labels 0.
+    """
     names, first = ", ".join(drive.name for drive in drives), drives[0]
     if not any(drive.counts.get("points", np.ones(len(drive.frame))).any() for drive in drives):
-        problem, fix = f"no point in any frame of {names}", "Widen the variant's crop_m or add drives"
+        problem, fix = (
+            f"no point in any frame of {names}",
+            "Widen the variant's crop_m or add drives",
+        )
         raise InputError(problem, first.graphs.parent, fix)
     if not any(drive.has_window(window) for drive in drives):
         target = f"a valid label {first.horizon} frames after"
         if first.ahead_m:
             target = f"a driven path of {first.ahead_m[1]:g} m ahead of"
-        longest = max((stop - start for drive in drives for start, stop in drive.stretches), default=0)
-        problem = f"no window of {window} consecutive frames with {target} its end in {names} (longest: {longest})"
-        raise InputError(problem, first.graphs.parent, "Use a smaller window, other drives or another input")
+        longest = max(
+            (stop - start for drive in drives for start, stop in drive.stretches), default=0
+        )
+        problem = (
+            f"no window of {window} consecutive frames with {target} its end in {names} (longest: "
+            f"{longest})"
+        )
+        raise InputError(
+            problem, first.graphs.parent, "Use a smaller window, other drives or another input"
+        )
     if not any(np.nan_to_num(drive.target).any() for drive in drives):
-        raise InputError(f"every valid label of {names} is 0", first.labels.parent, "Add drives with bends")
+        raise InputError(
+            f"every valid label of {names} is 0", first.labels.parent, "Add drives with bends"
+        )
 
 
 def rate_doubt(drives: Drives, train: Sequence[str]) -> str | None:
-    """Return a line if some `drives` have another frame rate than the drives `train`; None if they are alike."""
-    hz = {name: 1 / np.median(np.diff(drive.time_s)) for name, drive in drives.items() if len(drive.time_s) > 1}
+    """Return a line if some `drives` have another frame rate than the drives `train`; None if they
+    are alike.
+    """
+    hz = {
+        name: 1 / np.median(np.diff(drive.time_s))
+        for name, drive in drives.items()
+        if len(drive.time_s) > 1
+    }
     usual_hz = np.median([hz[name] for name in train if name in hz])
-    others = [f"{name} {hz[name]:.1f}" for name in hz if abs(hz[name] / usual_hz - 1) > RATE_TOLERANCE]
-    return f"training drives have {usual_hz:.1f} frames/s, but {', '.join(others)}" if others else None
+    others = [
+        f"{name} {hz[name]:.1f}" for name in hz if abs(hz[name] / usual_hz - 1) > RATE_TOLERANCE
+    ]
+    return (
+        f"training drives have {usual_hz:.1f} frames/s, but {', '.join(others)}" if others else None
+    )
 
 
 def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledDrive:
-    """Read a drive from a folder of graphs and one of labels, for a model; graphs stay on disk. Raises InputError."""
+    """Read a drive from a folder of graphs and one of labels, for a model; graphs stay on disk.
+    Raises InputError.
+    """
     graphs, labels = graphs / f"{name}.h5", labels / f"{name}.h5"
     with open_graphs(graphs) as file, DriveReader(labels, stage="labels") as truth:
         row_of = {number: row for row, number in enumerate(truth.frame.tolist())}
-        rows = [[row_of.get(number + ahead, -1) for number in file.frame.tolist()] for ahead in (0, entry.horizon)]
+        rows = [
+            [row_of.get(number + ahead, -1) for number in file.frame.tolist()]
+            for ahead in (0, entry.horizon)
+        ]
         here, then = np.array(rows, np.int64)
         if (here < 0).any():
             problem = f"no label for frame {file.frame[here < 0][0]} of {graphs}"
@@ -139,7 +183,9 @@ def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledD
         if data not in truth:
             fix = "Set labels.ahead_m and make the labels again: dvc repro labels"
             raise InputError("no path ahead (ahead_1pm), which predict: path needs", labels, fix)
-        values = np.where(truth[known], truth[data], np.nan).reshape(len(truth.frame), max(1, len(ahead_m) - 1))
+        values = np.where(truth[known], truth[data], np.nan).reshape(
+            len(truth.frame), max(1, len(ahead_m) - 1)
+        )
         same = not path and not entry.horizon and bool(truth.attrs.get("measured", 0))
         return LabelledDrive(
             **vars(Timeline.read(file, car, entry)),
@@ -162,8 +208,11 @@ def _odometry(motion: MeasuredMotion, car: label.Car, entry: Entry) -> np.ndarra
     return np.tan(angle_rad) / car.wheelbase_m if entry.predict == "path" else angle_rad
 
 
-def window_values(timeline: Timeline, rows: np.ndarray, ends: slice, factor: float, hidden: bool) -> Arrays:
-    """Return motion at `rows`, and base and target of the windows that end at the rows `ends`, as a network gets them.
+def window_values(
+    timeline: Timeline, rows: np.ndarray, ends: slice, factor: float, hidden: bool
+) -> Arrays:
+    """Return motion at `rows`, and base and target of the windows that end at the rows `ends`, as a
+    network gets them.
 
     The world is `factor` times as large. With `hidden` motion, the base is 0.
     """
@@ -182,7 +231,8 @@ def window_values(timeline: Timeline, rows: np.ndarray, ends: slice, factor: flo
 def _rescale(values: Arrays, factor: float, ahead_m: Sequence[float]) -> None:
     """Replace motion, base and target by those in a world `factor` times as large.
 
-    The bicycle model's tan Θ is wheelbase × curvature, and curvature is 1 / length; the yaw rate does not change.
+    The bicycle model's tan Θ is wheelbase × curvature, and curvature is 1 / length; the yaw rate
+    does not change.
     """
     if ahead_m:
         values["base"] = values["base"] / factor
@@ -197,11 +247,13 @@ def _rescale(values: Arrays, factor: float, ahead_m: Sequence[float]) -> None:
 def scale_path(path_1pm: np.ndarray, ahead_m: Sequence[float], factor: float) -> np.ndarray:
     """Return the path ahead [W,R] in a world `factor` times as large, NaN where it is not known.
 
-    A range there is 1 / factor of it here, so it overlaps several ranges of the labels, whose curvature counts as
-    constant within each. Where one of these is not known, or the labels end, it is not known.
+    A range there is 1 / factor of it here, so it overlaps several ranges of the labels, whose
+    curvature counts as constant within each. Where one of these is not known, or the labels end, it
+    is not known.
     """
     near, far = np.array(ahead_m[:-1], np.float32), np.array(ahead_m[1:], np.float32)
-    overlap_m = np.minimum(far[:, None] / factor, far) - np.maximum(near[:, None] / factor, near)  # [R,R]
+    # [R,R]
+    overlap_m = np.minimum(far[:, None] / factor, far) - np.maximum(near[:, None] / factor, near)
     share = np.maximum(overlap_m, 0) * factor / (far - near)[:, None]
     known = (share * np.isfinite(path_1pm)[:, None]).sum(axis=2) > 1 - 1e-4
     scaled = (share * np.nan_to_num(path_1pm)[:, None]).sum(axis=2) / factor

@@ -21,7 +21,8 @@ from pipeline.train.loss import Scale
 from pipeline.train.targets import Timeline
 
 KIND = "steering net"  # of checkpoint
-# Removed settings of entries, and their defaults. Networks with other values belong to closed questions.
+# Removed settings of entries, and their defaults. Networks with other values belong to closed
+# questions.
 REMOVED = {"fit_to": "train", "train_drives": None}
 WINDOWS = 96  # per batch of predictions; limits the memory
 
@@ -34,7 +35,8 @@ class Trained(NamedTuple):
     entry: Entry
     contents: Contents  # of the graph files it was trained on
     scale: Scale
-    settings: dict[str, Any]  # section → settings that made graphs and labels of its training drives
+    # section → settings that made graphs and labels of its training drives
+    settings: dict[str, Any]
     drives: list[str]  # of training
     datasets: list[str]  # of the training drives; []: unknown
     fps: float  # their frame rate
@@ -50,13 +52,17 @@ class Trained(NamedTuple):
         """Edges of the ranges of the path ahead; none for an angle."""
         return tuple(self.settings["labels"]["ahead_m"]) if self.entry.predict == "path" else ()
 
-    def predict(self, graphs: Graphs, scene: Path | None = None, files: Files | None = None) -> np.ndarray:
-        """Return the predictions for the G frames of a file, float64 [G,R], in the columns `scale.names`.
+    def predict(
+        self, graphs: Graphs, scene: Path | None = None, files: Files | None = None
+    ) -> np.ndarray:
+        """Return the predictions for the G frames of a file, float64 [G,R], in the columns
+        `scale.names`.
 
-        The value for frame t is the angle at frame t + `entry.horizon`, predicted from the frames up to t, or the path
-        ahead of it. NaN where no complete window ends: too early in the drive, or too soon after a gap. `scene`: the
-        graph file of the drive whose scene a control with `scene: another` gets; `files`: open ones. Raises InputError
-        if the file has another kind of frames than the network was trained on, or no motion.
+        The value for frame t is the angle at frame t + `entry.horizon`, predicted from the frames
+        up to t, or the path ahead of it. NaN where no complete window ends: too early in the drive,
+        or too soon after a gap. `scene`: the graph file of the drive whose scene a control with
+        `scene: another` gets; `files`: open ones. Raises InputError if the file has another kind of
+        frames than the network was trained on, or no motion.
         """
         if scene is None and self.entry.scene == "another":
             problem = f"model {self.name} is a control, which needs the scene of another drive"
@@ -67,18 +73,28 @@ class Trained(NamedTuple):
                 problem = f"model {self.name} expects {self.contents}, got {seen.contents}"
                 fix = f"Use graphs of input: {self.entry.input}, or train the model again"
                 raise InputError(problem, seen.path, fix)
-        return predict_drives(self.net, windows.Reader([timeline], self.entry.window, files), self.scale)[0]
+        return predict_drives(
+            self.net, windows.Reader([timeline], self.entry.window, files), self.scale
+        )[0]
 
 
 def load(folder: str | Path, device: torch.device | str | None = None) -> Trained:
     """Load best.pt of a trained model: data/train/<model>, or a folder seed-<n> in it.
 
-    `device` None: a GPU if there is one. Raises InputError if there is none, or if this code cannot rebuild it.
+    `device` None: a GPU if there is one. Raises InputError if there is none, or if this code cannot
+    rebuild it.
     """
     path = Path(folder) / "best.pt"
     if not path.is_file():
-        models = sorted(str(best.parent) for at in (path.parent, path.parent.parent) for best in at.glob("*/best.pt"))
-        fix = f"Trained models near it: {', '.join(models) or 'none'}. To train one: dvc repro train@MODEL"
+        models = sorted(
+            str(best.parent)
+            for at in (path.parent, path.parent.parent)
+            for best in at.glob("*/best.pt")
+        )
+        fix = (
+            f"Trained models near it: {', '.join(models) or 'none'}. To train one: dvc repro "
+            "train@MODEL"
+        )
         raise InputError("no trained model, best.pt is missing", folder, fix)
     with error_context(fix="Train it again: dvc repro --force --single-item train@MODEL"):
         content = checkpoint.read(path, KIND)
@@ -87,12 +103,15 @@ def load(folder: str | Path, device: torch.device | str | None = None) -> Traine
             scale = Scale.parse(content["scale"])
             about = {key: content[key] for key in ("name", "seeds", "settings", "drives", "fps")}
             about["datasets"] = content.get("datasets", [])
-            height_m = about["settings"].get("perception", {}).pop("camera_height_m", None)  # of earlier versions
+            # of earlier versions
+            height_m = about["settings"].get("perception", {}).pop("camera_height_m", None)
             about["settings"].setdefault("camera_height_m", height_m)
         except InputError:
             raise
         except (AttributeError, LookupError, TypeError, ValueError) as error:
-            raise InputError(f"not a model of this version ({shorten(repr(error), 200)})", path) from error
+            raise InputError(
+                f"not a model of this version ({shorten(repr(error), 200)})", path
+            ) from error
         net = entry.build(**contents._asdict(), outputs=len(scale.names))
         checkpoint.load_state(net, content["net"], path)
     net.to(device or ("cuda" if torch.cuda.is_available() else "cpu")).eval()
@@ -105,7 +124,9 @@ def read_entry(content: dict[str, Any], path: Path) -> Entry:
     for key, default in REMOVED.items():
         value = settings.pop(key, default)
         if value != default:
-            raise InputError(f"was trained by revision {LAST} with {key}: {value}", path, "Use that revision")
+            raise InputError(
+                f"was trained by revision {LAST} with {key}: {value}", path, "Use that revision"
+            )
     return Entry.model_validate(settings)
 
 
@@ -114,9 +135,15 @@ def predict_drives(net: SteeringNet, reader: windows.Reader, scale: Scale) -> li
     spans = windows.spans(reader.timelines, reader.window, WINDOWS)
     net.eval()
     with torch.inference_mode():
-        outputs = [net(*net.inputs(batch)) for batch in reader.batches([[span] for span in spans], net.device)]
-    values = [np.full((len(timeline.frame), len(scale.names)), np.nan) for timeline in reader.timelines]
-    for span, output in zip(spans, outputs, strict=True):  # after the loop, so that it does not wait for the GPU
+        outputs = [
+            net(*net.inputs(batch))
+            for batch in reader.batches([[span] for span in spans], net.device)
+        ]
+    values = [
+        np.full((len(timeline.frame), len(scale.names)), np.nan) for timeline in reader.timelines
+    ]
+    # after the loop, so that it does not wait for the GPU
+    for span, output in zip(spans, outputs, strict=True):
         values[span.drive][span.stop - len(output) : span.stop] = output.double().cpu().numpy()
     pairs = zip(values, reader.timelines, strict=True)
     return [scale.decode(output, timeline.base) for output, timeline in pairs]

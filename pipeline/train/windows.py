@@ -1,14 +1,18 @@
 """Read drives as batches: spans of consecutive frames with overlapping windows.
 
-A window is `window` consecutive frames. Its target is the steering `horizon` frames after its last frame; that frame
-needs a label but no graph. A span is consecutive frames that are read and encoded once for all their windows. Frames
-are consecutive by KITTI frame number, never by position: a missing frame ends a stretch.
+A window is `window` consecutive frames. Its target is the steering `horizon` frames after its last
+frame; that frame needs a label but no graph. A span is consecutive frames that are read and encoded
+once for all their windows. Frames are consecutive by KITTI frame number, never by position: a
+missing frame ends a stretch.
 
-A batch is a dict of arrays: B graphs as in pipeline/graphs/graph_file.py, and for W windows of T frames
+A batch is a dict of arrays: B graphs as in pipeline/graphs/graph_file.py, and for W windows of T
+frames
 
-- windows int64 [W,T] (rows of the batch's frames), dt_s float32 [W,T] (time since the previous frame), base float32 [W]
-  (measured value of the window's last frame that the network's output is added to);
-- with the scene of another drive, scenes int64 [B]: the graph that each frame sees, instead of one graph per frame;
+- windows int64 [W,T] (rows of the batch's frames), dt_s float32 [W,T] (time since the previous
+  frame), base float32 [W] (measured value of the window's last frame that the network's output is
+  added to);
+- with the scene of another drive, scenes int64 [B]: the graph that each frame sees, instead of one
+  graph per frame;
 - with motion, motion float32 [B,4] since the previous frame: the measured steering angle, yaw rate,
   speed, and whether they were measured; the first two change sign under mirroring;
 - with targets, target float32 [W,R] of R columns, see targets.py; NaN if unknown.
@@ -34,7 +38,9 @@ from pipeline.train.targets import Timeline, window_values
 
 @dataclass(frozen=True)
 class Span:
-    """Rows [start, stop) of timeline number `drive`; its windows end at rows start+window-1 … stop-1."""
+    """Rows [start, stop) of timeline number `drive`; its windows end at rows start+window-1 …
+    stop-1.
+    """
 
     drive: int
     start: int
@@ -46,7 +52,8 @@ class Span:
 def spans(
     timelines: Sequence[Timeline], window: int, windows: int, rng: np.random.Generator | None = None
 ) -> list[Span]:
-    """Split all stretches into spans of at most `windows` windows of `window` frames; each window is in one span.
+    """Split all stretches into spans of at most `windows` windows of `window` frames; each window
+    is in one span.
 
     With `rng` they start at a random phase, so that epochs have different batches.
     """
@@ -63,14 +70,21 @@ def spans(
 class Reader:
     """Batches, indexed by groups of spans; with targets if the timelines are LabelledDrives.
 
-    A thread reads ahead, enough for a CPU, which computes longer than it reads. For a GPU, `files` may keep frames.
+    A thread reads ahead, enough for a CPU, which computes longer than it reads. For a GPU, `files`
+    may keep frames.
     """
 
-    def __init__(self, timelines: Sequence[Timeline], window: int, files: Files | None = None) -> None:
+    def __init__(
+        self, timelines: Sequence[Timeline], window: int, files: Files | None = None
+    ) -> None:
         self.timelines, self.window, self.files = timelines, window, files or Files()
 
-    def batches(self, groups: Iterable[Sequence[Span]], device: torch.device) -> Iterator[dict[str, Tensor]]:
-        """Return an iterator of the groups' batches, in order, for a network on a device; pointers stay on the CPU."""
+    def batches(
+        self, groups: Iterable[Sequence[Span]], device: torch.device
+    ) -> Iterator[dict[str, Tensor]]:
+        """Return an iterator of the groups' batches, in order, for a network on a device; pointers
+        stay on the CPU.
+        """
         if device.type == "cpu" and self.files.place != "RAM":
             return prefetch(self.__getitem__, groups)
         join = partial(self._join, pin=device.type == "cuda")
@@ -78,11 +92,17 @@ class Reader:
         return (self._finish(*batch, device) for batch in joined)
 
     def __getitem__(self, group: Sequence[Span]) -> dict[str, Tensor]:
-        """Read a group of spans as one batch on the CPU. Raises InputError if another scene's drive has no window."""
+        """Read a group of spans as one batch on the CPU. Raises InputError if another scene's drive
+        has no window.
+        """
         return self._finish(*self._join(group), torch.device("cpu"))
 
-    def _join(self, group: Sequence[Span], *, pin: bool = False) -> tuple[dict[str, Tensor], Graphs, Tensor]:
-        """Return a batch in the types of the files, a file that names its columns, and the scale of each frame [B]."""
+    def _join(
+        self, group: Sequence[Span], *, pin: bool = False
+    ) -> tuple[dict[str, Tensor], Graphs, Tensor]:
+        """Return a batch in the types of the files, a file that names its columns, and the scale of
+        each frame [B].
+        """
         window = self.window
         columns: dict[str, list[np.ndarray]] = defaultdict(list)
         parts: list[tuple[Graphs, int, int]] = []
@@ -105,15 +125,22 @@ class Reader:
             columns["windows"].append(members + frames)
             columns["dt_s"].append(timeline.dt_s[rows][members])
             ends = slice(span.start + window - 1, span.stop)
-            larger = span.factor if "xyz" in file.pointers else 1.0  # a larger world gives the same image
+            # a larger world gives the same image
+            larger = span.factor if "xyz" in file.pointers else 1.0
             for name, values in window_values(timeline, rows, ends, larger, span.hidden).items():
                 columns[name].append(values)
             parts.append((file, start, stop))
             frames, graphs = frames + len(rows), graphs + stop - start
-        batch = join(parts, pin=pin) | {name: torch.from_numpy(np.concatenate(part)) for name, part in columns.items()}
+        batch = join(parts, pin=pin) | {
+            name: torch.from_numpy(np.concatenate(part)) for name, part in columns.items()
+        }
         if pin:
-            batch = {name: rows if rows.is_cuda else rows.pin_memory() for name, rows in batch.items()}
-        factor = np.repeat([span.factor for span in group], [stop - start for _, start, stop in parts])
+            batch = {
+                name: rows if rows.is_cuda else rows.pin_memory() for name, rows in batch.items()
+            }
+        factor = np.repeat(
+            [span.factor for span in group], [stop - start for _, start, stop in parts]
+        )
         return batch, file, torch.from_numpy(factor.astype(np.float32))
 
     def _finish(
@@ -121,7 +148,11 @@ class Reader:
     ) -> dict[str, Tensor]:
         """Copy a joined batch to a device, number its rows there and scale its points."""
         ahead = device.type == "cuda"  # copies to a CPU must have ended, since numpy reads them
-        batch |= {name: batch[name].to(device, non_blocking=ahead) for name in batch if not name.endswith("ptr")}
+        batch |= {
+            name: batch[name].to(device, non_blocking=ahead)
+            for name in batch
+            if not name.endswith("ptr")
+        }
         number_rows(batch, file)
         if "xyz" in batch:
             per_frame(imul, batch["xyz"], factor, batch["ptr"])

@@ -11,14 +11,23 @@ if TYPE_CHECKING:
 
 SourcePath = Annotated[
     list[Path],
-    typer.Argument(metavar="SOURCE...", help="folder of a KITTI drive, of images or of videos, or videos in order"),
+    typer.Argument(
+        metavar="SOURCE...",
+        help="folder of a KITTI drive, of images or of videos, or videos in order",
+    ),
 ]
-Out = Annotated[Path | None, typer.Option(help="new or empty folder for the results; default: out/SOURCE")]
+Out = Annotated[
+    Path | None, typer.Option(help="new or empty folder for the results; default: out/SOURCE")
+]
 Video = Annotated[bool, typer.Option(help="write overlay.mp4")]
 
 
-def run(function: Callable[..., "Outcome"], source: list[Path], out: Path | None, **options: Any) -> None:
-    """Call a function of `steer.api` for a free folder; print notes, files, and at most three doubts at the end."""
+def run(
+    function: Callable[..., "Outcome"], source: list[Path], out: Path | None, **options: Any
+) -> None:
+    """Call a function of `steer.api` for a free folder; print notes, files, and at most three
+    doubts at the end.
+    """
     from pipeline.base.outputs import claimed
 
     with claimed(out, source[0].resolve().stem.removesuffix("_sync")) as folder:

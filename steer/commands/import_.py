@@ -1,19 +1,21 @@
-"""Import your own recording: write a preset that trains networks on its first part and tests them on its last.
+"""Import your own recording: write a preset that trains networks on its first part and tests them
+on its last.
 
-data/raw/NAME gets links to the files, or copies (--copy), and presets/NAME.yaml the parts: 60 %, 20 % and 20 % of the
-time, less 2 s between them. Then `make NAME` runs the chain. An edited log is noticed by `make NAME`.
+data/raw/NAME gets links to the files, or copies (--copy), and presets/NAME.yaml the parts: 60 %, 20
+% and 20 % of the time, less 2 s between them. Then `make NAME` runs the chain. An edited log is
+noticed by `make NAME`.
 
-Times count from the first image; images of a folder may be named by timestamps in ns. With --motion, speed and yaw
-rate are interpolated linearly at the images' times, and images without motion are left out. Without it, labels come
-from the angles of --wheel or, without both, from the images.
+Times count from the first image; images of a folder may be named by timestamps in ns. With
+--motion, speed and yaw rate are interpolated linearly at the images' times, and images without
+motion are left out. Without it, labels come from the angles of --wheel or, without both, from the
+images.
 
 With --each, each recording is a drive of its own: for training, validation, test, training, …
 
-\b
-steer import monday.mp4 --fov 78
-steer import monday.mp4 --fov 78 --wheel wheel.csv --steering-ratio 14.8
-steer import monday.mp4 --fov 78 --motion can.csv --offset 0.35 --split 70,15,15
-steer import a.mp4 b.mp4 c.mp4 --each --name week --fov 78 --motion a.csv --motion b.csv --motion c.csv
+\b steer import monday.mp4 --fov 78 steer import monday.mp4 --fov 78 --wheel wheel.csv
+--steering-ratio 14.8 steer import monday.mp4 --fov 78 --motion can.csv --offset 0.35 --split
+70,15,15 steer import a.mp4 b.mp4 c.mp4 --each --name week --fov 78 --motion a.csv --motion b.csv
+--motion c.csv
 """
 
 import math
@@ -31,11 +33,17 @@ EACH = ("motion", "wheel", "K")
 
 
 def import_recording(
-    recording: Annotated[list[Path], typer.Argument(help="videos in order, or a folder of videos or of images")],
+    recording: Annotated[
+        list[Path], typer.Argument(help="videos in order, or a folder of videos or of images")
+    ],
     name: Annotated[str | None, typer.Option(help="of the preset; default: the file's")] = None,
     split: Annotated[str | None, typer.Option(metavar="TRAIN,VAL,TEST", help=_SPLIT)] = None,
-    each: Annotated[bool, typer.Option("--each", help="each recording is a drive, in turn for each split")] = False,
-    copy: Annotated[bool, typer.Option("--copy", help="copy the files instead of linking them")] = False,
+    each: Annotated[
+        bool, typer.Option("--each", help="each recording is a drive, in turn for each split")
+    ] = False,
+    copy: Annotated[
+        bool, typer.Option("--copy", help="copy the files instead of linking them")
+    ] = False,
     **options: Any,
 ) -> None:
     """Write links and a preset; the module's docstring is the help text."""
@@ -51,9 +59,13 @@ def import_recording(
 
     shares = numbers(split or "60,20,20", (len(SPLITS),), "--split 60,20,20")
     if min(shares) <= 0 or not math.isclose(sum(shares), 100):
-        raise InputError(f"expected shares above 0 with the sum 100, got {split}", "--split", "Pass 60,20,20")
+        raise InputError(
+            f"expected shares above 0 with the sum 100, got {split}", "--split", "Pass 60,20,20"
+        )
     if each and (len(recording) < 2 or split or options.get("times")):
-        raise InputError("--each needs two recordings or more, and takes neither --split nor --times")
+        raise InputError(
+            "--each needs two recordings or more, and takes neither --split nor --times"
+        )
     groups = [recording]
     if each:
         groups = [[path] for path in recording]
@@ -63,7 +75,9 @@ def import_recording(
     for option, given in own.items():
         if len(given) != len(groups) and (option != "K" or len(given) > 1):
             problem = f"expected {len(groups)}, one per recording (got {len(given)})"
-            raise InputError(problem, f"--{option}", "" if each else "With --each, each path is a recording")
+            raise InputError(
+                problem, f"--{option}", "" if each else "With --each, each path is a recording"
+            )
 
     name = name or recording[0].stem
     with error_context("--name"):
@@ -72,7 +86,9 @@ def import_recording(
     raw = PRESETS.parent / "data/raw"
     folders = [f"{name}-{number + 1}" for number in range(len(groups))] if each else [name]
     importing.check_checkout(Path.cwd())
-    importing.check_free(preset, {raw / folder: paths for folder, paths in zip(folders, groups, strict=True)})
+    importing.check_free(
+        preset, {raw / folder: paths for folder, paths in zip(folders, groups, strict=True)}
+    )
 
     # Faults of all options and logs are found before the first video is decoded.
     wholes = []
@@ -93,7 +109,11 @@ def import_recording(
         contents[raw / whole.folder] = files
 
     # Names of the drives, and their splits.
-    splits = ["train", "test"] if len(parts) == 2 else [SPLITS[number % 3] for number in range(len(parts))]
+    splits = (
+        ["train", "test"]
+        if len(parts) == 2
+        else [SPLITS[number % 3] for number in range(len(parts))]
+    )
     names = [f"{name}-{number if each else split}" for number, split in enumerate(splits, 1)]
     if KITTI_NAMES.fullmatch(name):
         names = [f"{name[:-4]}{int(name[-4:]) + number:04d}" for number in range(len(parts))]

@@ -1,7 +1,7 @@
 """Measure the motion and the course of a car from the frames of its camera, by visual odometry.
 
-Rates and angles are in rad (curvature in 1/m), left positive. A frame whose motion cannot be measured has valid = 0 and
-no numbers. quality.json says how certain the scale is.
+Rates and angles are in rad (curvature in 1/m), left positive. A frame whose motion cannot be
+measured has valid = 0 and no numbers. quality.json says how certain the scale is.
 
 \b
 steer measure street.mp4 --fov 65
@@ -22,7 +22,9 @@ def measure(
     source: arguments.SourcePath,
     out: arguments.Out = None,
     video: arguments.Video = True,
-    encoder: Annotated[Path, typer.Option(help="folder of an encoder; make street writes the default one")] = STREET,
+    encoder: Annotated[
+        Path, typer.Option(help="folder of an encoder; make street writes the default one")
+    ] = STREET,
     **options: Any,
 ) -> None:
     """Write the measured motion and print its quality; the module's docstring is the help text."""

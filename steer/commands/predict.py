@@ -1,8 +1,8 @@
 """Predict the steering angle of each frame with a trained model.
 
-Angles are in rad, left positive. The first frames, and those after a gap, have none until a window is complete.
-LiDAR scans and oxts are needed only by models with LiDAR input. steering.csv also has the measured motion, without
-means over later frames: see steer measure.
+Angles are in rad, left positive. The first frames, and those after a gap, have none until a window
+is complete. LiDAR scans and oxts are needed only by models with LiDAR input. steering.csv also has
+the measured motion, without means over later frames: see steer measure.
 
 \b
 steer predict street.mp4 --fov 65 --model runs/monday/data/train/motion
@@ -20,19 +20,32 @@ from steer.commands import arguments
 
 def predict(
     source: arguments.SourcePath,
-    model: Annotated[Path | None, typer.Option(help="folder of a trained model, or runs/NAME")] = None,
+    model: Annotated[
+        Path | None, typer.Option(help="folder of a trained model, or runs/NAME")
+    ] = None,
     out: arguments.Out = None,
     video: arguments.Video = True,
     encoder: Annotated[
-        Path | None, typer.Option(help="folder of an encoder; default: data/encoder beside the model's data/train")
+        Path | None,
+        typer.Option(
+            help="folder of an encoder; default: data/encoder beside the model's data/train"
+        ),
     ] = None,
     **options: Any,
 ) -> None:
-    """Write the predicted angles and print their errors; the module's docstring is the help text."""
+    """Write the predicted angles and print their errors; the module's docstring is the help
+    text.
+    """
     from steer import api
 
     if model is None:
-        fix = "Measure the angle: steer measure (nmse 0.008 on real drives). Or name a network of yours. That of "
-        fix += "--model models/steering/sample has seen rendered streets only (nmse 1.22 on a real drive)"
+        fix = (
+            "Measure the angle: steer measure (nmse 0.008 on real drives). Or name a network of "
+            "yours. That of "
+        )
+        fix += (
+            "--model models/steering/sample has seen rendered streets only (nmse 1.22 on a real "
+            "drive)"
+        )
         raise InputError("no network for real streets is included", "--model", fix)
     arguments.run(api.predict, source, out, video=video, model=model, encoder=encoder, **options)

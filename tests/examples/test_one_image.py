@@ -22,6 +22,8 @@ def test_one_image(tmp_path, capsys):
     assert made["angle_deg"] == pytest.approx(17.1, abs=6)
     net, points, pruned = made["model"].net, made["xyz"], made["pruned"]
     arrays = {"xyz": points, "cls": made["point_cls"], "ptr": np.array([0, len(points)])}
-    features = net.spatial(from_arrays(arrays | {"degree": pruned.degree, "indices": pruned.indices}))
+    features = net.spatial(
+        from_arrays(arrays | {"degree": pruned.degree, "indices": pruned.indices})
+    )
     torch.testing.assert_close(features, made["features"][-1])
     assert (tmp_path / "out/one_image.png").read_bytes().startswith(b"\x89PNG")

@@ -54,7 +54,9 @@ def test_measured_motion_is_not_both_input_and_label(tmp_path):
     content = changed("labels.source", "visual")
     net = content["models"]["sa-gnn-ncp"] | {"motion": "visual"}
     content["models"] = {"net": net}
-    with pytest.raises(InputError, match=r"models\.net: motion: visual with labels\.source: visual at") as raised:
+    with pytest.raises(
+        InputError, match=r"models\.net: motion: visual with labels\.source: visual at"
+    ) as raised:
         run(tmp_path, content)
     assert "motion: none" in raised.value.fix
     for change in ({"horizon": 10}, {"predict": "path"}):
@@ -66,7 +68,9 @@ def test_measured_motion_is_not_both_input_and_label(tmp_path):
 
 
 def test_weights_are_looked_for_where_stage_encoder_will_run(tmp_path):
-    """dvc.lock names an encoder of the same settings: DVC takes it from its cache, or fetches it."""
+    """dvc.lock names an encoder of the same settings: DVC takes it from its cache, or fetches
+    it.
+    """
     content = changed("encoder.weights", "no.pt")
     lock = {"stages": {"encoder": {"params": {"params.yaml": {"encoder": content["encoder"]}}}}}
     (tmp_path / "dvc.lock").write_text(yaml.safe_dump(lock))
@@ -81,37 +85,105 @@ def test_weights_are_looked_for_where_stage_encoder_will_run(tmp_path):
     [
         (f"{MODEL}.input", "semantc", "input: unknown variant 'semantc': did you mean semantic"),
         (f"{MODEL}.spatial", "cnnn", "spatial.*cnnn.*cnn"),
-        ("ingest.lidar", False, "models.gnn-lstm: input = 'lidar-50k' needs scans, but ingest.lidar is false"),
+        (
+            "ingest.lidar",
+            False,
+            "models.gnn-lstm: input = 'lidar-50k' needs scans, but ingest.lidar is false",
+        ),
         (f"{MODEL}.input", "image", "spatial.*gnn.*images"),
         ("models.cnn-ncp.input", "semantic", "spatial.*cnn.*expects images"),
         (f"{MODEL}.wiring", {"comand": 5}, "wiring.comand"),
-        (MODEL, {"input": "semantic", "spatial": "gnn", "temporal": "lstm"}, "semantics is missing: weight of the cl"),
+        (
+            MODEL,
+            {"input": "semantic", "spatial": "gnn", "temporal": "lstm"},
+            "semantics is missing: weight of the cl",
+        ),
         (MODEL, GNN | {"predict": "path", "horizon": 10}, "predict: path has no horizon"),
-        (MODEL, PYG | {"layer": "GATv2"}, "no layer 'GATv2' that takes x, edge_index: did you mean GATv2Conv"),
-        (MODEL, PYG | {"layer": "RGCNConv"}, "models.sa-gnn-ncp: layer RGCNConv {}: .*num_relations"),
-        (MODEL, PYG | {"layer": "APPNP", "layer_options": {"K": 25, "alpha": 0.1}}, "APPNP .*'in_channels'"),
-        (MODEL, PYG | {"layer": "GCNConv", "layer_options": {"cached": True}}, "layer_options.cached: .* Remove it"),
-        (MODEL, PYG | {"layer": "GATConv", "layer_options": {"edge_dim": 3}}, "edge_dim: .* without features"),
-        (MODEL, PYG | {"layer": "TAGConv", "layer_options": {"K": 0}}, "TAGConv {'K': 0}: edges have no effect"),
-        (MODEL, PYG | {"layer": "SAGEConv", "layer_options": {"aggr": "lstm"}}, "depends on the order of points"),
-        (f"{MODEL}.wiring", {"command": 5}, "sa-gnn-ncp: wiring.motor_fanin = 6, expected at most command = 5"),
+        (
+            MODEL,
+            PYG | {"layer": "GATv2"},
+            "no layer 'GATv2' that takes x, edge_index: did you mean GATv2Conv",
+        ),
+        (
+            MODEL,
+            PYG | {"layer": "RGCNConv"},
+            "models.sa-gnn-ncp: layer RGCNConv {}: .*num_relations",
+        ),
+        (
+            MODEL,
+            PYG | {"layer": "APPNP", "layer_options": {"K": 25, "alpha": 0.1}},
+            "APPNP .*'in_channels'",
+        ),
+        (
+            MODEL,
+            PYG | {"layer": "GCNConv", "layer_options": {"cached": True}},
+            "layer_options.cached: .* Remove it",
+        ),
+        (
+            MODEL,
+            PYG | {"layer": "GATConv", "layer_options": {"edge_dim": 3}},
+            "edge_dim: .* without features",
+        ),
+        (
+            MODEL,
+            PYG | {"layer": "TAGConv", "layer_options": {"K": 0}},
+            "TAGConv {'K': 0}: edges have no effect",
+        ),
+        (
+            MODEL,
+            PYG | {"layer": "SAGEConv", "layer_options": {"aggr": "lstm"}},
+            "depends on the order of points",
+        ),
+        (
+            f"{MODEL}.wiring",
+            {"command": 5},
+            "sa-gnn-ncp: wiring.motor_fanin = 6, expected at most command = 5",
+        ),
         (MODEL, PYG, "layer is missing: a layer of torch_geometric.nn"),
         ("encoder.weights", "no.pt", "weights: no.pt: file is missing"),
-        ("encoder", {"backbone": "precomputed", "weights": "pngs", **FIT}, "folder has no PNG files"),
+        (
+            "encoder",
+            {"backbone": "precomputed", "weights": "pngs", **FIT},
+            "folder has no PNG files",
+        ),
         ("encoder", {"backbone": "precomputed", **FIT}, "folder of PNG files"),
         ("encoder", {"backbone": "street", **FIT, "epochs": 1}, "street is not fitted"),
-        ("encoder", {"backbone": "pair", "depth": "a/b", **FIT}, "pair needs classes and focal_by_width, or an enc"),
-        ("encoder", PAIR | {"depth": "some/where/else"}, "depth: 'some/where/else' is not a folder with a config.json"),
-        ("encoder", PAIR | {"classes": SWIN}, "type swin have no map of classes. Families that work: segformer, up"),
-        ("encoder.backbone", "dinov2", "encoder.backbone: dinov2 is of an earlier version. Choose another"),
+        (
+            "encoder",
+            {"backbone": "pair", "depth": "a/b", **FIT},
+            "pair needs classes and focal_by_width, or an enc",
+        ),
+        (
+            "encoder",
+            PAIR | {"depth": "some/where/else"},
+            "depth: 'some/where/else' is not a folder with a config.json",
+        ),
+        (
+            "encoder",
+            PAIR | {"classes": SWIN},
+            "type swin have no map of classes. Families that work: segformer, up",
+        ),
+        (
+            "encoder.backbone",
+            "dinov2",
+            "encoder.backbone: dinov2 is of an earlier version. Choose another",
+        ),
         ("model", {}, "model.*did you mean models"),
         (
             "encoder.targets",
             "data/targets",
             "encoder.targets is of an earlier version. Remove it: the fit takes ground",
         ),
-        ("ingest.source", {"test": "kitti"}, "ingest.source.test is of an earlier version. Name one dataset"),
-        (f"{MODEL}.train_drives", 30, f"{MODEL}.train_drives is of an earlier version. Remove it, and name fewer"),
+        (
+            "ingest.source",
+            {"test": "kitti"},
+            "ingest.source.test is of an earlier version. Name one dataset",
+        ),
+        (
+            f"{MODEL}.train_drives",
+            30,
+            f"{MODEL}.train_drives is of an earlier version. Remove it, and name fewer",
+        ),
     ],
 )
 def test_a_fault_is_one_line_with_its_key(tmp_path, where, value, message):
@@ -137,9 +209,14 @@ IMPORT = "\ndef late():\n    from pipeline.report import page\n"
 def test_code_that_dvc_would_not_watch_is_refused(tmp_path, checkout, file, stage):
     with (checkout / file).open("a") as added:
         added.write(IMPORT)
-    with pytest.raises(InputError, match=rf"^{file}: imports pipeline/report/page\.py, which") as raised:
+    with pytest.raises(
+        InputError, match=rf"^{file}: imports pipeline/report/page\.py, which"
+    ) as raised:
         run(tmp_path, yaml.safe_load((ROOT / "params.yaml").read_text()))
-    assert f"dvc.yaml does not list for stage {stage}: its edits would change nothing. List it" in str(raised.value)
+    assert (
+        f"dvc.yaml does not list for stage {stage}: its edits would change nothing. List it"
+        in str(raised.value)
+    )
 
 
 def test_all_networks_datasets_and_sources_import_code_that_dvc_watches():
@@ -159,7 +236,9 @@ def test_all_networks_datasets_and_sources_import_code_that_dvc_watches():
     [(options.importlib, "import_module", ImportError), (polar.Options, "build", ValueError)],
 )
 def test_a_bug_of_a_network_is_no_fault_of_the_settings(tmp_path, monkeypatch, part, name, error):
-    content = changed("models", {"net": {"input": "semantic", "spatial": "polar", "temporal": "lstm"}})
+    content = changed(
+        "models", {"net": {"input": "semantic", "spatial": "polar", "temporal": "lstm"}}
+    )
     monkeypatch.setattr(part, name, Mock(side_effect=ValueError("boom")))
     with pytest.raises(error, match="boom") as raised:
         run(tmp_path, content)

@@ -20,8 +20,14 @@ from tests.models.encoder.test_encoders import write_networks
 
 TRAIN, VAL, TEST = "2026_01_01_drive_0001", "2026_01_02_drive_0001", "2026_01_03_drive_0001"
 SETTINGS = {
-    "backbone": "small", "weights": None, "epochs": 1, "frames": 6, "batch": 3, "learning_rate": 0.003, "seed": 0,
-}  # fmt: skip
+    "backbone": "small",
+    "weights": None,
+    "epochs": 1,
+    "frames": 6,
+    "batch": 3,
+    "learning_rate": 0.003,
+    "seed": 0,
+}
 
 
 def write_ingest(folder: Path, **kinds: bool) -> None:
@@ -38,7 +44,9 @@ def ingest(tmp_path) -> Path:
     return tmp_path / "ingest"
 
 
-def run(ingest: Path, name: str = "encoder", size: tuple[int, int] = street.SIZE, **settings: object) -> Path:
+def run(
+    ingest: Path, name: str = "encoder", size: tuple[int, int] = street.SIZE, **settings: object
+) -> Path:
     params = ingest.parent / "params.yaml"
     reading = yaml.safe_load((ROOT / "params.yaml").read_text())["ingest"] | {"image_size": [*size]}
     params.write_text(yaml.safe_dump({"ingest": reading, "encoder": {**SETTINGS, **settings}}))
@@ -62,10 +70,15 @@ def fitted(tmp_path_factory) -> Path:
 
 def test_the_fit_uses_training_drives_only_and_reports_itself(ingest, fitted):
     out = run(ingest, epochs=2)
-    assert (out / "encoder.pt").read_bytes() == (fitted / "encoder.pt").read_bytes(), "equal input, equal bytes"
+    assert (out / "encoder.pt").read_bytes() == (fitted / "encoder.pt").read_bytes(), (
+        "equal input, equal bytes"
+    )
     content = config(out)
     assert content["frames_per_drive"] == {TRAIN: 6}
-    assert encoder_file.load(out / "encoder.pt")[0] == {"backbone": "small", "datasets": ["recording"]}
+    assert encoder_file.load(out / "encoder.pt")[0] == {
+        "backbone": "small",
+        "datasets": ["recording"],
+    }
     curve = pd.read_csv(out / "curve.csv")
     assert curve["epoch"].tolist() == [1, 2]
     assert all(curve[loss][1] < curve[loss][0] for loss in ("depth", "classes"))
@@ -74,11 +87,23 @@ def test_the_fit_uses_training_drives_only_and_reports_itself(ingest, fitted):
 
 def test_a_network_that_does_not_take_images_of_ingest_is_one_line_before_any_drive(tmp_path):
     names = {"depth": "dpt", "classes": "classes"}
-    pair = {key: str(write_networks(tmp_path) / name) for key, name in names.items()} | {"depth_unit": "metric"}
-    for size, problem in {(96, 320): "cannot run 'dpt': .+", (64, 256): "'dpt' returns 128 x 128 .*"}.items():
+    pair = {key: str(write_networks(tmp_path) / name) for key, name in names.items()} | {
+        "depth_unit": "metric"
+    }
+    for size, problem in {
+        (96, 320): "cannot run 'dpt': .+",
+        (64, 256): "'dpt' returns 128 x 128 .*",
+    }.items():
         where = re.escape(f"params.yaml: backbone pair, ingest.image_size {[*size]}: ")
         with pytest.raises(InputError, match=f"{where}{problem}$"):
-            run(tmp_path / "no-drives", size=size, backbone="pair", epochs=0, focal_by_width=0.5, **pair)
+            run(
+                tmp_path / "no-drives",
+                size=size,
+                backbone="pair",
+                epochs=0,
+                focal_by_width=0.5,
+                **pair,
+            )
 
 
 @pytest.mark.parametrize("depth", [float("nan"), -1.0, 0.0])
@@ -90,27 +115,40 @@ def test_depth_of_no_pixel_is_a_fault_of_the_network(depth):
 
 
 @pytest.mark.real
-def test_the_encoder_of_streets_takes_published_files_and_names_their_terms(tmp_path, real_weights, monkeypatch):
+def test_the_encoder_of_streets_takes_published_files_and_names_their_terms(
+    tmp_path, real_weights, monkeypatch
+):
     monkeypatch.setattr("pipeline.encoder.create.WEIGHTS", real_weights)
     out = run(tmp_path / "no-drives", backbone="street", epochs=0)
     sources = config(out)["sources"]
     assert [source.split(":")[0] for source in sources] == [*SOURCES]
     assert all("non-commercial" in source for source in sources)
-    again = run(tmp_path / "no-drives", "again", backbone="street", epochs=0, weights=str(out / "encoder.pt"))
+    again = run(
+        tmp_path / "no-drives",
+        "again",
+        backbone="street",
+        epochs=0,
+        weights=str(out / "encoder.pt"),
+    )
     assert (again / "encoder.pt").read_bytes() == (out / "encoder.pt").read_bytes()
     assert config(again)["sources"] == sources
 
 
 def test_the_samples_encoder_is_the_default_and_was_fitted_by_its_preset_on_other_roads(tmp_path):
     content = yaml.safe_load((ROOT / "params.yaml").read_text())
-    fitted, shipped = preset.Params.model_validate(preset.merged("encoder")), ROOT / content["encoder"]["weights"]
+    fitted, shipped = (
+        preset.Params.model_validate(preset.merged("encoder")),
+        ROOT / content["encoder"]["weights"],
+    )
     assert shipped.stat().st_size <= 2_500_000
     made = config(shipped.parent)
     assert made.items() >= fitted.encoder.model_dump(mode="json", exclude_none=True).items()
     assert made["frames_per_drive"].keys() == set(fitted.ingest.drives.train)
     sample = preset.Params.model_validate(content).ingest.drives
     assert not made["frames_per_drive"].keys() & sample.splits().keys()
-    assert {drive[:10] for drive in made["frames_per_drive"]} <= {drive[:10] for drive in sample.train}
+    assert {drive[:10] for drive in made["frames_per_drive"]} <= {
+        drive[:10] for drive in sample.train
+    }
     content["encoder"]["weights"] = str(shipped)
     (tmp_path / "params.yaml").write_text(yaml.safe_dump(content))
     out = main(tmp_path, tmp_path / "encoder", tmp_path / "params.yaml")

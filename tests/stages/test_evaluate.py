@@ -17,7 +17,10 @@ from tests import artefacts
 from tests.kitti_drive import contents
 from tests.small_model import EDGES_M, SPLITS, TEST, run_evaluate, run_train, write_params
 
-COLUMNS = {"angle": ["steering_rad"], "path": ["path_0-5m_1pm", "path_5-10m_1pm", "path_10-20m_1pm"]}
+COLUMNS = {
+    "angle": ["steering_rad"],
+    "path": ["path_0-5m_1pm", "path_5-10m_1pm", "path_10-20m_1pm"],
+}
 
 
 def read_metrics(evaluated: Path) -> dict[str, Any]:
@@ -50,7 +53,10 @@ def test_metrics_are_means_over_seeds_and_files_repeat(folder, predicted):
     for name, scores in metrics["test"].items():
         rows = [table.dropna(subset=[f"true_{name}", f"predicted_{name}"]) for table in tables]
         true = rows[0][f"true_{name}"]
-        mse, zero = [((table[f"predicted_{name}"] - true) ** 2).mean() for table in rows], (true**2).mean()
+        mse, zero = (
+            [((table[f"predicted_{name}"] - true) ** 2).mean() for table in rows],
+            (true**2).mean(),
+        )
         assert scores["frames"] == len(true)
         assert scores["mse"] == pytest.approx(np.mean(mse), rel=1e-3)
         assert scores["nmse"] == pytest.approx(np.mean(mse) / zero, rel=1e-3)
@@ -61,12 +67,18 @@ def test_metrics_are_means_over_seeds_and_files_repeat(folder, predicted):
 def test_a_control_gets_the_scene_of_another_drive_in_training_and_evaluation(folder, monkeypatch):
     drives = [*SPLITS][:4]
     trained, tested = drives[:2], drives[2:]
-    artefacts.write_index(folder / "graphs/semantic", dict.fromkeys(trained, "train") | dict.fromkeys(tested, "test"))
+    artefacts.write_index(
+        folder / "graphs/semantic", dict.fromkeys(trained, "train") | dict.fromkeys(tested, "test")
+    )
     write_params(folder, {"scene": "another"}, epochs=1)
     paths = [folder / f"graphs/semantic/{drive}.h5" for drive in drives]
     with monkeypatch.context() as patch:
         scenes: list[tuple[Path, Path]] = []
-        patch.setattr(fit.Fit, "run", lambda self, *_: scenes.extend((one.graphs, one.scene) for one in self.train))
+        patch.setattr(
+            fit.Fit,
+            "run",
+            lambda self, *_: scenes.extend((one.graphs, one.scene) for one in self.train),
+        )
         run_train(folder)
     assert scenes == [(paths[0], paths[1]), (paths[1], paths[0])]
     model, table = load(run_train(folder)), pd.read_csv(run_evaluate(folder) / "predictions.csv")
@@ -74,22 +86,34 @@ def test_a_control_gets_the_scene_of_another_drive_in_training_and_evaluation(fo
         found = table[table["drive"] == drive]["predicted_steering_rad"]
         with graph_file.open_graphs(own) as graphs:
             np.testing.assert_allclose(found, model.predict(graphs, other)[:, 0], atol=1e-6)
-            assert not np.allclose(found, model.predict(graphs, own)[:, 0], atol=1e-4, equal_nan=True)
-            with pytest.raises(InputError, match="is a control, which needs the scene of another drive"):
+            assert not np.allclose(
+                found, model.predict(graphs, own)[:, 0], atol=1e-4, equal_nan=True
+            )
+            with pytest.raises(
+                InputError, match="is a control, which needs the scene of another drive"
+            ):
                 model.predict(graphs)
 
 
 def test_drives_without_a_window_are_not_listed(folder):
     for drive, frames in zip(SPLITS, (0, 3), strict=False):
-        artefacts.write_graphs(folder / f"graphs/semantic/{drive}.h5", np.zeros(frames), np.arange(frames), 80)
+        artefacts.write_graphs(
+            folder / f"graphs/semantic/{drive}.h5", np.zeros(frames), np.arange(frames), 80
+        )
     write_params(folder, epochs=1)
     trained = load(run_train(folder))
-    assert trained.drives == read_metrics(run_evaluate(folder))["drives"]["train"] == ["2026_01_01_drive_0003"]
+    assert (
+        trained.drives
+        == read_metrics(run_evaluate(folder))["drives"]["train"]
+        == ["2026_01_01_drive_0003"]
+    )
 
 
 def test_other_ranges_than_in_training_are_refused(folder):
     write_params(folder, {"predict": "path", "spatial": "polar"}, epochs=1)
     run_train(folder)
     artefacts.write_dataset(folder, SPLITS, frames=60, points=80, ahead_m=EDGES_M[:3])
-    with pytest.raises(InputError, match=r"labels\.ahead_m differs from the ranges of the trained model"):
+    with pytest.raises(
+        InputError, match=r"labels\.ahead_m differs from the ranges of the trained model"
+    ):
         run_evaluate(folder)

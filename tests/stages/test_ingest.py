@@ -19,15 +19,28 @@ from pipeline.ingest.ingest_file import write_drive as write_ingest
 from pipeline.ingest.packets import COLUMNS
 from stages import ingest
 from steer.measure import READING
-from tests.kitti_drive import DATE, DRIVE, SIZE, contents, write, write_drive, write_params, write_png
+from tests.kitti_drive import (
+    DATE,
+    DRIVE,
+    SIZE,
+    contents,
+    write,
+    write_drive,
+    write_params,
+    write_png,
+)
 
 OTHER = "2011_09_26_drive_0002"
 NEW = (36, 48)
 
 
 def run(tmp_path: Path, **settings: Any) -> DriveReader:
-    """Ingest DRIVE and OTHER below ``raw``, which lacks a third drive, and open the file of DRIVE."""
-    params = write_params(tmp_path / "params.yaml", train=[DRIVE, "2011_09_26_drive_0003"], test=[OTHER], **settings)
+    """Ingest DRIVE and OTHER below ``raw``, which lacks a third drive, and open the file of
+    DRIVE.
+    """
+    params = write_params(
+        tmp_path / "params.yaml", train=[DRIVE, "2011_09_26_drive_0003"], test=[OTHER], **settings
+    )
     if not (tmp_path / "raw" / DATE / f"{OTHER}_sync").exists():
         write_drive(tmp_path / "raw", OTHER, seed=1)
     folder = ingest.main(tmp_path / "data", tmp_path / "raw", params)
@@ -36,7 +49,11 @@ def run(tmp_path: Path, **settings: Any) -> DriveReader:
 
 def test_rows_go_by_frame_number(tmp_path):
     folder = write_drive(tmp_path / "raw", frames=[2, 3, 5, 6, 7], truth=True)
-    for name in ("image_02/data/0000000005.png", "velodyne_points/data/0000000003.bin", "oxts/data/0000000006.txt"):
+    for name in (
+        "image_02/data/0000000005.png",
+        "velodyne_points/data/0000000003.bin",
+        "oxts/data/0000000006.txt",
+    ):
         (folder / name).unlink()
     noise = np.random.default_rng(9).integers(0, 256, (*SIZE, 3), np.uint8)
     for name in ("0000000003.JPEG", "0000000007.jpg"):  # of 7, the PNG file is read
@@ -47,7 +64,11 @@ def test_rows_go_by_frame_number(tmp_path):
     with run(tmp_path) as file:
         np.testing.assert_array_equal(file.frame, [2, 3, 5, 7])
         np.testing.assert_allclose(file.time_s, [0, 0.1, 0.3, 0.5], atol=1e-9)
-        for name, present in {"image": [1, 1, 0, 1], "lidar": [1, 0, 1, 1], "cls": [1, 1, 1, 1]}.items():
+        for name, present in {
+            "image": [1, 1, 0, 1],
+            "lidar": [1, 0, 1, 1],
+            "cls": [1, 1, 1, 1],
+        }.items():
             np.testing.assert_array_equal(file[f"has_{name}"], present)
         oxts = [np.loadtxt(folder / f"oxts/data/{frame:010d}.txt") for frame in file.frame]
         np.testing.assert_array_equal(file["oxts"], oxts)
@@ -59,7 +80,9 @@ def test_rows_go_by_frame_number(tmp_path):
             np.testing.assert_array_equal(file["image"][row], image)
         assert not file["image"][2].any()
         np.testing.assert_array_equal(file["lidar_ptr"], [0, 200, 200, 400, 600])
-        points = np.fromfile(folder / "velodyne_points/data/0000000005.bin", np.float32).reshape(-1, 4)
+        points = np.fromfile(folder / "velodyne_points/data/0000000005.bin", np.float32).reshape(
+            -1, 4
+        )
         np.testing.assert_array_equal(file.row("lidar", slice(200, 400)), points)
         K = np.array([[50, 0, 31.3], [0, 50, 22.2], [0, 0, 1]])
         np.testing.assert_allclose(file["K"], Camera(K, SIZE).scaled(NEW).K)
@@ -71,7 +94,11 @@ def test_damaged_files_are_listed_at_once_or_left_out(tmp_path, capsys):
     folder = write_drive(tmp_path / "raw", truth=True)
     run(tmp_path)
     before = contents(tmp_path / "data/ingest")
-    names = "velodyne_points/data/0000000001.bin", "image_02/data/0000000002.png", "oxts/data/0000000003.txt"
+    names = (
+        "velodyne_points/data/0000000001.bin",
+        "image_02/data/0000000002.png",
+        "oxts/data/0000000003.txt",
+    )
     for name in names:
         write(folder / name, (folder / name).read_bytes()[:-60])
     with pytest.raises(InputError, match="3 damaged files") as raised:
@@ -85,11 +112,15 @@ def test_damaged_files_are_listed_at_once_or_left_out(tmp_path, capsys):
     assert "3 damaged files left out" in capsys.readouterr().out
     for scan in (folder / "velodyne_points/data").iterdir():
         write(scan, scan.read_bytes()[:-60])
-    with pytest.raises(InputError, match="bin: all scans of the drive are damaged: scan is cut short"):
+    with pytest.raises(
+        InputError, match="bin: all scans of the drive are damaged: scan is cut short"
+    ):
         run(tmp_path, on_damaged="skip")
     for packet in (folder / "oxts/data").iterdir():
         write(packet, "")
-    with pytest.raises(InputError, match=r"9 damaged files, among them all oxts packets: .*0.txt: expected 30"):
+    with pytest.raises(
+        InputError, match=r"9 damaged files, among them all oxts packets: .*0.txt: expected 30"
+    ):
         run(tmp_path, on_damaged="skip")
 
 
@@ -112,14 +143,26 @@ def test_plainly_incomplete_drives(tmp_path, missing, problem):
 @pytest.mark.parametrize(
     ("size", "values", "problem"),
     [
-        (SIZE[::-1], {}, r"image of frame 0 has 64 x 48 .*Camera\.size is \(H, W\), here \(48, 64\)"),
-        ((96, 128), {}, r"image of frame 0 has 64 x 48 pixels, expected 128 x 96, the size of Drive\.camera"),
+        (
+            SIZE[::-1],
+            {},
+            r"image of frame 0 has 64 x 48 .*Camera\.size is \(H, W\), here \(48, 64\)",
+        ),
+        (
+            (96, 128),
+            {},
+            r"image of frame 0 has 64 x 48 pixels, expected 128 x 96, the size of Drive\.camera",
+        ),
         (SIZE, {"speed_mp": {0: 1.0}}, r"unknown name speed_mp: did you mean speed_mps\?"),
     ],
 )
 def test_a_wrong_file_of_a_dataset(tmp_path, size, values, problem):
     frames = [Frame(0, 0.0, np.zeros((*SIZE, 3), np.uint8))]
-    drive = Drive(Camera(np.array([[50, 0, 31.3], [0, 50, 22.2], [0, 0, 1]]), size), lambda: iter(frames), values)
+    drive = Drive(
+        Camera(np.array([[50, 0, 31.3], [0, 50, 22.2], [0, 0, 1]]), size),
+        lambda: iter(frames),
+        values,
+    )
     with pytest.raises(InputError, match=problem):
         write_ingest(tmp_path / "drive.h5", drive, "drive", "mine", READING)
 
@@ -158,9 +201,13 @@ def test_a_drive_that_was_ingested_before_is_not_left_out(tmp_path, capsys):
         run(tmp_path)
 
 
-@pytest.mark.parametrize("name", ["0000000001.tif", "0000000001.png.part", "frame_1.png", ".DS_Store"])
+@pytest.mark.parametrize(
+    "name", ["0000000001.tif", "0000000001.png.part", "frame_1.png", ".DS_Store"]
+)
 def test_a_folder_without_images_is_empty(tmp_path, name):
-    """Half-extracted archives have empty folders. Files in another format or with other names are a fault."""
+    """Half-extracted archives have empty folders. Files in another format or with other names are a
+    fault.
+    """
     folder = write_drive(tmp_path / "raw") / "image_02"
     image = (folder / "data/0000000001.png").read_bytes()
     shutil.rmtree(folder)
@@ -185,19 +232,29 @@ def test_drives_of_the_sample_are_those_that_were_rendered(tmp_path):
     with DriveReader(tmp_path / f"data/ingest/{sample}.h5", stage="ingest") as file:
         assert (len(file.frame), file.params["dataset"], "cls" in file) == (2, "sample", True)
     twice = write_drive(tmp_path / "raw", sample)
-    with pytest.raises(InputError, match=rf"{twice}: stage sample renders .* data/sample/.*{sample}_sync"):
+    with pytest.raises(
+        InputError, match=rf"{twice}: stage sample renders .* data/sample/.*{sample}_sync"
+    ):
         ingest.main(tmp_path / "data", tmp_path / "raw", params)
 
 
 @pytest.mark.real
 def test_real_drives(real_kitti, tmp_path):
-    """Drive 0001 is partly extracted: 108 packets, one image and one scan. 0042 is grey and has no LiDAR."""
+    """Drive 0001 is partly extracted: 108 packets, one image and one scan. 0042 is grey and has no
+    LiDAR.
+    """
     partly, grey = "2011_09_26_drive_0001", "2011_10_03_drive_0042"
-    params = write_params(tmp_path / "params.yaml", train=[partly], test=[grey], image_size=[96, 320])
+    params = write_params(
+        tmp_path / "params.yaml", train=[partly], test=[grey], image_size=[96, 320]
+    )
     ingest.main(tmp_path / "data", real_kitti, params)
     with DriveReader(tmp_path / f"data/ingest/{partly}.h5", stage="ingest") as file:
         np.testing.assert_array_equal(file.frame, np.arange(108))
-        assert np.flatnonzero(file["has_image"]).tolist() == np.flatnonzero(file["has_lidar"]).tolist() == [5]
+        assert (
+            np.flatnonzero(file["has_image"]).tolist()
+            == np.flatnonzero(file["has_lidar"]).tolist()
+            == [5]
+        )
         assert file.datasets["lidar"].shape == (121_948, 4)
         assert file["image"][5].std() > 30
     with DriveReader(tmp_path / f"data/ingest/{grey}.h5", stage="ingest") as file:

@@ -48,9 +48,13 @@ def test_labels_of_two_drives(tmp_path, capsys):
 
 @pytest.fixture
 def recorded(tmp_path) -> Path:
-    """One drive with recorded angles and without oxts, one with both; motion is measured in both."""
+    """One drive with recorded angles and without oxts, one with both; motion is measured in
+    both.
+    """
     for drive in DRIVES:
-        rows = None if drive == FIRST else make_rows(5, vf=np.array([10.0, 10, 0.5, 10, 10]), wu=0.1)
+        rows = (
+            None if drive == FIRST else make_rows(5, vf=np.array([10.0, 10, 0.5, 10, 10]), wu=0.1)
+        )
         angles = {5: 0.1, 7: 0.2, 8: 0.3, 9: 0.4}
         write_recorded(tmp_path / f"ingest/{drive}.h5", np.arange(5, 10), rows, angles)
         motion = {5: (0, 0), 6: (5.0, 0.5), 8: (0.5, 0.5), 9: (0, 0)}
@@ -61,12 +65,15 @@ def recorded(tmp_path) -> Path:
 
 def test_measured_and_recorded_labels_are_valid_unless_the_car_is_slow_or_stands(recorded):
     for file in run(recorded, source="visual"):
-        np.testing.assert_allclose(file["steering_rad"], np.arctan([0, 2.7 * 0.1, 0, 2.7, 0]), rtol=0.02)
+        np.testing.assert_allclose(
+            file["steering_rad"], np.arctan([0, 2.7 * 0.1, 0, 2.7, 0]), rtol=0.02
+        )
         np.testing.assert_array_equal(file["valid"], [0, 1, 0, 0, 0])
         np.testing.assert_allclose(file["speed_mps"], [0, 5, 0, 0.5, 0], rtol=0.02)  # filtered
     without, with_oxts = run(recorded, source="wheel")
     np.testing.assert_array_equal(without["steering_rad"], [0.1, 0, 0.2, 0.3, 0.4])
-    np.testing.assert_array_equal(without["valid"], [1, 0, 1, 0, 0])  # 8 is measured, and slow; in 9 nothing moves
+    # 8 is measured, and slow; in 9 nothing moves
+    np.testing.assert_array_equal(without["valid"], [1, 0, 1, 0, 0])
     np.testing.assert_allclose(without["speed_mps"], [0, 5, 0, 0.5, 0], rtol=0.02)
     np.testing.assert_array_equal(with_oxts["valid"], [1, 0, 0, 1, 1])
     np.testing.assert_array_equal(with_oxts["speed_mps"], [10, 10, 0.5, 10, 10])
@@ -81,7 +88,11 @@ def test_an_interpolated_packet_is_no_target_and_ends_the_path_ahead(tmp_path, c
         write_recorded(tmp_path / f"ingest/{drive}.h5", frame, rows, dict.fromkeys(range(30), 0.1))
         write_motion(tmp_path / "motion", drive, dict.fromkeys(range(30), (5.0, 0.1)))
     write_index(tmp_path / "ingest", DRIVES)
-    for source, valid in {"recorded": frame != 20, "wheel": frame >= 0, "visual": frame >= 0}.items():
+    for source, valid in {
+        "recorded": frame != 20,
+        "wheel": frame >= 0,
+        "visual": frame >= 0,
+    }.items():
         file, _ = run(tmp_path, source=source, ahead_m=[0, 5])
         np.testing.assert_array_equal(file["valid"], valid)
         text = f"{valid.sum()} valid, {valid.sum()} turning, {int(source != 'visual')} interpolated"
@@ -100,9 +111,13 @@ def test_interpolated_packets_of_kitti(real_kitti, tmp_path):
             if "/data/0" in member.name:
                 packets[member.name[11:32]].append(archive.extractfile(member).read().split())  # type: ignore[union-attr]
     for drive, rows in packets.items():
-        with DriveWriter(tmp_path / f"ingest/{drive}.h5", stage="ingest", drive=drive, params={}) as file:
+        with DriveWriter(
+            tmp_path / f"ingest/{drive}.h5", stage="ingest", drive=drive, params={}
+        ) as file:
             numbered = dict(enumerate(np.array(rows, float)))
-            values = {name: [*column.values()] for name, column in recorded_motion(numbered).items()}
+            values = {
+                name: [*column.values()] for name, column in recorded_motion(numbered).items()
+            }
             values |= {"frame": range(len(rows)), "time_s": np.arange(len(rows)) / 10, "oxts": rows}
             for name, column in values.items():
                 file.put(name, np.array(column, float))
@@ -110,7 +125,10 @@ def test_interpolated_packets_of_kitti(real_kitti, tmp_path):
     run(tmp_path, ahead_m=[0, 0.1])
     for drive, rows in packets.items():
         guessed = interpolated(np.array(rows, float))
-        counts[drive], file = guessed.sum(), DriveReader(tmp_path / f"labels/{drive}.h5", stage="labels")
+        counts[drive], file = (
+            guessed.sum(),
+            DriveReader(tmp_path / f"labels/{drive}.h5", stage="labels"),
+        )
         assert not (file["valid"] | file["ahead_valid"][:, 0])[guessed].any()
     assert (len(counts), sum(counts.values()), counts["2011_10_03_drive_0027"]) == (55, 323, 134)
 
@@ -120,11 +138,17 @@ def test_an_inverted_wheel_is_refused_and_test_drives_are_not_compared(tmp_path,
     for drive, sign in zip(DRIVES, (1, -1), strict=True):
         recorded = dict(zip(frame.tolist(), sign * angle, strict=True))
         write_recorded(tmp_path / f"ingest/{drive}.h5", frame, None, recorded)
-        motion = {number: (8.0, 8 * np.tan(rad) / 2.7) for number, rad in zip(frame.tolist(), angle, strict=True)}
+        motion = {
+            number: (8.0, 8 * np.tan(rad) / 2.7)
+            for number, rad in zip(frame.tolist(), angle, strict=True)
+        }
         write_motion(tmp_path / "motion", drive, motion)
     write_index(tmp_path / "ingest", DRIVES)
     run(tmp_path, source="wheel")
-    assert f"{FIRST}: recorded / measured, 147 turning frames: angle gain 1.00" in capsys.readouterr().out
+    assert (
+        f"{FIRST}: recorded / measured, 147 turning frames: angle gain 1.00"
+        in capsys.readouterr().out
+    )
     for split in ("val", "test"):  # leave-one-out has test drives only
         write_index(tmp_path / "ingest", {FIRST: "test", SECOND: split})
         with pytest.raises(InputError, match=f"{SECOND}: the sign of steering_rad is inverted"):

@@ -18,7 +18,11 @@ from tests import street
 from tests.artefacts import write_index
 from tests.kitti_drive import write_png
 
-SPLITS = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train", "2026_01_03_drive_0001": "test"}
+SPLITS = {
+    "2026_01_01_drive_0001": "train",
+    "2026_01_01_drive_0002": "train",
+    "2026_01_03_drive_0001": "test",
+}
 FULL, BLIND, CAMERA = SPLITS
 
 
@@ -29,7 +33,9 @@ def read(folder: Path, drive: str, stage: str = "clouds") -> dict[str, np.ndarra
 
 @pytest.mark.parametrize("lidar", [True, False])
 def test_drives_without_images_or_lidar_have_clouds_of_what_they_have(tmp_path, lidar):
-    """Of a drive with everything; one without images has no classes, one without LiDAR has no frames."""
+    """Of a drive with everything; one without images has no classes, one without LiDAR has no
+    frames.
+    """
     params = yaml.safe_load((ROOT / "params.yaml").read_text())
     params["ingest"]["lidar"] = lidar
     (tmp_path / "params.yaml").write_text(yaml.safe_dump(params))
@@ -46,7 +52,9 @@ def test_drives_without_images_or_lidar_have_clouds_of_what_they_have(tmp_path, 
     assert bool(store.read_index(tmp_path / "clouds/lidar", stage="clouds")) == lidar
     if not lidar:
         return
-    assert {classes.ROAD, classes.BUILDING} <= set(read(tmp_path / "clouds/lidar", FULL)["cls"].tolist())
+    assert {classes.ROAD, classes.BUILDING} <= set(
+        read(tmp_path / "clouds/lidar", FULL)["cls"].tolist()
+    )
     blind = read(tmp_path / "clouds/lidar", BLIND)
     assert len(blind["xyz"]) > 0
     assert (blind["cls"] == classes.VOID).all()
@@ -62,7 +70,10 @@ def run(root: Path) -> dict[str, np.ndarray]:
 def test_precomputed_files_are_matched_by_frame_number(tmp_path, capsys):
     truth = [street.scene(frame)[1:] for frame in range(5)]
     for frame, (depth_m, cls) in enumerate(truth):
-        write_png(tmp_path / f"made/{FULL}/depth/{frame:010d}.png", np.rint(depth_m * 256).astype(np.uint16))
+        write_png(
+            tmp_path / f"made/{FULL}/depth/{frame:010d}.png",
+            np.rint(depth_m * 256).astype(np.uint16),
+        )
         write_png(tmp_path / f"made/{FULL}/cls/{frame:010d}.png", cls)
     street.write_drive(tmp_path / "ingest", FULL, 5)
     with h5py.File(tmp_path / f"ingest/{FULL}.h5", "r+") as file:
@@ -75,7 +86,14 @@ def test_precomputed_files_are_matched_by_frame_number(tmp_path, capsys):
     depth_m, cls = (np.stack([truth[frame][part] for frame in content["frame"]]) for part in (0, 1))
     np.testing.assert_array_equal(content["cls"], cls)
     np.testing.assert_array_equal(content["depth_m"], np.rint(depth_m * 256))
-    save(tmp_path / "encoder", {"backbone": "precomputed", "folder": f"{tmp_path}/later", "datasets": ["sample"]}, {})
+    save(
+        tmp_path / "encoder",
+        {"backbone": "precomputed", "folder": f"{tmp_path}/later", "datasets": ["sample"]},
+        {},
+    )
     with pytest.raises(InputError, match="later"):  # this process has the first encoder open
         run(tmp_path)
-    assert f"encoder was fitted to rendered streets alone: wrong depth on {FULL}" in capsys.readouterr().out
+    assert (
+        f"encoder was fitted to rendered streets alone: wrong depth on {FULL}"
+        in capsys.readouterr().out
+    )

@@ -22,18 +22,24 @@ def run(folder: Path, *models: str) -> str:
 
 def test_all_files_are_written_and_repeat(tmp_path):
     assert run(tmp_path, "absent").startswith("No result here: absent.")
-    assert {path.name for path in (tmp_path / "report").iterdir() if path.is_dir()} == {"learning", "figures"}
+    assert {path.name for path in (tmp_path / "report").iterdir() if path.is_dir()} == {
+        "learning",
+        "figures",
+    }
     examples.write_model(tmp_path, examples.metrics("sa-gnn-ncp"))
     examples.write_model(tmp_path, examples.metrics("scene", predict="path"))
     for folder in ("", "seed-1/"):
         curve = tmp_path / f"train/sa-gnn-ncp/{folder}curve.csv"
         curve.parent.mkdir(parents=True)
-        curve.write_text("epoch,learning_rate,train_loss,val_nmse\n1,0.003,0.70,0.6\n2,0.001,0.5,\n")
+        curve.write_text(
+            "epoch,learning_rate,train_loss,val_nmse\n1,0.003,0.70,0.6\n2,0.001,0.5,\n"
+        )
     scores = {split: Scores() for split in ("train", "val", "test")}
     scores["test"].add_depth("depth_dense", np.full((40, 50), 10.0), np.full((40, 50), 10.0))
     reports = {split: score.report() for split, score in scores.items()}
     store.write_json(
-        tmp_path / "scores/metrics.json", reports | {"motion": {}, "recorded": {"wheel": {"lines": ["gain 1.03"]}}}
+        tmp_path / "scores/metrics.json",
+        reports | {"motion": {}, "recorded": {"wheel": {"lines": ["gain 1.03"]}}},
     )
     store.write_json(tmp_path / "encoder/config.json", {"sources": ["b0.pt: its URL (its terms)"]})
     made = []
@@ -42,11 +48,19 @@ def test_all_files_are_written_and_repeat(tmp_path):
         files = [path for path in (tmp_path / "report").rglob("*") if path.is_file()]
         made.append({path.name: path.read_bytes() for path in files})
     assert made[0] == made[1]
-    assert text.startswith("On 2 drives that it was not trained on, sa-gnn-ncp, the model with the least test error ")
-    assert text.index("No result here: absent.") < text.index("## Results: steering angle") < text.index("## Depth")
+    assert text.startswith(
+        "On 2 drives that it was not trained on, sa-gnn-ncp, the model with the least test error "
+    )
+    assert (
+        text.index("No result here: absent.")
+        < text.index("## Results: steering angle")
+        < text.index("## Depth")
+    )
     metrics = json.loads(made[0]["metrics.json"])
     assert metrics["steering angle"]["sa-gnn-ncp"]["test nmse"] == pytest.approx(0.2)
-    assert {"0-5 m train nmse", "0-5 m test nmse, 95 % from"} <= metrics["path ahead"]["scene"].keys()
+    assert {"0-5 m train nmse", "0-5 m test nmse, 95 % from"} <= metrics["path ahead"][
+        "scene"
+    ].keys()
     assert made[0]["sa-gnn-ncp.csv"] == b"epoch,train_loss,val_nmse\n1,0.70,0.6\n2,0.5,nan\n"
     assert "sa-gnn-ncp.seed-1.csv" in made[0]
     assert b"No result here: absent." in made[0]["index.html"]

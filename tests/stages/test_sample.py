@@ -8,7 +8,8 @@ from pipeline.base import resume
 from pipeline.ingest.datasets.kitti import find_drive
 from stages import sample
 
-DRIVES = ["2026_01_01_drive_0001", "2026_01_01_drive_0002", "2026_01_05_drive_0001"]  # two dates, two cameras
+# two dates, two cameras
+DRIVES = ["2026_01_01_drive_0001", "2026_01_01_drive_0002", "2026_01_05_drive_0001"]
 
 
 def write_params(path: Path, lidar: bool = False, epochs: int = 0, **frames: int) -> Path:
@@ -29,12 +30,17 @@ def test_drives_of_the_params(tmp_path):
     assert [len(drive.images(2)) for drive in raw] == [2, 2, 3]
     focal = [drive.camera(2).K[0, 0] for drive in raw]
     assert focal[0] == focal[1] < focal[2]
-    assert sorted(path.name for path in out.glob("*/*_sync")) == [f"{drive}_sync" for drive in DRIVES]
+    assert sorted(path.name for path in out.glob("*/*_sync")) == [
+        f"{drive}_sync" for drive in DRIVES
+    ]
     for lidar, epochs in ((False, 0), (False, 1), (True, 0)):
         write_params(params, lidar, epochs, train=1, val=1, test=1)
         sample.main(out, params)
         for number, drive in enumerate(find_drive(out, drive) for drive in DRIVES):
             truth = epochs > 0 or number == 2
-            counts = [len(files) for files in (drive.images(2), drive.scans, drive.truth_depth, drive.truth_cls)]
+            counts = [
+                len(files)
+                for files in (drive.images(2), drive.scans, drive.truth_depth, drive.truth_cls)
+            ]
             assert counts == [1, lidar, truth, truth]
             assert (drive.folder / "velodyne_points").exists() == lidar

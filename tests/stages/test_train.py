@@ -1,4 +1,6 @@
-"""Stage train on small graphs: it learns, resumes to the same bytes, and refuses data it cannot learn from."""
+"""Stage train on small graphs: it learns, resumes to the same bytes, and refuses data it cannot
+learn from.
+"""
 
 import json
 import shutil
@@ -24,7 +26,9 @@ def load(path: Path) -> dict[str, object]:
 
 def nmse(folder: Path, split: str = "test") -> float:
     """Evaluate the model, and return the error of its first column."""
-    return next(iter(json.loads((run_evaluate(folder) / "metrics.json").read_text())[split].values()))["nmse"]
+    return next(
+        iter(json.loads((run_evaluate(folder) / "metrics.json").read_text())[split].values())
+    )["nmse"]
 
 
 def test_a_trained_model_follows_the_bend_and_knows_its_settings(folder):
@@ -32,13 +36,17 @@ def test_a_trained_model_follows_the_bend_and_knows_its_settings(folder):
     trained = run_train(folder)
     assert nmse(folder) < 0.45
     best = load(trained / "best.pt")
-    assert best["settings"] == artefacts.GRAPHS | {"labels": artefacts.LABELS["labels"] | {"ahead_m": EDGES_M}}
+    assert best["settings"] == artefacts.GRAPHS | {
+        "labels": artefacts.LABELS["labels"] | {"ahead_m": EDGES_M}
+    }
     curve = pd.read_csv(trained / "curve.csv")
     assert [*curve] == ["epoch", "learning_rate", "train_loss", "val_nmse"]
     assert best["epoch"] == 1 + curve["val_nmse"].rolling(3, min_periods=1).mean().argmin()
 
 
-@pytest.mark.parametrize("entry", [{}, {"predict": "path"}, {"spatial": "users"}], ids=["angle", "path", "users"])
+@pytest.mark.parametrize(
+    "entry", [{}, {"predict": "path"}, {"spatial": "users"}], ids=["angle", "path", "users"]
+)
 def test_resumed_training_writes_the_same_bytes(folder, monkeypatch, capsys, entry):
     monkeypatch.setenv("STEER_WORKERS", "1")
     small_model.add_users_network(monkeypatch)
@@ -61,13 +69,18 @@ def test_resumed_training_writes_the_same_bytes(folder, monkeypatch, capsys, ent
     assert not (folder / "train/net").exists()
     assert contents(run_train(folder)) == complete
     assert "net seed 0: continues after epoch 2 of 3" in capsys.readouterr().out
-    with monkeypatch.context() as patch:  # with its networks kept, as when test drives are added, nothing is trained
+    # with its networks kept, as when test drives are added, nothing is trained
+    with monkeypatch.context() as patch:
         patch.setattr(Fit, "_train", None)
         assert contents(run_train(folder)) == complete
 
 
-@pytest.mark.parametrize("moved", [{"2026_01_01_drive_0003": "val"}, {"2026_01_02_drive_0001": "train"}])
-def test_training_starts_anew_where_a_drive_moves_between_training_and_validation(folder, capsys, moved):
+@pytest.mark.parametrize(
+    "moved", [{"2026_01_01_drive_0003": "val"}, {"2026_01_02_drive_0001": "train"}]
+)
+def test_training_starts_anew_where_a_drive_moves_between_training_and_validation(
+    folder, capsys, moved
+):
     write_params(folder, epochs=1)
     run_train(folder)
     artefacts.write_index(folder / "graphs/semantic", SPLITS | moved)
@@ -81,7 +94,11 @@ def test_the_averaged_network_has_the_statistics_of_the_trained_one(folder, monk
     best = load(run_train(folder) / "best.pt")["net"]
     (state,) = (folder / ".drives").rglob("*.pt")
     equal = {name for name, tensor in load(state)["net"].items() if torch.equal(best[name], tensor)}
-    assert {f"spatial.0.{name}" for name in ("running_mean", "running_var", "num_batches_tracked")} <= equal < {*best}
+    assert (
+        {f"spatial.0.{name}" for name in ("running_mean", "running_var", "num_batches_tracked")}
+        <= equal
+        < {*best}
+    )
 
 
 @pytest.mark.slow
@@ -98,12 +115,15 @@ def test_seeds_in_parallel_processes_equal_those_trained_alone(folder, monkeypat
     monkeypatch.setenv("STEER_WORKERS", "2")
     trained = run_train(folder)
     first, second = (load(trained / name) for name in ("best.pt", "seed-7/best.pt"))
-    assert [best["entry"]["wiring"]["seed"] for best in (first, second)] == [0, 7]  # a seed draws the wiring, too
+    # a seed draws the wiring, too
+    assert [best["entry"]["wiring"]["seed"] for best in (first, second)] == [0, 7]
     shutil.rmtree(folder / ".drives")
     write_params(folder, epochs=1, seeds=[7])
     alone = load(run_train(folder) / "best.pt")["net"]
     assert all(torch.equal(alone[name], second["net"][name]) for name in alone)
-    assert not torch.equal(first["net"]["spatial.read_out.weight"], alone["spatial.read_out.weight"])
+    assert not torch.equal(
+        first["net"]["spatial.read_out.weight"], alone["spatial.read_out.weight"]
+    )
 
 
 def test_a_network_and_its_errors_do_not_depend_on_threads(tmp_path):
@@ -141,7 +161,13 @@ def test_other_networks_and_inputs(tmp_path, kind, entry, epochs, limit):
     ("frames", "edges_m", "scale", "entry", "problem"),
     [
         (60, [], 1.0, {"predict": "path"}, r"labels/2026.*no path ahead.*dvc repro labels"),
-        (5, EDGES_M, 1.0, {"predict": "path"}, "no window of 4 consecutive frames with a driven path of 5 m ahead of"),
+        (
+            5,
+            EDGES_M,
+            1.0,
+            {"predict": "path"},
+            "no window of 4 consecutive frames with a driven path of 5 m ahead of",
+        ),
         (20, EDGES_M, 1.0, {"predict": "path"}, "path from 10 to 20 m"),
         (20, [], 0.0, {}, f"every valid label of {TEST} is 0"),
         (20, [], 1.0, {"motion": "visual"}, "motion is not measured in any frame"),
@@ -150,7 +176,9 @@ def test_other_networks_and_inputs(tmp_path, kind, entry, epochs, limit):
 def test_drives_that_teach_nothing_are_refused(tmp_path, frames, edges_m, scale, entry, problem):
     artefacts.write_dataset(tmp_path, SPLITS, frames=frames, points=20, ahead_m=edges_m)
     for drive in SPLITS:
-        artefacts.add_motion(tmp_path / f"graphs/semantic/{drive}.h5", np.zeros(frames), np.zeros(frames, bool))
+        artefacts.add_motion(
+            tmp_path / f"graphs/semantic/{drive}.h5", np.zeros(frames), np.zeros(frames, bool)
+        )
     with h5py.File(tmp_path / f"labels/{TEST}.h5", "a") as file:
         file["steering_rad"][:] *= scale
     write_params(tmp_path, entry, epochs=1)

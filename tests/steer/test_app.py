@@ -15,12 +15,27 @@ from pipeline.base.resume import ROOT
 from steer.app import app
 from tests.artefacts import write_dataset
 
-HEAVY = ("torch", "cv2", "h5py", "open3d", "matplotlib", "scipy", "plotly", "pykitti", "tqdm", "pandas", "rich", "dvc")
+HEAVY = (
+    "torch",
+    "cv2",
+    "h5py",
+    "open3d",
+    "matplotlib",
+    "scipy",
+    "plotly",
+    "pykitti",
+    "tqdm",
+    "pandas",
+    "rich",
+    "dvc",
+)
 
 
 def test_help_imports_nothing_large():
     code = f"import sys, steer.app; print([name for name in {HEAVY} if name in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
     assert done.stdout.strip() == "[]"
 
 
@@ -53,9 +68,16 @@ def test_a_file_has_its_datasets_and_settings_and_a_checkpoint_everything_but_we
     assert (content["stage"], content["settings"]["graphs"]["keep_inter_class"]) == ("graphs", 0.2)
     net = {"weight": torch.zeros(2)}
     drives = [DRIVE, "2011_09_26_drive_0002", "2011_09_28_drive_0003"]
-    checkpoint.write(data / "best.pt", {"kind": "steering net", "drives": drives, "entry": {"window": 8}, "net": net})
+    checkpoint.write(
+        data / "best.pt",
+        {"kind": "steering net", "drives": drives, "entry": {"window": 8}, "net": net},
+    )
     content = yaml.safe_load(show(data / "best.pt"))
-    assert (content["kind"], content["entry"], "net" in content) == ("steering net", {"window": 8}, False)
+    assert (content["kind"], content["entry"], "net" in content) == (
+        "steering net",
+        {"window": 8},
+        False,
+    )
     assert content["drives"] == ["2011_09_26_drive_0001..0002", "2011_09_28_drive_0003"]
 
 

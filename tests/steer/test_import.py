@@ -1,4 +1,6 @@
-"""steer import: the stages compute from a recording what its log holds, or the recording is refused."""
+"""steer import: the stages compute from a recording what its log holds, or the recording is
+refused.
+"""
 
 from collections.abc import Callable
 from itertools import pairwise
@@ -32,7 +34,9 @@ STEADY = HEAD + "".join(f"{half / 2},5,{half / 600}\n" for half in range(-2, 60)
 
 @pytest.fixture
 def take(tmp_path, monkeypatch) -> Callable[..., dict[str, Any]]:
-    """Import with a field of view of 80 degrees; logs are given as text, presets/ is empty. Returns the preset."""
+    """Import with a field of view of 80 degrees; logs are given as text, presets/ is empty. Returns
+    the preset.
+    """
     (tmp_path / "presets").mkdir()
     monkeypatch.setattr(preset, "PRESETS", tmp_path / "presets")
 
@@ -54,7 +58,9 @@ def take(tmp_path, monkeypatch) -> Callable[..., dict[str, Any]]:
 @pytest.fixture(scope="module")
 def video(tmp_path_factory) -> Path:
     """A video of 20 s, 10 images per second."""
-    return write_video(tmp_path_factory.mktemp("video") / "drive.mp4", np.resize(pictures(12), (FRAMES, *SIZE, 3)))
+    return write_video(
+        tmp_path_factory.mktemp("video") / "drive.mp4", np.resize(pictures(12), (FRAMES, *SIZE, 3))
+    )
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +99,10 @@ def test_labels_follow_the_log(tmp_path, take, video, monkeypatch):
     times = "".join(f"{time_s!r}\n" for time_s in TIMES_S.tolist())
     images = np.resize(pictures(12), (FRAMES, *SIZE, 3))
     steering, valid, *_ = steering_labels(YAW_RATE_RADPS, SPEED_MPS, Car(2.7, 1.0))
-    for name, recording in {"film": video, "lossless": write_folder(tmp_path / "images", images)}.items():
+    for name, recording in {
+        "film": video,
+        "lossless": write_folder(tmp_path / "images", images),
+    }.items():
         take(recording, name=name, motion=log, times=times)
         folder = ingested(tmp_path, name)
         labelled = labels.main(tmp_path / "data", tmp_path / "params.yaml")
@@ -109,12 +118,18 @@ def test_labels_follow_the_log(tmp_path, take, video, monkeypatch):
                 assert error.mean() < (4 if name == "film" else 1e-9)
                 assert file["K"][0, 2] == 31.5
             frames += rows.tolist()
-        assert frames == [number for number in range(FRAMES) if not (100 <= number < 120 or 140 <= number < 160)]
+        assert frames == [
+            number for number in range(FRAMES) if not (100 <= number < 120 or 140 <= number < 160)
+        ]
 
 
-def test_angles_of_the_wheel_are_interpolated_from_start_to_end(tmp_path, take, video, capsys, monkeypatch):
+def test_angles_of_the_wheel_are_interpolated_from_start_to_end(
+    tmp_path, take, video, capsys, monkeypatch
+):
     monkeypatch.chdir(preset.ROOT)
-    log = "time_s,wheel_rad\n" + "".join(f"{0.05 + half / 2},{1.0 - 0.1 * half}\n" for half in range(32))
+    log = "time_s,wheel_rad\n" + "".join(
+        f"{0.05 + half / 2},{1.0 - 0.1 * half}\n" for half in range(32)
+    )
     take(video, wheel=log, steering_ratio=-10.0, start=2.3, end=18.0)
     assert "wheel-0.txt covers 133 of 157 images" in capsys.readouterr().out
     folder, frames = ingested(tmp_path), []
@@ -136,7 +151,9 @@ def test_angles_of_the_wheel_are_interpolated_from_start_to_end(tmp_path, take, 
         ("wheel", {"wheel": every_second(1.0)}, "none", 0),
     ],
 )
-def test_the_preset_is_one_that_check_accepts(tmp_path, take, video, source, options, base, horizon):
+def test_the_preset_is_one_that_check_accepts(
+    tmp_path, take, video, source, options, base, horizon
+):
     content = take(video, camera_height_m=1.4, **options)
     assert list(content["models"]) == ["motion", "scene"]
     settings = preset.Params.model_validate(content)
@@ -152,9 +169,14 @@ def test_the_preset_is_one_that_check_accepts(tmp_path, take, video, source, opt
 
 
 def test_files_are_copied_on_a_disk_without_links(tmp_path, take, video, monkeypatch, capsys):
-    monkeypatch.setattr(Path, "symlink_to", Mock(side_effect=PermissionError(1, "Operation not permitted")))
+    monkeypatch.setattr(
+        Path, "symlink_to", Mock(side_effect=PermissionError(1, "Operation not permitted"))
+    )
     take(video)
-    assert "drive.mp4 is copied: a link cannot be made there (Operation not permitted)" in capsys.readouterr().out
+    assert (
+        "drive.mp4 is copied: a link cannot be made there (Operation not permitted)"
+        in capsys.readouterr().out
+    )
     assert (tmp_path / "data/raw/monday/video.mp4").read_bytes() == video.read_bytes()
 
 
@@ -165,17 +187,23 @@ def test_each_recording_is_a_drive_for_the_splits_in_turn(tmp_path, take, videos
     assert content["ingest"]["recordings"]["2027_03_31_drive_0007"]["K"] == "60,60,31.5,23.5"
     drives = preset.Params.model_validate(content).ingest.drives
     assert [*drives.splits()] == [f"2027_03_31_drive_{number:04d}" for number in (4, 7, 5, 6)]
-    assert (tmp_path / "data/raw/2027_03_31_drive_0004-4/video.mp4").read_bytes() == videos[3].read_bytes()
+    assert (tmp_path / "data/raw/2027_03_31_drive_0004-4/video.mp4").read_bytes() == videos[
+        3
+    ].read_bytes()
 
 
 def test_an_import_keeps_what_it_did_not_write(tmp_path, take, video, videos, monkeypatch):
-    """Its own copy as the source, and a copied log that was edited; links of an earlier import may be replaced."""
+    """Its own copy as the source, and a copied log that was edited; links of an earlier import may
+    be replaced.
+    """
     for _ in range(2):
         take(*videos[:3], each=True)
         take(*videos[:2], each=True)
         write(tmp_path / "data/raw/monday-1/.DS_Store", "")
     take(video, name="copied", copy=True, wheel=every_second(1.0))
-    with pytest.raises(InputError, match=r"copied/video.mp4: is in a folder that this import replaces"):
+    with pytest.raises(
+        InputError, match=r"copied/video.mp4: is in a folder that this import replaces"
+    ):
         take(tmp_path / "data/raw/copied/video.mp4", name="copied")
     write(tmp_path / "data/raw/copied/wheel.csv", every_second(-2.0))
     before = contents(tmp_path)
@@ -187,7 +215,8 @@ def test_an_import_keeps_what_it_did_not_write(tmp_path, take, video, videos, mo
 def test_an_edited_log_makes_its_drives_anew_and_a_missing_file_only_what_is_not_kept(
     tmp_path, take, video, capsys, monkeypatch
 ):
-    """Stage ingest refuses a log of another hash; make params takes its new hash; kept drives need no video.
+    """Stage ingest refuses a log of another hash; make params takes its new hash; kept drives need
+    no video.
 
     Another video, or a log of other times, is refused.
     """
@@ -199,7 +228,9 @@ def test_an_edited_log_makes_its_drives_anew_and_a_missing_file_only_what_is_not
     ingested(tmp_path)
     before = contents(tmp_path / "presets")
     write(tmp_path / "wheel-0.txt", every_second(-2.0))
-    with pytest.raises(InputError, match=r"monday/wheel.csv: is not the file whose hash ingest\.recordings has"):
+    with pytest.raises(
+        InputError, match=r"monday/wheel.csv: is not the file whose hash ingest\.recordings has"
+    ):
         ingest.main(tmp_path / "data", tmp_path / "data/raw", tmp_path / "params.yaml")
     (tmp_path / "params.yaml").write_bytes(preset.PARAMS.read_bytes())
     folder = ingested(tmp_path)
@@ -209,8 +240,16 @@ def test_an_edited_log_makes_its_drives_anew_and_a_missing_file_only_what_is_not
         assert file["steering_rad"][0] == pytest.approx(-0.2)
     (tmp_path / "params.yaml").write_bytes(preset.PARAMS.read_bytes())
     for file, content, problem in (
-        (tmp_path / "wheel-0.txt", b"time_s,wheel_rad\n7200,0\n7200.1,0\n", r"wheel.csv.*--offset -7200,"),
-        (moved, b"of another camera", r"monday/video.mp4: is not what was imported.* Repeat steer import"),
+        (
+            tmp_path / "wheel-0.txt",
+            b"time_s,wheel_rad\n7200,0\n7200.1,0\n",
+            r"wheel.csv.*--offset -7200,",
+        ),
+        (
+            moved,
+            b"of another camera",
+            r"monday/video.mp4: is not what was imported.* Repeat steer import",
+        ),
     ):
         taken = file.read_bytes()
         file.write_bytes(content)
@@ -222,12 +261,16 @@ def test_an_edited_log_makes_its_drives_anew_and_a_missing_file_only_what_is_not
     ingested(tmp_path)
     assert "3 of 3 drives kept" in capsys.readouterr().out
     (tmp_path / "params.yaml").write_bytes(preset.PARAMS.read_bytes())
-    with pytest.raises(InputError, match=rf"the link's target {moved} is missing. Repeat steer import"):
+    with pytest.raises(
+        InputError, match=rf"the link's target {moved} is missing. Repeat steer import"
+    ):
         ingested(tmp_path, **{"start: 12": "start: 13"})
 
 
 def test_the_sign_of_a_log_is_that_of_the_images(tmp_path, take):
-    """The rendered street turns left: a log that turns right is refused, and a negative ratio turns it."""
+    """The rendered street turns left: a log that turns right is refused, and a negative ratio turns
+    it.
+    """
     poses = street.arc(60, 0.1, 4.0)
     images = write_folder(tmp_path / "images", [street.view(pose)[0] for pose in poses])
     lens: dict[str, Any] = {
@@ -238,7 +281,9 @@ def test_the_sign_of_a_log_is_that_of_the_images(tmp_path, take):
         "horizon": 44.0,
     }
     take(images, wheel=every_second(1.0), **lens)
-    with pytest.raises(InputError, match=r"wheel-0.txt: the sign of wheel_rad is inverted: left is positive"):
+    with pytest.raises(
+        InputError, match=r"wheel-0.txt: the sign of wheel_rad is inverted: left is positive"
+    ):
         take(images, wheel=every_second(-1.0), **lens)
     content = take(images, wheel=every_second(-1.0), steering_ratio=-10.0, **lens)
     write(tmp_path / "wheel-0.txt", every_second(1.0))  # edited later: make checks it as import did
@@ -247,19 +292,34 @@ def test_the_sign_of_a_log_is_that_of_the_images(tmp_path, take):
 
 
 def distorted(image: np.ndarray, K: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
-    """Return what a camera with this distortion records of a scene that a pinhole records as `image`."""
+    """Return what a camera with this distortion records of a scene that a pinhole records as
+    `image`.
+    """
     v, u = np.mgrid[: image.shape[0], : image.shape[1]].astype(np.float64)
-    ideal = cv2.undistortPoints(np.stack([u, v], -1).reshape(-1, 1, 2), K, coefficients, P=K).astype(np.float32)
-    return cv2.remap(image, *np.moveaxis(ideal.reshape(*image.shape[:2], 2), -1, 0), cv2.INTER_LINEAR)
+    ideal = cv2.undistortPoints(
+        np.stack([u, v], -1).reshape(-1, 1, 2), K, coefficients, P=K
+    ).astype(np.float32)
+    return cv2.remap(
+        image, *np.moveaxis(ideal.reshape(*image.shape[:2], 2), -1, 0), cv2.INTER_LINEAR
+    )
 
 
-def test_distortion_is_removed_and_images_are_cropped_around_the_horizon(tmp_path, take, monkeypatch):
+def test_distortion_is_removed_and_images_are_cropped_around_the_horizon(
+    tmp_path, take, monkeypatch
+):
     monkeypatch.chdir(preset.ROOT)
-    K, coefficients = np.array([[50, 0, 31.5], [0, 50, 23.5], [0, 0, 1]]), np.array([-0.2, 0.03, 0, 0])
+    K, coefficients = (
+        np.array([[50, 0, 31.5], [0, 50, 23.5], [0, 0, 1]]),
+        np.array([-0.2, 0.03, 0, 0]),
+    )
     pixels = np.resize(pictures(12), (FRAMES, *SIZE, 3))
     images = np.stack([distorted(image, K, coefficients) for image in pixels])
-    folder, lens = write_folder(tmp_path / "images", images), {"K": ["50,50,31.5,23.5"], "distortion": "-0.2,0.03,0,0"}
-    for name, horizon, first in (("low", 10.0, 3), ("high", 30.0, 23)):  # 16 rows around the horizon, a little below
+    folder, lens = (
+        write_folder(tmp_path / "images", images),
+        {"K": ["50,50,31.5,23.5"], "distortion": "-0.2,0.03,0,0"},
+    )
+    # 16 rows around the horizon, a little below
+    for name, horizon, first in (("low", 10.0, 3), ("high", 30.0, 23)):
         take(folder, name=name, fov_deg=None, horizon=horizon, fps=10.0, **lens)
         out = ingested(tmp_path, name, **{"- 192\n  - 640": "- 32\n  - 128"})
         with DriveReader(out / f"{name}-train.h5", stage="ingest") as file:
@@ -277,8 +337,16 @@ def other_video(folder: Path, video: Path) -> Path:
 
 
 NOT_REPLACED: list[tuple[Callable[[Path, Path], object], Callable[[Path, Path], Path], str]] = [
-    (lambda raw, video: write(raw / "notes.txt", "mine"), lambda _, video: video, "notes.txt: is not as steer import"),
-    (lambda raw, video: write(raw / ".git/config", "mine"), lambda _, video: video, "git: is not as steer import"),
+    (
+        lambda raw, video: write(raw / "notes.txt", "mine"),
+        lambda _, video: video,
+        "notes.txt: is not as steer import",
+    ),
+    (
+        lambda raw, video: write(raw / ".git/config", "mine"),
+        lambda _, video: video,
+        "git: is not as steer import",
+    ),
     (
         lambda raw, video: None,
         other_video,
@@ -295,7 +363,9 @@ def test_only_what_an_import_wrote_is_replaced(tmp_path, take, video, edit, reco
     path, before = recording(tmp_path, video), contents(tmp_path)
     with pytest.raises(InputError, match=problem):
         take(path, copy=True)
-    assert {name: content for name, content in contents(tmp_path).items() if name in before} == before
+    assert {
+        name: content for name, content in contents(tmp_path).items() if name in before
+    } == before
 
 
 def test_files_below_copied_images_stay(tmp_path, take):
@@ -306,7 +376,9 @@ def test_files_below_copied_images_stay(tmp_path, take):
     frames = tmp_path / "data/raw/monday/frames"
     assert not (frames / "masks").exists()
     write(frames / "masks/0.png", "mine")
-    with pytest.raises(InputError, match=r"frames/masks: is not as steer import wrote it. Move it away"):
+    with pytest.raises(
+        InputError, match=r"frames/masks: is not as steer import wrote it. Move it away"
+    ):
         take(images, fps=10.0, copy=True)
     assert (frames / "masks/0.png").read_text() == "mine"
 
@@ -348,7 +420,11 @@ def test_plainly_wrong_imports_write_nothing(tmp_path, take, video, options, pro
 def test_a_file_or_a_link_in_the_place_of_a_folder_stays(tmp_path, take, video):
     place, raw = tmp_path / "data/raw/monday", tmp_path / "data/raw"
     for path, make, problem in (
-        (place, lambda: write(place, "mine"), "raw/monday: is a link or a file, expected a folder by steer import"),
+        (
+            place,
+            lambda: write(place, "mine"),
+            "raw/monday: is a link or a file, expected a folder by steer import",
+        ),
         (place, lambda: place.symlink_to(video.parent), "raw/monday: is a link or a file"),
         (
             raw,
@@ -368,7 +444,9 @@ def test_another_checkout_is_refused(tmp_path, take, video, monkeypatch):
         write(tmp_path / "worktree" / name, "")
     (tmp_path / "worktree/street").mkdir()
     monkeypatch.chdir(tmp_path / "worktree/street")
-    with pytest.raises(InputError, match=r"worktree: is not the checkout of the installed steer, .*python -m steer"):
+    with pytest.raises(
+        InputError, match=r"worktree: is not the checkout of the installed steer, .*python -m steer"
+    ):
         take(video)
     assert [*(tmp_path / "presets").iterdir()] == []
 
@@ -381,6 +459,8 @@ def test_parts_have_their_share_of_the_time_and_a_gap_between_them(first, last, 
     for share, part in zip(shares, parts, strict=True):
         assert not (part & ~usable).any()
         gap_s = 0 if part is parts[-1] else GAP_S
-        assert np.ptp(time_s[part]) == pytest.approx(share / 100 * (last - first - 1) / 10 - gap_s, abs=0.21)
+        assert np.ptp(time_s[part]) == pytest.approx(
+            share / 100 * (last - first - 1) / 10 - gap_s, abs=0.21
+        )
     for before, after in pairwise(parts):
         assert time_s[after].min() - time_s[before].max() >= GAP_S

@@ -51,12 +51,20 @@ def read(out: Path) -> dict[str, np.ndarray]:
 
 
 def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
-    out, images, log = tmp_path / "out", write_folder(tmp_path / "images", drive(30)), tmp_path / "can.csv"
+    out, images, log = (
+        tmp_path / "out",
+        write_folder(tmp_path / "images", drive(30)),
+        tmp_path / "can.csv",
+    )
     rows = [f"{10 + number / 2},{3.6 * SPEED},{YAW_RATE}\n" for number in range(5)]
     log.write_text("time_s,speed_mps,yaw_rate_radps\n" + "".join(rows))
-    with pytest.raises(InputError, match=r"log is from 10\.0 to 12\.0 s, the images from 0\.0 to 2\.9 s"):
+    with pytest.raises(
+        InputError, match=r"log is from 10\.0 to 12\.0 s, the images from 0\.0 to 2\.9 s"
+    ):
         measure([images], out=out, encoder=encoder, motion=log, **LENS)
-    measure([images], out=out, encoder=encoder, motion=log, offset_s=-10, distortion="0,0,0,0", **LENS)
+    measure(
+        [images], out=out, encoder=encoder, motion=log, offset_s=-10, distortion="0,0,0,0", **LENS
+    )
     assert "motion measured in 29 of 30 frames" in (text := capsys.readouterr().out)
     found = api.measure(str(images), encoder=encoder, **LENS | {"K": [180, 180, 159.5, 44]})
     assert (found.table["valid"].sum(), found.files, found.doubts) == (29, [], [])
@@ -68,7 +76,9 @@ def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
     ):
         with pytest.raises(InputError, match=limits):
             api.measure(images, encoder=encoder, **{name: value})
-    assert found.notes[1] == "motion measured in 29 of 30 frames; not measured: no previous frame (1)"
+    assert (
+        found.notes[1] == "motion measured in 29 of 30 frames; not measured: no previous frame (1)"
+    )
     assert "can.csv covers 21 of 30 images" in text
     assert "times what is measured: km/h would give 3.6" in text
     rows = read(out)
@@ -77,7 +87,10 @@ def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
     assert rows["speed_mps"][1:] == pytest.approx(SPEED, rel=0.1)
     assert rows["measured_rad"][1:] == pytest.approx(np.arctan(2.7 * YAW_RATE / SPEED), abs=0.01)
     assert rows["heading_rad"][-1] == pytest.approx(2.9 * YAW_RATE, rel=0.1)
-    assert rows["y_m"][-1] == pytest.approx(SPEED / YAW_RATE * (1 - np.cos(2.9 * YAW_RATE)), rel=0.2)  # left
+    # left
+    assert rows["y_m"][-1] == pytest.approx(
+        SPEED / YAW_RATE * (1 - np.cos(2.9 * YAW_RATE)), rel=0.2
+    )
     quality = json.loads((out / "quality.json").read_text())
     assert quality["road_height_m"] == pytest.approx(CAMERA_HEIGHT_M, rel=0.1)
     assert quality["recorded"]["speed"]["gain"] == pytest.approx(3.6, rel=0.1)
@@ -92,7 +105,9 @@ def test_input_without_motion_gets_no_numbers(tmp_path, encoder, kind, capsys):
     rng, shape = np.random.default_rng(0), (12, *street.WIDE.size, 3)
     view = drive(1)[0] if kind == "standing" else 3
     noisy = np.clip(view + rng.normal(0, 2, shape), 0, 255).astype(np.uint8)
-    images = write_folder(tmp_path / "images", rng.integers(0, 255, shape, np.uint8) if kind == "snow" else noisy)
+    images = write_folder(
+        tmp_path / "images", rng.integers(0, 255, shape, np.uint8) if kind == "snow" else noisy
+    )
     measure([images], out=tmp_path / "out", encoder=encoder, video=False, **LENS)
     rows = read(tmp_path / "out")
     assert not rows["valid"].any()
@@ -106,12 +121,25 @@ def test_input_without_motion_gets_no_numbers(tmp_path, encoder, kind, capsys):
 def test_a_camera_that_looks_back_is_noticed(tmp_path, encoder, capsys):
     images, log = write_folder(tmp_path / "images", drive(12)[::-1]), tmp_path / "can.csv"
     measure([images], out=tmp_path / "out", encoder=encoder, video=False, **LENS)
-    assert "11 of 11 moving frames are measured backwards: the camera looks back?" in capsys.readouterr().out
-    for speed, problem in ((-SPEED, nullcontext()), (SPEED, pytest.raises(InputError, match=r"forward by can\.csv"))):
+    assert (
+        "11 of 11 moving frames are measured backwards: the camera looks back?"
+        in capsys.readouterr().out
+    )
+    for speed, problem in (
+        (-SPEED, nullcontext()),
+        (SPEED, pytest.raises(InputError, match=r"forward by can\.csv")),
+    ):
         rows = [f"{number / 10},{speed},{YAW_RATE}\n" for number in range(12)]
         log.write_text("time_s,speed_mps,yaw_rate_radps\n" + "".join(rows))
         with problem:
-            measure([images], out=tmp_path / f"{speed}", encoder=encoder, motion=log, video=False, **LENS)
+            measure(
+                [images],
+                out=tmp_path / f"{speed}",
+                encoder=encoder,
+                motion=log,
+                video=False,
+                **LENS,
+            )
 
 
 def test_a_cut_is_not_a_motion(tmp_path, encoder):
@@ -134,12 +162,18 @@ def test_a_killed_run_leaves_nothing(tmp_path, encoder, monkeypatch):
 
 
 def test_an_imported_recording_has_the_same_numbers(tmp_path, encoder, monkeypatch):
-    """A lens with distortion above the horizon: import and the stages measure what steer measure does."""
+    """A lens with distortion above the horizon: import and the stages measure what steer measure
+    does.
+    """
     monkeypatch.setattr(horizon, "MIN_PAIRS", 1)
     monkeypatch.setattr(preset, "PRESETS", tmp_path / "presets")
     monkeypatch.chdir(preset.ROOT)
     taller = [np.pad(image, [(70, 30), (0, 0), (0, 0)], mode="edge") for image in drive(14)]
-    images, K, bent = write_folder(tmp_path / "images", taller), "180,180,159.5,98", "-0.02,0.01,0,0"
+    images, K, bent = (
+        write_folder(tmp_path / "images", taller),
+        "180,180,159.5,98",
+        "-0.02,0.01,0,0",
+    )
     options = RecordingOptions(K=K, distortion=bent, fps=10.0, camera_height=CAMERA_HEIGHT_M)
     opened = chain.open_source([images], READING, options)
     assert opened.camera.horizon == pytest.approx(114, abs=3)
@@ -154,10 +188,15 @@ def test_an_imported_recording_has_the_same_numbers(tmp_path, encoder, monkeypat
         patch.setattr(opening, "scan", None)  # import has decoded all images once
         imported = recording.open_drive("monday-1", settings_of, tmp_path / "data/raw")
     part = settings_of.recordings["monday-1"]
-    without = {name: value for name, value in part.files.items() if name != recording.SCAN}  # of an earlier version
-    scanned = recording.open_part(part.model_copy(update={"files": without}), tmp_path / "data/raw/monday-1")
+    # of an earlier version
+    without = {name: value for name, value in part.files.items() if name != recording.SCAN}
+    scanned = recording.open_part(
+        part.model_copy(update={"files": without}), tmp_path / "data/raw/monday-1"
+    )
     pd.testing.assert_frame_equal(
-        scanned.scan, recording.open_part(part, tmp_path / "data/raw/monday-1").scan, check_exact=True
+        scanned.scan,
+        recording.open_part(part, tmp_path / "data/raw/monday-1").scan,
+        check_exact=True,
     )
     write_drive(files[0], imported, "monday-1", "recording", READING)
     perceive_drive(files[1], files[0], encoder, settings)

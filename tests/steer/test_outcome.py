@@ -23,9 +23,14 @@ CAR = Car(2.7, 1.0)
 
 def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path):
     """Frames are 10 s apart: a gap of one frame ends the motion."""
-    write_motion(tmp_path, "drive", {0: (0, 0), 1: (8.0, 0.02), 2: (8.0, 0.02), 3: (0, 0), 4: (0.5, 0.0)})
+    write_motion(
+        tmp_path, "drive", {0: (0, 0), 1: (8.0, 0.02), 2: (8.0, 0.02), 3: (0, 0), 4: (0.5, 0.0)}
+    )
     with DriveReader(tmp_path / "drive.h5", stage="motion") as motion:
-        causal, unknown = (read_course(motion, CAR, look_ahead=False, height_known=known) for known in (True, False))
+        causal, unknown = (
+            read_course(motion, CAR, look_ahead=False, height_known=known)
+            for known in (True, False)
+        )
     assert np.isnan(causal["speed_mps"]).tolist() == [True, False, False, True, False]
     assert causal["measured_rad"][1:3] == pytest.approx(np.arctan(2.7 * 0.02 / 8.0))
     assert np.isnan(causal["measured_rad"][4])  # below the minimum speed
@@ -42,16 +47,26 @@ def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path):
     [
         (None, None, [np.nan, 0.1, np.nan, -0.2]),
         (None, "oxts", [np.arctan(2.7 * 0.05), np.nan, np.arctan(2.7 * 0.05), np.nan]),
-        (None, "0.05,10,0.5\n0.25,20,0.5\n", [np.nan, np.arctan(1.35 / 12.5), np.arctan(1.35 / 17.5), np.nan]),
+        (
+            None,
+            "0.05,10,0.5\n0.25,20,0.5\n",
+            [np.nan, np.arctan(1.35 / 12.5), np.arctan(1.35 / 17.5), np.nan],
+        ),
         ("time_s,wheel_rad\n0.1,1.4\n0.3,0\n", None, [np.nan, 0.1, 0.05, 0]),
-        ("time_s,wheel_rad\n0,1.4\n0.2,2.8\n", "0.05,10,0.5\n0.25,20,0.5\n", [0.1, 0.15, 0.2, np.nan]),
+        (
+            "time_s,wheel_rad\n0,1.4\n0.2,2.8\n",
+            "0.05,10,0.5\n0.25,20,0.5\n",
+            [0.1, 0.15, 0.2, np.nan],
+        ),
     ],
 )
 def test_truth_is_that_of_the_logs_or_of_the_drive(tmp_path, wheel, motion, expected_rad):
     files = [tmp_path / "wheel.csv", tmp_path / "motion.csv"]
     recorded: dict[str, Any] = {"steering_rad": {1: 0.1, 3: -0.2}}
     if motion == "oxts":  # whose angles are unknown at standstill, and in interpolated packets
-        packets = make_rows(4, vf=np.array([10, 0.5, 10, 10]), wu=0.5, velmode=np.array([0, 4, 4, -1]))
+        packets = make_rows(
+            4, vf=np.array([10, 0.5, 10, 10]), wu=0.5, velmode=np.array([0, 4, 4, -1])
+        )
         motion, recorded = None, {"oxts": dict(enumerate(packets))}
     files[0].write_text(wheel or "")
     files[1].write_text(f"time_s,speed_mps,yaw_rate_radps\n{motion}")
@@ -62,18 +77,25 @@ def test_truth_is_that_of_the_logs_or_of_the_drive(tmp_path, wheel, motion, expe
     write_drive(tmp_path / "a.h5", drive, "a", "recording", READING)
     with DriveReader(tmp_path / "a.h5", stage="ingest") as raw:
         truth = read_truth(raw, raw.frame, logs, CAR)
-    np.testing.assert_allclose(np.where(truth.driven.valid, truth.driven.steering_rad, np.nan), expected_rad)
+    np.testing.assert_allclose(
+        np.where(truth.driven.valid, truth.driven.steering_rad, np.nan), expected_rad
+    )
     if motion:
         np.testing.assert_allclose(truth.driven.speed_mps, [np.nan, 12.5, 17.5, np.nan])
     names = [name for name, log in (("wheel.csv", wheel), ("motion.csv", motion)) if log]
     assert truth.name == (" and ".join(names) or ("oxts" if "oxts" in recorded else "steering.csv"))
-    for path, offset_s, problem in ((files[0], 0, "--steering-ratio"), (None, 1, "--offset needs a log")):
+    for path, offset_s, problem in (
+        (files[0], 0, "--steering-ratio"),
+        (None, 1, "--offset needs a log"),
+    ):
         with pytest.raises(InputError, match=problem):
             read_logs(RecordingOptions(wheel=path, offset=offset_s))
 
 
 def test_comparison_by_its_definition():
-    """With the angle two frames later; the measured angle is held in frame 5, and not known in frame 0."""
+    """With the angle two frames later; the measured angle is held in frame 5, and not known in
+    frame 0.
+    """
     frame, driven_rad = np.arange(11), np.random.default_rng(0).normal(0, 0.1, 11)
     valid = ~np.isin(frame, [0, 5])
     table = {"frame": frame, "time_s": frame / 10, "measured_rad": np.where(valid, 0.2, np.nan)}

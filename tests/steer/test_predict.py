@@ -23,34 +23,61 @@ pytestmark = pytest.mark.slow
 TEST = "2026_01_03_drive_0001"
 MODELS = {
     "points": {
-        "input": "semantic", "spatial": "gnn", "temporal": "ncp", "window": 4, "equivariant": True, "motion": "visual",
+        "input": "semantic",
+        "spatial": "gnn",
+        "temporal": "ncp",
+        "window": 4,
+        "equivariant": True,
+        "motion": "visual",
         "semantics": 0.0,
     },
     "scans": {
-        "input": "lidar", "spatial": "gnn", "temporal": "lstm", "window": 3, "motion": "visual", "base": "none",
-        "horizon": 2, "semantics": 0.0,
+        "input": "lidar",
+        "spatial": "gnn",
+        "temporal": "lstm",
+        "window": 3,
+        "motion": "visual",
+        "base": "none",
+        "horizon": 2,
+        "semantics": 0.0,
     },
     "path": {
-        "input": "image", "spatial": "cnn", "temporal": "lstm", "window": 2, "predict": "path",
+        "input": "image",
+        "spatial": "cnn",
+        "temporal": "lstm",
+        "window": 2,
+        "predict": "path",
     },
-}  # fmt: skip
+}
 VARIANTS = {
     "semantic": {"source": "clouds/pseudo", "points": 200, "k": 4, "keep_inter_class": 0.2},
-    "lidar": {"source": "clouds/lidar", "points": 200, "k": 4, "crop_m": [-15, -10, 15, 30], "accumulate": 3},
+    "lidar": {
+        "source": "clouds/lidar",
+        "points": 200,
+        "k": 4,
+        "crop_m": [-15, -10, 15, 30],
+        "accumulate": 3,
+    },
     "image": {"source": "ingest"},
 }
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """A folder with params.yaml and data/: three drives of a few frames, and MODELS trained on them."""
+    """A folder with params.yaml and data/: three drives of a few frames, and MODELS trained on
+    them.
+    """
     folder = tmp_path_factory.mktemp("sample")
     params = yaml.safe_load((ROOT / "params.yaml").read_text())
     params["sample"] |= {"image_size": [96, 320], "frames": {"train": 24, "val": 8, "test": 12}}
     params["ingest"] |= {
         "image_size": [96, 320],
         "lidar": True,
-        "drives": {"train": ["2026_01_01_drive_0001"], "val": ["2026_01_02_drive_0002"], "test": [TEST]},
+        "drives": {
+            "train": ["2026_01_01_drive_0001"],
+            "val": ["2026_01_02_drive_0002"],
+            "test": [TEST],
+        },
     }
     params["encoder"]["weights"] = str(ROOT / params["encoder"]["weights"])
     params["perception"] |= {"reach": 1.1}
@@ -80,8 +107,15 @@ def read(out: Path) -> pd.DataFrame:
 
 @pytest.mark.parametrize("model", MODELS)
 def test_predictions_equal_those_of_the_stages(folder, tmp_path, model):
-    """The model knows its chain: params.yaml is not read. Each value is that of the graphs that the stages made."""
-    predict([drive(folder)], model=folder / f"data/train/{model}", out=tmp_path / "out", video=model == "path")
+    """The model knows its chain: params.yaml is not read. Each value is that of the graphs that the
+    stages made.
+    """
+    predict(
+        [drive(folder)],
+        model=folder / f"data/train/{model}",
+        out=tmp_path / "out",
+        video=model == "path",
+    )
     rows = read(tmp_path / "out")
     with open_graphs(folder / f"data/graphs/{MODELS[model]['input']}/{TEST}.h5") as graphs:
         expected = load(folder / f"data/train/{model}", "cpu").predict(graphs)
@@ -99,23 +133,34 @@ def test_a_model_is_compared_with_oxts(folder, tmp_path, monkeypatch, capsys):
     predict([drive(folder)], model=Path("data/train/scans"), out=tmp_path / "out", video=False)
     text, rows = capsys.readouterr().out, read(tmp_path / "out")
     assert "warning" not in text
-    predicted_rad, driven_rad = rows["predicted_rad"].to_numpy()[:-2], rows["driven_rad"].to_numpy()[2:]
+    predicted_rad, driven_rad = (
+        rows["predicted_rad"].to_numpy()[:-2],
+        rows["driven_rad"].to_numpy()[2:],
+    )
     used = np.isfinite(predicted_rad) & np.isfinite(driven_rad)
     assert f"truth from oxts, {used.sum()} frames, 2 frames ahead" in text
     nmse = ((predicted_rad - driven_rad)[used] ** 2).mean() / (driven_rad[used] ** 2).mean()
     assert f"predicted: nmse {nmse:.3f}" in text
-    with pytest.raises(InputError, match=r"--model: no network for real streets is included\. Measure"):
+    with pytest.raises(
+        InputError, match=r"--model: no network for real streets is included\. Measure"
+    ):
         predict([drive(folder)], out=tmp_path / "other")
-    with pytest.raises(InputError, match=r"\.: has several models\. Pass one as --model: data/train/path, "):
+    with pytest.raises(
+        InputError, match=r"\.: has several models\. Pass one as --model: data/train/path, "
+    ):
         predict([drive(folder)], model=Path(), out=tmp_path / "other")
     with pytest.raises(InputError, match=r"data/train/scan: no trained model"):
         predict([drive(folder)], model=Path("data/train/scan"), out=tmp_path / "other")
     with pytest.raises(InputError, match="has its own calibration"):
-        predict([drive(folder)], model=Path("data/train/scans"), out=tmp_path / "other", fov_deg=80.0)
+        predict(
+            [drive(folder)], model=Path("data/train/scans"), out=tmp_path / "other", fov_deg=80.0
+        )
 
 
 def test_a_folder_of_images(folder, tmp_path, capsys):
-    """Images need intrinsics and are cropped; a model of scans has no input there, and one of the sample no streets."""
+    """Images need intrinsics and are cropped; a model of scans has no input there, and one of the
+    sample no streets.
+    """
     images, out = tmp_path / "2026_01_01_drive_0001", tmp_path / "out"  # a name says nothing
     images.mkdir()
     for number, path in enumerate(sorted((drive(folder) / "image_02/data").iterdir())):
@@ -130,16 +175,23 @@ def test_a_folder_of_images(folder, tmp_path, capsys):
         predict([images], model=folder / "data/train/points", out=out, fov_deg=81.0, fps=5.0)
     predict([images], model=folder / "data/train/points", out=out, fov_deg=81.0, fps=20.0)
     text = capsys.readouterr().out
-    parts = "3 predictions for 6 frames", "fitted to the rendered sample alone", "6 of 12 frames are"
+    parts = (
+        "3 predictions for 6 frames",
+        "fitted to the rendered sample alone",
+        "6 of 12 frames are",
+    )
     assert all(part in text for part in parts)
     assert "points was fitted to depth" not in text
     video = cv2.VideoCapture(str(out / "overlay.mp4"))
-    assert (video.get(cv2.CAP_PROP_FRAME_WIDTH), video.get(cv2.CAP_PROP_FRAME_HEIGHT)) == (320, 216)  # not cropped
+    # not cropped
+    assert (video.get(cv2.CAP_PROP_FRAME_WIDTH), video.get(cv2.CAP_PROP_FRAME_HEIGHT)) == (320, 216)
 
 
 def test_the_model_of_the_checkout_predicts_an_angle():
     lens = {"K": "172.9,172.9,154.4,44.95", "fps": 10.0}
-    table = api.predict(ROOT / "examples/street", model=ROOT / "models/steering/sample", **lens).table
+    table = api.predict(
+        ROOT / "examples/street", model=ROOT / "models/steering/sample", **lens
+    ).table
     assert np.degrees(table["predicted_rad"].iloc[-1]) == pytest.approx(17.1, abs=3)
 
 
@@ -154,8 +206,14 @@ def test_a_gap_and_a_damaged_image_start_a_new_window(folder, tmp_path, capsys):
     assert rows["frame"].tolist() == [0, 1, 2, 3, 5, 6, 7, 9, 10, 11]
     assert rows["frame"][rows["path_0_2m_1pm"].isna()].tolist() == [0, 5, 9]
     assert "1 damaged files left out" in capsys.readouterr().out
-    predict([root / f"{TEST}_sync"], model=folder / "data/train/scans", out=tmp_path / "scans", video=False)
-    assert (read(tmp_path / "scans")["frame"] == rows["frame"]).all()  # frames 4 and 8 have only a scan
+    predict(
+        [root / f"{TEST}_sync"],
+        model=folder / "data/train/scans",
+        out=tmp_path / "scans",
+        video=False,
+    )
+    # frames 4 and 8 have only a scan
+    assert (read(tmp_path / "scans")["frame"] == rows["frame"]).all()
     for path in images.iterdir():
         path.write_bytes(b"nothing")
     with pytest.raises(InputError, match="all images of the drive are damaged"):

@@ -39,7 +39,8 @@ class _Points:
 class GraphBatch(_Points):
     """Points with a symmetric graph per frame: E directed edges, two for each undirected one.
 
-    degree [N], neighbours of each point, itself excluded; indices int32 [E], their row numbers, point by point (CSR).
+    degree [N], neighbours of each point, itself excluded; indices int32 [E], their row numbers,
+    point by point (CSR).
     """
 
     degree: Tensor
@@ -53,11 +54,14 @@ class GraphBatch(_Points):
         return torch.stack([self.indices.long(), to])
 
     def blocks(self, points: int) -> Iterator["GraphBatch"]:
-        """Split the batch on a CPU into blocks of whole frames with at most `points` points, or of one larger frame."""
+        """Split the batch on a CPU into blocks of whole frames with at most `points` points, or of
+        one larger frame.
+        """
         if self.xyz.device.type != "cpu":
             yield self  # few launches
             return
-        edges = nn.functional.pad(self.degree.long().cumsum(0), (1, 0))[self.ptr].tolist()  # before each frame
+        # before each frame
+        edges = nn.functional.pad(self.degree.long().cumsum(0), (1, 0))[self.ptr].tolist()
         ptr, first = self.ptr.tolist(), 0
         while first < len(ptr) - 1:
             last = max(first + 1, bisect_right(ptr, ptr[first] + points) - 1)
@@ -71,8 +75,8 @@ class GraphBatch(_Points):
 class Level(NamedTuple):
     """A level of B frames' points: M centres with n neighbours each.
 
-    centres int32 [M], neighbours int32 [M,n]: row numbers in the batch's points, or in the previous level's centres;
-    ptr int64 [B+1] on the CPU, frame b has the rows ptr[b]:ptr[b+1].
+    centres int32 [M], neighbours int32 [M,n]: row numbers in the batch's points, or in the previous
+    level's centres; ptr int64 [B+1] on the CPU, frame b has the rows ptr[b]:ptr[b+1].
     """
 
     centres: Tensor
@@ -94,7 +98,9 @@ class ImageBatch:
     image: Tensor
 
     def mirrored(self) -> Self:
-        """Return the images mirrored left-right. Assumes the optical axis in the middle; KITTI's is within 2 %."""
+        """Return the images mirrored left-right. Assumes the optical axis in the middle; KITTI's is
+        within 2 %.
+        """
         return dataclasses.replace(self, image=self.image.flip(2))
 
 
@@ -102,10 +108,16 @@ Batch = GraphBatch | SetBatch | ImageBatch
 
 
 def from_arrays(arrays: Mapping[str, Array], device: torch.device | str = "cpu") -> Batch:
-    """Return a batch on `device` of arrays by name, as pipeline/graphs/graph_file.py names them; others are ignored."""
+    """Return a batch on `device` of arrays by name, as pipeline/graphs/graph_file.py names them;
+    others are ignored.
+    """
     there = {name: torch.as_tensor(array) for name, array in arrays.items()}
     # Pointers stay on the CPU: reading them from a GPU would stall each step.
-    there |= {name: there[name].to(device, non_blocking=True) for name in there if not name.endswith("ptr")}
+    there |= {
+        name: there[name].to(device, non_blocking=True)
+        for name in there
+        if not name.endswith("ptr")
+    }
     if "image" in there:
         return ImageBatch(there["image"])
     points = there["xyz"], there["cls"], there["ptr"]
@@ -113,5 +125,7 @@ def from_arrays(arrays: Mapping[str, Array], device: torch.device | str = "cpu")
         return GraphBatch(*points, there["degree"], there["indices"])
     levels: list[Level] = []
     while (name := f"centres_{len(levels) + 1}") in there:
-        levels.append(Level(there[name], there[f"neighbours_{len(levels) + 1}"], there[f"{name}_ptr"]))
+        levels.append(
+            Level(there[name], there[f"neighbours_{len(levels) + 1}"], there[f"{name}_ptr"])
+        )
     return SetBatch(*points, tuple(levels))

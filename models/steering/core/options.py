@@ -1,4 +1,6 @@
-"""Options of the networks: keys of a model's entry in params.yaml, with types and defaults, found by name."""
+"""Options of the networks: keys of a model's entry in params.yaml, with types and defaults, found
+by name.
+"""
 
 import importlib
 from dataclasses import dataclass
@@ -12,8 +14,11 @@ from models.steering.core.batch import FrameKind
 from pipeline.base.errors import InputError
 
 Count = Annotated[int, Field(ge=1, le=1024)]  # neurons, channels
-Widths = Annotated[tuple[Count, ...], Field(min_length=1, max_length=32, strict=False)]  # channels after each layer
-Semantics = Annotated[float, Field(ge=0, le=1, description="weight of the classes, paper eq. 7; 0: geometry alone")]
+# channels after each layer
+Widths = Annotated[tuple[Count, ...], Field(min_length=1, max_length=32, strict=False)]
+Semantics = Annotated[
+    float, Field(ge=0, le=1, description="weight of the classes, paper eq. 7; 0: geometry alone")
+]
 
 
 class OptionGroup(BaseModel):
@@ -33,24 +38,33 @@ class Sizes:
 
 
 class NetworkOptions(OptionGroup):
-    """Base class of the class `Options` in a network's file: an option per field, and how to build the network."""
+    """Base class of the class `Options` in a network's file: an option per field, and how to build
+    the network.
+    """
 
     kind: ClassVar[FrameKind | None] = None  # frames that the network reads; spatial networks only
     sees: ClassVar[bool] = True  # whether the features depend on the frames
 
     def build(self, sizes: Sizes) -> nn.Module:
-        """Build the network with new weights from torch's random state. Raises InputError for a wrong option."""
+        """Build the network with new weights from torch's random state. Raises InputError for a
+        wrong option.
+        """
         raise NotImplementedError
 
 
 def load(part: Literal["spatial", "temporal"], name: str) -> type[NetworkOptions]:
-    """Return the class `Options` of a network's file. Raises InputError if there is no such file."""
+    """Return the class `Options` of a network's file. Raises InputError if there is no such
+    file.
+    """
     path = f"models/steering/{part}/{name}.py"
     known = sorted(file.stem for file in (Path(__file__).parents[1] / part).glob("[!_]*.py"))
     if name not in known:
         raise InputError(f"{part} = {name!r}: there is no {path} (known: {', '.join(known)})")
     try:
-        options: type[NetworkOptions] = importlib.import_module(f"models.steering.{part}.{name}").Options
-    except (AssertionError, ValueError) as error:  # a bug, which pydantic would take for a wrong option
+        options: type[NetworkOptions] = importlib.import_module(
+            f"models.steering.{part}.{name}"
+        ).Options
+    # a bug, which pydantic would take for a wrong option
+    except (AssertionError, ValueError) as error:
         raise ImportError(f"{path} raises {error!r}") from error
     return options

@@ -1,20 +1,24 @@
-"""Interface of the recurrent networks. The cells of `temporal: ncp` are files of cell/; temporal/ncp.py lists them."""
+"""Interface of the recurrent networks. The cells of `temporal: ncp` are files of cell/;
+temporal/ncp.py lists them.
+"""
 
 from typing import Any
 
 from torch import Tensor, nn
 
 NOMINAL_STEP_S = 0.1  # KITTI's frame interval is one unit of a cell's time, as ncps has 1 per frame
-# A new cell's outputs are within about ±1 before scaling; standardised steering reaches 3 and more in sharp bends.
-# With an initial scale of 1, as in ncps, training error after 8 epochs on synthetic streets was twice as large.
+# A new cell's outputs are within about ±1 before scaling; standardised steering reaches 3 and more
+# in sharp bends. With an initial scale of 1, as in ncps, training error after 8 epochs on synthetic
+# streets was twice as large.
 OUTPUT_SCALE = 3.0
 
 
 class RecurrentCell(nn.Module):
     """Recurrent network from a window of frame features to R outputs per frame, 1 for an angle.
 
-    It has two parts, so that windows share frames: `project_inputs` depends on a frame alone and runs once per frame;
-    `forward` is the recursion and runs once per frame *and window*. Letters: W windows of T frames, D inputs, S values.
+    It has two parts, so that windows share frames: `project_inputs` depends on a frame alone and
+    runs once per frame; `forward` is the recursion and runs once per frame *and window*. Letters: W
+    windows of T frames, D inputs, S values.
     """
 
     def project_inputs(self, x: Tensor) -> Tensor:
@@ -22,7 +26,9 @@ class RecurrentCell(nn.Module):
         raise NotImplementedError
 
     def forward(self, projected: Tensor, dt_s: Tensor) -> Tensor:
-        """Return the outputs [W,T,R], from a state of zeros, for `projected` [W,T,S] and time steps dt_s [W,T]."""
+        """Return the outputs [W,T,R], from a state of zeros, for `projected` [W,T,S] and time steps
+        dt_s [W,T].
+        """
         raise NotImplementedError
 
     __call__: Any  # nn.Module's, untyped

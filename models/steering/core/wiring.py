@@ -1,4 +1,6 @@
-"""Wiring of a neural circuit policy: signed synapses between neurons (Lechner et al. 2020), and their weights."""
+"""Wiring of a neural circuit policy: signed synapses between neurons (Lechner et al. 2020), and
+their weights.
+"""
 
 from typing import Annotated, NamedTuple
 
@@ -13,7 +15,8 @@ from pipeline.base.errors import InputError
 class Wiring(NamedTuple):
     """Signed synapses as matrices int8 [from, to]: +1 excites, -1 inhibits, 0 is no synapse.
 
-    Neurons are numbered motor, command, inter, as in ncps. sensory [D,U]: from input features; internal [U,U].
+    Neurons are numbered motor, command, inter, as in ncps. sensory [D,U]: from input features;
+    internal [U,U].
     """
 
     sensory: np.ndarray
@@ -22,7 +25,9 @@ class Wiring(NamedTuple):
 
 
 class Layout(OptionGroup):
-    """Option `wiring`: neurons per layer, synapses per neuron, and the seed of the random choice."""
+    """Option `wiring`: neurons per layer, synapses per neuron, and the seed of the random
+    choice.
+    """
 
     inter: Count = 12
     command: Count = 6
@@ -34,12 +39,14 @@ class Layout(OptionGroup):
 
 
 def ncp(inputs: int, layout: Layout = Layout(), motor: int = 1) -> Wiring:
-    """Draw the four-layer wiring sensory → inter → command (⟲) → motor; equal seeds give equal wirings, None is 0.
+    """Draw the four-layer wiring sensory → inter → command (⟲) → motor; equal seeds give equal
+    wirings, None is 0.
 
-    Each sensory neuron feeds `sensory_fanout` inter neurons, each inter neuron `inter_fanout` command neurons, and
-    each motor neuron is fed by `motor_fanin` command neurons. A neuron without input after that, or a command neuron
-    without output, gets the average number of synapses of its layer. Raises InputError if a fan-out or fan-in exceeds
-    the size of its target layer, or for too many recurrent synapses.
+    Each sensory neuron feeds `sensory_fanout` inter neurons, each inter neuron `inter_fanout`
+    command neurons, and each motor neuron is fed by `motor_fanin` command neurons. A neuron without
+    input after that, or a command neuron without output, gets the average number of synapses of its
+    layer. Raises InputError if a fan-out or fan-in exceeds the size of its target layer, or for too
+    many recurrent synapses.
     """
     inter, command = layout.inter, layout.command
     for name, count, layer, size in [
@@ -61,14 +68,21 @@ def ncp(inputs: int, layout: Layout = Layout(), motor: int = 1) -> Wiring:
     _fan_out(rng, internal, inters, commands, layout.inter_fanout)
     for place in rng.choice(command**2, size=layout.recurrent_command_synapses, replace=False):
         internal[commands[place // command], commands[place % command]] = rng.choice([-1, 1])
-    _fan_out(rng, internal.T, motors, commands, layout.motor_fanin)  # transposed: fan-in is fan-out of the targets
+    # transposed: fan-in is fan-out of the targets
+    _fan_out(rng, internal.T, motors, commands, layout.motor_fanin)
     return Wiring(sensory, internal, motor)
 
 
 def _fan_out(
-    rng: np.random.Generator, matrix: np.ndarray, sources: np.ndarray, targets: np.ndarray, fanout: int
+    rng: np.random.Generator,
+    matrix: np.ndarray,
+    sources: np.ndarray,
+    targets: np.ndarray,
+    fanout: int,
 ) -> None:
-    """Connect each source to `fanout` random targets, then targets without input to the average number."""
+    """Connect each source to `fanout` random targets, then targets without input to the average
+    number.
+    """
     for source in sources:
         chosen = rng.choice(targets, size=fanout, replace=False)
         matrix[source, chosen] = rng.choice([-1, 1], size=fanout)
@@ -79,14 +93,17 @@ def _fan_out(
 
 
 class SparseMatrix(nn.Module):
-    """Matrix [P,U] that is zero except where `exists`, at S positions; their S values are its parameters."""
+    """Matrix [P,U] that is zero except where `exists`, at S positions; their S values are its
+    parameters.
+    """
 
     place: Tensor
 
     def __init__(self, values: Tensor, exists: Tensor) -> None:
         super().__init__()
         self.shape = exists.shape
-        self.register_buffer("place", exists.flatten().nonzero()[:, 0])  # [S]; saved with the weights
+        # [S]; saved with the weights
+        self.register_buffer("place", exists.flatten().nonzero()[:, 0])
         self.w = nn.Parameter(values[exists])  # [S], in row order
 
     def dense(self) -> Tensor:

@@ -7,11 +7,13 @@ from models.steering.core.batch import ImageBatch
 from models.steering.core.options import NetworkOptions, Sizes
 from pipeline.base.errors import InputError
 
-CONVOLUTIONS = [(24, 5, 2), (36, 5, 2), (48, 3, 2), (64, 3, 1), (8, 3, 1)]  # maps, kernel size, stride
+# maps, kernel size, stride
+CONVOLUTIONS = [(24, 5, 2), (36, 5, 2), (48, 3, 2), (64, 3, 1), (8, 3, 1)]
 
 
 class SteeringCNN(nn.Module):
-    """Standardised image → five convolutions → one dense layer for each of the 8 maps; the NCP paper has 32 features.
+    """Standardised image → five convolutions → one dense layer for each of the 8 maps; the NCP
+    paper has 32 features.
 
     Raises InputError if `features` is not a multiple of the number of maps.
     """
@@ -31,7 +33,8 @@ class SteeringCNN(nn.Module):
         self.convolutions = nn.Sequential(*layers).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.weight = nn.Parameter(torch.empty(maps, height * width, features // maps))
         self.bias = nn.Parameter(torch.zeros(maps, features // maps))
-        nn.init.uniform_(self.weight, -((height * width) ** -0.5), (height * width) ** -0.5)  # as nn.Linear
+        # as nn.Linear
+        nn.init.uniform_(self.weight, -((height * width) ** -0.5), (height * width) ** -0.5)
 
     def forward(self, batch: ImageBatch) -> Tensor:
         maps = self.convolutions(standardise(batch.image, self.bias.dtype)).flatten(2)  # [B,8,hw]
@@ -39,7 +42,9 @@ class SteeringCNN(nn.Module):
 
 
 def standardise(image: Tensor, dtype: torch.dtype) -> Tensor:
-    """Scale each image to mean 0 and deviation 1 over its pixels and channels: uint8 [B,H,W,3] → [B,3,H,W]."""
+    """Scale each image to mean 0 and deviation 1 over its pixels and channels: uint8 [B,H,W,3] →
+    [B,3,H,W].
+    """
     pixels = image.to(dtype).permute(0, 3, 1, 2)
     deviation, mean = torch.std_mean(pixels, dim=(1, 2, 3), keepdim=True, correction=0)
     return (pixels - mean) / deviation.clamp_min(pixels[0].numel() ** -0.5)  # uniform image: 0

@@ -23,7 +23,9 @@ def mlp(*widths: int) -> nn.Sequential:
 
 
 class SetAbstraction(nn.Module):
-    """f_i = max over j in N(i) of h(x_j − x_i, f_j), paper eq. 2; h is an MLP shared by all points."""
+    """f_i = max over j in N(i) of h(x_j − x_i, f_j), paper eq. 2; h is an MLP shared by all
+    points.
+    """
 
     def __init__(self, inputs: int, widths: list[int]) -> None:
         super().__init__()
@@ -32,7 +34,8 @@ class SetAbstraction(nn.Module):
     def forward(self, xyz: Tensor, f: Tensor, centres: Tensor, neighbours: Tensor) -> Tensor:
         """Return the features [M, widths[-1]] of the centres.
 
-        Points xyz [P,3] metres with features f [P,inputs]; `centres` int32 [M] and `neighbours` int32 [M,n] are rows.
+        Points xyz [P,3] metres with features f [P,inputs]; `centres` int32 [M] and `neighbours`
+        int32 [M,n] are rows.
         """
         offset = (xyz[neighbours] - xyz[centres][:, None]) / OFFSET_M  # [M,n,3]
         h: Tensor = self.mlp(torch.cat([offset, f[neighbours]], dim=2))  # [M,n,width]
@@ -51,18 +54,23 @@ class Options(NetworkOptions):
 class PointNet2(nn.Module):
     """Spatial network on centres and the points around them, which the graph variant holds.
 
-    With two levels and width 1 its sizes are the reference's: 64-64-128, 128-128-256, over the complete frame
-    256-512-1024, then 512 and 256. `levels`: set abstractions before the one over the complete frame.
+    With two levels and width 1 its sizes are the reference's: 64-64-128, 128-128-256, over the
+    complete frame 256-512-1024, then 512 and 256. `levels`: set abstractions before the one over
+    the complete frame.
     """
 
     def __init__(self, features: int, levels: int, options: Options) -> None:
         super().__init__()
         self.semantics = options.semantics
-        base = [max(1, round(options.width * 64 * 2**level)) for level in range(levels + 4)]  # 64, 128, 256, …
+        # 64, 128, 256, …
+        base = [max(1, round(options.width * 64 * 2**level)) for level in range(levels + 4)]
         sizes = [[base[level], base[level], base[level + 1]] for level in range(levels)]
         inputs = [NODE_FEATURES, *(widths[-1] for widths in sizes)]
-        self.levels = nn.ModuleList(SetAbstraction(*pair) for pair in zip(inputs, sizes, strict=False))
-        self.whole = mlp(3 + inputs[-1], *base[levels : levels + 3])  # the complete frame is one set around the camera
+        self.levels = nn.ModuleList(
+            SetAbstraction(*pair) for pair in zip(inputs, sizes, strict=False)
+        )
+        # the complete frame is one set around the camera
+        self.whole = mlp(3 + inputs[-1], *base[levels : levels + 3])
         self.head = mlp(*base[levels : levels + 3][::-1])
         self.read_out = nn.Linear(base[levels], features)
 

@@ -1,6 +1,7 @@
 """A polar map of the road ahead, read by a small convolutional network.
 
-Errors of depth are radial and bearings are exact. So its cells are bearings, and ranges that grow with the distance.
+Errors of depth are radial and bearings are exact. So its cells are bearings, and ranges that grow
+with the distance.
 """
 
 import math
@@ -13,16 +14,19 @@ from models.steering.core.batch import GraphBatch
 from models.steering.core.options import NetworkOptions, Sizes, Widths
 from pipeline.camera import classes
 
-BEARINGS = 33  # odd: then rounding is symmetric around straight ahead, and mirroring reverses the bearings exactly
+# odd: then rounding is symmetric around straight ahead, and mirroring reverses the bearings exactly
+BEARINGS = 33
 FIELD_RAD = math.radians(90)  # KITTI's camera sees 80 degrees
 RANGES = 12
 NEAR_M, FAR_M = 4.0, 40.0
 ROAD, GROUND, OBSTACLE, VOID = range(4)
-CHANNELS = 4  # share of road, other ground and obstacles among the points of a cell; 1 for a cell without points
+# share of road, other ground and obstacles among the points of a cell; 1 for a cell without points
+CHANNELS = 4
 
 
 def polar_map(batch: GraphBatch) -> Tensor:
-    """Return the map of each frame, float32 [B, CHANNELS, RANGES, BEARINGS], from left to right and from near to far.
+    """Return the map of each frame, float32 [B, CHANNELS, RANGES, BEARINGS], from left to right and
+    from near to far.
 
     Void points count as none of the three kinds; points outside of the map have no effect.
     """
@@ -33,7 +37,9 @@ def polar_map(batch: GraphBatch) -> Tensor:
     inside = (column >= 0) & (column < BEARINGS) & (row >= 0) & (row < RANGES)
     points = torch.arange(len(x), device=x.device)
     frame = torch.searchsorted(batch.ptr.to(x.device, non_blocking=True)[1:], points, right=True)
-    cell = (frame * RANGES + row.clamp(0, RANGES - 1).long()) * BEARINGS + column.clamp(0, BEARINGS - 1).long()
+    cell = (frame * RANGES + row.clamp(0, RANGES - 1).long()) * BEARINGS + column.clamp(
+        0, BEARINGS - 1
+    ).long()
     ground = torch.stack([batch.cls == number for number in classes.GROUND]).any(0)
     kind = torch.where(ground, GROUND, OBSTACLE).masked_fill(batch.cls == classes.ROAD, ROAD)
     kind = kind.masked_fill(batch.cls >= classes.COUNT, VOID)
@@ -46,7 +52,9 @@ def polar_map(batch: GraphBatch) -> Tensor:
 
 
 class Polar(nn.Module):
-    """Polar map → convolutions of `widths` channels, with stride 2 but the first → one dense layer."""
+    """Polar map → convolutions of `widths` channels, with stride 2 but the first → one dense
+    layer.
+    """
 
     def __init__(self, features: int, widths: tuple[int, ...]) -> None:
         super().__init__()

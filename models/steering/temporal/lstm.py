@@ -15,13 +15,16 @@ class Options(NetworkOptions):
 
 
 class LSTM(RecurrentCell):
-    """torch.nn.LSTM's cell (parameters, gate order and initialisation) with a linear read-out; dt has no effect."""
+    """torch.nn.LSTM's cell (parameters, gate order and initialisation) with a linear read-out; dt
+    has no effect.
+    """
 
     def __init__(self, features: int, options: Options = Options(), outputs: int = 1) -> None:
         super().__init__()
         units = options.units
         reference = nn.LSTMCell(features, units)
-        self.weight_ih, self.weight_hh = reference.weight_ih, reference.weight_hh  # [4U,D], [4U,U]: gates i, f, g, o
+        # [4U,D], [4U,U]: gates i, f, g, o
+        self.weight_ih, self.weight_hh = reference.weight_ih, reference.weight_hh
         self.bias_ih, self.bias_hh = reference.bias_ih, reference.bias_hh  # [4U]
         self.read_out = nn.Linear(units, outputs)
 

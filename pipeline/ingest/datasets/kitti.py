@@ -1,8 +1,9 @@
-"""KITTI raw: folders, LiDAR scans, calibration. Everything is keyed on frame numbers, never on list position.
+"""KITTI raw: folders, LiDAR scans, calibration. Everything is keyed on frame numbers, never on list
+position.
 
-``<root>/<date>/<date>_drive_NNNN_sync/{image_0X,velodyne_points,oxts}/data/%010d.{png,bin,txt}``, calibration in
-``<root>/<date>/``; images may be JPEG. pykitti's ``raw`` class is not used: its sorted lists shift after a missing
-frame, and it needs all four cameras.
+``<root>/<date>/<date>_drive_NNNN_sync/{image_0X,velodyne_points,oxts}/data/%010d.{png,bin,txt}``,
+calibration in ``<root>/<date>/``; images may be JPEG. pykitti's ``raw`` class is not used: its
+sorted lists shift after a missing frame, and it needs all four cameras.
 """
 
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -19,11 +20,13 @@ from pipeline.ingest.drive import Drive, stamps
 from pipeline.ingest.packets import STEERING, read_row, read_steering, read_times
 from pipeline.ingest.settings import Ingest, Reading
 
-# The lowest laser of the HDL-64E points 24.8 degrees down and hits the road 4 m away; complete scans of KITTI reach
-# below -23.6 degrees. Files list the lasers from top to bottom, so a truncated scan lacks the low ones.
+# The lowest laser of the HDL-64E points 24.8 degrees down and hits the road 4 m away; complete
+# scans of KITTI reach below -23.6 degrees. Files list the lasers from top to bottom, so a truncated
+# scan lacks the low ones.
 LOWEST_DEG = -20.0
 _MAX_RANGE_M = 150.0  # the sensor's is 120 m
-UNSYNCED = "_extract"  # end of the names of drives whose images are not rectified and whose scans have other times
+# end of the names of drives whose images are not rectified and whose scans have other times
+UNSYNCED = "_extract"
 
 
 def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
@@ -33,12 +36,16 @@ def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
 
 
 def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
-    """Return a drive: frames with an oxts packet or, in a drive without oxts, those with an image."""
+    """Return a drive: frames with an oxts packet or, in a drive without oxts, those with an
+    image.
+    """
     return read_drive(find_drive(root, name), settings)
 
 
 class KittiDrive:
-    """The files of one drive; each mapping is frame number → path, ascending, empty if there are none."""
+    """The files of one drive; each mapping is frame number → path, ascending, empty if there are
+    none.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -51,16 +58,25 @@ class KittiDrive:
         self.truth_cls = _frames(folder / "truth" / "cls", ".png")
 
     def images(self, camera: int) -> dict[int, Path]:
-        """Return the images of a camera, as PNG or JPEG. Raises InputError if its folder has files but no images."""
+        """Return the images of a camera, as PNG or JPEG. Raises InputError if its folder has files
+        but no images.
+        """
         folder = self.folder / f"image_{camera:02d}" / "data"
         images = _frames(folder, ".png", ".jpg", ".jpeg")
         if names := [] if images else sorted(path.name for path in folder.glob("[!.]*")):
-            problem = f"has no image (got {names[0]}, expected names such as 0000000000.png or 0000000000.jpg)"
-            raise InputError(problem, folder, "Extract the images again, convert them, or remove the folder")
+            problem = (
+                f"has no image (got {names[0]}, expected names such as 0000000000.png or "
+                "0000000000.jpg)"
+            )
+            raise InputError(
+                problem, folder, "Extract the images again, convert them, or remove the folder"
+            )
         return images
 
     def camera_number(self, choices: Sequence[int]) -> int | None:
-        """Return the first camera of `choices` with images, else the first with a calibration, else None."""
+        """Return the first camera of `choices` with images, else the first with a calibration, else
+        None.
+        """
         path, number = self.calibration / CALIBRATION, next(filter(self.images, choices), None)
         if number is None and path.is_file():
             entries = read_entries(path)
@@ -85,16 +101,26 @@ class KittiDrive:
         camera = self.camera_number(cameras)
         images = {} if camera is None else self.images(camera)
         frames = [self.oxts, self.scans, self.truth_depth, self.truth_cls, images]
-        single = [self.timeline(camera)[1], *sorted(self.calibration.glob("calib_*.txt")), self.folder / STEERING]
-        return [*(path for files in frames for path in files.values()), *filter(Path.is_file, single)]
+        single = [
+            self.timeline(camera)[1],
+            *sorted(self.calibration.glob("calib_*.txt")),
+            self.folder / STEERING,
+        ]
+        return [
+            *(path for files in frames for path in files.values()),
+            *filter(Path.is_file, single),
+        ]
 
 
 def open_folder(path: Path) -> KittiDrive:
-    """Return the drive of a folder, which may be a link: its date's calibration lies beside the link or its target.
+    """Return the drive of a folder, which may be a link: its date's calibration lies beside the
+    link or its target.
 
     Raises InputError if drives are in folders below it.
     """
-    below = [image.parent for level in ("*", "*/*") for image in sorted(path.glob(f"{level}/image_0?"))]
+    below = [
+        image.parent for level in ("*", "*/*") for image in sorted(path.glob(f"{level}/image_0?"))
+    ]
     if below:
         raise InputError("is a folder around drives", path, f"Pass one of them: {below[0]}")
     folder = path.absolute()
@@ -104,7 +130,8 @@ def open_folder(path: Path) -> KittiDrive:
 
 
 def read_drive(files: KittiDrive, settings: Reading) -> Drive:
-    """Return a drive, whose frames end with a DamagedFile that lists all damaged files, if there are any.
+    """Return a drive, whose frames end with a DamagedFile that lists all damaged files, if there
+    are any.
 
     Raises InputError if packets, times or the calibration are missing.
     """
@@ -146,25 +173,33 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
         skip, every_packet = settings.on_damaged == "skip", len(files.oxts) == len(damaged) > 0
         if faults and (every_packet or not skip):
             problem = "; ".join(f"{error.where}: {error.problem}" for error in faults)
-            fix = "Extract them again" + ", or set ingest.on_damaged: skip to leave them out" * (not skip)
+            fix = "Extract them again" + ", or set ingest.on_damaged: skip to leave them out" * (
+                not skip
+            )
             where = f"{len(faults)} damaged files" + ", among them all oxts packets" * every_packet
             raise DamagedFile(problem, where, fix)
         for kind, paths in (("images", images), ("scans", scans)):
             lost = [error for error in faults if Path(error.where) in paths.values()]
             if lost and len(lost) == len(paths.keys() & time_s.keys()):  # with on_damaged: skip
-                raise InputError(f"all {kind} of the drive are damaged: {lost[0].problem}", lost[0].where)
+                raise InputError(
+                    f"all {kind} of the drive are damaged: {lost[0].problem}", lost[0].where
+                )
         others = {"images or scans without a frame": len({*images, *scans} - {*numbers})}
         others["damaged files left out"] = len(faults)
         lines = [f"{count} {name}" for name, count in others.items() if count]
         notes.extend(line for line in lines if line not in notes)
 
-    return Drive(camera, frames, values, notes, "sample" if text.startswith(f"{RENDERED}\n") else "kitti")
+    return Drive(
+        camera, frames, values, notes, "sample" if text.startswith(f"{RENDERED}\n") else "kitti"
+    )
 
 
 def _read(
     reader: Callable[..., np.ndarray], path: Path | None, damaged: list[DamagedFile], **options: Any
 ) -> np.ndarray | None:
-    """Return the content of a file; None if there is none, or it is damaged, which is added to `damaged`."""
+    """Return the content of a file; None if there is none, or it is damaged, which is added to
+    `damaged`.
+    """
     try:
         return reader(path, **options) if path else None
     except DamagedFile as error:
@@ -173,9 +208,14 @@ def _read(
 
 
 def find_drive(root: Path, name: str) -> KittiDrive:
-    """Return a drive (such as 2011_09_26_drive_0052) below `root`. Raises InputError if it is missing."""
+    """Return a drive (such as 2011_09_26_drive_0052) below `root`. Raises InputError if it is
+    missing.
+    """
     if not root.is_dir():
-        fix = f"KITTI: ln -s /path/to/kitti {root}. Sample: dvc repro sample. Only training? dvc pull labels graphs"
+        fix = (
+            f"KITTI: ln -s /path/to/kitti {root}. Sample: dvc repro sample. Only training? dvc "
+            "pull labels graphs"
+        )
         raise InputError("folder is missing", root, fix)
     if name not in (known := _drives(root)):
         problem = f"drive {name} of ingest.drives is missing"
@@ -187,14 +227,17 @@ def find_drive(root: Path, name: str) -> KittiDrive:
 
 
 def leave_out(root: Path, settings: Ingest, required: Collection[str] = ()) -> list[str]:
-    """Return which of KITTI's drives are missing below `root`; print them, and drives that are there but in no split.
+    """Return which of KITTI's drives are missing below `root`; print them, and drives that are
+    there but in no split.
 
-    Raises InputError if `root` has a drive that is rendered, or lacks all drives, all of a split, or one of the
-    `required`.
+    Raises InputError if `root` has a drive that is rendered, or lacks all drives, all of a split,
+    or one of the `required`.
     """
     known, splits, of = _drives(root), settings.drives.splits(), settings.datasets()
     if twice := next((drive for drive in known if of.get(drive) == "sample"), None):
-        problem = f"stage sample renders a drive of the same name, data/sample/{twice[:10]}/{twice}_sync"
+        problem = (
+            f"stage sample renders a drive of the same name, data/sample/{twice[:10]}/{twice}_sync"
+        )
         fix = "Rename this folder, or set ingest.source: kitti"
         raise InputError(problem, root / twice[:10] / f"{twice}_sync", fix)
     missing = [drive for drive in splits if of[drive] == "kitti" and drive not in known]
@@ -206,59 +249,91 @@ def leave_out(root: Path, settings: Ingest, required: Collection[str] = ()) -> l
             print(f"left out: {drive}. {elsewhere}", flush=True)
     if missing:
         unnamed = [drive for drive in known if drive not in splits]
-        hint = f" (it has {', '.join(unnamed[:5])}, which ingest.drives does not name)" if unnamed else ""
+        hint = (
+            f" (it has {', '.join(unnamed[:5])}, which ingest.drives does not name)"
+            if unnamed
+            else ""
+        )
         print(f"left out: {root} has no {', '.join(missing)}{hint}", flush=True)
     return missing
 
 
 def _elsewhere(root: Path, name: str) -> str:
-    """Return what was found of a drive that is not at its place below `root`, and the way on; empty if nothing was."""
+    """Return what was found of a drive that is not at its place below `root`, and the way on; empty
+    if nothing was.
+    """
     place = f"{name[:10]}/{name}_sync"
     found = [path for start in ("", "*/", "*/*/") for path in sorted(root.glob(f"{start}{name}*"))]
     for path in found:
         if path.suffix != ".zip" and not any(path.glob("*/data")):  # a folder around the drive
             continue
         if path.stem.endswith(UNSYNCED):
-            return f"Found {path.relative_to(root)}: an unsynced drive. Download the synced archive, {name}_sync.zip"
+            return (
+                f"Found {path.relative_to(root)}: an unsynced drive. Download the synced archive, "
+                f"{name}_sync.zip"
+            )
         if path.suffix == ".zip":
             return f"Found {path.relative_to(root)}: extract it in {root}"
-        return f"Found {path.relative_to(root)}: move it to {place}, and its date's calib_*.txt to {name[:10]}/"
+        return (
+            f"Found {path.relative_to(root)}: move it to {place}, and its date's calib_*.txt to "
+            f"{name[:10]}/"
+        )
     return ""
 
 
 def _drives(root: Path) -> list[str]:
-    return sorted(path.name.removesuffix("_sync") for path in root.glob("????_??_??/*_drive_????_sync"))
+    return sorted(
+        path.name.removesuffix("_sync") for path in root.glob("????_??_??/*_drive_????_sync")
+    )
 
 
 def read_scan(path: Path) -> np.ndarray:
-    """Return a scan, float32 [P,4]: x, y, z in metres in the velodyne frame, and reflectance in 0 to 1.
+    """Return a scan, float32 [P,4]: x, y, z in metres in the velodyne frame, and reflectance in 0
+    to 1.
 
-    Rays that did not return, with a position of 0 or NaN, are left out. Raises DamagedFile; InputError for numbers in
-    another format.
+    Rays that did not return, with a position of 0 or NaN, are left out. Raises DamagedFile;
+    InputError for numbers in another format.
     """
     values = np.fromfile(path, np.float32)
     if not len(values) or len(values) % 4 or path.stat().st_size % 16:
-        raise DamagedFile(f"scan is cut short at {path.stat().st_size} bytes (expected a multiple of 16)", path)
+        raise DamagedFile(
+            f"scan is cut short at {path.stat().st_size} bytes (expected a multiple of 16)", path
+        )
     scan = values.reshape(-1, 4)
     scan = scan[np.isfinite(scan[:, :3]).all(axis=1) & scan[:, :3].any(axis=1)]
-    if not len(scan) or np.abs(scan[:, :3]).max() > _MAX_RANGE_M or not np.isfinite(scan[:, 3]).all():
-        raise DamagedFile(f"scan has no point, or points beyond {_MAX_RANGE_M:g} m or without reflectance", path)
+    if (
+        not len(scan)
+        or np.abs(scan[:, :3]).max() > _MAX_RANGE_M
+        or not np.isfinite(scan[:, 3]).all()
+    ):
+        raise DamagedFile(
+            f"scan has no point, or points beyond {_MAX_RANGE_M:g} m or without reflectance", path
+        )
     if scan[:, 3].min() < 0 or scan[:, 3].max() > 1:
         problem = f"reflectance is {scan[:, 3].min():g} to {scan[:, 3].max():g}, expected 0 to 1"
         fix = "Convert the scans: float32 x, y, z, reflectance / 255. nuScenes has five columns"
         raise InputError(problem, path, fix)
     lowest = np.degrees(np.arctan2(scan[:, 2], np.hypot(scan[:, 0], scan[:, 1])).min())
     if lowest > LOWEST_DEG:
-        problem = f"scan is cut short at {lowest:.1f} degrees of elevation, or of another LiDAR than the HDL-64E"
+        problem = (
+            f"scan is cut short at {lowest:.1f} degrees of elevation, or of another LiDAR than "
+            "the HDL-64E"
+        )
         raise DamagedFile(
-            f"{problem} (expected below {LOWEST_DEG:g}, LOWEST_DEG in pipeline/ingest/datasets/kitti.py)", path
+            f"{problem} (expected below {LOWEST_DEG:g}, LOWEST_DEG in "
+            "pipeline/ingest/datasets/kitti.py)",
+            path,
         )
     return scan
 
 
 def _frames(folder: Path, *suffixes: str) -> dict[int, Path]:
-    # Other names are ignored: macOS adds "._0000000000.png", half-finished downloads ".part". A frame in two formats
-    # has the last path: that with the first suffix.
-    paths = [path for path in folder.glob("*") if path.stem.isdecimal() and path.suffix.lower() in suffixes]
+    # Other names are ignored: macOS adds "._0000000000.png", half-finished downloads ".part". A
+    # frame in two formats has the last path: that with the first suffix.
+    paths = [
+        path
+        for path in folder.glob("*")
+        if path.stem.isdecimal() and path.suffix.lower() in suffixes
+    ]
     paths.sort(key=lambda path: (int(path.stem), -suffixes.index(path.suffix.lower()), path))
     return {int(path.stem): path for path in paths}

@@ -1,4 +1,6 @@
-"""Videos and folders of images with logs of the car: parts of recordings in data/raw, as ingest.recordings has them."""
+"""Videos and folders of images with logs of the car: parts of recordings in data/raw, as
+ingest.recordings has them.
+"""
 
 import math
 from dataclasses import replace
@@ -22,7 +24,8 @@ SCAN = "scan.csv"
 
 
 def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
-    """Return the part's settings, which hold the hashes of its files. Raises InputError for a file of another hash.
+    """Return the part's settings, which hold the hashes of its files. Raises InputError for a file
+    of another hash.
 
     Files may be missing on a machine that fetches finished drives.
     """
@@ -40,17 +43,23 @@ def _hash(path: Path, _: int) -> str:
 
 
 def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
-    """Return the part of a recording; images without motion, if there is a log of it, are left out."""
+    """Return the part of a recording; images without motion, if there is a log of it, are left
+    out.
+    """
     part = settings.recordings[name]
     paths = _paths(part, root)
     if missing := [path for path in paths if not path.exists()]:
-        gone = f"the link's target {missing[0].readlink()}" if missing[0].is_symlink() else "the file"
+        gone = (
+            f"the link's target {missing[0].readlink()}" if missing[0].is_symlink() else "the file"
+        )
         fix = "Repeat steer import, or fetch finished drives: dvc repro --pull --allow-missing"
         raise InputError(f"{gone} is missing", missing[0], fix)
     recording = open_part(part, root / part.folder)
     used = usable(recording.times_s, recording.logs, part.start, part.end)
     if not used.any():
-        raise InputError("no image is left from start to end, or none with motion", f"ingest.recordings.{name}")
+        raise InputError(
+            "no image is left from start to end, or none with motion", f"ingest.recordings.{name}"
+        )
     camera = replace(recording.camera, horizon=part.horizon).at_height(part.camera_height_m)
     values = logged_values(recording.logs, np.flatnonzero(used), recording.times_s[used])
     recording.times_s = recording.times_s - recording.times_s[used][0]
@@ -64,7 +73,8 @@ def open_part(part: Part, folder: Path) -> Recording:
     images = [path for name, path in files.items() if name.startswith((VIDEO, FRAMES))]
     scanned = None
     if SCAN in files:
-        scanned = pd.read_csv(files[SCAN], comment="#", dtype=str).astype(float)  # to the last digit
+        # to the last digit
+        scanned = pd.read_csv(files[SCAN], comment="#", dtype=str).astype(float)
     return open_recording(images, part.model_copy(update=logs), scanned=scanned)
 
 
@@ -74,7 +84,9 @@ def _paths(part: Part, root: Path) -> dict[Path, str]:
 
 
 def usable(time_s: np.ndarray, logs: Logs, start_s: float, end_s: float | None) -> np.ndarray:
-    """Return which images bool [F] at `time_s` [F] lie in [start, end) since the first, and have a logged motion."""
+    """Return which images bool [F] at `time_s` [F] lie in [start, end) since the first, and have a
+    logged motion.
+    """
     elapsed_s = time_s - time_s[0] + ROUNDING_S
     used = (elapsed_s > start_s) & (elapsed_s <= (math.inf if end_s is None else end_s))
     if "motion" in logs:

@@ -1,6 +1,7 @@
 """Udacity's Challenge 2: videos of the centre camera, and the angles of the steering wheel by CAN.
 
-Drive NAME is data/raw/udacity/NAME.mp4, and NAME.csv with time_s and wheel_rad, left positive, of each of its frames.
+Drive NAME is data/raw/udacity/NAME.mp4, and NAME.csv with time_s and wheel_rad, left positive, of
+each of its frames.
 """
 
 from dataclasses import replace
@@ -15,7 +16,8 @@ from pipeline.ingest.drive import Drive, stamps
 from pipeline.ingest.recording import open_recording
 from pipeline.ingest.settings import Ingest, RecordingOptions
 
-# Of the right-hand camera of this rig and size: sensor_info/camera_calibration/right_camera/ost.yaml of the challenge.
+# Of the right-hand camera of this rig and size:
+# sensor_info/camera_calibration/right_camera/ost.yaml of the challenge.
 K, DISTORTION = "2152,2166,268,303", "-0.042,-0.89,0,0"
 HORIZON = 215.24  # row, by steer import
 CAMERA_HEIGHT_M = 1.48  # 3.66 m wide lanes are 2.5 camera heights wide in the images
@@ -50,5 +52,7 @@ def read_drive(video: Path, log: Path) -> Drive:
 def _files(name: str, root: Path) -> list[Path]:
     files = [root / f"udacity/{name}{suffix}" for suffix in (".mp4", ".csv")]
     if missing := [path for path in files if not path.is_file()]:
-        raise InputError("file is missing", missing[0], "Copy it there, or take the drive out of ingest.drives")
+        raise InputError(
+            "file is missing", missing[0], "Copy it there, or take the drive out of ingest.drives"
+        )
     return files

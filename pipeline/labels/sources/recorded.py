@@ -7,7 +7,9 @@ from pipeline.labels.label import Car, Labels, steering_labels
 MEASURED = False
 
 
-def read(raw: DriveReader, motion: DriveReader | None, car: Car, *, look_ahead: bool) -> Labels | None:
+def read(
+    raw: DriveReader, motion: DriveReader | None, car: Car, *, look_ahead: bool
+) -> Labels | None:
     """Return a drive's labels."""
     rates = recorded_motion(raw)
     return None if rates is None else steering_labels(rates[1], rates[0], car)

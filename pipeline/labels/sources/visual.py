@@ -7,7 +7,9 @@ from pipeline.labels.label import Car, Labels, steering_labels
 MEASURED = True
 
 
-def read(raw: DriveReader, motion: DriveReader | None, car: Car, *, look_ahead: bool) -> Labels | None:
+def read(
+    raw: DriveReader, motion: DriveReader | None, car: Car, *, look_ahead: bool
+) -> Labels | None:
     """Return a drive's labels, unknown where the motion is not measured."""
     if motion is None:
         return None

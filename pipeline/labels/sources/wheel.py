@@ -1,4 +1,6 @@
-"""Recorded angles of the front wheels: steering.csv of a drive in KITTI's layout, or a log of the steering wheel."""
+"""Recorded angles of the front wheels: steering.csv of a drive in KITTI's layout, or a log of the
+steering wheel.
+"""
 
 import numpy as np
 
@@ -10,11 +12,15 @@ MEASURED = False
 COLUMN = "steering_rad"
 
 
-def read(raw: DriveReader, motion: DriveReader | None, car: Car, *, look_ahead: bool) -> Labels | None:
-    """Return a drive's labels: valid where an angle is recorded and the car moves, or at unknown speed.
+def read(
+    raw: DriveReader, motion: DriveReader | None, car: Car, *, look_ahead: bool
+) -> Labels | None:
+    """Return a drive's labels: valid where an angle is recorded and the car moves, or at unknown
+    speed.
 
-    The speed is a recorded one or, in a drive without, measured; the yaw rate is the bicycle model's, so that a path
-    ahead has no measured turn. Where motion is not measured because nothing moves, the car stands.
+    The speed is a recorded one or, in a drive without, measured; the yaw rate is the bicycle
+    model's, so that a path ahead has no measured turn. Where motion is not measured because nothing
+    moves, the car stands.
     """
     if COLUMN not in raw:
         return None

@@ -1,4 +1,6 @@
-"""Encoders: one interface; Hugging Face's on tiny random networks in folders; published ones against truth."""
+"""Encoders: one interface; Hugging Face's on tiny random networks in folders; published ones
+against truth.
+"""
 
 import json
 import shutil
@@ -33,8 +35,20 @@ from pipeline.scores.pixels import class_ious, confusion, depth_errors, eigen_cr
 from tests.artefacts import Trap
 
 LABELS = ("road", "Tree", "sky", "zebra")
-DINOV2 = {"hidden_size": 24, "num_hidden_layers": 4, "num_attention_heads": 2, "image_size": 70, "patch_size": 14}
-VIT = {"hidden_size": 24, "num_hidden_layers": 4, "num_attention_heads": 2, "intermediate_size": 32, "image_size": 64}
+DINOV2 = {
+    "hidden_size": 24,
+    "num_hidden_layers": 4,
+    "num_attention_heads": 2,
+    "image_size": 70,
+    "patch_size": 14,
+}
+VIT = {
+    "hidden_size": 24,
+    "num_hidden_layers": 4,
+    "num_attention_heads": 2,
+    "intermediate_size": 32,
+    "image_size": 64,
+}
 SEGFORMER = {"hidden_sizes": [8, 8, 16, 16], "depths": [1] * 4, "num_attention_heads": [1, 1, 2, 2]}
 
 
@@ -42,32 +56,60 @@ def write_networks(folder: Path) -> Path:
     """Write folders of networks. Returns `folder`."""
     torch.manual_seed(0)
     dinov2 = transformers.Dinov2Config(**DINOV2)
-    backbone = {**DINOV2, "out_indices": [1, 2, 3, 4], "apply_layernorm": True, "reshape_hidden_states": False}
-    fusion = {"reassemble_hidden_size": 24, "neck_hidden_sizes": [8, 8, 16, 16], "fusion_hidden_size": 8}
+    backbone = {
+        **DINOV2,
+        "out_indices": [1, 2, 3, 4],
+        "apply_layernorm": True,
+        "reshape_hidden_states": False,
+    }
+    fusion = {
+        "reassemble_hidden_size": 24,
+        "neck_hidden_sizes": [8, 8, 16, 16],
+        "fusion_hidden_size": 8,
+    }
     networks = {"dinov2": transformers.Dinov2Model(dinov2)}
     for name, kind in {"depth": "metric", "relative": "relative"}.items():
         config = transformers.DepthAnythingConfig(
-            backbone_config=transformers.Dinov2Config(**backbone), depth_estimation_type=kind, max_depth=80, **fusion
+            backbone_config=transformers.Dinov2Config(**backbone),
+            depth_estimation_type=kind,
+            max_depth=80,
+            **fusion,
         )
         networks[name] = transformers.DepthAnythingForDepthEstimation(config)
-    config = transformers.PromptDepthAnythingConfig(**config.to_diff_dict() | {"depth_estimation_type": "metric"})
+    config = transformers.PromptDepthAnythingConfig(
+        **config.to_diff_dict() | {"depth_estimation_type": "metric"}
+    )
     networks["prompt"] = transformers.PromptDepthAnythingForDepthEstimation(config)
     vit = {"model_type": "dinov2", **DINOV2, "image_size": 32, "patch_size": 8}
     config = transformers.DepthProConfig(
-        fusion_hidden_size=8, patch_size=32, scaled_images_feature_dims=[8] * 3, intermediate_feature_dims=[8] * 2,
-        intermediate_hook_ids=[1, 0], image_model_config=vit, patch_model_config=vit, fov_model_config=vit,
-    )  # fmt: skip
+        fusion_hidden_size=8,
+        patch_size=32,
+        scaled_images_feature_dims=[8] * 3,
+        intermediate_feature_dims=[8] * 2,
+        intermediate_hook_ids=[1, 0],
+        image_model_config=vit,
+        patch_model_config=vit,
+        fov_model_config=vit,
+    )
     networks["depth_pro"] = transformers.DepthProForDepthEstimation(config)
     del fusion["reassemble_hidden_size"]
-    config = transformers.DPTConfig(**VIT, **fusion, backbone_out_indices=[0, 1, 2, 3], use_auxiliary_head=False)
+    config = transformers.DPTConfig(
+        **VIT, **fusion, backbone_out_indices=[0, 1, 2, 3], use_auxiliary_head=False
+    )
     networks["dpt"] = transformers.DPTForDepthEstimation(config)
-    networks["glpn"] = transformers.GLPNForDepthEstimation(transformers.GLPNConfig(**SEGFORMER, decoder_hidden_size=16))
-    config = transformers.SegformerConfig(**SEGFORMER, decoder_hidden_size=16, id2label=dict(enumerate(LABELS)))
+    networks["glpn"] = transformers.GLPNForDepthEstimation(
+        transformers.GLPNConfig(**SEGFORMER, decoder_hidden_size=16)
+    )
+    config = transformers.SegformerConfig(
+        **SEGFORMER, decoder_hidden_size=16, id2label=dict(enumerate(LABELS))
+    )
     networks["classes"] = transformers.SegformerForSemanticSegmentation(config)
     networks["headless"] = transformers.SegformerModel(config)
     config = transformers.SegformerConfig(**SEGFORMER, decoder_hidden_size=16, num_labels=7)
     networks["unnamed"] = transformers.SegformerForSemanticSegmentation(config)
-    swin = transformers.SwinConfig(embed_dim=12, depths=[1] * 4, num_heads=[1, 2, 3, 4], drop_path_rate=0.0)
+    swin = transformers.SwinConfig(
+        embed_dim=12, depths=[1] * 4, num_heads=[1, 2, 3, 4], drop_path_rate=0.0
+    )
     networks["swin"] = transformers.SwinModel(swin)
     for name, network in networks.items():
         network.save_pretrained(folder / name)
@@ -87,21 +129,35 @@ def folder(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def create(folder) -> Create:
-    def create(kind: str, more: dict[str, str] = {}, **names: str) -> tuple[Architecture, nn.Module]:  # noqa: B006
+    def create(
+        kind: str, more: dict[str, str] | None = None, **names: str
+    ) -> tuple[Architecture, nn.Module]:
         defaults = {
             "pair": {"depth": "depth", "classes": "classes"},
             "hugging_face": {"model": "swin"},
         }
-        values = {key: str(folder / name) for key, name in (defaults[kind] | names).items()} | more
-        fit = {"epochs": int(kind == "hugging_face"), "frames": 1, "batch": 1, "learning_rate": 0.1, "seed": 0}
-        architecture, network = create_encoder(Encoder(backbone=kind, focal_by_width=0.5, **values, **fit))
+        values = {key: str(folder / name) for key, name in (defaults[kind] | names).items()} | (
+            more or {}
+        )
+        fit = {
+            "epochs": int(kind == "hugging_face"),
+            "frames": 1,
+            "batch": 1,
+            "learning_rate": 0.1,
+            "seed": 0,
+        }
+        architecture, network = create_encoder(
+            Encoder(backbone=kind, focal_by_width=0.5, **values, **fit)
+        )
         return architecture, network.eval()
 
     return create
 
 
 def image(size: tuple[int, int], count: int = 1) -> torch.Tensor:
-    return torch.randint(0, 256, (count, 3, *size), dtype=torch.uint8, generator=torch.Generator().manual_seed(1))
+    return torch.randint(
+        0, 256, (count, 3, *size), dtype=torch.uint8, generator=torch.Generator().manual_seed(1)
+    )
 
 
 def normalised(size: tuple[int, int], mean: list[float], std: list[float]) -> torch.Tensor:
@@ -109,18 +165,26 @@ def normalised(size: tuple[int, int], mean: list[float], std: list[float]) -> to
 
 
 @pytest.mark.parametrize("size", [(64, 96), (37, 63)])
-@pytest.mark.parametrize("kind", ["small", "street", "pair", "hugging_face", "hugging_face on dinov2"])
+@pytest.mark.parametrize(
+    "kind", ["small", "street", "pair", "hugging_face", "hugging_face on dinov2"]
+)
 @torch.no_grad()
 def test_each_pixel_has_depth_and_classes_whatever_the_batch(create, kind, size):
     kind, _, model = kind.partition(" on ")
     names = {"model": model} if model else {}
-    network = build({"backbone": kind}).eval() if kind in ("small", "street") else create(kind, **names)[1]
+    network = (
+        build({"backbone": kind}).eval()
+        if kind in ("small", "street")
+        else create(kind, **names)[1]
+    )
     images = image(size, 2)
     depth, logits = network(images, K.expand(2, 3, 3))
     assert depth.shape == (2, *size)
     assert logits.shape in {(2, classes.COUNT, *size), (2, classes.COUNT + 1, *size)}
     assert depth.min() > 0
-    torch.testing.assert_close((depth[1:], logits[1:]), network(images[1:], K), rtol=1e-4, atol=1e-3)
+    torch.testing.assert_close(
+        (depth[1:], logits[1:]), network(images[1:], K), rtol=1e-4, atol=1e-3
+    )
     with torch.autocast("cpu", torch.bfloat16):  # as perception.precision: auto on a GPU
         assert ((network(images, K.expand(2, 3, 3))[0] / depth).log().abs() < 0.1).all()
 
@@ -130,14 +194,24 @@ def test_each_pixel_has_depth_and_classes_whatever_the_batch(create, kind, size)
 def test_a_pair_equals_the_networks_themselves(create, folder, size, capsys):
     depth, logits = create("pair")[1](image(size), K)
     assert "that are void: zebra\n" in capsys.readouterr().out
-    padded = F.pad(normalised(size, [0.4, 0.5, 0.6], [0.1, 0.2, 0.3]), (0, -size[1] % 28, 0, -size[0] % 28))
-    expected = transformers.DepthAnythingForDepthEstimation.from_pretrained(folder / "depth")(padded).predicted_depth
+    padded = F.pad(
+        normalised(size, [0.4, 0.5, 0.6], [0.1, 0.2, 0.3]), (0, -size[1] % 28, 0, -size[0] % 28)
+    )
+    expected = transformers.DepthAnythingForDepthEstimation.from_pretrained(folder / "depth")(
+        padded
+    ).predicted_depth
     torch.testing.assert_close(depth, expected[:, : size[0], : size[1]] * (50 / size[1]) / 0.5)
     rgb = normalised(size, [0.485, 0.456, 0.406], [0.229, 0.224, 0.225])
     padded = F.pad(rgb, (0, -size[1] % 32, 0, -size[0] % 32))
-    own = transformers.SegformerForSemanticSegmentation.from_pretrained(folder / "classes")(padded).logits
-    trained = torch.tensor([classes.ROAD, classes.VEGETATION, classes.SKY, classes.COUNT])[own.argmax(1)]
-    assert (logits[:, :, 1:-2:4, 1:-2:4].argmax(1) == trained[:, : size[0] // 4, : size[1] // 4]).float().mean() > 0.8
+    own = transformers.SegformerForSemanticSegmentation.from_pretrained(folder / "classes")(
+        padded
+    ).logits
+    trained = torch.tensor([classes.ROAD, classes.VEGETATION, classes.SKY, classes.COUNT])[
+        own.argmax(1)
+    ]
+    assert (
+        logits[:, :, 1:-2:4, 1:-2:4].argmax(1) == trained[:, : size[0] // 4, : size[1] // 4]
+    ).float().mean() > 0.8
 
 
 @pytest.mark.parametrize("kind", ["pair", "hugging_face"])
@@ -177,7 +251,9 @@ def test_a_folder_without_weights_is_a_random_backbone_but_no_pair(create, folde
     for name, source in {"bare": "swin", "bare-depth": "depth"}.items():
         (folder / name).mkdir()
         (folder / name / "config.json").write_bytes((folder / source / "config.json").read_bytes())
-    swin, bare = (create("hugging_face", model=name)[1].backbone.state_dict() for name in ("swin", "bare"))
+    swin, bare = (
+        create("hugging_face", model=name)[1].backbone.state_dict() for name in ("swin", "bare")
+    )
     name = "embeddings.patch_embeddings.projection.weight"
     published = transformers.SwinModel.from_pretrained(folder / "swin").state_dict()[name]
     assert torch.equal(swin[f"network.swin.{name}"], published)
@@ -190,11 +266,20 @@ def test_a_folder_without_weights_is_a_random_backbone_but_no_pair(create, folde
     ("label", "name"),
     [
         *((name, name) for name in classes.NAMES),  # Cityscapes
-        ("tree", "vegetation"), ("minibike", "motorcycle"), ("windowpane", "building"), ("bed ", "void"),  # ADE20K
-        ("Lane Marking - General", "road"), ("Traffic Sign (Front)", "traffic sign"), ("Bridge", "void"),  # Mapillary
-        ("LABEL_0", "void"), ("non-road", "void"), ("car-door", "void"),
+        # ADE20K
+        ("tree", "vegetation"),
+        ("minibike", "motorcycle"),
+        ("windowpane", "building"),
+        ("bed ", "void"),
+        # Mapillary
+        ("Lane Marking - General", "road"),
+        ("Traffic Sign (Front)", "traffic sign"),
+        ("Bridge", "void"),
+        ("LABEL_0", "void"),
+        ("non-road", "void"),
+        ("car-door", "void"),
     ],
-)  # fmt: skip
+)
 def test_labels_of_three_data_sets_are_cityscapes_classes_or_void(label, name):
     logits = CityscapesLogits(["other", label])(torch.tensor([0.0, 50.0]).view(1, 2, 1, 1))
     assert (*classes.NAMES, "void")[logits.argmax(1).item()] == name
@@ -207,9 +292,17 @@ def test_labels_of_three_data_sets_are_cityscapes_classes_or_void(label, name):
         ("pair", {"depth": "glpn"}, "glpn' has an unknown unit.*depth_unit: metric"),
         ("pair", {"depth": "depth_pro"}, "depth of '.*depth_pro' is inverse"),
         ("pair", {"depth": "prompt"}, "depth of '.*prompt' is relative to a depth sensor"),
-        ("pair", {"classes": "unnamed"}, "no class of '.*unnamed' is road: LABEL_0, LABEL_1, .*LABEL_4, …"),
+        (
+            "pair",
+            {"classes": "unnamed"},
+            "no class of '.*unnamed' is road: LABEL_0, LABEL_1, .*LABEL_4, …",
+        ),
         ("pair", {"depth": "classes"}, "cannot load '.*classes'.*SegformerConfig"),
-        ("pair", {"classes": "headless"}, r"headless': its weights lack decode_head\.\S+, \d+ tensors in all"),
+        (
+            "pair",
+            {"classes": "headless"},
+            r"headless': its weights lack decode_head\.\S+, \d+ tensors in all",
+        ),
         ("pair", {"depth": "nowhere"}, "nowhere' is not a folder with a config.json"),
         ("hugging_face", {"model": "."}, "not a folder with a config.json"),
     ],
@@ -233,7 +326,10 @@ def test_files_of_a_network_run_no_code(create, folder, tmp_path, kind, names, f
     shutil.copytree(folder / "swin", trap, ignore=shutil.ignore_patterns("*.safetensors"))
     if file.endswith(".py"):
         (folder / file).write_text(f"import pathlib\npathlib.Path({str(sprung)!r}).touch()")
-        config = {"model_type": "trap", "auto_map": {"AutoConfig": "trap.Trap", "AutoBackbone": "trap.Trap"}}
+        config = {
+            "model_type": "trap",
+            "auto_map": {"AutoConfig": "trap.Trap", "AutoBackbone": "trap.Trap"},
+        }
         (trap / "config.json").write_text(json.dumps(config))
     else:
         torch.save({"state_dict": Trap(sprung)}, folder / file)
@@ -243,7 +339,9 @@ def test_files_of_a_network_run_no_code(create, folder, tmp_path, kind, names, f
 
 
 def test_a_hub_out_of_reach_is_one_line(monkeypatch):
-    out_of_reach = Mock(side_effect=FileNotFoundError("cannot reach the hub\nPlease check your connection"))
+    out_of_reach = Mock(
+        side_effect=FileNotFoundError("cannot reach the hub\nPlease check your connection")
+    )
     monkeypatch.setattr("huggingface_hub.snapshot_download", out_of_reach)
     with pytest.raises(ValueError, match=r"^cannot load 'a/network': cannot reach the hub$"):
         hugging_face.describe("a/network")
@@ -266,7 +364,9 @@ def test_linear_attention_is_a_mean_of_values_weighted_by_products_of_keys_and_q
     x = torch.randn(2, 2 * HEAD_WIDTH, 3, 5)
     with torch.no_grad():
         qkv = layer.qkv(x)
-        for head, part in enumerate(torch.cat([qkv, layer.aggreg[0](qkv)], dim=1).split(3 * HEAD_WIDTH, dim=1)):
+        for head, part in enumerate(
+            torch.cat([qkv, layer.aggreg[0](qkv)], dim=1).split(3 * HEAD_WIDTH, dim=1)
+        ):
             q, k, v = part.flatten(2).split(HEAD_WIDTH, dim=1)  # [2,16,15]
             weights = torch.einsum("bcn,bcm->bnm", k.relu(), q.relu())
             expected = torch.einsum("bcn,bnm->bcm", v, weights / weights.sum(dim=1, keepdim=True))
@@ -287,7 +387,9 @@ def street(real_weights) -> nn.Module:
 
 @pytest.mark.slow
 @pytest.mark.real
-@pytest.mark.parametrize(("drive", "most"), [("2011_09_26_drive_0005", 0.13), ("2011_10_03_drive_0042", 0.17)])
+@pytest.mark.parametrize(
+    ("drive", "most"), [("2011_09_26_drive_0005", 0.13), ("2011_10_03_drive_0042", 0.17)]
+)
 def test_published_weights_give_metric_depth_of_real_streets(street, real_half, drive, most):
     raw = KittiDrive(real_half / drive[:10] / f"{drive}_sync")
     number = raw.camera_number([2, 0])
@@ -305,11 +407,14 @@ def test_published_weights_give_metric_depth_of_real_streets(street, real_half, 
     assert np.mean(errors) < most
     assert np.mean(ratios) == pytest.approx(1, abs=0.08)  # metres, without any scaling
     ious = class_ious(matrix)  # of grey against colour
-    assert (ious[[classes.ROAD, classes.SIDEWALK, classes.BUILDING, classes.VEGETATION]] > [0.9, 0.8, 0.88, 0.78]).all()
+    assert (
+        ious[[classes.ROAD, classes.SIDEWALK, classes.BUILDING, classes.VEGETATION]]
+        > [0.9, 0.8, 0.88, 0.78]
+    ).all()
 
 
-# CamVid's label (0 sky, 1 building, 2 pole, 3 road, 4 pavement, 5 tree, 6 sign, 7 fence, 8 car, 9 pedestrian,
-# 10 bicyclist) of Cityscapes' classes; it has no wall, train and void.
+# CamVid's label (0 sky, 1 building, 2 pole, 3 road, 4 pavement, 5 tree, 6 sign, 7 fence, 8 car, 9
+# pedestrian, 10 bicyclist) of Cityscapes' classes; it has no wall, train and void.
 VOID = classes.VOID
 CAMVID = np.array([3, 4, 1, VOID, 7, 2, 6, 6, 5, 5, 0, 9, 10, 8, 8, 8, VOID, 10, 10])
 

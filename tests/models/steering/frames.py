@@ -1,4 +1,6 @@
-"""Small irregular frames of each kind, and their concatenation, written without the code under test."""
+"""Small irregular frames of each kind, and their concatenation, written without the code under
+test.
+"""
 
 import numpy as np
 
@@ -21,14 +23,20 @@ def points(count: int, seed: int) -> Arrays:
     """Return xyz float64 [P,3] on a street, and cls with each seventh point void."""
     rng = np.random.default_rng(seed)
     xyz = rng.uniform([-10, -1, 0], [10, 2, 60], (count, 3))
-    return {"xyz": xyz, "cls": np.where(np.arange(count) % 7, rng.integers(0, 19, count), 255).astype(np.uint8)}
+    return {
+        "xyz": xyz,
+        "cls": np.where(np.arange(count) % 7, rng.integers(0, 19, count), 255).astype(np.uint8),
+    }
 
 
 def graph(count: int, seed: int = 0) -> Arrays:
     """Return a frame with a random symmetric graph."""
     linked = np.random.default_rng(seed).random((count, count)) < 0.15
     linked = (linked | linked.T) & ~np.eye(count, dtype=bool)
-    arrays = {"degree": linked.sum(1).astype(np.uint8), "indices": np.nonzero(linked)[1].astype(np.int32)}
+    arrays = {
+        "degree": linked.sum(1).astype(np.uint8),
+        "indices": np.nonzero(linked)[1].astype(np.int32),
+    }
     return points(count, seed) | arrays
 
 
@@ -51,12 +59,17 @@ CONTENTS = {"graph": {}, "pointnet2": {"levels": 2}, "image": {"image_size": (33
 
 
 def concatenated(frames: list[Arrays]) -> Arrays:
-    """Return the arrays of frames, whose numbers count from 0 in each, and the first row of each frame."""
+    """Return the arrays of frames, whose numbers count from 0 in each, and the first row of each
+    frame.
+    """
     batch = {}
     for name in frames[0]:
         lengths = [len(frame[REFERS_TO[name]]) if name in REFERS_TO else 0 for frame in frames]
         before = np.cumsum([0, *lengths[:-1]])
-        parts = [frame[name] + first if first else frame[name] for frame, first in zip(frames, before, strict=True)]
+        parts = [
+            frame[name] + first if first else frame[name]
+            for frame, first in zip(frames, before, strict=True)
+        ]
         batch[name] = np.concatenate(parts)
         if name in POINTERS:
             batch[POINTERS[name]] = np.cumsum([0, *(len(frame[name]) for frame in frames)])
@@ -83,7 +96,10 @@ def permuted(frame: Arrays, seed: int = 0) -> Arrays:
     result = {"xyz": frame["xyz"][order], "cls": frame["cls"][order]}
     if "degree" in frame:
         rows = np.split(frame["indices"], np.cumsum(frame["degree"])[:-1])
-        result |= {"degree": frame["degree"][order], "indices": np.concatenate([place[rows[node]] for node in order])}
+        result |= {
+            "degree": frame["degree"][order],
+            "indices": np.concatenate([place[rows[node]] for node in order]),
+        }
     level = 1
     while f"centres_{level}" in frame:
         turn = rng.permutation(len(frame[f"centres_{level}"]))

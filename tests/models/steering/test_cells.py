@@ -20,10 +20,17 @@ from models.steering.temporal import lstm
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
 NEURON = {"capacity": "cm", "leak": "gleak", "rest": "vleak"}
-MAP = {"input_scale": "input_w", "input_shift": "input_b", "output_scale": "output_w", "output_shift": "output_b"}
+MAP = {
+    "input_scale": "input_w",
+    "input_shift": "input_b",
+    "output_scale": "output_w",
+    "output_shift": "output_b",
+}
 LAYOUT = Layout(inter=6, command=5, sensory_fanout=3, inter_fanout=2, motor_fanin=3)
 # Irregular, and different in each window.
-DT_S = torch.rand(3, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) * 0.3 + 0.01
+DT_S = (
+    torch.rand(3, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) * 0.3 + 0.01
+)
 
 
 def test_lstm_equals_torch():
@@ -50,7 +57,9 @@ class Peer(PeerWiring):
 
 
 def pair(wiring):
-    """Our cell and ncps's with the same wiring and weights; yields (our parameter, theirs, which of theirs)."""
+    """Our cell and ncps's with the same wiring and weights; yields (our parameter, theirs, which of
+    theirs).
+    """
     ours = LTC(wiring).double()
     with torch.no_grad():
         for parameter in (ours.input_scale, ours.input_shift, ours.output_scale, ours.output_shift):
@@ -58,10 +67,15 @@ def pair(wiring):
     peer = LTCCell(Peer(wiring), implicit_param_constraints=True).double()
 
     matches = []
-    for synapses, signs, prefix in [(ours.sensory, wiring.sensory, "sensory_"), (ours.internal, wiring.internal, "")]:
+    for synapses, signs, prefix in [
+        (ours.sensory, wiring.sensory, "sensory_"),
+        (ours.internal, wiring.internal, ""),
+    ]:
         for name in ("w", "sigma", "mu", "erev"):
             matches.append((getattr(synapses, name), getattr(peer, prefix + name), signs.nonzero()))
-    matches += [(getattr(ours, name), getattr(peer, theirs), ...) for name, theirs in (NEURON | MAP).items()]
+    matches += [
+        (getattr(ours, name), getattr(peer, theirs), ...) for name, theirs in (NEURON | MAP).items()
+    ]
     for parameter, theirs, which in matches:
         theirs.data[which] = parameter.data
     return ours, peer, matches
@@ -106,7 +120,9 @@ def cell_of(unfolds: int) -> Eq4:
 
 
 def solved(cell: Eq4, x: np.ndarray, dt_s: np.ndarray) -> np.ndarray:
-    """h after each of a window's frames, from eq. 4 written as sums over synapses and a solver of order 8."""
+    """h after each of a window's frames, from eq. 4 written as sums over synapses and a solver of
+    order 8.
+    """
     synapses = [
         [(j, i, w) for (j, i), w in zip(np.argwhere(signs), matrix.w.tolist(), strict=True)]
         for signs, matrix in [(WIRING.sensory, cell.sensory), (WIRING.internal, cell.internal)]
@@ -123,7 +139,9 @@ def solved(cell: Eq4, x: np.ndarray, dt_s: np.ndarray) -> np.ndarray:
 
     h, states = np.zeros(len(WIRING.internal)), []
     for x_frame, dt in zip(x, dt_s, strict=True):
-        solution = solve_ivp(slope, (0, dt / NOMINAL_STEP_S), h, "DOP853", args=(x_frame,), rtol=1e-12, atol=1e-13)
+        solution = solve_ivp(
+            slope, (0, dt / NOMINAL_STEP_S), h, "DOP853", args=(x_frame,), rtol=1e-12, atol=1e-13
+        )
         h = solution.y[:, -1]
         states.append(h)
     return np.array(states)
@@ -132,7 +150,9 @@ def solved(cell: Eq4, x: np.ndarray, dt_s: np.ndarray) -> np.ndarray:
 def test_small_steps_of_eq4_reach_the_ode_solvers_solution():
     torch.manual_seed(1)
     x, unfolds = torch.randn(2, 4, 5, dtype=torch.float64), [256, 512, 1024]
-    exact = torch.from_numpy(np.stack([solved(cell_of(1), x[w].numpy(), DT_EQ4_S[w].numpy()) for w in range(2)]))
+    exact = torch.from_numpy(
+        np.stack([solved(cell_of(1), x[w].numpy(), DT_EQ4_S[w].numpy()) for w in range(2)])
+    )
     with torch.no_grad():
         runs = []
         for steps in unfolds:
@@ -163,7 +183,13 @@ def test_default_is_the_wiring_of_the_paper():
 @settings(max_examples=50, deadline=None)
 @given(st.integers(0, 2**31), st.integers(1, 3), st.integers(1, 3))
 def test_each_neuron_has_input_and_output(seed, inputs, fanout):
-    sizes = {"inter": 15, "command": 7, "sensory_fanout": fanout, "inter_fanout": fanout, "motor_fanin": 2}
+    sizes = {
+        "inter": 15,
+        "command": 7,
+        "sensory_fanout": fanout,
+        "inter_fanout": fanout,
+        "motor_fanin": 2,
+    }
     wiring, again = (ncp(inputs, Layout(**sizes, seed=seed), motor=2) for _ in range(2))
     assert (wiring.sensory == again.sensory).all()
     assert (wiring.internal == again.internal).all()

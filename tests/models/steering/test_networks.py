@@ -21,7 +21,13 @@ from tests.models.steering import frames
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
 SMALL = {"layers": [8, 16], "semantics": 0.7, "width": 0.125, "widths": [6, 8, 8]}
 HEADS = {"layer_options": {"heads": 2}}
-PYG: dict[str, Any] = {"GCNConv": {}, "GATv2Conv": HEADS, "SAGEConv": {}, "TransformerConv": HEADS, "EdgeConv": {}}
+PYG: dict[str, Any] = {
+    "GCNConv": {},
+    "GATv2Conv": HEADS,
+    "SAGEConv": {},
+    "TransformerConv": HEADS,
+    "EdgeConv": {},
+}
 FILES = Path("models/steering/spatial").glob("[!_]*.py")
 NETWORKS = sorted({*(file.stem for file in FILES), *PYG} - {"pyg"})
 each_network = pytest.mark.parametrize("name", NETWORKS)
@@ -36,7 +42,9 @@ def build(name: str) -> tuple[Any, str]:
     """Return a small network in float64, and the kind of its frames."""
     torch.manual_seed(0)
     options = load("spatial", keys(name)["spatial"])
-    values = {key: value for key, value in (SMALL | keys(name)).items() if key in options.model_fields}
+    values = {
+        key: value for key, value in (SMALL | keys(name)).items() if key in options.model_fields
+    }
     net = options.model_validate(values).build(Sizes(8, **frames.CONTENTS[options.kind])).double()
     for parameter in net.parameters():  # biases, too
         torch.nn.init.normal_(parameter, std=0.3) if parameter.ndim == 1 else None
@@ -54,7 +62,9 @@ def test_order_of_points_changes_nothing(name):
 @each_network
 @pytest.mark.parametrize("counts", [[30, 0, 1, 17, 45], [12, 12, 12]])
 def test_batch_equals_single_frames(name, counts, device):
-    """Of equal and unequal numbers of points, and a frame without points; the batch also on a GPU."""
+    """Of equal and unequal numbers of points, and a frame without points; the batch also on a
+    GPU.
+    """
     net, kind = build(name)
     parts = [frames.FRAME[kind](count, count) for count in counts]
     alone = torch.cat([net(frames.join([part])) for part in parts])
@@ -76,7 +86,10 @@ def test_gcn_equals_pyg(monkeypatch, layers, block):
     peer.read_out.load_state_dict(net.read_out.state_dict())
     for ours, theirs in zip(net.layers, peer.layers, strict=True):
         nn.init.normal_(ours.bias)
-        theirs.lin.weight.data, theirs.bias.data = ours.weight.data.T.clone(), ours.bias.data.clone()
+        theirs.lin.weight.data, theirs.bias.data = (
+            ours.weight.data.T.clone(),
+            ours.bias.data.clone(),
+        )
     own, expected = net(batch), peer(batch)
     torch.testing.assert_close(own, expected, **TOLERANCE)
     upstream = torch.randn_like(own)
@@ -92,15 +105,25 @@ def plain_map(frame: dict[str, Any]) -> Tensor:
     """Return the polar map of one frame, cell by cell."""
     rows = zip(frame["xyz"].tolist(), frame["cls"].tolist(), strict=True)
     points = [(math.hypot(x, z), math.degrees(math.atan2(x, z)), c) for (x, _, z), c in rows]
-    edges = [polar.NEAR_M * (polar.FAR_M / polar.NEAR_M) ** (n / polar.RANGES) for n in range(polar.RANGES + 1)]
+    edges = [
+        polar.NEAR_M * (polar.FAR_M / polar.NEAR_M) ** (n / polar.RANGES)
+        for n in range(polar.RANGES + 1)
+    ]
     width = 90 / polar.BEARINGS
     result = torch.zeros(4, polar.RANGES, polar.BEARINGS)
     for row in range(polar.RANGES):
         for column in range(polar.BEARINGS):
             middle = (column - polar.BEARINGS // 2) * width
-            cell = [c for r, b, c in points if edges[row] <= r < edges[row + 1] and abs(b - middle) < width / 2]
+            cell = [
+                c
+                for r, b, c in points
+                if edges[row] <= r < edges[row + 1] and abs(b - middle) < width / 2
+            ]
             known = [c for c in cell if c != classes.VOID]
-            kinds = [["ground" if c in classes.GROUND else "obstacle", "road"][c == classes.ROAD] for c in known]
+            kinds = [
+                ["ground" if c in classes.GROUND else "obstacle", "road"][c == classes.ROAD]
+                for c in known
+            ]
             for channel, kind in enumerate(["road", "ground", "obstacle"]):
                 result[channel, row, column] = kinds.count(kind) / max(1, len(cell))
             result[3, row, column] = not cell
@@ -109,7 +132,8 @@ def plain_map(frame: dict[str, Any]) -> Tensor:
 
 def test_polar_map_equals_brute_force():
     parts = [frames.graph(count, seed) for seed, count in enumerate([300, 0, 1, 170])]
-    parts[0]["xyz"][:5] = [[0.0, 0, 3.9], [0, 0, 40.1], [9, 0, 8.5], [0, 0, -10], [0, 0, 0]]  # outside of the map
+    # outside of the map
+    parts[0]["xyz"][:5] = [[0.0, 0, 3.9], [0, 0, 40.1], [9, 0, 8.5], [0, 0, -10], [0, 0, 0]]
     maps = polar.polar_map(frames.join(parts))
     torch.testing.assert_close(maps, torch.stack([plain_map(part) for part in parts]))
     assert maps[:, :3].sum(dim=(0, 2, 3)).all()  # each of the kinds occurs
@@ -120,7 +144,9 @@ def test_mirroring_reverses_the_bearings_exactly(dtype):
     """Also of points straight ahead and on the border of two cells."""
     frame = frames.graph(400)
     frame["xyz"][:40, 0] = 0
-    frame["xyz"][40:80, 0] = frame["xyz"][40:80, 2] * math.tan(math.radians(90 / polar.BEARINGS / 2))
+    frame["xyz"][40:80, 0] = frame["xyz"][40:80, 2] * math.tan(
+        math.radians(90 / polar.BEARINGS / 2)
+    )
     batch = frames.join([frame | {"xyz": torch.from_numpy(frame["xyz"]).to(dtype).numpy()}])
     assert torch.equal(polar.polar_map(batch.mirrored()), polar.polar_map(batch).flip(3))
 
@@ -129,7 +155,9 @@ def plain_mlp(layers: nn.Sequential, row: Tensor) -> Tensor:
     """Reference MLP of Linear, LayerNorm, ReLU on one row."""
     for linear, norm, _ in zip(layers[::3], layers[1::3], layers[2::3], strict=True):
         row = linear.weight @ row + linear.bias
-        row = (row - row.mean()) / (row.var(correction=0) + norm.eps).sqrt() * norm.weight + norm.bias
+        row = (row - row.mean()) / (
+            row.var(correction=0) + norm.eps
+        ).sqrt() * norm.weight + norm.bias
         row = row.clamp_min(0)
     return row
 
@@ -138,7 +166,9 @@ def plain_level(layer: Any, xyz: Tensor, f: Tensor, centres: Tensor, neighbours:
     """Reference of paper eq. 2, one centre and one neighbour at a time."""
     rows = []
     for centre, ball in zip(centres.tolist(), neighbours.tolist(), strict=True):
-        described = [plain_mlp(layer.mlp, torch.cat([(xyz[j] - xyz[centre]) / OFFSET_M, f[j]])) for j in ball]
+        described = [
+            plain_mlp(layer.mlp, torch.cat([(xyz[j] - xyz[centre]) / OFFSET_M, f[j]])) for j in ball
+        ]
         rows.append(torch.stack(described).max(0).values)
     return torch.stack(rows)
 
@@ -152,7 +182,9 @@ def test_pointnet2_equals_plain_loops():
         f = plain_level(layer, xyz, f, level.centres, level.neighbours)
         xyz, ptr = xyz[level.centres], level.ptr
     for start, stop in pairwise(ptr.tolist()):
-        rows = [plain_mlp(net.whole, torch.cat([xyz[i] / OFFSET_M, f[i]])) for i in range(start, stop)]
+        rows = [
+            plain_mlp(net.whole, torch.cat([xyz[i] / OFFSET_M, f[i]])) for i in range(start, stop)
+        ]
         expected.append(net.read_out(plain_mlp(net.head, torch.stack(rows).max(0).values)))
     torch.testing.assert_close(net(batch), torch.stack(expected), **TOLERANCE)
 
@@ -170,9 +202,13 @@ def test_cnn_has_the_layers_of_the_ncp_paper():
         x = ((image - image.mean()) / image.std(correction=0)).movedim(2, 0)[None]
         for layer in layers:
             margin = layer.kernel_size[0] // 2
-            x = functional.conv2d(functional.pad(x, [margin] * 4), layer.weight, layer.bias, layer.stride).relu()
+            x = functional.conv2d(
+                functional.pad(x, [margin] * 4), layer.weight, layer.bias, layer.stride
+            ).relu()
         assert x.shape == (1, 8, 5, 7)  # 33 × 50 halved three times, rounded up
-        dense = [x[0, number].flatten() @ net.weight[number] + net.bias[number] for number in range(8)]
+        dense = [
+            x[0, number].flatten() @ net.weight[number] + net.bias[number] for number in range(8)
+        ]
         expected.append(torch.cat(dense))
     torch.testing.assert_close(net(batch), torch.stack(expected), **TOLERANCE)
 

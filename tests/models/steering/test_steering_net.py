@@ -17,10 +17,14 @@ from tests.models.steering.test_networks import NETWORKS, keys
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
 WINDOWS = torch.tensor([[0, 1, 2, 3], [1, 2, 3, 4], [2, 3, 4, 5]])
-DT_S = torch.rand(WINDOWS.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(2)) * 0.1 + 0.05
+DT_S = (
+    torch.rand(WINDOWS.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(2)) * 0.1
+    + 0.05
+)
 MOTION = torch.rand(6, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
 MOTION *= torch.tensor([0.2, 0.5, 20, 1])
-MIRROR = torch.tensor([-1.0, -1.0, 1.0, 1.0])  # angle and yaw rate change sign, speed and valid do not
+# angle and yaw rate change sign, speed and valid do not
+MIRROR = torch.tensor([-1.0, -1.0, 1.0, 1.0])
 COUNTS = [20, 9, 30, 12, 0, 25]  # points per frame
 SPATIAL = [name for name in NETWORKS if name != "blind"]  # blind has no input
 WIRING = {"inter": 8, "command": 5, "sensory_fanout": 3, "inter_fanout": 2, "motor_fanin": 3}
@@ -43,10 +47,16 @@ def options(spatial: str) -> type[NetworkOptions]:
 
 
 def build(spatial: str = "gnn", cell: str = "ltc", outputs: int = 1, **changes: Any) -> SteeringNet:
-    """Return a small network in evaluation mode, with the features' statistics of one step of training."""
+    """Return a small network in evaluation mode, with the features' statistics of one step of
+    training.
+    """
     torch.manual_seed(0)
     kind = options(spatial).kind
-    net = entry(spatial, cell, **changes).build(kind, **frames.CONTENTS[kind], outputs=outputs).double()
+    net = (
+        entry(spatial, cell, **changes)
+        .build(kind, **frames.CONTENTS[kind], outputs=outputs)
+        .double()
+    )
     net(batch(spatial), WINDOWS, DT_S, MOTION if net.motion else None)
     return net.eval()
 
@@ -66,7 +76,9 @@ def test_shared_frames_equal_naive_windows(spatial, cell):
     windows = [frames.join([parts[row] for row in window]) for window in WINDOWS.tolist()]
     naive = torch.cat([net(window, own, DT_S[w : w + 1]) for w, window in enumerate(windows)])
     torch.testing.assert_close(shared, naive, **TOLERANCE)
-    gradients = [torch.autograd.grad(out.square().sum(), list(net.parameters())) for out in (shared, naive)]
+    gradients = [
+        torch.autograd.grad(out.square().sum(), list(net.parameters())) for out in (shared, naive)
+    ]
     torch.testing.assert_close(*gradients, **TOLERANCE)
     assert all(gradient.any() for gradient in gradients[0])
 
@@ -74,20 +86,31 @@ def test_shared_frames_equal_naive_windows(spatial, cell):
 @each_cell
 @pytest.mark.parametrize("spatial", SPATIAL)
 def test_mirrored_input_negates_an_equivariant_network(spatial, cell):
-    """Of an angle, and with motion of the ranges of a path; the control's features of other frames are theirs."""
+    """Of an angle, and with motion of the ranges of a path; the control's features of other frames
+    are theirs.
+    """
     scene = batch(spatial)
     for motion in (None, MOTION.clone().requires_grad_()):
         turned = None if motion is None else motion * MIRROR
-        changes = {"outputs": 1} if motion is None else {"outputs": 3, "predict": "path", "motion": "visual"}
+        changes = (
+            {"outputs": 1}
+            if motion is None
+            else {"outputs": 3, "predict": "path", "motion": "visual"}
+        )
         net = build(spatial, cell, equivariant=True, **changes)
         output = net(scene, WINDOWS, DT_S, motion)
         assert output.shape == (len(WINDOWS), changes["outputs"])
-        torch.testing.assert_close(net(scene.mirrored(), WINDOWS, DT_S, turned), -output, **TOLERANCE)
+        torch.testing.assert_close(
+            net(scene.mirrored(), WINDOWS, DT_S, turned), -output, **TOLERANCE
+        )
         assert output.abs().min() > 1e-6
     (gradient,) = torch.autograd.grad(output.square().sum(), motion)
     assert (gradient.abs() > 0).all()
     plain = build(spatial, cell, motion="visual")
-    sides = plain(scene, WINDOWS, DT_S, MOTION), plain(scene.mirrored(), WINDOWS, DT_S, MOTION * MIRROR)
+    sides = (
+        plain(scene, WINDOWS, DT_S, MOTION),
+        plain(scene.mirrored(), WINDOWS, DT_S, MOTION * MIRROR),
+    )
     assert (sides[0] + sides[1]).abs().max() > 1e-6
     scenes, kind = torch.tensor([3, 3, 0, 1, 5, 2]), options(spatial).kind
     parts = [frames.FRAME[kind](COUNTS[row], row) for row in scenes.tolist()]
@@ -99,12 +122,17 @@ def test_mirrored_input_negates_an_equivariant_network(spatial, cell):
 @pytest.mark.parametrize("centred", [True, False])
 def test_features_are_standardised_over_the_frames_of_a_step(centred):
     """Running statistics are means over the first steps, later moving averages."""
-    scale, steps = FeatureScale(3, centred=centred, momentum=0.25).double(), torch.randn(9, 5, 3).double() * 4 + 7
+    scale, steps = (
+        FeatureScale(3, centred=centred, momentum=0.25).double(),
+        torch.randn(9, 5, 3).double() * 4 + 7,
+    )
     running = torch.zeros(3).double(), torch.ones(3).double()
     for number, x in enumerate(steps, start=1):
         mean = x.mean(0) * centred
         variance = ((x - mean) ** 2).mean(0)
-        torch.testing.assert_close(scale(x), ((x - mean) / (variance + EPSILON).sqrt()).tanh(), **TOLERANCE)
+        torch.testing.assert_close(
+            scale(x), ((x - mean) / (variance + EPSILON).sqrt()).tanh(), **TOLERANCE
+        )
         weight = max(1 / number, 0.25)
         pairs = zip(running, (mean, variance), strict=True)
         running = tuple((1 - weight) * before + weight * now for before, now in pairs)
@@ -123,9 +151,13 @@ def test_statistics_count_frames_once():
     torch.testing.assert_close(net.scale.mean, net.spatial(batch()).mean(0), **TOLERANCE)
 
 
-@pytest.mark.parametrize(("cell", "expected"), [("ltc", -0.04993238503010382), ("lstm", 0.3806235178621074)])
+@pytest.mark.parametrize(
+    ("cell", "expected"), [("ltc", -0.04993238503010382), ("lstm", 0.3806235178621074)]
+)
 def test_a_seed_gives_the_same_numbers_in_all_versions(cell, expected):
-    """Initial weights are drawn in float32, whose logarithms differ between CPUs in the last bit."""
+    """Initial weights are drawn in float32, whose logarithms differ between CPUs in the last
+    bit.
+    """
     assert build("gnn", cell)(batch(), WINDOWS, DT_S)[0].item() == pytest.approx(expected, rel=1e-7)
 
 
@@ -142,17 +174,25 @@ class Counter(TorchDispatchMode):
 
 
 def operators(count: int) -> int:
-    """Return the operators of forward and backward of sa-gnn-ncp with `count` frames of 20 points."""
+    """Return the operators of forward and backward of sa-gnn-ncp with `count` frames of 20
+    points.
+    """
     net = entry(equivariant=True, window=8).build("graph").to("meta")
     batch = frames.join([frames.graph(20, seed) for seed in range(count)], "meta")
     windows = torch.from_numpy(np.lib.stride_tricks.sliding_window_view(np.arange(count), 8).copy())
     with Counter() as counter:
-        net(batch, windows.to("meta"), torch.full(windows.shape, 0.1, device="meta")).sum().backward()
+        net(
+            batch, windows.to("meta"), torch.full(windows.shape, 0.1, device="meta")
+        ).sum().backward()
     return counter.count
 
 
 def test_a_training_step_has_as_many_operators_for_any_number_of_frames(monkeypatch):
-    """Pooling or encoding frame by frame would add at least two for each; the recursion has six steps a frame."""
-    monkeypatch.setattr(gnn, "normalised_adjacency", lambda degree, *_: torch.empty(2 * degree.shape, device="meta"))
+    """Pooling or encoding frame by frame would add at least two for each; the recursion has six
+    steps a frame.
+    """
+    monkeypatch.setattr(
+        gnn, "normalised_adjacency", lambda degree, *_: torch.empty(2 * degree.shape, device="meta")
+    )
     few, many = operators(10), operators(40)
     assert few == many < 600

@@ -1,4 +1,6 @@
-"""HDF5 files, outputs and runs: complete files from any end of a run, nothing else is lost, files from elsewhere."""
+"""HDF5 files, outputs and runs: complete files from any end of a run, nothing else is lost, files
+from elsewhere.
+"""
 
 import errno
 import fcntl
@@ -46,14 +48,20 @@ def write(path: Path) -> Path:
         file.append("cls", np.full((3, 8, 9), 7, np.uint8), "trainId")
         for xyz in XYZ:
             file.append("xyz", xyz, "m", "ptr")
-            file.append("nearest", np.arange(len(xyz), dtype=np.int32), "row", "ptr", refers_to="xyz")
+            file.append(
+                "nearest", np.arange(len(xyz), dtype=np.int32), "row", "ptr", refers_to="xyz"
+            )
         file.put_pointers("ptr", COUNTS)
     return path
 
 
 def test_round_trip(tmp_path):
     with DriveReader(write(tmp_path / "a.h5"), stage="clouds") as file:
-        assert (file.drive, file.attrs["split"], file.params) == (DRIVE, "train", {"clouds": {"seed": 0}})
+        assert (file.drive, file.attrs["split"], file.params) == (
+            DRIVE,
+            "train",
+            {"clouds": {"seed": 0}},
+        )
         np.testing.assert_array_equal(file.time_s, [0, 0.2, 0.3])
         np.testing.assert_array_equal(file["image"], IMAGE)
         np.testing.assert_array_equal(file.row("image", 2), IMAGE[2])
@@ -75,7 +83,10 @@ def test_two_writes_are_byte_identical_and_an_error_changes_nothing(tmp_path):
     path = write(tmp_path / "a.h5")
     before = path.read_bytes()
     assert write(tmp_path / "b.h5").read_bytes() == before
-    with pytest.raises(ZeroDivisionError), DriveWriter(path, stage="x", drive=DRIVE, params={}) as file:  # noqa: PT012
+    with (  # noqa: PT012
+        pytest.raises(ZeroDivisionError),
+        DriveWriter(path, stage="x", drive=DRIVE, params={}) as file,
+    ):
         file.put("frame", np.arange(1000))
         raise ZeroDivisionError
     assert contents(tmp_path) == dict.fromkeys(("a.h5", "b.h5"), before)
@@ -83,7 +94,9 @@ def test_two_writes_are_byte_identical_and_an_error_changes_nothing(tmp_path):
 
 @contextmanager
 def files_up_to(size: int) -> Iterator[None]:
-    """Let this process write no file beyond `size` bytes: the system refuses, as with a full disk."""
+    """Let this process write no file beyond `size` bytes: the system refuses, as with a full
+    disk.
+    """
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
@@ -118,7 +131,9 @@ def to_virtual(file: h5py.File, elsewhere: Path) -> None:
     [
         to_virtual,
         lambda file, elsewhere: file.update(image=h5py.ExternalLink(elsewhere, "image")),
-        lambda file, other: file.create_dataset("image", (16,), np.uint8, external=[(other, 0, h5py.h5f.UNLIMITED)]),
+        lambda file, other: file.create_dataset(
+            "image", (16,), np.uint8, external=[(other, 0, h5py.h5f.UNLIMITED)]
+        ),
         lambda file, _: file.create_dataset("image", data=IMAGE, **hdf5plugin.Blosc2()),
     ],
 )
@@ -127,7 +142,9 @@ def test_a_file_from_elsewhere_opens_no_other_file_and_runs_no_filter_of_others(
     with h5py.File(path, "r+") as file:
         del file["image"]
         change(file, write(tmp_path / "elsewhere.h5"))
-    with pytest.raises(InputError, match=r"'image' (is a link|has external storage or a filter)") as raised:
+    with pytest.raises(
+        InputError, match=r"'image' (is a link|has external storage or a filter)"
+    ) as raised:
         DriveReader(path, stage="clouds")
     assert raised.value.where == str(path)
 
@@ -138,12 +155,24 @@ def test_a_file_from_elsewhere_opens_no_other_file_and_runs_no_filter_of_others(
         ("a", "ingest", None, "expected stage 'ingest', schema 6; got stage 'clouds', schema 6"),
         ("a", "clouds", Path.unlink, "missing"),
         ("2011_09_26_drive_0002", "clouds", None, f"contains drive {DRIVE}"),
-        ("a", "clouds", lambda path: h5py.File(path, "r+").attrs.update(schema=3), "got stage 'clouds', schema 3"),
+        (
+            "a",
+            "clouds",
+            lambda path: h5py.File(path, "r+").attrs.update(schema=3),
+            "got stage 'clouds', schema 3",
+        ),
         ("a", "clouds", lambda path: path.write_bytes(path.read_bytes()[:1000]), "damaged"),
-        ("a", "clouds", lambda path: fcntl.flock(os.open(path, os.O_RDONLY), fcntl.LOCK_EX), "another process has it"),
+        (
+            "a",
+            "clouds",
+            lambda path: fcntl.flock(os.open(path, os.O_RDONLY), fcntl.LOCK_EX),
+            "another process has it",
+        ),
     ],
 )
-def test_files_of_other_stages_schemas_and_drives_are_refused(tmp_path, name, stage, change, problem):
+def test_files_of_other_stages_schemas_and_drives_are_refused(
+    tmp_path, name, stage, change, problem
+):
     path = write(tmp_path / f"{name}.h5")
     if name != "a":  # in the folder of a stage
         (tmp_path / "index.json").touch()
@@ -156,7 +185,11 @@ def test_files_of_other_stages_schemas_and_drives_are_refused(tmp_path, name, st
 
 
 def test_a_file_system_without_locks_can_be_read_and_not_written(tmp_path, monkeypatch):
-    path, opened, refused = write(tmp_path / "a.h5"), h5py.File, OSError(errno.ENOLCK, "No locks available")
+    path, opened, refused = (
+        write(tmp_path / "a.h5"),
+        h5py.File,
+        OSError(errno.ENOLCK, "No locks available"),
+    )
 
     def without_locks(*args: Any, locking: bool = True, **options: Any) -> h5py.File:
         if locking:
@@ -167,7 +200,9 @@ def test_a_file_system_without_locks_can_be_read_and_not_written(tmp_path, monke
     monkeypatch.setattr(fcntl, "flock", Mock(side_effect=refused))
     with DriveReader(path, stage="clouds") as file:
         assert file.drive == DRIVE
-    with pytest.raises(InputError, match=f"{tmp_path}/data/.drives/labels.lock: the file system has no locks"):
+    with pytest.raises(
+        InputError, match=f"{tmp_path}/data/.drives/labels.lock: the file system has no locks"
+    ):
         publish(tmp_path / "data/labels", "a.h5")
 
 
@@ -178,7 +213,9 @@ def test_index_round_trip(tmp_path):
         store.read_index(tmp_path, stage="clouds")
     for drive in splits:
         write(tmp_path / f"{drive}.h5")
-    assert list(store.read_index(tmp_path, stage="clouds").items()) == list(splits.items())  # in their order
+    assert list(store.read_index(tmp_path, stage="clouds").items()) == list(
+        splits.items()
+    )  # in their order
     assert store.drives_in(splits, "train") == ["b", "c"]
     (tmp_path / "index.json").write_text('{"drives": ')
     with pytest.raises(InputError, match="damaged"):
@@ -199,11 +236,17 @@ def test_a_stage_replaces_its_files_and_drives_that_are_no_more(tmp_path):
     with pytest.raises(ZeroDivisionError), stage_folder("labels", out) as folder:  # noqa: PT012
         write_text(folder.new / "b.h5", "half")
         raise ZeroDivisionError
-    with stage_folder("labels", out), pytest.raises(InputError, match="another process"), stage_folder("labels", out):
+    with (
+        stage_folder("labels", out),
+        pytest.raises(InputError, match="another process"),
+        stage_folder("labels", out),
+    ):
         assert contents(out) == before
     publish(out, "a.h5", "b.h5", "below/new.txt")
     assert read_json(out / "index.json", stage="labels") == INDEX
-    files = {name: content.decode() for name, content in contents(out).items() if name != "index.json"}
+    files = {
+        name: content.decode() for name, content in contents(out).items() if name != "index.json"
+    }
     expected = {name: name for name in ("a.h5", "b.h5", "below/new.txt")}
     assert files == expected | {"own.txt": "foreign"}
 
@@ -215,7 +258,11 @@ INDEX = {"stage": "labels", "entry": ""}
     ("existing", "stage", "problem"),
     [
         ({"notes.txt": "foreign"}, "labels", "files that stage labels did not write"),
-        ({"index.json": json.dumps(INDEX | {"stage": "ingest"}), "a.h5": "x"}, "labels", "files that stage labels did"),
+        (
+            {"index.json": json.dumps(INDEX | {"stage": "ingest"}), "a.h5": "x"},
+            "labels",
+            "files that stage labels did",
+        ),
         (
             {"index.json": json.dumps(INDEX | {"stage": "train", "entry": "b"})},
             "train@a",
@@ -226,16 +273,22 @@ INDEX = {"stage": "labels", "entry": ""}
         ({".DS_Store": "foreign"}, "labels", ""),
     ],
 )
-def test_a_folder_of_others_is_refused_and_their_files_stay(tmp_path, monkeypatch, existing, stage, problem):
+def test_a_folder_of_others_is_refused_and_their_files_stay(
+    tmp_path, monkeypatch, existing, stage, problem
+):
     out = tmp_path / "data/out"
     for name, content in existing.items():
         write_text(out / name, content)
     before = contents(out)
     with pytest.raises(InputError, match=problem) if problem else nullcontext():
         publish(out, "b.h5", stage=stage)
-    assert {name: contents(out)[name] for name in before if problem or name != "index.json"}.items() <= before.items()
+    assert {
+        name: contents(out)[name] for name in before if problem or name != "index.json"
+    }.items() <= before.items()
     assert (out / "b.h5").exists() == (not problem)
-    monkeypatch.setenv("DVC_STAGE", stage)  # DVC empties outputs, but what is none may lie beside them
+    monkeypatch.setenv(
+        "DVC_STAGE", stage
+    )  # DVC empties outputs, but what is none may lie beside them
     publish(out, "b.h5", stage=stage)
 
 
@@ -259,7 +312,10 @@ def test_a_command_takes_the_first_free_folder(tmp_path, monkeypatch, existing, 
         write_text(other / "motion.csv", "")
     assert contents(tmp_path) == before | {str(other / "motion.csv"): b""}
     for name in existing[:1]:
-        with pytest.raises(InputError, match="Pass another --out"), claimed(Path("out") / name, "ride"):
+        with (
+            pytest.raises(InputError, match="Pass another --out"),
+            claimed(Path("out") / name, "ride"),
+        ):
             pass
 
 
@@ -276,7 +332,9 @@ def expected(tmp_path_factory) -> dict[str, bytes]:
     return outputs(folder)
 
 
-@pytest.mark.parametrize(("quota", "workers"), [("150000 100000", 1), ("50000 100000", 1), ("max 100000", None)])
+@pytest.mark.parametrize(
+    ("quota", "workers"), [("150000 100000", 1), ("50000 100000", 1), ("max 100000", None)]
+)
 def test_a_container_has_as_many_workers_as_its_quota_allows(tmp_path, monkeypatch, quota, workers):
     monkeypatch.delenv("STEER_WORKERS")
     (tmp_path / "cpu.max").write_text(f"{quota}\n")
@@ -289,18 +347,26 @@ def test_a_container_has_as_many_workers_as_its_quota_allows(tmp_path, monkeypat
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_bytes_do_not_depend_on_workers(folder, expected, workers, capsys):
     summaries = toy_stage.main(folder, workers=workers)
-    assert list(summaries.items()) == [(drive, {"frames": toy_stage.FRAMES[drive]}) for drive in DRIVES]
+    assert list(summaries.items()) == [
+        (drive, {"frames": toy_stage.FRAMES[drive]}) for drive in DRIVES
+    ]
     assert outputs(folder) == expected
     assert calls(folder) == DRIVES
     *lines, last = capsys.readouterr().out.splitlines()
     assert last == "no frames of empty"
-    assert {line.split(",")[0] for line in lines} == {f"{name}: {n} frames" for name, n in toy_stage.FRAMES.items()}
+    assert {line.split(",")[0] for line in lines} == {
+        f"{name}: {n} frames" for name, n in toy_stage.FRAMES.items()
+    }
     if workers == 1:
-        assert [line.split(":")[0] for line in lines] == ["b", "c", "a", "empty"], "the longest first"
+        assert [line.split(":")[0] for line in lines] == ["b", "c", "a", "empty"], (
+            "the longest first"
+        )
 
 
 def test_only_what_changed_is_made_again(folder, expected, monkeypatch):
-    """Finished drives stay after success, although DVC deletes the output of a stage before it runs."""
+    """Finished drives stay after success, although DVC deletes the output of a stage before it
+    runs.
+    """
     for drives, k, input_b, code, made in [
         (["a", "b"], 2, bytes(6), "1", ["a", "b"]),
         (["a", "b", "c"], 2, bytes(6), "1", ["c"]),  # a new drive
@@ -321,9 +387,12 @@ def test_only_what_changed_is_made_again(folder, expected, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("kind", "workers"), [("fail", 1), *(pytest.param(kind, 2, marks=pytest.mark.slow) for kind in ("die", "full"))]
+    ("kind", "workers"),
+    [("fail", 1), *(pytest.param(kind, 2, marks=pytest.mark.slow) for kind in ("die", "full"))],
 )
-def test_an_error_a_dead_worker_and_a_full_disk_keep_finished_drives(folder, expected, kind, workers):
+def test_an_error_a_dead_worker_and_a_full_disk_keep_finished_drives(
+    folder, expected, kind, workers
+):
     trouble(folder, c=kind)
     with pytest.raises((InputError, OSError)) as raised:
         toy_stage.main(folder, workers=workers)
@@ -376,7 +445,9 @@ def cluster() -> Iterator[Any]:
     """A scheduler and two workers."""
     distributed = pytest.importorskip("distributed")
     local = {"dashboard_address": "127.0.0.1:0", "host": "127.0.0.1"}
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, **local) as started:
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, **local
+    ) as started:
         yield started
 
 
@@ -387,7 +458,9 @@ def dask(cluster, monkeypatch) -> Any:
 
 
 @pytest.mark.slow
-def test_a_cluster_writes_the_bytes_of_one_process_and_repeats_jobs_of_dead_workers(folder, expected, dask):
+def test_a_cluster_writes_the_bytes_of_one_process_and_repeats_jobs_of_dead_workers(
+    folder, expected, dask
+):
     trouble(folder, b="die once")
     toy_stage.main(folder)
     assert str(os.getpid()) not in (folder / "calls").read_text().split()
@@ -434,7 +507,10 @@ def test_the_hash_of_a_folder_ignores_files_of_file_managers(tmp_path):
     [
         (InputError("wrong:\n  value", "a", "Do b"), "a: wrong: value. Do b"),
         (OSError(errno.ENOSPC, "No space left", "data/x.h5"), "data/x.h5: No space left"),
-        (KeyboardInterrupt(), "interrupted. Repeat the command to continue: complete files are kept"),
+        (
+            KeyboardInterrupt(),
+            "interrupted. Repeat the command to continue: complete files are kept",
+        ),
     ],
     ids=repr,
 )

@@ -1,4 +1,6 @@
-"""Cache keys: what can change a result is in its key, nothing else is, and an edit while a stage runs is found."""
+"""Cache keys: what can change a result is in its key, nothing else is, and an edit while a stage
+runs is found.
+"""
 
 import os
 import pickle
@@ -78,12 +80,23 @@ def test_a_key_has_the_code_that_can_change_the_result(checkout, file, before, a
 
 @pytest.mark.parametrize(
     ("package", "changed"),
-    [("opencv-python-headless", ALL), ("transformers", {"perception"}), ("av", INGEST), ("tqdm", set())],
+    [
+        ("opencv-python-headless", ALL),
+        ("transformers", {"perception"}),
+        ("av", INGEST),
+        ("tqdm", set()),
+    ],
 )
-def test_a_key_has_the_versions_of_packages_that_change_numbers(checkout, monkeypatch, package, changed):
+def test_a_key_has_the_versions_of_packages_that_change_numbers(
+    checkout, monkeypatch, package, changed
+):
     known, version = keys(), resume.importlib.metadata.version
     resume._version.cache_clear()
-    monkeypatch.setattr(resume.importlib.metadata, "version", lambda name: version(name) + "+other" * (name == package))
+    monkeypatch.setattr(
+        resume.importlib.metadata,
+        "version",
+        lambda name: version(name) + "+other" * (name == package),
+    )
     assert {title for title, key in keys().items() if key != known[title]} == changed
     resume._version.cache_clear()
 

@@ -1,4 +1,6 @@
-"""A stage of arithmetic on four drives. A file ``trouble/<drive>`` makes it fail, wait or die at a frame."""
+"""A stage of arithmetic on four drives. A file ``trouble/<drive>`` makes it fail, wait or die at a
+frame.
+"""
 
 import os
 import resource
@@ -54,8 +56,13 @@ def _trouble(path: Path) -> None:
             wait_for(lambda: not path.exists())
 
 
-def main(folder: Path, k: int = 2, workers: int | None = None, drives: Sequence[str] = DRIVES) -> dict[str, Any]:
-    jobs = [Job(drive, f"{drive}.h5", [folder / f"input/{drive}"], partial(work, drive, folder, k)) for drive in drives]
+def main(
+    folder: Path, k: int = 2, workers: int | None = None, drives: Sequence[str] = DRIVES
+) -> dict[str, Any]:
+    jobs = [
+        Job(drive, f"{drive}.h5", [folder / f"input/{drive}"], partial(work, drive, folder, k))
+        for drive in drives
+    ]
     with stage_folder("labels", folder / "data/toy", dict.fromkeys(drives, "train")) as stage:
         summaries = make_drives(stage, jobs, {"k": k}, "{frames} frames", workers)
     return summaries
@@ -77,7 +84,9 @@ def outputs(folder: Path) -> dict[str, bytes]:
 def calls(folder: Path) -> list[str]:
     """Return the drives that were begun since the last time."""
     path = folder / "calls"
-    drives = sorted(line.split()[0] for line in path.read_text().splitlines()) if path.exists() else []
+    drives = (
+        sorted(line.split()[0] for line in path.read_text().splitlines()) if path.exists() else []
+    )
     path.unlink(missing_ok=True)
     return drives
 
@@ -100,7 +109,8 @@ def start(folder: Path) -> "subprocess.Popen[str]":
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored if the tests run in the background
+        # ignored if the tests run in the background
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
 
 

@@ -1,4 +1,6 @@
-"""The pinhole camera forward and back, and what cropping and resizing do to it and to its images."""
+"""The pinhole camera forward and back, and what cropping and resizing do to it and to its
+images.
+"""
 
 import cv2
 import numpy as np
@@ -47,14 +49,20 @@ def test_scaled_and_cropped_cameras_project_to_the_moved_position(height, width,
     camera, new_size = Camera(K, SIZE, horizon=17.0), (height, width)
     xyz = np.random.default_rng(seed).uniform([-3, -2, 5], [3, 2, 20], (100, 3))
     old, scaled = project(xyz, K)[0], camera.scaled(new_size)
-    np.testing.assert_allclose((project(xyz, scaled.K)[0] + 0.5) / new_size[::-1], (old + 0.5) / SIZE[::-1], atol=1e-9)
+    np.testing.assert_allclose(
+        (project(xyz, scaled.K)[0] + 0.5) / new_size[::-1], (old + 0.5) / SIZE[::-1], atol=1e-9
+    )
     assert (scaled.horizon + 0.5) / height == pytest.approx(17.5 / SIZE[0])
     crop = camera.crop_to(new_size)
     cropped = camera.cropped(crop)
-    np.testing.assert_allclose(project(xyz, cropped.K)[0], old - [crop.columns.start, crop.rows.start], atol=1e-9)
+    np.testing.assert_allclose(
+        project(xyz, cropped.K)[0], old - [crop.columns.start, crop.rows.start], atol=1e-9
+    )
     assert cropped.horizon == 17.0 - crop.rows.start
     assert cropped.size == crop.pixels(np.zeros(SIZE)).shape
-    assert crop.size[0] / crop.size[1] == pytest.approx(height / width, rel=0.04 + 1 / min(crop.size))
+    assert crop.size[0] / crop.size[1] == pytest.approx(
+        height / width, rel=0.04 + 1 / min(crop.size)
+    )
 
 
 @pytest.mark.parametrize("horizon", [None, 12.0, 30.0, 500.0])
@@ -76,7 +84,8 @@ def test_pixels_move_with_the_intrinsics():
     back = np.linalg.inv(Camera(np.eye(3), SIZE).scaled(SMALL).K)
     v, u = np.mgrid[: SMALL[0], : SMALL[1]]
     expected = (np.stack([u, v, np.ones_like(u)], axis=-1) @ back.T)[..., :2]
-    assert np.abs(resized(ramps(np.uint8), SMALL)[..., :2] - expected).max() <= 0.5  # rounding to uint8
+    # rounding to uint8
+    assert np.abs(resized(ramps(np.uint8), SMALL)[..., :2] - expected).max() <= 0.5
     u, v = ramps(np.uint16)[..., 0], ramps(np.uint16)[..., 1]
     picked = nearest(1000 * v + u, SMALL)
     where = np.stack([picked % 1000, picked // 1000], axis=-1)
@@ -108,7 +117,8 @@ def test_ground_is_a_plane_and_objects_have_the_depth_of_their_foot():
     ground = cls == classes.ROAD
     np.testing.assert_allclose(back_project(depth, street.K)[ground][:, 1], 1.65)
     np.testing.assert_allclose(depth[ground], truth[ground])
-    # The street's walls are upright, so each wall pixel is as far as the first road pixel below it, or nearer.
+    # The street's walls are upright, so each wall pixel is as far as the first road pixel below it,
+    # or nearer.
     for column in range(0, street.SIZE[1], 7):
         foot = np.flatnonzero(ground[:, column])[:1]
         if foot.size:
@@ -116,13 +126,17 @@ def test_ground_is_a_plane_and_objects_have_the_depth_of_their_foot():
 
 
 def test_hidden_points_are_dropped_and_ground_stays():
-    camera = Camera(np.array([[360.0, 0, 160], [0, 360, 40], [0, 0, 1]]), (100, 320), T_cam_velo=np.eye(4))
+    camera = Camera(
+        np.array([[360.0, 0, 160], [0, 360, 40], [0, 0, 1]]), (100, 320), T_cam_velo=np.eye(4)
+    )
     rows = np.arange(100)[:, None]
     ground = np.where(rows > 45, 1.65 * 360 / np.maximum(rows - 40, 1), 0) * np.ones((1, 320))
     ground[:, 1::3] = 0
     wall = ground.copy()
     wall[20:80:2, 100:140:2] = 6.0  # a car, and street points behind it between its own
-    kept, ground_kept = (scan_depth(back_project(depth, camera.K)[depth > 0], camera) for depth in (wall, ground))
+    kept, ground_kept = (
+        scan_depth(back_project(depth, camera.K)[depth > 0], camera) for depth in (wall, ground)
+    )
     np.testing.assert_allclose(ground_kept, ground, rtol=1e-6)
     np.testing.assert_allclose(kept[20:80:2, 100:140:2], 6.0)
     hidden = np.zeros_like(wall, bool)

@@ -10,14 +10,17 @@ from pipeline.camera.lens import fisheye, pinhole, undistortion
 
 def test_field_of_view_spans_the_edges():
     K = pinhole((480, 640), fov_deg=90).K
-    left, right = np.linalg.inv(K) @ [-0.5, 0, 1], np.linalg.inv(K) @ [639.5, 0, 1]  # half a pixel beyond the centres
+    # half a pixel beyond the centres
+    left, right = np.linalg.inv(K) @ [-0.5, 0, 1], np.linalg.inv(K) @ [639.5, 0, 1]
     assert np.rad2deg(np.arctan(right[0]) - np.arctan(left[0])) == pytest.approx(90)
     middle = rays(K, (480, 640))[239:241, 319:321].mean(axis=(0, 1))
     np.testing.assert_allclose(middle, [0, 0, 1], atol=1e-12)
 
 
 def test_a_fisheye_lens_is_rectified():
-    """A point at a known angle from the axis comes to lie where the pinhole sees it, by --fov as by --K."""
+    """A point at a known angle from the axis comes to lie where the pinhole sees it, by --fov as by
+    --K.
+    """
     size, half = (400, 640), np.deg2rad(61)
     K = f"{320 / half},{320 / half},319.5,199.5"
     for given in ({"fov_deg": 122.0}, {"K": K}):
@@ -31,12 +34,16 @@ def test_a_fisheye_lens_is_rectified():
             row, column = np.argwhere(straighten(image)[..., 0] > 200).mean(axis=0)
             found = (np.array([column, row]) - 319.5 + np.array([0, 120])) / camera.K[0, 0]
             np.testing.assert_allclose(found, np.tan(angle) * direction, atol=0.006)
-    assert fisheye(size, "0.1,0,0,0", fov_deg=60)[0].K[0, 0] == pytest.approx(320 / np.tan(np.deg2rad(30)), rel=1e-3)
+    assert fisheye(size, "0.1,0,0,0", fov_deg=60)[0].K[0, 0] == pytest.approx(
+        320 / np.tan(np.deg2rad(30)), rel=1e-3
+    )
     with pytest.raises(InputError, match=r"cover 122°, more than 100°.*0,0,0,0"):
         pinhole(size, fov_deg=122)
 
 
-@pytest.mark.parametrize("given", [{"K": "a,b,c,d"}, {"K": "50,50,65,20"}, {}, {"fov_deg": 90, "K": "1,1,1,1"}])
+@pytest.mark.parametrize(
+    "given", [{"K": "a,b,c,d"}, {"K": "50,50,65,20"}, {}, {"fov_deg": 90, "K": "1,1,1,1"}]
+)
 def test_plainly_wrong_intrinsics(given):
     with pytest.raises(InputError):
         pinhole((48, 64), **given)

@@ -1,4 +1,6 @@
-"""params.yaml: values, faults with file, key, value and what is expected, and presets that keep its comments."""
+"""params.yaml: values, faults with file, key, value and what is expected, and presets that keep its
+comments.
+"""
 
 import re
 from functools import partial, reduce
@@ -37,20 +39,39 @@ def test_a_range_names_all_its_drives(tmp_path):
     train = ["2026_01_04_drive_0008..0010", "2011_09_26_drive_0001"]
     drives = {"train": train, "test": ["2026_01_03_drive_0001..0001"]}
     read = params.load(Ingest, edited(tmp_path, "ingest.drives", drives)).drives
-    assert read.train == [*(f"2026_01_04_drive_{number:04d}" for number in (8, 9, 10)), "2011_09_26_drive_0001"]
+    assert read.train == [
+        *(f"2026_01_04_drive_{number:04d}" for number in (8, 9, 10)),
+        "2011_09_26_drive_0001",
+    ]
     assert read.test == ["2026_01_03_drive_0001"]
 
 
 @pytest.mark.parametrize(
     ("section", "key", "value", "problem"),
     [
-        (Labels, "labels.min_speed_mps", "fast", r"labels.min_speed_mps: .*valid number.*got 'fast'."),
-        (Labels, "labels.minspeed_mps", 1, r"labels: unknown key 'minspeed_mps': did you mean min_speed_mps\?"),
+        (
+            Labels,
+            "labels.min_speed_mps",
+            "fast",
+            r"labels.min_speed_mps: .*valid number.*got 'fast'.",
+        ),
+        (
+            Labels,
+            "labels.minspeed_mps",
+            1,
+            r"labels: unknown key 'minspeed_mps': did you mean min_speed_mps\?",
+        ),
         (Labels, "labels.min_speed_mps", None, "min_speed_mps: Field required. Copy it"),
-        (Ingest, "ingest.drives.test", ["0001"], "expected a drive's name, such as 2011_09_26_drive_0052 .got '0001'"),
+        (
+            Ingest,
+            "ingest.drives.test",
+            ["0001"],
+            "expected a drive's name, such as 2011_09_26_drive_0052 .got '0001'",
+        ),
         (Ingest, "ingest.drives.test", ["2026_01_04_drive_0010..0008"], "at most 100 letters"),
         (Train, "train.learning_rate", True, "valid number"),
-        (Clouds, "clouds", {"max_point": 1, "max_depth_m": 80.0}, "did you mean max_points"),  # misspelt, so missing
+        # misspelt, so missing
+        (Clouds, "clouds", {"max_point": 1, "max_depth_m": 80.0}, "did you mean max_points"),
     ],
 )
 def test_faults_name_file_key_and_value(tmp_path, section, key, value, problem):
@@ -74,11 +95,16 @@ def _parts(train: str, test: str) -> str:
         (partial(params.load, Train), "trian: {}", r"no section 'train': did you mean trian\?"),
         (partial(params.load, Train), "", "expected sections"),
         (lambda path: preset.merged(str(path)), "models:\n  '*': null\n", "models.*at least 1"),
-        (lambda path: preset.merged(str(path)), "train:\n  epochs: null\n", r"train\.epochs: Field required"),
+        (
+            lambda path: preset.merged(str(path)),
+            "train:\n  epochs: null\n",
+            r"train\.epochs: Field required",
+        ),
         (
             lambda path: preset.merged(str(path)),
             _parts("{start: 0, end: 12}", "{start: 11.5}"),
-            r"recordings overlap: b is 0 s to 12 s, a is 11.5 s to the end of data/raw/mine. Change start or end",
+            r"recordings overlap: b is 0 s to 12 s, a is 11.5 s to the end of data/raw/mine. "
+            r"Change start or end",
         ),
         (
             lambda path: preset.merged(str(path)),
@@ -90,8 +116,16 @@ def _parts(train: str, test: str) -> str:
             "ingest: {source: both}",
             "ingest.source: both is of an earlier version",
         ),
-        (partial(params.load_entry, Variant, "graphs", "a"), "graphs: {a: {cloud: lidar}}", r"graphs\.a\.cloud is of"),
-        (lambda path: preset.merged(str(path)), "base: [roads]\n", "base is of an earlier version. Copy the settings"),
+        (
+            partial(params.load_entry, Variant, "graphs", "a"),
+            "graphs: {a: {cloud: lidar}}",
+            r"graphs\.a\.cloud is of",
+        ),
+        (
+            lambda path: preset.merged(str(path)),
+            "base: [roads]\n",
+            "base is of an earlier version. Copy the settings",
+        ),
     ],
 )
 def test_a_faulty_file_is_named(tmp_path, read, text, problem):
@@ -100,7 +134,9 @@ def test_a_faulty_file_is_named(tmp_path, read, text, problem):
         read(tmp_path / "mine.yaml")
 
 
-@pytest.mark.parametrize("name", ["", "..", "a b", "a/b", "-a", "x;touch pwned", "$(x)", "ä", "a\n", "x" * 300, 7])
+@pytest.mark.parametrize(
+    "name", ["", "..", "a b", "a/b", "-a", "x;touch pwned", "$(x)", "ä", "a\n", "x" * 300, 7]
+)
 def test_invalid_names(tmp_path, name):
     with pytest.raises(InputError, match="expected at most 100 letters"):
         params.load_entry(Variant, "graphs", name, edited(tmp_path, "graphs", {name: {}}))
@@ -112,8 +148,13 @@ def test_a_preset_is_written_as_its_merged_content_with_all_comments(name):
     assert yaml.safe_load(text) == preset.merged(name)
     _, *rest = text.splitlines()
     original = preset.PARAMS.read_text()
-    assert [line for line in rest if line.lstrip().startswith("#")] == re.findall(r"^ *#.*", original, re.MULTILINE)
-    replaced, section = {key for key, value in params.read(preset.path_of(name)).items() if "*" in value}, ""
+    assert [line for line in rest if line.lstrip().startswith("#")] == re.findall(
+        r"^ *#.*", original, re.MULTILINE
+    )
+    replaced, section = (
+        {key for key, value in params.read(preset.path_of(name)).items() if "*" in value},
+        "",
+    )
     for line in original.splitlines():
         section = line.partition(":")[0] if line[:1].isalpha() else section
         code, _, comment = line.partition(" # ")
@@ -130,7 +171,11 @@ def test_a_row_and_its_controls_differ_in_the_scene_only(name):
         kind = "blind" if entry.spatial == "blind" else entry.scene
         assert re.findall("blind|another", key) == ([] if kind == "same" else [kind]), key
         row = models[key.replace(f"-{kind}", "")]
-        changed = {"scene"} if kind == "another" else {"spatial", *options.load("spatial", row.spatial).model_fields}
+        changed = (
+            {"scene"}
+            if kind == "another"
+            else {"spatial", *options.load("spatial", row.spatial).model_fields}
+        )
         assert entry.model_dump(exclude=changed) == row.model_dump(exclude=changed), key
 
 
@@ -138,11 +183,15 @@ def test_a_star_removes_all_earlier_entries(tmp_path):
     """An entry of the same name does not inherit their settings."""
     model = "{input: semantic, spatial: gnn, temporal: lstm, semantics: 0.5}"
     (tmp_path / "mine.yaml").write_text(f"models:\n  sa-gnn-ncp: {model}\n  '*': null\n")
-    assert preset.merged(str(tmp_path / "mine.yaml"))["models"] == {"sa-gnn-ncp": yaml.safe_load(model)}
+    assert preset.merged(str(tmp_path / "mine.yaml"))["models"] == {
+        "sa-gnn-ncp": yaml.safe_load(model)
+    }
 
 
 def test_one_preset_at_a_time_is_written_into_params(tmp_path, monkeypatch):
-    """Also without git: to the file as the user edited it, which is kept; edits made since are not replaced."""
+    """Also without git: to the file as the user edited it, which is kept; edits made since are not
+    replaced.
+    """
     monkeypatch.chdir(tmp_path)
     params, before = Path("params.yaml"), Path("params.yaml.before")
     edited = preset.PARAMS.read_text().replace("bootstrap_samples: 2000", "bootstrap_samples: 100")
@@ -154,12 +203,15 @@ def test_one_preset_at_a_time_is_written_into_params(tmp_path, monkeypatch):
     assert preset.base_of("table2", params) == before
     written = params.read_text()
     with pytest.raises(
-        InputError, match=r"PRESET=table2 wrote it, so preset roads .* mv params.yaml.before params.yaml"
+        InputError,
+        match=r"PRESET=table2 wrote it, so preset roads .* mv params.yaml.before params.yaml",
     ):
         preset.main("roads")
 
     params.write_text(written.replace("seeds:", "seeds: [7]"))
-    with pytest.raises(InputError, match=r"and it was edited since, so preset table2 does not apply"):
+    with pytest.raises(
+        InputError, match=r"and it was edited since, so preset table2 does not apply"
+    ):
         preset.main("table2")
     params.write_text(written)
     before.unlink()
@@ -176,7 +228,9 @@ def test_one_preset_at_a_time_is_written_into_params(tmp_path, monkeypatch):
 
     preset.main("street", Path("runs/street"))  # as make street does, for any params.yaml
     Path("runs/street/params.yaml").write_text("edits")
-    with pytest.raises(InputError, match=r"runs/street/params.yaml: was edited, and would be replaced"):
+    with pytest.raises(
+        InputError, match=r"runs/street/params.yaml: was edited, and would be replaced"
+    ):
         preset.main("street", Path("runs/street"))
     assert params.read_text() == written
 

@@ -25,14 +25,25 @@ def test_pseudo_cloud_has_a_point_per_valid_pixel():
     uv, z = geometry.project(xyz.astype(np.float64), K)
     assert z == pytest.approx(np.full(len(z), 10.0))
     pixels = set(map(tuple, np.rint(uv).astype(int).tolist()))
-    assert pixels == {(u, v) for u in range(40) for v in range(20)} - {(0, 0), (1, 1), (2, 2), (3, 3)}
+    assert pixels == {(u, v) for u in range(40) for v in range(20)} - {
+        (0, 0),
+        (1, 1),
+        (2, 2),
+        (3, 3),
+    }
     assert len(xyz) == len(labels) == len(pixels)
-    xyz, labels = cloud.pseudo_cloud(depth, np.full((20, 40), classes.VOID, np.uint8), K, max_depth_m=80.0)
+    xyz, labels = cloud.pseudo_cloud(
+        depth, np.full((20, 40), classes.VOID, np.uint8), K, max_depth_m=80.0
+    )
     assert len(xyz) == 20 * 40 - 2  # without classes, each pixel with depth is a point
 
 
 def test_lidar_points_take_the_class_of_their_pixel():
-    camera = Camera(K, (20, 40), T_cam_velo=np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]))
+    camera = Camera(
+        K,
+        (20, 40),
+        T_cam_velo=np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]),
+    )
     cls = np.full((20, 40), classes.CAR, np.uint8)
     cls[:, 20:] = classes.SKY
     # On a car, inside it, on the street behind it, on the sky, behind the camera, beside the image.
@@ -49,7 +60,9 @@ def test_morton_order_equals_bitwise_interleaving():
 
     def code(point: np.ndarray) -> int:
         cells = [round(value * 1024) + 2**20 for value in point.tolist()]
-        return sum(((cells[axis] >> bit) & 1) << (3 * bit + axis) for bit in range(21) for axis in range(3))
+        return sum(
+            ((cells[axis] >> bit) & 1) << (3 * bit + axis) for bit in range(21) for axis in range(3)
+        )
 
     stored, order = cloud.ordered((xyz, cls))
     np.testing.assert_array_equal(stored, np.rint(xyz[order] * 1024) / 1024)
@@ -60,13 +73,17 @@ def test_drawn_points_depend_on_the_frame_alone_lie_in_the_crop_and_keep_order_a
     xyz, cls = artefacts.points(900)
 
     def drawn(count: int, frame: int) -> list[int]:
-        part, labels = cloud.draw_points((xyz, cls), (-5, 0, 5, 20), count, cloud.frame_rng(0, "drive", frame))
+        part, labels = cloud.draw_points(
+            (xyz, cls), (-5, 0, 5, 20), count, cloud.frame_rng(0, "drive", frame)
+        )
         rows = rows_of(part, xyz)
         assert rows == sorted(set(rows))
         assert labels.tolist() == cls[rows].tolist()
         return rows
 
-    inside = np.flatnonzero((np.abs(xyz[:, 0]) <= 5) & (xyz[:, 2] >= 0) & (xyz[:, 2] <= 20)).tolist()
+    inside = np.flatnonzero(
+        (np.abs(xyz[:, 0]) <= 5) & (xyz[:, 2] >= 0) & (xyz[:, 2] <= 20)
+    ).tolist()
     assert drawn(900, 0) == inside
     assert drawn(20, 5) == drawn(20, 5) != drawn(20, 6)
     assert set(drawn(20, 6)) < set(inside)
@@ -78,7 +95,9 @@ def test_sampling_by_range_draws_equal_numbers_and_fills_up_from_where_points_ar
     rng = np.random.default_rng(0)
     range_m = np.repeat([7.0, 15.0, 30.0, 60.0], [700, 200, 90, 10])
     bearing = rng.uniform(-1, 1, 1000)
-    xyz = np.stack([range_m * np.sin(bearing), rng.uniform(-1, 2, 1000), range_m * np.cos(bearing)], axis=1)
+    xyz = np.stack(
+        [range_m * np.sin(bearing), rng.uniform(-1, 2, 1000), range_m * np.cos(bearing)], axis=1
+    )
 
     def counts(limit: int) -> list[int]:
         drawn = cloud.draw_by_range(xyz, limit, rng)

@@ -28,7 +28,10 @@ BLIND = "2026_01_01_drive_0004"
 def test_a_file_is_downloaded_once_and_verified(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("published.pth").write_bytes(b"some weights")
-    sha256, url = hashlib.sha256(b"some weights").hexdigest(), Path("published.pth").resolve().as_uri()
+    sha256, url = (
+        hashlib.sha256(b"some weights").hexdigest(),
+        Path("published.pth").resolve().as_uri(),
+    )
     path = Path("weights/a/net.pth")
     with pytest.raises(InputError, match="cannot download file:"):
         fetch(path, url, "0" * 64)

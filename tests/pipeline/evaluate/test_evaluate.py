@@ -1,4 +1,6 @@
-"""Metrics of a split: counted frames, drives, baselines; errors and their intervals; onsets of turns and drift."""
+"""Metrics of a split: counted frames, drives, baselines; errors and their intervals; onsets of
+turns and drift.
+"""
 
 import tarfile
 from collections.abc import Sequence
@@ -26,7 +28,10 @@ NAMES = ["2026_01_03_drive_0001", "2026_01_03_drive_0002"]
 
 
 def read(folder: Path, horizon: int = 0) -> list[LabelledDrive]:
-    return [read_drive(folder / "graphs/semantic", folder / "labels", name, entry(horizon=horizon)) for name in NAMES]
+    return [
+        read_drive(folder / "graphs/semantic", folder / "labels", name, entry(horizon=horizon))
+        for name in NAMES
+    ]
 
 
 def settings(block: int, samples: int) -> Evaluate:
@@ -60,7 +65,9 @@ def test_invalid_and_early_frames_do_not_count(folder):
 
 
 def test_a_metric_that_returns_no_number_is_named(monkeypatch):
-    monkeypatch.setitem(statistics.METRICS, "worst", statistics.Metric(lambda truth, predicted: float("nan")))
+    monkeypatch.setitem(
+        statistics.METRICS, "worst", statistics.Metric(lambda truth, predicted: float("nan"))
+    )
     with pytest.raises(InputError, match="metric worst returned nan"):
         statistics.scores(np.ones(3), np.ones(3))
 
@@ -82,7 +89,9 @@ def test_odometry_needs_motion_in_all_frames_and_other_labels(folder, monkeypatc
         found = baselines(5)
         assert list(found) == [*without, "odometry", "regression"]
         for name, gain in {"odometry": 1.0, "regression": 0.5}.items():
-            np.testing.assert_allclose(found[name], gain * known * first.target, rtol=1e-4, atol=1e-9)
+            np.testing.assert_allclose(
+                found[name], gain * known * first.target, rtol=1e-4, atol=1e-9
+            )
     assert (found["train_mean"] == 0.05).all()
     np.testing.assert_allclose(found["persistence"], first.target)
     assert list(baselines(0)) == without + ["odometry", "regression"] * (source == "oxts")
@@ -103,7 +112,13 @@ def test_scores_by_hand():
 
 @pytest.mark.parametrize(
     ("nmse", "untrained"),
-    [([0.1, 0.2, 0.6], [2]), ([0.3, 0.4, 0.6], []), ([0.95, 0.1], [0]), ([0.95], [0]), ([np.nan, 0.1], [])],
+    [
+        ([0.1, 0.2, 0.6], [2]),
+        ([0.3, 0.4, 0.6], []),
+        ([0.95, 0.1], [0]),
+        ([0.95], [0]),
+        ([np.nan, 0.1], []),
+    ],
 )
 def test_seeds_that_did_not_train(nmse, untrained):
     assert statistics.untrained(np.array(nmse)) == untrained
@@ -116,7 +131,9 @@ def interval(steering, error, drive, block, samples, *other: np.ndarray) -> list
 
 
 def test_intervals_of_paired_differences_have_their_coverage():
-    """Twenty drives, and a long one that is cut into parts; errors of two models vary by seed, road and both."""
+    """Twenty drives, and a long one that is cut into parts; errors of two models vary by seed, road
+    and both.
+    """
     rng = np.random.default_rng(0)
     for drives, frames in ((20, 30), (1, 3000)):
         hits, drive = 0, np.repeat(np.arange(drives), frames)
@@ -124,9 +141,14 @@ def test_intervals_of_paired_differences_have_their_coverage():
         for _ in range(60):
             true, models = rng.normal(size=len(drive)), []
             for nmse in (0.146, 0.124):
-                spread = sum(rng.normal(-(s**2) / 2, s, n) for s, n in ((0.3, (5, 1)), (0.5, 30), (0.5, (5, 30))))
+                spread = sum(
+                    rng.normal(-(s**2) / 2, s, n)
+                    for s, n in ((0.3, (5, 1)), (0.5, 30), (0.5, (5, 30)))
+                )
                 models.append(nmse * true**2 * np.exp(spread)[:, road])
-            low, high = statistics.interval(models[0], true, drive, settings(100, 300), models[1]) or (1, 0)
+            low, high = statistics.interval(
+                models[0], true, drive, settings(100, 300), models[1]
+            ) or (1, 0)
             hits += low <= 0.146 - 0.124 <= high
         assert 0.88 <= hits / 60 <= 0.99
 
@@ -139,7 +161,8 @@ def test_drives_of_two_or_more_blocks_are_cut_into_equal_parts():
 def test_interval_draws_parts_and_widens_their_deviation():
     steering = np.concatenate([np.full(20, 0.1), np.full(20, 0.3)])
     error = np.concatenate([np.full(20, 0.1), np.zeros(20)])
-    # Two drives are drawn, each complete: error ratios 1, 0.1 (one of each) and 0. No nmse is below 0.
+    # Two drives are drawn, each complete: error ratios 1, 0.1 (one of each) and 0. No nmse is below
+    # 0.
     bounds = [0, pytest.approx(0.1 + np.sqrt(2) * 0.9)]
     assert interval(steering, error, np.repeat([0, 1], 20), block=20, samples=500) == bounds
     assert interval(steering, error, np.zeros(40), block=20, samples=500) == bounds
@@ -149,14 +172,22 @@ def test_interval_draws_parts_and_widens_their_deviation():
 
 
 def test_seeds_of_each_model_are_drawn_independently_of_the_other_model():
-    """All roads are equal, so that the interval is that of the mean over seeds, with the deviation for n - 1."""
-    steering, drive, squared = np.full(60, 0.1), np.arange(60) // 3, [4, 5, 6, 7, 9, 10, 12, 13, 15, 19]
+    """All roads are equal, so that the interval is that of the mean over seeds, with the deviation
+    for n - 1.
+    """
+    steering, drive, squared = (
+        np.full(60, 0.1),
+        np.arange(60) // 3,
+        [4, 5, 6, 7, 9, 10, 12, 13, 15, 19],
+    )
     error = 0.1 * np.sqrt(squared)[:, None] * np.ones(60)
     sigma = np.std(squared, ddof=1) / np.sqrt(10)
     low, high = interval(steering, error, drive, 50, 20_000)
     assert (low, high) == pytest.approx((10 - 1.96 * sigma, 10 + 1.96 * sigma), rel=0.05)
     low, high = interval(steering, error, drive, 50, 20_000, error)
-    assert (low, high) == pytest.approx((-1.96 * sigma * np.sqrt(2), 1.96 * sigma * np.sqrt(2)), rel=0.05)
+    assert (low, high) == pytest.approx(
+        (-1.96 * sigma * np.sqrt(2), 1.96 * sigma * np.sqrt(2)), rel=0.05
+    )
     assert interval(steering, error[:1], drive, 50, 500) == pytest.approx([4, 4])
 
 
@@ -179,8 +210,11 @@ def test_the_difference_of_two_models_has_a_narrower_interval():
     alone = interval(steering, one[:1], drive, 50, 500)
     assert high - low < 0.5 * (alone[1] - alone[0])
     assert interval(steering, one[:1], drive, 50, 500, one[:1]) == [0.0, 0.0]
-    first, second = (values[:1, :, None] ** 2 * [1, 2, 3] for values in (one, other))  # three columns, drawn together
-    paired = statistics.interval(first, np.stack([steering] * 3, axis=-1), drive, settings(50, 500), second)
+    # three columns, drawn together
+    first, second = (values[:1, :, None] ** 2 * [1, 2, 3] for values in (one, other))
+    paired = statistics.interval(
+        first, np.stack([steering] * 3, axis=-1), drive, settings(50, 500), second
+    )
     assert paired == pytest.approx([2 * low, 2 * high])
 
 
@@ -193,8 +227,12 @@ TIME_S = np.arange(STEPS) / 10
 
 def off(predicted_rad: float, *onsets: int) -> float | None:
     """Return the drift of a constant angle on a straight road."""
-    driven = label.Labels(np.zeros(STEPS), np.ones(STEPS, bool), np.full(STEPS, 10.0), np.zeros(STEPS))
-    drive: Any = SimpleNamespace(frame=np.arange(STEPS), time_s=TIME_S, driven=driven, settings=artefacts.LABELS)
+    driven = label.Labels(
+        np.zeros(STEPS), np.ones(STEPS, bool), np.full(STEPS, 10.0), np.zeros(STEPS)
+    )
+    drive: Any = SimpleNamespace(
+        frame=np.arange(STEPS), time_s=TIME_S, driven=driven, settings=artefacts.LABELS
+    )
     return drift([(drive, np.isin(drive.frame, onsets), np.full(STEPS, predicted_rad))])
 
 
@@ -208,39 +246,60 @@ def test_segments_end_at_onsets_and_missing_predictions():
 
 def test_drift_is_the_final_distance_per_100_m():
     assert off(0.0) == 0
-    # Small angle ε from L: after s metres off by ε s² / 2 L; 100 m in one piece, or in two of 50 and 49 steps.
+    # Small angle ε from L: after s metres off by ε s² / 2 L; 100 m in one piece, or in two of 50
+    # and 49 steps.
     assert off(0.01) == pytest.approx(0.01 * 100**2 / 2 / 2.7, rel=0.02)
     assert off(0.01, 50) == pytest.approx(0.01 * (49**2 + 50**2) / 2 / 2.7 / 99 * 100, rel=0.02)
     assert off(np.nan) is None
 
 
 def test_a_step_uses_speed_and_angle_of_its_end():
-    speed, angles, time_s = np.array([9.0, 2.0, 4.0]), np.array([9.0, 0.0, 0.1]), np.array([0.0, 0.5, 1.0])
+    speed, angles, time_s = (
+        np.array([9.0, 2.0, 4.0]),
+        np.array([9.0, 0.0, 0.1]),
+        np.array([0.0, 0.5, 1.0]),
+    )
     path = turns.path(angles, speed, time_s, wheelbase_m=2.7)
     turned = 2.0 / 2.7 * np.tan(0.1)
-    np.testing.assert_allclose(path, [[0, 0], [1, 0], [1 + 2 * np.cos(turned / 2), 2 * np.sin(turned / 2)]])
+    np.testing.assert_allclose(
+        path, [[0, 0], [1, 0], [1 + 2 * np.cos(turned / 2), 2 * np.sin(turned / 2)]]
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.real
 def test_paths_of_true_angles_follow_gnss(real_kitti, tmp_path):
-    """Label, sign and integration at once: GNSS positions are a second route to where the car went."""
+    """Label, sign and integration at once: GNSS positions are a second route to where the car
+    went.
+    """
     with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
         archive.extractall(tmp_path, filter="data")
     drives = [KittiDrive(path) for path in sorted(tmp_path.glob("*/*_sync"))]
-    means = [pieces.mean() for drive in drives if len(drive.oxts) > 300 and len(pieces := off_the_track(drive))]
+    means = [
+        pieces.mean()
+        for drive in drives
+        if len(drive.oxts) > 300 and len(pieces := off_the_track(drive))
+    ]
     assert len(means) == 30
-    assert sum(mean > 1 for mean in means) == 7  # lost satellites, gaps, or a heading off by half a degree
+    # lost satellites, gaps, or a heading off by half a degree
+    assert sum(mean > 1 for mean in means) == 7
     assert sorted(means)[-2] < 3  # one drive has no place at first: 44 m off
 
 
 def off_the_track(raw: KittiDrive) -> np.ndarray:
-    """Return how many metres per 100 m the path of true angles ends beside GNSS, for pieces of 100 m."""
+    """Return how many metres per 100 m the path of true angles ends beside GNSS, for pieces of 100
+    m.
+    """
     rows = np.array([packets.read_row(path) for path in raw.oxts.values()])
     time_s = packets.read_times(raw.oxts_times, list(raw.oxts))
-    lat, lon, yaw, speed = (rows[:, packets.COLUMNS.index(name)] for name in ("lat", "lon", "yaw", "vf"))
-    angle, *_ = label.steering_labels(rows[:, packets.MOTION["yaw_rate_radps"]], speed, label.Car(2.7, 1.0))
-    # Mercator's, as KITTI's own tools have it: metres at the drive's latitude, x to the east, y to the north.
+    lat, lon, yaw, speed = (
+        rows[:, packets.COLUMNS.index(name)] for name in ("lat", "lon", "yaw", "vf")
+    )
+    angle, *_ = label.steering_labels(
+        rows[:, packets.MOTION["yaw_rate_radps"]], speed, label.Car(2.7, 1.0)
+    )
+    # Mercator's, as KITTI's own tools have it: metres at the drive's latitude, x to the east, y to
+    # the north.
     radius_m = 6378137.0 * np.cos(np.deg2rad(lat[0]))
     gnss = radius_m * np.stack([np.deg2rad(lon), np.log(np.tan(np.deg2rad(90 + lat) / 2))], axis=1)
     driven_m = np.concatenate([[0.0], np.cumsum(np.abs(speed[1:]) * np.diff(time_s))])
@@ -274,7 +333,9 @@ def found(curvature: np.ndarray, missing: Sequence[int] = ()) -> list[int]:
 
 
 def test_a_turn_begins_where_the_curvature_leaves_straight():
-    turn = np.r_[bends((20, STRAIGHT)), np.linspace(0.004, 0.1, 20), bends((20, CORNER), (20, STRAIGHT))]
+    turn = np.r_[
+        bends((20, STRAIGHT)), np.linspace(0.004, 0.1, 20), bends((20, CORNER), (20, STRAIGHT))
+    ]
     assert found(turn) == found(-turn) == [23]
     assert turn[22] < turns.STRAIGHT_1PM < turn[23]
 
@@ -283,7 +344,8 @@ def test_a_turn_begins_where_the_curvature_leaves_straight():
     ("curvature", "missing", "onsets"),
     [
         (bends((30, STRAIGHT), (60, 0.03)), (), []),  # a bend of the road
-        (bends((30, STRAIGHT), (8, CORNER), (8, -CORNER), (30, STRAIGHT)), (), []),  # around an obstacle
+        # around an obstacle
+        (bends((30, STRAIGHT), (8, CORNER), (8, -CORNER), (30, STRAIGHT)), (), []),
         (bends((30, CORNER), (5, STRAIGHT), (20, CORNER)), (), []),  # still the same turn
         (bends((30, CORNER), (11, STRAIGHT), (20, -CORNER)), (), [41]),
         (bends((5, STRAIGHT), (20, CORNER)), (), []),  # the drive starts less than a second before

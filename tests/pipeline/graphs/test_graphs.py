@@ -34,11 +34,15 @@ def test_static_points_coincide_until_a_gap_or_unmeasured_motion(numbers, measur
         (transform(np.linalg.inv(place), world).astype(np.float32), np.full(10, row, np.uint8))
         for row, (place, world) in enumerate(zip(places, worlds, strict=True))
     ]
-    made = list(frame_graph.accumulated(zip(numbers, clouds, strict=True), dict.fromkeys(measured, T), 3))
+    made = list(
+        frame_graph.accumulated(zip(numbers, clouds, strict=True), dict.fromkeys(measured, T), 3)
+    )
     assert [number for number, _ in made] == numbers
     for place, (_, (xyz, cls)), then in zip(places, made, expected, strict=True):
         assert list(dict.fromkeys(cls.tolist())) == then
-        assert transform(place, xyz) == pytest.approx(np.concatenate([worlds[row] for row in then]), abs=1e-4)
+        assert transform(place, xyz) == pytest.approx(
+            np.concatenate([worlds[row] for row in then]), abs=1e-4
+        )
 
 
 def test_steps_have_the_length_unit_of_the_clouds(tmp_path):
@@ -56,11 +60,15 @@ def test_steps_have_the_length_unit_of_the_clouds(tmp_path):
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.integers(0, 120), st.integers(0, 8), st.sampled_from([0.0, 0.2, 1.0]), st.integers(0, 2**16))
+@given(
+    st.integers(0, 120), st.integers(0, 8), st.sampled_from([0.0, 0.2, 1.0]), st.integers(0, 2**16)
+)
 def test_a_graph_is_the_symmetric_knn_graph_pruned_between_classes(count, k, keep, seed):
     """Paper Fig. 3: directed edges are counted, 600 for 100 points."""
     xyz, cls = artefacts.points(count, seed)
-    made = graph.prune(graph.undirected(graph.nearest(xyz, k)), cls, keep, np.random.default_rng(seed))
+    made = graph.prune(
+        graph.undirected(graph.nearest(xyz, k)), cls, keep, np.random.default_rng(seed)
+    )
     near = range(2, min(k, count - 1) + 2)
     neighbours = cKDTree(xyz).query(xyz, near)[1] if count > 1 and k else np.empty((count, 0), int)
     directed = {(i, int(j)) for i, row in enumerate(neighbours) for j in row}
@@ -76,7 +84,8 @@ def test_a_graph_is_the_symmetric_knn_graph_pruned_between_classes(count, k, kee
 
 
 def test_a_hub_of_more_than_255_neighbours_is_refused():
-    hub = graph.undirected(np.eye(257, 1, dtype=np.int32))  # the first point's neighbour is the second, its others' it
+    # the first point's neighbour is the second, its others' it
+    hub = graph.undirected(np.eye(257, 1, dtype=np.int32))
     with pytest.raises(InputError, match="256 neighbours"):
         graph.prune(hub, np.zeros(257, np.uint8), 1.0, np.random.default_rng(0))
 
@@ -91,7 +100,13 @@ def xyz() -> np.ndarray:
 
 def squared(a: np.ndarray, b: np.ndarray) -> float:
     """In integers of 1/1024 m, so that nothing is rounded."""
-    return sum((round(float(p) * 1024) - round(float(q) * 1024)) ** 2 for p, q in zip(a, b, strict=True)) / 1024**2
+    return (
+        sum(
+            (round(float(p) * 1024) - round(float(q) * 1024)) ** 2
+            for p, q in zip(a, b, strict=True)
+        )
+        / 1024**2
+    )
 
 
 def reference_fps(xyz: np.ndarray, count: int) -> list[int]:
@@ -102,8 +117,12 @@ def reference_fps(xyz: np.ndarray, count: int) -> list[int]:
     return chosen
 
 
-def reference_ball(xyz: np.ndarray, centre: int, radius_m: float, count: int, order: np.ndarray) -> list[int]:
-    found = [int(point) for point in order if squared(xyz[point], xyz[centre]) <= radius_m**2][:count]
+def reference_ball(
+    xyz: np.ndarray, centre: int, radius_m: float, count: int, order: np.ndarray
+) -> list[int]:
+    found = [int(point) for point in order if squared(xyz[point], xyz[centre]) <= radius_m**2][
+        :count
+    ]
     return found + [found[0]] * (count - len(found))
 
 
@@ -111,14 +130,20 @@ def reference_ball(xyz: np.ndarray, centre: int, radius_m: float, count: int, or
 def test_balls_are_those_of_brute_force(xyz, radius_m):
     order = np.random.default_rng(1).permutation(len(xyz))
     found = graph.ball_query(xyz, np.arange(0, 300, 15), radius_m, 12, order)
-    assert found.tolist() == [reference_ball(xyz, centre, radius_m, 12, order) for centre in range(0, 300, 15)]
+    assert found.tolist() == [
+        reference_ball(xyz, centre, radius_m, 12, order) for centre in range(0, 300, 15)
+    ]
 
 
 def test_levels_are_farthest_points_and_build_on_each_other(xyz):
-    (first, _), (second, neighbours) = graph.levels(xyz, [(40, 5.0, 8), (10, 12.0, 6)], np.random.default_rng(0))
+    (first, _), (second, neighbours) = graph.levels(
+        xyz, [(40, 5.0, 8), (10, 12.0, 6)], np.random.default_rng(0)
+    )
     assert first.tolist() == reference_fps(xyz, 40)
     assert second.tolist() == reference_fps(xyz[first], 10)
-    assert neighbours.tolist() == [reference_ball(xyz[first], int(c), 12.0, 6, np.arange(40)) for c in second]
+    assert neighbours.tolist() == [
+        reference_ball(xyz[first], int(c), 12.0, 6, np.arange(40)) for c in second
+    ]
 
 
 def test_motion_is_matched_by_frame_number(tmp_path):
@@ -145,7 +170,9 @@ def test_a_batch_is_its_frames_with_shifted_numbers(tmp_path, kind):
         assert graphs.contents.kind == kind
         batch = artefacts.collate(*((graphs, *span) for span in spans))
         pieces = artefacts.collate(*((graphs, row, row + 1) for row in rows))
-        expected = concatenated([{name: file.rows_of(name, row) for name in file.pointers} for row in rows])
+        expected = concatenated(
+            [{name: file.rows_of(name, row) for name in file.pointers} for row in rows]
+        )
     assert batch.keys() == pieces.keys() == expected.keys()
     for name, array in expected.items():
         np.testing.assert_array_equal(batch[name], array)

@@ -29,7 +29,11 @@ def test_a_fingerprint_detects_a_file_that_was_extracted_again(tmp_path):
         return digest(dataset.fingerprint(DRIVE, reading, tmp_path))
 
     hashes = {fingerprint()}
-    for name in ("image_02/data/0000000001.png", "velodyne_points/data/0000000002.bin", "../calib_velo_to_cam.txt"):
+    for name in (
+        "image_02/data/0000000001.png",
+        "velodyne_points/data/0000000002.bin",
+        "../calib_velo_to_cam.txt",
+    ):
         before = (folder / name).stat()
         write(folder / name, (folder / name).read_bytes())
         os.utime(folder / name, ns=(before.st_atime_ns, before.st_mtime_ns))  # as unzip does
@@ -44,10 +48,15 @@ def test_a_fingerprint_detects_a_file_that_was_extracted_again(tmp_path):
 
 @pytest.mark.real
 def test_real_scan_lands_on_the_depth_benchmark(real_kitti):
-    """KITTI's depth benchmark projected the same scan, after motion compensation, so that it is only close."""
+    """KITTI's depth benchmark projected the same scan, after motion compensation, so that it is
+    only close.
+    """
     drive = KittiDrive(real_kitti / DATE / "2011_09_26_drive_0001_sync")
     camera = drive.camera(2)
-    png = real_kitti / "depth_benchmark/2011_09_26_drive_0001_sync_0000000005_velodyne_raw_image_02.png"
+    png = (
+        real_kitti
+        / "depth_benchmark/2011_09_26_drive_0001_sync_0000000005_velodyne_raw_image_02.png"
+    )
     expected = read_pixels(png) / 256
     xyz = transform(camera.T_cam_velo, read_scan(drive.scans[5])[:, :3].astype(np.float64))
 
@@ -65,11 +74,15 @@ def test_real_scan_lands_on_the_depth_benchmark(real_kitti):
 
 
 def test_projection_equals_kittis_formula(tmp_path):
-    """Second route, from KITTI's paper: y = P_rect R_rect T_velo_to_cam x, with the files' numbers."""
+    """Second route, from KITTI's paper: y = P_rect R_rect T_velo_to_cam x, with the files'
+    numbers.
+    """
     write_calibration(tmp_path)
     texts = [(tmp_path / f"calib_{name}.txt").read_text() for name in ("cam_to_cam", "velo_to_cam")]
     lines = dict(line.split(": ") for line in "".join(texts).splitlines())
-    P, R_rect, R, T = (np.array(lines[key].split(), float) for key in ("P_rect_02", "R_rect_00", "R", "T"))
+    P, R_rect, R, T = (
+        np.array(lines[key].split(), float) for key in ("P_rect_02", "R_rect_00", "R", "T")
+    )
     xyz = np.random.default_rng(0).uniform([3, -5, -2], [40, 5, 2], (50, 3))
     reference = (xyz @ R.reshape(3, 3).T + T) @ R_rect.reshape(3, 3).T
     expected = np.column_stack([reference, np.ones(50)]) @ P.reshape(3, 4).T
@@ -116,12 +129,16 @@ def test_packets_and_times_round_trip(tmp_path_factory, seed):
     ("lines", "frames", "expected"),
     [
         (["25.0", "25.1", "25.25", "25.3", "25.45"], [1, 2, 4], [0, 0.15, 0.35]),  # by number
-        (["25.0", "25.1", "25.3"], [100, 101, 103], [0, 0.1, 0.3]),  # cut out of a longer drive: by position
+        # cut out of a longer drive: by position
+        (["25.0", "25.1", "25.3"], [100, 101, 103], [0, 0.1, 0.3]),
         (["25.0", "", "25.2"], [0, 2], [0, 0.2]),  # the empty line belongs to no frame
     ],
 )
 def test_lines_and_frames(tmp_path, lines, frames, expected):
-    write(tmp_path / "a.txt", "".join(f"2011-09-26 13:02:{text}\n" if text else "\n" for text in lines))
+    write(
+        tmp_path / "a.txt",
+        "".join(f"2011-09-26 13:02:{text}\n" if text else "\n" for text in lines),
+    )
     np.testing.assert_allclose(packets.read_times(tmp_path / "a.txt", frames), expected, atol=1e-12)
 
 
@@ -147,7 +164,11 @@ SCAN = scan(np.random.default_rng(0), 640)
 BYTES = (SCAN * np.float32([1, 1, 1, 255])).tobytes()
 PLAINLY_WRONG: list[tuple[Callable[[Path], object], str | bytes, str]] = [
     (read_scan, SCAN.tobytes()[:-7], "cut short at 10233 bytes"),
-    (read_scan, SCAN[:400].tobytes(), "cut short at -14.7 degrees .*LOWEST_DEG in pipeline/ingest/datasets/kitti.py"),
+    (
+        read_scan,
+        SCAN[:400].tobytes(),
+        "cut short at -14.7 degrees .*LOWEST_DEG in pipeline/ingest/datasets/kitti.py",
+    ),
     (read_scan, BYTES, r"reflectance is .*, expected 0 to 1\. Convert"),
     (read_scan, np.c_[SCAN, np.ones(640, "f4")].tobytes(), "nuScenes has five columns"),
     (read_scan, (0 * SCAN).tobytes(), "no point"),
@@ -155,10 +176,18 @@ PLAINLY_WRONG: list[tuple[Callable[[Path], object], str | bytes, str]] = [
     (packets.read_row, "1.0 " * 22 + "nan " + "1.0 " * 7, "wu = nan"),
     (read_three, lines(25.0, 25.1), "got 2"),
     (read_three, lines(25.0, 25.2, 25.1), "time does not increase .*: 0.1 in line 3"),
-    (read_three, lines(25.0, 25.1, "x"), "time is not a date and time: '2011-09-26 13:02:x' in line 3"),
+    (
+        read_three,
+        lines(25.0, 25.1, "x"),
+        "time is not a date and time: '2011-09-26 13:02:x' in line 3",
+    ),
     (read_camera, "P_rect_02: 5.000000000e+01→P_rect_02: inf", "P_rect_02: expected 12 finite"),
     (read_camera, "calib_time:→<html>\ncalib_time:", "not a calibration file"),
-    (packets.read_steering, "frame,steering_rad\n3,2.5\n", "steering_rad is implausible .*: '2.5' in line 2"),
+    (
+        packets.read_steering,
+        "frame,steering_rad\n3,2.5\n",
+        "steering_rad is implausible .*: '2.5' in line 2",
+    ),
 ]
 
 

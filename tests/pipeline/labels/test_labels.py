@@ -23,14 +23,19 @@ SPEED = st.floats(0.5, 30.0)
 @given(radius=st.floats(4, 1e3), speed=SPEED)
 def test_a_left_bend_is_positive_with_the_bicycles_radius_and_in_reverse_too(radius, speed):
     yaw_rate, speeds = np.array([1, -1, -1]) * speed / radius, np.array([1, 1, -1]) * speed
-    np.testing.assert_allclose(np.tan(label.steering_angle(yaw_rate, speeds, L)), np.array([1, -1, 1]) * L / radius)
+    np.testing.assert_allclose(
+        np.tan(label.steering_angle(yaw_rate, speeds, L)), np.array([1, -1, 1]) * L / radius
+    )
 
 
 @given(radius=st.floats(8, 100), speed=SPEED)
 def test_constant_steering_drives_a_circle(radius, speed):
     """After a full circle the car is back; halfway it is 2R to the left of its start."""
     frames = 2001
-    time_s, angle = np.linspace(0, 2 * np.pi * radius / speed, frames), np.full(frames, np.arctan(L / radius))
+    time_s, angle = (
+        np.linspace(0, 2 * np.pi * radius / speed, frames),
+        np.full(frames, np.arctan(L / radius)),
+    )
     xy = turns.path(angle, np.full(frames, speed), time_s, wheelbase_m=L)
     np.testing.assert_allclose(xy[[-1, frames // 2]], [[0, 0], [0, 2 * radius]], atol=1e-4 * radius)
 
@@ -45,7 +50,9 @@ def test_measured_angle_repeats_where_motion_is_unusable():
 def drive(
     speed: Function, curvature: Function = lambda s: np.full_like(s, 0.02), seconds: float = 8.0
 ) -> tuple[np.ndarray, Labels, np.ndarray]:
-    """Return times, labels and true distances of a drive with `speed`(t) on a road with `curvature`(distance)."""
+    """Return times, labels and true distances of a drive with `speed`(t) on a road with
+    `curvature`(distance).
+    """
     fine_s = np.arange(0, seconds, 1e-4)
     distance = np.cumsum(speed(fine_s)) * 1e-4
     time_s = np.arange(0, seconds - 1e-3, 0.1)
@@ -57,15 +64,25 @@ def drive(
 def compute(
     time_s: np.ndarray, labels: Labels, stand_s: float = 5, frame: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    return ahead.path_ahead(np.arange(len(time_s)) if frame is None else frame, time_s, labels, EDGES_M, stand_s)
+    return ahead.path_ahead(
+        np.arange(len(time_s)) if frame is None else frame, time_s, labels, EDGES_M, stand_s
+    )
 
 
 @pytest.mark.parametrize(
     ("speed", "curvature", "integral"),
     [
         (lambda t: np.full_like(t, 9.3), lambda s: np.full_like(s, 0.02), lambda s: 0.02 * s),
-        (lambda t: 8 + 4 * np.sin(t), lambda s: 0.001 * s - 0.03, lambda s: 0.0005 * s**2 - 0.03 * s),
-        (lambda t: np.full_like(t, 9.0), lambda s: 0.05 * np.sin(s / 6), lambda s: -0.3 * np.cos(s / 6)),
+        (
+            lambda t: 8 + 4 * np.sin(t),
+            lambda s: 0.001 * s - 0.03,
+            lambda s: 0.0005 * s**2 - 0.03 * s,
+        ),
+        (
+            lambda t: np.full_like(t, 9.0),
+            lambda s: 0.05 * np.sin(s / 6),
+            lambda s: -0.3 * np.cos(s / 6),
+        ),
     ],
     ids=["circle", "clothoid", "S-bend"],
 )
@@ -76,13 +93,16 @@ def test_the_path_ahead_is_the_mean_curvature_of_each_range(speed, curvature, in
     edges = at_m[:, None] + EDGES_M
     expected = np.diff(integral(edges), axis=1) / np.diff(EDGES_M)
     np.testing.assert_allclose(found[valid], expected[valid], atol=3e-4)
-    assert (valid != (edges[:, 1:] <= at_m[-1] + 1e-6)).sum() < len(EDGES_M)  # an edge on the last frame, rounded
+    # an edge on the last frame, rounded
+    assert (valid != (edges[:, 1:] <= at_m[-1] + 1e-6)).sum() < len(EDGES_M)
     assert valid.any()
     assert not found[~valid].any()
 
 
 def stop(t: np.ndarray) -> np.ndarray:
-    """Brake to a stand from second 3 to 7 and drive on; sensors at standstill have noise of either sign."""
+    """Brake to a stand from second 3 to 7 and drive on; sensors at standstill have noise of either
+    sign.
+    """
     speed = np.interp(t, [0, 1, 3, 7, 9], [8.0, 8, 0, 0, 8])
     return np.where((t >= 3) & (t <= 7), 0.1 * np.sin(20 * t), speed)
 
@@ -101,18 +121,26 @@ def test_a_stop_on_the_way_neither_turns_nor_moves_the_car_and_a_long_one_is_no_
     assert valid[(time_s > 5.2) & (time_s < 10)].all()
 
 
-@pytest.mark.parametrize("change", ["reverses", "yaw rate unknown", "speed unknown", "frame missing"])
+@pytest.mark.parametrize(
+    "change", ["reverses", "yaw rate unknown", "speed unknown", "frame missing"]
+)
 def test_no_path_passes_a_reversing_a_missing_or_an_unmeasured_frame(change):
     time_s, labels, at_m = drive(lambda t: np.full_like(t, 9.3))
     _, complete = compute(time_s, labels)
-    speed, yaw_rate, frame = labels.speed_mps.copy(), labels.yaw_rate_radps.copy(), np.arange(len(time_s))
+    speed, yaw_rate, frame = (
+        labels.speed_mps.copy(),
+        labels.yaw_rate_radps.copy(),
+        np.arange(len(time_s)),
+    )
     if change == "frame missing":
         frame[40:] += 1
     elif change == "yaw rate unknown":
         yaw_rate[40] = np.nan
     else:
         speed[40] = -1.0 if change == "reverses" else np.nan
-    curvature, valid = compute(time_s, labels._replace(speed_mps=speed, yaw_rate_radps=yaw_rate), frame=frame)
+    curvature, valid = compute(
+        time_s, labels._replace(speed_mps=speed, yaw_rate_radps=yaw_rate), frame=frame
+    )
     np.testing.assert_array_equal(valid[:40], (at_m[:, None] + EDGES_M[1:])[:40] <= at_m[39] + 1e-9)
     np.testing.assert_array_equal(valid[41:], complete[41:])
     assert np.isfinite(curvature).all()
@@ -121,7 +149,9 @@ def test_no_path_passes_a_reversing_a_missing_or_an_unmeasured_frame(change):
 def course(time_s: np.ndarray, factor: float, speed: float) -> Labels:
     """Return labels on a winding road, angles and yaw rates times `factor`."""
     yaw_rate = factor * (0.25 * np.sin(0.9 * time_s) + 0.15 * np.sin(2.3 * time_s + 1))
-    return Labels(L * yaw_rate / 8, np.full(len(time_s), True), np.full(len(time_s), float(speed)), yaw_rate)
+    return Labels(
+        L * yaw_rate / 8, np.full(len(time_s), True), np.full(len(time_s), float(speed)), yaw_rate
+    )
 
 
 RECORDED = [  # seconds, lag, factor, speed, error, doubt
@@ -145,8 +175,12 @@ RECORDED = [  # seconds, lag, factor, speed, error, doubt
 
 @pytest.mark.parametrize("column", ["", "wheel_rad"])
 @pytest.mark.parametrize(("seconds", "lag_s", "factor", "speed", "error", "doubt"), RECORDED)
-def test_what_was_recorded_is_compared_with_measured_motion(column, seconds, lag_s, factor, speed, error, doubt):
-    """Only a wheel's angle, or only yaw rate and speed; in two parts, of which the first ends with unknown motion."""
+def test_what_was_recorded_is_compared_with_measured_motion(
+    column, seconds, lag_s, factor, speed, error, doubt
+):
+    """Only a wheel's angle, or only yaw rate and speed; in two parts, of which the first ends with
+    unknown motion.
+    """
     parts = []
     for time_s in np.split(np.arange(0, seconds, 0.1), 2):
         measured, recorded = course(time_s, 1, 8), course(time_s - lag_s, factor, speed)
@@ -157,7 +191,9 @@ def test_what_was_recorded_is_compared_with_measured_motion(column, seconds, lag
     errors, lines = comparison.judge(agreement.compare(parts), column)
     name = column or "yaw_rate_radps"
     assert [error.format(name) in text for text in errors] if error else not errors
-    assert [doubt.format(name) in text for text in lines[1:]] == [True] if doubt else len(lines) == 1
+    assert (
+        [doubt.format(name) in text for text in lines[1:]] == [True] if doubt else len(lines) == 1
+    )
     assert re.search(rf"(angle|yaw rate) gain .*speed gain {speed / 8:.2f}$", lines[0])
 
 
@@ -182,16 +218,25 @@ def test_a_log_that_ends_early_is_not_stuck():
     time_s = np.arange(0, 30, 0.1)
     measured = course(time_s, 1, 8)
     covered = time_s < 20
-    recorded = Labels(np.where(covered, measured.steering_rad, 0.0), covered, measured.speed_mps, np.nan * time_s)
-    assert comparison.judge(agreement.compare([agreement.Pair(time_s, recorded, measured)]), "wheel_rad")[1][1:] == []
+    recorded = Labels(
+        np.where(covered, measured.steering_rad, 0.0), covered, measured.speed_mps, np.nan * time_s
+    )
+    assert (
+        comparison.judge(
+            agreement.compare([agreement.Pair(time_s, recorded, measured)]), "wheel_rad"
+        )[1][1:]
+        == []
+    )
 
 
 WINDING_S = np.arange(0, 60, 0.1)
 FAULTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "straight ahead is 0.35 in wheel_rad": lambda angle: angle + 0.35 / 14.8,
-    "stays equal for 10 s while the car turns": lambda angle: np.where(abs(WINDING_S - 35) < 5, angle[300], angle),
-    "drifts or jumps, or --fps is wrong: it is 0.00 to 0.60 to 1.20 s late": lambda angle: np.interp(
-        WINDING_S, WINDING_S + np.repeat([0, 0.6, 1.2], 200), angle
+    "stays equal for 10 s while the car turns": lambda angle: np.where(
+        abs(WINDING_S - 35) < 5, angle[300], angle
+    ),
+    "drifts or jumps, or --fps is wrong: it is 0.00 to 0.60 to 1.20 s late": lambda angle: (
+        np.interp(WINDING_S, WINDING_S + np.repeat([0, 0.6, 1.2], 200), angle)
     ),
     "has angles without a sign": np.abs,
     "wheel_rad is 0.5 times": lambda angle: angle / 2,
@@ -214,7 +259,9 @@ def test_a_steady_bend_or_no_frame_proves_nothing():
     time_s = np.arange(0, 30, 0.1)
     steady = Labels(*(np.full(300, value) for value in (0.1, True, 8.0, 0.3)))
     noisy = steady._replace(yaw_rate_radps=0.3 + 0.01 * np.sin(1e4 * time_s))
-    errors, (line,) = comparison.judge(agreement.compare([agreement.Pair(time_s, steady, noisy)]), "")
+    errors, (line,) = comparison.judge(
+        agreement.compare([agreement.Pair(time_s, steady, noisy)]), ""
+    )
     assert (errors, "correlation" in line) == ([], False)
     assert comparison.judge(agreement.compare([]), "") == ([], [])
 
@@ -227,4 +274,6 @@ def test_yaw_rates_are_gaussian_means(steps_s, seed):
     for row, at_s in enumerate(time_s):
         near = np.abs(time_s - at_s) <= REACH * YAW_SIGMA_S
         weights = np.exp(-(((time_s - at_s)[near] / YAW_SIGMA_S) ** 2) / 2)
-        np.testing.assert_allclose(found[row], np.average(yaw_rate[near], weights=weights), atol=1e-12)
+        np.testing.assert_allclose(
+            found[row], np.average(yaw_rate[near], weights=weights), atol=1e-12
+        )

@@ -1,4 +1,6 @@
-"""Measured motion: poses, the road's slope and scale, rates, the filtered speed, and odometry on a rendered street."""
+"""Measured motion: poses, the road's slope and scale, rates, the filtered speed, and odometry on a
+rendered street.
+"""
 
 import re
 from contextlib import nullcontext
@@ -39,7 +41,9 @@ def test_half_of_the_points_are_enough_only_for_a_motion_like_the_previous_one()
     _, xyz = points(np.random.default_rng(0))
     forth, lorry = np.linalg.inv(pose(0, 0, 1.0)), np.linalg.inv(pose(0.1, 0.5, -1.0))
     static = np.arange(POINTS) % 20 < 11
-    uv = np.where(static[:, None], project(transform(forth, xyz), K)[0], project(transform(lorry, xyz), K)[0])
+    uv = np.where(
+        static[:, None], project(transform(forth, xyz), K)[0], project(transform(lorry, xyz), K)[0]
+    )
     sigma = np.full(POINTS, 0.1)
     assert estimate_pose(xyz, uv, K, sigma) is None
     assert estimate_pose(xyz, uv, K, sigma, np.linalg.inv(pose(0, 0, 3.0))) is None
@@ -75,7 +79,9 @@ def test_rates_are_those_of_the_axle_wherever_the_camera_is(yaw_rate, ahead_m):
 
 
 def test_durations_average_jitter_of_the_past_and_follow_another_rate():
-    """As KITTI's times, on a grid of 10 ms; then every fourth frame is missing, then the rate is halved."""
+    """As KITTI's times, on a grid of 10 ms; then every fourth frame is missing, then the rate is
+    halved.
+    """
     frame = np.concatenate([np.arange(60), 60 + 4 * np.arange(20), 140 + np.arange(20)])
     exact_s = np.interp(frame, [0, 140, 160], [0, 140 * 0.1037, 140 * 0.1037 + 20 * 0.2074])
     time_s = np.round(exact_s, 2)
@@ -91,7 +97,9 @@ COUNT = 900
 TIME_S = np.arange(COUNT) / 10
 
 
-def filtered(speed_mps: np.ndarray, road: bool, noise: float = 0.01) -> tuple[np.ndarray, np.ndarray]:
+def filtered(
+    speed_mps: np.ndarray, road: bool, noise: float = 0.01
+) -> tuple[np.ndarray, np.ndarray]:
     rows = len(speed_mps)
     return filter_speed(TIME_S[:rows], speed_mps, np.full(rows, road), np.full(rows, noise))
 
@@ -102,13 +110,16 @@ def test_with_a_road_speed_is_that_of_the_images():
     speed_mps, sigma = filtered(true_mps, road=True)
     assert np.abs(speed_mps - true_mps).max() < 0.1
     assert np.median(sigma) < 0.1
-    speed_mps, _ = filtered(np.array([-2.0] * 20 + [0.0] * 5), road=True, noise=0.02)  # reversing and standing
+    # reversing and standing
+    speed_mps, _ = filtered(np.array([-2.0] * 20 + [0.0] * 5), road=True, noise=0.02)
     assert speed_mps[10:20] == pytest.approx([-2.0] * 10, rel=0.05)
     assert (speed_mps[20:] == 0).all()
 
 
 def test_without_a_road_the_scale_of_depth_is_not_believed():
-    """Depth that makes bends slow, as measured with a lens of 17 degrees, must not make them sharp."""
+    """Depth that makes bends slow, as measured with a lens of 17 degrees, must not make them
+    sharp.
+    """
     rng, error = np.random.default_rng(0), np.zeros(COUNT)
     for row in range(1, COUNT):
         error[row] = 0.96 * error[row - 1] + rng.normal(0, 0.6 * np.sqrt(1 - 0.96**2))
@@ -118,7 +129,10 @@ def test_without_a_road_the_scale_of_depth_is_not_believed():
     assert np.median(speed_mps) == pytest.approx(TYPICAL_MPS, rel=0.4)
 
 
-@given(st.lists(st.tuples(st.floats(0.1, 40), st.booleans()), min_size=2, max_size=20), st.integers(1, 19))
+@given(
+    st.lists(st.tuples(st.floats(0.1, 40), st.booleans()), min_size=2, max_size=20),
+    st.integers(1, 19),
+)
 def test_it_is_causal(rows, known):
     speed, road = np.array([speed for speed, _ in rows]), np.array([road for _, road in rows])
     noise = np.full(len(rows), 0.01)
@@ -132,7 +146,9 @@ DT_S = 0.1
 
 def views(*poses: np.ndarray) -> list[Frame]:
     images = map(street.view, poses)
-    return [Frame(i, i * DT_S, image, depth_m, cls) for i, (image, depth_m, cls) in enumerate(images)]
+    return [
+        Frame(i, i * DT_S, image, depth_m, cls) for i, (image, depth_m, cls) in enumerate(images)
+    ]
 
 
 def measured(
@@ -149,7 +165,9 @@ def rates(steps: list[step.Step | None]) -> np.ndarray:
     return np.array([step.rates(one.T_before_now, DT_S) for one in steps[1:] if one])
 
 
-@pytest.mark.parametrize(("yaw_rate", "speed"), [(0.4, 6.0), (-0.4, 6.0), (0.0, 12.0), (0.05, 1.0), (0.0, -2.0)])
+@pytest.mark.parametrize(
+    ("yaw_rate", "speed"), [(0.4, 6.0), (-0.4, 6.0), (0.0, 12.0), (0.05, 1.0), (0.0, -2.0)]
+)
 def test_known_motion_is_measured(yaw_rate, speed):
     steps = measured(views(*street.arc(4, yaw_rate, speed)))
     assert rates(steps)[:, 0] == pytest.approx(yaw_rate, abs=0.005)
@@ -162,13 +180,25 @@ def test_known_motion_is_measured(yaw_rate, speed):
 
 def test_motion_is_measured_since_the_frame_before_by_number():
     frames = views(*street.arc(6, 0.3, 6.0))
-    assert [one is None for one in measured(frames[:3] + frames[4:])] == [True, False, False, True, False]
+    assert [one is None for one in measured(frames[:3] + frames[4:])] == [
+        True,
+        False,
+        False,
+        True,
+        False,
+    ]
 
 
 @pytest.mark.parametrize("road", [classes.ROAD, classes.CAR])
-def test_a_wrong_scale_is_corrected_by_the_camera_height_also_where_road_has_the_class_of_cars(road):
+def test_a_wrong_scale_is_corrected_by_the_camera_height_also_where_road_has_the_class_of_cars(
+    road,
+):
     frames = [
-        replace(frame, depth_m=0.7 * frame.depth_m, cls=np.where(frame.cls == classes.ROAD, road, frame.cls))
+        replace(
+            frame,
+            depth_m=0.7 * frame.depth_m,
+            cls=np.where(frame.cls == classes.ROAD, road, frame.cls),
+        )
         for frame in views(*street.arc(4, 0.2, 6.0))
         if frame.depth_m is not None
     ]
@@ -183,7 +213,9 @@ def test_a_wrong_scale_is_corrected_by_the_camera_height_also_where_road_has_the
 
 @pytest.mark.parametrize("reflection", [0.0, 0.4])
 def test_a_bonnet_is_left_out(reflection):
-    """Its texture stays in place under the reflection of a scene that moves; depth shows it 3 m away."""
+    """Its texture stays in place under the reflection of a scene that moves; depth shows it 3 m
+    away.
+    """
     frames, bonnet = views(*street.arc(5, 0.2, 6.0)), slice(82, 96)
     texture = np.random.default_rng(0).integers(0, 255, (14, 320, 1), dtype=np.uint8)
     for frame in frames:
@@ -197,12 +229,19 @@ def test_a_bonnet_is_left_out(reflection):
 def test_a_street_is_no_bonnet(speed, yaw_rate):
     """Neither while the car stands, in noise, nor when it turns or moves slowly."""
     rng, still = np.random.default_rng(0), Still(street.WIDE)
-    images = [street.view(pose)[0][..., 0] + rng.normal(0, 2, (96, 320)) for pose in street.arc(4, yaw_rate, speed)]
+    images = [
+        street.view(pose)[0][..., 0] + rng.normal(0, 2, (96, 320))
+        for pose in street.arc(4, yaw_rate, speed)
+    ]
     for before, now in pairwise(np.clip(images, 0, 255).astype(np.uint8)):
         still.add(before, now, 0.0)
         assert not still.mask.any()
     passed_by = np.array([0, 0, 0.5, 0.5, 0.5])  # traffic moves, the car stands
-    assert lowest_share(passed_by, np.array([1, 1, 0, 0, 0])) == lowest_share(passed_by, np.zeros(5)) == 0
+    assert (
+        lowest_share(passed_by, np.array([1, 1, 0, 0, 0]))
+        == lowest_share(passed_by, np.zeros(5))
+        == 0
+    )
     assert lowest_share(passed_by, np.ones(5)) == 0.5
 
 
@@ -216,14 +255,26 @@ def test_traffic_is_excluded_by_its_class():
     assert rates(measured(frames))[:, 1] == pytest.approx(6.0, rel=0.05)
     for frame in frames:
         frame.cls[bus] = classes.BUILDING
-    assert not any(one and abs(step.rates(one.T_before_now, DT_S)[1] - 6) < 0.3 for one in measured(frames))
+    assert not any(
+        one and abs(step.rates(one.T_before_now, DT_S)[1] - 6) < 0.3 for one in measured(frames)
+    )
 
 
 # Of a drive by day at 10 images per second.
 HEALTHY = {
-    "frames": 100, "valid": 98, "moving": 99, "step_s": 0.104, "step_m": 0.9, "still": 0.0, "roll_deg": 1.4,
-    "road_frames": 99, "height_ratio": 1.0, "road_class": 0.8, "road_class_frames": 95, "unit_error": 1.8,
-}  # fmt: skip
+    "frames": 100,
+    "valid": 98,
+    "moving": 99,
+    "step_s": 0.104,
+    "step_m": 0.9,
+    "still": 0.0,
+    "roll_deg": 1.4,
+    "road_frames": 99,
+    "height_ratio": 1.0,
+    "road_class": 0.8,
+    "road_class_frames": 95,
+    "unit_error": 1.8,
+}
 
 
 @pytest.mark.parametrize(
@@ -251,8 +302,15 @@ def test_depth_in_another_unit_is_refused(ratio, refused):
     drive = HEALTHY | {"height_ratio": ratio, "road_frames": 30}
     check_unit({"1": drive})
     check_unit({"1": drive | {"unit_error": np.inf, "road_frames": 300}})
-    for drives in ({"1": drive, "2": drive}, {"1": HEALTHY, "2": HEALTHY, "3": drive | {"road_frames": 50}}):
-        with pytest.raises(InputError, match=f"road is {ratio:.2f} times") if refused else nullcontext():
+    for drives in (
+        {"1": drive, "2": drive},
+        {"1": HEALTHY, "2": HEALTHY, "3": drive | {"road_frames": 50}},
+    ):
+        with (
+            pytest.raises(InputError, match=f"road is {ratio:.2f} times")
+            if refused
+            else nullcontext()
+        ):
             check_unit(drives)
 
 
@@ -285,6 +343,11 @@ def test_a_black_image_shows_no_road():
 
 def test_images_upside_down_are_refused():
     images = [street.view(pose)[0] for pose in street.arc(60, 0.0, 8.0)]
-    assert horizon.find_horizon([Frame(0, 0.0, image) for image in images * 2], street.WIDE) is not None
+    assert (
+        horizon.find_horizon([Frame(0, 0.0, image) for image in images * 2], street.WIDE)
+        is not None
+    )
     with pytest.raises(InputError, match="images are upside down"):
-        horizon.find_horizon([Frame(0, 0.0, image[::-1, ::-1].copy()) for image in images], street.WIDE)
+        horizon.find_horizon(
+            [Frame(0, 0.0, image[::-1, ::-1].copy()) for image in images], street.WIDE
+        )

@@ -36,7 +36,9 @@ def test_passes_give_the_same_bits_for_any_number_of_threads(monkeypatch):
 def test_only_traffic_is_limited():
     _, truth, cls = street.scene(0)
     cls = cls.copy()
-    column = np.flatnonzero((cls == classes.ROAD).any(axis=0) & (cls == classes.BUILDING).any(axis=0))[0]
+    column = np.flatnonzero(
+        (cls == classes.ROAD).any(axis=0) & (cls == classes.BUILDING).any(axis=0)
+    )[0]
     lorry = np.zeros(cls.shape, bool)
     lorry[:, column] = cls[:, column] == classes.BUILDING
     cls[lorry] = classes.TRUCK
@@ -57,6 +59,8 @@ def test_dense_truth_precedes_lidar_which_is_sparse_and_has_no_classes(tmp_path,
         truth = read_truth(file, read_camera(file), 1)
     hit = np.zeros(street.SIZE, bool)
     hit[::2, ::4] = True
-    np.testing.assert_allclose(truth.depth_m, np.where(hit | dense, depth, 0), rtol=1e-4, atol=0.5 / 256 + 1e-6)
+    np.testing.assert_allclose(
+        truth.depth_m, np.where(hit | dense, depth, 0), rtol=1e-4, atol=0.5 / 256 + 1e-6
+    )
     np.testing.assert_array_equal(truth.cls, cls if dense else classes.VOID)
     assert truth.depth_source == ("dense" if dense else "lidar")

@@ -13,10 +13,18 @@ from pipeline.report.results import Group, load_groups
 SETTINGS = Evaluate(bootstrap_samples=50, bootstrap_block_frames=5, seed=0)
 DRIVES = ("2026_01_03_drive_0002", "2026_01_03_drive_0003")
 ENTRY = {
-    "input": "semantic", "spatial": "gnn", "temporal": "ncp", "cell": "ltc", "window": 8, "equivariant": False,
-    "semantics": 1.0, "motion": "none", "horizon": 0, "predict": "angle",
+    "input": "semantic",
+    "spatial": "gnn",
+    "temporal": "ncp",
+    "cell": "ltc",
+    "window": 8,
+    "equivariant": False,
+    "semantics": 1.0,
+    "motion": "none",
+    "horizon": 0,
+    "predict": "angle",
     "scene": "same",
-}  # fmt: skip
+}
 ANGLE = {"steering_rad": {"unit": "rad", "from_m": None, "to_m": None}}
 PATH = {
     f"path_{start}-{stop}m_1pm": {"unit": "1/m", "from_m": float(start), "to_m": float(stop)}
@@ -25,27 +33,43 @@ PATH = {
 
 
 def metrics(
-    model: str, nmse: float | list[float] | None = 0.2, baselines: dict[str, float] | None = None, **entry: Any
+    model: str,
+    nmse: float | list[float] | None = 0.2,
+    baselines: dict[str, float] | None = None,
+    **entry: Any,
 ) -> dict[str, Any]:
-    """Return the metrics.json of a model; nmse is for :func:`predictions`, as that of `baselines`."""
+    """Return the metrics.json of a model; nmse is for :func:`predictions`, as that of
+    `baselines`.
+    """
     columns = PATH if entry.get("predict") == "path" else ANGLE
     test = {"nmse": nmse, "baselines": baselines or {}, "drift_m_per_100m": None}
     if not entry.get("horizon") and columns is ANGLE:
         test["drift_m_per_100m"] = 3.0
     return {
-        "model": model, "entry": ENTRY | entry, "seeds": [0], "parameters": 9259, "drives": {"train": []},
-        "variant": {"source": "clouds/pseudo", "k": 6, "keep_inter_class": 0.2}, "turning_frames": 1200,
-        "points_per_frame": 1000.0, "edges_per_frame": 5160.0, "edges_per_frame_unpruned": 6000.0,
-        "columns": columns, "val": None, "train": {column: {"nmse": 0.1, "mse": 1.23e-6} for column in columns},
+        "model": model,
+        "entry": ENTRY | entry,
+        "seeds": [0],
+        "parameters": 9259,
+        "drives": {"train": []},
+        "variant": {"source": "clouds/pseudo", "k": 6, "keep_inter_class": 0.2},
+        "turning_frames": 1200,
+        "points_per_frame": 1000.0,
+        "edges_per_frame": 5160.0,
+        "edges_per_frame_unpruned": 6000.0,
+        "columns": columns,
+        "val": None,
+        "train": {column: {"nmse": 0.1, "mse": 1.23e-6} for column in columns},
         "test": dict.fromkeys(columns, test),
-    }  # fmt: skip
+    }
 
 
 def predictions(
-    nmse: float | list[float] | None = 0.2, columns: dict[str, Any] = ANGLE, baselines: dict[str, float] | None = None
+    nmse: float | list[float] | None = 0.2,
+    columns: dict[str, Any] = ANGLE,
+    baselines: dict[str, float] | None = None,
 ) -> pd.DataFrame:
-    """Return predictions.csv of two drives of 30 frames, on which errors are multiples of the truth: `nmse` on each
-    drive, or on one each; None if both are straight.
+    """Return predictions.csv of two drives of 30 frames, on which errors are multiples of the
+    truth: `nmse` on each drive, or on one each; None if both are straight.
 
     Frame 20 is invalid, no window ends before frame 7, odometry starts at frame 1.
     """
@@ -56,7 +80,9 @@ def predictions(
         table = {"drive": drive, "frame": frame, "time_s": 100 + frame / 10, "speed_mps": frame / 2}
         for column in columns:
             values = {"predicted": of_drive, "train_mean": 1.0} | (baselines or {})
-            table |= {f"{name}_{column}": driven * (1 + np.sqrt(value)) for name, value in values.items()}
+            table |= {
+                f"{name}_{column}": driven * (1 + np.sqrt(value)) for name, value in values.items()
+            }
             table[f"true_{column}"] = np.where(frame == 20, np.nan, driven)
             for name in {"predicted", "odometry"} & {"predicted", *(baselines or {})}:
                 table[f"{name}_{column}"][: 7 if name == "predicted" else 1] = np.nan
@@ -65,13 +91,17 @@ def predictions(
 
 
 def write_model(data: Path, content: dict[str, Any], table: pd.DataFrame | None = None) -> None:
-    """Write metrics.json and predictions.csv below data/evaluate; a table without seeds is that of each seed."""
+    """Write metrics.json and predictions.csv below data/evaluate; a table without seeds is that of
+    each seed.
+    """
     folder = data / "evaluate" / content["model"]
     store.write_json(folder / "metrics.json", content, sort_keys=False)
     if table is None:
         test = next(iter(content["test"].values()))
         table = predictions(test["nmse"], content["columns"], test["baselines"])
-    seeds = [table.assign(seed=seed) for seed in content["seeds"]] if "seed" not in table else [table]
+    seeds = (
+        [table.assign(seed=seed) for seed in content["seeds"]] if "seed" not in table else [table]
+    )
     pd.concat(seeds).assign(model=content["model"]).to_csv(folder / "predictions.csv", index=False)
 
 

@@ -11,6 +11,8 @@ def test_figures_are_errors_differences_and_validation_errors(tmp_path):
     scene["val"]["a straight range"] = {"nmse": None, "nmse_by_seed": [None]}
     blind = examples.metrics("path-blind", 0.9, predict="path")
     figures = summary.rounded(summary.results(examples.groups(tmp_path, scene, blind)))
-    assert {"figure": 0.3, "frames": 44, "seeds": [0.3]}.items() <= figures["path-0/5-10 m/path"].items()
+    assert {"figure": 0.3, "frames": 44, "seeds": [0.3]}.items() <= figures[
+        "path-0/5-10 m/path"
+    ].items()
     assert figures["path-0/5-10 m/path - path-blind"]["figure"] == -0.6
     assert {"figure": 0.2, "seeds": [0.2], "roads": 3}.items() <= figures["val/path"].items()

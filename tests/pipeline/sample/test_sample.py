@@ -1,4 +1,6 @@
-"""The sample: routes, motion, sensors and rays; images, depths, scans and packets show the same scene."""
+"""The sample: routes, motion, sensors and rays; images, depths, scans and packets show the same
+scene.
+"""
 
 from itertools import product
 
@@ -59,7 +61,10 @@ def test_speed_and_yaw_in_oxts_integrate_to_the_track(journey):
     track = np.cumsum(length[:, None] * np.stack([np.cos(middle), np.sin(middle)], axis=-1), axis=0)
     # Second route: KITTI's own Mercator projection.
     scale = np.cos(np.deg2rad(oxts["lat"][0])) * 6378137.0
-    east, north = scale * np.deg2rad(oxts["lon"]), scale * np.log(np.tan(np.deg2rad(90 + oxts["lat"]) / 2))
+    east, north = (
+        scale * np.deg2rad(oxts["lon"]),
+        scale * np.log(np.tan(np.deg2rad(90 + oxts["lat"]) / 2)),
+    )
     measured = np.stack([east - east[0], north - north[0]], axis=-1)[1:]
     assert np.linalg.norm(measured[-1]) > 30
     assert np.linalg.norm(track - measured, axis=1).max() < 0.10
@@ -69,15 +74,20 @@ def test_the_label_is_the_curvature_of_the_path_a_moment_earlier(journey):
     oxts, motion = dict(zip(COLUMNS, oxts_rows(journey, 49.0, 8.4).T, strict=True)), journey.motion
     moving, label = oxts["vf"] > 1, steering_angle(oxts["wu"], oxts["vf"], 2.7)
     s_m, speed_mps = (
-        np.interp(motion.time_s - RATES_LATE_S, motion.time_s, values) for values in (motion.s_m, motion.speed_mps)
+        np.interp(motion.time_s - RATES_LATE_S, motion.time_s, values)
+        for values in (motion.s_m, motion.speed_mps)
     )
     faster = speed_mps[moving] / oxts["vf"][moving]  # the speed is not late
-    np.testing.assert_allclose(np.tan(label[moving]), 2.7 * journey.route.curvature(s_m)[moving] * faster, atol=1e-12)
+    np.testing.assert_allclose(
+        np.tan(label[moving]), 2.7 * journey.route.curvature(s_m)[moving] * faster, atol=1e-12
+    )
     assert label.min() < -0.1 < 0.1 < label.max()
 
 
 def optics(date: str) -> tuple[float, ...]:
-    """Return focal length and principal point as shares of the image, and the height over the IMU in metres."""
+    """Return focal length and principal point as shares of the image, and the height over the IMU
+    in metres.
+    """
     rig = make_rig((96, 320), date)
     (f, _, x), (_, _, y), _ = (rig.P_rect[2][:, :3] / rig.size[1]).tolist()
     return f, x, y, float(np.linalg.inv(rig.T_cam2_imu)[2, 3])
@@ -85,16 +95,22 @@ def optics(date: str) -> tuple[float, ...]:
 
 def test_the_dates_of_test_drives_have_other_cameras_within_the_range_of_the_training_dates():
     drives = load(Ingest, ROOT / "params.yaml").drives
-    train, val, test = ({drive[:10] for drive in names} for names in (drives.train, drives.val, drives.test))
+    train, val, test = (
+        {drive[:10] for drive in names} for names in (drives.train, drives.val, drives.test)
+    )
     assert not test & (train | val)
-    assert len({optics(date) for date in train | val | test}) == len({*map(optics, train | val)}) + len(test)
+    assert len({optics(date) for date in train | val | test}) == len(
+        {*map(optics, train | val)}
+    ) + len(test)
     known, new = (np.array([*map(optics, dates)]) for dates in (train, test))
     assert ((known.min(axis=0) <= new) & (new <= known.max(axis=0))).all()
 
 
 @pytest.mark.parametrize("drive", ["2026_01_01_drive_0001", "2026_01_06_drive_0003"])
 def test_ego_touches_nothing(drive):
-    """In a tight right turn and a narrow street: the outline is on road, and rays from frame to frame hit nothing."""
+    """In a tight right turn and a narrow street: the outline is on road, and rays from frame to
+    frame hit nothing.
+    """
     rng, (quarter, first) = random_of(drive, seed=0), theme(drive)
     character = draw_character(rng, quarter)
     journey = draw_journey(rng, 60, character, first)
@@ -102,14 +118,17 @@ def test_ego_touches_nothing(drive):
     world = World(plan, build_street(journey.route, plan, character, rng), draw_ground_colours(rng))
     xy, heading_rad = journey.route.at(journey.motion.s_m)
     ahead, left = unit(heading_rad), unit(heading_rad + np.pi / 2)
-    for forward, aside in product((-0.8, 1.3, 3.5), (-0.85, 0.0, 0.85)):  # from the centre of the rear axle
+    # from the centre of the rear axle
+    for forward, aside in product((-0.8, 1.3, 3.5), (-0.85, 0.0, 0.85)):
         places = xy + forward * ahead + (aside - IMU_LEFT_M) * left
         assert (plan.to_road_m[plan.cells(*places.T)] == 0).all()
         steps = np.diff(places, axis=0)
         length = np.linalg.norm(steps, axis=1)
         for height in (0.4, 1.5):
             starts = np.column_stack([places[:-1], np.full(len(steps), height)])
-            rays = np.column_stack([starts, steps / length[:, None], np.zeros(len(steps))]).astype(np.float32)
+            rays = np.column_stack([starts, steps / length[:, None], np.zeros(len(steps))]).astype(
+                np.float32
+            )
             assert (world.cast(rays.T).distance_m > length).all()
 
 
@@ -132,11 +151,17 @@ def test_scans_agree_with_dense_depth(drive):
     errors = []
     for frame in (0, FRAMES - 1):
         depth = to_metres(read_pixels(drive.truth_depth[frame]))
-        points = geometry.transform(camera.T_cam_velo, read_scan(drive.scans[frame])[:, :3].astype(np.float64))
+        points = geometry.transform(
+            camera.T_cam_velo, read_scan(drive.scans[frame])[:, :3].astype(np.float64)
+        )
         uv, z = geometry.project(points, camera.K)
-        inside = (z > 0) & (uv > 0).all(axis=1) & (uv[:, 0] < SIZE[1] - 1) & (uv[:, 1] < SIZE[0] - 1)
+        inside = (
+            (z > 0) & (uv > 0).all(axis=1) & (uv[:, 0] < SIZE[1] - 1) & (uv[:, 1] < SIZE[0] - 1)
+        )
         # On a plane, inverse depth is linear in the pixel. The median disregards silhouettes.
-        inverse = cv2.remap(1 / np.maximum(depth, 1e-3), *uv[inside].T.astype(np.float32), cv2.INTER_LINEAR)
+        inverse = cv2.remap(
+            1 / np.maximum(depth, 1e-3), *uv[inside].T.astype(np.float32), cv2.INTER_LINEAR
+        )
         assert inside.sum() > 300
         errors.append(np.abs(1 / inverse.ravel() - z[inside]))
     assert np.median(np.concatenate(errors)) < 0.05
@@ -151,13 +176,21 @@ def test_static_world_moves_as_oxts_measures(drive):
         east = np.deg2rad(row[1] - rows[0][1]) * 6378137 * np.cos(np.deg2rad(rows[0][0]))
         north = np.deg2rad(row[0] - rows[0][0]) * 6378137
         poses.append(geometry.rigid(rotation(*row[3:6]), (east, north, row[2])))
-    T_last_first = rig.T_cam2_imu @ np.linalg.inv(poses[1]) @ poses[0] @ np.linalg.inv(rig.T_cam2_imu)
+    T_last_first = (
+        rig.T_cam2_imu @ np.linalg.inv(poses[1]) @ poses[0] @ np.linalg.inv(rig.T_cam2_imu)
+    )
     depths = [to_metres(read_pixels(drive.truth_depth[frame])) for frame in (0, FRAMES - 1)]
     cls = read_pixels(drive.truth_cls[0])
-    static = (depths[0] > 0) & (depths[0] < 40) & np.isin(cls, [classes.BUILDING, classes.ROAD, classes.SIDEWALK])
+    static = (
+        (depths[0] > 0)
+        & (depths[0] < 40)
+        & np.isin(cls, [classes.BUILDING, classes.ROAD, classes.SIDEWALK])
+    )
     points = geometry.transform(T_last_first, geometry.back_project(depths[0], camera.K)[static])
     uv, z = geometry.project(points, camera.K)
-    inside = (z > 3) & (uv > 0.5).all(axis=1) & (uv[:, 0] < SIZE[1] - 1.5) & (uv[:, 1] < SIZE[0] - 1.5)
+    inside = (
+        (z > 3) & (uv > 0.5).all(axis=1) & (uv[:, 0] < SIZE[1] - 1.5) & (uv[:, 1] < SIZE[0] - 1.5)
+    )
     u, v = np.rint(uv[inside]).astype(int).T
     assert inside.sum() > 2000
     assert np.median(np.abs(depths[1][v, u] - z[inside]) / z[inside]) < 0.02

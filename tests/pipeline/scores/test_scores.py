@@ -20,7 +20,12 @@ from tests.artefacts import write_motion, write_recorded
 @pytest.mark.parametrize(
     ("truth", "predicted", "expected"),
     [
-        ([10, 20, 0, 0.9, 81, 40], [11, 30, 5, 5, 5, 40], [(0.1 + 0.5) / 3, np.sqrt(101 / 3), 2 / 3]),  # out of range
+        # out of range
+        (
+            [10, 20, 0, 0.9, 81, 40],
+            [11, 30, 5, 5, 5, 40],
+            [(0.1 + 0.5) / 3, np.sqrt(101 / 3), 2 / 3],
+        ),
         ([80, 1], [1000, 0.1], [0, 0, 1]),  # clipped
         ([10, 20, 40], [11, 0, 40], [0.05, np.sqrt(1 / 2), 1]),  # a hole in the prediction
     ],
@@ -48,9 +53,11 @@ def test_flat_ground_is_scored_at_the_pixels_of_the_encoder():
 def test_class_scores_equal_hand_values():
     scores = Scores()
     truth = np.array([0, 0, 0, 1, 1, classes.VOID, 18, 18])
-    scores.add_classes(np.array([0, 0, 1, 1, 2, 5, 18, classes.VOID], np.uint8), truth)  # void is an error
+    # void is an error
+    scores.add_classes(np.array([0, 0, 1, 1, 2, 5, 18, classes.VOID], np.uint8), truth)
     report = scores.report()["classes"]
-    ious = {classes.NAMES[0]: 2 / 3, classes.NAMES[1]: 1 / 3, classes.NAMES[18]: 1 / 2}  # 2 is not in the truth
+    # 2 is not in the truth
+    ious = {classes.NAMES[0]: 2 / 3, classes.NAMES[1]: 1 / 3, classes.NAMES[18]: 1 / 2}
     assert report["iou"] == pytest.approx(ious)
     assert report["mean_iou"] == pytest.approx(1 / 2)
     assert report["pixel_accuracy"] == pytest.approx(4 / 7)
@@ -59,7 +66,11 @@ def test_class_scores_equal_hand_values():
 def test_scores_add_up_over_drives_through_json():
     rng, every, total = np.random.default_rng(0), Scores(), Scores()
     for _ in range(2):
-        part, (depth, truth), (cls, true_cls) = Scores(), rng.uniform(2, 60, (2, 5, 6)), rng.integers(0, 4, (2, 5, 6))
+        part, (depth, truth), (cls, true_cls) = (
+            Scores(),
+            rng.uniform(2, 60, (2, 5, 6)),
+            rng.integers(0, 4, (2, 5, 6)),
+        )
         for scores in (every, part):
             scores.add_depth("depth_dense", depth, truth)
             scores.add_classes(cls, true_cls)
@@ -92,13 +103,18 @@ def test_scores_use_measured_frames_above_the_minimum_speed():
     scores = score([label_errors(moved(0.21, 6.6, [0, 1, 0, 1, 1]), moved(0.2, 6.0, [1] * 5))])
     expected = {"drives": 1, "frames": 5, "valid": 2 / 5, "judged": 3, "speed_ratio": 1.1}
     expected |= dict.fromkeys(("yaw_rmse_degps", "yaw_median_degps"), np.degrees(0.01))
-    expected["nmse"] = (held - true) ** 2 / true**2  # frames 1 to 3: the first is not measured yet, the last too slow
+    # frames 1 to 3: the first is not measured yet, the last too slow
+    expected["nmse"] = (held - true) ** 2 / true**2
     assert scores == pytest.approx(expected)
     assert score([]) is None
     true, unknown = moved(0.2, 6.0, [1] * 5), np.full(5, np.nan)
     wheel = Labels(1.1 * true.steering_rad, true.valid, unknown, unknown)
     scores = score([label_errors(wheel, true)])
-    assert (scores["yaw_rmse_degps"], scores["speed_ratio"], scores["nmse"]) == (None, None, pytest.approx(0.01))
+    assert (scores["yaw_rmse_degps"], scores["speed_ratio"], scores["nmse"]) == (
+        None,
+        None,
+        pytest.approx(0.01),
+    )
 
 
 @pytest.mark.parametrize("with_oxts", [False, True])
@@ -108,13 +124,18 @@ def test_only_recorded_values_are_a_reference(tmp_path, with_oxts, with_wheel):
     oxts = make_rows(FRAMES, vf=SPEED_MPS, wu=YAW_RATE_RADPS) if with_oxts else None
     angles = dict.fromkeys(range(FRAMES), TRUE_RAD + 0.01) if with_wheel else None
     write_recorded(tmp_path / f"ingest/{DRIVE}.h5", np.arange(FRAMES), oxts, angles)
-    write_motion(tmp_path / "motion", DRIVE, dict.fromkeys(range(FRAMES), (1.1 * SPEED_MPS, YAW_RATE_RADPS)))
-    found = score_motion([DRIVE], ingest=tmp_path / "ingest", motion=tmp_path / "motion", car=Car(2.7, 1.0))
+    write_motion(
+        tmp_path / "motion", DRIVE, dict.fromkeys(range(FRAMES), (1.1 * SPEED_MPS, YAW_RATE_RADPS))
+    )
+    found = score_motion(
+        [DRIVE], ingest=tmp_path / "ingest", motion=tmp_path / "motion", car=Car(2.7, 1.0)
+    )
     compared = {"visual": with_oxts, "visual-wheel": with_wheel, "wheel": with_oxts and with_wheel}
     assert set(found) == {kind for kind, expected in compared.items() if expected}
     for kind, result in found.items():
         assert result["judged"] == FRAMES
-        with_rates = kind == "visual"  # a wheel has neither speed nor yaw rate, whatever its labels borrow
+        # a wheel has neither speed nor yaw rate, whatever its labels borrow
+        with_rates = kind == "visual"
         assert result["speed_ratio"] == (pytest.approx(1.1) if with_rates else None), kind
         assert (result["yaw_rmse_degps"] is None) == (not with_rates), kind
         assert 0 < result["nmse"] < 0.1

@@ -1,4 +1,6 @@
-"""Windows with their targets, batches and their augmentation, scale and loss, checkpoints, predictions and runs."""
+"""Windows with their targets, batches and their augmentation, scale and loss, checkpoints,
+predictions and runs.
+"""
 
 import pickle
 import threading
@@ -39,7 +41,10 @@ def folder(tmp_path) -> Path:
 
 
 def read(folder: Path, names: Sequence[str] = NAMES, **reading: object) -> list[LabelledDrive]:
-    return [read_drive(folder / "graphs/semantic", folder / "labels", name, entry(**reading)) for name in names]
+    return [
+        read_drive(folder / "graphs/semantic", folder / "labels", name, entry(**reading))
+        for name in names
+    ]
 
 
 def batch_of(drives: Sequence[Timeline], *group: windows.Span, window: int = 8) -> Arrays:
@@ -66,7 +71,10 @@ def test_batch_of_two_spans_equals_single_frames(folder):
     with open_graphs(drives[1].graphs) as first, open_graphs(drives[0].graphs) as second:
         joined = artefacts.collate((first, 3, 14), (second, 0, 9))
     assert all(np.array_equal(batch[name], joined[name]) for name in joined)
-    assert (batch["target"] == np.concatenate([drives[1].target[10:14], drives[0].target[7:9]]).astype("f4")).all()
+    assert (
+        batch["target"]
+        == np.concatenate([drives[1].target[10:14], drives[0].target[7:9]]).astype("f4")
+    ).all()
 
 
 def test_target_is_the_label_horizon_frames_ahead_by_frame_number(folder):
@@ -79,7 +87,9 @@ def test_target_is_the_label_horizon_frames_ahead_by_frame_number(folder):
     ahead = {int(number): row for row, number in enumerate(frame)}
     for row, number in enumerate(drive.frame + 5):
         known = int(number) in ahead and valid[ahead[int(number)]]
-        assert drive.target[row, 0] == pytest.approx(steering[ahead[int(number)]] if known else np.nan, nan_ok=True)
+        assert drive.target[row, 0] == pytest.approx(
+            steering[ahead[int(number)]] if known else np.nan, nan_ok=True
+        )
     batch = batch_of([drive], windows.Span(0, 0, 10), window=4)  # windows end at frames 3 to 9
     expected = pytest.approx([0.08, 0.09, np.nan, 0.10, 0.11, 0.12, 0.13], nan_ok=True)
     assert batch["target"][:, 0] == expected
@@ -89,18 +99,25 @@ def test_target_is_the_label_horizon_frames_ahead_by_frame_number(folder):
 
 
 def test_motion_and_base_of_a_batch(folder):
-    """Not measured in frames 0 and 5: the angle is held, odometry is unknown before the first measurement.
+    """Not measured in frames 0 and 5: the angle is held, odometry is unknown before the first
+    measurement.
 
     Hidden motion is that of frames without measurement, and has no base.
     """
     moved = ~np.isin(np.arange(23), [0, 5])
     for drive in read(folder):
         artefacts.add_motion(drive.graphs, drive.target[:, 0], moved)
-    without, drives, no_base = read(folder), read(folder, motion="visual"), read(folder, motion="visual", base="none")
+    without, drives, no_base = (
+        read(folder),
+        read(folder, motion="visual"),
+        read(folder, motion="visual", base="none"),
+    )
     steering = drives[0].target[:, 0]
     held = np.where(moved, steering, np.where(np.arange(23) == 0, 0, steering[4]))
     assert drives[0].base == pytest.approx(held, abs=1e-6)
-    assert without[0].odometry[:, 0] == pytest.approx(np.r_[np.nan, held[1:]], abs=1e-6, nan_ok=True)
+    assert without[0].odometry[:, 0] == pytest.approx(
+        np.r_[np.nan, held[1:]], abs=1e-6, nan_ok=True
+    )
     group = [windows.Span(1, 3, 14), windows.Span(0, 0, 9)]
     batch, plain, unbased = (batch_of(read, *group) for read in (drives, without, no_base))
     assert batch["motion"].shape == (11 + 9, 4)
@@ -121,7 +138,9 @@ def test_motion_and_base_of_a_batch(folder):
 
 @pytest.mark.parametrize("others", [10, 23, 60])
 def test_the_control_gets_the_scene_of_another_drive_and_nothing_else_changes(folder, others):
-    """Also in a larger world, and with hidden motion. The first windows, which the other drive lacks, get its first."""
+    """Also in a larger world, and with hidden motion. The first windows, which the other drive
+    lacks, get its first.
+    """
     artefacts.write_dataset(folder, {NAMES[1]: "train"}, frames=others, points=12)
     for name, count in zip(NAMES, (23, others), strict=True):
         artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", np.full(count, 0.2))
@@ -149,11 +168,16 @@ def test_the_control_gets_the_scene_of_another_drive_and_nothing_else_changes(fo
 @pytest.mark.parametrize("kind", [*artefacts.VARIANTS, "image"])
 @pytest.mark.parametrize("scene", NAMES)
 def test_batches_are_the_same_wherever_frames_are_kept(tmp_path, device, kind, place, scene):
-    """On a CPU that takes the GPU's way, too; a drive that is scaled stays as it is for the next batch."""
+    """On a CPU that takes the GPU's way, too; a drive that is scaled stays as it is for the next
+    batch.
+    """
     artefacts.write_dataset(tmp_path, DRIVES, frames=23, points=40, kind=kind)
     drives, there = read(tmp_path), torch.device(device)
     drives[1] = replace(drives[1], scene=tmp_path / f"graphs/semantic/{scene}.h5")
-    groups = [(windows.Span(n % 2, n, n + 9, 1.1), windows.Span(1, 2 * n, 2 * n + 9))[: 1 + n % 2] for n in range(6)]
+    groups = [
+        (windows.Span(n % 2, n, n + 9, 1.1), windows.Span(1, 2 * n, 2 * n + 9))[: 1 + n % 2]
+        for n in range(6)
+    ]
     files = frames.Files((drive.graphs for drive in drives), place)
     files.load(there)
     assert all(bool(files[drive.graphs].kept) == (place != "disk") for drive in drives)
@@ -168,9 +192,12 @@ def test_batches_are_the_same_wherever_frames_are_kept(tmp_path, device, kind, p
 
 
 @pytest.mark.parametrize(
-    ("card", "ram", "place"), [(9e5, 0, "GPU"), (2e5, 9e5, "RAM"), (9e5, 9e5, "GPU"), (2e5, 10, "disk")]
+    ("card", "ram", "place"),
+    [(9e5, 0, "GPU"), (2e5, 9e5, "RAM"), (9e5, 9e5, "GPU"), (2e5, 10, "disk")],
 )
-def test_frames_are_kept_where_they_fit_beside_a_step(folder, monkeypatch, capsys, card, ram, place):
+def test_frames_are_kept_where_they_fit_beside_a_step(
+    folder, monkeypatch, capsys, card, ram, place
+):
     monkeypatch.setattr(torch.cuda, "mem_get_info", lambda: (card, 1e6))
     monkeypatch.setattr(torch.cuda, "empty_cache", lambda: None)
     monkeypatch.setattr(frames, "free_ram", lambda: ram)
@@ -180,9 +207,17 @@ def test_frames_are_kept_where_they_fit_beside_a_step(folder, monkeypatch, capsy
     assert files._choose(None) == ("RAM" if ram > 10 else "disk")
 
 
-@pytest.mark.parametrize(("limit", "gpus", "expected"), [("max", 0, None), ("5000", 0, 3000), ("5000", 2, 1500)])
-def test_free_memory_is_a_containers_and_shared_among_gpus(tmp_path, monkeypatch, limit, gpus, expected):
-    for name, text in (("memory.max", limit), ("memory.current", "2500"), ("memory.stat", "anon 9\ninactive_file 500")):
+@pytest.mark.parametrize(
+    ("limit", "gpus", "expected"), [("max", 0, None), ("5000", 0, 3000), ("5000", 2, 1500)]
+)
+def test_free_memory_is_a_containers_and_shared_among_gpus(
+    tmp_path, monkeypatch, limit, gpus, expected
+):
+    for name, text in (
+        ("memory.max", limit),
+        ("memory.current", "2500"),
+        ("memory.stat", "anon 9\ninactive_file 500"),
+    ):
         (tmp_path / name).write_text(f"{text}\n")
     for number in range(gpus):
         (tmp_path / f"gpus/{number}").mkdir(parents=True)
@@ -200,9 +235,13 @@ def test_free_memory_is_a_containers_and_shared_among_gpus(tmp_path, monkeypatch
         (5, "visual", "blind", False),
     ],
 )
-def test_motion_is_hidden_from_half_of_the_spans_beside_a_scene_ahead(folder, ahead, motion, spatial, hides):
+def test_motion_is_hidden_from_half_of_the_spans_beside_a_scene_ahead(
+    folder, ahead, motion, spatial, hides
+):
     model = entry(spatial=spatial, temporal="lstm", window=4, motion=motion, horizon=ahead)
-    settings = Train.model_validate(yaml.safe_load(small_model.PARAMS.read_text())["train"] | {"span_windows": 1})
+    settings = Train.model_validate(
+        yaml.safe_load(small_model.PARAMS.read_text())["train"] | {"span_windows": 1}
+    )
     fitting = fit.Fit(model.build("graph"), model, settings, 0, read(folder, horizon=ahead), [])
     hidden = np.mean([span.hidden for group in fitting._plan(epoch=1) for span in group])
     assert 0.3 < hidden < 0.7 if hides else hidden == 0
@@ -223,7 +262,9 @@ def test_a_world_twice_as_large_has_bends_of_twice_the_radius(tmp_path, predicte
     factor = np.where(np.arange(len(batch["xyz"])) < batch["ptr"][10], 2, 1)[:, None]
     assert (scaled["xyz"] == batch["xyz"] * factor).all()
     angle, yaw_rate, speed, valid = scaled["motion"].T.astype(np.float64)
-    assert np.tan(angle) == pytest.approx(artefacts.WHEELBASE_M * yaw_rate / speed, rel=1e-5, abs=1e-6)
+    assert np.tan(angle) == pytest.approx(
+        artefacts.WHEELBASE_M * yaw_rate / speed, rel=1e-5, abs=1e-6
+    )
     assert (speed == batch["motion"][:, 2] * np.repeat([2, 1], [10, 9])).all()
     assert (valid == batch["motion"][:, 3]).all()
     curvature = (lambda rad: rad) if path else np.tan
@@ -233,8 +274,12 @@ def test_a_world_twice_as_large_has_bends_of_twice_the_radius(tmp_path, predicte
     assert scaled.keys() == batch.keys()
 
 
-@given(st.floats(0.5, 2.0), st.lists(st.floats(-0.2, 0.2), min_size=3, max_size=3), st.integers(0, 3))
-def test_the_path_in_a_larger_world_has_the_mean_curvature_of_its_stretched_course(factor, values, unknown):
+@given(
+    st.floats(0.5, 2.0), st.lists(st.floats(-0.2, 0.2), min_size=3, max_size=3), st.integers(0, 3)
+)
+def test_the_path_in_a_larger_world_has_the_mean_curvature_of_its_stretched_course(
+    factor, values, unknown
+):
     curvature = np.array([values])
     path = targets.scale_path(np.where(np.arange(3) == unknown, np.nan, curvature), EDGES_M, factor)
     known = np.isfinite(path)
@@ -282,11 +327,16 @@ def test_items_come_in_order_a_bounded_number_ahead_and_errors_after_them(thread
 def test_scale_is_the_regression_and_spread_of_the_residual(tmp_path, path, entry):
     artefacts.write_dataset(tmp_path, DRIVES, frames=40, points=12, ahead_m=[0, 5, 10])
     for name, factor in zip(NAMES, (0.2, -0.3), strict=True):
-        artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", factor * np.sin(np.arange(40) / 5))
+        artefacts.add_motion(
+            tmp_path / f"graphs/semantic/{name}.h5", factor * np.sin(np.arange(40) / 5)
+        )
     drives = read(tmp_path, motion="visual", **entry)
     scale = Scale.from_drives(drives)
     assert scale.names == (["path_0-5m_1pm", "path_5-10m_1pm"] if path else ["steering_rad"])
-    truth, base = np.concatenate([d.target for d in drives]), np.concatenate([d.base for d in drives])
+    truth, base = (
+        np.concatenate([d.target for d in drives]),
+        np.concatenate([d.base for d in drives]),
+    )
     for number in range(len(scale.names)):
         known = np.isfinite(truth[:, number])
         assert 0 < known.sum() < len(truth)
@@ -305,12 +355,17 @@ def test_targets_of_a_step_and_decode_are_inverse(columns, seed):
     scale = Scale.parse(Scale([f"c{n}" for n in range(columns)], gain, std, mean).content)
     y, base = rng.normal(size=(5, columns)), rng.normal(size=5)
     batch = {"target": torch.from_numpy(y), "base": torch.from_numpy(base)}
-    outputs, _ = loss.step_targets(batch, torch.from_numpy(scale.gain), torch.from_numpy(scale.std), alpha=0.0)
+    outputs, _ = loss.step_targets(
+        batch, torch.from_numpy(scale.gain), torch.from_numpy(scale.std), alpha=0.0
+    )
     np.testing.assert_allclose(scale.decode(outputs.numpy(), base), y)
 
 
 def test_targets_of_a_step_are_standardised_and_weighted():
-    batch = {"target": torch.tensor([[0.2], [-0.3], [torch.nan]]), "base": torch.tensor([0.1, 0.0, 0.0])}
+    batch = {
+        "target": torch.tensor([[0.2], [-0.3], [torch.nan]]),
+        "base": torch.tensor([0.1, 0.0, 0.0]),
+    }
     gain, std = torch.ones(1).double(), torch.full((1,), 0.5).double()
     residual, weight = loss.step_targets(batch, gain, std, alpha=2.0)
     assert residual[:, 0].tolist() == pytest.approx([0.2, -0.6, 0.0])
@@ -331,9 +386,19 @@ def write_model(folder: Path, change: dict[str, Any] | None = None) -> Path:
     """Write a best.pt with random weights."""
     torch.manual_seed(0)
     model = entry(spatial="gnn", semantics=1.0, features=8, window=WINDOW)
-    scale = {"names": ["steering_rad"], "gain": [1.0], "std": [0.12], "mean": [0.01], "odometry_gain": None}
+    scale = {
+        "names": ["steering_rad"],
+        "gain": [1.0],
+        "std": [0.12],
+        "mean": [0.01],
+        "odometry_gain": None,
+    }
     content = {"kind": trained.KIND, "name": "net", "seed": 0, "seeds": [0], "scale": scale}
-    content |= {"contents": {"kind": "graph"}, "entry": model.model_dump(mode="json"), "settings": artefacts.LABELS}
+    content |= {
+        "contents": {"kind": "graph"},
+        "entry": model.model_dump(mode="json"),
+        "settings": artefacts.LABELS,
+    }
     content |= {"drives": ["a"], "fps": 10.0, "net": model.build("graph").state_dict()}
     checkpoint.write(folder / "best.pt", content | (change or {}))
     return folder
@@ -354,7 +419,9 @@ def test_shared_frames_equal_naive_windows_and_gaps_are_nan(tmp_path):
             span = windows.Span(0, row - WINDOW + 1, row + 1)
             batch = batch_of([timeline], span, window=WINDOW)
             with torch.inference_mode():
-                assert steering_rad[row] == pytest.approx(0.12 * model.net(*model.net.inputs(batch)).item(), abs=1e-6)
+                assert steering_rad[row] == pytest.approx(
+                    0.12 * model.net(*model.net.inputs(batch)).item(), abs=1e-6
+                )
         assert np.isfinite(steering_rad).sum() == (12 - 3) + (11 - 3)
 
 
@@ -371,7 +438,11 @@ def test_code_in_a_file_does_not_run(tmp_path):
         ("nett", {}, r"best\.pt is missing.*train/net"),
         ("net", {"kind": "encoder"}, "expected a checkpoint of .* steering net.*Train it again"),
         ("net", {"entry": {"spatial": "nothing"}}, "Train it again"),
-        ("net", {"entry": {"fit_to": "others"}}, "by revision 0919269e with fit_to: others. Use that revision"),
+        (
+            "net",
+            {"entry": {"fit_to": "others"}},
+            "by revision 0919269e with fit_to: others. Use that revision",
+        ),
         ("net", {"scale": None}, "Train it again"),
         ("net", {"net": {"weight": torch.zeros(1)}}, "Train it again"),
         ("cut", {}, "file is damaged"),
@@ -390,7 +461,9 @@ def test_a_wrong_checkpoint_is_one_line(tmp_path, name, change, message):
 def test_weights_that_are_not_finite_are_refused():
     net = torch.nn.Linear(3, 2)
     with pytest.raises(InputError, match="bias has values that are not finite"):
-        checkpoint.load_state(net, net.state_dict() | {"bias": torch.full((2,), torch.nan)}, Path("x.pt"))
+        checkpoint.load_state(
+            net, net.state_dict() | {"bias": torch.full((2,), torch.nan)}, Path("x.pt")
+        )
 
 
 SPLITS = {"a": "train", "x": "test", "b": "train", "v": "val", "y": "test", "z": "test"}
@@ -404,9 +477,21 @@ def test_runs_are_seeds():
 
 
 def test_the_scene_of_another_drive_is_one_of_the_same_split_drawn_per_seed():
-    splits = {"a": "train", "a2": "train", "a3": "train", "v": "val", "v2": "val", "x": "test", "x2": "test"}
+    splits = {
+        "a": "train",
+        "a2": "train",
+        "a3": "train",
+        "v": "val",
+        "v2": "val",
+        "x": "test",
+        "x2": "test",
+    }
     drawn = [runs.scenes(splits, seed, "another") for seed in range(20)]
-    assert all(other != drive and other[0] == drive[0] for scenes in drawn for drive, other in scenes.items())
+    assert all(
+        other != drive and other[0] == drive[0]
+        for scenes in drawn
+        for drive, other in scenes.items()
+    )
     assert {scenes["a"] for scenes in drawn} == {"a2", "a3"}
     assert drawn[0] == runs.scenes(splits, 0, "another")
     assert runs.scenes(splits, 0, "same") == {name: name for name in splits}

@@ -15,38 +15,48 @@ class Eq4(RecurrentCell):
 
         τ_i ḣ_i = -h_i + Σ_j w_ij σ(h_j) + Σ_k w_ik x_k + b_i,   τ_i = exp(θ_iᵀ x),   y_i = σ(h_i).
 
-    σ is the logistic function; w exists where the wiring has a synapse and starts with its sign; θ is dense, as
-    printed. The unit of time is the nominal frame (τ = 1 is 0.1 s), and x is constant over the dt before its frame. So
-    τ is constant, and N(h) = Σ_j w_ij σ(h_j) + Σ_k w_ik x_k + b_i depends on h alone, which suits an exponential
-    integrator, here ETD2RK (Cox and Matthews 2002). With z = dt / unfolds / τ each step is
+    σ is the logistic function; w exists where the wiring has a synapse and starts with its sign; θ
+    is dense, as printed. The unit of time is the nominal frame (τ = 1 is 0.1 s), and x is constant
+    over the dt before its frame. So τ is constant, and N(h) = Σ_j w_ij σ(h_j) + Σ_k w_ik x_k + b_i
+    depends on h alone, which suits an exponential integrator, here ETD2RK (Cox and Matthews 2002).
+    With z = dt / unfolds / τ each step is
 
         a = h + (1 - e^(-z)) (N(h) - h),   h ← a + (1 - (1 - e^(-z)) / z) (N(a) - N(h)),
 
-    exact in leak and input, of second order in the recurrent sum, and stable for every dt and τ, as N is bounded.
-    With 6 steps a frame, outputs of a new cell are within 3 % of their spread of the exact solution.
-    Since y is in (0,1), motor neurons' y, scaled and shifted, are the output.
+    exact in leak and input, of second order in the recurrent sum, and stable for every dt and τ, as
+    N is bounded. With 6 steps a frame, outputs of a new cell are within 3 % of their spread of the
+    exact solution. Since y is in (0,1), motor neurons' y, scaled and shifted, are the output.
     """
 
     def __init__(self, wiring: Wiring, unfolds: int = 6) -> None:
         super().__init__()
         inputs, units = wiring.sensory.shape
         self.motor, self.unfolds = wiring.motor, unfolds
-        signs = [torch.from_numpy(polarity).float() for polarity in (wiring.sensory, wiring.internal)]
+        signs = [
+            torch.from_numpy(polarity).float() for polarity in (wiring.sensory, wiring.internal)
+        ]
         # |w| from U(0,1), as in the LTC cell
-        self.sensory, self.internal = (SparseMatrix(sign * torch.rand(sign.shape), sign != 0) for sign in signs)
+        self.sensory, self.internal = (
+            SparseMatrix(sign * torch.rand(sign.shape), sign != 0) for sign in signs
+        )
         self.bias = nn.Parameter(torch.zeros(units))
         self.theta = nn.Linear(inputs, units, bias=False)
         self.output_scale = nn.Parameter(torch.full((wiring.motor,), 2 * OUTPUT_SCALE))
         self.output_shift = nn.Parameter(torch.full((wiring.motor,), -OUTPUT_SCALE))
 
     def project_inputs(self, x: Tensor) -> Tensor:
-        return torch.cat([x @ self.sensory.dense() + self.bias, self.theta(x)], dim=-1)  # [..., 2U], drive ‖ log τ
+        # [..., 2U], drive ‖ log τ
+        return torch.cat([x @ self.sensory.dense() + self.bias, self.theta(x)], dim=-1)
 
     def forward(self, projected: Tensor, dt_s: Tensor) -> Tensor:
         internal = self.internal.dense()
         drive, log_tau = projected.chunk(2, dim=-1)  # each [W,T,U]
         h = torch.zeros_like(drive[:, 0])  # [W,U]
-        z = dt_s[..., None] / (NOMINAL_STEP_S * self.unfolds) / log_tau.clamp(-MAX_LOG_TAU, MAX_LOG_TAU).exp()
+        z = (
+            dt_s[..., None]
+            / (NOMINAL_STEP_S * self.unfolds)
+            / log_tau.clamp(-MAX_LOG_TAU, MAX_LOG_TAU).exp()
+        )
         share = -torch.expm1(-z)  # relaxation of h towards N per step, [W,T,U]
         correction = 1 - share / z  # weight of N's change during the step, [W,T,U]
         states = []
@@ -55,7 +65,9 @@ class Eq4(RecurrentCell):
             for _ in range(self.unfolds):
                 n = torch.addmm(drive_frame, h.sigmoid(), internal)  # [W,U]
                 a = torch.lerp(h, n, share_frame)
-                h = torch.addcmul(a, correction_frame, torch.addmm(drive_frame, a.sigmoid(), internal) - n)
+                h = torch.addcmul(
+                    a, correction_frame, torch.addmm(drive_frame, a.sigmoid(), internal) - n
+                )
             states.append(h)
         y = torch.stack(states, dim=1)[..., : self.motor].sigmoid()  # [W,T,motor]
         return y * self.output_scale + self.output_shift

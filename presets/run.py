@@ -1,23 +1,18 @@
-"""Run a preset in a copy of the code, runs/NAME, a DVC repository with its own cache: ``make
-NAME``.
-"""
+"""``make NAME``: run a preset in runs/NAME, a copy of the code with its own DVC cache."""
 
 import json
 import os
-import re
 import shutil
 import signal
 import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from html import escape
 from pathlib import Path
 from typing import Any
 
 import psutil
 import typer
-import yaml
 
 from pipeline.base import console
 from pipeline.base.checkout import CHECKOUT
@@ -29,7 +24,7 @@ from pipeline.base.store import write_json, write_text
 from pipeline.check import preset
 from pipeline.encoder.settings import Encoder
 from pipeline.encoder.weights import weights_hash
-from pipeline.report.origin import REVISION, origin
+from pipeline.report.origin import RUN, duration, origin, read_run
 
 DVC = ("config cache.type hardlink,copy", "cache dir .dvc/cache", "repro")
 
@@ -38,7 +33,6 @@ def main(name: str) -> None:
     """Run preset `name` and copy its report to data/report/NAME.*. Raises InputError if it is
     running already.
     """
-    start_s = time.monotonic()
     run = Path("runs") / name
 
     # Nothing is written before all settings are known.
@@ -51,39 +45,42 @@ def main(name: str) -> None:
     run.parent.mkdir(exist_ok=True)
     with locked(run, f"{run}.lock"):
         check_is_run(run)
-        write_text(run / REVISION, revision())
+        made = {
+            "preset": name,
+            "revision": revision(),
+            "started_s": time.time(),
+            "settings": changes(settings, read(params)),
+            "next": next_command(name, run, settings),
+        }
+        write_json(run / RUN, made, sort_keys=False)
         write_text(run / CHECKOUT, str(Path.cwd()))
         preset.write(settings, run / "params.yaml", f"make {name}")
         copy_code(run)
         release_locks(run / ".dvc/tmp/rwlock")
         run_dvc(run)
-
-        made = {"preset": name} | origin(run)
-        took = f"{(time.monotonic() - start_s) / 60:.1f} min of the last make"
-        facts = ", ".join([*map(" ".join, made.items()), took])
-        command = next_command(name, run, settings)
-        page = (run / "data/report/index.html").read_text(encoding="utf-8")
-        page = with_facts(page, facts, changes(read(run / "params.yaml"), read(params)), command)
-        content = json.loads((run / "data/report/results.json").read_text(encoding="utf-8"))
-        table = (run / "data/report/table.md").read_text(encoding="utf-8")
-        report = Path("data/report")
-        write_json(report / f"{name}.json", made | {"results": content}, sort_keys=False)
-        write_text(report / f"{name}.html", page)
-        write_text(report / f"{name}.md", table)
-
-    print(table, f"Open {report}/{name}.html in a browser.", sep="")
-    print(facts, f"next: {command}", sep="\n")
+        publish(run, Path("data/report"), name)
+    print(f"Open data/report/{name}.html in a browser.", f"next: {made['next']}", sep="\n")
     if settings["ingest"].get("recordings"):
-        recorded = json.loads((run / "data/scores/metrics.json").read_text(encoding="utf-8"))[
-            "recorded"
-        ]
+        recorded = json.loads((run / "data/scores/metrics.json").read_text("utf-8"))["recorded"]
         for doubt in dict.fromkeys(line for log in recorded.values() for line in log["lines"][1:]):
             print(f"doubt: {doubt}")
 
 
+def publish(run: Path, report: Path, name: str) -> None:
+    """Copy the page, the table and the results of a run to files NAME.*, and print the table."""
+    results = json.loads((run / "data/report/results.json").read_text(encoding="utf-8"))
+    made = origin(run)
+    write_json(report / f"{name}.json", made | {"results": results}, sort_keys=False)
+    for source, suffix in {"index.html": "html", "table.md": "md"}.items():
+        text = (run / "data/report" / source).read_text(encoding="utf-8")
+        write_text(report / f"{name}.{suffix}", text)
+    facts = [*map(" ".join, made.items()), f"{duration(read_run(run))} of the last make"]
+    print(text, ", ".join(facts), sep="\n")
+
+
 def check_is_run(run: Path) -> None:
     """Raise InputError if a folder has files, but none by an earlier run."""
-    if run.exists() and any(run.iterdir()) and not (run / REVISION).exists():
+    if run.exists() and any(run.iterdir()) and not (run / RUN).exists():
         raise InputError("is a folder that no run made", run, "Move it away, or rename the preset")
 
 
@@ -263,16 +260,6 @@ def changes(new: dict[str, Any], old: dict[str, Any]) -> dict[str, Any]:
         key: changes(a, b) if isinstance(a, dict) and isinstance(b, dict) else a
         for key, (a, b) in both.items()
     }
-
-
-def with_facts(page: str, facts: str, settings: dict[str, Any], command: str) -> str:
-    """Return the page of a stage with what the stage cannot know: where it comes from, and the next
-    command.
-    """
-    text = yaml.safe_dump(settings, allow_unicode=True, sort_keys=False)
-    summary = f"<summary>{escape(facts)}; settings that differ from params.yaml</summary>"
-    page = page.replace("</h1>", f"</h1>\n<details>{summary}<pre>{escape(text)}</pre></details>", 1)
-    return re.sub("(?<=Next: <code>).*(?=</code>)", lambda _: escape(command), page)
 
 
 if __name__ == "__main__":

@@ -1,20 +1,18 @@
-"""Compare all models: data/report/{index.html, table.md, metrics.json, …}."""
+"""Compare all models: data/report/{index.html, table.md, results.json, …}."""
 
 from pathlib import Path
 from textwrap import fill
-from typing import Annotated
+from typing import Annotated, Any
 
-import pandas as pd
 import typer
 
 from pipeline.base import console, store
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import entries, load
 from pipeline.evaluate.settings import Evaluate
-from pipeline.report import results, summary, tables
-from pipeline.report.figures import draw
-from pipeline.report.origin import origin
-from pipeline.report.page import Story, write_page
+from pipeline.report import page, summary, tables
+from pipeline.report.results import load_groups
+from pipeline.report.summary import Comparison
 
 
 def main(
@@ -24,71 +22,53 @@ def main(
     out: Path = Path("data/report"),
     params: Path = Path("params.yaml"),
 ) -> Path:
-    """Write the page with its pictures, the tables, and the files of DVC's metrics and plots.
-    Returns `out`.
+    """Write the page with its pictures, the tables, and the file of DVC's metrics. Returns `out`.
 
     Models of the params file that are not evaluated on this machine are named.
     """
     with stage_folder("report", out, params=params) as folder:
         models = entries("models", params)
-        evaluated = [
-            model for model in models if (data / "evaluate" / model / "metrics.json").is_file()
-        ]
-        groups = results.load_groups(
-            {model: data / "evaluate" / model for model in evaluated}, load(Evaluate, params)
-        )
-        path = data / "scores" / "metrics.json"
-        scores = store.read_json(path, stage="scores") if path.is_file() else None
-        path = data / "encoder" / "config.json"
-        notes = store.read_json(path, stage="encoder").get("sources", []) if path.is_file() else []
-        figures = summary.results(groups, scores)
-        steering = tables.steering_tables(groups, figures)
-        perceived = tables.perception_tables(scores) if scores else []
-        doubts = []
-        for kind, row in scores["recorded"].items() if scores else ():
-            name = "recorded motion" if kind == "recorded" else kind
-            notes += [f"{name}: {line}" for line in row["lines"][:1]]
-            doubts += [f"{name}: {line}" for line in row["lines"][1:]]
-        sentences = tables.sentences(
-            groups, figures, [model for model in models if model not in evaluated]
-        )
-        first = "\n\n".join(fill(line, 110) for line in sentences)
-        all_tables = [*steering.results, *steering.paper, *steering.details, *perceived]
-        definitions = [tables.definitions()] if groups else []
-        text = "\n\n".join(
-            [first, *(table.markdown() for table in all_tables), *definitions]
-        ).lstrip()
-        origin_text = "Page made at " + ", ".join(" ".join(item) for item in origin().items())
-        story = Story(tables.headline(groups, figures), sentences, doubts, origin_text)
-        (folder.new / "table.md").write_text(f"{text}\n", encoding="utf-8")
-        store.write_json(folder.new / "metrics.json", summary.dvc_metrics(groups, figures))
-        store.write_json(folder.new / "results.json", summary.rounded(figures))
-        for name in ("learning", "figures"):  # DVC expects each output, even an empty one
-            (folder.new / name).mkdir()
-        for path in (
-            path for model in evaluated for path in (data / "train" / model).rglob("curve.csv")
-        ):
-            network = ".".join(path.relative_to(data / "train").parts[:-1])  # MODEL.seed-N
-            curve = pd.read_csv(path, dtype=str).drop(columns="learning_rate")
-            # DVC draws an empty field as 0, and nan as a gap.
-            curve.to_csv(
-                folder.new / f"learning/{network}.csv",
-                index=False,
-                lineterminator="\n",
-                na_rep="nan",
-            )
-        pictures = draw(folder.new / "figures", groups, data)
-        write_page(
-            folder.new / "index.html",
-            story,
-            groups,
-            figures,
-            steering,
-            [*notes, *perceived],
-            pictures,
-        )
-    print(first, f"Tables: {out.absolute()}/table.md. Page: {out.absolute()}/index.html", sep="\n")
+        evaluated = [name for name in models if (data / f"evaluate/{name}/metrics.json").is_file()]
+        absent = [name for name in models if name not in evaluated]
+        groups = load_groups({name: data / "evaluate" / name for name in evaluated})
+        scores = _read_json(data / "scores/metrics.json", "scores")
+        encoder = _read_json(data / "encoder/config.json", "encoder")
+
+        # All values are computed here, once: tables, page and DVC's metrics show them.
+        values = summary.results(groups, load(Evaluate, params), scores)
+        store.write_json(folder.new / "results.json", summary.rounded(values), sort_keys=False)
+        store.write_json(folder.new / "metrics.json", summary.dvc_metrics(values), sort_keys=False)
+        comparisons = [Comparison(values, group.key) for group in groups]
+
+        sentences = tables.sentences(comparisons, absent)
+        steering, details = tables.steering_tables(comparisons, groups)
+        perceived = tables.perception_tables(scores)
+        text = "\n\n".join(fill(sentence, 110) for sentence in sentences)
+        sections = [table.section() for table in (*steering, *details, *perceived)]
+        table = "\n\n".join([text, *sections, tables.definitions()])
+        store.write_text(folder.new / "table.md", table.lstrip())
+
+        pictures = folder.new / "figures"
+        pictures.mkdir()  # DVC expects each output, even an empty one
+        content: dict[str, page.Content] = {"Errors": page.errors(comparisons)}
+        if groups:
+            content["From image to graph"] = page.chain(pictures, groups[0], comparisons[0], data)
+        content |= {table.title: [table] for table in steering}
+        for group, comparison in zip(groups, comparisons, strict=True):
+            title = f"Test drives: {comparison.title}"
+            content[title] = page.test_drives(pictures, group, comparison, data / "ingest")
+        content["Learning curves"] = page.learning(data / "train", evaluated)
+        content |= {table.title: [table] for table in (*details, *perceived)}
+        notes, doubts = tables.recorded_motion(scores)
+        content["Notes"] = [*encoder.get("sources", []), *notes]
+        content["Definitions"] = [f"{word}: {text}" for word, text in tables.DEFINITIONS.items()]
+        page.write(folder.new / "index.html", page.Page(sentences, doubts, content))
+    print(text, f"Tables: {out.absolute()}/table.md. Page: {out.absolute()}/index.html", sep="\n")
     return out
+
+
+def _read_json(path: Path, stage: str) -> dict[str, Any]:
+    return store.read_json(path, stage=stage) if path.is_file() else {}
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ repro)
   [ ! -e wait ] || {{ trap "$ended" INT; while :; do sleep .1; done; }}
   mkdir -p data/report && ls stages > dvc.lock
   [ ! -e stages/broken.py ] || exit 255
-  echo "<h1>Steering report</h1> Next: <code>dvc exp run</code>" > data/report/index.html
+  echo "<h1>Steering report</h1>" > data/report/index.html
   echo {{}} > data/report/results.json
   echo "| $(basename "$PWD") |" > data/report/table.md ;;
 esac
@@ -98,13 +98,12 @@ def test_a_preset_runs_in_a_copy_of_the_code(checkout):
         assert (folder / copied).read_bytes() == (ROOT / copied).read_bytes()
     assert (folder / "checkout").read_text() == str(checkout)
     assert (checkout / "data/report/kitti.md").read_text() == "| kitti |\n"
-    page = (checkout / "data/report/kitti.html").read_text()
-    assert (
-        "<h1>Steering report</h1>\n<details><summary>preset kitti, revision unknown, date 20"
-        in page
-    )
-    assert "<pre>ingest:\n  source: kitti\n" in page
-    assert "Next: <code>$EDITOR presets/kitti.yaml &amp;&amp; make kitti " in page
+    assert (checkout / "data/report/kitti.html").read_text() == "<h1>Steering report</h1>\n"
+    results = json.loads((checkout / "data/report/kitti.json").read_text())
+    assert (results["preset"], results["results"]) == ("kitti", {})
+    made = json.loads((folder / "run.json").read_text())
+    assert made["settings"]["ingest"]["source"] == "kitti"
+    assert made["next"].startswith("$EDITOR presets/kitti.yaml && make kitti ")
     assert "\npreset kitti, revision unknown, date 20" in done.stdout
     assert (checkout / "params.yaml").read_text() == params
     first = [
@@ -145,7 +144,7 @@ REFUSED = [
     ("roads", {"runs/roads/dvc.yaml": "mine"}, "runs/roads: is a folder that no run made"),
     (
         "roads",
-        {"runs/roads/revision": "", "runs/roads/params.yaml": "a: 1"},
+        {"runs/roads/run.json": "{}", "runs/roads/params.yaml": "a: 1"},
         "runs/roads/params.yaml: was edited",
     ),
     (
@@ -173,7 +172,9 @@ def test_a_run_that_would_replace_other_files_or_mix_settings_is_refused(
         Path(file).write_text(text)
     with pytest.raises(InputError, match=problem):
         run.main(name)
-    assert all(Path(file).read_text() == text for file, text in files.items())
+    users_files = {file: text for file, text in files.items() if not file.endswith("run.json")}
+    for file, text in users_files.items():
+        assert Path(file).read_text() == text
     assert not Path("calls").exists()
 
 
@@ -214,7 +215,7 @@ def test_other_weights_under_the_same_name_change_the_settings(tmp_path, monkeyp
 def test_sigterm_ends_dvc_as_ctrl_c_does(checkout):
     folder = checkout / "runs/kitti"
     folder.mkdir(parents=True)
-    (folder / "revision").touch()
+    (folder / "run.json").touch()
     (folder / "wait").touch()
     process = start(checkout, "kitti")
     calls = checkout / "calls"

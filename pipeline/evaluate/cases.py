@@ -26,6 +26,7 @@ from pipeline.train.loss import Scale
 from pipeline.train.targets import LabelledDrive, read_drive
 from pipeline.train.trained import Trained
 
+# Key of metrics.json → count per frame in graph files.
 SIZES = {
     "points_per_frame": "points",
     "edges_per_frame": "edges_kept",
@@ -51,19 +52,21 @@ class Case:
         - regression: odometry times its regression coefficient on the training drives, with 0 for
           NaN; NaN if all are.
         """
-        drive, scale = self.drive, self.scale
-        values = {"train_mean": scale.mean}
+        drive = self.drive
+        values = {"train_mean": self.scale.mean}
         if not drive.ahead_m:
-            known = label.held(drive.driven.steering_rad, drive.driven.valid)
-            shift = 0 if drive.horizon else 1
-            values["persistence"] = np.concatenate([np.zeros(shift), known])[: len(known), None]
+            last_rad = label.held(drive.driven.steering_rad, drive.driven.valid)
+            if not drive.horizon:
+                # The target frame is the last input frame, so the last true angle is one before.
+                last_rad = np.concatenate([np.zeros(1), last_rad[:-1]])
+            values["persistence"] = last_rad[:, None]
         if drive.odometry is not None:
             values["odometry"] = drive.odometry
-            if scale.odometry_gain is not None:
-                measured = np.isfinite(drive.odometry).any()
-                values["regression"] = scale.odometry_gain * (
-                    np.nan_to_num(drive.odometry) if measured else np.nan
-                )
+            if self.scale.odometry_gain is not None:
+                measured = np.nan_to_num(drive.odometry)
+                if not np.isfinite(drive.odometry).any():
+                    measured[:] = np.nan
+                values["regression"] = self.scale.odometry_gain * measured
         return {name: np.broadcast_to(value, drive.target.shape) for name, value in values.items()}
 
 
@@ -80,21 +83,23 @@ def predict_cases(
     first = next(iter(models.values()))
     if first.net.device.type == "cpu":
         torch.set_num_threads(1)  # as in training: sums of more threads differ
-    cases: dict[str, list[Case]] = {part: [] for part in SPLITS}
-    for name, part in splits.items():
+    cases: dict[str, list[Case]] = {split: [] for split in SPLITS}
+    for name, split in splits.items():
         drive = read_drive(variant, labels, name, first.entry)
         if drive.columns != first.scale.names:
-            problem = (
-                f"labels.ahead_m differs from the ranges of the trained model (got {drive.ahead_m})"
-            )
+            ranges = f"got {drive.ahead_m}"
+            problem = f"labels.ahead_m differs from the ranges of the trained model ({ranges})"
             raise InputError(problem, drive.labels, f"Train it again: dvc repro train@{first.name}")
-        seen = [variant / f"{of_seed[name]}.h5" for of_seed in scenes]
-        files = Files(seen)  # for all seeds
+
+        # The scenes that each seed sees, the drive's own but in a control, are in memory once.
+        scene_paths = [variant / f"{scene_of[name]}.h5" for scene_of in scenes]
+        files = Files(scene_paths)
         files.load(first.net.device)
+        predictions = []
         with open_graphs(drive.graphs) as graphs:
-            pairs = zip(models.values(), seen, strict=True)
-            predictions = [model.predict(graphs, scene, files) for model, scene in pairs]
-        cases[part].append(Case(drive, predictions, first.scale))
+            for model, scene in zip(models.values(), scene_paths, strict=True):
+                predictions.append(model.predict(graphs, scene, files))
+        cases[split].append(Case(drive, predictions, first.scale))
     return cases
 
 
@@ -105,24 +110,25 @@ def evaluate_model(
 
     `first`: the network of the model's first seed.
     """
-    tested = [case.drive for case in cases["test"]]
+    drives = {split: [case.drive for case in of_split] for split, of_split in cases.items()}
+    tested = drives["test"]
     result: dict[str, Any] = {
         "model": name,
         "entry": first.entry.model_dump(mode="json"),
         "seeds": first.seeds,
-        "drives": {
-            part: [case.drive.name for case in drives if case.drive.has_window(first.entry.window)]
-            for part, drives in cases.items()
-        },
-        "turning_frames": turning_frames([case.drive for case in cases["train"]]),
+        "drives": {},
+        "turning_frames": turning_frames(drives["train"]),
         "parameters": sum(weights.numel() for weights in first.net.parameters()),
         "columns": columns(tested[0]),
+        "wheelbase_m": tested[0].settings["labels"]["wheelbase_m"],
         **inputs(tested),
-        **{part: metrics(drives, settings) if drives else None for part, drives in cases.items()},
     }
-    result["untrained"] = [
-        first.seeds[number] for number in statistics.untrained(train_nmse(result))
-    ]
+    for split, of_split in cases.items():
+        with_windows = [drive for drive in drives[split] if drive.has_window(first.entry.window)]
+        result["drives"][split] = [drive.name for drive in with_windows]
+        result[split] = metrics(of_split, settings) if of_split else None
+    stuck = statistics.untrained(train_nmse(result))
+    result["untrained"] = [first.seeds[number] for number in stuck]
     return result
 
 
@@ -133,42 +139,37 @@ def train_nmse(result: Mapping[str, Any]) -> np.ndarray:
 
 
 def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, Any]]:
-    """Return column → errors with confidence interval, of frames with a target and a prediction;
-    and drift.
-    """
+    """Return column → :func:`statistics.errors`, and drift, of drives of a split."""
     drives = [case.drive for case in cases]
+    by_seed = list(zip(*(case.predictions for case in cases), strict=True))
+
+    # All frames of the split, one drive after the other.
     truth = np.concatenate([drive.target for drive in drives])  # [N,R]
-    by_seed = [*zip(*(case.predictions for case in cases), strict=True)]
     predicted = np.stack([np.concatenate(seed) for seed in by_seed])  # [S,N,R]
-    error = (predicted - truth) ** 2
     number = np.repeat(np.arange(len(drives)), [len(drive.frame) for drive in drives])
+
+    drift_m = _drift(drives, by_seed)
     result = {}
     for column, name in enumerate(drives[0].columns):
-        known = np.isfinite(error[..., column]).all(axis=0)
-        true, of_seeds = truth[known, column], predicted[:, known, column]
-        result[name] = statistics.scores(true, of_seeds) | {
-            "nmse_ci95": statistics.interval(
-                error[..., column], truth[:, column], number, settings
-            ),
-            "nmse_by_seed": [statistics.scores(true, one_seed)["nmse"] for one_seed in of_seeds],
-            "drift_m_per_100m": _drift(drives, by_seed),
-        }
+        errors = statistics.errors(truth[:, column], predicted[..., column], number, settings)
+        result[name] = errors | {"drift_m_per_100m": drift_m}
     return result
 
 
 def _drift(
     drives: Sequence[LabelledDrive], by_seed: Iterable[Iterable[np.ndarray]]
 ) -> float | None:
-    """Return the mean :func:`drift` of the predictions by seed and drive; None with a horizon and
-    for a path.
-    """
+    """Return the mean :func:`drift` over seeds; None with a horizon and for a path."""
     if drives[0].horizon or drives[0].ahead_m:
         return None
     onsets = [read_onsets(drive) for drive in drives]
-    angles_rad = ([predicted[:, 0] for predicted in one_seed] for one_seed in by_seed)
-    values = [drift(zip(drives, onsets, of_drives, strict=True)) for of_drives in angles_rad]
-    known = [value for value in values if value is not None]
-    return float(np.mean(known)) if known else None
+    values = []
+    for predictions in by_seed:
+        angles_rad = [prediction[:, 0] for prediction in predictions]
+        value = drift(zip(drives, onsets, angles_rad, strict=True))
+        if value is not None:
+            values.append(value)
+    return float(np.mean(values)) if values else None
 
 
 def columns(drive: LabelledDrive) -> dict[str, dict[str, Any]]:
@@ -180,23 +181,20 @@ def columns(drive: LabelledDrive) -> dict[str, dict[str, Any]]:
 
 
 def turning_frames(drives: Sequence[LabelledDrive]) -> int:
-    """Return the number of frames whose target turns: the angle, or the path in any of its
-    ranges.
-    """
+    """Return the number of frames whose target, or path in any of its ranges, turns."""
     frames = 0
     for drive in drives:
-        angle_rad = (
-            np.arctan(drive.target * drive.settings["labels"]["wheelbase_m"])
-            if drive.ahead_m
-            else drive.target
-        )
+        angle_rad = drive.target
+        if drive.ahead_m:
+            angle_rad = np.arctan(drive.target * drive.settings["labels"]["wheelbase_m"])
         frames += int((np.abs(angle_rad) > label.TURNING_RAD).any(axis=1).sum())
     return frames
 
 
 def inputs(drives: Sequence[LabelledDrive]) -> dict[str, Any]:
-    """Return the graph variant's settings, and mean points and directed edges per frame; None where
-    unknown.
+    """Return the graph variant's settings, and the mean points and directed edges per frame.
+
+    They are None where unknown.
     """
     result = {"variant": drives[-1].settings.get("graphs", {})}
     for key, name in SIZES.items():
@@ -222,29 +220,20 @@ def write_predictions(path: Path, name: str, seeds: Sequence[int], cases: Sequen
                 "drive": drive.name,
                 "frame": drive.frame,
                 "time_s": drive.time_s,
+                "speed_mps": drive.driven.speed_mps,
             }
-            table["speed_mps"] = drive.driven.speed_mps
-            values = {
-                "true": drive.target,
-                "predicted": case.predictions[number],
-                **case.baselines(),
-            }
+            values = {"true": drive.target, "predicted": case.predictions[number]}
+            values |= case.baselines()
             for column, target in enumerate(drive.columns):
-                table |= {
-                    f"{kind}_{target}": of_kind[:, column] for kind, of_kind in values.items()
-                }
+                for kind, of_kind in values.items():
+                    table[f"{kind}_{target}"] = of_kind[:, column]
             tables.append(pd.DataFrame(table))
     pd.concat(tables).to_csv(path, index=False, lineterminator="\n", float_format="%.9f")
 
 
-def summary(column: str, scores: Mapping[str, Any]) -> str:
+def summary(column: str, errors: Mapping[str, Any]) -> str:
     """Return the nmse of a column as text, with its spread over seeds and its interval."""
-    if scores["nmse"] is None:
+    if errors["nmse"] is None:
         return f"{column} unknown"
-    spread = (
-        f" ± {np.std(scores['nmse_by_seed'], ddof=1):.3f}"
-        if len(scores["nmse_by_seed"]) > 1
-        else ""
-    )
-    interval = statistics.interval_text(scores["nmse_ci95"])
-    return f"{column} {scores['nmse']:.3f}{spread} ({interval}; {scores['frames']} frames)"
+    text = statistics.nmse_text(errors["nmse"], errors["nmse_by_seed"], errors["nmse_ci95"])
+    return f"{column} {text}, {errors['frames']} frames"

@@ -14,12 +14,14 @@ from pipeline.base.errors import InputError
 from pipeline.base.metrics import mae, mse, nmse, rmse
 from pipeline.evaluate.settings import Evaluate
 
-LEAST_DRIVES = 10  # for a verdict
+# Least number of independent parts of drives for a verdict on two methods.
+LEAST_DRIVES = 10
 
 
 class Metric(NamedTuple):
-    """An error of predictions, [N] or [S,N] of S seeds, for true values [N]; None where it is not
-    defined.
+    """An error of predictions, [N] or [S,N] of S seeds, for true values [N].
+
+    It is None where it is not defined.
     """
 
     compute: Callable[[np.ndarray, np.ndarray], float | None]
@@ -53,12 +55,40 @@ def scores(truth: np.ndarray, predicted: np.ndarray) -> dict[str, Any]:
     for name, metric in METRICS.items():
         value = metric.compute(truth, predicted)
         if value is not None and not math.isfinite(value):
+            problem = f"metric {name} returned {value}"
             fix = "Return a finite number, or None where there is none"
-            raise InputError(
-                f"metric {name} returned {value}", "pipeline/evaluate/statistics.py", fix
-            )
+            raise InputError(problem, "pipeline/evaluate/statistics.py", fix)
         result[name] = None if value is None else float(value)
     return result
+
+
+def errors(
+    truth: np.ndarray, predicted: np.ndarray, drive: np.ndarray, settings: Evaluate
+) -> dict[str, Any]:
+    """Return the :func:`scores` of predictions [S,N], the nmse of each seed, and its interval.
+
+    Frames whose truth or prediction is NaN do not count. `truth`, `drive`: [N] as in
+    :func:`interval`.
+    """
+    error = (predicted - truth) ** 2
+    counted = np.isfinite(error).all(axis=0)
+    by_seed = [scores(truth[counted], seed[counted])["nmse"] for seed in predicted]
+    return scores(truth[counted], predicted[:, counted]) | {
+        "nmse_ci95": interval(error, truth, drive, settings),
+        "nmse_by_seed": by_seed,
+    }
+
+
+def nmse_of(error: np.ndarray, truth: np.ndarray) -> float | None:
+    """Return Σ error / Σ truth², the mean over seeds and columns; None if every true value is 0.
+
+    `error`: squared errors [S,N,R], NaN for frames that do not count; `truth`: [N,R].
+    """
+    zero = np.nansum(truth**2, axis=0)
+    bends = zero > 0
+    if not bends.any():
+        return None
+    return float((np.nansum(error.mean(axis=0), axis=0)[bends] / zero[bends]).mean())
 
 
 def interval(
@@ -83,14 +113,16 @@ def interval(
         other: squared errors of a second model, for the paired difference, narrower if both err on
             the same roads.
     """
+    # Frames that count, and sums over them by part; zero is the error of always predicting zero.
     squares = (truth**2).reshape(1, len(truth), -1)  # [1,N,R]
-    models = [
-        values.reshape(*values.shape[:2], -1) for values in (error, other) if values is not None
-    ]
-    # [N,R]
-    counted = np.all([np.isfinite(values).all(axis=0) for values in (squares, *models)], axis=0)
+    models = [error.reshape(*error.shape[:2], -1)]
+    if other is not None:
+        models.append(other.reshape(*other.shape[:2], -1))
+    counted = np.isfinite(squares).all(axis=0)  # [N,R]
+    for values in models:
+        counted &= np.isfinite(values).all(axis=0)
     part = parts(drive, settings.bootstrap_block_frames)
-    zero = sums_by_part(squares, counted, part)[0]  # [D,R], errors of always predicting zero
+    zero = sums_by_part(squares, counted, part)[0]  # [D,R]
     errors = [sums_by_part(values, counted, part) for values in models]  # each [S,D,R]
 
     bends = zero.any(axis=0)
@@ -99,28 +131,25 @@ def interval(
     zero = zero[:, bends]
     errors = [values[..., bends] for values in errors]
 
-    # Errors of the first model, less those of the second one, on roads and with seeds that are
-    # drawn.
+    # Errors of the first model, less those of the second, on drawn roads and with drawn seeds.
     rng = np.random.default_rng(settings.seed)
-    drawn_parts = draw(len(zero), settings.bootstrap_samples, rng)
-    drawn = drawn_error(
-        errors[0], drawn_parts, draw_seeds(len(errors[0]), settings.bootstrap_samples, rng)
-    )
+    samples = settings.bootstrap_samples
+    drawn_parts = draw(len(zero), samples, rng)
+    drawn = drawn_error(errors[0], drawn_parts, draw_seeds(len(errors[0]), samples, rng))
     mean = mean_nmse(errors[0], zero)
     if len(errors) > 1:
-        drawn = drawn - drawn_error(
-            errors[1], drawn_parts, draw_seeds(len(errors[1]), settings.bootstrap_samples, rng)
-        )
+        drawn -= drawn_error(errors[1], drawn_parts, draw_seeds(len(errors[1]), samples, rng))
         mean -= mean_nmse(errors[1], zero)
-    drawn_zero = np.einsum("bd,dr->br", drawn_parts, zero)
-    drawn_nmse = np.divide(
-        drawn, drawn_zero, out=np.full_like(drawn, np.nan), where=drawn_zero > 0
-    ).mean(axis=1)
 
-    low, high = mean + widened(len(zero)) * (np.nanpercentile(drawn_nmse, [2.5, 97.5]) - mean)
+    # The same relative to zero on the drawn roads; NaN where these are straight.
+    drawn_zero = np.einsum("bd,dr->br", drawn_parts, zero)
+    drawn_nmse = np.full_like(drawn, np.nan)
+    np.divide(drawn, drawn_zero, out=drawn_nmse, where=drawn_zero > 0)
+    percentiles = np.nanpercentile(drawn_nmse.mean(axis=1), [2.5, 97.5])
+    low, high = (mean + widened(len(zero)) * (percentiles - mean)).tolist()
     if other is None:  # no error is below 0
-        return [max(float(low), 0.0), max(float(high), 0.0)]
-    return [float(low), float(high)]
+        return [max(low, 0.0), max(high, 0.0)]
+    return [low, high]
 
 
 def sums_by_part(values: np.ndarray, counted: np.ndarray, part: np.ndarray) -> np.ndarray:
@@ -170,12 +199,10 @@ def parts(drive: np.ndarray, block_frames: int) -> np.ndarray:
     A drive of two or more blocks is cut into equal parts of at least one block, which count as
     drives.
     """
-    drives = np.split(drive, np.flatnonzero(np.diff(drive)) + 1)
-    lengths = [
-        len(part)
-        for rows in drives
-        for part in np.array_split(rows, max(len(rows) // block_frames, 1))
-    ]
+    lengths = []
+    for frames in np.split(drive, np.flatnonzero(np.diff(drive)) + 1):
+        blocks = max(len(frames) // block_frames, 1)
+        lengths += [len(part) for part in np.array_split(frames, blocks)]
     return np.repeat(np.arange(len(lengths)), lengths)
 
 
@@ -185,11 +212,14 @@ def verdict(bounds: Sequence[float] | None, seeds: int, drives: int) -> str:
     `seeds`: of the model that has fewer; `drives`: the :func:`parts`.
     """
     if seeds < 2:
-        return "too few seeds"
+        return "too few seeds (train.seeds)"
     if drives < LEAST_DRIVES:
         return "too few drives"
-    low, high = bounds or (-math.inf, math.inf)
-    return "better" if high < 0 else "worse" if low > 0 else "no difference shown"
+    if bounds is not None and bounds[1] < 0:
+        return "better"
+    if bounds is not None and bounds[0] > 0:
+        return "worse"
+    return "no difference shown"
 
 
 def untrained(nmse: np.ndarray) -> list[int]:
@@ -197,10 +227,15 @@ def untrained(nmse: np.ndarray) -> list[int]:
     return np.flatnonzero((nmse > 0.9) | (nmse > 0.5) & (nmse > 2 * np.median(nmse))).tolist()
 
 
+def nmse_text(value: float, seeds: Sequence[float], bounds: Sequence[float] | None) -> str:
+    """Return an nmse as text, with the standard deviation over seeds and its :func:`interval`."""
+    spread = f" ± {np.std(seeds, ddof=1):.3f}" if len(seeds) > 1 else ""
+    return f"{value:.3f}{spread} ({interval_text(bounds)})"
+
+
 def interval_text(bounds: Sequence[float] | None, form: str = ".3f") -> str:
     """Return the bounds of an :func:`interval` as text, the reason if it is None."""
-    return (
-        "too short for an interval"
-        if bounds is None
-        else " to ".join(format(bound, form) for bound in bounds)
-    )
+    if bounds is None:
+        return "too short for an interval"
+    low, high = bounds
+    return f"{low:{form}} to {high:{form}}"

@@ -1,21 +1,23 @@
 """Write the page: one HTML file that needs no other file and no network, from page.html.j2."""
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+import yaml
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from pipeline.report import plots
-from pipeline.report.figures import Figures
-from pipeline.report.results import Group, Row
-from pipeline.report.summary import Results
-from pipeline.report.tables import DEFINITIONS, SteeringTables, Table
+from pipeline.report import figures, plots
+from pipeline.report.origin import duration, origin, read_run
+from pipeline.report.results import Group
+from pipeline.report.summary import Comparison
+from pipeline.report.tables import Table
 
 _LEARNING = (
     "Each line is a seed: nmse on the validation drives; dotted, without these, the training loss."
@@ -27,7 +29,13 @@ _SPACE = (
 )
 
 
+# Command that trains a network of the demo with another model of the sequence.
+NEXT = "dvc exp run -S models.sa-gnn-ncp.temporal=lstm"
+
+
 class Figure(NamedTuple):
+    """A picture or plot as HTML."""
+
     caption: str
     html: str
 
@@ -35,60 +43,21 @@ class Figure(NamedTuple):
 Content = Sequence[str | Table | Figure]
 
 
-class Story(NamedTuple):
-    """What stands above the sections."""
+@dataclass
+class Page:
+    """The page from top to bottom; the first sentence is its headline."""
 
-    headline: str
     sentences: Sequence[str]
     doubts: Sequence[str]
-    origin: str  # revision, date and machine
+    sections: Mapping[str, Content]  # title → content; those without content are left out
 
 
-def write_page(
-    path: Path,
-    story: Story,
-    groups: Sequence[Group],
-    figures: Results,
-    tables: SteeringTables,
-    perception: Content,
-    pictures: Figures,
-) -> None:
-    """Write the page beside folders figures and learning. `perception`: sources of the encoder's
-    weights; tables.
-    """
-    captions, views = pictures
-    drawn = {
-        name: _picture(path.parent / f"figures/{name}.png", caption)
-        for name, caption in captions.items()
-    }
-    curves = {
-        file.stem: pd.read_csv(file) for file in sorted((path.parent / "learning").glob("*.csv"))
-    }
-    look = plots.styles(groups)
-    errors = [Figure(f"{_ERRORS}: {group.title}.", _errors(group, figures)) for group in groups]
-    learning = (
-        [Figure(_LEARNING, plots.to_html(plots.learning(curves, look), "learning"))]
-        if curves
-        else []
-    )
-    space = (
-        [Figure(_SPACE, plots.to_html(plots.in_space(views), "space", "min(32rem, 105vw)"))]
-        if views
-        else []
-    )
-    sections: dict[str, Content] = {
-        "Errors": errors,
-        "From image to graph": [*(drawn[name] for name in drawn if name == "chain"), *space],
-        "Results": tables.results,
-        "The paper": tables.paper,
-        **{f"Test drives: {group.title}": _test_drives(group, drawn, look) for group in groups},
-        "Learning curves": learning,
-        "Models in detail": tables.details,
-        "Depth, classes and motion": perception,
-        "Definitions": [f"{word}: {meaning}" for word, meaning in DEFINITIONS.items()]
-        if groups
-        else [],
-    }
+def write(path: Path, page: Page) -> None:
+    """Write a page, and at its end what it was made from."""
+    run = read_run()
+    made = origin()
+    if "started_s" in run:
+        made["duration"] = duration(run)
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
@@ -96,56 +65,79 @@ def write_page(
         trim_blocks=True,
     )
     html = environment.get_template("page.html.j2").render(
-        story=story,
-        sections={title: content for title, content in sections.items() if content},
-        change=_swap(groups[0].by_error[0]) if groups else "",
+        page=page,
+        made=made,
+        settings=yaml.safe_dump(run.get("settings", {}), allow_unicode=True, sort_keys=False),
+        next=run.get("next", NEXT),
         plotly=get_plotlyjs(),
     )
     path.write_text(html, encoding="utf-8")
 
 
-def _swap(row: Row) -> str:
-    """Return a change of settings that trains a model with another network of the sequence."""
-    temporal = "ncp" if row["entry"]["temporal"] == "lstm" else "lstm"
-    return f"models.{row['model']}.temporal={temporal}"
-
-
-def _errors(group: Group, figures: Results) -> str:
-    height = f"{4 + 2 * len(group.predicted)}rem"
-    return plots.to_html(plots.errors(group, figures), f"{group.key}-errors", height)
-
-
-def _picture(path: Path, caption: str) -> Figure:
+def picture(path: Path, caption: str) -> Figure:
+    """Return a PNG file as part of the page."""
     png = base64.b64encode(path.read_bytes()).decode("ascii")
-    return Figure(
-        caption,
-        Markup('<img src="data:image/png;base64,{}" alt="{}" loading="lazy">').format(png, caption),
-    )
+    tag = Markup('<img src="data:image/png;base64,{}" alt="{}" loading="lazy">')
+    return Figure(caption, tag.format(png, caption))
 
 
-def _test_drives(group: Group, pictures: dict[str, Figure], look: plots.Styles) -> Content:
-    """Return the angles over time of the best, the median and the worst drive, on one axis, and
-    their pictures.
+def errors(comparisons: Sequence[Comparison]) -> Content:
+    """Return a chart of the errors of each group."""
+    charts = []
+    for comparison in comparisons:
+        height = f"{4 + 2 * len(comparison.models + comparison.baselines)}rem"
+        plot = plots.to_html(plots.errors(comparison), f"{comparison.group}-errors", height)
+        charts.append(Figure(f"{_ERRORS}: {comparison.title}.", plot))
+    return charts
+
+
+def chain(pictures: Path, group: Group, comparison: Comparison, data: Path) -> Content:
+    """Draw the way of a frame from image to steering into a folder, and its graph in 3D.
+
+    `data`: the folder of all stages, whose files may be missing.
     """
-    drives = group.predictions["drive"].nunique()
+    path = pictures / "chain.png"
+    caption, views = figures.draw_chain(path, group, comparison.by_error, data)
+    if not views:
+        return []
+    space = plots.to_html(plots.in_space(views), "space", "min(32rem, 105vw)")
+    return [picture(path, caption), Figure(_SPACE, space)]
+
+
+def test_drives(pictures: Path, group: Group, comparison: Comparison, ingest: Path) -> Content:
+    """Return the angles over time of the best, the median and the worst drive, and pictures."""
+    best = comparison.by_error[0]
+    count = group.first_seeds["drive"].nunique()
     first = "The only test drive"
-    if drives > 1:
-        first = (
-            f"Of {drives} test drives, the best, the median and the worst by error of "
-            f"{group.by_error[0]['model']}"
-        )
-    turn = (
-        " The angle is the turn of the path over all ranges." if any(group.labels.values()) else ""
-    )
+    if count > 1:
+        first = f"Of {count} test drives, the best, the median and the worst by error of {best}"
+    turn = "" if comparison.labels == [""] else " The angle is the turn of the path in all ranges."
     hint = "Drag to zoom, double-click to reset, click the legend to hide."
     content: list[str | Figure] = [f"{first}: predictions of the first seed.{turn} {hint}"]
-    typical = group.predictions[group.predictions["drive"].isin(group.typical_drives)]
-    limit_deg = float(
-        np.nanmax(np.abs(typical[["true_deg", "predicted_deg"]].to_numpy()), initial=1.0)
-    )
-    for drive, rank in group.typical_drives.items():
-        rows = group.predictions[group.predictions["drive"] == drive]
-        plot = plots.to_html(plots.over_time(rows, look, limit_deg), f"{group.key}-{rank}")
-        content.append(Figure(f"The {rank} drive, {drive}: {group.title} over time", plot))
-        content += [pictures[name] for name in pictures if name == f"{group.key}-{rank}"]
+
+    # One axis for all drives.
+    drives = group.typical_drives(best)
+    shown = group.first_seeds[group.first_seeds["drive"].isin(drives)]
+    angles_deg = shown[["true_deg", "predicted_deg"]].to_numpy()
+    limit_deg = float(np.nanmax(np.abs(angles_deg), initial=1.0))
+    captions = figures.draw_errors(pictures, comparison, group, ingest)
+    for drive, rank in drives.items():
+        plot = plots.over_time(shown[shown["drive"] == drive], comparison.by_error, limit_deg)
+        name = f"{group.key}-{rank}"
+        caption = f"The {rank} drive, {drive}: {comparison.title} over time"
+        content.append(Figure(caption, plots.to_html(plot, name)))
+        if name in captions:
+            content.append(picture(pictures / f"{name}.png", captions[name]))
     return content
+
+
+def learning(train: Path, models: Sequence[str]) -> Content:
+    """Return the learning curves of models by their curve.csv in the folder of stage train."""
+    curves = {}
+    for model in models:
+        for path in sorted((train / model).rglob("curve.csv")):
+            network = ".".join(path.relative_to(train).parts[:-1])  # MODEL.seed-N
+            curves[network] = pd.read_csv(path)
+    if not curves:
+        return []
+    return [Figure(_LEARNING, plots.to_html(plots.learning(curves), "learning"))]

@@ -5,6 +5,8 @@ about them.
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from pipeline.graphs.settings import Variant
+
 
 class Published(NamedTuple):
     """A network of the paper: what it gives of a model's settings, and its MSE."""
@@ -36,7 +38,6 @@ _COMMON = {
     "horizon": 0,
     "predict": "angle",
     "scene": "same",
-    "width": 1.0,
 }
 
 
@@ -64,13 +65,46 @@ CLAIMS = (
 
 
 def find(name: str, entry: Mapping[str, Any], variant: Mapping[str, Any]) -> Published | None:
-    """Return the paper's network of a model's name, None without one or if the model has other
-    settings.
+    """Return the paper's network of a model's name, but for PointNet++'s width.
+
+    None without one, or if the model has other settings.
     """
-    if (network := PAPER.get(name)) is None or variant.get("accumulate"):
+    network = PAPER.get(name)
+    if network is None or variant.get("accumulate"):
         return None
     expected = _COMMON | dict(zip(network._fields[:5], network, strict=False))
-    expected |= {} if network.spatial == "cnn" else {"alpha": 0}
-    return (
-        network if all(entry.get(key, value) == value for key, value in expected.items()) else None
-    )
+    if network.spatial != "cnn":
+        expected["alpha"] = 0
+    if network.spatial != "pointnet2":
+        expected["width"] = 1.0
+    for key, value in expected.items():
+        if entry.get(key, value) != value:
+            return None
+    return network
+
+
+def claims(models: Mapping[str, Mapping[str, Any]]) -> list[Claim]:
+    """Return the claims that models can judge: name → metrics.json with its network, `paper`.
+
+    Rivals that are not the paper's differ from the claim's model in one setting.
+    """
+    judged = []
+    for claim in CLAIMS:
+        model = models.get(claim.model)
+        rival = models.get(claim.rival)
+        if model and rival and model["paper"]:
+            control = claim.rival not in PAPER and _differing(model, rival) == 1
+            if rival["paper"] or control:
+                judged.append(claim)
+    return judged
+
+
+def _differing(first: Mapping[str, Any], second: Mapping[str, Any]) -> int:
+    """Return the number of settings, of models or of their graphs, in which two models differ."""
+    entries = first["entry"], second["entry"]
+    names = entries[0].keys() & entries[1].keys() - {"input"}
+    count = sum(entries[0][name] != entries[1][name] for name in names)
+    for name, field in Variant.model_fields.items():
+        values = [row["variant"].get(name, field.default) for row in (first, second)]
+        count += values[0] != values[1]
+    return count

@@ -2,7 +2,7 @@
 their graph in 3D.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import cycle
 from typing import Any
 
@@ -11,18 +11,16 @@ import pandas as pd
 import plotly.graph_objects as go
 
 from pipeline.camera import classes
-from pipeline.report.results import Group
 from pipeline.report.street_view import View
-from pipeline.report.summary import Results, key
+from pipeline.report.summary import Comparison
 
 COLOURS = ("#0b57a4", "#d1495b", "#2e8b57", "#8a5fbf", "#1b998b", "#7a6a53", "#c2185b")
-Styles = dict[str, dict[str, Any]]
-FIXED: Styles = {
-    "driven": {"marker": {"color": "#1b2027"}, "line": {"width": 3}},
-    "odometry": {"marker": {"color": "#e08e0b"}, "line": {"dash": "dash"}},
-}
-MODELS_SHOWN = 3  # the best at first; a click in the legend adds others
-POINTS_SHOWN, EDGES_SHOWN = 3_000, 4_000  # of a frame in 3D
+# Number of models whose lines are visible at first; a click in the legend adds others.
+MODELS_SHOWN = 3
+# Largest number of points of a frame in 3D.
+POINTS_SHOWN = 3_000
+# Largest number of edges of a frame in 3D.
+EDGES_SHOWN = 4_000
 _LAYOUT = {
     "template": "none",
     "showlegend": True,
@@ -33,130 +31,121 @@ _PLANE = _LAYOUT | {
     "legend_y": -0.2,
     "legend_yanchor": "top",
 }
-_AXES = {
-    "xaxis": ("right, m", [-22, 22]),
-    "yaxis": ("ahead, m", [0, 50]),
-    "zaxis": ("up, m", [-4, 10]),
-}
-_SCENE = {name: {"title": title, "range": ends} for name, (title, ends) in _AXES.items()} | {
+_SCENE = {
+    "xaxis": {"title": "right, m", "range": [-22, 22]},
+    "yaxis": {"title": "ahead, m", "range": [0, 50]},
+    "zaxis": {"title": "up, m", "range": [-4, 10]},
     "aspectmode": "data",
-    # behind and above the car
+    # Behind and above the car.
     "camera": {"eye": {"x": 0, "y": -1.5, "z": 0.9}, "center": {"z": -0.25}},
 }
 
 
-def styles(groups: Sequence[Group]) -> Styles:
-    """Return model or baseline → name, colour, line and visibility of its traces in all plots."""
-    models = [row["model"] for group in groups for row in group.models]
-    shown = {*FIXED, *(row["model"] for group in groups for row in group.by_error[:MODELS_SHOWN])}
-    looks = {
-        name: {"marker": {"color": colour}}
-        for name, colour in zip(models, cycle(COLOURS), strict=False)
-    } | FIXED
-    return {
-        name: {"name": name, "visible": name in shown or "legendonly", **looks[name]}
-        for name in looks
-    }
-
-
 def to_html(figure: go.Figure, name: str, height: str = "24rem", *, alone: bool = False) -> str:
-    """Return a plot as part of a page with plotly.js, or `alone` as a page; `name`: id of its
-    element in the page.
+    """Return a plot as part of a page with plotly.js, or `alone` as a page.
+
+    `name`: id of its element in the page.
     """
-    options = {
-        "default_height": height,
-        "full_html": alone,
-        "include_plotlyjs": alone,
-        "auto_play": False,
-    }
+    config = {"responsive": True, "displayModeBar": False}
     return str(
-        figure.to_html(div_id=name, config={"responsive": True, "displayModeBar": False}, **options)
+        figure.to_html(
+            div_id=name,
+            config=config,
+            default_height=height,
+            full_html=alone,
+            include_plotlyjs=alone,
+            auto_play=False,
+        )
     )
 
 
-def errors(group: Group, figures: Results) -> go.Figure:
-    """Plot the nmse of each model and baseline with its 95 % interval, a range of a path beside the
-    other.
-    """
-    figure = go.Figure(layout=_PLANE | {"xaxis_title": "nmse", "yaxis": {"autorange": "reversed"}})
-    figure.update_layout(showlegend=len(group.labels) > 1, margin={"l": 130})
-    for label in group.labels.values():
-        entries = [figures[key(group.key, name, label)] for name in group.predicted]
-        values = [entry["figure"] for entry in entries]
-        ends = [entry["interval"] or (entry["figure"], entry["figure"]) for entry in entries]
-        bars = {
-            "array": [
-                high - value
-                for value, (_, high) in zip(values, ends, strict=True)
-                if value is not None
-            ],
-            "arrayminus": [
-                value - low
-                for value, (low, _) in zip(values, ends, strict=True)
-                if value is not None
-            ],
-        }
+def errors(comparison: Comparison) -> go.Figure:
+    """Plot the nmse of models and baselines with its 95 % interval, by range of a path."""
+    figure = go.Figure(layout=_PLANE | {"xaxis_title": "nmse", "yaxis_autorange": "reversed"})
+    figure.update_layout(showlegend=len(comparison.labels) > 1, margin={"l": 130})
+    for label in comparison.labels:
+        bars = []
+        for name in (*comparison.models, *comparison.baselines):
+            entry = comparison.entry(name, label)
+            value = entry["figure"]
+            if value is not None:
+                low, high = entry["interval"] or (value, value)
+                bars.append((value, name, high - value, value - low))
+        values, names, above, below = zip(*bars, strict=True) if bars else ((), (), (), ())
+        interval = {"array": above, "arrayminus": below}
         figure.add_scatter(
-            x=values, y=[*group.predicted], error_x=bars, mode="markers", name=label or "nmse"
+            x=values, y=names, error_x=interval, mode="markers", name=label or "nmse"
         )
     return figure
 
 
-def over_time(predictions: pd.DataFrame, look: Styles, limit_deg: float) -> go.Figure:
-    """Plot driven angle, odometry and the predictions of each model over the time of one drive, in
-    degrees, left +.
+def over_time(predictions: pd.DataFrame, models: Sequence[str], limit_deg: float) -> go.Figure:
+    """Plot driven angle, odometry and predictions over the time of one drive, in degrees, left +.
 
-    `limit_deg`: end of the axis on both sides.
+    `models`: the best first; `limit_deg`: end of the axis on both sides.
     """
-    truth = predictions.drop_duplicates("frame").sort_values("frame")
-    lines = {"driven": (truth, "true_deg"), "odometry": (truth, "odometry_deg")}
-    lines |= {
-        name: (rows, "predicted_deg") for name, rows in predictions.groupby("model", sort=False)
-    }
     figure = go.Figure(layout=_PLANE | {"xaxis_title": "time in s", "yaxis_title": "deg, left +"})
     figure.update_yaxes(range=[-1.05 * limit_deg, 1.05 * limit_deg])
-    for name, (rows, column) in lines.items():
-        if rows[column].notna().any():
-            hover = {
-                "text": rows["frame"].tolist(),
-                "hovertemplate": "%{y:.2f}° at %{x:.1f} s, frame %{text}",
-            }
-            x, y = (rows[key].to_numpy(np.float32) for key in ("elapsed_s", column))
-            figure.add_scatter(x=x, y=y, mode="lines", **hover, **look[name])
+
+    def add(rows: pd.DataFrame, column: str, name: str, **style: Any) -> None:
+        if rows[column].isna().all():
+            return
+        figure.add_scatter(
+            x=rows["elapsed_s"].to_numpy(np.float32),
+            y=rows[column].to_numpy(np.float32),
+            text=rows["frame"].tolist(),
+            hovertemplate="%{y:.2f}° at %{x:.1f} s, frame %{text}",
+            mode="lines",
+            name=name,
+            **style,
+        )
+
+    truth = predictions.drop_duplicates("frame").sort_values("frame")
+    add(truth, "true_deg", "driven", line={"color": "#1b2027", "width": 3})
+    add(truth, "odometry_deg", "odometry", line={"color": "#e08e0b", "dash": "dash"})
+    for rank, (name, colour) in enumerate(zip(models, cycle(COLOURS), strict=False)):
+        visible = True if rank < MODELS_SHOWN else "legendonly"
+        rows = predictions[predictions["model"] == name]
+        add(rows, "predicted_deg", name, line={"color": colour}, visible=visible)
     return figure
 
 
-def learning(curves: dict[str, pd.DataFrame], look: Styles) -> go.Figure:
-    """Plot the curves of networks MODEL[.seed-N]: training loss, dotted, of those without
-    validation.
-    """
-    figure = go.Figure(
-        layout=_PLANE | {"xaxis_title": "epoch", "yaxis_title": "error; 1: a constant angle"}
-    )
-    # model → its first network
-    legend = {network.split(".")[0]: network for network in reversed(curves)}
+def learning(curves: Mapping[str, pd.DataFrame]) -> go.Figure:
+    """Plot the curves of networks MODEL[.seed-N]; without validation the training loss, dotted."""
+    figure = go.Figure(layout=_PLANE | {"xaxis_title": "epoch"})
+    figure.update_yaxes(title="error; 1: a constant angle")
+    colours = dict(zip({name.split(".")[0]: 0 for name in curves}, cycle(COLOURS), strict=False))
+    named = set()
     for network, curve in curves.items():
-        model, validated = network.split(".")[0], curve["val_nmse"].notna().any()
-        group = {
-            "legendgroup": model,
-            "showlegend": legend[model] == network,
-            "hovertext": network,
-            "visible": True,
-        }
-        line = {"dash": "solid" if validated else "dot", "width": 1.5}
-        y = curve["val_nmse" if validated else "train_loss"].to_numpy(np.float32)
+        model = network.split(".")[0]
+        validated = curve["val_nmse"].notna().any()
         figure.add_scatter(
-            x=curve["epoch"], y=y, mode="lines", **look[model] | group | {"line": line}
+            x=curve["epoch"],
+            y=curve["val_nmse" if validated else "train_loss"].to_numpy(np.float32),
+            mode="lines",
+            line={
+                "color": colours[model],
+                "dash": "solid" if validated else "dot",
+                "width": 1.5,
+            },
+            name=model,
+            hovertext=network,
+            legendgroup=model,
+            showlegend=model not in named,
         )
+        named.add(model)
     return figure
 
 
 def in_space(views: Sequence[View]) -> go.Figure:
-    """Show points of some frames by class, with a slider, and their edges; of too many edges those
-    near the car.
+    """Show points of some frames by class, with a slider, and their edges.
+
+    Of too many edges, those near the car are shown.
     """
     present = np.unique(np.concatenate([np.asarray(view.points_cls) for view in views])).tolist()
     frames = [go.Frame(name=str(view.frame), data=_traces(view, present)) for view in views]
+
+    # A step of the slider shows its frame at once.
     now = {
         "mode": "immediate",
         "frame": {"duration": 0, "redraw": True},
@@ -170,34 +159,33 @@ def in_space(views: Sequence[View]) -> go.Figure:
         "currentvalue": {"prefix": "frame "},
         "pad": {"t": 10, "l": 10, "r": 10, "b": 30},
     }
-    above = {
+    layout = _LAYOUT | {
         "legend_y": 1.02,
         "legend_yanchor": "bottom",
         "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
+        "scene": _SCENE,
+        "sliders": [slider],
     }
-    return go.Figure(
-        frames[0].data, _LAYOUT | above | {"scene": _SCENE, "sliders": [slider]}, frames
-    )
+    return go.Figure(frames[0].data, layout, frames)
 
 
 def _traces(view: View, present: Sequence[int]) -> list[go.Scatter3d]:
     """Return a trace for each class of `present`, and one of the edges."""
     cls = np.asarray(view.points_cls)
-    # Plotly's z points up
+    # Plotly's z points up.
     xyz = np.asarray(view.xyz)[:, [0, 2, 1]] * np.array([1, 1, -1], np.float32)
-    shown, parts = np.random.default_rng(0).permutation(len(xyz))[:POINTS_SHOWN], []
+    shown = np.random.default_rng(0).permutation(len(xyz))[:POINTS_SHOWN]
+    traces = []
     for number in present:
+        x, y, z = xyz[shown[cls[shown] == number]].T
         name = classes.NAMES[number] if number < classes.COUNT else "no class"
-        marker = {"size": 2, "color": f"rgb{tuple(classes.colourise(np.array(number)).tolist())}"}
-        parts.append(
-            (xyz[shown[cls[shown] == number]], {"name": name, "mode": "markers", "marker": marker})
-        )
+        red, green, blue = classes.colourise(np.array(number)).tolist()
+        marker = {"size": 2, "color": f"rgb({red}, {green}, {blue})"}
+        traces.append(go.Scatter3d(x=x, y=y, z=z, name=name, mode="markers", marker=marker))
     if view.edges is not None:
-        nearest = view.edges[np.argsort(xyz[view.edges[:, 0], 1], kind="stable")[:EDGES_SHOWN]]
-        lines = np.insert(xyz[nearest], 2, np.nan, axis=1).reshape(-1, 3)  # NaN: a gap
-        parts.append(
-            (lines, {"name": "edges", "mode": "lines", "line": {"width": 1.5, "color": "#8b95a1"}})
-        )
-    return [
-        go.Scatter3d(dict(zip("xyz", points.T, strict=True)) | style) for points, style in parts
-    ]
+        nearest = np.argsort(xyz[view.edges[:, 0], 1], kind="stable")[:EDGES_SHOWN]
+        ends = xyz[view.edges[nearest]]  # [E,2,3]
+        x, y, z = np.insert(ends, 2, np.nan, axis=1).reshape(-1, 3).T  # NaN: a gap
+        line = {"width": 1.5, "color": "#8b95a1"}
+        traces.append(go.Scatter3d(x=x, y=y, z=z, name="edges", mode="lines", line=line))
+    return traces

@@ -1,129 +1,201 @@
-"""All errors of a run and their differences, computed once: tables, page, DVC's metrics and
-results.json have these.
+"""All errors of a run and their differences, computed once: results.json.
 
-A key is GROUP/ROW or, of a range, GROUP/RANGE/ROW: angle-10/motion-10, path-0/10-20 m/path. A row
-is a model, a baseline, or "A - B", their paired difference in nmse. GROUP/ROW of a path is the mean
-over its ranges. val/MODEL is the validation error. docs/results has the results.json of published
-runs.
+Tables, page and DVC's metrics are made from these values, and docs/results has those of published
+runs. A key is GROUP/ROW or, of a range of a path, GROUP/RANGE/ROW: angle-10/motion-10, path-0/10-20
+m/path. A row is a model, a baseline, or "A - B", their paired difference in nmse. GROUP/ROW of a
+path is the mean over its ranges. val/MODEL is the validation error.
 """
 
 import json
-from collections.abc import Iterator, Mapping
-from itertools import product
+from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from pipeline.evaluate import statistics
+from pipeline.evaluate.settings import Evaluate
 from pipeline.evaluate.statistics import shown_metrics
-from pipeline.report.results import NO_LEARNING, Group
+from pipeline.report import paper
+from pipeline.report.results import BASELINES, NO_LEARNING, Group, Row
 
-# key → figure, interval, frames, and what else belongs to it
+# Key → figure (the nmse), its interval, and what else belongs to it.
 Results = dict[str, dict[str, Any]]
 
 
-def key(group: str, row: str, label: str = "", minus: str = "") -> str:
-    """Return the key of a row, or of its difference from another one; `label`: of a range."""
-    name = f"{row} - {minus}" if minus else row
-    return "/".join(part for part in (group, label, name) if part)
-
-
-def results(groups: list[Group], scores: Mapping[str, Any] | None = None) -> Results:
-    """Return errors and differences of groups, validation errors, and errors of measured motion by
-    stage scores.
-    """
-    figures = Results()
+def results(groups: Sequence[Group], settings: Evaluate, scores: Mapping[str, Any]) -> Results:
+    """Return the errors of groups, and of measured motion by stage scores, if there are any."""
+    values = Results()
     for group in groups:
-        labels = dict.fromkeys(["", *group.labels.values()])
-        for label in labels:
-            figures |= _errors(group, label)
-            figures |= _differences(group, label)
-        for row in group.models:
-            if row["val_nmse"] < np.inf:
-                known = [
-                    column["nmse_by_seed"]
-                    for column in row["val"].values()
-                    if column["nmse"] is not None
-                ]
-                seeds = np.mean(known, axis=0).tolist()
-                roads = len(row["drives"]["train"])
-                figures[f"val/{row['model']}"] = {
-                    "figure": row["val_nmse"],
-                    "seeds": seeds,
-                    "roads": roads,
-                }
-    for kind, splits in (scores or {"motion": {}})["motion"].items():
-        if splits["test"]:
-            figures[f"motion/{kind}"] = {
-                "figure": splits["test"]["nmse"],
-                "frames": splits["test"]["judged"],
-            }
-    return figures
+        claims = paper.claims(group.models)
+        ranges = {"": [*range(len(group.labels))]}
+        for column, label in enumerate(group.labels.values()):
+            ranges[label] = [column]
+        for label, columns in ranges.items():
+            key = partial(_key, group.key, label)
+            for name in group.predicted:
+                values[key(name)] = _errors(group, name, columns, settings)
+            for name, rival in _pairs(group):
+                entry = _difference(group, name, rival, columns, settings)
+                values[key(f"{name} - {rival}")] = entry
+            for claim in claims:
+                values[key(f"{claim.model} - {claim.rival}")]["claim"] = claim.text
+        for name, row in group.models.items():
+            values[_key(group.key, "", name)] |= _facts(row)
+            values |= {f"val/{name}": entry for entry in _validation(row)}
+    for kind, splits in scores.get("motion", {}).items():
+        test = splits["test"]
+        if test:
+            values[f"motion/{kind}"] = {"figure": test["nmse"], "frames": test["judged"]}
+    return values
 
 
-def _errors(group: Group, label: str) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield key and errors of each model and baseline, in a range or, without a label, in all
-    together.
-    """
-    column = group.column_of(label)
-    for name in group.predicted:
-        value, bounds = group.nmse(name, column=column)
-        entry: dict[str, Any] = {"figure": value, "interval": bounds}
-        if column is None:
-            entry |= {"mae_deg": group.mae_deg(name)}
-        else:
-            scores = group.scores(name, column)
-            mae_deg = scores["mae"] and np.degrees(scores["mae"] * group.length_m[column])
-            entry |= {
-                "frames": scores["frames"],
-                "seeds": scores["by_seed"],
-                "mse": scores["mse"],
-                "mae_deg": mae_deg,
-            }
-            entry |= {metric: scores[metric] for metric in shown_metrics()}
-        yield key(group.key, name, label), entry
+def _key(group: str, label: str, row: str) -> str:
+    return f"{group}/{label}/{row}" if label else f"{group}/{row}"
 
 
-def _differences(group: Group, label: str) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield key and paired difference of each model from each other one and from the baselines
-    without the truth.
-    """
-    column = group.column_of(label)
-    models = [row["model"] for row in group.models]
-    others = [name for name in group.predicted if name in models or name in NO_LEARNING]
-    for first, other in product(models, others):
-        if first != other:
-            value, bounds, verdict = group.difference(first, other, column)
-            yield (
-                key(group.key, first, label, other),
-                {"figure": value, "interval": bounds, "verdict": verdict},
-            )
+def _pairs(group: Group) -> list[tuple[str, str]]:
+    """Return each model beside each other one, and beside the baselines without learning."""
+    rivals = [*group.models, *(name for name in NO_LEARNING if name in group.predicted)]
+    return [(name, rival) for name in group.models for rival in rivals if name != rival]
 
 
-def dvc_metrics(groups: list[Group], figures: Results) -> dict[str, Any]:
-    """Return group → model or baseline → range and split → nmse, of test also its interval; DVC
-    joins keys by dots.
-    """
-    result: dict[str, Any] = {}
-    for group in groups:
-        rows = {row["model"]: row for row in group.models}
-        result[group.title] = {name: {} for name in group.predicted}
-        for name, (column, label) in product(group.predicted, group.labels.items()):
-            entry = figures[key(group.key, name, label)]
-            values = {"test nmse": entry["figure"]}
-            if entry["interval"]:
-                values |= zip(
-                    ("test nmse, 95 % from", "test nmse, 95 % to"), entry["interval"], strict=True
-                )
-            values |= {f"test {metric}": entry[metric] for metric in shown_metrics()}
-            for split in ("train", "val"):
-                if name in rows and rows[name][split]:
-                    values[f"{split} nmse"] = rows[name][split][column]["nmse"]
-            result[group.title][name] |= {
-                f"{label} {what}".strip(): value for what, value in values.items()
-            }
-    return result
+def _squared_error(group: Group, name: str, columns: Sequence[int]) -> np.ndarray:
+    """Return the squared errors [S,N,R] of a model or baseline."""
+    return (group.predicted[name][..., columns] - group.truth[:, columns]) ** 2
 
 
-def rounded(figures: Results) -> Results:
-    """Return the figures with numbers of five digits, as results.json has them."""
-    return json.loads(json.dumps(figures), parse_float=lambda text: float(f"{float(text):.5g}"))
+def _errors(group: Group, name: str, columns: Sequence[int], settings: Evaluate) -> dict[str, Any]:
+    """Return the errors of a model or baseline in some columns together."""
+    truth = group.truth[:, columns]
+    error = _squared_error(group, name, columns)
+    turns_rad = ((group.predicted[name] - group.truth) * group.length_m)[..., columns].sum(axis=-1)
+    counted = np.isfinite(truth).any(axis=1)
+    entry = {
+        "figure": statistics.nmse_of(error, truth),
+        "interval": statistics.interval(error, truth, group.drive, settings),
+        "mae_deg": None,
+        "frames": int(counted.sum()),
+        "drives": len(np.unique(group.drive[counted])),
+        "seeds": [statistics.nmse_of(seed[None], truth) for seed in error],
+    }
+    if np.isfinite(turns_rad).any():
+        entry["mae_deg"] = float(np.rad2deg(np.nanmean(np.abs(turns_rad))))
+    if len(columns) == 1:
+        predicted = group.predicted[name][:, counted, columns[0]]
+        scores = statistics.scores(truth[counted, 0], predicted)
+        for metric in ("mse", *shown_metrics()):
+            entry[metric] = scores[metric]
+    return entry
+
+
+def _difference(
+    group: Group, name: str, rival: str, columns: Sequence[int], settings: Evaluate
+) -> dict[str, Any]:
+    """Return the paired difference in nmse of a model from another or a baseline."""
+    truth = group.truth[:, columns]
+    error = _squared_error(group, name, columns)
+    other = _squared_error(group, rival, columns)
+    bounds = statistics.interval(error, truth, group.drive, settings, other)
+    figure = statistics.nmse_of(error.mean(axis=0, keepdims=True) - other.mean(axis=0), truth)
+
+    seeds = len(error) if rival in BASELINES else min(len(error), len(other))
+    part = statistics.parts(group.drive, settings.bootstrap_block_frames)
+    drives = len(np.unique(part[np.isfinite(truth).any(axis=1)]))
+    verdict = statistics.verdict(bounds, seeds, drives)
+    return {"figure": figure, "interval": bounds, "verdict": verdict}
+
+
+def _facts(row: Row) -> dict[str, Any]:
+    """Return what tables say of a model beside its errors on common frames."""
+    test = next(iter(row["test"].values()))
+    return {
+        "paper": row["paper"] is not None,
+        "drift": test["drift_m_per_100m"],
+        "parameters": row["parameters"],
+        "edges": row["edges_per_frame"],
+        "turning_frames": row["turning_frames"],
+        "untrained": row.get("untrained", []),
+    }
+
+
+def _validation(row: Row) -> list[dict[str, Any]]:
+    """Return the mean nmse of a model over the columns of its validation drives, if it has any."""
+    columns = [column for column in (row["val"] or {}).values() if column["nmse"] is not None]
+    if not columns:
+        return []
+    return [
+        {
+            "figure": float(np.mean([column["nmse"] for column in columns])),
+            "seeds": np.mean([column["nmse_by_seed"] for column in columns], axis=0).tolist(),
+            "roads": len(row["drives"]["train"]),
+        }
+    ]
+
+
+class Comparison:
+    """The values of a group, of a run or of docs/results."""
+
+    def __init__(self, values: Results, group: str) -> None:
+        self.values = values
+        self.group = group
+        keys = [key.split("/")[1:] for key in values if key.startswith(f"{group}/")]
+        rows = dict.fromkeys(key[-1] for key in keys)
+        names = [name for name in rows if " - " not in name]
+        # Ranges of a path; one without a name for the angle.
+        self.labels = list(dict.fromkeys(key[0] for key in keys if len(key) == 2)) or [""]
+        self.models = [name for name in names if name not in BASELINES]
+        self.baselines = [name for name in BASELINES if name in names]
+
+    @property
+    def title(self) -> str:
+        """What the group's models predict."""
+        quantity, horizon = self.group.split("-")
+        title = {"path": "path ahead", "angle": "steering angle"}[quantity]
+        return title if horizon == "0" else f"{title}, {horizon} frames ahead"
+
+    def entry(self, row: str, label: str = "") -> dict[str, Any]:
+        """Return the values of a row: a model, a baseline, or a difference; empty if unknown."""
+        return self.values.get(_key(self.group, label, row), {})
+
+    def difference(self, name: str, rival: str, label: str = "") -> dict[str, Any]:
+        """Return the paired difference of a model from another or a baseline."""
+        return self.entry(f"{name} - {rival}", label)
+
+    @property
+    def validated(self) -> bool:
+        """Whether all models have a validation error."""
+        return all(f"val/{name}" in self.values for name in self.models)
+
+    @property
+    def by_error(self) -> list[str]:
+        """The models by validation error; by test error if a model has no validation error."""
+        return sorted(self.models, key=self._validation if self.validated else self._error)
+
+    @property
+    def best_baseline(self) -> str:
+        """The baseline without learning that has the least nmse; the first among equals."""
+        return min((name for name in NO_LEARNING if name in self.baselines), key=self._error)
+
+    def _validation(self, name: str) -> float:
+        return float(self.values[f"val/{name}"]["figure"])
+
+    def _error(self, name: str) -> float:
+        figure = self.entry(name)["figure"]
+        return np.inf if figure is None else float(figure)
+
+
+def dvc_metrics(values: Results) -> dict[str, dict[str, Any]]:
+    """Return errors of models and baselines by key, as ``dvc metrics show`` prints them."""
+    names = ("mae_deg", *shown_metrics())
+    metrics = {}
+    for key, entry in values.items():
+        if " - " not in key:
+            metrics[key] = {"nmse": entry["figure"]}
+            metrics[key] |= {name: entry[name] for name in names if name in entry}
+    return metrics
+
+
+def rounded(values: Results) -> Results:
+    """Return the values with numbers of five digits, as results.json has them."""
+    return json.loads(json.dumps(values), parse_float=lambda text: float(f"{float(text):.5g}"))

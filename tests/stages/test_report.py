@@ -22,10 +22,7 @@ def run(folder: Path, *models: str) -> str:
 
 def test_all_files_are_written_and_repeat(tmp_path):
     assert run(tmp_path, "absent").startswith("No result here: absent.")
-    assert {path.name for path in (tmp_path / "report").iterdir() if path.is_dir()} == {
-        "learning",
-        "figures",
-    }
+    assert (tmp_path / "report/figures").is_dir()
     examples.write_model(tmp_path, examples.metrics("sa-gnn-ncp"))
     examples.write_model(tmp_path, examples.metrics("scene", predict="path"))
     for folder in ("", "seed-1/"):
@@ -48,21 +45,18 @@ def test_all_files_are_written_and_repeat(tmp_path):
         files = [path for path in (tmp_path / "report").rglob("*") if path.is_file()]
         made.append({path.name: path.read_bytes() for path in files})
     assert made[0] == made[1]
-    assert text.startswith(
-        "On 2 drives that it was not trained on, sa-gnn-ncp, the model with the least test error "
-    )
-    assert (
-        text.index("No result here: absent.")
-        < text.index("## Results: steering angle")
-        < text.index("## Depth")
-    )
+    assert text.startswith("sa-gnn-ncp predicts the steering angle with an nmse of 0.200; zero, ")
+    places = [
+        text.index("No result here: absent."),
+        text.index("## Results: steering angle"),
+        text.index("## Depth"),
+    ]
+    assert places == sorted(places)
     metrics = json.loads(made[0]["metrics.json"])
-    assert metrics["steering angle"]["sa-gnn-ncp"]["test nmse"] == pytest.approx(0.2)
-    assert {"0-5 m train nmse", "0-5 m test nmse, 95 % from"} <= metrics["path ahead"][
-        "scene"
-    ].keys()
-    assert made[0]["sa-gnn-ncp.csv"] == b"epoch,train_loss,val_nmse\n1,0.70,0.6\n2,0.5,nan\n"
-    assert "sa-gnn-ncp.seed-1.csv" in made[0]
+    assert next(iter(metrics)) == "angle-0/sa-gnn-ncp"
+    assert metrics["angle-0/sa-gnn-ncp"]["nmse"] == pytest.approx(0.2)
+    assert metrics["path-0/0-5 m/scene"]["nmse"] == pytest.approx(0.2)
+    assert b'"sa-gnn-ncp.seed-1"' in made[0]["index.html"]
     assert b"No result here: absent." in made[0]["index.html"]
     assert b"b0.pt: its URL (its terms)" in made[0]["index.html"]
     assert b"wheel: gain 1.03" in made[0]["index.html"]

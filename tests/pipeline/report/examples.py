@@ -9,6 +9,7 @@ import pandas as pd
 from pipeline.base import store
 from pipeline.evaluate.settings import Evaluate
 from pipeline.report.results import Group, load_groups
+from pipeline.report.summary import Comparison, results
 
 SETTINGS = Evaluate(bootstrap_samples=50, bootstrap_block_frames=5, seed=0)
 DRIVES = ("2026_01_03_drive_0002", "2026_01_03_drive_0003")
@@ -38,8 +39,9 @@ def metrics(
     baselines: dict[str, float] | None = None,
     **entry: Any,
 ) -> dict[str, Any]:
-    """Return the metrics.json of a model; nmse is for :func:`predictions`, as that of
-    `baselines`.
+    """Return the metrics.json of a model.
+
+    `nmse`: for :func:`predictions`, as that of `baselines`.
     """
     columns = PATH if entry.get("predict") == "path" else ANGLE
     test = {"nmse": nmse, "baselines": baselines or {}, "drift_m_per_100m": None}
@@ -57,6 +59,7 @@ def metrics(
         "edges_per_frame": 5160.0,
         "edges_per_frame_unpruned": 6000.0,
         "columns": columns,
+        "wheelbase_m": 2.5,
         "val": None,
         "train": {column: {"nmse": 0.1, "mse": 1.23e-6} for column in columns},
         "test": dict.fromkeys(columns, test),
@@ -68,50 +71,64 @@ def predictions(
     columns: dict[str, Any] = ANGLE,
     baselines: dict[str, float] | None = None,
 ) -> pd.DataFrame:
-    """Return predictions.csv of two drives of 30 frames, on which errors are multiples of the
-    truth: `nmse` on each drive, or on one each; None if both are straight.
+    """Return predictions.csv of two drives of 30 frames, whose errors are multiples of the truth.
 
-    Frame 20 is invalid, no window ends before frame 7, odometry starts at frame 1.
+    `nmse`: on each drive, or on one each; None if both are straight. Frame 20 is invalid, no window
+    ends before frame 7, odometry starts at frame 1.
     """
     frame = np.arange(30)
-    driven = 0.01 * frame * (nmse is not None)
+    driven = 0.01 * frame
+    if nmse is None:
+        driven = np.zeros(30)
+    first_frames = {"predicted": 7, "odometry": 1}
     tables = []
     for drive, of_drive in zip(DRIVES, np.broadcast_to(nmse or 0.0, 2), strict=True):
         table = {"drive": drive, "frame": frame, "time_s": 100 + frame / 10, "speed_mps": frame / 2}
+        errors = {"predicted": of_drive, "train_mean": 1.0} | (baselines or {})
         for column in columns:
-            values = {"predicted": of_drive, "train_mean": 1.0} | (baselines or {})
-            table |= {
-                f"{name}_{column}": driven * (1 + np.sqrt(value)) for name, value in values.items()
-            }
             table[f"true_{column}"] = np.where(frame == 20, np.nan, driven)
-            for name in {"predicted", "odometry"} & {"predicted", *(baselines or {})}:
-                table[f"{name}_{column}"][: 7 if name == "predicted" else 1] = np.nan
+            for name, error in errors.items():
+                values = driven * (1 + np.sqrt(error))
+                values[: first_frames.get(name, 0)] = np.nan
+                table[f"{name}_{column}"] = values
         tables.append(pd.DataFrame(table))
     return pd.concat(tables, ignore_index=True)
 
 
 def write_model(data: Path, content: dict[str, Any], table: pd.DataFrame | None = None) -> None:
-    """Write metrics.json and predictions.csv below data/evaluate; a table without seeds is that of
-    each seed.
+    """Write metrics.json and predictions.csv below data/evaluate.
+
+    A table without seeds is that of each seed.
     """
     folder = data / "evaluate" / content["model"]
     store.write_json(folder / "metrics.json", content, sort_keys=False)
     if table is None:
         test = next(iter(content["test"].values()))
         table = predictions(test["nmse"], content["columns"], test["baselines"])
-    seeds = (
-        [table.assign(seed=seed) for seed in content["seeds"]] if "seed" not in table else [table]
-    )
+    seeds = [table]
+    if "seed" not in table:
+        seeds = [table.assign(seed=seed) for seed in content["seeds"]]
     pd.concat(seeds).assign(model=content["model"]).to_csv(folder / "predictions.csv", index=False)
-
-
-def load(data: Path, *models: str) -> list[Group]:
-    """Load the results of models below data/evaluate."""
-    return load_groups({model: data / "evaluate" / model for model in models}, SETTINGS)
 
 
 def groups(data: Path, *contents: dict[str, Any]) -> list[Group]:
     """Write models and load their results."""
     for content in contents:
         write_model(data, content)
-    return load(data, *(content["model"] for content in contents))
+    return load_groups({row["model"]: data / "evaluate" / row["model"] for row in contents})
+
+
+def load(data: Path, *models: str) -> list[Comparison]:
+    """Compare models below data/evaluate."""
+    return comparisons(load_groups({model: data / "evaluate" / model for model in models}))
+
+
+def compare(data: Path, *contents: dict[str, Any]) -> list[Comparison]:
+    """Write models and compare them."""
+    return comparisons(groups(data, *contents))
+
+
+def comparisons(loaded: list[Group]) -> list[Comparison]:
+    """Return the values of groups."""
+    values = results(loaded, SETTINGS, {})
+    return [Comparison(values, group.key) for group in loaded]

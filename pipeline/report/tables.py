@@ -139,16 +139,16 @@ def _finding(comparison: Comparison) -> list[str]:
     drives = "1 drive" if count == 1 else f"{count} drives"
     bounds = interval_text(difference["interval"], "+.3f")
     return [
-        f"{name} predicts the {comparison.title} with an nmse of {errors['figure']:.3f}; "
-        f"{baseline}, without learning, has {without['figure']:.3f}: {difference['verdict']}.",
+        f"{name} predicts the {comparison.title} with an error (nmse) of {errors['figure']:.3f}, "
+        f"where 0 is perfect and 1 is useless. {baseline.capitalize()}, which does not learn, has "
+        f"{without['figure']:.3f}. Verdict on the difference: {difference['verdict']}.",
         f"These are errors on {drives} that it was not trained on. nmse is the squared error "
-        "relative to that of always driving straight ahead, so 0 is perfect and 1 is useless. "
-        f"{name} is the model with the least {choice}: its mean absolute error of the {turn} is "
-        f"{errors['mae_deg']:.2f}°, and the 95 % interval of its nmse is "
-        f"{interval_text(errors['interval'])}. {baseline.capitalize()}, which is "
-        f"{NO_LEARNING[baseline]}, is the best baseline without learning and has "
-        f"{without['mae_deg']:.2f}°. The difference in nmse is {difference['figure']:+.3f} "
-        f"({bounds}).",
+        f"relative to that of always driving straight ahead. {name} is the model with the least "
+        f"{choice}: its mean absolute error of the {turn} is {errors['mae_deg']:.2f}°, and the "
+        f"95 % interval of its nmse is {interval_text(errors['interval'])}. "
+        f"{baseline.capitalize()} predicts {NO_LEARNING[baseline]}. It is the best baseline "
+        f"without learning and has {without['mae_deg']:.2f}°. The difference in nmse is "
+        f"{difference['figure']:+.3f} ({bounds}).",
     ]
 
 

@@ -45,7 +45,7 @@ def test_all_files_are_written_and_repeat(tmp_path):
         files = [path for path in (tmp_path / "report").rglob("*") if path.is_file()]
         made.append({path.name: path.read_bytes() for path in files})
     assert made[0] == made[1]
-    assert text.startswith("sa-gnn-ncp predicts the steering angle with an nmse of 0.200; zero, ")
+    assert text.startswith("sa-gnn-ncp predicts the steering angle with an error (nmse) of 0.200, ")
     places = [
         text.index("No result here: absent."),
         text.index("## Results: steering angle"),

@@ -206,12 +206,16 @@ def test_the_best_model_is_compared_with_the_best_baseline_and_the_other_models(
 @pytest.mark.parametrize(
     ("nmse", "baselines", "verdict"),
     [
-        (0.2, {}, "zero, without learning, has 1.000: better."),
-        (0.2, {"odometry": 0.6}, "odometry, without learning, has 0.600: better."),
+        (0.2, {}, "Zero, which does not learn, has 1.000. Verdict on the difference: better."),
+        (
+            0.2,
+            {"odometry": 0.6},
+            "Odometry, which does not learn, has 0.600. Verdict on the difference: better.",
+        ),
         (
             0.2,
             {"odometry": 0.6, "regression": 0.4, "persistence": 0.01},
-            "regression, without learning, has 0.400: better.",
+            "Regression, which does not learn, has 0.400. Verdict on the difference: better.",
         ),
         ([0.1, 0.4], {"odometry": 0.3}, ": no difference shown."),
         (0.6, {"odometry": 0.05}, ": worse."),
@@ -246,7 +250,7 @@ def test_the_best_validated_model_has_a_verdict(
     for model in models:
         model["seeds"] = [0, 1]
     headline, _ = tables.sentences(compare(tmp_path, *models))
-    assert f"with an nmse of {np.mean(nmse):.3f}; " in headline
+    assert f"with an error (nmse) of {np.mean(nmse):.3f}, " in headline
     assert headline.endswith(verdict)
     blocks = examples.SETTINGS.model_copy(update={"bootstrap_block_frames": 6})
     monkeypatch.setattr(examples, "SETTINGS", blocks)

@@ -67,8 +67,8 @@ def draw_chain(
     _draw_panels(path, view, graph, predictions[predictions["drive"] == drive])
     caption = (
         f"From image to steering (Figure 1 of the paper): frame {number} of {drive}, a drive of "
-        f"median error of {model}. The network gets what the second panel from above shows, of "
-        f"this frame and the {row['entry']['window'] - 1} before."
+        f"median error of {model}. The network gets the graph, of this frame and of the "
+        f"{row['entry']['window'] - 1} before."
     )
     return caption, views
 

@@ -85,7 +85,7 @@ def errors(comparisons: Sequence[Comparison]) -> Content:
     """Return a chart of the errors of each group."""
     charts = []
     for comparison in comparisons:
-        height = f"{4 + 2 * len(comparison.models + comparison.baselines)}rem"
+        height = f"{4 + 2 * len(comparison.models + comparison.fair_baselines)}rem"
         plot = plots.to_html(plots.errors(comparison), f"{comparison.group}-errors", height)
         charts.append(Figure(f"{_ERRORS}: {comparison.title}.", plot))
     return charts

@@ -60,12 +60,15 @@ def to_html(figure: go.Figure, name: str, height: str = "24rem", *, alone: bool 
 
 
 def errors(comparison: Comparison) -> go.Figure:
-    """Plot the nmse of models and baselines with its 95 % interval, by range of a path."""
+    """Plot the nmse with its 95 % interval, by range of a path.
+
+    Of the baselines, those that do not get the truth are shown.
+    """
     figure = go.Figure(layout=_PLANE | {"xaxis_title": "nmse", "yaxis_autorange": "reversed"})
     figure.update_layout(showlegend=len(comparison.labels) > 1, margin={"l": 130})
     for label in comparison.labels:
         bars = []
-        for name in (*comparison.models, *comparison.baselines):
+        for name in (*comparison.models, *comparison.fair_baselines):
             entry = comparison.entry(name, label)
             value = entry["figure"]
             if value is not None:

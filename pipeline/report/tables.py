@@ -140,14 +140,14 @@ def _finding(comparison: Comparison) -> list[str]:
     bounds = interval_text(difference["interval"], "+.3f")
     return [
         f"{name} predicts the {comparison.title} with an error (nmse) of {errors['figure']:.3f}, "
-        f"where 0 is perfect and 1 is useless. {baseline.capitalize()}, which does not learn, has "
+        f"where 0 is perfect and 1 is useless. {baseline.capitalize()}, without a network, has "
         f"{without['figure']:.3f}. Verdict on the difference: {difference['verdict']}.",
         f"These are errors on {drives} that it was not trained on. nmse is the squared error "
         f"relative to that of always driving straight ahead. {name} is the model with the least "
         f"{choice}: its mean absolute error of the {turn} is {errors['mae_deg']:.2f}°, and the "
         f"95 % interval of its nmse is {interval_text(errors['interval'])}. "
         f"{baseline.capitalize()} predicts {NO_LEARNING[baseline]}. It is the best baseline "
-        f"without learning and has {without['mae_deg']:.2f}°. The difference in nmse is "
+        f"that does not get the truth, with {without['mae_deg']:.2f}°. The difference in nmse is "
         f"{difference['figure']:+.3f} ({bounds}).",
     ]
 

@@ -206,16 +206,16 @@ def test_the_best_model_is_compared_with_the_best_baseline_and_the_other_models(
 @pytest.mark.parametrize(
     ("nmse", "baselines", "verdict"),
     [
-        (0.2, {}, "Zero, which does not learn, has 1.000. Verdict on the difference: better."),
+        (0.2, {}, "Zero, without a network, has 1.000. Verdict on the difference: better."),
         (
             0.2,
             {"odometry": 0.6},
-            "Odometry, which does not learn, has 0.600. Verdict on the difference: better.",
+            "Odometry, without a network, has 0.600. Verdict on the difference: better.",
         ),
         (
             0.2,
             {"odometry": 0.6, "regression": 0.4, "persistence": 0.01},
-            "Regression, which does not learn, has 0.400. Verdict on the difference: better.",
+            "Regression, without a network, has 0.400. Verdict on the difference: better.",
         ),
         ([0.1, 0.4], {"odometry": 0.3}, ": no difference shown."),
         (0.6, {"odometry": 0.05}, ": worse."),

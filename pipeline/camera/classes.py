@@ -2,31 +2,82 @@
 
 import numpy as np
 
-NAMES = (
-    "road", "sidewalk", "building", "wall", "fence", "pole", "traffic light", "traffic sign",
-    "vegetation", "terrain",
-    "sky", "person", "rider", "car", "truck", "bus", "train", "motorcycle", "bicycle",
-)  # fmt: skip
-COUNT = len(NAMES)
+ROAD = 0
+SIDEWALK = 1
+BUILDING = 2
+WALL = 3
+FENCE = 4
+POLE = 5
+TRAFFIC_LIGHT = 6
+TRAFFIC_SIGN = 7
+VEGETATION = 8
+TERRAIN = 9
+SKY = 10
+PERSON = 11
+RIDER = 12
+CAR = 13
+TRUCK = 14
+BUS = 15
+TRAIN = 16
+MOTORCYCLE = 17
+BICYCLE = 18
+
+# Number of classes, without void.
+COUNT = 19
+# Class number of pixels and points without a class.
 VOID = 255
-(
-    ROAD, SIDEWALK, BUILDING, WALL, FENCE, POLE, TRAFFIC_LIGHT, TRAFFIC_SIGN, VEGETATION, TERRAIN,
-    SKY, PERSON, RIDER, CAR, TRUCK, BUS, TRAIN, MOTORCYCLE, BICYCLE,
-) = range(COUNT)  # fmt: skip
+# Classes that are part of the ground.
 GROUND = (ROAD, SIDEWALK, TERRAIN)
-TRAFFIC = (PERSON, RIDER, CAR, TRUCK, BUS, TRAIN, MOTORCYCLE, BICYCLE)  # on the ground, may move
+# Classes that stand on the ground and may move.
+TRAFFIC = (PERSON, RIDER, CAR, TRUCK, BUS, TRAIN, MOTORCYCLE, BICYCLE)
+
+NAMES = (
+    "road",
+    "sidewalk",
+    "building",
+    "wall",
+    "fence",
+    "pole",
+    "traffic light",
+    "traffic sign",
+    "vegetation",
+    "terrain",
+    "sky",
+    "person",
+    "rider",
+    "car",
+    "truck",
+    "bus",
+    "train",
+    "motorcycle",
+    "bicycle",
+)
 
 # The colours of the Cityscapes benchmark, RGB.
 COLOURS = np.array(
     [
-        (128, 64, 128), (244, 35, 232), (70, 70, 70), (102, 102, 156), (190, 153, 153),
-        (153, 153, 153), (250, 170, 30),
-        (220, 220, 0), (107, 142, 35), (152, 251, 152), (70, 130, 180), (220, 20, 60), (255, 0, 0),
-        (0, 0, 142),
-        (0, 0, 70), (0, 60, 100), (0, 80, 100), (0, 0, 230), (119, 11, 32),
+        (128, 64, 128),  # road
+        (244, 35, 232),  # sidewalk
+        (70, 70, 70),  # building
+        (102, 102, 156),  # wall
+        (190, 153, 153),  # fence
+        (153, 153, 153),  # pole
+        (250, 170, 30),  # traffic light
+        (220, 220, 0),  # traffic sign
+        (107, 142, 35),  # vegetation
+        (152, 251, 152),  # terrain
+        (70, 130, 180),  # sky
+        (220, 20, 60),  # person
+        (255, 0, 0),  # rider
+        (0, 0, 142),  # car
+        (0, 0, 70),  # truck
+        (0, 60, 100),  # bus
+        (0, 80, 100),  # train
+        (0, 0, 230),  # motorcycle
+        (119, 11, 32),  # bicycle
     ],
     dtype=np.uint8,
-)  # fmt: skip
+)
 
 
 def colourise(classes: np.ndarray) -> np.ndarray:

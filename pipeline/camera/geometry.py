@@ -8,14 +8,20 @@ are pixel centres, as in KITTI's calibration.
 import numpy as np
 from numpy.typing import ArrayLike
 
-SCANNER_HEIGHT_M = 1.73  # above flat ground (KITTI's setup page); the sample uses the same
-CAMERA_HEIGHT_M = 1.65  # of a camera without calibration: KITTI's (same page)
+# Height of the scanner above flat ground (KITTI's setup page). The sample uses the same.
+SCANNER_HEIGHT_M = 1.73
+# Height of a camera without calibration above flat ground: KITTI's (same page).
+CAMERA_HEIGHT_M = 1.65
 
 
-def rays(K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return K⁻¹[u,v,1]ᵀ for each pixel, float64 [H,W,3]; the third component is 1."""
+def rays(K: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
+    """Return K⁻¹[u,v,1]ᵀ for each pixel, float64 [H,W,3]; the third component is 1.
+
+    `size` is (H, W).
+    """
     v, u = np.mgrid[: size[0], : size[1]].astype(np.float64)
-    return np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(K).T
+    homogeneous = np.stack([u, v, np.ones_like(u)], axis=-1)
+    return homogeneous @ np.linalg.inv(K).T
 
 
 def back_project(depth_m: np.ndarray, K: np.ndarray) -> np.ndarray:
@@ -23,12 +29,13 @@ def back_project(depth_m: np.ndarray, K: np.ndarray) -> np.ndarray:
 
     `depth_m` [H,W] is the distance along the optical axis (z), in metres.
     """
-    return depth_m[..., None] * rays(K, (depth_m.shape[0], depth_m.shape[1]))
+    return depth_m[..., None] * rays(K, depth_m.shape)
 
 
 def project(xyz: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixels (u, v) [N,2] and depths z [N] of camera-frame points [N,3]. Points with z ≤ 0
-    get NaN pixels.
+    """Return pixels (u, v) [N,2] and depths z [N] of camera-frame points [N,3].
+
+    Points with z ≤ 0 get NaN pixels.
     """
     homogeneous = xyz @ K.T
     z = homogeneous[:, 2]
@@ -40,19 +47,23 @@ def project(xyz: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def pixels_of(
     xyz: np.ndarray, K: np.ndarray, size: tuple[int, ...]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the camera-frame points [N,3] inside an image of `size` (H, W): indices [M], pixels'
-    rows and columns.
+    """Return the points inside of an image: their indices [M], and their pixels' rows and columns.
+
+    `xyz` [N,3] is in the camera frame, `size` is (H, W).
     """
-    uv = np.rint(project(xyz, K)[0])
-    inside = np.flatnonzero(((uv >= 0) & (uv < size[::-1])).all(axis=1))  # NaN compares as False
-    column, row = uv[inside].astype(np.int64).T
-    return inside, row, column
+    uv, _ = project(xyz, K)
+    nearest = np.rint(uv)
+    in_image = (nearest >= 0) & (nearest < size[::-1])  # NaN compares as False
+    index = np.flatnonzero(in_image.all(axis=1))
+    column, row = nearest[index].astype(np.int64).T
+    return index, row, column
 
 
 def rigid(R: np.ndarray, t: ArrayLike) -> np.ndarray:
     """Return the transform [4,4] with rotation `R` [3,3] and translation `t` [3]."""
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = R, t
+    T[:3, :3] = R
+    T[:3, 3] = t
     return T
 
 
@@ -64,10 +75,10 @@ def transform(T: np.ndarray, xyz: np.ndarray) -> np.ndarray:
 def depth_image(xyz: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Return the depth [H,W] in metres of the nearest point in each pixel, 0 where there is none.
 
-    `xyz` [N,3] in the camera frame. KITTI's depth benchmark makes sparse depth from scans in this
-    way.
+    `xyz` [N,3] is in the camera frame. KITTI's depth benchmark makes sparse depth from scans in
+    this way.
     """
-    inside, row, column = pixels_of(xyz, K, size)
-    depth = np.full(size, np.inf)
-    np.minimum.at(depth, (row, column), xyz[inside, 2])
-    return np.where(np.isinf(depth), 0.0, depth)
+    index, row, column = pixels_of(xyz, K, size)
+    depth_m = np.full(size, np.inf)
+    np.minimum.at(depth_m, (row, column), xyz[index, 2])
+    return np.where(np.isinf(depth_m), 0.0, depth_m)

@@ -52,6 +52,7 @@ def lidar_cloud(scan: np.ndarray, camera: Camera, cls: np.ndarray | None) -> Clo
     `cls` [H,W]: trainIds of the frame's image, or None. Points outside of it, on the sky, or hidden
     from it are void.
     """
+    assert camera.T_cam_velo is not None
     xyz = geometry.transform(camera.T_cam_velo, scan[:, :3].astype(np.float64))
     labels = np.full(len(xyz), classes.VOID, np.uint8)
     if cls is not None:

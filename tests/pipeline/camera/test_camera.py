@@ -1,6 +1,4 @@
-"""The pinhole camera forward and back, and what cropping and resizing do to it and to its
-images.
-"""
+"""Test the pinhole camera forward and back, and cropped and resized with its images."""
 
 import cv2
 import numpy as np
@@ -17,7 +15,8 @@ from pipeline.camera.images import nearest, read_pixels, resized
 from tests import street
 
 K = np.array([[70.0, 0, 31.4], [0, 72.0, 20.7], [0, 0, 1]])
-SIZE, SMALL = (40, 64), (20, 16)
+SIZE = (40, 64)
+SMALL = (20, 16)
 seeds = st.integers(0, 2**32 - 1)
 sides = st.integers(16, 400)
 
@@ -38,31 +37,37 @@ def test_points_behind_have_no_pixel_and_the_nearest_counts():
     np.testing.assert_allclose(uv[0], K[:2, 2])
     assert np.isnan(uv[1:]).all()
     np.testing.assert_array_equal(z, [5, 0, -5])
-    ray, outside = rays(K, SIZE)[7, 9], rays(K, SIZE)[7, -1] + [1 / K[0, 0], 0, 0]
+
+    ray = rays(K, SIZE)[7, 9]
+    outside = rays(K, SIZE)[7, -1] + [1 / K[0, 0], 0, 0]
     depth = depth_image(np.array([30 * ray, 4 * ray, 9 * ray, -2 * ray, 5 * outside]), K, SIZE)
-    assert (depth[7, 9], np.count_nonzero(depth)) == (4, 1)
+    assert depth[7, 9] == 4
+    assert np.count_nonzero(depth) == 1
 
 
 @given(sides, sides, seeds)
 def test_scaled_and_cropped_cameras_project_to_the_moved_position(height, width, seed):
     """A pixel covers [u - 1/2, u + 1/2], so edges scale and centres do not."""
-    camera, new_size = Camera(K, SIZE, horizon=17.0), (height, width)
+    camera = Camera(K, SIZE, horizon=17.0)
+    new_size = (height, width)
     xyz = np.random.default_rng(seed).uniform([-3, -2, 5], [3, 2, 20], (100, 3))
-    old, scaled = project(xyz, K)[0], camera.scaled(new_size)
-    np.testing.assert_allclose(
-        (project(xyz, scaled.K)[0] + 0.5) / new_size[::-1], (old + 0.5) / SIZE[::-1], atol=1e-9
-    )
+    uv, _ = project(xyz, K)
+
+    scaled = camera.scaled(new_size)
+    scaled_uv, _ = project(xyz, scaled.K)
+    share = (scaled_uv + 0.5) / new_size[::-1]
+    np.testing.assert_allclose(share, (uv + 0.5) / SIZE[::-1], atol=1e-9)
     assert (scaled.horizon + 0.5) / height == pytest.approx(17.5 / SIZE[0])
+
     crop = camera.crop_to(new_size)
     cropped = camera.cropped(crop)
-    np.testing.assert_allclose(
-        project(xyz, cropped.K)[0], old - [crop.columns.start, crop.rows.start], atol=1e-9
-    )
+    cropped_uv, _ = project(xyz, cropped.K)
+    corner = [crop.columns.start, crop.rows.start]
+    np.testing.assert_allclose(cropped_uv, uv - corner, atol=1e-9)
     assert cropped.horizon == 17.0 - crop.rows.start
     assert cropped.size == crop.pixels(np.zeros(SIZE)).shape
-    assert crop.size[0] / crop.size[1] == pytest.approx(
-        height / width, rel=0.04 + 1 / min(crop.size)
-    )
+    aspect = crop.size[0] / crop.size[1]
+    assert aspect == pytest.approx(height / width, rel=0.04 + 1 / min(crop.size))
 
 
 @pytest.mark.parametrize("horizon", [None, 12.0, 30.0, 500.0])
@@ -70,30 +75,35 @@ def test_crops_lie_around_the_horizon_or_the_principal_point(horizon):
     crop = Camera(K, SIZE, horizon=horizon).crop_to((16, 64))
     middle = (crop.rows.start + crop.rows.stop - 1) / 2
     expected = K[1, 2] if horizon is None else horizon + BELOW_HORIZON * 64
-    assert (crop.columns, crop.size) == (slice(0, 64), (16, 64))
+    assert crop.columns == slice(0, 64)
+    assert crop.size == (16, 64)
     assert middle == pytest.approx(min(expected, SIZE[0] - 8.5), abs=0.5)
 
 
-def ramps(dtype: type) -> np.ndarray:
-    """Return [H,W,3] whose pixels hold their own coordinates (u, v, 0)."""
-    v, u = np.mgrid[: SIZE[0], : SIZE[1]]
-    return np.stack([u, v, 0 * u], axis=-1).astype(dtype)
-
-
 def test_pixels_move_with_the_intrinsics():
+    """Images whose pixels hold their own coordinates show from where resizing took them."""
     back = np.linalg.inv(Camera(np.eye(3), SIZE).scaled(SMALL).K)
     v, u = np.mgrid[: SMALL[0], : SMALL[1]]
     expected = (np.stack([u, v, np.ones_like(u)], axis=-1) @ back.T)[..., :2]
-    # rounding to uint8
-    assert np.abs(resized(ramps(np.uint8), SMALL)[..., :2] - expected).max() <= 0.5
-    u, v = ramps(np.uint16)[..., 0], ramps(np.uint16)[..., 1]
-    picked = nearest(1000 * v + u, SMALL)
-    where = np.stack([picked % 1000, picked // 1000], axis=-1)
-    assert np.abs(where - expected).max() <= 0.5  # an even factor has no central pixel
+
+    v, u = np.mgrid[: SIZE[0], : SIZE[1]]
+    image = np.stack([u, v, 0 * u], axis=-1).astype(np.uint8)
+    origin = resized(image, SMALL)[..., :2]
+    assert np.abs(origin - expected).max() <= 0.5  # rounding to uint8
+
+    picked = nearest((1000 * v + u).astype(np.uint16), SMALL)
+    origin = np.stack([picked % 1000, picked // 1000], axis=-1)
+    assert np.abs(origin - expected).max() <= 0.5  # an even factor has no central pixel
     assert picked.dtype == np.uint16
 
 
 NOISE = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
+HALF_TRANSPARENT = np.dstack([NOISE, NOISE[..., :1]])
+
+
+def png(pixels: np.ndarray) -> bytes:
+    """Return the content of a PNG file."""
+    return cv2.imencode(".png", pixels)[1].tobytes()
 
 
 @pytest.mark.parametrize(
@@ -101,8 +111,8 @@ NOISE = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
     [
         (b"GIF89a", "not a PNG or JPEG"),
         (b"\xff\xd8\xff\xd9", "decoded"),
-        (cv2.imencode(".png", NOISE)[1].tobytes()[:-20], "decoded"),
-        (cv2.imencode(".png", np.dstack([NOISE, NOISE])[..., :4])[1].tobytes(), "transparent"),
+        (png(NOISE)[:-20], "decoded"),
+        (png(HALF_TRANSPARENT), "transparent"),
     ],
 )
 def test_plainly_wrong_images(tmp_path, content, problem):
@@ -120,27 +130,33 @@ def test_ground_is_a_plane_and_objects_have_the_depth_of_their_foot():
     # The street's walls are upright, so each wall pixel is as far as the first road pixel below it,
     # or nearer.
     for column in range(0, street.SIZE[1], 7):
-        foot = np.flatnonzero(ground[:, column])[:1]
-        if foot.size:
-            np.testing.assert_allclose(depth[: foot[0], column], depth[foot[0], column])
+        if ground[:, column].any():
+            foot = np.argmax(ground[:, column])
+            np.testing.assert_allclose(depth[:foot, column], depth[foot, column])
 
 
 def test_hidden_points_are_dropped_and_ground_stays():
-    camera = Camera(
-        np.array([[360.0, 0, 160], [0, 360, 40], [0, 0, 1]]), (100, 320), T_cam_velo=np.eye(4)
-    )
+    f = 360.0
+    horizon = 40
+    K = np.array([[f, 0, 160], [0, f, horizon], [0, 0, 1]])
+    camera = Camera(K, (100, 320), T_cam_velo=np.eye(4))
+
+    # Two thirds of the ground's pixels have a point.
     rows = np.arange(100)[:, None]
-    ground = np.where(rows > 45, 1.65 * 360 / np.maximum(rows - 40, 1), 0) * np.ones((1, 320))
+    plane = np.where(rows > 45, 1.65 * f / np.maximum(rows - horizon, 1), 0)
+    ground = plane * np.ones((1, 320))
     ground[:, 1::3] = 0
-    wall = ground.copy()
-    wall[20:80:2, 100:140:2] = 6.0  # a car, and street points behind it between its own
-    kept, ground_kept = (
-        scan_depth(back_project(depth, camera.K)[depth > 0], camera) for depth in (wall, ground)
-    )
-    np.testing.assert_allclose(ground_kept, ground, rtol=1e-6)
-    np.testing.assert_allclose(kept[20:80:2, 100:140:2], 6.0)
-    hidden = np.zeros_like(wall, bool)
-    hidden[46:79, 100:139] = wall[46:79, 100:139] > 7.5
+    # A car has points in a quarter of its pixels; between them are points of the street behind it.
+    with_car = ground.copy()
+    with_car[20:80:2, 100:140:2] = 6.0
+
+    visible_ground = scan_depth(back_project(ground, K)[ground > 0], camera)
+    np.testing.assert_allclose(visible_ground, ground, rtol=1e-6)
+
+    visible = scan_depth(back_project(with_car, K)[with_car > 0], camera)
+    np.testing.assert_allclose(visible[20:80:2, 100:140:2], 6.0)
+    hidden = np.zeros_like(with_car, bool)
+    hidden[46:79, 100:139] = with_car[46:79, 100:139] > 7.5
     assert hidden.any()
-    assert not kept[hidden].any()
-    np.testing.assert_array_equal(kept[:, :98], ground_kept[:, :98])
+    assert not visible[hidden].any()
+    np.testing.assert_array_equal(visible[:, :98], visible_ground[:, :98])

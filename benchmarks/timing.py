@@ -84,9 +84,11 @@ def make_street(folder: Path, points: int) -> Street:
         x = np.where(wall, rng.choice([-8.0, 8.0], points), rng.uniform(-8, 8, points))
         y = np.where(wall, rng.uniform(-6, CAMERA_HEIGHT_M, points), CAMERA_HEIGHT_M)
         xyz = np.stack([x, y, rng.uniform(4, 60, points)], axis=1).astype(np.float32)
-        return xyz, np.where(wall, BUILDING, ROAD).astype(np.uint8)
+        return Cloud(xyz, np.where(wall, BUILDING, ROAD).astype(np.uint8))
 
-    graphs = (frame_graph.build(cloud(), variant, "street", number) for number in range(FRAMES))
+    graphs = (
+        frame_graph.build_frame(cloud(), variant, "street", number) for number in range(FRAMES)
+    )
     street = Street(
         f"{points:,} points", folder / "graphs.h5", [folder / f"{number}.pt" for number in frame]
     )

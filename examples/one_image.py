@@ -1,5 +1,6 @@
-"""The method, step by step: eight images of a street to the steering angle. Run python -m
-examples.one_image.
+"""Take the method step by step, from eight images of a street to a steering angle.
+
+Run it in the repository's root: python -m examples.one_image
 """
 
 from pathlib import Path
@@ -21,38 +22,64 @@ from pipeline.report import street_view
 from pipeline.train import trained
 
 torch.set_grad_enabled(False)
-K = np.array([[172.9, 0, 154.4], [0, 172.9, 44.95], [0, 0, 1]])  # pixels
+
+# The intrinsics of the camera, in pixels.
+K = np.array([[172.9, 0, 154.4], [0, 172.9, 44.95], [0, 0, 1]])
+
+# One network perceives depth and classes, the other one steers. Both were trained on the sample.
 _, encoder = encoder_file.load(Path("models/encoder/sample/encoder.pt"))
 model = trained.load("models/steering/sample", device="cpu")
-gcn, standardise, ncp = model.net.spatial, model.net.scale, model.net.temporal
-# [8,H,W,3]
-images = np.stack([read_image(path) for path in sorted(Path("examples/street").glob("*.png"))])
-rng, features = np.random.default_rng(0), []
-# each [H,W]
-for depth_m, cls in zip(*perceive(encoder, images, Camera(K, images.shape[1:3])), strict=True):
-    solid = cloud.solid(depth_m, cls, max_depth_m=80)  # no sky, void or far pixels
-    # eq. 6: metres [P,3], trainIds [P]
-    xyz, point_cls = back_project(depth_m, K)[solid].astype(np.float32), cls[solid]
-    drawn = cloud.draw(len(xyz), 1000, rng)
-    xyz, point_cls = xyz[drawn], point_cls[drawn]
-    # Fig. 3
-    pruned = graph.prune(
-        graph.undirected(graph.nearest(xyz, k=6)), point_cls, keep_inter_class=0.2, rng=rng
-    )
-    # eq. 7: [P,25]
-    x = node_features(torch.from_numpy(xyz), torch.from_numpy(point_cls), semantics=1.0)
-    adjacency = normalised_adjacency(
-        torch.from_numpy(pruned.degree), torch.from_numpy(pruned.indices), x.dtype
-    )
+gcn = model.net.spatial
+standardise = model.net.scale
+ncp = model.net.temporal
+
+# A window of eight images [8,H,W,3], and the depth in metres and the class of each of their pixels.
+paths = sorted(Path("examples/street").glob("*.png"))
+images = np.stack([read_image(path) for path in paths])
+camera = Camera(K, images.shape[1:3])
+depths_m, class_maps = perceive(encoder, images, camera)
+
+rng = np.random.default_rng(0)
+features = []
+for depth_m, cls in zip(depths_m, class_maps, strict=True):
+    # A point in metres for each pixel that is solid: neither sky, nor void, nor far away (eq. 6).
+    solid = cloud.solid_pixels(depth_m, cls, max_depth_m=80)
+    xyz = back_project(depth_m, K)[solid].astype(np.float32)  # [P,3]
+    point_cls = cls[solid]  # [P]
+
+    # A random thousand of them is enough.
+    drawn = cloud.draw_rows(len(xyz), 1000, rng)
+    xyz = xyz[drawn]
+    point_cls = point_cls[drawn]
+
+    # Connect nearest neighbours, and remove four of five edges between classes (Fig. 3).
+    neighbours = graph.nearest_neighbours(xyz, k=6)
+    edges = graph.undirected(neighbours)
+    pruned = graph.prune(edges, point_cls, keep_inter_class=0.2, rng=rng)
+
+    # Position and class of each point are the features of its node (eq. 7).
+    x = node_features(torch.from_numpy(xyz), torch.from_numpy(point_cls), semantics=1.0)  # [P,25]
+
+    # Graph convolutions mix the features of connected points (eq. 3).
+    degree = torch.from_numpy(pruned.degree)
+    indices = torch.from_numpy(pruned.indices)
+    adjacency = normalised_adjacency(degree, indices, x.dtype)
     for layer in gcn.layers:
-        x = layer(adjacency, x)  # GCNLayer, eq. 3
-    features.append(gcn.read_out(mean_max_pool(x, torch.tensor([0, len(x)]))))  # [1,32]
-# [1,8,..], a window of eight frames
-inputs = ncp.project_inputs(standardise(torch.cat(features)))[None]
-outputs = ncp(inputs, torch.full((1, 8), NOMINAL_STEP_S))  # [1,8,1]
-angle_deg = np.degrees(model.scale.decode(outputs[:, -1].numpy(), base=np.zeros(1)).item())
-print(title := f"steering angle: predicted {angle_deg:.1f}°, driven 17.1° (left +)")
-# A picture of the last image.
-edges = graph_file.edge_pairs(pruned.degree, pruned.indices)
-view = street_view.View(7, images[7], depth_m, cls, xyz, point_cls, edges, pruned.edges_kept)
+        x = layer(adjacency, x)
+
+    # The mean and the maximum over all points describe the image.
+    pooled = mean_max_pool(x, torch.tensor([0, len(x)]))
+    features.append(gcn.read_out(pooled))  # [1,32]
+
+# The network over time reads the features of the window, and its last output is the angle.
+inputs = ncp.project_inputs(standardise(torch.cat(features)))
+outputs = ncp(inputs[None], torch.full((1, 8), NOMINAL_STEP_S))  # [1,8,1]
+angle_rad = model.scale.decode(outputs[:, -1].numpy(), base=np.zeros(1))
+angle_deg = np.degrees(angle_rad.item())
+title = f"steering angle: predicted {angle_deg:.1f}°, driven 17.1° (left +)"
+print(title)
+
+# A picture of the last image, and of its graph.
+pairs = graph_file.edge_pairs(pruned.degree, pruned.indices)
+view = street_view.View(7, images[7], depth_m, cls, xyz, point_cls, pairs, pruned.edges_kept)
 street_view.save(street_view.sheet(title, view), Path("out/one_image.png"))

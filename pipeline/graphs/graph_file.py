@@ -1,6 +1,6 @@
-"""The graph file, the input of the networks for one drive: data/graphs/<variant>/<drive>.h5.
+"""Write and read the graph file of a drive, data/graphs/<variant>/<drive>.h5.
 
-A frame is a dict of columns, whose arrays are by kind of frame
+It is the input of the networks. A frame is a dict of columns, whose arrays are by kind of frame
 
 - graph: xyz float32 [P,3] in metres, cls uint8 [P], and the kNN graph: degree uint8 [P], indices
   [ΣP degree];
@@ -13,7 +13,6 @@ keeps both.
 
 from collections.abc import Callable, Iterable, Mapping
 from functools import cached_property
-from itertools import chain, count
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,7 +21,9 @@ import numpy as np
 from pipeline.base import store
 
 Arrays = dict[str, np.ndarray]
-MOTION = {  # dataset → dataset of the motion file, unit
+
+# Datasets of measured motion, each with the dataset of the motion file that it holds, and its unit.
+MOTION = {
     "motion_yaw_rate_radps": ("yaw_rate_radps", "rad/s, left positive"),
     "motion_speed_mps": ("filtered_mps", "m/s, forward positive"),
     "motion_valid": ("valid", ""),
@@ -34,33 +35,31 @@ class Column(NamedTuple):
 
     rows: np.ndarray
     unit: str
-    pointer: str = ""  # array with the first row of each frame; "": a row per frame
-    # column whose rows these numbers count, from 0 in each frame; "": no row numbers
-    refers_to: str = ""
+    pointer: str = ""  # array with the first row of each frame; empty: one row per frame
+    refers_to: str = ""  # column whose rows these numbers count, from 0 in each frame; empty: none
 
 
 Columns = dict[str, Column]
 
 
 class Contents(NamedTuple):
-    """Kind of the frames, and the sizes that a network takes from them."""
+    """The kind of the frames, and the sizes that a network takes from them."""
 
     kind: str  # FrameKind in models/steering/core/batch.py
     levels: int = 0  # of PointNet++
     image_size: tuple[int, int] | None = None  # (H, W)
 
     def __str__(self) -> str:
-        sizes = {
-            "pointnet2": f" with {self.levels} levels",
-            "image": f" of {self.image_size} (H, W) pixels",
-        }
-        return f"frames of kind {self.kind}{sizes.get(self.kind, '')}"
+        text = f"frames of kind {self.kind}"
+        if self.kind == "pointnet2":
+            text += f" with {self.levels} levels"
+        if self.kind == "image":
+            text += f" of {self.image_size} (H, W) pixels"
+        return text
 
 
 class MeasuredMotion(NamedTuple):
-    """Motion of the car since the previous frame, left and forward positive; all 0 where it is not
-    valid.
-    """
+    """The car's motion since the previous frame, left and forward positive; 0 where not valid."""
 
     yaw_rate_radps: np.ndarray  # float32 [G]
     speed_mps: np.ndarray  # float32 [G]
@@ -74,45 +73,48 @@ def write(
     frames: Iterable[Columns],
     empty: Columns,
 ) -> dict[str, int]:
-    """Write KITTI frame numbers [F], times [F], and the frames; return the numbers of frames and
-    points.
+    """Write KITTI frame numbers [F], times [F] and the frames; return the counts of the summary.
 
-    `empty`: the columns without rows, which create the datasets also in the file of a drive without
+    `empty` is a frame without rows, which creates the datasets also in the file of a drive without
     frames.
     """
     file.put("frame", np.asarray(frame, np.int32))
     file.put("time_s", time_s, unit="s")
-    lengths: list[dict[str, int]] = []
-    for columns in chain([empty], frames):
+    for name, column in empty.items():
+        file.append(name, *column)
+    counts: dict[str, list[int]] = {
+        column.pointer: [] for column in empty.values() if column.pointer
+    }
+    for columns in frames:
         for name, column in columns.items():
             file.append(name, *column)
-        lengths.append(
-            {column.pointer: len(column.rows) for column in columns.values() if column.pointer}
-        )
-    for pointer in lengths[0]:
-        file.put_pointers(
-            pointer, [frame_lengths[pointer] for frame_lengths in lengths[1:]], unit="row"
-        )
-    points = (
-        {"points": sum(frame_lengths["ptr"] for frame_lengths in lengths)} if "xyz" in empty else {}
-    )
-    return {"frames": len(frame), **points}
+        rows = {column.pointer: len(column.rows) for column in columns.values()}
+        for pointer in counts:
+            counts[pointer].append(rows[pointer])
+    for pointer, counts_of_frames in counts.items():
+        file.put_pointers(pointer, counts_of_frames, unit="row")
+
+    summary = {"frames": len(frame)}
+    if "xyz" in empty:
+        summary["points"] = sum(counts["ptr"])
+    return summary
 
 
 def put_motion(file: store.DriveWriter, frame: np.ndarray, motion: store.DriveReader) -> None:
-    """Write the measured motion of frame numbers [F]; 0 and not valid for frames that the motion
-    file lacks.
-    """
-    _, here, measured = np.intersect1d(frame, motion.frame, return_indices=True)
+    """Write the measured motion of frame numbers [F], 0 and not valid where it is missing."""
+    _, rows, motion_rows = np.intersect1d(frame, motion.frame, return_indices=True)
     for name, (source, unit) in MOTION.items():
-        values = motion[source]
-        column = np.zeros(len(frame), values.dtype)
-        column[here] = values[measured]
+        measured = motion[source]
+        column = np.zeros(len(frame), measured.dtype)
+        column[rows] = measured[motion_rows]
         file.put(name, column, unit)
 
 
 class Graphs(store.DriveReader):
-    """An open graph file with G frames. Pointers are read once, and columns after :meth:`keep`."""
+    """An open graph file with G frames.
+
+    Pointers are read once, and columns after :meth:`keep`.
+    """
 
     kept: Mapping[str, Any] = {}  # ragged columns in memory
 
@@ -121,11 +123,13 @@ class Graphs(store.DriveReader):
         self.kept = {name: convert(self[name]) for name in self.pointers}
 
     def row(self, name: str, index: int | slice | tuple[()]) -> Any:
-        return self.kept[name][index] if name in self.kept else super().row(name, index)
+        if name in self.kept:
+            return self.kept[name][index]
+        return super().row(name, index)
 
     @property
     def size(self) -> int:
-        """Bytes of the ragged columns in memory."""
+        """Return the bytes of the ragged columns in memory."""
         return sum(self.datasets[name].nbytes for name in self.pointers)
 
     @cached_property
@@ -135,37 +139,45 @@ class Graphs(store.DriveReader):
             return Contents(kind="image", image_size=(height, width))
         if "degree" in self:
             return Contents(kind="graph")
-        return Contents(
-            kind="pointnet2", levels=next(n for n in count() if f"centres_{n + 1}" not in self)
-        )
+        levels = 0
+        while f"centres_{levels + 1}" in self:
+            levels += 1
+        return Contents(kind="pointnet2", levels=levels)
 
     @cached_property
     def counts(self) -> Arrays:
-        """Numbers per frame [G], as far as the file has them: points, edges_knn and edges_kept
-        (directed).
-        """
-        points = {"points": np.diff(self["ptr"])} if "xyz" in self else {}
-        return points | {name: self[name] for name in ("edges_knn", "edges_kept") if name in self}
+        """Return numbers per frame [G]: points, edges_knn and edges_kept (directed), if any."""
+        counts = {}
+        if "xyz" in self:
+            counts["points"] = np.diff(self["ptr"])
+        for name in ("edges_knn", "edges_kept"):
+            if name in self:
+                counts[name] = self[name]
+        return counts
 
     @cached_property
     def motion(self) -> MeasuredMotion | None:
-        """Measured motion of all frames; None if the file has none."""
-        return MeasuredMotion(*(self[name] for name in MOTION)) if "motion_valid" in self else None
+        """Return the measured motion of all frames, or None if the file has none."""
+        if "motion_valid" not in self:
+            return None
+        return MeasuredMotion(*[self[name] for name in MOTION])
 
     @cached_property
     def starts(self) -> Arrays:
-        """Pointer → first row of each frame and the end, int64 [G+1]."""
+        """Return pointer → first row of each frame and the end, int64 [G+1]."""
         return {pointer: self[pointer] for pointer in dict.fromkeys(self.pointers.values())}
 
 
 def open_graphs(path: str | Path) -> Graphs:
-    """Open a graph file, a context manager. Raises InputError if it is missing, damaged or of
-    another stage.
+    """Open a graph file, a context manager.
+
+    Raises InputError if it is missing, damaged or of another stage.
     """
     return Graphs(Path(path), stage="graphs")
 
 
 def edge_pairs(degree: np.ndarray, indices: np.ndarray) -> np.ndarray:
     """Return both ends [E,2] of each undirected edge of one frame once, the smaller first."""
-    pairs = np.stack([np.repeat(np.arange(len(degree)), degree), indices], axis=1)
-    return pairs[pairs[:, 0] < pairs[:, 1]]
+    rows = np.repeat(np.arange(len(degree)), degree)
+    pairs = np.stack([rows, indices], axis=1)
+    return pairs[rows < indices]

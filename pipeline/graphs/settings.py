@@ -1,21 +1,27 @@
 """Section ``graphs``: the input variants of the steering networks."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, NamedTuple, Self
 
 from pydantic import Field, model_validator
 
 from pipeline.base.params import Count, Positive, Section, Seed
 
-_POINT_KEYS = {"source", "neighbourhood", "points", "sampling", "crop_m", "accumulate", "seed"}
-# kind → name in messages, required keys, allowed keys
-_KEYS: dict[str, tuple[str, set[str], set[str]]] = {
-    "graph": ("a kNN graph", {"points", "k"}, {*_POINT_KEYS, "k", "keep_inter_class"}),
-    "pointnet2": (
-        "neighbourhood: pointnet2",
-        {"points"},
-        {*_POINT_KEYS, "centres", "radius_m", "neighbours"},
+
+class _Kind(NamedTuple):
+    """A kind of frames, and the keys of a variant that makes it."""
+
+    name: str  # in messages
+    required: set[str]
+    optional: set[str]
+
+
+_POINT_KEYS = {"source", "neighbourhood", "sampling", "crop_m", "accumulate", "seed"}
+_KINDS = {
+    "graph": _Kind("a kNN graph", {"points", "k"}, _POINT_KEYS | {"keep_inter_class"}),
+    "pointnet2": _Kind(
+        "neighbourhood: pointnet2", {"points"}, _POINT_KEYS | {"centres", "radius_m", "neighbours"}
     ),
-    "image": ("images (source: ingest)", set(), {"source"}),
+    "image": _Kind("images (source: ingest)", set(), {"source"}),
 }
 
 
@@ -25,14 +31,15 @@ class Variant(Section):
     source: Literal["clouds/pseudo", "clouds/lidar", "ingest"]
     neighbourhood: Literal["knn", "pointnet2"] = "knn"
     points: Count | None = None
-    # range: equal numbers of points from intervals of range
+    # How points are drawn; range draws equal numbers from intervals of range.
     sampling: Literal["uniform", "range"] = "uniform"
-    # nearest neighbours; 0: points without edges
+    # Number of nearest neighbours; with 0, points have no edges.
     k: Annotated[int, Field(ge=0, le=32)] | None = None
+    # Share of the edges between classes that stays.
     keep_inter_class: Annotated[float, Field(ge=0, le=1)] = 1.0
-    # [left, near, right, far]: limits of the camera's x and z
+    # Limits of the camera's x and z: [left, near, right, far].
     crop_m: Annotated[tuple[float, float, float, float] | None, Field(strict=False)] = None
-    # frames in a cloud at most, the current one included
+    # Largest number of frames in a cloud, the current one included.
     accumulate: Annotated[int, Field(ge=2, le=64)] | None = None
     # One value per level of PointNet++; the defaults are the published sizes (SSG). The published
     # radii, 0.2 and 0.4, are for objects in a unit sphere; a street extends about 40 m.
@@ -43,13 +50,11 @@ class Variant(Section):
 
     @property
     def kind(self) -> str:
-        return (
-            "image"
-            if self.source == "ingest"
-            else "graph"
-            if self.neighbourhood == "knn"
-            else "pointnet2"
-        )
+        if self.source == "ingest":
+            return "image"
+        if self.neighbourhood == "knn":
+            return "graph"
+        return "pointnet2"
 
     @property
     def levels(self) -> list[tuple[int, float, int]]:
@@ -58,15 +63,18 @@ class Variant(Section):
 
     @model_validator(mode="after")
     def _keys_fit_kind(self) -> Self:
-        what, required, allowed = _KEYS[self.kind]
-        if missing := [key for key in sorted(required) if getattr(self, key) is None]:
-            raise ValueError(f"{what} needs {missing[0]}")
-        for key in sorted(self.model_fields_set - allowed):
-            raise ValueError(f"{key} does not apply to {what}: remove it")
+        kind = _KINDS[self.kind]
+        for key in sorted(kind.required):
+            if getattr(self, key) is None:
+                raise ValueError(f"{kind.name} needs {key}")
+        for key in sorted(self.model_fields_set - kind.required - kind.optional):
+            raise ValueError(f"{key} does not apply to {kind.name}: remove it")
         if len({len(self.centres), len(self.radius_m), len(self.neighbours)}) > 1:
             raise ValueError("centres, radius_m and neighbours need one number per level each")
-        if self.crop_m and not (
-            self.crop_m[0] < self.crop_m[2] and self.crop_m[1] < self.crop_m[3]
-        ):
-            raise ValueError("crop_m = [left, near, right, far] needs left < right and near < far")
+        if self.crop_m:
+            left, near, right, far = self.crop_m
+            if not (left < right and near < far):
+                raise ValueError(
+                    "crop_m = [left, near, right, far] needs left < right and near < far"
+                )
         return self

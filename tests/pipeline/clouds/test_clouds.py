@@ -1,4 +1,4 @@
-"""Semantic point clouds, and the points that are drawn of them."""
+"""Test semantic point clouds, and which of their points are drawn."""
 
 import numpy as np
 import pytest
@@ -11,79 +11,78 @@ from tests import artefacts
 K = np.array([[100.0, 0, 19.5], [0, 100.0, 9.5], [0, 0, 1]])
 
 
-def rows_of(part: np.ndarray, xyz: np.ndarray) -> list[int]:
-    return [int(np.flatnonzero((xyz == point).all(axis=1))[0]) for point in part]
-
-
 def test_pseudo_cloud_has_a_point_per_valid_pixel():
     depth = np.full((20, 40), 10.0)
     cls = np.full((20, 40), classes.ROAD, np.uint8)
-    depth[0, 0], depth[1, 1] = 0.0, 81.0
-    cls[2, 2], cls[3, 3] = classes.SKY, classes.VOID
-    xyz, labels = cloud.pseudo_cloud(depth, cls, K, max_depth_m=80.0)
-    assert (labels == classes.ROAD).all()
-    uv, z = geometry.project(xyz.astype(np.float64), K)
+    depth[0, 0] = 0.0
+    depth[1, 1] = 81.0
+    cls[2, 2] = classes.SKY
+    cls[3, 3] = classes.VOID
+    points = cloud.pseudo_cloud(depth, cls, K, max_depth_m=80.0)
+    assert (points.cls == classes.ROAD).all()
+
+    uv, z = geometry.project(points.xyz.astype(np.float64), K)
     assert z == pytest.approx(np.full(len(z), 10.0))
     pixels = set(map(tuple, np.rint(uv).astype(int).tolist()))
-    assert pixels == {(u, v) for u in range(40) for v in range(20)} - {
-        (0, 0),
-        (1, 1),
-        (2, 2),
-        (3, 3),
-    }
-    assert len(xyz) == len(labels) == len(pixels)
-    xyz, labels = cloud.pseudo_cloud(
-        depth, np.full((20, 40), classes.VOID, np.uint8), K, max_depth_m=80.0
-    )
-    assert len(xyz) == 20 * 40 - 2  # without classes, each pixel with depth is a point
+    no_points = {(0, 0), (1, 1), (2, 2), (3, 3)}
+    assert pixels == {(u, v) for u in range(40) for v in range(20)} - no_points
+    assert len(points.xyz) == len(points.cls) == len(pixels)
+
+
+def test_without_classes_each_pixel_with_depth_is_a_point():
+    depth = np.full((20, 40), 10.0)
+    depth[0, 0] = 0.0
+    depth[1, 1] = 81.0
+    void = np.full((20, 40), classes.VOID, np.uint8)
+    points = cloud.pseudo_cloud(depth, void, K, max_depth_m=80.0)
+    assert len(points.xyz) == 20 * 40 - 2
 
 
 def test_lidar_points_take_the_class_of_their_pixel():
-    camera = Camera(
-        K,
-        (20, 40),
-        T_cam_velo=np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]]),
-    )
+    T_cam_velo = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
+    camera = Camera(K, (20, 40), T_cam_velo=T_cam_velo)
     cls = np.full((20, 40), classes.CAR, np.uint8)
     cls[:, 20:] = classes.SKY
     # On a car, inside it, on the street behind it, on the sky, behind the camera, beside the image.
     places = [(10, 1, 0), (12, 1.2, 0), (20, 2, 0), (10, -1, 0), (-10, 0, 0), (10, 50, 0)]
     scan = np.array([(*place, 0.5) for place in places], np.float32)
-    xyz, labels = cloud.lidar_cloud(scan, camera, cls)
-    assert xyz == pytest.approx(np.array([(-y, -z, x) for x, y, z in places]))
-    assert labels.tolist() == [classes.CAR] * 2 + [classes.VOID] * 4
-    assert (cloud.lidar_cloud(scan, camera, None)[1] == classes.VOID).all()
+    points = cloud.lidar_cloud(scan, camera, cls)
+    assert points.xyz == pytest.approx(np.array([(-y, -z, x) for x, y, z in places]))
+    assert points.cls.tolist() == [classes.CAR] * 2 + [classes.VOID] * 4
+    assert (cloud.lidar_cloud(scan, camera, None).cls == classes.VOID).all()
 
 
 def test_morton_order_equals_bitwise_interleaving():
-    xyz, cls = np.random.default_rng(0).uniform(-60, 60, (200, 3)), np.arange(200).astype(np.uint8)
+    xyz = np.random.default_rng(0).uniform(-60, 60, (200, 3))
+    row = np.arange(200).astype(np.uint8)  # as class, so that it shows the order
 
     def code(point: np.ndarray) -> int:
-        cells = [round(value * 1024) + 2**20 for value in point.tolist()]
-        return sum(
-            ((cells[axis] >> bit) & 1) << (3 * bit + axis) for bit in range(21) for axis in range(3)
-        )
+        number = 0
+        for axis, value in enumerate(point.tolist()):
+            cell = round(value * 1024) + 2**20
+            for bit in range(21):
+                number |= ((cell >> bit) & 1) << (3 * bit + axis)
+        return number
 
-    stored, order = cloud.ordered((xyz, cls))
+    stored, order = cloud.in_morton_order(cloud.Cloud(xyz, row))
     np.testing.assert_array_equal(stored, np.rint(xyz[order] * 1024) / 1024)
-    assert [code(point) for point in stored] == sorted(code(point) for point in stored)
+    codes = [code(point) for point in stored]
+    assert codes == sorted(codes)
 
 
 def test_drawn_points_depend_on_the_frame_alone_lie_in_the_crop_and_keep_order_and_class():
     xyz, cls = artefacts.points(900)
 
     def drawn(count: int, frame: int) -> list[int]:
-        part, labels = cloud.draw_points(
-            (xyz, cls), (-5, 0, 5, 20), count, cloud.frame_rng(0, "drive", frame)
-        )
-        rows = rows_of(part, xyz)
+        rng = cloud.frame_rng(0, "drive", frame)
+        points = cloud.draw_points(cloud.Cloud(xyz, cls), (-5, 0, 5, 20), count, rng)
+        rows = [int(np.flatnonzero((xyz == point).all(axis=1))[0]) for point in points.xyz]
         assert rows == sorted(set(rows))
-        assert labels.tolist() == cls[rows].tolist()
+        assert points.cls.tolist() == cls[rows].tolist()
         return rows
 
-    inside = np.flatnonzero(
-        (np.abs(xyz[:, 0]) <= 5) & (xyz[:, 2] >= 0) & (xyz[:, 2] <= 20)
-    ).tolist()
+    in_crop = (np.abs(xyz[:, 0]) <= 5) & (xyz[:, 2] >= 0) & (xyz[:, 2] <= 20)
+    inside = np.flatnonzero(in_crop).tolist()
     assert drawn(900, 0) == inside
     assert drawn(20, 5) == drawn(20, 5) != drawn(20, 6)
     assert set(drawn(20, 6)) < set(inside)
@@ -95,9 +94,9 @@ def test_sampling_by_range_draws_equal_numbers_and_fills_up_from_where_points_ar
     rng = np.random.default_rng(0)
     range_m = np.repeat([7.0, 15.0, 30.0, 60.0], [700, 200, 90, 10])
     bearing = rng.uniform(-1, 1, 1000)
-    xyz = np.stack(
-        [range_m * np.sin(bearing), rng.uniform(-1, 2, 1000), range_m * np.cos(bearing)], axis=1
-    )
+    x = range_m * np.sin(bearing)
+    z = range_m * np.cos(bearing)
+    xyz = np.stack([x, rng.uniform(-1, 2, 1000), z], axis=1)
 
     def counts(limit: int) -> list[int]:
         drawn = cloud.draw_by_range(xyz, limit, rng)

@@ -1,4 +1,4 @@
-"""Accumulated clouds, kNN graphs, the neighbourhoods of PointNet++, and graph files."""
+"""Test accumulated clouds, kNN graphs, the neighbourhoods of PointNet++, and graph files."""
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.camera.geometry import transform
+from pipeline.clouds.cloud import Cloud
 from pipeline.graphs import frame_graph, graph, graph_file
 from tests import artefacts
 from tests.artefacts import write_motion
@@ -27,22 +28,22 @@ from tests.street import pose
 )
 def test_static_points_coincide_until_a_gap_or_unmeasured_motion(numbers, measured, expected):
     """Clouds carry their row as class, so that it shows from which frame a point is."""
-    rng, T = np.random.default_rng(0), pose(0.05, 0, 1.0)
-    places = [np.linalg.matrix_power(T, row) for row in range(len(numbers))]
+    rng = np.random.default_rng(0)
+    T_before_now = pose(0.05, 0, 1.0)
+    T_world_cam = [np.linalg.matrix_power(T_before_now, row) for row in range(len(numbers))]
     worlds = [rng.uniform([-10, -1, 0], [10, 2, 30], (10, 3)) for _ in numbers]
-    clouds = [
-        (transform(np.linalg.inv(place), world).astype(np.float32), np.full(10, row, np.uint8))
-        for row, (place, world) in enumerate(zip(places, worlds, strict=True))
-    ]
-    made = list(
-        frame_graph.accumulated(zip(numbers, clouds, strict=True), dict.fromkeys(measured, T), 3)
-    )
-    assert [number for number, _ in made] == numbers
-    for place, (_, (xyz, cls)), then in zip(places, made, expected, strict=True):
-        assert list(dict.fromkeys(cls.tolist())) == then
-        assert transform(place, xyz) == pytest.approx(
-            np.concatenate([worlds[row] for row in then]), abs=1e-4
-        )
+    clouds = []
+    for row, world in enumerate(worlds):
+        xyz = transform(np.linalg.inv(T_world_cam[row]), world)
+        clouds.append(Cloud(xyz.astype(np.float32), np.full(10, row, np.uint8)))
+
+    steps = dict.fromkeys(measured, T_before_now)
+    accumulated = [*frame_graph.accumulate(zip(numbers, clouds, strict=True), steps, 3)]
+    assert [number for number, _ in accumulated] == numbers
+    for T, (_, cloud), rows in zip(T_world_cam, accumulated, expected, strict=True):
+        assert list(dict.fromkeys(cloud.cls.tolist())) == rows
+        world = np.concatenate([worlds[row] for row in rows])
+        assert transform(T, cloud.xyz) == pytest.approx(world, abs=1e-4)
 
 
 def test_steps_have_the_length_unit_of_the_clouds(tmp_path):
@@ -66,25 +67,28 @@ def test_steps_have_the_length_unit_of_the_clouds(tmp_path):
 def test_a_graph_is_the_symmetric_knn_graph_pruned_between_classes(count, k, keep, seed):
     """Paper Fig. 3: directed edges are counted, 600 for 100 points."""
     xyz, cls = artefacts.points(count, seed)
-    made = graph.prune(
-        graph.undirected(graph.nearest(xyz, k)), cls, keep, np.random.default_rng(seed)
-    )
-    near = range(2, min(k, count - 1) + 2)
-    neighbours = cKDTree(xyz).query(xyz, near)[1] if count > 1 and k else np.empty((count, 0), int)
-    directed = {(i, int(j)) for i, row in enumerate(neighbours) for j in row}
-    whole = directed | {(j, i) for i, j in directed}
-    within = {(i, j) for i, j in whole if cls[i] == cls[j]}
-    rows = np.split(made.indices.astype(int), np.cumsum(made.degree)[:-1])
+    edges = graph.undirected(graph.nearest_neighbours(xyz, k))
+    pruned = graph.prune(edges, cls, keep, np.random.default_rng(seed))
+    rows = np.split(pruned.indices.astype(int), np.cumsum(pruned.degree)[:-1])
     kept = {(i, int(j)) for i, row in enumerate(rows) for j in row}
-    assert within <= kept <= whole
+
+    # The same edges by a k-d tree, whose first neighbour is the point itself.
+    directed = set()
+    if count > 1 and k:
+        _, neighbours = cKDTree(xyz).query(xyz, range(2, min(k, count - 1) + 2))
+        directed = {(i, int(j)) for i, row in enumerate(neighbours) for j in row}
+    unpruned = directed | {(j, i) for i, j in directed}
+    within = {(i, j) for i, j in unpruned if cls[i] == cls[j]}
+    assert within <= kept <= unpruned
     assert {(j, i) for i, j in kept} == kept
-    assert len(kept - within) == 2 * round(keep * len(whole - within) / 2)
-    assert (made.edges_knn, made.edges_kept) == (len(directed), len(directed & kept))
+    assert len(kept - within) == 2 * round(keep * len(unpruned - within) / 2)
+    assert pruned.edges_knn == len(directed)
+    assert pruned.edges_kept == len(directed & kept)
     assert all((np.diff(row) > 0).all() for row in rows)  # ascending, and each neighbour once
 
 
 def test_a_hub_of_more_than_255_neighbours_is_refused():
-    # the first point's neighbour is the second, its others' it
+    # The first point's neighbour is the second; the neighbour of all others is the first.
     hub = graph.undirected(np.eye(257, 1, dtype=np.int32))
     with pytest.raises(InputError, match="256 neighbours"):
         graph.prune(hub, np.zeros(257, np.uint8), 1.0, np.random.default_rng(0))
@@ -99,20 +103,21 @@ def xyz() -> np.ndarray:
 
 
 def squared(a: np.ndarray, b: np.ndarray) -> float:
-    """In integers of 1/1024 m, so that nothing is rounded."""
-    return (
-        sum(
-            (round(float(p) * 1024) - round(float(q) * 1024)) ** 2
-            for p, q in zip(a, b, strict=True)
-        )
-        / 1024**2
-    )
+    """Return a squared distance, from integers of 1/1024 m, so that nothing is rounded."""
+    total = 0
+    for p, q in zip(a.tolist(), b.tolist(), strict=True):
+        total += (round(p * 1024) - round(q * 1024)) ** 2
+    return total / 1024**2
+
+
+def nearest_m2(point: np.ndarray, xyz: np.ndarray) -> float:
+    return min(squared(point, other) for other in xyz)
 
 
 def reference_fps(xyz: np.ndarray, count: int) -> list[int]:
     chosen = [0]
     while len(chosen) < min(count, len(xyz)):
-        nearest = [min(squared(point, xyz[other]) for other in chosen) for point in xyz]
+        nearest = [nearest_m2(point, xyz[chosen]) for point in xyz]
         chosen.append(nearest.index(max(nearest)))
     return chosen
 
@@ -120,30 +125,26 @@ def reference_fps(xyz: np.ndarray, count: int) -> list[int]:
 def reference_ball(
     xyz: np.ndarray, centre: int, radius_m: float, count: int, order: np.ndarray
 ) -> list[int]:
-    found = [int(point) for point in order if squared(xyz[point], xyz[centre]) <= radius_m**2][
-        :count
-    ]
-    return found + [found[0]] * (count - len(found))
+    ball = [int(row) for row in order if squared(xyz[row], xyz[centre]) <= radius_m**2]
+    members = ball[:count]
+    return members + [members[0]] * (count - len(members))
 
 
 @pytest.mark.parametrize("radius_m", [0.5, 3.0, 8.0, 100.0])
 def test_balls_are_those_of_brute_force(xyz, radius_m):
     order = np.random.default_rng(1).permutation(len(xyz))
-    found = graph.ball_query(xyz, np.arange(0, 300, 15), radius_m, 12, order)
-    assert found.tolist() == [
-        reference_ball(xyz, centre, radius_m, 12, order) for centre in range(0, 300, 15)
-    ]
+    balls = graph.ball_query(xyz, np.arange(0, 300, 15), radius_m, 12, order)
+    for centre, ball in zip(range(0, 300, 15), balls.tolist(), strict=True):
+        assert ball == reference_ball(xyz, centre, radius_m, 12, order)
 
 
 def test_levels_are_farthest_points_and_build_on_each_other(xyz):
-    (first, _), (second, neighbours) = graph.levels(
-        xyz, [(40, 5.0, 8), (10, 12.0, 6)], np.random.default_rng(0)
-    )
+    sizes = [(40, 5.0, 8), (10, 12.0, 6)]
+    (first, _), (second, neighbours) = graph.levels(xyz, sizes, np.random.default_rng(0))
     assert first.tolist() == reference_fps(xyz, 40)
     assert second.tolist() == reference_fps(xyz[first], 10)
-    assert neighbours.tolist() == [
-        reference_ball(xyz[first], int(c), 12.0, 6, np.arange(40)) for c in second
-    ]
+    for centre, ball in zip(second.tolist(), neighbours.tolist(), strict=True):
+        assert ball == reference_ball(xyz[first], centre, 12.0, 6, np.arange(40))
 
 
 def test_motion_is_matched_by_frame_number(tmp_path):
@@ -157,22 +158,27 @@ def test_motion_is_matched_by_frame_number(tmp_path):
         graph_file.put_motion(writer, np.array([4, 5, 9]), motion)
     with graph_file.open_graphs(tmp_path / "a.h5") as graphs:
         yaw_rate, speed, valid = graphs.motion
-    assert (speed.tolist(), valid.tolist(), valid.dtype) == ([0, 5, 0], [0, 1, 0], np.uint8)
+    assert speed.tolist() == [0, 5, 0]
+    assert valid.tolist() == [0, 1, 0]
+    assert valid.dtype == np.uint8
     assert yaw_rate == pytest.approx([0, 0.5, 0])
 
 
 @pytest.mark.parametrize("kind", FRAME)
 def test_a_batch_is_its_frames_with_shifted_numbers(tmp_path, kind):
-    path, spans = tmp_path / "drive.h5", [(2, 6), (8, 9), (0, 3)]
+    path = tmp_path / "drive.h5"
     artefacts.write_graphs(path, np.linspace(-0.1, 0.1, 9), np.arange(9), 50, kind)
-    rows = [row for span in spans for row in range(*span)]
+    spans = [(2, 6), (8, 9), (0, 3)]
+    rows = [2, 3, 4, 5, 8, 0, 1, 2]
+
+    def read_frame(file: DriveReader, row: int) -> dict[str, np.ndarray]:
+        return {name: file.rows_of(name, row) for name in file.pointers}
+
     with graph_file.open_graphs(path) as graphs, DriveReader(path, stage="graphs") as file:
         assert graphs.contents.kind == kind
         batch = artefacts.collate(*((graphs, *span) for span in spans))
         pieces = artefacts.collate(*((graphs, row, row + 1) for row in rows))
-        expected = concatenated(
-            [{name: file.rows_of(name, row) for name in file.pointers} for row in rows]
-        )
+        expected = concatenated([read_frame(file, row) for row in rows])
     assert batch.keys() == pieces.keys() == expected.keys()
     for name, array in expected.items():
         np.testing.assert_array_equal(batch[name], array)

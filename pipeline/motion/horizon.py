@@ -1,6 +1,4 @@
-"""What two consecutive images say without depth, by their essential matrix: the road's horizon, and
-left or right.
-"""
+"""Find the road's horizon, and turns, by the essential matrices of pairs of images."""
 
 from collections.abc import Callable, Iterable, Iterator
 from itertools import islice, pairwise
@@ -13,34 +11,68 @@ import numpy as np
 from pipeline.base.errors import InputError, error_context
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import project
+from pipeline.camera.images import Size
 from pipeline.motion.odometry import best_corners, corner_quality, track
 
-WIDTH = 640  # px, of the images that are tracked
-CELL, MIN_QUALITY = 24, 2e-5
-MIN_TRACKS, MIN_INLIERS = 60, 0.4
-MIN_FLOW_PX = 1.0  # below, the direction of travel is noise
+# Width in pixels of the images that are tracked.
+WIDTH = 640
+# Width in pixels of the cells that give corners.
+CELL_PX = 24
+# Least quality of a corner, see :func:`pipeline.motion.odometry.corner_quality`.
+MIN_QUALITY = 2e-5
+# Least number of tracked corners of a pair of images.
+MIN_TRACKS = 60
+# Least share of the tracked corners that agree with the motion.
+MIN_INLIERS = 0.4
+# Least median motion in pixels of the corners: below, the direction of travel is noise.
+MIN_FLOW_PX = 1.0
+# Largest distance in pixels of an inlier from its epipolar line.
 RANSAC_PX = 0.7
-PAIRS, PAIR_EVERY, MIN_PAIRS = 60, 10, 8
-# In six real recordings, points above the horizon are nearer in up to 12 % of the pairs; turned by
-# 180°, in 86 %.
-# from the horizon; on each side; pairs that tell upside down
-MARGIN_PX, MIN_POINTS, LEAST_ABOVE = 25, 5, 4
-TURN_PAIRS = 200  # that are compared for the yaw rate of a recording
-MAX_RADPS = 1.0  # a car turns more slowly: in KITTI at up to 0.5
-APART_S = 0.095  # of two images that are compared for a turn: the yaw of nearer ones is noise
-OPPOSITE = 0.8  # least share of pairs that show images upside down
+# Least forward component of a car's direction of travel, a unit vector.
+MIN_FORWARD = 0.9
+
+# Largest number of pairs from which the horizon is found.
+PAIRS = 60
+# Number of images between the beginnings of these pairs.
+PAIR_EVERY = 10
+# Least number of pairs that find a horizon.
+MIN_PAIRS = 8
+# Distance in pixels from the horizon beyond which corners count as above or below it.
+MARGIN_PX = 25
+# Least number of corners above, and below.
+MIN_POINTS = 5
+# Least number of pairs that show images upside down.
+LEAST_ABOVE = 4
+# Least share of these pairs where points above the horizon are nearer, if images are upside down.
+# In six real recordings, it is up to 12 %; turned by 180°, 86 % and more.
+OPPOSITE = 0.8
+
+# Largest number of pairs that are compared for the yaw rates of a recording.
+TURN_PAIRS = 200
+# Largest yaw rate in rad/s of a car. KITTI's have up to 0.5.
+MAX_RADPS = 1.0
+# Seconds between two images that are compared for a turn: the yaw of nearer ones is noise.
+APART_S = 0.095
 
 
 class _Motion(NamedTuple):
-    """Between two images, of points to the later camera: rotation [3,3], and a translation [3] of
-    unknown length.
+    """The motion between two images, and N points that agree with it.
+
+    Rotation and translation take points to the later camera.
     """
 
-    rotation: np.ndarray
-    translation: np.ndarray
-    K: np.ndarray  # of images with WIDTH, as the points [N,2] in both
-    uv: np.ndarray
-    uv_now: np.ndarray
+    rotation: np.ndarray  # [3,3]
+    translation: np.ndarray  # [3], of unknown length
+    K: np.ndarray  # of images with WIDTH
+    uv: np.ndarray  # pixels in the earlier image [N,2]
+    uv_now: np.ndarray  # pixels in the later image [N,2]
+
+
+class _Heading(NamedTuple):
+    """What a pair of images says about the horizon."""
+
+    row: float  # of the focus of expansion
+    nearer_above: bool | None  # whether points above it are nearer than those below; None: unknown
 
 
 def find_horizon(frames: Iterable[Frame], camera: Camera) -> float | None:
@@ -51,25 +83,34 @@ def find_horizon(frames: Iterable[Frame], camera: Camera) -> float | None:
     horizon. Raises InputError if the images are upside down, because points above the horizon are
     nearer than points below it.
     """
-    images = (frame.image for frame in frames if frame.image is not None)
-    pairs = islice(pairwise(images), 0, PAIRS * PAIR_EVERY, PAIR_EVERY)
-    found = [
-        seen
-        for before, now in pairs
-        if (motion := _motion(before, now, camera)) and (seen := _ahead(motion))
-    ]
-    above = [nearer_above for _, nearer_above in found if nearer_above is not None]
-    if len(above) >= LEAST_ABOVE and sum(above) >= OPPOSITE * len(above):
-        share = f"{sum(above)} of {len(above)} pairs of images"
-        problem = (
-            f"images are upside down: in {share}, points above the horizon are nearer than points "
-            "below it"
-        )
-        raise InputError(problem, fix="Turn them: ffmpeg -i in.mp4 -vf hflip,vflip upright.mp4")
-    if len(found) < MIN_PAIRS:
+    images = (frame.image for frame in frames)
+    headings = list[_Heading]()
+    for before, now in islice(pairwise(images), 0, PAIRS * PAIR_EVERY, PAIR_EVERY):
+        motion = _measure_motion(before, now, camera)
+        if motion is None:
+            continue
+        heading = _find_heading(motion)
+        if heading is not None:
+            headings.append(heading)
+
+    _check_upright(headings)
+    if len(headings) < MIN_PAIRS:
         return None
-    row, scale = float(np.median([row for row, _ in found])), camera.size[0] / _small(camera)[0]
+    row = float(np.median([heading.row for heading in headings]))
+    scale = camera.size[0] / _small_size(camera)[0]
     return (row + 0.5) * scale - 0.5
+
+
+def _check_upright(headings: Iterable[_Heading]) -> None:
+    """Raise InputError if images are upside down."""
+    above = [heading.nearer_above for heading in headings if heading.nearer_above is not None]
+    nearer = sum(above)
+    if len(above) >= LEAST_ABOVE and nearer >= OPPOSITE * len(above):
+        raise InputError(
+            f"images are upside down: in {nearer} of {len(above)} pairs of images, points above "
+            "the horizon are nearer than points below it",
+            fix="Turn them: ffmpeg -i in.mp4 -vf hflip,vflip upright.mp4",
+        )
 
 
 def noted_horizon(
@@ -78,36 +119,44 @@ def noted_horizon(
     """Return :func:`find_horizon` of the recording at `path`, and add a note about it."""
     with error_context(path):
         row = find_horizon(frames(), camera)
-    found = "not found, since too few images show a drive; assuming a level camera"
-    notes.append(f"horizon: {found if row is None else f'row {row:.0f} of {camera.size[0]}'}")
+    if row is None:
+        result = "not found, since too few images show a drive; assuming a level camera"
+    else:
+        result = f"row {row:.0f} of {camera.size[0]}"
+    notes.append(f"horizon: {result}")
     return row
 
 
-def _ahead(motion: _Motion) -> tuple[float, bool | None] | None:
-    """Return the row of the direction of travel, and whether points above it are nearer than those
-    below.
+def _find_heading(motion: _Motion) -> _Heading | None:
+    """Return what a motion says about the horizon; None if it is not a car's.
 
-    None without a car's motion; the second is None with few points. Nearness is the flow without
-    the rotation, relative to the distance from the focus of expansion, in the middle of the image.
+    Points are compared by their nearness: the flow without the rotation, relative to the distance
+    from the focus of expansion, in the middle of the image.
     """
     right, down, ahead = -motion.rotation.T @ motion.translation
-    if abs(ahead) < 0.9:  # of a unit vector: not a car's motion
+    if abs(ahead) < MIN_FORWARD:
         return None
-    rays = np.linalg.solve(
-        motion.K, np.column_stack([motion.uv_now, np.ones(len(motion.uv_now))]).T
-    )
-    uv_now = project((motion.rotation.T @ rays).T, motion.K)[0]
     focus = motion.K[:2, :2] @ [right / ahead, down / ahead] + motion.K[:2, 2]
+
+    # The pixels as of a camera that does not turn.
+    homogeneous = np.column_stack([motion.uv_now, np.ones(len(motion.uv_now))])
+    rays = np.linalg.solve(motion.K, homogeneous.T)
+    uv_now = project((motion.rotation.T @ rays).T, motion.K)[0]
+
     away = motion.uv - focus
-    nearness = np.abs(
-        ((uv_now - motion.uv) * away).sum(axis=1) / np.maximum((away**2).sum(axis=1), 1.0)
-    )
-    # unlike a bonnet, and text
+    away_right, away_down = away.T
+    outward = ((uv_now - motion.uv) * away).sum(axis=1)
+    nearness = np.abs(outward / np.maximum((away**2).sum(axis=1), 1.0))
+
+    # A bonnet and text do not move.
     moves = np.abs(motion.uv_now - motion.uv).max(axis=1) > MIN_FLOW_PX / 2
-    middle = moves & (np.abs(away[:, 0]) < WIDTH / 4)
-    parts = [nearness[middle & (side * away[:, 1] > MARGIN_PX)] for side in (-1, 1)]
-    known = min(map(len, parts)) >= MIN_POINTS
-    return float(focus[1]), bool(np.median(parts[0]) > np.median(parts[1])) if known else None
+    middle = moves & (np.abs(away_right) < WIDTH / 4)
+    above = nearness[middle & (away_down < -MARGIN_PX)]
+    below = nearness[middle & (away_down > MARGIN_PX)]
+    nearer_above = None
+    if len(above) >= MIN_POINTS and len(below) >= MIN_POINTS:
+        nearer_above = bool(np.median(above) > np.median(below))
+    return _Heading(float(focus[1]), nearer_above)
 
 
 def turn_rates(
@@ -116,18 +165,19 @@ def turn_rates(
     time_s: np.ndarray,
     within: np.ndarray,
 ) -> np.ndarray:
-    """Return yaw rates in rad/s, left positive, [F], by the rotations between images; NaN where
-    none is measured.
+    """Return yaw rates in rad/s, left positive, [F], by the rotations between images.
 
-    Up to TURN_PAIRS pairs of the images `within` some time, bool [F], are compared, APART_S apart
-    and evenly spread; a rate stands at the first image of its pair. `time_s`: [F]. `frames` returns
-    the frames of a mask [F].
+    They are NaN where none is measured. Up to TURN_PAIRS pairs of the images `within` some time,
+    bool [F], are compared, APART_S apart and evenly spread; a rate stands at the first image of its
+    pair. `time_s`: [F]. `frames` returns the frames of a mask [F], numbered by row.
     """
     rates = np.full(len(time_s), np.nan)
     after = np.searchsorted(time_s, time_s + APART_S)
     possible = np.flatnonzero(within & np.append(within, False)[after])
     if not len(possible):
         return rates
+
+    # Choose pairs: row of the second image → row of the first.
     spread = np.linspace(0, len(possible) - 1, TURN_PAIRS).round().astype(int)
     first = possible[np.unique(spread)]
     first_of = {int(after[row]): int(row) for row in first}
@@ -140,39 +190,52 @@ def turn_rates(
         images[frame.number] = frame.image
         row = first_of.get(frame.number)
         if row is not None and row in images:
-            motion = _motion(images[row], frame.image, camera)
-            if motion:
-                # y points down; of points, not the camera
-                angle_rad = float(cv2.Rodrigues(motion.rotation)[0][1, 0])
+            motion = _measure_motion(images[row], frame.image, camera)
+            if motion is not None:
+                # A rotation of points, not of the camera, about y, which points down.
+                angle_rad = cv2.Rodrigues(motion.rotation)[0][1, 0]
                 rate_radps = angle_rad / (time_s[frame.number] - time_s[row])
-                rates[row] = rate_radps if abs(rate_radps) < MAX_RADPS else np.nan
-        for number in [number for number in images if time_s[number] < frame.time_s - 2 * APART_S]:
-            del images[number]
+                if abs(rate_radps) < MAX_RADPS:
+                    rates[row] = rate_radps
+
+        # Keep only the images that can be the first of a later pair.
+        for number in list(images):
+            if time_s[number] < frame.time_s - 2 * APART_S:
+                del images[number]
     return rates
 
 
-def _small(camera: Camera) -> tuple[int, int]:
-    return round(camera.size[0] * WIDTH / camera.size[1]), WIDTH
+def _small_size(camera: Camera) -> Size:
+    """Return the size of the images that are tracked."""
+    height, width = camera.size
+    return round(height * WIDTH / width), WIDTH
 
 
-def _motion(before: np.ndarray, now: np.ndarray, camera: Camera) -> _Motion | None:
-    """Return the motion between two images; None if it cannot be measured."""
-    small = _small(camera)
-    first, second = (
-        cv2.resize(
-            cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), small[::-1], interpolation=cv2.INTER_AREA
-        )
-        for image in (before, now)
-    )
-    K = camera.scaled(small).K
-    uv = best_corners(corner_quality(np.asarray(first)), CELL, MIN_QUALITY)
-    uv_now, tracked = track(np.asarray(first), np.asarray(second), uv, uv)
-    uv, uv_now = uv[tracked].astype(np.float64), uv_now[tracked].astype(np.float64)
+def _measure_motion(before: np.ndarray, now: np.ndarray, camera: Camera) -> _Motion | None:
+    """Return the motion between two images RGB uint8 [H,W,3]; None if it cannot be measured."""
+    size = _small_size(camera)
+    grey_before = _small_grey(before, size)
+    grey_now = _small_grey(now, size)
+    K = camera.scaled(size).K
+
+    # Follow corners from image to image.
+    uv = best_corners(corner_quality(grey_before), CELL_PX, MIN_QUALITY)
+    uv_now, tracked = track(grey_before, grey_now, uv, uv)
+    uv = uv[tracked].astype(np.float64)
+    uv_now = uv_now[tracked].astype(np.float64)
     if len(uv) < MIN_TRACKS or np.median(np.abs(uv_now - uv).max(axis=1)) < MIN_FLOW_PX:
         return None
+
+    # RANSAC separates the static street from moving objects.
     essential, inliers = cv2.findEssentialMat(uv, uv_now, K, cv2.RANSAC, 0.999, RANSAC_PX)
     if essential is None or essential.shape != (3, 3) or inliers.mean() < MIN_INLIERS:
         return None
-    kept = inliers[:, 0] > 0
+    agree = inliers[:, 0] > 0
     _, rotation, translation, _ = cv2.recoverPose(essential, uv, uv_now, K, mask=inliers)
-    return _Motion(rotation, translation[:, 0], K, uv[kept], uv_now[kept])
+    return _Motion(rotation, translation[:, 0], K, uv[agree], uv_now[agree])
+
+
+def _small_grey(image: np.ndarray, size: Size) -> np.ndarray:
+    """Return a grey image of a size (H, W)."""
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    return cv2.resize(grey, size[::-1], interpolation=cv2.INTER_AREA)

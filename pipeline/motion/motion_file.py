@@ -15,10 +15,12 @@ from pipeline.motion.still import lowest_share
 
 # Share of the class road in front of the car from which a frame's classes show a road.
 ROAD_BY_CLASS = 0.5
-# Reasons of frames that are not measured, though the car may move.
+# Problems of frames that are not measured though the car may move.
 LOST = [
     code for code, text in enumerate(PROBLEMS) if text not in ("", "no previous frame", *STANDSTILL)
 ]
+_CODES = ", ".join(f"{code} = {text}" for code, text in enumerate(PROBLEMS) if code)
+# Columns of the file, in order, and their units.
 UNITS = {
     "yaw_rate_radps": "rad/s, left positive",
     "speed_mps": "m/s, forward positive",
@@ -28,10 +30,7 @@ UNITS = {
     "T_before_now": "m",
     "road_height_m": "m below the camera in the encoder's depth, 0 = no road found",
     "still": "share of the lowest row that shows no street",
-    "problem": (
-        "0 = measured; "
-        f"{', '.join(f'{code} = {text}' for code, text in enumerate(PROBLEMS) if code)}"
-    ),
+    "problem": f"0 = measured; {_CODES}",
     "filtered_mps": "m/s, speed_mps after a causal filter of the error of depth's scale",
     "speed_sigma": "relative standard deviation of filtered_mps",
 }
@@ -56,80 +55,87 @@ def measure_drive(
         DriveFrames(ingest, perception) as frames,
         DriveWriter(path, stage="motion", drive=frames.drive, params=frames.params) as file,
     ):
-        count, odometry = len(frames.frame), Odometry(frames.camera)
-        columns = dict(zip(UNITS, np.zeros((len(UNITS), count), np.float32), strict=True))
-        columns |= {"inliers": np.zeros(count, np.int32), "problem": np.zeros(count, np.uint8)}
-        roll, road_class = Roll(frames.camera), np.zeros(count)
-        columns |= {
-            "scale": np.ones(count, np.float32),
-            "T_before_now": np.tile(np.eye(4, dtype="f4"), (count, 1, 1)),
-        }
-        for row, (frame, duration_s) in enumerate(
-            zip(frames, durations(frames.frame, frames.time_s), strict=True)
-        ):
+        duration_s = durations(frames.frame, frames.time_s)
+        columns = _empty_columns(len(frames.frame))
+        road_class = np.zeros(len(frames.frame))
+
+        # Measure frame after frame.
+        odometry = Odometry(frames.camera)
+        roll = Roll(frames.camera)
+        for row, frame in enumerate(frames):
             step = odometry.step(frame)
-            values = {
-                "problem": PROBLEMS.index(odometry.problem),
-                "road_height_m": odometry.road.frame_height_m,
-            }
-            values["still"] = odometry.still.mask[-1].mean()
             if step:
-                values |= dict(
-                    zip(
-                        ("yaw_rate_radps", "speed_mps"),
-                        rates(step.T_before_now, duration_s),
-                        strict=True,
-                    )
-                )
-                values |= step._asdict()
-            for name, value in values.items():
-                columns[name][row] = value
+                values = step._asdict() | rates(step.T_before_now, duration_s[row])._asdict()
+                for name, value in values.items():
+                    columns[name][row] = value
+            columns["problem"][row] = PROBLEMS.index(odometry.problem)
+            columns["road_height_m"][row] = odometry.road.frame_height_m
+            columns["still"][row] = odometry.still.mask[-1].mean()
             road_class[row] = odometry.road_class
             if row % EVERY == 0:
                 roll.add(frame.image)
             advance(1)
-        valid, road = columns["problem"] == 0, columns["road_height_m"] > 0
-        measured = frames.time_s[valid], columns["speed_mps"][valid], road[valid]
-        filtered = filter_speed(*measured, np.full(valid.sum(), LEAST_NOISE))
-        columns["filtered_mps"][valid], columns["speed_sigma"][valid] = filtered
+
+        # Filter the measured speeds: without a road, their scale is uncertain.
+        valid = columns["problem"] == 0
+        road = columns["road_height_m"] > 0
+        filtered_mps, speed_sigma = filter_speed(
+            frames.time_s[valid],
+            columns["speed_mps"][valid],
+            road[valid],
+            np.full(valid.sum(), LEAST_NOISE),
+        )
+        columns["filtered_mps"][valid] = filtered_mps
+        columns["speed_sigma"][valid] = speed_sigma
 
         file.put("frame", frames.frame)
         file.put("time_s", frames.time_s, "s")
         file.put("valid", valid.astype(np.uint8))
         for name, unit in UNITS.items():
             file.put(name, columns[name], unit)
-        summary = _summarise(
-            columns, road_class, durations(frames.frame, frames.time_s), frames.camera
-        )
-        summary |= {
-            "roll_deg": roll.degrees(),
-            "unit_error": frames.unit_error if np.isfinite(frames.unit_error) else 0.0,
-        }
+
+        summary = _summarise(columns, road_class, duration_s, frames.camera)
+        summary["roll_deg"] = roll.degrees()
+        summary["unit_error"] = frames.unit_error if np.isfinite(frames.unit_error) else 0.0
         file.attrs |= summary
     return summary
+
+
+def _empty_columns(count: int) -> dict[str, np.ndarray]:
+    """Return the columns of a number of frames without motion."""
+    columns = {name: np.zeros(count, np.float32) for name in UNITS}
+    columns["inliers"] = np.zeros(count, np.int32)
+    columns["problem"] = np.zeros(count, np.uint8)
+    columns["scale"] = np.ones(count, np.float32)
+    columns["T_before_now"] = np.tile(np.eye(4, dtype=np.float32), (count, 1, 1))
+    return columns
 
 
 def _summarise(
     columns: dict[str, np.ndarray], road_class: np.ndarray, duration_s: np.ndarray, camera: Camera
 ) -> Summary:
-    """Return counts and medians of F frames: columns → [F], share of the class road [F], durations
-    of steps [F].
+    """Return counts and medians of F frames.
+
+    `columns`: name → [F]; `road_class`: share of the class road [F]; `duration_s`: of steps [F].
     """
     valid = columns["problem"] == 0
     moving = valid | np.isin(columns["problem"], LOST)
-    road = columns["road_height_m"] > 0
-    both = road & np.isfinite(road_class)
     length_m = np.linalg.norm(columns["T_before_now"][:, :3, 3], axis=1)
+
+    # The class road is judged where depth shows one.
+    road = columns["road_height_m"] > 0
+    share_on_road = road_class[road & np.isfinite(road_class)]
     return {
         "frames": len(valid),
         "valid": int(valid.sum()),
         "moving": int(moving.sum()),
         "step_s": _median(duration_s[moving]),
-        "step_m": _median(length_m[valid & road]),  # without a road, its scale is unknown
+        # Without a road, the scale of a step is unknown.
+        "step_m": _median(length_m[valid & road]),
         "still": lowest_share(columns["still"], valid),
         "road_frames": int(road.sum()),
         "height_ratio": _median(columns["road_height_m"][road]) / camera.height_m,
-        "road_class": float(road_class[both].mean()) if both.any() else 1.0,
+        "road_class": float(share_on_road.mean()) if len(share_on_road) else 1.0,
         "road_class_frames": int((road_class > ROAD_BY_CLASS).sum()),
         "scaled": int(camera.height_known),
     }
@@ -137,4 +143,6 @@ def _summarise(
 
 def _median(values: np.ndarray) -> float:
     """Return the median of values [N]; 0 if there are none."""
-    return float(np.median(values)) if len(values) else 0.0
+    if not len(values):
+        return 0.0
+    return float(np.median(values))

@@ -1,6 +1,6 @@
-"""Visual odometry from images and their depth: track corners, lift them to 3D, estimate the
-pose.
-"""
+"""Visual odometry: track corners, lift them to 3D by the images' depth, and estimate the pose."""
+
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -14,130 +14,184 @@ from pipeline.motion.road import Road
 from pipeline.motion.step import STANDSTILL, Step
 from pipeline.motion.still import Still
 
-MOVING = np.isin(np.arange(256), classes.TRAFFIC)
-# px; smaller images are enlarged, since the error of tracking is a fixed fraction of a pixel
+# Least width in pixels of the images that are tracked. Smaller ones are enlarged, since the error
+# of tracking is a fixed fraction of a pixel.
 MIN_WIDTH = 640
+# Least depth in metres that is used.
 MIN_DEPTH_M = 0.5
-# largest ratio of depths around a corner: at depth edges, the depth of a corner is ambiguous
+# Largest ratio of depths around a corner: at depth edges, the depth of a corner is ambiguous.
 EDGE = 1.3
+# Size in pixels of the area around a corner in which depths are compared.
 AROUND = np.ones((5, 5), np.uint8)
-# cell px, least quality: a road has few and weak corners
-ON_ROAD, ELSEWHERE = (16, 2e-5), (24, 1e-4)
-ROAD_SIGMA, DEPTH_SIGMA = 0.07, 0.5  # relative standard deviations of depth
-# the car stands if the median corner, or the camera, moves less
-STANDSTILL_PX, STANDSTILL_M = 0.1, 0.02
-# largest sideways motion: a constant plus a share of the forward motion
-SIDEWAYS_M, SIDEWAYS_SHARE = 0.1, 0.5
+# Relative standard deviation of depth on the road.
+ROAD_SIGMA = 0.07
+# Relative standard deviation of depth elsewhere.
+DEPTH_SIGMA = 0.5
+
+# Width in pixels of the cells that give PER_CELL corners each.
+CELL_PX = 24
+# Least quality of a corner, see :func:`corner_quality`.
+MIN_QUALITY = 1e-4
+# Width in pixels of the cells on the road, which has few corners.
+ROAD_CELL_PX = 16
+# Least quality of a corner on the road, whose corners are weak.
+MIN_ROAD_QUALITY = 2e-5
+PER_CELL = 2
+
+# Size in pixels of the window of Lucas and Kanade. A larger one is slower and covers several
+# depths.
+WINDOW = (11, 11)
+# Number of halvings of the images.
+LEVELS = 2
+# The iteration of Lucas and Kanade ends after 8 steps, or with a step of less than 0.03 px.
+CRITERIA = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 8, 0.03)
+# Largest distance in pixels between a corner and its track to the next image and back.
+ROUND_TRIP_PX = 0.5
+
+# Motion in pixels of the median corner below which the car stands.
+STANDSTILL_PX = 0.1
+# Motion in metres of the camera below which the car stands.
+STANDSTILL_M = 0.02
+# Largest sideways motion in metres of a car that does not move forward.
+SIDEWAYS_M = 0.1
+# What a car may move sideways beyond SIDEWAYS_M, as a share of its motion forward.
+SIDEWAYS_SHARE = 0.5
+# Largest motion forward in metres.
 MAX_FORWARD_M = 10.0
-PER_CELL = 2  # corners
-# px, pyramid levels; a larger window is slower and covers several depths
-WINDOW, LEVELS = (11, 11), 2
-CRITERIA = (3, 8, 0.03)  # 8 iterations, or a change below 0.03 px
-ROUND_TRIP_PX = 0.5  # largest distance between a corner and its track to the next image and back
+
+
+class _LiftedFrame(NamedTuple):
+    """A grey image, and its N corners as points."""
+
+    number: int
+    grey: np.ndarray  # uint8 [H,W], enlarged if it is small
+    xyz: np.ndarray  # [N,3] in metres
+    depth_sigma: np.ndarray  # relative standard deviations of the depths [N]
+    scale: float  # factor that was applied to depth
 
 
 class Odometry:
     """Tracks the frames of one drive."""
 
     def __init__(self, camera: Camera) -> None:
-        self._K, width = camera.K, camera.size[1]
+        width = camera.size[1]
+        self._K = camera.K
         self._max_depth_m = depth_limit(camera)
         self._enlarged = -(-MIN_WIDTH // width)
         self.road = Road(camera)
         self.still = Still(camera)
-        # share of the class road where a road is searched, in the last frame; NaN: no classes
+        # Share of the class road where a road is searched, in the last frame; NaN: no classes.
         self.road_class = np.nan
-        self._number: int | None = None
-        self._grey = np.empty(0, np.uint8)
-        self._points = np.empty((0, 3)), np.empty(0), 1.0  # of the previous frame: see _lift
-        self._T_before_now: np.ndarray | None = None  # the previous step
-        self.problem = ""  # why the last step could not be measured; empty if it was
+        # Why the last step could not be measured; empty if it was.
+        self.problem = ""
+        self._previous: _LiftedFrame | None = None
+        # The step to the previous frame.
+        self._T_before_now: np.ndarray | None = None
 
     def step(self, frame: Frame) -> Step | None:
-        """Return the motion since the previous frame; None where it cannot be measured. Frames come
-        in order.
+        """Return the motion since the previous frame; None where it cannot be measured.
+
+        Frames come in order.
         """
-        grey, factor = cv2.cvtColor(frame.image, cv2.COLOR_RGB2GRAY), self._enlarged
-        if factor > 1:
-            grey = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
+        grey = self._to_grey(frame.image)
         result: Step | str = "no previous frame"
-        if self._number is not None and frame.number == self._number + 1:
-            every = slice(None, None, factor)
-            self.still.add(self._grey[every, every], grey[every, every], self.road.slope)
-            result = self._measure(grey)
-        step, self.problem = (None, result) if isinstance(result, str) else (result, "")
-        self._T_before_now = step.T_before_now if step else None
-        if step:
+        previous = self._previous
+        if previous is not None and frame.number == previous.number + 1:
+            every = slice(None, None, self._enlarged)
+            self.still.add(previous.grey[every, every], grey[every, every], self.road.slope)
+            result = self._measure(previous, grey)
+
+        if isinstance(result, str):
+            step = None
+            self.problem = result
+            self._T_before_now = None
+        else:
+            step = result
+            self.problem = ""
+            self._T_before_now = step.T_before_now
             self.road.add_step(step.T_before_now)
-        self._number, self._grey, self._points = frame.number, grey, self._lift(frame, grey)
+
+        self._previous = self._lift(frame, grey)
         return step
 
-    def _measure(self, grey: np.ndarray) -> Step | str:
-        """Return the motion since the previous frame, or why it cannot be measured: one of
-        PROBLEMS.
-        """
-        xyz, depth_sigma, scale = self._points
-        uv_before = project(xyz, self._K)[0]
-        uv_guess, T_previous = uv_before, None
-        if self._T_before_now is not None:  # assume constant motion
+    def _measure(self, previous: _LiftedFrame, grey: np.ndarray) -> Step | str:
+        """Return the motion since the previous frame, or why it cannot be measured (PROBLEMS)."""
+        uv_before = project(previous.xyz, self._K)[0]
+
+        # Corners are searched where they are if the car moves on as before.
+        uv_guess = uv_before
+        T_previous = None
+        if self._T_before_now is not None:
             T_previous = np.linalg.inv(self._T_before_now)
-            uv, z = project(transform(T_previous, xyz), self._K)
-            uv_guess = np.where(z[:, None] > MIN_DEPTH_M, uv, uv_before)
-        uv, tracked = track(self._grey, grey, self._larger(uv_before), self._larger(uv_guess))
+            uv_ahead, z = project(transform(T_previous, previous.xyz), self._K)
+            uv_guess = np.where(z[:, None] > MIN_DEPTH_M, uv_ahead, uv_before)
+
+        # Follow the corners of the previous frame into this one.
+        uv, tracked = track(previous.grey, grey, self._larger(uv_before), self._larger(uv_guess))
         column, row = np.rint(uv_before).astype(np.int64).T
         tracked &= ~self.still.mask[row, column]
-        xyz, uv_before, uv = xyz[tracked], uv_before[tracked], self._smaller(uv[tracked])
+        xyz = previous.xyz[tracked]
+        depth_sigma = previous.depth_sigma[tracked]
+        uv_before = uv_before[tracked]
+        uv = self._smaller(uv[tracked])
         if len(uv) < MIN_POINTS:
             return "too few points can be tracked"
         if np.median(np.abs(uv - uv_before).max(axis=1)) < STANDSTILL_PX:
             return STANDSTILL[0]
-        pose = estimate_pose(xyz, uv, self._K, depth_sigma[tracked], T_previous)
+
+        # Rotation and direction come from the pixels, the length of the step from depth.
+        pose = estimate_pose(xyz, uv, self._K, depth_sigma, T_previous)
         if pose is None:
             return "no common motion of the scene"
         T_before_now = np.linalg.inv(pose.T_now_before)
-        right, down, forward = T_before_now[:3, 3]
         if np.linalg.norm(T_before_now[:3, 3]) < STANDSTILL_M:
             return STANDSTILL[1]
-        if (
-            np.hypot(right, down) >= SIDEWAYS_M + SIDEWAYS_SHARE * abs(forward)
-            or abs(forward) >= MAX_FORWARD_M
-        ):
+        if not _is_possible_for_a_car(T_before_now):
             return "a motion that is not a car's"
-        return Step(
-            T_before_now,
-            int(pose.inliers.sum()),
-            float(np.median(pose.error_px[pose.inliers])),
-            scale,
-        )
+        residual_px = float(np.median(pose.error_px[pose.inliers]))
+        return Step(T_before_now, int(pose.inliers.sum()), residual_px, previous.scale)
 
-    def _lift(self, frame: Frame, grey: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return the corners as points [N,3] in metres, relative sigma of their depths [N], factor
-        applied to depth.
-        """
+    def _lift(self, frame: Frame, grey: np.ndarray) -> _LiftedFrame:
+        """Return a frame and its corners as points, their depth scaled to the camera's height."""
         depth_m = frame.depth_m.astype(np.float32)
-        nearest, farthest = cv2.erode(depth_m, AROUND), cv2.dilate(depth_m, AROUND)
-        usable = (
-            (nearest > MIN_DEPTH_M) & (farthest < self._max_depth_m) & (farthest < EDGE * nearest)
-        )
-        usable &= ~(still := self.still.mask)
         quality = corner_quality(grey)
-        # unlike a black image, of which depth is imagined
-        shows_something = bool(quality.max() > ON_ROAD[1])
-        usable &= shows_something
-        traffic = cv2.dilate(MOVING[frame.cls].astype(np.uint8), AROUND) > 0  # and its surroundings
+        # A black image shows nothing, so its depth is imagined.
+        shows_something = quality.max() > MIN_ROAD_QUALITY
+        usable = self._has_depth(depth_m) & ~self.still.mask & shows_something
+
         # Trust depth over classes: road pixels are never traffic. In grey images, shaded road has
         # the class of cars.
-        road, scale = self.road.find(depth_m, usable, still)
-        cls = frame.cls[self.road.in_front & shows_something]
-        known = cls[cls != classes.VOID]
-        self.road_class = float((known == classes.ROAD).mean()) if len(known) else np.nan
-        on_road = best_corners(quality * self._enlarge(road), *ON_ROAD)
-        elsewhere = best_corners(quality * self._enlarge(usable & ~road & ~traffic), *ELSEWHERE)
-        uv = self._smaller(np.concatenate([on_road, elsewhere]))
+        road, scale = self.road.find(depth_m, usable, self.still.mask)
+        self.road_class = _share_of_road(frame.cls[self.road.in_front & shows_something])
+        traffic = cv2.dilate(np.isin(frame.cls, classes.TRAFFIC).astype(np.uint8), AROUND) > 0
+        elsewhere = usable & ~road & ~traffic
+
+        # Few corners of a road are good, but their depths are the best.
+        on_road = best_corners(quality * self._enlarge(road), ROAD_CELL_PX, MIN_ROAD_QUALITY)
+        others = best_corners(quality * self._enlarge(elsewhere), CELL_PX, MIN_QUALITY)
+        uv = self._smaller(np.concatenate([on_road, others]))
+
+        # Back-project the corners by their depth.
         column, row = np.rint(uv).astype(np.int64).T
         rays = np.linalg.solve(self._K, np.column_stack([uv, np.ones(len(uv))]).T).T
+        xyz = rays * (depth_m[row, column] * scale)[:, None]
         depth_sigma = np.where(road[row, column], ROAD_SIGMA, DEPTH_SIGMA)
-        return rays * (depth_m[row, column] * scale)[:, None], depth_sigma, scale
+        return _LiftedFrame(frame.number, grey, xyz, depth_sigma, scale)
+
+    def _has_depth(self, depth_m: np.ndarray) -> np.ndarray:
+        """Return a mask of pixels with a depth in range that is that of their neighbours, too."""
+        nearest_m = cv2.erode(depth_m, AROUND)
+        farthest_m = cv2.dilate(depth_m, AROUND)
+        in_range = (nearest_m > MIN_DEPTH_M) & (farthest_m < self._max_depth_m)
+        return in_range & (farthest_m < EDGE * nearest_m)
+
+    def _to_grey(self, image: np.ndarray) -> np.ndarray:
+        """Return a grey image, enlarged if it is small."""
+        grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        factor = self._enlarged
+        if factor > 1:
+            grey = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
+        return grey
 
     def _enlarge(self, mask: np.ndarray) -> np.ndarray:
         """Return a mask [H,W] at the size of the enlarged images."""
@@ -151,23 +205,44 @@ class Odometry:
         return (uv.astype(np.float64) + 0.5) / self._enlarged - 0.5
 
 
+def _is_possible_for_a_car(T_before_now: np.ndarray) -> bool:
+    """Return whether a car can make the step [4,4]: not too far, and hardly sideways."""
+    right, down, forward = T_before_now[:3, 3]
+    max_sideways_m = SIDEWAYS_M + SIDEWAYS_SHARE * abs(forward)
+    return np.hypot(right, down) < max_sideways_m and abs(forward) < MAX_FORWARD_M
+
+
+def _share_of_road(cls: np.ndarray) -> float:
+    """Return the share of the class road among trainIds [N]; NaN if there are none but VOID."""
+    classified = cls[cls != classes.VOID]
+    if not len(classified):
+        return np.nan
+    return float((classified == classes.ROAD).mean())
+
+
 def corner_quality(grey: np.ndarray) -> np.ndarray:
-    """Return the least eigenvalue of an image's structure tensor over 3 x 3 px, [H,W]; 0 but at its
-    local maxima.
+    """Return the quality of a corner at each pixel [H,W]; 0 but at its local maxima.
+
+    It is the least eigenvalue of the structure tensor over 3 x 3 px, of intensities from 0 to 1.
     """
-    quality = cv2.cornerMinEigenVal(grey, blockSize=3)  # of intensities from 0 to 1
+    quality = cv2.cornerMinEigenVal(grey, blockSize=3)
     return np.where(quality == cv2.dilate(quality, np.ones((5, 5), np.uint8)), quality, 0)
 
 
-def best_corners(quality: np.ndarray, cell: int, min_quality: float) -> np.ndarray:
-    """Return the PER_CELL best corners above `min_quality` of each square of `cell` px, float32
-    [N,2] as (u, v).
+def best_corners(quality: np.ndarray, cell_px: int, min_quality: float) -> np.ndarray:
+    """Return the PER_CELL best corners of each cell, float32 [N,2] as (u, v).
+
+    Cells are squares of `cell_px`. The `quality` [H,W] of corners is above `min_quality`.
     """
     v, u = np.nonzero(quality > min_quality)
     best_first = np.argsort(-quality[v, u], kind="stable")
-    v, u = v[best_first], u[best_first]
-    cell_index = v // cell * (quality.shape[1] // cell + 1) + u // cell
-    by_cell = np.argsort(cell_index, kind="stable")  # within a cell, the best is still first
+    v = v[best_first]
+    u = u[best_first]
+
+    # Sort by cell; within a cell, the best is still first.
+    cell_index = v // cell_px * (quality.shape[1] // cell_px + 1) + u // cell_px
+    by_cell = np.argsort(cell_index, kind="stable")
+
     _, first, counts = np.unique(cell_index[by_cell], return_index=True, return_counts=True)
     rank = np.arange(len(v)) - np.repeat(first, counts)
     chosen = by_cell[rank < PER_CELL]
@@ -177,23 +252,29 @@ def best_corners(quality: np.ndarray, cell: int, min_quality: float) -> np.ndarr
 def track(
     before: np.ndarray, now: np.ndarray, uv: np.ndarray, uv_guess: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Track corners of image `before` to image `now`, both uint8 [H,W], by pyramidal Lucas-Kanade,
-    forth and back.
+    """Track corners of image `before` to image `now`, both uint8 [H,W], and back.
 
-    Returns positions in `now` and whether they passed the round-trip check, bool [N], for corners
-    `uv` and initial positions `uv_guess`, all float32 [N,2].
+    The method is that of Lucas and Kanade on image pyramids. Returns positions in `now` and whether
+    they passed the round-trip check, bool [N], for corners `uv` and initial positions `uv_guess`,
+    all float32 [N,2].
     """
     if not len(uv):
         return uv, np.zeros(0, bool)
-    options = WINDOW, LEVELS, CRITERIA, cv2.OPTFLOW_USE_INITIAL_FLOW
-    forth, forth_ok, _ = cv2.calcOpticalFlowPyrLK(
-        before, now, uv, uv_guess.copy(), None, None, *options
-    )
-    back_guess = forth - (uv_guess - uv)
-    back, back_ok, _ = cv2.calcOpticalFlowPyrLK(
-        now, before, forth, back_guess, None, None, *options
-    )
+    forth, forth_ok = _lucas_kanade(before, now, uv, uv_guess.copy())
+    back, back_ok = _lucas_kanade(now, before, forth, forth - (uv_guess - uv))
+
     height, width = now.shape
     inside = (forth >= 0).all(axis=1) & (forth[:, 0] < width) & (forth[:, 1] < height)
     returned = np.linalg.norm(back - uv, axis=1) < ROUND_TRIP_PX
-    return forth, (forth_ok[:, 0] > 0) & (back_ok[:, 0] > 0) & returned & inside
+    return forth, forth_ok & back_ok & returned & inside
+
+
+def _lucas_kanade(
+    before: np.ndarray, now: np.ndarray, uv: np.ndarray, uv_guess: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions [N,2] in `now` of corners `uv` [N,2], and whether they are found [N]."""
+    use_guess = cv2.OPTFLOW_USE_INITIAL_FLOW
+    uv_now, found, _ = cv2.calcOpticalFlowPyrLK(
+        before, now, uv, uv_guess, None, None, WINDOW, LEVELS, CRITERIA, use_guess
+    )
+    return uv_now, found[:, 0] > 0

@@ -1,13 +1,11 @@
-"""The roll of the camera about its axis, by edges in the image that are upright in the world:
-walls, poles, trees.
-"""
+"""Measure the camera's roll about its axis by edges that are upright: walls, poles, trees."""
 
 import cv2
 import numpy as np
 
 from pipeline.camera.camera import Camera
 
-# Frames of which one is examined: the roll is constant.
+# Number of frames of which one is examined: the roll is constant.
 EVERY = 5
 # Largest angle in degrees between an edge that counts and the image's columns.
 MAX_DEG = 20.0
@@ -42,7 +40,7 @@ class Roll:
         height, width = camera.size
         left = round(MARGIN * width)
         horizon = int(np.clip(camera.K[1, 2], 0, height))
-        self._used = slice(0, horizon), slice(left, width - left)
+        self._used = (slice(0, horizon), slice(left, width - left))
         self._pixels = horizon * (width - 2 * left)
         self._edges_deg = np.arange(-MAX_DEG, MAX_DEG + BIN_DEG / 2, BIN_DEG)
         self._counts = np.zeros(len(self._edges_deg) - 1)
@@ -55,8 +53,8 @@ class Roll:
         across = cv2.Sobel(grey, cv2.CV_32F, 1, 0)
         down = cv2.Sobel(grey, cv2.CV_32F, 0, 1)
 
-        # The structure tensor around each pixel; the direction of its larger eigenvector is that of
-        # the gradient.
+        # The direction of the gradient is that of the larger eigenvector of the structure tensor
+        # around a pixel.
         xx = cv2.GaussianBlur(across * across, (0, 0), PRODUCTS_PX)
         yy = cv2.GaussianBlur(down * down, (0, 0), PRODUCTS_PX)
         xy = cv2.GaussianBlur(across * down, (0, 0), PRODUCTS_PX)
@@ -69,14 +67,16 @@ class Roll:
         self._images += 1
 
     def degrees(self) -> float:
-        """Return by how much the images are rolled, clockwise positive; 0 if too few edges are
-        upright.
-        """
+        """Return the images' roll, clockwise positive; 0 if too few edges are upright."""
         if self._counts.sum() <= MIN_SHARE * self._pixels * max(self._images, 1):
             return 0.0
+
+        # Smooth the histogram by a Gaussian, as far as it has values on both sides.
         reach = round(3 * SMOOTH_DEG / BIN_DEG)
-        kernel = np.exp(-((np.arange(-reach, reach + 1) * BIN_DEG / SMOOTH_DEG) ** 2) / 2)
+        sigmas = np.arange(-reach, reach + 1) * BIN_DEG / SMOOTH_DEG
+        kernel = np.exp(-(sigmas**2) / 2)
         smooth = np.convolve(self._counts, kernel, mode="valid")
+
         peak = int(np.argmax(smooth))
         if smooth[peak] < MIN_PEAK * np.median(smooth):
             return 0.0

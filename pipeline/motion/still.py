@@ -5,58 +5,88 @@ import numpy as np
 
 from pipeline.camera.camera import Camera
 
-GRID = slice(2, None, 4)  # rows and columns
-# Sizes on the grid: of the mean around a point, of specks that are removed, and of the margin
-# around places.
-AROUND, SMALL, NEAR = (5, 5), np.ones((3, 3), np.uint8), np.ones((7, 7), np.uint8)
-STEP = 0.1  # camera heights, a short way of a car from image to image
-KEEP = 0.9  # share of the sums that remains at the next image
-LEAST = 400.0  # squared grey levels; smaller expected changes are noise
-STILL = 0.2  # largest ratio of changes to expected changes where nothing moves
-QUANTILE, MOVES = 0.75, 0.9  # the car moves if the quantile QUANTILE of the ratios exceeds MOVES
+# Rows and columns of the pixels that are compared, the points of a grid.
+GRID = slice(2, None, 4)
+# Size of the area around a point, in points of the grid, over which changes are averaged.
+MEAN_OVER = (5, 5)
+# Size of the specks, in points of the grid, that are too small to be part of a car, or text.
+SPECK = np.ones((3, 3), np.uint8)
+# Size of the area around a still point, in points of the grid, that is left out with it.
+AROUND_STILL = np.ones((7, 7), np.uint8)
+# Length in camera heights of the step for which changes are predicted: a short way of a car from
+# image to image.
+STEP = 0.1
+# Share of the sums that remains at the next image.
+KEEP = 0.9
+# Least predicted change in squared grey levels. Smaller ones are noise.
+LEAST = 400.0
+# Largest ratio of recorded to predicted changes where nothing moves.
+STILL = 0.2
+# Quantile of the ratios of an image's recorded changes to the predicted ones that tells whether the
+# car moves.
+QUANTILE = 0.75
+# Least value of this quantile if the car moves. On flat ground, a step of STEP has 1, and what is
+# nearer than the ground has more.
+MOVES = 0.9
 
 
 def lowest_share(shares: np.ndarray, valid: np.ndarray) -> float:
-    """Return the median of the lowest row's shares without street [F] of valid frames: others may
-    show a standstill.
+    """Return the median share of the lowest row without street [F]; 0 if no frame is valid.
+
+    Frames that are not valid do not count, because they may show a standstill.
     """
-    return float(np.median(shares[valid > 0])) if valid.any() else 0.0
+    if not valid.any():
+        return 0.0
+    return float(np.median(shares[valid > 0]))
 
 
 class Still:
-    """Sums of squared changes from image to image, as recorded and as expected from a STEP straight
-    ahead.
+    """Sums squared changes from image to image, as recorded and as predicted for a STEP ahead.
 
     No pixel below the horizon shows anything farther than the ground. So when the car moves, it
     changes at least as much as the ground there would, unless it shows a part of the car, or text.
     """
 
     def __init__(self, camera: Camera) -> None:
-        self._K, (height, width) = camera.K, camera.size
+        height, width = camera.size
+        self._K = camera.K
         self._uv = np.mgrid[:height, :width][::-1, GRID, GRID]
-        self._sums = np.zeros((2, *self._uv.shape[1:]), np.float32)
-        self.mask = np.zeros((height, width), bool)  # pixels in and near places where nothing moves
+        self._recorded = np.zeros(self._uv.shape[1:], np.float32)
+        self._predicted = np.zeros_like(self._recorded)
+        # Pixels in and near places where nothing moves.
+        self.mask = np.zeros((height, width), bool)
 
     def add(self, before: np.ndarray, now: np.ndarray, slope: float) -> None:
-        """Compare consecutive images uint8 [H,W]; `slope`: of the road, metres down per metre
-        ahead.
-        """
+        """Compare consecutive images uint8 [H,W]; `slope`: the road's metres down per metre."""
+        grey = now[GRID, GRID].astype(np.float32)
+        recorded = cv2.blur((grey - before[GRID, GRID]) ** 2, MEAN_OVER)
+        predicted = cv2.blur((grey - self._after_step(before, slope)) ** 2, MEAN_OVER)
+
+        # While the car stands, nothing tells a bonnet from the street.
+        clear = predicted > LEAST
+        if not clear.any():
+            return
+        ratios = recorded[clear] / predicted[clear]
+        if np.quantile(ratios, QUANTILE) <= MOVES:
+            return
+
+        self._recorded = KEEP * self._recorded + recorded
+        self._predicted = KEEP * self._predicted + predicted
+        still = (self._predicted > LEAST) & (self._recorded < STILL * self._predicted)
+
+        # Single points are chance. At the edge of a bonnet, the means include what moves beside it.
+        places = cv2.erode(still.astype(np.uint8), SPECK)
+        places = cv2.dilate(places, AROUND_STILL)
+        size = self.mask.shape[::-1]
+        self.mask = cv2.resize(places, size, interpolation=cv2.INTER_NEAREST) > 0
+
+    def _after_step(self, before: np.ndarray, slope: float) -> np.ndarray:
+        """Return the grid's grey levels after a STEP ahead if the image shows flat ground only."""
         focal = self._K[1, 1]
-        # from its focus
-        from_expansion = self._uv - (self._K[:2, 2] + [0, focal * slope])[:, None, None]
-        # of the ground, as a share of its distance
-        nearer = STEP * np.maximum(from_expansion[1] / focal, 0)
-        u, v = (self._uv - from_expansion * nearer / (1 + nearer)).astype(np.float32)
-        expected = cv2.remap(before, u, v, cv2.INTER_LINEAR)
-        here = now[GRID, GRID].astype(np.float32)
-        changes = np.stack(
-            [cv2.blur((here - there) ** 2, AROUND) for there in (before[GRID, GRID], expected)]
-        )
-        clear = changes[1] > LEAST
-        if clear.any() and np.quantile(changes[0][clear] / changes[1][clear], QUANTILE) > MOVES:
-            self._sums = KEEP * self._sums + changes
-            still = (self._sums[1] > LEAST) & (self._sums[0] < STILL * self._sums[1])
-            places = cv2.dilate(cv2.erode(still.astype(np.uint8), SMALL), NEAR)
-            self.mask = (
-                cv2.resize(places, self.mask.shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
-            )
+        focus_of_expansion = self._K[:2, 2] + [0, focal * slope]
+        from_focus = self._uv - focus_of_expansion[:, None, None]
+
+        # Share of its distance by which the ground at a pixel comes nearer.
+        nearer = STEP * np.maximum(from_focus[1] / focal, 0)
+        u, v = (self._uv - from_focus * nearer / (1 + nearer)).astype(np.float32)
+        return cv2.remap(before, u, v, cv2.INTER_LINEAR)

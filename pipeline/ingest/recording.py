@@ -1,5 +1,15 @@
-"""Open a recording: a user's video files or images with their times, the camera, and logs of the
-car.
+"""Open a recording: a user's videos or images with their times, the camera, and logs of the car.
+
+The way of a recording into data/ingest:
+
+1. ``steer import`` opens it with :func:`open_recording`, which scans all of its images. It writes
+   links to its files, and the scan, to a folder of data/raw, and cuts it into parts, each a drive
+   of one split, in ``ingest.recordings`` of a preset.
+2. Stage ingest opens each part in :mod:`pipeline.ingest.datasets.recording`, with the same function
+   and without a second scan, and gets a :class:`pipeline.ingest.drive.Drive`: the camera, the
+   frames of the part, and the values of the logs at their times.
+3. :func:`pipeline.ingest.ingest_file.write_drive` crops and resizes the frames and writes
+   data/ingest/<drive>.h5.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -15,23 +25,29 @@ from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import Size, format_size
 from pipeline.camera.lens import fisheye, pinhole, undistortion
 from pipeline.ingest.log import Logs, read_logs, read_times
-from pipeline.ingest.media import INEXACT, ImageFolder, VideoFiles, image_size, scan, upright
+from pipeline.ingest.media import ImageFolder, VideoFiles, image_size
 from pipeline.ingest.names import check_different, check_name, videos_in
 from pipeline.ingest.repeats import evened, repeats
+from pipeline.ingest.scan import scan
 from pipeline.ingest.settings import RecordingOptions
+from pipeline.ingest.video import INEXACT, upright
 
-Straighten = Callable[[np.ndarray], np.ndarray]  # removes the lens' distortion from an image
+# Largest number of frames over which the rate of a recording is measured: single steps are uneven.
+RATE_FRAMES = 20
+
+# A function that removes the lens' distortion from an image.
+Straighten = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass
 class Recording:
-    """Images in order, without repeats, with their times, camera and logs."""
+    """The frames of a recording, which are its images without repeats, its camera and its logs."""
 
     source: ImageFolder | VideoFiles
     camera: Camera  # of complete images without distortion, at an unknown row of the horizon
     straighten: Straighten
-    scan: pd.DataFrame  # a row per image, also of repeats; see :func:`pipeline.ingest.media.scan`
-    kept: np.ndarray  # [F] places of the frames among the images
+    scan: pd.DataFrame  # a row per image, also of repeats; see :func:`pipeline.ingest.scan.scan`
+    kept: np.ndarray  # places of the frames among the images [F]
     times_s: np.ndarray  # [F]
     logs: Logs
     notes: list[str]  # for the user
@@ -43,45 +59,51 @@ class Recording:
         return self.source.path
 
     def frames(self, used: np.ndarray | None = None) -> Iterator[Frame]:
-        """Yield number, time and straightened image RGB uint8 [H,W,3] of the frames; a second call
-        starts again.
+        """Yield the frames, or those of a mask bool [F]; a second call starts again.
 
-        `used`: a mask of the frames, bool [F]; None: all. Times are seconds since the first image,
-        or those of a file.
+        They have the number, the time and a straightened image RGB uint8 [H,W,3]. Times are seconds
+        since the first image, or those of a file.
         """
-        numbers = {
-            place: row for row, place in enumerate(self.kept.tolist()) if used is None or used[row]
-        }
+        rows = np.arange(len(self.kept))
+        if used is not None:
+            rows = np.flatnonzero(used)
+        row_at = dict(zip(self.kept[rows].tolist(), rows.tolist(), strict=True))
+
         for place, image in enumerate(self.source.images()):
-            if (number := numbers.pop(place, None)) is not None:
-                yield Frame(
-                    number, float(self.times_s[number]), self.straighten(upright(image, self.path))
-                )
-                if not numbers:
+            if place in row_at:
+                row = row_at.pop(place)
+                straight = self.straighten(upright(image, self.path))
+                yield Frame(row, float(self.times_s[row]), straight)
+                if not row_at:
                     return
 
     def resample(self, hz: float) -> None:
-        """Keep only the frames nearest to a grid of `hz`; of a recording at about n times `hz`,
-        every n-th frame.
+        """Keep only the frames nearest to a grid of `hz`.
 
-        Raises InputError if the recording is slower than `hz` by more than RATE_TOLERANCE.
+        Of a recording at about n times `hz`, it is every n-th frame. Raises InputError if the
+        recording is slower than `hz` by more than RATE_TOLERANCE.
         """
         time_s = self.times_s
-        apart = min(20, len(time_s) - 1)  # frames: steps may be uneven
-        own_hz = apart / float(np.median(time_s[apart:] - time_s[:-apart])) if apart else hz
-        ratio = own_hz / hz
-        rates = f"the recording has {own_hz:.1f} frames/s, the model was fitted to {hz:.1f}"
+        apart = min(RATE_FRAMES, len(time_s) - 1)
+        recorded_hz = hz
+        if apart:
+            recorded_hz = apart / float(np.median(time_s[apart:] - time_s[:-apart]))
+        ratio = recorded_hz / hz
+        rates = f"the recording has {recorded_hz:.1f} frames/s, the model was fitted to {hz:.1f}"
         if ratio < 1 - RATE_TOLERANCE:
             raise InputError(rates, self.path, "Pass the right --fps, or another --model")
-        if ratio > 1 + RATE_TOLERANCE:
-            step_s = (
-                round(ratio) if abs(ratio / round(ratio) - 1) < RATE_TOLERANCE / 2 else ratio
-            ) / own_hz
-            grid_s = np.arange(time_s[0], time_s[-1], step_s)
-            rows = np.unique(np.searchsorted((time_s[1:] + time_s[:-1]) / 2, grid_s))
-            self.kept = self.kept[rows]
-            self.times_s = time_s[rows]
-            self.notes.append(f"{len(rows)} of {len(time_s)} frames are used: {rates}")
+        if ratio <= 1 + RATE_TOLERANCE:
+            return
+
+        every = ratio
+        if abs(ratio / round(ratio) - 1) < RATE_TOLERANCE / 2:
+            every = round(ratio)
+        grid_s = np.arange(time_s[0], time_s[-1], every / recorded_hz)
+        between_s = (time_s[1:] + time_s[:-1]) / 2
+        rows = np.unique(np.searchsorted(between_s, grid_s))
+        self.kept = self.kept[rows]
+        self.times_s = time_s[rows]
+        self.notes.append(f"{len(rows)} of {len(time_s)} frames are used: {rates}")
 
 
 def open_recording(
@@ -101,35 +123,41 @@ def open_recording(
         )
     logs = read_logs(options)
     source = _find_images(paths, options.fps)
-    times_s = read_times(options.times) if options.times else None
-    first_s, last_s = source.span_s() if times_s is None else times_s[[0, -1]]
+    notes = [*source.notes]
+
+    # Faults of times and logs are found before any image is decoded.
+    if options.times:
+        times_s = read_times(options.times)
+        first_s, last_s = times_s[[0, -1]]
+    else:
+        first_s, last_s = source.span_s()
     for log in logs.values():
         log.check_overlap(first_s, last_s)
 
     size = image_size(source)
-    notes = [*source.notes]
     if scanned is None:
-        scanned, found = scan(source)
-        notes += found
+        scanned, scan_notes = scan(source)
+        notes += scan_notes
     count = len(scanned)
     if count < INEXACT * source.stored - 1:
         notes.append(
             f"{count} of the file's {source.stored} frames are used: it was trimmed, and times "
             "begin there"
         )
-    if times_s is None:
+    if not options.times:
         times_s = source.times_s(scanned["time_s"].to_numpy())
     if len(times_s) != count:
         raise InputError(f"has {count} images, but {len(times_s)} times", source.path)
 
-    kept = np.flatnonzero(
-        ~repeats(scanned["change"].to_numpy(), scanned["key"].to_numpy(), times_s)
-    )
+    # A conversion to a higher rate repeats images. The others become the frames.
+    is_repeat = repeats(scanned["change"].to_numpy(), scanned["key"].to_numpy(), times_s)
+    kept = np.flatnonzero(~is_repeat)
     if len(kept) < count:
         notes.append(
             f"{count - len(kept)} of {count} images repeat the image before and are left out"
         )
         times_s = evened(times_s[kept], float(np.median(np.diff(times_s))))
+
     camera, straighten = _lens(options, size, source.path)
     return Recording(source, camera, straighten, scanned, kept, times_s, logs, notes, source.doubts)
 
@@ -141,10 +169,11 @@ def _find_images(paths: Sequence[Path], fps: float | None) -> ImageFolder | Vide
             raise InputError("path is missing", path, "Pass a video, or a folder of images")
         check_name(path)
     if len(paths) > 1:
-        if folder := next(filter(Path.is_dir, paths), None):
-            raise InputError(
-                "is a folder among several files", folder, "Pass videos in order, or one folder"
-            )
+        for path in paths:
+            if path.is_dir():
+                raise InputError(
+                    "is a folder among several files", path, "Pass videos in order, or one folder"
+                )
         check_different(paths)
     if not paths[0].is_dir():
         return VideoFiles(paths, fps)
@@ -153,21 +182,21 @@ def _find_images(paths: Sequence[Path], fps: float | None) -> ImageFolder | Vide
     for video in videos:
         check_name(video)
     source = VideoFiles(videos, fps) if videos else ImageFolder(paths[0], fps)
-    source.notes[:0] = notes
+    source.notes = notes + source.notes
     return source
 
 
 def _lens(options: RecordingOptions, size: Size, path: Path) -> tuple[Camera, Straighten]:
-    """Return the camera of straightened images, and the function that straightens them. Raises
-    InputError.
+    """Return the camera of straightened images, and the function that straightens them.
+
+    Raises InputError for images of a camera on its side, and for options that do not fit.
     """
     if size[0] > size[1]:
-        sizes = (
-            f"images are taller than wide ({format_size(size)} pixels): is it rotated by 90 "
-            "degrees?"
-        )
         raise InputError(
-            sizes, path, "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)"
+            f"images are taller than wide ({format_size(size)} pixels): is it rotated by 90 "
+            "degrees?",
+            path,
+            "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)",
         )
     if options.distortion and options.fisheye:
         raise InputError(

@@ -18,7 +18,7 @@ import pytest
 from av.stream import Disposition
 
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.ingest import media, recording
+from pipeline.ingest import media, recording, video
 from pipeline.ingest.log import Log, log_notes, read_logs, read_times
 from pipeline.ingest.names import group, order_doubts
 from pipeline.ingest.recording import Recording
@@ -81,10 +81,10 @@ def test_files_that_follow_each_other_are_one_recording(tmp_path):
         assert np.abs(found - images).mean() < 4
     times = "2026-11-26 12:00:00", "2026-11-26 12:00:10", "2026-11-26 12:00:12", None
     videos = [
-        media._Video(Path(f"{n}.mp4"), 40, 40, True, 0.0, 3.9, 0.1, pd.Timestamp(t), np.nan, [])
+        video.Video(Path(f"{n}.mp4"), 40, 40, True, 0.0, 3.9, 0.1, pd.Timestamp(t), np.nan, [])
         for n, t in enumerate(times)
     ]
-    begins_s, notes = media._follow(videos)
+    begins_s, notes = media.follow(videos)
     assert begins_s == [0, 10, 14, 18]
     assert notes == [
         "1.mp4 begins 6.0 s after the end of 0.mp4",

@@ -1,0 +1,243 @@
+"""Read a video file: the facts of its container, and its images."""
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple, cast
+
+import av
+import numpy as np
+import pandas as pd
+from av.container import InputContainer
+from av.stream import Disposition
+from av.video.stream import VideoStream
+
+from pipeline.base.errors import DamagedFile, InputError
+
+# Playlists, scripts and session descriptions can open other files and sockets. So only containers
+# and streams of frames are accepted, and no protocol: FFmpeg reads the file that is already open.
+_WITHOUT_TIMES = ("h264", "hevc", "m4v", "mpegvideo", "mjpeg", "obu")
+_CONTAINERS = (
+    "mov",
+    "mp4",
+    "matroska",
+    "webm",
+    "avi",
+    "mpegts",
+    "mpeg",
+    "ivf",
+    "ogg",
+    "flv",
+    "asf",
+    "yuv4mpegpipe",
+)
+_OPTIONS = {
+    "format_whitelist": ",".join((*_CONTAINERS, *_WITHOUT_TIMES)),
+    "protocol_whitelist": "none",
+    "enable_drefs": "0",  # references of MOV files to other files
+    "use_absolute_path": "0",
+}
+CONVERT = "Copy the file again, or convert it: ffmpeg -i {name} -c:v libx264 converted.mp4"
+
+# Largest deviation from 1 of the width over the height of a square pixel.
+SQUARE = 0.01
+# Least share of the header's count of frames, or of its duration, in a complete file. Such a file
+# may also lack one frame.
+INEXACT = 0.99
+# Longest duration in seconds of a last image whose duration the file does not store.
+LAST_S = 0.2
+# Largest ratio of the rates at which images were taken and are stored, or its inverse, that is not
+# time lapse or slow motion.
+PLAYED = 1.2
+# Largest distance between the 5th and the 95th percentile of the steps at a steady rate, as a share
+# of the median step. Phones in the dark slow down unevenly.
+STEADY = 0.1
+# Seconds before damage that are left out, too: threads decode some images after the one that fails.
+BEFORE_S = 2.0
+
+
+class Video(NamedTuple):
+    """The facts of a video's container, which are read without decoding."""
+
+    path: Path
+    stored: int  # frames by the header, 0: unknown
+    packets: int
+    stamped: bool  # whether images have times of their own
+    first_s: float
+    length_s: float  # between the first and the last frame
+    step_s: float
+    created: pd.Timestamp  # NaT: unknown
+    # Images per second by the phone's tag, if they are stored at another steady rate; else NaN.
+    taken_hz: float
+    notes: list[str]  # for the user
+
+
+def probe(path: Path) -> Video:
+    """Return the facts of a video's container. Raises InputError if pixels are not square."""
+    with _container(path) as (container, streams):
+        stream = streams[0]
+        stored = stream.frames
+        shape = float(stream.sample_aspect_ratio or 1)
+        unit_s = stream.time_base or 1
+        # For streams without a container, FFmpeg assumes 25 frames per second.
+        stamped = container.format.name not in _WITHOUT_TIMES
+        stamps = [packet.pts for packet in container.demux(stream) if packet.size]
+        created = container.metadata.get("creation_time")
+        tagged_hz = container.metadata.get("com.android.capture.fps")
+        notes = _ignored_streams(streams)
+    if abs(shape - 1) > SQUARE:
+        fix = f"Scale it: ffmpeg -i {path.name} -vf scale=iw*sar:ih,setsar=1 square.mp4"
+        raise InputError(f"pixels are not square ({shape:.3f} times as wide as high)", path, fix)
+
+    known = sorted(stamp for stamp in stamps if stamp is not None) or [0]
+    steps = np.diff(known) if len(known) > 1 else np.zeros(1)
+    step_s = float(int(np.median(steps)) * unit_s)
+
+    # The phone's tag says something only about a steady rate that differs from it.
+    taken_hz = float(pd.to_numeric(tagged_hz, errors="coerce"))
+    low, high = np.percentile(steps, [5, 95])
+    uneven = (high - low) * unit_s > STEADY * step_s
+    if uneven or not step_s or 1 / PLAYED < taken_hz * step_s < PLAYED:
+        taken_hz = math.nan
+
+    return Video(
+        path,
+        stored,
+        packets=len(stamps),
+        stamped=stamped,
+        first_s=float(known[0] * unit_s),
+        length_s=float((known[-1] - known[0]) * unit_s),
+        step_s=step_s,
+        created=pd.to_datetime(created, errors="coerce"),
+        taken_hz=taken_hz,
+        notes=notes,
+    )
+
+
+def _ignored_streams(streams: Sequence[VideoStream]) -> list[str]:
+    """Return a note on the streams of a video that are not used: all but the first."""
+    used, *ignored = [
+        f"{stream.index} ({stream.width} x {stream.height} pixels)" for stream in streams
+    ]
+    if not ignored:
+        return []
+    return [f"video stream {used} is used, not {', '.join(ignored)}"]
+
+
+def decode(path: Path, shift_s: float) -> Iterator[av.VideoFrame]:
+    """Yield the images of a video from the first key frame on; `shift_s` is added to their times.
+
+    Raises DamagedFile if it is cut short or has bad bytes.
+    """
+    with _container(path) as (container, streams):
+        stream = streams[0]
+        stream.thread_type = "AUTO"
+        stored = stream.frames
+        begin_s = float((stream.start_time or 0) * (stream.time_base or 0))
+        packets = 0
+        started = False
+        end_s = 0.0
+        for packet in container.demux():
+            unit_s = packet.time_base or 0
+            # The last packet may be cut short.
+            if not packet.is_corrupt:
+                packet_end = (packet.pts or 0) + (packet.duration or 0)
+                end_s = max(end_s, float(packet_end * unit_s))
+            if packet.stream is not stream:
+                continue
+            packets += packet.size > 0
+            started = started or packet.is_keyframe
+            if not started:
+                continue
+
+            time_s = float((packet.pts or 0) * unit_s) - begin_s
+            with _place_of_damage(path, packets, time_s):
+                images = stream.decode(packet)
+            for image in images:
+                if shift_s and image.pts is not None and image.time_base:
+                    image.pts += round(shift_s / image.time_base)
+                yield image
+        _check_complete(container, path, stored, packets, end_s)
+
+
+def _check_complete(
+    container: InputContainer, path: Path, stored: int, packets: int, end_s: float
+) -> None:
+    """Raise DamagedFile if a file ends before its header says so.
+
+    It is `stored` images by its header, and has `packets` of them; packets of all its streams end
+    at `end_s`. The edit list of an MP4 or MOV file may leave out stored frames; then the others
+    last as long as the header says. Matroska has no count of frames, but a duration, that of its
+    longest stream.
+    """
+    is_cut = packets < INEXACT * stored - 1
+    total_s = (container.duration or 0) / av.time_base
+    kind = container.format.name
+    if "matroska" in kind or (is_cut and "mov" in kind):
+        is_cut = end_s < INEXACT * total_s - LAST_S
+    if is_cut:
+        end = f"{packets} of {stored} frames" if stored else f"{end_s:.1f} of {total_s:.1f} s"
+        raise DamagedFile(f"ends after {end}", path, CONVERT.format(name=path.name))
+
+
+@contextmanager
+def _place_of_damage(path: Path, number: int, time_s: float) -> Iterator[None]:
+    """Raise DamagedFile for an error in the block, which decodes about image `number`."""
+    try:
+        yield
+    except av.FFmpegError as error:
+        problem = f"is damaged at about image {number}, {time_s:.1f} s"
+        fix = "Copy the file again"
+        if time_s > 2 * BEFORE_S:
+            before_s = int(time_s - BEFORE_S)
+            part = f"ffmpeg -i {path.name} -t {before_s} -c copy start.mp4"
+            fix = f"{fix}, or use the part before: {part}"
+        raise DamagedFile(problem, path, fix) from error
+
+
+@contextmanager
+def _container(path: Path) -> Iterator[tuple[InputContainer, list[VideoStream]]]:
+    """Yield an open file and its video streams, the default first.
+
+    Raises DamagedFile, also for errors of FFmpeg in the block.
+    """
+    # FFmpeg would interpret some names as addresses or patterns.
+    with path.open("rb") as file:
+        try:
+            with av.open(file, "r", options=_OPTIONS, metadata_errors="replace") as container:
+                streams = [
+                    stream
+                    for stream in container.streams.video
+                    if not stream.disposition & Disposition.attached_pic
+                ]
+                if not streams:
+                    raise DamagedFile("file has no video stream", path)
+                streams.sort(key=lambda stream: not stream.disposition & Disposition.default)
+                yield container, streams
+        except (av.FFmpegError, OSError) as error:
+            raise DamagedFile(
+                "cannot be decoded as a video (expected a container like MP4, MOV, Matroska, AVI "
+                "or MPEG)",
+                path,
+                CONVERT.format(name=path.name),
+            ) from error
+
+
+def upright(frame: av.VideoFrame, path: Path) -> np.ndarray:
+    """Return the image RGB uint8 [H,W,3], rotated by its display matrix.
+
+    Raises InputError for a matrix that does not turn by multiples of 90 degrees.
+    """
+    image = frame.to_ndarray(format="rgb24")
+    display = cast(Any, frame.side_data.get("DISPLAYMATRIX"))
+    if display is not None:
+        a, b, _, c, d, *_ = np.frombuffer(display, np.int32).tolist()
+        if (a, b) != (d, -c) or (a and b):
+            raise InputError(
+                "display matrix mirrors the images or turns them by no multiple of 90 degrees",
+                path,
+                f"Apply it to the pixels: ffmpeg -i {path.name} -c:v libx264 upright.mp4",
+            )
+        image = np.rot90(image, frame.rotation // 90)
+    return np.ascontiguousarray(image)

@@ -1,6 +1,7 @@
 """KITTI's calibration files: lines "name: numbers"."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,37 +12,41 @@ from pipeline.camera.camera import Camera, camera_height
 from pipeline.camera.geometry import rigid
 from pipeline.camera.lens import check_pinhole
 
-CALIBRATION = "calib_cam_to_cam.txt"  # in a date's folder
-RENDERED = "dataset: sample"  # its first line, of rendered drives
+# The file of the cameras in a date's folder.
+CALIBRATION = "calib_cam_to_cam.txt"
+# First line of this file of rendered drives.
+RENDERED = "dataset: sample"
 
 
 def read_calibration(folder: Path, number: int) -> Camera:
-    """Read camera `number` from a date folder's files. Raises InputError for missing or wrong
-    entries.
+    """Read camera `number` from a date folder's files.
+
+    Raises InputError for missing or wrong entries.
     """
-    path, velo = folder / CALIBRATION, folder / "calib_velo_to_cam.txt"
+    path = folder / CALIBRATION
+    velo_path = folder / "calib_velo_to_cam.txt"
     with error_context(fix="Extract the date's calibration archive (…_calib.zip) again"):
         entries = read_entries(path)
         P = matrix(entries, f"P_rect_{number:02d}", (3, 4), path)
-        width, height = (
-            np.rint(matrix(entries, f"S_rect_{number:02d}", (2,), path)).astype(int).tolist()
-        )
-        K, size = P[:, :3], (height, width)
-        check_pinhole(K, size, f"{path}: P_rect_{number:02d}")
-        if not velo.exists():
-            return Camera(K, size)
+        K = P[:, :3]
+        size = matrix(entries, f"S_rect_{number:02d}", (2,), path)
+        width, height = np.rint(size).astype(int).tolist()
+        camera = Camera(K, (height, width))
+        check_pinhole(K, camera.size, f"{path}: P_rect_{number:02d}")
+        if not velo_path.exists():
+            return camera
+
         # P_rect projects from the reference camera's frame, P = K [I | t]: t shifts points to this
         # camera. All three components count: with x alone (as in pykitti) depths are off by t_z, 3
         # mm.
         shift = rigid(np.eye(3), np.linalg.solve(K, P[:, 3]))
         rectify = rigid(matrix(entries, "R_rect_00", (3, 3), path), np.zeros(3))
-        entries = read_entries(velo)
-        T_cam_velo = (
-            shift
-            @ rectify
-            @ rigid(matrix(entries, "R", (3, 3), velo), matrix(entries, "T", (3,), velo))
-        )
-        return Camera(K, size, T_cam_velo=T_cam_velo).at_height(camera_height(T_cam_velo))
+
+        velo = read_entries(velo_path)
+        R = matrix(velo, "R", (3, 3), velo_path)
+        t = matrix(velo, "T", (3,), velo_path)
+        T_cam_velo = shift @ rectify @ rigid(R, t)
+        return replace(camera, T_cam_velo=T_cam_velo).at_height(camera_height(T_cam_velo))
 
 
 def read_entries(path: Path) -> dict[str, np.ndarray]:
@@ -72,9 +77,6 @@ def write_entries(path: Path, entries: Mapping[str, str | np.ndarray]) -> None:
     """Write the entries in one step: text unchanged, numbers with 13 digits."""
     with replacing(path) as tmp, tmp.open("w", encoding="ascii") as file:
         for name, value in entries.items():
-            text = (
-                value
-                if isinstance(value, str)
-                else " ".join(f"{number:.12e}" for number in value.ravel())
-            )
-            file.write(f"{name}: {text}\n")
+            if not isinstance(value, str):
+                value = " ".join(f"{number:.12e}" for number in value.ravel())
+            file.write(f"{name}: {value}\n")

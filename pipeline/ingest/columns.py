@@ -7,22 +7,57 @@ import pandas as pd
 
 from pipeline.base.errors import InputError
 
-# Largest plausible magnitudes of a car: speed, yaw rate (KITTI's reach 0.5), and angle of the front
-# wheels, which the angles of a steering wheel, 15 times as large, exceed in a tight bend.
-LIMIT_MPS, LIMIT_RADPS, LIMIT_RAD = 100.0, 3.0, 1.2
+# Largest plausible speed of a car in m/s.
+LIMIT_MPS = 100.0
+# Largest plausible yaw rate of a car in rad/s. KITTI's reach 0.5.
+LIMIT_RADPS = 3.0
+# Largest plausible angle of the front wheels in rad. The angles of a steering wheel, which are 15
+# times as large, exceed it in a tight bend.
+LIMIT_RAD = 1.2
 
 
 def read_columns(
     path: Path, limits: Mapping[str, float], expected: str
 ) -> tuple[pd.DataFrame, list[str]]:
-    """Return float64 columns by line of the file, and faults: cells that are no numbers (NaN), or
-    implausible ones.
+    """Return float64 columns by line of a file, and their faults.
 
-    `limits`: names of the columns → largest plausible magnitudes. All columns but the first may
-    have empty cells. The separator is a comma, a semicolon or a tab. Raises InputError, with the
-    hint `expected`, for a missing column.
+    A fault is a cell that is no number, NaN in its column, or an implausible one. `limits`: names
+    of the columns → largest plausible magnitudes. All columns but the first may have empty cells.
+    The separator is a comma, a semicolon or a tab. Raises InputError, with the hint `expected`, for
+    a missing column.
     """
-    if b"\0" in path.read_bytes():  # of Excel's Unicode text, and of PowerShell's files
+    cells, header = _read_cells(path, expected)
+    missing = [name for name in limits if name not in header]
+    if missing:
+        raise InputError(
+            f"has no column {', '.join(missing)} (got {', '.join(header)})", path, expected
+        )
+
+    table = pd.DataFrame(index=cells.index)
+    faults = list[str]()
+    needs_number = True
+    for name, limit in limits.items():
+        words = cells[header.index(name)].rename(name)
+        values = pd.to_numeric(words, errors="coerce").astype(float)
+        table[name] = values
+        faults += fault(words[values.isna() & (words.notna() | needs_number)], "is not a number")
+        faults += fault(words[values.abs() > limit], f"is implausible (limit ±{limit:g})")
+        needs_number = False
+
+    # Decimal commas make more cells than names.
+    for place in cells.columns[len(header) :]:
+        nameless = cells[place].dropna().rename(f"cell {place + 1}")
+        faults += fault(nameless, "has no name in line 1")
+    return table, faults
+
+
+def _read_cells(path: Path, expected: str) -> tuple[pd.DataFrame, list[str]]:
+    """Return the cells of a CSV file, text by line and place, and the names in its first line.
+
+    Lines without content are left out. Raises InputError.
+    """
+    # A zero byte is in Excel's Unicode text, and in PowerShell's files.
+    if b"\0" in path.read_bytes():
         raise InputError(
             "is in UTF-16",
             path,
@@ -35,47 +70,37 @@ def read_columns(
             path,
             f"Remove line 1: {lines[0]}",
         )
+
     separator = max(",;\t", key=lines[0].count)
-    places = range(1 + max(line.count(separator) for line in lines))
-    text = {
-        "dtype": str,
-        "encoding": "utf-8-sig",
-        "encoding_errors": "replace",
-        "skipinitialspace": True,
-    }
+    most_separators = max(line.count(separator) for line in lines)
     try:
         cells = pd.read_csv(
-            path, sep=separator, header=None, names=places, skip_blank_lines=False, **text
+            path,
+            sep=separator,
+            header=None,
+            names=range(1 + most_separators),
+            skip_blank_lines=False,
+            dtype=str,
+            encoding="utf-8-sig",
+            encoding_errors="replace",
+            skipinitialspace=True,
         )
     except ValueError as error:
         raise InputError(f"is not a CSV file ({error})", path, expected) from error
     header = cells.iloc[0].fillna("").str.strip().tolist()[: 1 + lines[0].count(separator)]
-    if missing := [name for name in limits if name not in header]:
-        raise InputError(
-            f"has no column {', '.join(missing)} (got {', '.join(header)})", path, expected
-        )
-    cells = cells.set_axis(cells.index + 1)[1:].dropna(how="all")
-    table, faults = pd.DataFrame(index=cells.index), list[str]()
-    for name, limit in limits.items():
-        words = cells[header.index(name)].rename(name)
-        values = table[name] = pd.to_numeric(words, errors="coerce").astype(float)
-        needed = words.notna() | (name == next(iter(limits)))
-        faults += fault(words[needed & values.isna()], "is not a number")
-        faults += fault(words[values.abs() > limit], f"is implausible (limit ±{limit:g})")
-    for place in places[len(header) :]:  # of decimal commas
-        faults += fault(cells[place].dropna().rename(f"cell {place + 1}"), "has no name in line 1")
-    return table, faults
+    return cells.set_axis(cells.index + 1)[1:].dropna(how="all"), header
 
 
 def fault(cells: pd.Series, problem: str) -> list[str]:
-    """Return a line with the first of the wrong `cells` of a column, by line of the file; nothing
-    if there are none.
+    """Return a text with the first of the wrong `cells` of a column, by line of the file.
+
+    Nothing if there are none.
     """
+    if cells.empty:
+        return []
+    line, cell = next(cells.items())
     more = f" and {len(cells) - 1} more" if len(cells) > 1 else ""
-    return [
-        f"{cells.name} {problem}: {cell!r:.40} in line {line}{more}"
-        for line, cell in cells.head(1).items()
-    ]
+    return [f"{cells.name} {problem}: {cell!r:.40} in line {line}{more}"]
 
 
 def check_increase(values: pd.Series, least_step: float) -> list[str]:

@@ -1,5 +1,4 @@
-"""What a dataset's file, ``pipeline/ingest/datasets/NAME.py``, gives to stage ingest: two functions
-by drive name.
+"""The interface of a dataset's file, ``pipeline/ingest/datasets/NAME.py``: two functions.
 
 - ``fingerprint(name, settings, root)``: JSON-able facts that change with the drive's files, for
   instance :func:`stamps`; drives with more of them are read first. Each run calls it for each
@@ -22,11 +21,12 @@ from pipeline.camera.camera import Camera, Frame
 class Drive:
     """One drive of a dataset."""
 
-    camera: Camera | None  # of complete, rectified images; None: no images and no scans
-    # in ascending numbers; images, depth and classes have the camera's size
+    # The camera of complete, rectified images; None: no images and no scans.
+    camera: Camera | None
+    # Frames in ascending numbers. Images, depth and classes have the camera's size.
     frames: Callable[[], Iterator[Frame]]
     # Name → frame number → value: steering_rad; speed_mps and yaw_rate_radps, or oxts [30]; see
-    # ingest_file.VALUES
+    # ingest_file.VALUES.
     values: Mapping[str, Mapping[int, Any]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)  # for the user; complete after the last frame
     dataset: str = ""  # if it is another than the file's name
@@ -38,13 +38,14 @@ def load(name: str) -> Any:
 
 
 def stamps(paths: Iterable[Path], folder: Path) -> list[Any]:
-    """Return names below `folder`, sizes and times of files: hashing KITTI's 175 GB takes longer
-    than ingesting them.
+    """Return names below `folder`, sizes and times of files.
 
-    The change time detects a file that was extracted again: unzip restores the modification time.
+    Hashing KITTI's 175 GB would take longer than ingesting them. The change time detects a file
+    that was extracted again: unzip restores the modification time.
     """
-    stats = ((path, path.stat()) for path in paths)
-    return [
-        [str(path.relative_to(folder)), s.st_size, s.st_mtime_ns, s.st_ctime_ns]
-        for path, s in stats
-    ]
+    facts = []
+    for path in paths:
+        stat = path.stat()
+        name = str(path.relative_to(folder))
+        facts.append([name, stat.st_size, stat.st_mtime_ns, stat.st_ctime_ns])
+    return facts

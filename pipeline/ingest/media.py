@@ -196,8 +196,8 @@ def _image_files(folder: Path) -> tuple[list[Path], np.ndarray]:
         raise InputError(f"folder has no images (expected {', '.join(PICTURES)})", folder)
 
     for before, after in pairwise(files):
-        numbers = words(before)[1::2]
-        if numbers and words(after)[1::2] <= numbers:
+        lower = words(before)[1::2]
+        if lower and words(after)[1::2] <= lower:
             raise InputError(
                 f"{after.name} would follow {before.name}: images of two cameras, or in two "
                 "formats?",
@@ -210,7 +210,7 @@ def _image_files(folder: Path) -> tuple[list[Path], np.ndarray]:
     in_order = np.arange(len(files))
     if len({(*name[:-2], name[-1]) for name in names}) > 1:
         return files, in_order
-    numbers = [name[-2] for name in names if len(name) > 1]
+    numbers = [int(name[-2]) for name in names if len(name) > 1]
     steps = [after - before for before, after in pairwise(numbers)]
     step = min(steps, default=0)
     if step <= 0 or step != sorted(steps)[len(steps) // 2] or any(gap % step for gap in steps):

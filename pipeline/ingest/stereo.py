@@ -1,6 +1,4 @@
-"""Recognise videos of a stereo camera, which hold both of its images: side by side, or one above
-the other.
-"""
+"""Recognise videos that hold both images of a stereo camera, beside or above each other."""
 
 from pathlib import Path
 
@@ -29,22 +27,23 @@ ALIKE = 0.55
 
 
 def likeness(grey: np.ndarray) -> tuple[float, float]:
-    """Return the correlations of the left and the right half of an image uint8 [H,W], and of the
-    upper and the lower.
+    """Return how alike the halves of an image uint8 [H,W] are, as correlations.
 
-    NaN if there is not enough structure.
+    They are those of the left and the right half, and of the upper and the lower; NaN if there is
+    not enough structure.
     """
     wide = _structure(grey, 2 * WIDTH)
+    side_by_side = _correlation(wide[:, :WIDTH], wide[:, WIDTH:])
     narrow = _structure(grey, WIDTH)
     middle = len(narrow) // 2
-    return _correlation(wide[:, :WIDTH], wide[:, WIDTH:]), _correlation(
-        narrow[:middle], narrow[middle : 2 * middle]
-    )
+    above = _correlation(narrow[:middle], narrow[middle : 2 * middle])
+    return side_by_side, above
 
 
 def _structure(grey: np.ndarray, width: int) -> np.ndarray:
-    """Return the derivative of an image along both axes; it is 0 at edges of black bars, which both
-    halves share.
+    """Return the derivative of an image of this width along both axes.
+
+    It is 0 at edges of black bars, which both halves share.
     """
     height = max(1, round(grey.shape[0] * width / grey.shape[1]))
     small = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
@@ -52,36 +51,42 @@ def _structure(grey: np.ndarray, width: int) -> np.ndarray:
 
 
 def _correlation(first: np.ndarray, second: np.ndarray) -> float:
-    """Return the median correlation of the blocks of one half with the other, each where it fits
-    best in its rows.
+    """Return the median correlation of the blocks of one half with the other.
+
+    Each block is where it fits best in its rows.
     """
     height, width = first.shape
-    correlations = list[float]()
     if height < LEAST_HEIGHT * BLOCKS:
         return np.nan
+    correlations = list[float]()
     for rows in np.array_split(np.arange(height), BLOCKS):
         for columns in np.array_split(np.arange(width), BLOCKS):
             block = first[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
             if block.std() > STRUCTURE:
-                within = slice(max(0, columns[0] - REACH), columns[-1] + 1 + REACH)
-                found = cv2.matchTemplate(
-                    second[rows[0] : rows[-1] + 1, within], block, cv2.TM_CCOEFF_NORMED
-                )
-                correlations.append(float(found.max()))
-    return float(np.median(correlations)) if len(correlations) >= STRUCTURED * BLOCKS**2 else np.nan
+                reach = slice(max(0, columns[0] - REACH), columns[-1] + 1 + REACH)
+                around = second[rows[0] : rows[-1] + 1, reach]
+                match = cv2.matchTemplate(around, block, cv2.TM_CCOEFF_NORMED)
+                correlations.append(float(match.max()))
+    if len(correlations) < STRUCTURED * BLOCKS**2:
+        return np.nan
+    return float(np.median(correlations))
 
 
 def refuse_stereo(likenesses: np.ndarray, path: Path) -> None:
     """Raise InputError if the :func:`likeness` [N,2] of images is that of a stereo camera's."""
-    if _median(likenesses[:, 0]) > ALIKE:
+    side_by_side, above = likenesses.T
+    if _median(side_by_side) > ALIKE:
         _refuse("side by side", "left", "iw/2:ih", path)
-    if _median(likenesses[:, 1]) > ALIKE:
+    if _median(above) > ALIKE:
         _refuse("one above the other", "upper", "iw:ih/2", path)
 
 
 def _median(values: np.ndarray) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else 0.0
+    """Return the median of the finite values; 0 if there are none."""
+    finite = values[np.isfinite(values)]
+    if not len(finite):
+        return 0.0
+    return float(np.median(finite))
 
 
 def _refuse(where: str, half: str, size: str, path: Path) -> None:

@@ -11,27 +11,25 @@ from pipeline.camera.images import to_metres
 
 
 class Truth(NamedTuple):
-    """Depth [H,W] in metres, 0 where unknown, and trainIds uint8 [H,W], 255 where unknown, of a
-    frame.
-    """
+    """The ground truth of a frame."""
 
-    depth_m: np.ndarray
+    depth_m: np.ndarray  # [H,W], 0 where unknown
     depth_source: str  # dense, lidar, or empty
-    cls: np.ndarray
+    cls: np.ndarray  # trainIds uint8 [H,W], 255 where unknown
 
 
 def read_truth(drive: DriveReader, camera: Camera, row: int) -> Truth:
-    """Return the ground truth of a row of an ingest file. Dense depth takes precedence over
-    projected LiDAR.
+    """Return the ground truth of a row of an ingest file.
+
+    Dense depth takes precedence over projected LiDAR.
     """
-    depth_m, source = np.zeros(camera.size, np.float32), ""
+    cls = np.full(camera.size, classes.VOID, np.uint8)
+    if drive.row("has_cls", row):
+        cls = drive.row("cls", row)
     if drive.row("has_depth", row):
-        depth_m, source = to_metres(drive.row("depth", row)).astype(np.float32), "dense"
-    elif drive.row("has_lidar", row):
-        depth_m, source = scan_depth(drive.rows_of("lidar", row), camera), "lidar"
-    cls = (
-        drive.row("cls", row)
-        if drive.row("has_cls", row)
-        else np.full(camera.size, classes.VOID, np.uint8)
-    )
-    return Truth(depth_m, source, cls)
+        depth_m = to_metres(drive.row("depth", row)).astype(np.float32)
+        return Truth(depth_m, "dense", cls)
+    if drive.row("has_lidar", row):
+        depth_m = scan_depth(drive.rows_of("lidar", row), camera)
+        return Truth(depth_m, "lidar", cls)
+    return Truth(np.zeros(camera.size, np.float32), "", cls)

@@ -1,5 +1,6 @@
-"""Stage check: find faults of params.yaml before any other stage runs. It reads no weights and has
-no outputs.
+"""Stage check: find faults of params.yaml before any other stage runs.
+
+It reads no weights and has no outputs.
 """
 
 from pathlib import Path
@@ -15,16 +16,15 @@ from pipeline.encoder import create
 
 
 def main(params: Path = Path("params.yaml")) -> Path:
-    """Validate all sections and imports, build each steering network once, and look for the
-    encoder's files.
+    """Validate all sections and imports, and build each steering network once. Return `params`.
 
-    Returns `params`.
+    The encoder's files have to be there, unless DVC has an encoder of these settings.
     """
     content = read(params)
     settings = parse(Params, content, path=params)
     check_code(settings)
     with error_context(params):
-        if not has_encoder(params.with_name("dvc.lock"), content["encoder"]):
+        if not is_locked(params.with_name("dvc.lock"), content["encoder"]):
             with error_context("encoder"):
                 create.check(settings.encoder)
         for name, model in settings.models.items():
@@ -33,14 +33,13 @@ def main(params: Path = Path("params.yaml")) -> Path:
     return params
 
 
-def has_encoder(lock: Path, settings: dict[str, Any]) -> bool:
-    """Return whether dvc.lock has an encoder of these settings: DVC takes or fetches it, as if its
-    files were here.
-    """
+def is_locked(lock: Path, encoder: dict[str, Any]) -> bool:
+    """Return whether dvc.lock has an encoder of these settings, which DVC takes or fetches."""
     if not lock.is_file():
         return False
-    encoder = read(lock).get("stages", {}).get("encoder", {})
-    return encoder.get("params", {}).get("params.yaml", {}).get("encoder") == settings
+    stages = read(lock).get("stages", {})
+    params = stages.get("encoder", {}).get("params", {})
+    return params.get("params.yaml", {}).get("encoder") == encoder
 
 
 if __name__ == "__main__":

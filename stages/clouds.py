@@ -1,5 +1,6 @@
-"""Stage clouds: lift images and scans into semantic point clouds,
-data/clouds/{pseudo,lidar}/<drive>.h5.
+"""Stage clouds: semantic point clouds of images and scans.
+
+They are data/clouds/pseudo/<drive>.h5 and data/clouds/lidar/<drive>.h5.
 """
 
 from functools import partial
@@ -20,21 +21,20 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     Returns the output folder, which holds the folders pseudo and lidar; lidar has no drives without
     ingest.lidar.
     """
-    settings, out = load(Clouds, params), data / "clouds"
+    settings = load(Clouds, params)
+    out = data / "clouds"
     inputs = {name: data / name for name in ("ingest", "perception")}
     splits = store.read_index(inputs["ingest"], stage="ingest")
-    for kind, drives in {
-        "pseudo": splits,
-        "lidar": splits if load(Ingest, params).lidar else {},
-    }.items():
+
+    drives = {"pseudo": splits, "lidar": splits}
+    if not load(Ingest, params).lidar:
+        drives["lidar"] = {}
+
+    for kind in drives:
         work = partial(cloud.clouds_drive, kind=kind, settings=settings)
-        with stage_folder(f"clouds@{kind}", out / kind, drives, params=params) as folder:
-            make_drives(
-                folder,
-                file_jobs(drives, inputs, work),
-                settings,
-                "{frames} frames, {points} points",
-            )
+        jobs = file_jobs(drives[kind], inputs, work)
+        with stage_folder(f"clouds@{kind}", out / kind, drives[kind], params=params) as folder:
+            make_drives(folder, jobs, settings, "{frames} frames, {points} points")
     return out
 
 

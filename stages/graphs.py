@@ -13,28 +13,26 @@ from pipeline.base.runner import file_jobs, make_drives
 from pipeline.graphs.frame_graph import graphs_drive
 from pipeline.graphs.settings import Variant
 
+VariantName = Annotated[
+    str, typer.Argument(metavar="VARIANT", help="an entry of graphs: in the params file")
+]
 
-def main(
-    name: Annotated[
-        str, typer.Argument(metavar="VARIANT", help="an entry of graphs: in the params file")
-    ],
-    data: Path = Path("data"),
-    params: Path = Path("params.yaml"),
-) -> Path:
-    """Draw the variant's number of points of each cloud and compute neighbours, or copy images.
-    Returns the folder.
-    """
+
+def main(name: VariantName, data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
+    """Draw points of each cloud and connect them to a graph, or copy images. Return the folder."""
     variant = load_entry(Variant, "graphs", name, params)
-    source, out = data / variant.source, data / "graphs" / name
-    splits = store.read_index(source, stage=variant.source.split("/")[0])
-    jobs = file_jobs(
-        splits,
-        {"source": source, "motion": data / "motion"},
-        partial(graphs_drive, variant=variant),
-    )
-    text = "{frames} frames" if variant.kind == "image" else "{frames} frames, {points} points"
+    source = data / variant.source
+    out = data / "graphs" / name
+    stage, _, _ = variant.source.partition("/")
+    splits = store.read_index(source, stage=stage)
+
+    inputs = {"source": source, "motion": data / "motion"}
+    jobs = file_jobs(splits, inputs, partial(graphs_drive, variant=variant))
+    describe = "{frames} frames"
+    if variant.kind != "image":
+        describe += ", {points} points"
     with stage_folder(f"graphs@{name}", out, splits, params=params) as folder:
-        make_drives(folder, jobs, variant, text)
+        make_drives(folder, jobs, variant, describe)
     return out
 
 

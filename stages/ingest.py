@@ -1,10 +1,7 @@
-"""Read the drives of all datasets once and write one HDF5 file per drive, with everything that
-later stages need.
-"""
+"""Stage ingest: read each drive once, and write all that later stages need to one HDF5 file."""
 
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from pipeline.base import console, store
 from pipeline.base.checkout import in_checkout
@@ -21,42 +18,48 @@ from pipeline.ingest.settings import Ingest, Reading
 def main(
     data: Path = Path("data"), raw: Path = Path("data/raw"), params: Path = Path("params.yaml")
 ) -> Path:
-    """Read images, scans, calibration, and what was recorded or rendered beside them. Returns the
-    folder.
-    """
+    """Read images, scans, calibration, logs and ground truth of all drives. Return the folder."""
     raw = in_checkout(raw)
     settings = load(Ingest, params)
-    reading = Reading(**settings.model_dump(include=set(Reading.model_fields)))
     out = data / "ingest"
-    before = store.read_index(out, stage="ingest") if (out / "index.json").is_file() else {}
-    missing = kitti.leave_out(raw, settings, required=before)
-    splits = {
-        drive: split for drive, split in settings.drives.splits().items() if drive not in missing
-    }
+
+    # Drives that are not there are left out, unless an earlier run has read them.
+    earlier: dict[str, str] = {}
+    if (out / store.INDEX).is_file():
+        earlier = store.read_index(out, stage="ingest")
+    missing = kitti.leave_out(raw, settings, required=earlier)
+    splits = settings.drives.splits()
+    for drive in missing:
+        del splits[drive]
+
+    # Each drive depends on the code of its own dataset alone.
+    dataset_of = settings.datasets()
     readers = {
-        drive: f"pipeline/ingest/datasets/{dataset}.py"
-        for drive, dataset in settings.datasets().items()
+        drive: f"pipeline/ingest/datasets/{dataset}.py" for drive, dataset in dataset_of.items()
     }
-    with stage_folder("ingest", out, splits, params=params, own=readers.values()) as stage:
+    reading = Reading(**settings.model_dump(include=set(Reading.model_fields)))
+    with stage_folder("ingest", out, splits, params=params, own=readers.values()) as folder:
         jobs = []
-        facts = dict[str, list[Any]]()
-        for name in splits:
-            dataset = settings.datasets()[name]
+        sizes = dict[str, int]()
+        for drive in splits:
+            dataset = dataset_of[drive]
             root = data / "sample" if dataset == "sample" else raw
-            facts[name] = datasets.load(dataset).fingerprint(name, settings, root)
+            fingerprint = datasets.load(dataset).fingerprint(drive, settings, root)
+            sizes[drive] = len(fingerprint)
             work = partial(
                 ingest_drive,
-                name=name,
+                name=drive,
                 dataset=dataset,
                 settings=settings,
                 root=root,
                 reading=reading,
             )
-            jobs.append(
-                Job(name, f"{name}.h5", [digest([dataset, facts[name]])], work, (readers[name],))
-            )
-        jobs.sort(key=lambda job: len(facts[job.drive]), reverse=True)  # the longest first
-        make_drives(stage, jobs, reading, "{frames} frames{counts}")
+            inputs = [digest([dataset, fingerprint])]
+            jobs.append(Job(drive, f"{drive}.h5", inputs, work, (readers[drive],)))
+
+        # Drives with the most files start first, so that all processes end at about the same time.
+        jobs.sort(key=lambda job: sizes[job.drive], reverse=True)
+        make_drives(folder, jobs, reading, "{frames} frames{counts}")
     return out
 
 

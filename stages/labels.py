@@ -1,6 +1,4 @@
-"""Compute steering labels from the source that params.yaml names, and statistics of their
-plausibility.
-"""
+"""Stage labels: steering angles from the source that params.yaml names, data/labels/<drive>.h5."""
 
 from functools import partial
 from pathlib import Path
@@ -18,10 +16,9 @@ from pipeline.labels.source import labels_drive
 
 def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     """Compute each frame's steering angle (paper section 4.1), path ahead and their validity.
-    Returns the folder.
 
-    Recorded labels are first compared with measured motion. Raises InputError if their sign or unit
-    is wrong.
+    Recorded labels are first compared with measured motion. Returns the folder. Raises InputError
+    if their sign or unit is wrong.
     """
     settings = load(Labels, params)
     ingest = data / "ingest"
@@ -32,15 +29,17 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
         # Not with test drives: a lag fitted to them would align the truth with odometry.
         drives = store.drives_in(splits, "train", "val") or [*splits]
         car = Car(settings.wheelbase_m, settings.min_speed_mps)
-        for line in comparison.check(
-            settings.source, comparison.read(settings.source, drives, ingest, motion, car)
-        ):
+        pairs = comparison.read(settings.source, drives, ingest, motion, car)
+        for line in comparison.check(settings.source, pairs):
             print(line, flush=True)
-        inputs = {"ingest": ingest} | ({"motion": motion} if motion.is_dir() else {})
+
+        inputs = {"ingest": ingest}
+        if motion.is_dir():
+            inputs["motion"] = motion
         jobs = file_jobs(splits, inputs, partial(labels_drive, settings=settings))
-        text = "{frames} frames, {valid} valid, {turning} turning, {interpolated} interpolated"
+        describe = "{frames} frames, {valid} valid, {turning} turning, {interpolated} interpolated"
         # One worker, as this is less work than starting a process.
-        summaries = make_drives(folder, jobs, settings, text, workers=1)
+        summaries = make_drives(folder, jobs, settings, describe, workers=1)
     for line in find_doubts(splits, summaries):
         print(line)
     return out

@@ -1,6 +1,4 @@
-"""Stage perception: predict depth and classes of every image with the unified encoder,
-data/perception/<drive>.h5.
-"""
+"""Stage perception: depth and classes of every image, data/perception/<drive>.h5."""
 
 from functools import partial
 from pathlib import Path
@@ -19,27 +17,26 @@ from pipeline.perception.settings import Perception
 
 
 def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
-    """Predict depth and classes of each image, and store both. Returns the output folder."""
-    settings, ingest, encoder, out = (
-        load(Perception, params),
-        data / "ingest",
-        data / "encoder",
-        data / "perception",
-    )
+    """Predict depth and classes of each image with the encoder. Return the output folder."""
+    settings = load(Perception, params)
+    ingest = data / "ingest"
+    encoder = data / "encoder"
+    out = data / "perception"
     splits = store.read_index(ingest, stage="ingest")
     with stage_folder("perception", out, splits, params=params) as folder:
         # Reports a bad checkpoint, too: once, not from each worker.
-        for line in warnings(
-            encoder, settings.precision, (ingest / f"{drive}.h5" for drive in splits)
-        ):
+        files = [ingest / f"{drive}.h5" for drive in splits]
+        for line in warnings(encoder, settings.precision, files):
             print(line, flush=True)
+
         # Two processes keep a GPU busy: one reads and writes while the other encodes.
-        workers = min(2, default_workers()) if torch.cuda.is_available() else None
+        workers = None
+        if torch.cuda.is_available():
+            workers = min(2, default_workers())
         work = partial(perceive_drive, encoder=encoder, settings=settings)
+        jobs = file_jobs(splits, {"ingest": ingest}, work)
         key = settings.model_dump() | {"encoder": file_hash(encoder / FILE)}
-        make_drives(
-            folder, file_jobs(splits, {"ingest": ingest}, work), key, "{frames} frames", workers
-        )
+        make_drives(folder, jobs, key, "{frames} frames", workers)
     return out
 
 

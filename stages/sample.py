@@ -1,5 +1,6 @@
-"""Render the embedded sample, a procedural world in KITTI raw's layout, so that everything runs
-without KITTI.
+"""Stage sample: render the embedded sample, so that everything runs without KITTI.
+
+The sample is a procedural world in KITTI raw's layout.
 """
 
 from functools import partial
@@ -17,34 +18,37 @@ from pipeline.sample.settings import Sample
 
 
 def main(out: Path = Path("data/sample"), params: Path = Path("params.yaml")) -> Path:
-    """Render the drives of section ingest that belong to the sample. Returns the stage's folder."""
-    settings, ingest, encoder = load(Sample, params), load(Ingest, params), load(Encoder, params)
+    """Render the drives of section ingest that belong to the sample. Return the stage's folder."""
+    settings = load(Sample, params)
+    ingest = load(Ingest, params)
+    encoder = load(Encoder, params)
+    dataset_of = ingest.datasets()
     scan_rays = settings.scan_rays if ingest.lidar else None
-    render, jobs, sources = (
-        partial(render_drive, settings=settings, lidar=ingest.lidar),
-        [],
-        ingest.datasets(),
-    )
-    # the longest first
+
+    jobs = []
+    # The longest drives start first, so that all processes end at about the same time.
     for split, frames in sorted(settings.frames.items(), key=lambda item: -item[1]):
-        truth = split != "train" or encoder.epochs > 0  # which stages `scores` and `encoder` read
+        # Stage scores reads the truth of validation and test drives, a fit that of training drives.
+        truth = split != "train" or encoder.epochs > 0
         for drive in getattr(ingest.drives, split):
-            if sources[drive] == "sample":
-                work = partial(render, drive=drive, frames=frames, truth=truth)
-                jobs.append(
-                    Job(
-                        drive, f"{drive[:10]}/{drive}_sync", [f"{frames} {truth} {scan_rays}"], work
-                    )
-                )
+            if dataset_of[drive] != "sample":
+                continue
+            work = partial(
+                render_drive,
+                settings=settings,
+                lidar=ingest.lidar,
+                drive=drive,
+                frames=frames,
+                truth=truth,
+            )
+            target = f"{drive[:10]}/{drive}_sync"
+            jobs.append(Job(drive, target, [f"{frames} {truth} {scan_rays}"], work))
     if not jobs:
         print("nothing to render: ingest.drives has no drive of the sample")
+
     with stage_folder("sample", out, params=params) as folder:
-        make_drives(
-            folder,
-            jobs,
-            settings.model_dump(include={"image_size", "seed"}),
-            "{frames} frames, {metres} m",
-        )
+        key = settings.model_dump(include={"image_size", "seed"})
+        make_drives(folder, jobs, key, "{frames} frames, {metres} m")
         for date in {job.drive[:10] for job in jobs}:
             write_calibration(make_rig(settings.image_size, date), folder.new / date)
     return out

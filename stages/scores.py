@@ -13,19 +13,20 @@ from pipeline.scores.score import score_drive, score_splits
 
 
 def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
-    """Write metrics.json with the scores of validation and test drives, and <drive>/metrics.json of
-    each of them.
+    """Write metrics.json with the scores of validation and test drives. Return the output folder.
 
-    The scores of training drives are None. Keys ``motion`` and ``recorded``: see data/README.md;
-    angles and valid frames are defined as in the labels. Returns the output folder.
+    Each of these drives has a <drive>/metrics.json, too; the scores of training drives are None.
+    Keys ``motion`` and ``recorded``: see data/README.md. Angles and valid frames are defined as in
+    the labels.
     """
     labels = load(Labels, params)
     car = Car(labels.wheelbase_m, labels.min_speed_mps)
+    out = data / "scores"
     inputs = {name: data / name for name in ("ingest", "perception", "motion")}
     splits = store.read_index(inputs["perception"], stage="perception")
-    scored = {drive: split for drive, split in splits.items() if split != "train"}
+
+    scored = [drive for drive, split in splits.items() if split != "train"]
     jobs = file_jobs(scored, inputs, partial(score_drive, car=car), "{}/metrics.json")
-    out = data / "scores"
     with stage_folder("scores", out, params=params) as folder:
         summaries = make_drives(folder, jobs, car._asdict(), "{frames} frames")
         content = score_splits(splits, summaries, inputs["ingest"], inputs["motion"], car)

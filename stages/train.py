@@ -1,4 +1,4 @@
-"""Train one model on its graph variant: data/train/<model>/{best.pt, curve.csv}."""
+"""Stage train: train one model on its graph variant, data/train/<model>/{best.pt, curve.csv}."""
 
 from pathlib import Path
 from typing import Annotated
@@ -16,11 +16,13 @@ from pipeline.train.loss import Scale
 from pipeline.train.settings import Train
 from pipeline.train.targets import check, rate_doubt, read_drive
 
+ModelName = Annotated[
+    str, typer.Argument(metavar="MODEL", help="an entry of models in the params file")
+]
+
 
 def main(
-    name: Annotated[
-        str, typer.Argument(metavar="MODEL", help="an entry of models in the params file")
-    ],
+    name: ModelName,
     data: Path = Path("data"),
     out: Annotated[Path, typer.Option(help="parent of the model's folder")] = Path("data/train"),
     params: Path = Path("params.yaml"),
@@ -32,34 +34,40 @@ def main(
     """
     settings = load(Train, params)
     entry = load_entry(Entry, "models", name, params)
-    settings = settings.model_copy(
-        update={"learning_rate": entry.learning_rate or settings.learning_rate}
-    )
-    variant = data / "graphs" / entry.input
+    if entry.learning_rate:
+        settings = settings.model_copy(update={"learning_rate": entry.learning_rate})
+    graphs = data / "graphs" / entry.input
     with stage_folder(f"train@{name}", out / name, params=params, own=entry.networks) as folder:
-        splits = store.read_index(variant, stage="graphs")
+        splits = store.read_index(graphs, stage="graphs")
         where = f"{params}: models.{name}"
         with error_context(where=where):
             runs.check(splits, entry.scene)
-        parts = {split: store.drives_in(splits, split) for split in SPLITS}
-        names = [drive for part in parts.values() for drive in part]
-        drives = {drive: read_drive(variant, data / "labels", drive, entry) for drive in names}
 
-        # Errors before the first network is trained.
-        for part in filter(None, parts.values()):
-            check([drives[drive] for drive in part], entry.window)
-        Scale.from_drives([drives[drive] for drive in parts["train"]])
-        if doubt := rate_doubt(drives, parts["train"]):
+        drives = {}
+        for split in SPLITS:
+            for drive in store.drives_in(splits, split):
+                drives[drive] = read_drive(graphs, data / "labels", drive, entry)
+
+        # Drives that teach nothing are reported before the first network is trained.
+        for split in SPLITS:
+            members = [drives[drive] for drive in store.drives_in(splits, split)]
+            if members:
+                check(members, entry.window)
+        train_drives = store.drives_in(splits, "train")
+        Scale.from_drives([drives[drive] for drive in train_drives])
+        doubt = rate_doubt(drives, train_drives)
+        if doubt:
             print(f"{name}: {doubt}", flush=True)
-        if not parts["val"]:
+        if not store.drives_in(splits, "val"):
             print(
                 f"{name}: no validation drives, so no early stopping: keeps the last epoch",
                 flush=True,
             )
 
         todo = runs.runs(folder.new, settings.seeds)
-        folder.used.update(fit_model(todo, name, where, entry, settings, splits, drives, folder))
-        # of all code and settings: small, and costly to make
+        states = fit_model(todo, name, where, entry, settings, splits, drives, folder)
+        folder.used.update(states)
+        # Fitted networks of all code and settings stay: they are small, and costly to make.
         folder.used.update(folder.kept.glob("*.pt"))
     return out / name
 

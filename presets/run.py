@@ -18,7 +18,7 @@ from pipeline.base import console
 from pipeline.base.checkout import CHECKOUT
 from pipeline.base.errors import InputError
 from pipeline.base.outputs import locked
-from pipeline.base.params import parse, read
+from pipeline.base.params import parse, read_yaml
 from pipeline.base.resume import CODE, revision
 from pipeline.base.store import write_json, write_text
 from pipeline.check import preset
@@ -49,7 +49,7 @@ def main(name: str) -> None:
             "preset": name,
             "revision": revision(),
             "started_s": time.time(),
-            "settings": changes(settings, read(params)),
+            "settings": changes(settings, read_yaml(params)),
             "next": next_command(name, run, settings),
         }
         write_json(run / RUN, made, sort_keys=False)
@@ -90,7 +90,7 @@ def take_weights(encoder: dict[str, Any], params: Path) -> None:
     A missing file keeps the hash that the run's `params` have of it: results of an earlier run need
     no weights.
     """
-    earlier = read(params).get("encoder", {}) if params.is_file() else {}
+    earlier = read_yaml(params).get("encoder", {}) if params.is_file() else {}
     same_file = earlier.get("weights") == encoder.get("weights")
     if same_file and "weights_sha256" in earlier and not Path(encoder["weights"]).exists():
         encoder["weights_sha256"] = earlier["weights_sha256"]

@@ -8,7 +8,7 @@ from typing import Any
 
 from pipeline.base import console
 from pipeline.base.errors import error_context
-from pipeline.base.params import parse, read
+from pipeline.base.params import parse, read_yaml
 from pipeline.check.check_code import check_code
 from pipeline.check.check_model import check_model
 from pipeline.check.settings import Params
@@ -20,7 +20,7 @@ def main(params: Path = Path("params.yaml")) -> Path:
 
     The encoder's files have to be there, unless DVC has an encoder of these settings.
     """
-    content = read(params)
+    content = read_yaml(params)
     settings = parse(Params, content, path=params)
     check_code(settings)
     with error_context(params):
@@ -37,7 +37,7 @@ def is_locked(lock: Path, encoder: dict[str, Any]) -> bool:
     """Return whether dvc.lock has an encoder of these settings, which DVC takes or fetches."""
     if not lock.is_file():
         return False
-    stages = read(lock).get("stages", {})
+    stages = read_yaml(lock).get("stages", {})
     params = stages.get("encoder", {}).get("params", {})
     return params.get("params.yaml", {}).get("encoder") == encoder
 

@@ -36,7 +36,9 @@ def main(
     train = data / "train" / name
     out = data / "evaluate" / name
     first = trained.load(train)
-    with stage_folder(f"evaluate@{name}", out, params=params, own=first.entry.networks) as folder:
+    with stage_folder(
+        f"evaluate@{name}", out, params=params, chosen=first.entry.networks
+    ) as folder:
         models = {run.seed: trained.load(run.folder) for run in runs.runs(train, first.seeds)}
         cases = predict_cases(models, data / "graphs" / first.entry.input, data / "labels")
         result = evaluate_model(name, first, cases, settings)

@@ -28,11 +28,11 @@ def main(name: VariantName, data: Path = Path("data"), params: Path = Path("para
 
     inputs = {"source": source, "motion": data / "motion"}
     jobs = file_jobs(splits, inputs, partial(graphs_drive, variant=variant))
-    describe = "{frames} frames"
+    log_format = "{frames} frames"
     if variant.kind != "image":
-        describe += ", {points} points"
+        log_format += ", {points} points"
     with stage_folder(f"graphs@{name}", out, splits, params=params) as folder:
-        make_drives(folder, jobs, variant, describe)
+        make_drives(folder, jobs, variant, log_format)
     return out
 
 

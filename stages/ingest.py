@@ -38,7 +38,7 @@ def main(
         drive: f"pipeline/ingest/datasets/{dataset}.py" for drive, dataset in dataset_of.items()
     }
     reading = Reading(**settings.model_dump(include=set(Reading.model_fields)))
-    with stage_folder("ingest", out, splits, params=params, own=readers.values()) as folder:
+    with stage_folder("ingest", out, splits, params=params, chosen=readers.values()) as folder:
         jobs = []
         sizes = dict[str, int]()
         for drive in splits:

@@ -37,9 +37,11 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
         if motion.is_dir():
             inputs["motion"] = motion
         jobs = file_jobs(splits, inputs, partial(labels_drive, settings=settings))
-        describe = "{frames} frames, {valid} valid, {turning} turning, {interpolated} interpolated"
+        log_format = (
+            "{frames} frames, {valid} valid, {turning} turning, {interpolated} interpolated"
+        )
         # One worker, as this is less work than starting a process.
-        summaries = make_drives(folder, jobs, settings, describe, workers=1)
+        summaries = make_drives(folder, jobs, settings, log_format, workers=1)
     for line in find_doubts(splits, summaries):
         print(line)
     return out

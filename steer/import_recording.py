@@ -16,8 +16,8 @@ import pandas as pd
 import yaml
 
 from pipeline.base.errors import InputError
-from pipeline.base.params import SPLITS, read
-from pipeline.base.resume import ROOT, content_hash, is_of_desktop
+from pipeline.base.params import SPLITS, read_yaml
+from pipeline.base.resume import ROOT, content_hash, is_by_desktop
 from pipeline.base.store import replacing
 from pipeline.camera.lens import depth_limit
 from pipeline.check.preset import IMPORT, author_of, check_name_is_free, is_unedited, stamped
@@ -146,7 +146,7 @@ def check_free(preset: Path, recordings: Mapping[Path, Sequence[Path]]) -> None:
     check_name_is_free(preset.stem)
     if preset.exists() and not (author_of(preset) == IMPORT and is_unedited(preset)):
         raise InputError("is not as steer import wrote it", preset, OTHER_NAME)
-    parts = read(preset)["ingest"]["recordings"].values() if preset.exists() else ()
+    parts = read_yaml(preset)["ingest"]["recordings"].values() if preset.exists() else ()
     hashes = {
         (part["folder"], file): value for part in parts for file, value in part["files"].items()
     }
@@ -163,7 +163,7 @@ def check_free(preset: Path, recordings: Mapping[Path, Sequence[Path]]) -> None:
             )
         for path in folder.glob("*"):
             own_link = path.is_symlink() and re.match(OWN, path.name)
-            if not own_link and not (path.is_file() and is_of_desktop(path)):
+            if not own_link and not (path.is_file() and is_by_desktop(path)):
                 _check_copy(path, hashes.get((folder.name, path.name), ""), images)
 
 

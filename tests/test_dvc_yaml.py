@@ -85,7 +85,7 @@ def test_what_a_stage_imports_is_covered(name):
             files |= _files(folder)
     for package in FOUND & {*_code(name)}:
         files |= _files(package)
-    imported = resume.imported(files)
+    imported = resume.with_imports(files)
     assert imported <= _covered(name)
     if name in PACKAGES:
         assert _covered(name) - imported <= {

@@ -1,5 +1,7 @@
-"""Files of tensors: written in one step, read without running code, loaded into a network only if
-all tensors match.
+"""Write and read files of tensors.
+
+A file is written in one step, read without running code, and loaded into a network only if all
+tensors match.
 """
 
 import io
@@ -25,8 +27,9 @@ def write(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def read(path: Path, kind: str) -> dict[str, Any]:
-    """Read a file of :func:`write` whose ``content["kind"]`` is `kind`. Raises InputError; callers
-    add the fix.
+    """Return the content of a file by :func:`write` whose ``content["kind"]`` is `kind`.
+
+    Raises InputError without a fix, which callers add.
     """
     content = load(path)
     if not isinstance(content, dict) or content.get("kind") != kind:
@@ -35,8 +38,9 @@ def read(path: Path, kind: str) -> dict[str, Any]:
 
 
 def load(path: Path) -> Any:
-    """Return the content of a file of torch.save on the CPU. Code in it does not run: then it
-    raises InputError.
+    """Return the content of a file by torch.save, on the CPU.
+
+    Raises InputError if it is missing, damaged or has code, which does not run.
     """
     if not path.is_file():
         raise InputError("file is missing", path)
@@ -44,22 +48,20 @@ def load(path: Path) -> Any:
         return torch.load(path, weights_only=True, map_location="cpu")
     # torch raises various kinds for a damaged file, OSError and UnpicklingError among them
     except Exception as error:
-        raise InputError(
-            "file is damaged, or has more than tensors and plain values", path
-        ) from error
+        problem = "file is damaged, or has more than tensors and plain values"
+        raise InputError(problem, path) from error
 
 
 def load_state(module: torch.nn.Module, state: Mapping[str, Any], path: Path) -> None:
-    """Copy tensors into a module. Raises InputError unless all names and shapes agree and all
-    values are finite.
+    """Copy tensors into a module.
+
+    Raises InputError unless all names and shapes agree and all values are finite.
     """
     try:
         module.load_state_dict(state, strict=True)
     except (RuntimeError, TypeError) as error:
-        difference = str(error).splitlines()[-1].strip()
-        raise InputError(
-            f"file does not match the network: {shorten(difference, 200)}", path
-        ) from error
+        difference = shorten(str(error).splitlines()[-1], 200)
+        raise InputError(f"file does not match the network: {difference}", path) from error
     for name, tensor in state.items():
         if not tensor.isfinite().all():
             raise InputError(f"{name} has values that are not finite", path)

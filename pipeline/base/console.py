@@ -10,8 +10,9 @@ from pipeline.base.errors import InputError
 
 
 def run(*commands: Callable[..., object]) -> None:
-    """Parse the command line and call the function, :func:`guarded`; its first argument names one
-    of several.
+    """Parse the command line and call the function, :func:`guarded`.
+
+    With several functions, the first argument is the name of one.
     """
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     for command in commands:
@@ -20,8 +21,9 @@ def run(*commands: Callable[..., object]) -> None:
 
 
 def guarded(main: Callable[..., object]) -> Callable[..., None]:
-    """Return `main` as a command that prints an InputError, an OSError or Ctrl-C as one line, with
-    exit status 1.
+    """Return `main` as a command that prints an InputError, an OSError or Ctrl-C as one line.
+
+    Its exit status is 1 then.
     """
 
     @functools.wraps(main)  # Typer reads its arguments
@@ -29,13 +31,17 @@ def guarded(main: Callable[..., object]) -> Callable[..., None]:
         try:
             main(*args, **options)
         except (InputError, OSError, KeyboardInterrupt) as error:
-            message = (
-                str(error) or "interrupted. Repeat the command to continue: complete files are kept"
-            )
-            if isinstance(error, OSError) and error.strerror:
-                message = (
-                    f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-                )
-            sys.exit(f"error: {' '.join(message.split())}")
+            one_line = " ".join(_message(error).split())
+            sys.exit(f"error: {one_line}")
 
     return command
+
+
+def _message(error: BaseException) -> str:
+    if isinstance(error, OSError) and error.strerror:
+        if error.filename:
+            return f"{error.filename}: {error.strerror}"
+        return error.strerror
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted. Repeat the command to continue: complete files are kept"
+    return str(error)

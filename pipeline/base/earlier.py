@@ -1,16 +1,16 @@
-"""Settings of earlier versions, and what replaces them."""
+"""Name the settings of earlier versions that are gone, and what replaces them."""
 
 import re
 from collections.abc import Iterator
 from typing import Any
 
-# Last revision with the presets, options and controls of closed questions.
+# Last revision that has the presets, options and controls of closed questions.
 LAST = "0919269e"
-# Removed presets.
+# Presets of closed questions.
 PRESETS = ("real", "streets", "transfer", "winding", "winding-wheel")
 
-# The dotted key, with * for the name of an entry, or "key: value" if only a value was removed →
-# what to do.
+# Dotted key, with * for the name of an entry, or "key: value" if only a value was removed → what to
+# do.
 EARLIER = {
     "base": "Copy the settings of these presets into this one",
     "encoder.backbone: dinov2": f"Choose another one of docs/models.md, or use revision {LAST}",
@@ -63,8 +63,9 @@ EARLIER = {
 
 
 def find_earlier(settings: Any, where: str) -> tuple[str, str]:
-    """Return the first earlier key in the settings at the dotted key `where`, and what to do; empty
-    without any.
+    """Return the first earlier key in the settings at the dotted key `where`, and what to do.
+
+    Both are empty if there is none.
     """
     for key in _keys(settings, where):
         way_on = EARLIER.get(re.sub(r"^(models|graphs)\.[^.]+", r"\1.*", key))

@@ -6,19 +6,27 @@ from contextlib import contextmanager
 
 
 class InputError(ValueError):
-    """A fault that the user can fix, rendered as ``<where>: <problem>. <fix>``; in a validator, one
-    of pydantic's.
+    """A fault that the user can fix, rendered as ``<where>: <problem>. <fix>``.
+
+    A validator of pydantic may raise it, as it is a ValueError.
     """
 
     def __init__(self, problem: str, where: object = "", fix: str = "") -> None:
         """`where`: a file, parameter or drive; `fix`: a sentence or command for the user."""
         super().__init__(problem, str(where), fix)  # positional, so that it can be pickled
-        self.problem, self.where, self.fix = problem, str(where), fix
+        self.problem = problem
+        self.where = str(where)
+        self.fix = fix
 
     def __str__(self) -> str:
-        message = f"{self.where}: {self.problem}" if self.where else self.problem
-        end = "" if message.endswith(("?", ".")) else "."
-        return f"{message}{end} {self.fix}" if self.fix else message
+        message = self.problem
+        if self.where:
+            message = f"{self.where}: {message}"
+        if not self.fix:
+            return message
+        if not message.endswith(("?", ".")):
+            message += "."
+        return f"{message} {self.fix}"
 
 
 class DamagedFile(InputError):
@@ -40,4 +48,6 @@ def closest(name: str, options: Sequence[str]) -> str:
     similar = difflib.get_close_matches(name, options, n=3, cutoff=0.6)
     if similar:
         return f"did you mean {' or '.join(similar)}?"
-    return f"known: {', '.join(options) if options else 'none'}"
+    if not options:
+        return "known: none"
+    return f"known: {', '.join(options)}"

@@ -1,6 +1,4 @@
-"""Run jobs in this process, in local worker processes, or on the workers of a Dask cluster
-(``STEER_SCHEDULER``).
-"""
+"""Run jobs in this process, in local worker processes, or on the workers of a Dask cluster."""
 
 import multiprocessing
 import os
@@ -13,7 +11,7 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     as_completed,
 )
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
 from threading import Thread
@@ -22,32 +20,44 @@ from typing import Any, TypeVar
 from pipeline.base.errors import InputError
 from pipeline.base.resume import Code
 
+# Environment variable with the address of a Dask cluster's scheduler.
 SCHEDULER = "STEER_SCHEDULER"
+# Environment variable with the number of worker processes.
+WORKERS = "STEER_WORKERS"
+# File with the quota of a container, "200000 100000" for two cores.
+CPU_MAX = Path("/sys/fs/cgroup/cpu.max")
 # A forked child would inherit the thread pools of torch, OpenCV and Open3D in an unusable state.
 _SPAWN = multiprocessing.get_context("spawn")
-CPU_MAX = Path("/sys/fs/cgroup/cpu.max")  # quota of a container, "200000 100000" for two cores
 J = TypeVar("J")
 
 
 def usable_cores() -> int:
-    """Return the number of cores of this process, as SLURM and taskset limit it; macOS and Windows
-    have no limits.
-    """
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Return the number of cores that this process may use, as SLURM and taskset limit it."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    # macOS and Windows have no limits.
+    return os.cpu_count() or 1
 
 
 def default_workers() -> int:
-    """Return the number of worker processes: ``STEER_WORKERS``, or else the cores that this process
-    may use.
-    """
-    cores = usable_cores()
-    if CPU_MAX.is_file() and not (limit := CPU_MAX.read_text()).startswith("max"):
-        quota, period = map(int, limit.split())
-        cores = max(1, min(cores, quota // period))
-    text = os.environ.get("STEER_WORKERS") or str(cores)
+    """Return the number of worker processes: ``STEER_WORKERS``, or one per core."""
+    text = os.environ.get(WORKERS)
+    if not text:
+        return _cores_of_container()
     if not text.isdecimal() or not int(text):
-        raise InputError(f"expected a number of processes (got {text!r})", "STEER_WORKERS")
+        raise InputError(f"expected a number of processes (got {text!r})", WORKERS)
     return int(text)
+
+
+def _cores_of_container() -> int:
+    """Return the number of usable cores, within the quota of the container, if there is one."""
+    cores = usable_cores()
+    if not CPU_MAX.is_file():
+        return cores
+    quota, period = CPU_MAX.read_text().split()
+    if quota == "max":
+        return cores
+    return max(1, min(cores, int(quota) // int(period)))
 
 
 def run_jobs(
@@ -60,53 +70,55 @@ def run_jobs(
 ) -> Iterator[tuple[J, Any]]:
     """Yield each job with the result of ``work(job)``, picklable, as they finish.
 
-    `workers` are processes, None: :func:`default_workers`; with a Dask cluster, its workers
-    instead, unless 1. Each process has `threads` threads; None: the cores are divided, and a single
-    job runs in this process. `code`: of `work`, which workers compare with theirs. Raises the first
-    error after the jobs in progress are done; no other job is started.
+    `workers` is the number of processes, None: :func:`default_workers`. If ``STEER_SCHEDULER``
+    names a Dask cluster, its workers are taken instead, unless `workers` is 1. Each process has
+    `threads` threads; None: the cores are divided, and a single job runs in this process. `code` is
+    that of `work`, which workers compare with theirs. Raises the first error after the jobs in
+    progress are done; no other job is started.
     """
+    if not jobs:
+        return
     count = min(workers or default_workers(), len(jobs))
-    cluster = os.environ.get(SCHEDULER) if count and workers != 1 else None
-    if not cluster and (count == 0 or (count == 1 and threads is None)):
+    cluster = None if workers == 1 else os.environ.get(SCHEDULER)
+    if count == 1 and threads is None and not cluster:
         for job in jobs:
             yield job, work(job)
         return
-    threads = threads or max(1, default_workers() // count)
+
+    pool: AbstractContextManager[Executor]
     if cluster:
-        work = partial(_call_on_cluster, work, code, str(Path.cwd()))
+        call = partial(_call_on_cluster, work, code, str(Path.cwd()))
+        pool = _cluster(cluster)
     else:
-        work = partial(_call, work, code)
+        call = partial(_call, work, code)
+        threads = threads or max(1, default_workers() // count)
         os.environ["OMP_NUM_THREADS"] = str(threads)  # read when a worker imports its libraries
-    with (
-        _cluster(cluster)
-        if cluster
-        else ProcessPoolExecutor(count, _SPAWN, _start_worker, (threads,)) as pool
-    ):
-        futures = {pool.submit(work, job): job for job in jobs}
+        pool = ProcessPoolExecutor(count, _SPAWN, _start_worker, (threads,))
+
+    with pool as executor:
+        futures = {executor.submit(call, job): job for job in jobs}
         try:
             for future in as_completed(futures):
                 yield futures[future], future.result()
         except Exception as error:
-            # of Dask
-            if (
-                isinstance(error, BrokenExecutor | CancelledError)
-                or type(error).__name__ == "KilledWorker"
-            ):
-                fix = (
-                    "Use fewer workers (STEER_WORKERS=1) or repeat the command: finished drives "
-                    "are kept"
-                )
-                raise InputError("a worker process died (out of memory?)", fix=fix) from error
-            raise
+            if not _is_dead_worker(error):
+                raise
+            repeat = "repeat the command: finished drives are kept"
+            fix = f"Use fewer workers ({WORKERS}=1) or {repeat}"
+            raise InputError("a worker process died (out of memory?)", fix=fix) from error
         finally:
             for future in futures:
                 future.cancel()
 
 
+def _is_dead_worker(error: Exception) -> bool:
+    if isinstance(error, BrokenExecutor | CancelledError):
+        return True
+    return type(error).__name__ == "KilledWorker"  # of Dask
+
+
 def _start_worker(threads: int) -> None:
-    """Limit a worker's threads. The worker ends at Ctrl-C without a traceback, and when its parent
-    ends.
-    """
+    """Limit a worker's threads, and let it end with its parent, or at Ctrl-C without traceback."""
     import cv2
 
     cv2.setNumThreads(threads)
@@ -123,9 +135,7 @@ def _exit_with_parent() -> None:
 
 @contextmanager
 def _cluster(address: str) -> Iterator[Executor]:
-    """Yield the workers of a cluster, which repeats the job of a worker that died up to three
-    times.
-    """
+    """Yield the workers of a cluster, which repeats the job of a dead worker up to three times."""
     from distributed import Client
 
     try:
@@ -134,33 +144,34 @@ def _cluster(address: str) -> Iterator[Executor]:
         raise InputError(str(error), SCHEDULER) from error
     with client:
         if not client.nthreads():
-            print(
-                f"waiting for workers. Start them: dask worker {address} --nthreads 1", flush=True
-            )
+            command = f"dask worker {address} --nthreads 1"
+            print(f"waiting for workers. Start them: {command}", flush=True)
         yield client.get_executor(pure=False)
 
 
 def _call(work: Callable[[J], Any], code: Code, job: J) -> Any:
-    """Call ``work(job)``, whose modules this process has just loaded. Raises InputError if their
-    code was edited.
+    """Call ``work(job)`` in a worker process.
+
+    Raises InputError if the code that this process has just loaded was edited since the start.
     """
-    code.check()
+    code.check_unedited()
     return work(job)
 
 
 def _call_on_cluster(work: Callable[[J], Any], code: Code, folder: str, job: J) -> Any:
-    """Call ``work(job)`` on a Dask worker, in the caller's folder. Raises InputError if its code
-    differs.
+    """Call ``work(job)`` on a Dask worker, in the caller's folder.
+
+    Raises InputError if the worker's code differs.
     """
     try:
-        code.check()
+        code.check_unedited()
     except InputError as error:
         from distributed import get_worker
 
+        problem = f"other code in {error.where}"
+        where = f"worker {get_worker().address}"
         fix = "Update it, and start the worker again from this environment"
-        raise InputError(
-            f"other code in {error.where}", f"worker {get_worker().address}", fix
-        ) from error
+        raise InputError(problem, where, fix) from error
     import cv2
 
     cv2.setNumThreads(1)

@@ -17,12 +17,11 @@ def prefetch(
     ahead: int = 2,
     init: Callable[[], None] | None = None,
 ) -> Generator[R]:
-    """Yield ``work(item)`` of each item, in order; `threads` threads work, and the caller's thread
-    computes the items.
+    """Yield ``work(item)`` of each item, in order, computed by `threads` threads.
 
-    This helps where work waits for a disk, or for a library that releases Python's lock. At most
-    `ahead` results exist besides the one at the caller. Closing this generator waits for work in
-    progress. Each thread calls `init` first.
+    The caller's thread computes the items. This helps where work waits for a disk, or for a library
+    that releases Python's lock. At most `ahead` results exist besides the one at the caller.
+    Closing this generator waits for work in progress. Each thread calls `init` first.
     """
     with ThreadPoolExecutor(threads, "prefetch", initializer=init) as pool:
         ready: deque[Future[R]] = deque()
@@ -31,14 +30,16 @@ def prefetch(
                 ready.append(pool.submit(work, item))
                 if len(ready) > ahead:
                     yield ready.popleft().result()
-            yield from (future.result() for future in ready)
+            for future in ready:
+                yield future.result()
         finally:
             pool.shutdown(cancel_futures=True)
 
 
 def warm_up_cosine(progress: float, warm_up: float) -> float:
-    """Return the factor of the learning rate at `progress` in [0,1]: linear up to `warm_up`, then
-    half a cosine.
+    """Return the factor of the learning rate at `progress` in [0,1].
+
+    It rises linearly from 0.05 to 1 at `warm_up`, and falls to 0 by half a cosine.
     """
     if progress < warm_up:
         return 0.05 + 0.95 * progress / warm_up

@@ -1,36 +1,34 @@
-"""Errors of predictions for true values: squared, absolute, and relative to a prediction of
-zero.
+"""Compute errors of predictions: squared, absolute, and relative to a prediction of zero.
+
+Predictions are [N], or [S,N] of S networks, for true values [N].
 """
 
 import numpy as np
 
 
 def mse(truth: np.ndarray, predicted: np.ndarray) -> float:
-    """Return the mean squared error of predictions [N] or [S,N] for true values [N], in the square
-    of their unit.
-    """
+    """Return the mean squared error, in the square of the values' unit."""
     return float(np.mean((predicted - truth) ** 2))
 
 
 def rmse(truth: np.ndarray, predicted: np.ndarray) -> float:
-    """Return the root of the mean squared error of predictions [N] or [S,N] for true values [N], in
-    their unit.
-    """
+    """Return the root of the mean squared error, in the values' unit."""
     return float(np.sqrt(np.mean((predicted - truth) ** 2)))
 
 
 def mae(truth: np.ndarray, predicted: np.ndarray) -> float:
-    """Return the mean absolute error of predictions [N] or [S,N] for true values [N], in their
-    unit.
-    """
+    """Return the mean absolute error, in the values' unit."""
     return float(np.mean(np.abs(predicted - truth)))
 
 
 def nmse(truth: np.ndarray, predicted: np.ndarray) -> float | None:
-    """Return the mean squared error relative to that of always predicting zero: 0 is perfect, 1 is
-    useless.
+    """Return the mean squared error relative to that of always predicting zero.
 
-    Of predictions [N] or [S,N] for true values [N]; None if all of these are 0.
+    0 is perfect, 1 is as good as zero. None if there are no true values, or all are 0.
     """
-    zero = float(np.mean(truth**2)) if len(truth) else 0.0
-    return float(np.mean((predicted - truth) ** 2)) / zero if zero > 0 else None
+    if not len(truth):
+        return None
+    mse_of_zero = float(np.mean(truth**2))
+    if not mse_of_zero > 0:
+        return None
+    return mse(truth, predicted) / mse_of_zero

@@ -1,12 +1,9 @@
-"""The two rules for output: a command writes a folder that is free, a stage also one that it wrote
-before.
-"""
+"""Protect output: a command writes a folder that is free, a stage also one that it wrote before."""
 
 import os
 import shutil
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,31 +13,38 @@ from pipeline.base.errors import InputError
 from pipeline.base.resume import UNDO, Code
 from pipeline.base.store import INDEX, NO_LOCKS, read_json, replacing, write_json
 
+# Advice for an output folder that is not free.
 _FIX = "Pass another --out, or move it away"
 
 
 def check_free(path: Path) -> None:
     """Raise InputError unless the file or folder `path` does not exist, or is an empty folder."""
-    if not _is_free(path):
-        names = ", ".join(sorted(child.name for child in path.glob("*"))[:3])
-        raise InputError("exists already" + f" and holds {names}" * bool(names), path, _FIX)
+    if _is_free(path):
+        return
+    problem = "exists already"
+    names = sorted(child.name for child in path.glob("*"))
+    if names:
+        problem += f" and holds {', '.join(names[:3])}"
+    raise InputError(problem, path, _FIX)
 
 
 @contextmanager
 def claimed(out: Path | None, stem: str, suffix: str = "") -> Iterator[Path]:
-    """Yield `out`, which has to be free, or the first path of out/STEM, out/STEM-2, … that does not
-    exist.
+    """Yield `out`, or for None the first path of out/STEM, out/STEM-2, … that does not exist.
 
     That path is made at once, so that another process takes the next one, and removed if the block
-    leaves it empty. `suffix`: of a file, for instance .html; empty for a folder. Raises InputError
-    unless `out` is free.
+    leaves it empty. `suffix` is that of a file, for instance .html; empty for a folder. Raises
+    InputError unless `out` is free.
     """
     if out is not None:
         check_free(out)
         yield out
         return
-    numbered = (Path("out", stem + f"-{number}" * (number > 1) + suffix) for number in count(1))
-    path = next(path for path in numbered if _make(path, is_file=bool(suffix)))
+    path = Path("out", f"{stem}{suffix}")
+    number = 1
+    while not _make_empty(path, is_file=bool(suffix)):
+        number += 1
+        path = Path("out", f"{stem}-{number}{suffix}")
     try:
         yield path
     finally:
@@ -50,7 +54,7 @@ def claimed(out: Path | None, stem: str, suffix: str = "") -> Iterator[Path]:
             path.unlink()
 
 
-def _make(path: Path, *, is_file: bool) -> bool:
+def _make_empty(path: Path, *, is_file: bool) -> bool:
     """Make an empty file or folder; return False if something is there."""
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
@@ -64,23 +68,30 @@ def _make(path: Path, *, is_file: bool) -> bool:
 
 
 def _is_free(path: Path) -> bool:
-    return not any(path.iterdir()) if path.is_dir() else not path.exists()
+    if path.is_dir():
+        return not any(path.iterdir())
+    return not path.exists()
 
 
 class StageFolder(NamedTuple):
     """Where a stage works while it runs."""
 
-    code: Code  # of the stage, as this process loaded it
-    new: Path  # empty; what the stage writes here becomes the content of its output folder
-    # data/.drives/STAGE or data/.drives/STAGE-ENTRY, outside of all DVC outputs, for the next run
+    # The code of the stage, as this process loaded it.
+    code: Code
+    # A folder that is empty at first. Its files become the content of the stage's output folder.
+    new: Path
+    # The folder of files for the next run, outside of all DVC outputs: data/.drives/STAGE, or
+    # data/.drives/STAGE-ENTRY.
     kept: Path
-    used: set[Path]  # children of `kept` that this run needs; a success removes all others
+    # Children of `kept` that this run needs; a success removes all others.
+    used: set[Path]
 
 
 @contextmanager
 def locked(folder: Path, path: str) -> Iterator[None]:
-    """Hold the lock `path` of a folder. Raises InputError if another process does, or the file
-    system has no locks.
+    """Hold the lock `path` of a folder.
+
+    Raises InputError if another process holds it, or if the file system has no locks.
     """
     try:
         lock = FileLock(path, fallback_to_soft=False).acquire(timeout=0)
@@ -103,36 +114,41 @@ def stage_folder(
     drives: Mapping[str, str] | None = None,
     *,
     params: Path | None = None,
-    own: Collection[str] = (),
+    chosen: Collection[str] = (),
 ) -> Iterator[StageFolder]:
-    """Hold the lock of the output folder `out`, and move there what the block writes, when it ends
-    without error.
+    """Yield a folder for a stage to write, and move its files to `out` if the block succeeds.
 
     `stage` is a name in ``dvc.yaml``; with an entry, ``graphs@NAME``, `out` is a folder in the
     stage's folder. `drives` are written to ``out/index.json``: drive → split for each DRIVE.h5, in
-    order. `own`: see :meth:`Code.of`.
+    order. `chosen`: see :meth:`Code.read`.
 
-    Raises InputError if another process writes `out`, if `out` holds files that this stage did not
-    write, or if the code or the sections of `params` were edited since the start, for which DVC
-    would take the result.
+    Raises InputError if another process writes `out`, or if `out` holds files that this stage did
+    not write. Raises it also if the code or the sections of `params` were edited since the start,
+    as DVC would take the result for one of the edited files.
     """
     name, _, entry = stage.partition("@")
-    root = out.parent if entry else out
-    kept = root.with_name(".drives") / (f"{root.name}-{out.name}" if entry else out.name)
+    kept = out.with_name(".drives") / out.name
+    if entry:
+        kept = out.parent.with_name(".drives") / f"{out.parent.name}-{out.name}"
     kept.mkdir(parents=True, exist_ok=True)
-    index: dict[str, Any] = {} if drives is None else {"drives": dict(drives)}
-    index |= {"stage": name, "entry": entry}
+
+    index: dict[str, Any] = {}
+    if drives is not None:
+        index["drives"] = dict(drives)
+    index["stage"] = name
+    index["entry"] = entry
+
     with locked(out, f"{kept}.lock"):
-        _check_owner(out, index)
-        code = Code.of(name, own)
-        sections = code.sections(params, entry)
+        _check_owner(out, stage, index)
+        code = Code.read(name, chosen)
+        sections = code.read_sections(params, entry)
         folder = StageFolder(code, kept / "new", kept, set())
         _remove(folder.new)
         folder.new.mkdir()
         yield folder
 
-        code.check()
-        for key, content in code.sections(params, entry).items():
+        code.check_unedited()
+        for key, content in code.read_sections(params, entry).items():
             if content != sections[key]:
                 raise InputError(f"{key} was edited while stage {stage} ran", params or "", UNDO)
         write_json(folder.new / INDEX, index, sort_keys=False)
@@ -141,30 +157,36 @@ def stage_folder(
             _remove(path)
 
 
-def _check_owner(out: Path, index: Mapping[str, Any]) -> None:
-    """Raise InputError if `out` holds files that the stage did not write. DVC empties it, and asks
-    nobody.
+def _check_owner(out: Path, stage: str, index: Mapping[str, Any]) -> None:
+    """Raise InputError if `out` holds files that the stage did not write.
+
+    `index` is what the stage will write to ``out/index.json``.
     """
-    if "DVC_STAGE" in os.environ or all(path.name.startswith(".") for path in out.glob("*")):
+    # DVC has emptied the folder without a question.
+    if "DVC_STAGE" in os.environ:
         return
-    before = read_json(out / INDEX, stage=index["stage"]) if (out / INDEX).is_file() else {}
-    if (before.get("stage"), before.get("entry")) != (index["stage"], index["entry"]):
-        stage = "@".join(filter(None, (index["stage"], index["entry"])))
-        raise InputError(f"folder has files that stage {stage} did not write", out, _FIX)
+    if all(path.name.startswith(".") for path in out.glob("*")):
+        return
+    if (out / INDEX).is_file():
+        before = read_json(out / INDEX, stage=index["stage"])
+        if all(before.get(key) == index[key] for key in ("stage", "entry")):
+            return
+    raise InputError(f"folder has files that stage {stage} did not write", out, _FIX)
 
 
 def _move(new: Path, out: Path) -> None:
-    """Move the content of `new` to `out`; replace files of the same names, and remove drives of
-    earlier runs.
-    """
+    """Move the content of `new` to `out`, and remove drives of earlier runs from there."""
     out.mkdir(parents=True, exist_ok=True)
-    _remove(out / INDEX)  # no stage reads the folder until this is there again, as the last file
+    # No stage reads the folder without an index, which is moved last.
+    _remove(out / INDEX)
     paths = sorted(new.iterdir(), key=lambda path: path.name == INDEX)
-    for name in {path.name for path in (*out.glob("*.h5"), *paths)}:
-        _remove(out / name)
+
+    earlier = [*out.glob("*.h5"), *(out / path.name for path in paths)]
+    for path in earlier:
+        _remove(path)
     for path in paths:
-        with replacing(out / path.name) as tmp:
-            shutil.move(path, tmp)
+        with replacing(out / path.name) as unfinished:
+            shutil.move(path, unfinished)
 
 
 def _remove(path: Path) -> None:

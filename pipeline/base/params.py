@@ -1,5 +1,6 @@
-"""Read ``params.yaml``: a section is a typed class in its stage's ``settings.py``, and a stage
-loads only its own.
+"""Read ``params.yaml``.
+
+A section is a typed class in its stage's ``settings.py``, and a stage loads only its own.
 """
 
 import copy
@@ -15,14 +16,16 @@ from pipeline.base.errors import InputError, closest, error_context
 
 
 def check_name(name: Any) -> str:
-    """Return a name of an entry or a drive, safe for a stage, a folder and a shell. Raises
-    InputError.
+    """Return the name of an entry or a drive if it is safe for a stage, a folder and a shell.
+
+    Raises InputError if it is not.
     """
     if isinstance(name, str) and re.fullmatch("[A-Za-z0-9][A-Za-z0-9_-]{,99}", name):
         return name
-    raise InputError(
+    problem = (
         "expected at most 100 letters A-Z and a-z, digits, _ and -; quote names such as 1 or on"
     )
+    raise InputError(problem)
 
 
 Name = Annotated[str, BeforeValidator(check_name)]
@@ -31,17 +34,19 @@ Rate = Annotated[float, Field(gt=0, le=10, description="learning rate")]
 Count = Annotated[int, Field(ge=1, le=10**9)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 _Side = Annotated[int, Field(ge=32, le=4096)]
-# [H, W] in pixels; a strict tuple takes no YAML list
+# Height and width of images in pixels. Not strict, as a strict tuple takes no YAML list.
 ImageSize = Annotated[tuple[_Side, _Side], Field(strict=False)]
 SPLITS = ("train", "val", "test")
-# relative difference of frame rates, in training and of a recording to predict
+# Largest relative difference of frame rates in training, and between training and a recording.
 RATE_TOLERANCE = 0.2
+# Advice for a missing section or key.
 _COPY = "Copy it from the project's own params.yaml"
 
 
 class Section(BaseModel):
-    """One section of the params file, or one entry of a mapping section. Numbers in quotes and true
-    are no numbers.
+    """One section of the params file, or one entry of a mapping section.
+
+    It is strict: numbers in quotes and true are no numbers.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
@@ -50,12 +55,12 @@ class Section(BaseModel):
     @classmethod
     def _check_keys(cls, value: Any) -> Any:
         """Report an unknown key first: it may be a missing key, misspelt."""
+        if not isinstance(value, dict) or cls.model_config["extra"] != "forbid":
+            return value
         keys = [field.alias or name for name, field in cls.model_fields.items()]
-        for name in (
-            value if isinstance(value, dict) and cls.model_config["extra"] == "forbid" else ()
-        ):
-            if name not in keys:
-                raise ValueError(f"unknown key {name!r}: {closest(str(name), keys)}")
+        for key in value:
+            if key not in keys:
+                raise ValueError(f"unknown key {key!r}: {closest(str(key), keys)}")
         return value
 
 
@@ -64,18 +69,22 @@ M = TypeVar("M", bound=BaseModel)
 
 
 def load(section: type[S], path: Path) -> S:
-    """Read the section of the params file at `path` that has the name of the class. Raises
-    InputError.
+    """Read the section of the params file at `path` that has the name of the class.
+
+    Raises InputError if it is missing or invalid.
     """
-    content, key = read(path), section.__name__.lower()
+    content = read_yaml(path)
+    key = section.__name__.lower()
     if key not in content:
-        raise InputError(f"no section {key!r}: {closest(key, [*map(str, content)])}", path, _COPY)
+        names = [str(name) for name in content]
+        raise InputError(f"no section {key!r}: {closest(key, names)}", path, _COPY)
     return parse(section, content[key], key, path)
 
 
 def load_entry(kind: type[S], mapping: str, name: str, path: Path) -> S:
-    """Read one entry of a mapping section, for instance variant `name` of ``graphs``. Raises
-    InputError.
+    """Read one entry of a mapping section, for instance variant `name` of ``graphs``.
+
+    Raises InputError if it is missing or invalid.
     """
     content = entries(mapping, path)
     if name not in content:
@@ -85,35 +94,37 @@ def load_entry(kind: type[S], mapping: str, name: str, path: Path) -> S:
 
 def entries(mapping: str, path: Path) -> dict[str, Any]:
     """Return name → content of a mapping section (``graphs`` or ``models``), in the file's order.
-    Raises InputError.
+
+    Raises InputError if there is none, or a name is invalid.
     """
-    content = read(path).get(mapping)
+    content = read_yaml(path).get(mapping)
     if not isinstance(content, dict) or not content:
-        raise InputError(
-            f"section {mapping!r} is missing or empty: it needs at least one entry", path
-        )
+        problem = f"section {mapping!r} is missing or empty: it needs at least one entry"
+        raise InputError(problem, path)
     for name in content:
         with error_context(f"{path}: {mapping}: name {name!r}"):
             check_name(name)
     return content
 
 
-def read(path: Path, *, comments: bool = False) -> dict[str, Any]:
-    """Return the sections of a YAML 1.2 file, with `comments` for ruamel's writer. Raises
-    InputError.
+def read_yaml(path: Path, *, comments: bool = False) -> dict[str, Any]:
+    """Return the sections of a YAML 1.2 file, with `comments` for ruamel's writer.
+
+    Raises InputError if it is missing, invalid or has no sections.
     """
     if not path.is_file():
-        raise InputError(
-            "file is missing", path, f"Run from the repository's root, or: git checkout {path.name}"
-        )
+        fix = f"Run from the repository's root, or: git checkout {path.name}"
+        raise InputError("file is missing", path, fix)
     from ruamel.yaml.error import YAMLError  # here, as workers read no YAML
 
     try:
-        content = copy.deepcopy(_parse_yaml(path.read_text("utf-8-sig"), comments))
+        parsed = _parse_yaml(path.read_text("utf-8-sig"), comments)
     except (YAMLError, ValueError) as error:
         mark = getattr(error, "problem_mark", None)
         where = f"{path}:{mark.line + 1}" if mark else path
-        raise InputError(f"invalid YAML: {getattr(error, 'problem', error)}", where) from error
+        problem = getattr(error, "problem", error)
+        raise InputError(f"invalid YAML: {problem}", where) from error
+    content = copy.deepcopy(parsed)  # callers may change it
     if not isinstance(content, dict):
         raise InputError("expected sections", path)
     return content
@@ -123,7 +134,8 @@ def read(path: Path, *, comments: bool = False) -> dict[str, Any]:
 def _parse_yaml(text: str, comments: bool) -> Any:
     from ruamel.yaml import YAML
 
-    return YAML(typ="rt" if comments else "safe", pure=True).load(text)
+    kind = "rt" if comments else "safe"  # a round trip keeps comments
+    return YAML(typ=kind, pure=True).load(text)
 
 
 def parse(kind: type[M], value: Any, where: str = "", path: Path | None = None) -> M:
@@ -135,22 +147,27 @@ def parse(kind: type[M], value: Any, where: str = "", path: Path | None = None) 
         if earlier:
             raise InputError(f"{earlier} is of an earlier version", path or "", way_on) from error
         first = error.errors()[0]
-        key = ".".join(str(part) for part in (where, *first["loc"]) if part not in ("", "[key]"))
+        keys = [str(key) for key in (where, *first["loc"]) if key not in ("", "[key]")]
+        place = ".".join(keys)
+        if path:
+            place = f"{path}: {place}" if place else str(path)
         problem = first["msg"].removeprefix("Value error, ")
         if not isinstance(first["input"], dict):  # a complete section is too long for a message
             problem += f" (got {first['input']!r:.80})"
-        place = ": ".join(str(part) for part in (path, key) if part)
-        raise InputError(problem, place, _COPY if first["type"] == "missing" else "") from error
+        fix = _COPY if first["type"] == "missing" else ""
+        raise InputError(problem, place, fix) from error
 
 
 def from_python(kind: type[S], options: dict[str, Any]) -> S:
-    """Validate options by the names of fields; None as if not given. Raises TypeError for another
-    name, InputError.
+    """Validate options by the names of fields; None counts as not given.
+
+    Raises TypeError for an unknown name, InputError for an invalid value.
     """
-    for name in options:
+    content = {}
+    for name, value in options.items():
         if name not in kind.model_fields:
             raise TypeError(f"unknown option {name!r}: {closest(name, [*kind.model_fields])}")
-    given = {name: value for name, value in options.items() if value is not None}
-    return parse(
-        kind, {kind.model_fields[name].alias or name: value for name, value in given.items()}
-    )
+        if value is not None:
+            key = kind.model_fields[name].alias or name
+            content[key] = value
+    return parse(kind, content)

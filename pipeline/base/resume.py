@@ -1,4 +1,15 @@
-"""Cache keys: reuse a result only if code, packages, settings and inputs match."""
+"""Cache keys: reuse a finished result only if code, packages, settings and inputs match.
+
+A key hashes what can change the bytes of a result (:func:`stage_key`):
+
+- the code that dvc.yaml lists for the stage, by its meaning, and its data files (:class:`Code`)
+- versions of the installed packages that this code imports, except for TOOLS
+- settings: the stage's section, and the drive's name
+- inputs: the bytes of files, or strings such as a fingerprint of files
+
+A key leaves out what cannot change them: comments, docstrings and layout of the code, modules of
+networks and datasets that the result does not use, the number of processes, paths and the machine.
+"""
 
 import ast
 import fnmatch
@@ -11,17 +22,19 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache, cached_property, partial
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from pipeline.base.errors import InputError
-from pipeline.base.params import read
+from pipeline.base.params import read_yaml
 
 ROOT = Path(__file__).resolve().parents[2]
+# Packages whose files are code of stages.
 PACKAGES = ("pipeline", "models", "stages")
-# what a run needs of the checkout, without settings
+# Files and folders that a run needs of the checkout, without settings.
 CODE = (*PACKAGES, "dvc.yaml", ".dvcignore", "data/.gitignore")
 # Modules whose versions change no number: command lines, settings, locks, progress, memory,
 # clusters, downloads, pages.
@@ -39,22 +52,31 @@ TOOLS = {
     "tqdm",
     "typer",
 }
-# Distributions of modules with another name.
+# Module → its distribution, if that has another name.
 DISTRIBUTIONS = {"cv2": "opencv-python-headless"}
-# What to do after an edit while a stage ran.
+# Advice after an edit while a stage ran.
 UNDO = (
     "Undo the edit and repeat the command: finished work is taken in seconds. With the edit, it "
     "is made again"
 )
 # Ends of the names of files that Python and editors leave beside code.
-LEFT = (".pyc", ".pyo", "~")
-# Files that Windows writes to a folder while it is looked at.
-DESKTOP = ("thumbs.db", "desktop.ini")
+LEFTOVERS = (".pyc", ".pyo", "~")
+# Files that Windows writes to a folder that a user opens.
+WINDOWS_FILES = ("thumbs.db", "desktop.ini")
+# Time and size of a file that is missing.
+MISSING = (0, 0)
 
 
 def stage_key(code: str, settings: Mapping[str, Any], inputs: Sequence[Path | str]) -> str:
-    """Return a key of :meth:`Code.hash`, of JSON-able settings, and of files or strings."""
-    items = [item if isinstance(item, str) else file_hash(item) for item in inputs]
+    """Return the cache key of a result: 32 hexadecimal digits.
+
+    `code` is :meth:`Code.hash`, `settings` are JSON-able, `inputs` are files or strings.
+    """
+    items = []
+    for item in inputs:
+        if isinstance(item, Path):
+            item = file_hash(item)
+        items.append(item)
     return digest([settings, code, items])[:32]
 
 
@@ -66,11 +88,8 @@ def digest(content: Any) -> str:
 def file_hash(path: Path) -> str:
     """Return the SHA-256 of a file as hex. Raises InputError if it is missing."""
     if not path.is_file():
-        raise InputError(
-            "file is missing",
-            path,
-            "Make it: dvc repro. Or fetch it from another machine: dvc pull",
-        )
+        fix = "Make it: dvc repro. Or fetch it from another machine: dvc pull"
+        raise InputError("file is missing", path, fix)
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -81,72 +100,80 @@ def content_hash(path: Path) -> str:
     Files that a file manager wrote do not count.
     """
     if path.is_dir():
-        files = [file for file in path.iterdir() if file.is_file() and not is_of_desktop(file)]
-        return digest({file.name: file_hash(file) for file in files})
+        files = [file for file in path.iterdir() if file.is_file()]
+        return digest({file.name: file_hash(file) for file in files if not is_by_desktop(file)})
     return file_hash(path)
 
 
-def is_of_desktop(path: Path) -> bool:
-    """Return whether a file manager wrote the file: hidden files of macOS and Linux, and two of
-    Windows.
-    """
-    return path.name.startswith(".") or path.name.lower() in DESKTOP
+def is_by_desktop(path: Path) -> bool:
+    """Return whether a file manager wrote the file: a hidden file, or one of WINDOWS_FILES."""
+    return path.name.startswith(".") or path.name.lower() in WINDOWS_FILES
 
 
 class Module(NamedTuple):
-    """What matters of a file's content."""
+    """A file of code, or a data file beside code, as it counts for cache keys."""
 
-    # hash of its syntax tree, without docstrings and comments; of a data file, of its bytes
+    # Hash of the syntax tree without docstrings and comments; of a data file, of its bytes.
     meaning: str
-    names: frozenset[str]  # of imported modules; of "from a import b", a and a.b
+    # Names of imported modules. "from a import b" gives a and a.b, as b may be a module.
+    names: frozenset[str]
 
 
 @cache
 def parse_module(file: Path, content: bytes) -> Module:
-    """Return what matters of the content of a file, whose path is relative to ROOT."""
-    try:
-        tree = ast.parse(content) if file.suffix == ".py" else None
-    except (SyntaxError, ValueError):  # a network that is being written; others can be trained
-        tree = None
+    """Return the meaning and the imports of a file's content; `file` is relative to ROOT."""
+    tree = None
+    if file.suffix == ".py":
+        # A network that is being written may have errors; others can be trained.
+        with suppress(SyntaxError, ValueError):
+            tree = ast.parse(content)
     if tree is None:
         return Module(hashlib.sha256(content).hexdigest(), frozenset())
+
     names = set[str]()
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
+            names.update(alias.name for alias in node.names)
         if isinstance(node, ast.ImportFrom):
-            package = file.parts[: -node.level] if node.level else ()
-            module = ".".join([*package, *filter(None, [node.module])])
-            names |= {module, *(f"{module}.{alias.name}" for alias in node.names)}
-    # ast.dump differs more between versions of Python
+            module = _imported_from(node, file)
+            names.add(module)
+            names.update(f"{module}.{alias.name}" for alias in node.names)
+
+    # Not ast.dump, which differs more between versions of Python.
     code = ast.unparse(_WithoutDocstrings().visit(tree))
     return Module(hashlib.sha256(code.encode()).hexdigest(), frozenset(names))
 
 
+def _imported_from(node: ast.ImportFrom, file: Path) -> str:
+    """Return the module a of "from a import b" in a file, also of "from .a import b"."""
+    names = [node.module] if node.module else []
+    if node.level:
+        names = [*file.parts[: -node.level], *names]
+    return ".".join(names)
+
+
 class _WithoutDocstrings(ast.NodeTransformer):
     def visit_Expr(self, node: ast.Expr) -> ast.Expr | None:
-        return (
-            None
-            if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
-            else node
-        )
+        if isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            return None
+        return node
 
 
-def imports(file: Path) -> set[Path]:
+def find_imports(file: Path) -> set[Path]:
     """Return the files of the project that a file imports; paths are relative to ROOT."""
-    result = set[Path]()
+    paths = set[Path]()
     for name in parse_module(file, (ROOT / file).read_bytes()).names:
         module = Path(*name.split("."))
-        result |= {
-            module.with_suffix(".py"),
-            *(folder / "__init__.py" for folder in (module, *module.parents)),
-        }
-    return {path for path in result if (ROOT / path).is_file()}
+        paths.add(module.with_suffix(".py"))
+        # Python runs the __init__.py of all packages around a module.
+        paths.update(folder / "__init__.py" for folder in (module, *module.parents))
+    return {path for path in paths if (ROOT / path).is_file()}
 
 
-def imported(files: Iterable[Path]) -> set[Path]:
-    """Return files and all files of the project that they import, directly or not; paths are
-    relative to ROOT.
+def with_imports(files: Iterable[Path]) -> set[Path]:
+    """Return files, and all files of the project that they import, directly or not.
+
+    Paths are relative to ROOT.
     """
     result = set[Path]()
     queue = [file for file in files if (ROOT / file).is_file()]
@@ -154,71 +181,78 @@ def imported(files: Iterable[Path]) -> set[Path]:
         file = queue.pop()
         if file not in result:
             result.add(file)
-            queue += imports(file)
+            queue += find_imports(file)
     return result
 
 
-def listed(stage: str, own: Collection[str] = ()) -> set[Path]:
-    """Return the files of code that dvc.yaml lists for a stage, relative to ROOT; for ``${…}``,
-    those in `own`.
+def listed_code(stage: str, chosen: Collection[str] = ()) -> set[Path]:
+    """Return the files of code that dvc.yaml lists for a stage, relative to ROOT.
+
+    ``${…}`` in dvc.yaml stands for a name that the settings choose: it lists the files in `chosen`.
     """
     files = set[Path]()
     for dep in _dvc_entry(stage)["deps"]:
         if "${" in dep:
-            for path in fnmatch.filter(own, re.sub(r"\$\{.*?\}", "*", dep)):
-                files |= _files(ROOT / path)
+            pattern = re.sub(r"\$\{.*?\}", "*", dep)
+            for path in fnmatch.filter(chosen, pattern):
+                files |= _code_files(ROOT / path)
         elif dep.startswith(PACKAGES):
-            files |= _files(ROOT / dep)
+            files |= _code_files(ROOT / dep)
     return files
 
 
 def _dvc_entry(stage: str) -> dict[str, Any]:
-    entry = read(ROOT / "dvc.yaml")["stages"][stage]
+    entry = read_yaml(ROOT / "dvc.yaml")["stages"][stage]
     return entry.get("do", entry)
 
 
-def _files(path: Path) -> set[Path]:
-    """Return a file, or the files of a folder, relative to ROOT; not those that Python and editors
-    leave.
-    """
-    files = [
-        file for file in (path, *path.rglob("*")) if file.is_file() and not is_of_desktop(file)
-    ]
-    return {file.relative_to(ROOT) for file in files if not file.name.endswith(LEFT)}
+def _code_files(path: Path) -> set[Path]:
+    """Return a file, or the files of a folder, relative to ROOT, without leftovers."""
+    files = set[Path]()
+    for file in (path, *path.rglob("*")):
+        if is_by_desktop(file) or file.name.endswith(LEFTOVERS):
+            continue
+        if file.is_file():
+            files.add(file.relative_to(ROOT))
+    return files
 
 
 def _stamp(path: Path) -> tuple[int, int]:
-    """Return time and size of a file; of a missing one, zeros."""
+    """Return the time of the last change of a file in ns, and its size; or MISSING."""
     if not path.is_file():
-        return 0, 0
+        return MISSING
     stat = path.stat()
     return stat.st_mtime_ns, stat.st_size
 
 
-# Of each module, its stamp before this process loads it: stages import base/ before all other
-# rooms.
-_LOADED = {file: _stamp(ROOT / file) for package in PACKAGES for file in _files(ROOT / package)}
+# Module → its stamp before this process loads it, as stages import base/ before all other rooms.
+_LOADED = {
+    file: _stamp(ROOT / file) for package in PACKAGES for file in _code_files(ROOT / package)
+}
 
 
 @dataclass(frozen=True)
 class Code:
-    """The code of a stage as it is at the start."""
+    """The code of a stage as it was at the start: files by their path relative to ROOT."""
 
     stage: str
-    content: Mapping[Path, bytes]  # by path relative to ROOT
+    content: Mapping[Path, bytes]
     stamps: Mapping[Path, tuple[int, int]]
 
     @classmethod
-    def of(cls, stage: str, own: Collection[str] = ()) -> "Code":
-        """Read the code that dvc.yaml lists for a stage. Raises InputError if this process may have
-        loaded other code.
+    def read(cls, stage: str, chosen: Collection[str] = ()) -> "Code":
+        """Read the code that dvc.yaml lists for a stage.
 
-        `own`: of networks or datasets, which have a file each, those that the stage needs.
+        Each network and each dataset is a file. `chosen` are those files that the settings name:
+        the other networks and datasets are no part of the code. Raises InputError if this process
+        may have loaded other code.
         """
-        files = _without_alternatives(listed(stage, own), own)
+        files = _without_alternatives(listed_code(stage, chosen), chosen)
         content = {file: (ROOT / file).read_bytes() for file in files}
-        code = cls(stage, content, {file: _stamp(ROOT / file) for file in files})
-        code.check()
+        # After the content, so that an edit between the two is found.
+        stamps = {file: _stamp(ROOT / file) for file in files}
+        code = cls(stage, content, stamps)
+        code.check_unedited()
         return code
 
     @cached_property
@@ -226,73 +260,78 @@ class Code:
         return {file: parse_module(file, content) for file, content in self.content.items()}
 
     def __getstate__(self) -> dict[str, Any]:
+        # A worker compares meanings, so it needs no content.
         return self.__dict__ | {"modules": self.modules, "content": {}}
 
-    def hash(self, own: Collection[str] = ()) -> str:
-        """Return the hash of the meaning of the code and of the versions of the packages that it
-        imports.
-        """
-        modules = {
-            str(file): self.modules[file] for file in _without_alternatives({*self.content}, own)
-        }
-        names = {name.partition(".")[0] for module in modules.values() for name in module.names}
-        packages = {name: _version(name) for name in names - TOOLS if _is_installed(name)}
-        return digest([{file: module.meaning for file, module in modules.items()}, packages])
+    def hash(self, chosen: Collection[str] = ()) -> str:
+        """Return the hash of the code's meaning, and of versions of the packages that it imports.
 
-    def check(self) -> None:
-        """Raise InputError if the code on disk, or that this process loaded, has another meaning
-        than at the start.
+        `chosen`: the networks or datasets that count, among those with which the code was read.
         """
+        meanings = dict[str, str]()
+        imported = set[str]()
+        for file in _without_alternatives({*self.content}, chosen):
+            module = self.modules[file]
+            meanings[str(file)] = module.meaning
+            imported.update(name.partition(".")[0] for name in module.names)
+
+        packages = [name for name in imported - TOOLS if _is_installed(name)]
+        versions = {name: _version(name) for name in packages}
+        return digest([meanings, versions])
+
+    def check_unedited(self) -> None:
+        """Raise InputError if code was edited between the start, the import and now."""
         for file, stamp in self.stamps.items():
             now = _stamp(ROOT / file)
             loaded = _LOADED.get(file, now)
-            if loaded == stamp == now:
+            if stamp == loaded == now:
                 continue
-            content = (ROOT / file).read_bytes() if now != (0, 0) else b""
-            if (
-                loaded in (stamp, now)
-                and parse_module(file, content).meaning == self.modules[file].meaning
-            ):
-                continue
-            raise InputError(f"was edited while stage {self.stage} ran", file, UNDO)
 
-    def sections(self, params: Path | None, entry: str) -> dict[str, Any]:
-        """Return what dvc.yaml lists of a params file for an entry of the stage: dotted key →
-        content.
+            # The file was written since. An edit without a meaning counts for nothing. This process
+            # loaded the version of the start or the present one; any other version is unknown.
+            content = b""
+            if now != MISSING:
+                content = (ROOT / file).read_bytes()
+            same_meaning = parse_module(file, content).meaning == self.modules[file].meaning
+            if not same_meaning or loaded not in (stamp, now):
+                raise InputError(f"was edited while stage {self.stage} ran", file, UNDO)
+
+    def read_sections(self, params: Path | None, entry: str) -> dict[str, Any]:
+        """Return the settings that dvc.yaml lists for the stage: dotted key → content.
+
+        `entry`: the variant or model of the stage; empty for a stage without entries.
         """
-        result = dict[str, Any]()
+        sections = dict[str, Any]()
         if not params:
-            return result
+            return sections
         for listed_key in _dvc_entry(self.stage).get("params", []):
             key = listed_key.replace("${key}", entry)
-            content: Any = read(params)
+            content: Any = read_yaml(params)
             for name in key.split("."):
                 content = content.get(name, {})
-            result[key] = content
-        return result
+            sections[key] = content
+        return sections
 
 
-def _without_alternatives(files: set[Path], own: Iterable[str]) -> set[Path]:
-    """Return files without the modules beside the files `own`, unless these import them; data files
-    there stay.
+def _without_alternatives(files: set[Path], chosen: Iterable[str]) -> set[Path]:
+    """Return files without the alternatives to the `chosen` ones: other modules in their folders.
+
+    Modules that a chosen file imports stay, and so do data files.
     """
-    needed = {Path(path) for path in own}
-    folders = {path.parent for path in needed}
-    alternatives = {
-        file for file in files if file.suffix == ".py" and file.parent in folders
-    } - needed
+    chosen_files = {Path(path) for path in chosen}
+    folders = {path.parent for path in chosen_files}
+    modules = {file for file in files if file.suffix == ".py" and file.parent in folders}
+    alternatives = modules - chosen_files
     if alternatives:
-        alternatives -= imported(needed)
+        alternatives -= with_imports(chosen_files)
     return files - alternatives
 
 
 def _is_installed(module: str) -> bool:
     """Return whether a module is of an installed package, not of Python or of the project."""
-    if (
-        module in sys.stdlib_module_names
-        or (ROOT / module).exists()
-        or (ROOT / f"{module}.py").exists()
-    ):
+    if module in sys.stdlib_module_names:
+        return False
+    if (ROOT / module).exists() or (ROOT / f"{module}.py").exists():
         return False
     return importlib.util.find_spec(module) is not None
 
@@ -308,18 +347,23 @@ def _version(module: str) -> str:
 
 
 def revision(checkout: Path = Path()) -> str:
-    """Return the short hash of the commit, with "-dirty" if code or settings differ from it; empty
-    without git.
+    """Return the short hash of the commit, with "-dirty" if code or settings differ from it.
 
-    A preset that git does not know, such as one by steer import, does not count: the page of its
-    run shows it.
+    Empty without git.
     """
     if not shutil.which("git") or not (checkout / ".git").exists():
         return ""
-    git = partial(subprocess.run, cwd=checkout, capture_output=True, text=True, check=False)
-    commit = git(["git", "rev-parse", "--short", "HEAD"]).stdout.strip()
-    status = git(
-        ["git", "status", "--porcelain", "--", *CODE, "presets", "params.yaml"]
-    ).stdout.splitlines()
-    changed = [line for line in status if not line.startswith("?? presets/")]
-    return commit + "-dirty" * bool(changed)
+    commit = _git(checkout, "rev-parse", "--short", "HEAD").strip()
+    status = _git(checkout, "status", "--porcelain", "--", *CODE, "presets", "params.yaml")
+    for line in status.splitlines():
+        # A new preset, such as one by steer import, does not count: the page of its run shows it.
+        if not line.startswith("?? presets/"):
+            return f"{commit}-dirty"
+    return commit
+
+
+def _git(checkout: Path, *arguments: str) -> str:
+    """Return the output of git in a checkout; empty if it fails."""
+    command = ["git", *arguments]
+    done = subprocess.run(command, cwd=checkout, capture_output=True, text=True, check=False)
+    return done.stdout

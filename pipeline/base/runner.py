@@ -1,8 +1,8 @@
 """Make drives in parallel, and keep them for later runs.
 
 A finished drive is a folder ``data/.drives/STAGE/DRIVE-KEY`` with its result and summary.json. The
-key hashes everything that determines the drive, so a run makes only drives whose inputs, settings
-or code have changed.
+key (:mod:`pipeline.base.resume`) hashes everything that determines the drive, so a run makes only
+drives whose inputs, settings or code have changed.
 """
 
 import json
@@ -28,13 +28,24 @@ Summary = dict[str, Any]
 class Job(NamedTuple):
     """One drive of a stage."""
 
-    drive: str  # unique in the stage
-    target: str  # path of its file or folder in the stage's folder
-    # files and strings that determine the content, with the stage's code and settings
+    # Name that is unique in the stage.
+    drive: str
+    # Path of its file or folder in the stage's folder.
+    target: str
+    # Files and strings that determine the content, together with the stage's code and settings.
     inputs: Sequence[Path | str]
-    # picklable; writes the file or folder to a path, returns a JSON-able summary
+    # Picklable function that writes the file or folder to a path and returns a JSON-able summary.
     work: Callable[[Path], Summary]
-    own: tuple[str, ...] = ()  # files of code that only such drives need, see Code.of
+    # Files of the network or dataset that this drive uses, see :meth:`Code.read`.
+    chosen: tuple[str, ...] = ()
+
+
+class Task(NamedTuple):
+    """A job that no earlier run has finished."""
+
+    drive: str
+    result: Path
+    work: Callable[[Path], Summary]
 
 
 def file_jobs(
@@ -43,79 +54,103 @@ def file_jobs(
     work: Callable[..., Summary],
     target: str = "{}.h5",
 ) -> list[Job]:
-    """Return the jobs that make `target` from the drives' files. `inputs`: argument of `work` →
-    folder of a stage.
+    """Return the jobs that make `target` from the drives' files.
+
+    `inputs`: argument of `work` → folder of a stage.
     """
-    files = {
-        drive: {name: folder / f"{drive}.h5" for name, folder in inputs.items()} for drive in drives
-    }
-    return [
-        Job(drive, target.format(drive), [*of.values()], partial(work, **of))
-        for drive, of in files.items()
-    ]
+    jobs = []
+    for drive in drives:
+        files = {name: folder / f"{drive}.h5" for name, folder in inputs.items()}
+        job = Job(drive, target.format(drive), [*files.values()], partial(work, **files))
+        jobs.append(job)
+    return jobs
 
 
 def make_drives(
     folder: StageFolder,
     jobs: Sequence[Job],
     settings: BaseModel | Mapping[str, Any],
-    describe: str,
+    log_format: str,
     workers: int | None = None,
 ) -> dict[str, Summary]:
-    """Make the drives that no earlier run made, add all to ``folder.new``, and return drive →
-    summary, as in `jobs`.
+    """Make the drives that no earlier run made, and add all to ``folder.new``.
 
-    `settings`, a section or JSON-able, are part of every key, so without what determines single
-    drives only. `describe` is the format of a summary for the log.
+    `settings`, a section or JSON-able, are part of every key. They must not have what determines
+    single drives only, which belongs to the inputs of these jobs. `log_format` is the format of a
+    summary for the log.
+
+    Returns drive → summary, in the order of `jobs`.
     """
-    settings = settings.model_dump(mode="json") if isinstance(settings, BaseModel) else settings
+    if isinstance(settings, BaseModel):
+        settings = settings.model_dump(mode="json")
+    results = _find_results(folder, jobs, settings, workers)
+    folder.used.update(path.parent for path in results.values())
 
-    code = {own: folder.code.hash(own) for own in {job.own for job in jobs}}
-
-    def result(job: Job) -> Path:
-        key = stage_key(code[job.own], {"drive": job.drive, **settings}, job.inputs)
-        return folder.kept / f"{job.drive}-{key}" / Path(job.target).name
-
-    # hashing files releases Python's lock
-    with ThreadPoolExecutor(workers or default_workers()) as pool:
-        kept = dict(zip((job.drive for job in jobs), pool.map(result, jobs), strict=True))
-    folder.used.update(path.parent for path in kept.values())
-    todo = [job for job in jobs if not kept[job.drive].exists()]
+    todo = [job for job in jobs if not results[job.drive].exists()]
     if len(todo) < len(jobs):
         print(f"{len(jobs) - len(todo)} of {len(jobs)} drives kept from earlier runs", flush=True)
+
     # Drives with the most data start first, so that all processes end at about the same time.
-    todo.sort(
-        key=lambda job: -sum(path.stat().st_size for path in job.inputs if isinstance(path, Path))
-    )
-    tasks = [(job.drive, kept[job.drive], job.work) for job in todo]
-    for (drive, path, _), (summary, seconds) in run_jobs(
-        _make, tasks, folder.code, workers=workers
-    ):
-        size = sum(file.stat().st_size for file in path.parent.rglob("*") if file.is_file())
-        rate = f", {summary['frames'] / seconds:.1f} frames/s" if summary.get("frames") else ""
-        print(
-            f"{drive}: {describe.format_map(summary)}, {size / 1e6:.1f} MB, {seconds:.1f} s{rate}",
-            flush=True,
-        )
+    todo.sort(key=_input_bytes, reverse=True)
+    tasks = [Task(job.drive, results[job.drive], job.work) for job in todo]
+    for task, (summary, seconds) in run_jobs(_make, tasks, folder.code, workers=workers):
+        files = [path for path in task.result.parent.rglob("*") if path.is_file()]
+        megabytes = sum(file.stat().st_size for file in files) / 1e6
+        text = f"{log_format.format_map(summary)}, {megabytes:.1f} MB, {seconds:.1f} s"
+        if summary.get("frames"):
+            text += f", {summary['frames'] / seconds:.1f} frames/s"
+        print(f"{task.drive}: {text}", flush=True)
+
+    summaries = {}
     for job in jobs:
-        path, target = kept[job.drive], folder.new / job.target
-        target.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copytree(path, target, copy_function=link) if path.is_dir() else link(path, target)
-    summaries = {
-        drive: json.loads((path.parent / "summary.json").read_text())
-        for drive, path in kept.items()
-    }
-    if without := [drive for drive, summary in summaries.items() if summary.get("frames") == 0]:
-        print(f"no frames of {', '.join(without)}")
+        result = results[job.drive]
+        _publish(result, folder.new / job.target)
+        summaries[job.drive] = json.loads((result.parent / "summary.json").read_text())
+    empty = [drive for drive, summary in summaries.items() if summary.get("frames") == 0]
+    if empty:
+        print(f"no frames of {', '.join(empty)}")
     return summaries
 
 
-def _make(task: tuple[str, Path, Callable[[Path], Summary]]) -> tuple[Summary, float]:
-    """Make one drive, and its summary beside it; an error names the drive."""
-    drive, path, work = task
+def _find_results(
+    folder: StageFolder, jobs: Sequence[Job], settings: Mapping[str, Any], workers: int | None
+) -> dict[str, Path]:
+    """Return drive → path of its result, which exists if an earlier run made it with this key."""
+    # Most jobs choose the same files.
+    choices = {job.chosen for job in jobs}
+    code = {chosen: folder.code.hash(chosen) for chosen in choices}
+
+    def find(job: Job) -> Path:
+        key = stage_key(code[job.chosen], {"drive": job.drive, **settings}, job.inputs)
+        return folder.kept / f"{job.drive}-{key}" / Path(job.target).name
+
+    # In threads, as hashing files releases Python's lock.
+    with ThreadPoolExecutor(workers or default_workers()) as pool:
+        paths = pool.map(find, jobs)
+        return {job.drive: path for job, path in zip(jobs, paths, strict=True)}
+
+
+def _input_bytes(job: Job) -> int:
+    return sum(path.stat().st_size for path in job.inputs if isinstance(path, Path))
+
+
+def _make(task: Task) -> tuple[Summary, float]:
+    """Make one drive, and its summary beside it; an error names the drive.
+
+    Returns the summary, and the time in seconds.
+    """
     start = time.perf_counter()
-    with error_context(drive), replacing(path.parent) as tmp:
-        tmp.mkdir()
-        summary = work(tmp / path.name)
-        (tmp / "summary.json").write_text(json.dumps(summary))
+    with error_context(task.drive), replacing(task.result.parent) as unfinished:
+        unfinished.mkdir()
+        summary = task.work(unfinished / task.result.name)
+        (unfinished / "summary.json").write_text(json.dumps(summary))
     return summary, time.perf_counter() - start
+
+
+def _publish(result: Path, target: Path) -> None:
+    """Link a kept file, or the files of a kept folder, to a place in the stage's folder."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    if result.is_dir():
+        shutil.copytree(result, target, copy_function=link)
+    else:
+        link(result, target)

@@ -1,8 +1,7 @@
-"""Read and write the HDF5 files and indexes that stages exchange. data/README.md describes their
-content.
+"""Read and write the HDF5 files and indexes that stages exchange.
 
-Files are deterministic: written once, in a fixed order, with no clock, host or user inside. They
-may come from elsewhere, see :func:`_datasets`.
+data/README.md describes their content. Files are deterministic: written once, in a fixed order,
+with no clock, host or user inside. They may come from elsewhere, see :func:`_datasets`.
 """
 
 import errno
@@ -20,33 +19,37 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 
+# Version of the layout of drives' files.
 SCHEMA = 6
-INDEX = "index.json"  # of a stage's folder
-_CHUNK_ROWS = 32768  # of ragged data
-# Sizes and speeds of the alternatives: docs/log.md. Blosc2 would let a file name a codec that runs
-# code.
+# Name of the file in a stage's folder that lists its drives.
+INDEX = "index.json"
+# Rows of a chunk of points or other short rows.
+_CHUNK_ROWS = 32768
+# Compression of points. Sizes and speeds of the alternatives to both are in docs/log.md; Blosc2
+# would let a file name a codec that runs code.
 _POINTS = hdf5plugin.Blosc(cname="lz4", shuffle=hdf5plugin.Blosc.BITSHUFFLE)
+# Compression of images.
 _PIXELS = hdf5plugin.Blosc(cname="zstd", clevel=3, shuffle=hdf5plugin.Blosc.SHUFFLE)
-NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)  # errors of a file system without locks
-_CACHE_BYTES = 1 << 20  # of chunks, for each dataset of an open file
-# what h5py raises for damaged bytes
+# Numbers of the errors of a file system without locks.
+NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)
+# Bytes of chunks that h5py keeps for each dataset of an open file.
+_CACHE_BYTES = 1 << 20
+# Exceptions that h5py raises for damaged bytes.
 _H5PY_ERRORS = (OSError, RuntimeError, LookupError, ValueError, TypeError)
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a unique temporary path beside `path`, which replaces `path` when the block ends
-    without error.
+    """Yield a temporary path beside `path`, which replaces `path` if the block succeeds.
 
-    The block creates a file or a folder there. A folder replaces only an empty folder. The
-    temporary path is ``.NAME.????????.tmp/NAME``, so the suffix still gives the format, and a glob
-    for ``*.h5`` does not match.
+    The block creates a file or a folder there. A folder replaces only an empty folder. The unique
+    temporary path is ``.NAME.????????.tmp/NAME``: its suffix still gives the format, and a glob for
+    ``*.h5`` does not match it.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    # A folder of its own, as a file from mkstemp is unreadable for other users.
-    with tempfile.TemporaryDirectory(
-        prefix=f".{path.name}.", suffix=".tmp", dir=path.parent
-    ) as folder:
+    # In a temporary folder, as a file from mkstemp is unreadable for other users.
+    prefix = f".{path.name}."
+    with tempfile.TemporaryDirectory(".tmp", prefix, path.parent) as folder:
         tmp = Path(folder) / path.name
         yield tmp
         tmp.replace(path)
@@ -62,11 +65,12 @@ class Sink(io.FileIO):
     error: OSError | None = None
 
     def write(self, data: Any) -> int:
-        rest = memoryview(data).cast("B")
-        size = len(rest)
+        unwritten = memoryview(data).cast("B")
+        size = len(unwritten)
         try:
-            while rest:  # the system may write a part only
-                rest = rest[super().write(rest) :]
+            while unwritten:  # the system may write a part only
+                count = super().write(unwritten)
+                unwritten = unwritten[count:]
         except OSError as error:
             self.error = self.error or error
         return size
@@ -79,18 +83,14 @@ class Sink(io.FileIO):
         return size or 0
 
     def check(self, path: Path) -> None:
-        """Raise the recorded error, if there is one, as an error of `path`, the file's final
-        name.
-        """
+        """Raise the recorded error, if there is one, with `path`, the file's final name."""
         if self.error:
             self.error.filename = str(path)
             raise self.error
 
 
 class DriveWriter(ExitStack):
-    """Write one drive's file, a context manager. The file appears when the block ends without
-    error.
-    """
+    """Write one drive's file. The file appears if the block of this context manager succeeds."""
 
     def __init__(self, path: Path, *, stage: str, drive: str, params: Mapping[str, Any]) -> None:
         """`params`: JSON-able, section of params.yaml → its content."""
@@ -98,48 +98,50 @@ class DriveWriter(ExitStack):
         self.path = path
         self.attrs: dict[str, Any] = {"schema": SCHEMA, "stage": stage, "drive": drive}
         self.attrs["params"] = json.dumps(params, sort_keys=True)
-        # Open until the end: HDF5 writes chunks when a dataset is closed, on which the bytes
-        # depend.
+        # Open until the end, as HDF5 writes chunks when a dataset is closed: the order of the bytes
+        # depends on it.
         self._datasets: dict[str, h5py.Dataset] = {}
 
     def put(self, name: str, array: np.ndarray, unit: str = "", **options: Any) -> None:
-        """Write a complete dataset, a row per frame. `options`: of h5py's create_dataset."""
+        """Write a complete dataset, a row per frame, with `options` of h5py's create_dataset."""
         self._datasets[name] = self._file.create_dataset(name, data=array, **options)
         self._datasets[name].attrs["unit"] = unit
 
     def put_pointers(self, name: str, counts: Iterable[int], unit: str = "") -> None:
-        """Write the first row of each frame, and the end, int64 [F+1], for `counts` [F] of rows per
-        frame.
+        """Write the first row of each frame, and the end: int64 [F+1].
+
+        `counts` [F] are the numbers of rows of the frames.
         """
         self.put(name, np.cumsum([0, *counts], dtype=np.int64), unit)
 
     def append(
         self, name: str, rows: np.ndarray, unit: str = "", pointer: str = "", refers_to: str = ""
     ) -> None:
-        """Add `rows` [n, ...] at the end of dataset `name`; the first call creates it with their
-        dtype and shape.
+        """Add `rows` [n, ...] at the end of dataset `name`, which the first call creates.
 
         `pointer`: the dataset with each frame's first row, see :meth:`put_pointers`; without it, a
         row per frame. `refers_to`: the dataset whose rows these numbers refer to.
         """
         if name not in self._datasets:
             # An image is one chunk, so that frames can be read one by one; points share chunks.
-            length, encoding = (1, _PIXELS) if rows.ndim >= 3 else (_CHUNK_ROWS, _POINTS)
-            options = {
-                "maxshape": (None, *rows.shape[1:]),
-                "chunks": (length, *rows.shape[1:]),
-                **encoding,
-            }
+            is_image = rows.ndim >= 3
+            chunk_rows = 1 if is_image else _CHUNK_ROWS
+            compression = _PIXELS if is_image else _POINTS
+            shape = rows.shape[1:]
+            options = {"maxshape": (None, *shape), "chunks": (chunk_rows, *shape), **compression}
             self.put(name, rows[:0], unit, **options)
-            named = {"pointer": pointer, "refers_to": refers_to}
-            self._datasets[name].attrs.update({key: value for key, value in named.items() if value})
+            if pointer:
+                self._datasets[name].attrs["pointer"] = pointer
+            if refers_to:
+                self._datasets[name].attrs["refers_to"] = refers_to
         dataset = self._datasets[name]
         dataset.resize(len(dataset) + len(rows), axis=0)
         dataset[len(dataset) - len(rows) :] = rows
         self._sink.check(self.path)
 
     def __enter__(self) -> Self:
-        self._sink = self.enter_context(Sink(self.enter_context(replacing(self.path)), "w+"))
+        unfinished = self.enter_context(replacing(self.path))
+        self._sink = self.enter_context(Sink(unfinished, "w+"))
         self.callback(self._sink.check, self.path)  # after HDF5 has closed the file
         self._file = self.enter_context(h5py.File(self._sink, "w", libver="v110"))
         self.callback(lambda: self._file.attrs.update(self.attrs))
@@ -147,59 +149,57 @@ class DriveWriter(ExitStack):
 
 
 class DriveReader(ExitStack):
-    """Read one drive's file, a context manager. Raises InputError unless it is a valid file of
-    `stage` (None: any).
+    """Read one drive's file. It is a context manager.
+
+    Raises InputError unless it is a valid file of `stage`; None: of any stage.
     """
 
     def __init__(self, path: Path, *, stage: str | None) -> None:
         super().__init__()
-        self.path, self._stage = path, stage or "STAGE"
+        self.path = path
+        self._stage = stage or "STAGE"
         if not path.is_file():
             raise _fault("file is missing", path, self._stage)
         try:
             file = self.enter_context(_open(path))
             self.attrs: dict[str, Any] = dict(file.attrs)
-            self.drive, written_by, schema = (
-                str(self.attrs.get(name)) for name in ("drive", "stage", "schema")
-            )
             self.datasets = _datasets(file)
-            # Ragged dataset → dataset with the first row of each frame; dataset of numbers of rows
-            # → that with the rows
-            self.pointers, self.refers_to = (
-                {
-                    name: str(data.attrs[key])
-                    for name, data in self.datasets.items()
-                    if key in data.attrs
-                }
-                for key in ("pointer", "refers_to")
-            )
+            # Ragged dataset → dataset with the first row of each frame.
+            self.pointers = _read_names(self.datasets, "pointer")
+            # Dataset of numbers of rows → dataset with these rows.
+            self.refers_to = _read_names(self.datasets, "refers_to")
         except BlockingIOError as error:
-            raise InputError(
-                "another process has it open for writing", path, "Close it there, then repeat"
-            ) from error
+            problem = "another process has it open for writing"
+            raise InputError(problem, path, "Close it there, then repeat") from error
         except _H5PY_ERRORS as error:
             raise _fault(f"damaged ({error})", path, self._stage) from error
-        if (written_by, schema) != (stage or written_by, str(SCHEMA)):
-            problem = (
-                f"expected stage {self._stage!r}, schema {SCHEMA}; got stage {written_by!r}, "
-                f"schema {schema}"
-            )
+
+        written_by = str(self.attrs.get("stage"))
+        schema = str(self.attrs.get("schema"))
+        is_of_stage = stage is None or stage == written_by
+        if not is_of_stage or schema != str(SCHEMA):
+            expected = f"expected stage {self._stage!r}, schema {SCHEMA}"
+            problem = f"{expected}; got stage {written_by!r}, schema {schema}"
             raise _fault(problem, path, self._stage)
+        self.drive = str(self.attrs.get("drive"))
         if path.with_name(INDEX).is_file() and self.drive != path.stem:
             raise _fault(f"contains drive {self.drive}", path, self._stage)
-        # section of params.yaml → its content
+
+        # Section of params.yaml → its content.
         self.params: dict[str, Any] = json.loads(self.attrs["params"])
-        self.frame = self["frame"]  # KITTI frame numbers, int32 [F], ascending
-        self.time_s = self["time_s"]  # seconds since the drive's first frame, float64 [F]
+        # KITTI frame numbers, int32 [F], ascending.
+        self.frame = self["frame"]
+        # Seconds since the drive's first frame, float64 [F].
+        self.time_s = self["time_s"]
 
     def row_of(self, number: int) -> int:
-        """Return the row of the frame with this KITTI number. Raises InputError if the file has no
-        such frame.
+        """Return the row of the frame with this KITTI number.
+
+        Raises InputError if the file has no such frame.
         """
         if number not in self.frame:
-            raise InputError(
-                f"has no frame {number} (frames: {self.frame[:1]} to {self.frame[-1:]})", self.path
-            )
+            frames = f"frames: {self.frame[:1]} to {self.frame[-1:]}"
+            raise InputError(f"has no frame {number} ({frames})", self.path)
         return int(np.searchsorted(self.frame, number))
 
     def __contains__(self, name: str) -> bool:
@@ -210,29 +210,28 @@ class DriveReader(ExitStack):
         return self.row(name, ())
 
     def row(self, name: str, index: int | slice | tuple[()]) -> Any:
-        """Return ``dataset[index]`` without reading the rest. Raises InputError if it is missing or
-        damaged.
+        """Return ``dataset[index]`` without reading all of it.
+
+        Raises InputError if it is missing or damaged.
         """
         if name not in self.datasets:
             raise InputError(f"no dataset {name!r} (it has {', '.join(self.datasets)})", self.path)
         try:
             return self.datasets[name][index]
         except _H5PY_ERRORS as error:
-            raise _fault(
-                f"damaged in dataset {name!r} ({error})", self.path, self._stage
-            ) from error
+            problem = f"damaged in dataset {name!r} ({error})"
+            raise _fault(problem, self.path, self._stage) from error
 
     def rows_of(self, name: str, frame_row: int) -> np.ndarray:
-        """Return one frame's rows of a ragged dataset. `frame_row`: the frame's row in
-        ``frame``.
-        """
+        """Return one frame's rows of a ragged dataset; `frame_row` is its row in ``frame``."""
         start, stop = self.row(self.pointers[name], slice(frame_row, frame_row + 2))
         return self.row(name, slice(start, stop))
 
 
 def _open(path: Path) -> h5py.File:
-    """Open a file for reading; without a lock where the file system has none, as files appear
-    complete.
+    """Open a file for reading.
+
+    A file system without locks needs none, as files appear complete.
     """
     try:
         return h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES)
@@ -243,45 +242,49 @@ def _open(path: Path) -> h5py.File:
 
 
 def _datasets(file: h5py.File) -> dict[str, h5py.Dataset]:
-    """Return name → dataset of a file. Raises ValueError unless all are arrays of numbers in the
-    file itself.
+    """Return name → dataset of a file.
 
     HDF5 would follow links, external storage and virtual datasets to other files, and filters of
-    plugins run code.
+    plugins run code. Raises ValueError unless all are arrays of numbers in the file itself.
     """
     datasets = {}
     for name in file:
         if not isinstance(file.get(name, getlink=True), h5py.HardLink):
             raise ValueError(f"{name!r} is a link")
-        datasets[name] = file[name]
-        if not isinstance(datasets[name], h5py.Dataset) or datasets[name].dtype.kind not in "iuf":
+        dataset = file[name]
+        if not isinstance(dataset, h5py.Dataset) or dataset.dtype.kind not in "iuf":
             raise ValueError(f"{name!r}: expected an array of numbers")
-        created = datasets[name].id.get_create_plist()
+        created = dataset.id.get_create_plist()
+        is_elsewhere = dataset.is_virtual or created.get_external_count()
         filters = {created.get_filter(i)[0] for i in range(created.get_nfilters())}
-        if (
-            datasets[name].is_virtual
-            or created.get_external_count()
-            or filters - {hdf5plugin.Blosc.filter_id}
-        ):
+        if is_elsewhere or filters - {hdf5plugin.Blosc.filter_id}:
             raise ValueError(f"{name!r} has external storage or a filter other than Blosc")
+        datasets[name] = dataset
     return datasets
 
 
+def _read_names(datasets: Mapping[str, h5py.Dataset], attribute: str) -> dict[str, str]:
+    """Return dataset → the name in its attribute, for the datasets that have the attribute."""
+    return {
+        name: str(dataset.attrs[attribute])
+        for name, dataset in datasets.items()
+        if attribute in dataset.attrs
+    }
+
+
 def _fault(problem: str, path: Path, stage: str) -> InputError:
-    return InputError(
-        problem, path, f"Make it: dvc repro {stage}. Or fetch it: git pull, dvc pull {stage}"
-    )
+    fix = f"Make it: dvc repro {stage}. Or fetch it: git pull, dvc pull {stage}"
+    return InputError(problem, path, fix)
 
 
 def write_json(path: Path, content: Any, *, sort_keys: bool = True) -> None:
     """Write JSON in one step, so that no reader gets half a file."""
-    write_text(path, json.dumps(content, indent=1, sort_keys=sort_keys, allow_nan=False) + "\n")
+    text = json.dumps(content, indent=1, sort_keys=sort_keys, allow_nan=False)
+    write_text(path, f"{text}\n")
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text in one step; a hard link to the earlier file, as in DVC's cache, keeps that
-    one.
-    """
+    """Write a text in one step. A hard link to the earlier file, as in DVC's cache, keeps it."""
     with replacing(path) as tmp:
         try:
             tmp.write_text(text, encoding="utf-8")
@@ -301,11 +304,13 @@ def read_json(path: Path, *, stage: str) -> dict[str, Any]:
 
 
 def read_index(folder: Path, *, stage: str) -> dict[str, str]:
-    """Return drive → split of a stage's folder, in its order. Raises InputError if a drive in it
-    has no file.
+    """Return drive → split of a stage's folder, in its order.
+
+    Raises InputError if a drive in it has no file.
     """
     drives: dict[str, str] = read_json(folder / INDEX, stage=stage).get("drives", {})
-    if missing := [drive for drive in drives if not (folder / f"{drive}.h5").is_file()]:
+    missing = [drive for drive in drives if not (folder / f"{drive}.h5").is_file()]
+    if missing:
         raise _fault(f"no file for {', '.join(missing)} of index.json", folder, stage)
     return drives
 

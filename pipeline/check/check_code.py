@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from pipeline.base.errors import InputError
-from pipeline.base.resume import imported, imports, listed
+from pipeline.base.resume import find_imports, listed_code, with_imports
 from pipeline.check.settings import Params
 
 METRICS = "pipeline/evaluate/statistics.py"
@@ -32,9 +32,9 @@ def check_code(settings: Params) -> None:
 
 def check_file(name: str, stage: str) -> None:
     """Raise InputError if a file imports code that dvc.yaml does not list for a stage."""
-    code = listed(stage, [name])
-    for file in sorted(imported([Path(name)]) & code):
-        missing = imports(file) - code
+    code = listed_code(stage, [name])
+    for file in sorted(with_imports([Path(name)]) & code):
+        missing = find_imports(file) - code
         if missing:
             names = " and ".join(sorted(map(str, missing)))
             problem = (

@@ -13,7 +13,7 @@ from ruamel.yaml import YAML
 
 from pipeline.base import console, earlier
 from pipeline.base.errors import InputError
-from pipeline.base.params import parse, read
+from pipeline.base.params import parse, read_yaml
 from pipeline.base.resume import ROOT, content_hash
 from pipeline.base.store import replacing, write_text
 from pipeline.check.recording_logs import check_recording_logs
@@ -126,9 +126,9 @@ def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:
     replaced. Raises InputError.
     """
     preset = path_of(name)
-    content = read(params, comments=True)
+    content = read_yaml(params, comments=True)
     parse(Params, content, path=params)
-    _merge(content, read(preset))
+    _merge(content, read_yaml(preset))
     parse(Params, content, path=preset)
     return content
 
@@ -266,7 +266,7 @@ def check_name_is_free(name: str) -> None:
     """
     if name in TARGETS:
         raise InputError("is a target of make", name, "Choose another name")
-    outs = read(ROOT / "dvc.yaml")["stages"]["report"]["outs"]
+    outs = read_yaml(ROOT / "dvc.yaml")["stages"]["report"]["outs"]
     # The page of the run would replace it, in DVC's cache, too; also on a disk that ignores case.
     if name.lower() in {Path(out).stem for out in outs}:
         raise InputError(

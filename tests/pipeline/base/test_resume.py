@@ -37,7 +37,9 @@ INGEST = {"kitti", "sample", "recording"}
 
 
 def keys() -> dict[str, str]:
-    return {title: Code.of(stage, own).hash(own) for title, (stage, own) in RESULTS.items()}
+    return {
+        title: Code.read(stage, chosen).hash(chosen) for title, (stage, chosen) in RESULTS.items()
+    }
 
 
 def edit(path: Path, before: str, after: str) -> None:
@@ -153,8 +155,8 @@ def test_an_edit_while_a_stage_runs_is_found_at_its_end(checkout, file, before, 
 def test_a_worker_compares_the_code_that_it_loaded(checkout, monkeypatch):
     """It starts seconds after its stage, and an edit may have been undone since."""
     path = checkout / "pipeline/labels/label.py"
-    code = pickle.loads(pickle.dumps(Code.of("labels")))
-    code.check()
+    code = pickle.loads(pickle.dumps(Code.read("labels")))
+    code.check_unedited()
     text = path.read_text()
     edit(path, "", "LIMIT = 1\n")
     loaded = {Path("pipeline/labels/label.py"): resume._stamp(path)}
@@ -164,9 +166,9 @@ def test_a_worker_compares_the_code_that_it_loaded(checkout, monkeypatch):
             os.utime(path, ns=(10**18, 10**18))
         monkeypatch.setattr(resume, "_LOADED", loaded)
         with pytest.raises(InputError, match="was edited while stage labels ran"):
-            code.check()
+            code.check_unedited()
     monkeypatch.setattr(resume, "_LOADED", {})
-    code.check()
+    code.check_unedited()
     monkeypatch.setattr(resume, "_LOADED", loaded)
     with pytest.raises(InputError, match="was edited while stage labels ran"):
-        Code.of("labels")
+        Code.read("labels")

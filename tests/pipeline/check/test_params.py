@@ -152,7 +152,7 @@ def test_a_preset_is_written_as_its_merged_content_with_all_comments(name):
         r"^ *#.*", original, re.MULTILINE
     )
     replaced, section = (
-        {key for key, value in params.read(preset.path_of(name)).items() if "*" in value},
+        {key for key, value in params.read_yaml(preset.path_of(name)).items() if "*" in value},
         "",
     )
     for line in original.splitlines():

@@ -6,28 +6,26 @@ from pipeline.base.errors import InputError
 from pipeline.base.resume import find_imports, listed_code, with_imports
 from pipeline.check.settings import Params
 
+# The file to which users add their own metrics.
 METRICS = "pipeline/evaluate/statistics.py"
 
 
 def check_code(settings: Params) -> None:
-    """Raise InputError if a file that `settings` name imports code that dvc.yaml does not list for
-    its stage.
-    """
-    datasets = {
-        f"pipeline/ingest/datasets/{name}.py" for name in settings.ingest.datasets().values()
-    }
-    networks = {file for model in settings.models.values() for file in model.networks}
+    """Check the files that the settings name by :func:`check_file`."""
+    for dataset in sorted(set(settings.ingest.datasets().values())):
+        check_file(f"pipeline/ingest/datasets/{dataset}.py", "ingest")
+
     source = f"pipeline/labels/sources/{settings.labels.source}.py"
-    files = {
-        "ingest": datasets,
-        "labels": {source},
-        "scores": {source},
-        "train": networks,
-        "evaluate": {METRICS},
-    }
-    for stage, names in files.items():
-        for name in sorted(names):
-            check_file(name, stage)
+    check_file(source, "labels")
+    check_file(source, "scores")
+
+    networks = set[str]()
+    for model in settings.models.values():
+        networks.update(model.networks)
+    for network in sorted(networks):
+        check_file(network, "train")
+
+    check_file(METRICS, "evaluate")
 
 
 def check_file(name: str, stage: str) -> None:
@@ -36,11 +34,10 @@ def check_file(name: str, stage: str) -> None:
     for file in sorted(with_imports([Path(name)]) & code):
         missing = find_imports(file) - code
         if missing:
-            names = " and ".join(sorted(map(str, missing)))
+            names = " and ".join(sorted(str(path) for path in missing))
             problem = (
-                f"imports {names}, which dvc.yaml does not list for stage {stage}: its edits "
-                "would change nothing"
+                f"imports {names}, which dvc.yaml does not list for stage {stage}: "
+                "its edits would change nothing"
             )
-            raise InputError(
-                problem, file, f"List it in dvc.yaml, deps of {stage}, or do not import it"
-            )
+            fix = f"List it in dvc.yaml, deps of {stage}, or do not import it"
+            raise InputError(problem, file, fix)

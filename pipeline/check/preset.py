@@ -1,6 +1,4 @@
-"""Presets, which are sets of changes to ``params.yaml``, and the command that applies a preset to
-the file.
-"""
+"""Merge presets, which are sets of changes to ``params.yaml``, and apply one to the file."""
 
 import hashlib
 import io
@@ -23,107 +21,115 @@ from pipeline.ingest.settings import Part
 
 PRESETS = ROOT / "presets"
 PARAMS = ROOT / "params.yaml"
-# Targets of the Makefile that are no presets, and presets that are none of its general target.
+# Names that no preset may have: the other targets of the Makefile, and earlier presets.
 TARGETS = (
-    *(
-        "demo",
-        "help",
-        "encoder",
-        "street",
-        "udacity",
-        "params",
-        "test",
-        "bench",
-        "lint",
-        "format",
-        "setup",
-        "system",
-    ),
+    "demo",
+    "help",
+    "encoder",
+    "street",
+    "udacity",
+    "params",
+    "test",
+    "bench",
+    "lint",
+    "format",
+    "setup",
+    "system",
     *earlier.PRESETS,
 )
-# Authors of files, see stamped.
-_AUTHOR = "make params"
-IMPORT = "steer import"
+# Start of the first line of a stamped file.
 _STAMP = "# Written by "
+# Author of stamped files that this command writes; the name of the preset follows.
+_AUTHOR = "make params"
+# Author of stamped files that steer import writes.
+IMPORT = "steer import"
 
 
 def main(
     name: Annotated[str, typer.Argument(metavar="PRESET", help="a name in presets/, or a file")],
     folder: Annotated[Path, typer.Argument(help="where to write params.yaml")] = Path(),
 ) -> None:
-    """Write params.yaml with the changes of a preset, and keep the file before it as
-    params.yaml.before.
+    """Write params.yaml with the changes of a preset, and keep the file as params.yaml.before.
 
     Raises InputError if the file was edited since it was written, or written by another preset.
     """
     params = Path("params.yaml")
     out = folder / params
     author = f"{_AUTHOR} PRESET={name}"
-    # make street and make encoder: settings of one encoder
-    if not (out.exists() and out.samefile(params)):
-        is_of_preset = author_of(params).startswith(_AUTHOR) and before(params).is_file()
-        write(merged(name, before(params) if is_of_preset else params), out, author)
+    if out.exists() and out.samefile(params):
+        apply(name, params, author)
         return
-    base = base_of(name, params)
-    content = merged(name, base)
+
+    # make street and make encoder write the settings of one encoder elsewhere. A preset that was
+    # applied to params.yaml has no part in them.
+    base = params
+    if author_of(params).startswith(_AUTHOR) and path_before(params).is_file():
+        base = path_before(params)
+    write(merged(name, base), out, author)
+
+
+def apply(name: str, params: Path, author: str) -> None:
+    """Replace `params` by the file with the changes of preset `name`; keep the user's own file."""
+    content = merged(name, base_of(name, params))
     take_logs(content, Path("data/raw"))
     if not author_of(params):
         keep_before(params)
-    write_text(params, text(content, author))
-    print(f"wrote {params} with the changes of preset {name}; the file before is {before(params)}")
+    write_text(params, to_yaml(content, author))
+    before = path_before(params)
+    print(f"wrote {params} with the changes of preset {name}; the file before is {before}")
 
 
-def before(params: Path) -> Path:
+def path_before(params: Path) -> Path:
     """Return the path of the file that ``make params`` replaced."""
     return params.with_name(f"{params.name}.before")
 
 
 def keep_before(params: Path) -> None:
-    """Keep `params`, which a preset will replace. Raises InputError if another file is kept
-    already.
+    """Keep `params`, which a preset will replace.
+
+    Raises InputError if another file is kept already.
     """
-    kept = before(params)
+    kept = path_before(params)
     if kept.exists() and kept.read_bytes() != params.read_bytes():
-        raise InputError(
-            "holds other settings, which this command would replace", kept, "Move or delete it"
-        )
-    with replacing(kept) as new:
-        shutil.copyfile(params, new)
+        problem = "holds other settings, which this command would replace"
+        raise InputError(problem, kept, "Move or delete it")
+    with replacing(kept) as unfinished:
+        shutil.copyfile(params, unfinished)
 
 
 def base_of(name: str, params: Path) -> Path:
-    """Return the file to which a preset applies: `params`, or what it was before ``make params``
-    with this preset.
+    """Return the file to which a preset applies: `params`, or the file before it.
 
-    Raises InputError if another preset wrote `params`, if `params` was edited since, or if a run
-    wrote it.
+    It is the file before if ``make params`` has applied this preset to `params`. Raises InputError
+    if another preset wrote `params`, if `params` was edited since, or if a run wrote it.
     """
     author = author_of(params)
+    before = path_before(params)
     if not author:
         return params
     if author == f"{_AUTHOR} PRESET={name}" and is_unedited(params):
-        # A clone has params.yaml alone: the preset once more changes nothing there.
-        return before(params) if before(params).is_file() else params
-    problem = f"{author} wrote it, so preset {name} does not apply to it"
+        if before.is_file():
+            return before
+        # A clone has params.yaml alone. Applying the preset once more changes nothing there.
+        return params
+
+    problem = f"{author} wrote it"
     if not is_unedited(params):
-        problem = (
-            f"{author} wrote it, and it was edited since, so preset {name} does not apply to it"
-        )
-    way_back = f"mv {before(params)} {params}"
-    if not before(params).is_file():
-        way_back = (
-            f"git log {params} names earlier versions, git checkout COMMIT {params} restores one"
-        )
+        problem += ", and it was edited since"
+    problem += f", so preset {name} does not apply to it"
+    way_back = f"mv {before} {params}"
+    if not before.is_file():
+        restore = f"git checkout COMMIT {params} restores one"
+        way_back = f"git log {params} names earlier versions, {restore}"
     raise InputError(problem, params, f"Run it as it is: dvc repro. Or go back: {way_back}")
 
 
 def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:
-    """Return a complete `params` file with the changes of preset `name`, of presets/ or a path, and
-    with its comments.
+    """Return the content of file `params` with its comments, and with the changes of a preset.
 
-    Mappings are merged key by key; any other value replaces the old one. null removes a key, so its
-    default applies, and ``"*": null`` removes all earlier keys, so that a list of models is
-    replaced. Raises InputError.
+    `name` is a name in presets/, or a path. Mappings are merged key by key; any other value
+    replaces the old one. null removes a key, so its default applies, and ``"*": null`` removes all
+    earlier keys, so that a list of models is replaced. Raises InputError.
     """
     preset = path_of(name)
     content = read_yaml(params, comments=True)
@@ -134,99 +140,101 @@ def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:
 
 
 def path_of(name: str) -> Path:
-    """Return the file of a preset, of presets/ or a path. Raises InputError if there is none."""
-    preset = (
-        Path(name) if "/" in name or name.endswith((".yaml", ".yml")) else PRESETS / f"{name}.yaml"
-    )
-    if not preset.is_file():
-        if preset.stem in earlier.PRESETS:
-            fix = (
-                f"Its question is closed, see docs/log.md. git switch --detach {earlier.LAST} "
-                "runs it"
-            )
-            raise InputError("is a preset of an earlier version", name, fix)
-        names = ", ".join(sorted(file.stem for file in PRESETS.glob("*.yaml")))
-        raise InputError("there is no such preset", name, f"Choose one of {names}")
-    return preset
+    """Return the file of a preset: `name` is a name in presets/, or a path.
+
+    Raises InputError if there is none.
+    """
+    preset = PRESETS / f"{name}.yaml"
+    if "/" in name or name.endswith((".yaml", ".yml")):
+        preset = Path(name)
+    if preset.is_file():
+        return preset
+    if preset.stem in earlier.PRESETS:
+        command = f"git switch --detach {earlier.LAST}"
+        fix = f"Its question is closed, see docs/log.md. {command} runs it"
+        raise InputError("is a preset of an earlier version", name, fix)
+    names = ", ".join(sorted(file.stem for file in PRESETS.glob("*.yaml")))
+    raise InputError("there is no such preset", name, f"Choose one of {names}")
 
 
 def take_logs(content: dict[str, Any], raw: Path) -> None:
-    """Replace the hashes of logs below `raw` that were edited since their import; missing files
-    keep theirs.
+    """Replace the hashes of logs below `raw` that were edited since their import.
 
-    Raises InputError for images that were not imported, and for a log that an import would refuse.
+    Missing files keep theirs. Raises InputError for images that were not imported, and for a log
+    that an import would refuse.
     """
-    folders: dict[str, list[Any]] = {}
+    parts_of: dict[str, list[Any]] = {}
     for part in content["ingest"].get("recordings", {}).values():
-        folders.setdefault(part["folder"], []).append(part)
-    for name, parts in folders.items():
-        edited = find_edited(raw / name, parts[0]["files"])
+        parts_of.setdefault(part["folder"], []).append(part)
+    for name, parts in parts_of.items():
+        folder = raw / name
+        files = parts[0]["files"]
+        edited = find_edited(folder, files)
         if not edited:
             continue
-        print(
-            f"edited since steer import: {', '.join(str(raw / name / file) for file in edited)}",
-            flush=True,
-        )
-        if all((raw / name / file).exists() for file in parts[0]["files"]):
-            # All parts at once: from the first start to the last end.
-            ends = [part.get("end") for part in parts]
-            whole = dict(parts[0])
-            whole["start"] = min(part.get("start", 0.0) for part in parts)
-            whole["end"] = None if None in ends else max(ends)
-            check_recording_logs(Part(**whole), raw / name)
+        paths = ", ".join(str(folder / file) for file in edited)
+        print(f"edited since steer import: {paths}", flush=True)
+
         # Without the images, only drives that were made or fetched with this log can be used.
+        if all((folder / file).exists() for file in files):
+            check_recording_logs(_whole(parts), folder)
         for part in parts:
             part["files"].update(edited)
 
 
-def find_edited(folder: Path, files: dict[str, str]) -> dict[str, str]:
-    """Return the logs of a recording that have another hash than in `files`, with their new hashes.
+def _whole(parts: list[Any]) -> Part:
+    """Return one part from the first start of parts of a recording to their last end."""
+    ends = [part.get("end") for part in parts]
+    whole = dict(parts[0])
+    whole["start"] = min(part.get("start", 0.0) for part in parts)
+    whole["end"] = None if None in ends else max(ends)
+    return Part(**whole)
 
-    Raises InputError for other images or times of images.
+
+def find_edited(folder: Path, files: dict[str, str]) -> dict[str, str]:
+    """Return log → its new hash, for the logs in a recording's `folder` that were edited.
+
+    `files`: name of a file → its hash when it was imported. Missing files count as unedited. Raises
+    InputError for other images or times of images.
     """
     edited = {}
-    for name, expected in files.items():
+    for name, imported in files.items():
         path = folder / name
-        found = content_hash(path) if path.exists() else expected
-        if found == expected:
+        if not path.exists():
+            continue
+        present = content_hash(path)
+        if present == imported:
             continue
         if name not in (WHEEL, MOTION):
-            problem = (
-                "is not what was imported: lens, horizon and parts of the preset may not fit it"
-            )
-            raise InputError(problem, path, "Repeat steer import")
-        edited[name] = found
+            but = "lens, horizon and parts of the preset may not fit it"
+            raise InputError(f"is not what was imported: {but}", path, "Repeat steer import")
+        edited[name] = present
     return edited
 
 
-def text(content: dict[str, Any], author: str) -> str:
+def to_yaml(content: dict[str, Any], author: str) -> str:
     """Return content with comments as YAML, :func:`stamped`."""
-    writer, stream = YAML(), io.StringIO()
+    stream = io.StringIO()
+    writer = YAML()
     writer.default_flow_style = False  # as DVC writes, so that `dvc exp run -S` changes one line
     writer.dump(content, stream)
     dumped = stream.getvalue()
-    if dumped.startswith(_STAMP):  # of the file to which the changes were applied
+    # The stamp of the file to which the changes were applied is a comment.
+    if dumped.startswith(_STAMP):
         dumped = dumped.partition("\n")[2]
     return stamped(dumped, author)
 
 
 def write(content: dict[str, Any], out: Path, author: str) -> None:
-    """Write a params file. Raises InputError if there is one that is not as an earlier call wrote
-    it.
-    """
+    """Write a params file. Raises InputError if the file before was edited."""
     if out.exists() and not is_unedited(out):
-        raise InputError(
-            "was edited, and would be replaced",
-            out,
-            "Move the edits to the preset, then delete the file",
-        )
-    write_text(out, text(content, author))
+        fix = "Move the edits to the preset, then delete the file"
+        raise InputError("was edited, and would be replaced", out, fix)
+    write_text(out, to_yaml(content, author))
 
 
 def _merge(content: dict[str, Any], changes: dict[str, Any]) -> None:
-    """Apply changes to nested mappings, which may have comments; equal values keep their comments
-    and style.
-    """
+    """Apply changes to nested mappings with comments; equal values keep their comments."""
     if changes.get("*", 0) is None:
         content.clear()
     for key, value in changes.items():
@@ -239,39 +247,36 @@ def _merge(content: dict[str, Any], changes: dict[str, Any]) -> None:
 
 
 def stamped(content: str, author: str) -> str:
-    """Return the content of a file below a line with its author and its hash, for
-    :func:`is_unedited`.
-    """
+    """Return the content of a file below a line with its author and its hash."""
     digest = hashlib.sha256(content.encode()).hexdigest()
     return f"{_STAMP}{author}; SHA-256 of the other lines: {digest}\n{content}"
 
 
 def author_of(path: Path) -> str:
-    """Return the author of a file that :func:`stamped` returned, also of an edited one; empty for
-    other files.
-    """
-    first = path.read_text("utf-8", errors="replace").partition("\n")[0] if path.exists() else ""
-    return first.removeprefix(_STAMP).partition(";")[0] if first.startswith(_STAMP) else ""
+    """Return the author of a :func:`stamped` file, also of an edited one; empty for other files."""
+    if not path.exists():
+        return ""
+    first = path.read_text("utf-8", errors="replace").partition("\n")[0]
+    if not first.startswith(_STAMP):
+        return ""
+    return first.removeprefix(_STAMP).partition(";")[0]
 
 
 def is_unedited(path: Path) -> bool:
     """Return whether a file is as :func:`stamped` returned it."""
-    first, _, rest = path.read_text("utf-8", errors="replace").partition("\n")
-    return first.endswith(f" {hashlib.sha256(rest.encode()).hexdigest()}")
+    first, _, content = path.read_text("utf-8", errors="replace").partition("\n")
+    return first.endswith(f" {hashlib.sha256(content.encode()).hexdigest()}")
 
 
 def check_name_is_free(name: str) -> None:
-    """Raise InputError for the name of a preset that is another target of make, or that of a file
-    in data/report.
-    """
+    """Raise InputError if a preset's name is another target of make, or a file in data/report."""
     if name in TARGETS:
         raise InputError("is a target of make", name, "Choose another name")
     outs = read_yaml(ROOT / "dvc.yaml")["stages"]["report"]["outs"]
     # The page of the run would replace it, in DVC's cache, too; also on a disk that ignores case.
     if name.lower() in {Path(out).stem for out in outs}:
-        raise InputError(
-            "is the name of a file that stage report writes", name, "Choose another name"
-        )
+        problem = "is the name of a file that stage report writes"
+        raise InputError(problem, name, "Choose another name")
 
 
 if __name__ == "__main__":

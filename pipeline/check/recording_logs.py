@@ -1,6 +1,4 @@
-"""Compare the logs of a recording with its images: their times, the sign of their values, and their
-clock.
-"""
+"""Compare the logs of a recording with its images: times, the sign of values, and the clock."""
 
 from pathlib import Path
 
@@ -16,31 +14,29 @@ from pipeline.labels.label import Labels
 from pipeline.motion.horizon import turn_rates
 from pipeline.motion.step import TYPICAL_MPS
 
-# Standard deviation of a yaw rate by the rotation between two images: it is 0.010 to 0.016 on five
-# real recordings.
+# Standard deviation in rad/s of a yaw rate that the rotation between two images gives. On five real
+# recordings it is 0.010 to 0.016.
 TURN_SIGMA_RADPS = 0.012
-# A car's wheelbase, for the angle at a typical speed.
+# Wheelbase of a car in metres, for the angle at a typical speed.
 CAR_M = 2.7
 
 
 def check_recording_logs(part: Part, folder: Path) -> None:
-    """Check the logs of a recording whose files are in `folder`, as steer import does, from start
-    to end of a `part`.
+    """Check the logs of a recording from start to end of a `part`, as steer import does.
 
-    To check all parts of a recording at once, pass one that starts with the first and ends with the
-    last. Raises InputError for a log that cannot be read, is of another time, or has a wrong sign
-    or clock, and for a part of which no image is left.
+    The recording's files are in `folder`. To check all its parts at once, pass one that starts with
+    the first and ends with the last. Raises InputError for a log that cannot be read, is of another
+    time, or has a wrong sign or clock, and for a part of which no image is left.
     """
     check_logs(open_part(part, folder), part.start, part.end)
 
 
 def check_logs(recording: Recording, start_s: float, end_s: float | None) -> np.ndarray:
-    """Compare a recording's logs with its turns from start to end; return which images there have
-    logged motion [F].
+    """Compare a recording's logs with the turns of its images from start to end.
 
-    A note is added to the recording if too few images turn. The images give no speed: the angle of
-    a wheel is compared with a car's at TYPICAL_MPS. Raises InputError if the sign or the clock of a
-    log is wrong, or no image is left.
+    A note is added to the recording if too few images turn. Returns which images from start to end
+    have logged motion, bool [F]. Raises InputError if the sign or the clock of a log is wrong, or
+    no image is left.
     """
     time_s = recording.times_s
     if recording.logs:
@@ -55,31 +51,34 @@ def check_logs(recording: Recording, start_s: float, end_s: float | None) -> np.
 def _compare_turns(recording: Recording, within: np.ndarray) -> None:
     """Compare the logs with the turns of the images `within` some time, bool [F]."""
     time_s = recording.times_s
+    unknown = np.full(len(time_s), np.nan)
+
+    # The images give no speed, so a wheel's angle is compared with a car's at a typical speed.
     measured_radps = turn_rates(recording.frames, recording.camera, time_s, within)
     measured = _labels(measured_radps * CAR_M / TYPICAL_MPS, measured_radps)
-    noise = Noise(np.full(len(time_s), TURN_SIGMA_RADPS), np.full(len(time_s), np.nan))
-    unknown = np.full(len(time_s), np.nan)
+    noise = Noise(np.full(len(time_s), TURN_SIGMA_RADPS), unknown)
+
     for kind, log in recording.logs.items():
         values = log.at(time_s)
         if kind == "motion":
             column = "yaw_rate_radps"
-            recorded = _labels(unknown, values[1])
-            speed_mps = values[0, within]
+            speed_mps, yaw_rate_radps = values
+            recorded = _labels(unknown, yaw_rate_radps)
         else:
             column = "wheel_rad"
-            recorded = _labels(values[0], unknown)
             speed_mps = unknown
-        problem, fix = judge_turns(
-            compare([Pair(time_s, recorded, measured, noise)]), column, speed_mps
-        )
+            recorded = _labels(values[0], unknown)
+
+        agreement = compare([Pair(time_s, recorded, measured, noise)])
+        problem, fix = judge_turns(agreement, column, speed_mps[within])
         if problem == UNKNOWN:
-            recording.notes.append(
-                f"{log.name} cannot be compared with the turns of the images: {problem}"
-            )
+            text = f"{log.name} cannot be compared with the turns of the images: {problem}"
+            recording.notes.append(text)
         elif problem:
             raise InputError(problem, log.name, fix)
 
 
 def _labels(steering_rad: np.ndarray, yaw_rate_radps: np.ndarray) -> Labels:
-    known = np.isfinite(steering_rad) | np.isfinite(yaw_rate_radps)
-    return Labels(steering_rad, known, np.full(len(known), np.nan), yaw_rate_radps)
+    """Return labels [F] without speeds; values are NaN where unknown."""
+    valid = np.isfinite(steering_rad) | np.isfinite(yaw_rate_radps)
+    return Labels(steering_rad, valid, np.full(len(valid), np.nan), yaw_rate_radps)

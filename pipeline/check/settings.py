@@ -1,4 +1,4 @@
-"""All sections of ``params.yaml`` as one type."""
+"""Declare all sections of ``params.yaml`` as one type."""
 
 from typing import Annotated
 

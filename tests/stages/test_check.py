@@ -24,7 +24,7 @@ SWIN = str(ROOT / "models/encoder/swin-t")
 
 def changed(where: str, value: Any) -> dict[str, Any]:
     """Return the content of params.yaml with preset table2, and one value changed or added."""
-    content = yaml.safe_load(preset.text(preset.merged("table2"), "a test"))
+    content = yaml.safe_load(preset.to_yaml(preset.merged("table2"), "a test"))
     *path, key = where.split(".")
     reduce(dict.__getitem__, path, content)[key] = value
     return content
@@ -41,7 +41,7 @@ def test_the_projects_own_files_are_valid(name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "models").symlink_to(ROOT / "models")
     content = (
-        yaml.safe_load(preset.text(preset.merged(name), "a test"))
+        yaml.safe_load(preset.to_yaml(preset.merged(name), "a test"))
         if name
         else yaml.safe_load((ROOT / "params.yaml").read_text())
     )

@@ -144,7 +144,7 @@ def test_invalid_names(tmp_path, name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_preset_is_written_as_its_merged_content_with_all_comments(name):
-    text = preset.text(preset.merged(name), "a test")
+    text = preset.to_yaml(preset.merged(name), "a test")
     assert yaml.safe_load(text) == preset.merged(name)
     _, *rest = text.splitlines()
     original = preset.PARAMS.read_text()

@@ -96,8 +96,8 @@ def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> P
     parking = _may_park(route, character.kerbside)
     bays = {side: _bay_width(route, parking, rng, character) for side in (1, -1)}
     s = route.s_m[_EVERY]
-    left = route.at(s, route.left_m + bays[1][_EVERY])[0]
-    right = route.at(s, route.right_m - bays[-1][_EVERY])[0]
+    left = route.at(s, route.edge_m(1) + bays[1][_EVERY])[0]
+    right = route.at(s, route.edge_m(-1) - bays[-1][_EVERY])[0]
     _paint_band(road, left, right, origin, 1)
     for arm in route.arms:
         along = arm.xy + np.array([[0.0], [arm.length_m]]) * unit(arm.heading_rad)
@@ -126,7 +126,7 @@ def _paint_markings(
 ) -> None:
     """Paint bays, the line between the lanes, and in some drives lines along the edges."""
     s = route.s_m[_EVERY]
-    for sign, edge in ((1, route.left_m), (-1, route.right_m)):
+    for sign, edge in ((1, route.edge_m(1)), (-1, route.edge_m(-1))):
         _paint_band(
             paint,
             route.at(s, edge)[0],
@@ -141,8 +141,8 @@ def _paint_markings(
         _paint_line(paint, route.at(s[i : i + 2], route.centre_m)[0], origin)
     if rng.random() < 0.5:
         for i in np.flatnonzero(clear[:-1]):
-            _paint_line(paint, route.at(s[i : i + 2], route.right_m + 0.15)[0], origin)
-            _paint_line(paint, route.at(s[i : i + 2], route.left_m - 0.15)[0], origin)
+            _paint_line(paint, route.at(s[i : i + 2], route.edge_m(-1) + 0.15)[0], origin)
+            _paint_line(paint, route.at(s[i : i + 2], route.edge_m(1) - 0.15)[0], origin)
 
 
 def _may_park(route: Route, kerbside: bool) -> np.ndarray:

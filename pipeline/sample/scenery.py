@@ -200,7 +200,7 @@ def _parked_cars(
     route: Route, plan: Plan, character: Character, rng: np.random.Generator
 ) -> list[Mesh]:
     parts = []
-    for side, edge in ((1, route.left_m), (-1, route.right_m)):
+    for side, edge in ((1, route.edge_m(1)), (-1, route.edge_m(-1))):
         s = route.s_m[0] + 3.0
         while s < route.s_m[-1] - 3:
             around = (route.s_m > s - 2.7) & (route.s_m < s + 2.7)
@@ -232,7 +232,7 @@ def frontages(route: Route, plan: Plan) -> list[Frontage]:
     """Return both sides of the route and its arms, and the far ends of the arms."""
     s = np.arange(route.s_m[0], route.s_m[-1], 0.5)
     sides = []
-    for side, edge in ((1, route.left_m), (-1, route.right_m)):
+    for side, edge in ((1, route.edge_m(1)), (-1, route.edge_m(-1))):
         bay = np.interp(s, route.s_m, plan.bays[side])
         xy, heading = route.at(s, edge + side * bay)
         sides.append(Frontage(xy, heading + side * np.pi / 2))

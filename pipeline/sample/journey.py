@@ -77,7 +77,7 @@ def draw_journey(
     lane.
     """
     times = frame_times(rng, frames)
-    cruise = rng.uniform(*character.cruise_mps)
+    cruise = rng.uniform(*character.quarter.cruise_mps)
     route = draw_route(rng, cruise * times[-1] + AHEAD_M, character.lane_m, first)
     speed = speed_profile(
         route, cruise, rng.uniform(*LATERAL_MPS2), draw_stops(rng, route, 0.75 * cruise * times[-1])

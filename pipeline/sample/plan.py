@@ -1,5 +1,6 @@
-"""Draw the quarter that a drive crosses, and its ground plan: a raster of ground kinds and
-distances to the road.
+"""Draw the quarter that a drive crosses, and its ground plan.
+
+The plan is a raster of the kinds of ground, with the distances to the road.
 """
 
 from typing import NamedTuple
@@ -7,114 +8,230 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from pipeline.sample.route import STEP_M, Route, unit
+from pipeline.sample.route import LEFT, RIGHT, SIDES, STEP_M, Route, unit
 
+# Side of a cell of the plan in metres.
 CELL_M = 0.1
+# Margin of the plan around the route and its arms in metres.
 MARGIN_M = 45.0
-KERB_M = 0.12  # height of pavement and grass over roads, which are at z = 0
+# Height in metres of pavement and grass over roads, which are at z = 0.
+KERB_M = 0.12
+# Radius of the kerb at junctions in metres.
+CORNER_M = 4.0
+# Width of a parking bay in metres.
+BAY_M = 2.1
+
+# Kinds of ground, the values of a plan's cells.
 GRASS, PAVEMENT, ASPHALT, MARKING, BAY, KERBSTONE = range(6)
-CORNER_M = 4.0  # kerb radius at junctions
-BAY_M = 2.1  # width for a parked car
-_EVERY = slice(None, None, round(0.5 / STEP_M))  # samples of the route that are painted
+
+# Samples of the route between which the plan is painted: one every half metre.
+_PAINTED = slice(None, None, round(0.5 / STEP_M))
 
 
-class Character(NamedTuple):
-    """Dimensions and densities of a quarter's streets."""
+class Quarter(NamedTuple):
+    """Ranges of dimensions, and densities, that all streets of a quarter share."""
 
-    lane_m: float
-    cruise_mps: tuple[float, float]
-    # cars park at both kerbs of a street without markings; otherwise in bays beside the lanes
-    kerbside: bool
-    pavement_m: float
     setback_m: tuple[float, float]  # of houses, behind the pavement
     storeys: tuple[int, int]
     gap_m: tuple[float, float]  # between houses
-    trees: float  # probability per place, 0..1
-    hedges: float
+    trees: float  # probability per place
+    hedges: float  # probability per place
     bays: float  # probability that a side of the road has parking bays
-    parked: float  # probability per place
+    cruise_mps: tuple[float, float] = (6.5, 10.0)
+    # Cars park at both kerbs of a street without markings; otherwise in bays beside the lanes.
+    kerbside: bool = False
 
 
-QUARTERS = ("centre", "narrow", "suburb", "terraces", "village")
+QUARTERS = {
+    "centre": Quarter(
+        setback_m=(0.0, 0.6),
+        storeys=(3, 6),
+        gap_m=(0.0, 3.0),
+        trees=0.3,
+        hedges=0.0,
+        bays=0.8,
+    ),
+    "narrow": Quarter(
+        setback_m=(0.0, 3.0),
+        storeys=(2, 4),
+        gap_m=(0.0, 6.0),
+        trees=0.3,
+        hedges=0.5,
+        bays=1.0,
+        cruise_mps=(5.0, 8.0),
+        kerbside=True,
+    ),
+    "suburb": Quarter(
+        setback_m=(4.0, 9.0),
+        storeys=(1, 3),
+        gap_m=(4.0, 12.0),
+        trees=0.8,
+        hedges=0.6,
+        bays=0.5,
+    ),
+    "terraces": Quarter(
+        setback_m=(1.5, 4.0),
+        storeys=(2, 4),
+        gap_m=(0.0, 6.0),
+        trees=0.5,
+        hedges=0.4,
+        bays=0.7,
+    ),
+    "village": Quarter(
+        setback_m=(2.0, 12.0),
+        storeys=(1, 3),
+        gap_m=(6.0, 25.0),
+        trees=0.9,
+        hedges=0.3,
+        bays=0.4,
+    ),
+}
+
+
+class Character(NamedTuple):
+    """Dimensions and densities of a drive's streets."""
+
+    quarter: Quarter
+    lane_m: float
+    pavement_m: float
+    parked: float  # probability of a parked car per place
 
 
 def draw_character(rng: np.random.Generator, quarter: str) -> Character:
     """Draw the streets' dimensions and densities in a quarter of :data:`QUARTERS`."""
-    lane, pavement, parked = rng.uniform(3.1, 3.7), rng.uniform(1.8, 3.0), rng.uniform(0.5, 0.85)
-    wide = (lane, (6.5, 10.0), False, pavement)
-    # Parked cars leave little more room than two cars need: the ego drives close to the middle.
-    narrow = (rng.uniform(2.0, 2.5), (5.0, 8.0), True, rng.uniform(1.3, 2.2))
-    table = {
-        "centre": Character(*wide, (0.0, 0.6), (3, 6), (0.0, 3.0), 0.3, 0.0, 0.8, parked),
-        "narrow": Character(
-            *narrow, (0.0, 3.0), (2, 4), (0.0, 6.0), 0.3, 0.5, 1.0, rng.uniform(0.55, 0.95)
-        ),
-        "suburb": Character(*wide, (4.0, 9.0), (1, 3), (4.0, 12.0), 0.8, 0.6, 0.5, parked),
-        "terraces": Character(*wide, (1.5, 4.0), (2, 4), (0.0, 6.0), 0.5, 0.4, 0.7, parked),
-        "village": Character(*wide, (2.0, 12.0), (1, 3), (6.0, 25.0), 0.9, 0.3, 0.4, parked),
-    }
-    return table[quarter]
+    lane_m = rng.uniform(3.1, 3.7)
+    pavement_m = rng.uniform(1.8, 3.0)
+    parked = rng.uniform(0.5, 0.85)
+    # In narrow streets, parked cars leave little more room than two cars need: the ego drives close
+    # to the middle.
+    narrow_lane_m = rng.uniform(2.0, 2.5)
+    narrow_pavement_m = rng.uniform(1.3, 2.2)
+    narrow_parked = rng.uniform(0.55, 0.95)
+    if quarter == "narrow":
+        return Character(QUARTERS[quarter], narrow_lane_m, narrow_pavement_m, narrow_parked)
+    return Character(QUARTERS[quarter], lane_m, pavement_m, parked)
 
 
 class Plan(NamedTuple):
-    """`kind` uint8 [Y,X] of GRASS ... KERBSTONE; `to_road_m` float32 [Y,X]; `origin` [2] world x, y
-    of cell (0, 0).
-    """
+    """The ground of a drive, in cells of ``CELL_M``, and where cars park along the route."""
 
-    kind: np.ndarray
-    to_road_m: np.ndarray
-    origin: np.ndarray
-    # side (+1 left, -1 right) -> width for parked cars at the route's samples
-    bays: dict[int, np.ndarray]
+    kind: np.ndarray  # uint8 [Y,X] of GRASS ... KERBSTONE
+    to_road_m: np.ndarray  # float32 [Y,X]
+    origin: np.ndarray  # [2] world x, y of cell (0, 0)
+    bays: dict[int, np.ndarray]  # side -> width for parked cars at the route's samples
     parking: np.ndarray  # bool, whether cars may park at the route's samples
 
+    @property
+    def size_m(self) -> np.ndarray:
+        """Extent [2] along x and y."""
+        return np.array(self.kind.shape[::-1]) * CELL_M
+
     def cells(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return rows and columns [...] of the nearest cells to points at x, y [...], clipped to
-        the border.
-        """
-        row, column = (
-            np.rint((along - origin) / CELL_M).astype(np.int64).clip(0, size - 1)
-            for along, origin, size in zip((y, x), self.origin[::-1], self.kind.shape, strict=True)
-        )
+        """Return rows and columns [...] of the cells at x, y [...], clipped to the border."""
+        rows, columns = self.kind.shape
+        left, bottom = self.origin
+        row = np.rint((y - bottom) / CELL_M).astype(np.int64).clip(0, rows - 1)
+        column = np.rint((x - left) / CELL_M).astype(np.int64).clip(0, columns - 1)
         return row, column
 
     def kerbs(self) -> list[np.ndarray]:
         """Return the closed outlines of the roads, each [N,2] in metres."""
         road = (self.to_road_m <= 0).astype(np.uint8)
         outlines, _ = cv2.findContours(road, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-        thinned = [cv2.approxPolyDP(outline, 0.7, True)[:, 0] for outline in outlines]
-        return [outline * CELL_M + self.origin for outline in thinned if len(outline) > 2]
+        kerbs = []
+        for outline in outlines:
+            corners = cv2.approxPolyDP(outline, 0.7, True)[:, 0]
+            if len(corners) > 2:
+                kerbs.append(corners * CELL_M + self.origin)
+        return kerbs
 
 
 def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> Plan:
     """Paint the road, its arms, pavements, parking bays and markings."""
-    ends = [arm.xy + arm.length_m * unit(arm.heading_rad) for arm in route.arms]
-    points = np.concatenate([route.xy, np.reshape(ends, (-1, 2))])
+    # The plan covers the route and its arms, with a margin.
+    points = np.vstack([route.xy, *(arm.at(arm.length_m) for arm in route.arms)])
     origin = points.min(axis=0) - MARGIN_M
     width, height = np.ceil((points.max(axis=0) + MARGIN_M - origin) / CELL_M).astype(int)
+
+    # Roads are as wide as their lanes and bays; the corners between them are round.
+    parking = _may_park(route, character.quarter.kerbside)
+    bays = {side: _draw_bays(route, parking, rng, character.quarter) for side in SIDES}
     road = np.zeros((height, width), np.uint8)
-    parking = _may_park(route, character.kerbside)
-    bays = {side: _bay_width(route, parking, rng, character) for side in (1, -1)}
-    s = route.s_m[_EVERY]
-    left = route.at(s, route.edge_m(1) + bays[1][_EVERY])[0]
-    right = route.at(s, route.edge_m(-1) - bays[-1][_EVERY])[0]
+    left = _outer_edge(route, bays, LEFT)
+    right = _outer_edge(route, bays, RIGHT)
     _paint_band(road, left, right, origin, 1)
     for arm in route.arms:
-        along = arm.xy + np.array([[0.0], [arm.length_m]]) * unit(arm.heading_rad)
-        side = arm.half_m * unit(arm.heading_rad + np.pi / 2)
-        _paint_band(road, along + side, along - side, origin, 1)
+        ends = arm.at(np.array([0.0, arm.length_m]))
+        to_left = arm.half_m * unit(arm.heading_rad + np.pi / 2)
+        _paint_band(road, ends + to_left, ends - to_left, origin, 1)
     road = _close(road, CORNER_M)
 
-    to_road = (cv2.distanceTransform(1 - road, cv2.DIST_L2, 5) * CELL_M).astype(np.float32)
+    # Kerbstones, pavement and grass follow each other away from the road.
+    to_road_m = _distance_m(road)
     kind = np.full(road.shape, GRASS, np.uint8)
-    kind[to_road < character.pavement_m] = PAVEMENT
-    kind[to_road < 0.25] = KERBSTONE
+    kind[to_road_m < character.pavement_m] = PAVEMENT
+    kind[to_road_m < 0.25] = KERBSTONE
     kind[road > 0] = ASPHALT
-    if not character.kerbside:
+    if not character.quarter.kerbside:
         paint = np.zeros_like(kind)
         _paint_markings(paint, route, bays, origin, rng)
         kind = np.where((paint > 0) & (road > 0), paint, kind)
-    return Plan(kind, to_road, origin, bays, parking)
+    return Plan(kind, to_road_m, origin, bays, parking)
+
+
+def _may_park(route: Route, kerbside: bool) -> np.ndarray:
+    """Return bool [N]: cars may park at the route's samples.
+
+    They park neither in sharp bends nor at junctions, at kerbs closer to them than in bays.
+    """
+    if kerbside:
+        sharp_1pm = 0.085
+        clearance_m = 9.0
+    else:
+        sharp_1pm = 0.055
+        clearance_m = 13.0
+    blocked = np.abs(route.curvature_1pm) > sharp_1pm
+    for junction_m in route.junctions_m:
+        blocked |= np.abs(route.s_m - junction_m) < clearance_m
+    reach = round(2 / STEP_M)
+    return np.convolve(blocked, np.ones(2 * reach + 1), "same") == 0
+
+
+def _draw_bays(
+    route: Route, parking: np.ndarray, rng: np.random.Generator, quarter: Quarter
+) -> np.ndarray:
+    """Draw the width for parked cars [N]: bays come in stretches; kerbs are free throughout."""
+    width_m = np.zeros(len(route.s_m))
+    if quarter.kerbside:
+        width_m[:] = BAY_M
+    elif rng.random() < quarter.bays:
+        start_m = route.s_m[0]
+        while start_m < route.s_m[-1]:
+            end_m = start_m + rng.uniform(20, 60)
+            width_m[(route.s_m >= start_m) & (route.s_m < end_m)] = BAY_M
+            start_m = end_m + rng.uniform(6, 20)
+        width_m[~parking] = 0
+    ramp = round(2 / STEP_M)
+    return np.convolve(width_m, np.ones(ramp) / ramp, "same")
+
+
+def _outer_edge(route: Route, bays: dict[int, np.ndarray], side: int) -> np.ndarray:
+    """Return the kerb's points [M,2] on a side, beyond the bays, at the painted samples."""
+    offset_m = route.edge_m(side) + side * bays[side][_PAINTED]
+    xy, _ = route.at(route.s_m[_PAINTED], offset_m)
+    return xy
+
+
+def _close(mask: np.ndarray, radius_m: float) -> np.ndarray:
+    """Round the corners between roads by morphological closing with a disc."""
+    outside = (_distance_m(mask) > radius_m).astype(np.uint8)
+    closed = _distance_m(outside) > radius_m
+    return (closed | (mask > 0)).astype(np.uint8)
+
+
+def _distance_m(mask: np.ndarray) -> np.ndarray:
+    """Return the distance float32 [Y,X] of each cell to those where `mask` is 1."""
+    return cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5) * CELL_M
 
 
 def _paint_markings(
@@ -125,70 +242,39 @@ def _paint_markings(
     rng: np.random.Generator,
 ) -> None:
     """Paint bays, the line between the lanes, and in some drives lines along the edges."""
-    s = route.s_m[_EVERY]
-    for sign, edge in ((1, route.edge_m(1)), (-1, route.edge_m(-1))):
-        _paint_band(
-            paint,
-            route.at(s, edge)[0],
-            route.at(s, edge + sign * bays[sign][_EVERY])[0],
-            origin,
-            BAY,
-        )
-    clear = np.all(
-        [np.abs(s - junction) > 11 for junction in route.junctions_m], axis=0
-    ) | np.zeros(len(s), bool)
-    for i in np.flatnonzero(clear[:-1] & ((s[:-1] % 5) < 2.5)):  # dashed: 2.5 m on, 2.5 m off
-        _paint_line(paint, route.at(s[i : i + 2], route.centre_m)[0], origin)
+    s_m = route.s_m[_PAINTED]
+    for side in SIDES:
+        inner_edge, _ = route.at(s_m, route.edge_m(side))
+        _paint_band(paint, inner_edge, _outer_edge(route, bays, side), origin, BAY)
+
+    # No lines cross a junction.
+    clear = np.full(len(s_m), True)
+    for junction_m in route.junctions_m:
+        clear &= np.abs(s_m - junction_m) > 11
+    dash = (s_m % 5) < 2.5  # 2.5 m on, 2.5 m off
+    _paint_line(paint, route, clear & dash, route.centre_m, origin)
     if rng.random() < 0.5:
-        for i in np.flatnonzero(clear[:-1]):
-            _paint_line(paint, route.at(s[i : i + 2], route.edge_m(-1) + 0.15)[0], origin)
-            _paint_line(paint, route.at(s[i : i + 2], route.edge_m(1) - 0.15)[0], origin)
-
-
-def _may_park(route: Route, kerbside: bool) -> np.ndarray:
-    """Return bool [N]: not in sharp bends or at junctions; at kerbs closer to them than in bays."""
-    bent_1pm, clearance_m = (0.085, 9.0) if kerbside else (0.055, 13.0)
-    blocked = np.abs(route.curvature_1pm) > bent_1pm
-    for junction in route.junctions_m:
-        blocked |= np.abs(route.s_m - junction) < clearance_m
-    reach = round(2 / STEP_M)
-    return np.convolve(blocked, np.ones(2 * reach + 1), "same") == 0
-
-
-def _bay_width(
-    route: Route, parking: np.ndarray, rng: np.random.Generator, character: Character
-) -> np.ndarray:
-    """Draw the width for parked cars [N]: bays come in stretches; kerbs are free throughout."""
-    width = np.full(len(route.s_m), BAY_M if character.kerbside else 0.0)
-    if not character.kerbside and rng.random() < character.bays:
-        start = route.s_m[0]
-        while start < route.s_m[-1]:
-            end = start + rng.uniform(20, 60)
-            width[(route.s_m >= start) & (route.s_m < end)] = BAY_M
-            start = end + rng.uniform(6, 20)
-        width[~parking] = 0
-    ramp = round(2 / STEP_M)
-    return np.convolve(width, np.ones(ramp) / ramp, "same")
-
-
-def _close(mask: np.ndarray, radius_m: float) -> np.ndarray:
-    """Round the corners between roads by morphological closing with a disc."""
-    grown = (cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5) * CELL_M > radius_m).astype(np.uint8)
-    closed = cv2.distanceTransform(1 - grown, cv2.DIST_L2, 5) * CELL_M > radius_m
-    return (closed | (mask > 0)).astype(np.uint8)
+        for side in SIDES:
+            _paint_line(paint, route, clear, route.edge_m(side) - side * 0.15, origin)
 
 
 def _paint_band(
     canvas: np.ndarray, left: np.ndarray, right: np.ndarray, origin: np.ndarray, value: int
 ) -> None:
+    """Fill the band between two lines [M,2] with `value`."""
     for i in range(len(left) - 1):
         quad = np.array([left[i], left[i + 1], right[i + 1], right[i]])
         cv2.fillConvexPoly(canvas, _fixed(quad, origin), value, shift=4)
 
 
-def _paint_line(canvas: np.ndarray, ends: np.ndarray, origin: np.ndarray) -> None:
-    a, b = _fixed(ends, origin)
-    cv2.line(canvas, tuple(map(int, a)), tuple(map(int, b)), MARKING, 2, shift=4)
+def _paint_line(
+    canvas: np.ndarray, route: Route, painted: np.ndarray, offset_m: float, origin: np.ndarray
+) -> None:
+    """Paint a line at `offset_m` from the path where it is `painted`, bool [M]."""
+    xy, _ = route.at(route.s_m[_PAINTED], offset_m)
+    points = _fixed(xy, origin).tolist()
+    for i in np.flatnonzero(painted[:-1]):
+        cv2.line(canvas, points[i], points[i + 1], MARKING, 2, shift=4)
 
 
 def _fixed(xy: np.ndarray, origin: np.ndarray) -> np.ndarray:

@@ -79,7 +79,7 @@ def theme(drive: str) -> tuple[str, str]:
     drives cover all.
     """
     day, number = int(drive[8:10]), int(drive[-4:])
-    return QUARTERS[(number - 2 * day) % len(QUARTERS)], DECK[(number - day) % len(DECK)]
+    return [*QUARTERS][(number - 2 * day) % len(QUARTERS)], DECK[(number - day) % len(DECK)]
 
 
 def random_of(drive: str, seed: int, *frame: int) -> np.random.Generator:

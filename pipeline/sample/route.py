@@ -21,8 +21,10 @@ IMU_HEIGHT_M = 0.93
 # in its lane.
 IMU_LEFT_M = 0.3
 
-# Sides of a road, as signs of offsets from the path: left, right.
-SIDES = (1, -1)
+# Sides of a road, as signs of offsets from the path.
+LEFT = 1
+RIGHT = -1
+SIDES = (LEFT, RIGHT)
 
 # Manoeuvres, shuffled for every road: right and left turns at crossings, corners of wider roads,
 # bends, long sweeps (+ left, - right), and straight on past side roads ("crossing").
@@ -80,6 +82,10 @@ class Arm(NamedTuple):
     length_m: float
     half_m: float  # half its width
 
+    def at(self, distance_m: np.ndarray | float) -> np.ndarray:
+        """Return the points [..., 2] at `distance_m` [...] from the centre of the junction."""
+        return self.xy + np.asarray(distance_m)[..., None] * unit(self.heading_rad)
+
 
 class Route(NamedTuple):
     """The path, sampled every ``STEP_M``."""
@@ -93,15 +99,15 @@ class Route(NamedTuple):
     arms: tuple[Arm, ...]
 
     def edge_m(self, side: int) -> float:
-        """Return the offset of the road's left (1) or right (-1) edge from the path."""
-        if side > 0:
+        """Return the offset of the road's edge on a side of :data:`SIDES`."""
+        if side == LEFT:
             return -IMU_LEFT_M + 1.5 * self.lane_m + 0.25
         return -IMU_LEFT_M - self.lane_m / 2 - 0.25
 
     @property
     def centre_m(self) -> float:
         """Offset of the line between the lanes from the path (left is positive)."""
-        return (self.edge_m(1) + self.edge_m(-1)) / 2
+        return (self.edge_m(LEFT) + self.edge_m(RIGHT)) / 2
 
     def at(
         self, s_m: np.ndarray | float, offset_m: np.ndarray | float = 0.0
@@ -265,7 +271,7 @@ def _clear_of_itself(route: Route) -> bool:
 
     for arm in route.arms:
         # An arm is close to its own junction up to its mouth.
-        beyond_mouth = arm.xy + np.arange(14, arm.length_m)[:, None] * unit(arm.heading_rad)
+        beyond_mouth = arm.at(np.arange(14, arm.length_m))
         distance_m = np.linalg.norm(beyond_mouth[:, None] - xy, axis=-1)
         if (distance_m < 8).any():
             return False

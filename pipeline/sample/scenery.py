@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.camera import classes
 from pipeline.sample import shapes
 from pipeline.sample.plan import CELL_M, KERB_M, Character, Plan
-from pipeline.sample.route import Route, unit
+from pipeline.sample.route import LEFT, RIGHT, Route, unit
 from pipeline.sample.shapes import Mesh
 
 BARRIER_M = (2.0, 3.5)  # from the junction's edge to the barrier of a closed arm
@@ -92,7 +92,7 @@ def build_street(route: Route, plan: Plan, character: Character, rng: np.random.
 
 def _horizon(plan: Plan, rng: np.random.Generator) -> Mesh:
     """Build a ring of woods around the sample."""
-    size = np.array(plan.kind.shape[::-1]) * CELL_M
+    size = plan.size_m
     middle, radius, n = plan.origin + size / 2, np.linalg.norm(size) / 2 + 25, 160
     angle = np.arange(n) * 2 * np.pi / n
     ring = middle + radius * unit(angle)
@@ -121,7 +121,7 @@ def _houses(
     frontage: Frontage, ground: Ground, character: Character, rng: np.random.Generator
 ) -> list[Mesh]:
     parts, i = [], int(rng.integers(4))
-    setback = rng.uniform(*character.setback_m)
+    setback = rng.uniform(*character.quarter.setback_m)
     while i < len(frontage.edge):
         length, depth = rng.uniform(7, 15), rng.uniform(7, 11)
         middle = min(i + int(length), len(frontage.edge) - 1)  # half the length in half-metre steps
@@ -129,17 +129,20 @@ def _houses(
         back = character.pavement_m + setback + rng.uniform(0, 0.8) + depth / 2
         xy = frontage.edge[middle] + back * unit(outward)
         if ground.claim(
-            xy, outward, (length, depth), character.pavement_m + character.setback_m[0] * 0.6
+            xy,
+            outward,
+            (length, depth),
+            character.pavement_m + character.quarter.setback_m[0] * 0.6,
         ):
             wall = np.array(_WALLS[rng.integers(len(_WALLS))]) * rng.uniform(0.85, 1.1)
-            storeys = rng.integers(character.storeys[0], character.storeys[1] + 1)
+            storeys = rng.integers(character.quarter.storeys[0], character.quarter.storeys[1] + 1)
             roof_m = 0.0 if storeys > 4 else rng.uniform(1.5, 3.5)
             size = (length, depth, 2.9 * storeys + rng.uniform(0.2, 0.8))
             house = shapes.house(size, tuple(wall), _ROOFS[rng.integers(len(_ROOFS))], roof_m)
             parts.append(house.placed(xy, outward - np.pi / 2, KERB_M))
-            i += int(2 * (length + rng.uniform(*character.gap_m))) + 1
+            i += int(2 * (length + rng.uniform(*character.quarter.gap_m))) + 1
             if rng.random() < 0.3:
-                setback = rng.uniform(*character.setback_m)
+                setback = rng.uniform(*character.quarter.setback_m)
         else:
             i += 4
     return parts
@@ -158,13 +161,15 @@ def _furniture(
             parts.append(post.placed(xy, frontage.outward_rad[i] + np.pi, KERB_M))
     for i in range(int(rng.integers(10)), len(frontage.edge), 9):
         outward = frontage.outward_rad[i]
-        if rng.random() < character.hedges:
+        if rng.random() < character.quarter.hedges:
             xy = frontage.edge[i] + (clear + 0.5) * unit(outward)
             if ground.claim(xy, outward, (4.4, 0.7), clear):
                 parts.append(_hedge(rng).placed(xy, outward - np.pi / 2, KERB_M))
-        if rng.random() < character.trees * 0.5:
+        if rng.random() < character.quarter.trees * 0.5:
             # Street trees stand in the pavement, garden trees behind it.
-            back = clear - 0.5 if character.setback_m[1] < 2 else clear + rng.uniform(1.5, 7)
+            back = (
+                clear - 0.5 if character.quarter.setback_m[1] < 2 else clear + rng.uniform(1.5, 7)
+            )
             xy = frontage.edge[i] + back * unit(outward)
             if ground.claim(xy, 0.0, (1.2, 1.2), min(back - 0.7, clear)):
                 parts.append(
@@ -178,7 +183,7 @@ def _furniture(
 def _backdrop(ground: Ground, character: Character, rng: np.random.Generator) -> list[Mesh]:
     """Build trees and houses behind the first row, so that its gaps are not empty."""
     parts = []
-    size = np.array(ground.plan.kind.shape[::-1]) * CELL_M
+    size = ground.plan.size_m
     for _ in range(int(size.prod() / 90)):
         xy = ground.plan.origin + rng.uniform(0, 1, 2) * size
         heading = rng.uniform(0, 6.28)
@@ -186,7 +191,7 @@ def _backdrop(ground: Ground, character: Character, rng: np.random.Generator) ->
             dims = (rng.uniform(8, 16), rng.uniform(8, 12))
             if ground.claim(xy, heading, dims, 16):
                 wall = _WALLS[rng.integers(len(_WALLS))]
-                height = 2.9 * rng.integers(1, character.storeys[1] + 1) + 0.5
+                height = 2.9 * rng.integers(1, character.quarter.storeys[1] + 1) + 0.5
                 house = shapes.house((*dims, height), wall, _ROOFS[rng.integers(len(_ROOFS))], 2.5)
                 parts.append(house.placed(xy, heading, KERB_M))
         elif ground.claim(xy, heading, (3, 3), character.pavement_m + 6):
@@ -200,7 +205,7 @@ def _parked_cars(
     route: Route, plan: Plan, character: Character, rng: np.random.Generator
 ) -> list[Mesh]:
     parts = []
-    for side, edge in ((1, route.edge_m(1)), (-1, route.edge_m(-1))):
+    for side, edge in ((1, route.edge_m(LEFT)), (-1, route.edge_m(RIGHT))):
         s = route.s_m[0] + 3.0
         while s < route.s_m[-1] - 3:
             around = (route.s_m > s - 2.7) & (route.s_m < s + 2.7)
@@ -232,7 +237,7 @@ def frontages(route: Route, plan: Plan) -> list[Frontage]:
     """Return both sides of the route and its arms, and the far ends of the arms."""
     s = np.arange(route.s_m[0], route.s_m[-1], 0.5)
     sides = []
-    for side, edge in ((1, route.edge_m(1)), (-1, route.edge_m(-1))):
+    for side, edge in ((1, route.edge_m(LEFT)), (-1, route.edge_m(RIGHT))):
         bay = np.interp(s, route.s_m, plan.bays[side])
         xy, heading = route.at(s, edge + side * bay)
         sides.append(Frontage(xy, heading + side * np.pi / 2))

@@ -12,22 +12,26 @@ from pipeline.ingest.packets import (
 from pipeline.sample.journey import Journey
 from pipeline.sample.route import IMU_HEIGHT_M, rotation
 
-ALTITUDE_M = 110.0  # of the road
-# KITTI's rates are late: in each of its 31 drives with bends, wu fits the heading's derivative of
-# 0.055 to 0.065 s earlier best. So labels belong to half a frame earlier, as does the mean motion
-# between two images; angles and speed do not.
+# Altitude of the road in metres.
+ALTITUDE_M = 110.0
+# Delay in seconds of the recorded rates. KITTI's are late: in each of its 31 drives with bends, wu
+# fits the heading's derivative of 0.055 to 0.065 s earlier best. So labels belong to half a frame
+# earlier, as does the mean motion between two images; angles and speed do not.
 RATES_LATE_S = 0.06
 
 
 def record(journey: Journey, date: str, rng: np.random.Generator) -> tuple[list[bytes], bytes]:
-    """Return the oxts files of a drive and of the frames after it, and timestamps.txt, at a random
-    place and time.
+    """Return the oxts files and timestamps.txt of a drive at a random place and time.
+
+    Both go on for the frames after the drive.
     """
-    place_deg, complete = rng.uniform((48.9, 8.3), (49.1, 8.5)), journey.continued()
-    rows = oxts_rows(journey, *place_deg)
-    rows = np.concatenate([rows, oxts_rows(complete, *place_deg)[len(rows) :]])
-    times = format_times(complete.motion.time_s, date, start_s=rng.uniform(8, 17) * 3600)
-    return [format_packet(row) for row in rows], times
+    latitude_deg, longitude_deg = rng.uniform((48.9, 8.3), (49.1, 8.5))
+    start_s = rng.uniform(8, 17) * 3600
+    rows = oxts_rows(journey, latitude_deg, longitude_deg)
+    continued = journey.continued()
+    after = oxts_rows(continued, latitude_deg, longitude_deg)[len(rows) :]
+    packets = [format_packet(row) for row in [*rows, *after]]
+    return packets, format_times(continued.motion.time_s, date, start_s)
 
 
 def oxts_rows(journey: Journey, latitude_deg: float, longitude_deg: float) -> np.ndarray:
@@ -36,37 +40,54 @@ def oxts_rows(journey: Journey, latitude_deg: float, longitude_deg: float) -> np
     Places follow from the first frame's tangent plane, which agrees with KITTI's Mercator formula
     to millimetres.
     """
-    route, motion, body = journey.route, journey.motion, journey.body
-    v, a, roll, pitch = motion.speed_mps, motion.acceleration_mps2, body.roll_rad, body.pitch_rad
-    sideways = v**2 * route.curvature(motion.s_m)
-    yaw_rate = _late(v, motion.time_s) * route.curvature(_late(motion.s_m, motion.time_s))
+    route = journey.route
+    motion = journey.motion
+    body = journey.body
+    v = motion.speed_mps
+    frames = len(v)
+
+    # The yaw rate is that of the path, late.
+    late_s_m = _late(motion.s_m, motion.time_s)
+    yaw_rate = _late(v, motion.time_s) * route.curvature(late_s_m)
+
     # The accelerometer's axes are the body's: gravity appears on all three when it leans.
-    level = np.stack([a, sideways, np.full(len(v), GRAVITY_MPS2)], axis=-1)
-    tilts = [rotation(x, y, 0.0) for x, y in zip(roll, pitch, strict=True)]
-    ax, ay, az = np.stack([R.T @ row for R, row in zip(tilts, level, strict=True)]).T
-    # of roll, pitch, heave
-    rates = np.gradient([*body], motion.time_s, axis=1) if len(v) > 1 else np.zeros((3, 1))
-    roll_rate, pitch_rate = (_late(rate, motion.time_s) for rate in rates[:2])
+    forward = motion.acceleration_mps2
+    left = v**2 * route.curvature(motion.s_m)
+    level = np.stack([forward, left, np.full(frames, GRAVITY_MPS2)], axis=-1)
+    tilted = np.empty_like(level)
+    for i in range(frames):
+        R = rotation(body.roll_rad[i], body.pitch_rad[i], 0.0)
+        tilted[i] = R.T @ level[i]
+    ax, ay, az = tilted.T
+
+    # The body's rates are the derivatives of its motion; roll and pitch rates are late.
+    rates = np.zeros((3, 1))
+    if frames > 1:
+        rates = np.gradient(body, motion.time_s, axis=1)
+    roll_rate, pitch_rate, heave_rate = rates
+    roll_rate = _late(roll_rate, motion.time_s)
+    pitch_rate = _late(pitch_rate, motion.time_s)
+
     xy, heading_rad = route.at(motion.s_m)
     east_m, north_m = (xy - xy[0]).T
+    parallel_radius_m = EARTH_RADIUS_M * np.cos(np.deg2rad(latitude_deg))
     return make_rows(
-        len(v),
+        frames,
         lat=latitude_deg + np.rad2deg(north_m / EARTH_RADIUS_M),
-        lon=longitude_deg
-        + np.rad2deg(east_m / (EARTH_RADIUS_M * np.cos(np.deg2rad(latitude_deg)))),
+        lon=longitude_deg + np.rad2deg(east_m / parallel_radius_m),
         yaw=np.arctan2(np.sin(heading_rad), np.cos(heading_rad)),
         vn=v * np.sin(heading_rad),
         ve=v * np.cos(heading_rad),
         vf=v,
-        af=a,
-        al=sideways,
+        af=forward,
+        al=left,
         au=GRAVITY_MPS2,
         wz=yaw_rate,
         wu=yaw_rate,
         alt=ALTITUDE_M + IMU_HEIGHT_M + body.heave_m,
-        roll=roll,
-        pitch=pitch,
-        vu=rates[2],
+        roll=body.roll_rad,
+        pitch=body.pitch_rad,
+        vu=heave_rate,
         ax=ax,
         ay=ay,
         az=az,

@@ -8,20 +8,25 @@ from pipeline.sample import shapes
 from pipeline.sample.journey import Journey
 from pipeline.sample.route import IMU_LEFT_M
 
-SIGHT_M = 100.0  # farther cars are not rendered
-_ROOM_M = (4.5, 2.4)  # between the centres of two cars, along and across
-_AXLE_TO_MIDDLE_M = 1.3  # the IMU is over the rear axle
+# Distance in metres from which cars are not rendered.
+SIGHT_M = 100.0
+# Distance in metres along the road between the centres of two cars that do not touch.
+_ROOM_ALONG_M = 4.5
+# Distance in metres across the road between the centres of two cars that do not touch.
+_ROOM_ACROSS_M = 2.4
+# Distance in metres from the IMU, over the rear axle, to the centre of the ego.
+_AXLE_TO_MIDDLE_M = 1.3
+# Time in seconds by which the car ahead is in advance of the ego.
+_LEAD_S = 2.5
 
 
 class Vehicle(NamedTuple):
-    """A car, its pose per frame, xy [F,2] and heading_rad [F], and whether it is in sight, bool
-    [F].
-    """
+    """A car and its pose per frame."""
 
     shape: shapes.Mesh
-    xy: np.ndarray
-    heading_rad: np.ndarray
-    visible: np.ndarray
+    xy: np.ndarray  # [F,2]
+    heading_rad: np.ndarray  # [F]
+    visible: np.ndarray  # bool [F]
 
     def at(self, frame: int) -> shapes.Mesh:
         """Return the car's mesh at a frame."""
@@ -29,32 +34,44 @@ class Vehicle(NamedTuple):
 
 
 def draw_traffic(journey: Journey, rng: np.random.Generator) -> list[Vehicle]:
-    """Draw vehicles that follow the road's lanes for the entire drive. Oncoming ones appear every
-    40 to 110 m.
-    """
-    vehicles, route, motion = [], journey.route, journey.motion
-    speed = rng.uniform(5.0, 7.5)
-    covered = motion.s_m[-1] + speed * motion.time_s[-1] + 60
-    start = rng.uniform(25, 70)
-    while start < covered:
-        s = start - speed * motion.time_s
-        on_road = (s > route.s_m[0] + 4) & (s < route.s_m[-1] - 4)
-        if on_road.any():
-            xy, heading = route.at(s, route.centre_m + route.lane_m / 2)
-            xy[~on_road] = route.xy[0] - 1e4  # out of sight
-            vehicles.append(Vehicle(shapes.car(rng), xy, heading + np.pi, _in_sight(xy, journey)))
-        start += rng.uniform(40, 110)
+    """Draw vehicles that follow the road's lanes for the entire drive."""
+    vehicles = _draw_oncoming(journey, rng)
     if rng.random() < 0.35:
-        # The car ahead is the ego a few seconds earlier; towards the drive's end it pulls away.
-        lead_s = np.interp(motion.time_s + 2.5, motion.time_s, motion.s_m, right=np.nan)
-        beyond = motion.s_m[-1] + (motion.time_s + 2.5 - motion.time_s[-1]) * max(
-            float(motion.speed_mps[-1]), 4.0
-        )
-        xy, heading = route.at(
-            np.where(np.isnan(lead_s), beyond, lead_s) + 6.0, route.centre_m - route.lane_m / 2
-        )
-        vehicles.append(Vehicle(shapes.car(rng), xy, heading, _in_sight(xy, journey)))
+        vehicles.append(_draw_lead(journey, rng))
     return vehicles
+
+
+def _draw_oncoming(journey: Journey, rng: np.random.Generator) -> list[Vehicle]:
+    """Draw oncoming cars, one every 40 to 110 m."""
+    route = journey.route
+    motion = journey.motion
+    speed_mps = rng.uniform(5.0, 7.5)
+    farthest_m = motion.s_m[-1] + speed_mps * motion.time_s[-1] + 60
+    vehicles = []
+    start_m = rng.uniform(25, 70)
+    while start_m < farthest_m:
+        s_m = start_m - speed_mps * motion.time_s
+        on_road = (s_m > route.s_m[0] + 4) & (s_m < route.s_m[-1] - 4)
+        if on_road.any():
+            xy, heading_rad = route.at(s_m, route.centre_m + route.lane_m / 2)
+            xy[~on_road] = route.xy[0] - 1e4  # out of sight
+            car = shapes.car(rng)
+            vehicles.append(Vehicle(car, xy, heading_rad + np.pi, _in_sight(xy, journey)))
+        start_m += rng.uniform(40, 110)
+    return vehicles
+
+
+def _draw_lead(journey: Journey, rng: np.random.Generator) -> Vehicle:
+    """Draw the car ahead: the ego a few seconds earlier; towards the drive's end it pulls away."""
+    route = journey.route
+    motion = journey.motion
+    time_s = motion.time_s + _LEAD_S
+    as_ego_m = np.interp(time_s, motion.time_s, motion.s_m, right=np.nan)
+    end_mps = max(float(motion.speed_mps[-1]), 4.0)
+    beyond_m = motion.s_m[-1] + (time_s - motion.time_s[-1]) * end_mps
+    s_m = np.where(np.isnan(as_ego_m), beyond_m, as_ego_m) + 6.0
+    xy, heading_rad = route.at(s_m, route.centre_m - route.lane_m / 2)
+    return Vehicle(shapes.car(rng), xy, heading_rad, _in_sight(xy, journey))
 
 
 def _in_sight(xy: np.ndarray, journey: Journey) -> np.ndarray:
@@ -63,14 +80,18 @@ def _in_sight(xy: np.ndarray, journey: Journey) -> np.ndarray:
     In narrow streets, a vehicle might touch the ego. It is then hidden for the entire encounter, so
     that it neither appears nor vanishes in sight.
     """
-    ego, heading_rad = journey.route.at(journey.motion.s_m)
-    to = xy - ego
-    in_sight = np.linalg.norm(to, axis=1) < SIGHT_M
-    c, s = np.cos(heading_rad), np.sin(heading_rad)
-    along, across = (
-        to[:, 0] * c + to[:, 1] * s - _AXLE_TO_MIDDLE_M,
-        to[:, 1] * c - to[:, 0] * s + IMU_LEFT_M,
-    )
-    touches = (np.abs(along) < _ROOM_M[0]) & (np.abs(across) < _ROOM_M[1])
-    encounter = np.cumsum(np.diff(in_sight, prepend=False)) * in_sight  # numbered; 0: out of sight
+    ego_xy, heading_rad = journey.route.at(journey.motion.s_m)
+    offset = xy - ego_xy
+    in_sight = np.linalg.norm(offset, axis=1) < SIGHT_M
+
+    # The offset in the ego's own frame, from its centre.
+    x, y = offset.T
+    c = np.cos(heading_rad)
+    s = np.sin(heading_rad)
+    along_m = x * c + y * s - _AXLE_TO_MIDDLE_M
+    across_m = y * c - x * s + IMU_LEFT_M
+    touches = (np.abs(along_m) < _ROOM_ALONG_M) & (np.abs(across_m) < _ROOM_ACROSS_M)
+
+    # Encounters are numbered from 1; 0 is out of sight.
+    encounter = np.cumsum(np.diff(in_sight, prepend=False)) * in_sight
     return in_sight & ~np.isin(encounter, encounter[touches & in_sight])

@@ -42,13 +42,13 @@ def test_roads_are_smooth_match_their_curvature_and_do_not_cross_themselves(seed
     assert apart[np.abs(s[:, None] - s[None]) > 60].min() > 20
 
 
-@pytest.fixture(scope="module", params=[(1, ()), (3, (40.0,))], ids=["drives on", "stops"])
+@pytest.fixture(scope="module", params=[(1, None), (3, 40.0)], ids=["drives on", "stops"])
 def journey(request) -> Journey:
-    seed, stops = request.param
+    seed, stop_m = request.param
     rng = np.random.default_rng(seed)
     times = frame_times(rng, 200)
     route = draw_route(rng, 9.0 * times[-1] + AHEAD_M, 3.5, "left")
-    travel = journeys.drive(route, speed_profile(route, 9.0, 3.0, stops), times, 2.0)
+    travel = journeys.drive(route, speed_profile(route, 9.0, 3.0, stop_m), times, 2.0)
     return Journey(route, travel, travel, draw_body(route, travel, rng))
 
 

@@ -8,51 +8,62 @@ from pipeline.camera import classes
 from pipeline.sample.plan import ASPHALT, BAY, GRASS, KERBSTONE, MARKING, PAVEMENT
 from pipeline.sample.world import Hits, dot
 
-_TILE = 256  # side of the pattern tiles; a power of two, see _look_up
+# Side of a pattern's tile in cells; a power of two, see _look_up.
+_TILE = 256
+# Largest brightness that the tone curve has a value for; the darkest is 0.
 _STEPS = 4095
 
-_BLUE, _GREY = np.array([0.22, 0.42, 0.80]), np.array([0.60, 0.64, 0.70])
+# Colour of the sky at the horizon.
+_HORIZON = np.array([0.75, 0.82, 0.88])
+# Colour of the clear sky at the zenith.
+_BLUE = np.array([0.22, 0.42, 0.80])
+# Colour of the overcast sky at the zenith.
+_GREY = np.array([0.60, 0.64, 0.70])
 
 
 class Light(NamedTuple):
-    """One drive's light. Colours are linear RGB."""
+    """One drive's light. Colours are linear RGB [3]."""
 
-    sun: np.ndarray  # [3] direction towards the sun
+    sun: np.ndarray  # float32 [3] direction towards the sun
     sun_colour: np.ndarray
     ambient: np.ndarray
-    sky: tuple[np.ndarray, np.ndarray]  # colour at the horizon, at the zenith
+    zenith: np.ndarray
     haze_m: float
     exposure: float
     curve: np.ndarray  # uint8 [_STEPS + 1]: tone curve
     slope: np.ndarray  # [2] change of brightness over the image's width and height
-    tiles: np.ndarray  # [2, TILE, TILE] patterns in -1..1: fine, coarse
+    grain: np.ndarray  # float32 [_TILE,_TILE] fine pattern in -1..1
+    patches: np.ndarray  # float32 [_TILE,_TILE] coarse pattern in -1..1
     clouds: float
 
 
 def draw_light(rng: np.random.Generator) -> Light:
     """Draw the light of a drive."""
     overcast = rng.uniform(0, 1) ** 1.5 * 0.8  # sunny more often than not
-    azimuth, elevation = rng.uniform(0, 2 * np.pi), np.deg2rad(rng.uniform(18, 60))
-    sun = np.array(
-        [
-            np.cos(azimuth) * np.cos(elevation),
-            np.sin(azimuth) * np.cos(elevation),
-            np.sin(elevation),
-        ]
-    )
+    azimuth = rng.uniform(0, 2 * np.pi)
+    elevation = np.deg2rad(rng.uniform(18, 60))
+    east = np.cos(azimuth) * np.cos(elevation)
+    north = np.sin(azimuth) * np.cos(elevation)
+    up = np.sin(elevation)
     warm = rng.uniform(-0.08, 0.10)
+
+    haze_m = rng.uniform(500, 2000)
+    exposure = rng.uniform(0.65, 1.35)
+    gamma = rng.uniform(1.8, 2.5)
+    slope = rng.uniform(-0.25, 0.25, 2)
+    grain = rng.uniform(-1, 1, (_TILE, _TILE))
+    patches = _draw_patches(rng)
     return Light(
-        sun=sun,
+        sun=np.array([east, north, up], np.float32),
         sun_colour=(1.7 - 1.6 * overcast) * np.array([1 + warm, 1.0, 1 - warm]),
         ambient=(0.30 + 0.45 * overcast) * np.array([0.92, 1.0, 1.1]),
-        sky=(np.array([0.75, 0.82, 0.88]), (1 - overcast) * _BLUE + overcast * _GREY),
-        haze_m=rng.uniform(500, 2000),
-        exposure=rng.uniform(0.65, 1.35),
-        curve=np.rint(255 * np.linspace(0, 1, _STEPS + 1) ** (1 / rng.uniform(1.8, 2.5))).astype(
-            np.uint8
-        ),
-        slope=rng.uniform(-0.25, 0.25, 2),
-        tiles=np.stack([rng.uniform(-1, 1, (_TILE, _TILE)), _smooth(rng)]).astype(np.float32),
+        zenith=(1 - overcast) * _BLUE + overcast * _GREY,
+        haze_m=haze_m,
+        exposure=exposure,
+        curve=np.rint(255 * np.linspace(0, 1, _STEPS + 1) ** (1 / gamma)).astype(np.uint8),
+        slope=slope,
+        grain=grain.astype(np.float32),
+        patches=patches.astype(np.float32),
         clouds=rng.uniform(0.05, 0.3),
     )
 
@@ -66,105 +77,116 @@ def draw_ground_colours(rng: np.random.Generator) -> np.ndarray:
     colours[MARKING] = 0.72
     colours[PAVEMENT] = np.array([1.03, 1, 0.95]) * rng.uniform(0.34, 0.50)
     colours[KERBSTONE] = rng.uniform(0.45, 0.6)
-    colours[GRASS] = np.array([0.20, 0.30, 0.10]) * rng.uniform(0.75, 1.2) + [
-        rng.uniform(0, 0.08),
-        0,
-        0,
-    ]
+    colours[GRASS] = np.array([0.20, 0.30, 0.10]) * rng.uniform(0.75, 1.2)
+    colours[GRASS] += [rng.uniform(0, 0.08), 0, 0]
     return colours
 
 
 def shade(
     light: Light, hits: Hits, rays: np.ndarray, lit: np.ndarray, size: tuple[int, int]
 ) -> np.ndarray:
-    """Return the image, RGB uint8 [H,W,3], of `hits` along `rays` [6,N], N = H·W; `lit` bool [N]:
-    not in shadow.
+    """Return the image of `hits` along `rays` [6,N], RGB uint8 [H,W,3], N = H·W.
+
+    `lit` bool [N] tells which surfaces are not in shadow.
     """
     sky = np.flatnonzero(hits.cls == classes.SKY)
-    distance = hits.distance_m.copy()
-    distance[sky] = 0
-    points = rays[:3] + distance * rays[3:]
-    sun_colour, ambient, horizon, zenith = (
-        part.astype(np.float32)[:, None] for part in (light.sun_colour, light.ambient, *light.sky)
-    )
-    direct = np.maximum(dot(hits.normal, light.sun.astype(np.float32)), 0) * lit
-    # Upward faces receive more light from the sky.
+    distance_m = hits.distance_m.copy()
+    distance_m[sky] = 0
+    points = rays[:3] + distance_m * rays[3:]
+
+    # Surfaces reflect the sun and the sky, of which upward faces see more.
+    direct = np.maximum(dot(hits.normal, light.sun), 0) * lit
     from_sky = 0.75 + 0.25 * hits.normal[2]
-    colour = direct * sun_colour + from_sky * ambient  # [3,N]
+    colour = direct * _column(light.sun_colour) + from_sky * _column(light.ambient)  # [3,N]
     colour *= hits.colour
     colour *= 1 + _pattern(light, hits, points)
-    colour += (1 - np.exp(-distance / np.float32(light.haze_m))) * (horizon - colour)
-    colour[:, sky] = _sky(light, rays[3:, sky], horizon, zenith)
 
+    # Distance fades them to the colour of the horizon.
+    haze = 1 - np.exp(-distance_m / np.float32(light.haze_m))
+    colour += haze * (_column(_HORIZON) - colour)
+    colour[:, sky] = _sky(light, rays[3:, sky])
+
+    # The camera exposes the image, unevenly over its width and height.
     height, width = size
-    across = (
-        light.slope[0] * np.linspace(-1, 1, width)
-        + light.slope[1] * np.linspace(-1, 1, height)[:, None]
-    )
-    colour *= (_STEPS * light.exposure * (1 + across)).astype(np.float32).ravel()
+    slope_x, slope_y = light.slope
+    slope = slope_x * np.linspace(-1, 1, width) + slope_y * np.linspace(-1, 1, height)[:, None]
+    colour *= (_STEPS * light.exposure * (1 + slope)).astype(np.float32).ravel()
     np.clip(colour, 0, _STEPS, out=colour)
-    picture = light.curve.take(colour.astype(np.int16)).reshape(3, height, width)
-    return np.ascontiguousarray(picture.transpose(1, 2, 0))
+    image = light.curve.take(colour.astype(np.int16)).reshape(3, height, width)
+    return np.ascontiguousarray(image.transpose(1, 2, 0))
+
+
+def _column(colour: np.ndarray) -> np.ndarray:
+    """Return a colour [3] as float32 [3,1]."""
+    return colour.astype(np.float32)[:, None]
 
 
 def _pattern(light: Light, hits: Hits, points: np.ndarray) -> np.ndarray:
     """Return each surface's relative brightness [N]: grain, patches, windows."""
     x, y, z = points
-    ground = hits.ground >= 0
-    # Vertical faces are patterned along the street and upwards.
-    along = np.where(ground, x, np.float32(0.37) * x + y * hits.normal[0] - x * hits.normal[1])
-    up = np.where(ground, y, z)
+    normal_x, normal_y, normal_z = hits.normal
+
+    # The ground is patterned along x and y, vertical faces along the street and upwards.
+    on_ground = hits.ground >= 0
+    along = np.where(on_ground, x, np.float32(0.37) * x + y * normal_x - x * normal_y)
+    up = np.where(on_ground, y, z)
+
+    # Leaves and grass have more grain; that of leaves is coarser.
     leaves = hits.cls == classes.VEGETATION
-    grain = np.where(
-        leaves, np.float32(0.30), np.where(hits.ground == GRASS, np.float32(0.22), np.float32(0.08))
-    )
+    contrast = np.full(len(x), 0.08, np.float32)
+    contrast[hits.ground == GRASS] = 0.22
+    contrast[leaves] = 0.30
     per_m = np.where(leaves, np.float32(1 / 0.35), np.float32(1 / 0.15))
-    pattern = grain * _look_up(light.tiles[0], along * per_m, up * per_m)
-    pattern += np.float32(0.16) * _look_up(light.tiles[1], along * 2, up * 2)
+    pattern = contrast * _look_up(light.grain, along * per_m, up * per_m)
+    pattern += np.float32(0.16) * _look_up(light.patches, along * 2, up * 2)
+
+    # Pavement has joints between its slabs.
     slabs = np.flatnonzero(hits.ground == PAVEMENT)
     joint = (np.mod(along[slabs], 0.8) < 0.07) | (np.mod(up[slabs], 0.8) < 0.07)
     pattern[slabs] -= 0.15 * joint
 
-    wall = np.flatnonzero((hits.cls == classes.BUILDING) & (np.abs(hits.normal[2]) < 0.1))
-    u, v = along[wall] - 0.37 * x[wall], z[wall] - 0.12
-    # Windows and a band between storeys.
-    storey_m = np.mod(v, 2.9)
-    window = (np.abs(np.mod(u, 2.6) - 1.3) < 0.55) & (np.abs(storey_m - 1.7) < 0.7) & (v > 0.5)
+    # Walls have windows and a band between storeys.
+    wall = np.flatnonzero((hits.cls == classes.BUILDING) & (np.abs(normal_z) < 0.1))
+    wall_x = along[wall] - 0.37 * x[wall]
+    wall_z = z[wall] - 0.12
+    storey_m = np.mod(wall_z, 2.9)
+    window = np.abs(np.mod(wall_x, 2.6) - 1.3) < 0.55
+    window &= (np.abs(storey_m - 1.7) < 0.7) & (wall_z > 0.5)
     pattern[wall] -= 0.65 * window + 0.12 * (storey_m < 0.2)
-    fence = np.flatnonzero(
-        (hits.cls == classes.FENCE) & (hits.colour[2] > 0.12) & (hits.colour[0] < 0.6)
-    )
-    pattern[fence] -= 0.35 * (np.mod(along[fence] - 0.37 * x[fence], 0.35) < 0.08)
+
+    # Fences of wood, other than barriers, have gaps between their boards.
+    red, _, blue = hits.colour
+    fence = np.flatnonzero((hits.cls == classes.FENCE) & (blue > 0.12) & (red < 0.6))
+    gap = np.mod(along[fence] - 0.37 * x[fence], 0.35) < 0.08
+    pattern[fence] -= 0.35 * gap
     return np.maximum(pattern, np.float32(-0.9))
 
 
-def _sky(
-    light: Light, direction: np.ndarray, horizon: np.ndarray, zenith: np.ndarray
-) -> np.ndarray:
-    """Return the sky's colour [3,N] in `direction` [3,N], from its colours [3,1] at horizon and
-    zenith.
-    """
-    up = np.clip(direction[2], 0.02, 1)
+def _sky(light: Light, direction: np.ndarray) -> np.ndarray:
+    """Return the sky's colour [3,N] in `direction` [3,N]."""
+    x, y, z = direction
+    up = np.clip(z, 0.02, 1)
     blend = np.sqrt(np.clip(up * 1.6, 0, 1))
-    cloud = _look_up(light.tiles[1], direction[0] / up * 6, direction[1] / up * 6) * light.clouds
-    glow = (
-        np.clip(dot(direction, light.sun.astype(np.float32)), 0, 1) ** 16
-        * light.sun_colour.mean()
-        * 0.3
-    )
-    return (horizon * (1 - blend) + zenith * blend + cloud + glow).astype(np.float32)
+    clear = _column(_HORIZON) * (1 - blend) + _column(light.zenith) * blend
+    cloud = _look_up(light.patches, x / up * 6, y / up * 6) * light.clouds
+    to_sun = np.clip(dot(direction, light.sun), 0, 1)
+    glow = to_sun**16 * light.sun_colour.mean() * 0.3
+    return (clear + cloud + glow).astype(np.float32)
 
 
 def _look_up(tile: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    row, column = (np.floor(along).astype(np.int32) & (_TILE - 1) for along in (y, x))
+    """Return the values [N] of a tile at places in cells; it repeats in all directions."""
+    row = np.floor(y).astype(np.int32) & (_TILE - 1)
+    column = np.floor(x).astype(np.int32) & (_TILE - 1)
     return tile.ravel().take(row * _TILE + column)
 
 
-def _smooth(rng: np.random.Generator) -> np.ndarray:
+def _draw_patches(rng: np.random.Generator) -> np.ndarray:
     """Draw a tile of soft patches that repeats without seams."""
-    noise = np.fft.rfft2(rng.uniform(-1, 1, (_TILE, _TILE)))
-    fy, fx = np.fft.fftfreq(_TILE)[:, None], np.fft.rfftfreq(_TILE)[None]
-    patches = np.fft.irfft2(
-        noise * np.exp(-((fy**2 + fx**2) * 2 * (np.pi * 3.0) ** 2)), s=(_TILE, _TILE)
-    )
+    # A low-pass filter of Gaussian shape, by its spectrum.
+    spectrum = np.fft.rfft2(rng.uniform(-1, 1, (_TILE, _TILE)))
+    frequency_y = np.fft.fftfreq(_TILE)[:, None]
+    frequency_x = np.fft.rfftfreq(_TILE)
+    spectrum *= np.exp(-((frequency_y**2 + frequency_x**2) * 2 * (np.pi * 3.0) ** 2))
+    patches = np.fft.irfft2(spectrum, s=(_TILE, _TILE))
     return patches / np.abs(patches).max()

@@ -2,7 +2,6 @@
 
 import hashlib
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -19,54 +18,66 @@ from pipeline.sample.settings import Sample
 from pipeline.sample.traffic import draw_traffic
 from pipeline.sample.world import World
 
-# Level 1 and one filter per file: half the time of writing and two thirds of reading for 13 kB more
-# of a frame's 130.
-_LEVEL = (cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER)
+# Options of PNG files. Level 1 and one filter per file take half the time of writing and two thirds
+# of reading for 13 kB more of a frame's 130.
+_FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
+_UNFILTERED = (*_FAST, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE)
+_FILTERED = (*_FAST, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP)
 
 
 def render_drive(
     path: Path, drive: str, settings: Sample, *, frames: int, lidar: bool, truth: bool
-) -> dict[str, Any]:
-    """Lay out the drive named `drive` (2026_01_01_drive_0001), and render `frames` frames into the
-    new folder `path`.
+) -> dict[str, float]:
+    """Render `frames` frames of the drive named `drive` into the new folder `path`.
 
-    The name and the seed determine road, street, light and motion. Oxts files continue for some
-    frames after the last image, for labels of the path ahead. `lidar`: add scans; `truth`: add
-    truth/depth (16-bit PNG, metres x 256, 0: none) and truth/cls (trainIds) of the images.
+    The name (2026_01_01_drive_0001) and the seed determine road, street, light and motion. Oxts
+    files continue for some frames after the last image, for labels of the path ahead. `lidar`: add
+    scans; `truth`: add truth/depth (16-bit PNG, metres x 256, 0: none) and truth/cls (trainIds) of
+    the images.
 
     Returns the number of frames and metres driven.
     """
     rng = random_of(drive, settings.seed)
+    date = drive[:10]
+
+    # Lay out the street, and let the ego and other cars drive through it.
     quarter, first = theme(drive)
     character = draw_character(rng, quarter)
     journey = draw_journey(rng, frames, character, first)
     plan = draw_plan(journey.route, rng, character)
-    world = World(plan, build_street(journey.route, plan, character, rng), draw_ground_colours(rng))
-    light, traffic = draw_light(rng), draw_traffic(journey, rng)
-    packets, timestamps = record(journey, drive[:10], rng)
-    rig = make_rig(settings.image_size, drive[:10])
-    camera, scanner = ImageSensor(rig), Scanner(rig, settings.scan_rays) if lidar else None
+    street = build_street(journey.route, plan, character, rng)
+    world = World(plan, street, draw_ground_colours(rng))
+    light = draw_light(rng)
+    traffic = draw_traffic(journey, rng)
 
-    images, oxts, scans = (
-        path / sensor / "data" for sensor in ("image_02", "oxts", "velodyne_points")
-    )
-    depths, classes = path / "truth" / "depth", path / "truth" / "cls"
-    for folder in (images, oxts, *[scans] * bool(scanner)):
-        folder.mkdir(parents=True)
-        (folder.parent / "timestamps.txt").write_bytes(timestamps)
-    for folder in (depths, classes) if truth else ():
-        folder.mkdir(parents=True)
+    # Write what the inertial system records.
+    packets, timestamps = record(journey, date, rng)
+    oxts = _make_folder(path / "oxts", timestamps)
     for number, packet in enumerate(packets):
         (oxts / f"{number:010d}.txt").write_bytes(packet)
+
+    # Render what camera and scanner record in each frame.
+    rig = make_rig(settings.image_size, date)
+    camera = ImageSensor(rig)
+    images = _make_folder(path / "image_02", timestamps)
+    if lidar:
+        scanner = Scanner(rig, settings.scan_rays)
+        scans = _make_folder(path / "velodyne_points", timestamps)
+    if truth:
+        depths = path / "truth" / "depth"
+        depths.mkdir(parents=True)
+        classes = path / "truth" / "cls"
+        classes.mkdir()
     for number in range(frames):
-        world.set_traffic([vehicle.at(number) for vehicle in traffic if vehicle.visible[number]])
-        pose, png = journey.pose(number), f"{number:010d}.png"
+        world.set_traffic([car.at(number) for car in traffic if car.visible[number]])
+        pose = journey.pose(number)
         rgb, depth_m, cls = camera.take(world, light, pose)
-        write_png(images / png, rgb, *_LEVEL, cv2.IMWRITE_PNG_FILTER_NONE)
+        png = f"{number:010d}.png"
+        write_png(images / png, rgb, *_UNFILTERED)
         if truth:
-            write_png(depths / png, to_units(depth_m), *_LEVEL, cv2.IMWRITE_PNG_FILTER_UP)
-            write_png(classes / png, cls, *_LEVEL, cv2.IMWRITE_PNG_FILTER_NONE)
-        if scanner:
+            write_png(depths / png, to_units(depth_m), *_FILTERED)
+            write_png(classes / png, cls, *_UNFILTERED)
+        if lidar:
             scan = scanner.take(world, pose, random_of(drive, settings.seed, number))
             (scans / f"{number:010d}.bin").write_bytes(scan.tobytes())
 
@@ -74,12 +85,23 @@ def render_drive(
     return {"frames": frames, "metres": round(float(s_m[-1] - s_m[0]), 1)}
 
 
+def _make_folder(sensor: Path, timestamps: bytes) -> Path:
+    """Return the new folder for the files of a sensor, beside its timestamps."""
+    data = sensor / "data"
+    data.mkdir(parents=True)
+    (sensor / "timestamps.txt").write_bytes(timestamps)
+    return data
+
+
 def theme(drive: str) -> tuple[str, str]:
-    """Return a drive's quarter and first manoeuvre. They vary with number and date: a few short
-    drives cover all.
+    """Return the quarter and the first manoeuvre of a drive.
+
+    They vary with number and date: a few short drives cover all.
     """
-    day, number = int(drive[8:10]), int(drive[-4:])
-    return [*QUARTERS][(number - 2 * day) % len(QUARTERS)], DECK[(number - day) % len(DECK)]
+    day = int(drive[8:10])
+    number = int(drive[-4:])
+    quarters = [*QUARTERS]
+    return quarters[(number - 2 * day) % len(quarters)], DECK[(number - day) % len(DECK)]
 
 
 def random_of(drive: str, seed: int, *frame: int) -> np.random.Generator:

@@ -18,46 +18,62 @@ from pipeline.sample.light import Light, shade
 from pipeline.sample.route import IMU_HEIGHT_M, rotation
 from pipeline.sample.world import World, dot
 
-# of camera 0: grey left, right, colour left, right
+# Offsets in metres of the cameras to the left of camera 0: grey left, right, colour left, right.
 CAMERAS_LEFT_M = {0: 0.0, 1: -0.537, 2: 0.0622, 3: -0.4706}
-# x forward, y left, z up -> x right, y down, z forward
-_LEVEL = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
+# Rotation from axes forward, left, up to a camera's, right, down, forward.
+_FACING = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
 
-ELEVATION_DEG = (2.0, -24.8)  # of the HDL-64E's lasers, top to bottom
+# Elevations in degrees of the top and the bottom laser of the HDL-64E.
+ELEVATION_DEG = (2.0, -24.8)
+# Distance in metres from which the scanner has no returns.
 SCAN_RANGE_M = 90.0
-FARTHEST_M = float(to_metres(np.array(MAX_UNITS)))  # of stored depth
+# Largest depth in metres that is stored.
+FARTHEST_M = float(to_metres(np.array(MAX_UNITS)))
+# Standard deviation of the scanner's distances in metres.
 RANGE_NOISE_M = 0.015
-_RESOLUTION_M = 1 / 1024  # of points: finer than the noise, and stored scans are smaller
+# Resolution of points in metres: finer than the noise, and stored scans are smaller.
+_RESOLUTION_M = 1 / 1024
+# Reflectance of each class.
 _REFLECTANCE = np.full(256, 0.3, np.float32)
-_REFLECTANCE[[classes.ROAD, classes.SIDEWALK, classes.TERRAIN, classes.VEGETATION]] = (
-    0.18,
-    0.28,
-    0.35,
-    0.3,
-)
+_REFLECTANCE[classes.ROAD] = 0.18
+_REFLECTANCE[classes.SIDEWALK] = 0.28
+_REFLECTANCE[classes.TERRAIN] = 0.35
 
-_FOCAL_PER_WIDTH = 360.8 / 621  # KITTI's
-# Focal length relative to KITTI's, principal point as shares of width and height, height over the
-# road in metres. The scanner's height is constant, so that T_cam_velo determines the camera's.
-_KITTI = (1.0, 304.5 / 621, 86.2 / 188, CAMERA_HEIGHT_M)
-_CAMERAS_OF_DATE = {
-    "2026_01_04": (0.86, 0.506, 0.478, 1.55),
-    "2026_01_05": (1.18, 0.477, 0.441, 1.72),
-    "2026_01_06": (1.06, 0.512, 0.466, 1.76),
+# Focal length of KITTI's cameras as a share of the image's width.
+_FOCAL_PER_WIDTH = 360.8 / 621
+
+
+class _Optics(NamedTuple):
+    """A date's cameras.
+
+    The scanner's height is constant, so that T_cam_velo determines the camera's.
+    """
+
+    focal: float  # relative to KITTI's
+    x: float  # of the principal point, as a share of the width
+    y: float  # of the principal point, as a share of the height
+    height_m: float  # over the road
+
+
+_KITTI = _Optics(1.0, 304.5 / 621, 86.2 / 188, CAMERA_HEIGHT_M)
+_OPTICS_OF_DATE = {
+    "2026_01_04": _Optics(0.86, 0.506, 0.478, 1.55),
+    "2026_01_05": _Optics(1.18, 0.477, 0.441, 1.72),
+    "2026_01_06": _Optics(1.06, 0.512, 0.466, 1.76),
     # Of validation (07) and test drives, within the range of the training dates.
-    "2026_01_07": (0.93, 0.483, 0.470, 1.60),
-    "2026_01_09": (0.90, 0.495, 0.462, 1.58),
-    "2026_01_10": (1.03, 0.486, 0.473, 1.73),
-    "2026_01_11": (1.13, 0.507, 0.449, 1.68),
-    "2026_01_12": (0.97, 0.479, 0.454, 1.62),
-    "2026_01_13": (1.10, 0.499, 0.475, 1.59),
-    "2026_01_14": (0.88, 0.481, 0.446, 1.70),
-    "2026_01_15": (1.05, 0.509, 0.456, 1.64),
-    "2026_01_16": (0.95, 0.493, 0.468, 1.75),
-    "2026_01_17": (1.15, 0.488, 0.459, 1.66),
-    "2026_01_18": (0.91, 0.504, 0.472, 1.74),
-    "2026_01_19": (1.01, 0.497, 0.443, 1.57),
-    "2026_01_20": (1.08, 0.482, 0.464, 1.61),
+    "2026_01_07": _Optics(0.93, 0.483, 0.470, 1.60),
+    "2026_01_09": _Optics(0.90, 0.495, 0.462, 1.58),
+    "2026_01_10": _Optics(1.03, 0.486, 0.473, 1.73),
+    "2026_01_11": _Optics(1.13, 0.507, 0.449, 1.68),
+    "2026_01_12": _Optics(0.97, 0.479, 0.454, 1.62),
+    "2026_01_13": _Optics(1.10, 0.499, 0.475, 1.59),
+    "2026_01_14": _Optics(0.88, 0.481, 0.446, 1.70),
+    "2026_01_15": _Optics(1.05, 0.509, 0.456, 1.64),
+    "2026_01_16": _Optics(0.95, 0.493, 0.468, 1.75),
+    "2026_01_17": _Optics(1.15, 0.488, 0.459, 1.66),
+    "2026_01_18": _Optics(0.91, 0.504, 0.472, 1.74),
+    "2026_01_19": _Optics(1.01, 0.497, 0.443, 1.57),
+    "2026_01_20": _Optics(1.08, 0.482, 0.464, 1.61),
 }
 
 
@@ -72,41 +88,43 @@ class Rig(NamedTuple):
 
     @property
     def T_cam2_imu(self) -> np.ndarray:
-        """Transform [4,4] from the IMU to the rectified left colour camera, as computed from the
-        files.
-        """
-        shift = rigid(np.eye(3), [self.P_rect[2][0, 3] / self.P_rect[2][0, 0], 0, 0])
+        """Transform [4,4] from the IMU to the rectified left colour camera, as from the files."""
+        P = self.P_rect[2]
+        shift = rigid(np.eye(3), [P[0, 3] / P[0, 0], 0, 0])
         return shift @ rigid(self.R_rect, np.zeros(3)) @ self.T_cam_velo @ self.T_velo_imu
 
 
 def make_rig(size: tuple[int, int], date: str) -> Rig:
-    """Return the calibration of a date (2026_01_01) for images of `size` [H, W], of square
-    pixels.
+    """Return the calibration of a date (2026_01_01) for images of `size` [H, W].
+
+    Pixels are square.
     """
     height, width = size
-    focal, x, y, height_m = _CAMERAS_OF_DATE.get(date, _KITTI)
-    f = focal * _FOCAL_PER_WIDTH * width
-    K = np.array([[f, 0, x * width], [0, f, y * height], [0, 0, 1]])
-    P = {n: np.column_stack([K, [f * left, 0.0, 0.0]]) for n, left in CAMERAS_LEFT_M.items()}
-    T_velo_imu = rigid(
-        rotation(0.002, -0.0015, 0.001), [-0.81, 0.30, IMU_HEIGHT_M - SCANNER_HEIGHT_M]
-    )
-    R_rect = rotation(-0.004, 0.007, -0.009)
+    optics = _OPTICS_OF_DATE.get(date, _KITTI)
+    f = optics.focal * _FOCAL_PER_WIDTH * width
+    K = np.array([[f, 0, optics.x * width], [0, f, optics.y * height], [0, 0, 1]])
+    P_rect = {}
+    for camera, left_m in CAMERAS_LEFT_M.items():
+        P_rect[camera] = np.column_stack([K, [f * left_m, 0.0, 0.0]])
+
+    imu_to_velo = [-0.81, 0.30, IMU_HEIGHT_M - SCANNER_HEIGHT_M]
+    T_velo_imu = rigid(rotation(0.002, -0.0015, 0.001), imu_to_velo)
+
     # Rectified cameras point straight ahead up to mounting errors of milliradians; the tilts of raw
     # camera and scanner cancel.
-    R = R_rect.T @ rotation(0.004, -0.002, 0.001) @ _LEVEL @ T_velo_imu[:3, :3].T
-    T_cam_velo = rigid(R, R_rect.T @ [0.0, round(height_m - SCANNER_HEIGHT_M, 3), -0.27])
-    return Rig(size, P, R_rect, T_cam_velo, T_velo_imu)
+    R_rect = rotation(-0.004, 0.007, -0.009)
+    R_cam_velo = R_rect.T @ rotation(0.004, -0.002, 0.001) @ _FACING @ T_velo_imu[:3, :3].T
+    scanner_to_camera = [0.0, round(optics.height_m - SCANNER_HEIGHT_M, 3), -0.27]
+    T_cam_velo = rigid(R_cam_velo, R_rect.T @ scanner_to_camera)
+    return Rig(size, P_rect, R_rect, T_cam_velo, T_velo_imu)
 
 
 def write_calibration(rig: Rig, folder: Path) -> None:
-    """Write calib_cam_to_cam.txt, calib_velo_to_cam.txt and calib_imu_to_velo.txt into a date's
-    folder.
-    """
-    time = {"calib_time": "01-Jan-2026 12:00:00"}
+    """Write KITTI's three files of calibration into a date's folder."""
+    time = "01-Jan-2026 12:00:00"
     cameras: dict[str, str | np.ndarray] = {
         "dataset": "sample",
-        **time,
+        "calib_time": time,
         "corner_dist": "9.950000e-02",
     }
     for camera, P in rig.P_rect.items():
@@ -115,7 +133,8 @@ def write_calibration(rig: Rig, folder: Path) -> None:
         cameras[f"P_rect_{camera:02d}"] = P
     write_entries(folder / CALIBRATION, cameras)
     for name, T in (("velo_to_cam", rig.T_cam_velo), ("imu_to_velo", rig.T_velo_imu)):
-        write_entries(folder / f"calib_{name}.txt", {**time, "R": T[:3, :3], "T": T[:3, 3]})
+        entries: dict[str, str | np.ndarray] = {"calib_time": time, "R": T[:3, :3], "T": T[:3, 3]}
+        write_entries(folder / f"calib_{name}.txt", entries)
 
 
 class ImageSensor:
@@ -123,67 +142,69 @@ class ImageSensor:
 
     def __init__(self, rig: Rig) -> None:
         self._size = rig.size
-        forward = geometry.rays(rig.P_rect[2][:, :3], rig.size).reshape(-1, 3).T
-        # depth along the axis per distance
-        self._z_per_m = (1 / np.linalg.norm(forward, axis=0)).astype(np.float32)
-        self._directions = (forward * self._z_per_m).astype(np.float32)
         self._T_imu_cam = np.linalg.inv(rig.T_cam2_imu)
+        to_pixels = geometry.rays(rig.P_rect[2][:, :3], rig.size).reshape(-1, 3).T
+        # Depth along the optical axis per metre of distance.
+        self._z_per_m = (1 / np.linalg.norm(to_pixels, axis=0)).astype(np.float32)
+        self._directions = (to_pixels * self._z_per_m).astype(np.float32)
 
     def take(
         self, world: World, light: Light, T_world_imu: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return RGB uint8 [H,W,3], depth [H,W] in metres (0: sky or too far to be stored), classes
-        uint8 [H,W].
+        """Return RGB uint8 [H,W,3], depth [H,W] in metres, and classes uint8 [H,W].
+
+        Depth is 0 in the sky and where it is too far to be stored.
         """
         rays = _rays(T_world_imu @ self._T_imu_cam, self._directions)
         hits = world.cast(rays)
-        # the sky has no normal
-        facing = np.flatnonzero(dot(hits.normal, light.sun.astype(np.float32)) > 0)
+
+        # A surface that faces the sun may be in shadow; the sky has no normal. Rays to the sun
+        # start off the surface, which would shade itself.
+        facing = np.flatnonzero(dot(hits.normal, light.sun) > 0)
         points = rays[:3, facing] + hits.distance_m[facing] * rays[3:, facing]
-        # off the surface, which would shade itself
         points += np.float32(0.01) * hits.normal[:, facing]
         lit = np.zeros(rays.shape[1], bool)
         lit[facing] = world.lit(points, light.sun)
-        picture = shade(light, hits, rays, lit, self._size)
+        image = shade(light, hits, rays, lit, self._size)
+
         depth_m = hits.distance_m * self._z_per_m  # sky: inf
         depth_m = np.where(depth_m < FARTHEST_M, depth_m, 0)
-        return picture, depth_m.reshape(self._size), hits.cls.reshape(self._size)
+        return image, depth_m.reshape(self._size), hits.cls.reshape(self._size)
 
 
 class Scanner:
     """A spinning LiDAR with instantaneous scans (KITTI's are motion-compensated)."""
 
     def __init__(self, rig: Rig, rays: tuple[int, int]) -> None:
+        """`rays`: number of rings, and of rays per ring."""
         rings, per_ring = rays
-        elevation = np.deg2rad(np.linspace(*ELEVATION_DEG, rings))[:, None]
-        azimuth = np.arange(per_ring)[None] * 2 * np.pi / per_ring
-        forward, up = np.cos(elevation), np.sin(elevation)
-        # [rings,per_ring]
-        directions = np.broadcast_arrays(forward * np.cos(azimuth), forward * np.sin(azimuth), up)
-        self._directions = np.stack(directions).reshape(3, -1).astype(np.float32)
         self._T_imu_velo = np.linalg.inv(rig.T_velo_imu)
+        elevation = np.deg2rad(np.linspace(*ELEVATION_DEG, rings))[:, None]
+        azimuth = np.arange(per_ring) * 2 * np.pi / per_ring
+        x = np.cos(elevation) * np.cos(azimuth)  # [rings,per_ring]
+        y = np.cos(elevation) * np.sin(azimuth)
+        z = np.broadcast_to(np.sin(elevation), x.shape)
+        self._directions = np.stack([x, y, z]).reshape(3, -1).astype(np.float32)
 
     def take(self, world: World, T_world_imu: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """Return the scan float32 [P,4]: x, y, z in the velodyne frame, reflectance 0..1."""
         rays = _rays(T_world_imu @ self._T_imu_velo, self._directions)
         hits = world.cast(rays)
-        distance = hits.distance_m + rng.normal(0, RANGE_NOISE_M, rays.shape[1])
-        reflectance = _REFLECTANCE[hits.cls] + 0.5 * hits.colour.mean(axis=0) * rng.uniform(
-            0.6, 1.0, rays.shape[1]
-        )
+        distance_m = hits.distance_m + rng.normal(0, RANGE_NOISE_M, rays.shape[1])
+        gloss = rng.uniform(0.6, 1.0, rays.shape[1])
+        reflectance = _REFLECTANCE[hits.cls] + 0.5 * hits.colour.mean(axis=0) * gloss
+        reflectance = np.round(np.clip(reflectance, 0, 0.99), 2)
+
         in_range = np.flatnonzero(hits.distance_m < SCAN_RANGE_M)
-        xyz = (
-            np.rint(self._directions[:, in_range] * distance[in_range] / _RESOLUTION_M)
-            * _RESOLUTION_M
-        )
-        return np.stack(
-            [*xyz, np.round(np.clip(reflectance[in_range], 0, 0.99), 2)], axis=-1
-        ).astype(np.float32)
+        xyz = self._directions[:, in_range] * distance_m[in_range]
+        xyz = np.rint(xyz / _RESOLUTION_M) * _RESOLUTION_M
+        return np.stack([*xyz, reflectance[in_range]], axis=-1).astype(np.float32)
 
 
 def _rays(T_world_sensor: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Return the rays [6,N] of a sensor with viewing `directions` float32 [3,N]."""
     rays = np.empty((6, directions.shape[1]), np.float32)
     rays[:3] = T_world_sensor[:3, 3:]
-    rays[3:] = [dot(directions, row) for row in T_world_sensor[:3, :3].astype(np.float32)]
+    rotation_rows = T_world_sensor[:3, :3].astype(np.float32)
+    rays[3:] = [dot(directions, row) for row in rotation_rows]
     return rays

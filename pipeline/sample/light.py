@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.camera import classes
-from pipeline.sample.plan import ASPHALT, BAY, GRASS, KERBSTONE, MARKING, PAVEMENT
+from pipeline.sample.plan import ASPHALT, BAY, GRASS, KERBSTONE, MARKING, PAVEMENT, STOREY_M
 from pipeline.sample.world import Hits, dot
 
 # Side of a pattern's tile in cells; a power of two, see _look_up.
@@ -149,7 +149,7 @@ def _pattern(light: Light, hits: Hits, points: np.ndarray) -> np.ndarray:
     wall = np.flatnonzero((hits.cls == classes.BUILDING) & (np.abs(normal_z) < 0.1))
     wall_x = along[wall] - 0.37 * x[wall]
     wall_z = z[wall] - 0.12
-    storey_m = np.mod(wall_z, 2.9)
+    storey_m = np.mod(wall_z, STOREY_M)
     window = np.abs(np.mod(wall_x, 2.6) - 1.3) < 0.55
     window &= (np.abs(storey_m - 1.7) < 0.7) & (wall_z > 0.5)
     pattern[wall] -= 0.65 * window + 0.12 * (storey_m < 0.2)

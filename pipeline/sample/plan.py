@@ -20,6 +20,8 @@ KERB_M = 0.12
 CORNER_M = 4.0
 # Width of a parking bay in metres.
 BAY_M = 2.1
+# Height of a house's storey in metres.
+STOREY_M = 2.9
 
 # Kinds of ground, the values of a plan's cells.
 GRASS, PAVEMENT, ASPHALT, MARKING, BAY, KERBSTONE = range(6)

@@ -1,6 +1,4 @@
-"""Build the static street: kerbs, barriers, houses, trees, posts, hedges, parked cars, woods on the
-horizon.
-"""
+"""Build the static street: kerbs, barriers, houses, trees, posts, hedges, parked cars, woods."""
 
 from typing import NamedTuple
 
@@ -9,23 +7,34 @@ import numpy as np
 
 from pipeline.camera import classes
 from pipeline.sample import shapes
-from pipeline.sample.plan import CELL_M, KERB_M, Character, Plan
-from pipeline.sample.route import LEFT, RIGHT, Route, unit
-from pipeline.sample.shapes import Mesh
+from pipeline.sample.plan import CELL_M, KERB_M, STOREY_M, Character, Plan
+from pipeline.sample.route import LEFT, SIDES, Arm, Route, unit
+from pipeline.sample.shapes import Mesh, draw_colour
 
-BARRIER_M = (2.0, 3.5)  # from the junction's edge to the barrier of a closed arm
-_WALLS = [
-    (0.62, 0.50, 0.38),
-    (0.70, 0.66, 0.58),
-    (0.55, 0.30, 0.24),
-    (0.78, 0.76, 0.72),
-    (0.48, 0.46, 0.44),
-    (0.66, 0.56, 0.36),
-    (0.42, 0.28, 0.24),
-    (0.60, 0.62, 0.64),
-]
-_ROOFS = [(0.38, 0.16, 0.12), (0.22, 0.20, 0.20), (0.30, 0.24, 0.22), (0.42, 0.24, 0.16)]
-_LEAVES = [(0.16, 0.30, 0.08), (0.22, 0.34, 0.10), (0.12, 0.24, 0.10), (0.30, 0.34, 0.12)]
+# Range of the distances in metres from a junction's edge to the barrier of a closed arm.
+BARRIER_M = (2.0, 3.5)
+# Distance in metres between two samples of a frontage.
+_STEP_M = 0.5
+
+_STONE = (0.5, 0.5, 0.49)
+_WOODS = (0.13, 0.20, 0.10)
+_RED = (0.75, 0.08, 0.06)
+_WHITE = (0.9, 0.9, 0.88)
+_WOOD = np.array([0.42, 0.28, 0.16])
+_WALLS = np.array(
+    [
+        (0.62, 0.50, 0.38),
+        (0.70, 0.66, 0.58),
+        (0.55, 0.30, 0.24),
+        (0.78, 0.76, 0.72),
+        (0.48, 0.46, 0.44),
+        (0.66, 0.56, 0.36),
+        (0.42, 0.28, 0.24),
+        (0.60, 0.62, 0.64),
+    ]
+)
+_ROOFS = np.array([(0.38, 0.16, 0.12), (0.22, 0.20, 0.20), (0.30, 0.24, 0.22), (0.42, 0.24, 0.16)])
+_LEAVES = np.array([(0.16, 0.30, 0.08), (0.22, 0.34, 0.10), (0.12, 0.24, 0.10), (0.30, 0.34, 0.12)])
 
 
 class Ground:
@@ -33,222 +42,248 @@ class Ground:
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
-        self._taken: np.ndarray = np.zeros(plan.kind.shape, np.uint8)
+        self._taken: np.ndarray = np.zeros(plan.kind.shape, bool)
 
     def claim(
         self, xy: np.ndarray, outward_rad: float, size: tuple[float, float], clear_m: float
     ) -> bool:
-        """Take a rectangle of `size` (along the street, away from it) if it is free and keeps
-        `clear_m` from roads.
+        """Take a rectangle around `xy` if it is free and keeps `clear_m` from roads.
+
+        `size`: metres along the street, and away from it in direction `outward_rad`.
         """
-        along, away = unit(outward_rad - np.pi / 2) * size[0] / 2, unit(outward_rad) * size[1] / 2
+        length_m, depth_m = size
+        along = unit(outward_rad - np.pi / 2) * length_m / 2
+        away = unit(outward_rad) * depth_m / 2
         corners = np.array(
             [xy + along + away, xy - along + away, xy - along - away, xy + along - away]
         )
+
+        # Only cells in the window around the rectangle are compared.
         cells = np.rint((corners - self.plan.origin) / CELL_M).astype(np.int32)
-        lowest, highest = cells.min(axis=0), cells.max(axis=0) + 1
-        if (
-            (lowest < 0).any()
-            or highest[0] > self._taken.shape[1]
-            or highest[1] > self._taken.shape[0]
-        ):
+        left, bottom = cells.min(axis=0)
+        right, top = cells.max(axis=0) + 1
+        rows, columns = self._taken.shape
+        if left < 0 or bottom < 0 or right > columns or top > rows:
             return False
-        window = (slice(lowest[1], highest[1]), slice(lowest[0], highest[0]))
-        footprint = np.zeros(self._taken[window].shape, np.uint8)
-        cv2.fillConvexPoly(footprint, cells - lowest, 1)
+        window = (slice(bottom, top), slice(left, right))
+        footprint = np.zeros((top - bottom, right - left), np.uint8)
+        cv2.fillConvexPoly(footprint, cells - [left, bottom], 1)
         inside = footprint > 0
-        if (self._taken[window][inside] > 0).any() or (
-            self.plan.to_road_m[window][inside] < clear_m
-        ).any():
+
+        taken = self._taken[window]
+        to_road_m = self.plan.to_road_m[window]
+        if taken[inside].any() or (to_road_m[inside] < clear_m).any():
             return False
-        self._taken[window][inside] = 1
+        taken[inside] = True
         return True
 
 
 class Frontage(NamedTuple):
-    """One side of a road: the line of its edge, [N,2] every half metre, and the outward headings
-    [N].
-    """
+    """One side of a road, sampled every half metre."""
 
-    edge: np.ndarray
-    outward_rad: np.ndarray
+    edge: np.ndarray  # [N,2] points of the road's edge
+    outward_rad: np.ndarray  # [N] headings away from the road
+
+    def behind(self, sample: int, distance_m: float) -> np.ndarray:
+        """Return the point [2] at `distance_m` behind a sample of the edge."""
+        return self.edge[sample] + distance_m * unit(self.outward_rad[sample])
 
 
 def build_street(route: Route, plan: Plan, character: Character, rng: np.random.Generator) -> Mesh:
     """Return the mesh of all static objects, without the ground."""
+    parts = [shapes.wall(outline, KERB_M, _STONE, classes.SIDEWALK) for outline in plan.kerbs()]
+    parts.append(_horizon(plan, rng))
+    for arm in route.arms:
+        if arm.closed:
+            parts += _barrier(arm, route.lane_m, rng)
+    for side in SIDES:
+        parts += _parked_cars(side, route, plan, character, rng)
+
+    # Houses claim their places first.
     ground = Ground(plan)
-    parts = [
-        shapes.wall(outline, KERB_M, (0.5, 0.5, 0.49), classes.SIDEWALK) for outline in plan.kerbs()
-    ]
-    parts += [_horizon(plan, rng), *_barriers(route, rng)]
-    parts += _parked_cars(route, plan, character, rng)
-    for frontage in frontages(route, plan):
+    sides = frontages(route, plan)
+    for frontage in sides:
         parts += _houses(frontage, ground, character, rng)
-    for frontage in frontages(route, plan):
-        parts += _furniture(frontage, ground, character, rng)
+    for frontage in sides:
+        parts += _lamp_posts(frontage, ground, rng)
+        parts += _hedges_and_trees(frontage, ground, character, rng)
     parts += _backdrop(ground, character, rng)
     return shapes.merge(parts)
 
 
 def _horizon(plan: Plan, rng: np.random.Generator) -> Mesh:
     """Build a ring of woods around the sample."""
-    size = plan.size_m
-    middle, radius, n = plan.origin + size / 2, np.linalg.norm(size) / 2 + 25, 160
-    angle = np.arange(n) * 2 * np.pi / n
-    ring = middle + radius * unit(angle)
-    heights = 9 + 5 * rng.random(n) + 4 * np.sin(angle * 3 + rng.uniform(0, 6.28))
-    return shapes.wall(ring, heights, (0.13, 0.20, 0.10), classes.VEGETATION)
+    points = 160
+    middle = plan.origin + plan.size_m / 2
+    radius_m = np.linalg.norm(plan.size_m) / 2 + 25
+    angle = np.arange(points) * 2 * np.pi / points
+    lumps_m = 5 * rng.random(points)
+    waves_m = 4 * np.sin(angle * 3 + rng.uniform(0, 6.28))
+    ring = middle + radius_m * unit(angle)
+    return shapes.wall(ring, 9 + lumps_m + waves_m, _WOODS, classes.VEGETATION)
 
 
-def _barriers(route: Route, rng: np.random.Generator) -> list[Mesh]:
-    """Build red and white boards across closed arms, just beyond the junction."""
-    parts = []
-    for arm in route.arms:
-        if not arm.closed:
-            continue
-        middle = arm.xy + (route.lane_m + 0.25 + rng.uniform(*BARRIER_M)) * unit(arm.heading_rad)
-        boards = np.arange(-arm.half_m + 0.35, arm.half_m, 0.7)
-        for i, across in enumerate(boards):
-            colour = (0.75, 0.08, 0.06) if i % 2 else (0.9, 0.9, 0.88)
-            xy = middle + across * unit(arm.heading_rad + np.pi / 2)
-            parts.append(
-                shapes.box((0.12, 0.7, 1.15), colour, classes.FENCE).placed(xy, arm.heading_rad)
-            )
-    return parts
+def _barrier(arm: Arm, lane_m: float, rng: np.random.Generator) -> list[Mesh]:
+    """Build red and white boards across a closed arm, just beyond the junction."""
+    middle = arm.at(lane_m + 0.25 + rng.uniform(*BARRIER_M))
+    to_left = unit(arm.heading_rad + np.pi / 2)
+    boards = []
+    for i, left_m in enumerate(np.arange(-arm.half_m + 0.35, arm.half_m, 0.7)):
+        colour = _RED if i % 2 else _WHITE
+        board = shapes.box((0.12, 0.7, 1.15), colour, classes.FENCE)
+        boards.append(board.placed(middle + left_m * to_left, arm.heading_rad))
+    return boards
 
 
 def _houses(
     frontage: Frontage, ground: Ground, character: Character, rng: np.random.Generator
 ) -> list[Mesh]:
-    parts, i = [], int(rng.integers(4))
-    setback = rng.uniform(*character.quarter.setback_m)
+    """Build a row of houses; where one does not fit, the row goes on two metres later."""
+    quarter = character.quarter
+    clear_m = character.pavement_m + quarter.setback_m[0] * 0.6
+    houses = []
+    i = int(rng.integers(4))
+    setback_m = rng.uniform(*quarter.setback_m)
     while i < len(frontage.edge):
-        length, depth = rng.uniform(7, 15), rng.uniform(7, 11)
-        middle = min(i + int(length), len(frontage.edge) - 1)  # half the length in half-metre steps
-        outward = frontage.outward_rad[middle]
-        back = character.pavement_m + setback + rng.uniform(0, 0.8) + depth / 2
-        xy = frontage.edge[middle] + back * unit(outward)
-        if ground.claim(
-            xy,
-            outward,
-            (length, depth),
-            character.pavement_m + character.quarter.setback_m[0] * 0.6,
-        ):
-            wall = np.array(_WALLS[rng.integers(len(_WALLS))]) * rng.uniform(0.85, 1.1)
-            storeys = rng.integers(character.quarter.storeys[0], character.quarter.storeys[1] + 1)
-            roof_m = 0.0 if storeys > 4 else rng.uniform(1.5, 3.5)
-            size = (length, depth, 2.9 * storeys + rng.uniform(0.2, 0.8))
-            house = shapes.house(size, tuple(wall), _ROOFS[rng.integers(len(_ROOFS))], roof_m)
-            parts.append(house.placed(xy, outward - np.pi / 2, KERB_M))
-            i += int(2 * (length + rng.uniform(*character.quarter.gap_m))) + 1
-            if rng.random() < 0.3:
-                setback = rng.uniform(*character.quarter.setback_m)
-        else:
+        length_m = rng.uniform(7, 15)
+        depth_m = rng.uniform(7, 11)
+        middle = min(i + int(length_m / 2 / _STEP_M), len(frontage.edge) - 1)
+        outward_rad = frontage.outward_rad[middle]
+        front_m = character.pavement_m + setback_m + rng.uniform(0, 0.8)
+        xy = frontage.behind(middle, front_m + depth_m / 2)
+        if not ground.claim(xy, outward_rad, (length_m, depth_m), clear_m):
             i += 4
-    return parts
+            continue
+
+        colour = draw_colour(rng, _WALLS) * rng.uniform(0.85, 1.1)
+        lowest, highest = quarter.storeys
+        storeys = rng.integers(lowest, highest + 1)
+        roof_m = 0.0 if storeys > 4 else rng.uniform(1.5, 3.5)
+        height_m = STOREY_M * storeys + rng.uniform(0.2, 0.8)
+        roof = draw_colour(rng, _ROOFS)
+        house = shapes.house((length_m, depth_m, height_m), colour, roof, roof_m)
+        houses.append(house.placed(xy, outward_rad - np.pi / 2, KERB_M))
+
+        # Neighbours often stand in line.
+        i += int((length_m + rng.uniform(*quarter.gap_m)) / _STEP_M) + 1
+        if rng.random() < 0.3:
+            setback_m = rng.uniform(*quarter.setback_m)
+    return houses
 
 
-def _furniture(
-    frontage: Frontage, ground: Ground, character: Character, rng: np.random.Generator
-) -> list[Mesh]:
-    parts: list[Mesh] = []
-    clear = character.pavement_m
-    # lamp posts near the kerb
-    for i in range(int(rng.integers(20)), len(frontage.edge), int(rng.integers(38, 56))):
-        xy = frontage.edge[i] + 0.75 * unit(frontage.outward_rad[i])
+def _lamp_posts(frontage: Frontage, ground: Ground, rng: np.random.Generator) -> list[Mesh]:
+    """Build lamp posts near the kerb, every 19 to 28 m."""
+    posts = []
+    first = int(rng.integers(20))
+    spacing = int(rng.integers(38, 56))
+    for i in range(first, len(frontage.edge), spacing):
+        xy = frontage.behind(i, 0.75)
         if ground.claim(xy, 0.0, (0.5, 0.5), 0.4):
             post = shapes.lamp_post(rng.uniform(5.5, 7.5))
-            parts.append(post.placed(xy, frontage.outward_rad[i] + np.pi, KERB_M))
+            posts.append(post.placed(xy, frontage.outward_rad[i] + np.pi, KERB_M))
+    return posts
+
+
+def _hedges_and_trees(
+    frontage: Frontage, ground: Ground, character: Character, rng: np.random.Generator
+) -> list[Mesh]:
+    """Build hedges and fences behind the pavement, and trees."""
+    quarter = character.quarter
+    pavement_m = character.pavement_m
+    parts = []
     for i in range(int(rng.integers(10)), len(frontage.edge), 9):
-        outward = frontage.outward_rad[i]
-        if rng.random() < character.quarter.hedges:
-            xy = frontage.edge[i] + (clear + 0.5) * unit(outward)
-            if ground.claim(xy, outward, (4.4, 0.7), clear):
-                parts.append(_hedge(rng).placed(xy, outward - np.pi / 2, KERB_M))
-        if rng.random() < character.quarter.trees * 0.5:
+        outward_rad = frontage.outward_rad[i]
+        if rng.random() < quarter.hedges:
+            xy = frontage.behind(i, pavement_m + 0.5)
+            if ground.claim(xy, outward_rad, (4.4, 0.7), pavement_m):
+                parts.append(_hedge(rng).placed(xy, outward_rad - np.pi / 2, KERB_M))
+        if rng.random() < quarter.trees * 0.5:
             # Street trees stand in the pavement, garden trees behind it.
-            back = (
-                clear - 0.5 if character.quarter.setback_m[1] < 2 else clear + rng.uniform(1.5, 7)
-            )
-            xy = frontage.edge[i] + back * unit(outward)
-            if ground.claim(xy, 0.0, (1.2, 1.2), min(back - 0.7, clear)):
-                parts.append(
-                    shapes.tree(rng, rng.uniform(5, 9), _leaves(rng)).placed(
-                        xy, rng.uniform(0, 6.28), KERB_M
-                    )
-                )
+            if quarter.setback_m[1] < 2:
+                behind_m = pavement_m - 0.5
+            else:
+                behind_m = pavement_m + rng.uniform(1.5, 7)
+            xy = frontage.behind(i, behind_m)
+            if ground.claim(xy, 0.0, (1.2, 1.2), min(behind_m - 0.7, pavement_m)):
+                tree = shapes.tree(rng, rng.uniform(5, 9), _leaves(rng))
+                parts.append(tree.placed(xy, rng.uniform(0, 6.28), KERB_M))
     return parts
 
 
 def _backdrop(ground: Ground, character: Character, rng: np.random.Generator) -> list[Mesh]:
     """Build trees and houses behind the first row, so that its gaps are not empty."""
+    _, highest = character.quarter.storeys
+    size_m = ground.plan.size_m
     parts = []
-    size = ground.plan.size_m
-    for _ in range(int(size.prod() / 90)):
-        xy = ground.plan.origin + rng.uniform(0, 1, 2) * size
-        heading = rng.uniform(0, 6.28)
+    for _ in range(int(size_m.prod() / 90)):
+        xy = ground.plan.origin + rng.uniform(0, 1, 2) * size_m
+        heading_rad = rng.uniform(0, 6.28)
         if rng.random() < 0.25:
-            dims = (rng.uniform(8, 16), rng.uniform(8, 12))
-            if ground.claim(xy, heading, dims, 16):
-                wall = _WALLS[rng.integers(len(_WALLS))]
-                height = 2.9 * rng.integers(1, character.quarter.storeys[1] + 1) + 0.5
-                house = shapes.house((*dims, height), wall, _ROOFS[rng.integers(len(_ROOFS))], 2.5)
-                parts.append(house.placed(xy, heading, KERB_M))
-        elif ground.claim(xy, heading, (3, 3), character.pavement_m + 6):
-            parts.append(
-                shapes.tree(rng, rng.uniform(6, 12), _leaves(rng)).placed(xy, heading, KERB_M)
-            )
+            length_m = rng.uniform(8, 16)
+            depth_m = rng.uniform(8, 12)
+            if ground.claim(xy, heading_rad, (length_m, depth_m), 16):
+                colour = draw_colour(rng, _WALLS)
+                height_m = STOREY_M * rng.integers(1, highest + 1) + 0.5
+                roof = draw_colour(rng, _ROOFS)
+                house = shapes.house((length_m, depth_m, height_m), colour, roof, 2.5)
+                parts.append(house.placed(xy, heading_rad, KERB_M))
+        elif ground.claim(xy, heading_rad, (3, 3), character.pavement_m + 6):
+            tree = shapes.tree(rng, rng.uniform(6, 12), _leaves(rng))
+            parts.append(tree.placed(xy, heading_rad, KERB_M))
     return parts
 
 
 def _parked_cars(
-    route: Route, plan: Plan, character: Character, rng: np.random.Generator
+    side: int, route: Route, plan: Plan, character: Character, rng: np.random.Generator
 ) -> list[Mesh]:
-    parts = []
-    for side, edge in ((1, route.edge_m(LEFT)), (-1, route.edge_m(RIGHT))):
-        s = route.s_m[0] + 3.0
-        while s < route.s_m[-1] - 3:
-            around = (route.s_m > s - 2.7) & (route.s_m < s + 2.7)
-            room = plan.bays[side][around].min() > 2.0 and plan.parking[around].all()
-            if room and rng.random() < character.parked:
-                offset = edge + side * (1.0 + rng.uniform(-0.1, 0.1))
-                xy, heading = route.at(s, offset)
-                car = shapes.car(rng).placed(xy, float(heading) + (np.pi if side > 0 else 0))
-                # clear of other stretches
-                if np.linalg.norm(route.xy - xy, axis=1).min() > abs(offset) - 0.2:
-                    parts.append(car)
-            s += 5.6 + rng.uniform(0, 0.8)
-    return parts
+    """Build the cars in the bays, or at the kerb, of one side of the route."""
+    cars = []
+    s_m = route.s_m[0] + 3.0
+    while s_m < route.s_m[-1] - 3:
+        around = (route.s_m > s_m - 2.7) & (route.s_m < s_m + 2.7)
+        has_room = plan.bays[side][around].min() > 2.0 and plan.parking[around].all()
+        if has_room and rng.random() < character.parked:
+            offset_m = route.edge_m(side) + side * (1.0 + rng.uniform(-0.1, 0.1))
+            xy, heading_rad = route.at(s_m, offset_m)
+            if side == LEFT:
+                heading_rad = heading_rad + np.pi
+            car = shapes.car(rng).placed(xy, float(heading_rad))
+            # It must not stand on another stretch of the road.
+            if np.linalg.norm(route.xy - xy, axis=1).min() > abs(offset_m) - 0.2:
+                cars.append(car)
+        s_m += 5.6 + rng.uniform(0, 0.8)
+    return cars
 
 
 def _hedge(rng: np.random.Generator) -> Mesh:
     """Build a hedge or a wooden fence."""
     if rng.random() < 0.5:
-        return shapes.box((4.5, 0.7, rng.uniform(0.9, 1.5)), _leaves(rng), classes.VEGETATION)
-    brown = tuple(np.array([0.42, 0.28, 0.16]) * rng.uniform(0.8, 1.2))
-    return shapes.box((4.5, 0.1, rng.uniform(1.0, 1.4)), brown, classes.FENCE)
+        height_m = rng.uniform(0.9, 1.5)
+        return shapes.box((4.5, 0.7, height_m), _leaves(rng), classes.VEGETATION)
+    colour = _WOOD * rng.uniform(0.8, 1.2)
+    return shapes.box((4.5, 0.1, rng.uniform(1.0, 1.4)), colour, classes.FENCE)
 
 
-def _leaves(rng: np.random.Generator) -> shapes.Colour:
-    return tuple(np.array(_LEAVES[rng.integers(len(_LEAVES))]) * rng.uniform(0.8, 1.2))
+def _leaves(rng: np.random.Generator) -> np.ndarray:
+    return draw_colour(rng, _LEAVES) * rng.uniform(0.8, 1.2)
 
 
 def frontages(route: Route, plan: Plan) -> list[Frontage]:
     """Return both sides of the route and its arms, and the far ends of the arms."""
-    s = np.arange(route.s_m[0], route.s_m[-1], 0.5)
+    s_m = np.arange(route.s_m[0], route.s_m[-1], _STEP_M)
     sides = []
-    for side, edge in ((1, route.edge_m(LEFT)), (-1, route.edge_m(RIGHT))):
-        bay = np.interp(s, route.s_m, plan.bays[side])
-        xy, heading = route.at(s, edge + side * bay)
-        sides.append(Frontage(xy, heading + side * np.pi / 2))
+    for side in SIDES:
+        bay_m = np.interp(s_m, route.s_m, plan.bays[side])
+        edge, heading_rad = route.at(s_m, route.edge_m(side) + side * bay_m)
+        sides.append(Frontage(edge, heading_rad + side * np.pi / 2))
     for arm in route.arms:
-        along = np.arange(6, arm.length_m + 6, 0.5)[:, None] * unit(arm.heading_rad)
-        for side in (1, -1):
-            outward = arm.heading_rad + side * np.pi / 2
-            xy = arm.xy + along + arm.half_m * unit(outward)
-            sides.append(Frontage(xy, np.full(len(xy), outward)))
-        # closes the arm's far end
-        across = np.arange(-12, 12, 0.5)[:, None] * unit(arm.heading_rad + np.pi / 2)
-        xy = arm.xy + arm.length_m * unit(arm.heading_rad) + across
-        sides.append(Frontage(xy, np.full(len(xy), arm.heading_rad)))
+        along = arm.at(np.arange(6, arm.length_m + 6, _STEP_M))
+        for side in SIDES:
+            outward_rad = arm.heading_rad + side * np.pi / 2
+            edge = along + arm.half_m * unit(outward_rad)
+            sides.append(Frontage(edge, np.full(len(edge), outward_rad)))
+        # Houses close the arm's far end.
+        across_m = np.arange(-12, 12, _STEP_M)[:, None]
+        edge = arm.at(arm.length_m) + across_m * unit(arm.heading_rad + np.pi / 2)
+        sides.append(Frontage(edge, np.full(len(edge), arm.heading_rad)))
     return sides

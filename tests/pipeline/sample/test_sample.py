@@ -37,57 +37,66 @@ def test_roads_are_smooth_match_their_curvature_and_do_not_cross_themselves(seed
     turned = np.diff(np.unwrap(np.arctan2(steps[:, 1], steps[:, 0])))
     np.testing.assert_allclose(turned / STEP_M, route.curvature_1pm[1:-1], atol=2e-3)
     np.testing.assert_allclose(np.linalg.norm(steps, axis=1), STEP_M)
-    s, xy = route.s_m[::20], route.xy[::20]
-    apart = np.linalg.norm(xy[:, None] - xy[None], axis=-1)
-    assert apart[np.abs(s[:, None] - s[None]) > 60].min() > 20
+    s_m = route.s_m[::20]
+    xy = route.xy[::20]
+    apart_m = np.linalg.norm(xy[:, None] - xy, axis=-1)
+    far = np.abs(s_m[:, None] - s_m) > 60
+    assert apart_m[far].min() > 20
 
 
 @pytest.fixture(scope="module", params=[(1, None), (3, 40.0)], ids=["drives on", "stops"])
 def journey(request) -> Journey:
     seed, stop_m = request.param
     rng = np.random.default_rng(seed)
-    times = frame_times(rng, 200)
-    route = draw_route(rng, 9.0 * times[-1] + AHEAD_M, 3.5, "left")
-    travel = journeys.drive(route, speed_profile(route, 9.0, 3.0, stop_m), times, 2.0)
+    time_s = frame_times(rng, 200)
+    route = draw_route(rng, 9.0 * time_s[-1] + AHEAD_M, 3.5, "left")
+    speed_mps = speed_profile(route, 9.0, 3.0, stop_m)
+    travel = journeys.drive(route, speed_mps, time_s, 2.0)
     return Journey(route, travel, travel, draw_body(route, travel, rng))
 
 
+def oxts_columns(journey: Journey) -> dict[str, np.ndarray]:
+    """Return the columns [F] of the journey's oxts packets by name."""
+    return dict(zip(COLUMNS, oxts_rows(journey, 49.0, 8.4).T, strict=True))
+
+
 def test_speed_and_yaw_in_oxts_integrate_to_the_track(journey):
-    oxts = dict(zip(COLUMNS, oxts_rows(journey, 49.0, 8.4).T, strict=True))
+    oxts = oxts_columns(journey)
+    speed_mps = oxts["vf"]
     yaw = np.unwrap(oxts["yaw"])
-    v, dt, turn = oxts["vf"], np.diff(journey.motion.time_s), np.diff(yaw)
-    length = (v[1:] + v[:-1]) / 2 * dt * np.sinc(turn / 2 / np.pi)  # chord of an arc
-    middle = (yaw[1:] + yaw[:-1]) / 2
-    track = np.cumsum(length[:, None] * np.stack([np.cos(middle), np.sin(middle)], axis=-1), axis=0)
+    arc_m = (speed_mps[1:] + speed_mps[:-1]) / 2 * np.diff(journey.motion.time_s)
+    chord_m = arc_m * np.sinc(np.diff(yaw) / 2 / np.pi)
+    heading_rad = (yaw[1:] + yaw[:-1]) / 2
+    track = np.cumsum(chord_m[:, None] * unit(heading_rad), axis=0)
+
     # Second route: KITTI's own Mercator projection.
-    scale = np.cos(np.deg2rad(oxts["lat"][0])) * 6378137.0
-    east, north = (
-        scale * np.deg2rad(oxts["lon"]),
-        scale * np.log(np.tan(np.deg2rad(90 + oxts["lat"]) / 2)),
-    )
-    measured = np.stack([east - east[0], north - north[0]], axis=-1)[1:]
+    scale_m = np.cos(np.deg2rad(oxts["lat"][0])) * 6378137.0
+    east_m = scale_m * np.deg2rad(oxts["lon"])
+    north_m = scale_m * np.log(np.tan(np.deg2rad(90 + oxts["lat"]) / 2))
+    measured = np.stack([east_m - east_m[0], north_m - north_m[0]], axis=-1)[1:]
     assert np.linalg.norm(measured[-1]) > 30
     assert np.linalg.norm(track - measured, axis=1).max() < 0.10
 
 
 def test_the_label_is_the_curvature_of_the_path_a_moment_earlier(journey):
-    oxts, motion = dict(zip(COLUMNS, oxts_rows(journey, 49.0, 8.4).T, strict=True)), journey.motion
-    moving, label = oxts["vf"] > 1, steering_angle(oxts["wu"], oxts["vf"], 2.7)
-    s_m, speed_mps = (
-        np.interp(motion.time_s - RATES_LATE_S, motion.time_s, values)
-        for values in (motion.s_m, motion.speed_mps)
-    )
-    faster = speed_mps[moving] / oxts["vf"][moving]  # the speed is not late
-    np.testing.assert_allclose(
-        np.tan(label[moving]), 2.7 * journey.route.curvature(s_m)[moving] * faster, atol=1e-12
-    )
+    oxts = oxts_columns(journey)
+    moving = oxts["vf"] > 1
+    label = steering_angle(oxts["wu"], oxts["vf"], 2.7)
+
+    # The recorded rate is late, the recorded speed is not.
+    motion = journey.motion
+    earlier_s = motion.time_s - RATES_LATE_S
+    s_m = np.interp(earlier_s, motion.time_s, motion.s_m)
+    speed_mps = np.interp(earlier_s, motion.time_s, motion.speed_mps)
+    curvature_1pm = journey.route.curvature(s_m)[moving]
+    faster = speed_mps[moving] / oxts["vf"][moving]
+    expected = 2.7 * curvature_1pm * faster
+    np.testing.assert_allclose(np.tan(label[moving]), expected, atol=1e-12)
     assert label.min() < -0.1 < 0.1 < label.max()
 
 
 def optics(date: str) -> tuple[float, ...]:
-    """Return focal length and principal point as shares of the image, and the height over the IMU
-    in metres.
-    """
+    """Return focal length and principal point per width, and the height over the IMU in metres."""
     rig = make_rig((96, 320), date)
     (f, _, x), (_, _, y), _ = (rig.P_rect[2][:, :3] / rig.size[1]).tolist()
     return f, x, y, float(np.linalg.inv(rig.T_cam2_imu)[2, 3])
@@ -95,41 +104,49 @@ def optics(date: str) -> tuple[float, ...]:
 
 def test_the_dates_of_test_drives_have_other_cameras_within_the_range_of_the_training_dates():
     drives = load(Ingest, ROOT / "params.yaml").drives
-    train, val, test = (
-        {drive[:10] for drive in names} for names in (drives.train, drives.val, drives.test)
-    )
+    train = {optics(drive[:10]) for drive in drives.train}
+    val = {optics(drive[:10]) for drive in drives.val}
+    test_dates = {drive[:10] for drive in drives.test}
+    test = {optics(date) for date in test_dates}
+    assert len(test) == len(test_dates)
     assert not test & (train | val)
-    assert len({optics(date) for date in train | val | test}) == len(
-        {*map(optics, train | val)}
-    ) + len(test)
-    known, new = (np.array([*map(optics, dates)]) for dates in (train, test))
-    assert ((known.min(axis=0) <= new) & (new <= known.max(axis=0))).all()
+
+    lowest = np.min([*train], axis=0)
+    highest = np.max([*train], axis=0)
+    for camera in test:
+        assert (lowest <= camera).all()
+        assert (camera <= highest).all()
 
 
 @pytest.mark.parametrize("drive", ["2026_01_01_drive_0001", "2026_01_06_drive_0003"])
 def test_ego_touches_nothing(drive):
-    """In a tight right turn and a narrow street: the outline is on road, and rays from frame to
-    frame hit nothing.
+    """The ego's outline stays on the road, and rays from frame to frame hit nothing.
+
+    The drives are in a tight right turn and in a narrow street.
     """
-    rng, (quarter, first) = random_of(drive, seed=0), theme(drive)
+    rng = random_of(drive, seed=0)
+    quarter, first = theme(drive)
     character = draw_character(rng, quarter)
     journey = draw_journey(rng, 60, character, first)
     plan = draw_plan(journey.route, rng, character)
-    world = World(plan, build_street(journey.route, plan, character, rng), draw_ground_colours(rng))
+    street = build_street(journey.route, plan, character, rng)
+    world = World(plan, street, draw_ground_colours(rng))
+
+    # Points of the outline are relative to the centre of the rear axle.
     xy, heading_rad = journey.route.at(journey.motion.s_m)
-    ahead, left = unit(heading_rad), unit(heading_rad + np.pi / 2)
-    # from the centre of the rear axle
-    for forward, aside in product((-0.8, 1.3, 3.5), (-0.85, 0.0, 0.85)):
-        places = xy + forward * ahead + (aside - IMU_LEFT_M) * left
+    ahead = unit(heading_rad)
+    left = unit(heading_rad + np.pi / 2)
+    for ahead_m, left_m in product((-0.8, 1.3, 3.5), (-0.85, 0.0, 0.85)):
+        places = xy + ahead_m * ahead + (left_m - IMU_LEFT_M) * left
         assert (plan.to_road_m[plan.cells(*places.T)] == 0).all()
         steps = np.diff(places, axis=0)
-        length = np.linalg.norm(steps, axis=1)
-        for height in (0.4, 1.5):
-            starts = np.column_stack([places[:-1], np.full(len(steps), height)])
-            rays = np.column_stack([starts, steps / length[:, None], np.zeros(len(steps))]).astype(
-                np.float32
-            )
-            assert (world.cast(rays.T).distance_m > length).all()
+        length_m = np.linalg.norm(steps, axis=1)
+        rays = np.zeros((6, len(steps)), np.float32)
+        rays[:2] = places[:-1].T
+        rays[3:5] = (steps / length_m[:, None]).T
+        for height_m in (0.4, 1.5):
+            rays[2] = height_m
+            assert (world.cast(rays).distance_m > length_m).all()
 
 
 NAME = "2026_01_01_drive_0001"
@@ -146,51 +163,61 @@ def drive(tmp_path_factory) -> KittiDrive:
     return KittiDrive(path)
 
 
+def pixels_inside(uv: np.ndarray, border: float) -> np.ndarray:
+    """Return bool [N]: pixels [N,2] are in the image and at least `border` from its edges."""
+    height, width = SIZE
+    u, v = uv.T
+    inside_u = (u > border) & (u < width - 1 - border)
+    inside_v = (v > border) & (v < height - 1 - border)
+    return inside_u & inside_v
+
+
 def test_scans_agree_with_dense_depth(drive):
     camera = drive.camera(2)
-    errors = []
+    errors_m = []
     for frame in (0, FRAMES - 1):
-        depth = to_metres(read_pixels(drive.truth_depth[frame]))
-        points = geometry.transform(
-            camera.T_cam_velo, read_scan(drive.scans[frame])[:, :3].astype(np.float64)
-        )
+        depth_m = to_metres(read_pixels(drive.truth_depth[frame]))
+        x, y, z, _ = read_scan(drive.scans[frame]).astype(np.float64).T
+        points = geometry.transform(camera.T_cam_velo, np.stack([x, y, z], axis=-1))
         uv, z = geometry.project(points, camera.K)
-        inside = (
-            (z > 0) & (uv > 0).all(axis=1) & (uv[:, 0] < SIZE[1] - 1) & (uv[:, 1] < SIZE[0] - 1)
-        )
-        # On a plane, inverse depth is linear in the pixel. The median disregards silhouettes.
-        inverse = cv2.remap(
-            1 / np.maximum(depth, 1e-3), *uv[inside].T.astype(np.float32), cv2.INTER_LINEAR
-        )
+        inside = (z > 0) & pixels_inside(uv, border=0)
         assert inside.sum() > 300
-        errors.append(np.abs(1 / inverse.ravel() - z[inside]))
-    assert np.median(np.concatenate(errors)) < 0.05
+
+        # On a plane, inverse depth is linear in the pixel. The median disregards silhouettes.
+        u, v = uv[inside].T.astype(np.float32)
+        inverse = cv2.remap(1 / np.maximum(depth_m, 1e-3), u, v, cv2.INTER_LINEAR)
+        errors_m.append(np.abs(1 / inverse.ravel() - z[inside]))
+    assert np.median(np.concatenate(errors_m)) < 0.05
 
 
 def test_static_world_moves_as_oxts_measures(drive):
     """Points of the first frame, moved by the motion in oxts, land on the last frame's surfaces."""
-    camera, rig = drive.camera(2), make_rig(SIZE, NAME[:10])
-    rows = [np.loadtxt(drive.oxts[frame]) for frame in (0, FRAMES - 1)]
-    poses = []
-    for row in rows:
-        east = np.deg2rad(row[1] - rows[0][1]) * 6378137 * np.cos(np.deg2rad(rows[0][0]))
-        north = np.deg2rad(row[0] - rows[0][0]) * 6378137
-        poses.append(geometry.rigid(rotation(*row[3:6]), (east, north, row[2])))
-    T_last_first = (
-        rig.T_cam2_imu @ np.linalg.inv(poses[1]) @ poses[0] @ np.linalg.inv(rig.T_cam2_imu)
-    )
-    depths = [to_metres(read_pixels(drive.truth_depth[frame])) for frame in (0, FRAMES - 1)]
+    first = dict(zip(COLUMNS, np.loadtxt(drive.oxts[0]), strict=True))
+    last = dict(zip(COLUMNS, np.loadtxt(drive.oxts[FRAMES - 1]), strict=True))
+
+    def T_first_imu(oxts: dict[str, float]) -> np.ndarray:
+        """Return the pose [4,4] of a packet's IMU relative to the first frame's place."""
+        parallel_radius_m = 6378137 * np.cos(np.deg2rad(first["lat"]))
+        east_m = np.deg2rad(oxts["lon"] - first["lon"]) * parallel_radius_m
+        north_m = np.deg2rad(oxts["lat"] - first["lat"]) * 6378137
+        R = rotation(oxts["roll"], oxts["pitch"], oxts["yaw"])
+        return geometry.rigid(R, (east_m, north_m, oxts["alt"]))
+
+    T_cam2_imu = make_rig(SIZE, NAME[:10]).T_cam2_imu
+    T_imu_last_first = np.linalg.inv(T_first_imu(last)) @ T_first_imu(first)
+    T_last_first = T_cam2_imu @ T_imu_last_first @ np.linalg.inv(T_cam2_imu)
+
+    # Surfaces up to 40 m ahead that do not move.
+    camera = drive.camera(2)
+    depth_m = to_metres(read_pixels(drive.truth_depth[0]))
     cls = read_pixels(drive.truth_cls[0])
-    static = (
-        (depths[0] > 0)
-        & (depths[0] < 40)
-        & np.isin(cls, [classes.BUILDING, classes.ROAD, classes.SIDEWALK])
-    )
-    points = geometry.transform(T_last_first, geometry.back_project(depths[0], camera.K)[static])
-    uv, z = geometry.project(points, camera.K)
-    inside = (
-        (z > 3) & (uv > 0.5).all(axis=1) & (uv[:, 0] < SIZE[1] - 1.5) & (uv[:, 1] < SIZE[0] - 1.5)
-    )
+    static = np.isin(cls, [classes.BUILDING, classes.ROAD, classes.SIDEWALK])
+    static &= (depth_m > 0) & (depth_m < 40)
+    points = geometry.back_project(depth_m, camera.K)[static]
+
+    uv, z = geometry.project(geometry.transform(T_last_first, points), camera.K)
+    inside = (z > 3) & pixels_inside(uv, border=0.5)
     u, v = np.rint(uv[inside]).astype(int).T
+    last_depth_m = to_metres(read_pixels(drive.truth_depth[FRAMES - 1]))
     assert inside.sum() > 2000
-    assert np.median(np.abs(depths[1][v, u] - z[inside]) / z[inside]) < 0.02
+    assert np.median(np.abs(last_depth_m[v, u] - z[inside]) / z[inside]) < 0.02

@@ -41,11 +41,11 @@ _ARM_HALF_M = (2.6, 4.2)
 
 
 class Piece(NamedTuple):
-    """A piece of the path whose curvature changes linearly."""
+    """A piece of the path whose curvature changes linearly; by default it is straight."""
 
     length_m: float
-    start_1pm: float
-    end_1pm: float
+    start_1pm: float = 0.0
+    end_1pm: float = 0.0
 
 
 class _Turn(NamedTuple):
@@ -118,7 +118,8 @@ class Route(NamedTuple):
         y = np.interp(s_m, self.s_m, path_y)
         heading_rad = np.interp(s_m, self.s_m, self.heading_rad)
         left = np.stack([-np.sin(heading_rad), np.cos(heading_rad)], axis=-1)
-        return np.stack([x, y], axis=-1) + left * np.asarray(offset_m)[..., None], heading_rad
+        offset = left * np.asarray(offset_m)[..., None]
+        return np.stack([x, y], axis=-1) + offset, heading_rad
 
     def curvature(self, s_m: np.ndarray) -> np.ndarray:
         """Return the curvature [...] at s_m [...]."""
@@ -149,14 +150,14 @@ def rotation(x: float, y: float, z: float) -> np.ndarray:
 
 def bend(angle_rad: float, radius_m: float, transition_m: float) -> list[Piece]:
     """Return clothoid, arc and clothoid for a turn by `angle_rad` (left positive)."""
-    # The clothoids turn by transition / radius.
-    transition_m = min(transition_m, abs(angle_rad) * radius_m)
-    arc_m = abs(angle_rad) * radius_m - transition_m
-    curvature = np.sign(angle_rad) / radius_m
+    # The clothoids turn half as much per metre as the arc.
+    turn_m = abs(angle_rad) * radius_m
+    transition_m = min(transition_m, turn_m)
+    curvature_1pm = np.sign(angle_rad) / radius_m
     return [
-        Piece(transition_m, 0.0, curvature),
-        Piece(arc_m, curvature, curvature),
-        Piece(transition_m, curvature, 0.0),
+        Piece(transition_m, end_1pm=curvature_1pm),
+        Piece(turn_m - transition_m, curvature_1pm, curvature_1pm),
+        Piece(transition_m, start_1pm=curvature_1pm),
     ]
 
 
@@ -165,13 +166,15 @@ def trace(pieces: list[Piece]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
 
     The path starts at the origin, eastwards.
     """
-    knots = np.concatenate([[0.0], np.cumsum([piece.length_m for piece in pieces])])
-    s_m = np.arange(0, knots[-1], STEP_M)
+    lengths_m = [piece.length_m for piece in pieces]
+    knots_m = np.concatenate([[0.0], np.cumsum(lengths_m)])
+    s_m = np.arange(0, knots_m[-1], STEP_M)
 
     # Curvature is linear within a piece.
-    index = np.clip(np.searchsorted(knots, s_m, side="right") - 1, 0, len(pieces) - 1)
-    length_m, start_1pm, end_1pm = np.array(pieces).T[:, index]
-    within_m = s_m - knots[index]
+    index = np.searchsorted(knots_m, s_m, side="right") - 1
+    index = np.minimum(index, len(pieces) - 1)
+    length_m, start_1pm, end_1pm = np.array(pieces)[index].T
+    within_m = s_m - knots_m[index]
     curvature = start_1pm + (end_1pm - start_1pm) * within_m / length_m
 
     # The heading integrates the curvature, places integrate the heading.
@@ -226,7 +229,7 @@ def _draw_pieces(
     rng: np.random.Generator, length_m: float, lane_m: float, first: str
 ) -> tuple[list[Piece], list[Manoeuvre]]:
     """Draw the pieces of a road, and which of its stretches are manoeuvres."""
-    pieces = [Piece(2 * BEHIND_M, 0.0, 0.0)]
+    pieces = [Piece(2 * BEHIND_M)]
     manoeuvres: list[Manoeuvre] = []
     while _length(pieces) < 2 * BEHIND_M + length_m:
         cards = rng.permutation(DECK).tolist()
@@ -237,7 +240,7 @@ def _draw_pieces(
             start_m = _length(pieces)
             pieces += _draw_manoeuvre(card, lane_m, rng)
             manoeuvres.append(Manoeuvre(card.rstrip("+-"), start_m, _length(pieces)))
-            pieces.append(Piece(rng.uniform(4, 20), 0.0, 0.0))
+            pieces.append(Piece(rng.uniform(4, 20)))
     return pieces, manoeuvres
 
 
@@ -248,7 +251,7 @@ def _length(pieces: list[Piece]) -> float:
 def _draw_manoeuvre(card: str, lane_m: float, rng: np.random.Generator) -> list[Piece]:
     """Draw the pieces of a card of the deck."""
     if card == "crossing":
-        return [Piece(rng.uniform(16, 22), 0.0, 0.0)]
+        return [Piece(rng.uniform(16, 22))]
     turn = _TURNS[card.rstrip("+-")]
     angle_rad = np.deg2rad(rng.uniform(*turn.angle_deg))
     radius_m = rng.uniform(*turn.radius_m)

@@ -44,9 +44,11 @@ class UsersOptions(NetworkOptions):
 
 def add_users_network(patch: pytest.MonkeyPatch) -> None:
     """Add `spatial: users`, as a file users.py would."""
-    load = options.load
+    load_options = options.load_options
     patch.setattr(
-        options, "load", lambda part, name: UsersOptions if name == "users" else load(part, name)
+        options,
+        "load_options",
+        lambda part, name: UsersOptions if name == "users" else load_options(part, name),
     )
 
 

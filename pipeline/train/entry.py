@@ -57,8 +57,8 @@ class Entry(Section):
         if not isinstance(value, dict) or not {"spatial", "temporal"} <= value.keys():
             return value
         networks = (
-            options.load("spatial", value["spatial"]),
-            options.load("temporal", value["temporal"]),
+            options.load_options("spatial", value["spatial"]),
+            options.load_options("temporal", value["temporal"]),
         )
         fields = {
             name: field for network in networks for name, field in network.model_fields.items()
@@ -110,8 +110,8 @@ class Entry(Section):
         spatial, temporal = (
             network.model_validate({name: getattr(self, name) for name in network.model_fields})
             for network in (
-                options.load("spatial", self.spatial),
-                options.load("temporal", self.temporal),
+                options.load_options("spatial", self.spatial),
+                options.load_options("temporal", self.temporal),
             )
         )
         if spatial.kind != kind:

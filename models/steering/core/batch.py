@@ -18,13 +18,12 @@ FrameKind = Literal["graph", "pointnet2", "image"]  # GraphBatch, SetBatch, Imag
 class _Points:
     """Points of B frames, N in all.
 
-    xyz [N,3] metres, rectified camera frame (x right, y down, z forward); cls uint8 [N], trainId;
-    ptr int64 [B+1] on the CPU, frame b has the rows ptr[b]:ptr[b+1], none if it has no points.
+    Frame b has the rows ptr[b]:ptr[b+1], none if it has no points.
     """
 
-    xyz: Tensor
-    cls: Tensor
-    ptr: Tensor
+    xyz: Tensor  # [N,3] metres, rectified camera frame (x right, y down, z forward)
+    cls: Tensor  # uint8 [N], trainId
+    ptr: Tensor  # int64 [B+1], on the CPU
 
     @property
     def frames(self) -> int:
@@ -32,56 +31,62 @@ class _Points:
         return len(self.ptr) - 1
 
     def mirrored(self) -> Self:
-        return dataclasses.replace(self, xyz=torch.cat([-self.xyz[:, :1], self.xyz[:, 1:]], dim=1))
+        """Return the points mirrored left-right."""
+        x = self.xyz[:, :1]
+        return dataclasses.replace(self, xyz=torch.cat([-x, self.xyz[:, 1:]], dim=1))
 
 
 @dataclass(frozen=True)
 class GraphBatch(_Points):
-    """Points with a symmetric graph per frame: E directed edges, two for each undirected one.
+    """Points with a symmetric graph per frame: E directed edges, two for each undirected one."""
 
-    degree [N], neighbours of each point, itself excluded; indices int32 [E], their row numbers,
-    point by point (CSR).
-    """
-
-    degree: Tensor
-    indices: Tensor
+    degree: Tensor  # [N], number of neighbours of each point, itself excluded
+    indices: Tensor  # int32 [E], row numbers of the neighbours, point by point (CSR)
 
     @property
     def edge_index(self) -> Tensor:
         """The edges int64 [2,E] as PyTorch Geometric has them: from row numbers, to row numbers."""
-        to = torch.arange(len(self.degree), device=self.degree.device)
-        to = to.repeat_interleave(self.degree.long(), output_size=len(self.indices))
-        return torch.stack([self.indices.long(), to])
+        rows = torch.arange(len(self.degree), device=self.degree.device)
+        target = rows.repeat_interleave(self.degree.long(), output_size=len(self.indices))
+        return torch.stack([self.indices.long(), target])
 
     def blocks(self, points: int) -> Iterator["GraphBatch"]:
-        """Split the batch on a CPU into blocks of whole frames with at most `points` points, or of
-        one larger frame.
+        """Split the batch on a CPU into blocks of whole frames with at most `points` points.
+
+        A larger frame is a block of its own. On a GPU the batch is one block, for few launches.
         """
         if self.xyz.device.type != "cpu":
-            yield self  # few launches
+            yield self
             return
-        # before each frame
-        edges = nn.functional.pad(self.degree.long().cumsum(0), (1, 0))[self.ptr].tolist()
-        ptr, first = self.ptr.tolist(), 0
-        while first < len(ptr) - 1:
-            last = max(first + 1, bisect_right(ptr, ptr[first] + points) - 1)
-            start, rows = ptr[first], slice(ptr[first], ptr[last])
-            indices = self.indices[edges[first] : edges[last]] - start
-            ends = self.ptr[first : last + 1] - start
-            yield GraphBatch(self.xyz[rows], self.cls[rows], ends, self.degree[rows], indices)
-            first = last
+        # The first row and the first edge of each frame, and the ends.
+        ptr = self.ptr.tolist()
+        edges_before = nn.functional.pad(self.degree.long().cumsum(0), (1, 0))
+        edge_ptr = edges_before[self.ptr].tolist()
+        first = 0
+        while first < self.frames:
+            stop = max(first + 1, bisect_right(ptr, ptr[first] + points) - 1)
+            rows = slice(ptr[first], ptr[stop])
+            edges = slice(edge_ptr[first], edge_ptr[stop])
+            yield GraphBatch(
+                xyz=self.xyz[rows],
+                cls=self.cls[rows],
+                ptr=self.ptr[first : stop + 1] - ptr[first],
+                degree=self.degree[rows],
+                indices=self.indices[edges] - ptr[first],
+            )
+            first = stop
 
 
 class Level(NamedTuple):
     """A level of B frames' points: M centres with n neighbours each.
 
-    centres int32 [M], neighbours int32 [M,n]: row numbers in the batch's points, or in the previous
-    level's centres; ptr int64 [B+1] on the CPU, frame b has the rows ptr[b]:ptr[b+1].
+    Row numbers count the batch's points, or the centres of the previous level. Frame b has the rows
+    ptr[b]:ptr[b+1] of the centres.
     """
 
-    centres: Tensor
-    neighbours: Tensor
-    ptr: Tensor
+    centres: Tensor  # int32 [M], row numbers
+    neighbours: Tensor  # int32 [M,n], row numbers
+    ptr: Tensor  # int64 [B+1], on the CPU
 
 
 @dataclass(frozen=True)
@@ -98,8 +103,9 @@ class ImageBatch:
     image: Tensor
 
     def mirrored(self) -> Self:
-        """Return the images mirrored left-right. Assumes the optical axis in the middle; KITTI's is
-        within 2 %.
+        """Return the images mirrored left-right.
+
+        Assumes the optical axis in the middle; KITTI's is within 2 %.
         """
         return dataclasses.replace(self, image=self.image.flip(2))
 
@@ -108,24 +114,25 @@ Batch = GraphBatch | SetBatch | ImageBatch
 
 
 def from_arrays(arrays: Mapping[str, Array], device: torch.device | str = "cpu") -> Batch:
-    """Return a batch on `device` of arrays by name, as pipeline/graphs/graph_file.py names them;
-    others are ignored.
+    """Return a batch on `device` of arrays by name, as pipeline/graphs/graph_file.py names them.
+
+    Arrays of other names are ignored.
     """
-    there = {name: torch.as_tensor(array) for name, array in arrays.items()}
-    # Pointers stay on the CPU: reading them from a GPU would stall each step.
-    there |= {
-        name: there[name].to(device, non_blocking=True)
-        for name in there
-        if not name.endswith("ptr")
-    }
-    if "image" in there:
-        return ImageBatch(there["image"])
-    points = there["xyz"], there["cls"], there["ptr"]
-    if "degree" in there:
-        return GraphBatch(*points, there["degree"], there["indices"])
+    tensors = {}
+    for name, array in arrays.items():
+        tensors[name] = torch.as_tensor(array)
+        # Pointers stay on the CPU: reading them from a GPU would stall each step.
+        if not name.endswith("ptr"):
+            tensors[name] = tensors[name].to(device, non_blocking=True)
+    if "image" in tensors:
+        return ImageBatch(tensors["image"])
+    points = (tensors["xyz"], tensors["cls"], tensors["ptr"])
+    if "degree" in tensors:
+        return GraphBatch(*points, tensors["degree"], tensors["indices"])
     levels: list[Level] = []
-    while (name := f"centres_{len(levels) + 1}") in there:
-        levels.append(
-            Level(there[name], there[f"neighbours_{len(levels) + 1}"], there[f"{name}_ptr"])
-        )
+    while f"centres_{len(levels) + 1}" in tensors:
+        number = len(levels) + 1
+        centres = tensors[f"centres_{number}"]
+        neighbours = tensors[f"neighbours_{number}"]
+        levels.append(Level(centres, neighbours, tensors[f"centres_{number}_ptr"]))
     return SetBatch(*points, tuple(levels))

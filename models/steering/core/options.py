@@ -1,6 +1,4 @@
-"""Options of the networks: keys of a model's entry in params.yaml, with types and defaults, found
-by name.
-"""
+"""Options of the networks: keys of a model's entry in params.yaml, with types and defaults."""
 
 import importlib
 from dataclasses import dataclass
@@ -13,8 +11,9 @@ from torch import nn
 from models.steering.core.batch import FrameKind
 from pipeline.base.errors import InputError
 
-Count = Annotated[int, Field(ge=1, le=1024)]  # neurons, channels
-# channels after each layer
+# Number of neurons or channels.
+Count = Annotated[int, Field(ge=1, le=1024)]
+# Channels after each layer.
 Widths = Annotated[tuple[Count, ...], Field(min_length=1, max_length=32, strict=False)]
 Semantics = Annotated[
     float, Field(ge=0, le=1, description="weight of the classes, paper eq. 7; 0: geometry alone")
@@ -38,33 +37,32 @@ class Sizes:
 
 
 class NetworkOptions(OptionGroup):
-    """Base class of the class `Options` in a network's file: an option per field, and how to build
-    the network.
-    """
+    """Base class of the class `Options` in a network's file, which has a field per option."""
 
-    kind: ClassVar[FrameKind | None] = None  # frames that the network reads; spatial networks only
-    sees: ClassVar[bool] = True  # whether the features depend on the frames
+    # Frames that the network reads; spatial networks only.
+    kind: ClassVar[FrameKind | None] = None
+    # Whether the features depend on the frames.
+    sees: ClassVar[bool] = True
 
     def build(self, sizes: Sizes) -> nn.Module:
-        """Build the network with new weights from torch's random state. Raises InputError for a
-        wrong option.
+        """Build the network with new weights from torch's random state.
+
+        Raises InputError for a wrong option.
         """
         raise NotImplementedError
 
 
-def load(part: Literal["spatial", "temporal"], name: str) -> type[NetworkOptions]:
-    """Return the class `Options` of a network's file. Raises InputError if there is no such
-    file.
-    """
+def load_options(part: Literal["spatial", "temporal"], name: str) -> type[NetworkOptions]:
+    """Return the class `Options` of a network's file. Raises InputError if there is no file."""
     path = f"models/steering/{part}/{name}.py"
-    known = sorted(file.stem for file in (Path(__file__).parents[1] / part).glob("[!_]*.py"))
-    if name not in known:
-        raise InputError(f"{part} = {name!r}: there is no {path} (known: {', '.join(known)})")
+    folder = Path(__file__).parents[1] / part
+    names = sorted(file.stem for file in folder.glob("[!_]*.py"))
+    if name not in names:
+        raise InputError(f"{part} = {name!r}: there is no {path} (known: {', '.join(names)})")
     try:
-        options: type[NetworkOptions] = importlib.import_module(
-            f"models.steering.{part}.{name}"
-        ).Options
-    # a bug, which pydantic would take for a wrong option
+        module = importlib.import_module(f"models.steering.{part}.{name}")
+    # A bug of the file, which pydantic would take for a wrong option.
     except (AssertionError, ValueError) as error:
         raise ImportError(f"{path} raises {error!r}") from error
+    options: type[NetworkOptions] = module.Options
     return options

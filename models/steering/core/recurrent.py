@@ -1,15 +1,17 @@
-"""Interface of the recurrent networks. The cells of `temporal: ncp` are files of cell/;
-temporal/ncp.py lists them.
+"""Interface of the recurrent networks.
+
+The cells of `temporal: ncp` are files of cell/; temporal/ncp.py lists them.
 """
 
 from typing import Any
 
 from torch import Tensor, nn
 
-NOMINAL_STEP_S = 0.1  # KITTI's frame interval is one unit of a cell's time, as ncps has 1 per frame
-# A new cell's outputs are within about ±1 before scaling; standardised steering reaches 3 and more
-# in sharp bends. With an initial scale of 1, as in ncps, training error after 8 epochs on synthetic
-# streets was twice as large.
+# Unit of a cell's time in seconds: KITTI's frame interval, as a frame is one unit in ncps.
+NOMINAL_STEP_S = 0.1
+# Initial scale of a cell's outputs, which are within about ±1 before scaling. Standardised steering
+# reaches 3 and more in sharp bends. With a scale of 1, as in ncps, the training error after 8
+# epochs on synthetic streets was twice as large.
 OUTPUT_SCALE = 3.0
 
 
@@ -26,8 +28,9 @@ class RecurrentCell(nn.Module):
         raise NotImplementedError
 
     def forward(self, projected: Tensor, dt_s: Tensor) -> Tensor:
-        """Return the outputs [W,T,R], from a state of zeros, for `projected` [W,T,S] and time steps
-        dt_s [W,T].
+        """Return the outputs [W,T,R] for `projected` [W,T,S] and time steps dt_s [W,T].
+
+        The recursion starts from a state of zeros.
         """
         raise NotImplementedError
 

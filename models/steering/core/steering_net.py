@@ -16,13 +16,11 @@ import torch
 from torch import Tensor, nn
 
 from models.steering.core.batch import Array, Batch, from_arrays
+from models.steering.core.motion import SCALES, mirrored_motion, scaled_motion
 from models.steering.core.options import NetworkOptions, Sizes
 
-MOTION_SCALES = (0.25, 0.4, 15.0, 1.0)  # a sharp corner, a fast street
-"""Scales of the columns of `motion`: angle (rad) and yaw rate (rad/s), both left +, speed (m/s) and
-valid (0 or 1).
-"""
-EPSILON = 1e-6  # added to variances
+# Added to variances, so that a constant feature becomes 0.
+EPSILON = 1e-6
 
 
 class FeatureScale(nn.Module):
@@ -42,16 +40,19 @@ class FeatureScale(nn.Module):
 
     def __init__(self, features: int, *, centred: bool, momentum: float = 0.02) -> None:
         super().__init__()
-        self.centred, self.momentum = centred, momentum
+        self.centred = centred
+        self.momentum = momentum
         self.register_buffer("mean", torch.zeros(features))
         self.register_buffer("variance", torch.ones(features))
         self.register_buffer("steps", torch.tensor(0))
 
     def forward(self, x: Tensor) -> Tensor:
         """Standardise the features of B frames: [B,F] → [B,F] in (-1, 1)."""
-        mean, variance = self.mean, self.variance
+        mean = self.mean
+        variance = self.variance
         if self.training:
-            mean = x.mean(0) if self.centred else mean
+            if self.centred:
+                mean = x.mean(0)
             variance = (x - mean).square().mean(0)
             with torch.no_grad():
                 self.steps += 1
@@ -62,8 +63,9 @@ class FeatureScale(nn.Module):
 
 
 class SteeringNet(nn.Module):
-    """Predict steering from windows of frames. Letters: B frames, W windows of T frames, F
-    features, R outputs.
+    """Predict steering from windows of frames.
+
+    Letters: B frames, W windows of T frames, F features, R outputs.
 
     Args:
         spatial, temporal: options of the two networks. New weights are drawn from torch's random
@@ -87,11 +89,15 @@ class SteeringNet(nn.Module):
         motion: bool = False,
     ) -> None:
         super().__init__()
-        self.equivariant, self.motion, self.sees = equivariant, motion, spatial.sees
+        self.equivariant = equivariant
+        self.motion = motion
+        self.sees = spatial.sees
         # Random numbers are drawn in this order: a seed's weights depend on it.
-        self.spatial = spatial.build(sizes)
+        self.spatial: Any = spatial.build(sizes)
         self.scale = FeatureScale(sizes.features, centred=not equivariant)
-        inputs = sizes.features + motion * len(MOTION_SCALES)
+        inputs = sizes.features
+        if motion:
+            inputs += len(SCALES)
         self.temporal: Any = temporal.build(replace(sizes, features=inputs))
 
     def forward(
@@ -102,36 +108,34 @@ class SteeringNet(nn.Module):
         motion: Tensor | None = None,
         scenes: Tensor | None = None,
     ) -> Tensor:
-        """Predict the standardised steering, or residual, [W,R] of each window's last frame; a
-        frame is encoded once.
+        """Predict the standardised steering, or residual, [W,R] of each window's last frame.
+
+        Each frame is encoded once, for all its windows.
 
         Args:
             batch: B frames, or the frames that `scenes` counts.
             windows: int64 [W,T], the frames of each window, oldest first.
             dt_s: [W,T] seconds since the previous frame.
-            motion: [B,4], see MOTION_SCALES; required with motion.
+            motion: [B,4], see core/motion.py; required with motion.
             scenes: of a control, int64 [B], the frame of the batch that each of B frames sees;
                 None: its own.
         """
-        if self.equivariant:  # the frames, then their mirror images
-            # of networks that share a part of the two
-            both: Any = getattr(self.spatial, "both", None)
-            original, mirrored = (
-                both(batch) if both else (self.spatial(batch), self.spatial(batch.mirrored()))
-            )
-            features = torch.cat([original - mirrored, mirrored - original])
-        else:
-            features = self.spatial(batch)
-        inputs = self.scale(features)
+        inputs = self.scale(self._features(batch))
         if scenes is not None:
-            inputs = torch.cat([version[scenes] for version in inputs.chunk(1 + self.equivariant)])
+            versions = inputs.chunk(1 + self.equivariant)
+            inputs = torch.cat([version[scenes] for version in versions])
+
+        # From here on, mirror images are further frames and further windows.
         if self.equivariant:
-            windows, dt_s = torch.cat([windows, windows + len(inputs) // 2]), dt_s.repeat(2, 1)
-            if motion is not None:
-                motion = torch.cat([motion, torch.cat([-motion[:, :2], motion[:, 2:]], dim=1)])
+            windows = torch.cat([windows, windows + len(inputs) // 2])
+            dt_s = dt_s.repeat(2, 1)
+
         if self.motion:
             assert motion is not None, "a network with motion needs the motion of each frame"
-            inputs = torch.cat([inputs, scaled(motion.to(inputs))], dim=1)
+            if self.equivariant:
+                motion = torch.cat([motion, mirrored_motion(motion)])
+            inputs = torch.cat([inputs, scaled_motion(motion.to(inputs))], dim=1)
+
         projected = self.temporal.project_inputs(inputs)  # once for each frame
         out: Tensor = self.temporal(projected[windows], dt_s.to(projected))[:, -1]  # [W,R]
         if self.equivariant:
@@ -139,40 +143,41 @@ class SteeringNet(nn.Module):
             out = (original - mirrored) / 2
         return out
 
+    def _features(self, batch: Batch) -> Tensor:
+        """Return features [B,F]; if equivariant [2B,F], of the frames, then of their mirror images.
+
+        A spatial network may have a method `with_mirrored`, if the two share a part of the work.
+        """
+        if not self.equivariant:
+            features: Tensor = self.spatial(batch)
+            return features
+        if hasattr(self.spatial, "with_mirrored"):
+            original, mirrored = self.spatial.with_mirrored(batch)
+        else:
+            original = self.spatial(batch)
+            mirrored = self.spatial(batch.mirrored())
+        return torch.cat([original - mirrored, mirrored - original])
+
     def inputs(
         self, arrays: Mapping[str, Array]
     ) -> tuple[Batch, Tensor, Tensor, Tensor | None, Tensor | None]:
-        """Return the arguments of `forward`, on the network's device, from the arrays of
-        pipeline/train/windows.py.
+        """Return the arguments of `forward`, on the network's device.
+
+        `arrays` are those of pipeline/train/windows.py.
         """
-        device, names = (
-            self.device,
-            [name for name in ("windows", "dt_s", "motion", "scenes") if name in arrays],
-        )
-        there = {
-            name: torch.as_tensor(arrays[name]).to(device, non_blocking=True) for name in names
-        }
+        tensors = {}
+        for name in ("windows", "dt_s", "motion", "scenes"):
+            if name in arrays:
+                tensor = torch.as_tensor(arrays[name])
+                tensors[name] = tensor.to(self.device, non_blocking=True)
         return (
-            from_arrays(arrays, device),
-            there["windows"],
-            there["dt_s"],
-            there.get("motion"),
-            there.get("scenes"),
+            from_arrays(arrays, self.device),
+            tensors["windows"],
+            tensors["dt_s"],
+            tensors.get("motion"),
+            tensors.get("scenes"),
         )
 
     @property
     def device(self) -> torch.device:
         return self.scale.mean.device
-
-
-def scaled(motion: Tensor) -> Tensor:
-    """Return motion [B,4] with columns of O(1). A turn far beyond a sharp corner is a measurement
-    error: ±1 at most.
-    """
-    # Scales as numbers: a tensor made of them would be a blocking copy to a GPU in each step.
-    columns = [
-        column / scale for column, scale in zip(motion.unbind(1), MOTION_SCALES, strict=True)
-    ]
-    return torch.cat(
-        [torch.tanh(torch.stack(columns[:2], dim=1)), torch.stack(columns[2:], dim=1)], dim=1
-    )

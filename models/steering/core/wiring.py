@@ -1,6 +1,4 @@
-"""Wiring of a neural circuit policy: signed synapses between neurons (Lechner et al. 2020), and
-their weights.
-"""
+"""Wiring of a neural circuit policy (Lechner et al. 2020): signed synapses between neurons."""
 
 from typing import Annotated, NamedTuple
 
@@ -15,19 +13,16 @@ from pipeline.base.errors import InputError
 class Wiring(NamedTuple):
     """Signed synapses as matrices int8 [from, to]: +1 excites, -1 inhibits, 0 is no synapse.
 
-    Neurons are numbered motor, command, inter, as in ncps. sensory [D,U]: from input features;
-    internal [U,U].
+    Neurons are numbered motor, command, inter, as in ncps.
     """
 
-    sensory: np.ndarray
-    internal: np.ndarray
-    motor: int
+    sensory: np.ndarray  # [D,U], from input features
+    internal: np.ndarray  # [U,U]
+    motor: int  # number of motor neurons
 
 
 class Layout(OptionGroup):
-    """Option `wiring`: neurons per layer, synapses per neuron, and the seed of the random
-    choice.
-    """
+    """Option `wiring`: neurons per layer, synapses per neuron, and the seed of their choice."""
 
     inter: Count = 12
     command: Count = 6
@@ -39,16 +34,16 @@ class Layout(OptionGroup):
 
 
 def ncp(inputs: int, layout: Layout = Layout(), motor: int = 1) -> Wiring:
-    """Draw the four-layer wiring sensory → inter → command (⟲) → motor; equal seeds give equal
-    wirings, None is 0.
+    """Draw the four-layer wiring sensory → inter → command (⟲) → motor.
 
     Each sensory neuron feeds `sensory_fanout` inter neurons, each inter neuron `inter_fanout`
     command neurons, and each motor neuron is fed by `motor_fanin` command neurons. A neuron without
     input after that, or a command neuron without output, gets the average number of synapses of its
-    layer. Raises InputError if a fan-out or fan-in exceeds the size of its target layer, or for too
-    many recurrent synapses.
+    layer. Equal seeds give equal wirings; seed None is 0. Raises InputError if a fan-out or fan-in
+    exceeds the size of its target layer, or for too many recurrent synapses.
     """
-    inter, command = layout.inter, layout.command
+    inter = layout.inter
+    command = layout.command
     for name, count, layer, size in [
         ("sensory_fanout", layout.sensory_fanout, "inter", inter),
         ("inter_fanout", layout.inter_fanout, "command", command),
@@ -58,17 +53,18 @@ def ncp(inputs: int, layout: Layout = Layout(), motor: int = 1) -> Wiring:
         if count > size:
             raise InputError(f"wiring.{name} = {count}, expected at most {layer} = {size}")
 
-    rng = np.random.default_rng(layout.seed or 0)
     units = motor + command + inter
+    motors, commands, inters = np.split(np.arange(units), [motor, motor + command])
     sensory = np.zeros((inputs, units), dtype=np.int8)
     internal = np.zeros((units, units), dtype=np.int8)
-    motors, commands, inters = np.split(np.arange(units), [motor, motor + command])
+    rng = np.random.default_rng(layout.seed or 0)
 
     _fan_out(rng, sensory, np.arange(inputs), inters, layout.sensory_fanout)
     _fan_out(rng, internal, inters, commands, layout.inter_fanout)
     for place in rng.choice(command**2, size=layout.recurrent_command_synapses, replace=False):
-        internal[commands[place // command], commands[place % command]] = rng.choice([-1, 1])
-    # transposed: fan-in is fan-out of the targets
+        source, target = divmod(place, command)
+        internal[commands[source], commands[target]] = rng.choice([-1, 1])
+    # Fan-in is the fan-out of the targets, on the transposed matrix.
     _fan_out(rng, internal.T, motors, commands, layout.motor_fanin)
     return Wiring(sensory, internal, motor)
 
@@ -80,32 +76,31 @@ def _fan_out(
     targets: np.ndarray,
     fanout: int,
 ) -> None:
-    """Connect each source to `fanout` random targets, then targets without input to the average
-    number.
-    """
+    """Connect each source to `fanout` random targets, and targets without input to some sources."""
     for source in sources:
         chosen = rng.choice(targets, size=fanout, replace=False)
         matrix[source, chosen] = rng.choice([-1, 1], size=fanout)
+
     average = int(np.clip(len(sources) * fanout // len(targets), 1, len(sources)))
-    for target in targets[~matrix[np.ix_(sources, targets)].any(axis=0)]:
+    has_input = matrix[np.ix_(sources, targets)].any(axis=0)
+    for target in targets[~has_input]:
         chosen = rng.choice(sources, size=average, replace=False)
         matrix[chosen, target] = rng.choice([-1, 1], size=average)
 
 
 class SparseMatrix(nn.Module):
-    """Matrix [P,U] that is zero except where `exists`, at S positions; their S values are its
-    parameters.
-    """
+    """Matrix [P,U] whose parameters are the S values where `exists`; the others are zero."""
 
     place: Tensor
 
     def __init__(self, values: Tensor, exists: Tensor) -> None:
         super().__init__()
         self.shape = exists.shape
-        # [S]; saved with the weights
+        # Places [S] in the flattened matrix, saved with the weights.
         self.register_buffer("place", exists.flatten().nonzero()[:, 0])
         self.w = nn.Parameter(values[exists])  # [S], in row order
 
     def dense(self) -> Tensor:
         """Return [P,U]. At an NCP's size a dense product is faster than a sparse one."""
-        return self.w.new_zeros(self.shape.numel()).scatter(0, self.place, self.w).view(self.shape)
+        zeros = self.w.new_zeros(self.shape.numel())
+        return zeros.scatter(0, self.place, self.w).view(self.shape)

@@ -8,9 +8,7 @@ from models.steering.core.options import NetworkOptions, Sizes
 
 
 class Blind(nn.Module):
-    """Zeros for each frame; with `motion`, the recurrent network predicts from the car's motion
-    alone.
-    """
+    """Zeros for each frame: the recurrent network predicts from the car's motion alone."""
 
     def __init__(self, features: int) -> None:
         super().__init__()

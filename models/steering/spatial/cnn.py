@@ -1,5 +1,7 @@
 """The convolutional head of the NCP paper (Lechner et al. 2020)."""
 
+import math
+
 import torch
 from torch import Tensor, nn
 
@@ -7,15 +9,14 @@ from models.steering.core.batch import ImageBatch
 from models.steering.core.options import NetworkOptions, Sizes
 from pipeline.base.errors import InputError
 
-# maps, kernel size, stride
+# Number of maps, kernel size and stride of each convolution.
 CONVOLUTIONS = [(24, 5, 2), (36, 5, 2), (48, 3, 2), (64, 3, 1), (8, 3, 1)]
 
 
 class SteeringCNN(nn.Module):
-    """Standardised image → five convolutions → one dense layer for each of the 8 maps; the NCP
-    paper has 32 features.
+    """Standardised image, five convolutions, and one dense layer for each of the 8 maps.
 
-    Raises InputError if `features` is not a multiple of the number of maps.
+    The NCP paper has 32 features. Raises InputError if `features` is not a multiple of 8.
     """
 
     def __init__(self, features: int, image_size: tuple[int, int]) -> None:
@@ -24,30 +25,37 @@ class SteeringCNN(nn.Module):
         if features % maps:
             raise InputError(f"features = {features}, expected a multiple of cnn's {maps} maps")
         layers: list[nn.Module] = []
-        channels, (height, width) = 3, image_size
-        for after, side, stride in CONVOLUTIONS:
+        inputs = 3
+        height, width = image_size
+        for outputs, side, stride in CONVOLUTIONS:
             # Padding "same": a stride of 1 keeps the size, a stride of 2 halves it, rounded up.
-            layers += [nn.Conv2d(channels, after, side, stride, padding=side // 2), nn.ReLU()]
-            channels, height, width = after, -(-height // stride), -(-width // stride)
+            layers += [nn.Conv2d(inputs, outputs, side, stride, padding=side // 2), nn.ReLU()]
+            inputs = outputs
+            height = math.ceil(height / stride)
+            width = math.ceil(width / stride)
         # The memory order of images: 14 % faster on a CPU.
         self.convolutions = nn.Sequential(*layers).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.weight = nn.Parameter(torch.empty(maps, height * width, features // maps))
         self.bias = nn.Parameter(torch.zeros(maps, features // maps))
-        # as nn.Linear
-        nn.init.uniform_(self.weight, -((height * width) ** -0.5), (height * width) ** -0.5)
+        # The initialisation of nn.Linear.
+        bound = (height * width) ** -0.5
+        nn.init.uniform_(self.weight, -bound, bound)
 
     def forward(self, batch: ImageBatch) -> Tensor:
-        maps = self.convolutions(standardise(batch.image, self.bias.dtype)).flatten(2)  # [B,8,hw]
-        return (torch.einsum("bmp,mpf->bmf", maps, self.weight) + self.bias).flatten(1)
+        pixels = standardise(batch.image, self.bias.dtype)
+        maps = self.convolutions(pixels).flatten(2)  # [B,8,hw]
+        features = torch.einsum("bmp,mpf->bmf", maps, self.weight) + self.bias
+        return features.flatten(1)
 
 
 def standardise(image: Tensor, dtype: torch.dtype) -> Tensor:
-    """Scale each image to mean 0 and deviation 1 over its pixels and channels: uint8 [B,H,W,3] →
-    [B,3,H,W].
+    """Scale each image to mean 0 and deviation 1 over its pixels and channels.
+
+    uint8 [B,H,W,3] → [B,3,H,W]. A uniform image becomes 0.
     """
     pixels = image.to(dtype).permute(0, 3, 1, 2)
     deviation, mean = torch.std_mean(pixels, dim=(1, 2, 3), keepdim=True, correction=0)
-    return (pixels - mean) / deviation.clamp_min(pixels[0].numel() ** -0.5)  # uniform image: 0
+    return (pixels - mean) / deviation.clamp_min(pixels[0].numel() ** -0.5)
 
 
 class Options(NetworkOptions):

@@ -22,9 +22,7 @@ class Options(NetworkOptions):
 
 
 class GCNLayer(nn.Module):
-    """Graph convolution H ↦ ReLU(D̃^(-1/2) Ã D̃^(-1/2) H W + b) with Ã = A + I (paper eq. 3), W
-    [inputs, outputs].
-    """
+    """Graph convolution H ↦ ReLU(D̃^(-1/2) Ã D̃^(-1/2) H W + b) with Ã = A + I, paper eq. 3."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
@@ -33,35 +31,35 @@ class GCNLayer(nn.Module):
         nn.init.xavier_uniform_(self.weight)
 
     def forward(self, adjacency: Tensor, x: Tensor) -> Tensor:
-        """Convolve features [N, inputs] → [N, outputs]; `adjacency` [N,N]: see
-        :func:`normalised_adjacency`.
+        """Convolve features [N, inputs] → [N, outputs].
+
+        `adjacency` is the matrix [N,N] of :func:`normalised_adjacency`.
         """
         propagated = SymmetricProduct.apply(adjacency, x)  # type: ignore[no-untyped-call]
         return nn.functional.linear(propagated, self.weight.T, self.bias).relu()
 
 
 class GCN(nn.Module):
-    """Node features → graph convolutions → mean and maximum over each frame's points → one dense
-    layer.
-    """
+    """Node features, graph convolutions, pooling over each frame's points, and one dense layer."""
 
-    # points at once on a CPU; with 64 channels 2 MB, and as much for the gradient: about a core's
-    # cache
+    # Number of points that a CPU convolves at once. With 64 channels they take 2 MB, and their
+    # gradient as much, which is about a core's cache.
     block = 8192
 
     def __init__(self, features: int, options: Options) -> None:
         super().__init__()
         self.semantics = options.semantics
-        self.layers = nn.ModuleList(
-            GCNLayer(*sizes) for sizes in pairwise([NODE_FEATURES, *options.layers])
-        )
+        self.layers = nn.ModuleList()
+        for inputs, outputs in pairwise([NODE_FEATURES, *options.layers]):
+            self.layers.append(GCNLayer(inputs, outputs))
         self.read_out = nn.Linear(2 * options.layers[-1], features)
 
     def forward(self, batch: GraphBatch) -> Tensor:
+        dtype = self.read_out.weight.dtype
         pooled = []
         for block in batch.blocks(self.block):
-            x = node_features(block.xyz.to(self.read_out.weight.dtype), block.cls, self.semantics)
-            adjacency = normalised_adjacency(block.degree, block.indices, x.dtype)
+            x = node_features(block.xyz.to(dtype), block.cls, self.semantics)
+            adjacency = normalised_adjacency(block.degree, block.indices, dtype)
             for layer in self.layers:
                 x = layer(adjacency, x)
             pooled.append(mean_max_pool(x, block.ptr))
@@ -69,20 +67,22 @@ class GCN(nn.Module):
 
 
 def normalised_adjacency(degree: Tensor, indices: Tensor, dtype: torch.dtype) -> Tensor:
-    """Build D̃^(-1/2) (A + I) D̃^(-1/2), paper eq. 3, as a sparse CSR matrix [N,N] with E + N
-    entries.
+    """Build D̃^(-1/2) (A + I) D̃^(-1/2), paper eq. 3.
 
-    In each row the diagonal is first, then the neighbours in order. `degree` [N] and `indices` [E]:
-    of a GraphBatch.
+    Returns a sparse CSR matrix [N,N] with E + N entries. In each row the diagonal is first, then
+    the neighbours in order. `degree` [N] and `indices` [E] are those of a GraphBatch.
     """
-    nodes, entries, device = len(degree), len(indices) + len(degree), degree.device
+    # A row has an entry for each neighbour, and one on the diagonal.
+    nodes = len(degree)
+    entries = len(indices) + nodes
     sizes = degree.to(indices.dtype) + 1
-    row = torch.repeat_interleave(sizes, output_size=entries)  # of each entry
     starts = nn.functional.pad(sizes.cumsum(0), (1, 0))
-    neighbour = torch.ones(entries, dtype=torch.bool, device=device).index_fill_(
-        0, starts[:-1], False
-    )
-    column = row.masked_scatter(neighbour, indices)
+
+    # The first entry of a row, the diagonal, keeps its row's number as its column.
+    row = torch.repeat_interleave(sizes, output_size=entries)
+    is_neighbour = torch.ones(entries, dtype=torch.bool, device=degree.device)
+    is_neighbour.index_fill_(0, starts[:-1], False)
+    column = row.masked_scatter(is_neighbour, indices)
 
     scale = sizes.to(dtype).rsqrt()  # [N], D̃^(-1/2)
     values = scale.index_select(0, row) * scale.index_select(0, column)

@@ -11,7 +11,8 @@ from models.steering.core.batch import SetBatch
 from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_features
 from models.steering.core.options import NetworkOptions, Semantics, Sizes
 
-OFFSET_M = 10.0  # scale of a neighbour's offset: balls on a street are 8 to 16 m wide
+# Scale of a neighbour's offset in metres; balls on a street are 8 to 16 m wide.
+OFFSET_M = 10.0
 
 
 def mlp(*widths: int) -> nn.Sequential:
@@ -23,8 +24,9 @@ def mlp(*widths: int) -> nn.Sequential:
 
 
 class SetAbstraction(nn.Module):
-    """f_i = max over j in N(i) of h(x_j − x_i, f_j), paper eq. 2; h is an MLP shared by all
-    points.
+    """f_i = max over j in N(i) of h(x_j − x_i, f_j), paper eq. 2.
+
+    h is an MLP that all points share.
     """
 
     def __init__(self, inputs: int, widths: list[int]) -> None:
@@ -34,8 +36,11 @@ class SetAbstraction(nn.Module):
     def forward(self, xyz: Tensor, f: Tensor, centres: Tensor, neighbours: Tensor) -> Tensor:
         """Return the features [M, widths[-1]] of the centres.
 
-        Points xyz [P,3] metres with features f [P,inputs]; `centres` int32 [M] and `neighbours`
-        int32 [M,n] are rows.
+        Args:
+            xyz: points [P,3] in metres.
+            f: their features [P,inputs].
+            centres: int32 [M], rows of the points.
+            neighbours: int32 [M,n], rows of the points around each centre.
         """
         offset = (xyz[neighbours] - xyz[centres][:, None]) / OFFSET_M  # [M,n,3]
         h: Tensor = self.mlp(torch.cat([offset, f[neighbours]], dim=2))  # [M,n,width]
@@ -54,33 +59,37 @@ class Options(NetworkOptions):
 class PointNet2(nn.Module):
     """Spatial network on centres and the points around them, which the graph variant holds.
 
-    With two levels and width 1 its sizes are the reference's: 64-64-128, 128-128-256, over the
-    complete frame 256-512-1024, then 512 and 256. `levels`: set abstractions before the one over
-    the complete frame.
+    `levels` is the number of set abstractions before the one over the complete frame. With two
+    levels and width 1 the channels are those of the reference: 64-64-128, 128-128-256, over the
+    complete frame 256-512-1024, then 512 and 256.
     """
 
     def __init__(self, features: int, levels: int, options: Options) -> None:
         super().__init__()
         self.semantics = options.semantics
-        # 64, 128, 256, …
-        base = [max(1, round(options.width * 64 * 2**level)) for level in range(levels + 4)]
-        sizes = [[base[level], base[level], base[level + 1]] for level in range(levels)]
-        inputs = [NODE_FEATURES, *(widths[-1] for widths in sizes)]
-        self.levels = nn.ModuleList(
-            SetAbstraction(*pair) for pair in zip(inputs, sizes, strict=False)
-        )
-        # the complete frame is one set around the camera
-        self.whole = mlp(3 + inputs[-1], *base[levels : levels + 3])
-        self.head = mlp(*base[levels : levels + 3][::-1])
-        self.read_out = nn.Linear(base[levels], features)
+        # Channels double from level to level: 64, 128, 256, …, times the width.
+        channels = [max(1, round(options.width * 64 * 2**level)) for level in range(levels + 3)]
+        self.levels = nn.ModuleList()
+        inputs = NODE_FEATURES
+        for level in range(levels):
+            widths = [channels[level], channels[level], channels[level + 1]]
+            self.levels.append(SetAbstraction(inputs, widths))
+            inputs = channels[level + 1]
+
+        # The complete frame is one set around the camera.
+        widths = channels[levels:]
+        self.whole = mlp(3 + inputs, *widths)
+        self.head = mlp(*reversed(widths))
+        self.read_out = nn.Linear(widths[0], features)
 
     def forward(self, batch: SetBatch) -> Tensor:
-        dtype = self.read_out.weight.dtype
-        xyz, ptr = batch.xyz.to(dtype), batch.ptr
+        xyz = batch.xyz.to(self.read_out.weight.dtype)
+        ptr = batch.ptr
         f = node_features(xyz, batch.cls, self.semantics)  # [P,25]
         for layer, level in zip(self.levels, batch.levels, strict=True):
             f = layer(xyz, f, level.centres, level.neighbours)  # [M,width]
-            xyz, ptr = xyz[level.centres], level.ptr
+            xyz = xyz[level.centres]
+            ptr = level.ptr
         h = self.whole(torch.cat([xyz / OFFSET_M, f], dim=1))  # [M,1024 width]
-        pooled = mean_max_pool(h, ptr)[:, h.shape[1] :]  # the maximum
-        return self.read_out(self.head(pooled))
+        _, maximum = mean_max_pool(h, ptr).chunk(2, dim=1)
+        return self.read_out(self.head(maximum))

@@ -1,11 +1,10 @@
 """A polar map of the road ahead, read by a small convolutional network.
 
-Errors of depth are radial and bearings are exact. So its cells are bearings, and ranges that grow
-with the distance.
+Errors of depth are radial, and bearings are exact. So each cell of the map is a bearing and a
+range, and ranges grow with the distance.
 """
 
 import math
-from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -14,62 +13,85 @@ from models.steering.core.batch import GraphBatch
 from models.steering.core.options import NetworkOptions, Sizes, Widths
 from pipeline.camera import classes
 
-# odd: then rounding is symmetric around straight ahead, and mirroring reverses the bearings exactly
+# Number of bearings. As it is odd, rounding is symmetric around straight ahead, and mirroring
+# reverses the bearings exactly.
 BEARINGS = 33
-FIELD_RAD = math.radians(90)  # KITTI's camera sees 80 degrees
+# Angle that all bearings cover; KITTI's camera sees 80 degrees.
+FIELD_RAD = math.radians(90)
+# Number of ranges. Each is longer than the one before it by the same factor.
 RANGES = 12
-NEAR_M, FAR_M = 4.0, 40.0
+# Distance in metres at which the first range begins.
+NEAR_M = 4.0
+# Distance in metres at which the last range ends.
+FAR_M = 40.0
+# Kinds of points that a cell counts.
 ROAD, GROUND, OBSTACLE, VOID = range(4)
-# share of road, other ground and obstacles among the points of a cell; 1 for a cell without points
+KINDS = 4
+# Channels of a cell: the shares of road, other ground and obstacles among its points, and 1 if it
+# has no points.
 CHANNELS = 4
 
 
 def polar_map(batch: GraphBatch) -> Tensor:
-    """Return the map of each frame, float32 [B, CHANNELS, RANGES, BEARINGS], from left to right and
-    from near to far.
+    """Return the map of each frame, float32 [B, CHANNELS, RANGES, BEARINGS].
 
-    Void points count as none of the three kinds; points outside of the map have no effect.
+    Bearings are from left to right, ranges from near to far. Void points count as none of the three
+    kinds; points outside of the map have no effect.
     """
+    # A point's column is its bearing, its row the logarithm of its distance.
     x, _, z = batch.xyz.unbind(1)
     column = (torch.atan2(x, z) * (BEARINGS / FIELD_RAD)).round() + BEARINGS // 2
     range_m = torch.hypot(x, z).clamp_min(NEAR_M / 2)
     row = ((range_m / NEAR_M).log() * (RANGES / math.log(FAR_M / NEAR_M))).floor()
     inside = (column >= 0) & (column < BEARINGS) & (row >= 0) & (row < RANGES)
+
+    # Cells are numbered through all frames. A point outside gets a cell at the edge of the map.
     points = torch.arange(len(x), device=x.device)
-    frame = torch.searchsorted(batch.ptr.to(x.device, non_blocking=True)[1:], points, right=True)
-    cell = (frame * RANGES + row.clamp(0, RANGES - 1).long()) * BEARINGS + column.clamp(
-        0, BEARINGS - 1
-    ).long()
+    ends = batch.ptr.to(x.device, non_blocking=True)[1:]
+    frame = torch.searchsorted(ends, points, right=True)
+    row = row.clamp(0, RANGES - 1).long()
+    column = column.clamp(0, BEARINGS - 1).long()
+    cell = (frame * RANGES + row) * BEARINGS + column
+
     ground = torch.stack([batch.cls == number for number in classes.GROUND]).any(0)
-    kind = torch.where(ground, GROUND, OBSTACLE).masked_fill(batch.cls == classes.ROAD, ROAD)
+    kind = torch.where(ground, GROUND, OBSTACLE)
+    kind = kind.masked_fill(batch.cls == classes.ROAD, ROAD)
     kind = kind.masked_fill(batch.cls >= classes.COUNT, VOID)
+
     # Sums of ones are exact in any order, so the map is deterministic on a GPU, too.
-    counts = torch.zeros(batch.frames * RANGES * BEARINGS * 4, device=cell.device)
-    counts = counts.scatter_add(0, cell * 4 + kind, inside.float()).view(-1, RANGES, BEARINGS, 4)
+    counts = torch.zeros(batch.frames * RANGES * BEARINGS * KINDS, device=cell.device)
+    counts = counts.scatter_add(0, cell * KINDS + kind, inside.float())
+    counts = counts.view(-1, RANGES, BEARINGS, KINDS)
+
     total = counts.sum(3, keepdim=True)
     shares = counts[..., :VOID] / total.clamp_min(1)
-    return torch.cat([shares, (total == 0).float()], dim=3).permute(0, 3, 1, 2)
+    empty = (total == 0).float()
+    return torch.cat([shares, empty], dim=3).permute(0, 3, 1, 2)
 
 
 class Polar(nn.Module):
-    """Polar map → convolutions of `widths` channels, with stride 2 but the first → one dense
-    layer.
-    """
+    """Polar map, convolutions with `widths` channels after each, and one dense layer."""
 
     def __init__(self, features: int, widths: tuple[int, ...]) -> None:
         super().__init__()
         self.convolutions = nn.Sequential()
-        height, width = RANGES, BEARINGS
-        for number, (before, after) in enumerate(pairwise((CHANNELS, *widths))):
-            stride = 2 if number else 1
-            self.convolutions.extend([nn.Conv2d(before, after, 3, stride, padding=1), nn.ReLU()])
-            height, width = -(-height // stride), -(-width // stride)
-        self.read_out = nn.Linear(widths[-1] * height * width, features)
+        inputs = CHANNELS
+        height = RANGES
+        width = BEARINGS
+        stride = 1
+        for outputs in widths:
+            self.convolutions.append(nn.Conv2d(inputs, outputs, 3, stride, padding=1))
+            self.convolutions.append(nn.ReLU())
+            inputs = outputs
+            height = math.ceil(height / stride)
+            width = math.ceil(width / stride)
+            stride = 2  # of all but the first
+        self.read_out = nn.Linear(inputs * height * width, features)
 
     def forward(self, batch: GraphBatch) -> Tensor:
         return self._read(polar_map(batch))
 
-    def both(self, batch: GraphBatch) -> tuple[Tensor, ...]:
+    def with_mirrored(self, batch: GraphBatch) -> tuple[Tensor, ...]:
         """Return `forward` of the frames and of their mirror images, each [B,F]."""
         frames = polar_map(batch)
         return self._read(torch.cat([frames, frames.flip(3)])).chunk(2)

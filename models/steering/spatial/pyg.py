@@ -1,5 +1,6 @@
-"""Layers of PyTorch Geometric by name: any that takes `x, edge_index`, for instance `layer:
-GATv2Conv`.
+"""Layers of PyTorch Geometric by name, for instance `layer: GATv2Conv`.
+
+Any layer that takes `x, edge_index` is possible.
 """
 
 from inspect import signature
@@ -20,8 +21,10 @@ class Options(NetworkOptions):
     layer: Annotated[
         str, Field(description="a layer of torch_geometric.nn, for instance GATv2Conv")
     ]
-    layer_options: dict[str, Any] = {}  # its keyword arguments
-    layers: Widths = (32, 32, 64)  # channels of each layer; attention heads multiply them
+    # Keyword arguments of the layer.
+    layer_options: dict[str, Any] = {}
+    # Channels of each layer; attention heads multiply them.
+    layers: Widths = (32, 32, 64)
     semantics: Semantics
 
     def build(self, sizes: Sizes) -> nn.Module:
@@ -29,8 +32,7 @@ class Options(NetworkOptions):
 
 
 class PyG(nn.Module):
-    """Node features → layers of one class, each with ReLU → mean and maximum over each frame → one
-    dense layer.
+    """Node features, layers of one class, each with ReLU, pooling over a frame, and a dense layer.
 
     Most layers store a row per edge: the demo takes 3.3 GB to train with GATv2Conv and 0.8 GB with
     spatial: gnn. On a GPU their sums over neighbours have no fixed order, so two runs differ by
@@ -41,27 +43,17 @@ class PyG(nn.Module):
 
     def __init__(self, features: int, options: Options) -> None:
         super().__init__()
-        self.semantics, layer = options.semantics, layer_class(options.layer)
+        self.semantics = options.semantics
+        layer = layer_class(options.layer)
         for key in {"cached", "edge_dim", "in_edge_channels"} & options.layer_options.keys():
             raise InputError(
                 "each frame has other edges, without features", f"layer_options.{key}", "Remove it"
             )
-        takes = (
-            ["nn"]
-            if next(iter(signature(layer).parameters), "") == "nn"
-            else ["in_channels", "out_channels"]
-        )
-        width, self.layers = NODE_FEATURES, nn.ModuleList()
+        self.layers = nn.ModuleList()
+        width = NODE_FEATURES
         try:
             for outputs in options.layers:
-                given = {
-                    "in_channels": width,
-                    "out_channels": outputs,
-                    "nn": nn.LazyLinear(outputs),
-                }
-                self.layers.append(
-                    layer(**{name: given[name] for name in takes}, **options.layer_options)
-                )
+                self.layers.append(build_layer(layer, width, outputs, options.layer_options))
                 width = output_width(self.layers[-1], width, outputs)
         except Exception as error:  # of any type, by the layer
             raise InputError(
@@ -77,35 +69,59 @@ class PyG(nn.Module):
         return self.read_out(mean_max_pool(x, batch.ptr))
 
 
-def output_width(layer: nn.Module, inputs: int, outputs: int) -> int:
-    """Return the channels of a layer's output, from a run on two small graphs, which gives a
-    LazyLinear its weights.
+def build_layer(
+    layer: type[nn.Module], inputs: int, outputs: int, options: dict[str, Any]
+) -> nn.Module:
+    """Build a layer with new weights. Some take a network, such as EdgeConv: a linear one."""
+    if next(iter(signature(layer).parameters), "") == "nn":
+        return layer(nn=nn.LazyLinear(outputs), **options)
+    return layer(in_channels=inputs, out_channels=outputs, **options)
 
-    Raises ValueError unless it is [N, outputs] or a multiple, and depends on the edges and on
-    nothing but the frame.
+
+def output_width(layer: nn.Module, inputs: int, outputs: int) -> int:
+    """Return the channels of a layer's output, from a run on small graphs of 8 points.
+
+    The run gives a LazyLinear its weights. Raises ValueError unless the output is [N, outputs] or a
+    multiple, and depends on the edges and on nothing but the frame.
     """
-    path, star = torch.zeros(2, 8, 8)
-    path[0, 1] = path[1, 2] = star[0, 1:] = 1  # the other points of the first have no edges
+    # A path through three points, the others without edges, and a star around the first point.
+    path = torch.zeros(8, 8)
+    path[0, 1] = 1
+    path[1, 2] = 1
+    star = torch.zeros(8, 8)
+    star[0, 1:] = 1
     x = torch.arange(8 * inputs).view(8, inputs).sin()
-    both_paths = torch.block_diag(path, star.flip(0, 1))  # type: ignore[no-untyped-call]
-    graphs = (x, path), (x, star), (torch.cat([x, x.flip(0)]), both_paths)
+
+    # A batch of the path and of the star with its points in reverse order.
+    batch_x = torch.cat([x, x.flip(0)])
+    batch = torch.block_diag(path, star.flip(0, 1))  # type: ignore[no-untyped-call]
+
+    layer.eval()
     with torch.no_grad():
-        first, second, both = (
-            layer.eval()(x, (links + links.T).nonzero().T.flip(0)) for x, links in graphs
-        )
+        path_output = layer(x, _edge_index(path))
+        star_output = layer(x, _edge_index(star))
+        batch_output = layer(batch_x, _edge_index(batch))
     layer.train()
-    if first.ndim != 2 or len(first) != 8 or first.shape[1] % outputs:
-        raise ValueError(f"its output is {list(first.shape)} for 8 points, expected [8, {outputs}]")
-    if torch.allclose(first, second, 1e-4, 1e-5):
+
+    shape = list(path_output.shape)
+    if len(shape) != 2 or shape[0] != 8 or shape[1] % outputs:
+        raise ValueError(f"its output is {shape} for 8 points, expected [8, {outputs}]")
+    if torch.allclose(path_output, star_output, 1e-4, 1e-5):
         raise ValueError("edges have no effect on its output")
-    if not torch.allclose(both, torch.cat([first, second.flip(0)]), 1e-4, 1e-5):
+    if not torch.allclose(batch_output, torch.cat([path_output, star_output.flip(0)]), 1e-4, 1e-5):
         raise ValueError("its output depends on the order of points or on other frames of a batch")
-    return first.shape[1]
+    return shape[1]
+
+
+def _edge_index(links: Tensor) -> Tensor:
+    """Return the edges [2,E] of a matrix of links [N,N], in both directions."""
+    return (links + links.T).nonzero().T.flip(0)
 
 
 def layer_class(name: str) -> type[nn.Module]:
-    """Return a layer of torch_geometric.nn. Raises InputError if the package is missing or has no
-    such layer.
+    """Return a layer of torch_geometric.nn.
+
+    Raises InputError if the package is missing or has no layer of this name for `x, edge_index`.
     """
     try:
         from torch_geometric.nn import conv
@@ -113,8 +129,11 @@ def layer_class(name: str) -> type[nn.Module]:
         raise InputError(
             "spatial: pyg needs the package torch_geometric", fix="pip install '.[pyg]'"
         ) from error
-    reads = {known: [*signature(getattr(conv, known).forward).parameters] for known in conv.__all__}
-    suitable = [known for known, names in reads.items() if names[1:3] == ["x", "edge_index"]]
+    suitable = []
+    for layer in conv.__all__:
+        arguments = [*signature(getattr(conv, layer).forward).parameters]
+        if arguments[1:3] == ["x", "edge_index"]:
+            suitable.append(layer)
     if name not in suitable:
         raise InputError(
             f"torch_geometric has no layer {name!r} that takes x, edge_index: "

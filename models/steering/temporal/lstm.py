@@ -15,18 +15,20 @@ class Options(NetworkOptions):
 
 
 class LSTM(RecurrentCell):
-    """torch.nn.LSTM's cell (parameters, gate order and initialisation) with a linear read-out; dt
-    has no effect.
+    """The cell of torch.nn.LSTM with a linear read-out; dt has no effect.
+
+    Its parameters, the order of its gates and its initialisation are those of torch.
     """
 
     def __init__(self, features: int, options: Options = Options(), outputs: int = 1) -> None:
         super().__init__()
-        units = options.units
-        reference = nn.LSTMCell(features, units)
-        # [4U,D], [4U,U]: gates i, f, g, o
-        self.weight_ih, self.weight_hh = reference.weight_ih, reference.weight_hh
-        self.bias_ih, self.bias_hh = reference.bias_ih, reference.bias_hh  # [4U]
-        self.read_out = nn.Linear(units, outputs)
+        # Weights [4U,D] and [4U,U] and biases [4U] of the gates i, f, g, o, one below the other.
+        reference = nn.LSTMCell(features, options.units)
+        self.weight_ih = reference.weight_ih
+        self.weight_hh = reference.weight_hh
+        self.bias_ih = reference.bias_ih
+        self.bias_hh = reference.bias_hh
+        self.read_out = nn.Linear(options.units, outputs)
 
     def project_inputs(self, x: Tensor) -> Tensor:
         return nn.functional.linear(x, self.weight_ih, self.bias_ih + self.bias_hh)  # [..., 4U]
@@ -35,7 +37,8 @@ class LSTM(RecurrentCell):
         h = c = projected.new_zeros(len(projected), self.weight_hh.shape[1])
         hidden = []
         for frame in projected.unbind(1):
-            i, f, g, o = torch.addmm(frame, h, self.weight_hh.T).chunk(4, dim=1)  # each [W,U]
+            gates = torch.addmm(frame, h, self.weight_hh.T)
+            i, f, g, o = gates.chunk(4, dim=1)  # each [W,U]
             c = f.sigmoid() * c + i.sigmoid() * g.tanh()
             h = o.sigmoid() * c.tanh()
             hidden.append(h)

@@ -1,6 +1,4 @@
-"""Small irregular frames of each kind, and their concatenation, written without the code under
-test.
-"""
+"""Small irregular frames of each kind, and their concatenation, without the code under test."""
 
 import numpy as np
 
@@ -8,8 +6,15 @@ from models.steering.core.batch import Batch, from_arrays
 from pipeline.graphs.graph import levels
 from pipeline.graphs.graph_file import Arrays
 
-REFERS_TO = {"indices": "xyz", "centres_1": "xyz", "neighbours_1": "xyz"}
-REFERS_TO |= {"centres_2": "centres_1", "neighbours_2": "centres_1"}
+# Array of row numbers → the array whose rows it counts.
+REFERS_TO = {
+    "indices": "xyz",
+    "centres_1": "xyz",
+    "neighbours_1": "xyz",
+    "centres_2": "centres_1",
+    "neighbours_2": "centres_1",
+}
+# Array → the array with the first row of each frame.
 POINTERS = {
     "xyz": "ptr",
     "image": "ptr",
@@ -23,10 +28,9 @@ def points(count: int, seed: int) -> Arrays:
     """Return xyz float64 [P,3] on a street, and cls with each seventh point void."""
     rng = np.random.default_rng(seed)
     xyz = rng.uniform([-10, -1, 0], [10, 2, 60], (count, 3))
-    return {
-        "xyz": xyz,
-        "cls": np.where(np.arange(count) % 7, rng.integers(0, 19, count), 255).astype(np.uint8),
-    }
+    cls = rng.integers(0, 19, count)
+    cls[::7] = 255
+    return {"xyz": xyz, "cls": cls.astype(np.uint8)}
 
 
 def graph(count: int, seed: int = 0) -> Arrays:
@@ -59,20 +63,21 @@ CONTENTS = {"graph": {}, "pointnet2": {"levels": 2}, "image": {"image_size": (33
 
 
 def concatenated(frames: list[Arrays]) -> Arrays:
-    """Return the arrays of frames, whose numbers count from 0 in each, and the first row of each
-    frame.
-    """
+    """Return the arrays of frames, whose row numbers count from 0 in each, and their pointers."""
     batch = {}
     for name in frames[0]:
-        lengths = [len(frame[REFERS_TO[name]]) if name in REFERS_TO else 0 for frame in frames]
-        before = np.cumsum([0, *lengths[:-1]])
-        parts = [
-            frame[name] + first if first else frame[name]
-            for frame, first in zip(frames, before, strict=True)
-        ]
-        batch[name] = np.concatenate(parts)
+        rows = []
+        first = 0  # row of the frame in the batch
+        for frame in frames:
+            if name in REFERS_TO:
+                rows.append(frame[name] + first)
+                first += len(frame[REFERS_TO[name]])
+            else:
+                rows.append(frame[name])
+        batch[name] = np.concatenate(rows)
         if name in POINTERS:
-            batch[POINTERS[name]] = np.cumsum([0, *(len(frame[name]) for frame in frames)])
+            lengths = [len(frame[name]) for frame in frames]
+            batch[POINTERS[name]] = np.cumsum([0, *lengths])
     return batch
 
 
@@ -90,20 +95,21 @@ def permuted(frame: Arrays, seed: int = 0) -> Arrays:
     """Return the same frame with its points, centres and neighbours in another order."""
     if "image" in frame:
         return frame
-    rng, count = np.random.default_rng(seed), len(frame["xyz"])
-    order = rng.permutation(count)
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(len(frame["xyz"]))
     place = np.argsort(order)  # new row of each point
     result = {"xyz": frame["xyz"][order], "cls": frame["cls"][order]}
     if "degree" in frame:
-        rows = np.split(frame["indices"], np.cumsum(frame["degree"])[:-1])
-        result |= {
-            "degree": frame["degree"][order],
-            "indices": np.concatenate([place[rows[node]] for node in order]),
-        }
+        neighbours = np.split(frame["indices"], np.cumsum(frame["degree"])[:-1])
+        result["degree"] = frame["degree"][order]
+        result["indices"] = np.concatenate([place[neighbours[node]] for node in order])
     level = 1
     while f"centres_{level}" in frame:
-        turn = rng.permutation(len(frame[f"centres_{level}"]))
-        result[f"centres_{level}"] = place[frame[f"centres_{level}"][turn]]
-        result[f"neighbours_{level}"] = place[frame[f"neighbours_{level}"][turn]][:, ::-1].copy()
-        place, level = np.argsort(turn), level + 1
+        centres = frame[f"centres_{level}"]
+        neighbours = frame[f"neighbours_{level}"]
+        turn = rng.permutation(len(centres))
+        result[f"centres_{level}"] = place[centres[turn]]
+        result[f"neighbours_{level}"] = place[neighbours[turn]][:, ::-1].copy()
+        place = np.argsort(turn)
+        level += 1
     return result

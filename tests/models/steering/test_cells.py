@@ -19,8 +19,11 @@ from models.steering.core.wiring import Layout, ncp
 from models.steering.temporal import lstm
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
-NEURON = {"capacity": "cm", "leak": "gleak", "rest": "vleak"}
-MAP = {
+# Our parameter → that of ncps.
+NAMES = {
+    "capacity": "cm",
+    "leak": "gleak",
+    "rest": "vleak",
     "input_scale": "input_w",
     "input_shift": "input_b",
     "output_scale": "output_w",
@@ -28,9 +31,8 @@ MAP = {
 }
 LAYOUT = Layout(inter=6, command=5, sensory_fanout=3, inter_fanout=2, motor_fanin=3)
 # Irregular, and different in each window.
-DT_S = (
-    torch.rand(3, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) * 0.3 + 0.01
-)
+DT_S = torch.rand(3, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+DT_S = 0.3 * DT_S + 0.01
 
 
 def test_lstm_equals_torch():
@@ -57,8 +59,9 @@ class Peer(PeerWiring):
 
 
 def pair(wiring):
-    """Our cell and ncps's with the same wiring and weights; yields (our parameter, theirs, which of
-    theirs).
+    """Return our cell and ncps's with the same wiring and weights, and pairs of parameters.
+
+    A pair is our parameter, theirs, and which elements of theirs it has.
     """
     ours = LTC(wiring).double()
     with torch.no_grad():
@@ -66,30 +69,30 @@ def pair(wiring):
             parameter.normal_()
     peer = LTCCell(Peer(wiring), implicit_param_constraints=True).double()
 
-    matches = []
+    pairs = []
     for synapses, signs, prefix in [
         (ours.sensory, wiring.sensory, "sensory_"),
         (ours.internal, wiring.internal, ""),
     ]:
         for name in ("w", "sigma", "mu", "erev"):
-            matches.append((getattr(synapses, name), getattr(peer, prefix + name), signs.nonzero()))
-    matches += [
-        (getattr(ours, name), getattr(peer, theirs), ...) for name, theirs in (NEURON | MAP).items()
-    ]
-    for parameter, theirs, which in matches:
+            pairs.append((getattr(synapses, name), getattr(peer, prefix + name), signs.nonzero()))
+    for name, theirs in NAMES.items():
+        pairs.append((getattr(ours, name), getattr(peer, theirs), ...))
+    for parameter, theirs, which in pairs:
         theirs.data[which] = parameter.data
-    return ours, peer, matches
+    return ours, peer, pairs
 
 
 @pytest.mark.parametrize("motor", [1, 2])
 def test_ltc_equals_ncps_forward_and_gradients(motor):
     torch.manual_seed(0)
     wiring = ncp(7, LAYOUT, motor=motor)
-    ours, peer, matches = pair(wiring)
+    ours, peer, pairs = pair(wiring)
     x = torch.randn(3, 5, 7, dtype=torch.float64, requires_grad=True)
 
     out = ours(ours.project_inputs(x), DT_S)
-    state, outs = torch.zeros(3, len(wiring.internal), dtype=x.dtype), []
+    state = torch.zeros(3, len(wiring.internal), dtype=x.dtype)
+    outs = []
     for frame, dt_s in zip(x.unbind(1), DT_S.unbind(1), strict=True):
         peer_out, state = peer(frame, state, dt_s[:, None] / NOMINAL_STEP_S)
         outs.append(peer_out)
@@ -97,11 +100,11 @@ def test_ltc_equals_ncps_forward_and_gradients(motor):
     torch.testing.assert_close(out, expected, **TOLERANCE)
 
     upstream = torch.randn_like(out)
-    mine, theirs, places = zip(*matches, strict=True)
-    gradients = torch.autograd.grad((out * upstream).sum(), [x, *mine])
-    peers = torch.autograd.grad((expected * upstream).sum(), [x, *theirs])
-    torch.testing.assert_close(gradients[0], peers[0], **TOLERANCE)
-    for gradient, peer_gradient, which in zip(gradients[1:], peers[1:], places, strict=True):
+    mine, theirs, places = zip(*pairs, strict=True)
+    gradient_x, *gradients = torch.autograd.grad((out * upstream).sum(), [x, *mine])
+    peer_x, *peer_gradients = torch.autograd.grad((expected * upstream).sum(), [x, *theirs])
+    torch.testing.assert_close(gradient_x, peer_x, **TOLERANCE)
+    for gradient, peer_gradient, which in zip(gradients, peer_gradients, places, strict=True):
         torch.testing.assert_close(gradient, peer_gradient[which], **TOLERANCE)
         assert gradient.abs().max() > 1e-9
 
@@ -120,24 +123,23 @@ def cell_of(unfolds: int) -> Eq4:
 
 
 def solved(cell: Eq4, x: np.ndarray, dt_s: np.ndarray) -> np.ndarray:
-    """h after each of a window's frames, from eq. 4 written as sums over synapses and a solver of
-    order 8.
+    """Return h after each of a window's frames, by a solver of order 8.
+
+    Eq. 4 is written as sums over synapses.
     """
-    synapses = [
-        [(j, i, w) for (j, i), w in zip(np.argwhere(signs), matrix.w.tolist(), strict=True)]
-        for signs, matrix in [(WIRING.sensory, cell.sensory), (WIRING.internal, cell.internal)]
-    ]
-    bias, theta = cell.bias.detach().numpy(), cell.theta.weight.detach().numpy()
+    bias = cell.bias.detach().numpy()
+    theta = cell.theta.weight.detach().numpy()
 
     def slope(_, h, x_frame):
         change = bias - h
-        for k, i, w in synapses[0]:
+        for (k, i), w in zip(np.argwhere(WIRING.sensory), cell.sensory.w.tolist(), strict=True):
             change[i] += w * x_frame[k]
-        for j, i, w in synapses[1]:
+        for (j, i), w in zip(np.argwhere(WIRING.internal), cell.internal.w.tolist(), strict=True):
             change[i] += w * expit(h[j])
         return change / np.exp(theta @ x_frame)
 
-    h, states = np.zeros(len(WIRING.internal)), []
+    h = np.zeros(len(WIRING.internal))
+    states = []
     for x_frame, dt in zip(x, dt_s, strict=True):
         solution = solve_ivp(
             slope, (0, dt / NOMINAL_STEP_S), h, "DOP853", args=(x_frame,), rtol=1e-12, atol=1e-13
@@ -149,28 +151,29 @@ def solved(cell: Eq4, x: np.ndarray, dt_s: np.ndarray) -> np.ndarray:
 
 def test_small_steps_of_eq4_reach_the_ode_solvers_solution():
     torch.manual_seed(1)
-    x, unfolds = torch.randn(2, 4, 5, dtype=torch.float64), [256, 512, 1024]
-    exact = torch.from_numpy(
-        np.stack([solved(cell_of(1), x[w].numpy(), DT_EQ4_S[w].numpy()) for w in range(2)])
-    )
-    with torch.no_grad():
-        runs = []
-        for steps in unfolds:
-            cell = cell_of(steps)
+    x = torch.randn(2, 4, 5, dtype=torch.float64)
+    windows = [solved(cell_of(1), x[w].numpy(), DT_EQ4_S[w].numpy()) for w in range(2)]
+    exact = torch.from_numpy(np.stack(windows))
+    errors = []
+    for unfolds in (256, 512, 1024):
+        cell = cell_of(unfolds)
+        with torch.no_grad():
             out = cell(cell.project_inputs(x), DT_EQ4_S)
             y = exact[..., :2].sigmoid() * cell.output_scale + cell.output_shift
-            runs.append(out - y)  # errors
-    sizes = [run.abs().max().item() for run in runs]
+        errors.append((out - y).abs().max().item())
     # Second order: half the step, a quarter of the error.
-    assert all(3.7 < coarse / fine < 4.3 for coarse, fine in itertools.pairwise(sizes))
-    assert sizes[-1] < 1e-7
+    assert all(3.7 < coarse / fine < 4.3 for coarse, fine in itertools.pairwise(errors))
+    assert errors[-1] < 1e-7
 
 
 def test_default_is_the_wiring_of_the_paper():
     wiring = ncp(32)
     assert (wiring.motor, len(wiring.internal)) == (1, 1 + 6 + 12)
-    motor, command, inter = slice(0, 1), slice(1, 7), slice(7, 19)
-    sensory, internal = np.abs(wiring.sensory), np.abs(wiring.internal)
+    motor = slice(0, 1)
+    command = slice(1, 7)
+    inter = slice(7, 19)
+    sensory = np.abs(wiring.sensory)
+    internal = np.abs(wiring.internal)
     assert (sensory[:, inter].sum(1) == 6).all()
     assert (internal[inter, command].sum(1) == 4).all()
     assert internal[command, command].sum() == 6
@@ -190,10 +193,12 @@ def test_each_neuron_has_input_and_output(seed, inputs, fanout):
         "inter_fanout": fanout,
         "motor_fanin": 2,
     }
-    wiring, again = (ncp(inputs, Layout(**sizes, seed=seed), motor=2) for _ in range(2))
+    wiring = ncp(inputs, Layout(**sizes, seed=seed), motor=2)
+    again = ncp(inputs, Layout(**sizes, seed=seed), motor=2)
     assert (wiring.sensory == again.sensory).all()
     assert (wiring.internal == again.internal).all()
-    commands, inters = slice(2, 9), slice(9, 24)
+    commands = slice(2, 9)
+    inters = slice(9, 24)
     assert wiring.sensory[:, inters].any(0).all()
     assert wiring.internal[inters, commands].any(0).all()
     assert wiring.internal[commands, :2].any(0).all()

@@ -12,7 +12,7 @@ from torch.nn import functional
 
 from models.steering.core.batch import Batch, GraphBatch, ImageBatch
 from models.steering.core.features import GEOMETRY, node_features
-from models.steering.core.options import Sizes, load
+from models.steering.core.options import Sizes, load_options
 from models.steering.spatial import gnn, polar, pyg
 from models.steering.spatial.pointnet2 import OFFSET_M
 from pipeline.camera import classes
@@ -28,26 +28,29 @@ PYG: dict[str, Any] = {
     "TransformerConv": HEADS,
     "EdgeConv": {},
 }
-FILES = Path("models/steering/spatial").glob("[!_]*.py")
-NETWORKS = sorted({*(file.stem for file in FILES), *PYG} - {"pyg"})
+FILES = [file.stem for file in Path("models/steering/spatial").glob("[!_]*.py")]
+NETWORKS = sorted({*FILES, *PYG} - {"pyg"})
 each_network = pytest.mark.parametrize("name", NETWORKS)
 
 
 def keys(name: str) -> dict[str, Any]:
     """Return the keys of an entry with a network, by its file's name or by a layer of PyG."""
-    return {"spatial": "pyg", "layer": name, **PYG[name]} if name in PYG else {"spatial": name}
+    if name in PYG:
+        return {"spatial": "pyg", "layer": name, **PYG[name]}
+    return {"spatial": name}
 
 
 def build(name: str) -> tuple[Any, str]:
     """Return a small network in float64, and the kind of its frames."""
     torch.manual_seed(0)
-    options = load("spatial", keys(name)["spatial"])
-    values = {
-        key: value for key, value in (SMALL | keys(name)).items() if key in options.model_fields
-    }
-    net = options.model_validate(values).build(Sizes(8, **frames.CONTENTS[options.kind])).double()
-    for parameter in net.parameters():  # biases, too
-        torch.nn.init.normal_(parameter, std=0.3) if parameter.ndim == 1 else None
+    values = SMALL | keys(name)
+    options = load_options("spatial", values["spatial"])
+    values = {key: value for key, value in values.items() if key in options.model_fields}
+    sizes = Sizes(8, **frames.CONTENTS[options.kind])
+    net = options.model_validate(values).build(sizes).double()
+    for parameter in net.parameters():
+        if parameter.ndim == 1:  # biases, which start as 0
+            torch.nn.init.normal_(parameter, std=0.3)
     return net, options.kind
 
 
@@ -62,9 +65,7 @@ def test_order_of_points_changes_nothing(name):
 @each_network
 @pytest.mark.parametrize("counts", [[30, 0, 1, 17, 45], [12, 12, 12]])
 def test_batch_equals_single_frames(name, counts, device):
-    """Of equal and unequal numbers of points, and a frame without points; the batch also on a
-    GPU.
-    """
+    """Frames have equal or other numbers of points, or none; the batch is on a GPU, too."""
     net, kind = build(name)
     parts = [frames.FRAME[kind](count, count) for count in counts]
     alone = torch.cat([net(frames.join([part])) for part in parts])
@@ -86,15 +87,14 @@ def test_gcn_equals_pyg(monkeypatch, layers, block):
     peer.read_out.load_state_dict(net.read_out.state_dict())
     for ours, theirs in zip(net.layers, peer.layers, strict=True):
         nn.init.normal_(ours.bias)
-        theirs.lin.weight.data, theirs.bias.data = (
-            ours.weight.data.T.clone(),
-            ours.bias.data.clone(),
-        )
-    own, expected = net(batch), peer(batch)
-    torch.testing.assert_close(own, expected, **TOLERANCE)
-    upstream = torch.randn_like(own)
-    for out in (own, expected):
-        (out * upstream).sum().backward()
+        theirs.lin.weight.data = ours.weight.data.T.clone()
+        theirs.bias.data = ours.bias.data.clone()
+    output = net(batch)
+    expected = peer(batch)
+    torch.testing.assert_close(output, expected, **TOLERANCE)
+    upstream = torch.randn_like(output)
+    (output * upstream).sum().backward()
+    (expected * upstream).sum().backward()
     for ours, theirs in zip(net.layers, peer.layers, strict=True):
         torch.testing.assert_close(ours.weight.grad, theirs.lin.weight.grad.T, **TOLERANCE)
         torch.testing.assert_close(ours.bias.grad, theirs.bias.grad, **TOLERANCE)
@@ -102,37 +102,43 @@ def test_gcn_equals_pyg(monkeypatch, layers, block):
 
 
 def plain_map(frame: dict[str, Any]) -> Tensor:
-    """Return the polar map of one frame, cell by cell."""
-    rows = zip(frame["xyz"].tolist(), frame["cls"].tolist(), strict=True)
-    points = [(math.hypot(x, z), math.degrees(math.atan2(x, z)), c) for (x, _, z), c in rows]
-    edges = [
-        polar.NEAR_M * (polar.FAR_M / polar.NEAR_M) ** (n / polar.RANGES)
-        for n in range(polar.RANGES + 1)
-    ]
+    """Return the polar map of one frame, point by point."""
+    counts = torch.zeros(4, polar.RANGES, polar.BEARINGS)
+    for (x, _, z), cls in zip(frame["xyz"].tolist(), frame["cls"].tolist(), strict=True):
+        cell = plain_cell(math.hypot(x, z), math.degrees(math.atan2(x, z)))
+        if cell is not None:
+            counts[plain_kind(cls), *cell] += 1
+    total = counts.sum(0)
+    result = counts / total.clamp_min(1)
+    result[3] = total == 0
+    return result
+
+
+def plain_cell(range_m: float, bearing_deg: float) -> tuple[int, int] | None:
+    """Return the row and the column of the cell that has a point, if there is one."""
     width = 90 / polar.BEARINGS
-    result = torch.zeros(4, polar.RANGES, polar.BEARINGS)
     for row in range(polar.RANGES):
+        near = polar.NEAR_M * (polar.FAR_M / polar.NEAR_M) ** (row / polar.RANGES)
+        far = polar.NEAR_M * (polar.FAR_M / polar.NEAR_M) ** ((row + 1) / polar.RANGES)
         for column in range(polar.BEARINGS):
             middle = (column - polar.BEARINGS // 2) * width
-            cell = [
-                c
-                for r, b, c in points
-                if edges[row] <= r < edges[row + 1] and abs(b - middle) < width / 2
-            ]
-            known = [c for c in cell if c != classes.VOID]
-            kinds = [
-                ["ground" if c in classes.GROUND else "obstacle", "road"][c == classes.ROAD]
-                for c in known
-            ]
-            for channel, kind in enumerate(["road", "ground", "obstacle"]):
-                result[channel, row, column] = kinds.count(kind) / max(1, len(cell))
-            result[3, row, column] = not cell
-    return result
+            if near <= range_m < far and abs(bearing_deg - middle) < width / 2:
+                return row, column
+    return None
+
+
+def plain_kind(cls: int) -> int:
+    """Return the channel that counts points of a class; 3 for none."""
+    if cls == classes.ROAD:
+        return 0
+    if cls in classes.GROUND:
+        return 1
+    return 3 if cls == classes.VOID else 2
 
 
 def test_polar_map_equals_brute_force():
     parts = [frames.graph(count, seed) for seed, count in enumerate([300, 0, 1, 170])]
-    # outside of the map
+    # Points outside of the map.
     parts[0]["xyz"][:5] = [[0.0, 0, 3.9], [0, 0, 40.1], [9, 0, 8.5], [0, 0, -10], [0, 0, 0]]
     maps = polar.polar_map(frames.join(parts))
     torch.testing.assert_close(maps, torch.stack([plain_map(part) for part in parts]))
@@ -143,11 +149,12 @@ def test_polar_map_equals_brute_force():
 def test_mirroring_reverses_the_bearings_exactly(dtype):
     """Also of points straight ahead and on the border of two cells."""
     frame = frames.graph(400)
-    frame["xyz"][:40, 0] = 0
-    frame["xyz"][40:80, 0] = frame["xyz"][40:80, 2] * math.tan(
-        math.radians(90 / polar.BEARINGS / 2)
-    )
-    batch = frames.join([frame | {"xyz": torch.from_numpy(frame["xyz"]).to(dtype).numpy()}])
+    border = math.radians(90 / polar.BEARINGS / 2)
+    x, _, z = frame["xyz"].T
+    x[:40] = 0
+    x[40:80] = z[40:80] * math.tan(border)
+    xyz = torch.from_numpy(frame["xyz"]).to(dtype).numpy()
+    batch = frames.join([frame | {"xyz": xyz}])
     assert torch.equal(polar.polar_map(batch.mirrored()), polar.polar_map(batch).flip(3))
 
 
@@ -155,9 +162,8 @@ def plain_mlp(layers: nn.Sequential, row: Tensor) -> Tensor:
     """Reference MLP of Linear, LayerNorm, ReLU on one row."""
     for linear, norm, _ in zip(layers[::3], layers[1::3], layers[2::3], strict=True):
         row = linear.weight @ row + linear.bias
-        row = (row - row.mean()) / (
-            row.var(correction=0) + norm.eps
-        ).sqrt() * norm.weight + norm.bias
+        spread = (row.var(correction=0) + norm.eps).sqrt()
+        row = (row - row.mean()) / spread * norm.weight + norm.bias
         row = row.clamp_min(0)
     return row
 
@@ -166,26 +172,29 @@ def plain_level(layer: Any, xyz: Tensor, f: Tensor, centres: Tensor, neighbours:
     """Reference of paper eq. 2, one centre and one neighbour at a time."""
     rows = []
     for centre, ball in zip(centres.tolist(), neighbours.tolist(), strict=True):
-        described = [
-            plain_mlp(layer.mlp, torch.cat([(xyz[j] - xyz[centre]) / OFFSET_M, f[j]])) for j in ball
-        ]
-        rows.append(torch.stack(described).max(0).values)
+        neighbours = []
+        for j in ball:
+            offset = (xyz[j] - xyz[centre]) / OFFSET_M
+            neighbours.append(plain_mlp(layer.mlp, torch.cat([offset, f[j]])))
+        rows.append(torch.stack(neighbours).max(0).values)
     return torch.stack(rows)
 
 
 def test_pointnet2_equals_plain_loops():
     net, kind = build("pointnet2")
     batch: Any = frames.batch([30, 18], kind)
-    expected = []
-    xyz, f, ptr = batch.xyz, node_features(batch.xyz, batch.cls, SMALL["semantics"]), batch.ptr
+    xyz = batch.xyz
+    ptr = batch.ptr
+    f = node_features(xyz, batch.cls, SMALL["semantics"])
     for layer, level in zip(net.levels, batch.levels, strict=True):
         f = plain_level(layer, xyz, f, level.centres, level.neighbours)
-        xyz, ptr = xyz[level.centres], level.ptr
+        xyz = xyz[level.centres]
+        ptr = level.ptr
+    rows = [plain_mlp(net.whole, torch.cat([xyz[i] / OFFSET_M, f[i]])) for i in range(len(f))]
+    expected = []
     for start, stop in pairwise(ptr.tolist()):
-        rows = [
-            plain_mlp(net.whole, torch.cat([xyz[i] / OFFSET_M, f[i]])) for i in range(start, stop)
-        ]
-        expected.append(net.read_out(plain_mlp(net.head, torch.stack(rows).max(0).values)))
+        maximum = torch.stack(rows[start:stop]).max(0).values
+        expected.append(net.read_out(plain_mlp(net.head, maximum)))
     torch.testing.assert_close(net(batch), torch.stack(expected), **TOLERANCE)
 
 
@@ -202,20 +211,21 @@ def test_cnn_has_the_layers_of_the_ncp_paper():
         x = ((image - image.mean()) / image.std(correction=0)).movedim(2, 0)[None]
         for layer in layers:
             margin = layer.kernel_size[0] // 2
-            x = functional.conv2d(
-                functional.pad(x, [margin] * 4), layer.weight, layer.bias, layer.stride
-            ).relu()
+            x = functional.pad(x, [margin] * 4)
+            x = functional.conv2d(x, layer.weight, layer.bias, layer.stride).relu()
         assert x.shape == (1, 8, 5, 7)  # 33 × 50 halved three times, rounded up
-        dense = [
-            x[0, number].flatten() @ net.weight[number] + net.bias[number] for number in range(8)
-        ]
+        dense = []
+        for number in range(8):
+            dense.append(x[0, number].flatten() @ net.weight[number] + net.bias[number])
         expected.append(torch.cat(dense))
     torch.testing.assert_close(net(batch), torch.stack(expected), **TOLERANCE)
 
 
 def test_classes_enter_in_proportion_to_semantics():
     batch: Any = frames.batch([40])
-    none, half, full = (node_features(batch.xyz, batch.cls, weight) for weight in (0.0, 0.5, 1.0))
+    none = node_features(batch.xyz, batch.cls, 0.0)
+    half = node_features(batch.xyz, batch.cls, 0.5)
+    full = node_features(batch.xyz, batch.cls, 1.0)
     assert torch.equal(none[:, :GEOMETRY], full[:, :GEOMETRY])
     assert not none[:, GEOMETRY:].any()
     assert torch.equal(half[:, GEOMETRY:], full[:, GEOMETRY:] / 2)

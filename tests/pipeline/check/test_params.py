@@ -174,7 +174,7 @@ def test_a_row_and_its_controls_differ_in_the_scene_only(name):
         changed = (
             {"scene"}
             if kind == "another"
-            else {"spatial", *options.load("spatial", row.spatial).model_fields}
+            else {"spatial", *options.load_options("spatial", row.spatial).model_fields}
         )
         assert entry.model_dump(exclude=changed) == row.model_dump(exclude=changed), key
 

@@ -1,12 +1,14 @@
 """The paper's eq. 4 as printed, on a sparse wiring. The cell that the paper cites is ltc.py."""
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from models.steering.core.recurrent import NOMINAL_STEP_S, OUTPUT_SCALE, RecurrentCell
 from models.steering.core.wiring import SparseMatrix, Wiring
 
-# Beyond e^±20 frames a neuron is instantaneous or frozen; float32 would overflow at e^88.
+# Largest |log τ|. Beyond e^±20 frames a neuron is instantaneous or frozen; float32 would overflow
+# at e^88.
 MAX_LOG_TAU = 20.0
 
 
@@ -31,43 +33,46 @@ class Eq4(RecurrentCell):
     def __init__(self, wiring: Wiring, unfolds: int = 6) -> None:
         super().__init__()
         inputs, units = wiring.sensory.shape
-        self.motor, self.unfolds = wiring.motor, unfolds
-        signs = [
-            torch.from_numpy(polarity).float() for polarity in (wiring.sensory, wiring.internal)
-        ]
-        # |w| from U(0,1), as in the LTC cell
-        self.sensory, self.internal = (
-            SparseMatrix(sign * torch.rand(sign.shape), sign != 0) for sign in signs
-        )
+        self.motor = wiring.motor
+        self.unfolds = unfolds
+        self.sensory = random_weights(wiring.sensory)
+        self.internal = random_weights(wiring.internal)
         self.bias = nn.Parameter(torch.zeros(units))
         self.theta = nn.Linear(inputs, units, bias=False)
         self.output_scale = nn.Parameter(torch.full((wiring.motor,), 2 * OUTPUT_SCALE))
         self.output_shift = nn.Parameter(torch.full((wiring.motor,), -OUTPUT_SCALE))
 
     def project_inputs(self, x: Tensor) -> Tensor:
-        # [..., 2U], drive ‖ log τ
-        return torch.cat([x @ self.sensory.dense() + self.bias, self.theta(x)], dim=-1)
+        drive = x @ self.sensory.dense() + self.bias
+        log_tau = self.theta(x)
+        return torch.cat([drive, log_tau], dim=-1)  # [..., 2U]
 
     def forward(self, projected: Tensor, dt_s: Tensor) -> Tensor:
         internal = self.internal.dense()
         drive, log_tau = projected.chunk(2, dim=-1)  # each [W,T,U]
+
+        # Length of a step in units of τ, relaxation of h towards N in a step, and weight of N's
+        # change during the step, each [W,T,U].
+        tau = log_tau.clamp(-MAX_LOG_TAU, MAX_LOG_TAU).exp()
+        z = dt_s[..., None] / (NOMINAL_STEP_S * self.unfolds) / tau
+        share = -torch.expm1(-z)
+        correction = 1 - share / z
+
         h = torch.zeros_like(drive[:, 0])  # [W,U]
-        z = (
-            dt_s[..., None]
-            / (NOMINAL_STEP_S * self.unfolds)
-            / log_tau.clamp(-MAX_LOG_TAU, MAX_LOG_TAU).exp()
-        )
-        share = -torch.expm1(-z)  # relaxation of h towards N per step, [W,T,U]
-        correction = 1 - share / z  # weight of N's change during the step, [W,T,U]
         states = []
         frames = zip(drive.unbind(1), share.unbind(1), correction.unbind(1), strict=True)
         for drive_frame, share_frame, correction_frame in frames:
             for _ in range(self.unfolds):
-                n = torch.addmm(drive_frame, h.sigmoid(), internal)  # [W,U]
-                a = torch.lerp(h, n, share_frame)
-                h = torch.addcmul(
-                    a, correction_frame, torch.addmm(drive_frame, a.sigmoid(), internal) - n
-                )
+                n_h = torch.addmm(drive_frame, h.sigmoid(), internal)  # [W,U]
+                a = torch.lerp(h, n_h, share_frame)
+                n_a = torch.addmm(drive_frame, a.sigmoid(), internal)
+                h = torch.addcmul(a, correction_frame, n_a - n_h)
             states.append(h)
         y = torch.stack(states, dim=1)[..., : self.motor].sigmoid()  # [W,T,motor]
         return y * self.output_scale + self.output_shift
+
+
+def random_weights(polarity: np.ndarray) -> SparseMatrix:
+    """Return weights with the signs of `polarity`, and |w| from U(0,1) as in the LTC cell."""
+    signs = torch.from_numpy(polarity).float()
+    return SparseMatrix(signs * torch.rand(signs.shape), signs != 0)

@@ -1,7 +1,7 @@
-"""Onsets of turns, where the driver chooses a way that the scene does not determine; and the drift
-of predicted paths.
+"""Find the onsets of turns, and compute the drift of predicted paths.
 
-The rule uses recorded motion only. An onset is the frame at which |curvature| exceeds STRAIGHT_1PM
+At an onset, the driver chooses a way that the scene does not determine. The rule uses recorded
+motion only. An onset is the frame at which |curvature| exceeds STRAIGHT_1PM
 after one second below it, if the car turns by at least TURN_RAD within the next REACH_M metres: a
 turn at a street corner, no bend of the road and no manoeuvre around an obstacle. On KITTI's drives
 it finds turns of 70° to 100°. Where the label is invalid, for instance while the car waits at a
@@ -16,33 +16,35 @@ from pipeline.base import store
 from pipeline.labels import label
 from pipeline.train.targets import LabelledDrive
 
-STRAIGHT_1PM = 0.015  # radius 67 m; a car that keeps its lane stays below
+# Largest curvature of a straight stretch, a radius of 67 m; a car that keeps its lane stays below.
+STRAIGHT_1PM = 0.015
+# Least turn in rad within REACH_M.
 TURN_RAD = np.pi / 4
+# Length in metres of the way in which the car turns.
 REACH_M = 25.0
+# Time in seconds of the straight stretch before a turn.
 SECOND_S = 1.0
-MIN_FRAMES = 0.75  # least share of the frames of this second
+# Least share of the frames of this second that are there.
+MIN_FRAMES = 0.75
 
 
 def onsets(time_s: np.ndarray, curvature_1pm: np.ndarray, labels: label.Labels) -> np.ndarray:
     """Return the rows, int64, at which a turn begins, for the frames [F] of a drive."""
-    straight = label.held(np.abs(curvature_1pm), labels.valid, initial=np.inf) < STRAIGHT_1PM
-    dt = np.diff(time_s, prepend=time_s[:1])
-    distance_m, heading_rad = (
-        np.cumsum(np.abs(labels.speed_mps) * dt),
-        np.cumsum(labels.yaw_rate_radps * dt),
-    )
-    step = np.median(np.diff(time_s)) if len(time_s) > 1 else np.inf
+    curvature_1pm = label.held(np.abs(curvature_1pm), labels.valid, initial=np.inf)
+    straight = curvature_1pm < STRAIGHT_1PM
+    dt_s = np.diff(time_s, prepend=time_s[:1])
+    distance_m = np.cumsum(np.abs(labels.speed_mps) * dt_s)
+    heading_rad = np.cumsum(labels.yaw_rate_radps * dt_s)
+    step_s = np.median(np.diff(time_s)) if len(time_s) > 1 else np.inf
+
     rows = []
     for row in np.flatnonzero(straight[:-1] & ~straight[1:]) + 1:
+        # The second before is too short at the start of a drive and after a gap.
         before = (time_s >= time_s[row] - SECOND_S) & (time_s < time_s[row])
-        # false at the start of a drive and after a gap
-        complete = before.sum() >= MIN_FRAMES * SECOND_S / step
+        complete = before.sum() >= MIN_FRAMES * SECOND_S / step_s
         end = min(np.searchsorted(distance_m, distance_m[row] + REACH_M), len(distance_m) - 1)
-        if (
-            complete
-            and straight[before].all()
-            and abs(heading_rad[end] - heading_rad[row]) >= TURN_RAD
-        ):
+        turn_rad = abs(heading_rad[end] - heading_rad[row])
+        if complete and straight[before].all() and turn_rad >= TURN_RAD:
             rows.append(row)
     return np.array(rows, np.int64)
 
@@ -66,12 +68,14 @@ def path(
     m of the recorded track in 23 of 30 drives; with rates that apply until the next frame, in 12
     (tests/pipeline/evaluate/test_evaluate.py).
     """
-    dt, speed_mps = np.diff(time_s), speed_mps[1:]
-    turned = speed_mps / wheelbase_m * np.tan(steering_rad[1:]) * dt
-    # halfway through the step: the direction of the arc's chord
-    heading = np.cumsum(turned) - turned / 2
-    steps = (speed_mps * dt)[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    dt_s = np.diff(time_s)
+    speed_mps = speed_mps[1:]
+    turned_rad = speed_mps / wheelbase_m * np.tan(steering_rad[1:]) * dt_s
+    # Halfway through the step, the heading is the direction of the arc's chord.
+    heading_rad = np.cumsum(turned_rad) - turned_rad / 2
+    direction = np.stack([np.cos(heading_rad), np.sin(heading_rad)], axis=-1)
+    steps_m = (speed_mps * dt_s)[:, None] * direction
+    return np.concatenate([np.zeros((1, 2)), np.cumsum(steps_m, axis=0)])
 
 
 def segments(onset: np.ndarray, predicted_rad: np.ndarray) -> list[np.ndarray]:
@@ -91,17 +95,15 @@ def drift(drives: Iterable[tuple[LabelledDrive, np.ndarray, np.ndarray]]) -> flo
     measured. At an onset of a turn, and after frames without a prediction, the predicted path
     restarts at the true one. None without segments.
     """
-    error_m = distance_m = 0.0
+    error_m = 0.0
+    distance_m = 0.0
     for drive, onset, predicted_rad in drives:
+        wheelbase_m = drive.settings["labels"]["wheelbase_m"]
         for rows in segments(onset, predicted_rad):
-            motion = (
-                drive.driven.speed_mps[rows],
-                drive.time_s[rows],
-                drive.settings["labels"]["wheelbase_m"],
-            )
-            true, predicted = (
-                path(angle[rows], *motion) for angle in (drive.driven.steering_rad, predicted_rad)
-            )
+            speed_mps = drive.driven.speed_mps[rows]
+            time_s = drive.time_s[rows]
+            true = path(drive.driven.steering_rad[rows], speed_mps, time_s, wheelbase_m)
+            predicted = path(predicted_rad[rows], speed_mps, time_s, wheelbase_m)
             error_m += float(np.linalg.norm(predicted[-1] - true[-1]))
             distance_m += float(np.linalg.norm(np.diff(true, axis=0), axis=1).sum())
     return 100 * error_m / distance_m if distance_m else None

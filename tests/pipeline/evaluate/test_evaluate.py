@@ -55,7 +55,8 @@ def test_invalid_and_early_frames_do_not_count(folder):
     predicted = [drive.target + 0.01 for drive in test]
     for angles in predicted:
         angles[:3] = np.nan
-    test[0].target[10:15], predicted[0][10:15] = np.nan, 99.0
+    test[0].target[10:15] = np.nan
+    predicted[0][10:15] = 99.0
     cases = [case(drive, angles) for drive, angles in zip(test, predicted, strict=True)]
     found = metrics(cases, settings(block=5, samples=100))["steering_rad"]
     assert found["frames"] == 2 * (30 - 3) - 5
@@ -65,9 +66,8 @@ def test_invalid_and_early_frames_do_not_count(folder):
 
 
 def test_a_metric_that_returns_no_number_is_named(monkeypatch):
-    monkeypatch.setitem(
-        statistics.METRICS, "worst", statistics.Metric(lambda truth, predicted: float("nan"))
-    )
+    metric = statistics.Metric(lambda truth, predicted: float("nan"))
+    monkeypatch.setitem(statistics.METRICS, "worst", metric)
     with pytest.raises(InputError, match="metric worst returned nan"):
         statistics.scores(np.ones(3), np.ones(3))
 
@@ -77,24 +77,27 @@ def test_odometry_needs_motion_in_all_frames_and_other_labels(folder, monkeypatc
     """At horizon 0, labels from visual odometry are not compared with it."""
     monkeypatch.setitem(artefacts.MEASURED, "measured", int(source == "visual"))
     without = ["train_mean", "persistence"]
+    measured = ["odometry", "regression"]
 
     def baselines(horizon: int) -> dict[str, np.ndarray]:
         return case(read(folder, horizon)[0], np.zeros((30, 1)), mean=0.05).baselines()
 
     assert list(baselines(5)) == without
     first = read(folder)[0]
-    for valid, known in ((False, np.nan), (True, 1.0)):
+    for valid, factor in ((False, np.nan), (True, 1.0)):
         artefacts.write_dataset(folder, dict.fromkeys(NAMES, "test"), frames=30, points=40)
         artefacts.add_motion(first.graphs, first.target[:, 0], np.full(30, valid))
-        found = baselines(5)
-        assert list(found) == [*without, "odometry", "regression"]
-        for name, gain in {"odometry": 1.0, "regression": 0.5}.items():
-            np.testing.assert_allclose(
-                found[name], gain * known * first.target, rtol=1e-4, atol=1e-9
-            )
-    assert (found["train_mean"] == 0.05).all()
-    np.testing.assert_allclose(found["persistence"], first.target)
-    assert list(baselines(0)) == without + ["odometry", "regression"] * (source == "oxts")
+        values = baselines(5)
+        assert list(values) == [*without, *measured]
+        odometry = factor * first.target
+        np.testing.assert_allclose(values["odometry"], odometry, rtol=1e-4, atol=1e-9)
+        np.testing.assert_allclose(values["regression"], 0.5 * odometry, rtol=1e-4, atol=1e-9)
+    assert (values["train_mean"] == 0.05).all()
+    np.testing.assert_allclose(values["persistence"], first.target)
+    if source == "oxts":
+        assert list(baselines(0)) == [*without, *measured]
+    else:
+        assert list(baselines(0)) == without
 
 
 def test_scores_by_hand():
@@ -124,33 +127,45 @@ def test_seeds_that_did_not_train(nmse, untrained):
     assert statistics.untrained(np.array(nmse)) == untrained
 
 
-def interval(steering, error, drive, block, samples, *other: np.ndarray) -> list[float] | None:
+def interval(
+    steering: np.ndarray,
+    error: np.ndarray,
+    drive: np.ndarray,
+    block: int,
+    samples: int,
+    other: np.ndarray | None = None,
+) -> list[float] | None:
     """Return the interval for errors [N] or [S,N] in rad."""
-    squared, *others = (np.atleast_2d(values) ** 2 for values in (error, *other))
-    return statistics.interval(squared, steering, drive, settings(block, samples), *others)
+    squared = np.atleast_2d(error) ** 2
+    rival = None if other is None else np.atleast_2d(other) ** 2
+    return statistics.interval(squared, steering, drive, settings(block, samples), rival)
 
 
-def test_intervals_of_paired_differences_have_their_coverage():
-    """Twenty drives, and a long one that is cut into parts; errors of two models vary by seed, road
-    and both.
+@pytest.mark.parametrize(("drives", "frames"), [(20, 30), (1, 3000)])
+def test_intervals_of_paired_differences_have_their_coverage(drives, frames):
+    """Twenty drives, or a long one that is cut into parts.
+
+    Errors of two models vary by seed, road and both.
     """
     rng = np.random.default_rng(0)
-    for drives, frames in ((20, 30), (1, 3000)):
-        hits, drive = 0, np.repeat(np.arange(drives), frames)
-        road = np.arange(len(drive)) // min(frames, 100)
-        for _ in range(60):
-            true, models = rng.normal(size=len(drive)), []
-            for nmse in (0.146, 0.124):
-                spread = sum(
-                    rng.normal(-(s**2) / 2, s, n)
-                    for s, n in ((0.3, (5, 1)), (0.5, 30), (0.5, (5, 30)))
-                )
-                models.append(nmse * true**2 * np.exp(spread)[:, road])
-            low, high = statistics.interval(
-                models[0], true, drive, settings(100, 300), models[1]
-            ) or (1, 0)
-            hits += low <= 0.146 - 0.124 <= high
-        assert 0.88 <= hits / 60 <= 0.99
+    drive = np.repeat(np.arange(drives), frames)
+    road = np.arange(len(drive)) // min(frames, 100)
+
+    def squared_error(true: np.ndarray, nmse: float) -> np.ndarray:
+        """Draw errors [5,N] of five seeds, with a mean nmse."""
+        spread = np.zeros((5, 30))
+        for sigma, shape in ((0.3, (5, 1)), (0.5, (1, 30)), (0.5, (5, 30))):
+            spread = spread + rng.normal(-(sigma**2) / 2, sigma, shape)
+        return nmse * true**2 * np.exp(spread)[:, road]
+
+    hits = 0
+    for _ in range(60):
+        true = rng.normal(size=len(drive))
+        first = squared_error(true, 0.146)
+        second = squared_error(true, 0.124)
+        bounds = statistics.interval(first, true, drive, settings(100, 300), second)
+        hits += bounds is not None and bounds[0] <= 0.146 - 0.124 <= bounds[1]
+    assert 0.88 <= hits / 60 <= 0.99
 
 
 def test_drives_of_two_or_more_blocks_are_cut_into_equal_parts():
@@ -166,34 +181,34 @@ def test_interval_draws_parts_and_widens_their_deviation():
     bounds = [0, pytest.approx(0.1 + np.sqrt(2) * 0.9)]
     assert interval(steering, error, np.repeat([0, 1], 20), block=20, samples=500) == bounds
     assert interval(steering, error, np.zeros(40), block=20, samples=500) == bounds
+
     # A difference may be below 0.
-    low, high = interval(steering, 0 * error, np.zeros(40), 20, 500, error)
-    assert (low, high) == pytest.approx((-0.1 - np.sqrt(2) * 0.9, -0.1 + np.sqrt(2) * 0.1))
+    difference = interval(steering, 0 * error, np.zeros(40), 20, 500, error)
+    assert difference == pytest.approx([-0.1 - np.sqrt(2) * 0.9, -0.1 + np.sqrt(2) * 0.1])
 
 
 def test_seeds_of_each_model_are_drawn_independently_of_the_other_model():
-    """All roads are equal, so that the interval is that of the mean over seeds, with the deviation
-    for n - 1.
+    """All roads are equal, so that the interval is that of the mean over seeds.
+
+    Its deviation is that for n - 1.
     """
-    steering, drive, squared = (
-        np.full(60, 0.1),
-        np.arange(60) // 3,
-        [4, 5, 6, 7, 9, 10, 12, 13, 15, 19],
-    )
-    error = 0.1 * np.sqrt(squared)[:, None] * np.ones(60)
-    sigma = np.std(squared, ddof=1) / np.sqrt(10)
-    low, high = interval(steering, error, drive, 50, 20_000)
-    assert (low, high) == pytest.approx((10 - 1.96 * sigma, 10 + 1.96 * sigma), rel=0.05)
-    low, high = interval(steering, error, drive, 50, 20_000, error)
-    assert (low, high) == pytest.approx(
-        (-1.96 * sigma * np.sqrt(2), 1.96 * sigma * np.sqrt(2)), rel=0.05
-    )
+    steering = np.full(60, 0.1)
+    drive = np.arange(60) // 3
+    nmse = [4, 5, 6, 7, 9, 10, 12, 13, 15, 19]
+    error = 0.1 * np.sqrt(nmse)[:, None] * np.ones(60)
+
+    reach = 1.96 * np.std(nmse, ddof=1) / np.sqrt(10)
+    bounds = interval(steering, error, drive, 50, 20_000)
+    assert bounds == pytest.approx([10 - reach, 10 + reach], rel=0.05)
+    difference = interval(steering, error, drive, 50, 20_000, error)
+    assert difference == pytest.approx([-reach * np.sqrt(2), reach * np.sqrt(2)], rel=0.05)
     assert interval(steering, error[:1], drive, 50, 500) == pytest.approx([4, 4])
 
 
 def test_frames_that_do_not_count_keep_their_place_in_time():
     """One frame in 20 counts, two in each of 20 parts; 40 frames alone would be one part."""
-    steering, error = np.full(800, 0.1), np.full(800, np.nan)
+    steering = np.full(800, 0.1)
+    error = np.full(800, np.nan)
     error[::20] = 0.1
     assert interval(steering, error, np.zeros(800), block=40, samples=200) == pytest.approx([1, 1])
     rows = np.isfinite(error)
@@ -203,18 +218,24 @@ def test_frames_that_do_not_count_keep_their_place_in_time():
 
 def test_the_difference_of_two_models_has_a_narrower_interval():
     rng = np.random.default_rng(0)
-    steering, drive = np.sin(np.arange(600) / 30), np.repeat([0, 1], 300)
+    steering = np.sin(np.arange(600) / 30)
+    drive = np.repeat([0, 1], 300)
     hard = np.repeat(rng.uniform(0, 1, 12), 50)  # both err on the same roads
-    one, other = (hard * rng.normal(size=(2, 600)) * size for size in (0.5, 0.55))
-    low, high = interval(steering, one[:1], drive, 50, 500, other[:1])
-    alone = interval(steering, one[:1], drive, 50, 500)
+    noise = rng.normal(size=(2, 600))
+    first = (0.5 * hard * noise)[:1]
+    second = (0.55 * hard * noise)[:1]
+
+    low, high = interval(steering, first, drive, 50, 500, second)
+    alone = interval(steering, first, drive, 50, 500)
     assert high - low < 0.5 * (alone[1] - alone[0])
-    assert interval(steering, one[:1], drive, 50, 500, one[:1]) == [0.0, 0.0]
-    # three columns, drawn together
-    first, second = (values[:1, :, None] ** 2 * [1, 2, 3] for values in (one, other))
-    paired = statistics.interval(
-        first, np.stack([steering] * 3, axis=-1), drive, settings(50, 500), second
-    )
+    assert interval(steering, first, drive, 50, 500, first) == [0.0, 0.0]
+
+    # Three columns are drawn together.
+    columns = np.array([1, 2, 3])
+    errors = first[..., None] ** 2 * columns
+    others = second[..., None] ** 2 * columns
+    truth = np.stack([steering] * 3, axis=-1)
+    paired = statistics.interval(errors, truth, drive, settings(50, 500), others)
     assert paired == pytest.approx([2 * low, 2 * high])
 
 
@@ -227,20 +248,21 @@ TIME_S = np.arange(STEPS) / 10
 
 def off(predicted_rad: float, *onsets: int) -> float | None:
     """Return the drift of a constant angle on a straight road."""
-    driven = label.Labels(
-        np.zeros(STEPS), np.ones(STEPS, bool), np.full(STEPS, 10.0), np.zeros(STEPS)
-    )
+    zero = np.zeros(STEPS)
+    driven = label.Labels(zero, np.ones(STEPS, bool), np.full(STEPS, 10.0), zero)
+    frame = np.arange(STEPS)
     drive: Any = SimpleNamespace(
-        frame=np.arange(STEPS), time_s=TIME_S, driven=driven, settings=artefacts.LABELS
+        frame=frame, time_s=TIME_S, driven=driven, settings=artefacts.LABELS
     )
-    return drift([(drive, np.isin(drive.frame, onsets), np.full(STEPS, predicted_rad))])
+    return drift([(drive, np.isin(frame, onsets), np.full(STEPS, predicted_rad))])
 
 
 def test_segments_end_at_onsets_and_missing_predictions():
     predicted = np.zeros(STEPS)
-    predicted[:7] = predicted[50] = predicted[99] = np.nan
-    found = segments(np.isin(np.arange(STEPS), [3, 20, 50, 70]), predicted)
-    assert [(rows[0], rows[-1]) for rows in found] == [(7, 19), (20, 49), (51, 69), (70, 98)]
+    predicted[:7] = np.nan
+    predicted[[50, 99]] = np.nan
+    pieces = segments(np.isin(np.arange(STEPS), [3, 20, 50, 70]), predicted)
+    assert [(rows[0], rows[-1]) for rows in pieces] == [(7, 19), (20, 49), (51, 69), (70, 98)]
     assert segments(np.zeros(STEPS, bool), np.full(STEPS, np.nan)) == []
 
 
@@ -254,32 +276,28 @@ def test_drift_is_the_final_distance_per_100_m():
 
 
 def test_a_step_uses_speed_and_angle_of_its_end():
-    speed, angles, time_s = (
-        np.array([9.0, 2.0, 4.0]),
-        np.array([9.0, 0.0, 0.1]),
-        np.array([0.0, 0.5, 1.0]),
-    )
-    path = turns.path(angles, speed, time_s, wheelbase_m=2.7)
-    turned = 2.0 / 2.7 * np.tan(0.1)
-    np.testing.assert_allclose(
-        path, [[0, 0], [1, 0], [1 + 2 * np.cos(turned / 2), 2 * np.sin(turned / 2)]]
-    )
+    speed_mps = np.array([9.0, 2.0, 4.0])
+    angles_rad = np.array([9.0, 0.0, 0.1])
+    time_s = np.array([0.0, 0.5, 1.0])
+    path = turns.path(angles_rad, speed_mps, time_s, wheelbase_m=2.7)
+    halfway_rad = 2.0 / 2.7 * np.tan(0.1) / 2
+    end = [1 + 2 * np.cos(halfway_rad), 2 * np.sin(halfway_rad)]
+    np.testing.assert_allclose(path, [[0, 0], [1, 0], end])
 
 
 @pytest.mark.slow
 @pytest.mark.real
 def test_paths_of_true_angles_follow_gnss(real_kitti, tmp_path):
-    """Label, sign and integration at once: GNSS positions are a second route to where the car
-    went.
-    """
+    """Label, sign and integration at once: GNSS is a second route to where the car went."""
     with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
         archive.extractall(tmp_path, filter="data")
-    drives = [KittiDrive(path) for path in sorted(tmp_path.glob("*/*_sync"))]
-    means = [
-        pieces.mean()
-        for drive in drives
-        if len(drive.oxts) > 300 and len(pieces := off_the_track(drive))
-    ]
+    means = []
+    for path in sorted(tmp_path.glob("*/*_sync")):
+        drive = KittiDrive(path)
+        if len(drive.oxts) > 300:
+            pieces = off_the_track(drive)
+            if len(pieces):
+                means.append(pieces.mean())
     assert len(means) == 30
     # lost satellites, gaps, or a heading off by half a degree
     assert sum(mean > 1 for mean in means) == 7
@@ -287,56 +305,61 @@ def test_paths_of_true_angles_follow_gnss(real_kitti, tmp_path):
 
 
 def off_the_track(raw: KittiDrive) -> np.ndarray:
-    """Return how many metres per 100 m the path of true angles ends beside GNSS, for pieces of 100
-    m.
-    """
+    """Return how far the path of true angles ends beside GNSS, in metres per piece of 100 m."""
     rows = np.array([packets.read_row(path) for path in raw.oxts.values()])
     time_s = packets.read_times(raw.oxts_times, list(raw.oxts))
-    lat, lon, yaw, speed = (
-        rows[:, packets.COLUMNS.index(name)] for name in ("lat", "lon", "yaw", "vf")
-    )
-    angle, *_ = label.steering_labels(
-        rows[:, packets.MOTION["yaw_rate_radps"]], speed, label.Car(2.7, 1.0)
-    )
-    # Mercator's, as KITTI's own tools have it: metres at the drive's latitude, x to the east, y to
-    # the north.
-    radius_m = 6378137.0 * np.cos(np.deg2rad(lat[0]))
-    gnss = radius_m * np.stack([np.deg2rad(lon), np.log(np.tan(np.deg2rad(90 + lat) / 2))], axis=1)
-    driven_m = np.concatenate([[0.0], np.cumsum(np.abs(speed[1:]) * np.diff(time_s))])
-    off = []
+    columns = dict(zip(packets.COLUMNS, rows.T, strict=True))
+    speed_mps = columns["vf"]
+    labels = label.steering_labels(columns["wu"], speed_mps, label.Car(2.7, 1.0))
+
+    # Mercator's, as KITTI's own tools have it: metres at the drive's latitude, east + north i.
+    radius_m = 6378137.0 * np.cos(np.deg2rad(columns["lat"][0]))
+    east = np.deg2rad(columns["lon"])
+    north = np.log(np.tan(np.deg2rad(90 + columns["lat"]) / 2))
+    gnss_m = radius_m * (east + 1j * north)
+
+    steps_m = np.abs(speed_mps[1:]) * np.diff(time_s)
+    driven_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    errors_m = []
     for first in range(0, len(rows), 10):
         last = int(np.searchsorted(driven_m, driven_m[first] + 100))
         if last == len(rows):
             break
         piece = slice(first, last + 1)
-        x, y = turns.path(angle[piece], speed[piece], time_s[piece], wheelbase_m=2.7)[-1]
-        turned = np.exp(1j * yaw[first]) * complex(x, y)
-        step = complex(*(gnss[last] - gnss[first]))
-        off.append(100 * abs(turned - step) / (driven_m[last] - driven_m[first]))
-    return np.array(off)
+        angle_rad = labels.steering_rad[piece]
+        path_m = turns.path(angle_rad, speed_mps[piece], time_s[piece], wheelbase_m=2.7)
+        end_m = np.exp(1j * columns["yaw"][first]) * complex(*path_m[-1])
+        error_m = abs(end_m - (gnss_m[last] - gnss_m[first]))
+        errors_m.append(100 * error_m / (driven_m[last] - driven_m[first]))
+    return np.array(errors_m)
 
 
-STRAIGHT, CORNER = 0.0, 0.1  # 1/m
+# Curvatures in 1/m.
+STRAIGHT = 0.0
+CORNER = 0.1
 
 
-def bends(*parts: tuple[int, float]) -> np.ndarray:
-    """Return curvature for parts of (frames, curvature)."""
-    return np.concatenate([np.full(count, curvature) for count, curvature in parts])
+def bends(*stretches: tuple[int, float]) -> np.ndarray:
+    """Return curvature for stretches of (frames, curvature)."""
+    return np.concatenate([np.full(count, curvature) for count, curvature in stretches])
 
 
-def found(curvature: np.ndarray, missing: Sequence[int] = ()) -> list[int]:
+def onset_frames(curvature: np.ndarray, missing: Sequence[int] = ()) -> list[int]:
     """Return the frames at which turns begin, at 8 m/s."""
     frames = np.setdiff1d(np.arange(len(curvature)), missing)
-    curvature, speed = curvature[frames], np.full(len(frames), 8.0)
-    labels = label.Labels(curvature, np.ones(len(frames), bool), speed, curvature * speed)
+    curvature = curvature[frames]
+    speed_mps = np.full(len(frames), 8.0)
+    valid = np.ones(len(frames), bool)
+    labels = label.Labels(curvature, valid, speed_mps, curvature * speed_mps)
     return frames[turns.onsets(frames / 10, curvature, labels)].tolist()
 
 
 def test_a_turn_begins_where_the_curvature_leaves_straight():
-    turn = np.r_[
-        bends((20, STRAIGHT)), np.linspace(0.004, 0.1, 20), bends((20, CORNER), (20, STRAIGHT))
-    ]
-    assert found(turn) == found(-turn) == [23]
+    into_the_turn = np.linspace(0.004, 0.1, 20)
+    after = bends((20, CORNER), (20, STRAIGHT))
+    turn = np.concatenate([bends((20, STRAIGHT)), into_the_turn, after])
+    assert onset_frames(turn) == [23]
+    assert onset_frames(-turn) == [23]
     assert turn[22] < turns.STRAIGHT_1PM < turn[23]
 
 
@@ -356,4 +379,4 @@ def test_a_turn_begins_where_the_curvature_leaves_straight():
     ],
 )
 def test_only_corners_after_a_straight_second_are_onsets(curvature, missing, onsets):
-    assert found(curvature, missing) == onsets
+    assert onset_frames(curvature, missing) == onsets

@@ -96,7 +96,7 @@ def _compare(video: Path, wheel: Path, teams: np.ndarray, out: Path) -> None:
         name: float(np.sqrt(((angle - wheel_rad)[rest] ** 2).mean()))
         for name, angle in predicted.items()
     }
-    results = {name: {"figure": value} for name, value in rmse.items()}
+    results = {name: {"value": value} for name, value in rmse.items()}
     store.write_json(
         out / "results.json",
         {"preset": "udacity"} | origin() | {"results": results},

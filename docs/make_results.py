@@ -1,9 +1,9 @@
-"""Write the figures of published runs, docs/results, into the pages.
+"""Write the values of published runs, docs/results, into the pages.
 
     python -m docs.make_results collect data/report/roads.json    # adds a run, or replaces it
     python -m docs.make_results render
 
-A figure stands before its key in a comment, as in 0.064<!-- roads/angle-0/sa-gnn-ncp -->, or before
+A value stands before its key in a comment, as in 0.064<!-- roads/angle-0/sa-gnn-ncp -->, or before
 a key with another part than the nmse, as in 1.44<!-- roads/angle-0/sa-gnn-ncp:mae_deg -->. A table
 of the report is rendered between a comment with its run, group, name and columns, and <!-- end -->.
 """
@@ -28,9 +28,9 @@ TABLES = {"claims": tables.claims_table, "results": tables.results_table}
 # RUN GROUP NAME: COLUMN, COLUMN
 TABLE = re.compile(r"(<!-- table: (\S+) (\S+) (\w+): ([^\n]*) -->\n).*?(\n<!-- end -->)", re.DOTALL)
 # RUN/KEY:PART, behind a number, and the interval of a difference.
-FIGURE = re.compile(r"[−+]?\d+\.\d+(?: \([^()]*\))?(<!-- (\w+)/([^:>]+?)(?::(\w+))? -->)")
+VALUE = re.compile(r"[−+]?\d+\.\d+(?: \([^()]*\))?(<!-- (\w+)/([^:>]+?)(?::(\w+))? -->)")
 # Digits of a part.
-FORMS = {"figure": ".3f", "mae_deg": ".2f"}
+FORMS = {"value": ".3f", "mae_deg": ".2f"}
 
 
 def collect(
@@ -52,7 +52,7 @@ def collect(
 
 
 def render() -> None:
-    """Write figures and tables into the pages."""
+    """Write values and tables into the pages."""
     for page, content in pages(read()).items():
         store.write_text(page, content)
 
@@ -67,15 +67,15 @@ def read() -> dict[str, Results]:
 
 
 def pages(runs: dict[str, Results]) -> dict[Path, str]:
-    """Return the pages with their figures and tables."""
+    """Return the pages with their values and tables."""
 
-    def figure(match: re.Match[str]) -> str:
+    def value(match: re.Match[str]) -> str:
         comment, run, key, part = match.groups()
-        part = part or "figure"
+        part = part or "value"
         entry = runs[run][key]
         if " - " in key:
             bounds = interval_text(entry["interval"], "+.3f")
-            return with_minus(f"{entry['figure']:+.3f} ({bounds})") + comment
+            return with_minus(f"{entry['value']:+.3f} ({bounds})") + comment
         return f"{entry[part]:{FORMS[part]}}{comment}"
 
     def table(match: re.Match[str]) -> str:
@@ -87,7 +87,7 @@ def pages(runs: dict[str, Results]) -> dict[Path, str]:
         return start + with_minus(tables.Table("", rows).markdown()) + end
 
     texts = {page: page.read_text(encoding="utf-8") for page in PAGES}
-    return {page: FIGURE.sub(figure, TABLE.sub(table, text)) for page, text in texts.items()}
+    return {page: VALUE.sub(value, TABLE.sub(table, text)) for page, text in texts.items()}
 
 
 def with_minus(text: str) -> str:

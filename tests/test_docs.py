@@ -93,7 +93,7 @@ def test_figures_and_tables_are_those_of_the_runs():
 def test_a_run_of_committed_code_is_collected(tmp_path, monkeypatch):
     monkeypatch.setattr(make_results, "RUNS", tmp_path)
     monkeypatch.setattr(make_results, "render", lambda: None)
-    values = {"a/b": {"figure": 0.5}}
+    values = {"a/b": {"value": 0.5}}
     run = {"preset": "mine", "date": "2026-01-01", "machine": "2 CPU cores", "results": values}
     (tmp_path / "new").write_text(json.dumps(run | {"revision": "abc1234"}))
     make_results.collect(tmp_path / "new")
@@ -106,7 +106,7 @@ def test_a_run_of_committed_code_is_collected(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_figures_without_a_key_name_their_revision(page):
-    text = make_results.FIGURE.sub("", make_results.TABLE.sub("", page.read_text()))
+    text = make_results.VALUE.sub("", make_results.TABLE.sub("", page.read_text()))
     prose = CODE.sub("", text)
     figures = [
         part

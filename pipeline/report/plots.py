@@ -70,7 +70,7 @@ def errors(comparison: Comparison) -> go.Figure:
         bars = []
         for name in (*comparison.models, *comparison.fair_baselines):
             entry = comparison.entry(name, label)
-            value = entry["figure"]
+            value = entry["value"]
             if value is not None:
                 low, high = entry["interval"] or (value, value)
                 bars.append((value, name, high - value, value - low))

@@ -19,7 +19,7 @@ from pipeline.evaluate.statistics import shown_metrics
 from pipeline.report import paper
 from pipeline.report.results import BASELINES, NO_LEARNING, Group, Row
 
-# Key → figure (the nmse), its interval, and what else belongs to it.
+# Key → value (the nmse), its interval, and what else belongs to it.
 Results = dict[str, dict[str, Any]]
 
 
@@ -46,7 +46,7 @@ def results(groups: Sequence[Group], settings: Evaluate, scores: Mapping[str, An
     for kind, splits in scores.get("motion", {}).items():
         test = splits["test"]
         if test:
-            values[f"motion/{kind}"] = {"figure": test["nmse"], "frames": test["judged"]}
+            values[f"motion/{kind}"] = {"value": test["nmse"], "frames": test["judged"]}
     return values
 
 
@@ -72,7 +72,7 @@ def _errors(group: Group, name: str, columns: Sequence[int], settings: Evaluate)
     turns_rad = ((group.predicted[name] - group.truth) * group.length_m)[..., columns].sum(axis=-1)
     counted = np.isfinite(truth).any(axis=1)
     entry = {
-        "figure": statistics.nmse_of(error, truth),
+        "value": statistics.nmse_of(error, truth),
         "interval": statistics.interval(error, truth, group.drive, settings),
         "mae_deg": None,
         "frames": int(counted.sum()),
@@ -97,13 +97,13 @@ def _difference(
     error = _squared_error(group, name, columns)
     other = _squared_error(group, rival, columns)
     bounds = statistics.interval(error, truth, group.drive, settings, other)
-    figure = statistics.nmse_of(error.mean(axis=0, keepdims=True) - other.mean(axis=0), truth)
+    value = statistics.nmse_of(error.mean(axis=0, keepdims=True) - other.mean(axis=0), truth)
 
     seeds = len(error) if rival in BASELINES else min(len(error), len(other))
     part = statistics.parts(group.drive, settings.bootstrap_block_frames)
     drives = len(np.unique(part[np.isfinite(truth).any(axis=1)]))
     verdict = statistics.verdict(bounds, seeds, drives)
-    return {"figure": figure, "interval": bounds, "verdict": verdict}
+    return {"value": value, "interval": bounds, "verdict": verdict}
 
 
 def _facts(row: Row) -> dict[str, Any]:
@@ -126,7 +126,7 @@ def _validation(row: Row) -> list[dict[str, Any]]:
         return []
     return [
         {
-            "figure": float(np.mean([column["nmse"] for column in columns])),
+            "value": float(np.mean([column["nmse"] for column in columns])),
             "seeds": np.mean([column["nmse_by_seed"] for column in columns], axis=0).tolist(),
             "roads": len(row["drives"]["train"]),
         }
@@ -183,11 +183,11 @@ class Comparison:
         return min(self.fair_baselines, key=self._error)
 
     def _validation(self, name: str) -> float:
-        return float(self.values[f"val/{name}"]["figure"])
+        return float(self.values[f"val/{name}"]["value"])
 
     def _error(self, name: str) -> float:
-        figure = self.entry(name)["figure"]
-        return np.inf if figure is None else float(figure)
+        value = self.entry(name)["value"]
+        return np.inf if value is None else float(value)
 
 
 def dvc_metrics(values: Results) -> dict[str, dict[str, Any]]:
@@ -196,7 +196,7 @@ def dvc_metrics(values: Results) -> dict[str, dict[str, Any]]:
     metrics = {}
     for key, entry in values.items():
         if " - " not in key:
-            metrics[key] = {"nmse": entry["figure"]}
+            metrics[key] = {"nmse": entry["value"]}
             metrics[key] |= {name: entry[name] for name in names if name in entry}
     return metrics
 

@@ -131,7 +131,7 @@ def _finding(comparison: Comparison) -> list[str]:
     errors = comparison.entry(name)
     without = comparison.entry(baseline)
     difference = comparison.difference(name, baseline)
-    if difference["figure"] is None:
+    if difference["value"] is None:
         return []
     turn = comparison.title if comparison.labels == [""] else f"turn of the {comparison.title}"
     choice = "validation error" if comparison.validated else "test error (there is no validation)"
@@ -139,16 +139,16 @@ def _finding(comparison: Comparison) -> list[str]:
     drives = "1 drive" if count == 1 else f"{count} drives"
     bounds = interval_text(difference["interval"], "+.3f")
     return [
-        f"{name} predicts the {comparison.title} with an error (nmse) of {errors['figure']:.3f}, "
+        f"{name} predicts the {comparison.title} with an error (nmse) of {errors['value']:.3f}, "
         f"where 0 is perfect and 1 is useless. {baseline.capitalize()}, without a network, has "
-        f"{without['figure']:.3f}. Verdict on the difference: {difference['verdict']}.",
+        f"{without['value']:.3f}. Verdict on the difference: {difference['verdict']}.",
         f"These are errors on {drives} that it was not trained on. nmse is the squared error "
         f"relative to that of always driving straight ahead. {name} is the model with the least "
         f"{choice}: its mean absolute error of the {turn} is {errors['mae_deg']:.2f}°, and the "
         f"95 % interval of its nmse is {interval_text(errors['interval'])}. "
         f"{baseline.capitalize()} predicts {NO_LEARNING[baseline]}. It is the best baseline "
         f"that does not get the truth, with {without['mae_deg']:.2f}°. The difference in nmse is "
-        f"{difference['figure']:+.3f} ({bounds}).",
+        f"{difference['value']:+.3f} ({bounds}).",
     ]
 
 
@@ -157,7 +157,7 @@ def useless_models(comparison: Comparison) -> dict[str, str]:
     texts = {}
     for name in comparison.models:
         entry = comparison.entry(name)
-        if (entry["figure"] or 0.0) > USELESS:
+        if (entry["value"] or 0.0) > USELESS:
             texts[name] = (
                 f"{name} learned nothing (test nmse above {USELESS}); its training drives have "
                 f"{entry['turning_frames']:,} turning frames (radius below 135 m)."
@@ -208,9 +208,9 @@ def results_table(comparison: Comparison) -> Table:
 
 def _error_cells(entry: Mapping[str, Any], label: str, trained: bool) -> dict[str, str]:
     """Return the cells of a model or baseline in a range of a path, or of the angle."""
-    text = number(entry["figure"], ".3f")
-    if trained and entry["figure"] is not None:
-        text = nmse_text(entry["figure"], entry["seeds"], entry["interval"])
+    text = number(entry["value"], ".3f")
+    if trained and entry["value"] is not None:
+        text = nmse_text(entry["value"], entry["seeds"], entry["interval"])
     cells = {f"nmse {label}".strip(): text}
     for metric in shown_metrics():
         cells[f"{metric} {label}".strip()] = number(entry.get(metric), ".3f")
@@ -233,10 +233,10 @@ def differences_table(comparison: Comparison) -> Table:
 
 def difference_text(entry: Mapping[str, Any]) -> str:
     """Return a paired difference in nmse with its interval and verdict."""
-    if entry["figure"] is None:
+    if entry["value"] is None:
         return NONE
     bounds = interval_text(entry["interval"], "+.3f")
-    return f"{entry['figure']:+.3f} ({bounds}) {entry['verdict']}"
+    return f"{entry['value']:+.3f} ({bounds}) {entry['verdict']}"
 
 
 def claims_table(comparison: Comparison) -> Table:
@@ -254,7 +254,7 @@ def _claim_cells(
 ) -> dict[str, str]:
     first = comparison.entry(claim.model)
     second = comparison.entry(claim.rival)
-    ratio = first["figure"] / second["figure"] if second["figure"] else None
+    ratio = first["value"] / second["value"] if second["value"] else None
     published = None
     if claim.model in paper.PAPER and claim.rival in paper.PAPER:
         published = paper.PAPER[claim.model].test_mse / paper.PAPER[claim.rival].test_mse
@@ -264,11 +264,11 @@ def _claim_cells(
         "the paper's claim": claim.text,
         "verdict": verdicts.get(difference["verdict"], difference["verdict"]),
         "networks": f"{claim.model}, {claim.rival}",
-        "nmse": f"{number(first['figure'], '.3f')}, {number(second['figure'], '.3f')}",
+        "nmse": f"{number(first['value'], '.3f')}, {number(second['value'], '.3f')}",
         "mean error, °": f"{number(first['mae_deg'], '.2f')}, {number(second['mae_deg'], '.2f')}",
         "MSE ratio: paper": number(published, ".2f"),
         "here": number(ratio, ".2f"),
-        "difference in nmse": f"{number(difference['figure'], '+.3f')} ({bounds})",
+        "difference in nmse": f"{number(difference['value'], '+.3f')} ({bounds})",
     }
 
 

@@ -26,7 +26,7 @@ def test_groups_and_rows_are_sorted_with_baselines_last(tmp_path):
     assert path.title == "path ahead"
     assert angle.models == ["gnn-lstm", "do-gnn-ncp", "ours"]
     assert angle.baselines == ["zero", "train_mean", "odometry", "persistence"]
-    assert angle.entry("odometry")["figure"] == pytest.approx(0.04)
+    assert angle.entry("odometry")["value"] == pytest.approx(0.04)
     assert angle.best_baseline == "odometry"
     assert path.labels == ["0-5 m", "5-10 m"]
 
@@ -75,11 +75,11 @@ def test_errors_differences_and_validation_errors(tmp_path):
     blind = metrics("path-blind", 0.9, predict="path")
     (comparison,) = compare(tmp_path, scene, blind)
     values = summary.rounded(comparison.values)
-    assert {"figure": 0.3, "frames": 44, "seeds": [0.3]}.items() <= values[
+    assert {"value": 0.3, "frames": 44, "seeds": [0.3]}.items() <= values[
         "path-0/5-10 m/path"
     ].items()
-    assert values["path-0/5-10 m/path - path-blind"]["figure"] == -0.6
-    assert {"figure": 0.2, "seeds": [0.2], "roads": 3}.items() <= values["val/path"].items()
+    assert values["path-0/5-10 m/path - path-blind"]["value"] == -0.6
+    assert {"value": 0.2, "seeds": [0.2], "roads": 3}.items() <= values["val/path"].items()
     assert summary.dvc_metrics(values)["path-0/5-10 m/path"]["nmse"] == 0.3
 
 
@@ -98,16 +98,16 @@ def test_all_rows_are_compared_on_common_frames_with_one_zero(tmp_path):
     examples.write_model(tmp_path, metrics("long", 0.5, window=8) | {"seeds": [0, 1]}, long)
     (comparison,) = examples.load(tmp_path, "long", "short")
     assert comparison.by_error == ["short", "long"]
-    assert comparison.entry("short")["figure"] == pytest.approx(0.3)
-    assert comparison.entry("long")["figure"] == pytest.approx(0.5)
-    assert comparison.entry("zero")["figure"] == pytest.approx(1.0)
+    assert comparison.entry("short")["value"] == pytest.approx(0.3)
+    assert comparison.entry("long")["value"] == pytest.approx(0.5)
+    assert comparison.entry("zero")["value"] == pytest.approx(1.0)
     for name in (*comparison.models, *comparison.baselines):
         assert comparison.entry(name)["frames"] == 2 * 22
     difference = comparison.difference("short", "long")
-    assert difference["figure"] == pytest.approx(-0.2)
+    assert difference["value"] == pytest.approx(-0.2)
     assert difference["interval"] == pytest.approx([-0.2, -0.2])
     unknown = (7**2 + 8**2) / sum(np.delete(np.arange(7, 30), 13) ** 2)
-    assert comparison.entry("odometry")["figure"] == pytest.approx(0.5 * (1 + unknown))
+    assert comparison.entry("odometry")["value"] == pytest.approx(0.5 * (1 + unknown))
     choice = "short is the model with the least test error (there is no validation): "
     assert choice in tables.sentences([comparison])[1]
 

@@ -64,7 +64,7 @@ class Journey(NamedTuple):
 
     route: Route
     motion: Travel
-    after: Travel  # the FRAMES_AFTER frames after the drive's
+    after: Travel  # in the FRAMES_AFTER frames that follow
     body: Body
 
     def continued(self) -> "Journey":

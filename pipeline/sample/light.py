@@ -53,6 +53,7 @@ def draw_light(rng: np.random.Generator) -> Light:
     slope = rng.uniform(-0.25, 0.25, 2)
     grain = rng.uniform(-1, 1, (_TILE, _TILE))
     patches = _draw_patches(rng)
+    clouds = rng.uniform(0.05, 0.3)
     return Light(
         sun=np.array([east, north, up], np.float32),
         sun_colour=(1.7 - 1.6 * overcast) * np.array([1 + warm, 1.0, 1 - warm]),
@@ -64,7 +65,7 @@ def draw_light(rng: np.random.Generator) -> Light:
         slope=slope,
         grain=grain.astype(np.float32),
         patches=patches.astype(np.float32),
-        clouds=rng.uniform(0.05, 0.3),
+        clouds=clouds,
     )
 
 

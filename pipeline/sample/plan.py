@@ -195,6 +195,8 @@ def _may_park(route: Route, kerbside: bool) -> np.ndarray:
     blocked = np.abs(route.curvature_1pm) > sharp_1pm
     for junction_m in route.junctions_m:
         blocked |= np.abs(route.s_m - junction_m) < clearance_m
+
+    # Places within two metres of these are blocked, too.
     reach = round(2 / STEP_M)
     return np.convolve(blocked, np.ones(2 * reach + 1), "same") == 0
 
@@ -213,6 +215,8 @@ def _draw_bays(
             width_m[(route.s_m >= start_m) & (route.s_m < end_m)] = BAY_M
             start_m = end_m + rng.uniform(6, 20)
         width_m[~parking] = 0
+
+    # The kerb gives way to a bay within two metres.
     ramp = round(2 / STEP_M)
     return np.convolve(width_m, np.ones(ramp) / ramp, "same")
 

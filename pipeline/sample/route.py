@@ -56,6 +56,7 @@ class _Turn(NamedTuple):
     transition_m: tuple[float, float]
 
 
+# Turns of the deck by the kinds of manoeuvres.
 _TURNS = {
     "right": _Turn((75, 100), (5.0, 7.0), (4, 6)),
     "left": _Turn((75, 100), (4.7, 8.0), (5, 8)),
@@ -198,6 +199,7 @@ def draw_route(rng: np.random.Generator, length_m: float, lane_m: float, first: 
 
 
 def _draw(rng: np.random.Generator, length_m: float, lane_m: float, first: str) -> Route:
+    """Draw a road that may cross itself."""
     pieces, manoeuvres = _draw_pieces(rng, length_m, lane_m, first)
 
     # The first frame lies some metres before the first manoeuvre, or in it.
@@ -245,6 +247,7 @@ def _draw_pieces(
 
 
 def _length(pieces: list[Piece]) -> float:
+    """Return the length of the pieces in metres."""
     return sum(piece.length_m for piece in pieces)
 
 

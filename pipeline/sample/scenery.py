@@ -20,7 +20,6 @@ _STONE = (0.5, 0.5, 0.49)
 _WOODS = (0.13, 0.20, 0.10)
 _RED = (0.75, 0.08, 0.06)
 _WHITE = (0.9, 0.9, 0.88)
-_WOOD = np.array([0.42, 0.28, 0.16])
 _WALLS = np.array(
     [
         (0.62, 0.50, 0.38),
@@ -34,7 +33,6 @@ _WALLS = np.array(
     ]
 )
 _ROOFS = np.array([(0.38, 0.16, 0.12), (0.22, 0.20, 0.20), (0.30, 0.24, 0.22), (0.42, 0.24, 0.16)])
-_LEAVES = np.array([(0.16, 0.30, 0.08), (0.22, 0.34, 0.10), (0.12, 0.24, 0.10), (0.30, 0.34, 0.12)])
 
 
 class Ground:
@@ -140,11 +138,13 @@ def _houses(
 ) -> list[Mesh]:
     """Build a row of houses; where one does not fit, the row goes on two metres later."""
     quarter = character.quarter
-    clear_m = character.pavement_m + quarter.setback_m[0] * 0.6
+    nearest_m, _ = quarter.setback_m
+    clear_m = character.pavement_m + nearest_m * 0.6
     houses = []
     i = int(rng.integers(4))
     setback_m = rng.uniform(*quarter.setback_m)
     while i < len(frontage.edge):
+        # The house's middle is half its length ahead.
         length_m = rng.uniform(7, 15)
         depth_m = rng.uniform(7, 11)
         middle = min(i + int(length_m / 2 / _STEP_M), len(frontage.edge) - 1)
@@ -189,6 +189,7 @@ def _hedges_and_trees(
 ) -> list[Mesh]:
     """Build hedges and fences behind the pavement, and trees."""
     quarter = character.quarter
+    _, farthest_m = quarter.setback_m
     pavement_m = character.pavement_m
     parts = []
     for i in range(int(rng.integers(10)), len(frontage.edge), 9):
@@ -196,16 +197,16 @@ def _hedges_and_trees(
         if rng.random() < quarter.hedges:
             xy = frontage.behind(i, pavement_m + 0.5)
             if ground.claim(xy, outward_rad, (4.4, 0.7), pavement_m):
-                parts.append(_hedge(rng).placed(xy, outward_rad - np.pi / 2, KERB_M))
+                hedge = shapes.hedge(rng)
+                parts.append(hedge.placed(xy, outward_rad - np.pi / 2, KERB_M))
         if rng.random() < quarter.trees * 0.5:
             # Street trees stand in the pavement, garden trees behind it.
-            if quarter.setback_m[1] < 2:
-                behind_m = pavement_m - 0.5
-            else:
+            behind_m = pavement_m - 0.5
+            if farthest_m >= 2:
                 behind_m = pavement_m + rng.uniform(1.5, 7)
             xy = frontage.behind(i, behind_m)
             if ground.claim(xy, 0.0, (1.2, 1.2), min(behind_m - 0.7, pavement_m)):
-                tree = shapes.tree(rng, rng.uniform(5, 9), _leaves(rng))
+                tree = shapes.tree(rng, height_m=rng.uniform(5, 9))
                 parts.append(tree.placed(xy, rng.uniform(0, 6.28), KERB_M))
     return parts
 
@@ -228,7 +229,7 @@ def _backdrop(ground: Ground, character: Character, rng: np.random.Generator) ->
                 house = shapes.house((length_m, depth_m, height_m), colour, roof, 2.5)
                 parts.append(house.placed(xy, heading_rad, KERB_M))
         elif ground.claim(xy, heading_rad, (3, 3), character.pavement_m + 6):
-            tree = shapes.tree(rng, rng.uniform(6, 12), _leaves(rng))
+            tree = shapes.tree(rng, height_m=rng.uniform(6, 12))
             parts.append(tree.placed(xy, heading_rad, KERB_M))
     return parts
 
@@ -253,19 +254,6 @@ def _parked_cars(
                 cars.append(car)
         s_m += 5.6 + rng.uniform(0, 0.8)
     return cars
-
-
-def _hedge(rng: np.random.Generator) -> Mesh:
-    """Build a hedge or a wooden fence."""
-    if rng.random() < 0.5:
-        height_m = rng.uniform(0.9, 1.5)
-        return shapes.box((4.5, 0.7, height_m), _leaves(rng), classes.VEGETATION)
-    colour = _WOOD * rng.uniform(0.8, 1.2)
-    return shapes.box((4.5, 0.1, rng.uniform(1.0, 1.4)), colour, classes.FENCE)
-
-
-def _leaves(rng: np.random.Generator) -> np.ndarray:
-    return draw_colour(rng, _LEAVES) * rng.uniform(0.8, 1.2)
 
 
 def frontages(route: Route, plan: Plan) -> list[Frontage]:

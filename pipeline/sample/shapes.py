@@ -1,4 +1,4 @@
-"""Build objects from coloured triangles: boxes, houses, cylinders, trees, cars."""
+"""Build objects from coloured triangles: boxes, houses, hedges, trees, posts, cars."""
 
 from collections.abc import Sequence
 from functools import cache
@@ -17,6 +17,8 @@ Size = tuple[float, float, float]
 _GREY = (0.42, 0.44, 0.45)
 _BARK = (0.30, 0.22, 0.15)
 _GLASS = (0.10, 0.13, 0.16)
+_WOOD = np.array([0.42, 0.28, 0.16])
+_LEAVES = np.array([(0.16, 0.30, 0.08), (0.22, 0.34, 0.10), (0.12, 0.24, 0.10), (0.30, 0.34, 0.12)])
 _TYRE = (0.04, 0.04, 0.04)
 _REAR_LIGHT = (0.45, 0.03, 0.03)
 _HEADLIGHT = (0.9, 0.9, 0.8)
@@ -162,8 +164,23 @@ def _sphere() -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(ball.vertices), np.asarray(ball.triangles)
 
 
-def tree(rng: np.random.Generator, height_m: float, leaves: np.ndarray) -> Mesh:
+def _draw_leaves(rng: np.random.Generator) -> np.ndarray:
+    """Draw the colour of leaves."""
+    return draw_colour(rng, _LEAVES) * rng.uniform(0.8, 1.2)
+
+
+def hedge(rng: np.random.Generator) -> Mesh:
+    """Build a hedge or a wooden fence, along x on the origin."""
+    if rng.random() < 0.5:
+        height_m = rng.uniform(0.9, 1.5)
+        return box((4.5, 0.7, height_m), _draw_leaves(rng), classes.VEGETATION)
+    colour = _WOOD * rng.uniform(0.8, 1.2)
+    return box((4.5, 0.1, rng.uniform(1.0, 1.4)), colour, classes.FENCE)
+
+
+def tree(rng: np.random.Generator, height_m: float) -> Mesh:
     """Build a trunk under a lumpy crown."""
+    leaves = _draw_leaves(rng)
     trunk_m = height_m * rng.uniform(0.3, 0.42)
     trunk = cylinder(0.035 * height_m, trunk_m * 1.2, _BARK, classes.VEGETATION)
 

@@ -77,7 +77,7 @@ class World:
             normal[:, ray] = facing[:, nearer]
             first_surface += len(layer.mesh.cls)
 
-        # So does the ground, whose normal points upwards.
+        # The ground replaces hits behind it, too; its normal points upwards.
         ground = self._cast_ground(rays, distance_m)
         on_ground = ground >= 0
         surface = np.where(on_ground, ground, surface)

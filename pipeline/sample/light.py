@@ -5,13 +5,15 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.camera import classes
-from pipeline.sample.plan import ASPHALT, BAY, GRASS, KERBSTONE, MARKING, PAVEMENT, STOREY_M
+from pipeline.sample.plan import ASPHALT, BAY, GRASS, KERB_M, KERBSTONE, MARKING, PAVEMENT, STOREY_M
 from pipeline.sample.world import Hits, dot
 
 # Side of a pattern's tile in cells; a power of two, see _look_up.
 _TILE = 256
 # Largest brightness that the tone curve has a value for; the darkest is 0.
 _STEPS = 4095
+# Shift of the grain on vertical faces per metre along x, which windows and boards do not have.
+_SHIFT = np.float32(0.37)
 
 # Colour of the sky at the horizon.
 _HORIZON = np.array([0.75, 0.82, 0.88])
@@ -123,44 +125,50 @@ def _column(colour: np.ndarray) -> np.ndarray:
 
 
 def _pattern(light: Light, hits: Hits, points: np.ndarray) -> np.ndarray:
-    """Return each surface's relative brightness [N]: grain, patches, windows."""
+    """Return each surface's relative brightness [N]: grain, joints, windows, boards."""
     x, y, z = points
     normal_x, normal_y, normal_z = hits.normal
 
     # The ground is patterned along x and y, vertical faces along the street and upwards.
     on_ground = hits.ground >= 0
-    along = np.where(on_ground, x, np.float32(0.37) * x + y * normal_x - x * normal_y)
+    along = np.where(on_ground, x, _SHIFT * x + y * normal_x - x * normal_y)
     up = np.where(on_ground, y, z)
-
-    # Leaves and grass have more grain; that of leaves is coarser.
-    leaves = hits.cls == classes.VEGETATION
-    contrast = np.full(len(x), 0.08, np.float32)
-    contrast[hits.ground == GRASS] = 0.22
-    contrast[leaves] = 0.30
-    per_m = np.where(leaves, np.float32(1 / 0.35), np.float32(1 / 0.15))
-    pattern = contrast * _look_up(light.grain, along * per_m, up * per_m)
-    pattern += np.float32(0.16) * _look_up(light.patches, along * 2, up * 2)
+    pattern = _grain(light, hits, along, up)
 
     # Pavement has joints between its slabs.
     slabs = np.flatnonzero(hits.ground == PAVEMENT)
     joint = (np.mod(along[slabs], 0.8) < 0.07) | (np.mod(up[slabs], 0.8) < 0.07)
     pattern[slabs] -= 0.15 * joint
 
-    # Walls have windows and a band between storeys.
     wall = np.flatnonzero((hits.cls == classes.BUILDING) & (np.abs(normal_z) < 0.1))
-    wall_x = along[wall] - 0.37 * x[wall]
-    wall_z = z[wall] - 0.12
-    storey_m = np.mod(wall_z, STOREY_M)
-    window = np.abs(np.mod(wall_x, 2.6) - 1.3) < 0.55
-    window &= (np.abs(storey_m - 1.7) < 0.7) & (wall_z > 0.5)
-    pattern[wall] -= 0.65 * window + 0.12 * (storey_m < 0.2)
+    pattern[wall] -= _windows(along[wall] - _SHIFT * x[wall], z[wall] - KERB_M)
 
     # Fences of wood, other than barriers, have gaps between their boards.
     red, _, blue = hits.colour
     fence = np.flatnonzero((hits.cls == classes.FENCE) & (blue > 0.12) & (red < 0.6))
-    gap = np.mod(along[fence] - 0.37 * x[fence], 0.35) < 0.08
+    gap = np.mod(along[fence] - _SHIFT * x[fence], 0.35) < 0.08
     pattern[fence] -= 0.35 * gap
     return np.maximum(pattern, np.float32(-0.9))
+
+
+def _grain(light: Light, hits: Hits, along: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Return the brightness [N] of grain and patches. Leaves have the coarsest grain."""
+    leaves = hits.cls == classes.VEGETATION
+    contrast = np.full(len(along), 0.08, np.float32)
+    contrast[hits.ground == GRASS] = 0.22
+    contrast[leaves] = 0.30
+    per_m = np.where(leaves, np.float32(1 / 0.35), np.float32(1 / 0.15))
+    grain = contrast * _look_up(light.grain, along * per_m, up * per_m)
+    patches = np.float32(0.16) * _look_up(light.patches, along * 2, up * 2)
+    return grain + patches
+
+
+def _windows(along: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Return how dark the windows of a wall are, and a band between storeys, [M]."""
+    storey_m = np.mod(up, STOREY_M)
+    window = np.abs(np.mod(along, 2.6) - 1.3) < 0.55
+    window &= (np.abs(storey_m - 1.7) < 0.7) & (up > 0.5)
+    return 0.65 * window + 0.12 * (storey_m < 0.2)
 
 
 def _sky(light: Light, direction: np.ndarray) -> np.ndarray:

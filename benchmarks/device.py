@@ -129,5 +129,5 @@ def _drives(folder: Path, points: int) -> list[LabelledDrive]:
         with store.DriveWriter(
             folder / f"labels/{name}.h5", stage="labels", drive=name, params=params
         ) as file:
-            source.write(file, frame, frame * 0.1, labels, settings)
+            source.write_labels(file, frame, frame * 0.1, labels, settings)
     return [read_drive(folder, folder / "labels", name, ENTRY) for name in names]

@@ -29,8 +29,8 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
         # Not with test drives: a lag fitted to them would align the truth with odometry.
         drives = store.drives_in(splits, "train", "val") or [*splits]
         car = Car(settings.wheelbase_m, settings.min_speed_mps)
-        pairs = comparison.read(settings.source, drives, ingest, motion, car)
-        for line in comparison.check(settings.source, pairs):
+        pairs = comparison.read_pairs(settings.source, drives, ingest, motion, car)
+        for line in comparison.check_recorded(settings.source, pairs):
             print(line, flush=True)
 
         inputs = {"ingest": ingest}

@@ -60,7 +60,7 @@ def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> 
 
     With two logs the angle is the wheel's; in a drive with oxts, theirs.
     """
-    recorded = sources.recorded(ingest, car)
+    recorded = sources.recorded_labels(ingest, car)
     if not recorded.keys() & {"recorded", "wheel"}:
         unknown = np.full(len(frame), np.nan)
         return Truth("", "", steering_labels(unknown, unknown, car))
@@ -73,7 +73,7 @@ def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> 
         "",
     )
     name = log_names(logs) or {"wheel": "steering.csv", "recorded": "oxts"}[source]
-    column = "wheel_rad" if "wheel" in logs else sources.column(source)
+    column = "wheel_rad" if "wheel" in logs else sources.angle_column(source)
     driven = recorded[source].at(np.searchsorted(ingest.frame, frame))
     return Truth(name, column, driven, logs["wheel"].ratio if "wheel" in logs else 1.0)
 
@@ -173,7 +173,7 @@ class Results:
             )
             truth = read_truth(raw, frame, source.logs, car)
             ingest_rows = np.searchsorted(raw.frame, frame)
-            measured = sources.read("visual", raw, work / MOTION, car).at(ingest_rows)
+            measured = sources.make_labels("visual", raw, work / MOTION, car).at(ingest_rows)
             noise = read_noise(raw, work / MOTION).at(ingest_rows)
             agreement = compare([Pair(time_s, truth.driven, measured, noise)])
             source.drive.notes.extend(log_notes(source.logs, time_s))
@@ -190,8 +190,10 @@ class Results:
         table = {"frame": frame, "time_s": time_s}
         table["driven_rad"] = np.where(truth.driven.valid, truth.driven.steering_rad, np.nan)
         table |= {name: values[rows] for name, values in columns.items()}
-        faults, lines = judge(agreement, truth.column, truth.ratio)
-        doubts += [*faults, *lines[1:]]
+        fault, lines = judge(agreement, truth.column, truth.ratio)
+        if fault:
+            doubts.append(fault)
+        doubts += lines[1:]
         return cls(source.name, table, problems, truth, agreement, lines[:1], doubts)
 
     def columns(self) -> pd.DataFrame:

@@ -83,7 +83,7 @@ def write_labels(
         labels = label.Labels(
             steering_rad, np.ones(len(frame), bool) if valid is None else valid, *rates
         )
-        source.write(file, frame, frame * 0.1, labels, Labels(**params["labels"]))
+        source.write_labels(file, frame, frame * 0.1, labels, Labels(**params["labels"]))
 
 
 def stripes(steering_rad: np.ndarray, rng: np.random.Generator) -> np.ndarray:

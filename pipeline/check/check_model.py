@@ -23,7 +23,7 @@ def check_model(entry: Entry, settings: Params) -> None:
         raise InputError("predict: path needs labels.ahead_m (got [])", fix=fix)
 
     # Measured motion as an input gives away a label that is measured at the same frame.
-    is_measured = entry.motion != "none" and source.load(settings.labels.source).MEASURED
+    is_measured = entry.motion != "none" and source.load_source(settings.labels.source).MEASURED
     if entry.predict == "angle" and is_measured and not entry.horizon:
         problem = (
             f"motion: {entry.motion} with labels.source: {entry.motion} at horizon: 0 "

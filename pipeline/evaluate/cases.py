@@ -55,7 +55,7 @@ class Case:
         drive = self.drive
         values = {"train_mean": self.scale.mean}
         if not drive.ahead_m:
-            last_rad = label.held(drive.driven.steering_rad, drive.driven.valid)
+            last_rad = label.hold_valid(drive.driven.steering_rad, drive.driven.valid)
             if not drive.horizon:
                 # The target frame is the last input frame, so the last true angle is one before.
                 last_rad = np.concatenate([np.zeros(1), last_rad[:-1]])

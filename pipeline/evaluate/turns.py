@@ -30,7 +30,7 @@ MIN_FRAMES = 0.75
 
 def onsets(time_s: np.ndarray, curvature_1pm: np.ndarray, labels: label.Labels) -> np.ndarray:
     """Return the rows, int64, at which a turn begins, for the frames [F] of a drive."""
-    curvature_1pm = label.held(np.abs(curvature_1pm), labels.valid, initial=np.inf)
+    curvature_1pm = label.hold_valid(np.abs(curvature_1pm), labels.valid, initial=np.inf)
     straight = curvature_1pm < STRAIGHT_1PM
     dt_s = np.diff(time_s, prepend=time_s[:1])
     distance_m = np.cumsum(np.abs(labels.speed_mps) * dt_s)
@@ -52,7 +52,7 @@ def onsets(time_s: np.ndarray, curvature_1pm: np.ndarray, labels: label.Labels) 
 def read_onsets(drive: LabelledDrive) -> np.ndarray:
     """Return whether a turn begins at each frame of a drive, bool [G], by its labels."""
     with store.DriveReader(drive.labels, stage="labels") as file:
-        rows = onsets(file.time_s, file["curvature_1pm"], label.read(file))
+        rows = onsets(file.time_s, file["curvature_1pm"], label.read_labels(file))
         return np.isin(drive.frame, file.frame[rows])
 
 

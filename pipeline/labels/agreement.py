@@ -1,9 +1,8 @@
-"""Measure how the values of a log follow those that are measured in images: correlation, lag, gain
-and offset.
+"""Measure how the values of a log follow those that are measured in images.
 
-What can be judged depends on the noise of the measured values. A frame turns if its measured yaw
-rate is beyond TURNS_SIGMAS standard deviations, so half a minute of a motorway can tell as much as
-a few corners of a city.
+The measures are correlation, lag, gain and offset. What can be judged depends on the noise of the
+measured values. A frame turns if its measured yaw rate is beyond TURNS_SIGMAS standard deviations,
+so half a minute of a motorway can tell as much as a few corners of a city.
 """
 
 import math
@@ -16,19 +15,19 @@ import numpy as np
 from pipeline.labels.label import Labels
 from pipeline.motion.rates import YAW_NOISE_RADPS
 
-# A measured yaw rate beyond this many standard deviations is a turn, not noise.
+# Least measured yaw rate of a turn, in standard deviations of its noise.
 TURNS_SIGMAS = 3.0
 
-# Lags that are tried first. A steering wheel may lead the yaw rate by 0.2 s.
+# Lags in seconds that are tried first. A steering wheel may lead the yaw rate by 0.2 s.
 NEAR_S = np.array(sorted(np.arange(-40, 41) / 20, key=abs))
-# Lags of a log with another clock, for instance GPS time, which is 18 s ahead of UTC.
+# Lags in seconds of a log with another clock, for instance GPS time, which is 18 s ahead of UTC.
 FAR_S = np.array(sorted(np.arange(-300, 301) / 10, key=abs))
-# Frames that have both values at a far lag: fewer show a single bend, which any other bend
-# resembles.
+# Least number of frames that have both values at a far lag. Fewer show a single bend, which any
+# other bend resembles.
 FAR_FRAMES = 60
 # Largest gain, or its inverse, of a log that follows at a far lag.
 FAR_GAIN = 3.0
-# Distance of lags that are alternatives, and not neighbours of the same maximum.
+# Least distance in seconds of lags that are alternatives, and not neighbours of the same maximum.
 APART_S = 2.0
 
 # Least correlation of a log that follows, without noise: eight healthy logs have 0.978 and more.
@@ -41,28 +40,29 @@ TELLING = 0.8
 # defined.
 STEADY = 0.2
 
-# A log is stuck if it stays equal while the measured values, without a tenth of them on each side,
-# vary by more than these standard deviations, plus a share of the recorded value. Rendered bends
-# reach 3.4 of them for 3 s.
+# Least variation of the measured values while a stuck log stays equal, in their standard
+# deviations. A tenth of the values on each side does not count. Rendered bends reach 3.4 for 3 s.
 STUCK_SIGMAS = 5.0
+# Share of the recorded value that is added to this variation.
 STUCK_SHARE = 0.1
-# Turning frames during which a log of zeros is stuck.
+# Least number of turning frames during which a log of zeros is stuck.
 ZERO_FRAMES = 20
-# Largest recorded value where the measured one is 0: in sigmas of the measurement, plus a share of
-# its root mean square. Healthy logs have up to 1.2 sigmas.
+# Largest recorded value where the measured one is 0, in standard deviations of the measurement.
+# Healthy logs have up to 1.2.
 OFFSET_SIGMAS = 2.0
+# Share of the measured root mean square that is added to this largest value.
 OFFSET_SHARE = 0.025
-# A bend that never straightens tells its offset by the gain alone: share of its least measured
-# value.
+# Share of the least measured value that is added, too: a bend that never straightens tells its
+# offset by the gain alone.
 OFFSET_GAP = 0.1
-# Frames that an offset needs: a single short bend, which is measured at changing depths, has an
-# apparent one.
+# Least number of frames that tell an offset: a single short bend, which is measured at changing
+# depths, has an apparent one.
 OFFSET_FRAMES = 60
 # Least speed in m/s that has a sign: at standstill, recorded speeds reach -0.15.
 MOVES_MPS = 0.5
-# Turning frames that a third of the frames needs to tell its own lag, and its least correlation
-# there.
+# Least number of turning frames in a third of the frames that tells its own lag.
 THIRD_FRAMES = 40
+# Least correlation of such a third at its lag.
 THIRD_FOLLOWS = 0.9
 
 
@@ -78,33 +78,30 @@ class Noise(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """Recorded and measured labels of the frames [F] of a drive; measured rates are means that look
+    """Recorded and measured labels of a drive's frames [F]; measured rates are means that look
     ahead.
     """
 
     time_s: np.ndarray
     recorded: Labels
     measured: Labels
-    # None: estimated from the scatter of the yaw rates; the speed is exact
-    noise: Noise | None = None
+    noise: Noise
 
 
 class Moments(NamedTuple):
     """Statistics of measured values m and recorded values r, in the frames that have both."""
 
-    correlation: float  # 0 if m or r is steady
-    mean_m: float
-    mean_r: float
-    std_m: float
-    std_r: float
-    rms_m: float
-    rms_r: float
+    correlation: float = 0.0  # 0 if m or r is steady
+    mean_m: float = 0.0
+    mean_r: float = 0.0
+    std_m: float = 0.0
+    std_r: float = 0.0
+    rms_m: float = 0.0
+    rms_r: float = 0.0
 
     @property
     def gain(self) -> float:
-        """Return recorded / measured values, by their variations or, where these are steady, by
-        their magnitudes.
-        """
+        """Return recorded / measured values, by variations or, if steady, by magnitudes."""
         if self.correlation:
             return self.std_r / self.std_m
         return max(self.rms_r, 1e-6) / max(self.rms_m, 1e-6)
@@ -119,22 +116,18 @@ class Moments(NamedTuple):
 
 
 class Fit(NamedTuple):
-    """How recorded values follow measured ones, at the lag with the largest magnitude of their
-    correlation.
-    """
+    """How recorded values follow measured ones, at the lag with the strongest correlation."""
 
     frames: int  # with both values
-    turning: int  # of these
+    turning: int  # number of these frames that turn
     correlation: float  # without a lag
     lag_s: float  # of the log, positive if it is late
     best: float  # correlation at this lag; 0 on a steady curve, or if the log is constant
-    # by how much the lag raises the magnitude of the correlation beyond what noise can
-    lag_gain: float
+    lag_gain: float  # increase of |correlation| by the lag, beyond what noise can cause
     judged: bool  # the measured values vary so much that a log of another road would differ
     follows: bool  # as closely as noise allows, with either sign
     one_sided: bool  # all recorded values have the same sign, or are 0
-    # if one-sided, largest correlation of the log with the magnitudes of the measured values
-    magnitude: float
+    magnitude: float  # if one-sided, best correlation with the magnitudes of the measured values
     other_side: int  # if one-sided, number of frames that turn to the other side
     gain: float  # recorded / measured
     offset: float  # recorded value where the measured one is 0
@@ -165,12 +158,12 @@ class Agreement(NamedTuple):
 
     def content(self) -> dict[str, Any]:
         """Return the values for a JSON file."""
-        fits = {
-            name: value._asdict()
-            for name, value in self._asdict().items()
-            if isinstance(value, Fit | Speed)
-        }
-        return {"turning": self.turning, "speed_sigma": self.speed_sigma, **fits}
+        content: dict[str, Any] = {"turning": self.turning, "speed_sigma": self.speed_sigma}
+        for name in ("angle", "yaw_rate", "speed"):
+            fit = getattr(self, name)
+            if fit:
+                content[name] = fit._asdict()
+        return content
 
 
 def compare(pairs: Sequence[Pair]) -> Agreement:
@@ -181,15 +174,13 @@ def compare(pairs: Sequence[Pair]) -> Agreement:
     angle = _fit(pairs, "steering_rad")
     yaw_rate = _fit(pairs, "yaw_rate_radps")
     turning = max((fit.turning for fit in (angle, yaw_rate) if fit), default=0)
-    sigmas = np.concatenate([pair.noise.speed for pair in pairs if pair.noise] or [np.zeros(1)])
-    sigmas = sigmas[np.isfinite(sigmas)]
-    speed_sigma = float(np.median(sigmas)) if len(sigmas) else 0.0
-    return Agreement(turning, angle, yaw_rate, _speed(pairs), speed_sigma)
+    return Agreement(turning, angle, yaw_rate, _compare_speed(pairs), _speed_sigma(pairs))
 
 
 def backwards(recorded: Labels, measured: Labels) -> np.ndarray:
-    """Return the frames that are measured backwards while the log goes ahead, bool [F]; slow frames
-    do not count.
+    """Return the frames that are measured backwards while the log goes ahead, bool [F].
+
+    Slow frames do not count.
     """
     return _moves(recorded) & _moves(measured) & (measured.speed_mps < 0) & (recorded.speed_mps > 0)
 
@@ -198,69 +189,81 @@ def _moves(labels: Labels) -> np.ndarray:
     return labels.valid & (np.abs(labels.speed_mps) >= MOVES_MPS)  # false for NaN
 
 
-def _speed(pairs: Sequence[Pair]) -> Speed | None:
-    recorded = np.concatenate(
-        [np.where(_moves(pair.recorded), pair.recorded.speed_mps, np.nan) for pair in pairs]
-    )
-    measured = np.concatenate(
-        [np.where(_moves(pair.measured), pair.measured.speed_mps, np.nan) for pair in pairs]
-    )
-    both = np.isfinite(recorded) & np.isfinite(measured)
-    if not both.any():
+def _moving_speed(labels: Labels) -> np.ndarray:
+    return np.where(_moves(labels), labels.speed_mps, np.nan)
+
+
+def _compare_speed(pairs: Sequence[Pair]) -> Speed | None:
+    recorded = np.concatenate([_moving_speed(pair.recorded) for pair in pairs])
+    measured = np.concatenate([_moving_speed(pair.measured) for pair in pairs])
+    compared = np.isfinite(recorded) & np.isfinite(measured)
+    if not compared.any():
         return None
-    # above 0, as both move
-    gain = np.sqrt(np.mean(recorded[both] ** 2) / np.mean(measured[both] ** 2))
+    # The measured speed is not 0, as both move.
+    gain = np.sqrt(np.mean(recorded[compared] ** 2) / np.mean(measured[compared] ** 2))
     ahead = np.sum((recorded > 0) & (measured < 0))
     back = np.sum((recorded < 0) & (measured > 0))
-    return Speed(int(both.sum()), float(gain), int(ahead), int(back))
+    return Speed(int(compared.sum()), float(gain), int(ahead), int(back))
+
+
+def _speed_sigma(pairs: Sequence[Pair]) -> float:
+    sigmas = np.concatenate([pair.noise.speed for pair in pairs])
+    sigmas = sigmas[np.isfinite(sigmas)]
+    if not len(sigmas):
+        return 0.0
+    return float(np.median(sigmas))
 
 
 def _fit(pairs: Sequence[Pair], name: str) -> Fit | None:
-    """Return how recorded values of the field `name` follow measured ones; None without a frame
-    that has both.
+    """Return how recorded values of the field `name` follow measured ones, or None.
+
+    There is no fit without a frame that has both values.
     """
-    m = np.concatenate([_valid(pair.measured, name) for pair in pairs])
-    r = _at_lag(pairs, name, 0.0)
-    used = np.isfinite(m) & np.isfinite(r)
-    if not used.any():
+    measured = np.concatenate([_valid(pair.measured, name) for pair in pairs])
+    recorded = _at_lag(pairs, name, 0.0)
+    compared = np.isfinite(measured) & np.isfinite(recorded)
+    if not compared.any():
         return None
+    least = compared.sum() / 2
 
     # The lag at which the log follows best, and by how much better than without one.
     shifted = [_at_lag(pairs, name, lag_s) for lag_s in NEAR_S]
-    near = [_moments(m, values, least=used.sum() / 2) for values in shifted]
+    near = [_moments(measured, values, least) for values in shifted]
     correlations = np.array([moments.correlation for moments in near])
     best = int(np.argmax(np.abs(correlations)))
     at_best = near[best]
     noise = _noise(pairs, name)
     slack = noise**2 / max(at_best.std_m**2, 1e-12)
     lag_gain = abs(at_best.correlation) - abs(near[0].correlation) - slack
+    follows = at_best.follows(noise)
 
     # Direction and side of the turns, which a steady bend shows, too.
-    turning = used & np.concatenate([_turns(pair) for pair in pairs])
-    length = math.sqrt((m[turning] ** 2).sum() * (r[turning] ** 2).sum())
-    cosine = (m[turning] * r[turning]).sum() / length if length else 0.0
-
-    one_sided = bool((r[used] >= 0).all() or (r[used] <= 0).all())
+    turning = compared & np.concatenate([_turns(pair) for pair in pairs])
+    cosine = _cosine(measured[turning], recorded[turning])
+    one_sided = bool((recorded[compared] >= 0).all() or (recorded[compared] <= 0).all())
     other_side = 0
     magnitude = 0.0
     if one_sided:
-        other_side = int((turning & (m * np.sign(r[used].sum()) < 0)).sum())
-        magnitude = max(
-            _moments(np.abs(m), values, least=used.sum() / 2).correlation for values in shifted
-        )
+        side = np.sign(recorded[compared].sum())
+        other_side = int((turning & (measured * side < 0)).sum())
+        of_magnitudes = [_moments(np.abs(measured), values, least) for values in shifted]
+        magnitude = max(moments.correlation for moments in of_magnitudes)
 
     # The recorded value straight ahead, which is known if the car comes near to it.
-    straightest = float(np.percentile(np.abs(m[used]), 5))
+    straightest = float(np.percentile(np.abs(measured[compared]), 5))
     largest_offset = OFFSET_SIGMAS * noise + OFFSET_SHARE * at_best.rms_m + OFFSET_GAP * straightest
-    follows = at_best.follows(noise)
     gain = at_best.gain
-    offset = (
-        at_best.mean_r - math.copysign(gain, at_best.correlation) * at_best.mean_m
-        if follows
-        else 0.0
-    )
+    offset = 0.0
+    if follows:
+        offset = at_best.mean_r - math.copysign(gain, at_best.correlation) * at_best.mean_m
+
+    # The lag of a log of another clock.
+    far_s = None
+    if not (follows and at_best.correlation > 0):
+        far_s = _far_lag(pairs, name, measured, noise)
+
     return Fit(
-        frames=int(used.sum()),
+        frames=int(compared.sum()),
         turning=int(turning.sum()),
         correlation=near[0].correlation,
         lag_s=float(NEAR_S[best]),
@@ -273,11 +276,11 @@ def _fit(pairs: Sequence[Pair], name: str) -> Fit | None:
         other_side=other_side,
         gain=gain,
         offset=offset,
-        off_centre=bool(used.sum() >= OFFSET_FRAMES and abs(offset) > largest_offset),
-        cosine=float(cosine),
-        thirds_s=_lags_of_thirds(m, shifted, turning),
+        off_centre=bool(compared.sum() >= OFFSET_FRAMES and abs(offset) > largest_offset),
+        cosine=cosine,
+        thirds_s=_lags_of_thirds(measured, shifted, turning),
         stuck_s=max(_stuck_s(pair, name) for pair in pairs),
-        far_s=None if follows and at_best.correlation > 0 else _far_lag(pairs, name, m, noise),
+        far_s=far_s,
     )
 
 
@@ -286,40 +289,36 @@ def _valid(labels: Labels, name: str) -> np.ndarray:
 
 
 def _at_lag(pairs: Sequence[Pair], name: str, lag_s: float) -> np.ndarray:
-    """Return the recorded values that are `lag_s` late, at the frames of all pairs [N]; NaN where
-    there are none.
-    """
-    parts = []
+    """Return the recorded values that are `lag_s` late, at the frames of all pairs [N], or NaN."""
+    late = []
     for pair in pairs:
         values = _valid(pair.recorded, name)
-        parts.append(np.interp(pair.time_s + lag_s, pair.time_s, values, np.nan, np.nan))
-    return np.concatenate(parts)
+        late.append(np.interp(pair.time_s + lag_s, pair.time_s, values, np.nan, np.nan))
+    return np.concatenate(late)
+
+
+def _cosine(a: np.ndarray, b: np.ndarray) -> float:
+    length = math.sqrt((a**2).sum() * (b**2).sum())
+    if not length:
+        return 0.0
+    return float((a * b).sum() / length)
 
 
 def _yaw_sigma(pair: Pair) -> np.ndarray:
-    """Return the standard deviations of the measured yaw rates [F] in rad/s.
-
-    Unknown ones follow from the scatter of successive rates: of independent noise, the median
-    magnitude of the differences is 0.954 standard deviations.
-    """
-    if pair.noise:
-        return np.nan_to_num(pair.noise.yaw_rate_radps, nan=YAW_NOISE_RADPS)
-    yaw_radps = pair.measured.yaw_rate_radps[pair.measured.valid]
-    scatter_radps = (
-        float(np.median(np.abs(np.diff(yaw_radps)))) / 0.954 if len(yaw_radps) > 1 else 0.0
-    )
-    return np.full(len(pair.time_s), max(YAW_NOISE_RADPS, scatter_radps))
+    """Return the standard deviations of the measured yaw rates [F] in rad/s."""
+    return np.nan_to_num(pair.noise.yaw_rate_radps, nan=YAW_NOISE_RADPS)
 
 
 def _turns(pair: Pair) -> np.ndarray:
     """Return which frames turn, bool [F]."""
-    # false for NaN
-    return np.abs(_valid(pair.measured, "yaw_rate_radps")) > TURNS_SIGMAS * _yaw_sigma(pair)
+    yaw_radps = _valid(pair.measured, "yaw_rate_radps")
+    return np.abs(yaw_radps) > TURNS_SIGMAS * _yaw_sigma(pair)  # false for NaN
 
 
 def _sigma(pair: Pair, name: str) -> np.ndarray:
-    """Return the standard deviations of the measured values [F]; for an angle, those of the yaw
-    rate times L / v.
+    """Return the standard deviations of the measured values [F].
+
+    Those of an angle are those of the yaw rate times L / v.
     """
     sigma = _yaw_sigma(pair)
     if name == "steering_rad":
@@ -329,22 +328,23 @@ def _sigma(pair: Pair, name: str) -> np.ndarray:
 
 
 def _noise(pairs: Sequence[Pair], name: str) -> float:
-    """Return the root mean square of the standard deviations of the measured values; 0 without
-    any.
-    """
+    """Return the root mean square of the measured values' standard deviations; 0 without any."""
     sigma = np.concatenate([_sigma(pair, name)[pair.measured.valid] for pair in pairs])
-    return float(np.sqrt(np.mean(sigma**2))) if len(sigma) else 0.0
+    if not len(sigma):
+        return 0.0
+    return float(np.sqrt(np.mean(sigma**2)))
 
 
 def _moments(m: np.ndarray, r: np.ndarray, least: float) -> Moments:
-    """Return the statistics of values [N], NaN where unknown; without correlation below the `least`
-    number.
+    """Return the statistics of values [N], NaN where unknown.
+
+    There is no correlation if not more than `least` frames have both values.
     """
-    used = np.isfinite(m) & np.isfinite(r)
-    if not used.any():
-        return Moments(*[0.0] * len(Moments._fields))
-    m = m[used]
-    r = r[used]
+    compared = np.isfinite(m) & np.isfinite(r)
+    if not compared.any():
+        return Moments()
+    m = m[compared]
+    r = r[compared]
     rms_m = math.sqrt(np.mean(m**2))
     rms_r = math.sqrt(np.mean(r**2))
     std_m = float(m.std())
@@ -356,51 +356,53 @@ def _moments(m: np.ndarray, r: np.ndarray, least: float) -> Moments:
 
 
 def _lags_of_thirds(
-    m: np.ndarray, shifted: Sequence[np.ndarray], turning: np.ndarray
+    measured: np.ndarray, shifted: Sequence[np.ndarray], turning: np.ndarray
 ) -> tuple[float, ...]:
-    """Return the lag of each third of the frames that follows; `shifted`: recorded values [N] at
-    each of NEAR_S.
+    """Return the lag of each third of the frames that follows.
+
+    `shifted` holds the recorded values [N] at each of NEAR_S.
     """
     lags_s = list[float]()
-    for rows in np.array_split(np.arange(len(m)), 3):
-        least = np.isfinite(m[rows] + shifted[0][rows]).sum() / 2
-        correlations = [_moments(m[rows], values[rows], least).correlation for values in shifted]
+    for rows in np.array_split(np.arange(len(measured)), 3):
+        least = np.isfinite(measured[rows] + shifted[0][rows]).sum() / 2
+        moments = [_moments(measured[rows], values[rows], least) for values in shifted]
+        correlations = [at_lag.correlation for at_lag in moments]
         if turning[rows].sum() >= THIRD_FRAMES and max(correlations) > THIRD_FOLLOWS:
             lags_s.append(float(NEAR_S[np.argmax(correlations)]))
     return tuple(lags_s)
 
 
 def _stuck_s(pair: Pair, name: str) -> float:
-    """Return the longest time for which the log stays equal while the measured values vary, or is 0
-    in turns.
+    """Return the longest time for which the log stays equal while the measured values vary.
+
+    A log of zeros is stuck while the car turns.
     """
-    values = _valid(pair.recorded, name)  # a frame without a value has 0 in the file
+    recorded = _valid(pair.recorded, name)  # a frame without a value has 0 in the file
     measured = _valid(pair.measured, name)
     sigma = _sigma(pair, name)
     turning = _turns(pair)
     longest_s = 0.0
-    edges = [0, *(np.flatnonzero(np.diff(values) != 0) + 1), len(values)]  # NaN differs from NaN
-    for first, last in pairwise(edges):
-        rows = np.arange(first, last)[pair.measured.valid[first:last]]
+    changes = np.flatnonzero(np.diff(recorded) != 0) + 1  # NaN differs from NaN
+    for first, end in pairwise([0, *changes, len(recorded)]):
+        rows = np.arange(first, end)[pair.measured.valid[first:end]]
         if not len(rows):
             continue
+        value = recorded[first]
         low, high = np.percentile(measured[rows], [10, 90])
-        varies = high - low > STUCK_SIGMAS * np.median(sigma[rows]) + STUCK_SHARE * abs(
-            values[first]
-        )
-        is_zero_in_turns = values[first] == 0 and turning[rows].sum() >= ZERO_FRAMES
+        varies = high - low > STUCK_SIGMAS * np.median(sigma[rows]) + STUCK_SHARE * abs(value)
+        is_zero_in_turns = value == 0 and turning[rows].sum() >= ZERO_FRAMES
         if varies or is_zero_in_turns:
             longest_s = max(longest_s, float(np.ptp(pair.time_s[rows])))
     return longest_s
 
 
-def _far_lag(pairs: Sequence[Pair], name: str, m: np.ndarray, noise: float) -> float | None:
-    """Return the lag of FAR_S at which the log follows, with a plausible gain; None if there is
-    none.
+def _far_lag(pairs: Sequence[Pair], name: str, measured: np.ndarray, noise: float) -> float | None:
+    """Return the lag of FAR_S at which the log follows, or None if there is none.
 
-    The other lags have to explain it much worse, since a bend resembles other bends.
+    The gain has to be plausible. The other lags have to explain the log much worse, since a bend
+    resembles other bends.
     """
-    at_lag = [_moments(m, _at_lag(pairs, name, lag_s), least=FAR_FRAMES) for lag_s in FAR_S]
+    at_lag = [_moments(measured, _at_lag(pairs, name, lag_s), least=FAR_FRAMES) for lag_s in FAR_S]
     correlations = np.array([moments.correlation for moments in at_lag])
     best = int(np.argmax(correlations))
     moments = at_lag[best]
@@ -409,4 +411,6 @@ def _far_lag(pairs: Sequence[Pair], name: str, m: np.ndarray, noise: float) -> f
     rival = np.abs(correlations[np.abs(FAR_S - FAR_S[best]) > APART_S]).max()
     distinct = 1 - moments.correlation**2 < (1 - rival**2) / 2
     alike = abs(math.log(moments.gain)) < math.log(FAR_GAIN)
-    return float(FAR_S[best]) if distinct and alike else None
+    if not (distinct and alike):
+        return None
+    return float(FAR_S[best])

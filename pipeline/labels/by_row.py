@@ -1,6 +1,6 @@
-"""Speeds and yaw rates by the row of an ingest file, for all sources of labels; NaN where
-unknown.
-"""
+"""Read speeds and yaw rates by the row of an ingest file, for all sources of labels."""
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -8,22 +8,39 @@ from pipeline.base.store import DriveReader
 from pipeline.motion.rates import measured_rates, stands
 
 
-def recorded_motion(raw: DriveReader) -> np.ndarray | None:
-    """Return recorded speeds in m/s and yaw rates in rad/s, left positive, [2,F]; None if the drive
-    has none.
+class Rates(NamedTuple):
+    """The motion in the frames [F] of an ingest file, NaN where it is unknown."""
 
-    They are unknown where KITTI interpolated a packet, which is no measurement.
+    speed_mps: np.ndarray  # forward positive
+    yaw_rate_radps: np.ndarray  # left positive
+
+
+def recorded_motion(raw: DriveReader) -> Rates | None:
+    """Return the recorded motion, or None if the drive has none.
+
+    It is unknown where KITTI interpolated a packet, which is no measurement.
     """
-    return np.stack([raw["speed_mps"], raw["yaw_rate_radps"]]) if "speed_mps" in raw else None
+    if "speed_mps" not in raw:
+        return None
+    return Rates(raw["speed_mps"], raw["yaw_rate_radps"])
 
 
-def measured_motion(raw: DriveReader, motion: DriveReader, *, look_ahead: bool) -> np.ndarray:
-    """Return the same of stage motion, and 1 where nothing moves, [3,F].
+def measured_motion(raw: DriveReader, motion: DriveReader, *, look_ahead: bool) -> Rates:
+    """Return the motion that stage motion measured.
 
-    With `look_ahead`, they are means over neighbouring frames, later ones included, which no model
-    may get as inputs; else the causal rates that models get.
+    With `look_ahead`, rates are means over neighbouring frames, later ones included, which no model
+    may get as inputs; else they are the causal rates that models get.
     """
-    rates, rows = np.full((3, len(raw.frame)), np.nan), np.searchsorted(raw.frame, motion.frame)
     yaw_rate_radps, speed_mps, *_ = measured_rates(motion, look_ahead=look_ahead)
-    rates[:, rows] = speed_mps, yaw_rate_radps, stands(motion)
+    rows = np.searchsorted(raw.frame, motion.frame)
+    rates = Rates(np.full(len(raw.frame), np.nan), np.full(len(raw.frame), np.nan))
+    rates.speed_mps[rows] = speed_mps
+    rates.yaw_rate_radps[rows] = yaw_rate_radps
     return rates
+
+
+def standing(raw: DriveReader, motion: DriveReader) -> np.ndarray:
+    """Return the frames whose motion is not measured because nothing moves, bool [F]."""
+    mask = np.zeros(len(raw.frame), bool)
+    mask[np.searchsorted(raw.frame, motion.frame)] = stands(motion)
+    return mask

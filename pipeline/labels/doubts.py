@@ -1,21 +1,20 @@
-"""Doubts about the labels of a run, by the summaries of
-:func:`pipeline.labels.source.labels_drive`.
-"""
+"""Find doubts about the labels of a run, by the summaries of its drives."""
 
 from collections.abc import Iterator, Mapping
 
 from pipeline.base import store
 from pipeline.base.runner import Summary
-from pipeline.labels.comparison import SHOWN
+from pipeline.labels.comparison import TURNING_FRAMES
 
-WINDOW = 8  # frames that a network sees, by default
+# Number of frames that a network sees, by default.
+WINDOW = 8
 
 
 def find_doubts(splits: Mapping[str, str], summaries: Mapping[str, Summary]) -> Iterator[str]:
-    """Yield a line for each split with few labels or turns; on interpolated packets; and on
-    implausible drives.
+    """Yield lines on splits with few labels or turns, interpolated packets and implausible drives.
 
-    `splits`: drive → split; `summaries`: drive → summary.
+    `splits` is drive → split, `summaries` drive → summary of
+    :func:`pipeline.labels.source.labels_drive`.
     """
     for split in dict.fromkeys(splits.values()):
         drives = store.drives_in(splits, split)
@@ -24,23 +23,18 @@ def find_doubts(splits: Mapping[str, str], summaries: Mapping[str, Summary]) -> 
         turning = sum(summaries[drive]["turning"] for drive in drives)
         fix = "Add drives, or cut a recording otherwise: steer import --split 60,30,10"
         if valid < WINDOW:
-            yield (
-                f"doubt: {valid} of {frames} frames of {', '.join(drives)} have a label: the car "
-                f"stands? {fix}"
-            )
-        elif turning < SHOWN:
-            yield (
-                f"doubt: {turning} of {frames} frames of split {split} turn, too few to tell "
-                f"models apart. {fix}"
-            )
-    if count := sum(summary["interpolated"] for summary in summaries.values()):
-        yield (
-            f"{count} oxts packets are interpolated, not measured: they are no targets, and paths "
-            "ahead end there"
-        )
-    if suspect := [drive for drive, summary in summaries.items() if summary["sideways"]]:
-        names = ", ".join(suspect)
-        yield (
-            f"implausible labels: oxts has the car sliding sideways in {names}. Remove them from "
-            "ingest.drives"
-        )
+            names = ", ".join(drives)
+            text = f"{valid} of {frames} frames of {names} have a label: the car stands?"
+            yield f"doubt: {text} {fix}"
+        elif turning < TURNING_FRAMES:
+            text = f"{turning} of {frames} frames of split {split} turn, too few to tell models"
+            yield f"doubt: {text} apart. {fix}"
+
+    interpolated = sum(summary["interpolated"] for summary in summaries.values())
+    if interpolated:
+        text = f"{interpolated} oxts packets are interpolated, not measured: they are no targets"
+        yield f"{text}, and paths ahead end there"
+    sideways = [drive for drive, summary in summaries.items() if summary["sideways"]]
+    if sideways:
+        text = f"oxts has the car sliding sideways in {', '.join(sideways)}"
+        yield f"implausible labels: {text}. Remove them from ingest.drives"

@@ -10,9 +10,10 @@ import numpy as np
 
 from pipeline.base.store import DriveReader
 
-# Forward speed at standstill dips to -0.15 m/s in KITTI; below this limit the car rolls backwards.
+# Forward speed in m/s below which the car rolls backwards. At standstill it dips to -0.15 in KITTI.
 REVERSING_MPS = -0.5
-TURNING_RAD = 0.02  # a radius of 135 m
+# Least magnitude in rad of the angle of a frame that turns: a radius of 135 m.
+TURNING_RAD = 0.02
 
 
 class Car(NamedTuple):
@@ -23,8 +24,9 @@ class Car(NamedTuple):
 
 
 class Labels(NamedTuple):
-    """Labels of a drive's frames [F]; speed and yaw rate are NaN where the source has none, in a
-    file 0.
+    """Labels of a drive's frames [F].
+
+    Speed and yaw rate are NaN where the source has none, and 0 there in a file.
     """
 
     steering_rad: np.ndarray  # float64, left positive; 0 where unknown
@@ -34,31 +36,31 @@ class Labels(NamedTuple):
 
     def without(self, rows: np.ndarray) -> "Labels":
         """Return the labels with those of some `rows`, bool [F], unknown."""
-        angle = np.where(rows, 0.0, self.steering_rad)
-        speed_mps = np.where(rows, np.nan, self.speed_mps)
-        yaw_rate_radps = np.where(rows, np.nan, self.yaw_rate_radps)
-        return Labels(angle, self.valid & ~rows, speed_mps, yaw_rate_radps)
+        return Labels(
+            steering_rad=np.where(rows, 0.0, self.steering_rad),
+            valid=self.valid & ~rows,
+            speed_mps=np.where(rows, np.nan, self.speed_mps),
+            yaw_rate_radps=np.where(rows, np.nan, self.yaw_rate_radps),
+        )
 
     def at(self, rows: np.ndarray | slice) -> "Labels":
         """Return the labels of some `rows`."""
         return Labels(*(values[rows] for values in self))
 
 
-def read(file: DriveReader) -> Labels:
+def read_labels(file: DriveReader) -> Labels:
     """Return the labels in data/labels/<drive>.h5."""
-    return Labels(
-        file["steering_rad"], file["valid"].astype(bool), file["speed_mps"], file["yaw_rate_radps"]
-    )
+    valid = file["valid"].astype(bool)
+    return Labels(file["steering_rad"], valid, file["speed_mps"], file["yaw_rate_radps"])
 
 
 def steering_angle(
     yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, wheelbase_m: float
 ) -> np.ndarray:
-    """Return atan(L ψ̇ / v) [F] in rad, the front wheel angle of the bicycle model; 0 where both
-    are 0.
+    """Return the front wheel angle [F] in rad of the bicycle model, atan(L ψ̇ / v).
 
     In reverse v and ψ̇ both change sign, so the formula holds there too: left stays positive. At
-    standstill it divides noise by noise, up to ±π/2.
+    standstill it divides noise by noise, up to ±π/2; it is 0 where both are 0.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         angle = np.arctan(wheelbase_m * yaw_rate_radps / speed_mps)
@@ -66,30 +68,33 @@ def steering_angle(
 
 
 def steering_labels(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, car: Car) -> Labels:
-    """Return the labels of motion [F], NaN where unknown; valid from the car's minimum speed on,
-    also in reverse.
+    """Return the labels of motion [F], NaN where unknown.
+
+    They are valid from the car's minimum speed on, also in reverse.
     """
-    known = np.isfinite(speed_mps)
-    steering_rad = np.where(known, steering_angle(yaw_rate_radps, speed_mps, car.wheelbase_m), 0.0)
-    return Labels(
-        steering_rad, known & (np.abs(speed_mps) >= car.min_speed_mps), speed_mps, yaw_rate_radps
-    )
+    is_known = np.isfinite(speed_mps)
+    angle_rad = steering_angle(yaw_rate_radps, speed_mps, car.wheelbase_m)
+    moves = is_known & (np.abs(speed_mps) >= car.min_speed_mps)
+    return Labels(np.where(is_known, angle_rad, 0.0), moves, speed_mps, yaw_rate_radps)
 
 
-def held(values: np.ndarray, valid: np.ndarray, initial: float = 0.0) -> np.ndarray:
-    """Return `values` [F] with each that is not `valid` replaced by the last valid one, or else by
-    `initial`.
+def hold_valid(values: np.ndarray, valid: np.ndarray, initial: float = 0.0) -> np.ndarray:
+    """Return `values` [F], where each that is not `valid` repeats the last valid one.
+
+    The first ones have no such value and become `initial`.
     """
-    last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), -1))
-    return np.append(values, initial)[last]
+    rows = np.where(valid, np.arange(len(valid)), -1)  # row -1 is the initial value
+    last_valid = np.maximum.accumulate(rows)
+    return np.append(values, initial)[last_valid]
 
 
 def measured_angle(
     yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, valid: np.ndarray, car: Car
 ) -> np.ndarray:
-    """Return the angle of measured motion, float64 [F] in rad; an unmeasured frame repeats the
-    last, first ones NaN.
+    """Return the angle of measured motion, float64 [F] in rad.
+
+    An unmeasured frame repeats the last angle; the first ones are NaN.
     """
     speed_mps = np.where(valid, speed_mps, np.nan).astype(np.float64)
     labels = steering_labels(yaw_rate_radps.astype(np.float64), speed_mps, car)
-    return held(labels.steering_rad, labels.valid, initial=np.nan)
+    return hold_valid(labels.steering_rad, labels.valid, initial=np.nan)

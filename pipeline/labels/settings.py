@@ -8,24 +8,28 @@ from pydantic import Field, field_validator
 from pipeline.base.errors import closest
 from pipeline.base.params import Positive, Section
 
+# The names of the sources, each a file.
 SOURCES = sorted(path.stem for path in (Path(__file__).parent / "sources").glob("[!_]*.py"))
 
 
 class Labels(Section):
-    source: str = "recorded"  # a file of pipeline/labels/sources; oxts is another name of recorded
+    # A file of pipeline/labels/sources; oxts is another name of recorded.
+    source: str = "recorded"
     wheelbase_m: Positive
     min_speed_mps: Annotated[float, Field(ge=0)]
-    ahead_m: list[Annotated[float, Field(ge=0, le=200)]] = []  # no camera shows a road farther away
+    # Edges of the ranges of the path ahead. No camera shows a road farther away than 200 m.
+    ahead_m: list[Annotated[float, Field(ge=0, le=200)]] = []
+    # Longest time for which the car may stand on the path.
     max_stand_s: Annotated[float, Field(ge=0)] = 5.0
 
     @field_validator("source")
     @classmethod
     def _check_source(cls, source: str) -> str:
-        source = "recorded" if source == "oxts" else source
+        if source == "oxts":
+            source = "recorded"
         if source not in SOURCES:
-            raise ValueError(
-                f"there is no pipeline/labels/sources/{source}.py ({closest(source, SOURCES)})"
-            )
+            path = f"pipeline/labels/sources/{source}.py"
+            raise ValueError(f"there is no {path} ({closest(source, SOURCES)})")
         return source
 
     @field_validator("ahead_m")

@@ -1,8 +1,8 @@
-"""Write a drive's labels from one of the sources, the files of ``pipeline/labels/sources``.
+"""Make and write a drive's labels by one of the files of ``pipeline/labels/sources``.
 
-A source's file has MEASURED, whether it is measured motion, which a model must not get as input and
-label at once; and ``read(raw, motion, car, look_ahead)``, which returns the labels of a drive, None
-if it lacks the source.
+Such a file has MEASURED, which is true for measured motion: a model must not get that as input and
+label at once. Its ``read(raw, motion, car, look_ahead)`` returns the labels of a drive, or None if
+the drive lacks the source. NEEDS and COLUMN, the name of a recorded angle, are texts for messages.
 """
 
 import importlib
@@ -22,121 +22,116 @@ from pipeline.labels.label import TURNING_RAD, Car, Labels
 from pipeline.labels.settings import SOURCES
 from pipeline.labels.settings import Labels as Settings
 
-# Cars do not slide sideways: vl stays below 0.4 m/s in KITTI. Above this limit, heading or GNSS
-# velocity is wrong, and the label with it: 2011_09_26_drive_0093 has 14 m/s to the left and then 11
-# m/s backwards.
+# Largest sideways speed in m/s of a car: vl stays below 0.4 in KITTI. Above this limit, heading or
+# GNSS velocity is wrong, and the label with it: 2011_09_26_drive_0093 has 14 m/s to the left and
+# then 11 m/s backwards.
 SIDEWAYS_MPS = 1.0
 
 
 def labels_drive(
     path: Path, ingest: Path, motion: Path | None = None, *, settings: Settings
 ) -> Summary:
-    """Write data/labels/<drive>.h5; count frames: all, valid, in bends, sliding sideways, and
-    interpolated.
+    """Write data/labels/<drive>.h5, and return counts of frames for the summary.
 
     Frames that are measured backwards while the recorded speed goes ahead have no label: its sign
     is wrong.
     """
+    car = Car(settings.wheelbase_m, settings.min_speed_mps)
+    measured = load_source(settings.source).MEASURED
     with DriveReader(ingest, stage="ingest") as raw:
-        drive, frame, time_s = raw.drive, raw.frame, raw.time_s
-        car = Car(settings.wheelbase_m, settings.min_speed_mps)
-        labels = read(settings.source, raw, motion, car)
-        measured = load(settings.source).MEASURED
-        if motion and not measured and not column(settings.source):
-            labels = labels.without(backwards(labels, read("visual", raw, motion, car)))
-        unknown = sideways = np.zeros(len(frame), bool)
+        labels = make_labels(settings.source, raw, motion, car)
+        if motion and not measured and not angle_column(settings.source):
+            labels = labels.without(backwards(labels, make_labels("visual", raw, motion, car)))
+        interpolated = np.zeros(len(raw.frame), bool)
+        sideways = interpolated
         if not measured and "oxts" in raw:
-            unknown = np.isnan(raw["speed_mps"])
+            interpolated = np.isnan(raw["speed_mps"])
             sideways = np.abs(raw["left_mps"]) > SIDEWAYS_MPS
-    with DriveWriter(
-        path, stage="labels", drive=drive, params={"labels": settings.model_dump()}
-    ) as file:
+
+    params = {"labels": settings.model_dump()}
+    with DriveWriter(path, stage="labels", drive=raw.drive, params=params) as file:
         file.attrs["measured"] = int(measured)
-        write(file, frame, time_s, labels, settings)
-    counts = {
-        "valid": labels.valid,
-        "turning": labels.valid & (np.abs(labels.steering_rad) > TURNING_RAD),
+        write_labels(file, raw.frame, raw.time_s, labels, settings)
+    turning = labels.valid & (np.abs(labels.steering_rad) > TURNING_RAD)
+    return {
+        "frames": len(raw.frame),
+        "valid": int(labels.valid.sum()),
+        "turning": int(turning.sum()),
+        "sideways": int(sideways.sum()),
+        "interpolated": int(interpolated.sum()),
     }
-    counts |= {"sideways": sideways, "interpolated": unknown}
-    return {"frames": len(frame)} | {name: int(mask.sum()) for name, mask in counts.items()}
 
 
-def write(
+def write_labels(
     file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, labels: Labels, settings: Settings
 ) -> None:
-    """Write labels of the frames [F], unknown rates as 0, tan Θ / L, and with `ahead_m` the path
-    ahead.
-    """
+    """Write labels of the frames [F], with `ahead_m` the path ahead, too; unknown rates are 0."""
     file.put("frame", np.asarray(frame, np.int32))
     file.put("time_s", time_s, "s")
     file.put("steering_rad", labels.steering_rad, "rad, left positive")
     file.put("valid", labels.valid.astype(np.uint8))
     file.put("speed_mps", np.nan_to_num(labels.speed_mps), "m/s")
     file.put("yaw_rate_radps", np.nan_to_num(labels.yaw_rate_radps), "rad/s, left positive")
-    file.put(
-        "curvature_1pm", np.tan(labels.steering_rad) / settings.wheelbase_m, "1/m, left positive"
-    )
+    curvature_1pm = np.tan(labels.steering_rad) / settings.wheelbase_m
+    file.put("curvature_1pm", curvature_1pm, "1/m, left positive")
     if settings.ahead_m:
-        curvature_1pm, valid = path_ahead(
-            frame, time_s, labels, settings.ahead_m, settings.max_stand_s
-        )
-        file.put("ahead_1pm", curvature_1pm, "1/m, left positive")
+        ahead_1pm, valid = path_ahead(frame, time_s, labels, settings.ahead_m, settings.max_stand_s)
+        file.put("ahead_1pm", ahead_1pm, "1/m, left positive")
         file.put("ahead_valid", valid.astype(np.uint8))
 
 
-def read(
+def make_labels(
     source: str, raw: DriveReader, motion: Path | None, car: Car, *, look_ahead: bool = True
 ) -> Labels:
     """Return a drive's labels, valid from the car's minimum speed on.
 
-    `raw`, `motion`: the drive's files of stages ingest and motion; `look_ahead`: as of
+    `raw` and `motion` are the drive's files of stages ingest and motion; `look_ahead` is that of
     :func:`measured_motion`. Raises InputError if the drive lacks the source.
     """
-    labels = _read(source, raw, motion, car, look_ahead)
+    labels = _labels_or_none(source, raw, motion, car, look_ahead)
     if labels is None:
-        fix = (
-            "Set labels.source in params.yaml to a source that all drives have, for instance visual"
-        )
-        needed = (load(source).__doc__ or source).splitlines()[0].rstrip(".")
-        raise InputError(f"drive has no labels.source: {source} ({needed})", raw.path, fix)
+        needed = getattr(load_source(source), "NEEDS", source)
+        problem = f"drive has no labels.source: {source} ({needed})"
+        fix = "Set labels.source in params.yaml to a source that all drives have, "
+        fix += "for instance visual"
+        raise InputError(problem, raw.path, fix)
     return labels
 
 
-def recorded(raw: DriveReader, car: Car) -> dict[str, Labels]:
-    """Return the labels of each source that an ingest file has: those that were recorded, not
-    measured.
+def recorded_labels(raw: DriveReader, car: Car) -> dict[str, Labels]:
+    """Return source → labels of all that an ingest file has, of what was recorded, not measured.
 
     The yaw rate is a recorded one, NaN without; not that of a bicycle model.
     """
-    found = {
-        source: _read(source, raw, None, car, True)
-        for source in SOURCES
-        if not load(source).MEASURED
-    }
     rates = recorded_motion(raw)
-    yaw_rate_radps = np.full(len(raw.frame), np.nan) if rates is None else rates[1]
-    return {
-        kind: labels._replace(yaw_rate_radps=yaw_rate_radps)
-        for kind, labels in found.items()
-        if labels
-    }
+    yaw_rate_radps = np.full(len(raw.frame), np.nan)
+    if rates is not None:
+        yaw_rate_radps = rates.yaw_rate_radps
+    recorded = {}
+    for source in SOURCES:
+        if not load_source(source).MEASURED:
+            labels = _labels_or_none(source, raw, None, car, look_ahead=True)
+            if labels:
+                recorded[source] = labels._replace(yaw_rate_radps=yaw_rate_radps)
+    return recorded
 
 
-def _read(
+def _labels_or_none(
     source: str, raw: DriveReader, motion: Path | None, car: Car, look_ahead: bool
 ) -> Labels | None:
     with DriveReader(motion, stage="motion") if motion else nullcontext() as file:
-        labels: Labels | None = load(source).read(raw, file, car, look_ahead=look_ahead)
+        labels: Labels | None = load_source(source).read(raw, file, car, look_ahead=look_ahead)
         return labels
 
 
-def load(source: str) -> Any:
+def load_source(source: str) -> Any:
     """Return the module of a source's file."""
     return importlib.import_module(f"pipeline.labels.sources.{source}")
 
 
-def column(source: str) -> str:
-    """Return how a message names the recorded angle of a source; empty if it follows from yaw rate
-    and speed.
+def angle_column(source: str) -> str:
+    """Return how a message names the recorded angle of a source, or an empty text.
+
+    It is empty if the angle follows from yaw rate and speed.
     """
-    return getattr(load(source), "COLUMN", "")
+    return getattr(load_source(source), "COLUMN", "")

@@ -1,4 +1,4 @@
-"""Errors of depth and classes against ground truth."""
+"""Measure the errors of depth and classes against ground truth."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -10,22 +10,31 @@ from pipeline.camera.camera import Camera
 from pipeline.camera.ground_plane import ground_plane_depth
 from pipeline.ingest.truth import Truth
 
-MIN_DEPTH_M, MAX_DEPTH_M = 1.0, 80.0
+# Least true depth in metres that is scored.
+MIN_DEPTH_M = 1.0
+# Largest true depth in metres that is scored.
+MAX_DEPTH_M = 80.0
+# The errors of the depth of an image, see :func:`depth_errors`.
 DEPTH_ERRORS = ("abs_rel", "rmse_m", "delta1")
+# What is summed over frames: the frames with an error, their errors, and the pixels with a true
+# depth, those with a predicted one first.
+DEPTH_SUMS = ("frames", *DEPTH_ERRORS, "covered", "known")
 # The encoder's depth and the flat-ground baseline, each against dense truth and LiDAR, in Eigen's
 # crop.
 DEPTH_SCORES = ("depth_dense", "depth_lidar", "ground_plane_dense", "ground_plane_lidar")
-# shares of height and width
-EIGEN_ROWS, EIGEN_COLUMNS = (0.3324324, 0.91351351), (0.0359477, 0.96405229)
+# First and last row of Eigen's crop, as shares of the height.
+EIGEN_ROWS = (0.3324324, 0.91351351)
+# First and last column of Eigen's crop, as shares of the width.
+EIGEN_COLUMNS = (0.0359477, 0.96405229)
 
 
 def depth_errors(predicted_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray | None:
-    """Return [abs rel, RMSE in metres, δ1] of an image over pixels with a true depth of 1 to 80 m;
-    None without any.
+    """Return the errors of an image's depth: [abs rel, RMSE in metres, δ1].
 
-    Abs rel is the mean of |d - d*| / d*, δ1 the share of pixels with max(d/d*, d*/d) < 1.25 (Eigen
-    et al. 2014, who also clip the prediction to the range). Both arguments are in metres, [H,W]; 0
-    is unknown, and pixels with a prediction of 0 are not scored.
+    They are over pixels with a true depth of 1 to 80 m; without any, the result is None. Abs rel is
+    the mean of |d - d*| / d*, δ1 the share of pixels with max(d/d*, d*/d) < 1.25 (Eigen et al.
+    2014, who also clip the prediction to the range). Both arguments are in metres, [H,W]; 0 is
+    unknown, and pixels with a prediction of 0 are not scored.
     """
     valid = in_range(truth_m) & (predicted_m > 0)
     if not valid.any():
@@ -38,7 +47,7 @@ def depth_errors(predicted_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray | N
 
 
 def in_range(truth_m: np.ndarray) -> np.ndarray:
-    """Return the mask of true depths that are scored: 1 to 80 m."""
+    """Return which true depths are scored: those of 1 to 80 m."""
     return (truth_m >= MIN_DEPTH_M) & (truth_m <= MAX_DEPTH_M)
 
 
@@ -50,49 +59,53 @@ def eigen_crop(image: np.ndarray) -> np.ndarray:
     instead, with rows from 0.408 to 0.992 of the height: lower, so with more road.
     """
     height, width = image.shape
-    (top, bottom), (left, right) = EIGEN_ROWS, EIGEN_COLUMNS
+    top, bottom = EIGEN_ROWS
+    left, right = EIGEN_COLUMNS
     return image[int(top * height) : int(bottom * height), int(left * width) : int(right * width)]
 
 
 def confusion(predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Return the confusion matrix int64 [19,20]: true class by row, predicted class by column, void
-    last.
+    """Return the confusion matrix int64 [19,20]: true class by row, predicted class by column.
 
-    `predicted` and `truth` hold trainIds, of the same shape. Pixels with void truth do not count.
+    The last column is void. `predicted` and `truth` hold trainIds, of the same shape. Pixels with
+    void truth do not count.
     """
-    known, columns = truth < classes.COUNT, classes.COUNT + 1
-    pairs = truth[known].astype(np.int64) * columns + np.minimum(predicted[known], classes.COUNT)
-    return np.bincount(pairs, minlength=classes.COUNT * columns).reshape(classes.COUNT, columns)
+    columns = classes.COUNT + 1
+    counted = truth < classes.COUNT
+    row = truth[counted].astype(np.int64)
+    column = np.minimum(predicted[counted], classes.COUNT)
+    counts = np.bincount(row * columns + column, minlength=classes.COUNT * columns)
+    return counts.reshape(classes.COUNT, columns)
 
 
 def class_ious(matrix: np.ndarray) -> np.ndarray:
-    """Return the intersection over union of each class [19] of a confusion matrix; NaN if the truth
-    lacks the class.
+    """Return the intersection over union of each class [19] of a confusion matrix.
+
+    It is NaN if the truth lacks the class.
     """
-    union = matrix.sum(axis=0)[: classes.COUNT] + matrix.sum(axis=1) - matrix.diagonal()
+    intersection = matrix.diagonal()
+    predicted = matrix.sum(axis=0)[: classes.COUNT]
+    true = matrix.sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(matrix.sum(axis=1) > 0, matrix.diagonal() / union, np.nan)
+        return np.where(true > 0, intersection / (predicted + true - intersection), np.nan)
 
 
 class Scores:
-    """Sums of depth and class errors over many frames, which can be stored as JSON and added over
-    drives.
+    """Sums of the errors of many frames, which can be stored as JSON and added over drives.
 
     Depth errors are means over images of :func:`depth_errors`; coverage and classes are counted
     over all pixels.
     """
 
     def __init__(self) -> None:
-        # frames, errors, covered, known
-        self.sums = {key: np.zeros(1 + len(DEPTH_ERRORS) + 2) for key in DEPTH_SCORES}
-        self.sums |= {
-            "class_frames": np.zeros(1),
-            "confusion": np.zeros((classes.COUNT, classes.COUNT + 1)),
-        }
+        self.sums = {key: np.zeros(len(DEPTH_SUMS)) for key in DEPTH_SCORES}
+        self.sums["class_frames"] = np.zeros(1)
+        self.sums["confusion"] = np.zeros((classes.COUNT, classes.COUNT + 1))
 
     def add_frame(self, depth_m: np.ndarray, cls: np.ndarray, camera: Camera, truth: Truth) -> None:
-        """Add predicted classes and depth [H,W], 0 = none, and the flat-ground baseline at the
-        pixels with depth.
+        """Add predicted classes and depth [H,W], 0 = none, and the flat-ground baseline.
+
+        The baseline is scored at the pixels with depth.
         """
         if truth.depth_source:
             flat_m = np.where(depth_m > 0, ground_plane_depth(cls, camera), 0)
@@ -106,9 +119,13 @@ class Scores:
         predicted = eigen_crop(predicted_m)
         truth = eigen_crop(truth_m)
         known = in_range(truth)
+        covered = known & (predicted > 0)
+        frames = 1
         errors = depth_errors(predicted, truth)
-        frame = (0, 0, 0, 0) if errors is None else (1, *errors)
-        self.sums[key] += [*frame, (known & (predicted > 0)).sum(), known.sum()]
+        if errors is None:
+            frames = 0
+            errors = np.zeros(len(DEPTH_ERRORS))
+        self.sums[key] += [frames, *errors, covered.sum(), known.sum()]
 
     def add_classes(self, predicted: np.ndarray, truth: np.ndarray) -> None:
         """Add the classes [H,W] of a frame."""
@@ -124,15 +141,17 @@ class Scores:
         """Return DEPTH_SCORES and classes; None without frames with that ground truth."""
         scores: dict[str, Any] = dict.fromkeys([*DEPTH_SCORES, "classes"])
         for key in DEPTH_SCORES:
-            frames, *errors, covered, known = self.sums[key].tolist()
+            sums = dict(zip(DEPTH_SUMS, self.sums[key].tolist(), strict=True))
+            frames = sums["frames"]
             if frames:
-                means = {
-                    name: error / frames for name, error in zip(DEPTH_ERRORS, errors, strict=True)
-                }
-                scores[key] = {"frames": int(frames), **means, "coverage": covered / known}
+                means = {name: sums[name] / frames for name in DEPTH_ERRORS}
+                coverage = sums["covered"] / sums["known"]
+                scores[key] = {"frames": int(frames), **means, "coverage": coverage}
+
         matrix = self.sums["confusion"]
         ious = zip(classes.NAMES, class_ious(matrix).tolist(), strict=True)
-        if present := {name: iou for name, iou in ious if not np.isnan(iou)}:
+        present = {name: iou for name, iou in ious if not np.isnan(iou)}
+        if present:
             scores["classes"] = {
                 "frames": int(self.sums["class_frames"][0]),
                 "mean_iou": float(np.mean([*present.values()])),  # over the classes in the truth

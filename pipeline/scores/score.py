@@ -1,4 +1,4 @@
-"""Score what was perceived and measured of a drive, and of the drives of each split."""
+"""Score the perceived images and the measured motion of a drive, and of the drives of a split."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,7 +20,10 @@ from pipeline.scores.pixels import Scores
 
 
 def score_drive(path: Path, *, ingest: Path, perception: Path, motion: Path, car: Car) -> Summary:
-    """Write the scores of a drive, DRIVE/metrics.json. Return its sums, for :meth:`Scores.add`."""
+    """Write the scores of a drive, DRIVE/metrics.json, and return its sums for :meth:`Scores.add`.
+
+    `ingest`, `perception` and `motion` are the drive's files of these stages.
+    """
     scores = Scores()
     with (
         DriveReader(ingest, stage="ingest") as source,
@@ -28,16 +31,14 @@ def score_drive(path: Path, *, ingest: Path, perception: Path, motion: Path, car
     ):
         camera = read_camera(source)
         for row, number in enumerate(perceived.frame):
-            depth_m, cls = to_metres(perceived.row("depth_m", row)), perceived.row("cls", row)
-            scores.add_frame(
-                depth_m, cls, camera, read_truth(source, camera, source.row_of(number))
-            )
-    of_motion = score_motion([ingest.stem], ingest.parent, motion.parent, car)
-    write_json(path, {**scores.report(), "motion": of_motion})
-    return {
-        "frames": len(perceived.frame),
-        "sums": {key: sums.tolist() for key, sums in scores.sums.items()},
-    }
+            depth_m = to_metres(perceived.row("depth_m", row))
+            cls = perceived.row("cls", row)
+            truth = read_truth(source, camera, source.row_of(number))
+            scores.add_frame(depth_m, cls, camera, truth)
+    motion_scores = score_motion([ingest.stem], ingest.parent, motion.parent, car)
+    write_json(path, {**scores.report(), "motion": motion_scores})
+    sums = {key: values.tolist() for key, values in scores.sums.items()}
+    return {"frames": len(perceived.frame), "sums": sums}
 
 
 def score_splits(
@@ -49,9 +50,9 @@ def score_splits(
 ) -> dict[str, Any]:
     """Return the scores of the validation and test drives; those of training drives are None.
 
-    `splits`: drive → split, of all drives; `summaries`: of :func:`score_drive`, of those that are
-    scored; `ingest` and `motion`: the folders of these stages. Recorded motion is compared on
-    training and validation drives, if any.
+    `splits` is drive → split, of all drives, `summaries` drive → :func:`score_drive`, of those that
+    are scored; `ingest` and `motion` are the folders of these stages. Recorded motion is compared
+    on training and validation drives, if any.
     """
     content: dict[str, Any] = {"motion": {}, "recorded": {}, "train": Scores().report()}
     for split in ("val", "test"):
@@ -64,8 +65,12 @@ def score_splits(
             content["motion"].setdefault(kind, dict.fromkeys(SPLITS))[split] = motion_scores
 
     compared = drives_in(splits, "train", "val") or [*splits]
-    for kind in (name for name in SOURCES if not sources.load(name).MEASURED):
-        pairs = comparison.read(kind, compared, ingest, motion, car)
-        errors, lines = comparison.judge(compare([*pairs.values()]), sources.column(kind))
-        content["recorded"][kind] = {"lines": [*lines, *errors]}
+    for kind in SOURCES:
+        if not sources.load_source(kind).MEASURED:
+            pairs = comparison.read_pairs(kind, compared, ingest, motion, car)
+            agreement = compare([*pairs.values()])
+            fault, lines = comparison.judge(agreement, sources.angle_column(kind))
+            if fault:
+                lines.append(fault)
+            content["recorded"][kind] = {"lines": lines}
     return content

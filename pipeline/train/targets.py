@@ -172,7 +172,9 @@ def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledD
         if (here < 0).any():
             problem = f"no label for frame {file.frame[here < 0][0]} of {graphs}"
             raise InputError(problem, labels, "Make both again: dvc repro")
-        section, driven, measured = truth.params["labels"], label.read(truth).at(here), file.motion
+        section = truth.params["labels"]
+        driven = label.read_labels(truth).at(here)
+        measured = file.motion
         car = label.Car(section["wheelbase_m"], section["min_speed_mps"])
         if entry.motion != "none" and measured and not measured.valid.any() and driven.valid.any():
             fix = f"Remove {name} from ingest.drives, or set motion: none"

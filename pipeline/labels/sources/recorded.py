@@ -1,10 +1,12 @@
-"""The recorded motion of the car: speed and yaw rate of oxts, or of a log."""
+"""Labels from the recorded motion of the car: speed and yaw rate of oxts, or of a log."""
 
 from pipeline.base.store import DriveReader
 from pipeline.labels.by_row import recorded_motion
 from pipeline.labels.label import Car, Labels, steering_labels
 
 MEASURED = False
+# Text of the message about a drive that lacks this source.
+NEEDS = "The recorded motion of the car: speed and yaw rate of oxts, or of a log"
 
 
 def read(
@@ -12,4 +14,6 @@ def read(
 ) -> Labels | None:
     """Return a drive's labels."""
     rates = recorded_motion(raw)
-    return None if rates is None else steering_labels(rates[1], rates[0], car)
+    if rates is None:
+        return None
+    return steering_labels(rates.yaw_rate_radps, rates.speed_mps, car)

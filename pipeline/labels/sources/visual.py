@@ -1,10 +1,12 @@
-"""The motion that stage motion measures in images, by visual odometry."""
+"""Labels from the motion that stage motion measures in images, by visual odometry."""
 
 from pipeline.base.store import DriveReader
 from pipeline.labels.by_row import measured_motion
 from pipeline.labels.label import Car, Labels, steering_labels
 
 MEASURED = True
+# Text of the message about a drive that lacks this source.
+NEEDS = "The motion that stage motion measures in images, by visual odometry"
 
 
 def read(
@@ -13,5 +15,5 @@ def read(
     """Return a drive's labels, unknown where the motion is not measured."""
     if motion is None:
         return None
-    speed_mps, yaw_rate_radps, _ = measured_motion(raw, motion, look_ahead=look_ahead)
-    return steering_labels(yaw_rate_radps, speed_mps, car)
+    rates = measured_motion(raw, motion, look_ahead=look_ahead)
+    return steering_labels(rates.yaw_rate_radps, rates.speed_mps, car)

@@ -1,4 +1,4 @@
-"""The steering label, paths, the path ahead of simulated drives, and means of rates."""
+"""Test the steering label, paths, the path ahead, logs against motion, and means of rates."""
 
 import re
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pipeline.evaluate import turns
 from pipeline.labels import agreement, ahead, comparison, label
 from pipeline.labels.label import Labels
-from pipeline.motion.rates import REACH, YAW_SIGMA_S, gaussian_mean
+from pipeline.motion.rates import REACH, YAW_NOISE_RADPS, YAW_SIGMA_S, gaussian_mean
 
 L = 2.7
 CAR = label.Car(L, 1.0)
@@ -22,57 +22,61 @@ SPEED = st.floats(0.5, 30.0)
 
 @given(radius=st.floats(4, 1e3), speed=SPEED)
 def test_a_left_bend_is_positive_with_the_bicycles_radius_and_in_reverse_too(radius, speed):
-    yaw_rate, speeds = np.array([1, -1, -1]) * speed / radius, np.array([1, 1, -1]) * speed
-    np.testing.assert_allclose(
-        np.tan(label.steering_angle(yaw_rate, speeds, L)), np.array([1, -1, 1]) * L / radius
-    )
+    yaw_rates = np.array([1, -1, -1]) * speed / radius
+    speeds = np.array([1, 1, -1]) * speed
+    tangents = np.tan(label.steering_angle(yaw_rates, speeds, L))
+    np.testing.assert_allclose(tangents, np.array([1, -1, 1]) * L / radius)
 
 
 @given(radius=st.floats(8, 100), speed=SPEED)
 def test_constant_steering_drives_a_circle(radius, speed):
     """After a full circle the car is back; halfway it is 2R to the left of its start."""
     frames = 2001
-    time_s, angle = (
-        np.linspace(0, 2 * np.pi * radius / speed, frames),
-        np.full(frames, np.arctan(L / radius)),
-    )
+    time_s = np.linspace(0, 2 * np.pi * radius / speed, frames)
+    angle = np.full(frames, np.arctan(L / radius))
     xy = turns.path(angle, np.full(frames, speed), time_s, wheelbase_m=L)
     np.testing.assert_allclose(xy[[-1, frames // 2]], [[0, 0], [0, 2 * radius]], atol=1e-4 * radius)
 
 
 def test_measured_angle_repeats_where_motion_is_unusable():
-    yaw_rate, speed = np.array([9.0, 0.3, 9.0, 0.5, -0.2]), np.array([9.0, 6.0, 6.0, 0.4, -3.0])
+    yaw_rate = np.array([9.0, 0.3, 9.0, 0.5, -0.2])
+    speed = np.array([9.0, 6.0, 6.0, 0.4, -3.0])
     angle = label.measured_angle(yaw_rate, speed, np.array([0, 1, 0, 1, 1]), CAR)
-    left, reverse = np.arctan(L * 0.3 / 6), np.arctan(L * 0.2 / 3)
+    left = np.arctan(L * 0.3 / 6)
+    reverse = np.arctan(L * 0.2 / 3)
     assert angle == pytest.approx([np.nan, left, left, left, reverse], nan_ok=True)
 
 
+def circle(distance_m: np.ndarray) -> np.ndarray:
+    return np.full_like(distance_m, 0.02)
+
+
 def drive(
-    speed: Function, curvature: Function = lambda s: np.full_like(s, 0.02), seconds: float = 8.0
+    speed: Function, curvature: Function = circle, seconds: float = 8.0
 ) -> tuple[np.ndarray, Labels, np.ndarray]:
-    """Return times, labels and true distances of a drive with `speed`(t) on a road with
-    `curvature`(distance).
-    """
+    """Return times, labels and distances of a drive with `speed`(t) and `curvature`(distance)."""
     fine_s = np.arange(0, seconds, 1e-4)
     distance = np.cumsum(speed(fine_s)) * 1e-4
     time_s = np.arange(0, seconds - 1e-3, 0.1)
-    at_m, speed_mps = np.interp(time_s, fine_s, distance), speed(time_s)
+    distance_m = np.interp(time_s, fine_s, distance)
+    speed_mps = speed(time_s)
     unused = np.zeros(len(time_s))
-    return time_s, Labels(unused, unused.astype(bool), speed_mps, speed_mps * curvature(at_m)), at_m
+    yaw_rate_radps = speed_mps * curvature(distance_m)
+    return time_s, Labels(unused, unused.astype(bool), speed_mps, yaw_rate_radps), distance_m
 
 
 def compute(
     time_s: np.ndarray, labels: Labels, stand_s: float = 5, frame: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    return ahead.path_ahead(
-        np.arange(len(time_s)) if frame is None else frame, time_s, labels, EDGES_M, stand_s
-    )
+    if frame is None:
+        frame = np.arange(len(time_s))
+    return ahead.path_ahead(frame, time_s, labels, EDGES_M, stand_s)
 
 
 @pytest.mark.parametrize(
     ("speed", "curvature", "integral"),
     [
-        (lambda t: np.full_like(t, 9.3), lambda s: np.full_like(s, 0.02), lambda s: 0.02 * s),
+        (lambda t: np.full_like(t, 9.3), circle, lambda s: 0.02 * s),
         (
             lambda t: 8 + 4 * np.sin(t),
             lambda s: 0.001 * s - 0.03,
@@ -87,35 +91,35 @@ def compute(
     ids=["circle", "clothoid", "S-bend"],
 )
 def test_the_path_ahead_is_the_mean_curvature_of_each_range(speed, curvature, integral):
-    """Until the drive ends; second route: the heading as a function of the distance."""
-    time_s, labels, at_m = drive(speed, curvature)
-    found, valid = compute(time_s, labels)
-    edges = at_m[:, None] + EDGES_M
+    """The path is valid until the drive ends; the heading is known by the distance, too."""
+    time_s, labels, distance_m = drive(speed, curvature)
+    ahead_1pm, valid = compute(time_s, labels)
+    edges = distance_m[:, None] + EDGES_M
     expected = np.diff(integral(edges), axis=1) / np.diff(EDGES_M)
-    np.testing.assert_allclose(found[valid], expected[valid], atol=3e-4)
-    # an edge on the last frame, rounded
-    assert (valid != (edges[:, 1:] <= at_m[-1] + 1e-6)).sum() < len(EDGES_M)
+    np.testing.assert_allclose(ahead_1pm[valid], expected[valid], atol=3e-4)
     assert valid.any()
-    assert not found[~valid].any()
+    assert not ahead_1pm[~valid].any()
+    # The drive may end on an edge, but for rounding.
+    driven = edges[:, 1:] <= distance_m[-1] + 1e-6
+    assert (valid != driven).sum() < len(EDGES_M)
 
 
 def stop(t: np.ndarray) -> np.ndarray:
-    """Brake to a stand from second 3 to 7 and drive on; sensors at standstill have noise of either
-    sign.
-    """
+    """Brake to a stand from second 3 to 7, where sensors have noise of either sign, and go on."""
     speed = np.interp(t, [0, 1, 3, 7, 9], [8.0, 8, 0, 0, 8])
     return np.where((t >= 3) & (t <= 7), 0.1 * np.sin(20 * t), speed)
 
 
 def test_a_stop_on_the_way_neither_turns_nor_moves_the_car_and_a_long_one_is_no_label():
     """Only the ranges that end beyond it are affected, and frames in its last seconds are not."""
-    time_s, labels, at_m = drive(stop, seconds=16)
+    time_s, labels, distance_m = drive(stop, seconds=16)
     labels.yaw_rate_radps[(time_s >= 3) & (time_s <= 7)] = 0.003
     curvature, valid = compute(time_s, labels)
     assert valid[:50].all()
     np.testing.assert_allclose(curvature[valid], 0.02, rtol=0.1)
     _, valid = compute(time_s, labels, stand_s=2.0)
-    beyond = at_m[:, None] + np.array(EDGES_M[1:]) > np.interp(7.0, time_s, at_m)
+    far_edges = distance_m[:, None] + np.array(EDGES_M[1:])
+    beyond = far_edges > np.interp(7.0, time_s, distance_m)
     np.testing.assert_array_equal(valid[time_s < 3], ~beyond[time_s < 3])
     assert not valid[(time_s > 3) & (time_s < 4.8)].any()
     assert valid[(time_s > 5.2) & (time_s < 10)].all()
@@ -125,23 +129,20 @@ def test_a_stop_on_the_way_neither_turns_nor_moves_the_car_and_a_long_one_is_no_
     "change", ["reverses", "yaw rate unknown", "speed unknown", "frame missing"]
 )
 def test_no_path_passes_a_reversing_a_missing_or_an_unmeasured_frame(change):
-    time_s, labels, at_m = drive(lambda t: np.full_like(t, 9.3))
+    time_s, labels, distance_m = drive(lambda t: np.full_like(t, 9.3))
     _, complete = compute(time_s, labels)
-    speed, yaw_rate, frame = (
-        labels.speed_mps.copy(),
-        labels.yaw_rate_radps.copy(),
-        np.arange(len(time_s)),
-    )
+    frame = np.arange(len(time_s))
     if change == "frame missing":
         frame[40:] += 1
     elif change == "yaw rate unknown":
-        yaw_rate[40] = np.nan
+        labels.yaw_rate_radps[40] = np.nan
+    elif change == "speed unknown":
+        labels.speed_mps[40] = np.nan
     else:
-        speed[40] = -1.0 if change == "reverses" else np.nan
-    curvature, valid = compute(
-        time_s, labels._replace(speed_mps=speed, yaw_rate_radps=yaw_rate), frame=frame
-    )
-    np.testing.assert_array_equal(valid[:40], (at_m[:, None] + EDGES_M[1:])[:40] <= at_m[39] + 1e-9)
+        labels.speed_mps[40] = -1.0
+    curvature, valid = compute(time_s, labels, frame=frame)
+    far_edges = distance_m[:40, None] + EDGES_M[1:]
+    np.testing.assert_array_equal(valid[:40], far_edges <= distance_m[39] + 1e-9)
     np.testing.assert_array_equal(valid[41:], complete[41:])
     assert np.isfinite(curvature).all()
 
@@ -149,12 +150,22 @@ def test_no_path_passes_a_reversing_a_missing_or_an_unmeasured_frame(change):
 def course(time_s: np.ndarray, factor: float, speed: float) -> Labels:
     """Return labels on a winding road, angles and yaw rates times `factor`."""
     yaw_rate = factor * (0.25 * np.sin(0.9 * time_s) + 0.15 * np.sin(2.3 * time_s + 1))
-    return Labels(
-        L * yaw_rate / 8, np.full(len(time_s), True), np.full(len(time_s), float(speed)), yaw_rate
-    )
+    valid = np.full(len(time_s), True)
+    return Labels(L * yaw_rate / 8, valid, np.full(len(time_s), float(speed)), yaw_rate)
 
 
-RECORDED = [  # seconds, lag, factor, speed, error, doubt
+def pair(time_s: np.ndarray, recorded: Labels, measured: Labels) -> agreement.Pair:
+    """Return labels to compare, with a yaw rate as exact as images tell it, and an exact speed."""
+    yaw_sigma = np.full(len(time_s), YAW_NOISE_RADPS)
+    noise = agreement.Noise(yaw_sigma, np.zeros(len(time_s)))
+    return agreement.Pair(time_s, recorded, measured, noise)
+
+
+def judge(pairs: list[agreement.Pair], column: str, ratio: float = 1.0) -> tuple[str, list[str]]:
+    return comparison.judge(agreement.compare(pairs), column, ratio)
+
+
+RECORDED = [  # seconds, lag, factor, speed, fault, doubt
     (30, 0, 1, 8, None, None),
     (30, 0.15, 0.88, 10, None, None),  # a camera of another height
     (30, 0.15, 0.75, 10, None, "{} is 0.74"),  # a wrong focal length, or ratio
@@ -174,42 +185,52 @@ RECORDED = [  # seconds, lag, factor, speed, error, doubt
 
 
 @pytest.mark.parametrize("column", ["", "wheel_rad"])
-@pytest.mark.parametrize(("seconds", "lag_s", "factor", "speed", "error", "doubt"), RECORDED)
+@pytest.mark.parametrize(
+    ("seconds", "lag_s", "factor", "speed", "expected_fault", "expected_doubt"), RECORDED
+)
 def test_what_was_recorded_is_compared_with_measured_motion(
-    column, seconds, lag_s, factor, speed, error, doubt
+    column, seconds, lag_s, factor, speed, expected_fault, expected_doubt
 ):
-    """Only a wheel's angle, or only yaw rate and speed; in two parts, of which the first ends with
-    unknown motion.
-    """
-    parts = []
+    """The log has a wheel's angle, or yaw rate and speed; each half ends with unknown motion."""
+    pairs = []
     for time_s in np.split(np.arange(0, seconds, 0.1), 2):
-        measured, recorded = course(time_s, 1, 8), course(time_s - lag_s, factor, speed)
+        measured = course(time_s, 1, 8)
         measured.steering_rad[:] += 0.002 * np.sin(1e4 * time_s)
-        measured.valid[-3:], measured.speed_mps[-3:] = False, np.nan
-        recorded = recorded._replace(yaw_rate_radps=np.nan * time_s) if column else recorded
-        parts.append(agreement.Pair(time_s, recorded, measured))
-    errors, lines = comparison.judge(agreement.compare(parts), column)
+        measured.valid[-3:] = False
+        measured.speed_mps[-3:] = np.nan
+        recorded = course(time_s - lag_s, factor, speed)
+        if column:
+            recorded.yaw_rate_radps[:] = np.nan
+        pairs.append(pair(time_s, recorded, measured))
+
+    fault, (summary, *doubts) = judge(pairs, column)
     name = column or "yaw_rate_radps"
-    assert [error.format(name) in text for text in errors] if error else not errors
-    assert (
-        [doubt.format(name) in text for text in lines[1:]] == [True] if doubt else len(lines) == 1
-    )
-    assert re.search(rf"(angle|yaw rate) gain .*speed gain {speed / 8:.2f}$", lines[0])
+    if expected_fault is None:
+        assert fault == ""
+    else:
+        assert expected_fault.format(name) in fault
+    if expected_doubt is None:
+        assert doubts == []
+    else:
+        assert [expected_doubt.format(name) in text for text in doubts] == [True]
+    assert re.search(rf"(angle|yaw rate) gain .*speed gain {speed / 8:.2f}$", summary)
 
 
 @pytest.mark.parametrize("column", ["", "wheel_rad"])
-def test_a_wrong_sign_of_the_speed_is_an_error_if_angles_follow_from_it(column):
+def test_a_wrong_sign_of_the_speed_is_a_fault_if_angles_follow_from_it(column):
     time_s = np.arange(0, 30, 0.1)
     measured = course(time_s, 1, 8)
-    pair = agreement.Pair(time_s, course(time_s, 1, -8), measured)
-    errors, (_, *doubts) = comparison.judge(agreement.compare([pair]), column)
-    lines = doubts if column else errors
-    assert ["speed_mps is negative in 300 of 300 frames" in line for line in lines] == [True]
-    assert len(errors + doubts) == 1
+    fault, (_, *doubts) = judge([pair(time_s, course(time_s, 1, -8), measured)], column)
+    message = "speed_mps is negative in 300 of 300 frames"
+    if column:
+        assert fault == ""
+        assert [message in doubt for doubt in doubts] == [True]
+    else:
+        assert message in fault
+        assert doubts == []
 
     reverse = measured._replace(speed_mps=np.where(time_s < 3, -8.0, 8.0))
-    pair = agreement.Pair(time_s, measured, reverse)
-    _, (_, doubt) = comparison.judge(agreement.compare([pair]), column)
+    _, (_, doubt) = judge([pair(time_s, measured, reverse)], column)
     assert "30 frames go ahead by speed_mps, but are measured backwards" in doubt
     assert agreement.backwards(measured, reverse).sum() == 30
 
@@ -218,15 +239,10 @@ def test_a_log_that_ends_early_is_not_stuck():
     time_s = np.arange(0, 30, 0.1)
     measured = course(time_s, 1, 8)
     covered = time_s < 20
-    recorded = Labels(
-        np.where(covered, measured.steering_rad, 0.0), covered, measured.speed_mps, np.nan * time_s
-    )
-    assert (
-        comparison.judge(
-            agreement.compare([agreement.Pair(time_s, recorded, measured)]), "wheel_rad"
-        )[1][1:]
-        == []
-    )
+    angle = np.where(covered, measured.steering_rad, 0.0)
+    recorded = Labels(angle, covered, measured.speed_mps, np.nan * time_s)
+    _, (_, *doubts) = judge([pair(time_s, recorded, measured)], "wheel_rad")
+    assert doubts == []
 
 
 WINDING_S = np.arange(0, 60, 0.1)
@@ -248,32 +264,33 @@ FAULTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 def test_a_fault_of_a_log_is_named_by_one_doubt(doubt, change):
     measured = course(WINDING_S, 1, 8)
     recorded = measured._replace(steering_rad=change(measured.steering_rad))
-    errors, (_, *doubts) = comparison.judge(
-        agreement.compare([agreement.Pair(WINDING_S, recorded, measured)]), "wheel_rad", 14.8
-    )
-    assert errors == []
+    fault, (_, *doubts) = judge([pair(WINDING_S, recorded, measured)], "wheel_rad", 14.8)
+    assert fault == ""
     assert [doubt in text for text in doubts] == [True]
 
 
 def test_a_steady_bend_or_no_frame_proves_nothing():
     time_s = np.arange(0, 30, 0.1)
-    steady = Labels(*(np.full(300, value) for value in (0.1, True, 8.0, 0.3)))
-    noisy = steady._replace(yaw_rate_radps=0.3 + 0.01 * np.sin(1e4 * time_s))
-    errors, (line,) = comparison.judge(
-        agreement.compare([agreement.Pair(time_s, steady, noisy)]), ""
+    steady = Labels(
+        steering_rad=np.full(300, 0.1),
+        valid=np.full(300, True),
+        speed_mps=np.full(300, 8.0),
+        yaw_rate_radps=np.full(300, 0.3),
     )
-    assert (errors, "correlation" in line) == ([], False)
-    assert comparison.judge(agreement.compare([]), "") == ([], [])
+    noisy = steady._replace(yaw_rate_radps=0.3 + 0.01 * np.sin(1e4 * time_s))
+    fault, (summary,) = judge([pair(time_s, steady, noisy)], "")
+    assert fault == ""
+    assert "correlation" not in summary
+    assert judge([], "") == ("", [])
 
 
 @given(st.lists(st.floats(0.05, 3.0), min_size=1, max_size=30), st.integers(0, 2**32 - 1))
 def test_yaw_rates_are_gaussian_means(steps_s, seed):
     time_s = np.cumsum(steps_s)
     yaw_rate = np.random.default_rng(seed).normal(0, 0.3, len(time_s))
-    found, _ = gaussian_mean(time_s, yaw_rate, YAW_SIGMA_S)
-    for row, at_s in enumerate(time_s):
+    means, _ = gaussian_mean(time_s, yaw_rate, YAW_SIGMA_S)
+    for mean, at_s in zip(means, time_s, strict=True):
         near = np.abs(time_s - at_s) <= REACH * YAW_SIGMA_S
         weights = np.exp(-(((time_s - at_s)[near] / YAW_SIGMA_S) ** 2) / 2)
-        np.testing.assert_allclose(
-            found[row], np.average(yaw_rate[near], weights=weights), atol=1e-12
-        )
+        expected = np.average(yaw_rate[near], weights=weights)
+        np.testing.assert_allclose(mean, expected, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Errors of depth and classes, and of measured motion."""
+"""Test the scores of depth and classes, and of measured motion."""
 
 import json
 
@@ -18,20 +18,17 @@ from tests.artefacts import write_motion, write_recorded
 
 
 @pytest.mark.parametrize(
-    ("truth", "predicted", "expected"),
+    ("truth", "predicted", "abs_rel", "rmse_m", "delta1"),
     [
-        # out of range
-        (
-            [10, 20, 0, 0.9, 81, 40],
-            [11, 30, 5, 5, 5, 40],
-            [(0.1 + 0.5) / 3, np.sqrt(101 / 3), 2 / 3],
-        ),
-        ([80, 1], [1000, 0.1], [0, 0, 1]),  # clipped
-        ([10, 20, 40], [11, 0, 40], [0.05, np.sqrt(1 / 2), 1]),  # a hole in the prediction
+        # The third to fifth true depth are out of range.
+        ([10, 20, 0, 0.9, 81, 40], [11, 30, 5, 5, 5, 40], 0.6 / 3, np.sqrt(101 / 3), 2 / 3),
+        ([80, 1], [1000, 0.1], 0, 0, 1),  # clipped
+        ([10, 20, 40], [11, 0, 40], 0.05, np.sqrt(1 / 2), 1),  # a hole in the prediction
     ],
 )
-def test_depth_errors_equal_hand_values(truth, predicted, expected):
-    np.testing.assert_allclose(depth_errors(np.array(predicted), np.array(truth, float)), expected)
+def test_depth_errors_equal_hand_values(truth, predicted, abs_rel, rmse_m, delta1):
+    errors = depth_errors(np.array(predicted), np.array(truth, float))
+    np.testing.assert_allclose(errors, [abs_rel, rmse_m, delta1])
 
 
 def test_flat_ground_is_scored_at_the_pixels_of_the_encoder():
@@ -52,11 +49,11 @@ def test_flat_ground_is_scored_at_the_pixels_of_the_encoder():
 
 def test_class_scores_equal_hand_values():
     scores = Scores()
+    # Class 2 is not in the truth, and a predicted void is an error.
     truth = np.array([0, 0, 0, 1, 1, classes.VOID, 18, 18])
-    # void is an error
-    scores.add_classes(np.array([0, 0, 1, 1, 2, 5, 18, classes.VOID], np.uint8), truth)
+    predicted = np.array([0, 0, 1, 1, 2, 5, 18, classes.VOID], np.uint8)
+    scores.add_classes(predicted, truth)
     report = scores.report()["classes"]
-    # 2 is not in the truth
     ious = {classes.NAMES[0]: 2 / 3, classes.NAMES[1]: 1 / 3, classes.NAMES[18]: 1 / 2}
     assert report["iou"] == pytest.approx(ious)
     assert report["mean_iou"] == pytest.approx(1 / 2)
@@ -64,19 +61,20 @@ def test_class_scores_equal_hand_values():
 
 
 def test_scores_add_up_over_drives_through_json():
-    rng, every, total = np.random.default_rng(0), Scores(), Scores()
+    rng = np.random.default_rng(0)
+    of_both = Scores()
+    added = Scores()
     for _ in range(2):
-        part, (depth, truth), (cls, true_cls) = (
-            Scores(),
-            rng.uniform(2, 60, (2, 5, 6)),
-            rng.integers(0, 4, (2, 5, 6)),
-        )
-        for scores in (every, part):
-            scores.add_depth("depth_dense", depth, truth)
+        of_drive = Scores()
+        depth_m, true_depth_m = rng.uniform(2, 60, (2, 5, 6))
+        cls, true_cls = rng.integers(0, 4, (2, 5, 6))
+        for scores in (of_both, of_drive):
+            scores.add_depth("depth_dense", depth_m, true_depth_m)
             scores.add_classes(cls, true_cls)
-        total.add(json.loads(json.dumps({key: sums.tolist() for key, sums in part.sums.items()})))
-    assert total.report()["depth_dense"] == pytest.approx(every.report()["depth_dense"])
-    assert total.report()["classes"] == every.report()["classes"]
+        text = json.dumps({key: sums.tolist() for key, sums in of_drive.sums.items()})
+        added.add(json.loads(text))
+    assert added.report()["depth_dense"] == pytest.approx(of_both.report()["depth_dense"])
+    assert added.report()["classes"] == of_both.report()["classes"]
     assert set(Scores().report().values()) == {None}
 
 
@@ -84,37 +82,47 @@ DRIVE = "2027_03_31_drive_0001"
 FRAMES = 20
 SPEED_MPS = 10.0
 YAW_RATE_RADPS = 0.2
-TRUE_RAD = float(np.arctan(2.7 * YAW_RATE_RADPS / SPEED_MPS))
 L = 2.7
-
-
-CAR = label.Car(L, 1.0)
+CAR = Car(L, 1.0)
+TRUE_RAD = float(np.arctan(L * YAW_RATE_RADPS / SPEED_MPS))
 
 
 def moved(yaw_rate: float, speed: float, measured: list[int]) -> Labels:
     """Return the labels of five frames, of which the last is slow."""
-    rates = yaw_rate * np.array(measured), speed * np.array([1, 1, 1, 1, 0.03]) * measured
-    labels = label.steering_labels(*rates, CAR)
+    yaw_rates = yaw_rate * np.array(measured)
+    speeds = speed * np.array([1, 1, 1, 1, 0.03]) * measured
+    labels = label.steering_labels(yaw_rates, speeds, CAR)
     return labels._replace(valid=labels.valid & np.array(measured, bool))
 
 
 def test_scores_use_measured_frames_above_the_minimum_speed():
-    true, held = np.arctan(L * 0.2 / 6), np.arctan(L * 0.21 / 6.6)
-    scores = score([label_errors(moved(0.21, 6.6, [0, 1, 0, 1, 1]), moved(0.2, 6.0, [1] * 5))])
-    expected = {"drives": 1, "frames": 5, "valid": 2 / 5, "judged": 3, "speed_ratio": 1.1}
-    expected |= dict.fromkeys(("yaw_rmse_degps", "yaw_median_degps"), np.degrees(0.01))
-    # frames 1 to 3: the first is not measured yet, the last too slow
-    expected["nmse"] = (held - true) ** 2 / true**2
+    measured = moved(0.21, 6.6, [0, 1, 0, 1, 1])
+    scores = score([label_errors(measured, moved(0.2, 6.0, [1] * 5))])
+    true_rad = np.arctan(L * 0.2 / 6)
+    measured_rad = np.arctan(L * 0.21 / 6.6)
+    # Frames 1 to 3 are compared: the first is not measured yet, the last is too slow.
+    expected = {
+        "drives": 1,
+        "frames": 5,
+        "valid": 2 / 5,
+        "judged": 3,
+        "speed_ratio": 1.1,
+        "yaw_rmse_degps": np.degrees(0.01),
+        "yaw_median_degps": np.degrees(0.01),
+        "nmse": (measured_rad - true_rad) ** 2 / true_rad**2,
+    }
     assert scores == pytest.approx(expected)
     assert score([]) is None
-    true, unknown = moved(0.2, 6.0, [1] * 5), np.full(5, np.nan)
+
+
+def test_angles_without_speed_and_yaw_rate_have_an_error_of_the_angle_alone():
+    true = moved(0.2, 6.0, [1] * 5)
+    unknown = np.full(5, np.nan)
     wheel = Labels(1.1 * true.steering_rad, true.valid, unknown, unknown)
     scores = score([label_errors(wheel, true)])
-    assert (scores["yaw_rmse_degps"], scores["speed_ratio"], scores["nmse"]) == (
-        None,
-        None,
-        pytest.approx(0.01),
-    )
+    assert scores["yaw_rmse_degps"] is None
+    assert scores["speed_ratio"] is None
+    assert scores["nmse"] == pytest.approx(0.01)
 
 
 @pytest.mark.parametrize("with_oxts", [False, True])
@@ -124,18 +132,19 @@ def test_only_recorded_values_are_a_reference(tmp_path, with_oxts, with_wheel):
     oxts = make_rows(FRAMES, vf=SPEED_MPS, wu=YAW_RATE_RADPS) if with_oxts else None
     angles = dict.fromkeys(range(FRAMES), TRUE_RAD + 0.01) if with_wheel else None
     write_recorded(tmp_path / f"ingest/{DRIVE}.h5", np.arange(FRAMES), oxts, angles)
-    write_motion(
-        tmp_path / "motion", DRIVE, dict.fromkeys(range(FRAMES), (1.1 * SPEED_MPS, YAW_RATE_RADPS))
-    )
-    found = score_motion(
-        [DRIVE], ingest=tmp_path / "ingest", motion=tmp_path / "motion", car=Car(2.7, 1.0)
-    )
+    motion = dict.fromkeys(range(FRAMES), (1.1 * SPEED_MPS, YAW_RATE_RADPS))
+    write_motion(tmp_path / "motion", DRIVE, motion)
+
+    scores = score_motion([DRIVE], tmp_path / "ingest", tmp_path / "motion", CAR)
     compared = {"visual": with_oxts, "visual-wheel": with_wheel, "wheel": with_oxts and with_wheel}
-    assert set(found) == {kind for kind, expected in compared.items() if expected}
-    for kind, result in found.items():
-        assert result["judged"] == FRAMES
-        # a wheel has neither speed nor yaw rate, whatever its labels borrow
-        with_rates = kind == "visual"
-        assert result["speed_ratio"] == (pytest.approx(1.1) if with_rates else None), kind
-        assert (result["yaw_rmse_degps"] is None) == (not with_rates), kind
-        assert 0 < result["nmse"] < 0.1
+    assert set(scores) == {kind for kind, expected in compared.items() if expected}
+    for kind, values in scores.items():
+        assert values["judged"] == FRAMES
+        assert 0 < values["nmse"] < 0.1
+        # A wheel has neither speed nor yaw rate, whatever its labels borrow.
+        if kind == "visual":
+            assert values["speed_ratio"] == pytest.approx(1.1)
+            assert values["yaw_rmse_degps"] is not None
+        else:
+            assert values["speed_ratio"] is None, kind
+            assert values["yaw_rmse_degps"] is None, kind

@@ -1,8 +1,9 @@
-"""Predict depth and classes of images with the encoder of a folder: a network, or precomputed
-files.
+"""Predict depth and classes of images by the encoder of a folder.
+
+An encoder is a network, or precomputed files.
 """
 
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import closing
 from functools import lru_cache, partial
 from pathlib import Path
@@ -27,19 +28,31 @@ from pipeline.encoder.encoder_file import FILE, load
 from pipeline.perception.reach import limit_traffic_depth
 from pipeline.perception.settings import Perception
 
-GPU_BATCH = 32  # images per pass at least; a CPU runs them one by one
+# Least number of images in a pass on a GPU. A CPU takes them one by one.
+GPU_BATCH = 32
+# Factor beyond which the depth of files must be in another unit, which is wrong by 2 or more.
+FILES_UNIT_ERROR = 1.8
+# Factor beyond which the depth of a network must be in another unit. If it was fitted to images of
+# one camera, it takes the camera of a lorry, twice as high, for that one.
+NETWORK_UNIT_ERROR = 3.5
 
 
 class EncoderInput(NamedTuple):
-    """B frames of a drive."""
+    """A batch of B frames of a drive."""
 
     drive: str
-    frame: Sequence[int] | np.ndarray  # KITTI frame numbers [B]
+    frame: np.ndarray  # KITTI frame numbers [B]
     images: np.ndarray  # RGB uint8 [B,H,W,3]
     camera: Camera
 
 
-Perceived = tuple[np.ndarray, np.ndarray]  # depth float32 [B,H,W] in metres, trainIds uint8 [B,H,W]
+class Perceived(NamedTuple):
+    """Depth and classes of a batch of B images."""
+
+    depth_m: np.ndarray  # float32 [B,H,W] in metres
+    cls: np.ndarray  # trainIds uint8 [B,H,W]
+
+
 Predict = Callable[[EncoderInput], Perceived]
 
 
@@ -47,98 +60,114 @@ class OpenEncoder(NamedTuple):
     """The encoder of a folder."""
 
     predict: Predict
-    datasets: list[str] | None  # of its fit; None: unknown
-    # Factor beyond which depth must be in other units, infinite for random weights. A network of
-    # images of one camera takes a lorry's camera, twice as high, for that one. A wrong unit of
-    # files is wrong by 2 or more.
-    unit_error: float
+    datasets: list[str] | None  # to which it was fitted; None where they are unknown
+    unit_error: float  # factor beyond which depth must be in another unit; random weights: infinite
 
 
 def open_encoder(folder: Path, precision: str) -> OpenEncoder:
-    """Open an encoder's folder; `precision` as in section perception. Raises InputError if it
-    cannot be read.
+    """Open an encoder's folder; `precision` is that of section perception.
+
+    Raises InputError if it cannot be read.
     """
-    return _open(folder, file_hash(folder / FILE), precision)
+    return _open_file(folder, file_hash(folder / FILE), precision)
 
 
 def warnings(folder: Path, precision: str, ingest: Iterable[Path]) -> Iterator[str]:
-    """Yield a warning if an encoder was fitted to the sample alone, and a drive's ingest file is of
-    another.
+    """Yield a warning if an encoder of the sample alone is used for a drive of another dataset.
+
+    `ingest` holds the drives' files of that stage.
     """
-    for path in ingest if open_encoder(folder, precision).datasets == ["sample"] else ():
+    if open_encoder(folder, precision).datasets != ["sample"]:
+        return
+    for path in ingest:
         with DriveReader(path, stage="ingest") as file:
             if file.params.get("dataset", "sample") != "sample":
-                fix = (
-                    "Use the encoder of make street, weights/street, and ingest.image_size: [192, "
-                    "640]"
-                )
-                yield (
-                    f"{folder} was fitted to rendered streets alone: wrong depth on {file.drive}. "
-                    f"{fix}"
-                )
+                fix = "Use the encoder of make street, weights/street, "
+                fix += "and ingest.image_size: [192, 640]"
+                problem = f"{folder} was fitted to rendered streets alone"
+                yield f"{problem}: wrong depth on {file.drive}. {fix}"
                 return
 
 
-@lru_cache(maxsize=1)  # one for all drives of a process; a worker of a cluster outlives the file
-def _open(folder: Path, _: str, precision: str) -> OpenEncoder:
+# One encoder is kept for all drives of a process. A worker of a cluster outlives the file, hence
+# the hash.
+@lru_cache(maxsize=1)
+def _open_file(folder: Path, sha256: str, precision: str) -> OpenEncoder:
     with error_context(fix="Make it again: dvc repro --force --single-item encoder"):
         architecture, network = load(folder / FILE)
     datasets = architecture.get("datasets")
     if architecture["backbone"] == "precomputed":
         files = in_checkout(Path(architecture["folder"]))
-        return OpenEncoder(partial(_read_precomputed, files), datasets, 1.8)
-    random = not datasets and architecture["backbone"] in ("small", "hugging_face")
-    predict: Predict = lambda batch: perceive(network, batch.images, batch.camera, precision)  # noqa: E731
-    return OpenEncoder(predict, datasets, np.inf if random else 3.5)
+        return OpenEncoder(partial(_read_precomputed, files), datasets, FILES_UNIT_ERROR)
+
+    def predict(batch: EncoderInput) -> Perceived:
+        return perceive(network, batch.images, batch.camera, precision)
+
+    unit_error = NETWORK_UNIT_ERROR
+    if not datasets and architecture["backbone"] in ("small", "hugging_face"):
+        unit_error = np.inf
+    return OpenEncoder(predict, datasets, unit_error)
 
 
 def _read_precomputed(folder: Path, batch: EncoderInput) -> Perceived:
-    frames = [
-        precomputed.read(folder, batch.drive, int(frame), batch.camera.size)
-        for frame in batch.frame
-    ]
-    return np.stack([depth for depth, _ in frames]), np.stack([cls for _, cls in frames])
+    depths_m = []
+    class_maps = []
+    for frame in batch.frame.tolist():
+        depth_m, cls = precomputed.read(folder, batch.drive, frame, batch.camera.size)
+        depths_m.append(depth_m)
+        class_maps.append(cls)
+    return Perceived(np.stack(depths_m), np.stack(class_maps))
 
 
 def perceive(
     model: nn.Module, images: np.ndarray, camera: Camera, precision: str = "float32"
 ) -> Perceived:
-    """Return depth float32 [B,H,W] in metres and trainIds uint8 [B,H,W] of RGB images uint8
-    [B,H,W,3].
+    """Return depth and classes of RGB images uint8 [B,H,W,3].
 
     With `precision` auto products are in bfloat16 on a GPU that has it, otherwise in the weights'
     precision. On a CPU, images run one by one: an image's last bits depend on the batch size, and
     steer predict has one at a time.
     """
     device = next(model.parameters()).device
-    tensors, at_once = [torch.from_numpy(images), torch.from_numpy(camera.K)], 1
+    pixels = torch.from_numpy(images)
+    intrinsics = torch.from_numpy(camera.K)
+    at_once = 1
     if device.type != "cpu":
-        tensors, at_once = [tensor.pin_memory() for tensor in tensors], len(images)
-    torch.backends.cudnn.allow_tf32 = precision == "auto"
+        pixels = pixels.pin_memory()
+        intrinsics = intrinsics.pin_memory()
+        at_once = len(images)
+
+    auto = precision == "auto"
+    torch.backends.cudnn.allow_tf32 = auto
     native = device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
-    half = torch.autocast(device.type, torch.bfloat16, enabled=precision == "auto" and native)
+    half = torch.autocast(device.type, torch.bfloat16, enabled=auto and native)
     with torch.no_grad(), half:  # BEiT keeps tensors, which a fit uses again
-        pixels, intrinsics = (tensor.to(device, non_blocking=True) for tensor in tensors)
-        parts = torch.split(pixels.permute(0, 3, 1, 2), at_once)
-        outputs = [model(part, intrinsics.expand(len(part), 3, 3)) for part in parts]
-        depth = torch.cat([depth.float() for depth, _ in outputs])
-        cls = torch.cat([logits.argmax(dim=1) for _, logits in outputs])
-        # some networks have logits of void, last
+        pixels = pixels.to(device, non_blocking=True)
+        intrinsics = intrinsics.to(device, non_blocking=True)
+        depths = []
+        class_maps = []
+        for batch in torch.split(pixels.permute(0, 3, 1, 2), at_once):
+            depth, logits = model(batch, intrinsics.expand(len(batch), 3, 3))
+            depths.append(depth.float())
+            class_maps.append(logits.argmax(dim=1))
+        cls = torch.cat(class_maps)
+        # Some networks have logits of void, last.
         cls.masked_fill_(cls == classes.COUNT, classes.VOID)
-        return depth.cpu().numpy(), cls.to(torch.uint8).cpu().numpy()
+        return Perceived(torch.cat(depths).cpu().numpy(), cls.to(torch.uint8).cpu().numpy())
 
 
 def passes(predict: Predict, batches: Generator[EncoderInput]) -> Generator[Perceived]:
-    """Yield ``predict(batch)`` of each batch, in order, with equal bytes for any number of cores.
-    Closes `batches`.
+    """Yield ``predict(batch)`` of each batch, in order; close `batches` at the end.
 
-    Splitting a sum among threads changes its last bits. So each forward pass on a CPU uses one
-    thread, and several passes run side by side; a GPU runs one pass at a time.
+    The bytes are equal for any number of cores. Splitting a sum among threads would change its last
+    bits, so each forward pass on a CPU uses one thread, and several passes run side by side. A GPU
+    runs one pass at a time.
     """
     threads = torch.get_num_threads()
     use_one_thread = partial(torch.set_num_threads, 1)
-    # STEER_WORKERS limits memory
-    workers = 1 if torch.cuda.is_available() else min(threads, default_workers())
+    workers = 1
+    if not torch.cuda.is_available():
+        workers = min(threads, default_workers())  # STEER_WORKERS limits memory
     use_one_thread()
     try:
         with (
@@ -156,44 +185,47 @@ def perceive_drive(
     encoder: Path,
     settings: Perception,
     *,
-    advance: Callable[[int], object] = lambda frames: None,
+    advance: Callable[[int], object] | None = None,
 ) -> Summary:
-    """Write depth and classes of each image of a drive, ``data/perception/<drive>.h5``, by an
-    encoder's folder.
+    """Write depth and classes of each image of a drive, by an encoder's folder.
 
-    `advance` is called with the number of frames that are done since the last call.
+    `path` is ``data/perception/<drive>.h5``. `advance` is called with the number of frames that are
+    done since the last call.
     """
     opened = open_encoder(encoder, settings.precision)
-    sections = {
-        "encoder": {"sha256": file_hash(encoder / FILE)},
-        "perception": settings.model_dump(),
-    }
-    with (
-        DriveReader(ingest, stage="ingest") as source,
-        DriveWriter(
-            path, stage="perception", drive=source.drive, params=source.params | sections
-        ) as file,
-    ):
-        camera, with_image = read_camera(source), np.flatnonzero(source["has_image"])
-        file.attrs["unit_error"] = opened.unit_error if camera.height_known else np.inf
-        file.put("frame", source.frame[with_image])
-        file.put("time_s", source.time_s[with_image], "s")
-        file.append(
-            "depth_m", np.zeros((0, *camera.size), np.uint16), f"1/{DEPTH_UNITS_PER_M} m, 0 = none"
-        )
-        file.append("cls", np.zeros((0, *camera.size), np.uint8), "Cityscapes trainId")
-        size = max(settings.batch, GPU_BATCH) if torch.cuda.is_available() else settings.batch
-        batches = read_batches(source, camera, with_image, size)
-        # One thread reads, others run the network, this one caps the depth of traffic and writes.
-        with closing(passes(opened.predict, batches)) as results:
-            for depth, cls in results:
-                if settings.reach:
-                    for depth_m, trainids in zip(depth, cls, strict=True):
-                        limit_traffic_depth(depth_m, trainids, camera, settings.reach)
-                file.append("depth_m", to_units(np.where(cls == classes.SKY, 0, depth)))
-                file.append("cls", cls)
-                advance(len(cls))
-    return {"frames": len(with_image)}
+    with DriveReader(ingest, stage="ingest") as source:
+        params = source.params | {
+            "encoder": {"sha256": file_hash(encoder / FILE)},
+            "perception": settings.model_dump(),
+        }
+        camera = read_camera(source)
+        rows = np.flatnonzero(source["has_image"])
+        batch_size = settings.batch
+        if torch.cuda.is_available():
+            batch_size = max(settings.batch, GPU_BATCH)
+        batches = read_batches(source, camera, rows, batch_size)
+        with DriveWriter(path, stage="perception", drive=source.drive, params=params) as file:
+            file.attrs["unit_error"] = opened.unit_error if camera.height_known else np.inf
+            file.put("frame", source.frame[rows])
+            file.put("time_s", source.time_s[rows], "s")
+            units = np.empty((0, *camera.size), np.uint16)
+            file.append("depth_m", units, f"1/{DEPTH_UNITS_PER_M} m, 0 = none")
+            file.append("cls", np.empty((0, *camera.size), np.uint8), "Cityscapes trainId")
+
+            # One thread reads, others run the network, this one caps the depth of traffic and
+            # writes.
+            with closing(passes(opened.predict, batches)) as results:
+                for depth_m, cls in results:
+                    if settings.reach:
+                        for depth_of_image, cls_of_image in zip(depth_m, cls, strict=True):
+                            limit_traffic_depth(
+                                depth_of_image, cls_of_image, camera, settings.reach
+                            )
+                    file.append("depth_m", to_units(np.where(cls == classes.SKY, 0, depth_m)))
+                    file.append("cls", cls)
+                    if advance:
+                        advance(len(cls))
+    return {"frames": len(rows)}
 
 
 def read_batches(

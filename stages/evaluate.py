@@ -35,11 +35,11 @@ def main(
     settings = load(Evaluate, params)
     train = data / "train" / name
     out = data / "evaluate" / name
-    first = trained.load(train)
+    first = trained.load_model(train)
     with stage_folder(
         f"evaluate@{name}", out, params=params, chosen=first.entry.networks
     ) as folder:
-        models = {run.seed: trained.load(run.folder) for run in runs.runs(train, first.seeds)}
+        models = {run.seed: trained.load_model(run.folder) for run in runs.runs(train, first.seeds)}
         cases = predict_cases(models, data / "graphs" / first.entry.input, data / "labels")
         result = evaluate_model(name, first, cases, settings)
         for seed in result["untrained"]:

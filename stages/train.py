@@ -11,10 +11,10 @@ from pipeline.base.outputs import stage_folder
 from pipeline.base.params import SPLITS, load, load_entry
 from pipeline.train import runs
 from pipeline.train.entry import Entry
-from pipeline.train.fit_model import fit_model
+from pipeline.train.fit_model import Model, fit_model
 from pipeline.train.loss import Scale
 from pipeline.train.settings import Train
-from pipeline.train.targets import check, rate_doubt, read_drive
+from pipeline.train.targets import check_drives, rate_doubt, read_drive
 
 ModelName = Annotated[
     str, typer.Argument(metavar="MODEL", help="an entry of models in the params file")
@@ -41,7 +41,7 @@ def main(
         splits = store.read_index(graphs, stage="graphs")
         where = f"{params}: models.{name}"
         with error_context(where=where):
-            runs.check(splits, entry.scene)
+            runs.check_splits(splits, entry.scene)
 
         drives = {}
         for split in SPLITS:
@@ -52,7 +52,7 @@ def main(
         for split in SPLITS:
             members = [drives[drive] for drive in store.drives_in(splits, split)]
             if members:
-                check(members, entry.window)
+                check_drives(members, entry.window)
         train_drives = store.drives_in(splits, "train")
         Scale.from_drives([drives[drive] for drive in train_drives])
         doubt = rate_doubt(drives, train_drives)
@@ -65,7 +65,8 @@ def main(
             )
 
         todo = runs.runs(folder.new, settings.seeds)
-        states = fit_model(todo, name, where, entry, settings, splits, drives, folder)
+        model = Model(name, where, entry, settings, splits, drives)
+        states = fit_model(model, todo, folder)
         folder.used.update(states)
         # Fitted networks of all code and settings stay: they are small, and costly to make.
         folder.used.update(folder.kept.glob("*.pt"))

@@ -15,7 +15,7 @@ from pipeline.base.resume import ROOT
 from pipeline.encoder.encoder_file import FILE
 from pipeline.ingest.settings import RecordingOptions
 from pipeline.labels.label import Car
-from pipeline.train.trained import load
+from pipeline.train.trained import load_model
 from steer import measure as measuring
 from steer import predict as predicting
 from steer.chain import open_source
@@ -70,7 +70,7 @@ def predict(
     """
     known = from_python(RecordingOptions, options)
     target, folder = _free(out), _network(here_or_in_checkout(Path(model)))
-    trained = load(folder)
+    trained = load_model(folder)
     opened = open_source(_paths(source), predicting.reading(trained), known, trained.fps)
     if (height_m := trained.settings.get("camera_height_m")) and not opened.camera.height_known:
         opened = opened.at_height(height_m)

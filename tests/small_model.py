@@ -1,9 +1,7 @@
-"""A small model on small graphs: its params.yaml, and the stages train and evaluate; and a network
-of a user.
-"""
+"""A small model on small graphs: its params.yaml, stages train and evaluate, a user's network."""
 
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import pytest
 import yaml
@@ -24,12 +22,22 @@ SPLITS = {
     "2026_01_02_drive_0001": "val",
     "2026_01_03_drive_0001": "test",
 }
-TEST, EDGES_M = "2026_01_03_drive_0001", [0, 5, 10, 20]
+TEST = "2026_01_03_drive_0001"
+# Edges of the ranges of the path ahead.
+EDGES_M = [0, 5, 10, 20]
+# Options of the spatial networks that do not have the layers of a graph network.
+OPTIONS: dict[str, dict[str, object]] = {
+    "cnn": {},
+    "pointnet2": {"semantics": 1.0},
+    "polar": {},
+    "users": {},
+}
 
 
 class UsersNetwork(nn.Sequential):
     def forward(self, batch: GraphBatch) -> Tensor:
-        return super().forward(mean_max_pool(node_features(batch.xyz, batch.cls, 1.0), batch.ptr))
+        points = node_features(batch.xyz, batch.cls, 1.0)
+        return super().forward(mean_max_pool(points, batch.ptr))
 
 
 class UsersOptions(NetworkOptions):
@@ -45,16 +53,17 @@ class UsersOptions(NetworkOptions):
 def add_users_network(patch: pytest.MonkeyPatch) -> None:
     """Add `spatial: users`, as a file users.py would."""
     load_options = options.load_options
-    patch.setattr(
-        options,
-        "load_options",
-        lambda part, name: UsersOptions if name == "users" else load_options(part, name),
-    )
+
+    def load(part: Any, name: str) -> type[NetworkOptions]:
+        return UsersOptions if name == "users" else load_options(part, name)
+
+    patch.setattr(options, "load_options", load)
 
 
 def write_params(folder: Path, model: dict[str, object] | None = None, **settings: object) -> None:
-    """Write params.yaml with the model `net`, whose entry is changed by `model`, and section train
-    by `settings`.
+    """Write params.yaml with the model `net`.
+
+    `model` changes its entry, `settings` section train.
     """
     content = yaml.safe_load(PARAMS.read_text())
     entry = {
@@ -66,10 +75,8 @@ def write_params(folder: Path, model: dict[str, object] | None = None, **setting
         "equivariant": True,
     }
     entry |= model or {}
-    options = {"cnn": {}, "pointnet2": {"semantics": 1.0}, "polar": {}, "users": {}}.get(
-        str(entry["spatial"]), {"layers": [16, 16], "semantics": 1.0}
-    )
-    content["models"] = {"net": options | entry}
+    layers = {"layers": [16, 16], "semantics": 1.0}
+    content["models"] = {"net": OPTIONS.get(str(entry["spatial"]), layers) | entry}
     content["train"] |= {"epochs": 3, "learning_rate": 0.01, **settings}
     (folder / "params.yaml").write_text(yaml.safe_dump(content))
 

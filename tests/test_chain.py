@@ -152,7 +152,7 @@ def test_every_stage_runs_once_in_order_and_the_table_has_its_numbers(chain):
 def test_the_python_lines_of_the_readme_give_the_numbers_of_evaluate(chain, monkeypatch):
     monkeypatch.chdir(chain)
     drive, names = "2026_01_03_drive_0001", dict[str, Any]()
-    snippet = code_block("trained.load(").removeprefix("python\n")
+    snippet = code_block("trained.load_model(").removeprefix("python\n")
     assert len([line for line in snippet.splitlines() if line]) <= 6
     exec(re.sub(r"\d{4}_\d\d_\d\d_drive_\d{4}", drive, snippet), names)
     table = pd.read_csv(f"data/evaluate/{MODEL}/predictions.csv")

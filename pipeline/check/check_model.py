@@ -34,5 +34,5 @@ def check_model(entry: Entry, settings: Params) -> None:
 
     if variant.source == "clouds/lidar" and not settings.ingest.lidar:
         raise InputError(f"input = {entry.input!r} needs scans, but ingest.lidar is false")
-    runs.check(settings.ingest.drives.splits(), entry.scene)
+    runs.check_splits(settings.ingest.drives.splits(), entry.scene)
     entry.build(variant.kind, len(variant.levels), settings.ingest.image_size, outputs)

@@ -8,6 +8,7 @@ from models.steering.core import options, steering_net
 from pipeline.base.errors import InputError, closest
 from pipeline.base.params import Rate, Section, parse
 
+# Kind of frames → its name in messages.
 FRAMES = {
     "graph": "kNN graphs",
     "pointnet2": "points with neighbourhood: pointnet2",
@@ -26,28 +27,35 @@ class Entry(Section):
     input: str
     spatial: str
     temporal: str
-    window: Annotated[int, Field(ge=1, le=256)] = 8  # frames per prediction
-    equivariant: bool = False  # the output is odd under left-right mirroring
-    learning_rate: Rate | None = None  # overrides train.learning_rate
-    # per rad; weight exp(alpha |steering|) of eq. 9
+    # Number of frames in a window.
+    window: Annotated[int, Field(ge=1, le=256)] = 8
+    # Whether the output is odd under left-right mirroring.
+    equivariant: bool = False
+    # Overrides train.learning_rate.
+    learning_rate: Rate | None = None
+    # Exponent per rad of the weight exp(alpha |steering|), eq. 9.
     alpha: Annotated[float, Field(ge=0, le=100)] = 0.0
-    features: Annotated[int, Field(ge=1, le=1024)] = 32  # per frame, between the two networks
-    # path: mean curvature of the path ahead in the ranges of labels.ahead_m
+    # Number of features per frame, between the two networks.
+    features: Annotated[int, Field(ge=1, le=1024)] = 32
+    # path: the mean curvature of the path ahead in the ranges of labels.ahead_m.
     predict: Literal["angle", "path"] = "angle"
-    # frames between the last input frame and the predicted angle
+    # Frames between the last input frame and the predicted angle.
     horizon: Annotated[int, Field(ge=0, le=10_000)] = 0
-    motion: Literal["none", "visual"] = "none"  # visual: measured motion is an input, too
-    # What the output is added to: the last frame's measured angle, for a path its regression on it,
-    # or 0.
+    # visual: measured motion is an input, too.
+    motion: Literal["none", "visual"] = "none"
+    # motion: the output is added to the last frame's measured angle, for a path to its regression
+    # on it; none: it is added to 0.
     base: Literal["motion", "none"] = "motion"
-    # another: a control with the scene of another drive of the split
+    # another: a control that gets the scene of another drive of the split.
     scene: Literal["same", "another"] = "same"
 
     @model_validator(mode="after")
-    def _check(self) -> Self:
-        for key in ("horizon", "alpha") if self.predict == "path" else ():
-            if value := getattr(self, key):
-                raise ValueError(f"predict: path has no {key} (got {value}): remove {key}")
+    def _check_path(self) -> Self:
+        if self.predict == "path":
+            for key in ("horizon", "alpha"):
+                value = getattr(self, key)
+                if value:
+                    raise ValueError(f"predict: path has no {key} (got {value}): remove {key}")
         return self
 
     @model_validator(mode="before")
@@ -56,27 +64,21 @@ class Entry(Section):
         """Add the defaults of the networks' options. Raises ValueError for a wrong key or value."""
         if not isinstance(value, dict) or not {"spatial", "temporal"} <= value.keys():
             return value
-        networks = (
-            options.load_options("spatial", value["spatial"]),
-            options.load_options("temporal", value["temporal"]),
-        )
-        fields = {
-            name: field for network in networks for name, field in network.model_fields.items()
-        }
-        known, where = (
-            [*cls.model_fields, *fields],
-            f"spatial = {value['spatial']}, temporal = {value['temporal']}",
-        )
-        for key in value.keys() - known:
-            raise ValueError(f"unknown key {key!r} for {where}: {closest(str(key), known)}")
+        spatial = options.load_options("spatial", value["spatial"])
+        temporal = options.load_options("temporal", value["temporal"])
+        fields = spatial.model_fields | temporal.model_fields
+        keys = [*cls.model_fields, *fields]
+        for key in value.keys() - keys:
+            where = f"spatial = {value['spatial']}, temporal = {value['temporal']}"
+            raise ValueError(f"unknown key {key!r} for {where}: {closest(str(key), keys)}")
         for name, field in fields.items():
             if field.is_required() and name not in value:
                 raise ValueError(f"{name} is missing: {field.description}")
+
         complete = dict(value)
-        for network in networks:
-            complete |= parse(
-                network, {key: value[key] for key in network.model_fields if key in value}
-            ).model_dump()
+        for network in (spatial, temporal):
+            given = {key: value[key] for key in network.model_fields if key in value}
+            complete |= parse(network, given).model_dump()
         return complete
 
     @property
@@ -104,23 +106,25 @@ class Entry(Section):
         """Build the network with new weights from torch's random state.
 
         `kind`, `levels` and `image_size` describe the frames of the entry's input, see
-        graph_file.Contents; `outputs`: R ranges of a path. Raises InputError if the network reads
-        another kind or an option is out of range.
+        graph_file.Contents; `outputs` is the number R of ranges of a path. Raises InputError if the
+        network reads another kind or an option is out of range.
         """
-        spatial, temporal = (
-            network.model_validate({name: getattr(self, name) for name in network.model_fields})
-            for network in (
-                options.load_options("spatial", self.spatial),
-                options.load_options("temporal", self.temporal),
-            )
-        )
+        spatial = self._network_options("spatial", self.spatial)
+        temporal = self._network_options("temporal", self.temporal)
         if spatial.kind != kind:
             expects = f"spatial = {self.spatial!r} expects {FRAMES[str(spatial.kind)]}"
             raise InputError(f"{expects}, but input: {self.input} holds {FRAMES[kind]}")
-        sizes, motion = (
-            options.Sizes(self.features, levels, image_size or (0, 0), outputs),
-            self.motion != "none",
-        )
         return steering_net.SteeringNet(
-            spatial, temporal, sizes, equivariant=self.equivariant, motion=motion
+            spatial,
+            temporal,
+            options.Sizes(self.features, levels, image_size or (0, 0), outputs),
+            equivariant=self.equivariant,
+            motion=self.motion != "none",
         )
+
+    def _network_options(
+        self, part: Literal["spatial", "temporal"], name: str
+    ) -> options.NetworkOptions:
+        """Return the options of one of the two networks."""
+        network = options.load_options(part, name)
+        return network.model_validate({key: getattr(self, key) for key in network.model_fields})

@@ -22,40 +22,42 @@ from pipeline.train.loss import Scale, mean_nmse, step_targets, weighted_loss
 from pipeline.train.settings import Train
 from pipeline.train.targets import LabelledDrive
 
-# kind and modules of a resumable training
-STATE, PARTS = "state of training", ("net", "average", "optimiser")
-WARM_UP = 0.05  # share of the steps
-SMOOTHING = 3  # epochs
+# Kind of the checkpoint of a training that can be resumed.
+STATE = "state of training"
+# Parts of a training that have a state of their own.
+PARTS = ("net", "average", "optimiser")
+# Share of the steps in which the learning rate rises.
+WARM_UP = 0.05
+# Number of epochs whose mean validation error selects one.
+SMOOTHING = 3
 # Share of the spans whose motion is hidden from a network that predicts ahead. Motion alone is a
 # good first guess: a network that always has it learns to use the scene late or never.
 MOTION_DROPOUT = 0.5
 
 
 def selected_epoch(curve: Sequence[Mapping[str, float]]) -> int:
-    """Return the number of the epoch of a learning curve whose weights are kept; the last one
-    without validation.
+    """Return the number of the epoch of a learning curve whose weights are kept.
 
     It has the lowest mean of the errors of this epoch and the two before, since one epoch's error
-    is noisy.
+    is noisy. Without validation it is the last one.
     """
     errors = [row["val_nmse"] for row in curve]
-    means = {
-        end: np.mean(errors[max(0, end - SMOOTHING) : end]) for end in range(1, len(errors) + 1)
-    }
-    return min(
-        (end for end in means if np.isfinite(means[end])),
-        key=means.__getitem__,
-        default=len(errors),
-    )
+    selected = len(errors)
+    least = math.inf
+    for epoch in range(1, len(errors) + 1):
+        mean = float(np.mean(errors[max(0, epoch - SMOOTHING) : epoch]))
+        if mean < least:
+            selected = epoch
+            least = mean
+    return selected
 
 
 @dataclass
 class Fit:
-    """One training run: a network, the moving average of its weights, an optimiser, and the
-    learning curve.
+    """One training run: a network, the average of its weights, an optimiser, and a learning curve.
 
-    The average, with the network's buffers, is validated and selected: single steps fluctuate at a
-    high learning rate.
+    The moving average, with the network's buffers, is validated and selected: single steps
+    fluctuate at a high learning rate.
     """
 
     net: SteeringNet
@@ -68,24 +70,25 @@ class Fit:
 
     def __post_init__(self) -> None:
         self.scale = Scale.from_drives(self.train)
-        device, dtype = self.net.device, next(self.net.parameters()).dtype
-        self._gain, self._std = (
-            torch.from_numpy(v).to(device, dtype) for v in (self.scale.gain, self.scale.std)
-        )
-        # the frames of a single step are too few
+        dtype = next(self.net.parameters()).dtype
+        self._gain = torch.from_numpy(self.scale.gain).to(self.net.device, dtype)
+        self._std = torch.from_numpy(self.scale.std).to(self.net.device, dtype)
+
+        # Statistics of features are averaged, too: the frames of a single step are too few.
         self.net.scale.momentum = min(0.1, 1 - self.settings.average)
         self.average = copy.deepcopy(self.net)
         self.best = copy_weights(self.net)
+
         # Weight decay for matrices only: an offset or a time constant need not be small.
         matrices = [parameter for parameter in self.net.parameters() if parameter.ndim > 1]
         vectors = [parameter for parameter in self.net.parameters() if parameter.ndim <= 1]
-        decay = self.settings.weight_decay
         groups = [
-            {"params": matrices, "weight_decay": decay},
+            {"params": matrices, "weight_decay": self.settings.weight_decay},
             {"params": vectors, "weight_decay": 0.0},
         ]
         self.optimiser = torch.optim.AdamW(groups, lr=self.settings.learning_rate, fused=True)
-        # epoch, learning_rate, train_loss, val_nmse (NaN without validation)
+
+        # A row per epoch: epoch, learning_rate, train_loss, val_nmse (NaN without validation).
         self.curve: list[dict[str, float]] = []
 
     def run(self, state: Path, title: str) -> None:
@@ -96,159 +99,171 @@ class Fit:
         """
         epochs = self.settings.epochs
         if state.is_file():
-            with error_context(fix=f"Delete {state} to start again"):
-                content = checkpoint.read(state, STATE)
-            for name in PARTS:
-                getattr(self, name).load_state_dict(content[name])
-            self.best, self.curve = content["best"], content["curve"]
-            after = f"continues after epoch {len(self.curve)} of {epochs}"
-            print(
-                f"{title}: {after if self._unfinished() else 'kept from an earlier run'}",
-                flush=True,
-            )
-        train, val = (
-            windows.Reader(drives, self.entry.window, self.files)
-            for drives in (self.train, self.val)
-        )
+            self._resume(state, title)
+        train = windows.Reader(self.train, self.entry.window, self.files)
+        val = windows.Reader(self.val, self.entry.window, self.files)
         if self._unfinished():
             self.files.load(self.net.device, self._peak)
-        started, before = time.perf_counter(), len(self.curve)
+
+        before = len(self.curve)
+        started = time.perf_counter()
         while self._unfinished():
             epoch = len(self.curve) + 1
-            loss, rate = self._train(train, epoch)
+            loss, learning_rate = self._train(train, epoch)
             if not math.isfinite(loss):
                 problem = f"loss of epoch {epoch} is {loss}"
                 raise InputError(problem, title, "Lower train.learning_rate or clip_norm")
+
             error = math.nan
             if self.val:
-                error = mean_nmse(self.val, trained.predict_drives(self.average, val, self.scale))
-            self.curve.append(
-                {"epoch": epoch, "learning_rate": rate, "train_loss": loss, "val_nmse": error}
-            )
-            if selected := selected_epoch(self.curve) == epoch:
+                predictions = trained.predict_drives(self.average, val, self.scale)
+                error = mean_nmse(self.val, predictions)
+            row = {"epoch": epoch, "learning_rate": learning_rate, "train_loss": loss}
+            self.curve.append({**row, "val_nmse": error})
+            selected = selected_epoch(self.curve) == epoch
+            if selected:
                 self.best = copy_weights(self.average)
-            parts = {name: getattr(self, name).state_dict() for name in PARTS}
-            checkpoint.write(
-                state, {"kind": STATE, **parts, "best": self.best, "curve": self.curve}
-            )
-            eta = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
-            text = (
-                f", validation nmse {error:.3f}{' (selected)' if selected else ''}"
-                if self.val
-                else ""
-            )
-            print(
-                f"{title}: {epoch} of {epochs} epochs, loss {loss:.4f}{text}, ETA {eta:.0f} s",
-                flush=True,
-            )
-        if before < (done := len(self.curve)) < epochs:
+            self._save(state)
+
+            text = f"{title}: {epoch} of {epochs} epochs, loss {loss:.4f}"
+            if self.val:
+                text += f", validation nmse {error:.3f}"
+                if selected:
+                    text += " (selected)"
+            eta_s = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
+            print(f"{text}, ETA {eta_s:.0f} s", flush=True)
+
+        done = len(self.curve)
+        if before < done < epochs:
             chosen = selected_epoch(self.curve)
             after = f"{done - chosen} epochs after the least validation error, epoch {chosen}"
             print(f"{title}: stopped {after}", flush=True)
 
     def _unfinished(self) -> bool:
         done = len(self.curve)
-        return (
-            done < self.settings.epochs
-            and done - selected_epoch(self.curve) < self.settings.patience
-        )
+        patience = self.settings.patience
+        return done < self.settings.epochs and done - selected_epoch(self.curve) < patience
+
+    def _resume(self, state: Path, title: str) -> None:
+        """Continue from the file of an earlier run. Raises InputError if it is damaged."""
+        with error_context(fix=f"Delete {state} to start again"):
+            content = checkpoint.read(state, STATE)
+        for name in PARTS:
+            getattr(self, name).load_state_dict(content[name])
+        self.best = content["best"]
+        self.curve = content["curve"]
+        text = "kept from an earlier run"
+        if self._unfinished():
+            text = f"continues after epoch {len(self.curve)} of {self.settings.epochs}"
+        print(f"{title}: {text}", flush=True)
+
+    def _save(self, state: Path) -> None:
+        """Write all that :meth:`_resume` reads."""
+        parts = {name: getattr(self, name).state_dict() for name in PARTS}
+        checkpoint.write(state, {"kind": STATE, **parts, "best": self.best, "curve": self.curve})
 
     def _plan(self, epoch: int) -> list[list[windows.Span]]:
         """Return the spans of each step of an epoch."""
         # All random numbers of an epoch derive from its number, so a resumed run equals an
         # uninterrupted one.
-        settings, rng = self.settings, np.random.default_rng([self.seed, epoch])
-        window = self.entry.window
-        spans = windows.spans(self.train, window, settings.span_windows, rng)
-        spans = [
-            span
-            for span in spans
-            if self.train[span.drive].has_target(span.start + window - 1, span.stop)
-        ]
+        rng = np.random.default_rng([self.seed, epoch])
+        spans = []
+        for span in windows.spans(self.train, self.entry.window, self.settings.span_windows, rng):
+            first_end = span.start + self.entry.window - 1
+            if self.train[span.drive].has_target(first_end, span.stop):
+                spans.append(span)
         rng.shuffle(spans)
-        factor = (settings.rescale ** rng.uniform(-1, 1, len(spans))).astype(np.float32).tolist()
+
         # Without the scene, an equivariant network without motion has the output 0 and no gradient.
-        hides = (
-            (self.entry.horizon or self.entry.predict == "path")
-            and self.net.motion
-            and self.net.sees
-        )
-        hidden = (rng.random(len(spans)) < MOTION_DROPOUT * bool(hides)).tolist()
-        spans = [
-            replace(span, factor=f, hidden=h)
-            for span, f, h in zip(spans, factor, hidden, strict=True)
-        ]
-        # About equally many, as the features of a single frame have no variance.
-        parts = np.array_split(np.arange(len(spans)), -(-len(spans) // settings.batch_spans))
-        return [[spans[row] for row in part] for part in parts]
+        dropout = 0.0
+        predicts_ahead = self.entry.horizon > 0 or self.entry.predict == "path"
+        if predicts_ahead and self.net.motion and self.net.sees_frames:
+            dropout = MOTION_DROPOUT
+
+        # Each span is in a world of another scale, and the motion of some is hidden.
+        factors = (self.settings.rescale ** rng.uniform(-1, 1, len(spans))).astype(np.float32)
+        hidden = rng.random(len(spans)) < dropout
+        augmented = []
+        for span, factor, hides in zip(spans, factors.tolist(), hidden.tolist(), strict=True):
+            augmented.append(replace(span, factor=factor, hidden=hides))
+
+        # About equally many in each step, as the features of a single frame have no variance.
+        steps = math.ceil(len(spans) / self.settings.batch_spans)
+        groups = np.array_split(np.arange(len(spans)), steps)
+        return [[augmented[row] for row in group] for group in groups]
 
     def _train(self, reader: windows.Reader, epoch: int) -> tuple[float, float]:
         """Train for one epoch; return the mean loss and the last learning rate."""
-        settings, device, net = self.settings, self.net.device, self.net
-        steps = self._plan(epoch)
+        net = self.net
         net.train()
-        # of dropout, see _plan
+        steps = self._plan(epoch)
+        # The seed of dropout, see _plan.
         torch.manual_seed(int(np.random.SeedSequence([self.seed, epoch]).generate_state(1)[0]))
-        errors, weight_sums = [], []
-        for step, batch in enumerate(reader.batches(steps, device)):
-            progress = (epoch - 1 + step / len(steps)) / settings.epochs
-            for parameters in self.optimiser.param_groups:
-                parameters["lr"] = settings.learning_rate * warm_up_cosine(progress, WARM_UP)
-            error, weight_sum = self._error(net, batch)
+        errors = []
+        weights = []
+        for step, batch in enumerate(reader.batches(steps, net.device)):
+            progress = (epoch - 1 + step / len(steps)) / self.settings.epochs
+            learning_rate = self.settings.learning_rate * warm_up_cosine(progress, WARM_UP)
+            for group in self.optimiser.param_groups:
+                group["lr"] = learning_rate
+
+            error, weight = self._error(net, batch)
             self.optimiser.zero_grad(set_to_none=True)
-            (error / weight_sum).backward()  # type: ignore[no-untyped-call]
-            nn.utils.clip_grad_norm_(net.parameters(), settings.clip_norm)
+            (error / weight).backward()  # type: ignore[no-untyped-call]
+            nn.utils.clip_grad_norm_(net.parameters(), self.settings.clip_norm)
             self.optimiser.step()
             self._update_average(first=epoch == 1 and step == 0)
             errors.append(error.detach())
-            weight_sums.append(weight_sum)
-        error, weight = torch.stack(errors + weight_sums).double().view(2, -1).sum(1).tolist()
-        return error / weight, self.optimiser.param_groups[0]["lr"]
+            weights.append(weight)
+
+        # Read once per epoch: no step waits for a GPU.
+        sums = torch.stack(errors + weights).double().view(2, -1).sum(1)
+        error_sum, weight_sum = sums.tolist()
+        return error_sum / weight_sum, learning_rate
 
     def _error(self, net: SteeringNet, batch: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
-        """Return the loss of a batch before it is divided by the sum of the weights, and this
-        sum.
-        """
+        """Return the weighted sum of a batch's errors, and the sum of the weights."""
         residual, weight = step_targets(batch, self._gain, self._std, self.entry.alpha)
-        error = weighted_loss(
-            net(*net.inputs(batch)), residual, weight, self.entry.predict == "path"
-        )
+        output = net(*net.inputs(batch))
+        error = weighted_loss(output, residual, weight, robust=self.entry.predict == "path")
         # Each span has a valid target, but all ranges of a scaled path may be unknown: then the
         # error is 0, too.
         return error, weight.sum().clamp_min(1e-6)
 
     @torch.no_grad()
     def _update_average(self, first: bool) -> None:
-        """Move the averaged parameters towards the network's; the first time, and buffers always,
-        copy them.
+        """Move the averaged parameters towards those of the network.
+
+        The first time, and buffers always, are copied.
         """
         weight = 1.0 if first else 1 - self.settings.average
-        torch._foreach_lerp_((*self.average.parameters(),), (*self.net.parameters(),), weight)
-        torch._foreach_copy_((*self.average.buffers(),), (*self.net.buffers(),))
+        torch._foreach_lerp_([*self.average.parameters()], [*self.net.parameters()], weight)
+        torch._foreach_copy_([*self.average.buffers()], [*self.net.buffers()])
 
     def _peak(self) -> int:
-        """Return the bytes on the GPU of the largest step and of the largest batch of a
-        validation.
-        """
+        """Return the bytes on the GPU of the largest step and the largest batch of a validation."""
         torch.cuda.empty_cache()
         reader = windows.Reader([*self.train, *self.val], self.entry.window, self.files)
-        net, before = copy.deepcopy(self.net), torch.cuda.memory_reserved()
+        net = copy.deepcopy(self.net)
+        before = torch.cuda.memory_reserved()
+        step = max(self._plan(1), key=_frames)
         tested = windows.spans(reader.timelines, self.entry.window, trained.WINDOWS)
-        steps = self._plan(1), [[span] for span in tested]
-        step, batch = (
-            max(part, key=lambda group: sum(span.stop - span.start for span in group))
-            for part in steps
-        )
+        largest = max(([span] for span in tested), key=_frames)
+
         torch.cuda.reset_peak_memory_stats()
-        # Twice, as the first step's error and graph live until the second has its own.
-        for arrays, training in zip(
-            reader.batches([step, step, batch], net.device), (True, True, False), strict=True
-        ):
-            with torch.set_grad_enabled(training):
-                error, weight_sum = self._error(net.train(training), arrays)
-            if training:
-                (error / weight_sum).backward()  # type: ignore[no-untyped-call]
+        # Two steps, as the error and the graph of the first live until the second has its own.
+        batches = reader.batches([step, step, largest], net.device)
+        for arrays, trains in zip(batches, (True, True, False), strict=True):
+            with torch.set_grad_enabled(trains):
+                error, weight = self._error(net.train(trains), arrays)
+            if trains:
+                (error / weight).backward()  # type: ignore[no-untyped-call]
         return torch.cuda.max_memory_reserved() - before
+
+
+def _frames(group: Sequence[windows.Span]) -> int:
+    """Return the number of frames of a group of spans."""
+    return sum(span.stop - span.start for span in group)
 
 
 def copy_weights(net: nn.Module) -> dict[str, Tensor]:

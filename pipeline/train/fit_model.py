@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import torch
 
+from models.steering.core.steering_net import SteeringNet
 from pipeline.base import checkpoint, store
 from pipeline.base.errors import error_context
 from pipeline.base.executors import SCHEDULER, default_workers, run_jobs
@@ -20,122 +21,108 @@ from pipeline.train.entry import Entry
 from pipeline.train.fit import Fit, selected_epoch
 from pipeline.train.frames import Files
 from pipeline.train.settings import Train
-from pipeline.train.targets import Drives
+from pipeline.train.targets import Drives, LabelledDrive
 
 
-def fit_model(
-    todo: Sequence[runs.Run],
-    name: str,
-    where: str,
-    entry: Entry,
-    settings: Train,
-    splits: Mapping[str, str],
-    drives: Drives,
-    folder: StageFolder,
-) -> set[Path]:
-    """Train the networks of model `name`: in parallel on CPUs, one process each, and one after the
-    other on a GPU.
+@dataclass(frozen=True)
+class Model:
+    """What the networks of a model have in common."""
 
-    Arguments as of :func:`fit_run`. Returns the files of their states.
+    name: str
+    where: str  # the place of its entry, for messages
+    entry: Entry
+    settings: Train
+    splits: Mapping[str, str]  # drive → split
+    drives: Drives
+
+    def usable_drives(self, split: str, seed: int) -> list[LabelledDrive]:
+        """Return the drives of a split that have a window, with their scenes for a seed."""
+        scenes = runs.scenes(self.splits, seed, self.entry.scene)
+        usable = []
+        for name in store.drives_in(self.splits, split):
+            drive = self.drives[name]
+            if drive.has_window(self.entry.window):
+                usable.append(replace(drive, scene=self.drives[scenes[name]].graphs))
+        return usable
+
+
+def fit_model(model: Model, todo: Sequence[runs.Run], folder: StageFolder) -> list[Path]:
+    """Train the networks of a model; return the files of their states.
+
+    On CPUs they are trained in parallel, one process each, on a GPU one after the other.
     """
+    names = store.drives_in(model.splits, "train", "val")
+    files = Files(model.drives[name].graphs for name in names)
+    job = partial(fit_run, model, files=files, code=folder.code.hash(), kept=folder.kept)
+
     # A GPU trains one network at a time; a cluster has a worker per GPU, see CUDA_VISIBLE_DEVICES.
     alone = SCHEDULER not in os.environ and (torch.cuda.is_available() or default_workers() == 1)
-    files = Files(drives[drive].graphs for drive in store.drives_in(splits, "train", "val"))
-    job = partial(
-        fit_run,
-        name=name,
-        where=where,
-        entry=entry,
-        settings=settings,
-        splits=splits,
-        drives=drives,
-        files=files if alone else None,
-        code=folder.code.hash(),
-        kept=folder.kept,
-    )
+    states = []
     if alone or len(todo) == 1:
-        return {job(run) for run in todo}
-    return {state for _, state in run_jobs(job, todo, folder.code, threads=1)}
+        for run in todo:
+            states.append(job(run))
+    else:
+        for _, state in run_jobs(job, todo, folder.code, threads=1):
+            states.append(state)
+    return states
 
 
-def fit_run(
-    run: runs.Run,
-    name: str,
-    where: str,
-    entry: Entry,
-    settings: Train,
-    splits: Mapping[str, str],
-    drives: Drives,
-    files: Files | None,
-    code: str,
-    kept: Path,
-) -> Path:
-    """Train a network of model `name`, from the state of an earlier run if there is one; write
-    best.pt and curve.csv.
+def fit_run(model: Model, run: runs.Run, files: Files, code: str, kept: Path) -> Path:
+    """Train a network of a model, and write best.pt and curve.csv. Raises InputError.
 
-    `where`: of the model's entry, for messages; `splits`: drive → split; `files`: open graph files,
-    None: this process has none; `code`: its hash; `kept`: the folder of states, see StageFolder.
-    Returns the file of the state. Raises InputError.
+    The training continues from the state of an earlier run if there is one. `code` is the hash of
+    the code, `kept` the folder of states, see StageFolder. Returns the file of the state.
     """
-    entry = entry.seeded(run.seed)
-    scenes = runs.scenes(splits, run.seed, entry.scene)
-    seen = {
-        drive: replace(drives[drive], scene=drives[other].graphs) for drive, other in scenes.items()
-    }
-    usable = {
-        drive: labelled for drive, labelled in seen.items() if labelled.has_window(entry.window)
-    }
-    train = [usable[drive] for drive in store.drives_in(splits, "train") if drive in usable]
-    val = [usable[drive] for drive in store.drives_in(splits, "val") if drive in usable]
-    device = "cuda" if torch.cuda.is_available() else "cpu"
-    contents = train[0].contents
-    if device == "cpu":
-        torch.set_num_threads(1)  # sums of more threads differ, and with them the weights
-    torch.backends.cudnn.allow_tf32 = False  # float32 also in convolutions
-    torch.manual_seed(run.seed)
-    with error_context(where=where):
-        net = entry.build(**contents._asdict(), outputs=len(train[0].columns))
-    net.to(device)
-    paths = [
-        *dict.fromkeys(
-            path for drive in train + val for path in (drive.graphs, drive.labels, drive.scene)
-        )
-    ]
+    entry = model.entry.seeded(run.seed)
+    train = model.usable_drives("train", run.seed)
+    val = model.usable_drives("val", run.seed)
+    with error_context(where=model.where):
+        net = _build(entry, train[0], run.seed)
+
+    # The state of an earlier run fits if all of this is the same.
     inputs = {
         "entry": entry.model_dump(mode="json"),
-        "train": settings.model_dump(exclude={"seeds"}),
+        "train": model.settings.model_dump(exclude={"seeds"}),
         "seed": run.seed,
         "drives": [drive.name for drive in train],
         "val": [drive.name for drive in val],
     }
-    metadata = {
+    paths = [path for drive in train + val for path in (drive.graphs, drive.labels, drive.scene)]
+    state = kept / f"{stage_key(code, inputs, [*dict.fromkeys(paths)])}.pt"
+
+    fit = Fit(net, entry, model.settings, run.seed, train, val, files)
+    fit.run(state, f"{model.name} seed {run.seed}")
+
+    intervals_s = np.concatenate([np.diff(drive.time_s) for drive in train])
+    best = {
         "kind": trained.KIND,
-        "name": name,
-        "seeds": settings.seeds,
-        "contents": contents._asdict(),
+        "name": model.name,
+        "seeds": model.settings.seeds,
+        "contents": train[0].contents._asdict(),
         "settings": train[0].settings,
         "datasets": sorted({drive.settings.get("dataset", "unknown") for drive in train}),
-        "fps": float(1 / np.median(np.concatenate([np.diff(drive.time_s) for drive in train]))),
+        "fps": float(1 / np.median(intervals_s)),
         **inputs,
+        "scale": fit.scale.content,
+        "epoch": selected_epoch(fit.curve),
+        "net": fit.best,
     }
-    fitting = Fit(
-        net,
-        entry,
-        settings,
-        run.seed,
-        train,
-        val,
-        files or Files(drive.scene for drive in train + val),
-    )
-    state = kept / f"{stage_key(code, inputs, paths)}.pt"
-    fitting.run(state, f"{name} seed {run.seed}")
-    best = {
-        "scale": fitting.scale.content,
-        "epoch": selected_epoch(fitting.curve),
-        "net": fitting.best,
-    }
-    checkpoint.write(run.folder / "best.pt", metadata | best)
-    pd.DataFrame(fitting.curve).to_csv(
-        run.folder / "curve.csv", index=False, float_format="%.6g", lineterminator="\n"
-    )
+    checkpoint.write(run.folder / "best.pt", best)
+    curve = pd.DataFrame(fit.curve)
+    path = run.folder / "curve.csv"
+    curve.to_csv(path, index=False, float_format="%.6g", lineterminator="\n")
     return state
+
+
+def _build(entry: Entry, drive: LabelledDrive, seed: int) -> SteeringNet:
+    """Build a network for the frames and columns of a drive; its results depend on the seed alone.
+
+    Raises InputError.
+    """
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    if device == "cpu":
+        torch.set_num_threads(1)  # sums of more threads differ, and with them the weights
+    torch.backends.cudnn.allow_tf32 = False  # float32 also in convolutions
+    torch.manual_seed(seed)
+    net = entry.build(**drive.contents._asdict(), outputs=len(drive.columns))
+    return net.to(device)

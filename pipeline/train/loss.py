@@ -22,43 +22,48 @@ class Scale:
     model's entry. For an angle gain is 1, for a range of the path the regression coefficient of y
     on base; std is the standard deviation of y - gain · base. So output 0 means the best prediction
     from base alone. The mean of y, and its regression coefficient on odometry, are for baselines.
+    All arrays are float64 [R].
     """
 
     names: list[str]  # LabelledDrive.columns
-    gain: np.ndarray  # float64 [R], as the following
+    gain: np.ndarray
     std: np.ndarray
     mean: np.ndarray
     odometry_gain: np.ndarray | None = None
 
     @classmethod
     def from_drives(cls, drives: Sequence[LabelledDrive]) -> "Scale":
-        """Raise InputError if the drives never drive on to the end of a range of the path."""
-        edges_m, y = drives[0].ahead_m, np.concatenate([drive.target for drive in drives])
-        for (near, far), driven in zip(pairwise(edges_m), np.isfinite(y).any(axis=0), strict=False):
-            if not driven:
+        """Return the scale of the training drives.
+
+        Raises InputError if they never drive on to the end of a range of the path.
+        """
+        y = np.concatenate([drive.target for drive in drives])
+        ranges_m = [*pairwise(drives[0].ahead_m)]
+        for number, (near, far) in enumerate(ranges_m):
+            if not np.isfinite(y[:, number]).any():
                 names = ", ".join(drive.name for drive in drives)
-                problem = (
-                    f"predict: path: no frame is followed by a path from {near:g} to {far:g} m in "
-                    f"{names}"
-                )
-                raise InputError(
-                    problem, drives[0].labels.parent, "Add longer drives, or shorten labels.ahead_m"
-                )
+                problem = f"no frame is followed by a path from {near:g} to {far:g} m in {names}"
+                fix = "Add longer drives, or shorten labels.ahead_m"
+                raise InputError(f"predict: path: {problem}", drives[0].labels.parent, fix)
+
         base = np.concatenate([drive.base for drive in drives])[:, None]
-        gain = _regress(base, y) if edges_m else np.ones(1)
-        std = np.maximum(np.nanstd(y - gain * base, axis=0), 1e-6)  # 0 for a straight road
+        gain = _regress(base, y) if ranges_m else np.ones(1)
+        std = np.nanstd(y - gain * base, axis=0)
+        std = np.maximum(std, 1e-6)  # it is 0 for a straight road
+
+        odometry_gain = None
         measured = [drive.odometry for drive in drives if drive.odometry is not None]
-        odometry_gain = (
-            _regress(np.concatenate(measured), y) if len(measured) == len(drives) else None
-        )
+        if len(measured) == len(drives):
+            odometry_gain = _regress(np.concatenate(measured), y)
         return cls(drives[0].columns, gain, std, np.nanmean(y, axis=0), odometry_gain)
 
     @classmethod
     def parse(cls, content: dict[str, Any]) -> "Scale":
         """Return the scale of :attr:`content`. Raises TypeError or ValueError."""
-        arrays: Any = {
-            name: value and np.array(value) for name, value in content.items() if name != "names"
-        }
+        arrays: Any = {}
+        for name, value in content.items():
+            if name != "names":
+                arrays[name] = None if value is None else np.array(value)
         return cls(content["names"], **arrays)
 
     @property
@@ -73,26 +78,25 @@ class Scale:
 
 def mean_nmse(drives: Sequence[LabelledDrive], predictions: Sequence[np.ndarray]) -> float:
     """Return the mean over the columns of the nmse; NaN if every target is 0."""
-    pairs = zip(
-        np.concatenate([drive.target for drive in drives]).T,
-        np.concatenate(predictions).T,
-        strict=True,
-    )
-    known = ((truth, predicted, np.isfinite(predicted - truth)) for truth, predicted in pairs)
-    values = [nmse(truth[rows], predicted[rows]) for truth, predicted, rows in known]
-    return (
-        float(np.mean(of_columns))
-        if (of_columns := [value for value in values if value is not None])
-        else np.nan
-    )
+    targets = np.concatenate([drive.target for drive in drives])
+    columns = zip(targets.T, np.concatenate(predictions).T, strict=True)
+    values = []
+    for truth, predicted in columns:
+        known = np.isfinite(predicted - truth)
+        value = nmse(truth[known], predicted[known])
+        if value is not None:
+            values.append(value)
+    return float(np.mean(values)) if values else np.nan
 
 
 def _regress(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the regression coefficients [R] of y [N,R] on x [N,R] or [N,1], without offset; 0 if x
-    is 0.
+    """Return the regression coefficients [R] of y [N,R] on x [N,R] or [N,1], without offset.
+
+    They are 0 where x is 0.
     """
     known = np.isfinite(x) & np.isfinite(y)
-    x, y = np.where(known, x, 0.0), np.where(known, y, 0.0)
+    x = np.where(known, x, 0.0)
+    y = np.where(known, y, 0.0)
     square = (x**2).sum(axis=0)
     return np.divide((x * y).sum(axis=0), square, out=np.zeros_like(square), where=square > 0)
 
@@ -100,13 +104,15 @@ def _regress(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def step_targets(
     batch: Mapping[str, Tensor], gain: Tensor, std: Tensor, alpha: float
 ) -> tuple[Tensor, Tensor]:
-    """Return the outputs that the network should have, and their weights exp(α |target|) of eq. 9,
-    both [W,R].
+    """Return the outputs that the network should have, and their weights, both [W,R].
 
-    `gain` and `std` [R]: of the Scale. The weight of an unknown target is 0.
+    A weight is exp(α |target|) as in eq. 9, and 0 for an unknown target. `gain` and `std` [R] are
+    those of the Scale.
     """
-    target, base = batch["target"].to(std.dtype), batch["base"].to(std.dtype)
-    known, target = target.isfinite(), target.nan_to_num()  # 0 × NaN is NaN
+    base = batch["base"].to(std.dtype)
+    target = batch["target"].to(std.dtype)
+    known = target.isfinite()
+    target = target.nan_to_num()  # 0 × NaN is NaN
     residual = (target - gain * base[:, None]) / std
     return residual, known * torch.exp(alpha * target.abs())
 

@@ -20,16 +20,18 @@ class Run(NamedTuple):
 
 
 def runs(model: Path, seeds: Sequence[int]) -> list[Run]:
-    """Return the runs of a model: that of the first seed in the folder `model`, the others in
-    subfolders.
+    """Return the runs of a model.
+
+    The first seed has the folder `model`, the others subfolders of it.
     """
-    return [
-        Run(seed, model / f"seed-{seed}" if position else model)
-        for position, seed in enumerate(seeds)
-    ]
+    result: list[Run] = []
+    for seed in seeds:
+        folder = model / f"seed-{seed}" if result else model
+        result.append(Run(seed, folder))
+    return result
 
 
-def check(splits: Mapping[str, str], scene: str) -> None:
+def check_splits(splits: Mapping[str, str], scene: str) -> None:
     """Raise InputError if drive → split has too few drives for the networks of a model."""
     if not store.drives_in(splits, "train"):
         raise InputError("there are no training drives", fix="Name some in ingest.drives.train")
@@ -37,22 +39,21 @@ def check(splits: Mapping[str, str], scene: str) -> None:
 
 
 def scenes(splits: Mapping[str, str], seed: int, scene: str) -> dict[str, str]:
-    """Return drive → drive whose scene it gets: its own, or with `scene` another one of its split,
-    drawn once per seed.
+    """Return drive → drive whose scene it gets.
 
+    It is the drive itself, or with scene: another one of the same split, drawn once per seed.
     Raises InputError if a split has only one drive.
     """
+    if scene == "same":
+        return {drive: drive for drive in splits}
     result = {}
     for split in SPLITS:
         drives = store.drives_in(splits, split)
         for drive in drives:
-            others = (
-                [other for other in drives if other != drive] if scene == "another" else [drive]
-            )
-            if not others:
+            choices = [choice for choice in drives if choice != drive]
+            if not choices:
                 problem = f"scene: another needs two drives that are used alike (got {drive} alone)"
                 raise InputError(problem, fix="Add drives to its split")
-            result[drive] = others[
-                np.random.default_rng([seed, crc32(drive.encode())]).integers(len(others))
-            ]
+            rng = np.random.default_rng([seed, crc32(drive.encode())])
+            result[drive] = choices[rng.integers(len(choices))]
     return result

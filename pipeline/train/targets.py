@@ -1,5 +1,4 @@
-"""Targets of a drive by frame, the measured value that a network's output is added to, and both in
-a larger world.
+"""Targets of a drive by frame, the values to which outputs are added, and both in a larger world.
 
 A column is a quantity that a network predicts: the steering angle, or the mean curvature in one
 range of the path ahead. Letters: G frames of a graph file, W windows, R columns.
@@ -14,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from models.steering.core.motion import ANGLE, SPEED
 from models.steering.core.recurrent import NOMINAL_STEP_S
 from pipeline.base.errors import InputError
 from pipeline.base.params import RATE_TOLERANCE
@@ -28,36 +28,39 @@ class Timeline:
     """Times and measured motion of a graph file's G frames, by row."""
 
     graphs: Path
-    # graph file whose frames a network sees: this one, or another drive's, see `scene` of a model's
-    # entry
+    # Graph file whose frames a network sees: this one, or that of another drive, see `scene` of a
+    # model's entry.
     scene: Path
     frame: np.ndarray  # int32 [G], KITTI frame numbers, ascending
     time_s: np.ndarray  # float64 [G]
-    # float64 [G], measured value that the output is added to, see `base` of a model's entry
+    # float64 [G], measured value to which the output is added, see `base` of a model's entry.
     base: np.ndarray
     motion: np.ndarray | None  # float32 [G,4], as in windows.py; None without motion
 
     @classmethod
     def read(cls, graphs: Graphs, car: label.Car, entry: Entry) -> "Timeline":
         """Read the times of an open graph file, and the measured motion of a `car`, for a model."""
-        base, motion = np.zeros(len(graphs.frame)), None
+        base = np.zeros(len(graphs.frame))
+        motion = None
         if entry.motion != "none":
-            if (measured := graphs.motion) is None:
+            measured = graphs.motion
+            if measured is None:
                 raise InputError(
                     "no measured motion", graphs.path, "Make it again: dvc repro graphs"
                 )
             angle_rad = np.nan_to_num(label.measured_angle(*measured, car))
             motion = np.stack([angle_rad, *measured], axis=1).astype(np.float32)
-            base = (
-                np.nan_to_num(_odometry(measured, car, entry)) if entry.base == "motion" else base
-            )
+            if entry.base == "motion":
+                base = np.nan_to_num(_odometry(measured, car, entry))
         return cls(graphs.path, graphs.path, graphs.frame, graphs.time_s, base, motion)
 
     @cached_property
     def stretches(self) -> list[tuple[int, int]]:
         """The stretches [start, stop) of rows with consecutive frame numbers."""
+        if not len(self.frame):
+            return []
         gaps = np.flatnonzero(np.diff(self.frame) != 1) + 1
-        return [*pairwise([0, *gaps.tolist(), len(self.frame)])] if len(self.frame) else []
+        return [*pairwise([0, *gaps.tolist(), len(self.frame)])]
 
     @cached_property
     def dt_s(self) -> np.ndarray:
@@ -69,17 +72,18 @@ class Timeline:
 
 @dataclass(frozen=True)
 class LabelledDrive(Timeline):
-    """A drive's frames with their targets, of the angle `horizon` frames after each, or of the path
-    ahead.
+    """A drive's frames with their targets.
+
+    A target is the angle `horizon` frames after a frame, or the path ahead of it.
     """
 
     name: str
     labels: Path
     settings: dict[str, Any]  # section → settings that made graphs and labels
-    contents: Contents  # of the graph file, as the following
-    counts: Arrays
+    contents: Contents  # of the graph file
+    counts: Arrays  # of the graph file
     horizon: int
-    # R+1 edges of the ranges of the path ahead; none with predict: angle
+    # Edges of the R ranges of the path ahead, R+1; none with predict: angle.
     ahead_m: tuple[float, ...]
     target: np.ndarray  # float64 [G,R], NaN without a valid label
     driven: label.Labels  # of the frames themselves
@@ -89,49 +93,49 @@ class LabelledDrive(Timeline):
 
     @property
     def columns(self) -> list[str]:
-        """One for each range of a path, or that of the angle."""
-        return [f"path_{near:g}-{far:g}m_1pm" for near, far in pairwise(self.ahead_m)] or [
-            "steering_rad"
-        ]
+        """Names of the R columns."""
+        if not self.ahead_m:
+            return ["steering_rad"]
+        return [f"path_{near:g}-{far:g}m_1pm" for near, far in pairwise(self.ahead_m)]
 
     def has_target(self, start: int, stop: int) -> bool:
         """Return whether a row of [start, stop) has a target."""
         return bool(np.isfinite(self.target[start:stop]).any())
 
     def has_window(self, window: int) -> bool:
-        """Return whether a window of consecutive frames ends at a target: the drive can train and
-        evaluate.
+        """Return whether a window of consecutive frames ends at a target.
+
+        Only then can the drive train and evaluate.
         """
         return any(self.has_target(start + window - 1, stop) for start, stop in self.stretches)
 
 
+# Name → drive.
 Drives = Mapping[str, LabelledDrive]
 
 
-def check(drives: Sequence[LabelledDrive], window: int) -> None:
-    """Raise InputError if drives can neither train nor evaluate: no point, no window with a target,
-    all labels 0.
+def check_drives(drives: Sequence[LabelledDrive], window: int) -> None:
+    """Raise InputError if drives can neither train nor evaluate.
+
+    They cannot without a point, without a window with a target, or if all labels are 0.
     """
-    names, first = ", ".join(drive.name for drive in drives), drives[0]
+    names = ", ".join(drive.name for drive in drives)
+    first = drives[0]
+    folder = first.graphs.parent
     if not any(drive.counts.get("points", np.ones(len(drive.frame))).any() for drive in drives):
-        problem, fix = (
-            f"no point in any frame of {names}",
-            "Widen the variant's crop_m or add drives",
+        raise InputError(
+            f"no point in any frame of {names}", folder, "Widen the variant's crop_m or add drives"
         )
-        raise InputError(problem, first.graphs.parent, fix)
     if not any(drive.has_window(window) for drive in drives):
         target = f"a valid label {first.horizon} frames after"
         if first.ahead_m:
             target = f"a driven path of {first.ahead_m[1]:g} m ahead of"
-        longest = max(
-            (stop - start for drive in drives for start, stop in drive.stretches), default=0
-        )
-        problem = (
-            f"no window of {window} consecutive frames with {target} its end in {names} (longest: "
-            f"{longest})"
-        )
+        lengths = [stop - start for drive in drives for start, stop in drive.stretches]
+        problem = f"no window of {window} consecutive frames with {target} its end in {names}"
         raise InputError(
-            problem, first.graphs.parent, "Use a smaller window, other drives or another input"
+            f"{problem} (longest: {max(lengths, default=0)})",
+            folder,
+            "Use a smaller window, other drives or another input",
         )
     if not any(np.nan_to_num(drive.target).any() for drive in drives):
         raise InputError(
@@ -140,55 +144,50 @@ def check(drives: Sequence[LabelledDrive], window: int) -> None:
 
 
 def rate_doubt(drives: Drives, train: Sequence[str]) -> str | None:
-    """Return a line if some `drives` have another frame rate than the drives `train`; None if they
-    are alike.
-    """
-    hz = {
-        name: 1 / np.median(np.diff(drive.time_s))
-        for name, drive in drives.items()
-        if len(drive.time_s) > 1
-    }
+    """Return a doubt if some `drives` have another frame rate than the drives `train`, or None."""
+    hz = {}
+    for name, drive in drives.items():
+        if len(drive.time_s) > 1:
+            hz[name] = 1 / np.median(np.diff(drive.time_s))
     usual_hz = np.median([hz[name] for name in train if name in hz])
-    others = [
-        f"{name} {hz[name]:.1f}" for name in hz if abs(hz[name] / usual_hz - 1) > RATE_TOLERANCE
-    ]
-    return (
-        f"training drives have {usual_hz:.1f} frames/s, but {', '.join(others)}" if others else None
-    )
+    unusual = [name for name in hz if abs(hz[name] / usual_hz - 1) > RATE_TOLERANCE]
+    if not unusual:
+        return None
+    rates = ", ".join(f"{name} {hz[name]:.1f}" for name in unusual)
+    return f"training drives have {usual_hz:.1f} frames/s, but {rates}"
 
 
 def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledDrive:
-    """Read a drive from a folder of graphs and one of labels, for a model; graphs stay on disk.
-    Raises InputError.
+    """Read a drive for a model, from a folder of graphs and one of labels. Raises InputError.
+
+    The graphs themselves stay on disk.
     """
-    graphs, labels = graphs / f"{name}.h5", labels / f"{name}.h5"
+    graphs = graphs / f"{name}.h5"
+    labels = labels / f"{name}.h5"
     with open_graphs(graphs) as file, DriveReader(labels, stage="labels") as truth:
+        # The row of each frame's label, and of that `horizon` frames later; -1 without a label.
         row_of = {number: row for row, number in enumerate(truth.frame.tolist())}
-        rows = [
-            [row_of.get(number + ahead, -1) for number in file.frame.tolist()]
-            for ahead in (0, entry.horizon)
-        ]
-        here, then = np.array(rows, np.int64)
-        if (here < 0).any():
-            problem = f"no label for frame {file.frame[here < 0][0]} of {graphs}"
+        rows = np.array([row_of.get(number, -1) for number in file.frame.tolist()], np.int64)
+        target_rows = [row_of.get(number + entry.horizon, -1) for number in file.frame.tolist()]
+        if (rows < 0).any():
+            problem = f"no label for frame {file.frame[rows < 0][0]} of {graphs}"
             raise InputError(problem, labels, "Make both again: dvc repro")
-        section = truth.params["labels"]
-        driven = label.read_labels(truth).at(here)
+        driven = label.read_labels(truth).at(rows)
         measured = file.motion
-        car = label.Car(section["wheelbase_m"], section["min_speed_mps"])
         if entry.motion != "none" and measured and not measured.valid.any() and driven.valid.any():
             fix = f"Remove {name} from ingest.drives, or set motion: none"
             raise InputError("motion is not measured in any frame (it needs images)", graphs, fix)
-        path = entry.predict == "path"
-        ahead_m = tuple(section.get("ahead_m", ())) if path else ()
-        data, known = ("ahead_1pm", "ahead_valid") if path else ("steering_rad", "valid")
-        if data not in truth:
-            fix = "Set labels.ahead_m and make the labels again: dvc repro labels"
-            raise InputError("no path ahead (ahead_1pm), which predict: path needs", labels, fix)
-        values = np.where(truth[known], truth[data], np.nan).reshape(
-            len(truth.frame), max(1, len(ahead_m) - 1)
-        )
-        same = not path and not entry.horizon and bool(truth.attrs.get("measured", 0))
+
+        # A row of NaN at the end is the target without a label.
+        targets = np.pad(_targets(truth, entry), ((0, 1), (0, 0)), constant_values=np.nan)
+
+        # Labels from the same measurement are no truth for odometry, unless they are ahead of it.
+        section = truth.params["labels"]
+        car = label.Car(section["wheelbase_m"], section["min_speed_mps"])
+        ahead = entry.predict == "path" or entry.horizon > 0
+        odometry = None
+        if measured and (ahead or not truth.attrs.get("measured", 0)):
+            odometry = _odometry(measured, car, entry)[:, None]
         return LabelledDrive(
             **vars(Timeline.read(file, car, entry)),
             name=name,
@@ -197,26 +196,41 @@ def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledD
             contents=file.contents,
             counts=file.counts,
             horizon=entry.horizon,
-            ahead_m=ahead_m,
-            target=np.pad(values, ((0, 1), (0, 0)), constant_values=np.nan)[then],  # NaN in row -1
+            ahead_m=tuple(section["ahead_m"]) if entry.predict == "path" else (),
+            target=targets[target_rows],
             driven=driven,
-            odometry=_odometry(measured, car, entry)[:, None] if measured and not same else None,
+            odometry=odometry,
         )
+
+
+def _targets(labels: DriveReader, entry: Entry) -> np.ndarray:
+    """Return the quantities [F,R] that a model predicts, of the labels' F frames; NaN if unknown.
+
+    Raises InputError without the path ahead.
+    """
+    if entry.predict == "angle":
+        return np.where(labels["valid"], labels["steering_rad"], np.nan)[:, None]
+    if "ahead_1pm" not in labels:
+        fix = "Set labels.ahead_m and make the labels again: dvc repro labels"
+        raise InputError("no path ahead (ahead_1pm), which predict: path needs", labels.path, fix)
+    return np.where(labels["ahead_valid"], labels["ahead_1pm"], np.nan)
 
 
 def _odometry(motion: MeasuredMotion, car: label.Car, entry: Entry) -> np.ndarray:
     """Return the measured angle [G], or the curvature for a path; NaN before the first."""
     angle_rad = label.measured_angle(*motion, car)
-    return np.tan(angle_rad) / car.wheelbase_m if entry.predict == "path" else angle_rad
+    if entry.predict == "path":
+        return np.tan(angle_rad) / car.wheelbase_m
+    return angle_rad
 
 
 def window_values(
-    timeline: Timeline, rows: np.ndarray, ends: slice, factor: float, hidden: bool
+    timeline: Timeline, rows: np.ndarray, ends: np.ndarray, factor: float, hidden: bool
 ) -> Arrays:
-    """Return motion at `rows`, and base and target of the windows that end at the rows `ends`, as a
-    network gets them.
+    """Return motion at `rows`, and base and target of the windows that end at the rows `ends`.
 
-    The world is `factor` times as large. With `hidden` motion, the base is 0.
+    A network gets them so: the world is `factor` times as large, and with `hidden` motion and base
+    are 0.
     """
     values: Arrays = {"base": timeline.base[ends].astype(np.float32)}
     if timeline.motion is not None:
@@ -226,7 +240,8 @@ def window_values(
         if factor != 1:
             _rescale(values, factor, timeline.ahead_m)
     if hidden:
-        values |= {name: np.zeros_like(values[name]) for name in ("motion", "base")}
+        values["motion"] = np.zeros_like(values["motion"])
+        values["base"] = np.zeros_like(values["base"])
     return values
 
 
@@ -240,10 +255,12 @@ def _rescale(values: Arrays, factor: float, ahead_m: Sequence[float]) -> None:
         values["base"] = values["base"] / factor
         values["target"] = scale_path(values["target"], ahead_m, factor)
     else:
-        values |= {name: _scale_radius(values[name], factor) for name in ("base", "target")}
+        values["base"] = _scale_radius(values["base"], factor)
+        values["target"] = _scale_radius(values["target"], factor)
     if "motion" in values:
         motion = values["motion"]  # a copy of the drive's rows
-        motion[:, 0], motion[:, 2] = _scale_radius(motion[:, 0], factor), motion[:, 2] * factor
+        motion[:, ANGLE] = _scale_radius(motion[:, ANGLE], factor)
+        motion[:, SPEED] *= factor
 
 
 def scale_path(path_1pm: np.ndarray, ahead_m: Sequence[float], factor: float) -> np.ndarray:
@@ -253,10 +270,15 @@ def scale_path(path_1pm: np.ndarray, ahead_m: Sequence[float], factor: float) ->
     curvature counts as constant within each. Where one of these is not known, or the labels end, it
     is not known.
     """
-    near, far = np.array(ahead_m[:-1], np.float32), np.array(ahead_m[1:], np.float32)
-    # [R,R]
-    overlap_m = np.minimum(far[:, None] / factor, far) - np.maximum(near[:, None] / factor, near)
-    share = np.maximum(overlap_m, 0) * factor / (far - near)[:, None]
+    edges_m = np.array(ahead_m, np.float32)
+    near = edges_m[:-1]
+    far = edges_m[1:]
+
+    # Share of each range of the labels in each range of the larger world, [R,R].
+    starts = np.maximum(near[:, None] / factor, near)
+    ends = np.minimum(far[:, None] / factor, far)
+    share = np.maximum(ends - starts, 0) * factor / (far - near)[:, None]
+
     known = (share * np.isfinite(path_1pm)[:, None]).sum(axis=2) > 1 - 1e-4
     scaled = (share * np.nan_to_num(path_1pm)[:, None]).sum(axis=2) / factor
     return np.where(known, scaled, np.nan).astype(path_1pm.dtype)

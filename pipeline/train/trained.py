@@ -20,11 +20,13 @@ from pipeline.train.frames import Files
 from pipeline.train.loss import Scale
 from pipeline.train.targets import Timeline
 
-KIND = "steering net"  # of checkpoint
+# Kind of the checkpoint of a trained network.
+KIND = "steering net"
 # Removed settings of entries, and their defaults. Networks with other values belong to closed
 # questions.
 REMOVED = {"fit_to": "train", "train_drives": None}
-WINDOWS = 96  # per batch of predictions; limits the memory
+# Number of windows in a batch of predictions, which limits the memory.
+WINDOWS = 96
 
 
 class Trained(NamedTuple):
@@ -50,75 +52,80 @@ class Trained(NamedTuple):
     @property
     def ahead_m(self) -> tuple[float, ...]:
         """Edges of the ranges of the path ahead; none for an angle."""
-        return tuple(self.settings["labels"]["ahead_m"]) if self.entry.predict == "path" else ()
+        if self.entry.predict == "angle":
+            return ()
+        return tuple(self.settings["labels"]["ahead_m"])
 
     def predict(
         self, graphs: Graphs, scene: Path | None = None, files: Files | None = None
     ) -> np.ndarray:
-        """Return the predictions for the G frames of a file, float64 [G,R], in the columns
-        `scale.names`.
+        """Return the predictions for the G frames of a file, float64 [G,R].
 
-        The value for frame t is the angle at frame t + `entry.horizon`, predicted from the frames
-        up to t, or the path ahead of it. NaN where no complete window ends: too early in the drive,
-        or too soon after a gap. `scene`: the graph file of the drive whose scene a control with
-        `scene: another` gets; `files`: open ones. Raises InputError if the file has another kind of
-        frames than the network was trained on, or no motion.
+        The columns are `scale.names`. The value for frame t is the angle at frame t +
+        `entry.horizon`, predicted from the frames up to t, or the path ahead of it. NaN where no
+        complete window ends: too early in the drive, or too soon after a gap. `scene` is the graph
+        file of the drive whose scene a control with `scene: another` gets; `files` are open ones.
+        Raises InputError if the file has another kind of frames than the network was trained on, or
+        no motion.
         """
         if scene is None and self.entry.scene == "another":
             problem = f"model {self.name} is a control, which needs the scene of another drive"
             raise InputError(problem, graphs.path, "Choose a model with scene: same")
-        timeline = replace(Timeline.read(graphs, self.car, self.entry), scene=scene or graphs.path)
-        with open_graphs(timeline.scene) as seen:
-            if seen.contents != self.contents:
-                problem = f"model {self.name} expects {self.contents}, got {seen.contents}"
+        timeline = Timeline.read(graphs, self.car, self.entry)
+        timeline = replace(timeline, scene=scene or graphs.path)
+        with open_graphs(timeline.scene) as file:
+            if file.contents != self.contents:
+                problem = f"model {self.name} expects {self.contents}, got {file.contents}"
                 fix = f"Use graphs of input: {self.entry.input}, or train the model again"
-                raise InputError(problem, seen.path, fix)
-        return predict_drives(
-            self.net, windows.Reader([timeline], self.entry.window, files), self.scale
-        )[0]
+                raise InputError(problem, file.path, fix)
+        reader = windows.Reader([timeline], self.entry.window, files)
+        (predictions,) = predict_drives(self.net, reader, self.scale)
+        return predictions
 
 
-def load(folder: str | Path, device: torch.device | str | None = None) -> Trained:
+def load_model(folder: str | Path, device: torch.device | str | None = None) -> Trained:
     """Load best.pt of a trained model: data/train/<model>, or a folder seed-<n> in it.
 
-    `device` None: a GPU if there is one. Raises InputError if there is none, or if this code cannot
-    rebuild it.
+    `device` None is a GPU if there is one. Raises InputError if there is no file, or if this code
+    cannot rebuild the network.
     """
     path = Path(folder) / "best.pt"
     if not path.is_file():
-        models = sorted(
-            str(best.parent)
-            for at in (path.parent, path.parent.parent)
-            for best in at.glob("*/best.pt")
-        )
-        fix = (
-            f"Trained models near it: {', '.join(models) or 'none'}. To train one: dvc repro "
-            "train@MODEL"
-        )
+        models = [*path.parent.glob("*/best.pt"), *path.parent.parent.glob("*/best.pt")]
+        names = ", ".join(sorted(str(best.parent) for best in models))
+        fix = f"Trained models near it: {names or 'none'}. To train one: dvc repro train@MODEL"
         raise InputError("no trained model, best.pt is missing", folder, fix)
     with error_context(fix="Train it again: dvc repro --force --single-item train@MODEL"):
         content = checkpoint.read(path, KIND)
         try:
-            entry, contents = read_entry(content["entry"], path), Contents(**content["contents"])
-            scale = Scale.parse(content["scale"])
-            about = {key: content[key] for key in ("name", "seeds", "settings", "drives", "fps")}
-            about["datasets"] = content.get("datasets", [])
-            # of earlier versions
-            height_m = about["settings"].get("perception", {}).pop("camera_height_m", None)
-            about["settings"].setdefault("camera_height_m", height_m)
+            fields = _parse(content, path)
         except InputError:
             raise
         except (AttributeError, LookupError, TypeError, ValueError) as error:
             raise InputError(
                 f"not a model of this version ({shorten(repr(error), 200)})", path
             ) from error
-        net = entry.build(**contents._asdict(), outputs=len(scale.names))
+        contents = fields["contents"]._asdict()
+        net = fields["entry"].build(**contents, outputs=len(fields["scale"].names))
         checkpoint.load_state(net, content["net"], path)
-    net.to(device or ("cuda" if torch.cuda.is_available() else "cpu")).eval()
-    return Trained(**about, entry=entry, contents=contents, scale=scale, net=net)
+    if device is None:
+        device = "cuda" if torch.cuda.is_available() else "cpu"
+    return Trained(**fields, net=net.to(device).eval())
 
 
-def read_entry(content: dict[str, Any], path: Path) -> Entry:
+def _parse(content: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Return the fields of Trained, but the network, from the content of a checkpoint."""
+    entry = parse_entry(content["entry"], path)
+    fields = {name: content[name] for name in ("name", "seeds", "settings", "drives", "fps")}
+    fields["datasets"] = content.get("datasets", [])
+    # Earlier versions have the camera's height in another section.
+    height_m = fields["settings"].get("perception", {}).pop("camera_height_m", None)
+    fields["settings"].setdefault("camera_height_m", height_m)
+    contents = Contents(**content["contents"])
+    return fields | {"entry": entry, "contents": contents, "scale": Scale.parse(content["scale"])}
+
+
+def parse_entry(content: dict[str, Any], path: Path) -> Entry:
     """Return the entry of a checkpoint, which may be of an earlier revision. Raises InputError."""
     settings = dict(content)
     for key, default in REMOVED.items():
@@ -133,16 +140,15 @@ def read_entry(content: dict[str, Any], path: Path) -> Entry:
 def predict_drives(net: SteeringNet, reader: windows.Reader, scale: Scale) -> list[np.ndarray]:
     """Return the predictions [G,R] for the frames of each of the reader's timelines."""
     spans = windows.spans(reader.timelines, reader.window, WINDOWS)
+    groups = [[span] for span in spans]
+    outputs = []
     net.eval()
     with torch.inference_mode():
-        outputs = [
-            net(*net.inputs(batch))
-            for batch in reader.batches([[span] for span in spans], net.device)
-        ]
-    values = [
-        np.full((len(timeline.frame), len(scale.names)), np.nan) for timeline in reader.timelines
-    ]
-    # after the loop, so that it does not wait for the GPU
+        for batch in reader.batches(groups, net.device):
+            outputs.append(net(*net.inputs(batch)))
+
+    # Outputs are copied after the loop, so that it does not wait for the GPU.
+    values = [np.full((len(line.frame), len(scale.names)), np.nan) for line in reader.timelines]
     for span, output in zip(spans, outputs, strict=True):
         values[span.drive][span.stop - len(output) : span.stop] = output.double().cpu().numpy()
     pairs = zip(values, reader.timelines, strict=True)

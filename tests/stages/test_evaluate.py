@@ -12,7 +12,7 @@ import pytest
 from pipeline.base.errors import InputError
 from pipeline.graphs import graph_file
 from pipeline.train import fit
-from pipeline.train.trained import load
+from pipeline.train.trained import load_model
 from tests import artefacts
 from tests.kitti_drive import contents
 from tests.small_model import EDGES_M, SPLITS, TEST, run_evaluate, run_train, write_params
@@ -37,7 +37,7 @@ def test_metrics_are_means_over_seeds_and_files_repeat(folder, predicted):
     tables = [table.reset_index() for _, table in predictions.groupby("seed")]
     for table, seed in zip(tables, ("", "seed-7"), strict=True):
         with graph_file.open_graphs(folder / f"graphs/semantic/{TEST}.h5") as graphs:
-            model = load(trained / seed)
+            model = load_model(trained / seed)
             values = model.predict(graphs)
         assert table["frame"].tolist() == [*range(60)]
         found = table[[f"predicted_{name}" for name in COLUMNS[predicted]]]
@@ -81,7 +81,10 @@ def test_a_control_gets_the_scene_of_another_drive_in_training_and_evaluation(fo
         )
         run_train(folder)
     assert scenes == [(paths[0], paths[1]), (paths[1], paths[0])]
-    model, table = load(run_train(folder)), pd.read_csv(run_evaluate(folder) / "predictions.csv")
+    model, table = (
+        load_model(run_train(folder)),
+        pd.read_csv(run_evaluate(folder) / "predictions.csv"),
+    )
     for drive, own, other in ((tested[0], *paths[2:]), (tested[1], *paths[:1:-1])):
         found = table[table["drive"] == drive]["predicted_steering_rad"]
         with graph_file.open_graphs(own) as graphs:
@@ -101,7 +104,7 @@ def test_drives_without_a_window_are_not_listed(folder):
             folder / f"graphs/semantic/{drive}.h5", np.zeros(frames), np.arange(frames), 80
         )
     write_params(folder, epochs=1)
-    trained = load(run_train(folder))
+    trained = load_model(run_train(folder))
     assert (
         trained.drives
         == read_metrics(run_evaluate(folder))["drives"]["train"]

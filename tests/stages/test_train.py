@@ -1,6 +1,4 @@
-"""Stage train on small graphs: it learns, resumes to the same bytes, and refuses data it cannot
-learn from.
-"""
+"""Stage train on small graphs: it learns, resumes, and refuses data that teach nothing."""
 
 import json
 import shutil
@@ -25,10 +23,10 @@ def load(path: Path) -> dict[str, object]:
 
 
 def nmse(folder: Path, split: str = "test") -> float:
-    """Evaluate the model, and return the error of its first column."""
-    return next(
-        iter(json.loads((run_evaluate(folder) / "metrics.json").read_text())[split].values())
-    )["nmse"]
+    """Evaluate the model, and return the nmse of its first column."""
+    metrics = json.loads((run_evaluate(folder) / "metrics.json").read_text())
+    column, *_ = metrics[split].values()
+    return column["nmse"]
 
 
 def test_a_trained_model_follows_the_bend_and_knows_its_settings(folder):
@@ -36,9 +34,8 @@ def test_a_trained_model_follows_the_bend_and_knows_its_settings(folder):
     trained = run_train(folder)
     assert nmse(folder) < 0.45
     best = load(trained / "best.pt")
-    assert best["settings"] == artefacts.GRAPHS | {
-        "labels": artefacts.LABELS["labels"] | {"ahead_m": EDGES_M}
-    }
+    labels = artefacts.LABELS["labels"] | {"ahead_m": EDGES_M}
+    assert best["settings"] == artefacts.GRAPHS | {"labels": labels}
     curve = pd.read_csv(trained / "curve.csv")
     assert [*curve] == ["epoch", "learning_rate", "train_loss", "val_nmse"]
     assert best["epoch"] == 1 + curve["val_nmse"].rolling(3, min_periods=1).mean().argmin()
@@ -54,7 +51,9 @@ def test_resumed_training_writes_the_same_bytes(folder, monkeypatch, capsys, ent
     complete = contents(run_train(folder))
     shutil.rmtree(folder / "train")
     shutil.rmtree(folder / ".drives")
-    write, written = checkpoint.write, list[Path]()
+
+    write = checkpoint.write
+    written = list[Path]()
 
     def interrupt(path: Path, content: dict[str, object]) -> None:
         write(path, content)
@@ -69,7 +68,8 @@ def test_resumed_training_writes_the_same_bytes(folder, monkeypatch, capsys, ent
     assert not (folder / "train/net").exists()
     assert contents(run_train(folder)) == complete
     assert "net seed 0: continues after epoch 2 of 3" in capsys.readouterr().out
-    # with its networks kept, as when test drives are added, nothing is trained
+
+    # With its networks kept, as when test drives are added, nothing is trained.
     with monkeypatch.context() as patch:
         patch.setattr(Fit, "_train", None)
         assert contents(run_train(folder)) == complete
@@ -91,14 +91,12 @@ def test_training_starts_anew_where_a_drive_moves_between_training_and_validatio
 def test_the_averaged_network_has_the_statistics_of_the_trained_one(folder, monkeypatch):
     small_model.add_users_network(monkeypatch)
     write_params(folder, {"spatial": "users"}, epochs=1)
-    best = load(run_train(folder) / "best.pt")["net"]
+    average = load(run_train(folder) / "best.pt")["net"]
     (state,) = (folder / ".drives").rglob("*.pt")
-    equal = {name for name, tensor in load(state)["net"].items() if torch.equal(best[name], tensor)}
-    assert (
-        {f"spatial.0.{name}" for name in ("running_mean", "running_var", "num_batches_tracked")}
-        <= equal
-        < {*best}
-    )
+    net = load(state)["net"]
+    equal = {name for name in net if torch.equal(average[name], net[name])}
+    statistics = {"running_mean", "running_var", "num_batches_tracked"}
+    assert {f"spatial.0.{name}" for name in statistics} <= equal < {*average}
 
 
 @pytest.mark.slow
@@ -114,16 +112,17 @@ def test_seeds_in_parallel_processes_equal_those_trained_alone(folder, monkeypat
     write_params(folder, epochs=1, seeds=[0, 7])
     monkeypatch.setenv("STEER_WORKERS", "2")
     trained = run_train(folder)
-    first, second = (load(trained / name) for name in ("best.pt", "seed-7/best.pt"))
-    # a seed draws the wiring, too
-    assert [best["entry"]["wiring"]["seed"] for best in (first, second)] == [0, 7]
+    first = load(trained / "best.pt")
+    second = load(trained / "seed-7/best.pt")
+    # A seed draws the wiring, too.
+    assert first["entry"]["wiring"]["seed"] == 0
+    assert second["entry"]["wiring"]["seed"] == 7
     shutil.rmtree(folder / ".drives")
     write_params(folder, epochs=1, seeds=[7])
     alone = load(run_train(folder) / "best.pt")["net"]
     assert all(torch.equal(alone[name], second["net"][name]) for name in alone)
-    assert not torch.equal(
-        first["net"]["spatial.read_out.weight"], alone["spatial.read_out.weight"]
-    )
+    name = "spatial.read_out.weight"
+    assert not torch.equal(first["net"][name], alone[name])
 
 
 def test_a_network_and_its_errors_do_not_depend_on_threads(tmp_path):
@@ -176,9 +175,8 @@ def test_other_networks_and_inputs(tmp_path, kind, entry, epochs, limit):
 def test_drives_that_teach_nothing_are_refused(tmp_path, frames, edges_m, scale, entry, problem):
     artefacts.write_dataset(tmp_path, SPLITS, frames=frames, points=20, ahead_m=edges_m)
     for drive in SPLITS:
-        artefacts.add_motion(
-            tmp_path / f"graphs/semantic/{drive}.h5", np.zeros(frames), np.zeros(frames, bool)
-        )
+        graphs = tmp_path / f"graphs/semantic/{drive}.h5"
+        artefacts.add_motion(graphs, np.zeros(frames), valid=np.zeros(frames, bool))
     with h5py.File(tmp_path / f"labels/{TEST}.h5", "a") as file:
         file["steering_rad"][:] *= scale
     write_params(tmp_path, entry, epochs=1)

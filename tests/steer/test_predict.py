@@ -13,7 +13,7 @@ import yaml
 from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
 from pipeline.graphs.graph_file import open_graphs
-from pipeline.train.trained import load
+from pipeline.train.trained import load_model
 from stages import clouds, encoder, graphs, ingest, labels, motion, perception, sample, train
 from steer import api
 from steer.commands.predict import predict
@@ -118,7 +118,7 @@ def test_predictions_equal_those_of_the_stages(folder, tmp_path, model):
     )
     rows = read(tmp_path / "out")
     with open_graphs(folder / f"data/graphs/{MODELS[model]['input']}/{TEST}.h5") as graphs:
-        expected = load(folder / f"data/train/{model}", "cpu").predict(graphs)
+        expected = load_model(folder / f"data/train/{model}", "cpu").predict(graphs)
         assert rows["frame"].tolist() == graphs.frame.tolist()
     names = ["predicted_rad"]
     if model == "path":

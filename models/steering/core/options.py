@@ -42,7 +42,7 @@ class NetworkOptions(OptionGroup):
     # Frames that the network reads; spatial networks only.
     kind: ClassVar[FrameKind | None] = None
     # Whether the features depend on the frames.
-    sees: ClassVar[bool] = True
+    sees_frames: ClassVar[bool] = True
 
     def build(self, sizes: Sizes) -> nn.Module:
         """Build the network with new weights from torch's random state.

@@ -91,7 +91,7 @@ class SteeringNet(nn.Module):
         super().__init__()
         self.equivariant = equivariant
         self.motion = motion
-        self.sees = spatial.sees
+        self.sees_frames = spatial.sees_frames
         # Random numbers are drawn in this order: a seed's weights depend on it.
         self.spatial: Any = spatial.build(sizes)
         self.scale = FeatureScale(sizes.features, centred=not equivariant)

@@ -20,7 +20,7 @@ class Blind(nn.Module):
 
 class Options(NetworkOptions):
     kind = "graph"
-    sees = False
+    sees_frames = False
 
     def build(self, sizes: Sizes) -> nn.Module:
         return Blind(sizes.features)

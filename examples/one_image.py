@@ -27,7 +27,7 @@ torch.set_grad_enabled(False)
 K = np.array([[172.9, 0, 154.4], [0, 172.9, 44.95], [0, 0, 1]])
 
 # One network perceives depth and classes, the other one steers. Both were trained on the sample.
-_, encoder = encoder_file.load(Path("models/encoder/sample/encoder.pt"))
+_, encoder = encoder_file.load_encoder(Path("models/encoder/sample/encoder.pt"))
 model = trained.load_model("models/steering/sample", device="cpu")
 gcn = model.net.spatial
 standardise = model.net.scale

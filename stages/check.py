@@ -26,7 +26,7 @@ def main(params: Path = Path("params.yaml")) -> Path:
     with error_context(params):
         if not is_locked(params.with_name("dvc.lock"), content["encoder"]):
             with error_context("encoder"):
-                create.check(settings.encoder)
+                create.check_encoder(settings.encoder)
         for name, model in settings.models.items():
             with error_context(f"models.{name}"):
                 check_model(model, settings)

@@ -48,7 +48,7 @@ def main(
             config |= fitted["config"]
             config["losses"] = {name: curve[-1][name] for name in LOSSES}
         else:
-            encoder_file.save(folder.new, architecture, model.state_dict())
+            encoder_file.save_encoder(folder.new, architecture, model.state_dict())
 
         config["sources"] = architecture.get("sources", [])
         config["parameters"] = sum(parameter.numel() for parameter in model.parameters())
@@ -78,7 +78,7 @@ def fit(
     Returns the summary of :func:`pipeline.encoder.fit.fit_drives`.
     """
     # The weights at the start are a file, so that the cache key of the fit depends on them.
-    encoder_file.save(folder.kept / "start", architecture, model.state_dict())
+    encoder_file.save_encoder(folder.kept / "start", architecture, model.state_dict())
     start = folder.kept / "start" / encoder_file.FILE
 
     drives = store.drives_in(store.read_index(ingest, stage="ingest"), "train")

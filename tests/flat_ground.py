@@ -10,7 +10,7 @@ from models.encoder.heads import ray_slopes
 from models.encoder.unified_encoder import BUILD
 from pipeline.camera import classes
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
-from pipeline.encoder.encoder_file import save
+from pipeline.encoder.encoder_file import save_encoder
 
 
 class FlatGround(nn.Module):
@@ -29,5 +29,5 @@ class FlatGround(nn.Module):
 def write_encoder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Write the encoder to a folder and return it."""
     monkeypatch.setitem(BUILD, "flat ground", lambda architecture: FlatGround())
-    save(folder, {"backbone": "flat ground"}, FlatGround().state_dict())
+    save_encoder(folder, {"backbone": "flat ground"}, FlatGround().state_dict())
     return folder

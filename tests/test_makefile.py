@@ -186,7 +186,7 @@ def test_a_run_takes_weights_from_its_checkout(tmp_path, monkeypatch):
     (tmp_path / "run/checkout").write_text(f"{tmp_path}/checkout")
     monkeypatch.chdir(tmp_path / "run")
     encoder = preset.merged("roads")["encoder"] | {"weights": "encoder.pt"}
-    create.check(Encoder(**encoder))
+    create.check_encoder(Encoder(**encoder))
     assert weights_hash(Encoder(**encoder)) == file_hash(tmp_path / "checkout/encoder.pt")
     assert in_checkout(tmp_path / "elsewhere") == tmp_path / "elsewhere"
 

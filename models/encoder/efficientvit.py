@@ -11,11 +11,18 @@ from torch import Tensor, nn
 
 from pipeline.camera import classes
 
-MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-STRIDE = 32  # sides of its image are multiples of it
-WIDTHS = (8, 16, 32, 64, 128)  # at 1/2, 1/4, … 1/32 of the image
+# Mean of the colours R, G, B of its training images.
+MEAN = (0.485, 0.456, 0.406)
+# Standard deviation of these colours.
+STD = (0.229, 0.224, 0.225)
+# Number of pixels of which the sides of an image are multiples.
+STRIDE = 32
+# Channels at 1/2, 1/4, … 1/32 of the image.
+WIDTHS = (8, 16, 32, 64, 128)
+# Channels of the map that the class head decodes.
 DECODED = 32
-HEAD_WIDTH = 16  # of the attention
+# Channels of one head of the attention.
+HEAD_WIDTH = 16
 
 
 class EfficientViT(nn.Module):
@@ -25,11 +32,10 @@ class EfficientViT(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.backbone, self.head = Backbone(), Head()
-        # [2,3,1,1]
-        self.register_buffer(
-            "mean_std", torch.tensor([MEAN, STD])[..., None, None], persistent=False
-        )
+        self.backbone = Backbone()
+        self.head = Head()
+        mean_std = torch.tensor([MEAN, STD])[..., None, None]  # [2,3,1,1]
+        self.register_buffer("mean_std", mean_std, persistent=False)
 
     def forward(self, image: Tensor) -> Tensor:
         mean, std = self.mean_std
@@ -42,25 +48,28 @@ class Backbone(nn.Module):
         first, *widths = WIDTHS
         depth_conv = conv(first, first, 3, groups=first).append(nn.Hardswish())
         separable = named(depth_conv=depth_conv, point_conv=conv(first, first))
-        self.input_stem = ops(
-            conv(3, first, 3, stride=2).append(nn.Hardswish()), Residual(separable)
-        )
-        self.stages, inputs = nn.ModuleList(), first
+        halving = conv(3, first, 3, stride=2).append(nn.Hardswish())
+        self.input_stem = ops(halving, Residual(separable))
+
+        # The stages halve the map. The last two have attention, and convolutions with a bias
+        # instead of a batch norm.
+        self.stages = nn.ModuleList()
+        inputs = first
         for level, width in enumerate(widths):
-            attention = level >= 2  # its convolutions have a bias instead of a batch norm
-            blocks = (
-                [attention_block(width) for _ in range(2)]
-                if attention
-                else [Residual(bottleneck(width, width))]
-            )
-            self.stages.append(
-                ops(named(main=bottleneck(inputs, width, 2, bias=attention)), *blocks)
-            )
+            attention = level >= 2
+            blocks: list[nn.Module] = []
+            if attention:
+                blocks += [attention_block(width), attention_block(width)]
+            else:
+                blocks.append(Residual(bottleneck(width, width)))
+            main = bottleneck(inputs, width, 2, bias=attention)
+            self.stages.append(ops(named(main=main), *blocks))
             inputs = width
 
     def forward(self, x: Tensor) -> list[Tensor]:
         """Return maps at 1/8, 1/16 and 1/32 of the image."""
-        x, maps = self.input_stem(x), []
+        x = self.input_stem(x)
+        maps = []
         for stage in self.stages:
             x = stage(x)
             maps.append(x)
@@ -70,14 +79,17 @@ class Backbone(nn.Module):
 class Head(nn.Module):
     def __init__(self) -> None:
         super().__init__()
-        fine, middle, coarse = (conv(width, DECODED) for width in WIDTHS[2:])
-        doubled, fourfold = (nn.Upsample(scale_factor=factor, mode="bicubic") for factor in (2, 4))
-        self.input_ops = nn.ModuleList([ops(coarse, fourfold), ops(middle, doubled), fine])
+        *_, fine, middle, coarse = WIDTHS
+        from_fine = conv(fine, DECODED)
+        doubled = nn.Upsample(scale_factor=2, mode="bicubic")
+        from_middle = ops(conv(middle, DECODED), doubled)
+        fourfold = nn.Upsample(scale_factor=4, mode="bicubic")
+        from_coarse = ops(conv(coarse, DECODED), fourfold)
+        self.input_ops = nn.ModuleList([from_coarse, from_middle, from_fine])
         self.middle = ops(Residual(bottleneck(DECODED, DECODED)))
-        last = named(conv=nn.Conv2d(4 * DECODED, classes.COUNT, 1))
-        self.output_ops = nn.ModuleList(
-            [ops(conv(DECODED, 4 * DECODED).append(nn.Hardswish()), last)]
-        )
+        logits = named(conv=nn.Conv2d(4 * DECODED, classes.COUNT, 1))
+        wide = conv(DECODED, 4 * DECODED).append(nn.Hardswish())
+        self.output_ops = nn.ModuleList([ops(wide, logits)])
 
     def forward(self, maps: list[Tensor]) -> Tensor:
         x = sum(side(x) for side, x in zip(self.input_ops, reversed(maps), strict=True))
@@ -94,8 +106,9 @@ class Residual(nn.Module):
 
 
 class LinearAttention(nn.Module):
-    """Multi-scale attention with ReLU instead of softmax: its cost grows linearly with the number
-    of pixels.
+    """Multi-scale attention with ReLU instead of softmax.
+
+    Its cost grows linearly with the number of pixels.
     """
 
     def __init__(self, width: int) -> None:
@@ -108,16 +121,17 @@ class LinearAttention(nn.Module):
         self.proj = conv(2 * width, width)
 
     def forward(self, x: Tensor) -> Tensor:
+        batch, _, height, width = x.shape
         qkv = self.qkv(x)
         scales = torch.cat([qkv, self.aggreg[0](qkv)], dim=1)  # [B,6C,H,W]
-        # sums over all pixels are inaccurate in half precision
+        # Sums over all pixels are inaccurate in half precision.
         with torch.autocast(x.device.type, enabled=False):
-            heads = scales.float().reshape(len(x), -1, 3 * HEAD_WIDTH, x[0, 0].numel())
+            heads = scales.float().reshape(batch, -1, 3 * HEAD_WIDTH, height * width)
             q, k, v = heads.chunk(3, dim=2)  # [B,heads,16,HW]
             v = F.pad(v, (0, 0, 0, 1), value=1)  # its last row sums up the weights
-            out = v @ F.relu(k).transpose(2, 3) @ F.relu(q)
-            out = out[:, :, :-1] / (out[:, :, -1:] + 1e-15)
-        return self.proj(out.reshape(len(x), -1, *x.shape[-2:]).to(qkv.dtype))
+            sums = v @ F.relu(k).transpose(2, 3) @ F.relu(q)
+            out = sums[:, :, :-1] / (sums[:, :, -1:] + 1e-15)
+        return self.proj(out.reshape(batch, -1, height, width).to(qkv.dtype))
 
 
 def conv(
@@ -130,22 +144,18 @@ def conv(
     bias: bool = False,
 ) -> nn.Sequential:
     """Return a convolution and, unless it has a bias, batch norm."""
-    norm = {} if bias else {"norm": nn.BatchNorm2d(outputs)}
-    return named(
-        conv=nn.Conv2d(inputs, outputs, size, stride, size // 2, groups=groups, bias=bias), **norm
-    )
+    layer = nn.Conv2d(inputs, outputs, size, stride, size // 2, groups=groups, bias=bias)
+    if bias:
+        return named(conv=layer)
+    return named(conv=layer, norm=nn.BatchNorm2d(outputs))
 
 
 def bottleneck(inputs: int, outputs: int, stride: int = 1, *, bias: bool = False) -> nn.Sequential:
     """Return an inverted bottleneck of 4 times the width of its inputs."""
     width = 4 * inputs
-    return named(
-        inverted_conv=conv(inputs, width, bias=bias).append(nn.Hardswish()),
-        depth_conv=conv(width, width, 3, stride=stride, groups=width, bias=bias).append(
-            nn.Hardswish()
-        ),
-        point_conv=conv(width, outputs),
-    )
+    inverted = conv(inputs, width, bias=bias).append(nn.Hardswish())
+    depth = conv(width, width, 3, stride=stride, groups=width, bias=bias).append(nn.Hardswish())
+    return named(inverted_conv=inverted, depth_conv=depth, point_conv=conv(width, outputs))
 
 
 def attention_block(width: int) -> nn.Sequential:

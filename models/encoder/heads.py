@@ -1,4 +1,4 @@
-"""Heads of encoders, metric depth and Cityscapes classes, and what several networks need."""
+"""Heads of encoders, metric depth and Cityscapes classes, and functions of several networks."""
 
 import math
 from collections.abc import Sequence
@@ -9,12 +9,16 @@ from torch import Tensor, nn
 
 from pipeline.camera import classes
 
-MIN_DEPTH_M, MAX_DEPTH_M = 0.5, 120.0
+# Smallest depth that a head predicts, in metres.
+MIN_DEPTH_M = 0.5
+# Largest depth that a head predicts, in metres.
+MAX_DEPTH_M = 120.0
 
 
 def resized(x: Tensor, size: Sequence[int]) -> Tensor:
-    """Interpolate a map [B,C,h,w] to `size`, in float32, with averages where it shrinks; pixel
-    centres stay aligned.
+    """Interpolate a map [B,C,h,w] to `size` (H, W), in float32; pixel centres stay aligned.
+
+    Where the map shrinks, pixels are averages.
     """
     if x.shape[-2:] == torch.Size(size):
         return x
@@ -24,41 +28,48 @@ def resized(x: Tensor, size: Sequence[int]) -> Tensor:
 
 
 def scaled_by_focal(depth: Tensor, K: Tensor, trained: float) -> Tensor:
-    """Scale depth [B,H,W] of a network that was trained with one camera to the camera with
-    intrinsics K [B,3,3].
+    """Scale depth [B,H,W] of a network to another camera, with intrinsics K [B,3,3].
 
     `trained` is focal length / image width of its training images: a longer lens makes objects look
     nearer.
     """
-    return depth * (K[:, 0, 0] / depth.shape[-1] / trained).to(depth.dtype)[:, None, None]
+    focal_by_width = K[:, 0, 0] / depth.shape[-1]
+    factor = (focal_by_width / trained).to(depth.dtype)
+    return depth * factor[:, None, None]
 
 
 def ray_slopes(K: Tensor, size: torch.Size) -> Tensor:
     """Return x/z and y/z of each pixel's ray, [B,2,H,W], for intrinsics [B,3,3] without skew."""
-    v = torch.arange(size[0], dtype=K.dtype, device=K.device).view(1, -1, 1)
-    u = torch.arange(size[1], dtype=K.dtype, device=K.device).view(1, 1, -1)
-    x = (u - K[:, 0, 2, None, None]) / K[:, 0, 0, None, None]  # [B,1,W]
-    y = (v - K[:, 1, 2, None, None]) / K[:, 1, 1, None, None]  # [B,H,1]
-    return torch.stack([x.expand(-1, size[0], -1), y.expand(-1, -1, size[1])], dim=1).float()
+    height, width = size
+    focal_x, _, centre_x = K[:, 0].unbind(1)
+    _, focal_y, centre_y = K[:, 1].unbind(1)
+    u = torch.arange(width, dtype=K.dtype, device=K.device)
+    v = torch.arange(height, dtype=K.dtype, device=K.device)
+    x = (u - centre_x[:, None]) / focal_x[:, None]  # [B,W]
+    y = (v - centre_y[:, None]) / focal_y[:, None]  # [B,H]
+    x = x[:, None].expand(-1, height, -1)
+    y = y[:, :, None].expand(-1, -1, width)
+    return torch.stack([x, y], dim=1).float()
 
 
 class Pointwise(nn.Conv2d):
-    """A 1x1 convolution as a product on channels last. On one thread, torch's changes the layout
-    and back.
+    """A 1x1 convolution as a product on channels last.
+
+    On one thread, torch's convolution changes the layout and back.
     """
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__(inputs, outputs, 1)
 
     def forward(self, x: Tensor) -> Tensor:
-        return F.linear(x.permute(0, 2, 3, 1), self.weight.flatten(1), self.bias).permute(
-            0, 3, 1, 2
-        )
+        pixels = F.linear(x.permute(0, 2, 3, 1), self.weight.flatten(1), self.bias)
+        return pixels.permute(0, 3, 1, 2)
 
 
 class CellDepth(nn.Module):
-    """Depth of all pixels of a feature's cell (sub-pixel convolution). Interpolation would blur
-    edges of objects.
+    """Depth of all pixels of a feature's cell (sub-pixel convolution).
+
+    Interpolation would blur edges of objects.
     """
 
     def __init__(self, channels: int, stride: int) -> None:
@@ -70,11 +81,12 @@ class CellDepth(nn.Module):
 
     def forward(self, features: Tensor, rays: Tensor) -> Tensor:
         """Return depth [B,H,W] from features [B,channels,ceil(H/stride),ceil(W/stride)]."""
-        # cells at the edges are cropped
+        height, width = rays.shape[-2:]
         cells = F.pixel_shuffle(self.layers(features), self.stride)[:, 0]
-        # Over the logarithm: relative errors count equally near and far. Half precision at log(120
-        # m) has an error of 1.6 % of the depth.
-        share = torch.sigmoid(cells[..., : rays.shape[-2], : rays.shape[-1]].float())
+        pixels = cells[..., :height, :width]  # cells at the edges are cropped
+        # Over the logarithm, relative errors count equally near and far. It is float32: half
+        # precision at log(120 m) has an error of 1.6 % of the depth.
+        share = torch.sigmoid(pixels.float())
         return torch.exp(math.log(MIN_DEPTH_M) + math.log(MAX_DEPTH_M / MIN_DEPTH_M) * share)
 
 
@@ -90,17 +102,20 @@ class CellClasses(nn.Module):
         """Return logits [B,19,H,W] from features [B,channels,ceil(H/stride),ceil(W/stride)]."""
         # The weights are ordered by class, then pixel. Reordered by pixel, the logits of a pixel
         # stay adjacent in memory through shuffle, softmax and their gradients, without copies.
-        weight, bias = (
-            x.reshape(classes.COUNT, self.stride**2, -1).transpose(0, 1).flatten(0, 1)
-            for x in self.layer.parameters()
-        )
-        # [B,h,w,stride·stride·19]
-        cells = F.linear(features.permute(0, 2, 3, 1), weight, bias[:, 0])
-        batch, height, width, _ = cells.shape
-        pixels = cells.view(
-            batch, height, width, self.stride, self.stride, classes.COUNT
-        ).transpose(2, 3)
-        logits = pixels.reshape(
-            batch, height * self.stride, width * self.stride, classes.COUNT
-        ).permute(0, 3, 1, 2)
-        return logits[..., : rays.shape[-2], : rays.shape[-1]]
+        weight, bias = self.layer.parameters()
+        weight_by_pixel = self._by_pixel(weight)
+        bias_by_pixel = self._by_pixel(bias)[:, 0]
+        cells = F.linear(features.permute(0, 2, 3, 1), weight_by_pixel, bias_by_pixel)
+
+        # From cells [B,h,w,stride·stride·19] to pixels, which are cropped at the edges.
+        stride = self.stride
+        batch, h, w, _ = cells.shape
+        pixels = cells.view(batch, h, w, stride, stride, classes.COUNT).transpose(2, 3)
+        logits = pixels.reshape(batch, h * stride, w * stride, classes.COUNT).permute(0, 3, 1, 2)
+        height, width = rays.shape[-2:]
+        return logits[..., :height, :width]
+
+    def _by_pixel(self, parameter: Tensor) -> Tensor:
+        """Return a parameter of the layer ordered by pixel, then class, [stride·stride·19, …]."""
+        by_class = parameter.reshape(classes.COUNT, self.stride**2, -1)
+        return by_class.transpose(0, 1).flatten(0, 1)

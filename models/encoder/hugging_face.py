@@ -1,5 +1,4 @@
-"""Networks of Hugging Face, by name or folder: a pair of two networks, and one backbone with the
-heads of this project.
+"""Networks of Hugging Face, by name or folder: a pair of two, or one backbone with our heads.
 
 A network is described by ``{"config", "mean", "std"}``, its configuration and the normalisation of
 its images, so that it is built again without a hub. No code of a hub runs; weights are tensors
@@ -25,67 +24,67 @@ from pipeline.base.checkout import in_checkout
 from pipeline.base.errors import InputError
 from pipeline.camera.classes import COUNT, NAMES, ROAD
 
+# Normalisation of images in most networks.
 IMAGENET = {"image_mean": [0.485, 0.456, 0.406], "image_std": [0.229, 0.224, 0.225]}
-STRIDE, LEVELS, WIDTH = 4, 4, 64  # of the maps that our heads read: stride, number, channels
+# Normalisation of images from 0 to 1, which changes nothing.
+IDENTITY = {"image_mean": [0.0] * 3, "image_std": [1.0] * 3}
+# Stride of the map that our heads read.
+STRIDE = 4
+# Number of maps of a backbone that this map is the sum of.
+LEVELS = 4
+# Channels of this map.
+WIDTH = 64
 # Weights that published files lack: a unit of DPT that its forward pass does not use, and norms
 # that a fit trains.
 UNPUBLISHED = ("neck.fusion_stage.layers.0.residual_layer1.", "hidden_states_norms.")
+# Types of networks whose depth is not in metres → what it is instead.
 NO_DEPTH_M = {
     "depth_pro": "inverse until its post-processing",
     "prompt_depth_anything": "relative to a depth sensor's",
 }
-FAMILIES = {  # setting → the task in names of transformers, and families that work
+# Setting → the task in names of transformers, and families that work.
+FAMILIES = {
     "depth": ("DEPTH_ESTIMATION", "depth_anything, glpn, zoedepth"),
     "classes": ("SEMANTIC_SEGMENTATION", "segformer, upernet, mobilevit, mobilenet_v2"),
 }
-# Cityscapes' class → its names in ADE20K and Mapillary Vistas beside its own, in lower case. All
-# other names are void, also bridges, as in Cityscapes.
-LABELS = {
-    "road": [
-        "runway",
-        "dirt track",
-        "bike lane",
-        "crosswalk - plain",
-        "service lane",
-        "lane marking - crosswalk",
-        "lane marking - general",
-        "catch basin",
-        "manhole",
-        "pothole",
-    ],
-    "sidewalk": ["floor", "path", "curb", "curb cut", "pedestrian area"],
-    "building": [
-        "windowpane",
-        "door",
-        "house",
-        "column",
-        "skyscraper",
-        "grandstand",
-        "stairs",
-        "screen door",
-        "stairway",
-        "blind",
-        "hovel",
-        "tower",
-        "awning",
-        "booth",
-        "canopy",
-        "step",
-        "trade name",
-    ],
-    "fence": ["railing", "bannister", "barrier"],
-    "pole": ["streetlight", "street light", "utility pole"],
-    "traffic sign": ["signboard", "traffic sign (front)"],
-    "vegetation": ["tree", "plant", "flower", "palm"],
-    "terrain": ["grass", "earth", "mountain", "field", "rock", "sand", "hill", "land"],
-    "rider": ["bicyclist", "motorcyclist", "other rider"],
-    "car": ["van"],
-    "train": ["on rails"],
-    "motorcycle": ["minibike"],
+# Cityscapes' class → its names in ADE20K beside its own, in lower case.
+ADE20K = {
+    "road": "runway, dirt track",
+    "sidewalk": "floor, path",
+    "building": "windowpane, door, house, column, skyscraper, grandstand, stairs, screen door, "
+    "stairway, blind, hovel, tower, awning, booth, canopy, step, trade name",
+    "fence": "railing, bannister",
+    "pole": "streetlight",
+    "traffic sign": "signboard",
+    "vegetation": "tree, plant, flower, palm",
+    "terrain": "grass, earth, mountain, field, rock, sand, hill, land",
+    "car": "van",
+    "motorcycle": "minibike",
 }
-NUMBERS = {
-    label: number for number, name in enumerate(NAMES) for label in (name, *LABELS.get(name, ()))
+# Cityscapes' class → its names in Mapillary Vistas beside its own, in lower case.
+VISTAS = {
+    "road": "bike lane, crosswalk - plain, service lane, lane marking - crosswalk, "
+    "lane marking - general, catch basin, manhole, pothole",
+    "sidewalk": "curb, curb cut, pedestrian area",
+    "fence": "barrier",
+    "pole": "street light, utility pole",
+    "traffic sign": "traffic sign (front)",
+    "rider": "bicyclist, motorcyclist, other rider",
+    "train": "on rails",
 }
+
+
+def _class_numbers() -> dict[str, int]:
+    """Return name → trainId. All other names are void, also bridges, as in Cityscapes."""
+    numbers = {name: number for number, name in enumerate(NAMES)}
+    for synonyms in (ADE20K, VISTAS):
+        for name, labels in synonyms.items():
+            numbers |= dict.fromkeys(labels.split(", "), NAMES.index(name))
+    return numbers
+
+
+# Name of a class in Cityscapes, ADE20K or Mapillary Vistas, in lower case → trainId.
+NUMBERS = _class_numbers()
 
 
 def class_number(label: str) -> int:
@@ -102,22 +101,21 @@ class CityscapesLogits(nn.Module):
         super().__init__()
         self.void = [label for label in labels if class_number(label) == COUNT]
         numbers = torch.tensor([class_number(label) for label in labels])
-        self.register_buffer(
-            "members", F.one_hot(numbers, COUNT + 1).float().T[..., None, None], persistent=False
-        )
+        members = F.one_hot(numbers, COUNT + 1).float().T[..., None, None]  # [20,C,1,1]
+        self.register_buffer("members", members, persistent=False)
 
     def forward(self, logits: Tensor) -> Tensor:
-        """Add the probabilities of a class's members. One without members has a finite loss and is
-        not predicted.
+        """Add the probabilities of a class's members.
+
+        A class without members has a finite loss, and is not predicted.
         """
         with torch.autocast(logits.device.type, enabled=False):
-            return F.conv2d(logits.float().softmax(dim=1), self.members).clamp(min=1e-6).log()
+            probabilities = F.conv2d(logits.float().softmax(dim=1), self.members)
+            return probabilities.clamp(min=1e-6).log()
 
 
-def transformers() -> ModuleType:
-    """Return Hugging Face's package, with its messages off. Raises InputError if it is not
-    installed.
-    """
+def import_transformers() -> ModuleType:
+    """Return Hugging Face's package, with its messages off. Raises InputError without it."""
     try:
         import transformers
     except ImportError as error:
@@ -132,23 +130,27 @@ def transformers() -> ModuleType:
 
 @contextmanager
 def loading(name: str | Path, action: str = "load") -> Iterator[None]:
-    """Turn errors of transformers, which have many types, into an InputError of one line."""
+    """Turn exceptions of transformers, which have many types, into an InputError of one line."""
     try:
         yield
     except Exception as error:
-        reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
+        reason = type(error).__name__
+        lines = str(error).strip().splitlines()
         if isinstance(error, UnpicklingError):  # its text explains how to run the code
             reason = "a file is damaged, or has more than tensors"
+        elif lines:
+            reason = lines[0]
         raise InputError(f"cannot {action} {str(name)!r}: {reason}") from error
 
 
-def check(name: str, key: str = "") -> None:
-    """Raise InputError if `name` can only be a folder but has no configuration, or if the package
-    is missing.
+def check_network(name: str, key: str = "") -> None:
+    """Raise InputError if `name` can only be a folder but has no configuration.
 
-    A folder's network has to be of a family for `key`, depth or classes.
+    A folder's network has to be of a family for `key`, depth or classes. Raises InputError also if
+    the package is missing.
     """
-    library, path = transformers(), Path(name)
+    library = import_transformers()
+    path = Path(name)
     config = in_checkout(path) / "config.json"
     is_folder = path.is_absolute() or in_checkout(path).parent.is_dir() or len(path.parts) > 2
     if is_folder and not config.is_file():
@@ -156,7 +158,7 @@ def check(name: str, key: str = "") -> None:
             f"{name!r} is not a folder with a config.json, nor a name of Hugging Face's hub"
         )
     if key in FAMILIES and config.is_file():
-        task, others = FAMILIES[key]
+        task, suitable = FAMILIES[key]
         with loading(name):
             family = json.loads(config.read_text())["model_type"]
         if family not in getattr(
@@ -165,43 +167,44 @@ def check(name: str, key: str = "") -> None:
             raise InputError(
                 f"networks of type {family} have no map of {key}",
                 name,
-                f"Families that work: {others}",
+                f"Families that work: {suitable}",
             )
 
 
 def describe(name: str) -> tuple[Path, dict[str, Any], list[str]]:
-    """Return folder, description and, of a network that is downloaded from the hub, the revision.
-    Raises InputError.
+    """Return the folder of a network, its description, and its sources. Raises InputError.
+
+    A network that is no folder is downloaded from the hub; its revision there is the source.
     """
-    check(name)
-    folder, sources = in_checkout(Path(name)), []
+    check_network(name)
+    folder = in_checkout(Path(name))
+    sources = []
     with loading(name):
         if not folder.is_dir():
             from huggingface_hub import snapshot_download
 
-            folder = Path(
-                snapshot_download(
-                    name, allow_patterns=["*config.json", "*.safetensors*", "pytorch_model*"]
-                )
-            )
+            patterns = ["*config.json", "*.safetensors*", "pytorch_model*"]
+            folder = Path(snapshot_download(name, allow_patterns=patterns))
             sources = [f"https://huggingface.co/{name}/tree/{folder.name}"]
-        config = transformers().AutoConfig.from_pretrained(folder, trust_remote_code=False)
+        auto = import_transformers().AutoConfig
+        config = auto.from_pretrained(folder, trust_remote_code=False)
         content = json.loads(config.to_json_string(use_diff=False))
+        del content["_name_or_path"]
+
+        images = IMAGENET
         file = folder / "preprocessor_config.json"
-        images = json.loads(file.read_text()) if file.is_file() else IMAGENET
-    del content["_name_or_path"]
-    normalised = images.get("do_normalize", "image_mean" in images)
-    images = IMAGENET | images if normalised else {"image_mean": [0.0] * 3, "image_std": [1.0] * 3}
-    return (
-        folder,
-        {"config": content, "mean": images["image_mean"], "std": images["image_std"]},
-        sources,
-    )
+        if file.is_file():
+            images = json.loads(file.read_text())
+            normalised = images.get("do_normalize", "image_mean" in images)
+            images = IMAGENET | images if normalised else IDENTITY
+    description = {"config": content, "mean": images["image_mean"], "std": images["image_std"]}
+    return folder, description, sources
 
 
 class Network(nn.Module):
-    """A network of transformers with its normalisation, on images padded at the right and bottom
-    for its patches.
+    """A network of transformers with its normalisation.
+
+    Images are padded at the right and bottom for its patches.
     """
 
     mean_std: Tensor
@@ -209,22 +212,23 @@ class Network(nn.Module):
     def __init__(
         self, auto: str, description: Mapping[str, Any], folder: Path | None = None
     ) -> None:
-        """`auto` is the class of transformers that builds it. Without a `folder` of weights they
-        are random.
+        """Build the network by the class `auto` of transformers.
+
+        Without a `folder` of weights they are random.
         """
         super().__init__()
-        library = transformers()
+        library = import_transformers()
         config = library.AutoConfig.for_model(**description["config"])
         patch = getattr(getattr(config, "backbone_config", None) or config, "patch_size", None)
         # Backbones other than a ViT halve the image up to five times.
-        self.multiple = (
-            math.lcm(2 * patch, STRIDE) if isinstance(patch, int) and patch > STRIDE else 32
-        )
+        self.multiple = 32
+        if isinstance(patch, int) and patch > STRIDE:
+            self.multiple = math.lcm(2 * patch, STRIDE)
         if auto == "AutoBackbone":
             stages = len(getattr(config, "stage_names", ())) - 1  # without the stem
-            config.out_indices = sorted(
-                {max(1, stages * level // LEVELS) for level in range(1, LEVELS + 1)}
-            )
+            levels = [max(1, stages * level // LEVELS) for level in range(1, LEVELS + 1)]
+            config.out_indices = sorted(set(levels))
+
         with loading(folder or config.model_type):
             self.network = getattr(library, auto).from_config(config, trust_remote_code=False)
             if folder:
@@ -235,22 +239,21 @@ class Network(nn.Module):
                     weights_only=True,
                     output_loading_info=True,
                 )
-                if missing := sorted(
-                    name for name in report["missing_keys"] if not name.startswith(UNPUBLISHED)
-                ):
+                lacking = [key for key in report["missing_keys"] if not key.startswith(UNPUBLISHED)]
+                if lacking:
                     raise InputError(
-                        f"its weights lack {missing[0]}, {len(missing)} tensors in all"
+                        f"its weights lack {min(lacking)}, {len(lacking)} tensors in all"
                     )
         mean_std = torch.tensor([description["mean"], description["std"]])[..., None, None]
         self.register_buffer("mean_std", mean_std, persistent=False)  # [2,3,1,1]
 
     def forward(self, image: Tensor, **options: Any) -> Any:
         """Return the network's output for an RGB image uint8 [B,3,H,W]."""
-        (mean, std), (height, width) = self.mean_std, image.shape[-2:]
-        padded = F.pad(
-            (image.float() / 255 - mean) / std,
-            (0, -width % self.multiple, 0, -height % self.multiple),
-        )
+        mean, std = self.mean_std
+        height, width = image.shape[-2:]
+        normalised = (image.float() / 255 - mean) / std
+        padding = (0, -width % self.multiple, 0, -height % self.multiple)
+        padded = F.pad(normalised, padding)
         with loading(self.network.config.model_type, "run"):
             return self.network(padded, **options)
 
@@ -259,16 +262,16 @@ class Network(nn.Module):
         return torch.Size(side + -side % self.multiple for side in size)
 
     def enlarged(self, x: Tensor, size: Sequence[int]) -> Tensor:
-        """Interpolate a map [B,C,h,w] of the padded image and crop it to the image of `size`,
-        [B,C,H,W].
+        """Interpolate a map [B,C,h,w] of the padded image, and crop it to the image: [B,C,H,W].
+
+        `size` is (H, W) of the image.
         """
-        (height, width), (h, w) = self.padded(size), x.shape[-2:]
-        # plain DPT takes 4 x 16 patches for a square of 8 x 8
+        height, width = self.padded(size)
+        h, w = x.shape[-2:]
+        # Plain DPT takes 4 x 16 patches for a square of 8 x 8.
         if abs(h * width - w * height) > height + width:
-            raise InputError(
-                f"{self.network.config.model_type!r} returns {h} x {w} pixels for {height} x "
-                f"{width}"
-            )
+            kind = self.network.config.model_type
+            raise InputError(f"{kind!r} returns {h} x {w} pixels for {height} x {width}")
         return resized(x, (height, width))[..., : size[0], : size[1]]
 
 
@@ -284,15 +287,16 @@ class Pair(nn.Module):
         super().__init__()
         self.depth = Network("AutoModelForDepthEstimation", architecture["depth"], depth)
         self.classes = Network("AutoModelForSemanticSegmentation", architecture["classes"], classes)
-        self.cityscapes = CityscapesLogits(
-            [name for _, name in sorted(self.classes.network.config.id2label.items())]
-        )
+        labels = sorted(self.classes.network.config.id2label.items())
+        self.cityscapes = CityscapesLogits([name for _, name in labels])
         self.focal_by_width = architecture["focal_by_width"]
 
     def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
         size = image.shape[-2:]
-        depth = self.depth.enlarged(self.depth(image).predicted_depth[:, None], size)[:, 0]
-        logits = self.classes.enlarged(self.cityscapes(self.classes(image).logits), size)
+        depth = self.depth(image).predicted_depth[:, None]
+        depth = self.depth.enlarged(depth, size)[:, 0]
+        logits = self.cityscapes(self.classes(image).logits)
+        logits = self.classes.enlarged(logits, size)
         return scaled_by_focal(depth, K, self.focal_by_width), logits
 
 
@@ -308,16 +312,15 @@ class HuggingFace(nn.Module):
 
     def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
         height, width = image.shape[-2:]
-        maps, rays = (
-            self.backbone(image).feature_maps,
-            ray_slopes(K, self.backbone.padded((height, width))),
-        )
-        depth, logits = self.depth_head(maps, rays), self.class_head(maps, rays)
+        maps = self.backbone(image).feature_maps
+        rays = ray_slopes(K, self.backbone.padded((height, width)))
+        depth = self.depth_head(maps, rays)
+        logits = self.class_head(maps, rays)
         return depth[..., :height, :width], logits[..., :height, :width]
 
 
 class Pyramid(nn.Module):
-    """Sums maps of any strides, enlarged to STRIDE, and applies a head of this project."""
+    """The sum of maps of any strides, enlarged to STRIDE, and a head of this project."""
 
     def __init__(self, channels: Sequence[int], head: nn.Module) -> None:
         super().__init__()
@@ -333,24 +336,28 @@ class Pyramid(nn.Module):
     def forward(self, maps: Sequence[Tensor], rays: Tensor) -> Tensor:
         """Return the head's output for maps of the image of `rays` [B,2,H,W]."""
         size = [side // STRIDE for side in rays.shape[-2:]]
-        y = torch.stack(
-            [resized(side(x), size) for side, x in zip(self.sides, maps, strict=True)]
-        ).sum(dim=0)
-        return self.head(self.smooth(torch.cat([y, resized(rays, size)], dim=1)), rays)
+        sides = [resized(side(x), size) for side, x in zip(self.sides, maps, strict=True)]
+        total = torch.stack(sides).sum(dim=0)
+        features = self.smooth(torch.cat([total, resized(rays, size)], dim=1))
+        return self.head(features, rays)
 
 
 def create_pair(settings: Any) -> tuple[dict[str, Any], nn.Module]:
-    """Return architecture and network of section ``encoder``. Raises InputError, also if depth is
-    not in metres.
+    """Return architecture and network of section ``encoder``.
+
+    Raises InputError, also if depth is not in metres, or no class is road.
     """
     depth_folder, depth, depth_sources = describe(settings.depth)
     classes_folder, classes, classes_sources = describe(settings.classes)
-    architecture: dict[str, Any] = {"backbone": "pair", "depth": depth, "classes": classes}
-    architecture |= {
+    architecture: dict[str, Any] = {
+        "backbone": "pair",
+        "depth": depth,
+        "classes": classes,
         "focal_by_width": settings.focal_by_width,
         "sources": depth_sources + classes_sources,
     }
     network = Pair(architecture, depth_folder, classes_folder)
+
     config = depth["config"]
     unit = (
         NO_DEPTH_M.get(config["model_type"])
@@ -358,29 +365,28 @@ def create_pair(settings: Any) -> tuple[dict[str, Any], nn.Module]:
         or settings.depth_unit
     )
     if unit != "metric":
-        problem = (
-            f"is {unit}"
-            if unit
-            else "has an unknown unit. If it is metres, not 1/metres, set depth_unit: metric"
-        )
+        problem = "has an unknown unit. If it is metres, not 1/metres, set depth_unit: metric"
+        if unit:
+            problem = f"is {unit}"
         raise InputError(f"the depth of {settings.depth!r} {problem}")
+
     if not network.cityscapes.members[ROAD].any():
-        labels = ", ".join([*network.classes.network.config.id2label.values()][:5])
+        names = [*network.classes.network.config.id2label.values()]
         raise InputError(
-            f"no class of {settings.classes!r} is road: {labels}, … Name them by id2label in "
-            "config.json"
+            f"no class of {settings.classes!r} is road: {', '.join(names[:5])}, … Name them by "
+            "id2label in config.json"
         )
+
+    max_depth = config.get("max_depth") or "none"
     void = ", ".join(network.cityscapes.void) or "none"
-    print(
-        f"encoder: max_depth: {config.get('max_depth') or 'none'}; classes that are void: {void}",
-        flush=True,
-    )
+    print(f"encoder: max_depth: {max_depth}; classes that are void: {void}", flush=True)
     return architecture, network
 
 
 def create_backbone(settings: Any) -> tuple[dict[str, Any], nn.Module]:
-    """Return architecture and network of section ``encoder``; its heads are random. Raises
-    InputError.
+    """Return architecture and network of section ``encoder``; its heads are random.
+
+    Raises InputError.
     """
     folder, description, sources = describe(settings.model)
     architecture = {"backbone": "hugging_face", "model": description, "sources": sources}

@@ -13,13 +13,24 @@ from torch import Tensor, nn
 
 from models.encoder.heads import resized, scaled_by_focal
 
-SIZE = (192, 640)  # of its training images; depth is wrong at other sizes
-MEAN, STD = 0.45, 0.225
-WIDTHS = (64, 64, 128, 192)  # at 1/2, 1/4, 1/8 and 1/16 of the image
-DECODED = (96, 64, 32, 16)  # at 1/8, 1/4, 1/2 and 1/1
-KITTI_FOCAL = 721.5377 / 1242  # focal length by image width of its training images
-STEREO_M = 5.4  # metres per unit: KITTI's baseline of 0.54 m is 0.1 in its training
-NEAR, FAR = 0.1, 100.0  # range of depth in units
+# Size (H, W) of its training images in pixels; depth is wrong at other sizes.
+SIZE = (192, 640)
+# Mean of the images' values from 0 to 1.
+MEAN = 0.45
+# Standard deviation of these values.
+STD = 0.225
+# Channels of the encoder at 1/2, 1/4, 1/8 and 1/16 of the image.
+WIDTHS = (64, 64, 128, 192)
+# Channels of the decoder at 1/8, 1/4, 1/2 and 1/1 of the image.
+DECODED = (96, 64, 32, 16)
+# Focal length by image width of its training images.
+KITTI_FOCAL = 721.5377 / 1242
+# Metres per unit of its depth: KITTI's baseline of 0.54 m is 0.1 in its training.
+STEREO_M = 5.4
+# Smallest depth in units.
+NEAR = 0.1
+# Largest depth in units.
+FAR = 100.0
 
 
 class RTMonoDepthS(nn.Module):
@@ -31,11 +42,14 @@ class RTMonoDepthS(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.encoder, self.decoder = Encoder(), Decoder()
+        self.encoder = Encoder()
+        self.decoder = Decoder()
 
     def forward(self, image: Tensor, K: Tensor) -> Tensor:
-        near = self.decoder(self.encoder((resized(image, SIZE) - MEAN) / STD))
-        inverse = resized(1 / FAR + (1 / NEAR - 1 / FAR) * near, image.shape[-2:])[:, 0]
+        normalised = (resized(image, SIZE) - MEAN) / STD
+        nearness = self.decoder(self.encoder(normalised))
+        inverse = 1 / FAR + (1 / NEAR - 1 / FAR) * nearness
+        inverse = resized(inverse, image.shape[-2:])[:, 0]
         return scaled_by_focal(STEREO_M / inverse, K, KITTI_FOCAL)
 
 
@@ -45,11 +59,9 @@ class Encoder(nn.Module):
         self.conv1 = nn.Conv2d(3, WIDTHS[0], 7, stride=2, padding=3, bias=False)
         self.convs = nn.Sequential()
         for inputs, outputs in pairwise(WIDTHS):
-            first, second = (
-                nn.Conv2d(inputs, outputs, 3, 2, padding=1),
-                nn.Conv2d(outputs, outputs, 3, padding=1),
-            )
-            self.convs.append(nn.Sequential(first, nn.LeakyReLU(0.1), second, nn.LeakyReLU(0.1)))
+            halving = nn.Conv2d(inputs, outputs, 3, stride=2, padding=1)
+            conv = nn.Conv2d(outputs, outputs, 3, padding=1)
+            self.convs.append(nn.Sequential(halving, nn.LeakyReLU(0.1), conv, nn.LeakyReLU(0.1)))
 
     def forward(self, image: Tensor) -> Tensor:
         """Return the map at 1/16 of the image: the published decoder has no skip connections."""
@@ -62,16 +74,15 @@ class Decoder(nn.Module):
         self.decoder = nn.ModuleList()
         for inputs, outputs in pairwise((WIDTHS[-1], *DECODED)):
             self.decoder += [conv_elu(inputs, outputs), conv_elu(outputs, outputs)]
-        self.decoder.append(
-            nn.Sequential(OrderedDict(conv3=nn.Conv2d(DECODED[-1], 1, 3, padding=1)))
-        )
+        head = nn.Conv2d(DECODED[-1], 1, 3, padding=1)
+        self.decoder.append(nn.Sequential(OrderedDict(conv3=head)))
 
     def forward(self, x: Tensor) -> Tensor:
         """Return inverse depth from 0 to 1, [B,1,16h,16w], of a map [B,192,h,w]."""
         for level in range(len(DECODED)):
             x = F.interpolate(self.decoder[2 * level](x), scale_factor=2, mode="nearest")
             x = self.decoder[2 * level + 1](x)
-        # half precision is too coarse for large depths
+        # Half precision is too coarse for large depths.
         return torch.sigmoid(self.decoder[-1](x).float())
 
 

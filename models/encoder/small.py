@@ -6,8 +6,14 @@ from torch import Tensor, nn
 
 from models.encoder.heads import CellClasses, CellDepth, Pointwise, ray_slopes
 
-MEAN, STD, STRIDE = 0.45, 0.25, 2
-WIDTHS = (16, 32, 64, 96)  # at 1/2, 1/4, 1/8 and 1/16 of the image
+# Mean of the images' values from 0 to 1.
+MEAN = 0.45
+# Standard deviation of these values.
+STD = 0.25
+# Stride of the map that both heads read.
+STRIDE = 2
+# Channels at 1/2, 1/4, 1/8 and 1/16 of the image.
+WIDTHS = (16, 32, 64, 96)
 
 
 class Small(nn.Module):
@@ -16,10 +22,8 @@ class Small(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.backbone = UNet()
-        self.depth_head, self.class_head = (
-            CellDepth(UNet.channels, STRIDE),
-            CellClasses(UNet.channels, STRIDE),
-        )
+        self.depth_head = CellDepth(UNet.channels, STRIDE)
+        self.class_head = CellClasses(UNet.channels, STRIDE)
 
     def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
         # At a fixed camera height the slope of a pixel's ray determines the depth of the ground for
@@ -30,8 +34,9 @@ class Small(nn.Module):
 
 
 class UNet(nn.Module):
-    """Four halvings down, three doublings up with skips, for a receptive field of most of the
-    image.
+    """Four halvings down and three doublings up with skips.
+
+    The receptive field is most of the image.
     """
 
     channels = 2 * WIDTHS[0]
@@ -43,12 +48,17 @@ class UNet(nn.Module):
         self.down2 = nn.Sequential(conv(a, b, stride=2), Residual(b))
         self.down3 = nn.Sequential(conv(b, c, stride=2), Residual(c))
         self.down4 = nn.Sequential(conv(c, d, stride=2), Residual(d), Residual(d, dilation=2))
-        self.side3, self.side2, self.side1 = Pointwise(d, c), Pointwise(c, b), Pointwise(b, a)
-        self.up3, self.up2, self.up1 = conv(c, c), conv(b, b), conv(a, self.channels)
+        self.side3 = Pointwise(d, c)
+        self.side2 = Pointwise(c, b)
+        self.side1 = Pointwise(b, a)
+        self.up3 = conv(c, c)
+        self.up2 = conv(b, b)
+        self.up1 = conv(a, self.channels)
 
     def forward(self, image: Tensor, rays: Tensor) -> Tensor:
-        """Return features [B,channels,ceil(H/2),ceil(W/2)] of a normalised image [B,3,H,W] and its
-        rays [B,2,H,W].
+        """Return features [B,channels,ceil(H/2),ceil(W/2)].
+
+        The image [B,3,H,W] is normalised, `rays` [B,2,H,W] are those of its pixels.
         """
         x1 = self.down1(torch.cat([image, rays], dim=1))  # [B,a,H/2,W/2]
         x2 = self.down2(x1)  # [B,b,H/4,W/4]

@@ -1,5 +1,6 @@
-"""The encoder of real streets: depth of RT-MonoDepth-S and classes of EfficientViT-Seg-B0, both as
-published.
+"""The encoder of real streets: depth of RT-MonoDepth-S and classes of EfficientViT-Seg-B0.
+
+The weights of both are as published.
 """
 
 import math
@@ -12,10 +13,14 @@ from models.encoder.efficientvit import STRIDE, EfficientViT
 from models.encoder.heads import resized
 from models.encoder.rtmonodepth_s import RTMonoDepthS
 
-# of the image before it is classified: small images have too few pixels for a stride of 32
+# Factor on the sides of an image before it is classified: small images have too few pixels for a
+# stride of 32.
 ENLARGED = 1.5
+# Folder of the published files of RT-MonoDepth-S.
 _RTMONODEPTH = "https://github.com/Ashwani564/RT-Monodepth-Construction/raw/d9a171f0a98b4c7ccd4713197af5e26689b0adfb/weights/RTMonoDepth/s/ms_640_192/"
+# Terms of RT-MonoDepth-S.
 _MONODEPTH2 = "Monodepth2's terms: non-commercial use only"
+# Path of a published file below weights/ → URL, SHA-256, terms.
 SOURCES = {
     "rtmonodepth-s/encoder.pth": (
         _RTMONODEPTH + "encoder.pth",
@@ -33,7 +38,6 @@ SOURCES = {
         "Apache-2.0; Cityscapes' terms: non-commercial use only",
     ),
 }
-"""Path of a published file below weights/ → URL, SHA-256, terms."""
 
 
 class Street(nn.Module):
@@ -41,24 +45,25 @@ class Street(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.depth, self.classes = RTMonoDepthS(), EfficientViT()
+        self.depth = RTMonoDepthS()
+        self.classes = EfficientViT()
 
     def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
-        rgb, size = image.float() / 255, image.shape[-2:]
+        rgb = image.float() / 255
+        size = image.shape[-2:]
         enlarged = resized(rgb, [STRIDE * math.ceil(ENLARGED * side / STRIDE) for side in size])
         return self.depth(rgb, K), resized(self.classes(enlarged), size)
 
     def load_published(self, folder: Path) -> None:
         """Load the files of SOURCES below a folder."""
-        files = (folder / path for path in SOURCES)
-        encoder, decoder, classes = (
-            torch.load(file, weights_only=True, map_location="cpu") for file in files
-        )
-        self.depth.encoder.load_state_dict(
-            {name: x for name, x in encoder.items() if isinstance(x, Tensor)}
-        )
-        coarser = ("decoder.9.", "decoder.10.")  # heads at 1/2 and 1/4, for its training only
-        self.depth.decoder.load_state_dict(
-            {name: x for name, x in decoder.items() if not name.startswith(coarser)}
-        )
+        files = [folder / path for path in SOURCES]
+        contents = [torch.load(file, weights_only=True, map_location="cpu") for file in files]
+        encoder, decoder, classes = contents
+        tensors = {name: x for name, x in encoder.items() if isinstance(x, Tensor)}
+        self.depth.encoder.load_state_dict(tensors)
+
+        # Two heads at 1/2 and 1/4 of the image served its training only.
+        coarser = ("decoder.9.", "decoder.10.")
+        tensors = {name: x for name, x in decoder.items() if not name.startswith(coarser)}
+        self.depth.decoder.load_state_dict(tensors)
         self.classes.load_state_dict(classes["state_dict"])

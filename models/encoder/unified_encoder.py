@@ -1,5 +1,4 @@
-"""Encoders: networks of metric depth and Cityscapes classes of an image (paper §3.2), by a
-description of them.
+"""Encoders: networks of metric depth and Cityscapes classes of an image (paper §3.2).
 
 An encoder is a module ``forward(image, K) -> (depth, logits)``:
 
@@ -21,6 +20,7 @@ from pipeline.base.errors import InputError
 
 # JSON-able description of an encoder, complete without a hub; ``backbone`` is a key of BUILD.
 Architecture = Mapping[str, Any]
+# Backbone → how its network is built from a description.
 BUILD: dict[str, Callable[[Architecture], nn.Module]] = {
     "small": lambda architecture: Small(),
     "street": lambda architecture: Street(),
@@ -31,11 +31,11 @@ BUILD: dict[str, Callable[[Architecture], nn.Module]] = {
 
 
 def build(architecture: Architecture) -> nn.Module:
-    """Return the described encoder, with random weights. Raises InputError for an unknown kind or a
-    missing package.
+    """Return the described encoder, with random weights.
+
+    Raises InputError for an unknown backbone or a missing package.
     """
-    if architecture["backbone"] not in BUILD:
-        raise InputError(
-            f"unknown backbone {architecture['backbone']!r} (known: {', '.join(BUILD)})"
-        )
-    return BUILD[architecture["backbone"]](architecture)
+    backbone = architecture["backbone"]
+    if backbone not in BUILD:
+        raise InputError(f"unknown backbone {backbone!r} (known: {', '.join(BUILD)})")
+    return BUILD[backbone](architecture)

@@ -1,6 +1,4 @@
-"""Create the encoder of section ``encoder``: build it, and load weights that are downloaded once
-and verified.
-"""
+"""Create the encoder of section ``encoder``: build it, and load or download its weights."""
 
 import sys
 from collections.abc import Callable
@@ -13,14 +11,16 @@ from models.encoder.unified_encoder import Architecture, build
 from pipeline.base.checkout import in_checkout
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.resume import file_hash
-from pipeline.encoder import encoder_file, precomputed
+from pipeline.encoder import precomputed
+from pipeline.encoder.encoder_file import load_encoder
 from pipeline.encoder.settings import NEEDED, Encoder
-from pipeline.encoder.weights import WEIGHTS, find, weights_hash
+from pipeline.encoder.weights import WEIGHTS, find_weights, weights_hash
 
 
 def create(settings: Encoder) -> tuple[Architecture, nn.Module]:
-    """Return description and network of section ``encoder``. Raises InputError if a file is missing
-    or does not fit.
+    """Return description and network of section ``encoder``.
+
+    Raises InputError if a file is missing or does not fit.
     """
     with error_context("weights"):
         if settings.weights and settings.weights_sha256 not in (None, weights_hash(settings)):
@@ -32,30 +32,36 @@ def create(settings: Encoder) -> tuple[Architecture, nn.Module]:
     if settings.weights is None or settings.backbone == "precomputed":
         return CREATE[settings.backbone](settings)
     with error_context("weights"):
-        architecture, model = encoder_file.load(find(settings.weights))
-        if architecture["backbone"] != settings.backbone:
-            problem = f"backbone is {architecture['backbone']!r}, expected {settings.backbone!r}"
+        architecture, model = load_encoder(find_weights(settings.weights))
+        backbone = architecture["backbone"]
+        if backbone != settings.backbone:
+            problem = f"backbone is {backbone!r}, expected {settings.backbone!r}"
             raise InputError(problem, settings.weights, "Name another file")
     return architecture, model
 
 
-def check(settings: Encoder) -> None:
+def check_encoder(settings: Encoder) -> None:
     """Raise InputError if a file, a folder or a package is missing; the hub is not asked."""
     if settings.backbone in NEEDED:
         with error_context("backbone"):
-            hugging_face.transformers()
+            hugging_face.import_transformers()
     if settings.weights:
         with error_context("weights"):
             if settings.backbone == "precomputed":
-                precomputed.find(in_checkout(settings.weights))
+                precomputed.find_images(in_checkout(settings.weights))
             else:
-                find(settings.weights)
+                find_weights(settings.weights)
         return
     for key in NEEDED.get(settings.backbone, ()):
-        with error_context(key):
-            value = getattr(settings, key)
-            if isinstance(value, str):
-                hugging_face.check(value, key)
+        value = getattr(settings, key)
+        if isinstance(value, str):
+            with error_context(key):
+                hugging_face.check_network(value, key)
+
+
+def _create_small(settings: Encoder) -> tuple[Architecture, nn.Module]:
+    architecture = {"backbone": settings.backbone}
+    return architecture, build(architecture)
 
 
 def _create_street(settings: Encoder) -> tuple[Architecture, nn.Module]:
@@ -70,33 +76,36 @@ def _create_street(settings: Encoder) -> tuple[Architecture, nn.Module]:
 def _create_precomputed(settings: Encoder) -> tuple[Architecture, nn.Module]:
     assert settings.weights
     count, sha256 = precomputed.fingerprint(in_checkout(settings.weights))
-    architecture = {"backbone": "precomputed", "folder": str(settings.weights), "sha256": sha256}
-    return architecture | {"sources": [f"{count} PNG files in {settings.weights}"]}, nn.Module()
+    architecture = {
+        "backbone": settings.backbone,
+        "folder": str(settings.weights),
+        "sha256": sha256,
+        "sources": [f"{count} PNG files in {settings.weights}"],
+    }
+    return architecture, nn.Module()
 
 
+# Backbone → description and network with weights. Where weights were published, the description has
+# `sources`, a line each.
 CREATE: dict[str, Callable[[Encoder], tuple[Architecture, nn.Module]]] = {
-    "small": lambda settings: ({"backbone": "small"}, build({"backbone": "small"})),
+    "small": _create_small,
     "street": _create_street,
     "pair": hugging_face.create_pair,
     "hugging_face": hugging_face.create_backbone,
     "precomputed": _create_precomputed,
 }
-"""Kind → its description, with `sources` where weights were published: a line each; and the network
-with weights.
-"""
 
 
 def fetch(path: Path, url: str, sha256: str) -> None:
-    """Download a file if it is missing. Raises InputError if the download fails or the hash
-    differs.
+    """Download a file if it is missing.
+
+    Raises InputError if the download fails or the hash differs.
     """
     if path.exists():
-        if file_hash(path) != sha256:
-            raise InputError(
-                f"SHA-256 is {file_hash(path)}, expected {sha256}",
-                path,
-                "Delete it to download it again",
-            )
+        actual = file_hash(path)
+        if actual != sha256:
+            problem = f"SHA-256 is {actual}, expected {sha256}"
+            raise InputError(problem, path, "Delete it to download it again")
         return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

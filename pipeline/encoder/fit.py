@@ -16,12 +16,16 @@ from pipeline.base.errors import InputError
 from pipeline.base.loop import prefetch, warm_up_cosine
 from pipeline.base.runner import Summary
 from pipeline.camera import classes
-from pipeline.encoder.encoder_file import save
+from pipeline.encoder.encoder_file import save_encoder
 from pipeline.encoder.examples import Examples, augment
 from pipeline.encoder.settings import Encoder
 
-WARM_UP = 0.15  # share of the steps with a rising learning rate
+# Share of the steps in which the learning rate rises.
+WARM_UP = 0.15
+# Weight decay of AdamW per unit of the learning rate.
 WEIGHT_DECAY = 1e-4
+# Largest relative error of a pixel's depth that counts. Early predictions next to edges are tens of
+# times too far and would dominate the sum.
 MAX_RELATIVE_ERROR = 6.0
 
 
@@ -34,68 +38,67 @@ def fit_drives(
     ingest: Path,
     drives: Sequence[str],
 ) -> Summary:
-    """Write the encoder fitted to drives of stage ingest to `path`. Return its curve, and keys of
-    its config.json.
+    """Write the encoder fitted to drives of stage ingest to `path`.
+
+    Returns its curve, and keys of its config.json.
     """
     model.to("cuda" if torch.cuda.is_available() else "cpu")
     with Examples(ingest, drives, settings.frames) as examples:
         curve = fit(model, examples, settings)
+        # Datasets of the weights at the start count, too.
         before = architecture.get("datasets", ["unknown"] if settings.weights else [])
         datasets = sorted({*before, *examples.datasets})
-        save(path.parent, {**architecture, "datasets": datasets}, model.state_dict())
+        save_encoder(path.parent, {**architecture, "datasets": datasets}, model.state_dict())
         config = {"frames_per_drive": examples.frames_per_drive, "image_size": list(examples.size)}
         return {"frames": len(examples), "curve": curve, "config": config}
 
 
 def fit(model: nn.Module, examples: Examples, settings: Encoder) -> list[dict[str, float]]:
-    """Fit an encoder in place. Returns a row of mean losses per epoch. Raises InputError if the
-    loss is not finite.
+    """Fit an encoder in place. Returns a row of mean losses per epoch.
+
+    Raises InputError if the loss is not finite.
     """
-    device, epochs = next(model.parameters()).device, settings.epochs
+    device = next(model.parameters()).device
+    epochs = settings.epochs
+    steps = math.ceil(len(examples) / settings.batch)
     model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    model.train()
     optimiser = torch.optim.AdamW(model.parameters(), weight_decay=WEIGHT_DECAY, fused=True)
     curve = []
-    steps = math.ceil(len(examples) / settings.batch)
-    model.train()
     for epoch in range(epochs):
         start = time.perf_counter()
         torch.manual_seed(settings.seed + epoch)
-        # read once per epoch: no step waits for a GPU
+        rng = np.random.default_rng([settings.seed, epoch])
+        batches = _batches(examples, settings.batch, rng, device.type)
+        title = f"epoch {epoch + 1}/{epochs}"
+        bar = tqdm(batches, title, steps, unit="batch", leave=False, disable=None)
+        # Sums of the losses, read once per epoch: no step waits for a GPU.
         sums = torch.zeros(2, dtype=torch.float64, device=device)
-        batches = _batches(
-            examples, settings.batch, np.random.default_rng([settings.seed, epoch]), device.type
-        )
-        bar = tqdm(
-            batches, f"epoch {epoch + 1}/{epochs}", steps, unit="batch", leave=False, disable=None
-        )
         for step, tensors in enumerate(bar):
-            image, K, depth, cls = (tensor.to(device, non_blocking=True) for tensor in tensors)
             factor = warm_up_cosine((epoch * steps + step) / (epochs * steps), WARM_UP)
             optimiser.param_groups[0]["lr"] = settings.learning_rate * factor
+
+            tensors = [tensor.to(device, non_blocking=True) for tensor in tensors]
+            image, K, true_depth_m, true_cls = tensors
             depth_m, logits = model(image.permute(0, 3, 1, 2), K)
-            losses = depth_and_class_loss(depth_m, logits, depth, cls.long())
+            losses = depth_and_class_loss(depth_m, logits, true_depth_m, true_cls.long())
             optimiser.zero_grad(set_to_none=True)
             losses.sum().backward()  # type: ignore[no-untyped-call]
             optimiser.step()
             sums += losses.detach()
+
         depth_loss, class_loss = (sums / steps).tolist()
-        row = {
-            "epoch": epoch + 1,
-            "loss": depth_loss + class_loss,
-            "depth": depth_loss,
-            "classes": class_loss,
-        }
-        if not math.isfinite(row["loss"]):
+        loss = depth_loss + class_loss
+        if not math.isfinite(loss):
             fix = f"Lower encoder.learning_rate (now {settings.learning_rate})"
             raise InputError(f"the loss is not finite in epoch {epoch + 1}", "encoder", fix)
-        line = (
-            "encoder: {epoch} of {epochs} epochs: loss {loss:.4f} (depth {depth:.4f}, classes "
-            "{classes:.4f})"
-        )
+        curve.append({"epoch": epoch + 1, "loss": loss, "depth": depth_loss, "classes": class_loss})
+        parts = f"depth {depth_loss:.4f}, classes {class_loss:.4f}"
         print(
-            f"{line.format(epochs=epochs, **row)}, {time.perf_counter() - start:.1f} s", flush=True
+            f"encoder: {epoch + 1} of {epochs} epochs: loss {loss:.4f} ({parts}), "
+            f"{time.perf_counter() - start:.1f} s",
+            flush=True,
         )
-        curve.append(row)
     model.eval()
     return curve
 
@@ -114,34 +117,41 @@ def depth_and_class_loss(
     """
     known = true_depth_m > 0
     ratio = torch.where(known, depth_m / true_depth_m.clamp(min=1e-3), 1.0)
-    # Clamped, as early predictions next to edges are tens of times too far and would dominate the
-    # sum.
-    error = 0.5 * torch.log(ratio).abs() + 0.5 * (ratio - 1).abs().clamp(max=MAX_RELATIVE_ERROR)
+    relative_error = (ratio - 1).abs().clamp(max=MAX_RELATIVE_ERROR)
+    error = 0.5 * torch.log(ratio).abs() + 0.5 * relative_error
     depth_loss = error.sum() / known.sum().clamp(min=1)
-    labelled = (true_cls != classes.VOID).sum().clamp(min=1)
+
     # The heads' memory order; softmax along the second axis would copy to planes and back.
-    pixels, targets = logits.permute(0, 2, 3, 1).flatten(0, 2), true_cls.flatten()
-    class_loss = (
-        F.cross_entropy(pixels, targets, ignore_index=classes.VOID, reduction="sum") / labelled
-    )
+    pixels = logits.permute(0, 2, 3, 1).flatten(0, 2)
+    targets = true_cls.flatten()
+    error = F.cross_entropy(pixels, targets, ignore_index=classes.VOID, reduction="sum")
+    class_loss = error / (true_cls != classes.VOID).sum().clamp(min=1)
     return torch.stack([depth_loss, class_loss])
 
 
 def _batches(
     examples: Examples, batch: int, rng: np.random.Generator, device: str
 ) -> Iterator[list[Tensor]]:
-    """Return image [B,H,W,3], K, depth and classes of augmented examples in random order; ahead,
-    pinned for a GPU.
+    """Return image [B,H,W,3], K, depth and classes of augmented examples in random order.
+
+    For a GPU they are read ahead, in pinned memory.
     """
 
-    def read(numbers: np.ndarray) -> list[Tensor]:
+    def read_batch(numbers: np.ndarray) -> list[Tensor]:
         chosen = [augment(examples[number], rng) for number in numbers.tolist()]
-        arrays = zip(
-            *((one.image, one.camera.K, one.depth_m, one.cls) for one in chosen), strict=True
-        )
-        tensors = [torch.from_numpy(np.stack(parts)) for parts in arrays]
-        return [tensor.pin_memory() for tensor in tensors] if device == "cuda" else tensors
+        arrays = [
+            np.stack([example.image for example in chosen]),
+            np.stack([example.camera.K for example in chosen]),
+            np.stack([example.depth_m for example in chosen]),
+            np.stack([example.cls for example in chosen]),
+        ]
+        tensors = [torch.from_numpy(array) for array in arrays]
+        if device == "cuda":
+            return [tensor.pin_memory() for tensor in tensors]
+        return tensors
 
     order = rng.permutation(len(examples))
     groups = np.split(order, range(batch, len(order), batch))
-    return prefetch(read, groups) if device == "cuda" else map(read, groups)
+    if device == "cuda":
+        return prefetch(read_batch, groups)
+    return map(read_batch, groups)

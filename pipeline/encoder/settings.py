@@ -9,17 +9,19 @@ from pipeline.base.params import Count, Positive, Rate, Section, Seed
 
 FilePath = Annotated[Path, Field(strict=False)]
 Hub = Annotated[str, Field(min_length=1, description="a name on the hub, or a folder")]
+# Backbone → keys that it needs unless it has weights.
 NEEDED = {
     "pair": ("depth", "classes", "focal_by_width"),
     "hugging_face": ("model",),
 }
+# Backbones that can be fitted.
 FITTED = {"small", "hugging_face"}
 
 
 class Encoder(Section):
     backbone: Literal["small", "street", "pair", "hugging_face", "precomputed"]
     weights: FilePath | None = None
-    # of the weights; make NAME writes it, so that DVC notices another file
+    # Hash of the weights. make NAME writes it, so that DVC notices another file.
     weights_sha256: str | None = None
     depth: Hub | None = None
     classes: Hub | None = None

@@ -13,24 +13,24 @@ WEIGHTS = Path("weights")
 
 
 def weights_hash(settings: Encoder) -> str | None:
-    """Return the SHA-256 of the file, or of the PNG files; None without weights. Raises InputError
-    if it is missing.
+    """Return the SHA-256 of the file, or of the PNG files; None without weights.
+
+    Raises InputError if it is missing.
     """
     if settings.weights is None:
         return None
     if settings.backbone == "precomputed":
-        return precomputed.fingerprint(in_checkout(settings.weights))[1]
-    return file_hash(find(settings.weights))
+        _, sha256 = precomputed.fingerprint(in_checkout(settings.weights))
+        return sha256
+    return file_hash(find_weights(settings.weights))
 
 
-def find(weights: Path) -> Path:
+def find_weights(weights: Path) -> Path:
     """Return the path of a file of the checkout. Raises InputError if it is missing."""
     path = in_checkout(weights)
     if not path.is_file():
-        fix = (
-            "Make it: make street"
-            if weights.parent == WEIGHTS / "street"
-            else "Put it there, or name another one"
-        )
+        fix = "Put it there, or name another one"
+        if weights.parent == WEIGHTS / "street":
+            fix = "Make it: make street"
         raise InputError("file is missing", weights, fix)
     return path

@@ -24,7 +24,7 @@ from pipeline.camera import classes
 from pipeline.camera.camera import Camera, read_camera
 from pipeline.camera.images import DEPTH_UNITS_PER_M, to_units
 from pipeline.encoder import precomputed
-from pipeline.encoder.encoder_file import FILE, load
+from pipeline.encoder.encoder_file import FILE, load_encoder
 from pipeline.perception.reach import limit_traffic_depth
 from pipeline.perception.settings import Perception
 
@@ -94,7 +94,7 @@ def warnings(folder: Path, precision: str, ingest: Iterable[Path]) -> Iterator[s
 @lru_cache(maxsize=1)
 def _open_file(folder: Path, sha256: str, precision: str) -> OpenEncoder:
     with error_context(fix="Make it again: dvc repro --force --single-item encoder"):
-        architecture, network = load(folder / FILE)
+        architecture, network = load_encoder(folder / FILE)
     datasets = architecture.get("datasets")
     if architecture["backbone"] == "precomputed":
         files = in_checkout(Path(architecture["folder"]))
@@ -113,7 +113,7 @@ def _read_precomputed(folder: Path, batch: EncoderInput) -> Perceived:
     depths_m = []
     class_maps = []
     for frame in batch.frame.tolist():
-        depth_m, cls = precomputed.read(folder, batch.drive, frame, batch.camera.size)
+        depth_m, cls = precomputed.read_frame(folder, batch.drive, frame, batch.camera.size)
         depths_m.append(depth_m)
         class_maps.append(cls)
     return Perceived(np.stack(depths_m), np.stack(class_maps))

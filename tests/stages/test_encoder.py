@@ -1,3 +1,5 @@
+"""Stage encoder: the fit, weights as they are, and networks that do not suit the images."""
+
 import json
 import re
 from pathlib import Path
@@ -18,7 +20,9 @@ from tests import street
 from tests.artefacts import write_index
 from tests.models.encoder.test_encoders import write_networks
 
-TRAIN, VAL, TEST = "2026_01_01_drive_0001", "2026_01_02_drive_0001", "2026_01_03_drive_0001"
+TRAIN = "2026_01_01_drive_0001"
+VAL = "2026_01_02_drive_0001"
+TEST = "2026_01_03_drive_0001"
 SETTINGS = {
     "backbone": "small",
     "weights": None,
@@ -70,15 +74,12 @@ def fitted(tmp_path_factory) -> Path:
 
 def test_the_fit_uses_training_drives_only_and_reports_itself(ingest, fitted):
     out = run(ingest, epochs=2)
-    assert (out / "encoder.pt").read_bytes() == (fitted / "encoder.pt").read_bytes(), (
-        "equal input, equal bytes"
-    )
+    # Equal inputs give equal bytes.
+    assert (out / "encoder.pt").read_bytes() == (fitted / "encoder.pt").read_bytes()
     content = config(out)
     assert content["frames_per_drive"] == {TRAIN: 6}
-    assert encoder_file.load(out / "encoder.pt")[0] == {
-        "backbone": "small",
-        "datasets": ["recording"],
-    }
+    architecture, _ = encoder_file.load_encoder(out / "encoder.pt")
+    assert architecture == {"backbone": "small", "datasets": ["recording"]}
     curve = pd.read_csv(out / "curve.csv")
     assert curve["epoch"].tolist() == [1, 2]
     assert all(curve[loss][1] < curve[loss][0] for loss in ("depth", "classes"))
@@ -86,24 +87,20 @@ def test_the_fit_uses_training_drives_only_and_reports_itself(ingest, fitted):
 
 
 def test_a_network_that_does_not_take_images_of_ingest_is_one_line_before_any_drive(tmp_path):
-    names = {"depth": "dpt", "classes": "classes"}
-    pair = {key: str(write_networks(tmp_path) / name) for key, name in names.items()} | {
-        "depth_unit": "metric"
+    write_networks(tmp_path)
+    pair = {
+        "backbone": "pair",
+        "epochs": 0,
+        "depth": str(tmp_path / "dpt"),
+        "classes": str(tmp_path / "classes"),
+        "depth_unit": "metric",
+        "focal_by_width": 0.5,
     }
-    for size, problem in {
-        (96, 320): "cannot run 'dpt': .+",
-        (64, 256): "'dpt' returns 128 x 128 .*",
-    }.items():
+    problems = {(96, 320): "cannot run 'dpt': .+", (64, 256): "'dpt' returns 128 x 128 .*"}
+    for size, problem in problems.items():
         where = re.escape(f"params.yaml: backbone pair, ingest.image_size {[*size]}: ")
         with pytest.raises(InputError, match=f"{where}{problem}$"):
-            run(
-                tmp_path / "no-drives",
-                size=size,
-                backbone="pair",
-                epochs=0,
-                focal_by_width=0.5,
-                **pair,
-            )
+            run(tmp_path / "no-drives", size=size, **pair)
 
 
 @pytest.mark.parametrize("depth", [float("nan"), -1.0, 0.0])
@@ -136,19 +133,16 @@ def test_the_encoder_of_streets_takes_published_files_and_names_their_terms(
 
 def test_the_samples_encoder_is_the_default_and_was_fitted_by_its_preset_on_other_roads(tmp_path):
     content = yaml.safe_load((ROOT / "params.yaml").read_text())
-    fitted, shipped = (
-        preset.Params.model_validate(preset.merged("encoder")),
-        ROOT / content["encoder"]["weights"],
-    )
+    fitted = preset.Params.model_validate(preset.merged("encoder"))
+    shipped = ROOT / content["encoder"]["weights"]
     assert shipped.stat().st_size <= 2_500_000
     made = config(shipped.parent)
     assert made.items() >= fitted.encoder.model_dump(mode="json", exclude_none=True).items()
     assert made["frames_per_drive"].keys() == set(fitted.ingest.drives.train)
     sample = preset.Params.model_validate(content).ingest.drives
     assert not made["frames_per_drive"].keys() & sample.splits().keys()
-    assert {drive[:10] for drive in made["frames_per_drive"]} <= {
-        drive[:10] for drive in sample.train
-    }
+    days = {drive[:10] for drive in made["frames_per_drive"]}
+    assert days <= {drive[:10] for drive in sample.train}
     content["encoder"]["weights"] = str(shipped)
     (tmp_path / "params.yaml").write_text(yaml.safe_dump(content))
     out = main(tmp_path, tmp_path / "encoder", tmp_path / "params.yaml")

@@ -11,7 +11,7 @@ from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
 from pipeline.camera import classes
-from pipeline.encoder.encoder_file import save
+from pipeline.encoder.encoder_file import save_encoder
 from pipeline.motion.motion_file import measure_drive
 from stages import clouds, perception
 from tests import street
@@ -79,14 +79,16 @@ def test_precomputed_files_are_matched_by_frame_number(tmp_path, capsys):
     with h5py.File(tmp_path / f"ingest/{FULL}.h5", "r+") as file:
         file["has_image"][:] = [1, 1, 0, 1, 1]
     write_index(tmp_path / "ingest", {FULL: "test"})
-    save(tmp_path / "encoder", {"backbone": "precomputed", "folder": str(tmp_path / "made")}, {})
+    save_encoder(
+        tmp_path / "encoder", {"backbone": "precomputed", "folder": str(tmp_path / "made")}, {}
+    )
     content = run(tmp_path)
     assert "warning" not in capsys.readouterr().out
     assert content["frame"].tolist() == [0, 1, 3, 4]
     depth_m, cls = (np.stack([truth[frame][part] for frame in content["frame"]]) for part in (0, 1))
     np.testing.assert_array_equal(content["cls"], cls)
     np.testing.assert_array_equal(content["depth_m"], np.rint(depth_m * 256))
-    save(
+    save_encoder(
         tmp_path / "encoder",
         {"backbone": "precomputed", "folder": f"{tmp_path}/later", "datasets": ["sample"]},
         {},

@@ -1,6 +1,4 @@
-"""Encoders: one interface; Hugging Face's on tiny random networks in folders; published ones
-against truth.
-"""
+"""Encoders: one interface, tiny random networks of Hugging Face, published ones against truth."""
 
 import json
 import shutil
@@ -27,7 +25,7 @@ from pipeline.camera import classes
 from pipeline.camera.camera import Camera, scan_depth
 from pipeline.camera.images import read_image, resized
 from pipeline.encoder.create import create as create_encoder
-from pipeline.encoder.encoder_file import load, save
+from pipeline.encoder.encoder_file import load_encoder, save_encoder
 from pipeline.encoder.settings import Encoder
 from pipeline.ingest.datasets.kitti import KittiDrive, read_scan
 from pipeline.perception.perceive import perceive
@@ -55,30 +53,27 @@ SEGFORMER = {"hidden_sizes": [8, 8, 16, 16], "depths": [1] * 4, "num_attention_h
 def write_networks(folder: Path) -> Path:
     """Write folders of networks. Returns `folder`."""
     torch.manual_seed(0)
-    dinov2 = transformers.Dinov2Config(**DINOV2)
+    networks = {"dinov2": transformers.Dinov2Model(transformers.Dinov2Config(**DINOV2))}
+
+    # Networks of depth.
     backbone = {
         **DINOV2,
         "out_indices": [1, 2, 3, 4],
         "apply_layernorm": True,
         "reshape_hidden_states": False,
     }
-    fusion = {
-        "reassemble_hidden_size": 24,
-        "neck_hidden_sizes": [8, 8, 16, 16],
-        "fusion_hidden_size": 8,
-    }
-    networks = {"dinov2": transformers.Dinov2Model(dinov2)}
+    fusion = {"neck_hidden_sizes": [8, 8, 16, 16], "fusion_hidden_size": 8}
     for name, kind in {"depth": "metric", "relative": "relative"}.items():
         config = transformers.DepthAnythingConfig(
             backbone_config=transformers.Dinov2Config(**backbone),
             depth_estimation_type=kind,
             max_depth=80,
+            reassemble_hidden_size=24,
             **fusion,
         )
         networks[name] = transformers.DepthAnythingForDepthEstimation(config)
-    config = transformers.PromptDepthAnythingConfig(
-        **config.to_diff_dict() | {"depth_estimation_type": "metric"}
-    )
+    content = config.to_diff_dict() | {"depth_estimation_type": "metric"}
+    config = transformers.PromptDepthAnythingConfig(**content)
     networks["prompt"] = transformers.PromptDepthAnythingForDepthEstimation(config)
     vit = {"model_type": "dinov2", **DINOV2, "image_size": 32, "patch_size": 8}
     config = transformers.DepthProConfig(
@@ -92,14 +87,14 @@ def write_networks(folder: Path) -> Path:
         fov_model_config=vit,
     )
     networks["depth_pro"] = transformers.DepthProForDepthEstimation(config)
-    del fusion["reassemble_hidden_size"]
     config = transformers.DPTConfig(
         **VIT, **fusion, backbone_out_indices=[0, 1, 2, 3], use_auxiliary_head=False
     )
     networks["dpt"] = transformers.DPTForDepthEstimation(config)
-    networks["glpn"] = transformers.GLPNForDepthEstimation(
-        transformers.GLPNConfig(**SEGFORMER, decoder_hidden_size=16)
-    )
+    config = transformers.GLPNConfig(**SEGFORMER, decoder_hidden_size=16)
+    networks["glpn"] = transformers.GLPNForDepthEstimation(config)
+
+    # Networks of classes.
     config = transformers.SegformerConfig(
         **SEGFORMER, decoder_hidden_size=16, id2label=dict(enumerate(LABELS))
     )
@@ -107,10 +102,12 @@ def write_networks(folder: Path) -> Path:
     networks["headless"] = transformers.SegformerModel(config)
     config = transformers.SegformerConfig(**SEGFORMER, decoder_hidden_size=16, num_labels=7)
     networks["unnamed"] = transformers.SegformerForSemanticSegmentation(config)
-    swin = transformers.SwinConfig(
+
+    # A backbone.
+    config = transformers.SwinConfig(
         embed_dim=12, depths=[1] * 4, num_heads=[1, 2, 3, 4], drop_path_rate=0.0
     )
-    networks["swin"] = transformers.SwinModel(swin)
+    networks["swin"] = transformers.SwinModel(config)
     for name, network in networks.items():
         network.save_pretrained(folder / name)
     images = {"do_normalize": True, "image_mean": [0.4, 0.5, 0.6], "image_std": [0.1, 0.2, 0.3]}
@@ -120,6 +117,9 @@ def write_networks(folder: Path) -> Path:
 
 K = torch.tensor([[[50.0, 0.0, 30.0], [0.0, 40.0, 20.0], [0.0, 0.0, 1.0]]])
 Create = Callable[..., tuple[Architecture, nn.Module]]
+# Backbone → the networks that it has by default.
+DEFAULTS = {"pair": {"depth": "depth", "classes": "classes"}, "hugging_face": {"model": "swin"}}
+FIT = {"frames": 1, "batch": 1, "learning_rate": 0.1, "seed": 0}
 
 
 @pytest.fixture(scope="module")
@@ -129,39 +129,30 @@ def folder(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def create(folder) -> Create:
-    def create(
-        kind: str, more: dict[str, str] | None = None, **names: str
-    ) -> tuple[Architecture, nn.Module]:
-        defaults = {
-            "pair": {"depth": "depth", "classes": "classes"},
-            "hugging_face": {"model": "swin"},
-        }
-        values = {key: str(folder / name) for key, name in (defaults[kind] | names).items()} | (
-            more or {}
-        )
-        fit = {
-            "epochs": int(kind == "hugging_face"),
-            "frames": 1,
-            "batch": 1,
-            "learning_rate": 0.1,
-            "seed": 0,
-        }
-        architecture, network = create_encoder(
-            Encoder(backbone=kind, focal_by_width=0.5, **values, **fit)
-        )
+    def create(kind: str, **names: str) -> tuple[Architecture, nn.Module]:
+        names = DEFAULTS[kind] | names
+        folders = {key: str(folder / name) for key, name in names.items()}
+        epochs = int(kind == "hugging_face")
+        settings = Encoder(backbone=kind, focal_by_width=0.5, epochs=epochs, **folders, **FIT)
+        architecture, network = create_encoder(settings)
         return architecture, network.eval()
 
     return create
 
 
 def image(size: tuple[int, int], count: int = 1) -> torch.Tensor:
-    return torch.randint(
-        0, 256, (count, 3, *size), dtype=torch.uint8, generator=torch.Generator().manual_seed(1)
-    )
+    rng = torch.Generator().manual_seed(1)
+    return torch.randint(0, 256, (count, 3, *size), dtype=torch.uint8, generator=rng)
 
 
-def normalised(size: tuple[int, int], mean: list[float], std: list[float]) -> torch.Tensor:
-    return (image(size) / 255 - torch.tensor(mean).view(3, 1, 1)) / torch.tensor(std).view(3, 1, 1)
+def padded(
+    size: tuple[int, int], mean: list[float], std: list[float], multiple: int
+) -> torch.Tensor:
+    """Return the image, normalised and padded to a multiple of pixels."""
+    height, width = size
+    pixels = image(size) / 255 - torch.tensor(mean).view(3, 1, 1)
+    normalised = pixels / torch.tensor(std).view(3, 1, 1)
+    return F.pad(normalised, (0, -width % multiple, 0, -height % multiple))
 
 
 @pytest.mark.parametrize("size", [(64, 96), (37, 63)])
@@ -171,93 +162,91 @@ def normalised(size: tuple[int, int], mean: list[float], std: list[float]) -> to
 @torch.no_grad()
 def test_each_pixel_has_depth_and_classes_whatever_the_batch(create, kind, size):
     kind, _, model = kind.partition(" on ")
-    names = {"model": model} if model else {}
-    network = (
-        build({"backbone": kind}).eval()
-        if kind in ("small", "street")
-        else create(kind, **names)[1]
-    )
+    if kind in ("small", "street"):
+        network = build({"backbone": kind}).eval()
+    elif model:
+        _, network = create(kind, model=model)
+    else:
+        _, network = create(kind)
     images = image(size, 2)
     depth, logits = network(images, K.expand(2, 3, 3))
     assert depth.shape == (2, *size)
     assert logits.shape in {(2, classes.COUNT, *size), (2, classes.COUNT + 1, *size)}
     assert depth.min() > 0
-    torch.testing.assert_close(
-        (depth[1:], logits[1:]), network(images[1:], K), rtol=1e-4, atol=1e-3
-    )
+    alone = network(images[1:], K)
+    torch.testing.assert_close((depth[1:], logits[1:]), alone, rtol=1e-4, atol=1e-3)
     with torch.autocast("cpu", torch.bfloat16):  # as perception.precision: auto on a GPU
-        assert ((network(images, K.expand(2, 3, 3))[0] / depth).log().abs() < 0.1).all()
+        coarse, _ = network(images, K.expand(2, 3, 3))
+    assert ((coarse / depth).log().abs() < 0.1).all()
 
 
 @pytest.mark.parametrize("size", [(64, 96), (50, 75)])
 @torch.no_grad()
 def test_a_pair_equals_the_networks_themselves(create, folder, size, capsys):
-    depth, logits = create("pair")[1](image(size), K)
+    height, width = size
+    _, pair = create("pair")
+    depth, logits = pair(image(size), K)
     assert "that are void: zebra\n" in capsys.readouterr().out
-    padded = F.pad(
-        normalised(size, [0.4, 0.5, 0.6], [0.1, 0.2, 0.3]), (0, -size[1] % 28, 0, -size[0] % 28)
-    )
-    expected = transformers.DepthAnythingForDepthEstimation.from_pretrained(folder / "depth")(
-        padded
-    ).predicted_depth
-    torch.testing.assert_close(depth, expected[:, : size[0], : size[1]] * (50 / size[1]) / 0.5)
-    rgb = normalised(size, [0.485, 0.456, 0.406], [0.229, 0.224, 0.225])
-    padded = F.pad(rgb, (0, -size[1] % 32, 0, -size[0] % 32))
-    own = transformers.SegformerForSemanticSegmentation.from_pretrained(folder / "classes")(
-        padded
-    ).logits
-    trained = torch.tensor([classes.ROAD, classes.VEGETATION, classes.SKY, classes.COUNT])[
-        own.argmax(1)
-    ]
-    assert (
-        logits[:, :, 1:-2:4, 1:-2:4].argmax(1) == trained[:, : size[0] // 4, : size[1] // 4]
-    ).float().mean() > 0.8
+
+    network = transformers.DepthAnythingForDepthEstimation.from_pretrained(folder / "depth")
+    rgb = padded(size, [0.4, 0.5, 0.6], [0.1, 0.2, 0.3], 28)
+    expected = network(rgb).predicted_depth[:, :height, :width]
+    torch.testing.assert_close(depth, expected * (50 / width) / 0.5)
+
+    network = transformers.SegformerForSemanticSegmentation.from_pretrained(folder / "classes")
+    rgb = padded(size, [0.485, 0.456, 0.406], [0.229, 0.224, 0.225], 32)
+    labels = network(rgb).logits.argmax(1)[:, : height // 4, : width // 4]
+    numbers = torch.tensor([classes.ROAD, classes.VEGETATION, classes.SKY, classes.COUNT])
+    predicted = logits[:, :, 1:-2:4, 1:-2:4].argmax(1)
+    assert (predicted == numbers[labels]).float().mean() > 0.8
 
 
 @pytest.mark.parametrize("kind", ["pair", "hugging_face"])
 @torch.no_grad()
 def test_a_saved_encoder_needs_no_folder(create, kind, tmp_path):
     architecture, network = create(kind)
-    save(tmp_path, architecture, network.state_dict())
+    save_encoder(tmp_path, architecture, network.state_dict())
     assert "networks" not in json.dumps(architecture)  # the folder's name
-    saved = load(tmp_path / "encoder.pt")[1].cpu()
+    _, saved = load_encoder(tmp_path / "encoder.pt")
+    saved = saved.cpu()
     torch.testing.assert_close(saved(image((50, 75)), K), network(image((50, 75)), K))
 
 
 @torch.no_grad()
 def test_the_encoder_of_the_sample_is_the_same_on_each_device(device):
-    network = load(ROOT / "models/encoder/sample/encoder.pt")[1]
-    images = image((96, 320), 3).permute(0, 2, 3, 1).numpy()
-    expected = perceive(network.cpu(), images, Camera(K[0].numpy(), (96, 320)))
-    depth_m, cls = perceive(network.to(device), images, Camera(K[0].numpy(), (96, 320)))
-    np.testing.assert_allclose(depth_m, expected[0], rtol=1e-3)
-    assert (cls == expected[1]).mean() > 0.999
+    _, network = load_encoder(ROOT / "models/encoder/sample/encoder.pt")
+    camera = Camera(K[0].numpy(), (96, 320))
+    images = image(camera.size, 3).permute(0, 2, 3, 1).numpy()
+    expected_m, expected_cls = perceive(network.cpu(), images, camera)
+    depth_m, cls = perceive(network.to(device), images, camera)
+    np.testing.assert_allclose(depth_m, expected_m, rtol=1e-3)
+    assert (cls == expected_cls).mean() > 0.999
 
 
 @pytest.mark.parametrize("model", ["swin", "dinov2"])
 def test_a_fit_reaches_the_first_layer_of_a_backbone_and_both_heads(create, model):
-    network = create("hugging_face", model=model)[1]
+    _, network = create("hugging_face", model=model)
     depth, logits = network(image((64, 96)), K)
     (depth.mean() + logits.std()).backward()
-    parts = {name.split(".")[0]: 0.0 for name, _ in network.named_parameters()}
+    gradients = {"backbone": 0.0, "depth_head": 0.0, "class_head": 0.0}
     for name, parameter in network.named_parameters():
         assert parameter.grad is None or parameter.grad.isfinite().all()
         if "patch_embeddings" in name or "sides" in name:
-            parts[name.split(".")[0]] += float(parameter.grad.abs().sum())
-    assert min(parts.values()) > 0
+            part, *_ = name.split(".")
+            gradients[part] += float(parameter.grad.abs().sum())
+    assert min(gradients.values()) > 0
 
 
 def test_a_folder_without_weights_is_a_random_backbone_but_no_pair(create, folder):
     for name, source in {"bare": "swin", "bare-depth": "depth"}.items():
         (folder / name).mkdir()
         (folder / name / "config.json").write_bytes((folder / source / "config.json").read_bytes())
-    swin, bare = (
-        create("hugging_face", model=name)[1].backbone.state_dict() for name in ("swin", "bare")
-    )
     name = "embeddings.patch_embeddings.projection.weight"
     published = transformers.SwinModel.from_pretrained(folder / "swin").state_dict()[name]
-    assert torch.equal(swin[f"network.swin.{name}"], published)
-    assert not torch.equal(bare[f"network.swin.{name}"], published)
+    _, swin = create("hugging_face", model="swin")
+    assert torch.equal(swin.backbone.state_dict()[f"network.swin.{name}"], published)
+    _, bare = create("hugging_face", model="bare")
+    assert not torch.equal(bare.backbone.state_dict()[f"network.swin.{name}"], published)
     with pytest.raises(ValueError, match=r"bare-depth.*no file named"):
         create("pair", depth="bare-depth")
 
@@ -321,7 +310,8 @@ def test_a_wrong_network_is_one_line(create, kind, names, message):
     ],
 )
 def test_files_of_a_network_run_no_code(create, folder, tmp_path, kind, names, file):
-    trap, sprung = folder / "trap", tmp_path / "sprung"
+    trap = folder / "trap"
+    sprung = tmp_path / "sprung"
     shutil.rmtree(trap, ignore_errors=True)
     shutil.copytree(folder / "swin", trap, ignore=shutil.ignore_patterns("*.safetensors"))
     if file.endswith(".py"):
@@ -339,22 +329,22 @@ def test_files_of_a_network_run_no_code(create, folder, tmp_path, kind, names, f
 
 
 def test_a_hub_out_of_reach_is_one_line(monkeypatch):
-    out_of_reach = Mock(
-        side_effect=FileNotFoundError("cannot reach the hub\nPlease check your connection")
-    )
-    monkeypatch.setattr("huggingface_hub.snapshot_download", out_of_reach)
+    error = FileNotFoundError("cannot reach the hub\nPlease check your connection")
+    monkeypatch.setattr("huggingface_hub.snapshot_download", Mock(side_effect=error))
     with pytest.raises(ValueError, match=r"^cannot load 'a/network': cannot reach the hub$"):
         hugging_face.describe("a/network")
 
 
 def test_depth_of_streets_grows_with_the_focal_length_and_classes_do_not():
     torch.manual_seed(0)
-    model, longer = Street().eval(), K.clone()
+    model = Street().eval()
+    longer = K.clone()
     longer[:, :2, :2] *= 1.5
     with torch.no_grad():
-        (depth, logits), (other, same) = model(image((41, 75)), K), model(image((41, 75)), longer)
-    torch.testing.assert_close(other, 1.5 * depth)
-    torch.testing.assert_close(same, logits)
+        depth, logits = model(image((41, 75)), K)
+        longer_depth, longer_logits = model(image((41, 75)), longer)
+    torch.testing.assert_close(longer_depth, 1.5 * depth)
+    torch.testing.assert_close(longer_logits, logits)
 
 
 def test_linear_attention_is_a_mean_of_values_weighted_by_products_of_keys_and_queries():
@@ -363,15 +353,16 @@ def test_linear_attention_is_a_mean_of_values_weighted_by_products_of_keys_and_q
     layer.proj = nn.Identity()
     x = torch.randn(2, 2 * HEAD_WIDTH, 3, 5)
     with torch.no_grad():
+        outputs = layer(x).flatten(2).split(HEAD_WIDTH, dim=1)
         qkv = layer.qkv(x)
-        for head, part in enumerate(
-            torch.cat([qkv, layer.aggreg[0](qkv)], dim=1).split(3 * HEAD_WIDTH, dim=1)
-        ):
-            q, k, v = part.flatten(2).split(HEAD_WIDTH, dim=1)  # [2,16,15]
-            weights = torch.einsum("bcn,bcm->bnm", k.relu(), q.relu())
-            expected = torch.einsum("bcn,bnm->bcm", v, weights / weights.sum(dim=1, keepdim=True))
-            got = layer(x)[:, head * HEAD_WIDTH : (head + 1) * HEAD_WIDTH].flatten(2)
-            torch.testing.assert_close(got, expected, rtol=1e-4, atol=1e-5)
+        scales = torch.cat([qkv, layer.aggreg[0](qkv)], dim=1).flatten(2)
+    heads = scales.split(3 * HEAD_WIDTH, dim=1)
+    for head, output in zip(heads, outputs, strict=True):
+        q, k, v = head.split(HEAD_WIDTH, dim=1)  # [2,16,15]
+        weights = torch.einsum("bcn,bcm->bnm", k.relu(), q.relu())
+        shares = weights / weights.sum(dim=1, keepdim=True)
+        expected = torch.einsum("bcn,bnm->bcm", v, shares)
+        torch.testing.assert_close(output, expected, rtol=1e-4, atol=1e-5)
 
 
 def grey(image: np.ndarray) -> np.ndarray:
@@ -395,22 +386,23 @@ def test_published_weights_give_metric_depth_of_real_streets(street, real_half, 
     number = raw.camera_number([2, 0])
     camera = raw.camera(number)
     scaled = camera.scaled(SIZE)
-    errors, ratios, matrix = [], [], np.zeros((classes.COUNT, classes.COUNT + 1), int)
+    errors = []
+    ratios = []
+    matrix = np.zeros((classes.COUNT, classes.COUNT + 1), int)
     for frame in list(raw.scans)[::10]:
         image = resized(read_image(raw.images(number)[frame], camera.size), SIZE)
-        depth, cls = perceive(street, image[None], scaled)
+        (depth,), (cls,) = perceive(street, image[None], scaled)
         truth = scan_depth(read_scan(raw.scans[frame]), scaled)
-        found = depth_errors(eigen_crop(depth[0]), eigen_crop(truth))
-        errors.append(found[0])
-        ratios.append(np.median(truth[truth > 0] / depth[0][truth > 0]))
-        matrix += confusion(perceive(street, grey(image)[None], scaled)[1][0], cls[0])
+        abs_rel, *_ = depth_errors(eigen_crop(depth), eigen_crop(truth))
+        errors.append(abs_rel)
+        ratios.append(np.median(truth[truth > 0] / depth[truth > 0]))
+        _, (grey_cls,) = perceive(street, grey(image)[None], scaled)
+        matrix += confusion(grey_cls, cls)
     assert np.mean(errors) < most
     assert np.mean(ratios) == pytest.approx(1, abs=0.08)  # metres, without any scaling
     ious = class_ious(matrix)  # of grey against colour
-    assert (
-        ious[[classes.ROAD, classes.SIDEWALK, classes.BUILDING, classes.VEGETATION]]
-        > [0.9, 0.8, 0.88, 0.78]
-    ).all()
+    common = [classes.ROAD, classes.SIDEWALK, classes.BUILDING, classes.VEGETATION]
+    assert (ious[common] > [0.9, 0.8, 0.88, 0.78]).all()
 
 
 # CamVid's label (0 sky, 1 building, 2 pole, 3 road, 4 pavement, 5 tree, 6 sign, 7 fence, 8 car, 9
@@ -423,10 +415,13 @@ CAMVID = np.array([3, 4, 1, VOID, 7, 2, 6, 6, 5, 5, 0, 9, 10, 8, 8, 8, VOID, 10,
 @pytest.mark.real
 @pytest.mark.parametrize(("colour", "least"), [(True, 0.65), (False, 0.62)])
 def test_published_weights_give_classes_of_camvids_streets(street, real_camvid, colour, least):
-    matrix, camera = 0, Camera(np.array([[400.0, 0, 240], [0, 400, 180], [0, 0, 1]]), (360, 480))
+    matrix = 0
+    camera = Camera(np.array([[400.0, 0, 240], [0, 400, 180], [0, 0, 1]]), (360, 480))
     for path in sorted((real_camvid / "images").glob("*.jpg"))[::3]:
         label = cv2.imread(str(real_camvid / f"labels/{path.stem}.png"), cv2.IMREAD_UNCHANGED)
         image = read_image(path, camera.size)
-        cls = perceive(street, (image if colour else grey(image))[None], camera)[1][0]
+        if not colour:
+            image = grey(image)
+        _, (cls,) = perceive(street, image[None], camera)
         matrix += confusion(CAMVID[cls], np.where(label < 11, label, VOID))
     assert class_ious(matrix)[:11].mean() > least

@@ -12,7 +12,7 @@ from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.camera.geometry import rays
 from pipeline.encoder.create import create, fetch
-from pipeline.encoder.encoder_file import save
+from pipeline.encoder.encoder_file import save_encoder
 from pipeline.encoder.examples import Example, Examples, mirrored
 from pipeline.encoder.fit import depth_and_class_loss
 from pipeline.encoder.settings import Encoder
@@ -28,10 +28,8 @@ BLIND = "2026_01_01_drive_0004"
 def test_a_file_is_downloaded_once_and_verified(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("published.pth").write_bytes(b"some weights")
-    sha256, url = (
-        hashlib.sha256(b"some weights").hexdigest(),
-        Path("published.pth").resolve().as_uri(),
-    )
+    url = Path("published.pth").resolve().as_uri()
+    sha256 = hashlib.sha256(b"some weights").hexdigest()
     path = Path("weights/a/net.pth")
     with pytest.raises(InputError, match="cannot download file:"):
         fetch(path, url, "0" * 64)
@@ -46,7 +44,7 @@ def test_a_file_is_downloaded_once_and_verified(tmp_path, monkeypatch):
 
 
 def test_an_encoder_of_another_kind_is_refused(tmp_path):
-    save(tmp_path, SMALL, build(SMALL).state_dict())
+    save_encoder(tmp_path, SMALL, build(SMALL).state_dict())
     fit = {"epochs": 0, "frames": 1, "batch": 1, "learning_rate": 0.1, "seed": 0}
     with pytest.raises(InputError, match="backbone is 'small', expected 'street'"):
         create(Encoder(backbone="street", weights=tmp_path / "encoder.pt", **fit))
@@ -85,6 +83,8 @@ def test_mirroring_negates_the_rays_and_is_its_own_inverse():
 def test_the_loss_ignores_unknown_pixels_and_matches_hand_values():
     logits = torch.zeros(1, 19, 1, 3)
     logits[0, 3, 0, 0] = 50.0
-    depth, true_depth = torch.tensor([[[2.0, 8.0, 5.0]]]), torch.tensor([[[4.0, 8.0, 0.0]]])
-    loss = depth_and_class_loss(depth, logits, true_depth, torch.tensor([[[3, 255, 7]]]))
+    depth = torch.tensor([[[2.0, 8.0, 5.0]]])
+    true_depth = torch.tensor([[[4.0, 8.0, 0.0]]])
+    true_cls = torch.tensor([[[3, 255, 7]]])
+    loss = depth_and_class_loss(depth, logits, true_depth, true_cls)
     np.testing.assert_allclose(loss, [(np.log(2) / 2 + 0.5 / 2) / 2, np.log(19) / 2], rtol=1e-5)

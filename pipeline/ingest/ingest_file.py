@@ -1,12 +1,12 @@
-"""Write the ingest file, data/ingest/<drive>.h5: everything that later stages need of a drive of
-any dataset.
+"""Write the ingest file of a drive, data/ingest/<drive>.h5.
 
-Each row belongs to a frame number. Missing data has the fill value, and ``has_<name>`` is 0.
+It has everything that later stages need of a drive of any dataset. Each row belongs to a frame
+number. Missing data has the fill value, and ``has_<name>`` is 0.
 """
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,22 +20,38 @@ from pipeline.ingest.drive import Drive, load
 from pipeline.ingest.packets import recorded_motion
 from pipeline.ingest.settings import Ingest, Reading
 
-# Name → unit, value of missing pixels, how pixels are resized.
-MAPS: dict[str, tuple[str, np.ndarray, Callable[..., np.ndarray]]] = {
-    "image": ("RGB", np.zeros(3, np.uint8), resized),
-    "depth": ("1/256 m, 0 = none", np.array(0, np.uint16), nearest),
-    "cls": (f"trainId, {VOID} = void", np.array(VOID, np.uint8), nearest),
+
+class _Map(NamedTuple):
+    """A value for each pixel of a frame."""
+
+    unit: str
+    missing: np.ndarray  # value of missing pixels
+    resize: Callable[..., np.ndarray]
+
+
+class _Value(NamedTuple):
+    """A value, or a packet of values, for each frame."""
+
+    unit: str
+    missing: float  # of a frame without one
+
+
+MAPS = {
+    "image": _Map("RGB", np.zeros(3, np.uint8), resized),
+    "depth": _Map("1/256 m, 0 = none", np.array(0, np.uint16), nearest),
+    "cls": _Map(f"trainId, {VOID} = void", np.array(VOID, np.uint8), nearest),
 }
+# Of oxts, each frame has a packet.
+VALUES = {
+    "oxts": _Value("as KITTI's oxts/dataformat.txt", np.nan),
+    "steering_rad": _Value("rad, left positive", 0.0),
+    "speed_mps": _Value("m/s, forward positive", np.nan),
+    "left_mps": _Value("m/s, left positive", np.nan),
+    "yaw_rate_radps": _Value("rad/s, left positive", np.nan),
+}
+# Data that a frame may lack.
 HAS = (*MAPS, "lidar")
-# Of the values of a frame: unit, and the value of a frame without one. Of oxts, each frame has a
-# packet.
-VALUES: dict[str, tuple[str, float]] = {
-    "oxts": ("as KITTI's oxts/dataformat.txt", np.nan),
-    "steering_rad": ("rad, left positive", 0.0),
-    "speed_mps": ("m/s, forward positive", np.nan),
-    "left_mps": ("m/s, left positive", np.nan),
-    "yaw_rate_radps": ("rad/s, left positive", np.nan),
-}
+# Words for the summary.
 COUNTS = {
     "image": "images",
     "lidar": "scans",
@@ -45,11 +61,21 @@ COUNTS = {
 }
 
 
+class _Row(NamedTuple):
+    """A frame that is written."""
+
+    number: int
+    time_s: float
+    points: int  # of its scan
+    has: dict[str, bool]  # by the names HAS
+
+
 def ingest_drive(
     path: Path, name: str, dataset: str, settings: Ingest, root: Path, reading: Reading
 ) -> Summary:
     """Write the file of drive `name` of a dataset below `root`, see pipeline/ingest/drive.py."""
-    return write_drive(path, load(dataset).open_drive(name, settings, root), name, dataset, reading)
+    drive = load(dataset).open_drive(name, settings, root)
+    return write_drive(path, drive, name, dataset, reading)
 
 
 def write_drive(
@@ -60,16 +86,15 @@ def write_drive(
     settings: Reading,
     advance: Callable[[int], object] | None = None,
 ) -> Summary:
-    """Write a drive of `dataset`; `advance` is called with the number of frames that are done since
-    the last call.
+    """Write a drive of `dataset`, with images cropped around the horizon.
 
-    Images are cropped around the horizon. Returns the counts of frames, images, scans, …, and
-    ``counts``, a text. Raises InputError if there are no frames, pixels of another size than the
-    camera's, or values with an unknown name.
+    `advance` is called with the number of frames that are done since the last call. Returns the
+    counts of frames, images, scans, …, and ``counts``, a text. Raises InputError if there are no
+    frames, pixels of another size than the camera's, or values with an unknown name.
     """
     _check_names(drive.values)
-    camera, size = drive.camera, settings.image_size
-    values = {**recorded_motion(drive.values.get("oxts", {})), **drive.values}
+    camera = drive.camera
+    size = settings.image_size
     crop = camera.crop_to(size) if camera else None
     params: dict[str, Any] = {
         "dataset": drive.dataset or dataset,
@@ -77,69 +102,86 @@ def write_drive(
     }
     if camera and camera.height_known and camera.height_m != camera_height(camera.T_cam_velo):
         params["camera_height_m"] = camera.height_m
-    # number, time, points, and whether it has the HAS; maps
-    rows, written = list[tuple[float, ...]](), {"image"}
+
+    rows = list[_Row]()
     with DriveWriter(path, stage="ingest", drive=name, params=params) as file:
+        written = {"image"}
         for frame in drive.frames():
             _check_size(frame, camera)
             depth = None if frame.depth_m is None else to_units(frame.depth_m)
             maps = {"image": frame.image, "depth": depth, "cls": frame.cls}
             for key, pixels in maps.items():
-                unit, fill, resize = MAPS[key]
-                empty = np.broadcast_to(fill, (*size, *fill.shape))
-                if pixels is not None and key not in written:  # the first depth or classes
+                unit, missing, resize = MAPS[key]
+                content = np.broadcast_to(missing, (*size, *missing.shape))
+                # The first depth or classes: earlier frames have none.
+                if pixels is not None and key not in written:
                     written.add(key)
                     for _ in rows:
-                        file.append(key, empty[None], unit)
+                        file.append(key, content[None], unit)
+                if pixels is not None and crop:
+                    content = resize(crop.pixels(pixels), size)
                 if key in written:
-                    row = (
-                        resize(crop.pixels(pixels), size) if pixels is not None and crop else empty
-                    )
-                    file.append(key, row[None], unit)
+                    file.append(key, content[None], unit)
+
             scan = np.zeros((0, 4), np.float32) if frame.scan is None else frame.scan
             file.append("lidar", scan, "m, m, m, reflectance", "lidar_ptr")
-            has = (pixels is not None for pixels in maps.values())
-            rows.append((frame.number, frame.time_s, len(scan), *has, len(scan) > 0))
+
+            has = {key: pixels is not None for key, pixels in maps.items()}
+            has["lidar"] = len(scan) > 0
+            rows.append(_Row(frame.number, frame.time_s, len(scan), has))
             if advance:
                 advance(1)
         if not rows:
             raise InputError("drive has no frames", name)
-        numbers, times_s, points, *present = zip(*rows, strict=True)
+
+        numbers = [row.number for row in rows]
         file.put("frame", np.array(numbers, np.int32))
-        file.put("time_s", np.array(times_s), "s")
-        steered = np.isin(numbers, [*values.get("steering_rad", ())])
-        for key, (unit, unknown) in VALUES.items():
-            if of_frame := values.get(key):
-                file.put(key, np.array([of_frame.get(number, unknown) for number in numbers]), unit)
-                if key == "steering_rad":
-                    file.put("has_steering", steered.astype(np.uint8))
+        file.put("time_s", np.array([row.time_s for row in rows]), "s")
+        steered = _put_values(file, drive.values, numbers)
         if camera and crop:
             write_camera(file, camera.cropped(crop).scaled(size))
-        file.put_pointers("lidar_ptr", points, "rows of lidar")
-        for key, of_frames in zip(HAS, present, strict=True):
-            file.put(f"has_{key}", np.array(of_frames, np.uint8))
-    counts = dict(zip(HAS, map(sum, present), strict=True)) | {"steering": int(steered.sum())}
-    texts = [
-        *(f"{counts[key]} {text}" for key, text in COUNTS.items() if counts[key]),
-        *drive.notes,
-    ]
-    return {"frames": len(numbers)} | counts | {"counts": "".join(f", {text}" for text in texts)}
+        file.put_pointers("lidar_ptr", [row.points for row in rows], "rows of lidar")
+        counts = {}
+        for key in HAS:
+            present = np.array([row.has[key] for row in rows], np.uint8)
+            file.put(f"has_{key}", present)
+            counts[key] = int(present.sum())
+    counts["steering"] = steered
+
+    texts = [f"{counts[key]} {text}" for key, text in COUNTS.items() if counts[key]]
+    text = "".join(f", {text}" for text in texts + drive.notes)
+    return {"frames": len(rows), **counts, "counts": text}
+
+
+def _put_values(
+    file: DriveWriter, values: Mapping[str, Mapping[int, Any]], numbers: list[int]
+) -> int:
+    """Write the values of the frames with these numbers, and return the number of angles."""
+    motion = recorded_motion(values.get("oxts", {}))
+    values = {**motion, **values}
+    has_steering = np.isin(numbers, [*values.get("steering_rad", ())])
+    for key, (unit, missing) in VALUES.items():
+        by_number = values.get(key)
+        if by_number:
+            column = np.array([by_number.get(number, missing) for number in numbers])
+            file.put(key, column, unit)
+            if key == "steering_rad":
+                file.put("has_steering", has_steering.astype(np.uint8))
+    return int(has_steering.sum())
 
 
 def _check_names(values: Mapping[str, Any]) -> None:
-    """Raise InputError if values have a name that no file of stage ingest has: they would be
-    lost.
-    """
+    """Raise InputError if values have a name that the file lacks: they would be lost."""
     for name in values:
         if name not in VALUES:
-            raise InputError(
-                f"Drive.values has the unknown name {name}: {closest(name, [*VALUES])}"
-            )
+            problem = f"Drive.values has the unknown name {name}: {closest(name, [*VALUES])}"
+            raise InputError(problem)
 
 
 def _check_size(frame: Frame, camera: Camera | None) -> None:
-    """Raise InputError if pixels of a frame have another size than the camera, whose crop would cut
-    them.
+    """Raise InputError if pixels of a frame have another size than the camera.
+
+    Its crop would cut them.
     """
     if camera is None:
         return

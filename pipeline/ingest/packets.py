@@ -1,6 +1,4 @@
-"""Recorded motion of a drive: KITTI's inertial and GNSS packets ("oxts"), timestamps, and steering
-angles.
-"""
+"""Read and write a drive's recorded motion: KITTI's packets ("oxts"), times, steering angles."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,6 +17,7 @@ from pipeline.ingest.columns import (
     refuse,
 )
 
+# Columns of a packet of the inertial and GNSS system.
 COLUMNS = (
     "lat",
     "lon",
@@ -51,20 +50,24 @@ COLUMNS = (
     "velmode",
     "orimode",
 )
-# Speeds forward and to the left, m/s, parallel to the earth's surface; yaw rate about the upward
-# axis, rad/s, left +.
+# Places of the motion in a packet: speeds forward and to the left, parallel to the earth's surface,
+# and the yaw rate about the upward axis, left positive.
 MOTION = {
     "speed_mps": COLUMNS.index("vf"),
     "left_mps": COLUMNS.index("vl"),
     "yaw_rate_radps": COLUMNS.index("wu"),
 }
-_COUNTS = COLUMNS.index("navstat")  # integers from here on
-_LIMITS = np.array(
-    [{"vf": LIMIT_MPS, "vl": LIMIT_MPS, "wu": LIMIT_RADPS}.get(name, np.inf) for name in COLUMNS]
-)
+# Place of the first integer in a packet; all further columns are integers, too.
+_COUNTS = COLUMNS.index("navstat")
+# Largest plausible magnitudes of the columns.
+_LIMITS = np.full(len(COLUMNS), np.inf)
+_LIMITS[COLUMNS.index("vf")] = LIMIT_MPS
+_LIMITS[COLUMNS.index("vl")] = LIMIT_MPS
+_LIMITS[COLUMNS.index("wu")] = LIMIT_RADPS
 GRAVITY_MPS2 = 9.81
 EARTH_RADIUS_M = 6378137.0
-STEERING = "steering.csv"  # in a drive's folder: recorded angles, which KITTI itself lacks
+# File of recorded angles in a drive's folder, which KITTI itself lacks.
+STEERING = "steering.csv"
 
 
 def make_rows(frames: int, **columns: np.ndarray | float) -> np.ndarray:
@@ -76,47 +79,45 @@ def make_rows(frames: int, **columns: np.ndarray | float) -> np.ndarray:
 
 
 def interpolated(rows: np.ndarray) -> np.ndarray:
-    """Return which packets [F,30] KITTI interpolated, bool [F]: a mode of position, velocity or
-    orientation is -1.
+    """Return which packets [F,30] KITTI interpolated, bool [F].
 
-    Labels from interpolated packets of 2011_10_03_drive_0027 are off by 0.04 rad rms, others by
-    0.006.
+    Of these, a mode of position, velocity or orientation is -1. Labels from interpolated packets of
+    2011_10_03_drive_0027 are off by 0.04 rad rms, others by 0.006.
     """
-    return np.asarray((rows[:, COLUMNS.index("posmode") :] == -1).any(axis=1))
+    modes = rows[:, COLUMNS.index("posmode") :]
+    return np.asarray((modes == -1).any(axis=1))
 
 
 def recorded_motion(packets: Mapping[int, np.ndarray]) -> dict[str, dict[int, float]]:
-    """Return name → frame number → value of packets [30]: speeds forward and to the left, and the
-    yaw rate.
+    """Return name → frame number → value of packets [30], for the names of MOTION.
 
-    In m/s and rad/s, left positive; NaN in an interpolated packet, which is no measurement.
+    Values are in m/s and rad/s, left positive; NaN in an interpolated packet, which is no
+    measurement.
     """
-    measured = {number: row for number, row in packets.items() if not interpolated(row[None])[0]}
-    return {
-        name: {
-            number: float(measured[number][column]) if number in measured else np.nan
-            for number in packets
-        }
-        for name, column in MOTION.items()
-    }
+    motion: dict[str, dict[int, float]] = {name: {} for name in MOTION}
+    for number, row in packets.items():
+        is_measured = not interpolated(row[None])[0]
+        for name, column in MOTION.items():
+            motion[name][number] = float(row[column]) if is_measured else np.nan
+    return motion
 
 
 def format_packet(row: np.ndarray) -> bytes:
     """Return the content of a packet's file for a row [30]."""
-    words = [f"{value:.13g}" for value in row[:_COUNTS]] + [
-        f"{value:.0f}" for value in row[_COUNTS:]
-    ]
+    words = [f"{value:.13g}" for value in row[:_COUNTS]]
+    words += [f"{value:.0f}" for value in row[_COUNTS:]]
     return (" ".join(words) + "\n").encode("ascii")
 
 
 def format_times(time_s: np.ndarray, date: str, start_s: float) -> bytes:
-    """Return ``timestamps.txt`` for times [F] in seconds; 0 is `start_s` after midnight of `date`,
-    e.g. 2026_01_01.
+    """Return the content of ``timestamps.txt`` for times [F] in seconds.
+
+    Time 0 is `start_s` after midnight of `date`, for instance 2026_01_01.
     """
-    stamps = np.datetime64(date.replace("_", "-"), "ns") + np.rint((start_s + time_s) * 1e9).astype(
-        "timedelta64[ns]"
-    )
-    return "".join(f"{stamp}\n".replace("T", " ") for stamp in stamps).encode("ascii")
+    midnight = np.datetime64(date.replace("_", "-"), "ns")
+    since_midnight = np.rint((start_s + time_s) * 1e9).astype("timedelta64[ns]")
+    lines = [f"{stamp}\n".replace("T", " ") for stamp in midnight + since_midnight]
+    return "".join(lines).encode("ascii")
 
 
 def read_row(path: Path) -> np.ndarray:
@@ -138,25 +139,28 @@ def read_row(path: Path) -> np.ndarray:
 
 
 def read_times(path: Path, frames: Sequence[int]) -> np.ndarray:
-    """Return the time of each of `frames` (KITTI frame numbers, ascending) in seconds since the
-    first, float64 [F].
+    """Return the times of `frames` in seconds since the first, float64 [F].
 
-    Line i of ``timestamps.txt`` belongs to frame i. A file with exactly one line per existing file
-    belongs to a drive cut out of a longer one: then lines belong to `frames` by position. Raises
-    InputError if the file or a line is missing, or time does not increase.
+    These are KITTI frame numbers, ascending. Line i of ``timestamps.txt`` belongs to frame i. A
+    file with exactly one line per existing file belongs to a drive cut out of a longer one: then
+    lines belong to `frames` by position. Raises InputError if the file or a line is missing, or
+    time does not increase.
     """
     if not path.is_file():
         raise InputError(
             "file is missing", path, f"Extract the drive's {path.parent.name} folder again"
         )
     lines = path.read_text("ascii", errors="replace").rstrip().split("\n")
-    numbers = list(frames) if len(lines) > frames[-1] else list(range(len(frames)))
-    if len(lines) <= frames[-1] and len(lines) != len(frames):
+    if len(lines) > frames[-1]:
+        places = list(frames)
+    elif len(lines) == len(frames):
+        places = list(range(len(frames)))
+    else:
         raise InputError(
             f"expected at least {frames[-1] + 1} lines for frame {frames[-1]}, got {len(lines)}",
             path,
         )
-    words = pd.Series(lines, np.arange(len(lines)) + 1, name="time").iloc[numbers]
+    words = pd.Series(lines, np.arange(len(lines)) + 1, name="time").iloc[places]
     stamps = pd.to_datetime(words, format="ISO8601", errors="coerce").astype("datetime64[ns]")
     refuse(fault(words[stamps.isna()], "is not a date and time"), path, "Correct it")
     # Differences in nanoseconds: a float64 of seconds since 1970 resolves only 0.2 microseconds.

@@ -13,16 +13,20 @@ from pipeline.base.errors import closest
 from pipeline.base.params import SPLITS, ImageSize, Name, Section
 
 RECORDING = "recording"
-# Beginnings of the names of videos, and the name of a folder of images, in a folder of data/raw.
+# Beginning of the names of a recording's videos in its folder of data/raw.
 VIDEO = "video"
+# Name of a recording's folder of images in its folder of data/raw.
 FRAMES = "frames"
+# Names of datasets, each a file.
 DATASETS = sorted(path.stem for path in (Path(__file__).parent / "datasets").glob("[!_]*.py"))
-KITTI_NAMES = re.compile(r"\d{4}_\d\d_\d\d_drive_\d{4}")  # also of the sample
+# Names of KITTI's drives, and of the sample's.
+KITTI_NAMES = re.compile(r"\d{4}_\d\d_\d\d_drive_\d{4}")
 
 
 class Drives(Section):
-    """Drives of each split. 2026_01_01_drive_0001..0009 stands for the nine drives 1 to 9 of a
-    date.
+    """Drives of each split.
+
+    2026_01_01_drive_0001..0009 stands for the nine drives 1 to 9 of a date.
     """
 
     train: list[Name] = []
@@ -32,16 +36,15 @@ class Drives(Section):
     @field_validator(*SPLITS, mode="before")
     @classmethod
     def _expand(cls, names: Any) -> Any:
-        return (
-            [drive for name in names for drive in _expand_range(name)]
-            if isinstance(names, list)
-            else names
-        )
+        if not isinstance(names, list):
+            return names
+        return [drive for name in names for drive in _expand_range(name)]
 
     @model_validator(mode="after")
     def _disjoint(self) -> Self:
         names = self.train + self.val + self.test
-        if twice := sorted({name for name in names if names.count(name) > 1}):
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
             raise ValueError(
                 f"{', '.join(twice)} is listed more than once (expected one split per drive)"
             )
@@ -53,14 +56,13 @@ class Drives(Section):
 
 
 def _expand_range(name: Any) -> list[Any]:
-    """Return the drives of a range. Any other name stays, and an empty range, which is no drive's
-    name.
-    """
+    """Return the drives of a range. Any other name stays, and so does an empty range."""
     match = re.fullmatch(r"(.*?)([0-9]+)\.\.([0-9]+)", str(name))
     if not match or len(match[2]) != len(match[3]):
         return [name]
-    numbers = range(int(match[2]), int(match[3]) + 1)
-    return [f"{match[1]}{number:0{len(match[2])}d}" for number in numbers] or [name]
+    beginning, first, last = match.groups()
+    numbers = range(int(first), int(last) + 1)
+    return [f"{beginning}{number:0{len(first)}d}" for number in numbers] or [name]
 
 
 def _joined(numbers: Any) -> Any:
@@ -75,8 +77,7 @@ File = Annotated[Path | None, Field(strict=False)]
 
 
 class RecordingOptions(Section):
-    """What is known about a recording: the lens, the images' times, the camera's height, and logs
-    of the car.
+    """Options of a recording: the lens, the images' times, the camera's height, logs of the car.
 
     The command line and ingest.recordings use the aliases, Python the names with units.
     """
@@ -135,11 +136,12 @@ class RecordingOptions(Section):
 
 
 class Part(RecordingOptions):
-    """A part of a recording in data/raw; `steer import` writes these. Its logs and times are among
-    its files.
+    """A part of a recording in data/raw; `steer import` writes these.
+
+    Its logs and times are among its files.
     """
 
-    folder: Name  # of data/raw
+    folder: Name  # of the recording, in data/raw
     files: dict[str, str]  # name in the folder → SHA-256
     horizon: float | None = Field(
         default=None, ge=-1e4, le=1e4, description="row of the road's horizon; default: estimated"
@@ -153,21 +155,23 @@ class Part(RecordingOptions):
 
     def shares_images(self, other: Self) -> bool:
         """Return whether another part has images of this one, also in a folder of another name."""
-        ends = (math.inf if part.end is None else part.end for part in (self, other))
-        same_files = self.folder == other.folder or self.image_hashes() & other.image_hashes()
-        return bool(same_files) and max(self.start, other.start) < min(ends)
+        if self.folder != other.folder and not self.image_hashes() & other.image_hashes():
+            return False
+        ends = [part.end for part in (self, other) if part.end is not None]
+        return max(self.start, other.start) < min(ends, default=math.inf)
 
     def image_hashes(self) -> set[str]:
         """Return the hashes of the videos, or of the folder of images."""
-        return {found for name, found in self.files.items() if name.startswith((VIDEO, FRAMES))}
+        return {hashed for name, hashed in self.files.items() if name.startswith((VIDEO, FRAMES))}
 
     def span(self) -> str:
         """Return the span as text."""
-        return f"{self.start:g} s to {'the end' if self.end is None else f'{self.end:g} s'}"
+        end = "the end" if self.end is None else f"{self.end:g} s"
+        return f"{self.start:g} s to {end}"
 
 
 class Reading(Section):
-    """What is read of each drive, whatever its split."""
+    """The settings by which each drive is read, whatever its split."""
 
     image_size: ImageSize
     cameras: list[Annotated[int, Field(ge=0, le=3)]] = Field(min_length=1)
@@ -192,8 +196,8 @@ class Ingest(Reading):
                 raise ValueError(f"{drive} has no entry in recordings: steer import writes them")
             if dataset in ("kitti", "sample") and not KITTI_NAMES.fullmatch(drive):
                 raise ValueError(
-                    "drives: expected a drive's name, such as 2011_09_26_drive_0052 (got "
-                    f"{drive!r})"
+                    "drives: expected a drive's name, such as 2011_09_26_drive_0052 "
+                    f"(got {drive!r})"
                 )
         return self
 
@@ -201,7 +205,7 @@ class Ingest(Reading):
     def _check_recordings(self) -> Self:
         """Raise ValueError for logs that are not in files, and for drives that share images.
 
-        A network would be tested on images that it was trained on.
+        Otherwise, a network would be tested on images that it was trained on.
         """
         for drive, part in self.recordings.items():
             if part.times or part.motion or part.wheel:
@@ -209,27 +213,20 @@ class Ingest(Reading):
                     f"recordings.{drive}: logs and times are listed in files: steer import writes "
                     "them"
                 )
-        parts = [
-            (drive, self.recordings[drive])
-            for drive in self.drives.splits()
-            if drive in self.recordings
-        ]
-        for (drive, part), (other, other_part) in combinations(parts, 2):
+        drives = [drive for drive in self.drives.splits() if drive in self.recordings]
+        for drive, other in combinations(drives, 2):
+            part = self.recordings[drive]
+            other_part = self.recordings[other]
             if part.shares_images(other_part):
-                spans = (
-                    f"{drive} is {part.span()}, {other} is {other_part.span()} of "
-                    f"data/raw/{part.folder}"
-                )
                 raise ValueError(
-                    f"recordings overlap: {spans}. Change start or end of one, or remove it from "
-                    "drives"
+                    f"recordings overlap: {drive} is {part.span()}, {other} is "
+                    f"{other_part.span()} of data/raw/{part.folder}. Change start or end of one, "
+                    "or remove it from drives"
                 )
         return self
 
     def datasets(self) -> dict[str, str]:
-        """Return drive → dataset, a file of pipeline/ingest/datasets; recordings are those of
-        `recordings`.
-        """
+        """Return drive → dataset, a file of pipeline/ingest/datasets."""
         return {
             drive: RECORDING if drive in self.recordings else self.source
             for drive in self.drives.splits()

@@ -1,8 +1,5 @@
-"""Videos and folders of images with logs of the car: parts of recordings in data/raw, as
-ingest.recordings has them.
-"""
+"""Parts of recordings in data/raw, as ingest.recordings has them: images and logs of the car."""
 
-import math
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -18,16 +15,19 @@ from pipeline.ingest.log import ROUNDING_S, Logs, logged_values
 from pipeline.ingest.recording import Recording, open_recording
 from pipeline.ingest.settings import FRAMES, VIDEO, Ingest, Part
 
-WHEEL, MOTION, TIMES = "wheel.csv", "motion.csv", "times.txt"
-# What steer import found when it decoded all images, so that no part is decoded for it again.
+# Files in the folder of a recording.
+WHEEL = "wheel.csv"
+MOTION = "motion.csv"
+TIMES = "times.txt"
+# The scan of all images by steer import, so that no part is decoded for it again.
 SCAN = "scan.csv"
 
 
 def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
-    """Return the part's settings, which hold the hashes of its files. Raises InputError for a file
-    of another hash.
+    """Return the part's settings, which hold the hashes of its files.
 
-    Files may be missing on a machine that fetches finished drives.
+    Raises InputError for a file of another hash. Files may be missing on a machine that fetches
+    finished drives.
     """
     part = settings.recordings[name]
     for path, expected in _paths(part, root).items():
@@ -37,23 +37,24 @@ def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
     return [part.model_dump(mode="json")]
 
 
-@cache  # the parts of a recording have the same files
+# The parts of a recording have the same files.
+@cache
 def _hash(path: Path, _: int) -> str:
     return content_hash(path)
 
 
 def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
-    """Return the part of a recording; images without motion, if there is a log of it, are left
-    out.
+    """Return the part of a recording.
+
+    Images without motion, if there is a log of it, are left out.
     """
     part = settings.recordings[name]
-    paths = _paths(part, root)
-    if missing := [path for path in paths if not path.exists()]:
-        gone = (
-            f"the link's target {missing[0].readlink()}" if missing[0].is_symlink() else "the file"
-        )
-        fix = "Repeat steer import, or fetch finished drives: dvc repro --pull --allow-missing"
-        raise InputError(f"{gone} is missing", missing[0], fix)
+    for path in _paths(part, root):
+        if not path.exists():
+            lost = f"the link's target {path.readlink()}" if path.is_symlink() else "the file"
+            fix = "Repeat steer import, or fetch finished drives: dvc repro --pull --allow-missing"
+            raise InputError(f"{lost} is missing", path, fix)
+
     recording = open_part(part, root / part.folder)
     used = usable(recording.times_s, recording.logs, part.start, part.end)
     if not used.any():
@@ -61,8 +62,11 @@ def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
             "no image is left from start to end, or none with motion", f"ingest.recordings.{name}"
         )
     camera = replace(recording.camera, horizon=part.horizon).at_height(part.camera_height_m)
-    values = logged_values(recording.logs, np.flatnonzero(used), recording.times_s[used])
-    recording.times_s = recording.times_s - recording.times_s[used][0]
+
+    # Logs have the times of the recording. Those of the drive begin at 0.
+    time_s = recording.times_s[used]
+    values = logged_values(recording.logs, np.flatnonzero(used), time_s)
+    recording.times_s = recording.times_s - time_s[0]
     return Drive(camera, partial(recording.frames, used), values, recording.notes)
 
 
@@ -70,12 +74,13 @@ def open_part(part: Part, folder: Path) -> Recording:
     """Open the recording of a part, whose files are in `folder`."""
     files = {name: folder / name for name in part.files}
     logs = {"wheel": files.get(WHEEL), "motion": files.get(MOTION), "times": files.get(TIMES)}
+    options = part.model_copy(update=logs)
     images = [path for name, path in files.items() if name.startswith((VIDEO, FRAMES))]
     scanned = None
     if SCAN in files:
-        # to the last digit
+        # Pandas itself does not read floats to the last digit.
         scanned = pd.read_csv(files[SCAN], comment="#", dtype=str).astype(float)
-    return open_recording(images, part.model_copy(update=logs), scanned=scanned)
+    return open_recording(images, options, scanned=scanned)
 
 
 def _paths(part: Part, root: Path) -> dict[Path, str]:
@@ -84,11 +89,14 @@ def _paths(part: Part, root: Path) -> dict[Path, str]:
 
 
 def usable(time_s: np.ndarray, logs: Logs, start_s: float, end_s: float | None) -> np.ndarray:
-    """Return which images bool [F] at `time_s` [F] lie in [start, end) since the first, and have a
-    logged motion.
+    """Return which images bool [F] at `time_s` [F] lie in [start, end) and have a logged motion.
+
+    Start and end are seconds since the first image; a log of motion may be missing.
     """
     elapsed_s = time_s - time_s[0] + ROUNDING_S
-    used = (elapsed_s > start_s) & (elapsed_s <= (math.inf if end_s is None else end_s))
+    used = elapsed_s > start_s
+    if end_s is not None:
+        used &= elapsed_s <= end_s
     if "motion" in logs:
         used &= np.isfinite(logs["motion"].at(time_s)[0])
     return used

@@ -12,7 +12,6 @@ open_drive = kitti.open_drive
 
 def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
     """Return the contents of the files: a checkout has other times."""
-    folder, files = root / name[:10], kitti.find_drive(root, name)
-    return [
-        [str(path.relative_to(folder)), file_hash(path)] for path in files.paths(settings.cameras)
-    ]
+    folder = root / name[:10]
+    paths = kitti.find_drive(root, name).paths(settings.cameras)
+    return [[str(path.relative_to(folder)), file_hash(path)] for path in paths]

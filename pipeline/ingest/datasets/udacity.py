@@ -16,12 +16,18 @@ from pipeline.ingest.drive import Drive, stamps
 from pipeline.ingest.recording import open_recording
 from pipeline.ingest.settings import Ingest, RecordingOptions
 
-# Of the right-hand camera of this rig and size:
+# Intrinsics in pixels of the right-hand camera of this rig, with images of the same size:
 # sensor_info/camera_calibration/right_camera/ost.yaml of the challenge.
-K, DISTORTION = "2152,2166,268,303", "-0.042,-0.89,0,0"
-HORIZON = 215.24  # row, by steer import
-CAMERA_HEIGHT_M = 1.48  # 3.66 m wide lanes are 2.5 camera heights wide in the images
-STEERING_RATIO = 14.8  # of the steering wheel's angle to the front wheels', Lincoln MKZ
+K = "2152,2166,268,303"
+# Distortion of this camera, from the same file.
+DISTORTION = "-0.042,-0.89,0,0"
+# Image row of the horizon, by steer import.
+HORIZON = 215.24
+# Height in metres of the camera over the road: 3.66 m wide lanes are 2.5 camera heights wide in the
+# images.
+CAMERA_HEIGHT_M = 1.48
+# Ratio of the steering wheel's angle to the front wheels' of a Lincoln MKZ.
+STEERING_RATIO = 14.8
 
 
 def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
@@ -36,23 +42,25 @@ def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
 
 def read_drive(video: Path, log: Path) -> Drive:
     """Return the drive of two files. Raises InputError if they do not fit."""
-    images = open_recording([video], RecordingOptions(K=K, distortion=DISTORTION))
-    camera = replace(images.camera, horizon=HORIZON).at_height(CAMERA_HEIGHT_M)
+    recording = open_recording([video], RecordingOptions(K=K, distortion=DISTORTION))
+    camera = replace(recording.camera, horizon=HORIZON).at_height(CAMERA_HEIGHT_M)
     limits = {"time_s": np.inf, "wheel_rad": LIMIT_RAD * STEERING_RATIO}
     table, faults = read_columns(log, limits, "Expected CSV: time_s, wheel_rad")
     faults += check_increase(table["time_s"], 1e-5)
-    if len(table) != len(images.times_s):
-        faults.append(f"has {len(table)} rows, the video {len(images.times_s)} frames")
+    if len(table) != len(recording.times_s):
+        faults.append(f"has {len(table)} rows, the video {len(recording.times_s)} frames")
     refuse(faults, log, "Take both files of one drive")
-    images.times_s = table["time_s"].to_numpy()
-    angles = (table["wheel_rad"].reset_index(drop=True) / STEERING_RATIO).dropna().to_dict()
-    return Drive(camera, images.frames, {"steering_rad": angles}, images.notes)
+    recording.times_s = table["time_s"].to_numpy()
+    wheel_rad = table["wheel_rad"].reset_index(drop=True)
+    angles = (wheel_rad / STEERING_RATIO).dropna().to_dict()
+    return Drive(camera, recording.frames, {"steering_rad": angles}, recording.notes)
 
 
 def _files(name: str, root: Path) -> list[Path]:
     files = [root / f"udacity/{name}{suffix}" for suffix in (".mp4", ".csv")]
-    if missing := [path for path in files if not path.is_file()]:
-        raise InputError(
-            "file is missing", missing[0], "Copy it there, or take the drive out of ingest.drives"
-        )
+    for path in files:
+        if not path.is_file():
+            raise InputError(
+                "file is missing", path, "Copy it there, or take the drive out of ingest.drives"
+            )
     return files

@@ -23,7 +23,8 @@ from tests.kitti_drive import DATE, DRIVE, scan, write, write_calibration, write
 
 
 def test_a_fingerprint_detects_a_file_that_was_extracted_again(tmp_path):
-    folder, reading = write_drive(tmp_path, truth=True), SimpleNamespace(cameras=[2])
+    folder = write_drive(tmp_path, truth=True)
+    reading = SimpleNamespace(cameras=[2])
 
     def fingerprint(dataset: Any = kitti) -> str:
         return digest(dataset.fingerprint(DRIVE, reading, tmp_path))
@@ -48,9 +49,7 @@ def test_a_fingerprint_detects_a_file_that_was_extracted_again(tmp_path):
 
 @pytest.mark.real
 def test_real_scan_lands_on_the_depth_benchmark(real_kitti):
-    """KITTI's depth benchmark projected the same scan, after motion compensation, so that it is
-    only close.
-    """
+    """KITTI's depth benchmark projected the same scan, after motion compensation: it is close."""
     drive = KittiDrive(real_kitti / DATE / "2011_09_26_drive_0001_sync")
     camera = drive.camera(2)
     png = (
@@ -58,9 +57,11 @@ def test_real_scan_lands_on_the_depth_benchmark(real_kitti):
         / "depth_benchmark/2011_09_26_drive_0001_sync_0000000005_velodyne_raw_image_02.png"
     )
     expected = read_pixels(png) / 256
-    xyz = transform(camera.T_cam_velo, read_scan(drive.scans[5])[:, :3].astype(np.float64))
+    points = read_scan(drive.scans[5])[:, :3].astype(np.float64)
+    xyz = transform(camera.T_cam_velo, points)
 
     def agree(shift: float) -> tuple[int, float]:
+        """Return how many pixels have both depths, and the median error."""
         K = camera.K + shift * np.array([[0, 0, 1], [0, 0, 1], [0, 0, 0]])
         depth = depth_image(xyz, K, camera.size)
         both = (depth > 0) & (expected > 0)
@@ -70,27 +71,30 @@ def test_real_scan_lands_on_the_depth_benchmark(real_kitti):
     assert error_m <= 0.05
     assert pixels > 6000
     # Integer coordinates are pixel centres: shifted by half a pixel or more, fewer points agree.
-    assert all(agree(shift)[0] < 0.8 * pixels for shift in (-1.0, -0.5, 0.5, 1.0))
+    for shift in (-1.0, -0.5, 0.5, 1.0):
+        shifted_pixels, _ = agree(shift)
+        assert shifted_pixels < 0.8 * pixels
 
 
 def test_projection_equals_kittis_formula(tmp_path):
-    """Second route, from KITTI's paper: y = P_rect R_rect T_velo_to_cam x, with the files'
-    numbers.
-    """
+    """Second route, of KITTI's paper, by the files' numbers: y = P_rect R_rect T_velo_to_cam x."""
     write_calibration(tmp_path)
-    texts = [(tmp_path / f"calib_{name}.txt").read_text() for name in ("cam_to_cam", "velo_to_cam")]
-    lines = dict(line.split(": ") for line in "".join(texts).splitlines())
-    P, R_rect, R, T = (
-        np.array(lines[key].split(), float) for key in ("P_rect_02", "R_rect_00", "R", "T")
-    )
+    text = (tmp_path / "calib_cam_to_cam.txt").read_text()
+    text += (tmp_path / "calib_velo_to_cam.txt").read_text()
+    words = dict(line.split(": ") for line in text.splitlines())
+    P = np.array(words["P_rect_02"].split(), float).reshape(3, 4)
+    R_rect = np.array(words["R_rect_00"].split(), float).reshape(3, 3)
+    R = np.array(words["R"].split(), float).reshape(3, 3)
+    T = np.array(words["T"].split(), float)
+
     xyz = np.random.default_rng(0).uniform([3, -5, -2], [40, 5, 2], (50, 3))
-    reference = (xyz @ R.reshape(3, 3).T + T) @ R_rect.reshape(3, 3).T
-    expected = np.column_stack([reference, np.ones(50)]) @ P.reshape(3, 4).T
+    rectified = (xyz @ R.T + T) @ R_rect.T
+    u, v, w = (np.column_stack([rectified, np.ones(50)]) @ P.T).T
 
     camera = read_calibration(tmp_path, 2)
     uv, z = project(transform(camera.T_cam_velo, xyz), camera.K)
-    np.testing.assert_allclose(z, expected[:, 2], rtol=1e-9)
-    np.testing.assert_allclose(uv, expected[:, :2] / expected[:, 2:], rtol=1e-9)
+    np.testing.assert_allclose(z, w, rtol=1e-9)
+    np.testing.assert_allclose(uv, np.column_stack([u / w, v / w]), rtol=1e-9)
     assert camera.size == (48, 64)
 
 
@@ -115,11 +119,13 @@ def test_columns_equal_pykittis():
 
 @given(st.integers(0, 2**32 - 1))
 def test_packets_and_times_round_trip(tmp_path_factory, seed):
-    rng, path = np.random.default_rng(seed), tmp_path_factory.mktemp("oxts") / "a.txt"
+    rng = np.random.default_rng(seed)
+    path = tmp_path_factory.mktemp("oxts") / "a.txt"
     row = rng.uniform(-1, 1, 30)
     row[packets.COLUMNS.index("navstat") :] = [4, 9, 4, 4, 4]
     path.write_bytes(packets.format_packet(row))
     np.testing.assert_allclose(packets.read_row(path), row, rtol=1e-12)
+
     time_s = np.cumsum(rng.integers(1, 10**10, 5)) / 1e9
     path.write_bytes(packets.format_times(time_s, "2027_03_31", 8 * 3600))
     np.testing.assert_allclose(packets.read_times(path, [*range(5)]), time_s - time_s[0], atol=1e-9)
@@ -135,11 +141,10 @@ def test_packets_and_times_round_trip(tmp_path_factory, seed):
     ],
 )
 def test_lines_and_frames(tmp_path, lines, frames, expected):
-    write(
-        tmp_path / "a.txt",
-        "".join(f"2011-09-26 13:02:{text}\n" if text else "\n" for text in lines),
-    )
-    np.testing.assert_allclose(packets.read_times(tmp_path / "a.txt", frames), expected, atol=1e-12)
+    path = tmp_path / "a.txt"
+    stamps = [f"2011-09-26 13:02:{text}\n" if text else "\n" for text in lines]
+    write(path, "".join(stamps))
+    np.testing.assert_allclose(packets.read_times(path, frames), expected, atol=1e-12)
 
 
 def read_three(path: Path) -> np.ndarray:
@@ -147,12 +152,13 @@ def read_three(path: Path) -> np.ndarray:
 
 
 def read_camera(path: Path) -> object:
-    text = path.read_text()
+    """Read a calibration in which a text is replaced, as a file "old→new" says."""
     write_calibration(path.parent)
     calibration = path.parent / "calib_cam_to_cam.txt"
-    old, new = text.split("→")
-    assert old in calibration.read_text()
-    calibration.write_text(calibration.read_text().replace(old, new))
+    old, new = path.read_text().split("→")
+    text = calibration.read_text()
+    assert old in text
+    calibration.write_text(text.replace(old, new))
     return read_calibration(path.parent, 2)
 
 
@@ -161,7 +167,9 @@ def lines(*seconds: float | str) -> str:
 
 
 SCAN = scan(np.random.default_rng(0), 640)
+# Reflectance from 0 to 255.
 BYTES = (SCAN * np.float32([1, 1, 1, 255])).tobytes()
+FIVE_COLUMNS = np.c_[SCAN, np.ones(640, "f4")].tobytes()
 PLAINLY_WRONG: list[tuple[Callable[[Path], object], str | bytes, str]] = [
     (read_scan, SCAN.tobytes()[:-7], "cut short at 10233 bytes"),
     (
@@ -170,7 +178,7 @@ PLAINLY_WRONG: list[tuple[Callable[[Path], object], str | bytes, str]] = [
         "cut short at -14.7 degrees .*LOWEST_DEG in pipeline/ingest/datasets/kitti.py",
     ),
     (read_scan, BYTES, r"reflectance is .*, expected 0 to 1\. Convert"),
-    (read_scan, np.c_[SCAN, np.ones(640, "f4")].tobytes(), "nuScenes has five columns"),
+    (read_scan, FIVE_COLUMNS, "nuScenes has five columns"),
     (read_scan, (0 * SCAN).tobytes(), "no point"),
     (packets.read_row, "", "got 0"),
     (packets.read_row, "1.0 " * 22 + "nan " + "1.0 " * 7, "wu = nan"),
@@ -192,10 +200,12 @@ PLAINLY_WRONG: list[tuple[Callable[[Path], object], str | bytes, str]] = [
 
 
 def test_rays_without_a_return_are_left_out(tmp_path):
+    path = tmp_path / "a.bin"
     content = SCAN.copy()
-    content[5, :3], content[7:9, 1] = 0, np.nan
-    write(tmp_path / "a.bin", content.tobytes())
-    np.testing.assert_array_equal(read_scan(tmp_path / "a.bin"), np.delete(SCAN, [5, 7, 8], axis=0))
+    content[5, :3] = 0
+    content[7:9, 1] = np.nan
+    write(path, content.tobytes())
+    np.testing.assert_array_equal(read_scan(path), np.delete(SCAN, [5, 7, 8], axis=0))
 
 
 @pytest.mark.parametrize(("read", "content", "problem"), PLAINLY_WRONG)

@@ -1,0 +1,94 @@
+"""Write and open small videos."""
+
+import struct
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+
+from pipeline.ingest import recording
+from pipeline.ingest.recording import Recording
+from pipeline.ingest.settings import RecordingOptions
+from tests import street
+from tests.kitti_drive import SIZE, pictures, write_video
+
+
+def open_recording(paths: Path | list[Path], **options: Any) -> Recording:
+    """Open a recording of a lens of 80 degrees."""
+    options = {"fov": 80.0, **options}
+    if isinstance(paths, Path):
+        paths = [paths]
+    return recording.open_recording(paths, RecordingOptions(**options))
+
+
+def times_of(path: Path, **options: Any) -> list[float]:
+    """Return the times of the frames of a recording."""
+    return [frame.time_s for frame in open_recording(path, **options).frames()]
+
+
+def write_stream(
+    path: Path, frames: int = 30, codec: str = "libx264", shape: int = 1, **options: str
+) -> Path:
+    """Write a video with PyAV; `shape`: width / height of a pixel."""
+    stream = {"codec": codec, "shape": shape, "images": pictures(frames)}
+    return write_streams(path, stream, **options)
+
+
+def write_streams(
+    path: Path,
+    *streams: dict[str, Any],
+    taken_hz: float | None = None,
+    created: str = "",
+    **options: str,
+) -> Path:
+    """Write video streams, each a dict of the images and how they are stored."""
+    with av.open(str(path), "w", options=options) as file:
+        if taken_hz:
+            file.metadata["com.android.capture.fps"] = str(taken_hz)
+        if created:
+            file.metadata["creation_time"] = created
+
+        # Streams have to be complete before the first image is written.
+        written = []
+        for content in streams:
+            codec = content.get("codec", "libx264")
+            fps = content.get("fps", 10)
+            stream = file.add_stream(codec, rate=fps, options=content.get("options", {}))
+            stream.height, stream.width = content["images"][0].shape[:2]
+            stream.pix_fmt = content.get("pixels", "yuv420p")
+            stream.sample_aspect_ratio = Fraction(content.get("shape", 1))
+            stream.disposition = content.get("disposition", 1)
+            written.append(stream)
+
+        for stream, content in zip(written, streams, strict=True):
+            stamps = content.get("pts", range(len(content["images"])))
+            for stamp, image in zip(stamps, content["images"], strict=True):
+                frame = av.VideoFrame.from_ndarray(image, format="rgb24")
+                frame.pts = stamp
+                frame.time_base = Fraction(1, content.get("fps", 10))
+                file.mux(stream.encode(frame))
+            file.mux(stream.encode())
+    return path
+
+
+def replace_in(path: Path, old: bytes, new: bytes) -> None:
+    path.write_bytes(path.read_bytes().replace(old, new, 1))
+
+
+def matrix(a: float, b: float, c: float, d: float) -> bytes:
+    """Return a display matrix as MP4 stores it."""
+    numbers = [round(value * 65536) for value in (a, b, 0, c, d, 0, 0, 0)]
+    return struct.pack(">9i", *numbers, 1 << 30)
+
+
+def show(path: Path, *turn: float) -> None:
+    """Write a video of upright images, which are shown as a display matrix turns them."""
+    replace_in(write_video(path, pictures(2, SIZE[::-1])), matrix(1, 0, 0, 1), matrix(*turn))
+
+
+@cache
+def images_of_a_street() -> list[np.ndarray]:
+    return [street.view(pose)[0] for pose in street.arc(120, 0.1, 8.0)]

@@ -12,6 +12,7 @@ import importlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from pipeline.camera.camera import Camera, Frame
@@ -32,7 +33,7 @@ class Drive:
     dataset: str = ""  # if it is another than the file's name
 
 
-def load(name: str) -> Any:
+def load(name: str) -> ModuleType:
     """Return the module of a dataset's file; section ingest has checked that it exists."""
     return importlib.import_module(f"pipeline.ingest.datasets.{name}")
 

@@ -64,8 +64,8 @@ class Log(NamedTuple):
 
         values = np.stack([np.interp(time_s, self.time_s, row) for row in self.values])
         inside = (time_s >= self.time_s[0] - ROUNDING_S) & (time_s <= self.time_s[-1] + ROUNDING_S)
-        known = inside & (gap_s <= MAX_GAP_S + ROUNDING_S) & np.isfinite(values).all(axis=0)
-        return np.where(known, values, np.nan)
+        is_known = inside & (gap_s <= MAX_GAP_S + ROUNDING_S) & np.isfinite(values).all(axis=0)
+        return np.where(is_known, values, np.nan)
 
     def check_overlap(self, first_s: float, last_s: float) -> None:
         """Raise InputError if there is no value from the first to the last image."""

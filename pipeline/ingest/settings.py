@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable
 from itertools import combinations
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
@@ -35,7 +35,7 @@ class Drives(Section):
 
     @field_validator(*SPLITS, mode="before")
     @classmethod
-    def _expand(cls, names: Any) -> Any:
+    def _expand(cls, names: object) -> object:
         if not isinstance(names, list):
             return names
         return [drive for name in names for drive in _expand_range(name)]
@@ -55,7 +55,7 @@ class Drives(Section):
         return {drive: split for split in SPLITS for drive in getattr(self, split)}
 
 
-def _expand_range(name: Any) -> list[Any]:
+def _expand_range(name: object) -> list[object]:
     """Return the drives of a range. Any other name stays, and so does an empty range."""
     match = re.fullmatch(r"(.*?)([0-9]+)\.\.([0-9]+)", str(name))
     if not match or len(match[2]) != len(match[3]):
@@ -65,7 +65,7 @@ def _expand_range(name: Any) -> list[Any]:
     return [f"{beginning}{number:0{len(first)}d}" for number in numbers] or [name]
 
 
-def _joined(numbers: Any) -> Any:
+def _joined(numbers: object) -> object:
     """Return several numbers as text, as on the command line."""
     if isinstance(numbers, str) or not isinstance(numbers, Iterable):
         return numbers

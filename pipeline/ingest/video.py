@@ -90,8 +90,8 @@ def probe(path: Path) -> Video:
         fix = f"Scale it: ffmpeg -i {path.name} -vf scale=iw*sar:ih,setsar=1 square.mp4"
         raise InputError(f"pixels are not square ({shape:.3f} times as wide as high)", path, fix)
 
-    known = sorted(stamp for stamp in stamps if stamp is not None) or [0]
-    steps = np.diff(known) if len(known) > 1 else np.zeros(1)
+    ascending = sorted(stamp for stamp in stamps if stamp is not None) or [0]
+    steps = np.diff(ascending) if len(ascending) > 1 else np.zeros(1)
     step_s = float(int(np.median(steps)) * unit_s)
 
     # The phone's tag says something only about a steady rate that differs from it.
@@ -106,8 +106,8 @@ def probe(path: Path) -> Video:
         stored,
         packets=len(stamps),
         stamped=stamped,
-        first_s=float(known[0] * unit_s),
-        length_s=float((known[-1] - known[0]) * unit_s),
+        first_s=float(ascending[0] * unit_s),
+        length_s=float((ascending[-1] - ascending[0]) * unit_s),
         step_s=step_s,
         created=pd.to_datetime(created, errors="coerce"),
         taken_hz=taken_hz,

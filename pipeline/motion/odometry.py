@@ -11,7 +11,7 @@ from pipeline.camera.geometry import project, transform
 from pipeline.camera.lens import depth_limit
 from pipeline.motion.pose import MIN_POINTS, estimate_pose
 from pipeline.motion.road import Road
-from pipeline.motion.step import STANDSTILL, Step
+from pipeline.motion.step import Step
 from pipeline.motion.still import Still
 
 # Least width in pixels of the images that are tracked. Smaller ones are enlarged, since the error
@@ -137,7 +137,7 @@ class Odometry:
         if len(uv) < MIN_POINTS:
             return "too few points can be tracked"
         if np.median(np.abs(uv - uv_before).max(axis=1)) < STANDSTILL_PX:
-            return STANDSTILL[0]
+            return "the image does not move"
 
         # Rotation and direction come from the pixels, the length of the step from depth.
         pose = estimate_pose(xyz, uv, self._K, depth_sigma, T_previous)
@@ -145,7 +145,7 @@ class Odometry:
             return "no common motion of the scene"
         T_before_now = np.linalg.inv(pose.T_now_before)
         if np.linalg.norm(T_before_now[:3, 3]) < STANDSTILL_M:
-            return STANDSTILL[1]
+            return "the camera stands"
         if not _is_possible_for_a_car(T_before_now):
             return "a motion that is not a car's"
         residual_px = float(np.median(pose.error_px[pose.inliers]))
@@ -168,8 +168,8 @@ class Odometry:
 
         # Few corners of a road are good, but their depths are the best.
         on_road = best_corners(quality * self._enlarge(road), ROAD_CELL_PX, MIN_ROAD_QUALITY)
-        others = best_corners(quality * self._enlarge(elsewhere), CELL_PX, MIN_QUALITY)
-        uv = self._smaller(np.concatenate([on_road, others]))
+        beside = best_corners(quality * self._enlarge(elsewhere), CELL_PX, MIN_QUALITY)
+        uv = self._smaller(np.concatenate([on_road, beside]))
 
         # Back-project the corners by their depth.
         column, row = np.rint(uv).astype(np.int64).T
@@ -199,9 +199,11 @@ class Odometry:
 
     # As in Camera.scaled, the image's edge is fixed, not the centre of its first pixel.
     def _larger(self, uv: np.ndarray) -> np.ndarray:
+        """Return pixels [N,2] of an image as pixels of its enlarged image, float32."""
         return ((uv + 0.5) * self._enlarged - 0.5).astype(np.float32)
 
     def _smaller(self, uv: np.ndarray) -> np.ndarray:
+        """Return pixels [N,2] of an enlarged image as pixels of the image itself."""
         return (uv.astype(np.float64) + 0.5) / self._enlarged - 0.5
 
 
@@ -274,7 +276,7 @@ def _lucas_kanade(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return positions [N,2] in `now` of corners `uv` [N,2], and whether they are found [N]."""
     use_guess = cv2.OPTFLOW_USE_INITIAL_FLOW
-    uv_now, found, _ = cv2.calcOpticalFlowPyrLK(
+    uv_now, is_found, _ = cv2.calcOpticalFlowPyrLK(
         before, now, uv, uv_guess, None, None, WINDOW, LEVELS, CRITERIA, use_guess
     )
-    return uv_now, found[:, 0] > 0
+    return uv_now, is_found[:, 0] > 0

@@ -255,14 +255,14 @@ def find_drive(root: Path, name: str) -> KittiDrive:
             "pull labels graphs"
         )
         raise InputError("folder is missing", root, fix)
-    known = _drives(root)
-    if name not in known:
+    present = _drives(root)
+    if name not in present:
         problem = f"drive {name} of ingest.drives is missing"
         elsewhere = _elsewhere(root, name)
         if elsewhere:
             raise InputError(problem, root, elsewhere)
         fix = "Extract it, or take it out of ingest.drives"
-        raise InputError(f"{problem} ({closest(name, known)})", root, fix)
+        raise InputError(f"{problem} ({closest(name, present)})", root, fix)
     return KittiDrive(root / name[:10] / f"{name}_sync")
 
 
@@ -272,10 +272,10 @@ def leave_out(root: Path, settings: Ingest, required: Collection[str] = ()) -> l
     Drives that are there but in no split are printed with them. Raises InputError if `root` has a
     drive that is rendered, or lacks all drives, all of a split, or one of the `required`.
     """
-    known = _drives(root)
+    present = _drives(root)
     splits = settings.drives.splits()
     dataset_of = settings.datasets()
-    for drive in known:
+    for drive in present:
         if dataset_of.get(drive) == "sample":
             folder = f"{drive[:10]}/{drive}_sync"
             raise InputError(
@@ -284,17 +284,17 @@ def leave_out(root: Path, settings: Ingest, required: Collection[str] = ()) -> l
                 "Rename this folder, or set ingest.source: kitti",
             )
 
-    missing = [drive for drive in splits if dataset_of[drive] == "kitti" and drive not in known]
+    missing = [drive for drive in splits if dataset_of[drive] == "kitti" and drive not in present]
     kept = {splits[drive] for drive in splits if drive not in missing}
     for drive in missing:
-        if not known or drive in required or splits[drive] not in kept:
+        if not present or drive in required or splits[drive] not in kept:
             find_drive(root, drive)  # raises InputError
         elsewhere = _elsewhere(root, drive)
         if elsewhere:
             print(f"left out: {drive}. {elsewhere}", flush=True)
     if missing:
         hint = ""
-        unnamed = [drive for drive in known if drive not in splits]
+        unnamed = [drive for drive in present if drive not in splits]
         if unnamed:
             hint = f" (it has {', '.join(unnamed[:5])}, which ingest.drives does not name)"
         print(f"left out: {root} has no {', '.join(missing)}{hint}", flush=True)

@@ -1,5 +1,6 @@
-"""Import recordings with their logs: links in data/raw/NAME, and a preset that names their parts as
-drives.
+"""Import recordings with their logs.
+
+An import writes links in data/raw/NAME, and a preset whose drives are the parts of the recordings.
 """
 
 import hashlib
@@ -10,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -25,37 +27,56 @@ from pipeline.check.recording_logs import check_logs
 from pipeline.ingest.datasets.recording import MOTION, SCAN, TIMES, WHEEL, usable
 from pipeline.ingest.log import log_notes
 from pipeline.ingest.recording import Recording
-from pipeline.ingest.settings import FRAMES, VIDEO, Part
+from pipeline.ingest.settings import FRAMES, KITTI_NAMES, VIDEO, Part
 from pipeline.motion.horizon import noted_horizon
 
+# File with the settings of a preset that do not depend on the recording.
 TEMPLATE = Path(__file__).with_name("imported.yaml")
-OWN = rf"({VIDEO}[-.]|({FRAMES}|{WHEEL}|{MOTION}|{TIMES})$)"  # names of links
-# What a checkout of the project has.
+# Pattern of the names of links that an import makes.
+LINKS = rf"({VIDEO}[-.]|({FRAMES}|{WHEEL}|{MOTION}|{TIMES})$)"
+# Files and folders by which a checkout of the project is recognised.
 CHECKOUT = ("params.yaml", "dvc.yaml", "presets")
+# Advice for a file that the import would replace.
 OTHER_NAME = "Move it away, or pass another --name"
-GAP_S = 2.0  # left out between the parts of a split: neighbouring images are almost the same
+# Seconds left out between the parts of a split, as neighbouring images are almost the same.
+GAP_S = 2.0
 
 
-def files_of(paths: Sequence[Path], part: Part, scan: pd.DataFrame) -> dict[str, Path | str]:
+class ImportedDrive(NamedTuple):
+    """A part of a recording as a drive of the preset."""
+
+    name: str
+    split: str
+    part: Part
+    images: int
+
+
+def name_files(paths: Sequence[Path], part: Part, scan: pd.DataFrame) -> dict[str, Path | str]:
     """Return the content of the folder of a recording: name → file, or text."""
-    names = [f"{VIDEO}-{number:02d}{path.suffix}" for number, path in enumerate(paths, 1)]
-    if len(paths) == 1:
-        names = [FRAMES if paths[0].is_dir() else f"{VIDEO}{paths[0].suffix}"]
-    files: dict[str, Path | str] = dict(zip(names, paths, strict=True))
+    files: dict[str, Path | str] = {}
+    if len(paths) > 1:
+        for number, path in enumerate(paths, 1):
+            files[f"{VIDEO}-{number:02d}{path.suffix}"] = path
+    elif paths[0].is_dir():
+        files[FRAMES] = paths[0]
+    else:
+        files[f"{VIDEO}{paths[0].suffix}"] = paths[0]
+
     for name, log in ((WHEEL, part.wheel), (MOTION, part.motion), (TIMES, part.times)):
         if log:
             files[name] = log
-    return files | {SCAN: stamped(scan.to_csv(index=False), IMPORT)}
+    files[SCAN] = stamped(scan.to_csv(index=False), IMPORT)
+    return files
 
 
 def cut_recording(
     recording: Recording, part: Part, files: Mapping[str, Path | str], shares: Sequence[float]
 ) -> list[tuple[Part, int]]:
-    """Cut a recording with the options `part` into parts with `shares` of its time, each with its
-    number of images.
+    """Return the parts of a recording with `shares` of its time, each with its number of images.
 
-    The horizon is estimated if `part` has none. Raises InputError if the sign or the clock of a log
-    is wrong, no image is left, or a part is too short or has no angle.
+    `part` has the options of the recording. The horizon is estimated if it has none. Raises
+    InputError if the sign or the clock of a log is wrong, no image is left, or a part is too short
+    or has no angle.
     """
     time_s = recording.times_s
     logs = recording.logs
@@ -66,28 +87,24 @@ def cut_recording(
         frames = partial(recording.frames, within)
         row = noted_horizon(recording.path, frames, recording.camera, recording.notes)
     recording.notes.extend(log_notes(logs, time_s[within]))
-    masks = cut(used, time_s, shares)
-    if "wheel" in logs and not all(
-        np.isfinite(logs["wheel"].at(time_s[rows])).any() for rows in masks
-    ):
-        raise InputError("a part has no image with an angle", "--wheel", "Check its times")
 
-    hashes = {name: _hash(content) for name, content in files.items()}
-    known = {
-        "horizon": row and round(row, 2),
-        "files": hashes,
+    # All parts share the files of the recording, which have the logs and times under other names.
+    changes: dict[str, Any] = {
+        "horizon": None if row is None else round(row, 2),
+        "files": {name: _hash(content) for name, content in files.items()},
         "wheel": None,
         "motion": None,
         "times": None,
     }
     parts = []
-    for rows in masks:
-        first_s, last_s = (time_s[rows] - time_s[0])[[0, -1]]
-        span = {
-            "start": math.floor(first_s * 1e3) / 1e3,
-            "end": round(math.ceil(last_s * 1e3) / 1e3 + 0.002, 3),
-        }
-        parts.append((part.model_copy(update=known | span), int(rows.sum())))
+    for rows in cut(used, time_s, shares):
+        if "wheel" in logs and not np.isfinite(logs["wheel"].at(time_s[rows])).any():
+            raise InputError("a part has no image with an angle", "--wheel", "Check its times")
+        # In whole milliseconds; the end is behind the last image, which it would leave out.
+        part_s = time_s[rows] - time_s[0]
+        changes["start"] = math.floor(part_s[0] * 1e3) / 1e3
+        changes["end"] = round(math.ceil(part_s[-1] * 1e3) / 1e3 + 0.002, 3)
+        parts.append((part.model_copy(update=changes), int(rows.sum())))
     return parts
 
 
@@ -98,109 +115,122 @@ def _hash(content: Path | str) -> str:
 
 
 def cut(usable: np.ndarray, time_s: np.ndarray, shares: Sequence[float]) -> list[np.ndarray]:
-    """Cut the `usable` images, bool [F], taken at `time_s` [F], into consecutive parts; return a
-    mask of each.
+    """Cut the `usable` images, bool [F], taken at `time_s` [F], into consecutive parts.
 
-    GAP_S are left out between two parts. Raises InputError if a part would have fewer than two
-    images.
+    GAP_S are left out between two parts. Returns a mask [F] of each part. Raises InputError if a
+    part would have fewer than two images.
     """
     first_s, last_s = time_s[usable][[0, -1]]
     edges_s = first_s + (last_s - first_s) * np.cumsum([0.0, *shares]) / sum(shares)
     ends_s = [*(edges_s[1:-1] - GAP_S), math.inf]
-    masks = [
-        usable & (time_s >= begin) & (time_s < end)
-        for begin, end in zip(edges_s[:-1], ends_s, strict=True)
-    ]
-    if short := next(
-        (share for share, mask in zip(shares, masks, strict=True) if mask.sum() < 2), None
-    ):
-        problem = (
-            f"the part of {short:g} % has fewer than 2 images ({last_s - first_s:.1f} s in all)"
-        )
-        fix = f"Pass a longer recording, or other shares: {GAP_S:g} s are left out between parts"
-        raise InputError(problem, "--split", fix)
+    masks = []
+    for share, begin_s, end_s in zip(shares, edges_s[:-1], ends_s, strict=True):
+        mask = usable & (time_s >= begin_s) & (time_s < end_s)
+        if mask.sum() < 2:
+            length = f"{last_s - first_s:.1f} s in all"
+            problem = f"the part of {share:g} % has fewer than 2 images ({length})"
+            gap = f"{GAP_S:g} s are left out between parts"
+            raise InputError(problem, "--split", f"Pass a longer recording, or other shares: {gap}")
+        masks.append(mask)
     return masks
 
 
-def check_checkout(folder: Path) -> None:
-    """Raise InputError if `folder` is in another checkout of the project than the code that runs,
-    as in a worktree.
+def name_drives(name: str, parts: Sequence[tuple[Part, int]], *, each: bool) -> list[ImportedDrive]:
+    """Return the parts as drives, in turn for training, validation and test.
+
+    Of two parts, the second is for test. A name in KITTI's pattern is that of the first drive, and
+    the next drives have the next numbers.
     """
+    drives = []
+    for number, (part, images) in enumerate(parts):
+        split = SPLITS[number % len(SPLITS)]
+        if len(parts) == 2 and number == 1:
+            split = "test"
+        drive = f"{name}-{split}"
+        if each:
+            drive = f"{name}-{number + 1}"
+        if KITTI_NAMES.fullmatch(name):
+            drive = f"{name[:-4]}{int(name[-4:]) + number:04d}"
+        drives.append(ImportedDrive(drive, split, part, images))
+    return drives
+
+
+def check_checkout(folder: Path) -> None:
+    """Raise InputError if `folder` is in another checkout than the code that runs: a worktree."""
     for place in (folder, *folder.parents):
         if all((place / name).exists() for name in CHECKOUT):
             if place.resolve() != ROOT:
-                fix = (
-                    f"Run it with this checkout's code: cd {place} && python -m steer.app import …"
-                )
+                command = f"cd {place} && python -m steer.app import …"
+                fix = f"Run it with this checkout's code: {command}"
                 raise InputError(f"is not the checkout of the installed steer, {ROOT}", place, fix)
             return
 
 
 def check_free(preset: Path, recordings: Mapping[Path, Sequence[Path]]) -> None:
-    """Raise InputError if the name of a preset or a folder of `recordings` is taken by anything but
-    an earlier import.
+    """Raise InputError if a preset or a folder of `recordings` is not by an earlier import.
 
     `recordings`: folder below data/raw → images that are imported to it. Copies of other images
     stay, as they may be the only ones.
     """
     check_name_is_free(preset.stem)
-    if preset.exists() and not (author_of(preset) == IMPORT and is_unedited(preset)):
-        raise InputError("is not as steer import wrote it", preset, OTHER_NAME)
-    parts = read_yaml(preset)["ingest"]["recordings"].values() if preset.exists() else ()
-    hashes = {
-        (part["folder"], file): value for part in parts for file, value in part["files"].items()
-    }
+    hashes = {}
+    if preset.exists():
+        if author_of(preset) != IMPORT or not is_unedited(preset):
+            raise InputError("is not as steer import wrote it", preset, OTHER_NAME)
+        for part in read_yaml(preset)["ingest"]["recordings"].values():
+            for file, value in part["files"].items():
+                hashes[part["folder"], file] = value
+
     for folder, images in recordings.items():
         if folder.parent.is_symlink() and not folder.parent.is_dir():
-            raise InputError(
-                "is a link to a folder that is missing",
-                folder.parent,
-                "Mount its disk, or remove the link",
-            )
+            problem = "is a link to a folder that is missing"
+            raise InputError(problem, folder.parent, "Mount its disk, or remove the link")
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-            raise InputError(
-                "is a link or a file, expected a folder by steer import", folder, OTHER_NAME
-            )
+            problem = "is a link or a file, expected a folder by steer import"
+            raise InputError(problem, folder, OTHER_NAME)
         for path in folder.glob("*"):
-            own_link = path.is_symlink() and re.match(OWN, path.name)
-            if not own_link and not (path.is_file() and is_by_desktop(path)):
+            is_link = path.is_symlink() and re.match(LINKS, path.name)
+            is_ignored = path.is_file() and is_by_desktop(path)
+            if not is_link and not is_ignored:
                 _check_copy(path, hashes.get((folder.name, path.name), ""), images)
 
 
 def _check_copy(path: Path, expected: str, images: Sequence[Path]) -> None:
-    """Raise InputError unless an import wrote a file or folder, with the hash `expected`, as a copy
-    of these images.
+    """Raise InputError unless an import wrote a file or folder as a copy of these images.
+
+    `expected` is its hash by the preset, or empty.
     """
-    # Of the folders in a folder, an import copies nothing; scan.csv may be of a preset that has
-    # left.
-    mine = next((below for below in path.glob("*") if below.is_dir()), None)
+    # An import copies no folders in a folder.
+    for child in path.glob("*"):
+        if child.is_dir():
+            raise InputError("is not as steer import wrote it", child, OTHER_NAME)
+
+    # The preset that a scan.csv belongs to may be gone.
     is_scan = path.name == SCAN and is_unedited(path)
-    if mine or not (is_scan or content_hash(path) == expected):
-        raise InputError("is not as steer import wrote it", mine or path, OTHER_NAME)
-    is_image = path.name.startswith((VIDEO, FRAMES))
-    if is_image and expected not in [content_hash(image) for image in images if image.exists()]:
-        raise InputError(
-            "is a copy of another recording, maybe the only one", path, "Pass another --name"
-        )
+    if not is_scan and content_hash(path) != expected:
+        raise InputError("is not as steer import wrote it", path, OTHER_NAME)
+
+    if path.name.startswith((VIDEO, FRAMES)):
+        hashes = [content_hash(image) for image in images if image.exists()]
+        if expected not in hashes:
+            problem = "is a copy of another recording, maybe the only one"
+            raise InputError(problem, path, "Pass another --name")
 
 
 @contextmanager
 def linked(recordings: Mapping[Path, Mapping[str, Path | str]], *, copy: bool) -> Iterator[None]:
-    """Fill the folders of recordings with links to files, or copies; after the block they replace
-    those before.
+    """Fill the folders of recordings with links to files, or copies, and run the block.
 
-    `recordings`: folder → what :func:`files_of` returns.
+    After the block they replace the folders of an earlier import. `recordings`: folder → its
+    content by :func:`name_files`.
     """
     folders = [folder.resolve() for folder in recordings]
-    files = [
-        path
-        for content in recordings.values()
-        for path in content.values()
-        if isinstance(path, Path)
-    ]
-    for path in [path.resolve() for path in files]:
+    sources = [source for content in recordings.values() for source in content.values()]
+    paths = [source.resolve() for source in sources if isinstance(source, Path)]
+    for path in paths:
         if any(path.is_relative_to(folder) for folder in folders):
             raise InputError("is in a folder that this import replaces", path, OTHER_NAME)
+
     with ExitStack() as stack:
         for folder, content in recordings.items():
             new = stack.enter_context(replacing(folder))
@@ -211,8 +241,9 @@ def linked(recordings: Mapping[Path, Mapping[str, Path | str]], *, copy: bool) -
                 elif copy or not _link(new / name, source):
                     _copy(source, new / name)
         yield
-        for folder in filter(Path.is_dir, recordings):
-            shutil.rmtree(folder)
+        for folder in recordings:
+            if folder.is_dir():
+                shutil.rmtree(folder)
 
 
 def _link(link: Path, path: Path) -> bool:
@@ -226,45 +257,50 @@ def _link(link: Path, path: Path) -> bool:
 
 
 def _copy(path: Path, target: Path) -> None:
-    if path.is_dir():
-        target.mkdir()
-        for file in filter(Path.is_file, path.iterdir()):
-            shutil.copyfile(file, target / file.name)
-    else:
+    if not path.is_dir():
         shutil.copyfile(path, target)
+        return
+    target.mkdir()
+    for file in path.iterdir():
+        if file.is_file():
+            shutil.copyfile(file, target / file.name)
 
 
 def write_preset(
-    path: Path, drives: Mapping[str, tuple[str, Part, int]], one: Recording, source: str
+    path: Path, drives: Sequence[ImportedDrive], recording: Recording, options: Part
 ) -> None:
     """Write a preset of drives with two models, with and without measured motion as input.
 
-    `drives`: name → split, part and number of images; `one`: of the recordings, which have one
-    camera and rate. Motion that is the label (`source`) cannot be an input for the same frame, so
-    visual labels are predicted a second ahead. A wheel's angle and measured motion may differ in
-    scale: no base. Recorded angles do not scale with the scene.
+    `recording` and its `options` are those of the first recording: all have the same camera, rate
+    and kinds of logs.
     """
     settings = yaml.safe_load(TEMPLATE.read_text(encoding="utf-8"))
-    own = {"times", "motion", "wheel"}  # paths of files that are in the folder
-    settings["ingest"] |= {
-        "drives": {
-            split: [name for name, (of, *_) in drives.items() if of == split] for split in SPLITS
-        },
-        "recordings": {
-            name: part.model_dump(by_alias=True, exclude_defaults=True, exclude=own)
-            for name, (_, part, _) in drives.items()
-        },
-    }
-    settings["labels"]["source"] = source
-    settings["clouds"]["max_depth_m"] = float(round(depth_limit(one.camera)))
-    if source == "visual":
-        hz = (len(one.times_s) - 1) / float(np.ptp(one.times_s) or 1.0)
-        settings["models"]["motion"]["horizon"] = settings["models"]["scene"]["horizon"] = max(
-            1, round(hz)
-        )
-    if source == "wheel":
-        settings["models"]["motion"]["base"] = "none"
+    names = dict[str, list[str]]({split: [] for split in SPLITS})
+    parts = {}
+    for drive in drives:
+        names[drive.split].append(drive.name)
+        parts[drive.name] = drive.part.model_dump(by_alias=True, exclude_defaults=True)
+    settings["ingest"]["drives"] = names
+    settings["ingest"]["recordings"] = parts
+    settings["clouds"]["max_depth_m"] = float(round(depth_limit(recording.camera)))
+
+    models = settings["models"]
+    if options.motion:
+        settings["labels"]["source"] = "recorded"
+    elif options.wheel:
+        settings["labels"]["source"] = "wheel"
+        # A wheel's angle and measured motion may differ in scale, so the one is no base of the
+        # other. Nor do recorded angles scale with the scene.
+        models["motion"]["base"] = "none"
         settings["train"]["rescale"] = 1.0
+    else:
+        settings["labels"]["source"] = "visual"
+        # Motion that is the label cannot be an input for the same frame, so labels are predicted a
+        # second ahead.
+        hz = (len(recording.times_s) - 1) / float(np.ptp(recording.times_s))
+        for model in ("motion", "scene"):
+            models[model]["horizon"] = max(1, round(hz))
+
     text = f"# Networks of own recordings: make street, then make {path.stem}\n"
     text += yaml.safe_dump(settings, sort_keys=False)
     with replacing(path) as unfinished:

@@ -12,10 +12,12 @@ images.
 
 With --each, each recording is a drive of its own: for training, validation, test, training, …
 
-\b steer import monday.mp4 --fov 78 steer import monday.mp4 --fov 78 --wheel wheel.csv
---steering-ratio 14.8 steer import monday.mp4 --fov 78 --motion can.csv --offset 0.35 --split
-70,15,15 steer import a.mp4 b.mp4 c.mp4 --each --name week --fov 78 --motion a.csv --motion b.csv
---motion c.csv
+\b
+steer import monday.mp4 --fov 78
+steer import monday.mp4 --fov 78 --wheel wheel.csv --steering-ratio 14.8
+steer import monday.mp4 --fov 78 --motion can.csv --offset 0.35 --split 70,15,15
+steer import a.mp4 b.mp4 c.mp4 --each --name week --fov 78 --motion a.csv --motion b.csv \\
+    --motion c.csv
 """
 
 import math
@@ -49,52 +51,42 @@ def import_recording(
     """Write links and a preset; the module's docstring is the help text."""
     from pipeline.base.errors import error_context
     from pipeline.base.params import check_name, from_python
-    from pipeline.camera.lens import numbers
     from pipeline.check.preset import PRESETS
     from pipeline.ingest.log import read_logs
     from pipeline.ingest.names import check_different
     from pipeline.ingest.recording import open_recording
-    from pipeline.ingest.settings import KITTI_NAMES, Part
+    from pipeline.ingest.settings import Part
     from steer import import_recording as importing
 
-    shares = numbers(split or "60,20,20", (len(SPLITS),), "--split 60,20,20")
-    if min(shares) <= 0 or not math.isclose(sum(shares), 100):
-        raise InputError(
-            f"expected shares above 0 with the sum 100, got {split}", "--split", "Pass 60,20,20"
-        )
-    if each and (len(recording) < 2 or split or options.get("times")):
-        raise InputError(
-            "--each needs two recordings or more, and takes neither --split nor --times"
-        )
+    # Files of each recording: all of them are one, unless each is one.
+    shares = read_shares(split)
     groups = [recording]
     if each:
+        if len(recording) < 2 or split or options.get("times"):
+            problem = "--each needs two recordings or more, and takes neither --split nor --times"
+            raise InputError(problem)
+        check_different(recording)
         groups = [[path] for path in recording]
         shares = [100.0]
-        check_different(recording)
-    own = {option: options.pop(option) for option in EACH if options.get(option)}
-    for option, given in own.items():
-        if len(given) != len(groups) and (option != "K" or len(given) > 1):
-            problem = f"expected {len(groups)}, one per recording (got {len(given)})"
-            raise InputError(
-                problem, f"--{option}", "" if each else "With --each, each path is a recording"
-            )
+    options_of = divide_options(options, len(groups), each=each)
 
+    # A folder of data/raw for each recording, and one preset.
     name = name or recording[0].stem
     with error_context("--name"):
         check_name(name)
     preset = PRESETS / f"{name}.yaml"
     raw = PRESETS.parent / "data/raw"
-    folders = [f"{name}-{number + 1}" for number in range(len(groups))] if each else [name]
+    folders = [name]
+    if each:
+        folders = [f"{name}-{number + 1}" for number in range(len(groups))]
+    images = {raw / folder: paths for folder, paths in zip(folders, groups, strict=True)}
     importing.check_checkout(Path.cwd())
-    importing.check_free(
-        preset, {raw / folder: paths for folder, paths in zip(folders, groups, strict=True)}
-    )
+    importing.check_free(preset, images)
 
     # Faults of all options and logs are found before the first video is decoded.
     wholes = []
-    for number, folder in enumerate(folders):
-        of_recording = {option: given[number % len(given)] for option, given in own.items()}
-        whole = from_python(Part, {**options, **of_recording, "folder": folder, "files": {}})
+    for folder, own_options in zip(folders, options_of, strict=True):
+        whole = from_python(Part, {**own_options, "folder": folder, "files": {}})
         read_logs(whole)
         wholes.append(whole)
 
@@ -103,29 +95,51 @@ def import_recording(
     parts = []
     for paths, whole in zip(groups, wholes, strict=True):
         opened = open_recording(paths, whole)
-        files = importing.files_of(paths, whole, opened.scan)
+        files = importing.name_files(paths, whole, opened.scan)
         parts += importing.cut_recording(opened, whole, files, shares)
         recordings.append(opened)
         contents[raw / whole.folder] = files
 
-    # Names of the drives, and their splits.
-    splits = (
-        ["train", "test"]
-        if len(parts) == 2
-        else [SPLITS[number % 3] for number in range(len(parts))]
-    )
-    names = [f"{name}-{number if each else split}" for number, split in enumerate(splits, 1)]
-    if KITTI_NAMES.fullmatch(name):
-        names = [f"{name[:-4]}{int(name[-4:]) + number:04d}" for number in range(len(parts))]
-    drives = {drive: (of, *part) for drive, of, part in zip(names, splits, parts, strict=True)}
-
+    drives = importing.name_drives(name, parts, each=each)
     with importing.linked(contents, copy=copy):
-        source = "recorded" if "motion" in own else "wheel" if "wheel" in own else "visual"
-        importing.write_preset(preset, drives, recordings[0], source)
-    for drive, (of, _, images) in drives.items():
-        print(f"{drive}: {images} images, {of}")
+        importing.write_preset(preset, drives, recordings[0], wholes[0])
+
+    for drive in drives:
+        print(f"{drive.name}: {drive.images} images, {drive.split}")
     for opened, whole in zip(recordings, wholes, strict=True):
-        begin = f"{whole.folder}: " if each else ""
-        for line in [*opened.notes, *(f"doubt: {text}" for text in opened.doubts)]:
-            print(begin + line)
+        doubts = [f"doubt: {text}" for text in opened.doubts]
+        for line in [*opened.notes, *doubts]:
+            print(f"{whole.folder}: {line}" if each else line)
     print(f"next: make street && make {preset.stem}")
+
+
+def read_shares(split: str | None) -> list[float]:
+    """Return the shares of --split in %, by default 60, 20 and 20. Raises InputError."""
+    from pipeline.camera.lens import numbers
+
+    shares = numbers(split or "60,20,20", (len(SPLITS),), "--split 60,20,20")
+    if min(shares) <= 0 or not math.isclose(sum(shares), 100):
+        problem = f"expected shares above 0 with the sum 100, got {split}"
+        raise InputError(problem, "--split", "Pass 60,20,20")
+    return shares
+
+
+def divide_options(options: dict[str, Any], count: int, *, each: bool) -> list[dict[str, Any]]:
+    """Return the options of each of `count` recordings: options in EACH are lists of their values.
+
+    Raises InputError if a list has another length; one K may be that of all.
+    """
+    divided = [dict(options) for _ in range(count)]
+    for name in EACH:
+        values = options.get(name)
+        if not values:
+            continue
+        if name == "K" and len(values) == 1:
+            values = values * count
+        if len(values) != count:
+            problem = f"expected {count}, one per recording (got {len(values)})"
+            fix = "" if each else "With --each, each path is a recording"
+            raise InputError(problem, f"--{name}", fix)
+        for recording_options, value in zip(divided, values, strict=True):
+            recording_options[name] = value
+    return divided

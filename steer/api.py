@@ -1,7 +1,10 @@
-"""What the commands `steer measure` and `steer predict` do, from Python.
+"""Measure and predict from Python, as the commands `steer measure` and `steer predict` do.
 
-from steer.api import measure drive = measure("street.mp4", fov_deg=65)  # drive.table: pandas, a
-row per frame; drive.doubts, drive.notes
+from steer.api import measure
+
+drive = measure("street.mp4", fov_deg=65)
+drive.table  # pandas, a row per frame
+drive.notes, drive.doubts  # for the user
 """
 
 from collections.abc import Sequence
@@ -23,7 +26,7 @@ from steer.outcome import Outcome
 from steer.parameters import MeasureOptions
 
 PathLike = Path | str
-# videos in order, or a folder: of a KITTI drive, of images or of videos
+# Videos in order, or the folder of a KITTI drive, of images or of videos.
 Paths = PathLike | Sequence[PathLike]
 
 
@@ -37,20 +40,19 @@ def measure(
 ) -> Outcome:
     """Measure the motion of a car from the images of its camera.
 
-    `out`: a new or empty folder for motion.csv, track.png, quality.json and, with `video`,
-    overlay.mp4; None: no files. `options`: of :class:`steer.parameters.MeasureOptions`. Raises
-    InputError for input that cannot be used.
+    `out` is a new or empty folder for motion.csv, track.png, quality.json and, with `video`,
+    overlay.mp4; None: no files. `options` are those of :class:`steer.parameters.MeasureOptions`.
+    Raises InputError for input that cannot be used.
     """
-    known = from_python(MeasureOptions, options)
-    target, folder = _free(out), here_or_in_checkout(Path(encoder))
+    given = from_python(MeasureOptions, options)
+    target = _free(out)
+    folder = here_or_in_checkout(Path(encoder))
     if not (folder / FILE).is_file():
-        raise InputError(
-            "no encoder", encoder, "Make one for real streets: make street. Or pass --encoder"
-        )
-    opened = open_source(_paths(source), measuring.READING, known)
-    return measuring.measure(
-        opened, target, folder, Car(known.wheelbase_m, min_speed_mps=1.0), video=video
-    )
+        fix = "Make one for real streets: make street. Or pass --encoder"
+        raise InputError("no encoder", encoder, fix)
+    opened = open_source(_paths(source), measuring.READING, given)
+    car = Car(given.wheelbase_m, min_speed_mps=1.0)
+    return measuring.measure(opened, target, folder, car, video=video)
 
 
 def predict(
@@ -64,65 +66,75 @@ def predict(
 ) -> Outcome:
     """Predict the steering angle of each frame by a trained model: its folder, or runs/NAME.
 
-    `encoder`: its folder; None: data/encoder beside the model's data/train. `options`: of a
-    recording, see :class:`pipeline.ingest.settings.RecordingOptions`. `out`, errors: as of
+    `encoder` is its folder; None: data/encoder beside the model's data/train. `options` are those
+    of :class:`pipeline.ingest.settings.RecordingOptions`. `out` and errors are those of
     :func:`measure`.
     """
-    known = from_python(RecordingOptions, options)
-    target, folder = _free(out), _network(here_or_in_checkout(Path(model)))
+    given = from_python(RecordingOptions, options)
+    target = _free(out)
+    folder = _network(here_or_in_checkout(Path(model)))
     trained = load_model(folder)
-    opened = open_source(_paths(source), predicting.reading(trained), known, trained.fps)
-    if (height_m := trained.settings.get("camera_height_m")) and not opened.camera.height_known:
+    opened = open_source(_paths(source), predicting.reading(trained), given, trained.fps)
+
+    height_m = trained.settings.get("camera_height_m")
+    if height_m and not opened.camera.height_known:
         opened = opened.at_height(height_m)
-        opened.drive.notes.insert(
-            0, f"camera {height_m:g} m over the road, as in the model's training drives"
-        )
-    names = trained.drives
-    trained_on = f"{len(names)} drives: {names[0]} to {names[-1]}" if len(names) > 1 else names[0]
-    opened.drive.notes.insert(0, f"{trained.name} was trained on {trained_on}")
-    return predicting.predict(
-        trained, opened, target, Path(encoder or _encoder_beside(folder)), video=video
-    )
+        note = f"camera {height_m:g} m over the road, as in the model's training drives"
+        opened.drive.notes.insert(0, note)
+    drives = trained.drives[0]
+    if len(trained.drives) > 1:
+        drives = f"{len(trained.drives)} drives: {drives} to {trained.drives[-1]}"
+    opened.drive.notes.insert(0, f"{trained.name} was trained on {drives}")
+
+    if encoder is None:
+        encoder = _encoder_beside(folder)
+    return predicting.predict(trained, opened, target, Path(encoder), video=video)
 
 
 def _free(out: PathLike | None) -> Path | None:
-    if out is not None:
-        check_free(Path(out))
-    return None if out is None else Path(out)
+    if out is None:
+        return None
+    check_free(Path(out))
+    return Path(out)
 
 
 def here_or_in_checkout(path: Path) -> Path:
-    """Return the path, or where it does not exist, the same path below the checkout, if that
-    exists.
-    """
-    return ROOT / path if not path.exists() and (ROOT / path).exists() else path
+    """Return the path, or if it does not exist, the same path below the checkout."""
+    in_checkout = ROOT / path
+    if not path.exists() and in_checkout.exists():
+        return in_checkout
+    return path
 
 
 def _paths(source: Paths) -> list[Path]:
-    return [Path(path) for path in ([source] if isinstance(source, Path | str) else source)]
+    if isinstance(source, Path | str):
+        return [Path(source)]
+    return [Path(path) for path in source]
 
 
 def _network(model: Path) -> Path:
-    """Return the folder of the only network of runs/NAME, or the folder itself. Raises InputError
-    if there are more.
+    """Return the folder of the only network of runs/NAME, or the folder itself.
+
+    Raises InputError if there are more.
     """
     networks = sorted(path.parent for path in (model / "data/train").glob("*/best.pt"))
+    if not networks:
+        return model
     if len(networks) > 1:
-        raise InputError(
-            "has several models", model, f"Pass one as --model: {', '.join(map(str, networks))}"
-        )
-    return networks[0] if networks else model
+        names = ", ".join(str(network) for network in networks)
+        raise InputError("has several models", model, f"Pass one as --model: {names}")
+    return networks[0]
 
 
 def _encoder_beside(model: Path) -> Path:
-    """Return data/encoder of a model data/train/<model>, or of the folder of a seed in it; or the
-    sample's.
+    """Return data/encoder of a model data/train/<model> or a seed's folder in it; or the sample's.
+
+    Raises InputError if the model is elsewhere.
     """
     if model.resolve() == ROOT / "models/steering/sample":
         return ROOT / "models/encoder/sample"
     for parent in model.resolve().parents[:2]:
         if parent.name == "train":
             return parent.parent / "encoder"
-    raise InputError(
-        "the model is not in a data/train", model, "Pass --encoder, the folder of its encoder"
-    )
+    fix = "Pass --encoder, the folder of its encoder"
+    raise InputError("the model is not in a data/train", model, fix)

@@ -1,5 +1,6 @@
-"""The command `steer`, and its verbs `show` and `view`. Large imports are inside functions, so that
-help is quick.
+"""Define the command `steer`, and its verbs `show` and `view`.
+
+Large imports are inside functions, so that help is quick.
 """
 
 from contextlib import suppress
@@ -15,8 +16,7 @@ from pipeline.ingest.settings import Part, RecordingOptions
 from steer.commands import import_, measure, predict
 from steer.parameters import MeasureOptions, with_options
 
-# Python's default browsers where there is no screen, as over SSH. They would wait for keys in the
-# terminal.
+# Python's default browsers without a screen, as over SSH. They would wait for keys in the terminal.
 TEXT_BROWSERS = ("www-browser", "links", "elinks", "lynx", "w3m")
 
 app = typer.Typer(
@@ -73,11 +73,10 @@ def show(
     if out:
         check_free(out)
     content = artefact.describe(path) if frame is None else artefact.frame(path, frame, out)
-    print(
-        yaml.safe_dump(
-            content, sort_keys=False, default_flow_style=None, allow_unicode=True, width=110
-        ).rstrip()
+    text = yaml.safe_dump(
+        content, sort_keys=False, default_flow_style=None, allow_unicode=True, width=110
     )
+    print(text.rstrip())
 
 
 def view(

@@ -1,6 +1,4 @@
-"""Show one file of a stage: its attributes, datasets and settings, one of its frames, or its points
-in 3D.
-"""
+"""Show one file of a stage: its content, one of its frames, or its points in 3D."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,40 +14,46 @@ Content = dict[str, Any]
 
 
 def describe(path: Path) -> Content:
-    """Return a drive's file or a checkpoint as plain values. Raises InputError if it is missing,
-    damaged or another.
+    """Return a drive's file or a checkpoint as plain values.
+
+    Raises InputError if it is missing, damaged or another kind of file.
     """
     if path.suffix == ".pt":
         from pipeline.base import checkpoint
 
-        return {
-            "bytes": path.stat().st_size if path.is_file() else 0,
-            **_without_tensors(checkpoint.load(path)),
-        }
+        loaded = checkpoint.load(path)
+        return {"bytes": path.stat().st_size, **_without_tensors(loaded)}
+
     with _open(path) as file:
-        frames, datasets = file.frame.tolist(), {}
-        for name, data in file.datasets.items():
-            rows = f"rows of a frame: {file.pointers[name]}" if name in file.pointers else ""
-            shape, size = " × ".join(map(str, data.shape)), f"{data.id.get_storage_size()} bytes"
-            datasets[name] = [
-                *filter(None, (f"{data.dtype} {shape}", data.attrs.get("unit", ""), rows, size))
-            ]
-        return {
-            "bytes": path.stat().st_size,
-            **{
-                name: np.asarray(file.attrs[name]).tolist()
-                for name in sorted(file.attrs)
-                if name != "params"
-            },
-            "frames": f"{len(frames)}, {frames[0]} to {frames[-1]}" if frames else "0",
-            "datasets": datasets,
-            "settings": file.params,
-        }
+        content: Content = {"bytes": path.stat().st_size}
+        for name in sorted(file.attrs):
+            if name != "params":
+                content[name] = np.asarray(file.attrs[name]).tolist()
+        frames = file.frame.tolist()
+        content["frames"] = f"{len(frames)}, {frames[0]} to {frames[-1]}" if frames else "0"
+        content["datasets"] = {name: _describe_dataset(file, name) for name in file.datasets}
+        content["settings"] = file.params
+        return content
+
+
+def _describe_dataset(file: DriveReader, name: str) -> list[str]:
+    """Return dtype and shape of a dataset, its unit, its pointers and its size in the file."""
+    dataset = file.datasets[name]
+    shape = " × ".join(str(size) for size in dataset.shape)
+    texts = [f"{dataset.dtype} {shape}"]
+    unit = dataset.attrs.get("unit", "")
+    if unit:
+        texts.append(unit)
+    if name in file.pointers:
+        texts.append(f"rows of a frame: {file.pointers[name]}")
+    texts.append(f"{dataset.id.get_storage_size()} bytes")
+    return texts
 
 
 def frame(path: Path, number: int, out: Path | None = None) -> Content:
-    """Return a frame's numbers by dataset; draw it to `out`. Raises InputError if it is missing or
-    has no picture.
+    """Return a frame's numbers by dataset, and draw it to `out`.
+
+    Raises InputError if it is missing, or has nothing to draw.
     """
     with _open(path) as file:
         row = file.row_of(number)
@@ -58,61 +62,70 @@ def frame(path: Path, number: int, out: Path | None = None) -> Content:
         if out:
             view = street_view.read_view(number, file)
             if not view.images() and view.xyz is None:
-                raise InputError(
-                    f"frame {number} has neither an image nor points", path, "Leave out --out"
-                )
-            street_view.save(
-                street_view.sheet(f"{Path(*path.parts[-3:])}, frame {number}", view), out
-            )
+                problem = f"frame {number} has neither an image nor points"
+                raise InputError(problem, path, "Leave out --out")
+            title = f"{Path(*path.parts[-3:])}, frame {number}"
+            street_view.save(street_view.sheet(title, view), out)
         return numbers
 
 
 def view(path: Path, out: Path) -> None:
-    """Write a page with some frames of a file in 3D. Raises InputError if the file has no
-    points.
+    """Write a page with some frames of a file in 3D.
+
+    Raises InputError if the file has no points.
     """
     from pipeline.report import plots
 
     with _open(path) as file:
         if "xyz" not in file or not len(file["xyz"]):
-            raise InputError(
-                "has no points", path, "Pass a file of point clouds, or of graphs of points"
-            )
+            fix = "Pass a file of point clouds, or of graphs of points"
+            raise InputError("has no points", path, fix)
         figure = plots.in_space(street_view.read_some(file))
-    with replacing(out) as new:
-        new.write_text(
-            plots.to_html(figure, "space", "min(95vh, 105vw)", alone=True), encoding="utf-8"
-        )
+    page = plots.to_html(figure, "space", "min(95vh, 105vw)", alone=True)
+    with replacing(out) as unfinished:
+        unfinished.write_text(page, encoding="utf-8")
 
 
 def _open(path: Path) -> DriveReader:
     if path.is_dir() or path.suffix != ".h5":
-        raise InputError(
-            "expected a drive's file (.h5) or a checkpoint (.pt)",
-            path,
-            "Pass one from a folder in data/",
-        )
+        problem = "expected a drive's file (.h5) or a checkpoint (.pt)"
+        raise InputError(problem, path, "Pass one from a folder in data/")
     return DriveReader(path, stage=None)
 
 
 def _without_tensors(content: Mapping[str, Any]) -> Content:
-    plain = {
-        name: _without_tensors(value) if isinstance(value, Mapping) else value
-        for name, value in content.items()
-    }
-    plain |= {name: ranges([*value]) for name, value in plain.items() if name in ("drives", "val")}
-    return {
-        name: value for name, value in plain.items() if not hasattr(value, "detach") and value != {}
-    }
+    """Return the plain values of a checkpoint; drives as ranges, and no empty mappings."""
+    plain = {}
+    for name, value in content.items():
+        if hasattr(value, "detach"):
+            continue
+        if isinstance(value, Mapping):
+            value = _without_tensors(value)
+        elif name in ("drives", "val"):
+            value = ranges([*value])
+        if value != {}:
+            plain[name] = value
+    return plain
 
 
 def ranges(drives: Sequence[str]) -> list[str]:
-    """Return names of drives, with DATE_drive_0001..0009 for consecutive ones, as in
-    ``ingest.drives``.
+    """Return names of drives, with DATE_drive_0001..0009 for consecutive ones.
+
+    ``ingest.drives`` takes the same form.
     """
-    found = list[list[str]]()
+    groups = list[list[str]]()
     for name in drives:
-        before = found[-1][-1] if found else ""
-        follows = name[-4:].isdecimal() and before == f"{name[:-4]}{int(name[-4:]) - 1:04d}"
-        found = [*found[:-1], [*found[-1], name]] if follows else [*found, [name]]
-    return [names[0] + f"..{names[-1][-4:]}" * (len(names) > 1) for names in found]
+        number = name[-4:]
+        before = f"{name[:-4]}{int(number) - 1:04d}" if number.isdecimal() else ""
+        if groups and groups[-1][-1] == before:
+            groups[-1].append(name)
+        else:
+            groups.append([name])
+
+    texts = []
+    for group in groups:
+        text = group[0]
+        if len(group) > 1:
+            text += f"..{group[-1][-4:]}"
+        texts.append(text)
+    return texts

@@ -1,8 +1,8 @@
-"""Measure the motion of a car from the frames of a source: a CSV file, a video, the track, and
-their quality.
-"""
+"""Measure the motion of a car from the frames of a source."""
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,49 +15,63 @@ from steer.chain import INGEST, MOTION, Source, run_chain
 from steer.outcome import Outcome, Results
 from steer.pictures import publish
 
-# As the encoder was trained; of a KITTI drive, the first camera with images.
+# Images have the size with which the encoder was trained. Of a KITTI drive, the first of these
+# cameras with images is read.
 READING = Reading(image_size=(192, 640), cameras=[2, 0, 3, 1], lidar=False, on_damaged="skip")
 
 
 def measure(source: Source, out: Path | None, encoder: Path, car: Car, *, video: bool) -> Outcome:
-    """Write motion.csv, track.png, quality.json and, if `video`, overlay.mp4 to a free folder
-    `out`; None: no files.
+    """Measure a source; write motion.csv, track.png, quality.json and overlay.mp4 to a free folder.
 
-    `encoder`: a folder. Raises InputError if no frame can be read, or a log is unusable.
+    `out` is the folder; None: no files. `encoder` is a folder, too. overlay.mp4 needs `video`.
+    Raises InputError if no frame can be read, or a log is unusable.
     """
     with run_chain(source, out, READING, Perception(batch=4), encoder) as work:
         results = Results.read(source, work, car, look_ahead=True)
         results.doubts += warnings(encoder, "float32", [work / INGEST])
-        comparison = results.compare("measured")
-        with DriveReader(work / MOTION, stage="motion") as motion:
-            heights_m, bonnet = motion["road_height_m"], float(motion.attrs["still"])
-        known, sigmas = (
-            heights_m[heights_m > 0],
-            results.table["speed_sigma"][results.table["valid"] > 0],
-        )
-        # None where unknown; the road's height is by the encoder's depth
-        quality = results.quality = {
-            "horizon": source.camera.horizon,
-            "road_frames": float((heights_m > 0).mean()),
-            "road_height_m": float(np.median(known)) if len(known) else None,
-            "speed_sigma": float(np.median(sigmas)) if len(sigmas) else None,
-            "bonnet": bonnet,
-            "recorded": results.agreement.content(),
-            "comparison": comparison,
-        }
-        share = f"{quality['road_frames']:.0%}"
-        elsewhere = "" if share == "100%" else "; elsewhere speed stays near a typical car's"
-        lines = [*results.lines(comparison), f"road found in {share} of the frames{elsewhere}"]
-        if quality["road_height_m"] and not source.camera.height_known:
-            height = f"{quality['road_height_m']:.2f} m above the road. Measure it"
-            lines.append(
-                f"the encoder's depth puts the camera {height} and pass --camera-height: speed "
-                "follows it"
-            )
-        if quality["speed_sigma"] and not results.doubts:
-            lines.append(
-                f"speed and curvature may be off by {quality['speed_sigma']:.0%} (one standard "
-                "deviation)"
-            )
+        quality = _measure_quality(source, results, work)
+        results.quality = quality
+        notes = [*source.drive.notes, *results.lines(quality["comparison"])]
+        notes += _quality_lines(source, results, quality)
     files = publish(out, "motion.csv", results, source, car.wheelbase_m, video=video)
-    return Outcome(results.columns(), [*source.drive.notes, *lines], results.doubts, files)
+    return Outcome(results.columns(), notes, results.doubts, files)
+
+
+def _measure_quality(source: Source, results: Results, work: Path) -> dict[str, Any]:
+    """Return the content of quality.json, None where unknown."""
+    with DriveReader(work / MOTION, stage="motion") as motion:
+        heights_m = motion["road_height_m"]
+        bonnet = float(motion.attrs["still"])
+    has_road = heights_m > 0
+    is_valid = results.table["valid"] > 0
+    return {
+        "horizon": source.camera.horizon,
+        "road_frames": float(has_road.mean()),
+        # By the encoder's depth.
+        "road_height_m": _median(heights_m[has_road]),
+        "speed_sigma": _median(results.table["speed_sigma"][is_valid]),
+        "bonnet": bonnet,
+        "recorded": results.agreement.content(),
+        "comparison": results.compare("measured"),
+    }
+
+
+def _median(values: np.ndarray) -> float | None:
+    return float(np.median(values)) if len(values) else None
+
+
+def _quality_lines(source: Source, results: Results, quality: dict[str, Any]) -> Iterator[str]:
+    """Yield notes for the user about the scale, which comes from the road."""
+    share = f"{quality['road_frames']:.0%}"
+    line = f"road found in {share} of the frames"
+    if share != "100%":
+        line += "; elsewhere speed stays near a typical car's"
+    yield line
+
+    if quality["road_height_m"] and not source.camera.height_known:
+        height = f"{quality['road_height_m']:.2f} m above the road"
+        advice = "Measure it and pass --camera-height: speed follows it"
+        yield f"the encoder's depth puts the camera {height}. {advice}"
+    if quality["speed_sigma"] and not results.doubts:
+        sigma = f"{quality['speed_sigma']:.0%} (one standard deviation)"
+        yield f"speed and curvature may be off by {sigma}"

@@ -1,4 +1,4 @@
-"""Options of the commands, from the declarations that settings and Python take, too."""
+"""Give commands the options that settings and Python declare."""
 
 import inspect
 from collections.abc import Callable, Collection
@@ -28,17 +28,12 @@ class MeasureOptions(RecordingOptions):
 def with_options(
     command: Callable[..., None], kind: type[Section], *, repeated: Collection[str] = ()
 ) -> Callable[..., None]:
-    """Return a command with an option for each field of `kind` that has a description, in place of
-    its ``**options``.
+    """Return a command with the fields of `kind` that have a description as its options.
 
-    Options that are `repeated` get a list.
+    They replace its ``**options``. Options that are `repeated` get a list.
     """
     signature = inspect.signature(command)
-    parameters = [
-        one
-        for one in signature.parameters.values()
-        if one.kind is not inspect.Parameter.VAR_KEYWORD
-    ]
+    *parameters, _ = signature.parameters.values()  # without **options
     for name, field in kind.model_fields.items():
         if field.description:
             parameters.append(_parameter(name, field, repeated=name in repeated))
@@ -59,10 +54,10 @@ def _parameter(name: str, field: FieldInfo, *, repeated: bool) -> inspect.Parame
     if repeated:
         annotation = list[get_args(annotation)[0]] | None  # type: ignore[misc]
         text = f"{text}; with --each, one per recording"
-    flag = f"--{(field.alias or name).replace('_', '-')}"
+    key = field.alias or name
+    flag = f"--{key.replace('_', '-')}"
     metavar = field.examples[0] if field.examples else None
     option = typer.Option(flag, help=text, metavar=metavar, **limits)
+    annotation = Annotated[annotation, option]
     kind = inspect.Parameter.KEYWORD_ONLY
-    return inspect.Parameter(
-        name, kind, default=field.default, annotation=Annotated[annotation, option]
-    )
+    return inspect.Parameter(name, kind, default=field.default, annotation=annotation)

@@ -1,5 +1,6 @@
-"""Predict steering on the frames of a source with a trained model, which knows the settings of its
-own chain.
+"""Predict steering on the frames of a source with a trained model.
+
+The model knows the settings of its chain, so params.yaml is not read.
 """
 
 from collections.abc import Iterator
@@ -34,59 +35,62 @@ def reading(model: Trained) -> Reading:
 def predict(
     model: Trained, source: Source, out: Path | None, encoder: Path, *, video: bool
 ) -> Outcome:
-    """Write steering.csv, track.png and overlay.mp4; arguments as of :func:`steer.measure.measure`.
+    """Predict the angles of a source; write steering.csv, track.png and overlay.mp4.
 
-    Raises InputError if no frame can be read, a log is unusable, or the source lacks an input of
-    the model.
+    Arguments are those of :func:`steer.measure.measure`. Raises InputError if no frame can be read,
+    a log is unusable, or the source lacks an input of the model.
     """
-    settings = model.settings
-    variant, perception = (
-        Variant.model_validate(settings["graphs"]),
-        Perception.model_validate(settings["perception"]),
-    )
-    if reading(model).lidar and not (
-        source.files and source.files.scans and source.camera.T_cam_velo is not None
-    ):
-        raise InputError(
-            f"model {model.name} needs LiDAR scans", source.name, "Choose a model without them"
-        )
+    perception = Perception.model_validate(model.settings["perception"])
+    has_scans = source.files and source.files.scans and source.camera.T_cam_velo is not None
+    if reading(model).lidar and not has_scans:
+        problem = f"model {model.name} needs LiDAR scans"
+        raise InputError(problem, source.name, "Choose a model without them")
+
     with run_chain(source, out, reading(model), perception, encoder) as work:
-        graph, clouds = work / "graphs.h5", work / INGEST
-        if variant.kind != "image":
-            kind, clouds = variant.source.removeprefix("clouds/"), work / "clouds.h5"
-            clouds_drive(clouds, kind, work / INGEST, work / PERCEPTION, _clouds(model, source))
-        graphs_drive(graph, clouds, work / MOTION, variant)
-        with graph_file.open_graphs(graph) as graphs:
+        with graph_file.open_graphs(_make_graphs(model, source, work)) as graphs:
             results = Results.read(source, work, model.car, look_ahead=False, frame=graphs.frame)
-            # a frame with a scan may lack an image
+            # A frame with a scan may lack an image.
             rows = np.isin(graphs.frame, results.table["frame"])
             prediction = model.predict(graphs)[rows]
-        frames, horizon = len(prediction), model.entry.horizon
-        results.table["predicted_rad"] = (
-            np.full(frames, np.nan) if model.ahead_m else prediction[:, 0]
-        )
+        first_column = prediction[:, 0]
         if model.ahead_m:
-            results.ahead_m, results.path_1pm = model.ahead_m, prediction
-        ahead = f", each {horizon} frames ahead" if horizon else ""
-        predicted = (
-            f"{model.name}: {np.isfinite(prediction[:, 0]).sum()} predictions for {frames} "
-            f"frames{ahead}"
-        )
+            results.ahead_m = model.ahead_m
+            results.path_1pm = prediction
+            results.table["predicted_rad"] = np.full(len(prediction), np.nan)
+        else:
+            results.table["predicted_rad"] = first_column
+
+        horizon = model.entry.horizon
+        notes = [*source.drive.notes, *results.lines(results.compare("predicted", horizon))]
+        predictions = f"{np.isfinite(first_column).sum()} predictions"
+        note = f"{model.name}: {predictions} for {len(prediction)} frames"
+        if horizon:
+            note += f", each {horizon} frames ahead"
+        notes.append(note)
         results.doubts += _differences(model, source, encoder, results.table["time_s"])
-        lines = [
-            *source.drive.notes,
-            *results.lines(results.compare("predicted", horizon)),
-            predicted,
-        ]
     files = publish(out, "steering.csv", results, source, model.car.wheelbase_m, video=video)
-    return Outcome(results.columns(), lines, results.doubts, files)
+    return Outcome(results.columns(), notes, results.doubts, files)
+
+
+def _make_graphs(model: Trained, source: Source, work: Path) -> Path:
+    """Write the input of the model from the files of :func:`run_chain`; return its path."""
+    variant = Variant.model_validate(model.settings["graphs"])
+    ingest = work / INGEST
+    graphs = work / "graphs.h5"
+    images_or_points = ingest
+    if variant.kind != "image":
+        images_or_points = work / "clouds.h5"
+        kind = variant.source.removeprefix("clouds/")
+        settings = _clouds(model, source)
+        clouds_drive(images_or_points, kind, ingest, work / PERCEPTION, settings)
+    graphs_drive(graphs, images_or_points, work / MOTION, variant)
+    return graphs
 
 
 def _clouds(model: Trained, source: Source) -> Clouds:
-    """Return the model's settings of clouds; a recording by a longer lens than the model's has
-    deeper clouds.
-    """
-    settings, limit_m = Clouds.model_validate(model.settings["clouds"]), depth_limit(source.camera)
+    """Return the model's settings of clouds, deeper for a recording by a longer lens."""
+    settings = Clouds.model_validate(model.settings["clouds"])
+    limit_m = depth_limit(source.camera)
     if source.files or limit_m <= MAX_DEPTH_M:
         return settings
     return settings.model_copy(update={"max_depth_m": max(settings.max_depth_m, limit_m)})
@@ -95,16 +99,16 @@ def _clouds(model: Trained, source: Source) -> Clouds:
 def _differences(
     model: Trained, source: Source, encoder: Path, time_s: np.ndarray
 ) -> Iterator[str]:
-    """Yield where a source or an encoder differs from what the model was fitted to."""
+    """Yield doubts where a source or an encoder differs from those of the training."""
     if model.datasets == ["sample"] != [source.drive.dataset]:
-        yield (
-            f"{model.name} was fitted to the rendered sample alone, so expect wrong angles on "
-            "real streets"
-        )
-    step_s = (
-        float(np.median(np.diff(time_s))) if source.files and len(time_s) > 1 else 1 / model.fps
-    )
-    if abs(1 / step_s / model.fps - 1) > RATE_TOLERANCE:  # other sources have been resampled
-        yield f"{model.name} was fitted to {model.fps:.1f} frames/s, got {1 / step_s:.1f}"
+        fitted = f"{model.name} was fitted to the rendered sample alone"
+        yield f"{fitted}, so expect wrong angles on real streets"
+
+    # A recording has been resampled to the rate of the training.
+    if source.files and len(time_s) > 1:
+        fps = 1 / float(np.median(np.diff(time_s)))
+        if abs(fps / model.fps - 1) > RATE_TOLERANCE:
+            yield f"{model.name} was fitted to {model.fps:.1f} frames/s, got {fps:.1f}"
+
     if file_hash(encoder / FILE) != model.settings["encoder"]["sha256"]:
         yield f"{model.name} was fitted to depth and classes of another encoder than {encoder}"

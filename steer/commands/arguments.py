@@ -1,4 +1,4 @@
-"""Arguments that several commands share, beside the options of a recording."""
+"""Declare the arguments of several commands, beside the options of a recording."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -25,13 +25,12 @@ Video = Annotated[bool, typer.Option(help="write overlay.mp4")]
 def run(
     function: Callable[..., "Outcome"], source: list[Path], out: Path | None, **options: Any
 ) -> None:
-    """Call a function of `steer.api` for a free folder; print notes, files, and at most three
-    doubts at the end.
-    """
+    """Call a function of `steer.api` for a free folder; print notes, files and three doubts."""
     from pipeline.base.outputs import claimed
 
     with claimed(out, source[0].resolve().stem.removesuffix("_sync")) as folder:
         outcome = function(source, out=folder, **options)
-    print(*outcome.notes, ", ".join(map(str, outcome.files)), sep="\n")
+    files = ", ".join(str(path) for path in outcome.files)
+    print(*outcome.notes, files, sep="\n")
     for text in outcome.doubts[:3]:
         print(f"doubt: {text}")

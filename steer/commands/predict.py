@@ -33,19 +33,14 @@ def predict(
     ] = None,
     **options: Any,
 ) -> None:
-    """Write the predicted angles and print their errors; the module's docstring is the help
-    text.
-    """
+    """Write the predicted angles, and print errors; the module's docstring is the help text."""
     from steer import api
 
     if model is None:
         fix = (
-            "Measure the angle: steer measure (nmse 0.008 on real drives). Or name a network of "
-            "yours. That of "
-        )
-        fix += (
-            "--model models/steering/sample has seen rendered streets only (nmse 1.22 on a real "
-            "drive)"
+            "Measure the angle: steer measure (nmse 0.008 on real drives). "
+            "Or name a network of yours. That of --model models/steering/sample "
+            "has seen rendered streets only (nmse 1.22 on a real drive)"
         )
         raise InputError("no network for real streets is included", "--model", fix)
     arguments.run(api.predict, source, out, video=video, model=model, encoder=encoder, **options)

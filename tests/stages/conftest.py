@@ -11,9 +11,7 @@ from tests.small_model import EDGES_M, SPLITS, write_params
 
 @pytest.fixture(scope="session")
 def dataset(tmp_path_factory) -> Path:
-    """Small graphs with motion that is measured from the second frame on, and labels with the path
-    ahead.
-    """
+    """Write small graphs and labels with the path ahead; motion begins with the second frame."""
     folder = tmp_path_factory.mktemp("dataset")
     artefacts.write_dataset(folder, SPLITS, frames=60, points=80, ahead_m=EDGES_M, motion=True)
     return folder

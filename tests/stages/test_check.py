@@ -1,3 +1,5 @@
+"""Stage check: faults of params.yaml, of models and of imports are one line with their key."""
+
 from functools import reduce
 from pathlib import Path
 from typing import Any
@@ -37,15 +39,13 @@ def run(folder: Path, content: dict[str, Any]) -> Path:
 
 @pytest.mark.parametrize("name", [None, *NAMES])
 def test_the_projects_own_files_are_valid(name, tmp_path, monkeypatch, capsys):
-    """Without weights of real streets, which check does not download."""
+    """Weights of real streets may be missing: check does not download them."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "models").symlink_to(ROOT / "models")
-    content = (
-        yaml.safe_load(preset.to_yaml(preset.merged(name), "a test"))
-        if name
-        else yaml.safe_load((ROOT / "params.yaml").read_text())
-    )
-    run(tmp_path, content)
+    text = (ROOT / "params.yaml").read_text()
+    if name:
+        text = preset.to_yaml(preset.merged(name), "a test")
+    run(tmp_path, yaml.safe_load(text))
     assert capsys.readouterr().out == ""
 
 
@@ -54,9 +54,8 @@ def test_measured_motion_is_not_both_input_and_label(tmp_path):
     content = changed("labels.source", "visual")
     net = content["models"]["sa-gnn-ncp"] | {"motion": "visual"}
     content["models"] = {"net": net}
-    with pytest.raises(
-        InputError, match=r"models\.net: motion: visual with labels\.source: visual at"
-    ) as raised:
+    problem = r"models\.net: motion: visual with labels\.source: visual at"
+    with pytest.raises(InputError, match=problem) as raised:
         run(tmp_path, content)
     assert "motion: none" in raised.value.fix
     for change in ({"horizon": 10}, {"predict": "path"}):
@@ -68,9 +67,7 @@ def test_measured_motion_is_not_both_input_and_label(tmp_path):
 
 
 def test_weights_are_looked_for_where_stage_encoder_will_run(tmp_path):
-    """dvc.lock names an encoder of the same settings: DVC takes it from its cache, or fetches
-    it.
-    """
+    """DVC takes or fetches an encoder of the settings in dvc.lock: its weights may be missing."""
     content = changed("encoder.weights", "no.pt")
     lock = {"stages": {"encoder": {"params": {"params.yaml": {"encoder": content["encoder"]}}}}}
     (tmp_path / "dvc.lock").write_text(yaml.safe_dump(lock))
@@ -209,14 +206,11 @@ IMPORT = "\ndef late():\n    from pipeline.report import page\n"
 def test_code_that_dvc_would_not_watch_is_refused(tmp_path, checkout, file, stage):
     with (checkout / file).open("a") as added:
         added.write(IMPORT)
-    with pytest.raises(
-        InputError, match=rf"^{file}: imports pipeline/report/page\.py, which"
-    ) as raised:
+    problem = rf"^{file}: imports pipeline/report/page\.py, which"
+    with pytest.raises(InputError, match=problem) as raised:
         run(tmp_path, yaml.safe_load((ROOT / "params.yaml").read_text()))
-    assert (
-        f"dvc.yaml does not list for stage {stage}: its edits would change nothing. List it"
-        in str(raised.value)
-    )
+    expected = f"dvc.yaml does not list for stage {stage}: its edits would change nothing. List it"
+    assert expected in str(raised.value)
 
 
 def test_all_networks_datasets_and_sources_import_code_that_dvc_watches():

@@ -1,4 +1,4 @@
-"""Stage labels, down to KITTI's own packets."""
+"""Stage labels: angles of each source, down to KITTI's own packets."""
 
 import tarfile
 from collections import defaultdict
@@ -48,16 +48,14 @@ def test_labels_of_two_drives(tmp_path, capsys):
 
 @pytest.fixture
 def recorded(tmp_path) -> Path:
-    """One drive with recorded angles and without oxts, one with both; motion is measured in
-    both.
-    """
+    """Write a drive with recorded angles, and one with oxts, too; motion is measured in both."""
+    frame = np.arange(5, 10)
+    angles = {5: 0.1, 7: 0.2, 8: 0.3, 9: 0.4}
+    oxts = make_rows(5, vf=np.array([10.0, 10, 0.5, 10, 10]), wu=0.1)
+    write_recorded(tmp_path / f"ingest/{FIRST}.h5", frame, None, angles)
+    write_recorded(tmp_path / f"ingest/{SECOND}.h5", frame, oxts, angles)
+    motion = {5: (0, 0), 6: (5.0, 0.5), 8: (0.5, 0.5), 9: (0, 0)}
     for drive in DRIVES:
-        rows = (
-            None if drive == FIRST else make_rows(5, vf=np.array([10.0, 10, 0.5, 10, 10]), wu=0.1)
-        )
-        angles = {5: 0.1, 7: 0.2, 8: 0.3, 9: 0.4}
-        write_recorded(tmp_path / f"ingest/{drive}.h5", np.arange(5, 10), rows, angles)
-        motion = {5: (0, 0), 6: (5.0, 0.5), 8: (0.5, 0.5), 9: (0, 0)}
         write_motion(tmp_path / "motion", drive, motion, stands=[9])
     write_index(tmp_path / "ingest", DRIVES)
     return tmp_path
@@ -65,9 +63,8 @@ def recorded(tmp_path) -> Path:
 
 def test_measured_and_recorded_labels_are_valid_unless_the_car_is_slow_or_stands(recorded):
     for file in run(recorded, source="visual"):
-        np.testing.assert_allclose(
-            file["steering_rad"], np.arctan([0, 2.7 * 0.1, 0, 2.7, 0]), rtol=0.02
-        )
+        expected_rad = np.arctan([0, 2.7 * 0.1, 0, 2.7, 0])
+        np.testing.assert_allclose(file["steering_rad"], expected_rad, rtol=0.02)
         np.testing.assert_array_equal(file["valid"], [0, 1, 0, 0, 0])
         np.testing.assert_allclose(file["speed_mps"], [0, 5, 0, 0.5, 0], rtol=0.02)  # filtered
     without, with_oxts = run(recorded, source="wheel")
@@ -83,72 +80,74 @@ def test_measured_and_recorded_labels_are_valid_unless_the_car_is_slow_or_stands
 def test_an_interpolated_packet_is_no_target_and_ends_the_path_ahead(tmp_path, capsys, mode):
     """A path of 5 m is that of five frames. A recorded angle does not need the packet."""
     frame = np.arange(30)
+    interpolated_at_20 = {mode: np.where(frame == 20, -1.0, 4.0)}
     for drive in DRIVES:
-        rows = make_rows(30, vf=11.0, wu=0.2, **{mode: np.where(frame == 20, -1.0, 4.0)})
+        rows = make_rows(30, vf=11.0, wu=0.2, **interpolated_at_20)
         write_recorded(tmp_path / f"ingest/{drive}.h5", frame, rows, dict.fromkeys(range(30), 0.1))
         write_motion(tmp_path / "motion", drive, dict.fromkeys(range(30), (5.0, 0.1)))
     write_index(tmp_path / "ingest", DRIVES)
-    for source, valid in {
-        "recorded": frame != 20,
-        "wheel": frame >= 0,
-        "visual": frame >= 0,
-    }.items():
+
+    curvatures_1pm = {"recorded": 0.2 / 11, "wheel": np.tan(0.1) / 2.7}
+    for source, valid, interpolated_frames in (
+        ("recorded", frame != 20, 1),
+        ("wheel", frame >= 0, 1),
+        ("visual", frame >= 0, 0),
+    ):
         file, _ = run(tmp_path, source=source, ahead_m=[0, 5])
         np.testing.assert_array_equal(file["valid"], valid)
-        text = f"{valid.sum()} valid, {valid.sum()} turning, {int(source != 'visual')} interpolated"
-        assert text in capsys.readouterr().out
-        if source != "visual":
-            assert np.flatnonzero(file["ahead_valid"]).tolist() == [*range(15), *range(21, 25)]
-            curvature_1pm = np.tan(0.1) / 2.7 if source == "wheel" else 0.2 / 11
-            np.testing.assert_allclose(file["ahead_1pm"][file["ahead_valid"] == 1], curvature_1pm)
+        counts = f"{valid.sum()} valid, {valid.sum()} turning, {interpolated_frames} interpolated"
+        assert counts in capsys.readouterr().out
+        if source in curvatures_1pm:
+            has_path = file["ahead_valid"]
+            assert np.flatnonzero(has_path).tolist() == [*range(15), *range(21, 25)]
+            np.testing.assert_allclose(file["ahead_1pm"][has_path == 1], curvatures_1pm[source])
 
 
 @pytest.mark.real
 def test_interpolated_packets_of_kitti(real_kitti, tmp_path):
-    packets, counts = defaultdict[str, list[Any]](list), dict[str, int]()
+    packets = defaultdict[str, list[Any]](list)
     with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
         for member in archive:
             if "/data/0" in member.name:
-                packets[member.name[11:32]].append(archive.extractfile(member).read().split())  # type: ignore[union-attr]
-    for drive, rows in packets.items():
-        with DriveWriter(
-            tmp_path / f"ingest/{drive}.h5", stage="ingest", drive=drive, params={}
-        ) as file:
-            numbered = dict(enumerate(np.array(rows, float)))
-            values = {
-                name: [*column.values()] for name, column in recorded_motion(numbered).items()
-            }
-            values |= {"frame": range(len(rows)), "time_s": np.arange(len(rows)) / 10, "oxts": rows}
-            for name, column in values.items():
-                file.put(name, np.array(column, float))
+                drive = member.name[11:32]
+                packets[drive].append(archive.extractfile(member).read().split())  # type: ignore[union-attr]
+    for drive, texts in packets.items():
+        path = tmp_path / f"ingest/{drive}.h5"
+        rows = np.array(texts, float)
+        with DriveWriter(path, stage="ingest", drive=drive, params={}) as file:
+            for name, column in recorded_motion(dict(enumerate(rows))).items():
+                file.put(name, np.array([*column.values()], float))
+            file.put("frame", np.arange(len(rows), dtype=float))
+            file.put("time_s", np.arange(len(rows)) / 10)
+            file.put("oxts", rows)
     write_index(tmp_path / "ingest", dict.fromkeys(packets, "train"))
     run(tmp_path, ahead_m=[0, 0.1])
-    for drive, rows in packets.items():
-        guessed = interpolated(np.array(rows, float))
-        counts[drive], file = (
-            guessed.sum(),
-            DriveReader(tmp_path / f"labels/{drive}.h5", stage="labels"),
-        )
-        assert not (file["valid"] | file["ahead_valid"][:, 0])[guessed].any()
-    assert (len(counts), sum(counts.values()), counts["2011_10_03_drive_0027"]) == (55, 323, 134)
+
+    counts = {}
+    for drive, texts in packets.items():
+        guessed = interpolated(np.array(texts, float))
+        counts[drive] = guessed.sum()
+        file = DriveReader(tmp_path / f"labels/{drive}.h5", stage="labels")
+        assert not file["valid"][guessed].any()
+        assert not file["ahead_valid"][guessed].any()
+    assert len(counts) == 55
+    assert sum(counts.values()) == 323
+    assert counts["2011_10_03_drive_0027"] == 134
 
 
 def test_an_inverted_wheel_is_refused_and_test_drives_are_not_compared(tmp_path, capsys):
-    frame, angle = np.arange(1, 151), 0.1 * np.sin(np.arange(150) / 9)
+    frame = np.arange(1, 151)
+    angle_rad = 0.1 * np.sin(np.arange(150) / 9)
+    rates = [(8.0, 8 * np.tan(rad) / 2.7) for rad in angle_rad]
+    motion = dict(zip(frame.tolist(), rates, strict=True))
     for drive, sign in zip(DRIVES, (1, -1), strict=True):
-        recorded = dict(zip(frame.tolist(), sign * angle, strict=True))
+        recorded = dict(zip(frame.tolist(), sign * angle_rad, strict=True))
         write_recorded(tmp_path / f"ingest/{drive}.h5", frame, None, recorded)
-        motion = {
-            number: (8.0, 8 * np.tan(rad) / 2.7)
-            for number, rad in zip(frame.tolist(), angle, strict=True)
-        }
         write_motion(tmp_path / "motion", drive, motion)
     write_index(tmp_path / "ingest", DRIVES)
     run(tmp_path, source="wheel")
-    assert (
-        f"{FIRST}: recorded / measured, 147 turning frames: angle gain 1.00"
-        in capsys.readouterr().out
-    )
+    line = f"{FIRST}: recorded / measured, 147 turning frames: angle gain 1.00"
+    assert line in capsys.readouterr().out
     for split in ("val", "test"):  # leave-one-out has test drives only
         write_index(tmp_path / "ingest", {FIRST: "test", SECOND: split})
         with pytest.raises(InputError, match=f"{SECOND}: the sign of steering_rad is inverted"):
@@ -160,7 +159,8 @@ def test_a_split_whose_only_drive_stands_is_named(tmp_path, capsys):
     write_ingest(tmp_path / "ingest", speed=[5.0] * 9 + [0.1], yaw_rate=[0.1] * 10)
     run(tmp_path)
     text = capsys.readouterr().out
-    assert ("have a label" in text, "9 of 10 frames of split test turn" in text) == (False, True)
+    assert "have a label" not in text
+    assert "9 of 10 frames of split test turn" in text
     write_ingest(tmp_path / "ingest", speed=[5.0] + [0.1] * 9, yaw_rate=[0.1] * 10)
     run(tmp_path)
     assert f"1 of 10 frames of {SECOND} have a label: the car stands?" in capsys.readouterr().out

@@ -26,16 +26,14 @@ SPLITS = {
 FULL, BLIND, CAMERA = SPLITS
 
 
-def read(folder: Path, drive: str, stage: str = "clouds") -> dict[str, np.ndarray]:
+def read_drive(folder: Path, drive: str, stage: str = "clouds") -> dict[str, np.ndarray]:
     with store.DriveReader(folder / f"{drive}.h5", stage=stage) as file:
         return {name: file[name] for name in file.datasets}
 
 
 @pytest.mark.parametrize("lidar", [True, False])
 def test_drives_without_images_or_lidar_have_clouds_of_what_they_have(tmp_path, lidar):
-    """Of a drive with everything; one without images has no classes, one without LiDAR has no
-    frames.
-    """
+    """A drive without images has no classes in its scans, one without LiDAR has no frames."""
     params = yaml.safe_load((ROOT / "params.yaml").read_text())
     params["ingest"]["lidar"] = lidar
     (tmp_path / "params.yaml").write_text(yaml.safe_dump(params))
@@ -52,50 +50,46 @@ def test_drives_without_images_or_lidar_have_clouds_of_what_they_have(tmp_path, 
     assert bool(store.read_index(tmp_path / "clouds/lidar", stage="clouds")) == lidar
     if not lidar:
         return
-    assert {classes.ROAD, classes.BUILDING} <= set(
-        read(tmp_path / "clouds/lidar", FULL)["cls"].tolist()
-    )
-    blind = read(tmp_path / "clouds/lidar", BLIND)
+    full = read_drive(tmp_path / "clouds/lidar", FULL)
+    assert {classes.ROAD, classes.BUILDING} <= set(full["cls"].tolist())
+    blind = read_drive(tmp_path / "clouds/lidar", BLIND)
     assert len(blind["xyz"]) > 0
     assert (blind["cls"] == classes.VOID).all()
-    assert len(read(tmp_path / "clouds/lidar", CAMERA)["frame"]) == 0
+    assert len(read_drive(tmp_path / "clouds/lidar", CAMERA)["frame"]) == 0
 
 
 def run(root: Path) -> dict[str, np.ndarray]:
     params = root / "params.yaml"
     params.write_text(yaml.safe_dump({"perception": {"batch": 3}}))
-    return read(perception.main(root, params), FULL, "perception")
+    return read_drive(perception.main(root, params), FULL, "perception")
 
 
 def test_precomputed_files_are_matched_by_frame_number(tmp_path, capsys):
-    truth = [street.scene(frame)[1:] for frame in range(5)]
-    for frame, (depth_m, cls) in enumerate(truth):
-        write_png(
-            tmp_path / f"made/{FULL}/depth/{frame:010d}.png",
-            np.rint(depth_m * 256).astype(np.uint16),
-        )
-        write_png(tmp_path / f"made/{FULL}/cls/{frame:010d}.png", cls)
+    truth_depth = []
+    truth_cls = []
+    for frame in range(5):
+        _, depth_m, cls = street.scene(frame)
+        truth_depth.append(np.rint(depth_m * 256).astype(np.uint16))
+        truth_cls.append(cls)
+        write_png(tmp_path / f"made/{FULL}/depth/{frame:010d}.png", truth_depth[frame])
+        write_png(tmp_path / f"made/{FULL}/cls/{frame:010d}.png", truth_cls[frame])
     street.write_drive(tmp_path / "ingest", FULL, 5)
     with h5py.File(tmp_path / f"ingest/{FULL}.h5", "r+") as file:
         file["has_image"][:] = [1, 1, 0, 1, 1]
     write_index(tmp_path / "ingest", {FULL: "test"})
-    save_encoder(
-        tmp_path / "encoder", {"backbone": "precomputed", "folder": str(tmp_path / "made")}, {}
-    )
+    architecture = {"backbone": "precomputed", "folder": str(tmp_path / "made")}
+    save_encoder(tmp_path / "encoder", architecture, {})
     content = run(tmp_path)
     assert "warning" not in capsys.readouterr().out
-    assert content["frame"].tolist() == [0, 1, 3, 4]
-    depth_m, cls = (np.stack([truth[frame][part] for frame in content["frame"]]) for part in (0, 1))
-    np.testing.assert_array_equal(content["cls"], cls)
-    np.testing.assert_array_equal(content["depth_m"], np.rint(depth_m * 256))
-    save_encoder(
-        tmp_path / "encoder",
-        {"backbone": "precomputed", "folder": f"{tmp_path}/later", "datasets": ["sample"]},
-        {},
-    )
-    with pytest.raises(InputError, match="later"):  # this process has the first encoder open
+    frames = [0, 1, 3, 4]
+    assert content["frame"].tolist() == frames
+    np.testing.assert_array_equal(content["cls"], [truth_cls[frame] for frame in frames])
+    np.testing.assert_array_equal(content["depth_m"], [truth_depth[frame] for frame in frames])
+
+    # This process has the first encoder open.
+    architecture |= {"folder": f"{tmp_path}/later", "datasets": ["sample"]}
+    save_encoder(tmp_path / "encoder", architecture, {})
+    with pytest.raises(InputError, match="later"):
         run(tmp_path)
-    assert (
-        f"encoder was fitted to rendered streets alone: wrong depth on {FULL}"
-        in capsys.readouterr().out
-    )
+    warning = f"encoder was fitted to rendered streets alone: wrong depth on {FULL}"
+    assert warning in capsys.readouterr().out

@@ -94,7 +94,8 @@ class Camera:
         if max(ratio, 1 / ratio) <= 1 + SAME_SHAPE:
             return Crop(rows, columns)
 
-        # Of a higher image, keep the rows around the horizon; of a wider one, the middle columns.
+        # A higher image keeps the rows around the horizon, a wider one the columns around the
+        # principal point.
         if ratio > 1:
             centre = self.K[1, 2]
             if self.horizon is not None:

@@ -24,7 +24,7 @@ MAX_DEPTH_M = 80.0
 # Focal length in image widths beyond which a lens is used farther than MAX_DEPTH_M.
 WIDE = 0.65
 # Largest magnitude of p1 and p2 in OpenCV's model, which describe elements of a lens that are not
-# parallel. The coefficients of a fisheye lens are larger.
+# parallel. Larger values suggest the numbers of a fisheye lens.
 MAX_TANGENTIAL = 0.01
 # Largest field of view in degrees of a lens without distortion.
 MAX_FOV_DEG = 100

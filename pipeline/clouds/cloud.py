@@ -171,10 +171,12 @@ def in_morton_order(cloud: Cloud) -> Cloud:
     compress better.
     """
     cells = np.rint(cloud.xyz / RESOLUTION_M)
-    x, y, z = np.clip(cells + 2**20, 0, 2**21 - 1).astype(np.uint64).T
+    numbers = np.clip(cells + 2**20, 0, 2**21 - 1).astype(np.uint64)
+    x, y, z = numbers.T
     code = _spread(x) | (_spread(y) << np.uint64(1)) | (_spread(z) << np.uint64(2))
     order = np.argsort(code, kind="stable")
-    return Cloud((cells[order] * RESOLUTION_M).astype(np.float32), cloud.cls[order])
+    xyz = (cells[order] * RESOLUTION_M).astype(np.float32)
+    return Cloud(xyz, cloud.cls[order])
 
 
 def _spread(x: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Connect the points of a cloud by a pruned kNN graph, or group them as PointNet++ does."""
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -47,7 +47,7 @@ def nearest_neighbours(xyz: np.ndarray, k: int) -> np.ndarray:
     return neighbours[~itself].reshape(count, k)
 
 
-def undirected(neighbours: np.ndarray) -> Any:
+def undirected(neighbours: np.ndarray) -> csr_array:
     """Return `neighbours` [P,k] as a symmetric csr_array uint8 [P,P]: 2 if mutual, otherwise 1.
 
     The entries of each row are ascending.
@@ -61,7 +61,9 @@ def undirected(neighbours: np.ndarray) -> Any:
     return reverse + reverse.T.tocsr()
 
 
-def prune(matrix: Any, cls: np.ndarray, keep_inter_class: float, rng: np.random.Generator) -> Graph:
+def prune(
+    matrix: csr_array, cls: np.ndarray, keep_inter_class: float, rng: np.random.Generator
+) -> Graph:
     """Return the graph of an :func:`undirected` matrix [P,P] after pruning (section 4.2, Fig. 3).
 
     Edges within a class of `cls` [P] stay; of those between classes, a random fraction

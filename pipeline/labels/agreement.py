@@ -78,8 +78,9 @@ class Noise(NamedTuple):
 
 
 class Pair(NamedTuple):
-    """Recorded and measured labels of a drive's frames [F]; measured rates are means that look
-    ahead.
+    """Recorded and measured labels of a drive's frames [F].
+
+    Measured rates are means that look ahead.
     """
 
     time_s: np.ndarray

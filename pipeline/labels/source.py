@@ -8,7 +8,7 @@ the drive lacks the source. NEEDS and COLUMN, the name of a recorded angle, are 
 import importlib
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 
@@ -124,7 +124,7 @@ def _labels_or_none(
         return labels
 
 
-def load_source(source: str) -> Any:
+def load_source(source: str) -> ModuleType:
     """Return the module of a source's file."""
     return importlib.import_module(f"pipeline.labels.sources.{source}")
 

@@ -142,14 +142,14 @@ def follow(videos: Sequence[Video]) -> tuple[list[float], list[str]]:
     begins_s = [0.0]
     notes = list[str]()
     for before, after in pairwise(videos):
-        whole_s = before.length_s + before.step_s
-        begin_s = begins_s[-1] + whole_s
+        lasts_s = before.length_s + before.step_s
+        begin_s = begins_s[-1] + lasts_s
 
+        # Times of creation tell a gap, or an overlap, if they are known and in order.
         gap_s = 0.0
         apart_s = _created_after_s(before, after)
-        # False for NaN.
         if apart_s > 0:
-            gap_s = apart_s - whole_s
+            gap_s = apart_s - lasts_s
         if abs(gap_s) > WHOLE_S:
             when = "after" if gap_s > 0 else "before"
             notes.append(
@@ -165,7 +165,6 @@ def _created_earlier(videos: Sequence[Video]) -> Iterator[str]:
     """Yield a doubt for each video that was created before the one that it follows."""
     for before, after in pairwise(videos):
         early_s = -_created_after_s(before, after)
-        # False for NaN.
         if early_s > WHOLE_S:
             yield (
                 f"{after.path.name} follows {before.path.name}, but was created {early_s:.0f} s "
@@ -195,9 +194,10 @@ def _image_files(folder: Path) -> tuple[list[Path], np.ndarray]:
     if not files:
         raise InputError(f"folder has no images (expected {', '.join(PICTURES)})", folder)
 
+    # The numbers in the names of one camera's images rise from file to file.
     for before, after in pairwise(files):
-        lower = words(before)[1::2]
-        if lower and words(after)[1::2] <= lower:
+        numbers_before = words(before)[1::2]
+        if numbers_before and words(after)[1::2] <= numbers_before:
             raise InputError(
                 f"{after.name} would follow {before.name}: images of two cameras, or in two "
                 "formats?",
@@ -205,11 +205,13 @@ def _image_files(folder: Path) -> tuple[list[Path], np.ndarray]:
                 "Pass a folder with the images of one",
             )
 
-    # Only the last number may count the images.
-    names = [words(file) for file in files]
+    # The last number counts the images if the names differ in nothing else,
     in_order = np.arange(len(files))
+    names = [words(file) for file in files]
     if len({(*name[:-2], name[-1]) for name in names}) > 1:
         return files, in_order
+
+    # and if it rises regularly: gaps are multiples of the most frequent step.
     numbers = [int(name[-2]) for name in names if len(name) > 1]
     steps = [after - before for before, after in pairwise(numbers)]
     step = min(steps, default=0)

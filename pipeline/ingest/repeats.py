@@ -38,8 +38,10 @@ def repeats(change: np.ndarray, key: np.ndarray, time_s: np.ndarray) -> np.ndarr
             for after in range(first + 1, end):
                 run = slice(first, after)
                 around = min(least[first - 1], least[after])
+                if not NOISE < around < np.inf:
+                    continue
                 largest = max(least[run].max(), surely[run].min())
-                if NOISE < around < np.inf and largest < UNCHANGED * around:
+                if largest < UNCHANGED * around:
                     result[run] = True
         if result.mean() < SOME:
             break

@@ -14,6 +14,8 @@ from pipeline.motion.road import Road
 from pipeline.motion.step import Step
 from pipeline.motion.still import Still
 
+# Whether a class, the index, is one of traffic.
+IS_TRAFFIC = np.isin(np.arange(256), classes.TRAFFIC)
 # Least width in pixels of the images that are tracked. Smaller ones are enlarged, since the error
 # of tracking is a fixed fraction of a pixel.
 MIN_WIDTH = 640
@@ -163,7 +165,7 @@ class Odometry:
         # the class of cars.
         road, scale = self.road.find(depth_m, usable, self.still.mask)
         self.road_class = _share_of_road(frame.cls[self.road.in_front & shows_something])
-        traffic = cv2.dilate(np.isin(frame.cls, classes.TRAFFIC).astype(np.uint8), AROUND) > 0
+        traffic = cv2.dilate(IS_TRAFFIC[frame.cls].astype(np.uint8), AROUND) > 0
         elsewhere = usable & ~road & ~traffic
 
         # Few corners of a road are good, but their depths are the best.

@@ -64,25 +64,17 @@ VARIANTS = {
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
-    """A folder with params.yaml and data/: three drives of a few frames, and MODELS trained on
-    them.
-    """
+    """Write data/ with three drives of a few frames, and MODELS trained on them."""
     folder = tmp_path_factory.mktemp("sample")
     params = yaml.safe_load((ROOT / "params.yaml").read_text())
     params["sample"] |= {"image_size": [96, 320], "frames": {"train": 24, "val": 8, "test": 12}}
-    params["ingest"] |= {
-        "image_size": [96, 320],
-        "lidar": True,
-        "drives": {
-            "train": ["2026_01_01_drive_0001"],
-            "val": ["2026_01_02_drive_0002"],
-            "test": [TEST],
-        },
-    }
+    drives = {"train": ["2026_01_01_drive_0001"], "val": ["2026_01_02_drive_0002"], "test": [TEST]}
+    params["ingest"] |= {"image_size": [96, 320], "lidar": True, "drives": drives}
     params["encoder"]["weights"] = str(ROOT / params["encoder"]["weights"])
     params["perception"] |= {"reach": 1.1}
     params["clouds"] |= {"max_points": 2000}
-    params["graphs"], params["models"] = VARIANTS, MODELS
+    params["graphs"] = VARIANTS
+    params["models"] = MODELS
     params["labels"] |= {"ahead_m": [0, 2, 4]}
     params["train"] |= {"epochs": 1}
     (folder / "params.yaml").write_text(yaml.safe_dump(params, sort_keys=False))
@@ -101,24 +93,19 @@ def drive(folder: Path) -> Path:
     return folder / f"data/sample/{TEST[:10]}/{TEST}_sync"
 
 
-def read(out: Path) -> pd.DataFrame:
+def read_table(out: Path) -> pd.DataFrame:
     return pd.read_csv(out / "steering.csv")
 
 
 @pytest.mark.parametrize("model", MODELS)
 def test_predictions_equal_those_of_the_stages(folder, tmp_path, model):
-    """The model knows its chain: params.yaml is not read. Each value is that of the graphs that the
-    stages made.
-    """
-    predict(
-        [drive(folder)],
-        model=folder / f"data/train/{model}",
-        out=tmp_path / "out",
-        video=model == "path",
-    )
-    rows = read(tmp_path / "out")
+    """The model knows its chain, so params.yaml may be missing."""
+    video = model == "path"
+    path = folder / f"data/train/{model}"
+    predict([drive(folder)], model=path, out=tmp_path / "out", video=video)
+    rows = read_table(tmp_path / "out")
     with open_graphs(folder / f"data/graphs/{MODELS[model]['input']}/{TEST}.h5") as graphs:
-        expected = load_model(folder / f"data/train/{model}", "cpu").predict(graphs)
+        expected = load_model(path, "cpu").predict(graphs)
         assert rows["frame"].tolist() == graphs.frame.tolist()
     names = ["predicted_rad"]
     if model == "path":
@@ -131,90 +118,90 @@ def test_predictions_equal_those_of_the_stages(folder, tmp_path, model):
 def test_a_model_is_compared_with_oxts(folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     predict([drive(folder)], model=Path("data/train/scans"), out=tmp_path / "out", video=False)
-    text, rows = capsys.readouterr().out, read(tmp_path / "out")
+    text = capsys.readouterr().out
     assert "warning" not in text
-    predicted_rad, driven_rad = (
-        rows["predicted_rad"].to_numpy()[:-2],
-        rows["driven_rad"].to_numpy()[2:],
-    )
+    rows = read_table(tmp_path / "out")
+    predicted_rad = rows["predicted_rad"].to_numpy()[:-2]
+    driven_rad = rows["driven_rad"].to_numpy()[2:]
     used = np.isfinite(predicted_rad) & np.isfinite(driven_rad)
     assert f"truth from oxts, {used.sum()} frames, 2 frames ahead" in text
     nmse = ((predicted_rad - driven_rad)[used] ** 2).mean() / (driven_rad[used] ** 2).mean()
     assert f"predicted: nmse {nmse:.3f}" in text
-    with pytest.raises(
-        InputError, match=r"--model: no network for real streets is included\. Measure"
-    ):
-        predict([drive(folder)], out=tmp_path / "other")
-    with pytest.raises(
-        InputError, match=r"\.: has several models\. Pass one as --model: data/train/path, "
-    ):
-        predict([drive(folder)], model=Path(), out=tmp_path / "other")
-    with pytest.raises(InputError, match=r"data/train/scan: no trained model"):
-        predict([drive(folder)], model=Path("data/train/scan"), out=tmp_path / "other")
-    with pytest.raises(InputError, match="has its own calibration"):
-        predict(
-            [drive(folder)], model=Path("data/train/scans"), out=tmp_path / "other", fov_deg=80.0
-        )
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        ({}, r"--model: no network for real streets is included\. Measure"),
+        (
+            {"model": Path()},
+            r"\.: has several models\. Pass one as --model: data/train/path, ",
+        ),
+        ({"model": Path("data/train/scan")}, r"data/train/scan: no trained model"),
+        ({"model": Path("data/train/scans"), "fov_deg": 80.0}, "has its own calibration"),
+    ],
+)
+def test_wrong_options(folder, tmp_path, monkeypatch, options, problem):
+    monkeypatch.chdir(folder)
+    with pytest.raises(InputError, match=problem):
+        predict([drive(folder)], out=tmp_path / "out", **options)
 
 
 def test_a_folder_of_images(folder, tmp_path, capsys):
-    """Images need intrinsics and are cropped; a model of scans has no input there, and one of the
-    sample no streets.
-    """
-    images, out = tmp_path / "2026_01_01_drive_0001", tmp_path / "out"  # a name says nothing
+    """Images need intrinsics and are cropped; scans are missing, and the sample has no streets."""
+    images = tmp_path / "2026_01_01_drive_0001"  # a name says nothing
+    out = tmp_path / "out"
+    points = folder / "data/train/points"
     images.mkdir()
     for number, path in enumerate(sorted((drive(folder) / "image_02/data").iterdir())):
         taller = cv2.copyMakeBorder(cv2.imread(str(path)), 60, 60, 0, 0, cv2.BORDER_CONSTANT)
         cv2.imwrite(str(images / f"img{number}.jpg"), taller)
     with pytest.raises(InputError, match="--fov DEGREES"):
-        predict([images], model=folder / "data/train/points", out=out, fps=10.0)
+        predict([images], model=points, out=out, fps=10.0)
     with pytest.raises(InputError, match="model scans needs LiDAR scans"):
         predict([images], model=folder / "data/train/scans", out=out, fov_deg=81.0, fps=10.0)
     assert not out.exists()
     with pytest.raises(InputError, match=r"has 5\.0 frames/s, the model was fitted to"):
-        predict([images], model=folder / "data/train/points", out=out, fov_deg=81.0, fps=5.0)
-    predict([images], model=folder / "data/train/points", out=out, fov_deg=81.0, fps=20.0)
+        predict([images], model=points, out=out, fov_deg=81.0, fps=5.0)
+    predict([images], model=points, out=out, fov_deg=81.0, fps=20.0)
     text = capsys.readouterr().out
-    parts = (
-        "3 predictions for 6 frames",
-        "fitted to the rendered sample alone",
-        "6 of 12 frames are",
-    )
-    assert all(part in text for part in parts)
+    assert "3 predictions for 6 frames" in text
+    assert "fitted to the rendered sample alone" in text
+    assert "6 of 12 frames are" in text
     assert "points was fitted to depth" not in text
     video = cv2.VideoCapture(str(out / "overlay.mp4"))
-    # not cropped
-    assert (video.get(cv2.CAP_PROP_FRAME_WIDTH), video.get(cv2.CAP_PROP_FRAME_HEIGHT)) == (320, 216)
+    # The video is not cropped.
+    assert video.get(cv2.CAP_PROP_FRAME_WIDTH) == 320
+    assert video.get(cv2.CAP_PROP_FRAME_HEIGHT) == 216
 
 
 def test_the_model_of_the_checkout_predicts_an_angle():
     lens = {"K": "172.9,172.9,154.4,44.95", "fps": 10.0}
-    table = api.predict(
-        ROOT / "examples/street", model=ROOT / "models/steering/sample", **lens
-    ).table
-    assert np.degrees(table["predicted_rad"].iloc[-1]) == pytest.approx(17.1, abs=3)
+    outcome = api.predict(ROOT / "examples/street", ROOT / "models/steering/sample", **lens)
+    angle_rad = outcome.table["predicted_rad"].iloc[-1]
+    assert np.degrees(angle_rad) == pytest.approx(17.1, abs=3)
 
 
 def test_a_gap_and_a_damaged_image_start_a_new_window(folder, tmp_path, capsys):
-    root, out = tmp_path / TEST[:10], tmp_path / "out"
-    shutil.copytree(drive(folder).parent, root)
-    images, model = root / f"{TEST}_sync/image_02/data", folder / "data/train/path"
-    (images / "0000000004.png").write_bytes((images / "0000000004.png").read_bytes()[:-500])
+    date = tmp_path / TEST[:10]
+    shutil.copytree(drive(folder).parent, date)
+    source = date / f"{TEST}_sync"
+    images = source / "image_02/data"
+    damaged = images / "0000000004.png"
+    damaged.write_bytes(damaged.read_bytes()[:-500])
     (images / "0000000008.png").unlink()
-    predict([root / f"{TEST}_sync"], model=model, out=out, video=False)
-    rows = read(out)
+
+    model = folder / "data/train/path"
+    predict([source], model=model, out=tmp_path / "out", video=False)
+    rows = read_table(tmp_path / "out")
     assert rows["frame"].tolist() == [0, 1, 2, 3, 5, 6, 7, 9, 10, 11]
     assert rows["frame"][rows["path_0_2m_1pm"].isna()].tolist() == [0, 5, 9]
     assert "1 damaged files left out" in capsys.readouterr().out
-    predict(
-        [root / f"{TEST}_sync"],
-        model=folder / "data/train/scans",
-        out=tmp_path / "scans",
-        video=False,
-    )
-    # frames 4 and 8 have only a scan
-    assert (read(tmp_path / "scans")["frame"] == rows["frame"]).all()
+    scans = folder / "data/train/scans"
+    predict([source], model=scans, out=tmp_path / "scans", video=False)
+    # Frames 4 and 8 have only a scan.
+    assert (read_table(tmp_path / "scans")["frame"] == rows["frame"]).all()
     for path in images.iterdir():
         path.write_bytes(b"nothing")
     with pytest.raises(InputError, match="all images of the drive are damaged"):
-        predict([root / f"{TEST}_sync"], model=model, out=tmp_path / "none", video=False)
+        predict([source], model=model, out=tmp_path / "none", video=False)

@@ -1,6 +1,4 @@
-"""HDF5 files, outputs and runs: complete files from any end of a run, nothing else is lost, files
-from elsewhere.
-"""
+"""HDF5 files, outputs and runs: files are complete however a run ends, and nothing else is lost."""
 
 import errno
 import fcntl
@@ -11,7 +9,7 @@ import shutil
 import signal
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -34,7 +32,8 @@ from tests.pipeline.base import toy_stage
 from tests.pipeline.base.toy_stage import DRIVES, alive, calls, outputs, start, trouble, wait_for
 
 DRIVE = "2011_09_26_drive_0001"
-COUNTS = 5000, 0, 9000
+# Numbers of points of the three frames in the file of write().
+COUNTS = (5000, 0, 9000)
 IMAGE = np.random.default_rng(0).integers(0, 256, (3, 8, 9, 3), np.uint8)
 XYZ = [np.random.default_rng(count).normal(size=(count, 3)).astype(np.float32) for count in COUNTS]
 
@@ -47,21 +46,18 @@ def write(path: Path) -> Path:
         file.put("image", IMAGE, "RGB")
         file.append("cls", np.full((3, 8, 9), 7, np.uint8), "trainId")
         for xyz in XYZ:
+            nearest = np.arange(len(xyz), dtype=np.int32)
             file.append("xyz", xyz, "m", "ptr")
-            file.append(
-                "nearest", np.arange(len(xyz), dtype=np.int32), "row", "ptr", refers_to="xyz"
-            )
+            file.append("nearest", nearest, "row", "ptr", refers_to="xyz")
         file.put_pointers("ptr", COUNTS)
     return path
 
 
 def test_round_trip(tmp_path):
     with DriveReader(write(tmp_path / "a.h5"), stage="clouds") as file:
-        assert (file.drive, file.attrs["split"], file.params) == (
-            DRIVE,
-            "train",
-            {"clouds": {"seed": 0}},
-        )
+        assert file.drive == DRIVE
+        assert file.attrs["split"] == "train"
+        assert file.params == {"clouds": {"seed": 0}}
         np.testing.assert_array_equal(file.time_s, [0, 0.2, 0.3])
         np.testing.assert_array_equal(file["image"], IMAGE)
         np.testing.assert_array_equal(file.row("image", 2), IMAGE[2])
@@ -94,15 +90,13 @@ def test_two_writes_are_byte_identical_and_an_error_changes_nothing(tmp_path):
 
 @contextmanager
 def files_up_to(size: int) -> Iterator[None]:
-    """Let this process write no file beyond `size` bytes: the system refuses, as with a full
-    disk.
-    """
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    """Let the system refuse files beyond `size` bytes by this process, as with a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:
         yield
     finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def test_a_full_disk_is_reported_instead_of_its_consequences(tmp_path):
@@ -126,70 +120,78 @@ def to_virtual(file: h5py.File, elsewhere: Path) -> None:
     file.create_virtual_dataset("image", layout)
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        to_virtual,
-        lambda file, elsewhere: file.update(image=h5py.ExternalLink(elsewhere, "image")),
-        lambda file, other: file.create_dataset(
-            "image", (16,), np.uint8, external=[(other, 0, h5py.h5f.UNLIMITED)]
-        ),
-        lambda file, _: file.create_dataset("image", data=IMAGE, **hdf5plugin.Blosc2()),
-    ],
-)
+def to_link(file: h5py.File, elsewhere: Path) -> None:
+    file["image"] = h5py.ExternalLink(elsewhere, "image")
+
+
+def to_external(file: h5py.File, elsewhere: Path) -> None:
+    storage = [(elsewhere, 0, h5py.h5f.UNLIMITED)]
+    file.create_dataset("image", (16,), np.uint8, external=storage)
+
+
+def to_other_filter(file: h5py.File, _: Path) -> None:
+    file.create_dataset("image", data=IMAGE, **hdf5plugin.Blosc2())
+
+
+@pytest.mark.parametrize("change", [to_virtual, to_link, to_external, to_other_filter])
 def test_a_file_from_elsewhere_opens_no_other_file_and_runs_no_filter_of_others(tmp_path, change):
     path = write(tmp_path / "a.h5")
     with h5py.File(path, "r+") as file:
         del file["image"]
         change(file, write(tmp_path / "elsewhere.h5"))
-    with pytest.raises(
-        InputError, match=r"'image' (is a link|has external storage or a filter)"
-    ) as raised:
+    problem = "'image' (is a link|has external storage or a filter)"
+    with pytest.raises(InputError, match=problem) as raised:
         DriveReader(path, stage="clouds")
     assert raised.value.where == str(path)
 
 
+def to_schema_3(path: Path) -> None:
+    with h5py.File(path, "r+") as file:
+        file.attrs["schema"] = 3
+
+
+def cut_short(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:1000])
+
+
+def in_folder_of_stage(path: Path) -> None:
+    path.with_name("index.json").touch()
+
+
 @pytest.mark.parametrize(
-    ("name", "stage", "change", "problem"),
+    ("stage", "change", "problem"),
     [
-        ("a", "ingest", None, "expected stage 'ingest', schema 6; got stage 'clouds', schema 6"),
-        ("a", "clouds", Path.unlink, "missing"),
-        ("2011_09_26_drive_0002", "clouds", None, f"contains drive {DRIVE}"),
-        (
-            "a",
-            "clouds",
-            lambda path: h5py.File(path, "r+").attrs.update(schema=3),
-            "got stage 'clouds', schema 3",
-        ),
-        ("a", "clouds", lambda path: path.write_bytes(path.read_bytes()[:1000]), "damaged"),
-        (
-            "a",
-            "clouds",
-            lambda path: fcntl.flock(os.open(path, os.O_RDONLY), fcntl.LOCK_EX),
-            "another process has it",
-        ),
+        ("ingest", None, "expected stage 'ingest', schema 6; got stage 'clouds', schema 6"),
+        ("clouds", Path.unlink, "missing"),
+        ("clouds", in_folder_of_stage, f"contains drive {DRIVE}"),
+        ("clouds", to_schema_3, "got stage 'clouds', schema 3"),
+        ("clouds", cut_short, "damaged"),
     ],
 )
-def test_files_of_other_stages_schemas_and_drives_are_refused(
-    tmp_path, name, stage, change, problem
-):
-    path = write(tmp_path / f"{name}.h5")
-    if name != "a":  # in the folder of a stage
-        (tmp_path / "index.json").touch()
+def test_files_of_other_stages_schemas_and_drives_are_refused(tmp_path, stage, change, problem):
+    path = write(tmp_path / "a.h5")
     if change:
         change(path)
     with pytest.raises(InputError, match=problem) as raised:
         DriveReader(path, stage=stage)
     assert raised.value.where == str(path)
-    assert f"dvc repro {stage}" in raised.value.fix or "another process" in problem
+    assert f"dvc repro {stage}" in raised.value.fix
+
+
+def test_a_file_that_is_open_for_writing_is_refused(tmp_path):
+    path = write(tmp_path / "a.h5")
+    descriptor = os.open(path, os.O_RDONLY)
+    fcntl.flock(descriptor, fcntl.LOCK_EX)
+    with pytest.raises(InputError, match="another process has it") as raised:
+        DriveReader(path, stage="clouds")
+    assert raised.value.where == str(path)
+    os.close(descriptor)
 
 
 def test_a_file_system_without_locks_can_be_read_and_not_written(tmp_path, monkeypatch):
-    path, opened, refused = (
-        write(tmp_path / "a.h5"),
-        h5py.File,
-        OSError(errno.ENOLCK, "No locks available"),
-    )
+    path = write(tmp_path / "a.h5")
+    opened = h5py.File
+    refused = OSError(errno.ENOLCK, "No locks available")
 
     def without_locks(*args: Any, locking: bool = True, **options: Any) -> h5py.File:
         if locking:
@@ -200,9 +202,8 @@ def test_a_file_system_without_locks_can_be_read_and_not_written(tmp_path, monke
     monkeypatch.setattr(fcntl, "flock", Mock(side_effect=refused))
     with DriveReader(path, stage="clouds") as file:
         assert file.drive == DRIVE
-    with pytest.raises(
-        InputError, match=f"{tmp_path}/data/.drives/labels.lock: the file system has no locks"
-    ):
+    problem = f"{tmp_path}/data/.drives/labels.lock: the file system has no locks"
+    with pytest.raises(InputError, match=problem):
         publish(tmp_path / "data/labels", "a.h5")
 
 
@@ -213,9 +214,8 @@ def test_index_round_trip(tmp_path):
         store.read_index(tmp_path, stage="clouds")
     for drive in splits:
         write(tmp_path / f"{drive}.h5")
-    assert list(store.read_index(tmp_path, stage="clouds").items()) == list(
-        splits.items()
-    )  # in their order
+    index = store.read_index(tmp_path, stage="clouds")
+    assert [*index.items()] == [*splits.items()]  # in the same order
     assert store.drives_in(splits, "train") == ["b", "c"]
     (tmp_path / "index.json").write_text('{"drives": ')
     with pytest.raises(InputError, match="damaged"):
@@ -244,52 +244,52 @@ def test_a_stage_replaces_its_files_and_drives_that_are_no_more(tmp_path):
         assert contents(out) == before
     publish(out, "a.h5", "b.h5", "below/new.txt")
     assert read_json(out / "index.json", stage="labels") == INDEX
-    files = {
-        name: content.decode() for name, content in contents(out).items() if name != "index.json"
+    files = contents(out)
+    del files["index.json"]
+    assert files == {
+        "a.h5": b"a.h5",
+        "b.h5": b"b.h5",
+        "below/new.txt": b"below/new.txt",
+        "own.txt": b"foreign",
     }
-    expected = {name: name for name in ("a.h5", "b.h5", "below/new.txt")}
-    assert files == expected | {"own.txt": "foreign"}
 
 
 INDEX = {"stage": "labels", "entry": ""}
 
 
 @pytest.mark.parametrize(
-    ("existing", "stage", "problem"),
+    ("existing", "stage"),
     [
-        ({"notes.txt": "foreign"}, "labels", "files that stage labels did not write"),
-        (
-            {"index.json": json.dumps(INDEX | {"stage": "ingest"}), "a.h5": "x"},
-            "labels",
-            "files that stage labels did",
-        ),
-        (
-            {"index.json": json.dumps(INDEX | {"stage": "train", "entry": "b"})},
-            "train@a",
-            "that stage train@a did",
-        ),
-        ({"index.json": '{"own": 1}'}, "labels", "files that stage labels did not write"),
-        ({"index.json": json.dumps(INDEX), "notes.txt": "foreign"}, "labels", ""),
-        ({".DS_Store": "foreign"}, "labels", ""),
+        ({"notes.txt": "foreign"}, "labels"),
+        ({"index.json": json.dumps(INDEX | {"stage": "ingest"}), "a.h5": "x"}, "labels"),
+        ({"index.json": json.dumps(INDEX | {"stage": "train", "entry": "b"})}, "train@a"),
+        ({"index.json": '{"own": 1}'}, "labels"),
     ],
 )
-def test_a_folder_of_others_is_refused_and_their_files_stay(
-    tmp_path, monkeypatch, existing, stage, problem
-):
+def test_a_folder_of_others_is_refused_and_their_files_stay(tmp_path, monkeypatch, existing, stage):
     out = tmp_path / "data/out"
     for name, content in existing.items():
         write_text(out / name, content)
     before = contents(out)
-    with pytest.raises(InputError, match=problem) if problem else nullcontext():
+    with pytest.raises(InputError, match=f"folder has files that stage {stage} did not write"):
         publish(out, "b.h5", stage=stage)
-    assert {
-        name: contents(out)[name] for name in before if problem or name != "index.json"
-    }.items() <= before.items()
-    assert (out / "b.h5").exists() == (not problem)
-    monkeypatch.setenv(
-        "DVC_STAGE", stage
-    )  # DVC empties outputs, but what is none may lie beside them
+    assert contents(out) == before
+    # DVC has emptied its outputs, but other files may lie beside them.
+    monkeypatch.setenv("DVC_STAGE", stage)
     publish(out, "b.h5", stage=stage)
+
+
+@pytest.mark.parametrize(("name", "has_index"), [("notes.txt", True), (".DS_Store", False)])
+def test_files_beside_those_of_a_stage_stay(tmp_path, name, has_index):
+    """Without an index, only hidden files may be there."""
+    out = tmp_path / "data/out"
+    write_text(out / name, "foreign")
+    if has_index:
+        write_text(out / "index.json", json.dumps(INDEX))
+    for _ in range(2):
+        publish(out, "b.h5")
+        assert (out / name).read_text() == "foreign"
+        assert (out / "b.h5").exists()
 
 
 @pytest.mark.parametrize(
@@ -308,7 +308,9 @@ def test_a_command_takes_the_first_free_folder(tmp_path, monkeypatch, existing, 
         write_text(Path("out") / name, "foreign")
     before = contents(tmp_path)
     with claimed(None, "ride") as out, claimed(None, "ride") as other:
-        assert (out, out.is_dir(), other.is_dir()) == (Path("out") / expected, True, True)
+        assert out == Path("out") / expected
+        assert out.is_dir()
+        assert other.is_dir()
         write_text(other / "motion.csv", "")
     assert contents(tmp_path) == before | {str(other / "motion.csv"): b""}
     for name in existing[:1]:
@@ -347,9 +349,9 @@ def test_a_container_has_as_many_workers_as_its_quota_allows(tmp_path, monkeypat
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_bytes_do_not_depend_on_workers(folder, expected, workers, capsys):
     summaries = toy_stage.main(folder, workers=workers)
-    assert list(summaries.items()) == [
-        (drive, {"frames": toy_stage.FRAMES[drive]}) for drive in DRIVES
-    ]
+    assert [*summaries] == DRIVES
+    for drive, summary in summaries.items():
+        assert summary == {"frames": toy_stage.FRAMES[drive]}
     assert outputs(folder) == expected
     assert calls(folder) == DRIVES
     *lines, last = capsys.readouterr().out.splitlines()
@@ -358,15 +360,12 @@ def test_bytes_do_not_depend_on_workers(folder, expected, workers, capsys):
         f"{name}: {n} frames" for name, n in toy_stage.FRAMES.items()
     }
     if workers == 1:
-        assert [line.split(":")[0] for line in lines] == ["b", "c", "a", "empty"], (
-            "the longest first"
-        )
+        # The longest comes first.
+        assert [line.split(":")[0] for line in lines] == ["b", "c", "a", "empty"]
 
 
 def test_only_what_changed_is_made_again(folder, expected, monkeypatch):
-    """Finished drives stay after success, although DVC deletes the output of a stage before it
-    runs.
-    """
+    """Finished drives stay, although DVC deletes the output of a stage before it runs."""
     for drives, k, input_b, code, made in [
         (["a", "b"], 2, bytes(6), "1", ["a", "b"]),
         (["a", "b", "c"], 2, bytes(6), "1", ["c"]),  # a new drive
@@ -388,7 +387,11 @@ def test_only_what_changed_is_made_again(folder, expected, monkeypatch):
 
 @pytest.mark.parametrize(
     ("kind", "workers"),
-    [("fail", 1), *(pytest.param(kind, 2, marks=pytest.mark.slow) for kind in ("die", "full"))],
+    [
+        ("fail", 1),
+        pytest.param("die", 2, marks=pytest.mark.slow),
+        pytest.param("full", 2, marks=pytest.mark.slow),
+    ],
 )
 def test_an_error_a_dead_worker_and_a_full_disk_keep_finished_drives(
     folder, expected, kind, workers
@@ -408,7 +411,8 @@ def test_an_error_a_dead_worker_and_a_full_disk_keep_finished_drives(
     trouble(folder)
     calls(folder)
     toy_stage.main(folder, workers=1)
-    assert "c" in (repeated := calls(folder))
+    repeated = calls(folder)
+    assert "c" in repeated
     assert "b" not in repeated or kind == "die"
     assert outputs(folder) == expected
 
@@ -444,10 +448,8 @@ def test_a_killed_run_keeps_finished_drives_and_leaves_no_process(folder, expect
 def cluster() -> Iterator[Any]:
     """A scheduler and two workers."""
     distributed = pytest.importorskip("distributed")
-    local = {"dashboard_address": "127.0.0.1:0", "host": "127.0.0.1"}
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, **local
-    ) as started:
+    options = {"dashboard_address": "127.0.0.1:0", "host": "127.0.0.1", "processes": True}
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, **options) as started:
         yield started
 
 
@@ -466,11 +468,12 @@ def test_a_cluster_writes_the_bytes_of_one_process_and_repeats_jobs_of_dead_work
     assert str(os.getpid()) not in (folder / "calls").read_text().split()
     assert calls(folder).count("b") == 2
     assert outputs(folder) == expected
-    dask.scheduler.allowed_failures, before = 0, dask.scheduler.allowed_failures
+    allowed = dask.scheduler.allowed_failures
+    dask.scheduler.allowed_failures = 0
     trouble(folder, b="die")
     with pytest.raises(InputError, match="died"):
         toy_stage.main(folder, k=3)
-    dask.scheduler.allowed_failures = before
+    dask.scheduler.allowed_failures = allowed
 
 
 def pretend(loaded: tuple[int, int]) -> None:

@@ -1,6 +1,4 @@
-"""Cache keys: what can change a result is in its key, nothing else is, and an edit while a stage
-runs is found.
-"""
+"""Cache keys have what can change a result, and nothing else; edits during a stage are found."""
 
 import os
 import pickle
@@ -21,7 +19,7 @@ from tests.kitti_drive import contents, write
 DATASETS = "pipeline/ingest/datasets"
 SPATIAL = "models/steering/spatial"
 NCP = "models/steering/temporal/ncp.py"
-# Title → stage, and the files of its networks or of its dataset.
+# Title of a result → its stage, and the files of its networks or of its dataset.
 RESULTS = {
     "gnn": ("train", (f"{SPATIAL}/gnn.py", NCP)),
     "polar": ("train", (f"{SPATIAL}/polar.py", NCP)),
@@ -42,10 +40,20 @@ def keys() -> dict[str, str]:
     }
 
 
+def changed_keys(before: dict[str, str]) -> set[str]:
+    return {title for title, key in keys().items() if key != before[title]}
+
+
 def edit(path: Path, before: str, after: str) -> None:
     """Replace text of a file; without text before, add it to the file's end, or write the file."""
-    text = path.read_text() if path.exists() else ""
-    write(path, text.replace(before, after, 1) if before else text + after)
+    text = ""
+    if path.exists():
+        text = path.read_text()
+    if not before:
+        write(path, text + after)
+        return
+    assert before in text
+    write(path, text.replace(before, after, 1))
 
 
 @pytest.mark.parametrize(
@@ -69,15 +77,15 @@ def edit(path: Path, before: str, after: str) -> None:
         # What has no meaning.
         ("pipeline/base/runner.py", '"""Make drives', '"""Make all drives', set()),
         ("pipeline/base/runner.py", "", "# a comment\n", set()),
-        ("pipeline/base/runner.py", "(key, value)", "(\n key, value)", set()),
+        ("pipeline/base/runner.py", "(summary, seconds)", "(\n summary, seconds)", set()),
         ("pipeline/base/runner.py~", "", "LIMIT = 1\n", set()),
         ("pipeline/base/.DS_Store", "", "LIMIT = 1\n", set()),
     ],
 )
 def test_a_key_has_the_code_that_can_change_the_result(checkout, file, before, after, changed):
-    known = keys()
+    keys_before = keys()
     edit(checkout / file, before, after)
-    assert {title for title, key in keys().items() if key != known[title]} == changed
+    assert changed_keys(keys_before) == changed
 
 
 @pytest.mark.parametrize(
@@ -92,14 +100,17 @@ def test_a_key_has_the_code_that_can_change_the_result(checkout, file, before, a
 def test_a_key_has_the_versions_of_packages_that_change_numbers(
     checkout, monkeypatch, package, changed
 ):
-    known, version = keys(), resume.importlib.metadata.version
+    keys_before = keys()
+    version = resume.importlib.metadata.version
+
+    def other_version(name: str) -> str:
+        if name == package:
+            return f"{version(name)}+other"
+        return version(name)
+
     resume._version.cache_clear()
-    monkeypatch.setattr(
-        resume.importlib.metadata,
-        "version",
-        lambda name: version(name) + "+other" * (name == package),
-    )
-    assert {title for title, key in keys().items() if key != known[title]} == changed
+    monkeypatch.setattr(resume.importlib.metadata, "version", other_version)
+    assert changed_keys(keys_before) == changed
     resume._version.cache_clear()
 
 
@@ -127,7 +138,8 @@ PARAMS = {"labels": {"wheelbase_m": 2.7, "min_speed_mps": 1.0}, "train": {"epoch
     ],
 )
 def test_an_edit_while_a_stage_runs_is_found_at_its_end(checkout, file, before, after, problem):
-    params, out = checkout / "params.yaml", checkout / "data/labels"
+    params = checkout / "params.yaml"
+    out = checkout / "data/labels"
     params.write_text(yaml.safe_dump(PARAMS))
     text = (checkout / file).read_text()
 

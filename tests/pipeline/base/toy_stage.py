@@ -1,5 +1,6 @@
-"""A stage of arithmetic on four drives. A file ``trouble/<drive>`` makes it fail, wait or die at a
-frame.
+"""A stage of arithmetic on four drives.
+
+A file ``trouble/<drive>`` makes it fail, wait or die at a frame.
 """
 
 import os
@@ -41,7 +42,9 @@ def work(drive: str, folder: Path, k: int, path: Path) -> dict[str, Any]:
 
 def _trouble(path: Path) -> None:
     """Do what the file asks for."""
-    match path.read_text() if path.exists() else "":
+    if not path.exists():
+        return
+    match path.read_text():
         case "fail":
             raise DamagedFile("the file is cut short", "0.png")
         case "die":
@@ -59,11 +62,12 @@ def _trouble(path: Path) -> None:
 def main(
     folder: Path, k: int = 2, workers: int | None = None, drives: Sequence[str] = DRIVES
 ) -> dict[str, Any]:
-    jobs = [
-        Job(drive, f"{drive}.h5", [folder / f"input/{drive}"], partial(work, drive, folder, k))
-        for drive in drives
-    ]
-    with stage_folder("labels", folder / "data/toy", dict.fromkeys(drives, "train")) as stage:
+    jobs = []
+    for drive in drives:
+        inputs = [folder / f"input/{drive}"]
+        jobs.append(Job(drive, f"{drive}.h5", inputs, partial(work, drive, folder, k)))
+    splits = dict.fromkeys(drives, "train")
+    with stage_folder("labels", folder / "data/toy", splits) as stage:
         summaries = make_drives(stage, jobs, {"k": k}, "{frames} frames", workers)
     return summaries
 
@@ -84,11 +88,11 @@ def outputs(folder: Path) -> dict[str, bytes]:
 def calls(folder: Path) -> list[str]:
     """Return the drives that were begun since the last time."""
     path = folder / "calls"
-    drives = (
-        sorted(line.split()[0] for line in path.read_text().splitlines()) if path.exists() else []
-    )
-    path.unlink(missing_ok=True)
-    return drives
+    if not path.exists():
+        return []
+    drives = [line.split()[0] for line in path.read_text().splitlines()]
+    path.unlink()
+    return sorted(drives)
 
 
 def trouble(folder: Path, **drives: str) -> None:

@@ -1,6 +1,4 @@
-"""params.yaml: values, faults with file, key, value and what is expected, and presets that keep its
-comments.
-"""
+"""params.yaml: faults name file, key, value and what is expected, and presets keep its comments."""
 
 import re
 from functools import partial, reduce
@@ -25,11 +23,11 @@ from tests.presets import NAMES
 def edited(tmp_path: Path, key: str, value: Any) -> Path:
     """Return a copy of params.yaml with one dotted key replaced; value None removes it."""
     content = yaml.safe_load(preset.PARAMS.read_text())
-    *outer, last = key.split(".")
+    *outer, name = key.split(".")
     section = reduce(dict.__getitem__, outer, content)
-    section[last] = value
+    section[name] = value
     if value is None:
-        del section[last]
+        del section[name]
     path = tmp_path / "params.yaml"
     path.write_text(yaml.safe_dump(content))
     return path
@@ -81,6 +79,10 @@ def test_faults_name_file_key_and_value(tmp_path, section, key, value, problem):
     assert raised.value.where.startswith(str(path))
 
 
+def merge(path: Path) -> dict[str, Any]:
+    return preset.merged(str(path))
+
+
 def _parts(train: str, test: str) -> str:
     """Return a preset of two parts of one recording."""
     part = "{folder: mine, files: {}, "
@@ -94,38 +96,22 @@ def _parts(train: str, test: str) -> str:
         (partial(params.load, Train), "train: 1\ntrain: 2\n", "invalid YAML.*duplicate key"),
         (partial(params.load, Train), "trian: {}", r"no section 'train': did you mean trian\?"),
         (partial(params.load, Train), "", "expected sections"),
-        (lambda path: preset.merged(str(path)), "models:\n  '*': null\n", "models.*at least 1"),
-        (
-            lambda path: preset.merged(str(path)),
-            "train:\n  epochs: null\n",
-            r"train\.epochs: Field required",
-        ),
-        (
-            lambda path: preset.merged(str(path)),
-            _parts("{start: 0, end: 12}", "{start: 11.5}"),
-            r"recordings overlap: b is 0 s to 12 s, a is 11.5 s to the end of data/raw/mine. "
-            r"Change start or end",
-        ),
-        (
-            lambda path: preset.merged(str(path)),
-            "ingest: {manifests: {}}",
-            r"ingest\.manifests is of an earlier.* steer im",
-        ),
-        (
-            lambda path: preset.merged(str(path)),
-            "ingest: {source: both}",
-            "ingest.source: both is of an earlier version",
-        ),
         (
             partial(params.load_entry, Variant, "graphs", "a"),
             "graphs: {a: {cloud: lidar}}",
             r"graphs\.a\.cloud is of",
         ),
+        (merge, "models:\n  '*': null\n", "models.*at least 1"),
+        (merge, "train:\n  epochs: null\n", r"train\.epochs: Field required"),
         (
-            lambda path: preset.merged(str(path)),
-            "base: [roads]\n",
-            "base is of an earlier version. Copy the settings",
+            merge,
+            _parts("{start: 0, end: 12}", "{start: 11.5}"),
+            r"recordings overlap: b is 0 s to 12 s, a is 11.5 s to the end of data/raw/mine. "
+            r"Change start or end",
         ),
+        (merge, "ingest: {manifests: {}}", r"ingest\.manifests is of an earlier.* steer im"),
+        (merge, "ingest: {source: both}", "ingest.source: both is of an earlier version"),
+        (merge, "base: [roads]\n", "base is of an earlier version. Copy the settings"),
     ],
 )
 def test_a_faulty_file_is_named(tmp_path, read, text, problem):
@@ -146,21 +132,23 @@ def test_invalid_names(tmp_path, name):
 def test_a_preset_is_written_as_its_merged_content_with_all_comments(name):
     text = preset.to_yaml(preset.merged(name), "a test")
     assert yaml.safe_load(text) == preset.merged(name)
-    _, *rest = text.splitlines()
+    _, *written = text.splitlines()  # below the stamp
     original = preset.PARAMS.read_text()
-    assert [line for line in rest if line.lstrip().startswith("#")] == re.findall(
-        r"^ *#.*", original, re.MULTILINE
-    )
-    replaced, section = (
-        {key for key, value in params.read_yaml(preset.path_of(name)).items() if "*" in value},
-        "",
-    )
+    comments = [line for line in written if line.lstrip().startswith("#")]
+    assert comments == re.findall(r"^ *#.*", original, re.MULTILINE)
+
+    # Comments at the end of a line stay, too, unless the preset replaces the section.
+    changes = params.read_yaml(preset.path_of(name))
+    replaced = {key for key, value in changes.items() if "*" in value}
+    section = ""
     for line in original.splitlines():
-        section = line.partition(":")[0] if line[:1].isalpha() else section
-        code, _, comment = line.partition(" # ")
-        start = f"{code.partition(':')[0]}:"
-        if comment and section not in replaced and any(other.startswith(start) for other in rest):
-            assert any(comment in other for other in rest), line
+        key = f"{line.partition(':')[0]}:"
+        if line[:1].isalpha():
+            section = key.removesuffix(":")
+        _, _, comment = line.partition(" # ")
+        is_written = any(other.startswith(key) for other in written)
+        if comment and is_written and section not in replaced:
+            assert any(comment in other for other in written), line
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -168,32 +156,34 @@ def test_a_row_and_its_controls_differ_in_the_scene_only(name):
     """The row of NAME-blind or NAME-another is NAME."""
     models = preset.Params.model_validate(preset.merged(name)).models
     for key, entry in models.items():
-        kind = "blind" if entry.spatial == "blind" else entry.scene
-        assert re.findall("blind|another", key) == ([] if kind == "same" else [kind]), key
-        row = models[key.replace(f"-{kind}", "")]
-        changed = (
-            {"scene"}
-            if kind == "another"
-            else {"spatial", *options.load_options("spatial", row.spatial).model_fields}
-        )
+        is_blind = entry.spatial == "blind"
+        is_another = entry.scene == "another"
+        assert ("blind" in key) == is_blind, key
+        assert ("another" in key) == is_another, key
+        assert not (is_blind and is_another), key
+        row = models[key.removesuffix("-blind").removesuffix("-another")]
+        changed = {"scene"}
+        if is_blind:
+            changed = {"spatial", *options.load_options("spatial", row.spatial).model_fields}
         assert entry.model_dump(exclude=changed) == row.model_dump(exclude=changed), key
 
 
 def test_a_star_removes_all_earlier_entries(tmp_path):
     """An entry of the same name does not inherit their settings."""
     model = "{input: semantic, spatial: gnn, temporal: lstm, semantics: 0.5}"
-    (tmp_path / "mine.yaml").write_text(f"models:\n  sa-gnn-ncp: {model}\n  '*': null\n")
-    assert preset.merged(str(tmp_path / "mine.yaml"))["models"] == {
-        "sa-gnn-ncp": yaml.safe_load(model)
-    }
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"models:\n  sa-gnn-ncp: {model}\n  '*': null\n")
+    assert preset.merged(str(path))["models"] == {"sa-gnn-ncp": yaml.safe_load(model)}
 
 
 def test_one_preset_at_a_time_is_written_into_params(tmp_path, monkeypatch):
-    """Also without git: to the file as the user edited it, which is kept; edits made since are not
-    replaced.
+    """It applies to the file as the user edited it, which is kept. Later edits are not replaced.
+
+    No git is needed.
     """
     monkeypatch.chdir(tmp_path)
-    params, before = Path("params.yaml"), Path("params.yaml.before")
+    params = Path("params.yaml")
+    before = Path("params.yaml.before")
     edited = preset.PARAMS.read_text().replace("bootstrap_samples: 2000", "bootstrap_samples: 100")
     params.write_text(edited)
     for _ in range(2):  # the second time changes nothing
@@ -202,16 +192,13 @@ def test_one_preset_at_a_time_is_written_into_params(tmp_path, monkeypatch):
         assert yaml.safe_load(params.read_text()) == preset.merged("table2", before)
     assert preset.base_of("table2", params) == before
     written = params.read_text()
-    with pytest.raises(
-        InputError,
-        match=r"PRESET=table2 wrote it, so preset roads .* mv params.yaml.before params.yaml",
-    ):
+    problem = r"PRESET=table2 wrote it, so preset roads .* mv params.yaml.before params.yaml"
+    with pytest.raises(InputError, match=problem):
         preset.main("roads")
 
     params.write_text(written.replace("seeds:", "seeds: [7]"))
-    with pytest.raises(
-        InputError, match=r"and it was edited since, so preset table2 does not apply"
-    ):
+    problem = "and it was edited since, so preset table2 does not apply"
+    with pytest.raises(InputError, match=problem):
         preset.main("table2")
     params.write_text(written)
     before.unlink()
@@ -228,9 +215,8 @@ def test_one_preset_at_a_time_is_written_into_params(tmp_path, monkeypatch):
 
     preset.main("street", Path("runs/street"))  # as make street does, for any params.yaml
     Path("runs/street/params.yaml").write_text("edits")
-    with pytest.raises(
-        InputError, match=r"runs/street/params.yaml: was edited, and would be replaced"
-    ):
+    problem = "runs/street/params.yaml: was edited, and would be replaced"
+    with pytest.raises(InputError, match=problem):
         preset.main("street", Path("runs/street"))
     assert params.read_text() == written
 

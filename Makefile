@@ -48,7 +48,7 @@ street: setup          ## make the encoder of real streets, weights/street, from
 
 UDACITY ?= data/raw/udacity
 udacity: street        ## compare with the teams of Udacity's Challenge 2; UDACITY is the folder of the three files
-	@python -m benchmarks.udacity $(UDACITY)/udacity_ch2_001.mp4 $(UDACITY)/udacity_ch2_001.csv \
+	@python -m benchmarks.alternatives udacity $(UDACITY)/udacity_ch2_001.mp4 $(UDACITY)/udacity_ch2_001.csv \
 	$(UDACITY)/udacity_leaderboard.csv
 
 params: setup          ## write the settings of a preset into params.yaml: make params PRESET=kitti, or your own file
@@ -57,8 +57,9 @@ params: setup          ## write the settings of a preset into params.yaml: make 
 test: setup            ## run all tests, with coverage
 	OMP_NUM_THREADS=1 pytest -n "$$(nproc 2>/dev/null || getconf _NPROCESSORS_ONLN)" --dist loadfile --no-loadscope-reorder --cov --cov-report=term:skip-covered --cov-fail-under=92
 
-bench: setup           ## measure this project beside its alternatives; ROWS=ltc: one row
-	python -m benchmarks.bench $(ROWS)
+bench: setup           ## measure this project beside its alternatives, then its training and perception
+	python -m benchmarks.alternatives networks
+	python -m benchmarks.card
 
 lint: setup            ## check style, types and import contracts
 	ruff check . && ruff format --check . && mypy && lint-imports

@@ -73,7 +73,6 @@ def test_no_two_rooms_have_a_module_of_one_name():
         "doubts",
         "fit",
         "settings",
-        "udacity",
     }
 
 

@@ -1,0 +1,316 @@
+"""Measure this project beside alternatives.
+
+python -m benchmarks.alternatives networks: speed beside PyTorch Geometric and ncps, in turn on the
+same arrays and one thread.
+
+python -m benchmarks.alternatives udacity VIDEO CSV LEADERBOARD: the steering wheel's angle of the
+test drive Ch2_001 of Udacity's Challenge 2, beside the predictions of three leading teams.
+"""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pandas as pd
+import torch
+from ncps import torch as ncps_torch
+from ncps.wirings import NCP
+from torch import Tensor, nn
+from torch_geometric.nn.conv.gcn_conv import gcn_norm
+
+from models.steering.core.batch import GraphBatch, from_arrays
+from models.steering.core.cell.ltc import LTC
+from models.steering.core.features import mean_max_pool, node_features
+from models.steering.core.wiring import ncp
+from models.steering.spatial import gnn, pyg
+from pipeline.base import console, store
+from pipeline.camera.classes import BUILDING, ROAD
+from pipeline.camera.geometry import CAMERA_HEIGHT_M
+from pipeline.clouds.cloud import Cloud
+from pipeline.graphs import frame_graph, graph_file
+from pipeline.graphs.settings import Variant
+from pipeline.ingest.datasets.udacity import read_drive
+from pipeline.labels.label import Car
+from pipeline.report.origin import origin
+from pipeline.train.entry import Entry
+from pipeline.train.frames import join, number_rows
+from steer.chain import Source
+from steer.commands.measure import STREET
+from steer.measure import measure
+
+DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
+
+# Measurements of each side of a row, of which the median counts.
+ROUNDS = 5
+
+# Graphs of the random street: the sizes of the paper's Table 1.
+VARIANT = Variant(source="clouds/pseudo", points=43_000, k=6, keep_inter_class=0.2)
+
+# Frames of the random street: a span of 24 windows of 8 frames.
+FRAMES = 31
+WINDOW = 8
+
+# Frames in a batch of the graph convolutions.
+GCN_FRAMES = 4
+
+# Features of a frame, which the recurrent network gets.
+FEATURES = 32
+
+# The network of this project: the demo's sa-gnn-ncp.
+ENTRY = Entry.model_validate(
+    {
+        "input": "semantic",
+        "spatial": "gnn",
+        "temporal": "ncp",
+        "window": WINDOW,
+        "features": FEATURES,
+        "semantics": 1.0,
+    }
+)
+
+# Seconds at the start of Udacity's drive on which the constants are fitted; the rest is compared.
+FITTED_S = 30.0
+
+# Lags in seconds of the measured motion behind the steering wheel, of which the best is taken.
+LAGS_S = np.arange(-0.2, 0.41, 0.02)
+
+# Does the work of one measurement, and returns the number of items that it has processed.
+Work = Callable[[], int]
+
+
+def networks() -> None:
+    """Print the times of this project and of the alternatives as a Markdown table."""
+    torch.set_num_threads(1)
+    print(f"{origin()['machine']}\n\n| ms | ours | alternative | ratio |\n|---|--:|--:|--:|")
+    with TemporaryDirectory() as folder:
+        street = write_street(Path(folder))
+        compare_gcn(street)
+        compare_windows(street)
+        compare_ltc()
+
+
+def compare_gcn(street: Path) -> None:
+    """Compare graph convolutions with GCNConv, whose edges are normalised once for all layers."""
+    batch = read_graphs(street, GCN_FRAMES)
+    net = gnn.GCN(FEATURES, gnn.Options(semantics=1.0)).to(DEVICE)
+    pyg_net = pyg_gcn(normalize=False)
+
+    def ours() -> int:
+        backward(net(batch))
+        return GCN_FRAMES
+
+    def alternative() -> int:
+        backward(normalised_once(pyg_net, batch))
+        return GCN_FRAMES
+
+    print_row("a frame, three graph convolutions, both ways; PyG's GCNConv", ours, alternative)
+
+
+def compare_windows(street: Path) -> None:
+    """Compare a training step on a span, reading included, with steps on single windows.
+
+    The alternative, by PyTorch Geometric and ncps, reads and encodes the frames of each window.
+    """
+    net = ENTRY.build("graph").to(DEVICE)
+    optimiser = torch.optim.AdamW(net.parameters())
+
+    def ours() -> int:
+        windows, dt_s = window_rows()
+        train_step(optimiser, net(read_graphs(street, FRAMES), windows, dt_s))
+        return len(windows)
+
+    pyg_net = pyg_gcn(normalize=True)
+    ltc = ncps_ltc()
+    pyg_optimiser = torch.optim.AdamW([*pyg_net.parameters(), *ltc.parameters()])
+
+    def alternative() -> int:
+        features = pyg_net(read_graphs(street, WINDOW))
+        outputs, _ = ltc(features.tanh()[None])
+        train_step(pyg_optimiser, outputs[:, -1])
+        return 1
+
+    print_row(f"a window of {WINDOW} frames, read and trained; PyG and ncps", ours, alternative)
+
+
+def compare_ltc() -> None:
+    """Compare LTC networks on windows that share frames, forward and backward."""
+    x = torch.randn(FRAMES, FEATURES, device=DEVICE)
+    windows, dt_s = window_rows()
+    ltc = LTC(ncp(FEATURES)).to(DEVICE)
+    peer = ncps_ltc()
+
+    def ours() -> int:
+        inputs = ltc.project_inputs(x)
+        backward(ltc(inputs[windows], dt_s)[:, -1, 0])
+        return 1
+
+    def alternative() -> int:
+        outputs, _ = peer(x[windows])
+        backward(outputs[:, -1, 0])
+        return 1
+
+    print_row(f"LTC, {len(windows)} windows of {WINDOW} frames, both ways; ncps", ours, alternative)
+
+
+def pyg_gcn(*, normalize: bool) -> pyg.PyG:
+    """Return the network GCN by PyTorch Geometric; `normalize`: each layer computes weights."""
+    options = {"normalize": normalize}
+    settings = pyg.Options(layer="GCNConv", layer_options=options, semantics=1.0)
+    return pyg.PyG(FEATURES, settings).to(DEVICE)
+
+
+def normalised_once(net: pyg.PyG, batch: GraphBatch) -> Tensor:
+    """Return the features [B,F] of a batch, whose edges get weights once for all layers."""
+    x = node_features(batch.xyz, batch.cls, net.semantics)
+    edges, weights = gcn_norm(batch.edge_index, None, len(x))
+    for layer in net.layers:
+        x = layer(x, edges, weights).relu()
+    return net.read_out(mean_max_pool(x, batch.ptr))
+
+
+def ncps_ltc() -> nn.Module:
+    """Return the LTC network of ncps on a wiring of the same sizes."""
+    wiring = NCP(
+        inter_neurons=12,
+        command_neurons=6,
+        motor_neurons=1,
+        sensory_fanout=6,
+        inter_fanout=4,
+        recurrent_command_synapses=6,
+        motor_fanin=6,
+    )
+    return ncps_torch.LTC(FEATURES, wiring, batch_first=True).to(DEVICE)
+
+
+def window_rows() -> tuple[Tensor, Tensor]:
+    """Return the rows of the frames of all windows, int64 [W,T], and their time steps in s."""
+    rows = torch.arange(FRAMES, device=DEVICE).unfold(0, WINDOW, 1)
+    return rows, torch.full(rows.shape, 0.1, device=DEVICE)
+
+
+def train_step(optimiser: torch.optim.Optimizer, output: Tensor) -> None:
+    """Take a step towards an output of 0."""
+    optimiser.zero_grad()
+    backward(output)
+    optimiser.step()
+
+
+def backward(output: Tensor) -> None:
+    """Compute the gradients of the squared output."""
+    output.square().sum().backward()  # type: ignore[no-untyped-call]
+
+
+def print_row(title: str, ours: Work, alternative: Work) -> None:
+    """Print the medians of both, run once to warm up, then in turn: other load affects both."""
+    ours()
+    alternative()
+    times_ms = [(milliseconds(ours), milliseconds(alternative)) for _ in range(ROUNDS)]
+    ours_ms, alternative_ms = np.median(times_ms, axis=0)
+    ratio = f"{alternative_ms / ours_ms:.3g}"
+    print(f"| {title} | {ours_ms:.3g} | {alternative_ms:.3g} | {ratio} |", flush=True)
+
+
+def milliseconds(work: Work) -> float:
+    """Return the time of `work` per item."""
+    start_s = now_s()
+    items = work()
+    return 1e3 * (now_s() - start_s) / items
+
+
+def now_s() -> float:
+    """Return the present time, after the device has finished its work."""
+    if DEVICE == "cuda":
+        torch.cuda.synchronize()
+    return time.perf_counter()
+
+
+def write_street(folder: Path) -> Path:
+    """Write a graph file of random points on a road and on a wall on either side of it."""
+    path = folder / "street.h5"
+    rng = np.random.default_rng(0)
+    assert VARIANT.points
+    graphs = []
+    for number in range(FRAMES):
+        # Camera axes in metres: x to the right, y down, z ahead.
+        lowest = [-8, -6, 4]
+        highest = [8, CAMERA_HEIGHT_M, 60]
+        xyz = rng.uniform(lowest, highest, (VARIANT.points, 3)).astype(np.float32)
+        wall = rng.random(len(xyz)) < 0.5
+        xyz[wall, 0] = np.copysign(8, xyz[wall, 0])
+        xyz[~wall, 1] = CAMERA_HEIGHT_M
+        cls = np.where(wall, BUILDING, ROAD).astype(np.uint8)
+        cloud = Cloud(xyz, cls)
+        graphs.append(frame_graph.build_frame(cloud, VARIANT, path.stem, number))
+
+    numbers = np.arange(FRAMES)
+    params = {"graphs": VARIANT.model_dump()}
+    with store.DriveWriter(path, stage="graphs", drive=path.stem, params=params) as file:
+        empty = frame_graph.empty_frame(VARIANT)
+        graph_file.write(file, numbers, numbers * 0.1, graphs, empty)
+    return path
+
+
+def read_graphs(street: Path, frames: int) -> GraphBatch:
+    """Return the first frames of a graph file as a batch of a graph network."""
+    with graph_file.open_graphs(street) as file:
+        arrays = number_rows(join([(file, 0, frames)]), file)
+        batch = from_arrays(arrays, DEVICE)
+    assert isinstance(batch, GraphBatch)
+    return batch
+
+
+def fit_wheel(time_s: np.ndarray, measured_rad: np.ndarray, wheel_rad: np.ndarray) -> np.ndarray:
+    """Return the steering wheel's angle [F] in rad by measured angles of the front wheels [F].
+
+    Gain, offset and the measurement's lag have the least squared error in the first FITTED_S.
+    """
+    fitted = time_s < FITTED_S
+    least_error = np.inf
+    for lag_s in LAGS_S:
+        lagged_rad = np.interp(time_s + lag_s, time_s, measured_rad)
+        gain, offset_rad = np.polyfit(lagged_rad[fitted], wheel_rad[fitted], deg=1)
+        angle_rad = gain * lagged_rad + offset_rad
+        error = np.mean((angle_rad - wheel_rad)[fitted] ** 2)
+        if error < least_error:
+            least_error = error
+            best_rad = angle_rad
+    return best_rad
+
+
+def udacity(video: Path, csv: Path, leaderboard: Path) -> None:
+    """Compare steer measure with three teams by the angle of the steering wheel.
+
+    VIDEO has the drive's frames, CSV their time_s and wheel_rad (left positive, by CAN),
+    LEADERBOARD the teams' predictions for the same frames: komanda_rad, rambo_rad, autumn_rad.
+    Writes out/udacity.json.
+    """
+    log = pd.read_csv(csv)
+    time_s = log["time_s"].to_numpy()
+    wheel_rad = log["wheel_rad"].to_numpy()
+    drive = read_drive(video, csv)
+    assert drive.camera
+    source = Source(video, video.stem, drive, drive.camera, len(log), {})
+    table = measure(source, None, STREET, Car(2.7, min_speed_mps=1.0), video=False).table
+
+    # Frames without a measured angle get it from their neighbours.
+    measured = table.dropna(subset="measured_rad")
+    measured_rad = np.interp(time_s, measured["time_s"], measured["measured_rad"])
+    angles = pd.read_csv(leaderboard).drop(columns="time_s")
+    angles["steer measure"] = fit_wheel(time_s, measured_rad, wheel_rad)
+
+    print("| wheel's angle | RMSE rad |\n|---|--:|")
+    results = {}
+    for column, angle_rad in angles.items():
+        error_rad = (angle_rad - wheel_rad)[time_s >= FITTED_S]
+        rmse_rad = float(np.sqrt((error_rad**2).mean()))
+        name = str(column).removesuffix("_rad")
+        results[name] = {"value": rmse_rad}
+        print(f"| {name} | {rmse_rad:.4f} |")
+    content = {"preset": "udacity", **origin(), "results": results}
+    store.write_json(Path("out/udacity.json"), content, sort_keys=False)
+
+
+if __name__ == "__main__":
+    console.run(networks, udacity)

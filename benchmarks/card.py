@@ -1,0 +1,129 @@
+"""Measure stages train and perception on this machine's device: on a GPU, whether it waits."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import torch
+from torch.profiler import profile
+
+from benchmarks.alternatives import DEVICE, ENTRY, FRAMES, Work, milliseconds, now_s, write_street
+from pipeline.base import console, store
+from pipeline.base.params import load
+from pipeline.base.resume import ROOT
+from pipeline.camera.camera import Camera
+from pipeline.labels import label, source
+from pipeline.labels.settings import Labels
+from pipeline.perception.perceive import GPU_BATCH, EncoderInput, open_encoder
+from pipeline.train.fit import Fit
+from pipeline.train.frames import Files
+from pipeline.train.settings import Train
+from pipeline.train.targets import LabelledDrive, read_drive
+from pipeline.train.windows import Reader
+
+PARAMS = ROOT / "params.yaml"
+
+# Drives of the training, all with the frames of the same street.
+DRIVES = 7
+
+# Height and width of the images in pixels, as the encoder of the sample was trained.
+IMAGE_SIZE = (96, 320)
+
+
+def main() -> None:
+    """Print what a training step and an image take."""
+    torch.set_num_threads(1)
+    with TemporaryDirectory() as folder:
+        measure_training(Path(folder))
+    measure_perception()
+
+
+def measure_training(folder: Path) -> None:
+    """Train the demo's sa-gnn-ncp on a street of random points, by stage train's own code."""
+    drive = labelled_street(folder)
+    drives = [drive] * DRIVES
+    settings = load(Train, PARAMS).model_copy(update={"epochs": 1})
+    net = ENTRY.build("graph").to(DEVICE)
+    fit = Fit(net, ENTRY, settings, 0, train=drives, val=[], files=Files([drive.graphs]))
+
+    # The first epoch, as stage train runs it.
+    step_ends_s: list[float] = []
+    hook = fit.optimiser.register_step_post_hook(lambda *_: step_ends_s.append(now_s()))
+    start_s = now_s()
+    fit.run(folder / "state.pt", "benchmark")
+    hook.remove()
+    print_value("start of a training to its first step, s", step_ends_s[0] - start_s)
+
+    # A later epoch.
+    reader = Reader(drives, ENTRY.window, fit.files)
+
+    def train_epoch() -> int:
+        fit._train(reader, 2)
+        return len(fit._plan(2))
+
+    print_value("step, ms", milliseconds(train_epoch))
+    if DEVICE == "cuda":
+        profile_training(train_epoch)
+
+
+def labelled_street(folder: Path) -> LabelledDrive:
+    """Write a street of random points, and labels of its frames."""
+    street = write_street(folder)
+    settings = load(Labels, PARAMS)
+    numbers = np.arange(FRAMES)
+    car = label.Car(settings.wheelbase_m, settings.min_speed_mps)
+    labels = label.steering_labels(0.3 * np.sin(numbers / 5), np.full(FRAMES, 8.0), car)
+    params = {"labels": settings.model_dump()}
+    path = folder / "labels" / street.name
+    with store.DriveWriter(path, stage="labels", drive=street.stem, params=params) as file:
+        source.write_labels(file, numbers, numbers * 0.1, labels, settings)
+    return read_drive(folder, path.parent, street.stem, ENTRY)
+
+
+def profile_training(train_epoch: Work) -> None:
+    """Print how long a GPU computes in an epoch, and what makes it wait."""
+    torch.cuda.reset_peak_memory_stats()
+    with profile() as profiled:
+        start_s = now_s()
+        steps = train_epoch()
+        wall_s = now_s() - start_s
+
+    kernel_us = 0.0
+    launches = 0
+    waits = 0
+    for event in profiled.key_averages():
+        if event.device_type.name == "CUDA" and not event.is_user_annotation:
+            kernel_us += event.self_device_time_total
+        if "Launch" in event.key:
+            launches += event.count
+        if "Synchronize" in event.key:
+            waits += event.count
+    print_value("kernel time / wall time", kernel_us / 1e6 / wall_s)
+    print_value("launches per step", launches / steps)
+    # The end of an epoch, this measurement and the profiler wait, too.
+    print_value("synchronisations per step", waits / steps)
+    print_value("peak memory, GiB", torch.cuda.max_memory_allocated() / 2**30)
+
+
+def measure_perception() -> None:
+    """Measure the encoder of the sample on black images, by stage perception's own code."""
+    encoder = open_encoder(ROOT / "models/encoder/sample", "auto")
+    camera = Camera(np.eye(3), IMAGE_SIZE)
+    images = np.zeros((GPU_BATCH, *IMAGE_SIZE, 3), np.uint8)
+    batch = EncoderInput("black", np.arange(GPU_BATCH), images, camera)
+
+    def perceive_batch() -> int:
+        encoder.predict(batch)
+        return GPU_BATCH
+
+    perceive_batch()
+    print_value("perception, ms/image", milliseconds(perceive_batch))
+
+
+def print_value(what: str, value: float) -> None:
+    """Print a value of three digits; `what` has its unit."""
+    print(f"{what}: {value:.3g}", flush=True)
+
+
+if __name__ == "__main__":
+    console.run(main)

@@ -50,9 +50,7 @@ class Crop(NamedTuple):
     @property
     def size(self) -> Size:
         """Return the size (H, W) of the crop."""
-        height = self.rows.stop - self.rows.start
-        width = self.columns.stop - self.columns.start
-        return height, width
+        return self.rows.stop - self.rows.start, self.columns.stop - self.columns.start
 
     def pixels(self, image: np.ndarray) -> np.ndarray:
         """Return the used pixels of an image [H,W,…]."""

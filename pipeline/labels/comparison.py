@@ -225,14 +225,15 @@ def _judge_speed(speed: Speed, sigma: float, column: str) -> Verdict:
     if speed.frames < UNIT_FRAMES:
         unlike = UNLIKE_SPEED * FEW_FRAMES_FACTOR
     if speed.frames >= TURNING_FRAMES and abs(math.log(speed.gain)) > unlike + SPEED_SIGMAS * sigma:
-        text = f"speed_mps is {speed.gain:.2f} times what is measured: km/h would give 3.6, mph "
-        text += "2.24; a wrong K or camera height changes the measured speed"
-        doubts.append(text)
+        units = "km/h would give 3.6, mph 2.24"
+        causes = f"{units}; a wrong K or camera height changes the measured speed"
+        doubts.append(f"speed_mps is {speed.gain:.2f} times what is measured: {causes}")
     return Verdict(doubts=doubts)
 
 
 def _judge_turns(fit: Fit, name: str, ratio: float, speed_sigma: float) -> Verdict:
     """Judge the column `name`: the first fault or doubt that holds, and a wrong time besides."""
+    # With a wrong clock or sign, or values that do not follow turns, nothing else can be judged.
     if fit.far_s is not None:
         return Verdict(doubts=[_wrong_clock(name, fit.far_s)])
     sign = _wrong_sign(name, fit)
@@ -244,6 +245,7 @@ def _judge_turns(fit: Fit, name: str, ratio: float, speed_sigma: float) -> Verdi
     if fit.other_side >= OTHER_SIDE_FRAMES and fit.magnitude > max(UNSIGNED_CORRELATION, fit.best):
         return Verdict(doubts=[f"{name} has angles without a sign"])
 
+    # Then the unit, and a clock that runs at another rate.
     follows = fit.follows and fit.best > 0
     same_side = fit.cosine > -OPPOSITE_COSINE
     is_degrees = abs(abs(math.log(fit.gain, DEGREES)) - 1) < DEGREES_ERROR
@@ -254,7 +256,9 @@ def _judge_turns(fit: Fit, name: str, ratio: float, speed_sigma: float) -> Verdi
         lags = " to ".join(f"{lag:.2f}" for lag in fit.thirds_s)
         text = f"the clock of {name} drifts or jumps, or --fps is wrong: it is {lags} s late"
         return Verdict(doubts=[text])
-    if fit.best == 0 and same_side:  # a bend in which the recording hardly varies
+
+    # A bend in which the recording hardly varies tells no more.
+    if fit.best == 0 and same_side:
         return Verdict()
     if follows:
         return Verdict(doubts=_doubts_of_following(fit, name, ratio, speed_sigma))

@@ -27,8 +27,8 @@ def find_doubts(splits: Mapping[str, str], summaries: Mapping[str, Summary]) -> 
             text = f"{valid} of {frames} frames of {names} have a label: the car stands?"
             yield f"doubt: {text} {fix}"
         elif turning < TURNING_FRAMES:
-            text = f"{turning} of {frames} frames of split {split} turn, too few to tell models"
-            yield f"doubt: {text} apart. {fix}"
+            text = f"{turning} of {frames} frames of split {split} turn"
+            yield f"doubt: {text}, too few to tell models apart. {fix}"
 
     interpolated = sum(summary["interpolated"] for summary in summaries.values())
     if interpolated:

@@ -247,7 +247,7 @@ class Network(nn.Module):
         mean_std = torch.tensor([description["mean"], description["std"]])[..., None, None]
         self.register_buffer("mean_std", mean_std, persistent=False)  # [2,3,1,1]
 
-    def forward(self, image: Tensor, **options: Any) -> Any:
+    def forward(self, image: Tensor) -> Any:
         """Return the network's output for an RGB image uint8 [B,3,H,W]."""
         mean, std = self.mean_std
         height, width = image.shape[-2:]
@@ -255,7 +255,7 @@ class Network(nn.Module):
         padding = (0, -width % self.multiple, 0, -height % self.multiple)
         padded = F.pad(normalised, padding)
         with loading(self.network.config.model_type, "run"):
-            return self.network(padded, **options)
+            return self.network(padded)
 
     def padded(self, size: Sequence[int]) -> torch.Size:
         """Return the size of an image of `size` (H, W) after padding."""
@@ -342,39 +342,40 @@ class Pyramid(nn.Module):
         return self.head(features, rays)
 
 
-def create_pair(settings: Any) -> tuple[dict[str, Any], nn.Module]:
-    """Return architecture and network of section ``encoder``.
+def create_pair(
+    depth: str, classes: str, focal_by_width: float, depth_unit: str | None
+) -> tuple[dict[str, Any], nn.Module]:
+    """Return architecture and network of a network for depth and one for classes.
 
-    Raises InputError, also if depth is not in metres, or no class is road.
+    `focal_by_width` is focal length / image width of the training images of `depth`, `depth_unit`
+    the unit of its output. Raises InputError, also if depth is not in metres, or no class is road.
     """
-    depth_folder, depth, depth_sources = describe(settings.depth)
-    classes_folder, classes, classes_sources = describe(settings.classes)
+    depth_folder, depth_network, depth_sources = describe(depth)
+    classes_folder, classes_network, classes_sources = describe(classes)
     architecture: dict[str, Any] = {
         "backbone": "pair",
-        "depth": depth,
-        "classes": classes,
-        "focal_by_width": settings.focal_by_width,
+        "depth": depth_network,
+        "classes": classes_network,
+        "focal_by_width": focal_by_width,
         "sources": depth_sources + classes_sources,
     }
     network = Pair(architecture, depth_folder, classes_folder)
 
-    config = depth["config"]
-    unit = (
-        NO_DEPTH_M.get(config["model_type"])
-        or config.get("depth_estimation_type")
-        or settings.depth_unit
-    )
+    # Some networks tell the unit of their depth; others need it from the user.
+    config = depth_network["config"]
+    family = config["model_type"]
+    unit = NO_DEPTH_M.get(family) or config.get("depth_estimation_type") or depth_unit
     if unit != "metric":
         problem = "has an unknown unit. If it is metres, not 1/metres, set depth_unit: metric"
         if unit:
             problem = f"is {unit}"
-        raise InputError(f"the depth of {settings.depth!r} {problem}")
+        raise InputError(f"the depth of {depth!r} {problem}")
 
     if not network.cityscapes.members[ROAD].any():
         names = [*network.classes.network.config.id2label.values()]
         raise InputError(
-            f"no class of {settings.classes!r} is road: {', '.join(names[:5])}, … Name them by "
-            "id2label in config.json"
+            f"no class of {classes!r} is road: {', '.join(names[:5])}, … Name them by id2label in "
+            "config.json"
         )
 
     max_depth = config.get("max_depth") or "none"
@@ -383,12 +384,9 @@ def create_pair(settings: Any) -> tuple[dict[str, Any], nn.Module]:
     return architecture, network
 
 
-def create_backbone(settings: Any) -> tuple[dict[str, Any], nn.Module]:
-    """Return architecture and network of section ``encoder``; its heads are random.
-
-    Raises InputError.
-    """
-    folder, description, sources = describe(settings.model)
+def create_backbone(model: str) -> tuple[dict[str, Any], nn.Module]:
+    """Return architecture and network of a backbone; its heads are random. Raises InputError."""
+    folder, description, sources = describe(model)
     architecture = {"backbone": "hugging_face", "model": description, "sources": sources}
     published = any(folder.glob("*.safetensors")) or any(folder.glob("pytorch_model*.bin"))
     return architecture, HuggingFace(architecture, folder if published else None)

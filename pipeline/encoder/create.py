@@ -73,6 +73,20 @@ def _create_street(settings: Encoder) -> tuple[Architecture, nn.Module]:
     return {"backbone": settings.backbone, "sources": sources}, model
 
 
+def _create_pair(settings: Encoder) -> tuple[Architecture, nn.Module]:
+    assert settings.depth
+    assert settings.classes
+    assert settings.focal_by_width
+    return hugging_face.create_pair(
+        settings.depth, settings.classes, settings.focal_by_width, settings.depth_unit
+    )
+
+
+def _create_backbone(settings: Encoder) -> tuple[Architecture, nn.Module]:
+    assert settings.model
+    return hugging_face.create_backbone(settings.model)
+
+
 def _create_precomputed(settings: Encoder) -> tuple[Architecture, nn.Module]:
     assert settings.weights
     count, sha256 = precomputed.fingerprint(in_checkout(settings.weights))
@@ -90,8 +104,8 @@ def _create_precomputed(settings: Encoder) -> tuple[Architecture, nn.Module]:
 CREATE: dict[str, Callable[[Encoder], tuple[Architecture, nn.Module]]] = {
     "small": _create_small,
     "street": _create_street,
-    "pair": hugging_face.create_pair,
-    "hugging_face": hugging_face.create_backbone,
+    "pair": _create_pair,
+    "hugging_face": _create_backbone,
     "precomputed": _create_precomputed,
 }
 

@@ -93,10 +93,9 @@ def fit(model: nn.Module, examples: Examples, settings: Encoder) -> list[dict[st
             fix = f"Lower encoder.learning_rate (now {settings.learning_rate})"
             raise InputError(f"the loss is not finite in epoch {epoch + 1}", "encoder", fix)
         curve.append({"epoch": epoch + 1, "loss": loss, "depth": depth_loss, "classes": class_loss})
-        parts = f"depth {depth_loss:.4f}, classes {class_loss:.4f}"
         print(
-            f"encoder: {epoch + 1} of {epochs} epochs: loss {loss:.4f} ({parts}), "
-            f"{time.perf_counter() - start:.1f} s",
+            f"encoder: {epoch + 1} of {epochs} epochs: loss {loss:.4f} (depth {depth_loss:.4f}, "
+            f"classes {class_loss:.4f}), {time.perf_counter() - start:.1f} s",
             flush=True,
         )
     model.eval()
@@ -138,14 +137,11 @@ def _batches(
     """
 
     def read_batch(numbers: np.ndarray) -> list[Tensor]:
-        chosen = [augment(examples[number], rng) for number in numbers.tolist()]
-        arrays = [
-            np.stack([example.image for example in chosen]),
-            np.stack([example.camera.K for example in chosen]),
-            np.stack([example.depth_m for example in chosen]),
-            np.stack([example.cls for example in chosen]),
-        ]
-        tensors = [torch.from_numpy(array) for array in arrays]
+        rows = []
+        for number in numbers.tolist():
+            example = augment(examples[number], rng)
+            rows.append((example.image, example.camera.K, example.depth_m, example.cls))
+        tensors = [torch.from_numpy(np.stack(column)) for column in zip(*rows, strict=True)]
         if device == "cuda":
             return [tensor.pin_memory() for tensor in tensors]
         return tensors

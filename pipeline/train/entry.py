@@ -82,6 +82,11 @@ class Entry(Section):
         return complete
 
     @property
+    def predicts_ahead(self) -> bool:
+        """Whether a target is of a later time than the last frame of its window."""
+        return self.horizon > 0 or self.predict == "path"
+
+    @property
     def networks(self) -> list[str]:
         """The files of the two networks."""
         return [

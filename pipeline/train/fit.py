@@ -109,7 +109,7 @@ class Fit:
         started = time.perf_counter()
         while self._unfinished():
             epoch = len(self.curve) + 1
-            loss, learning_rate = self._train(train, epoch)
+            loss, rate = self._train(train, epoch)
             if not math.isfinite(loss):
                 problem = f"loss of epoch {epoch} is {loss}"
                 raise InputError(problem, title, "Lower train.learning_rate or clip_norm")
@@ -118,8 +118,8 @@ class Fit:
             if self.val:
                 predictions = trained.predict_drives(self.average, val, self.scale)
                 error = mean_nmse(self.val, predictions)
-            row = {"epoch": epoch, "learning_rate": learning_rate, "train_loss": loss}
-            self.curve.append({**row, "val_nmse": error})
+            row = {"epoch": epoch, "learning_rate": rate, "train_loss": loss, "val_nmse": error}
+            self.curve.append(row)
             selected = selected_epoch(self.curve) == epoch
             if selected:
                 self.best = copy_weights(self.average)
@@ -141,8 +141,8 @@ class Fit:
 
     def _unfinished(self) -> bool:
         done = len(self.curve)
-        patience = self.settings.patience
-        return done < self.settings.epochs and done - selected_epoch(self.curve) < patience
+        waited = done - selected_epoch(self.curve)
+        return done < self.settings.epochs and waited < self.settings.patience
 
     def _resume(self, state: Path, title: str) -> None:
         """Continue from the file of an earlier run. Raises InputError if it is damaged."""
@@ -176,8 +176,7 @@ class Fit:
 
         # Without the scene, an equivariant network without motion has the output 0 and no gradient.
         dropout = 0.0
-        predicts_ahead = self.entry.horizon > 0 or self.entry.predict == "path"
-        if predicts_ahead and self.net.motion and self.net.sees_frames:
+        if self.entry.predicts_ahead and self.net.motion and self.net.sees_frames:
             dropout = MOTION_DROPOUT
 
         # Each span is in a world of another scale, and the motion of some is hidden.

@@ -109,8 +109,7 @@ def fit_run(model: Model, run: runs.Run, files: Files, code: str, kept: Path) ->
     }
     checkpoint.write(run.folder / "best.pt", best)
     curve = pd.DataFrame(fit.curve)
-    path = run.folder / "curve.csv"
-    curve.to_csv(path, index=False, float_format="%.6g", lineterminator="\n")
+    curve.to_csv(run.folder / "curve.csv", index=False, float_format="%.6g", lineterminator="\n")
     return state
 
 

@@ -1,6 +1,6 @@
 """Frames of graph files as batches of tensors: read from the files, or kept in memory."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -55,9 +55,9 @@ class Files:
         if self.place == "disk":
             return
         memory = device if self.place == "GPU" else torch.device("cpu")
-        todo = [path for path in self.paths if not self[path].kept]
-        for path in tqdm(todo, "load", unit=" drives", leave=False, disable=None):
-            self[path].keep(lambda rows: as_tensor(rows).to(memory))
+        for path in tqdm(self.paths, "load", unit=" drives", leave=False, disable=None):
+            if not self[path].kept:
+                self[path].keep(lambda rows: as_tensor(rows).to(memory))
 
     def _choose(self, peak: Callable[[], int] | None) -> Place:
         """Return the place for the frames of a training on a GPU."""
@@ -139,28 +139,28 @@ def number_rows(batch: dict[str, Tensor], file: Graphs) -> dict[str, Tensor]:
     `file` names the columns: any of the batch.
     """
     for name, counted in file.refers_to.items():
-        numbers = _unsigned(batch[name])
+        batch[name] = _unsigned(batch[name])
         first_rows = batch[file.pointers[counted]][:-1]
-        numbers += per_row(first_rows, batch[file.pointers[name]], numbers)
-        batch[name] = numbers
+        for numbers, first in by_frame(batch[name], first_rows, batch[file.pointers[name]]):
+            numbers += first
     return batch
 
 
-def per_row(values: Tensor, pointer: Tensor, rows: Tensor) -> Tensor:
-    """Return the value of each row's frame, in the type of the rows and on their device.
+def by_frame(rows: Tensor, values: Tensor, pointer: Tensor) -> Iterator[tuple[Any, Any]]:
+    """Yield the rows of each frame and its value, so that rows can be changed in place.
 
-    `values` [B] and `pointer` [B+1] are on the CPU. The result broadcasts with `rows`.
+    On a GPU, all rows and the values of each are yielded at once. `values` [B] and `pointer` [B+1]
+    are on the CPU.
     """
-    values = values.to(rows.dtype)
-    counts = pointer.diff()
-    if rows.is_cuda:
-        # A copy from pinned memory does not wait for the GPU, nor does a known output size.
-        values = values.pin_memory().to(rows.device, non_blocking=True)
-        counts = counts.pin_memory().to(rows.device, non_blocking=True)
-        repeated = values.repeat_interleave(counts, output_size=len(rows))
-    else:
-        repeated = torch.from_numpy(np.repeat(values.numpy(), counts.numpy()))  # faster on a CPU
-    return repeated.view(-1, *[1] * (rows.ndim - 1))
+    if not rows.is_cuda:
+        frames = np.split(rows.numpy(), pointer[1:-1].tolist())
+        yield from zip(frames, values.tolist(), strict=True)
+        return
+    # A copy from pinned memory does not wait for the GPU, nor does a known output size.
+    counts = pointer.diff().pin_memory().to(rows.device, non_blocking=True)
+    values = values.to(rows.dtype).pin_memory().to(rows.device, non_blocking=True)
+    repeated = values.repeat_interleave(counts, output_size=len(rows))
+    yield rows, repeated.view(-1, *[1] * (rows.ndim - 1))
 
 
 def as_tensor(rows: np.ndarray | Tensor) -> Tensor:

@@ -60,11 +60,10 @@ class Scale:
     @classmethod
     def parse(cls, content: dict[str, Any]) -> "Scale":
         """Return the scale of :attr:`content`. Raises TypeError or ValueError."""
-        arrays: Any = {}
+        fields: dict[str, Any] = {}
         for name, value in content.items():
-            if name != "names":
-                arrays[name] = None if value is None else np.array(value)
-        return cls(content["names"], **arrays)
+            fields[name] = None if value is None else np.array(value)
+        return cls(**fields | {"names": content["names"]})
 
     @property
     def content(self) -> dict[str, Any]:
@@ -118,11 +117,11 @@ def step_targets(
 
 
 def weighted_loss(predicted: Tensor, target: Tensor, weight: Tensor, robust: bool) -> Tensor:
-    """Return Σ w (ŷ - y)² over windows and columns [W,R]: paper eq. 9 when divided by Σ w, as `Fit`
-    does.
+    """Return Σ w (ŷ - y)² over windows and columns [W,R].
 
-    With `robust` Σ w Huber(ŷ - y), which is linear beyond one standard deviation: the path at a
-    junction is the driver's choice, and squared errors there would dominate.
+    Divided by Σ w it is paper eq. 9. With `robust` it is Σ w Huber(ŷ - y), which is linear beyond
+    one standard deviation: the path at a junction is the driver's choice, and squared errors there
+    would dominate.
     """
     criterion = nn.functional.huber_loss if robust else nn.functional.mse_loss
     return (weight * criterion(predicted, target, reduction="none")).sum()

@@ -24,10 +24,8 @@ def runs(model: Path, seeds: Sequence[int]) -> list[Run]:
 
     The first seed has the folder `model`, the others subfolders of it.
     """
-    result: list[Run] = []
-    for seed in seeds:
-        folder = model / f"seed-{seed}" if result else model
-        result.append(Run(seed, folder))
+    result = [Run(seed, model / f"seed-{seed}") for seed in seeds]
+    result[0] = Run(seeds[0], model)
     return result
 
 

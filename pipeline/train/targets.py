@@ -80,13 +80,13 @@ class LabelledDrive(Timeline):
     name: str
     labels: Path
     settings: dict[str, Any]  # section → settings that made graphs and labels
-    contents: Contents  # of the graph file
-    counts: Arrays  # of the graph file
+    contents: Contents  # kind and sizes of the graphs
+    counts: Arrays  # numbers of points and edges per frame
     horizon: int
     # Edges of the R ranges of the path ahead, R+1; none with predict: angle.
     ahead_m: tuple[float, ...]
     target: np.ndarray  # float64 [G,R], NaN without a valid label
-    driven: label.Labels  # of the frames themselves
+    driven: label.Labels  # labels of the frames themselves
     # Measured value [G,1], which a later unmeasured frame repeats; NaN before the first. None
     # without motion in the file, and at horizon 0 if the labels are from the same measurement.
     odometry: np.ndarray | None
@@ -184,9 +184,8 @@ def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledD
         # Labels from the same measurement are no truth for odometry, unless they are ahead of it.
         section = truth.params["labels"]
         car = label.Car(section["wheelbase_m"], section["min_speed_mps"])
-        ahead = entry.predict == "path" or entry.horizon > 0
         odometry = None
-        if measured and (ahead or not truth.attrs.get("measured", 0)):
+        if measured and (entry.predicts_ahead or not truth.attrs.get("measured", 0)):
             odometry = _odometry(measured, car, entry)[:, None]
         return LabelledDrive(
             **vars(Timeline.read(file, car, entry)),
@@ -240,8 +239,8 @@ def window_values(
         if factor != 1:
             _rescale(values, factor, timeline.ahead_m)
     if hidden:
-        values["motion"] = np.zeros_like(values["motion"])
-        values["base"] = np.zeros_like(values["base"])
+        for name in ("motion", "base"):
+            values[name] = np.zeros_like(values[name])
     return values
 
 
@@ -255,8 +254,8 @@ def _rescale(values: Arrays, factor: float, ahead_m: Sequence[float]) -> None:
         values["base"] = values["base"] / factor
         values["target"] = scale_path(values["target"], ahead_m, factor)
     else:
-        values["base"] = _scale_radius(values["base"], factor)
-        values["target"] = _scale_radius(values["target"], factor)
+        for name in ("base", "target"):
+            values[name] = _scale_radius(values[name], factor)
     if "motion" in values:
         motion = values["motion"]  # a copy of the drive's rows
         motion[:, ANGLE] = _scale_radius(motion[:, ANGLE], factor)

@@ -33,15 +33,20 @@ class Trained(NamedTuple):
     """A trained network with everything needed to use it."""
 
     name: str
-    seeds: list[int]  # of all networks of the model
+    # Seeds of all networks of the model.
+    seeds: list[int]
     entry: Entry
-    contents: Contents  # of the graph files it was trained on
+    # Kind and sizes of the graphs that it was trained on.
+    contents: Contents
     scale: Scale
-    # section → settings that made graphs and labels of its training drives
+    # Section → settings that made graphs and labels of its training drives.
     settings: dict[str, Any]
-    drives: list[str]  # of training
-    datasets: list[str]  # of the training drives; []: unknown
-    fps: float  # their frame rate
+    # Names of its training drives.
+    drives: list[str]
+    # Datasets of its training drives, [] if unknown.
+    datasets: list[str]
+    # Frame rate of its training drives.
+    fps: float
     net: SteeringNet
 
     @property
@@ -71,16 +76,14 @@ class Trained(NamedTuple):
         if scene is None and self.entry.scene == "another":
             problem = f"model {self.name} is a control, which needs the scene of another drive"
             raise InputError(problem, graphs.path, "Choose a model with scene: same")
-        timeline = Timeline.read(graphs, self.car, self.entry)
-        timeline = replace(timeline, scene=scene or graphs.path)
+        timeline = replace(Timeline.read(graphs, self.car, self.entry), scene=scene or graphs.path)
         with open_graphs(timeline.scene) as file:
             if file.contents != self.contents:
                 problem = f"model {self.name} expects {self.contents}, got {file.contents}"
                 fix = f"Use graphs of input: {self.entry.input}, or train the model again"
                 raise InputError(problem, file.path, fix)
         reader = windows.Reader([timeline], self.entry.window, files)
-        (predictions,) = predict_drives(self.net, reader, self.scale)
-        return predictions
+        return predict_drives(self.net, reader, self.scale)[0]
 
 
 def load_model(folder: str | Path, device: torch.device | str | None = None) -> Trained:

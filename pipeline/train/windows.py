@@ -32,7 +32,7 @@ from torch import Tensor
 from pipeline.base.errors import InputError
 from pipeline.base.loop import prefetch
 from pipeline.graphs.graph_file import Arrays, Graphs
-from pipeline.train.frames import Files, join, number_rows, per_row
+from pipeline.train.frames import Files, by_frame, join, number_rows
 from pipeline.train.targets import Timeline, window_values
 
 
@@ -208,5 +208,6 @@ class Reader:
                 batch[name] = values.to(device, non_blocking=device.type == "cuda")
         number_rows(batch, joined.file)
         if "xyz" in batch:
-            batch["xyz"] *= per_row(joined.factor, batch["ptr"], batch["xyz"])
+            for points, factor in by_frame(batch["xyz"], joined.factor, batch["ptr"]):
+                points *= factor
         return batch

@@ -24,14 +24,14 @@ EPSILON = 1e-6
 
 
 class FeatureScale(nn.Module):
-    """Standardise each feature over frames, then apply tanh, since LTC synapses are sensitive in
-    (-1, 1).
+    """Standardise each feature over frames, then apply tanh.
 
-    What a spatial network pools over a frame is nearly the same in every frame of a street. A tanh
-    saturates on this common part, the difference between frames is lost, and training stays on a
-    plateau. So in training the mean and variance of the batch's frames are removed, in prediction
-    running ones: means over the first steps, later moving averages with `momentum`. Nothing is
-    learned. Without `centred` features are only divided, which keeps them odd.
+    The features that a spatial network pools over a frame are nearly the same in every frame of a
+    street. A tanh would saturate on this common part, the difference between frames would be lost,
+    and training would stay on a plateau. So in training, mean and variance of the batch's frames
+    are removed, in prediction running ones: means over the first steps, later moving averages with
+    `momentum`. Nothing is learned. Without `centred`, features are only divided, which keeps them
+    odd. The tanh is there since LTC synapses are sensitive in (-1, 1).
     """
 
     mean: Tensor

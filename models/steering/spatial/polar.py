@@ -85,7 +85,7 @@ class Polar(nn.Module):
             inputs = outputs
             height = math.ceil(height / stride)
             width = math.ceil(width / stride)
-            stride = 2  # of all but the first
+            stride = 2  # all but the first halve the map
         self.read_out = nn.Linear(inputs * height * width, features)
 
     def forward(self, batch: GraphBatch) -> Tensor:

@@ -205,9 +205,7 @@ def operators(count: int) -> int:
 
 
 def test_a_training_step_has_as_many_operators_for_any_number_of_frames(monkeypatch):
-    """Pooling or encoding frame by frame would add at least two for each; the recursion has six
-    steps a frame.
-    """
+    """The recursion has six steps a frame; other operators frame by frame would add two each."""
     monkeypatch.setattr(
         gnn, "normalised_adjacency", lambda degree, *_: torch.empty(2 * degree.shape, device="meta")
     )

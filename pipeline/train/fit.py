@@ -183,8 +183,8 @@ class Fit:
         factors = (self.settings.rescale ** rng.uniform(-1, 1, len(spans))).astype(np.float32)
         hidden = rng.random(len(spans)) < dropout
         augmented = []
-        for span, factor, hides in zip(spans, factors.tolist(), hidden.tolist(), strict=True):
-            augmented.append(replace(span, factor=factor, hidden=hides))
+        for span, factor, is_hidden in zip(spans, factors.tolist(), hidden.tolist(), strict=True):
+            augmented.append(replace(span, factor=factor, hidden=is_hidden))
 
         # About equally many in each step, as the features of a single frame have no variance.
         steps = math.ceil(len(spans) / self.settings.batch_spans)

@@ -228,8 +228,7 @@ def window_values(
 ) -> Arrays:
     """Return motion at `rows`, and base and target of the windows that end at the rows `ends`.
 
-    A network gets them so: the world is `factor` times as large, and with `hidden` motion and base
-    are 0.
+    They are those of a world that is `factor` times as large. With `hidden`, motion and base are 0.
     """
     values: Arrays = {"base": timeline.base[ends].astype(np.float32)}
     if timeline.motion is not None:

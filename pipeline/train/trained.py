@@ -151,7 +151,9 @@ def predict_drives(net: SteeringNet, reader: windows.Reader, scale: Scale) -> li
             outputs.append(net(*net.inputs(batch)))
 
     # Outputs are copied after the loop, so that it does not wait for the GPU.
-    values = [np.full((len(line.frame), len(scale.names)), np.nan) for line in reader.timelines]
+    values = [
+        np.full((len(timeline.frame), len(scale.names)), np.nan) for timeline in reader.timelines
+    ]
     for span, output in zip(spans, outputs, strict=True):
         values[span.drive][span.stop - len(output) : span.stop] = output.double().cpu().numpy()
     pairs = zip(values, reader.timelines, strict=True)

@@ -72,8 +72,8 @@ def spans(
     return result
 
 
-class Part(NamedTuple):
-    """What a span adds to a batch."""
+class BatchPart(NamedTuple):
+    """The part of a batch that comes from one span."""
 
     # File, start and stop of the graphs that its frames see.
     graphs: tuple[Graphs, int, int]
@@ -85,7 +85,7 @@ class Part(NamedTuple):
     arrays: Arrays
 
 
-class Joined(NamedTuple):
+class JoinedBatch(NamedTuple):
     """A batch before it is copied to a device."""
 
     # In the types of the files, with their row numbers.
@@ -123,7 +123,7 @@ class Reader:
             return prefetch(self.__getitem__, groups)
         join_group = partial(self._join, pin=device.type == "cuda")
         if self.files.place == "GPU":
-            batches: Iterator[Joined] = map(join_group, groups)
+            batches: Iterator[JoinedBatch] = map(join_group, groups)
         else:
             batches = prefetch(join_group, groups)
         return (self._finish(joined, device) for joined in batches)
@@ -135,9 +135,9 @@ class Reader:
         """
         return self._finish(self._join(group), torch.device("cpu"))
 
-    def _join(self, group: Sequence[Span], *, pin: bool = False) -> Joined:
+    def _join(self, group: Sequence[Span], *, pin: bool = False) -> JoinedBatch:
         """Read a group of spans, in pinned memory if `pin`, except what is on a GPU."""
-        parts = [self._read(span) for span in group]
+        parts = [self._read_span(span) for span in group]
 
         # Row numbers of a span count from its first frame, those of the batch from the first span.
         frames = 0
@@ -160,9 +160,9 @@ class Reader:
 
         file, _, _ = parts[0].graphs
         factor = np.concatenate([part.factor for part in parts])
-        return Joined(batch, file, torch.from_numpy(factor))
+        return JoinedBatch(batch, file, torch.from_numpy(factor))
 
-    def _read(self, span: Span) -> Part:
+    def _read_span(self, span: Span) -> BatchPart:
         """Read all arrays of a span but the graphs."""
         timeline = self.timelines[span.drive]
         file = self.files[timeline.scene]
@@ -185,7 +185,7 @@ class Reader:
         larger = span.factor if "xyz" in file.pointers else 1.0
         arrays |= window_values(timeline, rows, ends, larger, span.hidden)
         factor = np.full(stop - start, larger, np.float32)
-        return Part((file, start, stop), factor, len(rows), arrays)
+        return BatchPart((file, start, stop), factor, len(rows), arrays)
 
     def _scenes(self, timeline: Timeline, file: Graphs, ends: np.ndarray) -> np.ndarray:
         """Return the rows [W,T] of another drive that the windows see which end at rows `ends`.
@@ -199,7 +199,7 @@ class Reader:
         last = np.maximum(ends * frames // len(timeline.frame), self.window - 1)
         return last[:, None] + np.arange(1 - self.window, 1)
 
-    def _finish(self, joined: Joined, device: torch.device) -> dict[str, Tensor]:
+    def _finish(self, joined: JoinedBatch, device: torch.device) -> dict[str, Tensor]:
         """Copy a batch to a device, number its rows there, and scale its points."""
         batch = joined.arrays
         for name, values in batch.items():

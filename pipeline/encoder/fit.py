@@ -114,11 +114,11 @@ def depth_and_class_loss(
     Args: predicted depth [B,H,W] and logits [B,19,H,W] (or 20); true depth [B,H,W] in metres, 0
     where unknown; true classes int64 [B,H,W], 255 where unknown.
     """
-    known = true_depth_m > 0
-    ratio = torch.where(known, depth_m / true_depth_m.clamp(min=1e-3), 1.0)
+    is_known = true_depth_m > 0
+    ratio = torch.where(is_known, depth_m / true_depth_m.clamp(min=1e-3), 1.0)
     relative_error = (ratio - 1).abs().clamp(max=MAX_RELATIVE_ERROR)
     error = 0.5 * torch.log(ratio).abs() + 0.5 * relative_error
-    depth_loss = error.sum() / known.sum().clamp(min=1)
+    depth_loss = error.sum() / is_known.sum().clamp(min=1)
 
     # The heads' memory order; softmax along the second axis would copy to planes and back.
     pixels = logits.permute(0, 2, 3, 1).flatten(0, 2)

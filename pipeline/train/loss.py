@@ -81,8 +81,8 @@ def mean_nmse(drives: Sequence[LabelledDrive], predictions: Sequence[np.ndarray]
     columns = zip(targets.T, np.concatenate(predictions).T, strict=True)
     values = []
     for truth, predicted in columns:
-        known = np.isfinite(predicted - truth)
-        value = nmse(truth[known], predicted[known])
+        is_known = np.isfinite(predicted - truth)
+        value = nmse(truth[is_known], predicted[is_known])
         if value is not None:
             values.append(value)
     return float(np.mean(values)) if values else np.nan
@@ -93,9 +93,9 @@ def _regress(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
     They are 0 where x is 0.
     """
-    known = np.isfinite(x) & np.isfinite(y)
-    x = np.where(known, x, 0.0)
-    y = np.where(known, y, 0.0)
+    is_known = np.isfinite(x) & np.isfinite(y)
+    x = np.where(is_known, x, 0.0)
+    y = np.where(is_known, y, 0.0)
     square = (x**2).sum(axis=0)
     return np.divide((x * y).sum(axis=0), square, out=np.zeros_like(square), where=square > 0)
 
@@ -110,10 +110,10 @@ def step_targets(
     """
     base = batch["base"].to(std.dtype)
     target = batch["target"].to(std.dtype)
-    known = target.isfinite()
+    is_known = target.isfinite()
     target = target.nan_to_num()  # 0 × NaN is NaN
     residual = (target - gain * base[:, None]) / std
-    return residual, known * torch.exp(alpha * target.abs())
+    return residual, is_known * torch.exp(alpha * target.abs())
 
 
 def weighted_loss(predicted: Tensor, target: Tensor, weight: Tensor, robust: bool) -> Tensor:

@@ -262,11 +262,11 @@ def _rescale(values: Arrays, factor: float, ahead_m: Sequence[float]) -> None:
 
 
 def scale_path(path_1pm: np.ndarray, ahead_m: Sequence[float], factor: float) -> np.ndarray:
-    """Return the path ahead [W,R] in a world `factor` times as large, NaN where it is not known.
+    """Return the path ahead [W,R] in a world `factor` times as large, NaN where it is unknown.
 
-    A range there is 1 / factor of it here, so it overlaps several ranges of the labels, whose
-    curvature counts as constant within each. Where one of these is not known, or the labels end, it
-    is not known.
+    A range of that world is 1 / factor as long in the world of the labels. So it overlaps several
+    of their ranges, whose curvature counts as constant within each. It is unknown where one of
+    these is unknown, or where the labels end.
     """
     edges_m = np.array(ahead_m, np.float32)
     near = edges_m[:-1]
@@ -277,9 +277,9 @@ def scale_path(path_1pm: np.ndarray, ahead_m: Sequence[float], factor: float) ->
     ends = np.minimum(far[:, None] / factor, far)
     share = np.maximum(ends - starts, 0) * factor / (far - near)[:, None]
 
-    known = (share * np.isfinite(path_1pm)[:, None]).sum(axis=2) > 1 - 1e-4
+    is_known = (share * np.isfinite(path_1pm)[:, None]).sum(axis=2) > 1 - 1e-4
     scaled = (share * np.nan_to_num(path_1pm)[:, None]).sum(axis=2) / factor
-    return np.where(known, scaled, np.nan).astype(path_1pm.dtype)
+    return np.where(is_known, scaled, np.nan).astype(path_1pm.dtype)
 
 
 def _scale_radius(steering_rad: np.ndarray, factor: float) -> np.ndarray:

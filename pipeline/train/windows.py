@@ -196,8 +196,8 @@ class Reader:
         if frames < self.window:
             problem = f"scene: another needs a window of {self.window} frames (got {frames})"
             raise InputError(problem, file.path, "Remove the drive")
-        last = np.maximum(ends * frames // len(timeline.frame), self.window - 1)
-        return last[:, None] + np.arange(1 - self.window, 1)
+        scene_ends = np.maximum(ends * frames // len(timeline.frame), self.window - 1)
+        return scene_ends[:, None] + np.arange(1 - self.window, 1)
 
     def _finish(self, joined: JoinedBatch, device: torch.device) -> dict[str, Tensor]:
         """Copy a batch to a device, number its rows there, and scale its points."""

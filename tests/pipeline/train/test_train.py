@@ -127,8 +127,8 @@ def test_motion_and_base_of_a_batch(folder):
     unbased = batch_of(no_base, *group)
     assert batch["motion"].shape == (11 + 9, 4)
     assert batch["motion"].dtype == batch["base"].dtype == np.float32
-    last = batch["windows"][:, -1]
-    assert (batch["base"] == batch["motion"][last, ANGLE]).all()
+    last_frames = batch["windows"][:, -1]
+    assert (batch["base"] == batch["motion"][last_frames, ANGLE]).all()
     assert batch["motion"][11 + 5].tolist() == [pytest.approx(held[4], abs=1e-6), 0, 0, 0]
     assert batch["motion"][11 + 6, [SPEED, VALID]].tolist() == [8, 1]
     assert "motion" not in plain

@@ -94,6 +94,11 @@ class KittiDrive:
         """Return a calibrated camera. Raises InputError."""
         return read_calibration(self.calibration, number)
 
+    def is_rendered(self) -> bool:
+        """Return whether the drive is one of the sample's, by its calibration."""
+        path = self.calibration / CALIBRATION
+        return path.is_file() and path.read_text(errors="replace").startswith(f"{RENDERED}\n")
+
     def timeline(self, camera: int | None) -> tuple[list[int], Path]:
         """Return the numbers of the frames with an oxts packet, and the file with their times.
 
@@ -156,14 +161,9 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
         packet = _read(read_row, path, damaged)
         if packet is not None:
             oxts[number] = packet
-    numbers, times = files.timeline(chosen)
-    if not numbers or (not files.oxts and files.oxts_times.parent.is_dir()):
-        fix = "Extract it. Only if labels come from another labels.source: remove the empty folder"
-        raise InputError("drive has no oxts packets", files.oxts_times.parent, fix)
-
-    # Lines of timestamps.txt correspond to existing files, including damaged ones.
-    all_times_s = dict(zip(numbers, read_times(times, numbers).tolist(), strict=True))
-    time_s = {number: all_times_s[number] for number in oxts or numbers}
+    # A frame whose packet is damaged is left out.
+    all_times_s = _read_timeline(files, chosen)
+    time_s = {number: all_times_s[number] for number in oxts or all_times_s}
 
     values: dict[str, dict[int, Any]] = {}
     if oxts:
@@ -171,18 +171,11 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
     steering = files.folder / STEERING
     if steering.is_file():
         values["steering_rad"] = read_steering(steering)
-
-    dataset = "kitti"
-    calibration = files.calibration / CALIBRATION
-    if calibration.is_file():
-        text = calibration.read_text(errors="replace")
-        if text.startswith(f"{RENDERED}\n"):
-            dataset = "sample"
     scans = files.scans if settings.lidar else {}
     size = camera.size if camera else None
 
     def frames() -> Iterator[Frame]:
-        """Yield the frames, and add notes at the end."""
+        """Yield the frames. After the last one, raise an error of damaged files, or add notes."""
         faults = [*damaged]
         for number, seconds in time_s.items():
             frame = Frame(number, seconds)
@@ -206,14 +199,24 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
                 raise InputError(problem, lost[0].where)
 
         lines = []
-        without_frame = {*images, *scans} - {*numbers}
+        without_frame = {*images, *scans} - {*all_times_s}
         if without_frame:
             lines.append(f"{len(without_frame)} images or scans without a frame")
         if faults:
             lines.append(f"{len(faults)} damaged files left out")
         notes.extend(line for line in lines if line not in notes)
 
-    return Drive(camera, frames, values, notes, dataset)
+    return Drive(camera, frames, values, notes, "sample" if files.is_rendered() else "kitti")
+
+
+def _read_timeline(files: KittiDrive, camera: int | None) -> dict[int, float]:
+    """Return frame number → time in seconds of all frames, also of those with damaged files."""
+    numbers, times = files.timeline(camera)
+    folder = files.oxts_times.parent
+    if not numbers or (not files.oxts and folder.is_dir()):
+        fix = "Extract it. Only if labels come from another labels.source: remove the empty folder"
+        raise InputError("drive has no oxts packets", folder, fix)
+    return dict(zip(numbers, read_times(times, numbers).tolist(), strict=True))
 
 
 def _list_damage(faults: list[DamagedFile], lost_oxts: bool, settings: Reading) -> DamagedFile:
@@ -309,7 +312,8 @@ def _elsewhere(root: Path, name: str) -> str:
     place = f"{name[:10]}/{name}_sync"
     paths = [path for start in ("", "*/", "*/*/") for path in sorted(root.glob(f"{start}{name}*"))]
     for path in paths:
-        if path.suffix != ".zip" and not any(path.glob("*/data")):  # a folder around the drive
+        # A folder around the drive is not the drive.
+        if path.suffix != ".zip" and not any(path.glob("*/data")):
             continue
         if path.stem.endswith(UNSYNCED):
             return (

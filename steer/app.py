@@ -39,9 +39,7 @@ def _version(requested: bool) -> None:
 def steer(
     _: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True)] = False,
 ) -> None:
-    """Measure motion, predict steering angles with a trained model, import recordings, and inspect
-    data.
-    """
+    """Measure motion, predict angles with a trained model, import recordings, and inspect data."""
 
 
 def show(

@@ -100,7 +100,7 @@ def cut_recording(
     for rows in cut(used, time_s, shares):
         if "wheel" in logs and not np.isfinite(logs["wheel"].at(time_s[rows])).any():
             raise InputError("a part has no image with an angle", "--wheel", "Check its times")
-        # In whole milliseconds; the end is behind the last image, which it would leave out.
+        # In whole milliseconds. An end leaves out its own image, so it is 2 ms behind the last one.
         part_s = time_s[rows] - time_s[0]
         changes["start"] = math.floor(part_s[0] * 1e3) / 1e3
         changes["end"] = round(math.ceil(part_s[-1] * 1e3) / 1e3 + 0.002, 3)

@@ -1,6 +1,4 @@
-"""Small artefacts of earlier stages, made of arithmetic, so that a stage can be tested without
-running those before.
-"""
+"""Write small artefacts of arithmetic, so that a stage is tested without running those before."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -35,7 +33,8 @@ VARIANTS: dict[str, dict[str, Any]] = {
         "neighbours": [6, 4],
     },
 }
-MEASURED = {"measured": 0}  # attributes of files of labels
+# Attributes of files of labels.
+MEASURED = {"measured": 0}
 LABELS = {"labels": {"wheelbase_m": WHEELBASE_M, "min_speed_mps": 1.0}}
 
 
@@ -52,17 +51,15 @@ class Trap:
 def bend(
     curvature_1pm: float, points: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return xyz [points,3] and cls of a road that bends left with `curvature_1pm`, and walls along
-    it.
-    """
+    """Return xyz [points,3] and cls of a road that bends left, and of walls along it."""
     z = rng.uniform(3, 40, points)
     wall = rng.random(points) < 0.4
     offset = np.where(wall, rng.choice([-8.0, 8.0], points), rng.uniform(-4, 4, points))
     y = np.where(wall, rng.uniform(-3, CAMERA_HEIGHT_M, points), CAMERA_HEIGHT_M)
     x = offset - curvature_1pm * z**2 / 2  # the camera's x points right
-    return np.stack([x, y, z], axis=1).astype(np.float32), np.where(wall, BUILDING, ROAD).astype(
-        np.uint8
-    )
+    xyz = np.stack([x, y, z], axis=1).astype(np.float32)
+    cls = np.where(wall, BUILDING, ROAD).astype(np.uint8)
+    return xyz, cls
 
 
 def write_labels(
@@ -72,18 +69,22 @@ def write_labels(
     valid: Any = None,
     ahead_m: Sequence[float] = (),
 ) -> None:
-    """Write a drive's labels file for frames [F] at 10 Hz and 8 m/s, with the path ahead if there
-    are edges.
+    """Write a drive's labels file for frames [F] at 10 Hz and 8 m/s.
+
+    It has the path ahead if there are edges `ahead_m`.
     """
+    if valid is None:
+        valid = np.ones(len(frame), bool)
     speed_mps = np.full(len(frame), 8.0)
-    params = {"labels": LABELS["labels"] | {"ahead_m": [*ahead_m]}} if ahead_m else LABELS
+    yaw_rate_radps = speed_mps * np.tan(steering_rad) / WHEELBASE_M
+    labels = label.Labels(steering_rad, valid, speed_mps, yaw_rate_radps)
+    settings: dict[str, Any] = dict(LABELS["labels"])
+    if ahead_m:
+        settings["ahead_m"] = [*ahead_m]
+    params = {"labels": settings}
     with store.DriveWriter(path, stage="labels", drive=path.stem, params=params) as file:
         file.attrs |= MEASURED
-        rates = speed_mps, speed_mps * np.tan(steering_rad) / WHEELBASE_M
-        labels = label.Labels(
-            steering_rad, np.ones(len(frame), bool) if valid is None else valid, *rates
-        )
-        source.write_labels(file, frame, frame * 0.1, labels, Labels(**params["labels"]))
+        source.write_labels(file, frame, frame * 0.1, labels, Labels(**settings))
 
 
 def stripes(steering_rad: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -108,46 +109,44 @@ def write_graphs(
     and the last is smaller than its centres.
     """
     rng = rng or np.random.default_rng(0)
+    frames = []
     if kind == "image":
-        frames = (
-            {"image": graph_file.Column(image[None], "RGB", "ptr")}
-            for image in stripes(steering_rad, rng)
-        )
         empty = {"image": graph_file.Column(np.empty((0, 32, 48, 3), np.uint8), "RGB", "ptr")}
+        for image in stripes(steering_rad, rng):
+            frames.append({"image": graph_file.Column(image[None], "RGB", "ptr")})
     else:
         variant = Variant(source="clouds/pseudo", points=points, **VARIANTS[kind])
+        empty = frame_graph.empty_frame(variant)
         counts = [points] * len(frame)
         if kind == "pointnet2":
             counts = [points - 2 * (row % 3) for row in range(len(frame) - 1)] + [7]
-        curvature_1pm = np.tan(steering_rad) / WHEELBASE_M
-        clouds = (
-            bend(value, count, rng) for value, count in zip(curvature_1pm, counts, strict=True)
-        )
-        frames, empty = (
-            (frame_graph.connect(cloud, variant, rng) for cloud in clouds),
-            frame_graph.empty_frame(variant),
-        )
+        curvatures_1pm = np.tan(steering_rad) / WHEELBASE_M
+        for curvature_1pm, count in zip(curvatures_1pm, counts, strict=True):
+            cloud = bend(curvature_1pm, count, rng)
+            frames.append(frame_graph.connect(cloud, variant, rng))
     with store.DriveWriter(path, stage="graphs", drive=path.stem, params=GRAPHS) as file:
         graph_file.write(file, frame, frame * 0.1, frames, empty)
 
 
 def add_motion(path: Path, steering_rad: np.ndarray, valid: np.ndarray | None = None) -> None:
-    """Add to a graphs file the motion of a car that steers `steering_rad` [G] at 8 m/s; 0 where it
-    is not `valid`.
+    """Add to a graphs file the motion of a car that steers `steering_rad` [G] at 8 m/s.
+
+    It is 0 in frames that are not `valid`.
     """
-    valid = np.ones(len(steering_rad), np.uint8) if valid is None else valid.astype(np.uint8)
+    if valid is None:
+        valid = np.ones(len(steering_rad), bool)
     speed_mps = np.where(valid, 8.0, 0.0)
+    yaw_rate_radps = speed_mps * np.tan(steering_rad) / WHEELBASE_M
     with h5py.File(path, "a") as file:
-        file["motion_yaw_rate_radps"] = (speed_mps * np.tan(steering_rad) / WHEELBASE_M).astype(
-            np.float32
-        )
+        file["motion_yaw_rate_radps"] = yaw_rate_radps.astype(np.float32)
         file["motion_speed_mps"] = speed_mps.astype(np.float32)
-        file["motion_valid"] = valid
+        file["motion_valid"] = valid.astype(np.uint8)
 
 
 def collate(*spans: tuple[graph_file.Graphs, int, int]) -> dict[str, np.ndarray]:
     """Return the frames [start, stop) of graph files as one batch."""
-    return {name: rows.numpy() for name, rows in number_rows(join(spans), spans[0][0]).items()}
+    graphs, _, _ = spans[0]
+    return {name: rows.numpy() for name, rows in number_rows(join(spans), graphs).items()}
 
 
 def write_index(folder: Path, splits: dict[str, str]) -> None:
@@ -169,10 +168,12 @@ def write_dataset(
     `motion` is measured from the second frame on.
     """
     rng = np.random.default_rng(0)
+    frame = np.arange(frames)
     for drive in splits:
-        phase, rate = rng.uniform(0, 6), rng.uniform(0.1, 0.3)
-        steering_rad = 0.12 * np.sin(phase + rate * np.arange(frames))
-        graphs, frame = root / f"graphs/semantic/{drive}.h5", np.arange(frames)
+        phase = rng.uniform(0, 6)
+        rate = rng.uniform(0.1, 0.3)
+        steering_rad = 0.12 * np.sin(phase + rate * frame)
+        graphs = root / f"graphs/semantic/{drive}.h5"
         write_graphs(graphs, steering_rad, frame, points, kind, rng)
         write_labels(root / f"labels/{drive}.h5", steering_rad, frame, ahead_m=ahead_m)
         if motion:
@@ -187,47 +188,50 @@ def write_recorded(
     oxts: np.ndarray | None = None,
     steering_rad: dict[int, float] | None = None,
 ) -> None:
-    """Write an ingest file without images: frames [F] at 10 Hz with packets [F,30] or recorded
-    angles, or neither.
+    """Write an ingest file without images, of frames [F] at 10 Hz.
+
+    It may have packets [F,30], and recorded angles: frame number → angle.
     """
+    values: dict[str, Any] = {"steering_rad": steering_rad or {}}
+    if oxts is not None:
+        values["oxts"] = dict(zip(frame.tolist(), oxts, strict=True))
     settings = Reading(image_size=(32, 32), cameras=[2], lidar=True, on_damaged="fail")
-    packets = {} if oxts is None else {"oxts": dict(zip(frame.tolist(), oxts, strict=True))}
     frames = [Frame(number, row / 10) for row, number in enumerate(frame.tolist())]
-    drive = Drive(None, lambda: iter(frames), packets | {"steering_rad": steering_rad or {}})
+    drive = Drive(None, lambda: iter(frames), values)
     write_drive(path, drive, path.stem, "recording", settings)
 
 
 def write_motion(
     folder: Path, drive: str, rows: dict[int, tuple[float, float]], stands: Sequence[int] = ()
 ) -> None:
-    """Write measured motion: frame number → speed and yaw rate; 0, 0 is not measured, in `stands`
-    as nothing moves.
+    """Write measured motion: frame number → speed and yaw rate.
 
-    Frames are 10 s apart, so that means over neighbours are the frames' own values.
+    In frames with 0, 0 it is not measured; in frames of `stands`, because nothing moves. Frames are
+    10 s apart, so that means over neighbours are the frames' own values.
     """
+    frame = np.array(list(rows))
     speed, yaw_rate = np.array(list(rows.values()), np.float32).reshape(-1, 2).T
-    forth = np.tile(np.eye(4, dtype=np.float32), (len(rows), 1, 1))
-    forth[:, 2, 3] = speed / 10
+    problem = np.where(speed == 0, PROBLEMS.index("no common motion of the scene"), 0)
+    problem[np.isin(frame, stands)] = PROBLEMS.index(STANDSTILL[0])
+    T_before_now = np.tile(np.eye(4, dtype=np.float32), (len(rows), 1, 1))
+    T_before_now[:, 2, 3] = speed / 10
     with store.DriveWriter(folder / f"{drive}.h5", stage="motion", drive=drive, params={}) as file:
-        file.put("frame", np.array(list(rows), np.int32))
-        file.put("time_s", np.array(list(rows)) * 10.0)
-        for name in ("speed_mps", "filtered_mps"):
-            file.put(name, speed)
+        file.put("frame", frame.astype(np.int32))
+        file.put("time_s", frame * 10.0)
+        file.put("speed_mps", speed)
+        file.put("filtered_mps", speed)
         file.put("yaw_rate_radps", yaw_rate)
         file.put("valid", (speed != 0).astype(np.uint8))
-        problem = PROBLEMS.index("no common motion of the scene") * (speed == 0)
-        problem[np.isin(list(rows), stands)] = PROBLEMS.index(STANDSTILL[0])
         file.put("problem", problem.astype(np.uint8))
-        for name, value in {"road_height_m": 1, "speed_sigma": 0.05, "scale": 1}.items():
-            file.put(name, np.full(len(rows), value, np.float32))
-        file.put("T_before_now", forth)
+        file.put("road_height_m", np.full(len(rows), 1, np.float32))
+        file.put("speed_sigma", np.full(len(rows), 0.05, np.float32))
+        file.put("scale", np.full(len(rows), 1, np.float32))
+        file.put("T_before_now", T_before_now)
 
 
 def points(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Return random points [P,3] in metres and classes [P], with more spread ahead than to the
-    sides.
-    """
+    """Return random points [P,3] in metres and classes [P]; most spread is ahead."""
     rng = np.random.default_rng(seed)
-    return (rng.normal(size=(count, 3)) * [10, 2, 30]).astype(np.float32), rng.integers(
-        0, 4, count, np.uint8
-    )
+    xyz = rng.normal(size=(count, 3)) * [10, 2, 30]
+    cls = rng.integers(0, 4, count, np.uint8)
+    return xyz.astype(np.float32), cls

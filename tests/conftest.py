@@ -1,5 +1,6 @@
-"""Shared fixtures. Real data lies beside the checkout and is never part of it (KITTI is
-non-commercial).
+"""Define shared fixtures.
+
+Real data lies beside the checkout and is never part of it, as KITTI is non-commercial.
 """
 
 import os
@@ -23,9 +24,7 @@ SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 
 def _real(name: str) -> Callable[[], Path]:
-    """Return the fixture of a folder of real data; tests that use it are skipped where it is
-    absent.
-    """
+    """Return the fixture of a folder of real data; without it, tests that use it are skipped."""
 
     @pytest.fixture(scope="session")
     def folder() -> Path:
@@ -38,13 +37,13 @@ def _real(name: str) -> Callable[[], Path]:
 
 @pytest.fixture
 def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A copy of the code that stage check and cache keys read instead of the project's own."""
+    """Return a copy of the code, which stage check and cache keys read instead of the project's."""
     from pipeline.base import resume
 
     folder = tmp_path / "checkout"
-    for name in (*resume.PACKAGES, "dvc.yaml"):
-        path = resume.ROOT / name
-        shutil.copytree(path, folder / name) if path.is_dir() else shutil.copy(path, folder / name)
+    for name in resume.PACKAGES:
+        shutil.copytree(resume.ROOT / name, folder / name)
+    shutil.copy(resume.ROOT / "dvc.yaml", folder)
     monkeypatch.setattr(resume, "ROOT", folder)
     monkeypatch.setattr(resume, "_LOADED", {})
     return folder
@@ -52,7 +51,7 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture(params=["cpu", "cuda"])
 def device(request: pytest.FixtureRequest) -> str:
-    """Each device; tests on a GPU are skipped where there is none."""
+    """Return each device; tests on a GPU are skipped without one."""
     import torch
 
     if request.param == "cuda" and not torch.cuda.is_available():
@@ -69,12 +68,13 @@ real_camvid = _real("camvid")  # test images and labels
 
 @pytest.hookimpl(tryfirst=True)  # before pytest selects by markers
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Start the chain first, and beside it the stages: the longest files, one process of
-    pytest-xdist each.
-    """
-    items.sort(
-        key=lambda item: (
-            item.path.stem != "test_chain",
-            item.path.parent.name not in ("stages", "steer"),
-        )
-    )
+    """Start the chain first, then stages and steer: a process of pytest-xdist takes a file."""
+
+    def rank(item: pytest.Item) -> int:
+        if item.path.stem == "test_chain":
+            return 0
+        if item.path.parent.name in ("stages", "steer"):
+            return 1
+        return 2
+
+    items.sort(key=rank)

@@ -1,6 +1,4 @@
-"""dvc.yaml agrees with the code: a stage depends on every file that it imports, and on little
-else.
-"""
+"""dvc.yaml agrees with the code: a stage depends on each file it imports, and on little else."""
 
 import ast
 import re
@@ -21,9 +19,10 @@ NETWORKS = {
     "${item.spatial}": "models/steering/spatial",
     "${item.temporal}": "models/steering/temporal",
 }
-FOUND = {"pipeline/ingest", "pipeline/labels"}  # with files that are found by their names
-# that these stages list although they do not import every file; of other packages they list single
-# files
+# Packages with files that are found by their names.
+FOUND = {"pipeline/ingest", "pipeline/labels"}
+# Stage → packages that it lists although it does not import every file. Of other packages it lists
+# single files.
 PACKAGES = {
     "perception": {"pipeline/base", "pipeline/camera", "models/encoder"},
     "clouds": {"pipeline/base", "pipeline/camera"},
@@ -41,21 +40,23 @@ def _files(dep: str) -> set[Path]:
             return _files(folder)
     path = resume.ROOT / dep
     assert path.exists(), dep
-    # a template imports nothing
-    files = path.rglob("*.py") if path.is_dir() else {path} - {path.with_suffix(".j2")}
-    return {file.relative_to(resume.ROOT) for file in files}
+    files = [path]
+    if path.is_dir():
+        files = [*path.rglob("*.py")]
+    # A template imports nothing.
+    return {file.relative_to(resume.ROOT) for file in files if file.suffix != ".j2"}
 
 
 def test_one_name_five_places():
-    """A file of stages/, an entry of dvc.yaml, a section, a folder of data/, and a room of
-    pipeline/.
-    """
+    """A file of stages/, an entry of dvc.yaml, a section, a folder of data/ and of pipeline/."""
     files = {path.stem for path in (resume.ROOT / "stages").glob("*.py")}
     rooms = {path.name for path in (resume.ROOT / "pipeline").iterdir() if any(path.glob("*.py"))}
     assert files == set(STAGES) == rooms - {"base", "camera"}
     for name, stage in STAGES.items():
-        argument = r' "\${DVC_STAGE#*@}"' if "foreach" in stage else ""
-        assert stage["cmd"] == f"python -m stages.{name}{argument}"
+        command = f"python -m stages.{name}"
+        if "foreach" in stage:
+            command += r' "\${DVC_STAGE#*@}"'
+        assert stage["cmd"] == command
         for out in _outs(stage):
             assert out.split("/")[:2] == ["data", name]
 
@@ -65,15 +66,12 @@ def test_no_two_rooms_have_a_module_of_one_name():
     places: dict[str, set[str]] = {}
     for folder in ("pipeline", "models", "steer", "benchmarks"):
         for file in (resume.ROOT / folder).rglob("*.py"):
-            parts = file.relative_to(resume.ROOT).parts
-            places.setdefault(file.stem, set()).add(
-                "/".join(parts[:2]) if folder == "pipeline" else folder
-            )
-    assert {name for name, rooms in places.items() if len(rooms) > 1} == {
-        "doubts",
-        "fit",
-        "settings",
-    }
+            room = folder
+            if folder == "pipeline":
+                _, room, *_ = file.relative_to(resume.ROOT).parts
+            places.setdefault(file.stem, set()).add(room)
+    twice = {name for name, rooms in places.items() if len(rooms) > 1}
+    assert twice == {"doubts", "fit", "settings"}
 
 
 @pytest.mark.parametrize("name", STAGES)
@@ -87,27 +85,24 @@ def test_what_a_stage_imports_is_covered(name):
     imported = resume.with_imports(files)
     assert imported <= _covered(name)
     if name in PACKAGES:
-        assert _covered(name) - imported <= {
-            path for package in PACKAGES[name] for path in _files(package)
-        }
+        packages = {path for package in PACKAGES[name] for path in _files(package)}
+        assert _covered(name) - imported <= packages
     else:
-        assert all(_files(dep) & imported for dep in _code(name)), "a dep that is not used"
+        for dep in _code(name):
+            assert _files(dep) & imported, f"{dep} is not used"
 
 
 @pytest.mark.parametrize("name", STAGES)
 def test_deps_on_data_are_exactly_outs(name):
-    """Depending on a parent folder of outputs would miss the order of stages. Only report, which
-    collects, may.
-    """
+    """Depending on a parent folder of outputs would miss the order of stages; report may do so."""
     outs = {out for stage in STAGES.values() for out in _outs(stage)}
     sources = {f"data/{source}" for source in get_args(Variant.model_fields["source"].annotation)}
     for dep in STAGES[name]["deps"]:
+        if not dep.startswith("data/"):
+            continue
         if dep == "data/${item.source}":
             assert sources <= outs
-        elif dep.startswith("data/") and (name, dep) not in {
-            ("report", "data/evaluate"),
-            ("report", "data/train"),
-        }:
+        elif name != "report" or dep not in ("data/evaluate", "data/train"):
             assert re.sub(r"\$\{item\.\w+\}", "${key}", dep) in outs
 
 
@@ -115,19 +110,26 @@ def test_deps_on_data_are_exactly_outs(name):
 def test_sections_that_a_stage_reads_are_its_params(name):
     tree = ast.parse((resume.ROOT / "stages" / f"{name}.py").read_text())
     modules = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
-    read = {
-        module.split(".")[1]
-        for module in modules
-        if re.fullmatch(r"pipeline\.\w+\.settings", module)
-    }
-    read |= {"models"} & {"models" for module in modules if module == "pipeline.train.entry"}
-    listed = {param.split(".")[0] for param in STAGES[name].get("params", [])}
+    read = set()
+    for module in modules:
+        if re.fullmatch(r"pipeline\.\w+\.settings", module):
+            read.add(module.split(".")[1])
+        if module == "pipeline.train.entry":
+            read.add("models")
     # check depends on the whole file; of models, report reads only names.
-    assert listed == {"check": set(), "report": {"models", "evaluate"}}.get(name, read)
+    expected = {"check": set(), "report": {"models", "evaluate"}}
+    listed = {param.split(".")[0] for param in STAGES[name].get("params", [])}
+    assert listed == expected.get(name, read)
 
 
 def _outs(stage: dict[str, Any]) -> list[str]:
-    return [next(iter(out)) if isinstance(out, dict) else out for out in stage.get("outs", [])]
+    """Return the outputs of a stage; one with options is a mapping from its path."""
+    outs = []
+    for out in stage.get("outs", []):
+        if isinstance(out, dict):
+            (out,) = out
+        outs.append(out)
+    return outs
 
 
 def _covered(name: str) -> set[Path]:

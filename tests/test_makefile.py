@@ -62,9 +62,9 @@ def checkout(tmp_path) -> Path:
 
 def start(checkout: Path, target: str) -> subprocess.Popen[str]:
     """Start make without the target setup, which would install packages."""
-    environment = {
-        name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "MAKEFLAGS")
-    }
+    environment = dict(os.environ)
+    for name in ("PYTHONPATH", "MAKEFLAGS"):
+        environment.pop(name, None)
     command = ["make", "-o", "setup", "VENV=fake", target]
     pipe = subprocess.PIPE
     return subprocess.Popen(
@@ -114,7 +114,7 @@ def test_a_preset_runs_in_a_copy_of_the_code(checkout):
     ]
     assert (checkout / "calls").read_text().splitlines() == first
 
-    # a user's file stays, one that the code no longer has goes
+    # A user's file stays, one that the code no longer has goes.
     (folder / "pipeline/mine.py").write_text("mine")
     lock = (folder / "dvc.lock").read_text()
     make(checkout, "kitti")
@@ -201,9 +201,8 @@ def test_other_weights_under_the_same_name_change_the_settings(tmp_path, monkeyp
     Path("encoder.pt").write_text("second")
     run.take_weights(encoder, Path("params.yaml"))
     assert encoder["weights_sha256"] != first["weights_sha256"]
-    with pytest.raises(
-        InputError, match=r"encoder.pt: is not the file whose hash .* Repeat make NAME"
-    ):
+    problem = r"encoder.pt: is not the file whose hash .* Repeat make NAME"
+    with pytest.raises(InputError, match=problem):
         create.create(Encoder(**first))
     preset.write({"encoder": first}, Path("params.yaml"), "make roads")
     Path("encoder.pt").unlink()  # results of the earlier run need no weights
@@ -252,7 +251,8 @@ def test_the_demo_ends_all_trainings_before_it_shows_a_failure(checkout):
     done = make(checkout, "demo")
     assert done.returncode != 0
     calls = (checkout / "calls").read_text().splitlines()
-    assert (calls[0], calls[-1]) == ("config --local core.no_scm true", "trained train@works")
+    assert calls[0] == "config --local core.no_scm true"
+    assert calls[-1] == "trained train@works"
     assert "train@fails: loss is nan" in done.stderr
 
 
@@ -273,8 +273,6 @@ def test_a_revision_names_the_commit_and_edits_of_the_code(tmp_path):
 
 def test_no_preset_has_the_name_of_a_target():
     text = (ROOT / "Makefile").read_text()
-    targets = {
-        *re.findall(r"^([a-z]+):", text, re.MULTILINE),
-        *re.search("CLOSED := (.*)", text)[1].split(),
-    }
-    assert targets == {*preset.TARGETS}
+    targets = re.findall(r"^([a-z]+):", text, re.MULTILINE)
+    closed = re.search("CLOSED := (.*)", text)[1].split()
+    assert {*targets, *closed} == {*preset.TARGETS}

@@ -39,9 +39,7 @@ def guarded(main: Callable[..., object]) -> Callable[..., None]:
 
 def _message(error: BaseException) -> str:
     if isinstance(error, OSError) and error.strerror:
-        if error.filename:
-            return f"{error.filename}: {error.strerror}"
-        return error.strerror
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     if isinstance(error, KeyboardInterrupt):
         return "interrupted. Repeat the command to continue: complete files are kept"
     return str(error)

@@ -280,15 +280,15 @@ class Code:
         return digest([meanings, versions])
 
     def check_unedited(self) -> None:
-        """Raise InputError if code was edited between the start, the import and now."""
+        """Raise InputError unless code has one meaning: at the start, as loaded, and on disk."""
         for file, stamp in self.stamps.items():
             now = _stamp(ROOT / file)
             loaded = _LOADED.get(file, now)
             if stamp == loaded == now:
                 continue
 
-            # The file was written since. An edit without a meaning counts for nothing. This process
-            # loaded the version of the start or the present one; any other version is unknown.
+            # The file was written since. That is no edit if both versions have one meaning, and
+            # this process loaded one of them: any other version is unknown.
             content = b""
             if now != MISSING:
                 content = (ROOT / file).read_bytes()

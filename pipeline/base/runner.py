@@ -61,8 +61,7 @@ def file_jobs(
     jobs = []
     for drive in drives:
         files = {name: folder / f"{drive}.h5" for name, folder in inputs.items()}
-        job = Job(drive, target.format(drive), [*files.values()], partial(work, **files))
-        jobs.append(job)
+        jobs.append(Job(drive, target.format(drive), [*files.values()], partial(work, **files)))
     return jobs
 
 

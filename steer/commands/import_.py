@@ -1,5 +1,4 @@
-"""Import your own recording: write a preset that trains networks on its first part and tests them
-on its last.
+"""Import your own recording: write a preset that trains on its first part and tests on its last.
 
 data/raw/NAME gets links to the files, or copies (--copy), and presets/NAME.yaml the parts: 60 %, 20
 % and 20 % of the time, less 2 s between them. Then `make NAME` runs the chain. An edited log is
@@ -58,7 +57,7 @@ def import_recording(
     from pipeline.ingest.settings import Part
     from steer import import_recording as importing
 
-    # Files of each recording: all of them are one, unless each is one.
+    # All files are one recording, or with --each, each file is one.
     shares = read_shares(split)
     groups = [recording]
     if each:
@@ -83,7 +82,8 @@ def import_recording(
     importing.check_checkout(Path.cwd())
     importing.check_free(preset, images)
 
-    # Faults of all options and logs are found before the first video is decoded.
+    # Each recording as one part, with its options. Faults of all options and logs are found before
+    # the first video is decoded.
     wholes = []
     for folder, own_options in zip(folders, options_of, strict=True):
         whole = from_python(Part, {**own_options, "folder": folder, "files": {}})

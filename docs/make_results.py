@@ -81,9 +81,10 @@ def pages(runs: dict[str, Results]) -> dict[Path, str]:
     def table(match: re.Match[str]) -> str:
         start, run, group, name, columns, end = match.groups()
         full = TABLES[name](Comparison(runs[run], group))
-        rows = [
-            {head: row.get(head, tables.NONE) for head in columns.split("; ")} for row in full.rows
-        ]
+        heads = columns.split("; ")
+        rows = []
+        for row in full.rows:
+            rows.append({head: row.get(head, tables.NONE) for head in heads})
         return start + with_minus(tables.Table("", rows).markdown()) + end
 
     texts = {page: page.read_text(encoding="utf-8") for page in PAGES}

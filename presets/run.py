@@ -236,8 +236,12 @@ def next_command(name: str, run: Path, settings: dict[str, Any]) -> str:
     """Return the command after a run: a prediction with the lens of a recording, or the next
     run.
     """
-    drives, recordings = settings["ingest"]["drives"], settings["ingest"].get("recordings", {})
-    for part in [recordings[drive] for drive in drives["test"] if drive in recordings]:
+    ingest = settings["ingest"]
+    recordings = ingest.get("recordings", {})
+    for drive in ingest["drives"]["test"]:
+        if drive not in recordings:
+            continue
+        part = recordings[drive]
         lens = [
             f"--{key} {part[key]}" for key in ("fov", "K", "distortion", "fisheye") if key in part
         ]

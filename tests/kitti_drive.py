@@ -37,10 +37,8 @@ def write_drive(
             write_png(folder / f"truth/cls/{name}.png", rng.integers(0, 19, SIZE, np.uint8))
         write(folder / f"velodyne_points/data/{name}.bin", scan(rng).tobytes())
         row = rng.normal(0, 0.1, 30)
-        row[MOTION["speed_mps"]], row[MOTION["yaw_rate_radps"]] = (
-            rng.uniform(2, 12),
-            rng.normal(0, 0.2),
-        )
+        row[MOTION["speed_mps"]] = rng.uniform(2, 12)
+        row[MOTION["yaw_rate_radps"]] = rng.normal(0, 0.2)
         write(folder / f"oxts/data/{name}.txt", " ".join(f"{x:.12f}" for x in row) + "\n")
     write(
         folder / "oxts/timestamps.txt",
@@ -137,10 +135,11 @@ def _numbers(values: np.ndarray) -> str:
 
 
 def _rotation(angle: float) -> np.ndarray:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ np.array(
-        [[1, 0, 0], [0, c, -s], [0, s, c]]
-    )
+    c = np.cos(angle)
+    s = np.sin(angle)
+    about_z = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    about_x = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+    return about_z @ about_x
 
 
 def pictures(count: int, size: tuple[int, int] = SIZE) -> np.ndarray:

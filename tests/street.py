@@ -23,14 +23,15 @@ K = np.array([[40.0, 0.0, 31.0], [0.0, 40.0, 12.0], [0.0, 0.0, 1.0]])
 # velodyne x forward, y left, z up → camera x right, y down, z forward, with a small offset
 T_CAM_VELO = np.array([[0.0, -1, 0, 0.0], [0, 0, -1, -0.1], [1, 0, 0, -0.3], [0, 0, 0, 1]])
 CAMERA = Camera(K, SIZE)  # of the files: a few kilobytes
-# of motion
-WIDE, FINER = (
-    Camera(np.array([[180.0, 0.0, 159.5], [0.0, 180.0, 44.0], [0.0, 0.0, 1.0]]), (96, 320)),
-    2,
-)
+# The camera of drives whose motion is measured.
+WIDE = Camera(np.array([[180.0, 0.0, 159.5], [0.0, 180.0, 44.0], [0.0, 0.0, 1.0]]), (96, 320))
+# Factor by which images are rendered larger than the camera's.
+FINER = 2
 
-
-HALF_WIDTH_M, END_M, ROOF_M = 7.0, 60.0, 5.0
+# The street between two walls with an end, in metres.
+HALF_WIDTH_M = 7.0
+END_M = 60.0
+ROOF_M = 5.0
 
 
 @cache
@@ -42,7 +43,8 @@ def _texture(a: np.ndarray, b: np.ndarray, seed: int) -> np.ndarray:
     """Return brightness at places in metres on a surface: noise at 0.4, 1.6 and 6.4 m."""
     total = np.zeros_like(a)
     for octave, grain_m in enumerate((0.4, 1.6, 6.4)):
-        u, v = (np.float32(np.mod(axis / grain_m, 250)) for axis in (a, b))
+        u = np.float32(np.mod(a / grain_m, 250))
+        v = np.float32(np.mod(b / grain_m, 250))
         total += cv2.remap(_noise(10 * seed + octave), u, v, cv2.INTER_LINEAR)
     return total / 3
 
@@ -50,20 +52,24 @@ def _texture(a: np.ndarray, b: np.ndarray, seed: int) -> np.ndarray:
 def view(
     T_world_cam: np.ndarray, camera: Camera = WIDE
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return image uint8 [H,W,3], depth float32 [H,W] in metres, 0 in the sky, and trainIds, as
-    seen from a pose.
+    """Return what is seen from a pose: an image, depth and classes.
 
-    The world's frame is that of a camera at the beginning of the street, which leads along z.
+    The image is uint8 [H,W,3], depth float32 [H,W] in metres, 0 in the sky, and classes are
+    trainIds [H,W]. The world's frame is that of a camera at the beginning of the street, which leads
+    along z.
     """
-    fine = camera.size[0] * FINER, camera.size[1] * FINER
-    # aliases of a coarse image would not move as it does
+    # Aliases of a coarse image would not move as it does.
+    height, width = camera.size
+    fine = (height * FINER, width * FINER)
     grey, *_ = _render(T_world_cam, camera.scaled(fine).K, fine)
-    image = cv2.resize(grey, camera.size[::-1], interpolation=cv2.INTER_AREA).astype(np.uint8)
-    _, depth, which, sky = _render(T_world_cam, camera.K, camera.size)
-    cls = np.where(sky, classes.SKY, np.where(which == 0, classes.ROAD, classes.BUILDING)).astype(
-        np.uint8
-    )
-    return np.repeat(image[..., None], 3, axis=-1), np.where(sky, 0, depth).astype(np.float32), cls
+    grey = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA).astype(np.uint8)
+    image = np.repeat(grey[..., None], 3, axis=-1)
+
+    _, depth_m, which, sky = _render(T_world_cam, camera.K, camera.size)
+    cls = np.where(which == 0, classes.ROAD, classes.BUILDING).astype(np.uint8)
+    cls[sky] = classes.SKY
+    depth_m[sky] = 0
+    return image, depth_m.astype(np.float32), cls
 
 
 def _render(
@@ -80,7 +86,8 @@ def _render(
             (END_M - origin[2]) / direction[..., 2],
         ]
     depth = np.stack([np.where(plane > 0, plane, np.inf) for plane in planes])
-    which, depth = depth.argmin(axis=0), depth.min(axis=0)
+    which = depth.argmin(axis=0)
+    depth = depth.min(axis=0)
     place = origin + direction * np.where(np.isfinite(depth), depth, 0)[..., None]
     grey = np.choose(
         which,
@@ -96,29 +103,29 @@ def _render(
 
 
 def pose(heading_rad: float, x: float, z: float) -> np.ndarray:
-    """Return T_world_cam [4,4] of a camera that looks `heading_rad` to the left of the street, at x
-    and z in metres.
+    """Return T_world_cam [4,4] of a camera at x and z in metres.
+
+    It looks `heading_rad` to the left of the street.
     """
-    T = np.eye(4)
-    T[0, 0] = T[2, 2] = np.cos(heading_rad)
-    T[0, 2], T[2, 0] = -np.sin(heading_rad), np.sin(heading_rad)
-    T[0, 3], T[2, 3] = x, z
-    return T
+    cosine = np.cos(heading_rad)
+    sine = np.sin(heading_rad)
+    return np.array([[cosine, 0, -sine, x], [0, 1, 0, 0], [sine, 0, cosine, z], [0, 0, 0, 1]])
 
 
 def arc(frames: int, yaw_rate_radps: float, speed_mps: float) -> list[np.ndarray]:
     """Return the poses of a camera on a circle, or a straight line, left +, every 0.1 s."""
     dt_s = 0.1
-    poses, heading, x, z = [], -yaw_rate_radps * dt_s * frames / 2, 0.0, 0.0
+    poses = []
+    heading = -yaw_rate_radps * dt_s * frames / 2
+    x = 0.0
+    z = 0.0
     for _ in range(frames):
         poses.append(pose(heading, x, z))
         middle = heading + yaw_rate_radps * dt_s / 2
         chord = speed_mps * dt_s * np.sinc(yaw_rate_radps * dt_s / 2 / np.pi)
-        x, z, heading = (
-            x - chord * np.sin(middle),
-            z + chord * np.cos(middle),
-            heading + yaw_rate_radps * dt_s,
-        )
+        x -= chord * np.sin(middle)
+        z += chord * np.cos(middle)
+        heading += yaw_rate_radps * dt_s
     return poses
 
 

@@ -19,7 +19,9 @@ from pipeline.perception.settings import Perception
 from tests import street
 from tests.flat_ground import write_encoder
 
-KNOWN, FRAMES = 8, 14
+# Number of frames of the drive, and of those that a causal value may depend on.
+FRAMES = 14
+KNOWN = 8
 READING = Reading(image_size=street.WIDE.size, cameras=[2], lidar=False, on_damaged="fail")
 VARIANT = Variant(source="clouds/pseudo", points=200, k=4, keep_inter_class=0.2, accumulate=3)
 

@@ -110,7 +110,9 @@ def evaluate_model(
 
     `first`: the network of the model's first seed.
     """
-    drives = {split: [case.drive for case in of_split] for split, of_split in cases.items()}
+    drives = {}
+    for split, of_split in cases.items():
+        drives[split] = [case.drive for case in of_split]
     tested = drives["test"]
     result: dict[str, Any] = {
         "model": name,

@@ -76,12 +76,20 @@ class Table(NamedTuple):
     @property
     def heads(self) -> list[str]:
         """The headings that have a value in a row."""
-        heads = dict.fromkeys(head for row in self.rows for head in row)
-        return [head for head in heads if any(row.get(head, NONE) != NONE for row in self.rows)]
+        heads: dict[str, bool] = {}
+        for row in self.rows:
+            for head, cell in row.items():
+                heads[head] = heads.get(head, False) or cell != NONE
+        return [head for head, has_value in heads.items() if has_value]
 
     @property
     def cells(self) -> list[list[str]]:
-        return [[row.get(head, NONE) for head in self.heads] for row in self.rows]
+        """The cells of each row, NONE without a value."""
+        heads = self.heads
+        rows = []
+        for row in self.rows:
+            rows.append([row.get(head, NONE) for head in heads])
+        return rows
 
     def markdown(self) -> str:
         """Return the table in Markdown, its first column aligned left, the others right."""

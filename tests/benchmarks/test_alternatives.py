@@ -33,9 +33,9 @@ def test_all_rows_are_measured_with_one_thread(monkeypatch, capsys):
     card.main()
     assert torch.get_num_threads() == 1
     lines = capsys.readouterr().out.splitlines()[-3:]
-    values = {what: float(value) for what, value in (line.rsplit(": ", 1) for line in lines)}
+    values = [float(line.rsplit(": ", 1)[1]) for line in lines]
     assert len(values) == 3
-    assert min(values.values()) > 0
+    assert min(values) > 0
 
 
 def test_pyg_gets_the_same_graph_and_computes_the_same(monkeypatch, tmp_path):

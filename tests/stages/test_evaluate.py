@@ -30,8 +30,10 @@ def read_metrics(evaluated: Path) -> dict[str, Any]:
 @pytest.mark.parametrize("predicted", COLUMNS)
 def test_metrics_are_means_over_seeds_and_files_repeat(folder, predicted):
     write_params(folder, {"predict": predicted}, epochs=2, seeds=[0, 7])
-    trained, evaluated = run_train(folder), run_evaluate(folder)
-    metrics, before = read_metrics(evaluated), contents(evaluated)
+    trained = run_train(folder)
+    evaluated = run_evaluate(folder)
+    metrics = read_metrics(evaluated)
+    before = contents(evaluated)
     assert contents(run_evaluate(folder)) == before
     predictions = pd.read_csv(evaluated / "predictions.csv")
     tables = [table.reset_index() for _, table in predictions.groupby("seed")]
@@ -53,10 +55,8 @@ def test_metrics_are_means_over_seeds_and_files_repeat(folder, predicted):
     for name, scores in metrics["test"].items():
         rows = [table.dropna(subset=[f"true_{name}", f"predicted_{name}"]) for table in tables]
         true = rows[0][f"true_{name}"]
-        mse, zero = (
-            [((table[f"predicted_{name}"] - true) ** 2).mean() for table in rows],
-            (true**2).mean(),
-        )
+        mse = [((table[f"predicted_{name}"] - true) ** 2).mean() for table in rows]
+        zero = (true**2).mean()
         assert scores["frames"] == len(true)
         assert scores["mse"] == pytest.approx(np.mean(mse), rel=1e-3)
         assert scores["nmse"] == pytest.approx(np.mean(mse) / zero, rel=1e-3)
@@ -66,10 +66,9 @@ def test_metrics_are_means_over_seeds_and_files_repeat(folder, predicted):
 
 def test_a_control_gets_the_scene_of_another_drive_in_training_and_evaluation(folder, monkeypatch):
     drives = [*SPLITS][:4]
-    trained, tested = drives[:2], drives[2:]
-    artefacts.write_index(
-        folder / "graphs/semantic", dict.fromkeys(trained, "train") | dict.fromkeys(tested, "test")
-    )
+    tested = drives[2:]
+    splits = dict.fromkeys(drives[:2], "train") | dict.fromkeys(tested, "test")
+    artefacts.write_index(folder / "graphs/semantic", splits)
     write_params(folder, {"scene": "another"}, epochs=1)
     paths = [folder / f"graphs/semantic/{drive}.h5" for drive in drives]
     with monkeypatch.context() as patch:
@@ -81,10 +80,8 @@ def test_a_control_gets_the_scene_of_another_drive_in_training_and_evaluation(fo
         )
         run_train(folder)
     assert scenes == [(paths[0], paths[1]), (paths[1], paths[0])]
-    model, table = (
-        load_model(run_train(folder)),
-        pd.read_csv(run_evaluate(folder) / "predictions.csv"),
-    )
+    model = load_model(run_train(folder))
+    table = pd.read_csv(run_evaluate(folder) / "predictions.csv")
     for drive, own, other in ((tested[0], *paths[2:]), (tested[1], *paths[:1:-1])):
         found = table[table["drive"] == drive]["predicted_steering_rad"]
         with graph_file.open_graphs(own) as graphs:

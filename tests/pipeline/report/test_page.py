@@ -74,7 +74,8 @@ def test_the_page_is_complete_self_contained_and_runs_no_script_of_a_name(tmp_pa
 
 
 def test_points_have_a_trace_per_class_and_edges_one_in_each_frame():
-    xyz, edges = np.array([[1.0, 2, 3], [4, 5, 6], [7, 8, 9]]), np.array([[1, 2]])
+    xyz = np.array([[1.0, 2, 3], [4, 5, 6], [7, 8, 9]])
+    edges = np.array([[1, 2]])
     views = [View(7, xyz=xyz, points_cls=np.array([ROAD, ROAD, VOID]), edges=edges)]
     views += [View(9, xyz=xyz[:1], points_cls=np.array([ROAD]), edges=edges[:0])]
     figure = plots.in_space(views)
@@ -87,10 +88,9 @@ def test_points_have_a_trace_per_class_and_edges_one_in_each_frame():
     np.testing.assert_array_equal(
         [line.x, line.y, line.z], [[4, 7, np.nan], [6, 9, np.nan], [-5, -8, np.nan]]
     )
-    assert [[len(trace.x) for trace in frame.data] for frame in figure.frames] == [
-        [2, 1, 3],
-        [1, 0, 0],
-    ]
+    first, second = figure.frames
+    assert [len(trace.x) for trace in first.data] == [2, 1, 3]
+    assert [len(trace.x) for trace in second.data] == [1, 0, 0]
 
 
 def test_a_network_without_validation_has_its_training_loss():

@@ -190,8 +190,8 @@ class Fit:
 
         # About equally many in each step, as the features of a single frame have no variance.
         steps = math.ceil(len(spans) / self.settings.batch_spans)
-        groups = np.array_split(np.arange(len(spans)), steps)
-        return [[augmented[row] for row in group] for group in groups]
+        groups = np.array_split(np.array(augmented, dtype=object), steps)
+        return [group.tolist() for group in groups]
 
     def _train(self, reader: windows.Reader, epoch: int) -> tuple[float, float]:
         """Train for one epoch; return the mean loss and the last learning rate."""

@@ -211,7 +211,7 @@ class Results:
         table = {"frame": frame, "time_s": time_s}
         table["driven_rad"] = np.where(truth.driven.valid, truth.driven.steering_rad, np.nan)
         table |= {name: values[rows] for name, values in columns.items()}
-        # The first line is a summary.
+        # The fault of a log, if there is one; a summary of the comparison; and doubts.
         fault, lines = judge(agreement, truth.column, truth.ratio)
         if fault:
             doubts.append(fault)
@@ -272,8 +272,9 @@ class Results:
 
         # Where no angle is measured, the one before is repeated, or 0 at the start.
         held_rad = pd.Series(self.table["measured_rad"]).ffill().fillna(0.0).to_numpy()
-        angles = {column: self.table[f"{column}_rad"], "measured": held_rad}
-        angles["zero"] = np.zeros(len(frame))
+        angles = {"measured": held_rad, "zero": np.zeros(len(frame))}
+        if column == "predicted":
+            angles[column] = self.table["predicted_rad"]
 
         block = 1
         if len(time_s) > 1:

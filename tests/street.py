@@ -55,8 +55,8 @@ def view(
     """Return what is seen from a pose: an image, depth and classes.
 
     The image is uint8 [H,W,3], depth float32 [H,W] in metres, 0 in the sky, and classes are
-    trainIds [H,W]. The world's frame is that of a camera at the beginning of the street, which leads
-    along z.
+    trainIds [H,W]. The world's frame is that of a camera at the beginning of the street, which
+    leads along z.
     """
     # Aliases of a coarse image would not move as it does.
     height, width = camera.size

@@ -1,8 +1,8 @@
-"""Measure how the values of a log follow those that are measured in images.
+"""Measure how well the values of a log follow the values that are measured in images.
 
-The measures are correlation, lag, gain and offset. What can be judged depends on the noise of the
-measured values. A frame turns if its measured yaw rate is beyond TURNS_SIGMAS standard deviations,
-so half a minute of a motorway can tell as much as a few corners of a city.
+The measures are correlation, lag, gain and offset. How much they tell depends on the noise of the
+measured values. A frame turns if its measured yaw rate exceeds TURNS_SIGMAS standard deviations of
+the noise. So half a minute of a motorway can tell as much as a few corners in a city.
 """
 
 import math
@@ -18,51 +18,57 @@ from pipeline.motion.rates import YAW_NOISE_RADPS
 # Least measured yaw rate of a turn, in standard deviations of its noise.
 TURNS_SIGMAS = 3.0
 
-# Lags in seconds that are tried first. A steering wheel may lead the yaw rate by 0.2 s.
+# Lags in seconds that are tried first. A steering wheel may lead the yaw rate by 0.2 s. They are
+# sorted by magnitude, so the first one is 0.
 NEAR_S = np.array(sorted(np.arange(-40, 41) / 20, key=abs))
-# Lags in seconds of a log with another clock, for instance GPS time, which is 18 s ahead of UTC.
+# Lags in seconds that are tried for a log that may have another clock, for instance GPS time, which
+# is 18 s ahead of UTC.
 FAR_S = np.array(sorted(np.arange(-300, 301) / 10, key=abs))
-# Least number of frames that have both values at a far lag. Fewer show a single bend, which any
-# other bend resembles.
+# Least number of frames that have a recorded and a measured value at a far lag. Fewer frames show a
+# single bend, which any other bend resembles.
 FAR_FRAMES = 60
-# Largest gain, or its inverse, of a log that follows at a far lag.
+# Largest plausible gain at a far lag. The inverse is the smallest plausible gain.
 FAR_GAIN = 3.0
-# Least distance in seconds of lags that are alternatives, and not neighbours of the same maximum.
+# Least distance in seconds between far lags that are alternatives. Closer lags belong to the same
+# maximum of the correlation.
 APART_S = 2.0
 
-# Least correlation of a log that follows, without noise: eight healthy logs have 0.978 and more.
+# Least correlation at which a log follows measured values that have no noise. Eight healthy logs
+# have 0.978 and more.
 FOLLOWS = 0.95
-# Share of the measured variance that noise may leave unexplained, in variances of the noise.
+# Variance of the measured values that noise may leave unexplained, in variances of the noise.
 UNEXPLAINED = 1.5**2
-# Least correlation, after the allowance for noise, that tells a log from another one.
+# Least correlation at which a log follows, however strong the noise is. A weaker correlation would
+# not tell the log from another one.
 TELLING = 0.8
-# Ratio of standard deviation and root mean square below which values are steady: no correlation is
-# defined.
+# Ratio of standard deviation to root mean square up to which values are steady. Steady values have
+# no defined correlation.
 STEADY = 0.2
 
-# Least variation of the measured values while a stuck log stays equal, in their standard
-# deviations. A tenth of the values on each side does not count. Rendered bends reach 3.4 for 3 s.
+# Least variation of the measured values, in their standard deviations, during which a constant log
+# is stuck. The lowest and the highest tenth of the values do not count. In 3 s, the variation
+# reaches 3.4 in rendered bends.
 STUCK_SIGMAS = 5.0
-# Share of the recorded value that is added to this variation.
+# Share of the constant recorded value that is added to this least variation.
 STUCK_SHARE = 0.1
 # Least number of turning frames during which a log of zeros is stuck.
 ZERO_FRAMES = 20
-# Largest recorded value where the measured one is 0, in standard deviations of the measurement.
-# Healthy logs have up to 1.2.
+# Largest offset of a healthy log, in standard deviations of the measured values. The offset is the
+# recorded value at a measured value of 0. Healthy logs have offsets of up to 1.2.
 OFFSET_SIGMAS = 2.0
-# Share of the measured root mean square that is added to this largest value.
+# Share of the measured root mean square that is added to the largest offset.
 OFFSET_SHARE = 0.025
-# Share of the least measured value that is added, too: a bend that never straightens tells its
-# offset by the gain alone.
+# Share of the least measured magnitude that is added to the largest offset, too. In a bend that
+# never straightens, the offset depends on the gain alone.
 OFFSET_GAP = 0.1
-# Least number of frames that tell an offset: a single short bend, which is measured at changing
-# depths, has an apparent one.
+# Least number of frames that tell an offset. A single short bend, which is measured at changing
+# depths, seems to have an offset.
 OFFSET_FRAMES = 60
-# Least speed in m/s that has a sign: at standstill, recorded speeds reach -0.15.
+# Least magnitude in m/s of a speed whose sign counts. At standstill, recorded speeds reach -0.15.
 MOVES_MPS = 0.5
-# Least number of turning frames in a third of the frames that tells its own lag.
+# Least number of turning frames in a third of all frames that gives the third a lag.
 THIRD_FRAMES = 40
-# Least correlation of such a third at its lag.
+# Correlation at its best lag that such a third has to exceed.
 THIRD_FOLLOWS = 0.9
 
 
@@ -73,14 +79,14 @@ class Noise(NamedTuple):
     speed: np.ndarray  # relative
 
     def at(self, rows: np.ndarray) -> "Noise":
-        """Return the standard deviations of some `rows`."""
+        """Return the standard deviations in some `rows`."""
         return Noise(self.yaw_rate_radps[rows], self.speed[rows])
 
 
 class Pair(NamedTuple):
     """Recorded and measured labels of a drive's frames [F].
 
-    Measured rates are means that look ahead.
+    Measured rates are means over neighbouring frames, later ones included.
     """
 
     time_s: np.ndarray
@@ -102,13 +108,19 @@ class Moments(NamedTuple):
 
     @property
     def gain(self) -> float:
-        """Return recorded / measured values, by variations or, if steady, by magnitudes."""
+        """Return the ratio of recorded to measured standard deviation.
+
+        If values are steady, it is the ratio of their root mean squares.
+        """
         if self.correlation:
             return self.std_r / self.std_m
         return max(self.rms_r, 1e-6) / max(self.rms_m, 1e-6)
 
     def follows(self, noise: float) -> bool:
-        """Return whether r follows m as closely as the `noise` of m allows, with either sign."""
+        """Return whether r follows m as closely as the `noise` of m allows, with either sign.
+
+        `noise` is a standard deviation.
+        """
         return self.correlation**2 >= max(self.needed(noise), TELLING**2)
 
     def needed(self, noise: float) -> float:
@@ -119,39 +131,42 @@ class Moments(NamedTuple):
 class Fit(NamedTuple):
     """How recorded values follow measured ones, at the lag with the strongest correlation."""
 
-    frames: int  # with both values
+    frames: int  # number of frames with both values
     turning: int  # number of these frames that turn
-    correlation: float  # without a lag
-    lag_s: float  # of the log, positive if it is late
-    best: float  # correlation at this lag; 0 on a steady curve, or if the log is constant
+    correlation: float  # correlation without a lag
+    lag_s: float  # lag of the log with the strongest correlation, positive if the log is late
+    best: float  # correlation at this lag; 0 if the values are steady
     lag_gain: float  # increase of |correlation| by the lag, beyond what noise can cause
-    judged: bool  # the measured values vary so much that a log of another road would differ
-    follows: bool  # as closely as noise allows, with either sign
-    one_sided: bool  # all recorded values have the same sign, or are 0
+    judged: bool  # whether the measured values vary enough to expose a log of another road
+    follows: bool  # whether the log follows as closely as noise allows, with either sign
+    one_sided: bool  # whether all recorded values have the same sign, or are 0
     magnitude: float  # if one-sided, best correlation with the magnitudes of the measured values
-    other_side: int  # if one-sided, number of frames that turn to the other side
-    gain: float  # recorded / measured
-    offset: float  # recorded value where the measured one is 0
-    off_centre: bool  # the offset is larger than noise and the offsets of healthy logs explain
-    cosine: float  # of both values in turning frames, without a lag
-    thirds_s: tuple[float, ...]  # lag of each third that follows
+    other_side: int  # if one-sided, number of frames whose measured turn is to the other side
+    gain: float  # ratio of recorded to measured values
+    offset: float  # recorded value at a measured value of 0; 0 if the log does not follow
+    off_centre: bool  # whether the offset is larger than noise and healthy logs explain
+    cosine: float  # cosine similarity of both values in turning frames, without a lag
+    thirds_s: tuple[float, ...]  # lags of those thirds of the frames that follow
     stuck_s: float  # longest time for which the log stays equal while the measured values vary
-    far_s: float | None  # lag at which the log of another clock would follow
+    far_s: float | None  # lag at which the log would follow if it had another clock
 
 
 class Speed(NamedTuple):
     """How recorded speeds follow measured ones."""
 
-    frames: int  # with both
-    gain: float  # recorded / measured root mean square
-    ahead: int  # frames that go ahead by the log and are measured backwards
-    back: int  # frames that go backwards by the log and are measured ahead
+    frames: int  # number of moving frames with both speeds
+    gain: float  # ratio of recorded to measured root mean square
+    ahead: int  # number of frames that go ahead by the log and are measured backwards
+    back: int  # number of frames that go backwards by the log and are measured ahead
 
 
 class Agreement(NamedTuple):
-    """How a log agrees with measured motion; None where the log or the measurement has no value."""
+    """How a log agrees with measured motion.
 
-    turning: int = 0  # frames that turn, with a recorded value
+    A field is None if no frame has both a recorded and a measured value of the quantity.
+    """
+
+    turning: int = 0  # number of turning frames with a recorded value
     angle: Fit | None = None
     yaw_rate: Fit | None = None
     speed: Speed | None = None
@@ -179,9 +194,9 @@ def compare(pairs: Sequence[Pair]) -> Agreement:
 
 
 def backwards(recorded: Labels, measured: Labels) -> np.ndarray:
-    """Return the frames that are measured backwards while the log goes ahead, bool [F].
+    """Return whether a frame is measured backwards while the log goes ahead, bool [F].
 
-    Slow frames do not count.
+    Frames that are slower than MOVES_MPS do not count.
     """
     return _moves(recorded) & _moves(measured) & (measured.speed_mps < 0) & (recorded.speed_mps > 0)
 
@@ -200,7 +215,7 @@ def _compare_speed(pairs: Sequence[Pair]) -> Speed | None:
     compared = np.isfinite(recorded) & np.isfinite(measured)
     if not compared.any():
         return None
-    # The measured speed is not 0, as both move.
+    # The divisor is not 0, since all compared speeds are of moving frames.
     gain = np.sqrt(np.mean(recorded[compared] ** 2) / np.mean(measured[compared] ** 2))
     ahead = np.sum((recorded > 0) & (measured < 0))
     back = np.sum((recorded < 0) & (measured > 0))
@@ -216,9 +231,9 @@ def _speed_sigma(pairs: Sequence[Pair]) -> float:
 
 
 def _fit(pairs: Sequence[Pair], name: str) -> Fit | None:
-    """Return how recorded values of the field `name` follow measured ones, or None.
+    """Return how recorded values of the field `name` follow measured ones.
 
-    There is no fit without a frame that has both values.
+    It is None if no frame has both values.
     """
     measured = np.concatenate([_valid(pair.measured, name) for pair in pairs])
     recorded = _at_lag(pairs, name, 0.0)
@@ -227,7 +242,9 @@ def _fit(pairs: Sequence[Pair], name: str) -> Fit | None:
         return None
     least = compared.sum() / 2
 
-    # The lag at which the log follows best, and by how much better than without one.
+    # Find the lag at which the log follows best, and the correlation that it gains by this lag.
+    # More than half of the compared frames must have both values at a lag. An increase up to
+    # `slack` may be noise.
     shifted = [_at_lag(pairs, name, lag_s) for lag_s in NEAR_S]
     near = [_moments(measured, values, least) for values in shifted]
     correlations = np.array([moments.correlation for moments in near])
@@ -238,7 +255,7 @@ def _fit(pairs: Sequence[Pair], name: str) -> Fit | None:
     lag_gain = abs(at_best.correlation) - abs(near[0].correlation) - slack
     follows = at_best.follows(noise)
 
-    # Direction and side of the turns, which a steady bend shows, too.
+    # Compare the directions of turns, which are defined in a steady bend, too.
     turning = compared & np.concatenate([_turns(pair) for pair in pairs])
     cosine = _cosine(measured[turning], recorded[turning])
     one_sided = bool((recorded[compared] >= 0).all() or (recorded[compared] <= 0).all())
@@ -250,7 +267,7 @@ def _fit(pairs: Sequence[Pair], name: str) -> Fit | None:
         of_magnitudes = [_moments(np.abs(measured), values, least) for values in shifted]
         magnitude = max(moments.correlation for moments in of_magnitudes)
 
-    # The recorded value straight ahead, which is known if the car comes near to it.
+    # Compute the recorded value straight ahead. The limit grows if the car never drives straight.
     straightest = float(np.percentile(np.abs(measured[compared]), 5))
     largest_offset = OFFSET_SIGMAS * noise + OFFSET_SHARE * at_best.rms_m + OFFSET_GAP * straightest
     gain = at_best.gain
@@ -258,7 +275,7 @@ def _fit(pairs: Sequence[Pair], name: str) -> Fit | None:
     if follows:
         offset = at_best.mean_r - math.copysign(gain, at_best.correlation) * at_best.mean_m
 
-    # The lag of a log of another clock.
+    # A log that does not follow may have another clock.
     far_s = None
     if not (follows and at_best.correlation > 0):
         far_s = _far_lag(pairs, name, measured, noise)
@@ -290,7 +307,10 @@ def _valid(labels: Labels, name: str) -> np.ndarray:
 
 
 def _at_lag(pairs: Sequence[Pair], name: str, lag_s: float) -> np.ndarray:
-    """Return the recorded values that are `lag_s` late, at the frames of all pairs [N], or NaN."""
+    """Return the recorded values [N] at the frames of all pairs, for a log that is `lag_s` late.
+
+    They are NaN beyond the ends of the log.
+    """
     late = []
     for pair in pairs:
         values = _valid(pair.recorded, name)
@@ -317,19 +337,20 @@ def _turns(pair: Pair) -> np.ndarray:
 
 
 def _sigma(pair: Pair, name: str) -> np.ndarray:
-    """Return the standard deviations of the measured values [F].
-
-    Those of an angle are those of the yaw rate times L / v.
-    """
+    """Return the standard deviations of the measured values [F]."""
     sigma = _yaw_sigma(pair)
     if name == "steering_rad":
+        # The angle is the yaw rate times L / v, and so is its standard deviation.
         with np.errstate(divide="ignore", invalid="ignore"):
             sigma = sigma * np.abs(pair.measured.steering_rad / pair.measured.yaw_rate_radps)
     return np.nan_to_num(sigma, nan=0.0, posinf=0.0)
 
 
 def _noise(pairs: Sequence[Pair], name: str) -> float:
-    """Return the root mean square of the measured values' standard deviations; 0 without any."""
+    """Return the root mean square of the standard deviations of all measured values.
+
+    It is 0 if nothing is measured.
+    """
     sigma = np.concatenate([_sigma(pair, name)[pair.measured.valid] for pair in pairs])
     if not len(sigma):
         return 0.0
@@ -337,9 +358,9 @@ def _noise(pairs: Sequence[Pair], name: str) -> float:
 
 
 def _moments(m: np.ndarray, r: np.ndarray, least: float) -> Moments:
-    """Return the statistics of values [N], NaN where unknown.
+    """Return the statistics of measured values `m` and recorded values `r` [N], NaN where unknown.
 
-    There is no correlation if not more than `least` frames have both values.
+    The correlation is 0 unless more than `least` frames have both values.
     """
     compared = np.isfinite(m) & np.isfinite(r)
     if not compared.any():
@@ -359,12 +380,13 @@ def _moments(m: np.ndarray, r: np.ndarray, least: float) -> Moments:
 def _lags_of_thirds(
     measured: np.ndarray, shifted: Sequence[np.ndarray], turning: np.ndarray
 ) -> tuple[float, ...]:
-    """Return the lag of each third of the frames that follows.
+    """Return the lags of those thirds of the frames that follow.
 
-    `shifted` holds the recorded values [N] at each of NEAR_S.
+    `shifted` holds the recorded values [N] for each lag of NEAR_S.
     """
     lags_s = list[float]()
     for rows in np.array_split(np.arange(len(measured)), 3):
+        # The sum is NaN in a frame that lacks one of both values.
         least = np.isfinite(measured[rows] + shifted[0][rows]).sum() / 2
         moments = [_moments(measured[rows], values[rows], least) for values in shifted]
         correlations = [at_lag.correlation for at_lag in moments]
@@ -378,7 +400,7 @@ def _stuck_s(pair: Pair, name: str) -> float:
 
     A log of zeros is stuck while the car turns.
     """
-    recorded = _valid(pair.recorded, name)  # a frame without a value has 0 in the file
+    recorded = _valid(pair.recorded, name)  # NaN in a frame without a value, which has 0 in a file
     measured = _valid(pair.measured, name)
     sigma = _sigma(pair, name)
     turning = _turns(pair)
@@ -398,10 +420,10 @@ def _stuck_s(pair: Pair, name: str) -> float:
 
 
 def _far_lag(pairs: Sequence[Pair], name: str, measured: np.ndarray, noise: float) -> float | None:
-    """Return the lag of FAR_S at which the log follows, or None if there is none.
+    """Return the lag of FAR_S at which the log follows, or None if it follows at none of them.
 
     The gain has to be plausible. The other lags have to explain the log much worse, since a bend
-    resembles other bends.
+    resembles other bends: they have to leave more than twice as much variance unexplained.
     """
     at_lag = [_moments(measured, _at_lag(pairs, name, lag_s), least=FAR_FRAMES) for lag_s in FAR_S]
     correlations = np.array([moments.correlation for moments in at_lag])
@@ -411,7 +433,7 @@ def _far_lag(pairs: Sequence[Pair], name: str, measured: np.ndarray, noise: floa
         return None
     rival = np.abs(correlations[np.abs(FAR_S - FAR_S[best]) > APART_S]).max()
     distinct = 1 - moments.correlation**2 < (1 - rival**2) / 2
-    alike = abs(math.log(moments.gain)) < math.log(FAR_GAIN)
-    if not (distinct and alike):
+    plausible = abs(math.log(moments.gain)) < math.log(FAR_GAIN)
+    if not (distinct and plausible):
         return None
     return float(FAR_S[best])

@@ -1,6 +1,6 @@
-"""Compute the path ahead: its mean curvature in ranges of distance.
+"""Compute the mean curvature of the path ahead in ranges of distance.
 
-It follows from the motion that the car drives afterwards.
+The path ahead of a frame is the one that the car drives afterwards.
 """
 
 from collections.abc import Sequence
@@ -23,19 +23,32 @@ def path_ahead(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the mean curvature of the driven path in ranges of distance ahead of each frame.
 
-    Distances are along the path. Curvature is float64 [F,R] in 1/m, left positive, 0 where it is
-    not valid, bool [F,R]: the change of heading between two edges, divided by the arc length
-    between them. Heading and arc length are integrals of yaw rate and speed (trapezoidal rule), and
-    linear between frames. A value is valid if, from the frame to the far edge, all frames exist and
-    are measured, and the car never reverses and stands for at most `max_stand_s`. `frame` and
-    `time_s` are those of the frames [F], `edges_m` R+1 ascending distances.
+    The curvature of a range is the change of heading between its two edges, divided by the arc
+    length between them. Heading and arc length are integrals of yaw rate and speed by the
+    trapezoidal rule, and are linear between frames.
+
+    A curvature is valid under three conditions, which hold from the frame to the far edge: all
+    frames exist and have a known speed and yaw rate, the car never reverses, and it stands for at
+    most `max_stand_s`.
+
+    Args:
+        frame: frame numbers [F].
+        time_s: times [F] of these frames.
+        labels: labels of these frames, whose speeds and yaw rates are used.
+        edges_m: ascending edges [R+1] of the ranges, in metres along the path.
+        max_stand_s: longest time for which the car may stand.
+
+    Returns:
+        The curvatures in 1/m, float64 [F,R], left positive, and whether they are valid, bool [F,R].
+        A curvature that is not valid is 0.
     """
     curvature = np.zeros((len(frame), len(edges_m) - 1))
     valid = np.zeros(curvature.shape, bool)
     measured = np.isfinite(labels.speed_mps) & np.isfinite(labels.yaw_rate_radps)
     usable = measured & (labels.speed_mps >= REVERSING_MPS)
 
-    # Between the gaps, frames are consecutive; a frame that is not usable is alone.
+    # Cut the drive at missing frames, and before and after each frame that is not usable. A drive
+    # without frames is one empty part.
     gaps = (np.diff(frame) != 1) | ~usable[1:] | ~usable[:-1]
     starts = np.flatnonzero(gaps) + 1
     for first, end in pairwise([0, *starts, len(frame)]):
@@ -50,11 +63,12 @@ def path_ahead(
 def _without_gap(
     time_s: np.ndarray, labels: Labels, edges_m: np.ndarray, max_stand_s: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return :func:`path_ahead` of consecutive, measured frames.
+    """Return the curvatures and their validity as :func:`path_ahead` does, for usable frames.
 
-    It is not valid where they end before the far edge.
+    The frames are consecutive. A curvature is not valid if they end before the far edge.
     """
-    # A speed below 0 is noise at standstill, and arc length never decreases.
+    # A speed below 0 is noise of a standing car. It counts as 0, so that arc length never
+    # decreases.
     speed_mps = np.maximum(labels.speed_mps, 0.0)
     arc_m = _integral(speed_mps, time_s)
 
@@ -67,7 +81,8 @@ def _without_gap(
     edge_heading_rad = np.interp(edge_arc_m, arc_m, heading_rad)
     curvature = np.diff(edge_heading_rad, axis=1) / np.diff(edges_m)
 
-    # Time for which the car stands before it reaches the far edge.
+    # The time for which the car stands before it reaches the far edge is the difference of two
+    # times since the first frame.
     far_arc_m = edge_arc_m[:, 1:]
     stood_s = _integral((speed_mps < STANDING_MPS).astype(float), time_s)
     stands_s = np.interp(far_arc_m, arc_m, stood_s) - stood_s[:, None]
@@ -77,7 +92,7 @@ def _without_gap(
 def _integral(values: np.ndarray, time_s: np.ndarray) -> np.ndarray:
     """Return the integral of `values` [F] from the first frame to each, by the trapezoidal rule.
 
-    SciPy has it, too, but importing that takes a second.
+    SciPy has such a function, too, but importing SciPy takes a second.
     """
     trapezoids = (values[1:] + values[:-1]) / 2 * np.diff(time_s)
     return np.concatenate([[0.0], np.cumsum(trapezoids)])

@@ -1,4 +1,7 @@
-"""Read speeds and yaw rates by the row of an ingest file, for all sources of labels."""
+"""Read the recorded and the measured motion in each frame of an ingest file.
+
+The sources of labels use these functions.
+"""
 
 from typing import NamedTuple
 
@@ -18,7 +21,7 @@ class Rates(NamedTuple):
 def recorded_motion(raw: DriveReader) -> Rates | None:
     """Return the recorded motion, or None if the drive has none.
 
-    It is unknown where KITTI interpolated a packet, which is no measurement.
+    It is unknown in frames whose packet KITTI interpolated, since that is no measurement.
     """
     if "speed_mps" not in raw:
         return None
@@ -26,10 +29,10 @@ def recorded_motion(raw: DriveReader) -> Rates | None:
 
 
 def measured_motion(raw: DriveReader, motion: DriveReader, *, look_ahead: bool) -> Rates:
-    """Return the motion that stage motion measured.
+    """Return the motion that stage motion measured, NaN in frames without a measurement.
 
-    With `look_ahead`, rates are means over neighbouring frames, later ones included, which no model
-    may get as inputs; else they are the causal rates that models get.
+    With `look_ahead`, rates are means over neighbouring frames, later ones included. No model may
+    get these as inputs. Without it, they are the causal rates that models get.
     """
     yaw_rate_radps, speed_mps, *_ = measured_rates(motion, look_ahead=look_ahead)
     rows = np.searchsorted(raw.frame, motion.frame)
@@ -40,7 +43,7 @@ def measured_motion(raw: DriveReader, motion: DriveReader, *, look_ahead: bool) 
 
 
 def standing(raw: DriveReader, motion: DriveReader) -> np.ndarray:
-    """Return the frames whose motion is not measured because nothing moves, bool [F]."""
+    """Return whether the motion of a frame is not measured because nothing moves, bool [F]."""
     mask = np.zeros(len(raw.frame), bool)
     mask[np.searchsorted(raw.frame, motion.frame)] = stands(motion)
     return mask

@@ -1,6 +1,6 @@
-"""Compare recorded labels with measured motion, and name the faults of what was recorded.
+"""Compare recorded labels with measured motion, and report the faults of a recording.
 
-A fault is certain, a doubt is not. Both are messages to users.
+A fault is certain, and a doubt is not. Both are messages to users.
 """
 
 import math
@@ -17,52 +17,57 @@ from pipeline.labels.agreement import MOVES_MPS, Agreement, Fit, Noise, Pair, Sp
 from pipeline.labels.label import Car
 from pipeline.motion.rates import measured_rates
 
-# Least number of turning frames that are compared.
+# Least number of turning frames at which turns are compared.
 TURNING_FRAMES = 20
-# Least number of turning frames that make an inverted sign a fault.
+# Least number of turning frames at which an inverted sign is a fault. With fewer, it is a doubt.
 SIGN_FRAMES = 40
-# Least number of turning frames that make a wrong unit a fault, and that compare a drive alone.
+# Least number of turning frames at which a wrong unit is a fault. With fewer, it is a doubt. Drives
+# that have as many are also compared one by one.
 UNIT_FRAMES = 100
-# Cosine of recorded and measured values in turning frames below which the sign is inverted. In all
-# parts of eight healthy logs that have SIGN_FRAMES turning frames, it is 0.97 to 1.
+# Cosine similarity of recorded and measured values in turning frames below which the sign is
+# inverted. In parts of eight healthy logs with SIGN_FRAMES turning frames, it is 0.97 to 1.
 OPPOSITE_COSINE = -0.93
-# Largest lag in seconds of an inverted log. Beyond it, a late log of a winding road looks the same.
+# Largest lag in seconds of an inverted log. On a winding road, a log that is later than this looks
+# like an inverted one.
 INVERTED_LAG_S = 0.6
 # Largest lag in seconds of a healthy log. KITTI's and rendered drives agree to 0.05 s; a steering
 # wheel may lead the yaw rate by 0.2 s.
 LATE_S = 0.2
-# Least correlation that a lag has to cost. KITTI's and rendered drives have a correlation of 0.997,
-# of which a lag of 0.25 s costs 0.02.
+# Loss of correlation above which a lag is a doubt. KITTI's and rendered drives have a correlation
+# of 0.997, and lose 0.02 by a lag of 0.25 s.
 LATE_COST = 0.01
-# Least correlation that a lag costs if it is printed. In healthy logs, smaller costs are noise.
+# Loss of correlation above which a lag is printed. In healthy logs, smaller losses are noise.
 PRINTED_COST = 0.002
 # Largest difference in seconds between the lags of a log's thirds. Healthy logs have up to 0.1.
 DRIFT_S = 0.3
-# Least number of frames that turn to the other side than a log without signs.
+# Least number of frames that are measured to turn to the other side, if all recorded values of a
+# log without signs are to one side.
 OTHER_SIDE_FRAMES = 10
-# Least correlation of a log without signs with the magnitudes of the measured values.
+# Correlation with the magnitudes of the measured values that a log without signs exceeds.
 UNSIGNED_CORRELATION = 0.8
 # Longest time in seconds for which a healthy log stays equal while the car turns.
 STUCK_S = 2.0
 # Gain of a log in degrees, if radians are expected.
 DEGREES = math.degrees(1)
-# Largest error of the logarithm to the base DEGREES of such a gain: 57.3 within a factor of 2.
+# Largest error of the logarithm to the base DEGREES of such a gain. It allows for a factor of 2.
 DEGREES_ERROR = 0.17
-# Largest logarithm of a healthy angle's gain. Karlsruhe's cameras measure 1.2 times the speed.
+# Largest magnitude of the logarithm of a healthy angle's gain. Karlsruhe's cameras measure 1.2
+# times the speed.
 UNLIKE_ANGLE = math.log(1.3)
-# Largest logarithm of a healthy speed's gain. A camera 1.2 m above the road measures 1.38 times the
-# speed.
+# Largest magnitude of the logarithm of a healthy speed's gain. A camera 1.2 m above the road
+# measures 1.38 times the speed.
 UNLIKE_SPEED = math.log(1.4)
-# Largest logarithm of a healthy yaw rate's gain, which depends on no scale, but on the focal
-# length. In 243 rendered drives the gain is 0.93 to 1.07.
+# Largest magnitude of the logarithm of a healthy yaw rate's gain. This gain depends on the focal
+# length, but not on the scale of depth. In 243 rendered drives, it is 0.93 to 1.07.
 UNLIKE_YAW_RATE = math.log(1.15)
-# Factor of UNLIKE_SPEED in fewer than UNIT_FRAMES frames.
+# Factor by which UNLIKE_SPEED is larger in fewer than UNIT_FRAMES frames.
 FEW_FRAMES_FACTOR = 1.4
-# Standard deviations of the measured speed that are added to the largest logarithms.
+# Number of the measured speed's standard deviations that are added to the largest logarithms of
+# angles and speeds.
 SPEED_SIGMAS = 2.0
 # Share of the frames whose speed has the wrong sign, beyond which the log's sign is inverted.
 NEGATIVE_SHARE = 0.5
-# Reason for which a log cannot be compared.
+# Reason why a log cannot be compared.
 UNKNOWN = "too little turning for its noise"
 # Largest number of doubts that are shown about one recording.
 MOST_DOUBTS = 2
@@ -71,16 +76,17 @@ MOST_DOUBTS = 2
 class Verdict(NamedTuple):
     """The messages about the values of a log."""
 
-    fault: str = ""  # if any; then there is no doubt
+    fault: str = ""  # empty without a fault; with a fault, there are no doubts
     doubts: Sequence[str] = ()
 
 
 def read_pairs(
     source: str, drives: Sequence[str], ingest: Path, motion: Path, car: Car
 ) -> dict[str, Pair]:
-    """Return drive → labels, without drives that lack the recorded `source` or measured motion.
+    """Return drive → recorded and measured labels.
 
-    `ingest` and `motion` are the folders of these stages.
+    Drives that lack the recorded `source` or measured motion are left out. `ingest` and `motion`
+    are the folders of these stages.
     """
     pairs = {}
     for drive in drives:
@@ -94,7 +100,7 @@ def read_pairs(
 
 
 def read_noise(raw: DriveReader, motion: Path) -> Noise:
-    """Return the standard deviations of the measured rates of an ingest file's frames."""
+    """Return the standard deviations of the measured rates in the frames of an ingest file."""
     sigmas = np.full((2, len(raw.frame)), np.nan)
     with DriveReader(motion, stage="motion") as file:
         rows = np.searchsorted(raw.frame, file.frame)
@@ -104,9 +110,9 @@ def read_noise(raw: DriveReader, motion: Path) -> Noise:
 
 
 def check_recorded(source: str, drives: Mapping[str, Pair]) -> Iterator[str]:
-    """Yield the lines of :func:`judge` about each long drive, and about all drives.
+    """Yield a summary and doubts about each drive with enough turns, and about all drives.
 
-    Drives may differ, so that one of them can be wrong. Raises InputError for a fault.
+    Each drive is judged, since one of them alone can be wrong. Raises InputError for a fault.
     """
     column = sources.angle_column(source)
     groups = {}
@@ -129,35 +135,47 @@ def check_recorded(source: str, drives: Mapping[str, Pair]) -> Iterator[str]:
 
 
 def judge(agreement: Agreement, column: str, ratio: float = 1.0) -> tuple[str, list[str]]:
-    """Return a fault, if any, and lines: a summary, and up to MOST_DOUBTS doubts.
+    """Return a fault or an empty text, and a list of a summary and up to MOST_DOUBTS doubts.
 
-    The strongest doubt is the first. `column` names the recorded angles, which are in the log times
-    `ratio`; without a column, angles follow from yaw rate and speed. With few turning frames a
-    fault is a doubt, with very few only the speed is compared.
+    The strongest doubt comes first. With fewer than TURNING_FRAMES turning frames, only the speed
+    is compared.
+
+    Args:
+        agreement: how the log agrees with measured motion.
+        column: name of the recorded angles in messages; empty if angles follow from yaw rate and
+            speed.
+        ratio: ratio of the angles in the log to those that were compared, for instance of a
+            steering wheel's to the front wheels'.
     """
-    of_speed = Verdict()
+    speed_verdict = Verdict()
     if agreement.speed:
-        of_speed = _judge_speed(agreement.speed, agreement.speed_sigma, column)
+        speed_verdict = _judge_speed(agreement.speed, agreement.speed_sigma, column)
 
+    # Angles that follow from yaw rate and speed are judged by the yaw rate.
     fit = agreement.angle if column else agreement.yaw_rate
-    of_turns = Verdict()
-    if fit and fit.turning >= TURNING_FRAMES and not of_speed.fault:
+    turns_verdict = Verdict()
+    if fit and fit.turning >= TURNING_FRAMES and not speed_verdict.fault:
         name = column or "yaw_rate_radps"
-        of_turns = _judge_turns(fit, name, ratio, agreement.speed_sigma)
+        turns_verdict = _judge_turns(fit, name, ratio, agreement.speed_sigma)
 
-    fault = of_speed.fault or of_turns.fault
-    unknown = fit is not None and not (_comparable(fit) or fault or of_turns.doubts)
+    fault = speed_verdict.fault or turns_verdict.fault
+    unknown = fit is not None and not (_comparable(fit) or fault or turns_verdict.doubts)
     summary = _summary(agreement, "angle" if column else "yaw rate", unknown)
-    doubts = [*of_turns.doubts, *of_speed.doubts]
+    doubts = [*turns_verdict.doubts, *speed_verdict.doubts]
     return fault, summary + doubts[:MOST_DOUBTS]
 
 
 def judge_turns(agreement: Agreement, column: str, speed_mps: np.ndarray) -> tuple[str, str]:
-    """Return a fault of a log's sign or clock, by the turns of images alone, and a fix.
+    """Return a fault of a log's sign or clock, and its fix, if turns were measured without speed.
 
-    Both may be empty; UNKNOWN replaces the fault if the log cannot be compared. `column` is the one
-    that was compared. `speed_mps` is the recorded speed, NaN where unknown, of which images tell
-    only the sign. Pairs of images are independent of each other, so TURNING_FRAMES of them suffice.
+    Both texts are empty without a fault, and the fix may be empty with one. The fault is UNKNOWN if
+    the log cannot be compared. The turns are measured in single pairs of images, which are
+    independent of each other, so TURNING_FRAMES of them suffice.
+
+    Args:
+        agreement: how the log agrees with these turns.
+        column: name of the column that was compared.
+        speed_mps: recorded speed, NaN where unknown. Only its sign is judged.
     """
     if np.sum(speed_mps < -MOVES_MPS) > np.sum(speed_mps > MOVES_MPS):
         return "speed_mps is negative in most images: forward is positive", ""
@@ -173,15 +191,15 @@ def judge_turns(agreement: Agreement, column: str, speed_mps: np.ndarray) -> tup
 
 
 def _comparable(fit: Fit) -> bool:
-    """Return whether a log of another road, or with another sign, would differ in the turns."""
+    """Return whether the turns would expose a log of another road or with another sign."""
     tells = fit.judged or fit.follows or abs(fit.cosine) > -OPPOSITE_COSINE
     return tells and fit.turning >= TURNING_FRAMES
 
 
 def _summary(agreement: Agreement, judged: str, unknown: bool) -> list[str]:
-    """Return a line, if any, on gains, correlations and lags.
+    """Return a list of one line on gains, correlations and lags, or an empty list.
 
-    With `unknown`, the `judged` values turn too little for them.
+    With `unknown`, the line says that the values named `judged` turn too little to be compared.
     """
     texts = list[str]()
     for name, fit in (("yaw rate", agreement.yaw_rate), ("angle", agreement.angle)):
@@ -203,9 +221,13 @@ def _summary(agreement: Agreement, judged: str, unknown: bool) -> list[str]:
 
 
 def _judge_speed(speed: Speed, sigma: float, column: str) -> Verdict:
-    """Judge recorded speeds, from which angles follow unless they have a `column`."""
+    """Judge recorded speeds, from which angles follow if the log has no `column` of angles.
+
+    `sigma` is the relative standard deviation of the measured speed.
+    """
     doubts = list[str]()
-    if speed.back > NEGATIVE_SHARE * speed.frames >= NEGATIVE_SHARE * TURNING_FRAMES:
+    enough = speed.frames >= TURNING_FRAMES
+    if enough and speed.back > NEGATIVE_SHARE * speed.frames:
         problem = f"speed_mps is negative in {speed.back} of {speed.frames} frames "
         problem += "that are measured ahead"
         if not column:
@@ -224,7 +246,7 @@ def _judge_speed(speed: Speed, sigma: float, column: str) -> Verdict:
     unlike = UNLIKE_SPEED
     if speed.frames < UNIT_FRAMES:
         unlike = UNLIKE_SPEED * FEW_FRAMES_FACTOR
-    if speed.frames >= TURNING_FRAMES and abs(math.log(speed.gain)) > unlike + SPEED_SIGMAS * sigma:
+    if enough and abs(math.log(speed.gain)) > unlike + SPEED_SIGMAS * sigma:
         units = "km/h would give 3.6, mph 2.24"
         causes = f"{units}; a wrong K or camera height changes the measured speed"
         doubts.append(f"speed_mps is {speed.gain:.2f} times what is measured: {causes}")
@@ -232,7 +254,10 @@ def _judge_speed(speed: Speed, sigma: float, column: str) -> Verdict:
 
 
 def _judge_turns(fit: Fit, name: str, ratio: float, speed_sigma: float) -> Verdict:
-    """Judge the column `name`: the first fault or doubt that holds, and a wrong time besides."""
+    """Judge the column `name`, and return the first fault or doubt that holds.
+
+    Only a log that follows can have a second doubt, which is about its lag.
+    """
     # With a wrong clock or sign, or values that do not follow turns, nothing else can be judged.
     if fit.far_s is not None:
         return Verdict(doubts=[_wrong_clock(name, fit.far_s)])
@@ -245,7 +270,7 @@ def _judge_turns(fit: Fit, name: str, ratio: float, speed_sigma: float) -> Verdi
     if fit.other_side >= OTHER_SIDE_FRAMES and fit.magnitude > max(UNSIGNED_CORRELATION, fit.best):
         return Verdict(doubts=[f"{name} has angles without a sign"])
 
-    # Then the unit, and a clock that runs at another rate.
+    # The unit may be wrong, or the clock may run at another rate.
     follows = fit.follows and fit.best > 0
     same_side = fit.cosine > -OPPOSITE_COSINE
     is_degrees = abs(abs(math.log(fit.gain, DEGREES)) - 1) < DEGREES_ERROR
@@ -257,7 +282,7 @@ def _judge_turns(fit: Fit, name: str, ratio: float, speed_sigma: float) -> Verdi
         text = f"the clock of {name} drifts or jumps, or --fps is wrong: it is {lags} s late"
         return Verdict(doubts=[text])
 
-    # A bend in which the recording hardly varies tells no more.
+    # A bend in which the values hardly vary tells nothing else.
     if fit.best == 0 and same_side:
         return Verdict()
     if follows:
@@ -275,14 +300,14 @@ def _fault_if(certain: bool, message: str) -> Verdict:
 
 
 def _doubts_of_following(fit: Fit, name: str, ratio: float, speed_sigma: float) -> list[str]:
-    """Return doubts about a log that follows: its gain or its offset, and its lag."""
+    """Return doubts about a log that follows: about its gain or else its offset, and its lag."""
     doubts = list[str]()
     unlike = UNLIKE_ANGLE + SPEED_SIGMAS * speed_sigma
     causes = "the steering ratio and K"
     if name == "yaw_rate_radps":
         unlike = UNLIKE_YAW_RATE
         causes = "and K or --fov"
-    # Noise changes a gain by up to the correlation.
+    # Noise changes a gain by a factor of up to the correlation.
     if abs(math.log(fit.gain)) > unlike - math.log(fit.best):
         doubts.append(f"{_times(name, fit)}: check its unit, {causes}")
     elif fit.off_centre:

@@ -1,4 +1,4 @@
-"""Find doubts about the labels of a run, by the summaries of its drives."""
+"""Find doubts about the labels of a run in the summaries of its drives."""
 
 from collections.abc import Iterator, Mapping
 
@@ -6,15 +6,15 @@ from pipeline.base import store
 from pipeline.base.runner import Summary
 from pipeline.labels.comparison import TURNING_FRAMES
 
-# Number of frames that a network sees, by default.
+# Default number of frames in the input of a network.
 WINDOW = 8
 
 
 def find_doubts(splits: Mapping[str, str], summaries: Mapping[str, Summary]) -> Iterator[str]:
-    """Yield lines on splits with few labels or turns, interpolated packets and implausible drives.
+    """Yield messages about splits with few labels or turns, and about poorly recorded drives.
 
-    `splits` is drive → split, `summaries` drive → summary of
-    :func:`pipeline.labels.source.labels_drive`.
+    `splits` is drive → split. `summaries` is drive → counts of frames, as
+    :func:`pipeline.labels.source.labels_drive` returns them.
     """
     for split in dict.fromkeys(splits.values()):
         drives = store.drives_in(splits, split)

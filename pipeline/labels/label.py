@@ -10,9 +10,10 @@ import numpy as np
 
 from pipeline.base.store import DriveReader
 
-# Forward speed in m/s below which the car rolls backwards. At standstill it dips to -0.15 in KITTI.
+# Forward speed in m/s below which the car rolls backwards. At standstill, KITTI's recorded speed
+# dips to -0.15.
 REVERSING_MPS = -0.5
-# Least magnitude in rad of the angle of a frame that turns: a radius of 135 m.
+# Magnitude in rad of the steering angle above which a frame turns. It is a radius of 135 m.
 TURNING_RAD = 0.02
 
 
@@ -26,7 +27,7 @@ class Car(NamedTuple):
 class Labels(NamedTuple):
     """Labels of a drive's frames [F].
 
-    Speed and yaw rate are NaN where the source has none, and 0 there in a file.
+    An unknown speed or yaw rate is NaN here, and 0 in a file.
     """
 
     steering_rad: np.ndarray  # float64, left positive; 0 where unknown
@@ -35,7 +36,7 @@ class Labels(NamedTuple):
     yaw_rate_radps: np.ndarray
 
     def without(self, rows: np.ndarray) -> "Labels":
-        """Return the labels with those of some `rows`, bool [F], unknown."""
+        """Return labels that are unknown in `rows`, bool [F], and otherwise the same."""
         return Labels(
             steering_rad=np.where(rows, 0.0, self.steering_rad),
             valid=self.valid & ~rows,
@@ -44,7 +45,7 @@ class Labels(NamedTuple):
         )
 
     def at(self, rows: np.ndarray | slice) -> "Labels":
-        """Return the labels of some `rows`."""
+        """Return the labels in some `rows`."""
         return Labels(*(values[rows] for values in self))
 
 
@@ -59,8 +60,9 @@ def steering_angle(
 ) -> np.ndarray:
     """Return the front wheel angle [F] in rad of the bicycle model, atan(L ψ̇ / v).
 
-    In reverse v and ψ̇ both change sign, so the formula holds there too: left stays positive. At
-    standstill it divides noise by noise, up to ±π/2; it is 0 where both are 0.
+    In reverse, v and ψ̇ both change their sign, so the formula still holds, and left stays positive.
+    At standstill, it divides noise by noise, so the angle can be anything up to ±π/2. The angle is
+    0 if both are exactly 0.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         angle = np.arctan(wheelbase_m * yaw_rate_radps / speed_mps)
@@ -68,9 +70,9 @@ def steering_angle(
 
 
 def steering_labels(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, car: Car) -> Labels:
-    """Return the labels of motion [F], NaN where unknown.
+    """Return the labels that follow from yaw rates and speeds [F], which are NaN where unknown.
 
-    They are valid from the car's minimum speed on, also in reverse.
+    A label is valid if the car is at least as fast as its minimum speed, ahead or in reverse.
     """
     is_known = np.isfinite(speed_mps)
     angle_rad = steering_angle(yaw_rate_radps, speed_mps, car.wheelbase_m)
@@ -79,11 +81,12 @@ def steering_labels(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, car: Car)
 
 
 def hold_valid(values: np.ndarray, valid: np.ndarray, initial: float = 0.0) -> np.ndarray:
-    """Return `values` [F], where each that is not `valid` repeats the last valid one.
+    """Return `values` [F], in which a value that is not `valid` repeats the last valid one.
 
-    The first ones have no such value and become `initial`.
+    Values before the first valid one become `initial`.
     """
-    rows = np.where(valid, np.arange(len(valid)), -1)  # row -1 is the initial value
+    # The initial value is appended, so its row is -1.
+    rows = np.where(valid, np.arange(len(valid)), -1)
     last_valid = np.maximum.accumulate(rows)
     return np.append(values, initial)[last_valid]
 
@@ -93,7 +96,8 @@ def measured_angle(
 ) -> np.ndarray:
     """Return the angle of measured motion, float64 [F] in rad.
 
-    An unmeasured frame repeats the last angle; the first ones are NaN.
+    An unmeasured frame repeats the last measured angle. Frames before the first measured one are
+    NaN.
     """
     speed_mps = np.where(valid, speed_mps, np.nan).astype(np.float64)
     labels = steering_labels(yaw_rate_radps.astype(np.float64), speed_mps, car)

@@ -8,18 +8,19 @@ from pydantic import Field, field_validator
 from pipeline.base.errors import closest
 from pipeline.base.params import Positive, Section
 
-# The names of the sources, each a file.
+# Names of the sources. Each is the name of a file in the folder sources.
 SOURCES = sorted(path.stem for path in (Path(__file__).parent / "sources").glob("[!_]*.py"))
 
 
 class Labels(Section):
-    # A file of pipeline/labels/sources; oxts is another name of recorded.
+    # Name of a file in pipeline/labels/sources; oxts is another name for recorded.
     source: str = "recorded"
     wheelbase_m: Positive
     min_speed_mps: Annotated[float, Field(ge=0)]
-    # Edges of the ranges of the path ahead. No camera shows a road farther away than 200 m.
+    # Edges in metres of the ranges into which the path ahead is split. No camera shows a road
+    # farther away than 200 m.
     ahead_m: list[Annotated[float, Field(ge=0, le=200)]] = []
-    # Longest time for which the car may stand on the path.
+    # Longest time in seconds for which the car may stand on its path ahead.
     max_stand_s: Annotated[float, Field(ge=0)] = 5.0
 
     @field_validator("source")

@@ -1,8 +1,13 @@
-"""Make and write a drive's labels by one of the files of ``pipeline/labels/sources``.
+"""Make and write a drive's labels from one of the files in ``pipeline/labels/sources``.
 
-Such a file has MEASURED, which is true for measured motion: a model must not get that as input and
-label at once. Its ``read(raw, motion, car, look_ahead)`` returns the labels of a drive, or None if
-the drive lacks the source. NEEDS and COLUMN, the name of a recorded angle, are texts for messages.
+The function ``read(raw, motion, car, look_ahead)`` of such a file returns the labels of a drive, or
+None if the drive lacks the source. Its constants are:
+
+- MEASURED is true if the labels follow from motion that stage motion measures. A model must not get
+  this motion as an input if it is the label, too.
+- NEEDS describes the source in the message about a drive that lacks it.
+- COLUMN is the name of the recorded angle in messages. A source has no COLUMN if its angles follow
+  from yaw rate and speed.
 """
 
 import importlib
@@ -22,9 +27,9 @@ from pipeline.labels.label import TURNING_RAD, Car, Labels
 from pipeline.labels.settings import SOURCES
 from pipeline.labels.settings import Labels as Settings
 
-# Largest sideways speed in m/s of a car: vl stays below 0.4 in KITTI. Above this limit, heading or
-# GNSS velocity is wrong, and the label with it: 2011_09_26_drive_0093 has 14 m/s to the left and
-# then 11 m/s backwards.
+# Largest plausible sideways speed in m/s of a car. In KITTI, the sideways speed vl stays below 0.4.
+# Above this limit, the recorded heading or GNSS velocity is wrong, and so is the label. For
+# instance, 2011_09_26_drive_0093 has 14 m/s to the left and then 11 m/s backwards.
 SIDEWAYS_MPS = 1.0
 
 
@@ -33,17 +38,18 @@ def labels_drive(
 ) -> Summary:
     """Write data/labels/<drive>.h5, and return counts of frames for the summary.
 
-    Frames that are measured backwards while the recorded speed goes ahead have no label: its sign
-    is wrong.
+    A frame has no label if it is measured backwards while the recorded speed goes ahead: the speed
+    has the wrong sign, and so would the angle that follows from it.
     """
     car = Car(settings.wheelbase_m, settings.min_speed_mps)
     measured = load_source(settings.source).MEASURED
     with DriveReader(ingest, stage="ingest") as raw:
         labels = make_labels(settings.source, raw, motion, car)
+        # Only an angle that follows from the speed depends on its sign.
         if motion and not measured and not angle_column(settings.source):
             labels = labels.without(backwards(labels, make_labels("visual", raw, motion, car)))
         interpolated = np.zeros(len(raw.frame), bool)
-        sideways = interpolated
+        sideways = np.zeros(len(raw.frame), bool)
         if not measured and "oxts" in raw:
             interpolated = np.isnan(raw["speed_mps"])
             sideways = np.abs(raw["left_mps"]) > SIDEWAYS_MPS
@@ -65,7 +71,10 @@ def labels_drive(
 def write_labels(
     file: DriveWriter, frame: np.ndarray, time_s: np.ndarray, labels: Labels, settings: Settings
 ) -> None:
-    """Write labels of the frames [F], with `ahead_m` the path ahead, too; unknown rates are 0."""
+    """Write the labels of frames [F], and their path ahead if the settings have `ahead_m`.
+
+    Unknown speeds and yaw rates are written as 0.
+    """
     file.put("frame", np.asarray(frame, np.int32))
     file.put("time_s", time_s, "s")
     file.put("steering_rad", labels.steering_rad, "rad, left positive")
@@ -85,8 +94,9 @@ def make_labels(
 ) -> Labels:
     """Return a drive's labels, valid from the car's minimum speed on.
 
-    `raw` and `motion` are the drive's files of stages ingest and motion; `look_ahead` is that of
-    :func:`measured_motion`. Raises InputError if the drive lacks the source.
+    `raw` and `motion` are the drive's files of stages ingest and motion. With `look_ahead`,
+    measured rates are means over neighbouring frames, later ones included. Without it, they are the
+    causal rates that models get. Raises InputError if the drive lacks the source.
     """
     labels = _labels_or_none(source, raw, motion, car, look_ahead)
     if labels is None:
@@ -99,9 +109,10 @@ def make_labels(
 
 
 def recorded_labels(raw: DriveReader, car: Car) -> dict[str, Labels]:
-    """Return source → labels of all that an ingest file has, of what was recorded, not measured.
+    """Return source → labels, for each recorded source that an ingest file has.
 
-    The yaw rate is a recorded one, NaN without; not that of a bicycle model.
+    Measured motion is left out. The yaw rate of all labels is the recorded one, and NaN if the
+    drive has none. It is never computed from a recorded angle.
     """
     rates = recorded_motion(raw)
     yaw_rate_radps = np.full(len(raw.frame), np.nan)
@@ -130,8 +141,8 @@ def load_source(source: str) -> ModuleType:
 
 
 def angle_column(source: str) -> str:
-    """Return how a message names the recorded angle of a source, or an empty text.
+    """Return the name of a source's recorded angle for messages.
 
-    It is empty if the angle follows from yaw rate and speed.
+    It is empty if the source has none, since its angles follow from yaw rate and speed.
     """
     return getattr(load_source(source), "COLUMN", "")

@@ -12,7 +12,7 @@ NEEDS = "The recorded motion of the car: speed and yaw rate of oxts, or of a log
 def read(
     raw: DriveReader, motion: DriveReader | None, car: Car, *, look_ahead: bool
 ) -> Labels | None:
-    """Return a drive's labels."""
+    """Return a drive's labels, or None if it has no recorded motion."""
     rates = recorded_motion(raw)
     if rates is None:
         return None

@@ -12,7 +12,10 @@ NEEDS = "The motion that stage motion measures in images, by visual odometry"
 def read(
     raw: DriveReader, motion: DriveReader | None, car: Car, *, look_ahead: bool
 ) -> Labels | None:
-    """Return a drive's labels, unknown where the motion is not measured."""
+    """Return a drive's labels, or None without a file of stage motion.
+
+    Labels are unknown in frames whose motion could not be measured.
+    """
     if motion is None:
         return None
     rates = measured_motion(raw, motion, look_ahead=look_ahead)

@@ -1,6 +1,6 @@
 """Labels from recorded angles of the front wheels.
 
-They are in steering.csv of a drive in KITTI's layout, or in a log of the steering wheel.
+The angles are in steering.csv of a drive in KITTI's layout, or in a log of the steering wheel.
 """
 
 import numpy as np
@@ -21,11 +21,13 @@ COLUMN = "steering_rad"
 def read(
     raw: DriveReader, motion: DriveReader | None, car: Car, *, look_ahead: bool
 ) -> Labels | None:
-    """Return a drive's labels: valid where an angle is recorded and the car moves, if known.
+    """Return a drive's labels, or None if it has no recorded angles.
 
-    The speed is a recorded one or, in a drive without, measured; the yaw rate is the bicycle
-    model's, so that a path ahead has no measured turn. Where motion is not measured because nothing
-    moves, the car stands.
+    A label is valid if the frame has a recorded angle and the car moves. The speed is the recorded
+    one, or the measured one if the drive has no recorded speed. If the speed of a frame is unknown,
+    the car is taken to move, unless its motion was not measured because nothing moves. The yaw rate
+    is computed from the recorded angle by the bicycle model, so that the path ahead follows from
+    recorded angles and not from measured turns.
     """
     if COLUMN not in raw:
         return None

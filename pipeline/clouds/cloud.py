@@ -1,7 +1,8 @@
-"""Semantic point clouds (paper eq. 6 and 7): points in metres, each with the class of its pixel.
+"""Make semantic point clouds (paper eq. 6 and 7) from images or scans, and draw their points.
 
-Clouds are in the rectified camera frame: x right, y down, z forward. The factor λ of eq. 7 is a
-setting of each model (`semantics`), so clouds always carry the class.
+A point is in metres and has the class of its pixel. Clouds are in the rectified camera frame: x
+right, y down, z forward. Clouds always have classes, since the factor λ of eq. 7, which scales
+them, is a setting of each model (`semantics`).
 """
 
 import zlib
@@ -19,10 +20,11 @@ from pipeline.camera.camera import Camera, DriveFrames, visible
 if TYPE_CHECKING:
     from pipeline.clouds.settings import Clouds
 
-# Limits in metres of the four intervals of horizontal range, see :func:`draw_by_range`.
+# Limits in metres between the four intervals of horizontal range from which points are drawn in
+# equal numbers.
 STRATA_M = (10.0, 20.0, 40.0)
-# Resolution in metres of stored coordinates: far finer than any sensor, and exact in float32 up to
-# 16 km.
+# Resolution in metres of stored coordinates. It is far finer than that of any sensor, and multiples
+# of it are exact in float32 up to 16 km.
 RESOLUTION_M = 1 / 1024
 
 
@@ -38,7 +40,10 @@ class Cloud(NamedTuple):
 
 
 def pseudo_cloud(depth_m: np.ndarray, cls: np.ndarray, K: np.ndarray, max_depth_m: float) -> Cloud:
-    """Back-project the :func:`solid_pixels` of an image (paper eq. 6)."""
+    """Back-project the pixels of an image that become points (paper eq. 6).
+
+    `depth_m` [H,W] is in metres, `cls` [H,W] holds trainIds, and `K` [3,3] the intrinsics.
+    """
     pixels = solid_pixels(depth_m, cls, max_depth_m)
     xyz = geometry.back_project(depth_m, K)[pixels]
     return Cloud(xyz.astype(np.float32), cls[pixels].astype(np.uint8))
@@ -47,8 +52,9 @@ def pseudo_cloud(depth_m: np.ndarray, cls: np.ndarray, K: np.ndarray, max_depth_
 def solid_pixels(depth_m: np.ndarray, cls: np.ndarray, max_depth_m: float) -> np.ndarray:
     """Return which pixels become points, bool [H,W], from depth in metres and trainIds [H,W].
 
-    Sky, void and invalid pixels (depth 0), and those beyond `max_depth_m`, do not. An encoder
-    without classes gives only void: then all valid pixels become points.
+    Pixels without a depth (0), beyond `max_depth_m`, on the sky or without a class (void) do not
+    become points. An encoder without classes gives only void. With such an encoder, all pixels up
+    to `max_depth_m` become points.
     """
     pixels = (depth_m > 0) & (depth_m <= max_depth_m) & (cls != classes.SKY)
     has_class = cls != classes.VOID
@@ -58,10 +64,11 @@ def solid_pixels(depth_m: np.ndarray, cls: np.ndarray, max_depth_m: float) -> np
 
 
 def lidar_cloud(scan: np.ndarray, camera: Camera, cls: np.ndarray | None) -> Cloud:
-    """Transform a scan into the camera frame; each point takes its pixel's class.
+    """Transform a scan into the camera frame, and give each point the class of its pixel.
 
-    `scan` [P,≥3] holds x, y, z in metres in the velodyne frame; `cls` [H,W] the trainIds of the
-    frame's image, or None. Points outside of the image, on the sky, or hidden from it are void.
+    `scan` [P,≥3] holds x, y, z in metres in the velodyne frame. `cls` [H,W] holds the trainIds of
+    the frame's image, or is None. Points that are outside of the image, hidden from the camera, or
+    on the sky are void.
     """
     assert camera.T_cam_velo is not None
     xyz = geometry.transform(camera.T_cam_velo, scan[:, :3].astype(np.float64))
@@ -69,7 +76,7 @@ def lidar_cloud(scan: np.ndarray, camera: Camera, cls: np.ndarray | None) -> Clo
     if cls is not None:
         index, row, column = visible(xyz, camera)
         labels[index] = cls[row, column]
-        # The sky returns no laser pulse, so such a point is on a silhouette.
+        # The sky returns no laser pulse, so a point with this class is on the edge of an object.
         labels[labels == classes.SKY] = classes.VOID
     return Cloud(xyz.astype(np.float32), labels)
 
@@ -77,9 +84,9 @@ def lidar_cloud(scan: np.ndarray, camera: Camera, cls: np.ndarray | None) -> Clo
 def clouds_drive(
     path: Path, kind: str, ingest: Path, perception: Path, settings: "Clouds"
 ) -> Summary:
-    """Write the clouds of a drive, each at most `max_points` random points of a frame.
+    """Write the clouds of a drive, one per frame, with at most `max_points` random points each.
 
-    `kind` is pseudo (from images) or lidar (from scans); `ingest` and `perception` are the drive's
+    `kind` is pseudo (from images) or lidar (from scans). `ingest` and `perception` are the drive's
     files of these stages.
     """
     counts = []
@@ -88,6 +95,7 @@ def clouds_drive(
         with DriveWriter(path, stage="clouds", drive=frames.drive, params=params) as file:
             file.put("frame", frames.frame)
             file.put("time_s", frames.time_s, unit="s")
+            # The first call creates a dataset, also in the file of a drive without frames.
             file.append("xyz", np.empty((0, 3), np.float32), "m", "ptr")
             file.append("cls", np.empty(0, np.uint8), "trainId", "ptr")
             for frame in frames:
@@ -108,7 +116,7 @@ def clouds_drive(
 
 
 def frame_rng(seed: int, drive: str, frame: int) -> np.random.Generator:
-    """Return a frame's random generator, which does not depend on the order of work."""
+    """Return a frame's random generator, which is the same in whatever order frames are made."""
     return np.random.default_rng([seed, zlib.crc32(drive.encode()), frame])
 
 
@@ -121,8 +129,9 @@ def draw_points(
 ) -> Cloud:
     """Return at most `points` random points of a cloud inside of a crop, in the cloud's order.
 
-    `crop_m` holds the left, near, right and far limit of x and z, or is None. `sampling` is uniform
-    or range, see :func:`draw_by_range`.
+    `crop_m` holds the limits left, near, right and far, of which left and right are limits of x,
+    near and far limits of z. None is no crop. `sampling` is uniform, or range to draw equal numbers
+    of points from intervals of range.
     """
     if crop_m is not None:
         near_left = np.array(crop_m[:2])
@@ -138,7 +147,7 @@ def draw_points(
 def draw_rows(count: int, limit: int, rng: np.random.Generator) -> np.ndarray:
     """Draw at most `limit` of the rows 0..count-1 without replacement.
 
-    They are ascending, which keeps Morton order.
+    The rows are ascending, which keeps the points in Morton order.
     """
     if count <= limit:
         return np.arange(count)
@@ -148,14 +157,16 @@ def draw_rows(count: int, limit: int, rng: np.random.Generator) -> np.ndarray:
 def draw_by_range(xyz: np.ndarray, limit: int, rng: np.random.Generator) -> np.ndarray:
     """Draw at most `limit` of the points [P,3], equally many from each interval of STRATA_M.
 
-    An image has few pixels far away. Where an interval has too few points, the other intervals
-    share the remaining ones. Returns ascending rows, without replacement.
+    Without this, few points would be far away, since an image has few pixels of distant things. If
+    an interval has too few points, more are drawn from the other intervals. Returns ascending rows
+    that are drawn without replacement.
     """
     shuffled = rng.permutation(len(xyz))
     range_m = np.hypot(xyz[shuffled, 0], xyz[shuffled, 2])
     stratum = np.digitize(range_m, STRATA_M)
 
-    # Number the points of each interval. Then take all first points, all second ones, and so on.
+    # Number the points of each interval. Take the first point of each interval, then the second
+    # point of each, and so on.
     rank = np.empty(len(xyz), np.int64)
     for number in range(len(STRATA_M) + 1):
         members = stratum == number
@@ -167,9 +178,10 @@ def draw_by_range(xyz: np.ndarray, limit: int, rng: np.random.Generator) -> np.n
 def in_morton_order(cloud: Cloud) -> Cloud:
     """Return a cloud in Morton order, with coordinates rounded to multiples of RESOLUTION_M.
 
-    Neighbours in space become neighbours in memory: kNN and sparse products are faster, and files
-    compress better.
+    In this order, neighbours in space are neighbours in memory, so kNN and sparse products are
+    faster, and files compress better.
     """
+    # A Morton code interleaves the bits of three numbers, here of 21 bits each.
     cells = np.rint(cloud.xyz / RESOLUTION_M)
     numbers = np.clip(cells + 2**20, 0, 2**21 - 1).astype(np.uint64)
     x, y, z = numbers.T

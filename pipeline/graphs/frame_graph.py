@@ -1,6 +1,6 @@
-"""Make the frames of a variant of the networks' input: draw points, connect or group them.
+"""Make the frames of a variant of the networks' input, and write data/graphs/<variant>/<drive>.h5.
 
-They are written to data/graphs/<variant>/<drive>.h5.
+A frame is an image, or points that are drawn from a cloud and then connected or grouped.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -18,10 +18,10 @@ from pipeline.graphs.settings import Variant
 
 
 def graphs_drive(path: Path, source: Path, motion: Path, variant: Variant) -> Summary:
-    """Write the frames of a drive as a variant of graphs, and their measured motion, to a new file.
+    """Write the frames of a drive in a variant, and their measured motion, to a new file.
 
-    `source` is the drive's file of clouds, or for a variant of images that of stage ingest;
-    `motion` is its file of that stage.
+    `source` is the drive's file of stage clouds, or of stage ingest if the variant has images.
+    `motion` is the drive's file of stage motion.
     """
     with (
         DriveReader(source, stage=variant.source.split("/")[0]) as content,
@@ -68,7 +68,10 @@ def _read_clouds(content: DriveReader) -> Iterator[tuple[int, Cloud]]:
 
 
 def build_frame(cloud: Cloud, variant: Variant, drive: str, number: int) -> Columns:
-    """Return frame `number` of a variant of points, reproducibly for drive and frame number."""
+    """Return frame `number` of a variant of points.
+
+    Random draws depend only on the variant's seed, the drive and the frame number.
+    """
     assert variant.points
     rng = frame_rng(variant.seed, drive, number)
     drawn = draw_points(cloud, variant.crop_m, variant.points, rng, variant.sampling)
@@ -78,7 +81,7 @@ def build_frame(cloud: Cloud, variant: Variant, drive: str, number: int) -> Colu
 
 
 def connect(cloud: Cloud, variant: Variant, rng: np.random.Generator) -> Columns:
-    """Return points with their kNN graph and its numbers of edges, or with PointNet++'s groups."""
+    """Return the columns of a frame: its points, and their kNN graph or PointNet++'s groups."""
     assert variant.points
     xyz, cls = cloud
     columns = {"xyz": Column(xyz, "m", "ptr"), "cls": Column(cls, "trainId", "ptr")}
@@ -94,7 +97,8 @@ def connect(cloud: Cloud, variant: Variant, rng: np.random.Generator) -> Columns
         columns["edges_kept"] = Column(np.array([pruned.edges_kept], np.int32), "directed edges")
         return columns
 
-    # The centres and neighbours of a level are rows of the points, or of the level below.
+    # The centres and neighbours of the first level are rows of the points. Those of another level
+    # are rows of the centres of the level before.
     points = "xyz"
     levels = graph.levels(xyz, variant.levels, rng)
     for number, (centres, neighbours) in enumerate(levels, start=1):
@@ -109,7 +113,7 @@ def connect(cloud: Cloud, variant: Variant, rng: np.random.Generator) -> Columns
 
 
 def empty_frame(variant: Variant) -> Columns:
-    """Return the columns of a variant of points without rows."""
+    """Return the columns of a frame without points, for a variant of points."""
     cloud = Cloud(np.empty((0, 3), np.float32), np.empty(0, np.uint8))
     columns = connect(cloud, variant, np.random.default_rng(0))
     return {name: column._replace(rows=column.rows[:0]) for name, column in columns.items()}
@@ -118,10 +122,10 @@ def empty_frame(variant: Variant) -> Columns:
 def read_steps(motion: DriveReader, source: str) -> dict[int, np.ndarray]:
     """Return frame number → T_before_now float64 [4,4] of the valid frames of a motion file.
 
-    Its length unit is that of the clouds of `source`. Visual odometry multiplies depth by
-    ``scale``; clouds/pseudo are lifted from uncorrected depth. So the step's translation is divided
-    by the scale, and static objects coincide whatever the scale of depth. clouds/lidar are in
-    metres, as motion is.
+    Translations have the length unit of the clouds of `source`. Visual odometry corrects depth by
+    the factor ``scale``, but clouds/pseudo are made from uncorrected depth. So their translations
+    are divided by this factor, which makes static objects coincide whatever the scale of depth is.
+    Motion and clouds/lidar are both in metres.
     """
     valid = motion["valid"].astype(bool)
     steps = motion["T_before_now"][valid].astype(np.float64)
@@ -133,13 +137,15 @@ def read_steps(motion: DriveReader, source: str) -> dict[int, np.ndarray]:
 def accumulate(
     clouds: Iterable[tuple[int, Cloud]], steps: Mapping[int, np.ndarray], frames: int
 ) -> Iterator[tuple[int, Cloud]]:
-    """Combine each cloud with up to `frames` - 1 previous ones, in its coordinates.
+    """Combine each cloud with up to `frames` - 1 previous clouds, in its own coordinates.
 
-    `steps` is the result of :func:`read_steps`. A cloud reaches back as long as frame numbers are
-    consecutive and motion is valid. So it starts anew after a halt, since standstill looks like
-    unmeasured motion. Moving objects leave a trace, and passed ones lie behind the camera.
+    `clouds` are frame numbers with clouds, and `steps` is frame number → T_before_now. Clouds are
+    combined as long as frame numbers are consecutive and motion is valid. So they start anew after
+    a halt, since standstill looks like unmeasured motion. Moving objects leave a trace, and objects
+    that the car has passed lie behind the camera.
     """
     recent: list[tuple[np.ndarray, Cloud]] = []  # T_now_past and the past cloud, oldest first
+    # Frame numbers start at 0, so no first frame follows this one.
     previous = -2
     for number, cloud in clouds:
         # Move the past clouds by the step of the car, or forget them after a gap.

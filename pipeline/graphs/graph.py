@@ -9,28 +9,33 @@ from scipy.sparse import csr_array
 
 from pipeline.base.errors import InputError
 
-# OpenCV's nearest neighbours by one tree, FLANN_INDEX_KDTREE_SINGLE, which is exact.
+# Parameters of OpenCV's search for nearest neighbours. Algorithm 4 is FLANN_INDEX_KDTREE_SINGLE, a
+# single tree, which allows for an exact search.
 _FLANN = {"algorithm": 4, "leaf_max_size": 10, "reorder": True}
-# A search of the whole tree: -1 is an unlimited number of checks.
+# Parameters of an exact search. -1 is an unlimited number of checks, so the whole tree is searched.
 _EXACT = {"checks": -1, "eps": 0.0, "sorted": True}
-# Largest number of neighbours that a degree, uint8, can hold. Distinct points have about 12 k at
-# most, so that only coinciding points have more.
+# Largest degree of a point, as degrees are stored as uint8. Distinct points have at most about 12 k
+# neighbours, so only coinciding points have more.
 _MAX_DEGREE = 255
 
 
 class Graph(NamedTuple):
-    """A symmetric graph on P nodes as CSR without self-loops."""
+    """A symmetric graph on P nodes in CSR format, without self-loops.
 
-    degree: np.ndarray  # uint8 [P], neighbours per node
+    Edges are counted as the paper counts them: a node with k nearest neighbours has k directed
+    edges, so 100 points with k = 6 have 600.
+    """
+
+    degree: np.ndarray  # uint8 [P], number of neighbours of each node
     indices: np.ndarray  # int32 [sum(degree)], neighbours of each node in turn, ascending
-    edges_knn: int  # directed kNN edges, as the paper counts them: 600 for 100 points
-    edges_kept: int  # those after pruning
+    edges_knn: int  # number of directed edges before pruning
+    edges_kept: int  # number of directed edges after pruning
 
 
 def nearest_neighbours(xyz: np.ndarray, k: int) -> np.ndarray:
-    """Return the indices [P,min(k,P-1)] of the other points nearest to each point [P,3].
+    """Return the rows [P,min(k,P-1)] of the nearest other points of each point [P,3].
 
-    The nearest is first.
+    The nearest point comes first.
     """
     count = len(xyz)
     k = min(k, count - 1)
@@ -40,17 +45,18 @@ def nearest_neighbours(xyz: np.ndarray, k: int) -> np.ndarray:
     tree = cv2.flann_Index(points, _FLANN)  # type: ignore[attr-defined]
     neighbours, _ = tree.knnSearch(points, k + 1, params=_EXACT)
 
-    # A point is one of its own k+1 neighbours, usually the first. Among coinciding points, it may
-    # be missing: then the last neighbour is dropped.
+    # A point is among its own k+1 neighbours, usually as the first. It may be missing if other
+    # points coincide with it. In this case, the last neighbour is dropped.
     itself = neighbours == np.arange(count, dtype=np.int32)[:, None]
     itself[~itself.any(axis=1), -1] = True
     return neighbours[~itself].reshape(count, k)
 
 
 def undirected(neighbours: np.ndarray) -> csr_array:
-    """Return `neighbours` [P,k] as a symmetric csr_array uint8 [P,P]: 2 if mutual, otherwise 1.
+    """Return the graph of `neighbours` [P,k] as a symmetric csr_array, uint8 [P,P].
 
-    The entries of each row are ascending.
+    An entry is 2 if two points are neighbours of each other, and 1 if only one of them is a
+    neighbour of the other. So an entry counts directed edges. Columns are ascending in each row.
     """
     count, k = neighbours.shape
     starts = np.arange(count + 1, dtype=np.int32) * k
@@ -66,20 +72,21 @@ def prune(
 ) -> Graph:
     """Return the graph of an :func:`undirected` matrix [P,P] after pruning (section 4.2, Fig. 3).
 
-    Edges within a class of `cls` [P] stay; of those between classes, a random fraction
-    `keep_inter_class` stays. Raises InputError if a point has more than 255 neighbours.
+    All edges within a class of `cls` [P] are kept, and a random share `keep_inter_class` of the
+    edges between classes. Raises InputError if a point has more than 255 neighbours.
     """
     column = matrix.indices
     row = np.repeat(np.arange(len(cls), dtype=column.dtype), np.diff(matrix.indptr))
 
-    # Draw among the edges between classes, by the first of an edge's two entries.
+    # An edge has two entries, of which the first is above the diagonal. Mark the first entries of
+    # the edges between classes that are not kept.
     between = np.flatnonzero((cls[row] != cls[column]) & (row < column))
     kept = rng.choice(len(between), round(keep_inter_class * len(between)), replace=False)
     removed = np.zeros(len(column), bool)
     removed[np.delete(between, kept)] = True
 
-    # Remove their second entries, too: a symmetric matrix and its transpose have their entries in
-    # the same order.
+    # Mark the second entries of these edges, too. They are the first entries of the transposed
+    # matrix, which has its entries in the same order, since the matrix is symmetric.
     first_entries = csr_array((removed, column, matrix.indptr), shape=matrix.shape)
     removed |= first_entries.T.tocsr().data
 
@@ -87,24 +94,26 @@ def prune(
     if degree.max(initial=0) > _MAX_DEGREE:
         problem = f"a point has {degree.max()} neighbours (at most {_MAX_DEGREE})"
         raise InputError(problem, fix="Set a smaller k")
+    # Each directed edge counts in both entries of its two points.
     edges_knn = int(matrix.data.sum()) // 2
     edges_kept = int(matrix.data[~removed].sum()) // 2
     return Graph(degree.astype(np.uint8), column[~removed], edges_knn, edges_kept)
 
 
-LevelSize = tuple[int, float, int]  # centres, radius in metres, neighbours per centre
-Grouping = tuple[np.ndarray, np.ndarray]  # centres [M] and their neighbours [M,n]: int64, rows
+LevelSize = tuple[int, float, int]  # number of centres, radius in metres, neighbours per centre
+Grouping = tuple[np.ndarray, np.ndarray]  # rows of centres [M] and of their neighbours [M,n], int64
 
 
 def levels(xyz: np.ndarray, sizes: Iterable[LevelSize], rng: np.random.Generator) -> list[Grouping]:
-    """Choose and group centres of the points [P,3], then of these centres, and so on.
+    """Choose centres among the points [P,3], and group the points around each centre.
 
-    This is PointNet++'s set abstraction (paper eq. 1; Qi et al. 2017).
+    Each further level does the same with the centres of the level before. This is PointNet++'s set
+    abstraction (paper eq. 1; Qi et al. 2017).
     """
     groupings = []
-    # Points are stored in Morton order, so the first points of a ball would be one corner of it. In
-    # the reference the order is random, hence the permutation. Later levels are in the order of
-    # their choice, in which the first points are evenly spread.
+    # A ball takes the first points that it contains. Points are stored in Morton order, in which
+    # these would be in a corner of the ball. So points are searched in random order, as in the
+    # reference. The centres need no such order, since the centres chosen first are evenly spread.
     order = rng.permutation(len(xyz))
     for count, radius_m, neighbours in sizes:
         centres = farthest_points(xyz, count)
@@ -115,10 +124,10 @@ def levels(xyz: np.ndarray, sizes: Iterable[LevelSize], rng: np.random.Generator
 
 
 def farthest_points(xyz: np.ndarray, count: int) -> np.ndarray:
-    """Choose points [P,3] by farthest point sampling: indices int64 [min(count, P)].
+    """Choose points [P,3] by farthest point sampling, and return their rows, int64 [min(count,P)].
 
-    The first is row 0, and each other one is the farthest from those before it. Ties take the first
-    point.
+    The first row is 0. Each further point is the farthest from all points chosen before it. Of
+    points that are equally far, the first is chosen.
     """
     axes = np.ascontiguousarray(xyz.T, np.float64)
     chosen = np.zeros(min(count, len(xyz)), np.int64)
@@ -134,9 +143,9 @@ def ball_query(
 ) -> np.ndarray:
     """Return the first `neighbours` points of the ball around each centre, int64 [M,neighbours].
 
-    `centres` [M] are rows of the points [P,3]; `order` [P] is the permutation in which points are
-    searched. Balls with fewer points repeat the first, as in the reference; a maximum over the
-    neighbours is not affected.
+    `centres` [M] are rows of the points [P,3]. `order` [P] is the permutation in which points are
+    searched. A ball with fewer points repeats its first point, as in the reference. This does not
+    change a maximum over the neighbours.
     """
     axes = np.ascontiguousarray(xyz[order].T, np.float64)
     members = np.empty((len(centres), neighbours), np.int64)
@@ -148,9 +157,9 @@ def ball_query(
 
 
 def _squared_distances(axes: np.ndarray, centre: int) -> np.ndarray:
-    """Return the squared distances [P] of points [3,P] to one of them.
+    """Return the squared distances [P] of points, given as `axes` [3,P], to the point `centre`.
 
-    They are exact for stored coordinates. An array [P,3] would be 4 times slower.
+    They are exact for stored coordinates. Points as an array [P,3] would be 4 times slower.
     """
     offsets = axes - axes[:, centre, None]
     return np.asarray((offsets**2).sum(axis=0))

@@ -1,14 +1,16 @@
 """Write and read the graph file of a drive, data/graphs/<variant>/<drive>.h5.
 
-It is the input of the networks. A frame is a dict of columns, whose arrays are by kind of frame
+The file is the input of the networks. A frame is a dict of columns, which depend on its kind:
 
-- graph: xyz float32 [P,3] in metres, cls uint8 [P], and the kNN graph: degree uint8 [P], indices
-  [ΣP degree];
-- pointnet2: xyz, cls, and for each level l from 1 centres_l [M] and neighbours_l [M,n];
-- image: image uint8 [1,H,W,3].
+- A frame of kind graph has the points xyz, float32 [P,3] in metres, their classes cls, uint8 [P],
+  and a kNN graph: the number of neighbours of each point, degree, uint8 [P], and the rows of these
+  neighbours, indices [sum(degree)].
+- A frame of kind pointnet2 has xyz, cls, and for each level l, from 1 on, centres_l [M] and
+  neighbours_l [M,n].
+- A frame of kind image has the column image, uint8 [1,H,W,3].
 
-A column declares where each frame starts and, if it holds row numbers, what it counts. The file
-keeps both.
+A column names the array in which the file keeps the first row of each frame. If a column holds row
+numbers, it also names the column whose rows they are.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -22,7 +24,8 @@ from pipeline.base import store
 
 Arrays = dict[str, np.ndarray]
 
-# Datasets of measured motion, each with the dataset of the motion file that it holds, and its unit.
+# Datasets of measured motion → the dataset of the motion file from which they are copied, and their
+# unit.
 MOTION = {
     "motion_yaw_rate_radps": ("yaw_rate_radps", "rad/s, left positive"),
     "motion_speed_mps": ("filtered_mps", "m/s, forward positive"),
@@ -35,18 +38,20 @@ class Column(NamedTuple):
 
     rows: np.ndarray
     unit: str
-    pointer: str = ""  # array with the first row of each frame; empty: one row per frame
-    refers_to: str = ""  # column whose rows these numbers count, from 0 in each frame; empty: none
+    pointer: str = ""  # name of the array of first rows; empty if each frame has one row
+    # Name of the column to whose rows the numbers refer, counted from 0 in each frame. It is empty
+    # if the column holds no row numbers.
+    refers_to: str = ""
 
 
 Columns = dict[str, Column]
 
 
 class Contents(NamedTuple):
-    """The kind of the frames, and the sizes that a network takes from them."""
+    """The kind of the frames, and the sizes on which the layers of a network depend."""
 
-    kind: str  # FrameKind in models/steering/core/batch.py
-    levels: int = 0  # of PointNet++
+    kind: str  # a FrameKind of models/steering/core/batch.py
+    levels: int = 0  # number of PointNet++'s levels
     image_size: tuple[int, int] | None = None  # (H, W)
 
     def __str__(self) -> str:
@@ -59,7 +64,10 @@ class Contents(NamedTuple):
 
 
 class MeasuredMotion(NamedTuple):
-    """The car's motion since the previous frame, left and forward positive; 0 where not valid."""
+    """The car's motion since the previous frame, left and forward positive.
+
+    Motion that is not valid is 0.
+    """
 
     yaw_rate_radps: np.ndarray  # float32 [G]
     speed_mps: np.ndarray  # float32 [G]
@@ -73,9 +81,9 @@ def write(
     frames: Iterable[Columns],
     empty: Columns,
 ) -> dict[str, int]:
-    """Write KITTI frame numbers [F], times [F] and the frames; return the counts of the summary.
+    """Write KITTI frame numbers [F], times [F] and the frames, and return counts for the summary.
 
-    `empty` is a frame without rows, which creates the datasets also in the file of a drive without
+    `empty` is a frame without rows. It creates the datasets, also in the file of a drive without
     frames.
     """
     file.put("frame", np.asarray(frame, np.int32))
@@ -101,7 +109,10 @@ def write(
 
 
 def put_motion(file: store.DriveWriter, frame: np.ndarray, motion: store.DriveReader) -> None:
-    """Write the measured motion of frame numbers [F], 0 and not valid where it is missing."""
+    """Write the measured motion of frames, given by their numbers [F].
+
+    Frames that are missing in the motion file have a motion of 0 that is not valid.
+    """
     _, rows, motion_rows = np.intersect1d(frame, motion.frame, return_indices=True)
     for name, (source, unit) in MOTION.items():
         measured = motion[source]
@@ -113,13 +124,14 @@ def put_motion(file: store.DriveWriter, frame: np.ndarray, motion: store.DriveRe
 class Graphs(store.DriveReader):
     """An open graph file with G frames.
 
-    Pointers are read once, and columns after :meth:`keep`.
+    Pointers are read once. Columns are read for each access, or once if :meth:`keep` is called.
+    Ragged columns are those whose number of rows varies by frame, and so have a pointer.
     """
 
     kept: Mapping[str, Any] = {}  # ragged columns in memory
 
     def keep(self, convert: Callable[[np.ndarray], Any]) -> None:
-        """Read the ragged columns, from now on ``convert(column)``, into memory."""
+        """Read the ragged columns into memory, where they are kept as ``convert(column)``."""
         self.kept = {name: convert(self[name]) for name in self.pointers}
 
     def row(self, name: str, index: int | slice | tuple[()]) -> Any:
@@ -146,7 +158,10 @@ class Graphs(store.DriveReader):
 
     @cached_property
     def counts(self) -> Arrays:
-        """Return numbers per frame [G]: points, edges_knn and edges_kept (directed), if any."""
+        """Return the numbers per frame [G] of points and of directed edges, if the file has them.
+
+        edges_knn is counted before and edges_kept after pruning.
+        """
         counts = {}
         if "xyz" in self:
             counts["points"] = np.diff(self["ptr"])
@@ -164,20 +179,20 @@ class Graphs(store.DriveReader):
 
     @cached_property
     def starts(self) -> Arrays:
-        """Return pointer → first row of each frame and the end, int64 [G+1]."""
+        """Return pointer → first row of each frame, and the end of the last one, int64 [G+1]."""
         return {pointer: self[pointer] for pointer in dict.fromkeys(self.pointers.values())}
 
 
 def open_graphs(path: str | Path) -> Graphs:
-    """Open a graph file, a context manager.
+    """Open a graph file, which is a context manager.
 
-    Raises InputError if it is missing, damaged or of another stage.
+    Raises InputError if the file is missing, damaged or of another stage.
     """
     return Graphs(Path(path), stage="graphs")
 
 
 def edge_pairs(degree: np.ndarray, indices: np.ndarray) -> np.ndarray:
-    """Return both ends [E,2] of each undirected edge of one frame once, the smaller first."""
+    """Return the two ends [E,2] of each undirected edge of a frame, the smaller row first."""
     rows = np.repeat(np.arange(len(degree)), degree)
     pairs = np.stack([rows, indices], axis=1)
     return pairs[rows < indices]

@@ -8,9 +8,9 @@ from pipeline.base.params import Count, Positive, Section, Seed
 
 
 class _Kind(NamedTuple):
-    """A kind of frames, and the keys of a variant that makes it."""
+    """A kind of frames, and the keys of the variants that make such frames."""
 
-    name: str  # in messages
+    name: str  # how messages call it
     required: set[str]
     optional: set[str]
 
@@ -31,20 +31,24 @@ class Variant(Section):
     source: Literal["clouds/pseudo", "clouds/lidar", "ingest"]
     neighbourhood: Literal["knn", "pointnet2"] = "knn"
     points: Count | None = None
-    # How points are drawn; range draws equal numbers from intervals of range.
+    # How points are drawn. With range, equal numbers are drawn from intervals of range.
     sampling: Literal["uniform", "range"] = "uniform"
-    # Number of nearest neighbours; with 0, points have no edges.
+    # Number of nearest neighbours of a point. With 0, points have no edges.
     k: Annotated[int, Field(ge=0, le=32)] | None = None
-    # Share of the edges between classes that stays.
+    # Share of the edges between points of different classes that pruning keeps.
     keep_inter_class: Annotated[float, Field(ge=0, le=1)] = 1.0
-    # Limits of the camera's x and z: [left, near, right, far].
+    # Limits in metres of x (left, right) and z (near, far) in the camera's frame, in the order
+    # [left, near, right, far].
     crop_m: Annotated[tuple[float, float, float, float] | None, Field(strict=False)] = None
-    # Largest number of frames in a cloud, the current one included.
+    # Largest number of frames whose clouds are combined, the current frame included.
     accumulate: Annotated[int, Field(ge=2, le=64)] | None = None
-    # One value per level of PointNet++; the defaults are the published sizes (SSG). The published
-    # radii, 0.2 and 0.4, are for objects in a unit sphere; a street extends about 40 m.
+    # Number of centres in each level of PointNet++. The defaults of this setting and of neighbours
+    # are the published sizes (SSG).
     centres: list[Count] = Field(default=[512, 128], min_length=1)
+    # Radius in metres around a centre, for each level. The published radii, 0.2 and 0.4, are for
+    # objects in a unit sphere, but a street extends about 40 m.
     radius_m: list[Positive] = Field(default=[8.0, 16.0], min_length=1)
+    # Number of neighbours of a centre, for each level.
     neighbours: list[Count] = Field(default=[32, 64], min_length=1)
     seed: Seed = 0
 

@@ -1,4 +1,4 @@
-"""The pinhole camera of a drive or a video, and the frames that it records."""
+"""Describe the pinhole camera of a drive or a video, and read the frames that it records."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -19,32 +19,36 @@ from pipeline.camera.geometry import (
 )
 from pipeline.camera.images import Crop, Size, to_metres
 
-# Largest relative difference of aspect ratios that resizing may change. KITTI's sizes need 0.01.
+# Largest relative difference between two aspect ratios that count as equal, so that an image is
+# resized and not cropped. KITTI's image sizes differ by 0.01.
 SAME_SHAPE = 0.03
 # Distance of a crop's centre below the horizon, as a share of the image's width. It was measured on
 # KITTI's images.
 BELOW_HORIZON = 0.0115
-# Half width in radians of the window in which a nearer point hides others: 0.23 degrees, about one
-# ring of KITTI's scanner.
+# Half the width in radians of the window in which a nearer point hides others. It is 0.23 degrees,
+# about the distance between two rings of KITTI's scanner.
 OCCLUDER_RAD = 0.004
-# Least ratio of the depths of a hidden point and of the point that hides it. Neighbouring rings on
-# flat ground differ by a quarter in distance only beyond 60 m.
+# Ratio of the depth of a hidden point to that of the point that hides it, which is exceeded. On
+# flat ground, neighbouring rings differ by a quarter in distance only beyond 60 m.
 OCCLUDED_RATIO = 1.25
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A rectified camera; its frame is x right, y down, z forward, from the projection centre."""
+    """A rectified camera.
 
-    K: Any  # intrinsics [3,3] in pixels of images of this size; None without images and scans
+    Its frame is x right, y down, z forward, and has its origin in the projection centre.
+    """
+
+    K: Any  # intrinsics [3,3] in pixels, for images of `size`; None without images and scans
     size: Size  # (H, W)
-    height_m: float = CAMERA_HEIGHT_M  # over the road; KITTI's unless height_known
+    height_m: float = CAMERA_HEIGHT_M  # height over the road
     T_cam_velo: np.ndarray | None = None  # [4,4]; None without a LiDAR
-    horizon: float | None = None  # row of the road's horizon; None where it is unknown
-    height_known: bool = False
+    horizon: float | None = None  # image row of the road's horizon; None if it is unknown
+    height_known: bool = False  # otherwise, the height is that of KITTI's cameras
 
     def at_height(self, height_m: float | None) -> "Camera":
-        """Return the camera at a known height over the road, or unchanged if that is None."""
+        """Return the camera at a known height over the road, or the same camera for None."""
         if height_m is None:
             return self
         return replace(self, height_m=height_m, height_known=True)
@@ -52,7 +56,8 @@ class Camera:
     def scaled(self, size: Size) -> "Camera":
         """Return the camera after resizing its images to `size` (H, W).
 
-        Resizing maps the left edge -0.5 to -0.5, so centres move: ``u' = s (u + 0.5) - 0.5``.
+        Integer coordinates are pixel centres, so an image starts at -0.5, and a coordinate u
+        becomes ``s (u + 0.5) - 0.5``.
         """
         scale_v = size[0] / self.size[0]
         scale_u = size[1] / self.size[1]
@@ -81,11 +86,12 @@ class Camera:
         return replace(self, K=K)
 
     def crop_to(self, aspect: Size) -> Crop:
-        """Return the largest part of complete images with the aspect ratio of `aspect` (H, W).
+        """Return the largest crop of this camera's images with the aspect ratio of `aspect` (H, W).
 
-        Its centre is BELOW_HORIZON below the horizon or, if that is unknown, the principal point,
-        as far as the image reaches. An image whose aspect ratio differs by at most SAME_SHAPE is
-        used completely.
+        An image that is too high is cropped around a row that is BELOW_HORIZON below the horizon,
+        or around the principal point if the horizon is unknown. An image that is too wide is
+        cropped around the principal point. The crop is moved as far as it would leave the image. If
+        the aspect ratios differ by at most SAME_SHAPE, the crop is the complete image.
         """
         height, width = self.size
         ratio = height * aspect[1] / (width * aspect[0])
@@ -94,8 +100,7 @@ class Camera:
         if max(ratio, 1 / ratio) <= 1 + SAME_SHAPE:
             return Crop(rows, columns)
 
-        # A higher image keeps the rows around the horizon, a wider one the columns around the
-        # principal point.
+        # With a ratio above 1, the image is higher than the aspect ratio allows.
         if ratio > 1:
             centre = self.K[1, 2]
             if self.horizon is not None:
@@ -107,7 +112,7 @@ class Camera:
 
 
 def _range_around(centre: float, length: int, limit: int) -> slice:
-    """Return the range of `length` pixels around a centre, moved into the image's 0 to `limit`."""
+    """Return the range of `length` pixels around a centre, moved to lie between 0 and `limit`."""
     start = round(centre + 0.5 - length / 2)
     start = min(max(start, 0), limit - length)
     return slice(start, start + length)
@@ -115,29 +120,32 @@ def _range_around(centre: float, length: int, limit: int) -> slice:
 
 @dataclass
 class Frame:
-    """Sensor data and perception of one frame; None where the frame lacks it."""
+    """Sensor data and perception of one frame. A field is None if the frame lacks it."""
 
-    number: int  # KITTI's, or counted from 0
-    time_s: float  # since the start of the drive
-    image: Any = None  # RGB uint8 [H,W,3], of the same size as depth and classes
-    depth_m: Any = None  # [H,W] metres, rounded as in the file of stage perception; 0 is no depth
+    number: int  # KITTI's frame number, or one counted from 0
+    time_s: float  # time since the start of the drive
+    image: Any = None  # RGB uint8 [H,W,3]
+    depth_m: Any = None  # [H,W] in metres, rounded as in the file of stage perception; 0: no depth
     cls: Any = None  # trainIds uint8 [H,W]
     scan: Any = None  # float32 [P,4] in the velodyne frame: x, y, z in metres, reflectance
 
 
 def camera_height(T_cam_velo: np.ndarray | None) -> float | None:
-    """Return a camera's height in metres over flat ground from its calibration [4,4], or None."""
+    """Return a camera's height in metres over flat ground by its calibration [4,4].
+
+    It is None without a calibration.
+    """
     if T_cam_velo is None:
         return None
-    # The scanner's height is fixed on KITTI's cars; its z points up.
+    # The height of the scanner is known, and the z axis of its frame points up.
     T_velo_cam = np.linalg.inv(T_cam_velo)
     return SCANNER_HEIGHT_M + float(T_velo_cam[2, 3])
 
 
 def scan_depth(scan: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return the depth float32 [H,W] in metres of the visible points of a scan; 0 is no point.
+    """Return the depth of a scan's visible points in an image, float32 [H,W] in metres.
 
-    `scan` [P,≥3] holds x, y, z in the velodyne frame. See :func:`depth_image`.
+    A pixel without a point has a depth of 0. `scan` [P,≥3] holds x, y, z in the velodyne frame.
     """
     assert camera.T_cam_velo is not None
     xyz = transform(camera.T_cam_velo, scan[:, :3].astype(np.float64))
@@ -148,9 +156,10 @@ def scan_depth(scan: np.ndarray, camera: Camera) -> np.ndarray:
 def visible(xyz: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the points of a scan that the camera sees: indices [M], pixels' rows and columns.
 
-    `xyz` [N,3] is in the camera frame. The scanner is above the camera and looks over objects, so
-    points behind an object project between those of the object. A point is hidden if another one
-    within OCCLUDER_RAD is a fifth nearer.
+    `xyz` [N,3] holds the points in the camera frame. The scanner is above the camera and looks over
+    objects, so that points behind an object are projected between the points of this object. A
+    point is hidden if another point within OCCLUDER_RAD has a depth that is smaller by a factor of
+    more than OCCLUDED_RATIO.
     """
     index, row, column = pixels_of(xyz, camera.K, camera.size)
     depth_m = depth_image(xyz, camera.K, camera.size)
@@ -166,14 +175,14 @@ def visible(xyz: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np
 
 
 def write_camera(file: DriveWriter, camera: Camera) -> None:
-    """Write intrinsics, and T_cam_velo if the camera has it, to an ingest file."""
+    """Write a camera's intrinsics to an ingest file, and T_cam_velo if the camera has it."""
     file.put("K", camera.K, "pixels")
     if camera.T_cam_velo is not None:
         file.put("T_cam_velo", camera.T_cam_velo, "m")
 
 
 def read_camera(file: DriveReader) -> Camera:
-    """Return an ingest file's camera; K is None without images and scans."""
+    """Return the camera of an ingest file, whose K is None if the file has no images and scans."""
     height, width = file.datasets["image"].shape[1:3]
     calibration = {name: file[name] for name in ("K", "T_cam_velo") if name in file}
     T_cam_velo = calibration.get("T_cam_velo")
@@ -184,8 +193,8 @@ def read_camera(file: DriveReader) -> Camera:
 class DriveFrames(ExitStack):
     """The frames of a drive that have an image, or with `scans` those that have a scan.
 
-    A context manager on the drive's files of stages ingest and perception, whose frames are matched
-    by their numbers.
+    This is a context manager that opens the drive's files of stages ingest and perception. Frames
+    of both files are matched by their numbers.
     """
 
     def __init__(self, ingest: Path, perception: Path, *, scans: bool = False) -> None:
@@ -205,11 +214,15 @@ class DriveFrames(ExitStack):
         self.drive = self._ingest.drive
         self.params = self._perception.params
         self.camera = read_camera(self._ingest)
-        # Factor beyond which depth, by the height of the camera, must be in another unit.
+        # Factor between the camera's known height and its height by depth, above which depth must
+        # be in another unit.
         self.unit_error = float(self._perception.attrs.get("unit_error", np.inf))
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield frames with image, depth and classes, or with a scan and, if any, its classes."""
+        """Yield frames with image, depth and classes, or with a scan and classes of its image.
+
+        A frame with a scan may lack an image, and so classes.
+        """
         image_row = {number: row for row, number in enumerate(self._perception.frame.tolist())}
         for number, time_s in zip(self.frame.tolist(), self.time_s.tolist(), strict=True):
             frame = Frame(number, time_s)

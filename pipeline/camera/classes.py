@@ -24,13 +24,14 @@ BICYCLE = 18
 
 # Number of classes, without void.
 COUNT = 19
-# Class number of pixels and points without a class.
+# Class number of pixels and points that have none of these classes.
 VOID = 255
 # Classes that are part of the ground.
 GROUND = (ROAD, SIDEWALK, TERRAIN)
 # Classes that stand on the ground and may move.
 TRAFFIC = (PERSON, RIDER, CAR, TRUCK, BUS, TRAIN, MOTORCYCLE, BICYCLE)
 
+# Names of the classes by trainId, as in the Cityscapes benchmark.
 NAMES = (
     "road",
     "sidewalk",
@@ -53,7 +54,7 @@ NAMES = (
     "bicycle",
 )
 
-# The colours of the Cityscapes benchmark, RGB.
+# RGB colours of the classes by trainId, as in the Cityscapes benchmark.
 COLOURS = np.array(
     [
         (128, 64, 128),  # road
@@ -81,7 +82,7 @@ COLOURS = np.array(
 
 
 def colourise(classes: np.ndarray) -> np.ndarray:
-    """Return uint8 RGB [..., 3] for class numbers [...]; void is black."""
+    """Return the RGB colours, uint8 [..., 3], of class numbers [...]. Void is black."""
     table = np.zeros((256, 3), np.uint8)
     table[:COUNT] = COLOURS
     return table[classes]

@@ -1,23 +1,25 @@
 """Project and back-project with a pinhole camera (paper eq. 6), and apply rigid transforms.
 
-Frames: camera = rectified, x right, y down, z forward; velodyne = x forward, y left, z up.
-``T_a_b`` takes points from frame b to frame a. Pixel (u, v) = (column, row); integer coordinates
-are pixel centres, as in KITTI's calibration.
+The frame of a rectified camera is x right, y down, z forward. The velodyne frame is x forward, y
+left, z up. ``T_a_b`` transforms points from frame b to frame a. A pixel (u, v) is (column, row).
+Integer coordinates are pixel centres, as in KITTI's calibration.
 """
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-# Height of the scanner above flat ground (KITTI's setup page). The sample uses the same.
+# Height of the scanner in metres above flat ground, according to KITTI's setup page. The sample has
+# the same height.
 SCANNER_HEIGHT_M = 1.73
-# Height of a camera without calibration above flat ground: KITTI's (same page).
+# Height in metres above flat ground of a camera without a known height. It is that of KITTI's
+# cameras, according to the same page.
 CAMERA_HEIGHT_M = 1.65
 
 
 def rays(K: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
-    """Return K⁻¹[u,v,1]ᵀ for each pixel, float64 [H,W,3]; the third component is 1.
+    """Return K⁻¹[u,v,1]ᵀ for each pixel of an image, float64 [H,W,3].
 
-    `size` is (H, W).
+    This is the direction of the pixel, of which the third component is 1. `size` is (H, W).
     """
     v, u = np.mgrid[: size[0], : size[1]].astype(np.float64)
     homogeneous = np.stack([u, v, np.ones_like(u)], axis=-1)
@@ -35,7 +37,7 @@ def back_project(depth_m: np.ndarray, K: np.ndarray) -> np.ndarray:
 def project(xyz: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return pixels (u, v) [N,2] and depths z [N] of camera-frame points [N,3].
 
-    Points with z ≤ 0 get NaN pixels.
+    The pixels of points with z ≤ 0 are NaN.
     """
     homogeneous = xyz @ K.T
     z = homogeneous[:, 2]
@@ -49,7 +51,7 @@ def pixels_of(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the points inside of an image: their indices [M], and their pixels' rows and columns.
 
-    `xyz` [N,3] is in the camera frame, `size` is (H, W).
+    `xyz` [N,3] holds the points in the camera frame. `size` is (H, W).
     """
     uv, _ = project(xyz, K)
     nearest = np.rint(uv)
@@ -75,8 +77,8 @@ def transform(T: np.ndarray, xyz: np.ndarray) -> np.ndarray:
 def depth_image(xyz: np.ndarray, K: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Return the depth [H,W] in metres of the nearest point in each pixel, 0 where there is none.
 
-    `xyz` [N,3] is in the camera frame. KITTI's depth benchmark makes sparse depth from scans in
-    this way.
+    `xyz` [N,3] holds the points in the camera frame. KITTI's depth benchmark makes sparse depth
+    from scans in this way.
     """
     index, row, column = pixels_of(xyz, K, size)
     depth_m = np.full(size, np.inf)

@@ -13,8 +13,8 @@ import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError
 
-# Oldest main version of OpenCV, as in pyproject.toml. Installing opencv-python replaces it without
-# a word from pip; after uninstalling that, the module is empty.
+# Oldest major version of OpenCV, as in pyproject.toml. Installing the package opencv-python
+# silently replaces it with another version. After that is uninstalled, the module cv2 is empty.
 OPENCV = 5
 _version = getattr(cv2, "__version__", "0")
 if int(_version.partition(".")[0]) < OPENCV:
@@ -24,9 +24,9 @@ if int(_version.partition(".")[0]) < OPENCV:
     # InputError.
     raise SystemExit(f"error: expected OpenCV {OPENCV}.0 or later, got {_version}. {_fix}")
 
-Size = tuple[int, int]  # (H, W) pixels
+Size = tuple[int, int]  # (H, W) in pixels
 
-# Units of stored depth in a metre, as in KITTI's depth benchmark; a depth of 0 is no depth.
+# Number of units of stored depth in a metre, as in KITTI's depth benchmark.
 DEPTH_UNITS_PER_M = 256
 # Largest stored depth in these units.
 MAX_UNITS = np.iinfo(np.uint16).max
@@ -35,7 +35,8 @@ MAX_UNITS = np.iinfo(np.uint16).max
 _PNG = b"\x89PNG\r\n\x1a\n"
 # The first bytes of a JPEG file.
 _JPEG = b"\xff\xd8"
-# EXIF's tag 0x0112, orientation, one short number, little or big endian; 1 is upright.
+# Pattern of EXIF's tag 0x0112, orientation, with a value from 2 to 8, in little or big endian. A
+# value of 1 would be an upright image.
 _ROTATED = re.compile(
     rb"\x12\x01\x03\0\x01\0\0\0[\x02-\x08]\0|\x01\x12\0\x03\0\0\0\x01\0[\x02-\x08]"
 )
@@ -63,7 +64,10 @@ def to_metres(units: np.ndarray) -> np.ndarray:
 
 
 def to_units(depth_m: np.ndarray) -> np.ndarray:
-    """Convert depth in metres to stored depth uint16, at least 1; 0 stays 0 (no depth)."""
+    """Convert depth in metres to stored depth uint16, at least 1.
+
+    0 stays 0, which is no depth.
+    """
     units = np.clip(np.rint(depth_m * DEPTH_UNITS_PER_M), 1, MAX_UNITS).astype(np.uint16)
     units[depth_m == 0] = 0
     return units
@@ -75,9 +79,10 @@ def format_size(shape: Sequence[int]) -> str:
 
 
 def read_image(path: Path, size: Size | None = None) -> np.ndarray:
-    """Read RGB uint8 [H,W,3]; grey is repeated.
+    """Read an image as RGB uint8 [H,W,3]. A grey value becomes three equal ones.
 
-    Raises DamagedFile, and InputError for another pixel type or, if given, another `size` (H, W).
+    Raises DamagedFile, and InputError if the pixels have another type. Raises InputError also for
+    an image of another `size` (H, W), if that is given.
     """
     pixels = _read_typed_pixels(path, size, np.uint8)
     if pixels.ndim == 2:
@@ -86,12 +91,18 @@ def read_image(path: Path, size: Size | None = None) -> np.ndarray:
 
 
 def read_depth(path: Path, size: Size | None = None) -> np.ndarray:
-    """Read dense depth, float64 [H,W] in metres, 0: none. Raises as :func:`read_image`."""
+    """Read dense depth, float64 [H,W] in metres; 0 is no depth.
+
+    Raises the same exceptions as :func:`read_image`.
+    """
     return to_metres(_read_typed_pixels(path, size, np.uint16, axes=2))
 
 
 def read_classes(path: Path, size: Size | None = None) -> np.ndarray:
-    """Read class numbers, uint8 [H,W]. Raises as :func:`read_image`."""
+    """Read class numbers, uint8 [H,W].
+
+    Raises the same exceptions as :func:`read_image`.
+    """
     return _read_typed_pixels(path, size, np.uint8, axes=2)
 
 
@@ -112,7 +123,7 @@ def _read_typed_pixels(
 
 
 def resized(image: np.ndarray, size: Size) -> np.ndarray:
-    """Resize an image uint8 [H,W,3]. `Camera.scaled` gives the new intrinsics."""
+    """Resize an image uint8 [H,W,3] to `size` (H, W). `Camera.scaled` gives the new intrinsics."""
     height, width = image.shape[:2]
     if (height, width) == size:
         return image
@@ -126,18 +137,18 @@ def resized(image: np.ndarray, size: Size) -> np.ndarray:
 def nearest(pixels: np.ndarray, size: Size) -> np.ndarray:
     """Resize depth or classes [H,W] by picking pixels.
 
-    The mean of two depths or classes lies on neither surface.
+    Pixels are not averaged, since the mean of two depths or classes lies on neither surface.
     """
-    # EXACT picks by pixel centres, as Camera.scaled assumes; plain INTER_NEAREST is off by half a
-    # pixel.
+    # INTER_NEAREST_EXACT picks by pixel centres, as Camera.scaled assumes. INTER_NEAREST is off by
+    # half a pixel.
     return cv2.resize(pixels, size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
 
 
 def read_pixels(path: Path) -> np.ndarray:
-    """Decode a PNG or JPEG file: [H,W] or RGB [H,W,3], uint8 or uint16. JPEG is always RGB uint8.
+    """Decode a PNG or JPEG file to pixels, grey [H,W] or RGB [H,W,3], of type uint8 or uint16.
 
-    Raises DamagedFile if the file is truncated, altered or of another kind, transparent, or to be
-    shown rotated.
+    The pixels of a JPEG file are always RGB uint8. Raises DamagedFile if the file is truncated,
+    altered or of another format, if it has transparent pixels, or if its EXIF data rotate it.
     """
     content = path.read_bytes()
     if not content.startswith((_PNG, _JPEG)):
@@ -149,7 +160,7 @@ def read_pixels(path: Path) -> np.ndarray:
 
     pixels = _decode(content, path)
 
-    # Transparency is a fourth channel that is not complete everywhere.
+    # A fourth channel is opacity. A pixel is transparent if this is below its maximum.
     alpha = pixels[..., 3:]
     if pixels.ndim == 3 and np.invert(alpha, dtype=pixels.dtype).any():
         fix = "Remove the transparency: mogrify -alpha off FILE"
@@ -164,7 +175,7 @@ def _decode(content: bytes, path: Path) -> np.ndarray:
     flags = cv2.IMREAD_UNCHANGED
     if content.startswith(_JPEG):
         flags = cv2.IMREAD_COLOR
-    # OpenCV prints what it cannot decode; the exception says it.
+    # OpenCV would print that it cannot decode a file, which the exception says, too.
     level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         pixels = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
@@ -178,9 +189,9 @@ def _decode(content: bytes, path: Path) -> np.ndarray:
 
 
 def write_png(path: Path, pixels: np.ndarray, *options: int) -> None:
-    """Encode grey [H,W] or RGB [H,W,3] pixels, uint8 or uint16.
+    """Write grey [H,W] or RGB [H,W,3] pixels, uint8 or uint16, to a PNG file.
 
-    `options` are OpenCV's for PNG: key, value, ….
+    `options` are OpenCV's options for PNG files: key, value, key, value, and so on.
     """
     stored = pixels
     if pixels.ndim == 3:

@@ -10,21 +10,24 @@ from pipeline.base.errors import InputError, error_context
 from pipeline.camera.camera import Camera
 from pipeline.camera.images import Size
 
-Rectify = Callable[[np.ndarray], np.ndarray]  # images uint8 [H,W,3]
+# A function that rectifies an image uint8 [H,W,3].
+Rectify = Callable[[np.ndarray], np.ndarray]
 
 # Largest plausible focal length in image widths.
 _FOCAL_PER_WIDTH = 100.0
-# Largest offset of a principal point from the middle, as a share of the image's width or height.
+# Largest plausible offset of a principal point from the middle of the image, as a share of the
+# image's width or height.
 _OFF_CENTRE = 0.2
-# Largest offset if it is to the same side in both directions, as in an image of another size.
-# Udacity's camera has −0.08 and 0.13.
+# Largest plausible offset if the principal point is off to the right and down, or to the left and
+# up. Intrinsics for images of another size have such an offset. Udacity's camera has −0.08 and
+# 0.13, which have different signs.
 _OFF_BOTH = 0.1
-# Largest depth in metres that is used, of a lens with a focal length of up to WIDE.
+# Largest usable depth in metres of a lens with a focal length of up to WIDE.
 MAX_DEPTH_M = 80.0
-# Focal length in image widths beyond which a lens is used farther than MAX_DEPTH_M.
+# Focal length in image widths above which the largest usable depth is larger than MAX_DEPTH_M.
 WIDE = 0.65
 # Largest magnitude of p1 and p2 in OpenCV's model, which describe elements of a lens that are not
-# parallel. Larger values suggest the numbers of a fisheye lens.
+# parallel. Larger values suggest that the numbers describe a fisheye lens.
 MAX_TANGENTIAL = 0.01
 # Largest field of view in degrees of a lens without distortion.
 MAX_FOV_DEG = 100
@@ -36,9 +39,9 @@ RECTIFIED_FOV_DEG = 90
 def pinhole(size: Size, fov_deg: float | None = None, K: str | None = None) -> Camera:
     """Return the camera of images of `size` (H, W), by their field of view or by `K`.
 
-    `fov_deg` is the angle between the left and right edge, for square pixels and a centred
-    principal point; `K` is "fx,fy,cx,cy" for this size. Raises InputError if none or both are
-    given, or a value is implausible.
+    `fov_deg` is the angle between the left and right edge of the image, and gives square pixels and
+    a centred principal point. `K` is the text "fx,fy,cx,cy" for this size. Raises InputError if
+    none or both are given, or if a value is implausible.
     """
     if (fov_deg is None) == (K is None):
         fix = "Pass --fov DEGREES (horizontal) or --K fx,fy,cx,cy (pixels)"
@@ -58,7 +61,7 @@ def pinhole(size: Size, fov_deg: float | None = None, K: str | None = None) -> C
 
 
 def _camera_of_width(size: Size, half_width: float) -> Camera:
-    """Return a centred camera of images of `size` whose `half_width` is in focal lengths."""
+    """Return a centred camera for images of `size`, half as wide as `half_width` focal lengths."""
     height, width = size
     focal = width / 2 / half_width
     # Integer coordinates are pixel centres, so the image's middle is half a pixel before W / 2.
@@ -66,7 +69,7 @@ def _camera_of_width(size: Size, half_width: float) -> Camera:
 
 
 def _camera_with_K(size: Size, K: str) -> Camera:
-    """Return a camera of images of `size` by the option --K."""
+    """Return a camera for images of `size` from the text of the option --K."""
     return _plausible_camera(size, numbers(K, (4,), "--K 721.5,721.5,609.6,172.9"))
 
 
@@ -83,9 +86,10 @@ def fisheye(
 ) -> tuple[Camera, Rectify]:
     """Return a pinhole camera of up to 90°, and a function that rectifies images for it.
 
-    `text` is "k1,k2,k3,k4" of OpenCV's fisheye model: an angle θ from the axis lies θ (1 + k1 θ² +
-    k2 θ⁴ + k3 θ⁶ + k4 θ⁸) focal lengths from the principal point. Zeros are an equidistant lens.
-    `fov_deg` or `K` describe the lens as in :func:`pinhole`.
+    `text` is "k1,k2,k3,k4" of OpenCV's fisheye model. In this model, a ray at an angle θ from the
+    axis is seen θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸) focal lengths from the principal point. With
+    zeros, the lens is equidistant. Either `fov_deg`, the angle between the left and right edge of
+    the image, or `K`, the text "fx,fy,cx,cy", is given.
     """
     if (fov_deg is None) == (K is None):
         fix = "Pass --fov or --K of the fisheye lens"
@@ -98,7 +102,8 @@ def fisheye(
     else:
         lens = _camera_with_K(size, str(K))
 
-    # The rectified image reaches as far as the lens sees to both sides, but not too far.
+    # The rectified image reaches as far to both sides as the lens sees on its narrower side, but
+    # covers at most RECTIFIED_FOV_DEG.
     row = lens.K[1, 2]
     edges = np.array([[[-0.5, row], [size[1] - 0.5, row]]])
     tangents = cv2.fisheye.undistortPoints(edges, lens.K, coefficients)[0, :, 0]
@@ -113,7 +118,7 @@ def fisheye(
 
 
 def _rectification(maps: tuple[np.ndarray, np.ndarray]) -> Rectify:
-    """Return a function that takes the pixels of an image from where OpenCV's `maps` say."""
+    """Return a function that takes the pixels of an image from the places in OpenCV's `maps`."""
 
     def rectify(image: np.ndarray) -> np.ndarray:
         return np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR))
@@ -122,7 +127,10 @@ def _rectification(maps: tuple[np.ndarray, np.ndarray]) -> Rectify:
 
 
 def numbers(text: str, counts: Sequence[int], example: str) -> list[float]:
-    """Return the numbers of an option, as many as one of `counts`. Raises InputError."""
+    """Return the numbers in the text of an option.
+
+    Raises InputError unless their count is one of `counts`. The message shows the `example`.
+    """
     try:
         values = [float(word) for word in text.split(",")]
     except ValueError:
@@ -137,10 +145,10 @@ def numbers(text: str, counts: Sequence[int], example: str) -> list[float]:
 
 
 def undistortion(camera: Camera, text: str) -> Rectify:
-    """Return a function that rectifies images of a camera with this distortion; K stays as it is.
+    """Return a function that rectifies a camera's distorted images, for the same intrinsics.
 
-    `text` is "k1,k2,p1,p2" or "k1,k2,p1,p2,k3" of OpenCV's model. Raises InputError for other
-    texts, and for numbers of a fisheye lens.
+    `text` is "k1,k2,p1,p2" or "k1,k2,p1,p2,k3" of OpenCV's model. Raises InputError for another
+    text, and if the numbers seem to describe a fisheye lens.
     """
     coefficients = np.array(numbers(text, (4, 5), "--distortion -0.37,0.2,0,0"))
     if np.abs(coefficients[2:4]).max() > MAX_TANGENTIAL:
@@ -155,7 +163,7 @@ def undistortion(camera: Camera, text: str) -> Rectify:
 def check_pinhole(K: np.ndarray, size: Size, where: str) -> None:
     """Raise InputError if K [3,3] is implausible for images of `size` (H, W).
 
-    Its focal lengths, its centre and its skew are checked.
+    The focal lengths, the principal point and the skew are checked. `where` names K in the message.
     """
     height, width = size
     fx, _, cx = K[0]
@@ -163,7 +171,8 @@ def check_pinhole(K: np.ndarray, size: Size, where: str) -> None:
     no_skew = np.allclose(K, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], atol=1e-3)
     focal = min(fx, fy) > 1 and max(fx, fy) < _FOCAL_PER_WIDTH * width  # false for NaN
 
-    # The intrinsics of images of another size have a centre that is off in both directions.
+    # K of images of another size has a principal point that is off to the same side in both
+    # directions.
     offset = np.array([cx / width, cy / height]) - 0.5
     same_side = (offset > _OFF_BOTH).all() or (offset < -_OFF_BOTH).all()
     centred = np.abs(offset).max() <= _OFF_CENTRE and not same_side
@@ -177,5 +186,5 @@ def check_pinhole(K: np.ndarray, size: Size, where: str) -> None:
 
 
 def depth_limit(camera: Camera) -> float:
-    """Return the largest usable depth in metres, which grows with long focal lengths."""
+    """Return the largest usable depth in metres, which is larger for long focal lengths."""
     return MAX_DEPTH_M * max(1.0, camera.K[0, 0] / (WIDE * camera.size[1]))

@@ -13,24 +13,27 @@ from pipeline.labels.label import Car, Labels, hold_valid
 
 
 class MotionErrors(NamedTuple):
-    """Errors of the labels from one source against those of another, in frames [F].
+    """Errors of measured labels against true labels, in frames [F].
 
-    All but `measured` are NaN where labels are not compared.
+    All but `measured` are NaN in frames in which they are not compared.
     """
 
-    measured: np.ndarray  # bool
-    yaw_rate_radps: np.ndarray
-    speed_ratio: np.ndarray  # measured / true speed
-    angle_rad: np.ndarray  # of the last measured angle
+    measured: np.ndarray  # bool, whether the measured label is valid
+    yaw_rate_radps: np.ndarray  # error of the measured yaw rate
+    speed_ratio: np.ndarray  # ratio of measured to true speed
+    angle_rad: np.ndarray  # error of the last measured angle
     true_angle_rad: np.ndarray
 
 
 def score_motion(drives: list[str], ingest: Path, motion: Path, car: Car) -> dict[str, Any]:
-    """Return scores, against recorded motion, of measured motion and of recorded angles.
+    """Return comparison → scores, for measured motion and recorded angles.
 
-    ``visual`` is the motion that models get, ``wheel`` are steering angles, and ``visual-wheel`` is
-    that motion against these angles. Only what the `drives` recorded is compared, possibly nothing.
-    `ingest` and `motion` are the folders of these stages.
+    - ``visual`` compares the measured motion, as models get it, with recorded motion.
+    - ``wheel`` compares recorded steering angles with recorded motion.
+    - ``visual-wheel`` compares the measured motion with recorded steering angles.
+
+    A comparison is missing if no drive recorded its reference. `ingest` and `motion` are the
+    folders of these stages.
     """
     errors: dict[str, list[MotionErrors]] = {}
     for drive in drives:
@@ -50,7 +53,8 @@ def _compare_drive(ingest: Path, motion: Path, car: Car) -> dict[str, MotionErro
             rows = {"visual": np.searchsorted(raw.frame, file.frame)}
         if "wheel" in references:
             rows["wheel"] = np.flatnonzero(raw["has_steering"])
-            # A wheel records no speed: these labels have the speed of another source.
+            # A wheel records no speed, so these labels have the speed of another source, which must
+            # not be scored.
             unknown = np.full(len(raw.frame), np.nan)
             labels["wheel"] = labels["wheel"]._replace(speed_mps=unknown, yaw_rate_radps=unknown)
 
@@ -64,9 +68,9 @@ def _compare_drive(ingest: Path, motion: Path, car: Car) -> dict[str, MotionErro
 
 
 def label_errors(measured: Labels, true: Labels) -> MotionErrors:
-    """Return the errors of labels, for :func:`score`; both are of the same frames [F].
+    """Return the errors of measured labels against true labels of the same frames [F].
 
-    An angle that is not measured repeats the last one.
+    A frame whose angle is not measured repeats the last measured angle.
     """
     compared = measured.valid & true.valid
     yaw_rate_radps = measured.yaw_rate_radps - true.yaw_rate_radps
@@ -84,10 +88,11 @@ def label_errors(measured: Labels, true: Labels) -> MotionErrors:
 
 
 def score(drives: Sequence[MotionErrors]) -> dict[str, Any] | None:
-    """Return the scores over all frames of `drives`, or None without frames. Undefined: None.
+    """Return the scores over all frames of `drives`, or None without frames.
 
-    ``valid``: share of valid labels; ``judged``: frames in nmse; ``speed_ratio``: median of
-    measured / true speed; ``nmse``: of the last measured steering angle.
+    ``valid`` is the share of valid measured labels. ``judged`` is the number of frames in the nmse.
+    ``speed_ratio`` is the median ratio of measured to true speed. ``nmse`` is that of the last
+    measured steering angle. A score that is not defined is None.
     """
     drives = [drive for drive in drives if len(drive.measured)]
     if not drives:

@@ -14,27 +14,29 @@ from pipeline.ingest.truth import Truth
 MIN_DEPTH_M = 1.0
 # Largest true depth in metres that is scored.
 MAX_DEPTH_M = 80.0
-# The errors of the depth of an image, see :func:`depth_errors`.
+# Names of the errors of an image's depth: mean relative error, root mean square error in metres,
+# and share of accurate pixels.
 DEPTH_ERRORS = ("abs_rel", "rmse_m", "delta1")
-# What is summed over frames: the frames with an error, their errors, and the pixels with a true
-# depth, those with a predicted one first.
+# Names of the values that are summed over frames: the number of frames with errors, these errors,
+# the number of pixels with a true and a predicted depth, and that of pixels with a true depth.
 DEPTH_SUMS = ("frames", *DEPTH_ERRORS, "covered", "known")
-# The encoder's depth and the flat-ground baseline, each against dense truth and LiDAR, in Eigen's
-# crop.
+# Names of the scores of depth: the encoder's depth and the flat-ground baseline, each against dense
+# truth and LiDAR, in Eigen's crop.
 DEPTH_SCORES = ("depth_dense", "depth_lidar", "ground_plane_dense", "ground_plane_lidar")
-# First and last row of Eigen's crop, as shares of the height.
+# Start and end of the rows of Eigen's crop, as shares of the height.
 EIGEN_ROWS = (0.3324324, 0.91351351)
-# First and last column of Eigen's crop, as shares of the width.
+# Start and end of the columns of Eigen's crop, as shares of the width.
 EIGEN_COLUMNS = (0.0359477, 0.96405229)
 
 
 def depth_errors(predicted_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray | None:
-    """Return the errors of an image's depth: [abs rel, RMSE in metres, δ1].
+    """Return the errors of an image's depth, DEPTH_ERRORS: [abs rel, RMSE in metres, δ1].
 
-    They are over pixels with a true depth of 1 to 80 m; without any, the result is None. Abs rel is
-    the mean of |d - d*| / d*, δ1 the share of pixels with max(d/d*, d*/d) < 1.25 (Eigen et al.
-    2014, who also clip the prediction to the range). Both arguments are in metres, [H,W]; 0 is
-    unknown, and pixels with a prediction of 0 are not scored.
+    Abs rel is the mean of |d - d*| / d*, where d is the predicted and d* the true depth. δ1 is the
+    share of pixels with max(d/d*, d*/d) < 1.25. Pixels are scored if their true depth is 1 to 80 m
+    and their predicted depth is known. Predictions are clipped to this range, as by Eigen et al.
+    2014. The result is None if no pixel is scored. Both arguments are depths [H,W] in metres, of
+    which 0 is unknown.
     """
     valid = in_range(truth_m) & (predicted_m > 0)
     if not valid.any():
@@ -47,7 +49,7 @@ def depth_errors(predicted_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray | N
 
 
 def in_range(truth_m: np.ndarray) -> np.ndarray:
-    """Return which true depths are scored: those of 1 to 80 m."""
+    """Return which true depths are scored, which are those from 1 to 80 m."""
     return (truth_m >= MIN_DEPTH_M) & (truth_m <= MAX_DEPTH_M)
 
 
@@ -56,7 +58,7 @@ def eigen_crop(image: np.ndarray) -> np.ndarray:
 
     It reproduces the numbers of Eigen et al. 2014 and was found by Godard et al. 2017 (monodepth's
     ``--eigen_crop``). Many papers that write "Eigen split" use the crop of Garg et al. 2016
-    instead, with rows from 0.408 to 0.992 of the height: lower, so with more road.
+    instead. That crop has the rows from 0.408 to 0.992 of the height, and so more of the road.
     """
     height, width = image.shape
     top, bottom = EIGEN_ROWS
@@ -65,10 +67,11 @@ def eigen_crop(image: np.ndarray) -> np.ndarray:
 
 
 def confusion(predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Return the confusion matrix int64 [19,20]: true class by row, predicted class by column.
+    """Return the confusion matrix, int64 [19,20].
 
-    The last column is void. `predicted` and `truth` hold trainIds, of the same shape. Pixels with
-    void truth do not count.
+    It has a row for each true class and a column for each predicted class, of which the last one is
+    void. `predicted` and `truth` hold trainIds and have the same shape. Pixels whose true class is
+    void do not count.
     """
     columns = classes.COUNT + 1
     counted = truth < classes.COUNT
@@ -81,7 +84,7 @@ def confusion(predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
 def class_ious(matrix: np.ndarray) -> np.ndarray:
     """Return the intersection over union of each class [19] of a confusion matrix.
 
-    It is NaN if the truth lacks the class.
+    It is NaN for a class that the truth lacks.
     """
     intersection = matrix.diagonal()
     predicted = matrix.sum(axis=0)[: classes.COUNT]
@@ -93,8 +96,8 @@ def class_ious(matrix: np.ndarray) -> np.ndarray:
 class Scores:
     """Sums of the errors of many frames, which can be stored as JSON and added over drives.
 
-    Depth errors are means over images of :func:`depth_errors`; coverage and classes are counted
-    over all pixels.
+    Errors of depth are computed for each image and averaged over images. Coverage and the scores of
+    classes are computed over the pixels of all images.
     """
 
     def __init__(self) -> None:
@@ -103,9 +106,10 @@ class Scores:
         self.sums["confusion"] = np.zeros((classes.COUNT, classes.COUNT + 1))
 
     def add_frame(self, depth_m: np.ndarray, cls: np.ndarray, camera: Camera, truth: Truth) -> None:
-        """Add predicted classes and depth [H,W], 0 = none, and the flat-ground baseline.
+        """Add the predicted classes and depth [H,W] of a frame, and the flat-ground baseline.
 
-        The baseline is scored at the pixels with depth.
+        A depth of 0 is unknown. The baseline is scored only at pixels whose predicted depth is
+        known, so that both are scored at the same pixels.
         """
         if truth.depth_source:
             flat_m = np.where(depth_m > 0, ground_plane_depth(cls, camera), 0)
@@ -115,7 +119,7 @@ class Scores:
             self.add_classes(cls, truth.cls)
 
     def add_depth(self, key: str, predicted_m: np.ndarray, truth_m: np.ndarray) -> None:
-        """Add the depth [H,W] of a frame, scored against a truth, under a key of DEPTH_SCORES."""
+        """Add the errors of a frame's depth [H,W] to the sums of `key`, one of DEPTH_SCORES."""
         predicted = eigen_crop(predicted_m)
         truth = eigen_crop(truth_m)
         known = in_range(truth)
@@ -138,7 +142,10 @@ class Scores:
             self.sums[key] += values
 
     def report(self) -> dict[str, Any]:
-        """Return DEPTH_SCORES and classes; None without frames with that ground truth."""
+        """Return the scores of depth, DEPTH_SCORES, and of classes.
+
+        A score is None if no frame has its ground truth.
+        """
         scores: dict[str, Any] = dict.fromkeys([*DEPTH_SCORES, "classes"])
         for key in DEPTH_SCORES:
             sums = dict(zip(DEPTH_SUMS, self.sums[key].tolist(), strict=True))

@@ -20,9 +20,10 @@ from pipeline.scores.pixels import Scores
 
 
 def score_drive(path: Path, *, ingest: Path, perception: Path, motion: Path, car: Car) -> Summary:
-    """Write the scores of a drive, DRIVE/metrics.json, and return its sums for :meth:`Scores.add`.
+    """Write the scores of a drive, DRIVE/metrics.json, and return the sums of its errors.
 
-    `ingest`, `perception` and `motion` are the drive's files of these stages.
+    The sums are those of :class:`Scores`, so they can be added to those of other drives. `ingest`,
+    `perception` and `motion` are the drive's files of these stages.
     """
     scores = Scores()
     with (
@@ -48,11 +49,18 @@ def score_splits(
     motion: Path,
     car: Car,
 ) -> dict[str, Any]:
-    """Return the scores of the validation and test drives; those of training drives are None.
+    """Return the scores of the validation and test drives, and a comparison of recorded motion.
 
-    `splits` is drive → split, of all drives, `summaries` drive → :func:`score_drive`, of those that
-    are scored; `ingest` and `motion` are the folders of these stages. Recorded motion is compared
-    on training and validation drives, if any.
+    Scores of training drives are None, since these drives are not scored. Recorded motion is
+    compared with measured motion in the training and validation drives. If a run has no such
+    drives, it is compared in all drives.
+
+    Args:
+        splits: drive → split, for all drives.
+        summaries: drive → result of :func:`score_drive`, for the drives that are scored.
+        ingest: folder of stage ingest.
+        motion: folder of stage motion.
+        car: parameters of the steering angle.
     """
     content: dict[str, Any] = {"motion": {}, "recorded": {}, "train": Scores().report()}
     for split in ("val", "test"):

@@ -1,6 +1,6 @@
-"""Predict depth and classes of images by the encoder of a folder.
+"""Predict depth and classes of images with an encoder.
 
-An encoder is a network, or precomputed files.
+The encoder is a network, or a folder of precomputed files.
 """
 
 from collections.abc import Callable, Generator, Iterable, Iterator
@@ -28,12 +28,14 @@ from pipeline.encoder.encoder_file import FILE, load_encoder
 from pipeline.perception.reach import limit_traffic_depth
 from pipeline.perception.settings import Perception
 
-# Least number of images in a pass on a GPU. A CPU takes them one by one.
+# Least number of images in a forward pass on a GPU. A CPU computes them one by one.
 GPU_BATCH = 32
-# Factor beyond which the depth of files must be in another unit, which is wrong by 2 or more.
+# Error of the scale of depth, as a factor, above which precomputed depth must be in another unit.
+# Another unit is wrong by a factor of 2 or more.
 FILES_UNIT_ERROR = 1.8
-# Factor beyond which the depth of a network must be in another unit. If it was fitted to images of
-# one camera, it takes the camera of a lorry, twice as high, for that one.
+# Error of the scale of depth, as a factor, above which a network's depth must be in another unit.
+# A network that was fitted to one camera is wrong by a factor of 2 for the camera of a lorry, which
+# is twice as high.
 NETWORK_UNIT_ERROR = 3.5
 
 
@@ -57,25 +59,27 @@ Predict = Callable[[EncoderInput], Perceived]
 
 
 class OpenEncoder(NamedTuple):
-    """The encoder of a folder."""
+    """An encoder that is ready to predict."""
 
     predict: Predict
-    datasets: list[str] | None  # to which it was fitted; None where they are unknown
-    unit_error: float  # factor beyond which depth must be in another unit; random weights: infinite
+    datasets: list[str] | None  # datasets to which it was fitted; None if they are unknown
+    # Error of the scale of depth, as a factor, above which depth must be in another unit. It is
+    # infinite for random weights, whose depth has no scale.
+    unit_error: float
 
 
 def open_encoder(folder: Path, precision: str) -> OpenEncoder:
-    """Open an encoder's folder; `precision` is that of section perception.
+    """Open the encoder in a folder. `precision` is the setting of section perception.
 
-    Raises InputError if it cannot be read.
+    Raises InputError if the encoder cannot be read.
     """
     return _open_file(folder, file_hash(folder / FILE), precision)
 
 
 def warnings(folder: Path, precision: str, ingest: Iterable[Path]) -> Iterator[str]:
-    """Yield a warning if an encoder of the sample alone is used for a drive of another dataset.
+    """Yield a warning if an encoder that was fitted to the sample alone gets another dataset.
 
-    `ingest` holds the drives' files of that stage.
+    `ingest` are the drives' files of stage ingest.
     """
     if open_encoder(folder, precision).datasets != ["sample"]:
         return
@@ -89,8 +93,8 @@ def warnings(folder: Path, precision: str, ingest: Iterable[Path]) -> Iterator[s
                 return
 
 
-# One encoder is kept for all drives of a process. A worker of a cluster outlives the file, hence
-# the hash.
+# The encoder is kept for all drives of a process. The hash is an argument, since the file may
+# change while a worker of a cluster runs.
 @lru_cache(maxsize=1)
 def _open_file(folder: Path, sha256: str, precision: str) -> OpenEncoder:
     with error_context(fix="Make it again: dvc repro --force --single-item encoder"):
@@ -124,9 +128,9 @@ def perceive(
 ) -> Perceived:
     """Return depth and classes of RGB images uint8 [B,H,W,3].
 
-    With `precision` auto products are in bfloat16 on a GPU that has it, otherwise in the weights'
-    precision. On a CPU, images run one by one: an image's last bits depend on the batch size, and
-    steer predict has one at a time.
+    With `precision` auto, products are in bfloat16 on a GPU that supports it. Otherwise, they are
+    in the precision of the weights. A CPU computes images one by one, since the last bits of a
+    result depend on the batch size, and `steer predict` gets images one at a time.
     """
     device = next(model.parameters()).device
     pixels = torch.from_numpy(images)
@@ -141,7 +145,8 @@ def perceive(
     torch.backends.cudnn.allow_tf32 = auto
     native = device.type == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)
     half = torch.autocast(device.type, torch.bfloat16, enabled=auto and native)
-    with torch.no_grad(), half:  # BEiT keeps tensors, which a fit uses again
+    # BEiT keeps tensors that a later fit uses, so inference mode would not do.
+    with torch.no_grad(), half:
         pixels = pixels.to(device, non_blocking=True)
         intrinsics = intrinsics.to(device, non_blocking=True)
         depths = []
@@ -151,23 +156,24 @@ def perceive(
             depths.append(depth.float())
             class_maps.append(logits.argmax(dim=1))
         cls = torch.cat(class_maps)
-        # Some networks have logits of void, last.
+        # Some networks predict void, too, as the class after the others.
         cls.masked_fill_(cls == classes.COUNT, classes.VOID)
         return Perceived(torch.cat(depths).cpu().numpy(), cls.to(torch.uint8).cpu().numpy())
 
 
 def passes(predict: Predict, batches: Generator[EncoderInput]) -> Generator[Perceived]:
-    """Yield ``predict(batch)`` of each batch, in order; close `batches` at the end.
+    """Yield ``predict(batch)`` for each batch, in order, and close `batches` at the end.
 
-    The bytes are equal for any number of cores. Splitting a sum among threads would change its last
-    bits, so each forward pass on a CPU uses one thread, and several passes run side by side. A GPU
-    runs one pass at a time.
+    Results are equal to the last bit for any number of cores. Splitting a sum among threads would
+    change its last bits, so each forward pass on a CPU uses one thread, and several passes run at
+    the same time. A GPU runs one pass at a time.
     """
     threads = torch.get_num_threads()
     use_one_thread = partial(torch.set_num_threads, 1)
     workers = 1
     if not torch.cuda.is_available():
-        workers = min(threads, default_workers())  # STEER_WORKERS limits memory
+        # A user may set STEER_WORKERS to limit the memory that is used.
+        workers = min(threads, default_workers())
     use_one_thread()
     try:
         with (
@@ -187,10 +193,11 @@ def perceive_drive(
     *,
     advance: Callable[[int], object] | None = None,
 ) -> Summary:
-    """Write depth and classes of each image of a drive, by an encoder's folder.
+    """Predict depth and classes of each image of a drive, and write them to a file.
 
-    `path` is ``data/perception/<drive>.h5``. `advance` is called with the number of frames that are
-    done since the last call.
+    `path` is ``data/perception/<drive>.h5``, `ingest` the drive's file of that stage, and `encoder`
+    the folder of the encoder. `advance` is called with the number of frames that were written since
+    its last call.
     """
     opened = open_encoder(encoder, settings.precision)
     with DriveReader(ingest, stage="ingest") as source:
@@ -212,8 +219,8 @@ def perceive_drive(
             file.append("depth_m", units, f"1/{DEPTH_UNITS_PER_M} m, 0 = none")
             file.append("cls", np.empty((0, *camera.size), np.uint8), "Cityscapes trainId")
 
-            # One thread reads, others run the network, this one caps the depth of traffic and
-            # writes.
+            # A thread reads images, other threads run the network, and this thread caps the depth
+            # of traffic and writes.
             with closing(passes(opened.predict, batches)) as results:
                 for depth_m, cls in results:
                     if settings.reach:
@@ -231,9 +238,9 @@ def perceive_drive(
 def read_batches(
     source: DriveReader, camera: Camera, rows: np.ndarray, size: int
 ) -> Generator[EncoderInput]:
-    """Yield the frames in `rows` of a file of stage ingest in batches of `size`."""
+    """Yield the frames in `rows` of a file of stage ingest, in batches of `size`."""
     for start in range(0, len(rows), size):
         batch = rows[start : start + size]
-        # Row by row, since frames without an image in between must not be read.
+        # Images are read row by row, since a slice would include frames without an image.
         images = np.stack([source.row("image", row) for row in batch])
         yield EncoderInput(source.drive, source.frame[batch], images, camera)

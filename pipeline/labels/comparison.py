@@ -128,6 +128,7 @@ def check_recorded(source: str, drives: Mapping[str, Pair]) -> Iterator[str]:
         if fault:
             fix = "Correct the log and import it again, or choose another labels.source"
             raise InputError(fault, where, fix)
+        # The first line is the summary, and the others are doubts.
         for summary in lines[:1]:
             yield f"{where}: {summary}"
         for doubt in lines[1:]:

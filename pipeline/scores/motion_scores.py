@@ -45,6 +45,7 @@ def score_motion(drives: list[str], ingest: Path, motion: Path, car: Car) -> dic
 
 def _compare_drive(ingest: Path, motion: Path, car: Car) -> dict[str, MotionErrors]:
     with DriveReader(ingest, stage="ingest") as raw:
+        # Names of the recorded sources that the drive has.
         references = [*source.recorded_labels(raw, car)]
         labels = {}
         for kind in ("visual", *references):

@@ -1,6 +1,7 @@
 """Write images and a log of a ROS 1, ROS 2 or MCAP recording for `steer import`.
 
-It needs pip install -e '.[rosbag]'. Of an array, a column names an element by its position:
+This needs pip install -e '.[rosbag]'. A column of the log takes its values from a field of the
+messages of a topic. An element of an array is a field named by its position, as position.1 below:
 
     python examples/from_rosbag.py a.mcap a /camera/image_raw \
         wheel_rad=/steering:angle speed_mps=/odom:twist.twist.linear.x
@@ -29,7 +30,8 @@ from pipeline.base.errors import InputError, closest
 from pipeline.base.outputs import check_free
 from pipeline.base.store import replacing
 
-# Number of channels of an Image by its encoding, and OpenCV's conversion to BGR, if it needs one.
+# Encoding of an Image message → number of its channels, and OpenCV's conversion to BGR, or None if
+# no conversion is needed.
 ENCODINGS = {
     "mono8": (1, None),
     "bgr8": (3, None),
@@ -39,19 +41,20 @@ ENCODINGS = {
     "bayer_bggr8": (1, cv2.COLOR_BayerBGGR2BGR),
     "bayer_grbg8": (1, cv2.COLOR_BayerGRBG2BGR),
     "bayer_gbrg8": (1, cv2.COLOR_BayerGBRG2BGR),
-    "8UC1": (1, None),  # cv_bridge names OpenCV's images in this way
+    # cv_bridge gives OpenCV's images these names.
+    "8UC1": (1, None),
     "8UC3": (3, None),
 }
-# Types of the messages that hold an image.
+# Types of messages that hold an image.
 IMAGES = {"sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"}
-# The command that repairs a recording, by the suffix of its file.
+# Suffix of a recording → command that repairs it.
 REPAIR = {".mcap": "mcap recover", ".db3": "ros2 bag reindex", ".bag": "rosbag reindex"}
 
 
 class Column(NamedTuple):
-    """A column of the log, NAME=TOPIC:FIELD."""
+    """A column of the log, given as NAME=TOPIC:FIELD."""
 
-    text: str
+    text: str  # the argument as the user gave it
     name: str
     topic: str
     field: str
@@ -66,8 +69,9 @@ def main(
         Path | None, typer.Option(help="folder with PACKAGE/msg/NAME.msg of your own types")
     ] = None,
 ) -> None:
-    """Write OUT/images, named by ns since 1970, and OUT/log.csv, by its columns as
-    NAME=TOPIC:FIELD.
+    """Write images to OUT/images and a log to OUT/log.csv.
+
+    Images are named by ns since 1970. A column of the log is NAME=TOPIC:FIELD.
     """
     log_columns = parse_columns(columns)
     check_free(out)
@@ -117,7 +121,7 @@ def parse_columns(texts: list[str]) -> list[Column]:
 
 
 def message_types(folder: Path | None) -> Typestore:
-    """Return the types of messages that ROS defines, and those of a folder."""
+    """Return the types of messages that ROS defines, and those that a folder defines."""
     types = get_typestore(Stores.LATEST)
     if folder:
         for path in folder.rglob("*.msg"):
@@ -128,7 +132,7 @@ def message_types(folder: Path | None) -> Typestore:
 
 @contextmanager
 def opened(bag: Path, types: Typestore) -> Iterator[AnyReader]:
-    """Yield a reader. Raises InputError if the recording is no bag, or incomplete."""
+    """Yield a reader of a recording. Raises InputError if the recording is no bag or incomplete."""
     try:
         with AnyReader([bag], default_typestore=types) as reader:
             yield reader
@@ -145,7 +149,10 @@ def opened(bag: Path, types: Typestore) -> Iterator[AnyReader]:
 
 
 def check_type(connection: Connection, reader: AnyReader, images: str) -> None:
-    """Raise InputError if the messages of a topic cannot be read; `images` is that of images."""
+    """Raise InputError if the messages of a topic cannot be read.
+
+    `images` is the topic of the images.
+    """
     message_type = connection.msgtype
     if connection.topic == images and message_type not in IMAGES:
         problem = f"images are {message_type}, expected {' or '.join(sorted(IMAGES))}"
@@ -157,16 +164,22 @@ def check_type(connection: Connection, reader: AnyReader, images: str) -> None:
 
 
 def message_time_ns(message: Any, received_ns: int) -> int:
-    """Return the time of a message by its header, or when it was received if that has none."""
+    """Return the time of a message in its header, or the time at which it was received.
+
+    The header's time is used only if it counts from 1970.
+    """
     if hasattr(message, "header"):
         stamp = message.header.stamp
-        if stamp.sec > 10**9:  # others count from the start of the sensor
+        if stamp.sec > 10**9:  # some sensors count from their start
             return stamp.sec * 10**9 + stamp.nanosec
     return received_ns
 
 
 def read_value(message: Any, column: Column) -> float:
-    """Return the number at a dotted path of names and positions. Raises InputError."""
+    """Return the value of a column in a message, whose field is a path such as position.1.
+
+    Raises InputError if the message has no such field or the field is no number.
+    """
     for name in column.field.split("."):
         try:
             message = message[int(name)] if name.isdecimal() else getattr(message, name)
@@ -179,7 +192,7 @@ def read_value(message: Any, column: Column) -> float:
 
 
 def write_image(path: Path, message: Any) -> None:
-    """Write a CompressedImage as it is, an Image as PNG, converted to BGR."""
+    """Write the image of a message: a CompressedImage as it is, an Image as a PNG file."""
     if hasattr(message, "format"):
         suffix = re.search("png|jpe?g", message.format)
         if not suffix:
@@ -191,7 +204,7 @@ def write_image(path: Path, message: Any) -> None:
         fix = f"Convert them to one of {', '.join(ENCODINGS)}"
         raise InputError(f"images are {message.encoding}", fix=fix)
 
-    # Rows may end with padding.
+    # Rows may end with padding. OpenCV writes pixels that are BGR.
     channels, to_bgr = ENCODINGS[message.encoding]
     pixels = message.data.reshape(message.height, -1)[:, : message.width * channels]
     pixels = pixels.reshape(message.height, -1, channels)

@@ -23,10 +23,11 @@ from pipeline.train import trained
 
 torch.set_grad_enabled(False)
 
-# The intrinsics of the camera, in pixels.
+# The intrinsics of the camera in pixels.
 K = np.array([[172.9, 0, 154.4], [0, 172.9, 44.95], [0, 0, 1]])
 
-# One network perceives depth and classes, the other one steers. Both were trained on the sample.
+# The first network, the encoder, perceives depth and classes. The second network steers. Both were
+# trained on the sample.
 _, encoder = encoder_file.load_encoder(Path("models/encoder/sample/encoder.pt"))
 model = trained.load_model("models/steering/sample", device="cpu")
 gcn = model.net.spatial
@@ -47,12 +48,13 @@ for depth_m, cls in zip(depths_m, class_maps, strict=True):
     xyz = back_project(depth_m, K)[solid].astype(np.float32)  # [P,3]
     point_cls = cls[solid]  # [P]
 
-    # A random thousand of them is enough.
+    # A thousand random points are enough.
     drawn = cloud.draw_rows(len(xyz), 1000, rng)
     xyz = xyz[drawn]
     point_cls = point_cls[drawn]
 
-    # Connect nearest neighbours, and remove four of five edges between classes (Fig. 3).
+    # Connect nearest neighbours, and remove four of five edges between points of different classes
+    # (Fig. 3).
     neighbours = graph.nearest_neighbours(xyz, k=6)
     edges = graph.undirected(neighbours)
     pruned = graph.prune(edges, point_cls, keep_inter_class=0.2, rng=rng)
@@ -79,7 +81,7 @@ angle_deg = np.degrees(angle_rad.item())
 title = f"steering angle: predicted {angle_deg:.1f}°, driven 17.1° (left +)"
 print(title)
 
-# A picture of the last image, and of its graph.
+# Draw the last image with its depth, classes and graph.
 pairs = graph_file.edge_pairs(pruned.degree, pruned.indices)
 view = street_view.View(7, images[7], depth_m, cls, xyz, point_cls, pairs, pruned.edges_kept)
 street_view.save(street_view.sheet(title, view), Path("out/one_image.png"))

@@ -1,5 +1,7 @@
-"""Predict the drives of a model's splits, compute the errors of each column, and write
-predictions.csv.
+"""Predict the drives of all splits with a model, compute its errors, and write predictions.csv.
+
+A column is a quantity that a model predicts: the steering angle, or the mean curvature in one range
+of the path ahead. Letters: S seeds of a model, G frames of a drive, N frames of a split, R columns.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -26,7 +28,7 @@ from pipeline.train.loss import Scale
 from pipeline.train.targets import LabelledDrive, read_drive
 from pipeline.train.trained import Trained
 
-# Key of metrics.json → count per frame in graph files.
+# Key of metrics.json → name of a count per frame in graph files, of which the key has the mean.
 SIZES = {
     "points_per_frame": "points",
     "edges_per_frame": "edges_kept",
@@ -45,19 +47,21 @@ class Case:
     def baselines(self) -> dict[str, np.ndarray]:
         """Return the values [G,R] of predictors that do not use the scene.
 
-        - train_mean: the mean of the training targets.
-        - persistence: the last true angle before the target frame. No model gets it as input. Not
-          for a path, whose truth is in the future.
-        - odometry: measured at the last input frame; NaN before the first measurement.
-        - regression: odometry times its regression coefficient on the training drives, with 0 for
-          NaN; NaN if all are.
+        - train_mean is the mean of the training targets.
+        - persistence is the last true angle before the target frame. No model gets it as an input.
+          A path ahead has none, since its truth is in the future.
+        - odometry is the value that is measured at the last input frame. It is NaN before the first
+          measurement.
+        - regression is odometry times its regression coefficient on the training drives. Before the
+          first measurement, it is 0. It is NaN if nothing is measured in the drive.
         """
         drive = self.drive
         values = {"train_mean": self.scale.mean}
         if not drive.ahead_m:
             last_rad = label.hold_valid(drive.driven.steering_rad, drive.driven.valid)
             if not drive.horizon:
-                # The target frame is the last input frame, so the last true angle is one before.
+                # The target frame is the last input frame, so the last true angle before it is that
+                # of the previous frame.
                 last_rad = np.concatenate([np.zeros(1), last_rad[:-1]])
             values["persistence"] = last_rad[:, None]
         if drive.odometry is not None:
@@ -73,10 +77,10 @@ class Case:
 def predict_cases(
     models: Mapping[int, Trained], variant: Path, labels: Path
 ) -> dict[str, list[Case]]:
-    """Return split → drives with the predictions of the models, seed → network.
+    """Return split → drives with their predictions.
 
-    `variant`, `labels`: the folders of the graphs and of the labels. Raises InputError if these
-    have other ranges.
+    `models` is seed → network. `variant` and `labels` are the folders of the graphs and of the
+    labels. Raises InputError if the labels have other ranges of the path ahead than the networks.
     """
     splits = read_index(variant, stage="graphs")
     scenes = [runs.scenes(splits, seed, model.entry.scene) for seed, model in models.items()]
@@ -91,7 +95,8 @@ def predict_cases(
             problem = f"labels.ahead_m differs from the ranges of the trained model ({ranges})"
             raise InputError(problem, drive.labels, f"Train it again: dvc repro train@{first.name}")
 
-        # The scenes that each seed sees, the drive's own but in a control, are in memory once.
+        # Each seed sees the scene of the drive itself, or of another drive if `scene` of the
+        # model's entry says so. Each scene is loaded once, even if several seeds see it.
         scene_paths = [variant / f"{scene_of[name]}.h5" for scene_of in scenes]
         files = Files(scene_paths)
         files.load(first.net.device)
@@ -106,13 +111,13 @@ def predict_cases(
 def evaluate_model(
     name: str, first: Trained, cases: Mapping[str, Sequence[Case]], settings: Evaluate
 ) -> dict[str, Any]:
-    """Return the content of metrics.json, see data/README.md: errors on the cases of each split.
+    """Return the content of metrics.json, which data/README.md describes.
 
-    `first`: the network of the model's first seed.
+    `first` is the network of the model's first seed, and `cases` is split → predicted drives.
     """
     drives = {}
-    for split, of_split in cases.items():
-        drives[split] = [case.drive for case in of_split]
+    for split, split_cases in cases.items():
+        drives[split] = [case.drive for case in split_cases]
     tested = drives["test"]
     result: dict[str, Any] = {
         "model": name,
@@ -125,24 +130,25 @@ def evaluate_model(
         "wheelbase_m": tested[0].settings["labels"]["wheelbase_m"],
         **inputs(tested),
     }
-    for split, of_split in cases.items():
+    for split, split_cases in cases.items():
         with_windows = [drive for drive in drives[split] if drive.has_window(first.entry.window)]
         result["drives"][split] = [drive.name for drive in with_windows]
-        result[split] = metrics(of_split, settings) if of_split else None
+        result[split] = metrics(split_cases, settings) if split_cases else None
     stuck = statistics.untrained(train_nmse(result))
     result["untrained"] = [first.seeds[number] for number in stuck]
     return result
 
 
 def train_nmse(result: Mapping[str, Any]) -> np.ndarray:
-    """Return the nmse [S] of each seed on its own training drives, the mean over the columns."""
+    """Return the nmse [S] of each seed on the training drives, as the mean over the columns."""
     by_seed = [scores["nmse_by_seed"] for scores in (result["train"] or {}).values()]
     return np.array(by_seed, float).reshape(-1, len(result["seeds"])).mean(axis=0)
 
 
 def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, Any]]:
-    """Return column → :func:`statistics.errors`, and drift, of drives of a split."""
+    """Return column → errors of the predictions for the drives of a split, with their drift."""
     drives = [case.drive for case in cases]
+    # Predictions of each seed for all drives, each [G,R].
     by_seed = list(zip(*(case.predictions for case in cases), strict=True))
 
     # All frames of the split, one drive after the other.
@@ -161,7 +167,11 @@ def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, An
 def _drift(
     drives: Sequence[LabelledDrive], by_seed: Iterable[Iterable[np.ndarray]]
 ) -> float | None:
-    """Return the mean :func:`drift` over seeds; None with a horizon and for a path."""
+    """Return the mean drift over seeds.
+
+    It is None for a model with a horizon or of a path ahead, since only angles at the frame itself
+    make a path that can drift.
+    """
     if drives[0].horizon or drives[0].ahead_m:
         return None
     onsets = [read_onsets(drive) for drive in drives]
@@ -175,7 +185,7 @@ def _drift(
 
 
 def columns(drive: LabelledDrive) -> dict[str, dict[str, Any]]:
-    """Return column → unit and range in metres."""
+    """Return column → unit, and range in metres, which is None for the steering angle."""
     if not drive.ahead_m:
         return {name: {"unit": "rad", "from_m": None, "to_m": None} for name in drive.columns}
     ranges = zip(drive.columns, pairwise(drive.ahead_m), strict=True)
@@ -183,7 +193,7 @@ def columns(drive: LabelledDrive) -> dict[str, dict[str, Any]]:
 
 
 def turning_frames(drives: Sequence[LabelledDrive]) -> int:
-    """Return the number of frames whose target, or path in any of its ranges, turns."""
+    """Return the number of frames that turn by their target, in any range of a path ahead."""
     frames = 0
     for drive in drives:
         angle_rad = drive.target
@@ -194,9 +204,9 @@ def turning_frames(drives: Sequence[LabelledDrive]) -> int:
 
 
 def inputs(drives: Sequence[LabelledDrive]) -> dict[str, Any]:
-    """Return the graph variant's settings, and the mean points and directed edges per frame.
+    """Return the graph variant's settings, and mean numbers of points and directed edges per frame.
 
-    They are None where unknown.
+    An unknown number is None.
     """
     result = {"variant": drives[-1].settings.get("graphs", {})}
     for key, name in SIZES.items():
@@ -206,11 +216,11 @@ def inputs(drives: Sequence[LabelledDrive]) -> dict[str, Any]:
 
 
 def write_predictions(path: Path, name: str, seeds: Sequence[int], cases: Sequence[Case]) -> None:
-    """Write the table of model `name`, one row per seed and frame; unknown values are empty fields.
+    """Write the table of the model `name`, with one row per seed and frame.
 
-    `frame`, `time_s` and `speed_mps` belong to the last input frame. For each column C of the
-    model, `true_C` and `predicted_C` are those `horizon` frames later. Further columns: the
-    :meth:`Case.baselines`, as `odometry_C`.
+    `frame`, `time_s` and `speed_mps` are of the last input frame. For each quantity C that the
+    model predicts, `true_C` and `predicted_C` are its values `horizon` frames later. Baselines have
+    such columns, too, for instance `odometry_C`. Unknown values are empty fields.
     """
     tables = []
     for number, seed in enumerate(seeds):
@@ -227,8 +237,8 @@ def write_predictions(path: Path, name: str, seeds: Sequence[int], cases: Sequen
             values = {"true": drive.target, "predicted": case.predictions[number]}
             values |= case.baselines()
             for column, target in enumerate(drive.columns):
-                for kind, of_kind in values.items():
-                    table[f"{kind}_{target}"] = of_kind[:, column]
+                for kind, columns_of_kind in values.items():
+                    table[f"{kind}_{target}"] = columns_of_kind[:, column]
             tables.append(pd.DataFrame(table))
     pd.concat(tables).to_csv(path, index=False, lineterminator="\n", float_format="%.9f")
 

@@ -1,7 +1,8 @@
 """Compute errors of predictions and their confidence intervals.
 
-One column at a time, in rad or 1/m. Predictions are [N], or [S,N] for S seeds, over which errors
-are averaged.
+Values are in rad or 1/m. Letters: N frames, S seeds of a model, R columns (the steering angle, or
+ranges of the path ahead), D parts of drives, B draws of the bootstrap. Predictions are [N], or
+[S,N] for S seeds, over which errors are averaged.
 """
 
 import math
@@ -19,17 +20,16 @@ LEAST_DRIVES = 10
 
 
 class Metric(NamedTuple):
-    """An error of predictions, [N] or [S,N] of S seeds, for true values [N].
+    """A measure of the errors of predictions."""
 
-    It is None where it is not defined.
-    """
-
+    # Function of true values [N] and predictions, [N] or [S,N]. It returns None if the metric is
+    # not defined for them.
     compute: Callable[[np.ndarray, np.ndarray], float | None]
     # Whether tables, page and DVC's metrics show it beside nmse and the mean error in degrees.
     shown: bool = True
 
 
-# All are in metrics.json. Your own metric is one more entry.
+# Name → metric. metrics.json has all of them. To use your own metric, add an entry.
 METRICS: dict[str, Metric] = {
     "mae": Metric(mae, shown=False),
     "mse": Metric(mse, shown=False),
@@ -44,10 +44,10 @@ def shown_metrics() -> list[str]:
 
 
 def scores(truth: np.ndarray, predicted: np.ndarray) -> dict[str, Any]:
-    """Return frames, and the METRICS of predictions for true values [N].
+    """Return the number of frames, and the METRICS of predictions for true values [N].
 
-    Without frames, or if a prediction is NaN, all are None. Raises InputError if a metric returns
-    another number.
+    Without frames, or if a prediction is NaN, all metrics are None. Raises InputError if a metric
+    returns NaN or infinity.
     """
     if not len(truth) or np.isnan(predicted).any():
         return {"frames": 0, **dict.fromkeys(METRICS)}
@@ -67,8 +67,8 @@ def errors(
 ) -> dict[str, Any]:
     """Return the :func:`scores` of predictions [S,N], the nmse of each seed, and its interval.
 
-    Frames whose truth or prediction is NaN do not count. `truth`, `drive`: [N] as in
-    :func:`interval`.
+    Frames whose true value or prediction is NaN do not count. `truth` [N] holds the true values,
+    and `drive` [N] the number of each frame's drive.
     """
     error = (predicted - truth) ** 2
     counted = np.isfinite(error).all(axis=0)
@@ -80,15 +80,18 @@ def errors(
 
 
 def nmse_of(error: np.ndarray, truth: np.ndarray) -> float | None:
-    """Return Σ error / Σ truth², the mean over seeds and columns; None if every true value is 0.
+    """Return Σ error / Σ truth², as the mean over seeds and columns.
 
-    `error`: squared errors [S,N,R], NaN for frames that do not count; `truth`: [N,R].
+    `error` [S,N,R] holds squared errors, NaN for frames that do not count, and `truth` [N,R] true
+    values. Columns whose true values are all 0 do not count. The result is None if no column
+    counts.
     """
-    zero = np.nansum(truth**2, axis=0)
-    bends = zero > 0
+    # The error of always predicting zero.
+    zero_error = np.nansum(truth**2, axis=0)
+    bends = zero_error > 0
     if not bends.any():
         return None
-    return float((np.nansum(error.mean(axis=0), axis=0)[bends] / zero[bends]).mean())
+    return float((np.nansum(error.mean(axis=0), axis=0)[bends] / zero_error[bends]).mean())
 
 
 def interval(
@@ -100,20 +103,23 @@ def interval(
 ) -> list[float] | None:
     """Return the 95 % interval of Σ error / Σ truth² over other roads and seeds, from a bootstrap.
 
-    The :func:`parts` of drives are drawn with replacement, and independently the seeds of each
-    model. n values have a variance that is too small by (n - 1) / n, so deviations from the mean
-    are multiplied by √(n / (n - 1)), for seeds as for parts. With one seed the interval is of these
-    networks only. None with one part, or if every true value is 0.
+    The :func:`parts` of drives are drawn with replacement, and so are the seeds of each model,
+    independently of the parts. The variance of n drawn values is too small by a factor of
+    (n - 1) / n. So deviations from the mean are multiplied by √(n / (n - 1)), for seeds as for
+    parts. With one seed, the interval does not include the spread of other seeds. The result is
+    None with fewer than two parts, or if every true value is 0.
 
     Args:
-        error: squared errors [S,N] of S seeds, for all frames in time order, NaN for those that do
-            not count; [S,N,R] for the interval of the mean over R columns.
-        truth: [N] or [N,R], true values.
-        drive: [N], the number of each frame's drive.
-        other: squared errors of a second model, for the paired difference, narrower if both err on
-            the same roads.
+        error: squared errors [S,N] of S seeds, for all frames in time order, NaN for frames that do
+            not count. They are [S,N,R] for the interval of the mean over R columns.
+        truth: true values [N] or [N,R].
+        drive: number [N] of each frame's drive.
+        settings: number of draws, frames of a part, and seed of the draws.
+        other: squared errors of a second model. With them, the interval is that of the paired
+            difference, which is narrower if both models err on the same roads.
     """
-    # Frames that count, and sums over them by part; zero is the error of always predicting zero.
+    # Sum the squared errors of the models, and of always predicting zero, over the frames of each
+    # part that count.
     squares = (truth**2).reshape(1, len(truth), -1)  # [1,N,R]
     models = [error.reshape(*error.shape[:2], -1)]
     if other is not None:
@@ -122,82 +128,100 @@ def interval(
     for values in models:
         counted &= np.isfinite(values).all(axis=0)
     part = parts(drive, settings.bootstrap_block_frames)
-    zero = sums_by_part(squares, counted, part)[0]  # [D,R]
+    zero_error = sums_by_part(squares, counted, part)[0]  # [D,R]
     errors = [sums_by_part(values, counted, part) for values in models]  # each [S,D,R]
 
-    bends = zero.any(axis=0)
-    if len(zero) < 2 or not bends.any():
+    # A column whose true values are all 0 has no nmse.
+    bends = zero_error.any(axis=0)
+    if len(zero_error) < 2 or not bends.any():
         return None
-    zero = zero[:, bends]
+    zero_error = zero_error[:, bends]
     errors = [values[..., bends] for values in errors]
 
-    # Errors of the first model, less those of the second, on drawn roads and with drawn seeds.
+    # Compute the error of the first model on drawn parts and with drawn seeds, and subtract that of
+    # the second model, if given.
     rng = np.random.default_rng(settings.seed)
     samples = settings.bootstrap_samples
-    drawn_parts = draw(len(zero), samples, rng)
+    drawn_parts = draw(len(zero_error), samples, rng)
     drawn = drawn_error(errors[0], drawn_parts, draw_seeds(len(errors[0]), samples, rng))
-    mean = mean_nmse(errors[0], zero)
+    mean = mean_nmse(errors[0], zero_error)
     if len(errors) > 1:
         drawn -= drawn_error(errors[1], drawn_parts, draw_seeds(len(errors[1]), samples, rng))
-        mean -= mean_nmse(errors[1], zero)
+        mean -= mean_nmse(errors[1], zero_error)
 
-    # The same relative to zero on the drawn roads; NaN where these are straight.
-    drawn_zero = np.einsum("bd,dr->br", drawn_parts, zero)
+    # Divide by the error of always predicting zero on the drawn parts. The result is NaN for a draw
+    # whose true values are all 0.
+    drawn_zero = np.einsum("bd,dr->br", drawn_parts, zero_error)
     drawn_nmse = np.full_like(drawn, np.nan)
     np.divide(drawn, drawn_zero, out=drawn_nmse, where=drawn_zero > 0)
     percentiles = np.nanpercentile(drawn_nmse.mean(axis=1), [2.5, 97.5])
-    low, high = (mean + widened(len(zero)) * (percentiles - mean)).tolist()
-    if other is None:  # no error is below 0
+
+    # An error is never below 0, but a difference can be.
+    low, high = (mean + widened(len(zero_error)) * (percentiles - mean)).tolist()
+    if other is None:
         return [max(low, 0.0), max(high, 0.0)]
     return [low, high]
 
 
 def sums_by_part(values: np.ndarray, counted: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Return the sums [S,D,R] of values [S,N,R] over the frames of each part that has `counted`
-    ones, bool [N,R].
+    """Return the sums [S,D,R] of `values` [S,N,R] over the frames of each part.
+
+    `counted`, bool [N,R], tells which values count, and `part` [N] is the number of each frame's
+    part, ascending. Parts in which no value counts are left out.
     """
     rows = counted.any(axis=1)
     _, first = np.unique(part[rows], return_index=True)
     if not len(first):
         return np.zeros((len(values), 0, values.shape[-1]))
+    # The rows of a part are consecutive, so a sum ends where the next part begins.
     return np.add.reduceat(np.where(counted, values, 0.0)[:, rows], first, axis=1)
 
 
 def draw(count: int, samples: int, rng: np.random.Generator) -> np.ndarray:
-    """Return how often each of `count` things is drawn with replacement, [samples,count]."""
+    """Draw `count` times from `count` items with replacement, and repeat this `samples` times.
+
+    Returns how often each item is drawn, [samples,count].
+    """
     return rng.multinomial(count, np.full(count, 1 / count), samples)
 
 
 def draw_seeds(count: int, samples: int, rng: np.random.Generator) -> np.ndarray:
-    """Return the weight of each seed in a mean over drawn seeds, [samples,count], widened."""
+    """Draw seeds, and return the weight of each seed in a mean over them, [samples,count].
+
+    The deviations of the weights from 1 are multiplied by the factor that :func:`widened` returns.
+    """
     return 1 + widened(count) * (draw(count, samples, rng) - 1)
 
 
 def widened(count: int) -> float:
-    """Return the factor by which deviations of a mean over drawn things are too small."""
+    """Return the factor by which deviations of a mean over `count` drawn items are too small."""
     return math.sqrt(count / max(count - 1, 1))
 
 
 def drawn_error(errors: np.ndarray, drawn_parts: np.ndarray, seeds: np.ndarray) -> np.ndarray:
-    """Return the error [B,R] of each draw, the mean over seeds weighted by [B,S], of errors [S,D,R]
-    by part.
+    """Return the error [B,R] of each draw of parts and seeds.
+
+    `errors` [S,D,R] are sums over the frames of each part, `drawn_parts` [B,D] tells how often a
+    part is drawn, and `seeds` [B,S] are the weights of the seeds.
     """
     by_seed = np.einsum("bd,sdr->bsr", drawn_parts, errors)
     return np.einsum("bs,bsr->br", seeds, by_seed) / len(errors)
 
 
-def mean_nmse(errors: np.ndarray, zero: np.ndarray) -> float:
-    """Return the nmse of errors [S,D,R], the mean over seeds and columns, for those of zero
-    [D,R].
+def mean_nmse(errors: np.ndarray, zero_error: np.ndarray) -> float:
+    """Return the nmse over all parts, as the mean over seeds and columns.
+
+    `errors` [S,D,R] are the sums of a model's squared errors by part, and `zero_error` [D,R] those
+    of always predicting zero.
     """
-    return float((errors.mean(axis=0).sum(axis=0) / zero.sum(axis=0)).mean())
+    return float((errors.mean(axis=0).sum(axis=0) / zero_error.sum(axis=0)).mean())
 
 
 def parts(drive: np.ndarray, block_frames: int) -> np.ndarray:
-    """Return the number [N] of the part of each frame, for the numbers [N] of the frames' drives.
+    """Return the number [N] of each frame's part, by the number [N] of its drive.
 
-    A drive of two or more blocks is cut into equal parts of at least one block, which count as
-    drives.
+    A short drive is one part. A drive of at least two blocks of `block_frames` frames is cut into
+    equal parts of at least one block each.
     """
     lengths = []
     for frames in np.split(drive, np.flatnonzero(np.diff(drive)) + 1):
@@ -207,9 +231,10 @@ def parts(drive: np.ndarray, block_frames: int) -> np.ndarray:
 
 
 def verdict(bounds: Sequence[float] | None, seeds: int, drives: int) -> str:
-    """Return what the :func:`interval` of a paired difference shows about the first of two methods.
+    """Return what the interval of a paired difference shows about the first of two methods.
 
-    `seeds`: of the model that has fewer; `drives`: the :func:`parts`.
+    `bounds` is the :func:`interval`, `seeds` the number of seeds of the model that has fewer, and
+    `drives` the number of :func:`parts` of drives.
     """
     if seeds < 2:
         return "too few seeds (train.seeds)"
@@ -223,18 +248,21 @@ def verdict(bounds: Sequence[float] | None, seeds: int, drives: int) -> str:
 
 
 def untrained(nmse: np.ndarray) -> list[int]:
-    """Return which seeds failed to train, by the nmse [S] of each on its own training drives."""
+    """Return the rows of the seeds that failed to train, by their nmse [S] on the training drives.
+
+    A seed failed if its nmse is above 0.9, or above both 0.5 and twice the median of all seeds.
+    """
     return np.flatnonzero((nmse > 0.9) | (nmse > 0.5) & (nmse > 2 * np.median(nmse))).tolist()
 
 
 def nmse_text(value: float, seeds: Sequence[float], bounds: Sequence[float] | None) -> str:
-    """Return an nmse as text, with the standard deviation over seeds and its :func:`interval`."""
+    """Return an nmse as text, with its standard deviation over seeds and its :func:`interval`."""
     spread = f" ± {np.std(seeds, ddof=1):.3f}" if len(seeds) > 1 else ""
     return f"{value:.3f}{spread} ({interval_text(bounds)})"
 
 
 def interval_text(bounds: Sequence[float] | None, form: str = ".3f") -> str:
-    """Return the bounds of an :func:`interval` as text, the reason if it is None."""
+    """Return the bounds of an :func:`interval` as text, or the reason if it is None."""
     if bounds is None:
         return "too short for an interval"
     low, high = bounds

@@ -1,11 +1,11 @@
 """Find the onsets of turns, and compute the drift of predicted paths.
 
-At an onset, the driver chooses a way that the scene does not determine. The rule uses recorded
-motion only. An onset is the frame at which |curvature| exceeds STRAIGHT_1PM
-after one second below it, if the car turns by at least TURN_RAD within the next REACH_M metres: a
-turn at a street corner, no bend of the road and no manoeuvre around an obstacle. On KITTI's drives
-it finds turns of 70° to 100°. Where the label is invalid, for instance while the car waits at a
-corner, the curvature of the last valid frame is used.
+At an onset, the driver chooses a way that the scene does not determine. An onset is a frame at
+which |curvature| reaches STRAIGHT_1PM after one second below it, if the car turns by at least
+TURN_RAD within the next REACH_M metres. So it is the beginning of a turn at a street corner, and
+not of a bend of the road or of a manoeuvre around an obstacle. On KITTI's drives, this rule finds
+turns of 70° to 100°. It uses only the motion of the labels. In a frame whose label is invalid, for
+instance while the car waits at a corner, the curvature of the last valid frame is used.
 """
 
 from collections.abc import Iterable
@@ -16,20 +16,21 @@ from pipeline.base import store
 from pipeline.labels import label
 from pipeline.train.targets import LabelledDrive
 
-# Largest curvature of a straight stretch, a radius of 67 m; a car that keeps its lane stays below.
+# Curvature in 1/m below which a road is straight. It is a radius of 67 m. A car that keeps its lane
+# stays below it.
 STRAIGHT_1PM = 0.015
-# Least turn in rad within REACH_M.
+# Least change of heading in rad within REACH_M.
 TURN_RAD = np.pi / 4
-# Length in metres of the way in which the car turns.
+# Length in metres of the way within which the car turns.
 REACH_M = 25.0
 # Time in seconds of the straight stretch before a turn.
 SECOND_S = 1.0
-# Least share of the frames of this second that are there.
+# Least share of this second's frames that the drive must have.
 MIN_FRAMES = 0.75
 
 
 def onsets(time_s: np.ndarray, curvature_1pm: np.ndarray, labels: label.Labels) -> np.ndarray:
-    """Return the rows, int64, at which a turn begins, for the frames [F] of a drive."""
+    """Return the rows, int64, of the frames [F] of a drive at which a turn begins."""
     curvature_1pm = label.hold_valid(np.abs(curvature_1pm), labels.valid, initial=np.inf)
     straight = curvature_1pm < STRAIGHT_1PM
     dt_s = np.diff(time_s, prepend=time_s[:1])
@@ -50,7 +51,7 @@ def onsets(time_s: np.ndarray, curvature_1pm: np.ndarray, labels: label.Labels) 
 
 
 def read_onsets(drive: LabelledDrive) -> np.ndarray:
-    """Return whether a turn begins at each frame of a drive, bool [G], by its labels."""
+    """Return whether a turn begins at each frame of a drive, bool [G], according to its labels."""
     with store.DriveReader(drive.labels, stage="labels") as file:
         rows = onsets(file.time_s, file["curvature_1pm"], label.read_labels(file))
         return np.isin(drive.frame, file.frame[rows])
@@ -59,19 +60,21 @@ def read_onsets(drive: LabelledDrive) -> np.ndarray:
 def path(
     steering_rad: np.ndarray, speed_mps: np.ndarray, time_s: np.ndarray, wheelbase_m: float
 ) -> np.ndarray:
-    """Return the car's positions [F,2] in metres, x ahead and y to the left of its start: ψ ← ψ +
-    v/L tan Θ dt.
+    """Return the car's positions [F,2] in metres, x ahead and y to the left of its start.
 
-    The paper's formula as printed, [x, y] ← [x, y] + v dt [cos Θ, sin Θ], takes the steering angle
-    as the heading. The speed and angle of a frame describe the step that ends there: in KITTI, the
-    rates in oxts lag half a step behind the poses. So paths of true angles stay within 1 m per 100
-    m of the recorded track in 23 of 30 drives; with rates that apply until the next frame, in 12
-    (tests/pipeline/evaluate/test_evaluate.py).
+    The heading follows from the bicycle model, ψ ← ψ + v/L tan Θ dt. The paper's formula as
+    printed, [x, y] ← [x, y] + v dt [cos Θ, sin Θ], takes the steering angle as the heading.
+
+    The speed and angle of a frame are applied to the step that ends at the frame, since the rates
+    in KITTI's oxts lag half a step behind its poses. In this way, paths of true angles stay within
+    1 m per 100 m of the recorded track in 23 of 30 drives. If the rates are applied to the step
+    that begins at the frame, they do so in 12 drives (tests/pipeline/evaluate/test_evaluate.py).
     """
     dt_s = np.diff(time_s)
     speed_mps = speed_mps[1:]
     turned_rad = speed_mps / wheelbase_m * np.tan(steering_rad[1:]) * dt_s
-    # Halfway through the step, the heading is the direction of the arc's chord.
+    # The car moves along the chord of an arc, whose direction is the heading halfway through the
+    # step.
     heading_rad = np.cumsum(turned_rad) - turned_rad / 2
     direction = np.stack([np.cos(heading_rad), np.sin(heading_rad)], axis=-1)
     steps_m = (speed_mps * dt_s)[:, None] * direction
@@ -79,8 +82,10 @@ def path(
 
 
 def segments(onset: np.ndarray, predicted_rad: np.ndarray) -> list[np.ndarray]:
-    """Return the rows between restarts, which have predictions [F]; `onset` bool [F]: a turn
-    begins.
+    """Return the rows of each segment, a stretch of frames [F] with predictions and no restart.
+
+    The predicted path restarts after frames without a prediction, and where a turn begins, which
+    `onset`, bool [F], tells. Segments of a single frame are left out.
     """
     rows = np.flatnonzero(~np.isnan(predicted_rad))
     restarts = np.flatnonzero((np.diff(rows) > 1) | onset[rows[1:]]) + 1
@@ -88,12 +93,14 @@ def segments(onset: np.ndarray, predicted_rad: np.ndarray) -> list[np.ndarray]:
 
 
 def drift(drives: Iterable[tuple[LabelledDrive, np.ndarray, np.ndarray]]) -> float | None:
-    """Return the distance in metres between predicted and true end of a segment, per 100 m (the
-    paper's Figure 5).
+    """Return the mean drift of predicted paths in metres per 100 m (the paper's Figure 5).
 
-    Each drive comes with its onsets, bool [G], and predicted angles [G]; speed and time are
-    measured. At an onset of a turn, and after frames without a prediction, the predicted path
-    restarts at the true one. None without segments.
+    The drift is the distance between the ends of the predicted and the true path of a segment. Both
+    paths start at the same point and have the same measured speeds and times. The predicted path
+    restarts at the true path where a turn begins, and after frames without a prediction. The result
+    is None if there is no segment.
+
+    `drives` are drives with their onsets, bool [G], and predicted angles [G].
     """
     error_m = 0.0
     distance_m = 0.0

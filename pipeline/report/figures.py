@@ -1,4 +1,4 @@
-"""Draw the pictures of the page from the stages' folders, as PNG files with captions."""
+"""Draw the pictures of the page from the outputs of stages, as PNG files with captions."""
 
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -16,10 +16,12 @@ from pipeline.report.results import Group
 from pipeline.report.street_view import View
 from pipeline.report.summary import Comparison
 
-# Least angle in degrees of the bend that the chain shows, if a drive has one.
+# Least angle in degrees of the bend to the left that the picture of the chain shows. If no drive
+# has such a bend, the picture shows the sharpest bend of all drives.
 BEND_DEG = 5.0
-# Length in metres of the path of a steering angle in an image.
+# Length in metres of the path that a steering angle makes in an image.
 PATH_M = 20.0
+# Matplotlib's colours of angles.
 _COLOURS = {"true": "0.15", "odometry": "tab:orange", "predicted": "tab:blue"}
 Captions = dict[str, str]  # name of the file without suffix → caption
 
@@ -27,10 +29,10 @@ Captions = dict[str, str]  # name of the file without suffix → caption
 def draw_chain(
     path: Path, group: Group, models: Sequence[str], data: Path
 ) -> tuple[str, list[View]]:
-    """Draw a frame's way from image to steering, and return the caption and graphs of its drive.
+    """Draw a frame's way from image to steering, and return a caption and the graphs of its drive.
 
-    The model is the first of `models` that sees points, the drive that of median error among those
-    that bend left. Nothing is drawn if a stage's file is not in `data`.
+    The model is the first of `models` that sees points. The drive is that of median error among the
+    drives that bend left. Nothing is drawn if a file of a stage is missing in the folder `data`.
     """
     with_points = [
         name
@@ -84,7 +86,11 @@ def _typical_bend(predictions: pd.DataFrame) -> tuple[str, int]:
 
 
 def _draw_panels(path: Path, view: View, graph: View, steering: pd.DataFrame) -> None:
-    """Draw image, depth, classes, cloud, pruned graph, and the angles over the drive of `view`."""
+    """Draw the image, depth, classes and cloud of a frame, its pruned graph, and the angles.
+
+    `view` has no points of the graph, which are in `graph`. `steering` holds the predictions for
+    the drive of the frame.
+    """
     figure = Figure(figsize=(13, 6.4), layout="constrained")
     panels = figure.subplot_mosaic("aabbcc;ddeeff", height_ratios=[1, 2.2])
     for key in "abc":  # classes may be missing
@@ -100,7 +106,7 @@ def _draw_panels(path: Path, view: View, graph: View, steering: pd.DataFrame) ->
 
 
 def _draw_angles(panel: Axes, steering: pd.DataFrame, frame: int) -> None:
-    """Draw the driven, measured and predicted angle over a drive."""
+    """Draw the driven, measured and predicted angle over the time of a drive, and mark a frame."""
     for kind, style in {"true": "-", "odometry": "--", "predicted": "-"}.items():
         angle_deg = steering[f"{kind}_deg"]
         if angle_deg.notna().any():
@@ -114,9 +120,10 @@ def _draw_angles(panel: Axes, steering: pd.DataFrame, frame: int) -> None:
 
 
 def draw_errors(out: Path, comparison: Comparison, group: Group, ingest: Path) -> Captions:
-    """Draw driven and predicted path at the largest error of the best model in typical drives.
+    """Draw the driven and the predicted path at the largest error in each typical drive.
 
-    Nothing is drawn for a frame without an image in `ingest`.
+    The predictions are those of the best model, and typical drives are its best, median and worst
+    drive. Nothing is drawn for a frame without an image in `ingest`, the folder of that stage.
     """
     model = comparison.by_error[0]
     predictions = group.first_seed(model)
@@ -149,7 +156,11 @@ def draw_errors(out: Path, comparison: Comparison, group: Group, ingest: Path) -
 
 
 def _path(values: np.ndarray, edges_m: Sequence[float], wheelbase_m: float) -> np.ndarray:
-    """Return the curvature of each step of a path [R], or of an angle [1] that stays the same."""
+    """Return the curvature of each step of a path.
+
+    `values` are the curvatures [R] in ranges with these edges. Without edges, they are one steering
+    angle [1], which is held along the path.
+    """
     if edges_m:
         return street_view.path_steps(values, edges_m)
     return street_view.path_steps(np.tan(values) / wheelbase_m, [0.0, PATH_M])
@@ -158,7 +169,7 @@ def _path(values: np.ndarray, edges_m: Sequence[float], wheelbase_m: float) -> n
 def _draw_paths(
     path: Path, image: np.ndarray, camera: Camera, paths: dict[str, np.ndarray]
 ) -> None:
-    """Draw the wheels' tracks of paths, name → curvature of each step, into an image."""
+    """Draw the wheels' tracks of paths into an image. `paths` is kind → curvature of each step."""
     height, width = image.shape[:2]
     figure = Figure(figsize=(8, 8 * height / width))
     panel = figure.add_axes((0, 0, 1, 1))

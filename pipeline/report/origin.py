@@ -1,4 +1,4 @@
-"""Where results come from: revision, date and machine, and the preset of ``make NAME``."""
+"""Say where results come from: revision, date, machine, and the preset of ``make NAME``."""
 
 import json
 import os
@@ -9,14 +9,16 @@ from typing import Any
 
 from pipeline.base.resume import ROOT, revision
 
-# File in runs/NAME, a copy of the code: what ``make NAME`` knows of the run when it starts it.
+# Name of the file in which ``make NAME`` describes a run when it starts it. The file is in the
+# folder runs/NAME, which holds a copy of the code.
 RUN = "run.json"
 
 
 def read_run(folder: Path = ROOT) -> dict[str, Any]:
-    """Return RUN of a copy of the code: preset, revision, started_s, settings and next command.
+    """Return the description of a run in a copy of the code.
 
-    `settings`: what differs from params.yaml. Of a checkout, which has no such file: revision.
+    Its keys are preset, revision, started_s, settings (those that differ from params.yaml) and next
+    (a command). A checkout has no such file. Its description is only the revision.
     """
     path = folder / RUN
     if path.is_file():
@@ -25,7 +27,10 @@ def read_run(folder: Path = ROOT) -> dict[str, Any]:
 
 
 def origin(folder: Path = ROOT) -> dict[str, str]:
-    """Return what is kept of a run beside its results; `folder`: a checkout or a copy."""
+    """Return the origin of results, which is kept with them.
+
+    `folder` is a checkout or a copy of the code.
+    """
     from torch import cuda
 
     run = read_run(folder)

@@ -19,10 +19,13 @@ from pipeline.report.results import Group
 from pipeline.report.summary import Comparison
 from pipeline.report.tables import Table
 
+# Caption of the learning curves.
 _LEARNING = (
     "Each line is a seed: nmse on the validation drives; dotted, without these, the training loss."
 )
+# Beginning of the caption of a chart of errors.
 _ERRORS = "nmse on the test drives, with its 95 % interval; 0 is perfect, 1 is useless"
+# Caption of the points and edges in 3D.
 _SPACE = (
     "Points and edges of the same drive in 3D. Drag to turn, move the slider, click a class to "
     "hide it."
@@ -34,7 +37,7 @@ NEXT = "dvc exp run -S models.sa-gnn-ncp.temporal=lstm"
 
 
 class Figure(NamedTuple):
-    """A picture or plot as HTML."""
+    """A picture or plot as HTML, with its caption."""
 
     caption: str
     html: str
@@ -45,15 +48,15 @@ Content = Sequence[str | Table | Figure]
 
 @dataclass
 class Page:
-    """The page from top to bottom; the first sentence is its headline."""
+    """The content of the page from top to bottom."""
 
-    sentences: Sequence[str]
+    sentences: Sequence[str]  # the first one is the headline
     doubts: Sequence[str]
-    sections: Mapping[str, Content]  # title → content; those without content are left out
+    sections: Mapping[str, Content]  # title → content; a section without content is left out
 
 
 def write(path: Path, page: Page) -> None:
-    """Write a page, and at its end what it was made from."""
+    """Write a page, which ends with the origin of its results."""
     run = read_run()
     made = origin()
     if "started_s" in run:
@@ -92,9 +95,10 @@ def errors(comparisons: Sequence[Comparison]) -> Content:
 
 
 def chain(pictures: Path, group: Group, comparison: Comparison, data: Path) -> Content:
-    """Draw the way of a frame from image to steering into a folder, and its graph in 3D.
+    """Return a picture of a frame's way from image to steering, and the graphs of its drive in 3D.
 
-    `data`: the folder of all stages, whose files may be missing.
+    The picture is also written to the folder `pictures`. `data` is the folder of all stages. The
+    result is empty if files of the stages are missing.
     """
     path = pictures / "chain.png"
     caption, views = figures.draw_chain(path, group, comparison.by_error, data)
@@ -105,7 +109,11 @@ def chain(pictures: Path, group: Group, comparison: Comparison, data: Path) -> C
 
 
 def test_drives(pictures: Path, group: Group, comparison: Comparison, ingest: Path) -> Content:
-    """Return the angles over time of the best, the median and the worst drive, and pictures."""
+    """Return plots and pictures of the best, the median and the worst test drive.
+
+    A plot shows the angles over time. A picture shows the paths at the largest error, and is also
+    written to the folder `pictures`. `ingest` is the folder of stage ingest.
+    """
     best = comparison.by_error[0]
     count = group.first_seeds["drive"].nunique()
     first = "The only test drive"
@@ -115,7 +123,7 @@ def test_drives(pictures: Path, group: Group, comparison: Comparison, ingest: Pa
     hint = "Drag to zoom, double-click to reset, click the legend to hide."
     content: list[str | Figure] = [f"{first}: predictions of the first seed.{turn} {hint}"]
 
-    # One axis for all drives.
+    # The plots of all drives have the same axis of angles.
     drives = group.typical_drives(best)
     shown = group.first_seeds[group.first_seeds["drive"].isin(drives)]
     angles_deg = shown[["true_deg", "predicted_deg"]].to_numpy()
@@ -132,7 +140,7 @@ def test_drives(pictures: Path, group: Group, comparison: Comparison, ingest: Pa
 
 
 def learning(train: Path, models: Sequence[str]) -> Content:
-    """Return the learning curves of models by their curve.csv in the folder of stage train."""
+    """Return a plot of the learning curves of models. `train` is the folder of stage train."""
     curves = {}
     for model in models:
         for path in sorted((train / model).rglob("curve.csv")):

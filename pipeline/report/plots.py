@@ -1,5 +1,6 @@
-"""Build the page's interactive plots: errors, angles over time, learning curves, and points with
-their graph in 3D.
+"""Build the page's interactive plots.
+
+They show errors, angles over time, learning curves, and points with their graph in 3D.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,12 +15,13 @@ from pipeline.camera import classes
 from pipeline.report.street_view import View
 from pipeline.report.summary import Comparison
 
+# Colours of models, which repeat if there are more models.
 COLOURS = ("#0b57a4", "#d1495b", "#2e8b57", "#8a5fbf", "#1b998b", "#7a6a53", "#c2185b")
 # Number of models whose lines are visible at first; a click in the legend adds others.
 MODELS_SHOWN = 3
-# Largest number of points of a frame in 3D.
+# Largest number of points that are shown of a frame in 3D.
 POINTS_SHOWN = 3_000
-# Largest number of edges of a frame in 3D.
+# Largest number of edges that are shown of a frame in 3D.
 EDGES_SHOWN = 4_000
 _LAYOUT = {
     "template": "none",
@@ -36,15 +38,15 @@ _SCENE = {
     "yaxis": {"title": "ahead, m", "range": [0, 50]},
     "zaxis": {"title": "up, m", "range": [-4, 10]},
     "aspectmode": "data",
-    # Behind and above the car.
+    # The view is from behind and above the car.
     "camera": {"eye": {"x": 0, "y": -1.5, "z": 0.9}, "center": {"z": -0.25}},
 }
 
 
 def to_html(figure: go.Figure, name: str, height: str = "24rem", *, alone: bool = False) -> str:
-    """Return a plot as part of a page with plotly.js, or `alone` as a page.
+    """Return a plot as a part of a page that has plotly.js, or with `alone` as a page of its own.
 
-    `name`: id of its element in the page.
+    `name` is the id of its element in the page.
     """
     config = {"responsive": True, "displayModeBar": False}
     return str(
@@ -60,21 +62,26 @@ def to_html(figure: go.Figure, name: str, height: str = "24rem", *, alone: bool 
 
 
 def errors(comparison: Comparison) -> go.Figure:
-    """Plot the nmse with its 95 % interval, by range of a path.
+    """Plot the nmse of models and baselines with its 95 % interval, for each range of a path.
 
-    Of the baselines, those that do not get the truth are shown.
+    Baselines that get the truth are not shown.
     """
     figure = go.Figure(layout=_PLANE | {"xaxis_title": "nmse", "yaxis_autorange": "reversed"})
     figure.update_layout(showlegend=len(comparison.labels) > 1, margin={"l": 130})
     for label in comparison.labels:
-        bars = []
+        values = []
+        names = []
+        above = []
+        below = []
         for name in (*comparison.models, *comparison.fair_baselines):
             entry = comparison.entry(name, label)
             value = entry["value"]
             if value is not None:
                 low, high = entry["interval"] or (value, value)
-                bars.append((value, name, high - value, value - low))
-        values, names, above, below = zip(*bars, strict=True) if bars else ((), (), (), ())
+                values.append(value)
+                names.append(name)
+                above.append(high - value)
+                below.append(value - low)
         interval = {"array": above, "arrayminus": below}
         figure.add_scatter(
             x=values, y=names, error_x=interval, mode="markers", name=label or "nmse"
@@ -85,7 +92,8 @@ def errors(comparison: Comparison) -> go.Figure:
 def over_time(predictions: pd.DataFrame, models: Sequence[str], limit_deg: float) -> go.Figure:
     """Plot driven angle, odometry and predictions over the time of one drive, in degrees, left +.
 
-    `models`: the best first; `limit_deg`: end of the axis on both sides.
+    `models` are in the order of the legend, the best first. The axis of angles ends at `limit_deg`
+    on both sides.
     """
     figure = go.Figure(layout=_PLANE | {"xaxis_title": "time in s", "yaxis_title": "deg, left +"})
     figure.update_yaxes(range=[-1.05 * limit_deg, 1.05 * limit_deg])
@@ -114,10 +122,15 @@ def over_time(predictions: pd.DataFrame, models: Sequence[str], limit_deg: float
 
 
 def learning(curves: Mapping[str, pd.DataFrame]) -> go.Figure:
-    """Plot the curves of networks MODEL[.seed-N]; without validation the training loss, dotted."""
+    """Plot the learning curves of networks, which are named MODEL[.seed-N].
+
+    A curve is the validation error, or a dotted curve of the training loss if a network has no
+    validation error.
+    """
     figure = go.Figure(layout=_PLANE | {"xaxis_title": "epoch"})
     figure.update_yaxes(title="error; 1: a constant angle")
-    colours = dict(zip({name.split(".")[0]: 0 for name in curves}, cycle(COLOURS), strict=False))
+    models = dict.fromkeys(network.split(".")[0] for network in curves)
+    colours = dict(zip(models, cycle(COLOURS), strict=False))
     named = set()
     for network, curve in curves.items():
         model = network.split(".")[0]
@@ -141,9 +154,9 @@ def learning(curves: Mapping[str, pd.DataFrame]) -> go.Figure:
 
 
 def in_space(views: Sequence[View]) -> go.Figure:
-    """Show points of some frames by class, with a slider, and their edges.
+    """Plot the points of frames by class, and their edges, with a slider that selects a frame.
 
-    Of too many edges, those near the car are shown.
+    If a frame has too many edges, those near the car are shown.
     """
     present = np.unique(np.concatenate([np.asarray(view.points_cls) for view in views])).tolist()
     frames = [go.Frame(name=str(view.frame), data=_traces(view, present)) for view in views]
@@ -173,7 +186,7 @@ def in_space(views: Sequence[View]) -> go.Figure:
 
 
 def _traces(view: View, present: Sequence[int]) -> list[go.Scatter3d]:
-    """Return a trace for each class of `present`, and one of the edges."""
+    """Return a trace for each class of `present`, and a trace for the edges, if any."""
     cls = np.asarray(view.points_cls)
     # Plotly's z points up.
     xyz = np.asarray(view.xyz)[:, [0, 2, 1]] * np.array([1, 1, -1], np.float32)
@@ -188,7 +201,8 @@ def _traces(view: View, present: Sequence[int]) -> list[go.Scatter3d]:
     if view.edges is not None:
         nearest = np.argsort(xyz[view.edges[:, 0], 1], kind="stable")[:EDGES_SHOWN]
         ends = xyz[view.edges[nearest]]  # [E,2,3]
-        x, y, z = np.insert(ends, 2, np.nan, axis=1).reshape(-1, 3).T  # NaN: a gap
+        # A NaN after each edge makes a gap in the line.
+        x, y, z = np.insert(ends, 2, np.nan, axis=1).reshape(-1, 3).T
         line = {"width": 1.5, "color": "#8b95a1"}
         traces.append(go.Scatter3d(x=x, y=y, z=z, name="edges", mode="lines", line=line))
     return traces

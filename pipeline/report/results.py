@@ -1,4 +1,4 @@
-"""Load the outputs of stage evaluate: groups of models that predict the same quantities."""
+"""Load the outputs of stage evaluate as groups of models that predict the same quantities."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,16 +11,17 @@ import pandas as pd
 from pipeline.base import store
 from pipeline.report import paper
 
-# Baselines without learning → what they predict.
+# Names of the baselines that use neither a network nor the truth → what they predict.
 NO_LEARNING = {
     "zero": "always straight ahead",
     "train_mean": "always the mean of the training drives",
     "odometry": "the present motion, measured from images",
     "regression": "a multiple of the present motion, measured from images",
 }
-# persistence repeats true angles, which no model gets.
+# Names of all baselines. persistence repeats true angles, which no model gets.
 BASELINES = (*NO_LEARNING, "persistence")
-# A model's metrics.json, with `paper`: its :class:`paper.Published`, or None.
+# A model's metrics.json with a further key, `paper`: the paper's network of this name with the same
+# settings, or None.
 Row = dict[str, Any]
 
 
@@ -28,28 +29,30 @@ Row = dict[str, Any]
 class Group:
     """Models that predict the same R columns equally far ahead, and the N frames of their drives.
 
-    Only the frames with a valid truth that every model and seed predicts count: the truth of the
-    others is NaN.
+    A frame counts if it has a valid true value, and if every model and seed predicts it. The true
+    values of other frames are NaN. S is the number of a model's seeds.
     """
 
-    key: str  # part of keys and file names: angle-0, angle-10 or path-0
-    # Column → label: empty for the steering angle, "5-10 m" for a range of the path ahead.
+    key: str  # name in keys and file names, for instance angle-0, angle-10 or path-0
+    # Column → label, which is empty for the steering angle, and a text such as "5-10 m" for a range
+    # of the path ahead.
     labels: dict[str, str]
     # Edges [R+1] of the ranges in metres; empty for the steering angle.
     edges_m: list[float]
-    models: dict[str, Row]  # in the order of the paper, then as given
-    # predictions.csv of each model's first seed, with columns elapsed_s since the drive's first
-    # frame, and cost, the squared error; in degrees, left +, true_deg, predicted_deg and
-    # odometry_deg: of the steering angle, or of the turn in all ranges of the path together.
+    models: dict[str, Row]  # those of the paper first, in its order
+    # Rows of each model's first seed in predictions.csv, with further columns: elapsed_s, the time
+    # since the drive's first frame; true_deg, predicted_deg and odometry_deg, the steering angle or
+    # the turn in all ranges of the path together, in degrees, left +; and cost, the squared error.
     first_seeds: pd.DataFrame
-    drive: np.ndarray  # [N] numbers, in time order
-    truth: np.ndarray  # [N,R]
-    # Model or baseline → [S,N,R]. A baseline is that of the first model that has it.
+    drive: np.ndarray  # number [N] of each frame's drive, in time order
+    truth: np.ndarray  # true values [N,R]
+    # Model or baseline → predictions [S,N,R]. If several models have a baseline, it is that of the
+    # first model.
     predicted: dict[str, np.ndarray]
 
     @property
     def length_m(self) -> np.ndarray:
-        """Lengths [R] of the ranges, which make curvatures turns; 1 for the angle."""
+        """Lengths [R] of the ranges; 1 for the angle. A curvature times its length is a turn."""
         return lengths(self.edges_m)
 
     def first_seed(self, model: str) -> pd.DataFrame:
@@ -57,22 +60,25 @@ class Group:
         return self.first_seeds[self.first_seeds["model"] == model]
 
     def typical_drives(self, model: str) -> dict[str, str]:
-        """Return the drives with the least, the median and the largest error of a model → rank."""
+        """Return drive → rank, for the best, the median and the worst drive by a model's error."""
         costs = self.first_seed(model).groupby("drive")["cost"].mean().dropna()
         drives = costs.sort_values(kind="stable").index
+        if not len(drives):
+            return {}
         if len(drives) == 1:
             return {drives[0]: "only"}
+        # Of two drives, the second has the rank of the worst.
         ranks = {0: "best", len(drives) // 2: "median", len(drives) - 1: "worst"}
-        return {drives[number]: rank for number, rank in ranks.items() if len(drives)}
+        return {drives[number]: rank for number, rank in ranks.items()}
 
 
 def lengths(edges_m: Sequence[float]) -> np.ndarray:
-    """Return the lengths [R] of ranges with edges [R+1]; 1 for the angle, which has none."""
+    """Return the lengths [R] of ranges with edges [R+1]; 1 for the angle, which has no ranges."""
     return np.diff(edges_m) if edges_m else np.ones(1)
 
 
 def load_groups(folders: Mapping[str, Path]) -> list[Group]:
-    """Load the results of models, name → folder of stage evaluate.
+    """Load the results of models. `folders` is model → its folder of stage evaluate.
 
     Raises InputError if a file is missing.
     """
@@ -81,7 +87,7 @@ def load_groups(folders: Mapping[str, Path]) -> list[Group]:
         row = store.read_json(folder / "metrics.json", stage=f"evaluate@{folder.name}")
         rows[model] = row | {"paper": paper.find(model, row["entry"], row["variant"])}
 
-    # Networks of the paper come first, in the order of its Table 2.
+    # Networks of the paper come first, in the order of its Table 2. Other models have None.
     order = [*paper.PAPER.values(), None]
     ranked = sorted(rows, key=lambda model: order.index(rows[model]["paper"]))
     groups: dict[tuple[str, int], dict[str, Row]] = {}
@@ -100,7 +106,7 @@ def load_groups(folders: Mapping[str, Path]) -> list[Group]:
 
 
 def _load_group(key: str, models: dict[str, Row], tables: Mapping[str, pd.DataFrame]) -> Group:
-    """Return a group with the contents of each model's predictions.csv."""
+    """Return the group of some models. `tables` is model → its predictions.csv."""
     columns = next(iter(models.values()))["columns"]
     labels = {}
     edges_m: list[float] = []
@@ -109,7 +115,9 @@ def _load_group(key: str, models: dict[str, Row], tables: Mapping[str, pd.DataFr
             labels[name] = ""
         else:
             labels[name] = f"{column['from_m']:g}-{column['to_m']:g} m"
-            edges_m += [column["to_m"]] if edges_m else [column["from_m"], column["to_m"]]
+            if not edges_m:
+                edges_m.append(column["from_m"])
+            edges_m.append(column["to_m"])
 
     firsts = [
         _in_degrees(table[table["seed"] == table["seed"].iloc[0]], [*columns], edges_m)
@@ -117,7 +125,8 @@ def _load_group(key: str, models: dict[str, Row], tables: Mapping[str, pd.DataFr
     ]
     first_seeds = pd.concat(firsts, ignore_index=True)
 
-    # One row per drive and frame of any model; of each value that of the first model that has it.
+    # List the drives and frames of all models. If models share a frame, its values are those of the
+    # first model that has them.
     indexed = {model: table.set_index(["drive", "frame"]) for model, table in tables.items()}
     frames = pd.concat(indexed.values()).groupby(level=[0, 1]).first()
 
@@ -149,7 +158,7 @@ def _load_group(key: str, models: dict[str, Row], tables: Mapping[str, pd.DataFr
 def _in_degrees(
     table: pd.DataFrame, columns: Sequence[str], edges_m: Sequence[float]
 ) -> pd.DataFrame:
-    """Return the predictions of a seed with the columns of :attr:`Group.first_seeds`."""
+    """Return the predictions of a seed with the further columns of :attr:`Group.first_seeds`."""
     table = table.copy()
     for kind in ("true", "predicted", "odometry"):
         turns_rad = 0.0

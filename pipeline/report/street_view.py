@@ -19,15 +19,17 @@ from pipeline.camera.geometry import project
 from pipeline.camera.images import to_metres
 from pipeline.graphs.graph_file import edge_pairs
 
-# Ends of the depth scale in metres; depth beyond them has the colour of the end.
+# Near end of the depth scale in metres. Smaller depths have the colour of this end.
 NEAR_M = 4.0
+# Far end of the depth scale in metres. Larger depths have the colour of this end.
 FAR_M = 80.0
 # Colours of depth: red is near.
 DEPTH_SCALE = ScalarMappable(LogNorm(NEAR_M, FAR_M), "turbo_r")
-# Area in metres that is shown from above: x to the right of the camera, z ahead of it.
+# Range in metres to the right of the camera that is shown from above.
 X_SHOWN_M = (-22.0, 22.0)
+# Range in metres ahead of the camera that is shown from above.
 Z_SHOWN_M = (0.0, 50.0)
-# Colours of paths, RGB.
+# RGB colours of paths.
 PATHS = {"predicted": (0, 200, 60), "measured": (70, 160, 255), "driven": (255, 70, 50)}
 # Half the distance in metres between the two lines of a path.
 HALF_TRACK_M = 0.8
@@ -35,12 +37,12 @@ HALF_TRACK_M = 0.8
 STEP_M = 0.5
 # Least distance in metres from the camera at which a path is drawn.
 NEAREST_M = 1.0
-# Number of frames of a drive that are shown in 3D.
+# Largest number of frames of a drive that are shown in 3D.
 FRAMES_SHOWN = 8
 
 
 class View(NamedTuple):
-    """Data of one frame; None if it is missing."""
+    """Data of one frame. A field is None if its data are missing."""
 
     frame: int  # KITTI frame number
     rgb: np.ndarray | None = None  # uint8 [H,W,3]
@@ -48,13 +50,13 @@ class View(NamedTuple):
     cls: np.ndarray | None = None  # trainIds [H,W]
     xyz: np.ndarray | None = None  # [P,3] in metres, camera frame
     points_cls: np.ndarray | None = None  # trainIds [P], if there are points
-    edges: np.ndarray | None = None  # rows of `xyz`, [E,2], each undirected edge once
-    edge_count: int = 0  # directed kNN edges after pruning, as in the paper and in all tables
+    edges: np.ndarray | None = None  # both ends of each undirected edge, rows of `xyz` [E,2]
+    edge_count: int = 0  # number of directed kNN edges after pruning, as in the paper and in tables
 
     def images(self) -> dict[str, np.ndarray]:
-        """Return title → pixels of the image, depth and classes that the frame has.
+        """Return title → pixels, for the image, the depth and the classes that the frame has.
 
-        Invalid depth is transparent. Classes are left out if all are void.
+        Pixels without a depth are transparent. Classes are left out if all are void.
         """
         images = {}
         if self.rgb is not None:
@@ -72,16 +74,16 @@ def read_view(number: int, *files: DriveReader) -> View:
 
     Raises InputError if a file lacks the frame.
     """
-    # Dataset → field of the view. Stage ingest has depth as "depth_m", stage perception as "depth".
+    # Dataset → field of the view. Files differ in how they name depth.
     fields = {"image": "rgb", "depth": "depth_m", "depth_m": "depth_m", "cls": "cls"}
     values: dict[str, Any] = {}
     for file in files:
         row = file.row_of(number)
         for name, field in fields.items():
-            # Other datasets of these names are of graphs and points.
+            # Files of clouds and graphs have datasets of these names that are no images.
             if name not in file or file.datasets[name].ndim <= 2:
                 continue
-            # In ingest, a frame may lack them.
+            # In a file of stage ingest, a frame may lack an image.
             if f"has_{name}" in file and not file[f"has_{name}"][row]:
                 continue
             pixels = file.row(name, row)
@@ -96,21 +98,24 @@ def read_view(number: int, *files: DriveReader) -> View:
 
 
 def read_some(file: DriveReader) -> list[View]:
-    """Read frames that are evenly spread over a drive."""
+    """Read at most FRAMES_SHOWN frames, which are evenly spread over a drive."""
     count = min(FRAMES_SHOWN, len(file.frame))
     rows = np.linspace(0, len(file.frame) - 1, count).astype(int)
     return [read_view(number, file) for number in file.frame[rows].tolist()]
 
 
 def draw_image(panel: Axes, pixels: np.ndarray, title: str, **style: Any) -> None:
-    """Draw pixels without axes, with a title in a `style`."""
+    """Draw pixels without axes. `style` holds options of the title."""
     panel.imshow(pixels, interpolation="nearest")
     panel.set_title(title, **style)
     panel.set_axis_off()
 
 
 def draw_points(panel: Axes, view: View, **style: Any) -> None:
-    """Draw the points of a frame from above in the colours of their classes, high ones on top."""
+    """Draw the points of a frame from above in the colours of their classes, and their edges.
+
+    High points are drawn over low ones. `style` holds options of the title.
+    """
     xyz = np.asarray(view.xyz)
     cls = np.asarray(view.points_cls)
     title = f"cloud from above: {len(xyz):,} points"
@@ -182,11 +187,14 @@ def save(figure: Figure, path: Path, dpi: int = 110) -> None:
 def wheel_tracks(curvature_1pm: np.ndarray, camera: Camera, slope: float = 0.0) -> list[np.ndarray]:
     """Return the pixels (u, v) of the left and the right wheel's track, each [N,2].
 
-    A track ends where it turns back. `curvature_1pm` [N]: of each step of STEP_M, left positive;
-    `camera`: at its height over the road; `slope`: metres that the road falls per metre ahead in
-    the camera's frame.
+    A track ends where it turns back to the camera.
+
+    Args:
+        curvature_1pm: curvature [N] of each step of STEP_M, left positive.
+        camera: camera at its height over the road.
+        slope: metres by which the road falls per metre ahead, in the camera's frame.
     """
-    # Positions are complex numbers in metres: ahead + left i.
+    # A position is a complex number in metres, ahead + left i.
     heading_rad = np.append(0, np.cumsum(curvature_1pm * STEP_M))
     halfway_rad = (heading_rad[1:] + heading_rad[:-1]) / 2
     middle = np.append(0, np.cumsum(STEP_M * np.exp(1j * halfway_rad)))
@@ -196,20 +204,22 @@ def wheel_tracks(curvature_1pm: np.ndarray, camera: Camera, slope: float = 0.0) 
         wheel = middle + 1j * offset_m * np.exp(1j * heading_rad)
         down_m = camera.height_m + slope * wheel.real
         uv, z = project(np.stack([-wheel.imag, down_m, wheel.real], axis=1), camera.K)
+
+        # The track is drawn from its first point in front of the camera to the first one behind it.
         start = int(np.argmax(z > NEAREST_M))
         behind = np.flatnonzero(z[start:] <= NEAREST_M)
         end = start + behind[0] if len(behind) else len(uv)
-        # OpenCV's coordinates end at 32,767.
+        # Pixels far outside of the image are moved, since OpenCV's coordinates end at 32,767.
         limit = 5 * camera.size[1]
         tracks.append(np.clip(uv[start:end], -limit, limit))
     return tracks
 
 
 def path_steps(path_1pm: Sequence[float] | np.ndarray, ahead_m: Sequence[float]) -> np.ndarray:
-    """Return the curvature [N] of each STEP_M of a path.
+    """Return the curvature [N] of each step of STEP_M of a path.
 
-    `path_1pm` [R]: mean curvatures in ranges with edges `ahead_m` [R+1]. Before the first edge, the
-    path has the curvature of the first range.
+    `path_1pm` [R] holds the mean curvatures in ranges with edges `ahead_m` [R+1]. Before the first
+    edge, the path has the curvature of the first range.
     """
     middles_m = np.arange(STEP_M / 2, ahead_m[-1], STEP_M)
     inner_edges_m = np.asarray(ahead_m)[1:-1]

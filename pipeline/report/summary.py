@@ -1,9 +1,13 @@
-"""All errors of a run and their differences, computed once: results.json.
+"""Compute all errors of a run and their differences once, as values of results.json.
 
-Tables, page and DVC's metrics are made from these values, and docs/results has those of published
-runs. A key is GROUP/ROW or, of a range of a path, GROUP/RANGE/ROW: angle-10/motion-10, path-0/10-20
-m/path. A row is a model, a baseline, or "A - B", their paired difference in nmse. GROUP/ROW of a
-path is the mean over its ranges. val/MODEL is the validation error.
+Tables, the page and DVC's metrics are made from these values, and docs/results has the values of
+published runs. Their keys are:
+
+- GROUP/ROW, for instance angle-10/motion-10. A row is a model, a baseline, or "A - B", the paired
+  difference in nmse of A from B. For a path, it is the mean over the path's ranges.
+- GROUP/RANGE/ROW for a single range of a path, for instance path-0/10-20 m/path.
+- val/MODEL for a model's validation error.
+- motion/KIND for the error of measured motion.
 """
 
 import json
@@ -19,15 +23,19 @@ from pipeline.evaluate.statistics import shown_metrics
 from pipeline.report import paper
 from pipeline.report.results import BASELINES, NO_LEARNING, Group, Row
 
-# Key → value (the nmse), its interval, and what else belongs to it.
+# Key → entry, which has the nmse as `value` and further values that belong to it.
 Results = dict[str, dict[str, Any]]
 
 
 def results(groups: Sequence[Group], settings: Evaluate, scores: Mapping[str, Any]) -> Results:
-    """Return the errors of groups, and of measured motion by stage scores, if there are any."""
+    """Return the errors of groups, and those of measured motion.
+
+    `scores` are the scores of stage scores, or empty.
+    """
     values = Results()
     for group in groups:
         claims = paper.claims(group.models)
+        # The range with an empty label has all columns of a path, or the only one of the angle.
         ranges = {"": [*range(len(group.labels))]}
         for column, label in enumerate(group.labels.values()):
             ranges[label] = [column]
@@ -55,8 +63,9 @@ def _key(group: str, label: str, row: str) -> str:
 
 
 def _pairs(group: Group) -> list[tuple[str, str]]:
-    """Return each model beside each other one, and beside the baselines without learning."""
-    rivals = [*group.models, *(name for name in NO_LEARNING if name in group.predicted)]
+    """Return pairs of a model and a rival, which is another model or a fair baseline."""
+    baselines = [name for name in NO_LEARNING if name in group.predicted]
+    rivals = [*group.models, *baselines]
     return [(name, rival) for name in group.models for rival in rivals if name != rival]
 
 
@@ -66,7 +75,7 @@ def _squared_error(group: Group, name: str, columns: Sequence[int]) -> np.ndarra
 
 
 def _errors(group: Group, name: str, columns: Sequence[int], settings: Evaluate) -> dict[str, Any]:
-    """Return the errors of a model or baseline in some columns together."""
+    """Return the errors of a model or baseline over some columns together."""
     truth = group.truth[:, columns]
     error = _squared_error(group, name, columns)
     turns_rad = ((group.predicted[name] - group.truth) * group.length_m)[..., columns].sum(axis=-1)
@@ -92,13 +101,14 @@ def _errors(group: Group, name: str, columns: Sequence[int], settings: Evaluate)
 def _difference(
     group: Group, name: str, rival: str, columns: Sequence[int], settings: Evaluate
 ) -> dict[str, Any]:
-    """Return the paired difference in nmse of a model from another or a baseline."""
+    """Return the paired difference in nmse of a model from another model or a baseline."""
     truth = group.truth[:, columns]
     error = _squared_error(group, name, columns)
     other = _squared_error(group, rival, columns)
     bounds = statistics.interval(error, truth, group.drive, settings, other)
     value = statistics.nmse_of(error.mean(axis=0, keepdims=True) - other.mean(axis=0), truth)
 
+    # A baseline has no seeds.
     seeds = len(error) if rival in BASELINES else min(len(error), len(other))
     part = statistics.parts(group.drive, settings.bootstrap_block_frames)
     drives = len(np.unique(part[np.isfinite(truth).any(axis=1)]))
@@ -107,7 +117,7 @@ def _difference(
 
 
 def _facts(row: Row) -> dict[str, Any]:
-    """Return what tables say of a model beside its errors on common frames."""
+    """Return further values of a model for tables, which do not depend on the group's frames."""
     test = next(iter(row["test"].values()))
     return {
         "paper": row["paper"] is not None,
@@ -120,7 +130,10 @@ def _facts(row: Row) -> dict[str, Any]:
 
 
 def _validation(row: Row) -> list[dict[str, Any]]:
-    """Return the mean nmse of a model over the columns of its validation drives, if it has any."""
+    """Return a list of a model's validation error, or an empty list without validation drives.
+
+    The error is the mean nmse over the columns.
+    """
     columns = [column for column in (row["val"] or {}).values() if column["nmse"] is not None]
     if not columns:
         return []
@@ -134,7 +147,7 @@ def _validation(row: Row) -> list[dict[str, Any]]:
 
 
 class Comparison:
-    """The values of a group, of a run or of docs/results."""
+    """The values of a group, which come from a run or from docs/results."""
 
     def __init__(self, values: Results, group: str) -> None:
         self.values = values
@@ -142,24 +155,24 @@ class Comparison:
         keys = [key.split("/")[1:] for key in values if key.startswith(f"{group}/")]
         rows = dict.fromkeys(key[-1] for key in keys)
         names = [name for name in rows if " - " not in name]
-        # Ranges of a path; one without a name for the angle.
+        # Ranges of a path. For the angle, there is a single range without a name.
         self.labels = list(dict.fromkeys(key[0] for key in keys if len(key) == 2)) or [""]
         self.models = [name for name in names if name not in BASELINES]
         self.baselines = [name for name in BASELINES if name in names]
 
     @property
     def title(self) -> str:
-        """What the group's models predict."""
+        """The quantity that the group's models predict, in words."""
         quantity, horizon = self.group.split("-")
         title = {"path": "path ahead", "angle": "steering angle"}[quantity]
         return title if horizon == "0" else f"{title}, {horizon} frames ahead"
 
     def entry(self, row: str, label: str = "") -> dict[str, Any]:
-        """Return the values of a row: a model, a baseline, or a difference; empty if unknown."""
+        """Return the values of a model, a baseline or a difference; they are empty if unknown."""
         return self.values.get(_key(self.group, label, row), {})
 
     def difference(self, name: str, rival: str, label: str = "") -> dict[str, Any]:
-        """Return the paired difference of a model from another or a baseline."""
+        """Return the paired difference of a model from another model or a baseline."""
         return self.entry(f"{name} - {rival}", label)
 
     @property
@@ -169,7 +182,7 @@ class Comparison:
 
     @property
     def by_error(self) -> list[str]:
-        """The models by validation error; by test error if a model has no validation error."""
+        """The models by validation error, or by test error if a model has no validation error."""
         return sorted(self.models, key=self._validation if self.validated else self._error)
 
     @property
@@ -179,7 +192,7 @@ class Comparison:
 
     @property
     def best_baseline(self) -> str:
-        """The fair baseline that has the least nmse; the first among equals."""
+        """The fair baseline with the least nmse, or the first one if several have the same nmse."""
         return min(self.fair_baselines, key=self._error)
 
     def _validation(self, name: str) -> float:
@@ -191,7 +204,7 @@ class Comparison:
 
 
 def dvc_metrics(values: Results) -> dict[str, dict[str, Any]]:
-    """Return errors of models and baselines by key, as ``dvc metrics show`` prints them."""
+    """Return key → errors of models and baselines, as ``dvc metrics show`` prints them."""
     names = ("mae_deg", *shown_metrics())
     metrics = {}
     for key, entry in values.items():
@@ -202,5 +215,5 @@ def dvc_metrics(values: Results) -> dict[str, dict[str, Any]]:
 
 
 def rounded(values: Results) -> Results:
-    """Return the values with numbers of five digits, as results.json has them."""
+    """Return the values with numbers rounded to five digits, as in results.json."""
     return json.loads(json.dumps(values), parse_float=lambda text: float(f"{float(text):.5g}"))

@@ -13,10 +13,11 @@ from pipeline.report import paper
 from pipeline.report.results import NO_LEARNING, Group, Row
 from pipeline.report.summary import Comparison
 
-# Cell without a value.
+# Text of a cell without a value.
 NONE = "–"
 # nmse on the test drives above which a model has learned nothing.
 USELESS = 0.95
+# Words that the tables use → their meanings.
 DEFINITIONS = {
     "nmse": (
         "MSE / MSE of always predicting zero: 0 is perfect, 1 is useless; ± one standard deviation "
@@ -50,12 +51,14 @@ DEFINITIONS = {
         "in the paper's Table 2 and here; the verdict is by the paired difference in nmse."
     ),
 }
+# Note of the table of depth.
 _DEPTH = (
     "Each depth as abs rel, RMSE in metres, δ1, from 1 to 80 m, in Eigen's crop, the usual one of "
     "KITTI: means over frames. Only pixels with a predicted depth count; coverage is their share. "
     "flat ground: a level road below the camera, with the encoder's classes, on the same pixels; "
     "an encoder that does not beat it has learned no depth."
 )
+# Note of the table of motion.
 _MOTION = (
     "Motion since the previous frame, measured from images, compared with the recorded motion "
     "(oxts or a log) at or above labels.min_speed_mps. wheel: recorded angles; …-wheel: compared "
@@ -64,18 +67,15 @@ _MOTION = (
 
 
 class Table(NamedTuple):
-    """A table of text cells with a title and a note.
-
-    `rows`: heading → cell; a heading may be missing.
-    """
+    """A table of text cells with a title and a note."""
 
     title: str
-    rows: Sequence[Mapping[str, str]]
+    rows: Sequence[Mapping[str, str]]  # each maps headings to cells, and may lack some headings
     note: str = ""
 
     @property
     def heads(self) -> list[str]:
-        """The headings that have a value in a row."""
+        """The headings that have a value in at least one row."""
         heads: dict[str, bool] = {}
         for row in self.rows:
             for head, cell in row.items():
@@ -84,7 +84,7 @@ class Table(NamedTuple):
 
     @property
     def cells(self) -> list[list[str]]:
-        """The cells of each row, NONE without a value."""
+        """The cells of each row, which are NONE without a value."""
         heads = self.heads
         rows = []
         for row in self.rows:
@@ -92,7 +92,7 @@ class Table(NamedTuple):
         return rows
 
     def markdown(self) -> str:
-        """Return the table in Markdown, its first column aligned left, the others right."""
+        """Return the table in Markdown, with the first column left- and others right-aligned."""
         lines = [self.heads, *self.cells]
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
         lines.insert(1, ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])])
@@ -109,7 +109,7 @@ class Table(NamedTuple):
 
 
 def number(value: Any, form: str = "") -> str:
-    """Return a value as text, NONE without one."""
+    """Return a number as text, or NONE for None and NaN."""
     return NONE if value is None or pd.isna(value) else format(value, form)
 
 
@@ -117,9 +117,9 @@ def number(value: Any, form: str = "") -> str:
 
 
 def sentences(comparisons: Sequence[Comparison], absent: Sequence[str] = ()) -> list[str]:
-    """Return what was found, its headline first, and what is missing.
+    """Return sentences on the results, the headline first.
 
-    `absent`: models without results on this machine.
+    `absent` are models without results on this machine, which the last sentence names.
     """
     texts = _finding(comparisons[0]) if comparisons else []
     for comparison in comparisons:
@@ -133,11 +133,11 @@ def sentences(comparisons: Sequence[Comparison], absent: Sequence[str] = ()) -> 
 
 
 def _finding(comparison: Comparison) -> list[str]:
-    """Return sentences on the best model; none without a bend in the test drives."""
+    """Return sentences on the best model, or none if the test drives have no bend."""
     name = comparison.by_error[0]
     baseline = comparison.best_baseline
     errors = comparison.entry(name)
-    without = comparison.entry(baseline)
+    baseline_errors = comparison.entry(baseline)
     difference = comparison.difference(name, baseline)
     if difference["value"] is None:
         return []
@@ -149,14 +149,14 @@ def _finding(comparison: Comparison) -> list[str]:
     return [
         f"{name} predicts the {comparison.title} with an error (nmse) of {errors['value']:.3f}, "
         f"where 0 is perfect and 1 is useless. {baseline.capitalize()}, without a network, has "
-        f"{without['value']:.3f}. Verdict on the difference: {difference['verdict']}.",
+        f"{baseline_errors['value']:.3f}. Verdict on the difference: {difference['verdict']}.",
         f"These are errors on {drives} that it was not trained on. nmse is the squared error "
         f"relative to that of always driving straight ahead. {name} is the model with the least "
         f"{choice}: its mean absolute error of the {turn} is {errors['mae_deg']:.2f}°, and the "
         f"95 % interval of its nmse is {interval_text(errors['interval'])}. "
         f"{baseline.capitalize()} predicts {NO_LEARNING[baseline]}. It is the best baseline "
-        f"that does not get the truth, with {without['mae_deg']:.2f}°. The difference in nmse is "
-        f"{difference['value']:+.3f} ({bounds}).",
+        f"that does not get the truth, with {baseline_errors['mae_deg']:.2f}°. The difference in "
+        f"nmse is {difference['value']:+.3f} ({bounds}).",
     ]
 
 
@@ -177,7 +177,10 @@ def useless_models(comparison: Comparison) -> dict[str, str]:
 
 
 def results_table(comparison: Comparison) -> Table:
-    """Return the errors of models and baselines, and the paper's where a claim can be judged."""
+    """Return the table of the errors of models and baselines.
+
+    If the models can judge a claim of the paper, it has the paper's errors, too.
+    """
     useless = useless_models(comparison)
     with_paper = bool(claims_table(comparison).rows)
     chosen = comparison.by_error[0]
@@ -215,7 +218,10 @@ def results_table(comparison: Comparison) -> Table:
 
 
 def _error_cells(entry: Mapping[str, Any], label: str, trained: bool) -> dict[str, str]:
-    """Return the cells of a model or baseline in a range of a path, or of the angle."""
+    """Return the cells of a model's or baseline's errors in a range of a path.
+
+    Without a `label`, they are the errors of the angle. `trained` is true for a model.
+    """
     text = number(entry["value"], ".3f")
     if trained and entry["value"] is not None:
         text = nmse_text(entry["value"], entry["seeds"], entry["interval"])
@@ -228,7 +234,7 @@ def _error_cells(entry: Mapping[str, Any], label: str, trained: bool) -> dict[st
 
 
 def differences_table(comparison: Comparison) -> Table:
-    """Return the differences of the best model from the best baseline and from other models."""
+    """Return the table of differences of the best model from the best baseline and other models."""
     best, *others = comparison.by_error
     rows = []
     for rival in (comparison.best_baseline, *others):
@@ -240,7 +246,7 @@ def differences_table(comparison: Comparison) -> Table:
 
 
 def difference_text(entry: Mapping[str, Any]) -> str:
-    """Return a paired difference in nmse with its interval and verdict."""
+    """Return the text of a paired difference in nmse, with its interval and verdict."""
     if entry["value"] is None:
         return NONE
     bounds = interval_text(entry["interval"], "+.3f")
@@ -248,7 +254,7 @@ def difference_text(entry: Mapping[str, Any]) -> str:
 
 
 def claims_table(comparison: Comparison) -> Table:
-    """Return the claims of the paper that the group's models can judge, with verdicts."""
+    """Return the table of the paper's claims that the group's models can judge, with verdicts."""
     rows = []
     for claim in paper.CLAIMS:
         difference = comparison.difference(claim.model, claim.rival)
@@ -266,6 +272,7 @@ def _claim_cells(
     published = None
     if claim.model in paper.PAPER and claim.rival in paper.PAPER:
         published = paper.PAPER[claim.model].test_mse / paper.PAPER[claim.rival].test_mse
+    # A claim that both errors are equally large is refuted by a difference of either sign.
     verdicts = {"better": "reversed" if claim.comparable else "confirmed", "worse": "reversed"}
     bounds = interval_text(difference["interval"], "+.3f")
     return {
@@ -283,7 +290,7 @@ def _claim_cells(
 def steering_tables(
     comparisons: Sequence[Comparison], groups: Sequence[Group]
 ) -> tuple[list[Table], list[Table]]:
-    """Return the tables of results and of the paper's claims, and those of details."""
+    """Return the tables of results and claims, and the tables of details, as two lists."""
     results = [results_table(comparison) for comparison in comparisons]
     results += [claims_table(comparison) for comparison in comparisons]
     details = [differences_table(comparison) for comparison in comparisons]
@@ -293,7 +300,7 @@ def steering_tables(
 
 
 def models_table(groups: Sequence[Group]) -> Table:
-    """Return the inputs and settings of all models."""
+    """Return the table of the inputs and settings of all models."""
     rows = [_model_cells(name, row) for group in groups for name, row in group.models.items()]
     return Table("Models", rows)
 
@@ -322,7 +329,7 @@ def _model_cells(name: str, row: Row) -> dict[str, str]:
 
 
 def perception_tables(scores: Mapping[str, Any]) -> list[Table]:
-    """Return the tables of depth, classes and motion that have rows; none without scores."""
+    """Return the tables of depth, classes and motion, without those that have no rows."""
     if not scores:
         return []
     classes = []
@@ -385,7 +392,10 @@ def _depth_rows(scores: Mapping[str, Any]) -> list[dict[str, str]]:
 
 
 def recorded_motion(scores: Mapping[str, Any]) -> tuple[list[str], list[str]]:
-    """Return what was found about recorded motion: lines about each log, and doubts."""
+    """Return notes and doubts about recorded motion, as two lists.
+
+    The first line about a log is its note, and further lines are doubts.
+    """
     notes = []
     doubts = []
     for kind, row in scores.get("recorded", {}).items():
@@ -396,7 +406,7 @@ def recorded_motion(scores: Mapping[str, Any]) -> tuple[list[str], list[str]]:
 
 
 def definitions() -> str:
-    """Return the definitions of the tables' words in Markdown."""
+    """Return the DEFINITIONS in Markdown."""
     text = "## Definitions\n\n"
     for word, meaning in DEFINITIONS.items():
         text += fill(f"- {word}: {meaning}", 110, subsequent_indent="  ") + "\n"

@@ -240,11 +240,11 @@ def _fit(pairs: Sequence[Pair], name: str) -> Fit | None:
     compared = np.isfinite(measured) & np.isfinite(recorded)
     if not compared.any():
         return None
+    # At a lag, more than half of these frames must still have both values.
     least = compared.sum() / 2
 
-    # Find the lag at which the log follows best, and the correlation that it gains by this lag.
-    # More than half of the compared frames must have both values at a lag. An increase up to
-    # `slack` may be noise.
+    # Find the lag at which the log follows best, and the correlation that it gains by this lag. An
+    # increase up to `slack` may be noise.
     shifted = [_at_lag(pairs, name, lag_s) for lag_s in NEAR_S]
     near = [_moments(measured, values, least) for values in shifted]
     correlations = np.array([moments.correlation for moments in near])
@@ -264,8 +264,8 @@ def _fit(pairs: Sequence[Pair], name: str) -> Fit | None:
     if one_sided:
         side = np.sign(recorded[compared].sum())
         other_side = int((turning & (measured * side < 0)).sum())
-        of_magnitudes = [_moments(np.abs(measured), values, least) for values in shifted]
-        magnitude = max(moments.correlation for moments in of_magnitudes)
+        unsigned = [_moments(np.abs(measured), values, least) for values in shifted]
+        magnitude = max(moments.correlation for moments in unsigned)
 
     # Compute the recorded value straight ahead. The limit grows if the car never drives straight.
     straightest = float(np.percentile(np.abs(measured[compared]), 5))

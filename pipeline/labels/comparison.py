@@ -40,8 +40,8 @@ LATE_COST = 0.01
 PRINTED_COST = 0.002
 # Largest difference in seconds between the lags of a log's thirds. Healthy logs have up to 0.1.
 DRIFT_S = 0.3
-# Least number of frames that are measured to turn to the other side, if all recorded values of a
-# log without signs are to one side.
+# Least number of frames that are measured to turn right if a log without signs has only values to
+# the left, or the other way round.
 OTHER_SIDE_FRAMES = 10
 # Correlation with the magnitudes of the measured values that a log without signs exceeds.
 UNSIGNED_CORRELATION = 0.8
@@ -49,7 +49,8 @@ UNSIGNED_CORRELATION = 0.8
 STUCK_S = 2.0
 # Gain of a log in degrees, if radians are expected.
 DEGREES = math.degrees(1)
-# Largest error of the logarithm to the base DEGREES of such a gain. It allows for a factor of 2.
+# Largest difference between the logarithms of such a gain and of DEGREES, both to the base DEGREES.
+# It allows for a factor of 2.
 DEGREES_ERROR = 0.17
 # Largest magnitude of the logarithm of a healthy angle's gain. Karlsruhe's cameras measure 1.2
 # times the speed.

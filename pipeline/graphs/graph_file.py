@@ -25,7 +25,7 @@ from pipeline.base import store
 Arrays = dict[str, np.ndarray]
 
 # Datasets of measured motion → the dataset of the motion file from which they are copied, and their
-# unit.
+# unit. They are in the order of the fields of MeasuredMotion.
 MOTION = {
     "motion_yaw_rate_radps": ("yaw_rate_radps", "rad/s, left positive"),
     "motion_speed_mps": ("filtered_mps", "m/s, forward positive"),
@@ -96,6 +96,7 @@ def write(
     for columns in frames:
         for name, column in columns.items():
             file.append(name, *column)
+        # Columns with the same pointer have equally many rows.
         rows = {column.pointer: len(column.rows) for column in columns.values()}
         for pointer in counts:
             counts[pointer].append(rows[pointer])

@@ -108,6 +108,7 @@ def _open_file(folder: Path, sha256: str, precision: str) -> OpenEncoder:
         return perceive(network, batch.images, batch.camera, precision)
 
     unit_error = NETWORK_UNIT_ERROR
+    # These networks have random weights if they were fitted to no dataset.
     if not datasets and architecture["backbone"] in ("small", "hugging_face"):
         unit_error = np.inf
     return OpenEncoder(predict, datasets, unit_error)
@@ -212,6 +213,7 @@ def perceive_drive(
             batch_size = max(settings.batch, GPU_BATCH)
         batches = read_batches(source, camera, rows, batch_size)
         with DriveWriter(path, stage="perception", drive=source.drive, params=params) as file:
+            # The scale of depth is judged by the camera's height, so that must be known.
             file.attrs["unit_error"] = opened.unit_error if camera.height_known else np.inf
             file.put("frame", source.frame[rows])
             file.put("time_s", source.time_s[rows], "s")

@@ -77,8 +77,11 @@ def draw_chain(
 
 def _typical_bend(predictions: pd.DataFrame) -> tuple[str, int]:
     """Return the drive of median error among those that bend left, and its sharpest frame."""
+    # The sharpest frame of a drive has its largest angle to the left.
     predicted = predictions.dropna(subset="cost")
     sharpest = predicted.loc[predicted.groupby("drive")["true_deg"].idxmax()].set_index("drive")
+
+    # If no drive bends by BEND_DEG, that with the largest angle is left.
     bends = sharpest[sharpest["true_deg"] >= min(BEND_DEG, sharpest["true_deg"].max())]
     costs = predicted.groupby("drive")["cost"].sum()[bends.index].sort_values()
     drive = str(costs.index[len(costs) // 2])

@@ -188,7 +188,7 @@ def in_space(views: Sequence[View]) -> go.Figure:
 def _traces(view: View, present: Sequence[int]) -> list[go.Scatter3d]:
     """Return a trace for each class of `present`, and a trace for the edges, if any."""
     cls = np.asarray(view.points_cls)
-    # Plotly's z points up.
+    # Columns are right, ahead and up, as Plotly's z points up.
     xyz = np.asarray(view.xyz)[:, [0, 2, 1]] * np.array([1, 1, -1], np.float32)
     shown = np.random.default_rng(0).permutation(len(xyz))[:POINTS_SHOWN]
     traces = []

@@ -142,12 +142,16 @@ def _load_group(key: str, models: dict[str, Row], tables: Mapping[str, pd.DataFr
         common &= np.isfinite(predicted[model]).all(axis=0)
     truth = np.where(common, values(frames, "true"), np.nan)
 
+    # The first baseline, zero, is not in predictions.csv.
     baselines = {"zero": np.zeros_like(truth)}
     for name in BASELINES[1:]:
         baselines[name] = values(frames, name)
-    before = np.isnan(baselines["odometry"]) & np.isfinite(baselines["regression"])
+
     # Before the first measurement, odometry is 0, as in the regression.
+    before = np.isnan(baselines["odometry"]) & np.isfinite(baselines["regression"])
     baselines["odometry"] = np.where(before, 0.0, baselines["odometry"])
+
+    # A baseline is used if it has a value wherever the truth has one.
     for name, value in baselines.items():
         if np.isfinite(value[np.isfinite(truth)]).all():
             predicted[name] = value[None]

@@ -152,6 +152,7 @@ class Comparison:
     def __init__(self, values: Results, group: str) -> None:
         self.values = values
         self.group = group
+        # A key of the group, without its name, is [ROW] or [RANGE, ROW].
         keys = [key.split("/")[1:] for key in values if key.startswith(f"{group}/")]
         rows = dict.fromkeys(key[-1] for key in keys)
         names = [name for name in rows if " - " not in name]

@@ -95,7 +95,11 @@ class Table(NamedTuple):
         """Return the table in Markdown, with the first column left- and others right-aligned."""
         lines = [self.heads, *self.cells]
         widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-        lines.insert(1, ["-" * widths[0], *("-" * (width - 1) + ":" for width in widths[1:])])
+
+        # In the line below the headings, a colon aligns a column to the right.
+        rule = ["-" * widths[0]]
+        rule += ["-" * (width - 1) + ":" for width in widths[1:]]
+        lines.insert(1, rule)
         rows = []
         for first, *others in lines:
             cells = [cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True)]

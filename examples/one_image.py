@@ -53,8 +53,7 @@ for depth_m, cls in zip(depths_m, class_maps, strict=True):
     xyz = xyz[drawn]
     point_cls = point_cls[drawn]
 
-    # Connect nearest neighbours, and remove four of five edges between points of different classes
-    # (Fig. 3).
+    # Connect nearest neighbours, and remove four of five edges between classes (Fig. 3).
     neighbours = graph.nearest_neighbours(xyz, k=6)
     edges = graph.undirected(neighbours)
     pruned = graph.prune(edges, point_cls, keep_inter_class=0.2, rng=rng)

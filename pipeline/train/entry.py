@@ -1,4 +1,4 @@
-"""Section ``models``: the networks, one entry each."""
+"""Section ``models``, which has an entry for each model."""
 
 from typing import Annotated, Any, Literal, Self
 
@@ -19,11 +19,12 @@ FRAMES = {
 class Entry(Section):
     """One entry of ``models``: a spatial and a temporal network on a graph variant.
 
-    Further keys are fields of class Options of the two networks. A validated entry has them all.
+    Further keys are fields of the class Options of the two networks. A validated entry has all of
+    these fields, with their defaults.
     """
 
     model_config = ConfigDict(extra="allow")
-    # No defaults: dvc.yaml takes these three from params.yaml.
+    # These three have no defaults, because dvc.yaml reads them from params.yaml.
     input: str
     spatial: str
     temporal: str
@@ -37,16 +38,18 @@ class Entry(Section):
     alpha: Annotated[float, Field(ge=0, le=100)] = 0.0
     # Number of features per frame, between the two networks.
     features: Annotated[int, Field(ge=1, le=1024)] = 32
-    # path: the mean curvature of the path ahead in the ranges of labels.ahead_m.
+    # Quantity that the network predicts: the steering angle, or for `path` the mean curvature of
+    # the path ahead in each range of labels.ahead_m.
     predict: Literal["angle", "path"] = "angle"
     # Frames between the last input frame and the predicted angle.
     horizon: Annotated[int, Field(ge=0, le=10_000)] = 0
-    # visual: measured motion is an input, too.
+    # Motion that the network gets beside the frames: none, or motion measured from images.
     motion: Literal["none", "visual"] = "none"
-    # motion: the output is added to the last frame's measured angle, for a path to its regression
-    # on it; none: it is added to 0.
+    # Value to which the network's output is added. `motion`: the measured angle of the window's
+    # last frame, or for a path the curvature that a regression predicts from it. `none`: 0.
     base: Literal["motion", "none"] = "motion"
-    # another: a control that gets the scene of another drive of the split.
+    # Drive whose scene the network sees: the same as its motion, or, in a control experiment,
+    # another drive of the split.
     scene: Literal["same", "another"] = "same"
 
     @model_validator(mode="after")
@@ -83,7 +86,7 @@ class Entry(Section):
 
     @property
     def predicts_ahead(self) -> bool:
-        """Whether a target is of a later time than the last frame of its window."""
+        """Whether targets lie ahead of the last frame of their windows."""
         return self.horizon > 0 or self.predict == "path"
 
     @property
@@ -111,8 +114,8 @@ class Entry(Section):
         """Build the network with new weights from torch's random state.
 
         `kind`, `levels` and `image_size` describe the frames of the entry's input, see
-        graph_file.Contents; `outputs` is the number R of ranges of a path. Raises InputError if the
-        network reads another kind or an option is out of range.
+        graph_file.Contents. `outputs` is 1 for an angle, or the number R of ranges of a path.
+        Raises InputError if the network reads another kind of frames, or an option is out of range.
         """
         spatial = self._network_options("spatial", self.spatial)
         temporal = self._network_options("temporal", self.temporal)

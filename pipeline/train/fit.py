@@ -24,11 +24,11 @@ from pipeline.train.targets import LabelledDrive
 
 # Kind of the checkpoint of a training that can be resumed.
 STATE = "state of training"
-# Parts of a training that have a state of their own.
+# Fields of :class:`Fit` whose ``state_dict`` is saved after each epoch.
 PARTS = ("net", "average", "optimiser")
 # Share of the steps in which the learning rate rises.
 WARM_UP = 0.05
-# Number of epochs whose mean validation error selects one.
+# Number of epochs over which the validation error is averaged to select an epoch.
 SMOOTHING = 3
 # Share of the spans whose motion is hidden from a network that predicts ahead. Motion alone is a
 # good first guess: a network that always has it learns to use the scene late or never. The nmse a
@@ -40,8 +40,8 @@ MOTION_DROPOUT = 0.5
 def selected_epoch(curve: Sequence[Mapping[str, float]]) -> int:
     """Return the number of the epoch of a learning curve whose weights are kept.
 
-    It has the lowest mean of the errors of this epoch and the two before, since one epoch's error
-    is noisy. Without validation it is the last one.
+    This epoch has the lowest validation error. Each error is averaged with those of the two epochs
+    before, since the error of a single epoch is noisy. Without validation, the last epoch is kept.
     """
     errors = [row["val_nmse"] for row in curve]
     selected = len(errors)
@@ -58,8 +58,8 @@ def selected_epoch(curve: Sequence[Mapping[str, float]]) -> int:
 class Fit:
     """One training run: a network, the average of its weights, an optimiser, and a learning curve.
 
-    The moving average, with the network's buffers, is validated and selected: single steps
-    fluctuate at a high learning rate.
+    The averaged weights, with the network's buffers, are validated and kept, because the weights
+    fluctuate from step to step at a high learning rate.
     """
 
     net: SteeringNet
@@ -76,7 +76,8 @@ class Fit:
         self._gain = torch.from_numpy(self.scale.gain).to(self.net.device, dtype)
         self._std = torch.from_numpy(self.scale.std).to(self.net.device, dtype)
 
-        # Statistics of features are averaged, too: the frames of a single step are too few.
+        # The mean and variance of features are averaged over steps, too, since a single step has
+        # too few frames.
         self.net.scale.momentum = min(0.1, 1 - self.settings.average)
         self.average = copy.deepcopy(self.net)
         self.best = copy_weights(self.net)
@@ -135,6 +136,7 @@ class Fit:
             eta_s = (time.perf_counter() - started) / (epoch - before) * (epochs - epoch)
             print(f"{text}, ETA {eta_s:.0f} s", flush=True)
 
+        # Say that training stopped early, unless an earlier run has said it.
         done = len(self.curve)
         if before < done < epochs:
             chosen = selected_epoch(self.curve)
@@ -142,6 +144,7 @@ class Fit:
             print(f"{title}: stopped {after}", flush=True)
 
     def _unfinished(self) -> bool:
+        """Return whether epochs remain, and validation has improved in the last `patience`."""
         done = len(self.curve)
         waited = done - selected_epoch(self.curve)
         return done < self.settings.epochs and waited < self.settings.patience
@@ -160,7 +163,7 @@ class Fit:
         print(f"{title}: {text}", flush=True)
 
     def _save(self, state: Path) -> None:
-        """Write all that :meth:`_resume` reads."""
+        """Write the file that :meth:`_resume` reads."""
         parts = {name: getattr(self, name).state_dict() for name in PARTS}
         checkpoint.write(state, {"kind": STATE, **parts, "best": self.best, "curve": self.curve})
 
@@ -176,19 +179,21 @@ class Fit:
                 spans.append(span)
         rng.shuffle(spans)
 
-        # Without the scene, an equivariant network without motion has the output 0 and no gradient.
+        # Motion is not hidden from a network that sees no frames: it would have no input, and an
+        # equivariant network without input has the output 0 and no gradient.
         dropout = 0.0
         if self.entry.predicts_ahead and self.net.motion and self.net.sees_frames:
             dropout = MOTION_DROPOUT
 
-        # Each span is in a world of another scale, and the motion of some is hidden.
+        # Scale the world of each span by a random factor, and hide the motion of some spans.
         factors = (self.settings.rescale ** rng.uniform(-1, 1, len(spans))).astype(np.float32)
         hidden = rng.random(len(spans)) < dropout
         augmented = []
         for span, factor, is_hidden in zip(spans, factors.tolist(), hidden.tolist(), strict=True):
             augmented.append(replace(span, factor=factor, hidden=is_hidden))
 
-        # About equally many in each step, as the features of a single frame have no variance.
+        # All steps have about equally many spans. A remainder with a single frame would be a step
+        # in which features have no variance.
         steps = math.ceil(len(spans) / self.settings.batch_spans)
         groups = np.array_split(np.array(augmented, dtype=object), steps)
         return [group.tolist() for group in groups]
@@ -198,7 +203,7 @@ class Fit:
         net = self.net
         net.train()
         steps = self._plan(epoch)
-        # The seed of dropout, see _plan.
+        # Random numbers of the network, such as those of dropout, derive from the epoch, too.
         torch.manual_seed(int(np.random.SeedSequence([self.seed, epoch]).generate_state(1)[0]))
         errors = []
         weights = []
@@ -217,7 +222,7 @@ class Fit:
             errors.append(error.detach())
             weights.append(weight)
 
-        # Read once per epoch: no step waits for a GPU.
+        # The sums are read once per epoch, so that no step waits for a GPU.
         sums = torch.stack(errors + weights).double().view(2, -1).sum(1)
         error_sum, weight_sum = sums.tolist()
         return error_sum / weight_sum, learning_rate
@@ -227,22 +232,22 @@ class Fit:
         residual, weight = step_targets(batch, self._gain, self._std, self.entry.alpha)
         output = net(*net.inputs(batch))
         error = weighted_loss(output, residual, weight, robust=self.entry.predict == "path")
-        # Each span has a valid target, but all ranges of a scaled path may be unknown: then the
-        # error is 0, too.
+        # Each span has a valid target, but all ranges of a scaled path may be unknown. Then all
+        # weights are 0, the sum of errors is 0, and the minimum avoids 0 / 0.
         return error, weight.sum().clamp_min(1e-6)
 
     @torch.no_grad()
     def _update_average(self, first: bool) -> None:
         """Move the averaged parameters towards those of the network.
 
-        The first time, and buffers always, are copied.
+        In the first step, parameters are copied. Buffers are copied in every step.
         """
         weight = 1.0 if first else 1 - self.settings.average
         torch._foreach_lerp_([*self.average.parameters()], [*self.net.parameters()], weight)
         torch._foreach_copy_([*self.average.buffers()], [*self.net.buffers()])
 
     def _peak(self) -> int:
-        """Return the bytes on the GPU of the largest step and the largest batch of a validation."""
+        """Return the bytes that the largest step and the largest validation batch need on a GPU."""
         torch.cuda.empty_cache()
         reader = windows.Reader([*self.train, *self.val], self.entry.window, self.files)
         net = copy.deepcopy(self.net)
@@ -252,7 +257,8 @@ class Fit:
         largest = max(([span] for span in tested), key=_frames)
 
         torch.cuda.reset_peak_memory_stats()
-        # Two steps, as the error and the graph of the first live until the second has its own.
+        # Two steps are made, since the error and the graph of a step stay in memory until the next
+        # step has its own.
         batches = reader.batches([step, step, largest], net.device)
         for arrays, trains in zip(batches, (True, True, False), strict=True):
             with torch.set_grad_enabled(trains):

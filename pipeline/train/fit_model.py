@@ -26,7 +26,7 @@ from pipeline.train.targets import Drives, LabelledDrive
 
 @dataclass(frozen=True)
 class Model:
-    """What the networks of a model have in common."""
+    """Settings and drives that all networks of a model share."""
 
     name: str
     where: str  # the place of its entry, for messages
@@ -36,7 +36,7 @@ class Model:
     drives: Drives
 
     def usable_drives(self, split: str, seed: int) -> list[LabelledDrive]:
-        """Return the drives of a split that have a window, with their scenes for a seed."""
+        """Return the drives of a split that have a window, each with its scene for a seed."""
         scenes = runs.scenes(self.splits, seed, self.entry.scene)
         usable = []
         for name in store.drives_in(self.splits, split):
@@ -49,16 +49,18 @@ class Model:
 def fit_model(model: Model, todo: Sequence[runs.Run], folder: StageFolder) -> list[Path]:
     """Train the networks of a model; return the files of their states.
 
-    On CPUs they are trained in parallel, one process each, on a GPU one after the other.
+    On CPUs the networks are trained in parallel, each in a process. On a GPU they are trained one
+    after the other.
     """
     names = store.drives_in(model.splits, "train", "val")
     files = Files(model.drives[name].graphs for name in names)
     job = partial(fit_run, model, files=files, code=folder.code.hash(), kept=folder.kept)
 
-    # A GPU trains one network at a time; a cluster has a worker per GPU, see CUDA_VISIBLE_DEVICES.
-    alone = SCHEDULER not in os.environ and (torch.cuda.is_available() or default_workers() == 1)
+    # A GPU trains one network at a time. A cluster has a worker for each GPU, so networks are
+    # distributed to its workers.
+    in_turn = SCHEDULER not in os.environ and (torch.cuda.is_available() or default_workers() == 1)
     states = []
-    if alone or len(todo) == 1:
+    if in_turn or len(todo) == 1:
         for run in todo:
             states.append(job(run))
     else:
@@ -71,7 +73,8 @@ def fit_run(model: Model, run: runs.Run, files: Files, code: str, kept: Path) ->
     """Train a network of a model, and write best.pt and curve.csv. Raises InputError.
 
     The training continues from the state of an earlier run if there is one. `code` is the hash of
-    the code, `kept` the folder of states, see StageFolder. Returns the file of the state.
+    the stage's code, `kept` the folder in which states are kept between runs. Returns the file of
+    the state.
     """
     entry = model.entry.seeded(run.seed)
     train = model.usable_drives("train", run.seed)
@@ -79,7 +82,7 @@ def fit_run(model: Model, run: runs.Run, files: Files, code: str, kept: Path) ->
     with error_context(where=model.where):
         net = _build(entry, train[0], run.seed)
 
-    # The state of an earlier run fits if all of this is the same.
+    # The state of an earlier run can be continued if it had the same code, inputs and files.
     inputs = {
         "entry": entry.model_dump(mode="json"),
         "train": model.settings.model_dump(exclude={"seeds"}),
@@ -114,14 +117,14 @@ def fit_run(model: Model, run: runs.Run, files: Files, code: str, kept: Path) ->
 
 
 def _build(entry: Entry, drive: LabelledDrive, seed: int) -> SteeringNet:
-    """Build a network for the frames and columns of a drive; its results depend on the seed alone.
+    """Build a network for the frames and columns of a drive. Raises InputError.
 
-    Raises InputError.
+    The settings of torch make sure that two runs with the same seed have the same results.
     """
     device = "cuda" if torch.cuda.is_available() else "cpu"
     if device == "cpu":
-        torch.set_num_threads(1)  # sums of more threads differ, and with them the weights
-    torch.backends.cudnn.allow_tf32 = False  # float32 also in convolutions
+        torch.set_num_threads(1)  # rounding of sums depends on the number of threads
+    torch.backends.cudnn.allow_tf32 = False  # convolutions compute in float32
     torch.manual_seed(seed)
     net = entry.build(**drive.contents._asdict(), outputs=len(drive.columns))
     return net.to(device)

@@ -1,4 +1,4 @@
-"""Frames of graph files as batches of tensors: read from the files, or kept in memory."""
+"""Read frames of graph files as batches of tensors, and keep frames in memory."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -14,7 +14,8 @@ from pipeline.graphs.graph_file import Graphs, open_graphs
 
 # Where frames are kept: in the memory of the GPU, in RAM, or nowhere but in the files.
 Place = Literal["GPU", "RAM", "disk"]
-# Factor on the measured peak of a step, for an optimiser's state, and for gaps between tensors.
+# Factor on the memory that a step was measured to need. The measurement lacks the optimiser's
+# state, and gaps between tensors take memory, too.
 RESERVE = 1.1
 # Share of the free RAM that frames may take; the rest is for batches.
 SPARE = 0.8
@@ -25,13 +26,17 @@ GPUS = Path("/proc/driver/nvidia/gpus")
 
 
 class Files:
-    """Open graph files by path, which a process opens once for all its trainings.
+    """Graph files by path, each of which is opened when it is first needed.
 
-    A copy in another process has none of them open.
+    All trainings of a process share the open files. A copy that is sent to another process has no
+    open files.
     """
 
     def __init__(self, paths: Iterable[Path] = (), place: Place | None = None) -> None:
-        """`paths` are those that :meth:`load` keeps in memory; it chooses the place if None."""
+        """Store the paths of the files that :meth:`load` reads into memory.
+
+        If `place` is None, :meth:`load` chooses it.
+        """
         self.paths = [*dict.fromkeys(paths)]
         self.place = place
         self._opened: dict[Path, Graphs] = {}
@@ -45,10 +50,11 @@ class Files:
         return self.__dict__ | {"_opened": {}}
 
     def load(self, device: torch.device, peak: Callable[[], int] | None = None) -> None:
-        """Read the files into memory, once.
+        """Read the files into memory, unless they have been read already.
 
-        For a CPU they stay on disk: computing takes longer than reading. `peak` returns the bytes
-        that a step needs on the GPU beside the frames; if None, they go to RAM.
+        If the network is on a CPU, frames stay on disk, because computing takes longer than
+        reading. `peak` returns the bytes that a step needs on the GPU in addition to the frames. If
+        `peak` is None, frames are not kept on the GPU.
         """
         if self.place is None:
             self.place = self._choose(peak) if device.type == "cuda" else "disk"
@@ -83,14 +89,16 @@ class Files:
 def free_ram() -> int:
     """Return the bytes of RAM that this process may use.
 
-    They are what the machine, or its container, has free, shared among its GPUs.
+    The free memory of the machine, or of its container, is divided by the number of GPUs, since
+    each GPU may have a process.
     """
     free = int(psutil.virtual_memory().available)
     limit = CGROUP / "memory.max"
     if limit.is_file() and limit.read_text().strip() != "max":
         used = int((CGROUP / "memory.current").read_text())
         lines = (CGROUP / "memory.stat").read_text().splitlines()
-        cached = dict(line.split() for line in lines)["inactive_file"]  # is freed when needed
+        # The container's usage includes this cache of files, which is freed when needed.
+        cached = dict(line.split() for line in lines)["inactive_file"]
         free = min(free, int(limit.read_text()) - used + int(cached))
     gpus = len([*GPUS.glob("*")])
     return free // max(1, gpus)
@@ -99,10 +107,12 @@ def free_ram() -> int:
 def join(spans: Sequence[tuple[Graphs, int, int]], *, pin: bool = False) -> dict[str, Tensor]:
     """Read the frames [start, stop) of each file as one batch of B frames.
 
-    The files have the same columns and place. A batch has the columns, one frame after the other,
-    and for each pointer the first row of each frame and the end, int64 [B+1] on the CPU. Row
-    numbers are those of the files, see :func:`number_rows`. With `pin`, columns on the CPU are in
-    pinned memory, from which copies to a GPU do not wait; torch reuses it after them.
+    All files have the same columns and are kept in the same place. The batch has each column, with
+    the rows of a frame after those of the frame before. It has each pointer, too: the first row of
+    each frame and the end of the last, int64 [B+1] on the CPU. Numbers of rows count within a
+    frame, as in the files, until :func:`number_rows` changes them. With `pin`, columns on the CPU
+    are in pinned memory, so that copies to a GPU are asynchronous. torch keeps that memory until
+    they end.
     """
     first, _, _ = spans[0]
     batch = {}
@@ -119,11 +129,11 @@ def join(spans: Sequence[tuple[Graphs, int, int]], *, pin: bool = False) -> dict
 
 
 def _concatenated(pieces: list[Tensor], pin: bool) -> Tensor:
-    """Return tensors as one; on the CPU in pinned memory if `pin`."""
+    """Concatenate tensors; those on the CPU into pinned memory if `pin`."""
     if pieces[0].is_cuda:
         return torch.cat(pieces)
-    # By numpy, whose memory has large pages: twice as fast; and torch's threads are busy with the
-    # network.
+    # numpy is twice as fast as torch, since its memory has large pages. Also, the threads of torch
+    # are busy with the network.
     arrays = [piece.numpy() for piece in pieces]
     if not pin:
         return torch.from_numpy(np.concatenate(arrays))
@@ -134,9 +144,10 @@ def _concatenated(pieces: list[Tensor], pin: bool) -> Tensor:
 
 
 def number_rows(batch: dict[str, Tensor], file: Graphs) -> dict[str, Tensor]:
-    """Make the row numbers of a joined batch, int32, count from its first row.
+    """Change row numbers that count within a frame to int32 that count within the batch.
 
-    `file` names the columns: any of the batch.
+    `file` is any file of the batch. It says which columns hold row numbers, and which column's
+    rows they count.
     """
     for name, counted in file.refers_to.items():
         batch[name] = _unsigned(batch[name])
@@ -149,14 +160,15 @@ def number_rows(batch: dict[str, Tensor], file: Graphs) -> dict[str, Tensor]:
 def by_frame(rows: Tensor, values: Tensor, pointer: Tensor) -> Iterator[tuple[Any, Any]]:
     """Yield the rows of each frame and its value, so that rows can be changed in place.
 
-    On a GPU, all rows and the values of each are yielded at once. `values` [B] and `pointer` [B+1]
-    are on the CPU.
+    On a GPU, which is slow at many small operations, the only pair is all rows, and for each row
+    the value of its frame. `values` [B] and `pointer` [B+1] are on the CPU.
     """
     if not rows.is_cuda:
         frames = np.split(rows.numpy(), pointer[1:-1].tolist())
         yield from zip(frames, values.tolist(), strict=True)
         return
-    # A copy from pinned memory does not wait for the GPU, nor does a known output size.
+    # None of this waits for the GPU: copies from pinned memory are asynchronous, and with a given
+    # output size, torch need not read the counts.
     counts = pointer.diff().pin_memory().to(rows.device, non_blocking=True)
     values = values.to(rows.dtype).pin_memory().to(rows.device, non_blocking=True)
     repeated = values.repeat_interleave(counts, output_size=len(rows))
@@ -167,7 +179,7 @@ def as_tensor(rows: np.ndarray | Tensor) -> Tensor:
     """Return rows as a tensor.
 
     Unsigned numbers of several bytes, for which torch lacks operators, become signed numbers with
-    the same bits; :func:`_unsigned` takes them back.
+    the same bits. :func:`_unsigned` converts them back.
     """
     if isinstance(rows, Tensor):
         return rows

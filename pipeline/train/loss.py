@@ -1,4 +1,4 @@
-"""Loss of a network, and the scale of its outputs from the training drives, in R columns."""
+"""The loss of a network, and the scale of its R output columns, from the training drives."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,11 +18,12 @@ from pipeline.train.targets import LabelledDrive
 class Scale:
     """y = gain · base + std · output, in each of R columns.
 
-    base is the measured angle or curvature of the window's last frame, or 0, see `base` of a
-    model's entry. For an angle gain is 1, for a range of the path the regression coefficient of y
-    on base; std is the standard deviation of y - gain · base. So output 0 means the best prediction
-    from base alone. The mean of y, and its regression coefficient on odometry, are for baselines.
-    All arrays are float64 [R].
+    y is the predicted angle or curvature. base is the measured angle or curvature of the window's
+    last frame, or 0 if the model's entry says so. gain is 1 for an angle. For a range of the path
+    it is the regression coefficient of y on base. std is the standard deviation of y - gain · base.
+    So an output of 0 means the best prediction from base alone. `mean`, the mean of y, and
+    `odometry_gain`, the regression coefficient of y on odometry, serve baselines. All arrays are
+    float64 [R].
     """
 
     names: list[str]  # LabelledDrive.columns
@@ -35,7 +36,7 @@ class Scale:
     def from_drives(cls, drives: Sequence[LabelledDrive]) -> "Scale":
         """Return the scale of the training drives.
 
-        Raises InputError if they never drive on to the end of a range of the path.
+        Raises InputError if no frame has a target in one of the ranges of the path.
         """
         y = np.concatenate([drive.target for drive in drives])
         ranges_m = [*pairwise(drives[0].ahead_m)]
@@ -49,7 +50,7 @@ class Scale:
         base = np.concatenate([drive.base for drive in drives])[:, None]
         gain = _regress(base, y) if ranges_m else np.ones(1)
         std = np.nanstd(y - gain * base, axis=0)
-        std = np.maximum(std, 1e-6)  # it is 0 for a straight road
+        std = np.maximum(std, 1e-6)  # std is 0 on a straight road
 
         odometry_gain = None
         measured = [drive.odometry for drive in drives if drive.odometry is not None]
@@ -59,7 +60,7 @@ class Scale:
 
     @classmethod
     def parse(cls, content: dict[str, Any]) -> "Scale":
-        """Return the scale of :attr:`content`. Raises TypeError or ValueError."""
+        """Return the scale that has this :attr:`content`. Raises TypeError or ValueError."""
         fields: dict[str, Any] = {}
         for name, value in content.items():
             fields[name] = None if value is None else np.array(value)
@@ -76,7 +77,7 @@ class Scale:
 
 
 def mean_nmse(drives: Sequence[LabelledDrive], predictions: Sequence[np.ndarray]) -> float:
-    """Return the mean over the columns of the nmse; NaN if every target is 0."""
+    """Return the nmse, averaged over the columns; NaN if every target is 0."""
     targets = np.concatenate([drive.target for drive in drives])
     columns = zip(targets.T, np.concatenate(predictions).T, strict=True)
     values = []
@@ -106,7 +107,7 @@ def step_targets(
     """Return the outputs that the network should have, and their weights, both [W,R].
 
     A weight is exp(α |target|) as in eq. 9, and 0 for an unknown target. `gain` and `std` [R] are
-    those of the Scale.
+    the fields of :class:`Scale`.
     """
     base = batch["base"].to(std.dtype)
     target = batch["target"].to(std.dtype)
@@ -119,9 +120,9 @@ def step_targets(
 def weighted_loss(predicted: Tensor, target: Tensor, weight: Tensor, robust: bool) -> Tensor:
     """Return Σ w (ŷ - y)² over windows and columns [W,R].
 
-    Divided by Σ w it is paper eq. 9. With `robust` it is Σ w Huber(ŷ - y), which is linear beyond
-    one standard deviation: the path at a junction is the driver's choice, and squared errors there
-    would dominate.
+    Divided by Σ w, this sum is paper eq. 9. With `robust` the sum is Σ w Huber(ŷ - y), which is
+    linear beyond one standard deviation. The reason is that the path at a junction is the driver's
+    choice, and squared errors there would dominate the loss.
     """
     criterion = nn.functional.huber_loss if robust else nn.functional.mse_loss
     return (weight * criterion(predicted, target, reduction="none")).sum()

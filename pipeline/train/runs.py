@@ -30,17 +30,22 @@ def runs(model: Path, seeds: Sequence[int]) -> list[Run]:
 
 
 def check_splits(splits: Mapping[str, str], scene: str) -> None:
-    """Raise InputError if drive → split has too few drives for the networks of a model."""
+    """Raise InputError if a split has too few drives for the networks of a model.
+
+    `splits` maps the name of a drive to its split.
+    """
     if not store.drives_in(splits, "train"):
         raise InputError("there are no training drives", fix="Name some in ingest.drives.train")
+    # Choosing scenes raises InputError if a split has a single drive, for any seed.
     scenes(splits, 0, scene)
 
 
 def scenes(splits: Mapping[str, str], seed: int, scene: str) -> dict[str, str]:
-    """Return drive → drive whose scene it gets.
+    """Return for each drive the name of the drive whose scene it gets.
 
-    It is the drive itself, or with scene: another one of the same split, drawn once per seed.
-    Raises InputError if a split has only one drive.
+    With scene: same, it gets its own scene. With scene: another, it gets the scene of a random
+    other drive of its split, which depends on the seed. Raises InputError if a split has only one
+    drive.
     """
     if scene == "same":
         return {drive: drive for drive in splits}

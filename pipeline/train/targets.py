@@ -1,4 +1,4 @@
-"""Targets of a drive by frame, the values to which outputs are added, and both in a larger world.
+"""Read the targets and the measured motion of a drive, and scale them to a larger world.
 
 A column is a quantity that a network predicts: the steering angle, or the mean curvature in one
 range of the path ahead. Letters: G frames of a graph file, W windows, R columns.
@@ -28,18 +28,22 @@ class Timeline:
     """Times and measured motion of a graph file's G frames, by row."""
 
     graphs: Path
-    # Graph file whose frames a network sees: this one, or that of another drive, see `scene` of a
-    # model's entry.
+    # Graph file of the frames that a network sees: `graphs`, or the file of another drive if the
+    # model's entry has scene: another.
     scene: Path
     frame: np.ndarray  # int32 [G], KITTI frame numbers, ascending
     time_s: np.ndarray  # float64 [G]
-    # float64 [G], measured value to which the output is added, see `base` of a model's entry.
+    # float64 [G], measured value to which the network's output is added. It is 0 if the model's
+    # entry has motion: none or base: none.
     base: np.ndarray
-    motion: np.ndarray | None  # float32 [G,4], as in windows.py; None without motion
+    motion: np.ndarray | None  # float32 [G,4], as in windows.py; None if not an input
 
     @classmethod
     def read(cls, graphs: Graphs, car: label.Car, entry: Entry) -> "Timeline":
-        """Read the times of an open graph file, and the measured motion of a `car`, for a model."""
+        """Read the times of an open graph file, and the measured motion if the model needs it.
+
+        `car` converts yaw rate and speed to an angle. Raises InputError if motion is missing.
+        """
         base = np.zeros(len(graphs.frame))
         motion = None
         if entry.motion != "none":
@@ -74,7 +78,7 @@ class Timeline:
 class LabelledDrive(Timeline):
     """A drive's frames with their targets.
 
-    A target is the angle `horizon` frames after a frame, or the path ahead of it.
+    The target of a frame is the angle `horizon` frames later, or the path ahead of the frame.
     """
 
     name: str
@@ -87,8 +91,9 @@ class LabelledDrive(Timeline):
     ahead_m: tuple[float, ...]
     target: np.ndarray  # float64 [G,R], NaN without a valid label
     driven: label.Labels  # labels of the frames themselves
-    # Measured value [G,1], which a later unmeasured frame repeats; NaN before the first. None
-    # without motion in the file, and at horizon 0 if the labels are from the same measurement.
+    # Measured angle or curvature [G,1]. A frame that was not measured has the value of the last
+    # measured frame before it, or NaN if there is none. The field is None if the file has no
+    # motion, or if the targets are of the same frames and from the same measurement.
     odometry: np.ndarray | None
 
     @property
@@ -117,11 +122,12 @@ Drives = Mapping[str, LabelledDrive]
 def check_drives(drives: Sequence[LabelledDrive], window: int) -> None:
     """Raise InputError if drives can neither train nor evaluate.
 
-    They cannot without a point, without a window with a target, or if all labels are 0.
+    Together they need a point in some frame, a window with a target, and a label other than 0.
     """
     names = ", ".join(drive.name for drive in drives)
     first = drives[0]
     folder = first.graphs.parent
+    # Images have no count of points, and pass this check.
     if not any(drive.counts.get("points", np.ones(len(drive.frame))).any() for drive in drives):
         raise InputError(
             f"no point in any frame of {names}", folder, "Widen the variant's crop_m or add drives"
@@ -144,7 +150,7 @@ def check_drives(drives: Sequence[LabelledDrive], window: int) -> None:
 
 
 def rate_doubt(drives: Drives, train: Sequence[str]) -> str | None:
-    """Return a doubt if some `drives` have another frame rate than the drives `train`, or None."""
+    """Return a doubt if `drives` have other frame rates than the drives `train`, or None."""
     hz = {}
     for name, drive in drives.items():
         if len(drive.time_s) > 1:
@@ -158,14 +164,15 @@ def rate_doubt(drives: Drives, train: Sequence[str]) -> str | None:
 
 
 def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledDrive:
-    """Read a drive for a model, from a folder of graphs and one of labels. Raises InputError.
+    """Read a drive for a model from the folders `graphs` and `labels`. Raises InputError.
 
     The graphs themselves stay on disk.
     """
     graphs = graphs / f"{name}.h5"
     labels = labels / f"{name}.h5"
     with open_graphs(graphs) as file, DriveReader(labels, stage="labels") as truth:
-        # The row of each frame's label, and of that `horizon` frames later; -1 without a label.
+        # For each frame of the graphs, find the row of its label, and the row of the label
+        # `horizon` frames later. The row is -1 if there is no such label.
         row_of = {number: row for row, number in enumerate(truth.frame.tolist())}
         rows = np.array([row_of.get(number, -1) for number in file.frame.tolist()], np.int64)
         target_rows = [row_of.get(number + entry.horizon, -1) for number in file.frame.tolist()]
@@ -174,14 +181,15 @@ def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledD
             raise InputError(problem, labels, "Make both again: dvc repro")
         driven = label.read_labels(truth).at(rows)
         measured = file.motion
+        # Valid labels show that the car moved, so its motion could have been measured.
         if entry.motion != "none" and measured and not measured.valid.any() and driven.valid.any():
             fix = f"Remove {name} from ingest.drives, or set motion: none"
             raise InputError("motion is not measured in any frame (it needs images)", graphs, fix)
 
-        # A row of NaN at the end is the target without a label.
+        # Row -1, which stands for a missing label, is an additional row of NaN.
         targets = np.pad(_targets(truth, entry), ((0, 1), (0, 0)), constant_values=np.nan)
 
-        # Labels from the same measurement are no truth for odometry, unless they are ahead of it.
+        # Labels that are from the same measurement cannot judge it, unless they lie ahead of it.
         section = truth.params["labels"]
         car = label.Car(section["wheelbase_m"], section["min_speed_mps"])
         odometry = None
@@ -203,9 +211,9 @@ def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledD
 
 
 def _targets(labels: DriveReader, entry: Entry) -> np.ndarray:
-    """Return the quantities [F,R] that a model predicts, of the labels' F frames; NaN if unknown.
+    """Return the quantities that a model predicts, [F,R] for F frames of labels; NaN if unknown.
 
-    Raises InputError without the path ahead.
+    Raises InputError if the model predicts the path ahead and the labels lack it.
     """
     if entry.predict == "angle":
         return np.where(labels["valid"], labels["steering_rad"], np.nan)[:, None]
@@ -216,7 +224,7 @@ def _targets(labels: DriveReader, entry: Entry) -> np.ndarray:
 
 
 def _odometry(motion: MeasuredMotion, car: label.Car, entry: Entry) -> np.ndarray:
-    """Return the measured angle [G], or the curvature for a path; NaN before the first."""
+    """Return the measured angle [G], or for a path the curvature; NaN if not measured yet."""
     angle_rad = label.measured_angle(*motion, car)
     if entry.predict == "path":
         return np.tan(angle_rad) / car.wheelbase_m
@@ -228,7 +236,7 @@ def window_values(
 ) -> Arrays:
     """Return motion at `rows`, and base and target of the windows that end at the rows `ends`.
 
-    They are those of a world that is `factor` times as large. With `hidden`, motion and base are 0.
+    The values hold in a world `factor` times as large. With `hidden`, motion and base are 0.
     """
     values: Arrays = {"base": timeline.base[ends].astype(np.float32)}
     if timeline.motion is not None:
@@ -244,7 +252,7 @@ def window_values(
 
 
 def _rescale(values: Arrays, factor: float, ahead_m: Sequence[float]) -> None:
-    """Replace motion, base and target by those in a world `factor` times as large.
+    """Scale motion, base and target to a world that is `factor` times as large.
 
     The bicycle model's tan Θ is wheelbase × curvature, and curvature is 1 / length; the yaw rate
     does not change.
@@ -277,6 +285,7 @@ def scale_path(path_1pm: np.ndarray, ahead_m: Sequence[float], factor: float) ->
     ends = np.minimum(far[:, None] / factor, far)
     share = np.maximum(ends - starts, 0) * factor / (far - near)[:, None]
 
+    # The shares of a range sum to 1, but for rounding, if all of it is known.
     is_known = (share * np.isfinite(path_1pm)[:, None]).sum(axis=2) > 1 - 1e-4
     scaled = (share * np.nan_to_num(path_1pm)[:, None]).sum(axis=2) / factor
     return np.where(is_known, scaled, np.nan).astype(path_1pm.dtype)

@@ -22,8 +22,8 @@ from pipeline.train.targets import Timeline
 
 # Kind of the checkpoint of a trained network.
 KIND = "steering net"
-# Removed settings of entries, and their defaults. Networks with other values belong to closed
-# questions.
+# Settings that entries of earlier revisions have, and their defaults. Only an earlier revision can
+# use a network with other values.
 REMOVED = {"fit_to": "train", "train_drives": None}
 # Number of windows in a batch of predictions, which limits the memory.
 WINDOWS = 96
@@ -66,12 +66,12 @@ class Trained(NamedTuple):
     ) -> np.ndarray:
         """Return the predictions for the G frames of a file, float64 [G,R].
 
-        The columns are `scale.names`. The value for frame t is the angle at frame t +
-        `entry.horizon`, predicted from the frames up to t, or the path ahead of it. NaN where no
-        complete window ends: too early in the drive, or too soon after a gap. `scene` is the graph
-        file of the drive whose scene a control with `scene: another` gets; `files` are open ones.
-        Raises InputError if the file has another kind of frames than the network was trained on, or
-        no motion.
+        The columns are `scale.names`. The prediction for frame t uses the frames up to t. It is the
+        angle at frame t + `entry.horizon`, or the path ahead of frame t. It is NaN if too few
+        frames precede frame t in the drive, or since a gap, to fill a window. Only a control with
+        `scene: another` needs `scene`, the graph file of the drive that it sees. `files` may hold
+        files that are open already. Raises InputError if the file has another kind of frames than
+        the network was trained on, or lacks the motion that the network needs.
         """
         if scene is None and self.entry.scene == "another":
             problem = f"model {self.name} is a control, which needs the scene of another drive"
@@ -89,8 +89,8 @@ class Trained(NamedTuple):
 def load_model(folder: str | Path, device: torch.device | str | None = None) -> Trained:
     """Load best.pt of a trained model: data/train/<model>, or a folder seed-<n> in it.
 
-    `device` None is a GPU if there is one. Raises InputError if there is no file, or if this code
-    cannot rebuild the network.
+    If `device` is None, the network is on a GPU if the machine has one. Raises InputError if the
+    file is missing, or if this version of the code cannot rebuild the network.
     """
     path = Path(folder) / "best.pt"
     if not path.is_file():
@@ -117,11 +117,11 @@ def load_model(folder: str | Path, device: torch.device | str | None = None) -> 
 
 
 def _parse(content: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Return the fields of Trained, but the network, from the content of a checkpoint."""
+    """Return the fields of Trained, all except `net`, from the content of a checkpoint."""
     entry = parse_entry(content["entry"], path)
     fields = {name: content[name] for name in ("name", "seeds", "settings", "drives", "fps")}
     fields["datasets"] = content.get("datasets", [])
-    # Earlier versions have the camera's height in another section.
+    # Checkpoints of earlier versions have the camera's height in section perception.
     height_m = fields["settings"].get("perception", {}).pop("camera_height_m", None)
     fields["settings"].setdefault("camera_height_m", height_m)
     contents = Contents(**content["contents"])
@@ -150,7 +150,8 @@ def predict_drives(net: SteeringNet, reader: windows.Reader, scale: Scale) -> li
         for batch in reader.batches(groups, net.device):
             outputs.append(net(*net.inputs(batch)))
 
-    # Outputs are copied after the loop, so that it does not wait for the GPU.
+    # Outputs are copied after the loop, so that the loop does not wait for the GPU. The windows of
+    # a span end at its last rows.
     values = [
         np.full((len(timeline.frame), len(scale.names)), np.nan) for timeline in reader.timelines
     ]

@@ -1,22 +1,22 @@
 """Read drives as batches: spans of consecutive frames with overlapping windows.
 
 A window is `window` consecutive frames. Its target is the steering `horizon` frames after its last
-frame; that frame needs a label but no graph. A span is consecutive frames that are read and encoded
-once for all their windows. Frames are consecutive by KITTI frame number, never by position: a
-missing frame ends a stretch.
+frame; that frame needs a label but no graph. A span is a run of consecutive frames, which are read
+and encoded once for all their windows. Frames are consecutive by KITTI frame number, never by
+position: a missing frame ends a stretch.
 
 A batch is a dict of arrays: the graphs of B frames as in pipeline/graphs/graph_file.py, and for W
-windows of T frames
+windows of T frames these arrays:
 
-- windows int64 [W,T]: the frames of each window, as rows of the batch's frames.
+- windows int64 [W,T]: the frames of each window, as numbers of the batch's frames.
 - dt_s float32 [W,T]: time since the previous frame.
 - base float32 [W]: measured value of the window's last frame, to which the network's output is
   added.
 - motion float32 [B,4]: measured motion since the previous frame, with the columns of
-  models/steering/core/motion.py; only with motion.
-- target float32 [W,R]: the R columns of targets.py, NaN if unknown; only for labelled drives.
-- scenes int64 [B]: the graph that each frame sees; only with the scene of another drive. Otherwise
-  there is a graph for each frame.
+  models/steering/core/motion.py. Only models with motion have it.
+- target float32 [W,R]: the R columns of targets.py, NaN if unknown. Only labelled drives have it.
+- scenes int64 [B]: the number of the graph that each frame sees. Only models with scene: another
+  have it; in other batches graph b belongs to frame b.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -46,9 +46,9 @@ class Span:
     drive: int
     start: int
     stop: int
-    # Factor on all lengths of the world.
+    # Factor by which all lengths of the world are multiplied, an augmentation.
     factor: float = 1.0
-    # Whether the network gets no measured motion, and a base of 0.
+    # Whether measured motion is hidden from the network; motion and base are 0 then.
     hidden: bool = False
 
 
@@ -57,15 +57,20 @@ def spans(
 ) -> list[Span]:
     """Split all stretches into spans of at most `windows` windows of `window` frames.
 
-    Each window is in one span. With `rng`, spans start at a random phase, so that epochs have
-    different batches.
+    Each window is in one span. With `rng`, the first span of a stretch has a random length, so that
+    epochs have different batches.
     """
     result = []
     for number, timeline in enumerate(timelines):
         for start, stop in timeline.stretches:
+            # Number of windows of the first span. A phase of 0 makes it a complete span.
             phase = int(rng.integers(windows)) if rng else 0
-            first_end = start + window - 1  # row of the first window's last frame
-            edges = [first_end, *range(first_end + (phase or windows), stop, windows), stop]
+            first_windows = phase or windows
+
+            # The windows of a span end at the rows from an edge to the next edge. A stretch that is
+            # shorter than a window has no span.
+            first_end = start + window - 1
+            edges = [first_end, *range(first_end + first_windows, stop, windows), stop]
             for end, next_end in pairwise(edges):
                 if end < next_end:
                     result.append(Span(number, end - window + 1, next_end))
@@ -77,9 +82,9 @@ class BatchPart(NamedTuple):
 
     # File, start and stop of the graphs that its frames see.
     graphs: tuple[Graphs, int, int]
-    # Factor on the lengths of each graph.
+    # Factor on the lengths of each graph, a value per graph.
     factor: np.ndarray
-    # Number of its frames.
+    # Number of the span's frames.
     frames: int
     # All arrays of the batch but the graphs. Row numbers count from the span's first frame.
     arrays: Arrays
@@ -88,19 +93,20 @@ class BatchPart(NamedTuple):
 class JoinedBatch(NamedTuple):
     """A batch before it is copied to a device."""
 
-    # In the types of the files, with their row numbers.
+    # All arrays of the batch. Columns have the types of the files, and row numbers count within a
+    # frame.
     arrays: dict[str, Tensor]
-    # A file that names the columns of the graphs.
+    # Any file of the batch; it says which columns hold row numbers.
     file: Graphs
     # Factor on the lengths of each graph [B].
     factor: Tensor
 
 
 class Reader:
-    """Batches, indexed by groups of spans; with targets if the timelines are LabelledDrives.
+    """Reads groups of spans as batches, which have targets if the timelines are LabelledDrives.
 
-    A thread reads ahead, enough for a CPU, which computes longer than it reads. For a GPU, `files`
-    may keep frames.
+    A thread reads ahead. This is enough on a CPU, where computing takes longer than reading. For a
+    GPU, `files` may keep frames in memory.
     """
 
     def __init__(
@@ -113,12 +119,13 @@ class Reader:
     def batches(
         self, groups: Iterable[Sequence[Span]], device: torch.device
     ) -> Iterator[dict[str, Tensor]]:
-        """Return an iterator of the groups' batches, in order, on the device of a network.
+        """Return an iterator over the groups' batches, in order, on the device of a network.
 
         Pointers stay on the CPU.
         """
-        # For a CPU, a thread makes batches ahead. For a GPU it joins frames in pinned memory; the
-        # caller's thread copies them and finishes the batch on the GPU.
+        # For a CPU, a thread makes complete batches ahead. For a GPU, that thread only joins frames
+        # in pinned memory; the caller's thread copies them and finishes the batch on the GPU.
+        # Frames that are on the GPU already need no thread.
         if device.type == "cpu" and self.files.place != "RAM":
             return prefetch(self.__getitem__, groups)
         join_group = partial(self._join, pin=device.type == "cuda")
@@ -136,10 +143,11 @@ class Reader:
         return self._finish(self._join(group), torch.device("cpu"))
 
     def _join(self, group: Sequence[Span], *, pin: bool = False) -> JoinedBatch:
-        """Read a group of spans, in pinned memory if `pin`, except what is on a GPU."""
+        """Read a group of spans; with `pin`, arrays that are not on a GPU are in pinned memory."""
         parts = [self._read_span(span) for span in group]
 
-        # Row numbers of a span count from its first frame, those of the batch from the first span.
+        # In a part, numbers of frames and graphs count from the first of its span. In the batch
+        # they count from the first of all spans.
         frames = 0
         graphs = 0
         for part in parts:
@@ -173,7 +181,8 @@ class Reader:
         start = span.start
         stop = span.stop
         if timeline.scene != timeline.graphs:
-            # No two windows share a frame, as the same frame may see other scenes in them.
+            # Each window has copies of its frames, because the same frame may see a different scene
+            # in each window.
             rows = windows.ravel()
             arrays["windows"] = np.arange(rows.size).reshape(windows.shape)
             scenes = self._scenes(timeline, file, ends)
@@ -181,16 +190,17 @@ class Reader:
             stop = scenes[-1, -1] + 1
             arrays["scenes"] = scenes.ravel() - start
 
-        # A larger world gives the same image.
+        # Points can be scaled. An image cannot: it is the same in a larger world.
         larger = span.factor if "xyz" in file.pointers else 1.0
         arrays |= window_values(timeline, rows, ends, larger, span.hidden)
         factor = np.full(stop - start, larger, np.float32)
         return BatchPart((file, start, stop), factor, len(rows), arrays)
 
     def _scenes(self, timeline: Timeline, file: Graphs, ends: np.ndarray) -> np.ndarray:
-        """Return the rows [W,T] of another drive that the windows see which end at rows `ends`.
+        """Return the rows [W,T] of another drive's `file` that the windows see.
 
-        They are consecutive, and end at the same share of the other drive.
+        `ends` [W] are the rows of the windows' last frames. Each window sees consecutive rows. If a
+        window ends halfway through its own drive, they end halfway through the other drive.
         """
         frames = len(file.frame)
         if frames < self.window:
@@ -204,7 +214,7 @@ class Reader:
         batch = joined.arrays
         for name, values in batch.items():
             if not name.endswith("ptr"):
-                # A copy to a CPU must have ended, since numpy reads it.
+                # Wait for a copy to the CPU, since numpy reads it next.
                 batch[name] = values.to(device, non_blocking=device.type == "cuda")
         number_rows(batch, joined.file)
         if "xyz" in batch:

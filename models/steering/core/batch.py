@@ -11,18 +11,19 @@ import torch
 from torch import Tensor, nn
 
 Array = np.ndarray | Tensor
-FrameKind = Literal["graph", "pointnet2", "image"]  # GraphBatch, SetBatch, ImageBatch
+# Kind of frames that a network reads: a GraphBatch, a SetBatch or an ImageBatch.
+FrameKind = Literal["graph", "pointnet2", "image"]
 
 
 @dataclass(frozen=True)
 class _Points:
-    """Points of B frames, N in all.
+    """Points of B frames, N in total.
 
-    Frame b has the rows ptr[b]:ptr[b+1], none if it has no points.
+    Frame b has the rows ptr[b]:ptr[b+1]. A frame may have no points.
     """
 
     xyz: Tensor  # [N,3] metres, rectified camera frame (x right, y down, z forward)
-    cls: Tensor  # uint8 [N], trainId
+    cls: Tensor  # uint8 [N], class of each point as Cityscapes trainId
     ptr: Tensor  # int64 [B+1], on the CPU
 
     @property
@@ -40,12 +41,12 @@ class _Points:
 class GraphBatch(_Points):
     """Points with a symmetric graph per frame: E directed edges, two for each undirected one."""
 
-    degree: Tensor  # [N], number of neighbours of each point, itself excluded
+    degree: Tensor  # [N], number of each point's neighbours; a point is not its own neighbour
     indices: Tensor  # int32 [E], row numbers of the neighbours, point by point (CSR)
 
     @property
     def edge_index(self) -> Tensor:
-        """The edges int64 [2,E] as PyTorch Geometric has them: from row numbers, to row numbers."""
+        """The edges as in PyTorch Geometric, int64 [2,E]: row numbers of sources and of targets."""
         rows = torch.arange(len(self.degree), device=self.degree.device)
         target = rows.repeat_interleave(self.degree.long(), output_size=len(self.indices))
         return torch.stack([self.indices.long(), target])
@@ -53,7 +54,8 @@ class GraphBatch(_Points):
     def blocks(self, points: int) -> Iterator["GraphBatch"]:
         """Split the batch on a CPU into blocks of whole frames with at most `points` points.
 
-        A larger frame is a block of its own. On a GPU the batch is one block, for few launches.
+        A frame with more points is a block of its own. On a GPU the whole batch is a block, because
+        few large operations are faster there.
         """
         if self.xyz.device.type != "cpu":
             yield self
@@ -78,10 +80,10 @@ class GraphBatch(_Points):
 
 
 class Level(NamedTuple):
-    """A level of B frames' points: M centres with n neighbours each.
+    """A level of PointNet++: M centres among the points of B frames, each with n neighbours.
 
-    Row numbers count the batch's points, or the centres of the previous level. Frame b has the rows
-    ptr[b]:ptr[b+1] of the centres.
+    Row numbers count the points of the batch, or from the second level on the centres of the level
+    before. The centres of frame b are the rows ptr[b]:ptr[b+1].
     """
 
     centres: Tensor  # int32 [M], row numbers
@@ -91,7 +93,7 @@ class Level(NamedTuple):
 
 @dataclass(frozen=True)
 class SetBatch(_Points):
-    """Points with PointNet++'s neighbourhoods."""
+    """Points with the neighbourhoods of PointNet++, level by level."""
 
     levels: tuple[Level, ...]
 
@@ -105,7 +107,7 @@ class ImageBatch:
     def mirrored(self) -> Self:
         """Return the images mirrored left-right.
 
-        Assumes the optical axis in the middle; KITTI's is within 2 %.
+        This assumes that the optical axis is in the middle of the image. KITTI's is within 2 %.
         """
         return dataclasses.replace(self, image=self.image.flip(2))
 
@@ -114,9 +116,9 @@ Batch = GraphBatch | SetBatch | ImageBatch
 
 
 def from_arrays(arrays: Mapping[str, Array], device: torch.device | str = "cpu") -> Batch:
-    """Return a batch on `device` of arrays by name, as pipeline/graphs/graph_file.py names them.
+    """Return a batch on `device` from arrays by name.
 
-    Arrays of other names are ignored.
+    The names are those in pipeline/graphs/graph_file.py. Arrays of other names are ignored.
     """
     tensors = {}
     for name, array in arrays.items():

@@ -5,11 +5,11 @@ from torch import Tensor, nn
 
 from pipeline.camera import classes
 
-# Number of node features that depend on a point's position alone; they are the first columns.
+# Number of node features that depend on a point's position alone. They are the first columns.
 GEOMETRY = 6
 # Number of node features, with a column for each class.
 NODE_FEATURES = GEOMETRY + classes.COUNT
-# Approximate y of KITTI's ground in metres, an offset that centres y.
+# Approximate y of the ground in KITTI, in metres. It is subtracted to centre y.
 GROUND_Y_M = 1.65
 
 
@@ -24,9 +24,9 @@ def node_features(xyz: Tensor, cls: Tensor, semantics: float) -> Tensor:
     """
     x, y, z = xyz.unbind(1)
     distance = torch.hypot(x, z).clamp_min(1.0)
-    # The paper does not list node features. The scales fit a street seen to 80 m. x/distance is the
-    # bearing: it separates near and far parts of a bend, and a network would have to learn the
-    # division.
+    # The paper does not list its node features. The scales here suit a street up to 80 m away.
+    # x/distance is the bearing, which separates near and far parts of a bend. It is given, since a
+    # network would otherwise have to learn the division.
     columns = [
         x / 10,
         (y - GROUND_Y_M) / 2,
@@ -42,17 +42,18 @@ def node_features(xyz: Tensor, cls: Tensor, semantics: float) -> Tensor:
 
 
 def mean_max_pool(x: Tensor, ptr: Tensor) -> Tensor:
-    """Return mean ‖ max over each frame's points: [N,C], ptr [B+1] → [B,2C].
+    """Return the mean and the maximum over each frame's points, side by side.
 
-    A frame without points has zeros.
+    The shapes are x [N,C], ptr [B+1] → [B,2C]. The result is 0 for a frame without points.
     """
     counts = ptr.diff().tolist()
-    # On a GPU, frames of equal size are pooled at once, with few launches.
+    # On a GPU, frames of equal size are pooled at once, because few operations are faster there.
     if x.device.type != "cpu" and len(x) and len(set(counts)) == 1:
         frames = x.view(len(counts), -1, x.shape[1])
         return torch.cat([frames.mean(1), frames.amax(1)], dim=1)
-    # A loop over frames is faster on a CPU than segment_reduce (8x, 2 cores) and, unlike index_add,
-    # deterministic on CUDA. max is faster than amax, which shares the gradient among equal values.
+    # On a CPU, a loop over frames is 8 times as fast as segment_reduce (2 cores). On CUDA it is
+    # deterministic, unlike index_add. max is faster than amax, which shares the gradient among
+    # equal values.
     pooled = []
     for rows in torch.split(x, counts):
         if len(rows):

@@ -21,7 +21,7 @@ Semantics = Annotated[
 
 
 class OptionGroup(BaseModel):
-    """Options below one key, for example `wiring`."""
+    """A group of options below a key, for example `wiring`."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
@@ -30,18 +30,18 @@ class OptionGroup(BaseModel):
 class Sizes:
     """Sizes that a network takes from its input and from the general keys of its entry."""
 
-    features: int  # F, per frame, between the two networks
-    levels: int = 0  # samplings in an input of kind pointnet2
-    image_size: tuple[int, int] = (0, 0)  # (H,W) pixels of an input of kind image
-    outputs: int = 1  # R, per frame, of the recurrent network
+    features: int  # F, number of features per frame that the spatial network computes
+    levels: int = 0  # number of levels in frames of kind pointnet2
+    image_size: tuple[int, int] = (0, 0)  # (H,W) in pixels, of frames of kind image
+    outputs: int = 1  # R, number of outputs per frame of the recurrent network
 
 
 class NetworkOptions(OptionGroup):
-    """Base class of the class `Options` in a network's file, which has a field per option."""
+    """Base class of the class `Options` in a network's file, which has a field for each option."""
 
-    # Frames that the network reads; spatial networks only.
+    # Kind of frames that the network reads. Temporal networks have none.
     kind: ClassVar[FrameKind | None] = None
-    # Whether the features depend on the frames.
+    # Whether the network's features depend on the frames.
     sees_frames: ClassVar[bool] = True
 
     def build(self, sizes: Sizes) -> nn.Module:
@@ -61,7 +61,7 @@ def load_options(part: Literal["spatial", "temporal"], name: str) -> type[Networ
         raise InputError(f"{part} = {name!r}: there is no {path} (known: {', '.join(names)})")
     try:
         module = importlib.import_module(f"models.steering.{part}.{name}")
-    # A bug of the file, which pydantic would take for a wrong option.
+    # pydantic would take these exceptions, which are bugs in the file, for a wrong option.
     except (AssertionError, ValueError) as error:
         raise ImportError(f"{path} raises {error!r}") from error
     options: type[NetworkOptions] = module.Options

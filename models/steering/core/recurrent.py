@@ -7,24 +7,24 @@ from typing import Any
 
 from torch import Tensor, nn
 
-# Unit of a cell's time in seconds: KITTI's frame interval, as a frame is one unit in ncps.
+# Unit of a cell's time in seconds. It is KITTI's frame interval, since ncps counts time in frames.
 NOMINAL_STEP_S = 0.1
-# Initial scale of a cell's outputs, which are within about ±1 before scaling. Standardised steering
-# reaches 3 and more in sharp bends. With a scale of 1, as in ncps, the training error after 8
-# epochs on synthetic streets was twice as large.
+# Initial factor on a cell's outputs, which are within about ±1 before. Standardised steering is 3
+# and more in sharp bends. With a factor of 1, as in ncps, the training error after 8 epochs on
+# synthetic streets was twice as large.
 OUTPUT_SCALE = 3.0
 
 
 class RecurrentCell(nn.Module):
-    """Recurrent network from a window of frame features to R outputs per frame, 1 for an angle.
+    """Recurrent network from the features of a window's frames to R outputs per frame.
 
-    It has two parts, so that windows share frames: `project_inputs` depends on a frame alone and
-    runs once per frame; `forward` is the recursion and runs once per frame *and window*. Letters: W
-    windows of T frames, D inputs, S values.
+    R is 1 for an angle. The network has two parts, because windows share frames. `project_inputs`
+    depends on a frame alone and runs once per frame. `forward` is the recursion and runs once per
+    frame *and window*. Letters: W windows of T frames, D inputs and S projected values per frame.
     """
 
     def project_inputs(self, x: Tensor) -> Tensor:
-        """Return the per-frame part: [..., D] → [..., S]."""
+        """Return the projected values of each frame: [..., D] → [..., S]."""
         raise NotImplementedError
 
     def forward(self, projected: Tensor, dt_s: Tensor) -> Tensor:

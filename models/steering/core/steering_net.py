@@ -1,11 +1,11 @@
 """The network: a spatial network on each frame, a recurrent one over the frames of a window.
 
-A network is a file, listed nowhere else: `spatial: mean` in params.yaml is
-models/steering/spatial/mean.py. It has an nn.Module from a batch of B frames (core/batch.py) to
-features [B,F], independent of the order of points and of other frames, and a class
-Options(NetworkOptions) with a field per option, `kind`, the frames that it reads, and `build`. A
-temporal file has a RecurrentCell (core/recurrent.py), and options without `kind`. docs/models.md
-has an example.
+A network is a file, and is listed nowhere else: `spatial: mean` in params.yaml stands for
+models/steering/spatial/mean.py. The file has two classes. The first is an nn.Module from a batch of
+B frames (core/batch.py) to features [B,F]. A frame's features must not depend on the order of its
+points, nor on other frames. The second is Options(NetworkOptions) with a field for each option, the
+`kind` of frames that the network reads, and a method `build`. A temporal file has a RecurrentCell
+(core/recurrent.py), and its Options have no `kind`. docs/models.md has an example.
 """
 
 from collections.abc import Mapping
@@ -28,10 +28,11 @@ class FeatureScale(nn.Module):
 
     The features that a spatial network pools over a frame are nearly the same in every frame of a
     street. A tanh would saturate on this common part, the difference between frames would be lost,
-    and training would stay on a plateau. So in training, mean and variance of the batch's frames
-    are removed, in prediction running ones: means over the first steps, later moving averages with
-    `momentum`. Nothing is learned. Without `centred`, features are only divided, which keeps them
-    odd. The tanh is there since LTC synapses are sensitive in (-1, 1).
+    and training would stay on a plateau. So the mean is subtracted, and the result divided by the
+    standard deviation. In training, both are those of the batch's frames. In prediction, both are
+    running values: plain means over the first training steps, later moving averages with
+    `momentum`. Nothing is learned. If not `centred`, features are only divided, so odd features
+    stay odd. The tanh is applied because LTC synapses are sensitive in (-1, 1).
     """
 
     mean: Tensor
@@ -71,11 +72,12 @@ class SteeringNet(nn.Module):
         spatial, temporal: options of the two networks. New weights are drawn from torch's random
             state.
         equivariant: make the output exactly odd under left-right mirroring, as steering is in the
-            bicycle model. The features are those of the frame minus those of its mirror image, and
-            the output is (f(x) - f(-x)) / 2 of the recurrent network. The paper has no such
-            symmetry.
-        motion: the recurrent network also gets the measured motion, and its output is the residual
-            to the measured angle, in units of its standard deviation. The paper has no such input.
+            bicycle model. The features of the mirror image are subtracted from those of the frame.
+            The output is (f(x) - f(-x)) / 2, where f is the recurrent network and x its inputs. The
+            paper has no such symmetry.
+        motion: give the measured motion to the recurrent network, too. Its output is then the
+            difference to the measured angle, in units of that difference's standard deviation. The
+            paper has no such input.
     Raises InputError if an option is out of range.
     """
 
@@ -92,7 +94,8 @@ class SteeringNet(nn.Module):
         self.equivariant = equivariant
         self.motion = motion
         self.sees_frames = spatial.sees_frames
-        # Random numbers are drawn in this order: a seed's weights depend on it.
+        # The order of these lines must stay: the weights of a seed depend on the order in which
+        # random numbers are drawn.
         self.spatial: Any = spatial.build(sizes)
         self.scale = FeatureScale(sizes.features, centred=not equivariant)
         inputs = sizes.features
@@ -108,24 +111,24 @@ class SteeringNet(nn.Module):
         motion: Tensor | None = None,
         scenes: Tensor | None = None,
     ) -> Tensor:
-        """Predict the standardised steering, or residual, [W,R] of each window's last frame.
+        """Predict the standardised steering, or residual, of each window's last frame, [W,R].
 
-        Each frame is encoded once, for all its windows.
+        Each frame is encoded once for all windows that contain it.
 
         Args:
-            batch: B frames, or the frames that `scenes` counts.
-            windows: int64 [W,T], the frames of each window, oldest first.
-            dt_s: [W,T] seconds since the previous frame.
-            motion: [B,4], see core/motion.py; required with motion.
-            scenes: of a control, int64 [B], the frame of the batch that each of B frames sees;
-                None: its own.
+            batch: B frames. With `scenes` it may have another number of frames.
+            windows: int64 [W,T], the numbers of each window's frames, oldest first.
+            dt_s: [W,T], seconds since the previous frame.
+            motion: [B,4], see core/motion.py; required if the network has motion.
+            scenes: int64 [B], for a control experiment: the number of the frame in `batch` that
+                each of the B frames sees. None: each frame sees itself.
         """
         inputs = self.scale(self._features(batch))
         if scenes is not None:
             versions = inputs.chunk(1 + self.equivariant)
             inputs = torch.cat([version[scenes] for version in versions])
 
-        # From here on, mirror images are further frames and further windows.
+        # From here on, mirror images are additional frames and additional windows.
         if self.equivariant:
             windows = torch.cat([windows, windows + len(inputs) // 2])
             dt_s = dt_s.repeat(2, 1)
@@ -144,9 +147,10 @@ class SteeringNet(nn.Module):
         return out
 
     def _features(self, batch: Batch) -> Tensor:
-        """Return features [B,F]; if equivariant [2B,F], of the frames, then of their mirror images.
+        """Return the features of the frames, [B,F].
 
-        A spatial network may have a method `with_mirrored`, if the two share a part of the work.
+        If equivariant, the features of their mirror images follow, [2B,F] in total. A spatial
+        network may have a method `with_mirrored` that computes both and saves repeated work.
         """
         if not self.equivariant:
             features: Tensor = self.spatial(batch)
@@ -163,7 +167,7 @@ class SteeringNet(nn.Module):
     ) -> tuple[Batch, Tensor, Tensor, Tensor | None, Tensor | None]:
         """Return the arguments of `forward`, on the network's device.
 
-        `arrays` are those of pipeline/train/windows.py.
+        `arrays` is a batch as pipeline/train/windows.py describes it.
         """
         tensors = {}
         for name in ("windows", "dt_s", "motion", "scenes"):

@@ -13,16 +13,17 @@ from pipeline.base.errors import InputError
 class Wiring(NamedTuple):
     """Signed synapses as matrices int8 [from, to]: +1 excites, -1 inhibits, 0 is no synapse.
 
-    Neurons are numbered motor, command, inter, as in ncps.
+    The U neurons are numbered as in ncps: motor neurons first, then command neurons, then inter
+    neurons.
     """
 
-    sensory: np.ndarray  # [D,U], from input features
-    internal: np.ndarray  # [U,U]
+    sensory: np.ndarray  # [D,U], synapses from the D input features
+    internal: np.ndarray  # [U,U], synapses between neurons
     motor: int  # number of motor neurons
 
 
 class Layout(OptionGroup):
-    """Option `wiring`: neurons per layer, synapses per neuron, and the seed of their choice."""
+    """Option `wiring`: neurons per layer, synapses per neuron, and the seed that chooses them."""
 
     inter: Count = 12
     command: Count = 6
@@ -34,13 +35,14 @@ class Layout(OptionGroup):
 
 
 def ncp(inputs: int, layout: Layout = Layout(), motor: int = 1) -> Wiring:
-    """Draw the four-layer wiring sensory → inter → command (⟲) → motor.
+    """Draw the four-layer wiring sensory → inter → command → motor.
 
-    Each sensory neuron feeds `sensory_fanout` inter neurons, each inter neuron `inter_fanout`
-    command neurons, and each motor neuron is fed by `motor_fanin` command neurons. A neuron without
-    input after that, or a command neuron without output, gets the average number of synapses of its
-    layer. Equal seeds give equal wirings; seed None is 0. Raises InputError if a fan-out or fan-in
-    exceeds the size of its target layer, or for too many recurrent synapses.
+    Each sensory neuron, which is an input feature, feeds `sensory_fanout` inter neurons. Each inter
+    neuron feeds `inter_fanout` command neurons, which have `recurrent_command_synapses` among
+    themselves. Each motor neuron is fed by `motor_fanin` command neurons. A neuron that has no
+    input after that, or a command neuron that has no output, gets the average number of synapses of
+    its layer. Equal seeds give equal wirings; the seed None counts as 0. Raises InputError if a
+    fan-out, a fan-in or the number of recurrent synapses is too large for the layers.
     """
     inter = layout.inter
     command = layout.command
@@ -64,7 +66,7 @@ def ncp(inputs: int, layout: Layout = Layout(), motor: int = 1) -> Wiring:
     for place in rng.choice(command**2, size=layout.recurrent_command_synapses, replace=False):
         source, target = divmod(place, command)
         internal[commands[source], commands[target]] = rng.choice([-1, 1])
-    # Fan-in is the fan-out of the targets, on the transposed matrix.
+    # The fan-in of motor neurons is their fan-out on the transposed matrix.
     _fan_out(rng, internal.T, motors, commands, layout.motor_fanin)
     return Wiring(sensory, internal, motor)
 
@@ -76,11 +78,12 @@ def _fan_out(
     targets: np.ndarray,
     fanout: int,
 ) -> None:
-    """Connect each source to `fanout` random targets, and targets without input to some sources."""
+    """Connect each source to `fanout` random targets; give each target an input."""
     for source in sources:
         chosen = rng.choice(targets, size=fanout, replace=False)
         matrix[source, chosen] = rng.choice([-1, 1], size=fanout)
 
+    # A target that no source has chosen gets the average number of inputs.
     average = int(np.clip(len(sources) * fanout // len(targets), 1, len(sources)))
     has_input = matrix[np.ix_(sources, targets)].any(axis=0)
     for target in targets[~has_input]:
@@ -89,7 +92,7 @@ def _fan_out(
 
 
 class SparseMatrix(nn.Module):
-    """Matrix [P,U] whose parameters are the S values where `exists`; the others are zero."""
+    """Matrix [P,U] with S parameters, at the places where `exists` is true; other values are 0."""
 
     place: Tensor
 
@@ -101,6 +104,9 @@ class SparseMatrix(nn.Module):
         self.w = nn.Parameter(values[exists])  # [S], in row order
 
     def dense(self) -> Tensor:
-        """Return [P,U]. At an NCP's size a dense product is faster than a sparse one."""
+        """Return the matrix as a dense tensor [P,U].
+
+        At the size of an NCP, a product with a dense matrix is faster than with a sparse one.
+        """
         zeros = self.w.new_zeros(self.shape.numel())
         return zeros.scatter(0, self.place, self.w).view(self.shape)

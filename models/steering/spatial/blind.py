@@ -1,4 +1,7 @@
-"""A network without input: the ablation that measures the contribution of the scene."""
+"""A network that ignores its frames.
+
+It is the ablation that measures what the scene contributes.
+"""
 
 import torch
 from torch import Tensor, nn
@@ -8,7 +11,7 @@ from models.steering.core.options import NetworkOptions, Sizes
 
 
 class Blind(nn.Module):
-    """Zeros for each frame: the recurrent network predicts from the car's motion alone."""
+    """Features of 0 for each frame, so that the recurrent network sees the car's motion alone."""
 
     def __init__(self, features: int) -> None:
         super().__init__()
@@ -19,6 +22,7 @@ class Blind(nn.Module):
 
 
 class Options(NetworkOptions):
+    # Only the number of frames is read, but each network needs a kind.
     kind = "graph"
     sees_frames = False
 

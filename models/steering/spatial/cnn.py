@@ -14,7 +14,7 @@ CONVOLUTIONS = [(24, 5, 2), (36, 5, 2), (48, 3, 2), (64, 3, 1), (8, 3, 1)]
 
 
 class SteeringCNN(nn.Module):
-    """Standardised image, five convolutions, and one dense layer for each of the 8 maps.
+    """Standardised image, five convolutions, and a dense layer for each of the 8 maps.
 
     The NCP paper has 32 features. Raises InputError if `features` is not a multiple of 8.
     """
@@ -33,11 +33,11 @@ class SteeringCNN(nn.Module):
             inputs = outputs
             height = math.ceil(height / stride)
             width = math.ceil(width / stride)
-        # The memory order of images: 14 % faster on a CPU.
+        # Weights in the memory order of the images make this 14 % faster on a CPU.
         self.convolutions = nn.Sequential(*layers).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.weight = nn.Parameter(torch.empty(maps, height * width, features // maps))
         self.bias = nn.Parameter(torch.zeros(maps, features // maps))
-        # The initialisation of nn.Linear.
+        # Initialise as nn.Linear does.
         bound = (height * width) ** -0.5
         nn.init.uniform_(self.weight, -bound, bound)
 
@@ -51,7 +51,7 @@ class SteeringCNN(nn.Module):
 def standardise(image: Tensor, dtype: torch.dtype) -> Tensor:
     """Scale each image to mean 0 and deviation 1 over its pixels and channels.
 
-    uint8 [B,H,W,3] → [B,3,H,W]. A uniform image becomes 0.
+    The shapes are uint8 [B,H,W,3] → [B,3,H,W]. A uniform image becomes 0.
     """
     pixels = image.to(dtype).permute(0, 3, 1, 2)
     deviation, mean = torch.std_mean(pixels, dim=(1, 2, 3), keepdim=True, correction=0)

@@ -42,8 +42,8 @@ class GCNLayer(nn.Module):
 class GCN(nn.Module):
     """Node features, graph convolutions, pooling over each frame's points, and one dense layer."""
 
-    # Number of points that a CPU convolves at once. With 64 channels they take 2 MB, and their
-    # gradient as much, which is about a core's cache.
+    # Number of points that a CPU convolves at once. With 64 channels, their features take 2 MB, and
+    # the gradients 2 MB more, which is about the size of a core's cache.
     block = 8192
 
     def __init__(self, features: int, options: Options) -> None:
@@ -78,7 +78,8 @@ def normalised_adjacency(degree: Tensor, indices: Tensor, dtype: torch.dtype) ->
     sizes = degree.to(indices.dtype) + 1
     starts = nn.functional.pad(sizes.cumsum(0), (1, 0))
 
-    # The first entry of a row, the diagonal, keeps its row's number as its column.
+    # The first entry of each row is on the diagonal, where the column is the row. The neighbours
+    # are the columns of the other entries.
     row = torch.repeat_interleave(sizes, output_size=entries)
     is_neighbour = torch.ones(entries, dtype=torch.bool, device=degree.device)
     is_neighbour.index_fill_(0, starts[:-1], False)
@@ -103,5 +104,6 @@ class SymmetricProduct(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, gradient: Tensor) -> tuple[None, Tensor]:
-        # A = Aᵀ; torch's own backward would transpose A each time.
+        # The gradient is Aᵀ times `gradient`, and A = Aᵀ. torch's own backward does not know this
+        # and transposes A each time.
         return None, SymmetricProduct.apply(ctx.matrix, gradient)  # type: ignore[no-untyped-call]

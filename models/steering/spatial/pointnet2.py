@@ -11,12 +11,13 @@ from models.steering.core.batch import SetBatch
 from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_features
 from models.steering.core.options import NetworkOptions, Semantics, Sizes
 
-# Scale of a neighbour's offset in metres; balls on a street are 8 to 16 m wide.
+# Length in metres by which offsets between points are divided. Neighbourhoods on a street are balls
+# with diameters of 8 to 16 m.
 OFFSET_M = 10.0
 
 
 def mlp(*widths: int) -> nn.Sequential:
-    """Return layers of a linear product, LayerNorm and ReLU; the reference has BatchNorm."""
+    """Return layers of Linear, LayerNorm and ReLU; the authors' code has BatchNorm instead."""
     layers: list[nn.Module] = []
     for before, after in pairwise(widths):
         layers += [nn.Linear(before, after), nn.LayerNorm(after), nn.ReLU(inplace=True)]
@@ -49,7 +50,7 @@ class SetAbstraction(nn.Module):
 
 class Options(NetworkOptions):
     kind = "pointnet2"
-    width: Annotated[float, Field(gt=0, le=4)] = 1.0  # factor on the reference's channels
+    width: Annotated[float, Field(gt=0, le=4)] = 1.0  # factor on the paper's numbers of channels
     semantics: Semantics
 
     def build(self, sizes: Sizes) -> nn.Module:
@@ -57,11 +58,11 @@ class Options(NetworkOptions):
 
 
 class PointNet2(nn.Module):
-    """Spatial network on centres and the points around them, which the graph variant holds.
+    """Set abstractions around the centres that the graph file has, and over the complete frame.
 
-    `levels` is the number of set abstractions before the one over the complete frame. With two
-    levels and width 1 the channels are those of the reference: 64-64-128, 128-128-256, over the
-    complete frame 256-512-1024, then 512 and 256.
+    `levels` is the number of set abstractions before the last, which is over the complete frame.
+    With two levels and width 1 the channels are those of Qi et al.: 64-64-128 and 128-128-256, over
+    the complete frame 256-512-1024, and then 512 and 256.
     """
 
     def __init__(self, features: int, levels: int, options: Options) -> None:
@@ -85,7 +86,7 @@ class PointNet2(nn.Module):
     def forward(self, batch: SetBatch) -> Tensor:
         xyz = batch.xyz.to(self.read_out.weight.dtype)
         ptr = batch.ptr
-        f = node_features(xyz, batch.cls, self.semantics)  # [P,25]
+        f = node_features(xyz, batch.cls, self.semantics)  # [P, NODE_FEATURES]
         for layer, level in zip(self.levels, batch.levels, strict=True):
             f = layer(xyz, f, level.centres, level.neighbours)  # [M,width]
             xyz = xyz[level.centres]

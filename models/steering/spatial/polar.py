@@ -1,7 +1,8 @@
 """A polar map of the road ahead, read by a small convolutional network.
 
-Errors of depth are radial, and bearings are exact. So each cell of the map is a bearing and a
-range, and ranges grow with the distance.
+An error of depth moves a point along its bearing, and bearings are exact. So each cell of the map
+is an interval of bearings and an interval of distances. Far intervals of distances are longer, as
+errors are larger there.
 """
 
 import math
@@ -13,10 +14,10 @@ from models.steering.core.batch import GraphBatch
 from models.steering.core.options import NetworkOptions, Sizes, Widths
 from pipeline.camera import classes
 
-# Number of bearings. As it is odd, rounding is symmetric around straight ahead, and mirroring
-# reverses the bearings exactly.
+# Number of bearings. It is odd, so rounding is symmetric around straight ahead, and mirroring
+# reverses the order of the bearings exactly.
 BEARINGS = 33
-# Angle that all bearings cover; KITTI's camera sees 80 degrees.
+# Angle in radians that all bearings cover together. KITTI's camera covers 80 degrees.
 FIELD_RAD = math.radians(90)
 # Number of ranges. Each is longer than the one before it by the same factor.
 RANGES = 12
@@ -35,17 +36,18 @@ CHANNELS = 4
 def polar_map(batch: GraphBatch) -> Tensor:
     """Return the map of each frame, float32 [B, CHANNELS, RANGES, BEARINGS].
 
-    Bearings are from left to right, ranges from near to far. Void points count as none of the three
-    kinds; points outside of the map have no effect.
+    Bearings are from left to right, ranges from near to far. A point of class void is in the number
+    of a cell's points, but in none of the three shares. Points outside of the map have no effect.
     """
-    # A point's column is its bearing, its row the logarithm of its distance.
+    # The column of a point follows from its bearing, the row from the logarithm of its distance.
     x, _, z = batch.xyz.unbind(1)
     column = (torch.atan2(x, z) * (BEARINGS / FIELD_RAD)).round() + BEARINGS // 2
     range_m = torch.hypot(x, z).clamp_min(NEAR_M / 2)
     row = ((range_m / NEAR_M).log() * (RANGES / math.log(FAR_M / NEAR_M))).floor()
     inside = (column >= 0) & (column < BEARINGS) & (row >= 0) & (row < RANGES)
 
-    # Cells are numbered through all frames. A point outside gets a cell at the edge of the map.
+    # Cells are numbered through all frames. A point outside of the map gets a cell at its edge, and
+    # is not counted there.
     points = torch.arange(len(x), device=x.device)
     ends = batch.ptr.to(x.device, non_blocking=True)[1:]
     frame = torch.searchsorted(ends, points, right=True)
@@ -58,7 +60,7 @@ def polar_map(batch: GraphBatch) -> Tensor:
     kind = kind.masked_fill(batch.cls == classes.ROAD, ROAD)
     kind = kind.masked_fill(batch.cls >= classes.COUNT, VOID)
 
-    # Sums of ones are exact in any order, so the map is deterministic on a GPU, too.
+    # Counts are exact in any order of additions, so the map is deterministic on a GPU, too.
     counts = torch.zeros(batch.frames * RANGES * BEARINGS * KINDS, device=cell.device)
     counts = counts.scatter_add(0, cell * KINDS + kind, inside.float())
     counts = counts.view(-1, RANGES, BEARINGS, KINDS)
@@ -70,7 +72,7 @@ def polar_map(batch: GraphBatch) -> Tensor:
 
 
 class Polar(nn.Module):
-    """Polar map, convolutions with `widths` channels after each, and one dense layer."""
+    """Polar map, convolutions with `widths` channels, and a dense layer."""
 
     def __init__(self, features: int, widths: tuple[int, ...]) -> None:
         super().__init__()
@@ -85,7 +87,7 @@ class Polar(nn.Module):
             inputs = outputs
             height = math.ceil(height / stride)
             width = math.ceil(width / stride)
-            stride = 2  # all but the first halve the map
+            stride = 2  # each convolution but the first halves the map
         self.read_out = nn.Linear(inputs * height * width, features)
 
     def forward(self, batch: GraphBatch) -> Tensor:

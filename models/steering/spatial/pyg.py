@@ -32,13 +32,13 @@ class Options(NetworkOptions):
 
 
 class PyG(nn.Module):
-    """Node features, layers of one class, each with ReLU, pooling over a frame, and a dense layer.
+    """Node features, layers of a class with ReLU, pooling over a frame, and a dense layer.
 
-    Most layers store a row per edge: the demo takes 3.3 GB to train with GATv2Conv and 0.8 GB with
-    spatial: gnn. On a GPU their sums over neighbours have no fixed order, so two runs differ by
-    rounding. Raises InputError if PyTorch Geometric is missing or has no such layer, or if the
-    layer refuses its options, needs more than `x, edge_index`, or does not compute what
-    :func:`output_width` expects.
+    Most layers store a row per edge, which takes memory: training on the demo takes 3.3 GB with
+    GATv2Conv, 0.8 GB with spatial: gnn. On a GPU, sums over neighbours have no fixed order in these
+    layers, so two runs differ by rounding. Raises InputError if PyTorch Geometric is missing or has
+    no such layer. Raises it, too, if the layer refuses its options, needs more than
+    `x, edge_index`, or has outputs that :func:`output_width` refuses.
     """
 
     def __init__(self, features: int, options: Options) -> None:
@@ -55,7 +55,7 @@ class PyG(nn.Module):
             for outputs in options.layers:
                 self.layers.append(build_layer(layer, width, outputs, options.layer_options))
                 width = output_width(self.layers[-1], width, outputs)
-        except Exception as error:  # of any type, by the layer
+        except Exception as error:  # a layer may raise any type
             raise InputError(
                 str(error) or repr(error), f"layer {options.layer} {options.layer_options}"
             ) from error
@@ -72,7 +72,7 @@ class PyG(nn.Module):
 def build_layer(
     layer: type[nn.Module], inputs: int, outputs: int, options: dict[str, Any]
 ) -> nn.Module:
-    """Build a layer with new weights. Some take a network, such as EdgeConv: a linear one."""
+    """Build a layer with new weights. A layer that takes a network, as EdgeConv, gets Linear."""
     if next(iter(signature(layer).parameters), "") == "nn":
         return layer(nn=nn.LazyLinear(outputs), **options)
     return layer(in_channels=inputs, out_channels=outputs, **options)
@@ -81,10 +81,12 @@ def build_layer(
 def output_width(layer: nn.Module, inputs: int, outputs: int) -> int:
     """Return the channels of a layer's output, from a run on small graphs of 8 points.
 
-    The run gives a LazyLinear its weights. Raises ValueError unless the output is [N, outputs] or a
-    multiple, and depends on the edges and on nothing but the frame.
+    The run also gives a LazyLinear its weights. Raises ValueError unless the output is
+    [N, outputs], or [N, k outputs] with k attention heads. The output of a frame must depend on its
+    edges, and neither on the order of its points nor on other frames.
     """
-    # A path through three points, the others without edges, and a star around the first point.
+    # The first graph is a path through three points; the other points have no edges. The second is
+    # a star around the first point.
     path = torch.zeros(8, 8)
     path[0, 1] = 1
     path[1, 2] = 1
@@ -92,7 +94,8 @@ def output_width(layer: nn.Module, inputs: int, outputs: int) -> int:
     star[0, 1:] = 1
     x = torch.arange(8 * inputs).view(8, inputs).sin()
 
-    # A batch of the path and of the star with its points in reverse order.
+    # A batch has the path as its first frame. The second frame is the star with its points in
+    # reverse order.
     batch_x = torch.cat([x, x.flip(0)])
     batch = torch.block_diag(path, star.flip(0, 1))  # type: ignore[no-untyped-call]
 

@@ -17,12 +17,13 @@ class Options(NetworkOptions):
 class LSTM(RecurrentCell):
     """The cell of torch.nn.LSTM with a linear read-out; dt has no effect.
 
-    Its parameters, the order of its gates and its initialisation are those of torch.
+    The parameters, the order of the gates and the initialisation are those of torch.
     """
 
     def __init__(self, features: int, options: Options = Options(), outputs: int = 1) -> None:
         super().__init__()
-        # Weights [4U,D] and [4U,U] and biases [4U] of the gates i, f, g, o, one below the other.
+        # Weights [4U,D] and [4U,U], and two biases [4U]. Each has the rows of gate i first, then
+        # those of the gates f, g and o.
         reference = nn.LSTMCell(features, options.units)
         self.weight_ih = reference.weight_ih
         self.weight_hh = reference.weight_hh

@@ -9,11 +9,12 @@ from models.steering.core.options import NetworkOptions, Sizes
 from models.steering.core.recurrent import RecurrentCell
 from models.steering.core.wiring import Layout, Wiring, ncp
 
+# Name of a cell → class that builds it from a wiring.
 CELLS: dict[str, Callable[[Wiring], RecurrentCell]] = {"ltc": LTC, "eq4": Eq4}
 
 
 class Options(NetworkOptions):
-    cell: Literal["ltc", "eq4"] = "ltc"  # eq4: the paper's equation 4 as printed
+    cell: Literal["ltc", "eq4"] = "ltc"  # eq4 is the paper's equation 4 as printed
     wiring: Layout = Layout()
 
     def build(self, sizes: Sizes) -> RecurrentCell:

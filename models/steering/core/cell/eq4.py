@@ -1,4 +1,4 @@
-"""The paper's eq. 4 as printed, on a sparse wiring. The cell that the paper cites is ltc.py."""
+"""The paper's eq. 4 as printed, on a sparse wiring. ltc.py has the cell that the paper cites."""
 
 import numpy as np
 import torch
@@ -7,8 +7,8 @@ from torch import Tensor, nn
 from models.steering.core.recurrent import NOMINAL_STEP_S, OUTPUT_SCALE, RecurrentCell
 from models.steering.core.wiring import SparseMatrix, Wiring
 
-# Largest |log τ|. Beyond e^±20 frames a neuron is instantaneous or frozen; float32 would overflow
-# at e^88.
+# Largest |log τ|, with τ in frames. A neuron with τ < e^-20 is instantaneous, with τ > e^20 frozen.
+# float32 would overflow at e^88.
 MAX_LOG_TAU = 20.0
 
 
@@ -17,17 +17,18 @@ class Eq4(RecurrentCell):
 
         τ_i ḣ_i = -h_i + Σ_j w_ij σ(h_j) + Σ_k w_ik x_k + b_i,   τ_i = exp(θ_iᵀ x),   y_i = σ(h_i).
 
-    σ is the logistic function; w exists where the wiring has a synapse and starts with its sign; θ
-    is dense, as printed. The unit of time is the nominal frame (τ = 1 is 0.1 s), and x is constant
-    over the dt before its frame. So τ is constant, and N(h) = Σ_j w_ij σ(h_j) + Σ_k w_ik x_k + b_i
-    depends on h alone, which suits an exponential integrator, here ETD2RK (Cox and Matthews 2002).
-    With z = dt / unfolds / τ each step is
+    σ is the logistic function. w_ij exists where the wiring has a synapse, and starts with the
+    synapse's sign. θ is dense, as printed. The unit of time is the nominal frame: τ = 1 is 0.1 s.
+    x is constant during the dt before its frame. So τ is constant, too, and
+    N(h) = Σ_j w_ij σ(h_j) + Σ_k w_ik x_k + b_i depends on h alone. This suits an exponential
+    integrator, here ETD2RK (Cox and Matthews 2002). With z = dt / unfolds / τ each step is
 
         a = h + (1 - e^(-z)) (N(h) - h),   h ← a + (1 - (1 - e^(-z)) / z) (N(a) - N(h)),
 
-    exact in leak and input, of second order in the recurrent sum, and stable for every dt and τ, as
-    N is bounded. With 6 steps a frame, outputs of a new cell are within 3 % of their spread of the
-    exact solution. Since y is in (0,1), motor neurons' y, scaled and shifted, are the output.
+    which is exact in leak and input, of second order in the recurrent sum, and stable for every dt
+    and τ, since N is bounded. With 6 steps per frame, outputs of a new cell differ from the exact
+    solution by at most 3 % of their spread. The outputs are the y of the motor neurons, scaled and
+    shifted, since y is in (0,1).
     """
 
     def __init__(self, wiring: Wiring, unfolds: int = 6) -> None:

@@ -15,7 +15,7 @@ from torch.nn.functional import softplus
 from models.steering.core.recurrent import NOMINAL_STEP_S, OUTPUT_SCALE, RecurrentCell
 from models.steering.core.wiring import Wiring
 
-# Smallest part of the denominator, as in ncps.
+# Added to the denominator, as in ncps.
 EPSILON = 1e-8
 
 
@@ -25,10 +25,11 @@ class LTC(RecurrentCell):
         v ← (c v + g v_leak + Σ w σ(s (v_pre - μ)) e) / (c + g + Σ w σ(s (v_pre - μ)) + ε),
         c = cm unfolds / dt,
 
-    where the sums run over internal and sensory synapses. The internal sums change at each step,
-    the sensory ones once per frame: `project_inputs` computes them. The equation is from ncps
-    1.0.1; here dt differs per window and frame, and only existing synapses are parameters. The
-    motor neurons' potentials, scaled and shifted, are the output.
+    where the sums run over internal and sensory synapses. The internal sums change in each step.
+    The sensory sums are constant in a frame, so `project_inputs` computes them once. The equation
+    is from ncps 1.0.1. Unlike there, dt may differ between windows and frames, and only existing
+    synapses have parameters. The outputs are the potentials of the motor neurons, scaled and
+    shifted.
     """
 
     def __init__(self, wiring: Wiring, unfolds: int = 6) -> None:
@@ -41,9 +42,9 @@ class LTC(RecurrentCell):
         self.sensory = Synapses(wiring.sensory)
         self.internal = Synapses(wiring.internal)
 
-        # cm and g, before softplus. ncps draws cm between 0.4 and 0.6, a memory of about one frame.
-        # A single frame says little: from the features of eight, a linear regression has half of
-        # the error that it has from the last.
+        # cm and g, before softplus. ncps draws cm between 0.4 and 0.6, which is a memory of about a
+        # frame. Here the memory is longer, since a single frame says little: a linear regression on
+        # the features of eight frames has half the error of a regression on those of the last.
         capacity = torch.empty(units).uniform_(math.log(0.5), math.log(20.0)).exp()
         self.capacity = nn.Parameter(inverse_softplus(capacity))
         leak = torch.empty(units).uniform_(0.001, 1.0)
@@ -73,10 +74,11 @@ class LTC(RecurrentCell):
 
 
 class Unfolded(torch.autograd.Function):
-    """All K steps of all frames as one autograd operator with explicit gradients.
+    """All K steps of all frames as a single autograd operator with explicit gradients.
 
-    On arrays this small, starting an operator costs more than its arithmetic. So backward has one
-    product per step, with the Jacobians of all steps from a few operators on all of them.
+    On arrays this small, starting an operator takes longer than its arithmetic. So `backward`
+    computes the Jacobians of all steps at once, by few operators, and then needs a single product
+    per step.
     """
 
     @staticmethod
@@ -104,7 +106,7 @@ class Unfolded(torch.autograd.Function):
         below = -threshold.expand(len(c), -1)  # [W,S]; expanded, addmm is faster
         v = torch.zeros_like(c[:, 0])
 
-        # After each step v [W,U]; in each step σ [W,S] and the denominator [W,U].
+        # v after each step [W,U], and σ [W,S] and the denominator [W,U] of each step.
         potentials = [v]
         opened = []
         denominators = []
@@ -137,12 +139,13 @@ class Unfolded(torch.autograd.Function):
         frames = c.shape[1]
         unfolds = steps // frames
 
-        # Derivatives of v after a step by numerator and denominator, [K,W,2,U].
+        # Derivatives of v after a step with respect to numerator and denominator, [K,W,2,U].
         inverse = denominators.reciprocal()
         shares = torch.stack([inverse, -after * inverse], dim=2)
 
-        # Jacobians of all steps [K,W,U,U]: v after a step by v before it, through the synapses, of
-        # which each has one entry in a column of slope, and through the capacity on the diagonal.
+        # Jacobians of all steps [K,W,U,U]: v after a step with respect to v before it. A synapse
+        # contributes a single entry, since its column of slope has a single entry. The capacity
+        # contributes to the diagonal.
         sigmoid_backward = torch.ops.aten.sigmoid_backward
         by_synapse = sigmoid_backward(shares.flatten(2) @ sums.T * slope.sum(0), opened)
         jacobian = c.new_zeros(steps, windows, units**2)
@@ -152,8 +155,8 @@ class Unfolded(torch.autograd.Function):
         jacobian.diagonal(dim1=3, dim2=4).add_(inverse * c.transpose(0, 1)[:, None])
         transposed = jacobian.transpose(3, 4).flatten(0, 1)
 
-        # Gradients [W,1,U] by v after each step, from the last step to the first. v before the
-        # first step of a frame is also the output of the frame before.
+        # Gradients [W,1,U] with respect to v after each step, from the last step to the first. v
+        # after the last step of a frame is also an output, whose gradient is added.
         grad_frames = grad_potentials.transpose(0, 1)[:, :, None]  # [T,W,1,U]
         gradient = grad_frames[-1]
         gradients = [gradient]
@@ -166,14 +169,15 @@ class Unfolded(torch.autograd.Function):
             gradients.append(gradient)
         upstream = torch.stack(gradients[::-1])
 
-        # Gradients by numerator ‖ denominator [K,W,2U], and by the argument of σ [KW,S].
+        # Gradients with respect to numerator ‖ denominator [K,W,2U], and to the argument of σ
+        # [KW,S].
         grad_terms = (shares * upstream).flatten(2)
         grad_gates = sigmoid_backward(grad_terms @ sums.T, opened).flatten(0, 1)
         grad_slope = before.flatten(0, 1).T @ grad_gates
         grad_sums = opened.flatten(0, 1).T @ grad_terms.flatten(0, 1)
 
-        # c is a factor in the numerator, and a summand of the denominator. Inputs that are constant
-        # in a frame get the sum over its steps.
+        # c is a factor in the numerator and a summand of the denominator. Inputs that are constant
+        # in a frame get the sum of the gradients of its steps.
         grad_numerator, grad_denominator = grad_terms.chunk(2, dim=2)
         grad_c = torch.addcmul(grad_denominator, grad_numerator, before)
         grad_c = grad_c.view(frames, unfolds, windows, -1).sum(1).transpose(0, 1)
@@ -209,8 +213,9 @@ class Synapses(nn.Module):
     def matrices(self) -> tuple[Tensor, Tensor, Tensor]:
         """Return slope [P,S], threshold [S] and sums [S,2U].
 
-        σ(v @ slope - threshold) @ sums is Σ w σ e ‖ Σ w σ. The two dense products gather and
-        scatter: for the 60 synapses of an NCP that is faster than indexing.
+        With them, σ(v @ slope - threshold) @ sums is Σ w σ e ‖ Σ w σ. The first product gathers the
+        inputs of synapses, the second adds their outputs. For the 60 synapses of an NCP, dense
+        products are faster than indexing.
         """
         slope = self.pre * self.sigma
         threshold = self.sigma * self.mu

@@ -1,6 +1,7 @@
-"""EfficientViT-Seg-B0 (Cai et al. 2023): Cityscapes' 19 classes by 0.7 M parameters.
+"""EfficientViT-Seg-B0 (Cai et al. 2023), which predicts Cityscapes' 19 classes.
 
-Attributes have the names of the authors' checkpoint ``efficientvit_seg_b0_cityscapes``.
+It has 0.7 million parameters. Attributes have the names in the authors' checkpoint
+``efficientvit_seg_b0_cityscapes``.
 """
 
 from collections import OrderedDict
@@ -11,17 +12,17 @@ from torch import Tensor, nn
 
 from pipeline.camera import classes
 
-# Mean of the colours R, G, B of its training images.
+# Mean of the colours R, G, B in the training images.
 MEAN = (0.485, 0.456, 0.406)
 # Standard deviation of these colours.
 STD = (0.229, 0.224, 0.225)
-# Number of pixels of which the sides of an image are multiples.
+# Number of pixels that must divide the sides of an image.
 STRIDE = 32
-# Channels at 1/2, 1/4, … 1/32 of the image.
+# Channels at 1/2, 1/4, 1/8, 1/16 and 1/32 of the image.
 WIDTHS = (8, 16, 32, 64, 128)
 # Channels of the map that the class head decodes.
 DECODED = 32
-# Channels of one head of the attention.
+# Channels of each head of the attention.
 HEAD_WIDTH = 16
 
 
@@ -128,7 +129,7 @@ class LinearAttention(nn.Module):
         with torch.autocast(x.device.type, enabled=False):
             heads = scales.float().reshape(batch, -1, 3 * HEAD_WIDTH, height * width)
             q, k, v = heads.chunk(3, dim=2)  # [B,heads,16,HW]
-            v = F.pad(v, (0, 0, 0, 1), value=1)  # its last row sums up the weights
+            v = F.pad(v, (0, 0, 0, 1), value=1)  # the row of ones sums up the weights
             sums = v @ F.relu(k).transpose(2, 3) @ F.relu(q)
             out = sums[:, :, :-1] / (sums[:, :, -1:] + 1e-15)
         return self.proj(out.reshape(batch, -1, height, width).to(qkv.dtype))
@@ -143,7 +144,7 @@ def conv(
     groups: int = 1,
     bias: bool = False,
 ) -> nn.Sequential:
-    """Return a convolution and, unless it has a bias, batch norm."""
+    """Return a convolution, followed by a batch norm unless the convolution has a bias."""
     layer = nn.Conv2d(inputs, outputs, size, stride, size // 2, groups=groups, bias=bias)
     if bias:
         return named(conv=layer)
@@ -170,4 +171,5 @@ def ops(*layers: nn.Module) -> nn.Sequential:
 
 
 def named(**layers: nn.Module) -> nn.Sequential:
+    """Return the layers in sequence, with the names of the arguments."""
     return nn.Sequential(OrderedDict(layers))

@@ -1,4 +1,4 @@
-"""Heads of encoders, metric depth and Cityscapes classes, and functions of several networks."""
+"""Heads of encoders for metric depth and Cityscapes classes, and functions that they share."""
 
 import math
 from collections.abc import Sequence
@@ -16,9 +16,9 @@ MAX_DEPTH_M = 120.0
 
 
 def resized(x: Tensor, size: Sequence[int]) -> Tensor:
-    """Interpolate a map [B,C,h,w] to `size` (H, W), in float32; pixel centres stay aligned.
+    """Interpolate a map [B,C,h,w] to `size` (H, W), in float32.
 
-    Where the map shrinks, pixels are averages.
+    The borders of both maps coincide. If the map shrinks, its pixels are averaged.
     """
     if x.shape[-2:] == torch.Size(size):
         return x
@@ -28,10 +28,10 @@ def resized(x: Tensor, size: Sequence[int]) -> Tensor:
 
 
 def scaled_by_focal(depth: Tensor, K: Tensor, trained: float) -> Tensor:
-    """Scale depth [B,H,W] of a network to another camera, with intrinsics K [B,3,3].
+    """Scale the depth [B,H,W] that a network predicts to a camera with intrinsics K [B,3,3].
 
-    `trained` is focal length / image width of its training images: a longer lens makes objects look
-    nearer.
+    `trained` is the focal length of the network's training images, divided by their width. A longer
+    focal length makes objects look nearer.
     """
     focal_by_width = K[:, 0, 0] / depth.shape[-1]
     factor = (focal_by_width / trained).to(depth.dtype)
@@ -53,9 +53,9 @@ def ray_slopes(K: Tensor, size: torch.Size) -> Tensor:
 
 
 class Pointwise(nn.Conv2d):
-    """A 1x1 convolution as a product on channels last.
+    """A 1x1 convolution, computed as a matrix product on images in channels-last order.
 
-    On one thread, torch's convolution changes the layout and back.
+    On a single thread, torch's own convolution copies them to another order and back.
     """
 
     def __init__(self, inputs: int, outputs: int) -> None:
@@ -67,9 +67,10 @@ class Pointwise(nn.Conv2d):
 
 
 class CellDepth(nn.Module):
-    """Depth of all pixels of a feature's cell (sub-pixel convolution).
+    """Depth of each pixel by sub-pixel convolution.
 
-    Interpolation would blur edges of objects.
+    A feature covers a cell of stride × stride pixels, and predicts the depth of each of them. An
+    interpolation between features would blur the edges of objects.
     """
 
     def __init__(self, channels: int, stride: int) -> None:
@@ -84,14 +85,14 @@ class CellDepth(nn.Module):
         height, width = rays.shape[-2:]
         cells = F.pixel_shuffle(self.layers(features), self.stride)[:, 0]
         pixels = cells[..., :height, :width]  # cells at the edges are cropped
-        # Over the logarithm, relative errors count equally near and far. It is float32: half
-        # precision at log(120 m) has an error of 1.6 % of the depth.
+        # The network predicts the logarithm of depth, so that relative errors count equally near
+        # and far. It is float32, since half precision at log(120 m) is an error of 1.6 % of depth.
         share = torch.sigmoid(pixels.float())
         return torch.exp(math.log(MIN_DEPTH_M) + math.log(MAX_DEPTH_M / MIN_DEPTH_M) * share)
 
 
 class CellClasses(nn.Module):
-    """Class logits of all pixels of a feature's cell (sub-pixel convolution)."""
+    """Class logits of each pixel by sub-pixel convolution, as in :class:`CellDepth`."""
 
     def __init__(self, channels: int, stride: int) -> None:
         super().__init__()
@@ -100,14 +101,15 @@ class CellClasses(nn.Module):
 
     def forward(self, features: Tensor, rays: Tensor) -> Tensor:
         """Return logits [B,19,H,W] from features [B,channels,ceil(H/stride),ceil(W/stride)]."""
-        # The weights are ordered by class, then pixel. Reordered by pixel, the logits of a pixel
-        # stay adjacent in memory through shuffle, softmax and their gradients, without copies.
+        # The weights are ordered by class, then by pixel. Here they are reordered by pixel, so that
+        # the logits of a pixel are adjacent in memory. Then shuffle, softmax and their gradients
+        # need no copies.
         weight, bias = self.layer.parameters()
         weight_by_pixel = self._by_pixel(weight)
         bias_by_pixel = self._by_pixel(bias)[:, 0]
         cells = F.linear(features.permute(0, 2, 3, 1), weight_by_pixel, bias_by_pixel)
 
-        # From cells [B,h,w,stride·stride·19] to pixels, which are cropped at the edges.
+        # Split the cells [B,h,w,stride·stride·19] into pixels, and crop those beyond the edges.
         stride = self.stride
         batch, h, w, _ = cells.shape
         pixels = cells.view(batch, h, w, stride, stride, classes.COUNT).transpose(2, 3)

@@ -1,8 +1,9 @@
-"""Networks of Hugging Face, by name or folder: a pair of two, or one backbone with our heads.
+"""Networks of Hugging Face as encoders, given by a name on its hub or by a folder.
 
-A network is described by ``{"config", "mean", "std"}``, its configuration and the normalisation of
-its images, so that it is built again without a hub. No code of a hub runs; weights are tensors
-only.
+An encoder is a pair of networks, or a backbone with heads of this project. A network is described
+by ``{"config", "mean", "std"}``: its configuration, and the normalisation of its images. From this
+description it can be built again without the hub. No code of the hub is run, and files of weights
+may hold only tensors.
 """
 
 import json
@@ -26,28 +27,29 @@ from pipeline.camera.classes import COUNT, NAMES, ROAD
 
 # Normalisation of images in most networks.
 IMAGENET = {"image_mean": [0.485, 0.456, 0.406], "image_std": [0.229, 0.224, 0.225]}
-# Normalisation of images from 0 to 1, which changes nothing.
+# Normalisation that does not change images from 0 to 1.
 IDENTITY = {"image_mean": [0.0] * 3, "image_std": [1.0] * 3}
-# Stride of the map that our heads read.
+# Number of pixels per feature, along each side, of the map that the heads of this project read.
 STRIDE = 4
-# Number of maps of a backbone that this map is the sum of.
+# Number of maps of a backbone whose sum is this map.
 LEVELS = 4
-# Channels of this map.
+# Number of channels of this map.
 WIDTH = 64
-# Weights that published files lack: a unit of DPT that its forward pass does not use, and norms
-# that a fit trains.
+# Beginnings of the names of weights that published files may lack: a unit of DPT that its forward
+# pass does not use, and norms that a fit trains.
 UNPUBLISHED = ("neck.fusion_stage.layers.0.residual_layer1.", "hidden_states_norms.")
-# Types of networks whose depth is not in metres → what it is instead.
+# Type of network whose depth is not in metres → what its depth is, for a message.
 NO_DEPTH_M = {
     "depth_pro": "inverse until its post-processing",
     "prompt_depth_anything": "relative to a depth sensor's",
 }
-# Setting → the task in names of transformers, and families that work.
+# Setting → the task as transformers names it, and types of networks that work, for a message.
 FAMILIES = {
     "depth": ("DEPTH_ESTIMATION", "depth_anything, glpn, zoedepth"),
     "classes": ("SEMANTIC_SEGMENTATION", "segformer, upernet, mobilevit, mobilenet_v2"),
 }
-# Cityscapes' class → its names in ADE20K beside its own, in lower case.
+# Cityscapes' class → classes of ADE20K that count as this class, in lower case. Classes with equal
+# names in both are not repeated.
 ADE20K = {
     "road": "runway, dirt track",
     "sidewalk": "floor, path",
@@ -61,7 +63,7 @@ ADE20K = {
     "car": "van",
     "motorcycle": "minibike",
 }
-# Cityscapes' class → its names in Mapillary Vistas beside its own, in lower case.
+# Cityscapes' class → classes of Mapillary Vistas that count as this class, in the same way.
 VISTAS = {
     "road": "bike lane, crosswalk - plain, service lane, lane marking - crosswalk, "
     "lane marking - general, catch basin, manhole, pothole",
@@ -75,7 +77,7 @@ VISTAS = {
 
 
 def _class_numbers() -> dict[str, int]:
-    """Return name → trainId. All other names are void, also bridges, as in Cityscapes."""
+    """Return name → trainId. Other names count as void, also bridges, as in Cityscapes."""
     numbers = {name: number for number, name in enumerate(NAMES)}
     for synonyms in (ADE20K, VISTAS):
         for name, labels in synonyms.items():
@@ -93,7 +95,10 @@ def class_number(label: str) -> int:
 
 
 class CityscapesLogits(nn.Module):
-    """Logits of other classes [B,C,h,w] → logits of Cityscapes' classes and void [B,20,h,w]."""
+    """Converts logits of other classes [B,C,h,w] to Cityscapes' classes and void [B,20,h,w].
+
+    The members of a class of Cityscapes are the other classes that count as it.
+    """
 
     members: Tensor
 
@@ -105,9 +110,10 @@ class CityscapesLogits(nn.Module):
         self.register_buffer("members", members, persistent=False)
 
     def forward(self, logits: Tensor) -> Tensor:
-        """Add the probabilities of a class's members.
+        """Add the probabilities of the members of each class.
 
-        A class without members has a finite loss, and is not predicted.
+        A class without members gets a small probability: it is not predicted, but its loss is
+        finite.
         """
         with torch.autocast(logits.device.type, enabled=False):
             probabilities = F.conv2d(logits.float().softmax(dim=1), self.members)
@@ -115,7 +121,7 @@ class CityscapesLogits(nn.Module):
 
 
 def import_transformers() -> ModuleType:
-    """Return Hugging Face's package, with its messages off. Raises InputError without it."""
+    """Return the package transformers, silenced. Raises InputError if it is missing."""
     try:
         import transformers
     except ImportError as error:
@@ -144,10 +150,11 @@ def loading(name: str | Path, action: str = "load") -> Iterator[None]:
 
 
 def check_network(name: str, key: str = "") -> None:
-    """Raise InputError if `name` can only be a folder but has no configuration.
+    """Raise InputError if `name` cannot be a network for the setting `key`.
 
-    A folder's network has to be of a family for `key`, depth or classes. Raises InputError also if
-    the package is missing.
+    If `name` can only be a folder, the folder must have a configuration. If `key` is depth or
+    classes, the type of network in the folder must have such an output. Names on the hub are not
+    looked up. Raises InputError, too, if the package transformers is missing.
     """
     library = import_transformers()
     path = Path(name)
@@ -174,7 +181,7 @@ def check_network(name: str, key: str = "") -> None:
 def describe(name: str) -> tuple[Path, dict[str, Any], list[str]]:
     """Return the folder of a network, its description, and its sources. Raises InputError.
 
-    A network that is no folder is downloaded from the hub; its revision there is the source.
+    A network that is not a folder is downloaded from the hub. Its revision there is the source.
     """
     check_network(name)
     folder = in_checkout(Path(name))
@@ -202,9 +209,9 @@ def describe(name: str) -> tuple[Path, dict[str, Any], list[str]]:
 
 
 class Network(nn.Module):
-    """A network of transformers with its normalisation.
+    """A network of transformers, and the normalisation of its images.
 
-    Images are padded at the right and bottom for its patches.
+    Images are padded at the right and at the bottom, to sides that the network can divide.
     """
 
     mean_std: Tensor
@@ -214,13 +221,13 @@ class Network(nn.Module):
     ) -> None:
         """Build the network by the class `auto` of transformers.
 
-        Without a `folder` of weights they are random.
+        The weights are read from `folder`. They are random if it is None.
         """
         super().__init__()
         library = import_transformers()
         config = library.AutoConfig.for_model(**description["config"])
         patch = getattr(getattr(config, "backbone_config", None) or config, "patch_size", None)
-        # Backbones other than a ViT halve the image up to five times.
+        # A ViT divides the image into patches. Other backbones halve it up to five times.
         self.multiple = 32
         if isinstance(patch, int) and patch > STRIDE:
             self.multiple = math.lcm(2 * patch, STRIDE)
@@ -268,7 +275,8 @@ class Network(nn.Module):
         """
         height, width = self.padded(size)
         h, w = x.shape[-2:]
-        # Plain DPT takes 4 x 16 patches for a square of 8 x 8.
+        # The map must have the shape of the image. That of plain DPT has not: DPT takes 4 x 16
+        # patches for a square of 8 x 8.
         if abs(h * width - w * height) > height + width:
             kind = self.network.config.model_type
             raise InputError(f"{kind!r} returns {h} x {w} pixels for {height} x {width}")
@@ -276,7 +284,7 @@ class Network(nn.Module):
 
 
 class Pair(nn.Module):
-    """Two networks, one for depth and one for classes."""
+    """An encoder of two networks, the first for depth, the second for classes."""
 
     def __init__(
         self,
@@ -301,7 +309,7 @@ class Pair(nn.Module):
 
 
 class HuggingFace(nn.Module):
-    """The paper's unified encoder: one backbone, a depth head and a class head."""
+    """The paper's unified encoder: a backbone that a depth head and a class head share."""
 
     def __init__(self, architecture: Mapping[str, Any], folder: Path | None = None) -> None:
         super().__init__()
@@ -320,7 +328,7 @@ class HuggingFace(nn.Module):
 
 
 class Pyramid(nn.Module):
-    """The sum of maps of any strides, enlarged to STRIDE, and a head of this project."""
+    """Adds maps of any strides, after enlarging them to STRIDE, and applies a head to the sum."""
 
     def __init__(self, channels: Sequence[int], head: nn.Module) -> None:
         super().__init__()
@@ -345,10 +353,11 @@ class Pyramid(nn.Module):
 def create_pair(
     depth: str, classes: str, focal_by_width: float, depth_unit: str | None
 ) -> tuple[dict[str, Any], nn.Module]:
-    """Return architecture and network of a network for depth and one for classes.
+    """Return description and network of a pair, from the networks named `depth` and `classes`.
 
-    `focal_by_width` is focal length / image width of the training images of `depth`, `depth_unit`
-    the unit of its output. Raises InputError, also if depth is not in metres, or no class is road.
+    `focal_by_width` is the focal length of the training images of `depth`, divided by their width.
+    `depth_unit` is the unit of its output, if the network does not tell. Raises InputError if a
+    network cannot be loaded, if depth is not in metres, or if no class is road.
     """
     depth_folder, depth_network, depth_sources = describe(depth)
     classes_folder, classes_network, classes_sources = describe(classes)
@@ -361,7 +370,7 @@ def create_pair(
     }
     network = Pair(architecture, depth_folder, classes_folder)
 
-    # Some networks tell the unit of their depth; others need it from the user.
+    # The configurations of some networks tell the unit of depth. For others, the user must set it.
     config = depth_network["config"]
     family = config["model_type"]
     unit = NO_DEPTH_M.get(family) or config.get("depth_estimation_type") or depth_unit
@@ -385,7 +394,7 @@ def create_pair(
 
 
 def create_backbone(model: str) -> tuple[dict[str, Any], nn.Module]:
-    """Return architecture and network of a backbone; its heads are random. Raises InputError."""
+    """Return description and network of a backbone with random heads. Raises InputError."""
     folder, description, sources = describe(model)
     architecture = {"backbone": "hugging_face", "model": description, "sources": sources}
     published = any(folder.glob("*.safetensors")) or any(folder.glob("pytorch_model*.bin"))

@@ -1,6 +1,6 @@
 """RT-MonoDepth-S (Feng et al. 2024): depth of real streets in metres.
 
-Attributes have the names of the authors' files ``encoder.pth`` and ``depth.pth`` of
+Attributes have the names in the authors' files ``encoder.pth`` and ``depth.pth``, in their folder
 ``s/ms_640_192``.
 """
 
@@ -13,9 +13,9 @@ from torch import Tensor, nn
 
 from models.encoder.heads import resized, scaled_by_focal
 
-# Size (H, W) of its training images in pixels; depth is wrong at other sizes.
+# Size (H, W) of the network's training images in pixels. At other sizes, its depth is wrong.
 SIZE = (192, 640)
-# Mean of the images' values from 0 to 1.
+# Mean of the values of images, which are from 0 to 1.
 MEAN = 0.45
 # Standard deviation of these values.
 STD = 0.225
@@ -23,13 +23,13 @@ STD = 0.225
 WIDTHS = (64, 64, 128, 192)
 # Channels of the decoder at 1/8, 1/4, 1/2 and 1/1 of the image.
 DECODED = (96, 64, 32, 16)
-# Focal length by image width of its training images.
+# Focal length of the training images, divided by their width.
 KITTI_FOCAL = 721.5377 / 1242
-# Metres per unit of its depth: KITTI's baseline of 0.54 m is 0.1 in its training.
+# Metres per unit of the network's depth. In training, KITTI's stereo baseline of 0.54 m was 0.1.
 STEREO_M = 5.4
-# Smallest depth in units.
+# Smallest depth in the network's units.
 NEAR = 0.1
-# Largest depth in units.
+# Largest depth in the network's units.
 FAR = 100.0
 
 
@@ -64,7 +64,10 @@ class Encoder(nn.Module):
             self.convs.append(nn.Sequential(halving, nn.LeakyReLU(0.1), conv, nn.LeakyReLU(0.1)))
 
     def forward(self, image: Tensor) -> Tensor:
-        """Return the map at 1/16 of the image: the published decoder has no skip connections."""
+        """Return the map at 1/16 of the image.
+
+        The published decoder has no skip connections, so it needs no other map.
+        """
         return self.convs(F.relu(self.conv1(image)))
 
 

@@ -6,18 +6,18 @@ from torch import Tensor, nn
 
 from models.encoder.heads import CellClasses, CellDepth, Pointwise, ray_slopes
 
-# Mean of the images' values from 0 to 1.
+# Mean of the values of images, which are from 0 to 1.
 MEAN = 0.45
 # Standard deviation of these values.
 STD = 0.25
-# Stride of the map that both heads read.
+# Number of pixels per feature, along each side, of the map that both heads read.
 STRIDE = 2
 # Channels at 1/2, 1/4, 1/8 and 1/16 of the image.
 WIDTHS = (16, 32, 64, 96)
 
 
 class Small(nn.Module):
-    """A backbone whose map both heads read."""
+    """A backbone, a depth head and a class head. Both heads read the same map."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -26,17 +26,17 @@ class Small(nn.Module):
         self.class_head = CellClasses(UNet.channels, STRIDE)
 
     def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
-        # At a fixed camera height the slope of a pixel's ray determines the depth of the ground for
-        # any focal length.
+        # At a fixed camera height, the slope of a pixel's ray determines the depth of the ground,
+        # for any focal length. So the rays are an input.
         rays = ray_slopes(K, image.shape[-2:])
         features = self.backbone((image.float() / 255 - MEAN) / STD, rays)
         return self.depth_head(features, rays), self.class_head(features, rays)
 
 
 class UNet(nn.Module):
-    """Four halvings down and three doublings up with skips.
+    """Convolutions that halve the map four times, then double it three times, with skips.
 
-    The receptive field is most of the image.
+    A feature depends on most of the image.
     """
 
     channels = 2 * WIDTHS[0]
@@ -58,7 +58,7 @@ class UNet(nn.Module):
     def forward(self, image: Tensor, rays: Tensor) -> Tensor:
         """Return features [B,channels,ceil(H/2),ceil(W/2)].
 
-        The image [B,3,H,W] is normalised, `rays` [B,2,H,W] are those of its pixels.
+        The image [B,3,H,W] is normalised. `rays` [B,2,H,W] are the slopes of its pixels' rays.
         """
         x1 = self.down1(torch.cat([image, rays], dim=1))  # [B,a,H/2,W/2]
         x2 = self.down2(x1)  # [B,b,H/4,W/4]

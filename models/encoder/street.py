@@ -13,14 +13,14 @@ from models.encoder.efficientvit import STRIDE, EfficientViT
 from models.encoder.heads import resized
 from models.encoder.rtmonodepth_s import RTMonoDepthS
 
-# Factor on the sides of an image before it is classified: small images have too few pixels for a
-# stride of 32.
+# Factor by which the sides of an image are enlarged before it is classified. Small images have too
+# few pixels for a stride of 32.
 ENLARGED = 1.5
-# Folder of the published files of RT-MonoDepth-S.
+# URL of the folder with the published files of RT-MonoDepth-S.
 _RTMONODEPTH = "https://github.com/Ashwani564/RT-Monodepth-Construction/raw/d9a171f0a98b4c7ccd4713197af5e26689b0adfb/weights/RTMonoDepth/s/ms_640_192/"
-# Terms of RT-MonoDepth-S.
+# Terms of use of RT-MonoDepth-S.
 _MONODEPTH2 = "Monodepth2's terms: non-commercial use only"
-# Path of a published file below weights/ → URL, SHA-256, terms.
+# Path of a published file below weights/ → its URL, SHA-256 and terms of use.
 SOURCES = {
     "rtmonodepth-s/encoder.pth": (
         _RTMONODEPTH + "encoder.pth",
@@ -41,7 +41,10 @@ SOURCES = {
 
 
 class Street(nn.Module):
-    """Image [B,3,H,W] and intrinsics [B,3,3] → depth [B,H,W] in metres and logits [B,19,H,W]."""
+    """Two published networks, for depth and for classes.
+
+    Image [B,3,H,W] and intrinsics [B,3,3] → depth [B,H,W] in metres and logits [B,19,H,W].
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -62,7 +65,7 @@ class Street(nn.Module):
         tensors = {name: x for name, x in encoder.items() if isinstance(x, Tensor)}
         self.depth.encoder.load_state_dict(tensors)
 
-        # Two heads at 1/2 and 1/4 of the image served its training only.
+        # The heads for depth at 1/2 and 1/4 of the image are left out. Only training used them.
         coarser = ("decoder.9.", "decoder.10.")
         tensors = {name: x for name, x in decoder.items() if not name.startswith(coarser)}
         self.depth.decoder.load_state_dict(tensors)

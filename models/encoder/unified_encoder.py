@@ -1,11 +1,11 @@
-"""Encoders: networks of metric depth and Cityscapes classes of an image (paper §3.2).
+"""Encoders: networks for metric depth and Cityscapes classes of an image (paper §3.2).
 
 An encoder is a module ``forward(image, K) -> (depth, logits)``:
 
 - image: RGB uint8 [B,3,H,W].
 - K: pinhole intrinsics [B,3,3] at this image size.
 - depth: [B,H,W], metres along the optical axis.
-- logits: of Cityscapes' classes, [B,19,H,W], or [B,20,H,W] with void last.
+- logits: [B,19,H,W] for Cityscapes' classes, or [B,20,H,W] with void as the last.
 """
 
 from collections.abc import Callable, Mapping
@@ -18,15 +18,16 @@ from models.encoder.small import Small
 from models.encoder.street import Street
 from pipeline.base.errors import InputError
 
-# JSON-able description of an encoder, complete without a hub; ``backbone`` is a key of BUILD.
+# Description of an encoder, which can be written as JSON. Its ``backbone`` is a key of BUILD. The
+# network can be built from it without access to Hugging Face's hub.
 Architecture = Mapping[str, Any]
-# Backbone → how its network is built from a description.
+# Backbone → function that builds its network from a description.
 BUILD: dict[str, Callable[[Architecture], nn.Module]] = {
     "small": lambda architecture: Small(),
     "street": lambda architecture: Street(),
     "pair": Pair,
     "hugging_face": HuggingFace,
-    "precomputed": lambda architecture: nn.Module(),  # files instead of a network
+    "precomputed": lambda architecture: nn.Module(),  # files take its place
 }
 
 

@@ -1,4 +1,4 @@
-"""Create the encoder of section ``encoder``: build it, and load or download its weights."""
+"""Create the encoder of section ``encoder``, and load or download its weights."""
 
 import sys
 from collections.abc import Callable
@@ -18,9 +18,9 @@ from pipeline.encoder.weights import WEIGHTS, find_weights, weights_hash
 
 
 def create(settings: Encoder) -> tuple[Architecture, nn.Module]:
-    """Return description and network of section ``encoder``.
+    """Return the encoder of section ``encoder``: its description and its network.
 
-    Raises InputError if a file is missing or does not fit.
+    Raises InputError if a file is missing, or is not the file that the section describes.
     """
     with error_context("weights"):
         if settings.weights and settings.weights_sha256 not in (None, weights_hash(settings)):
@@ -41,7 +41,10 @@ def create(settings: Encoder) -> tuple[Architecture, nn.Module]:
 
 
 def check_encoder(settings: Encoder) -> None:
-    """Raise InputError if a file, a folder or a package is missing; the hub is not asked."""
+    """Raise InputError if a file, a folder or a package is missing.
+
+    Hugging Face's hub is not asked.
+    """
     if settings.backbone in NEEDED:
         with error_context("backbone"):
             hugging_face.import_transformers()
@@ -99,8 +102,8 @@ def _create_precomputed(settings: Encoder) -> tuple[Architecture, nn.Module]:
     return architecture, nn.Module()
 
 
-# Backbone → description and network with weights. Where weights were published, the description has
-# `sources`, a line each.
+# Backbone → function that returns description and network. If it loads published weights or files,
+# the description has their `sources`, a text for each.
 CREATE: dict[str, Callable[[Encoder], tuple[Architecture, nn.Module]]] = {
     "small": _create_small,
     "street": _create_street,
@@ -111,9 +114,9 @@ CREATE: dict[str, Callable[[Encoder], tuple[Architecture, nn.Module]]] = {
 
 
 def fetch(path: Path, url: str, sha256: str) -> None:
-    """Download a file if it is missing.
+    """Download a file to `path`, unless it is there already.
 
-    Raises InputError if the download fails or the hash differs.
+    Raises InputError if the download fails, or if the file has another SHA-256.
     """
     if path.exists():
         actual = file_hash(path)

@@ -13,14 +13,14 @@ from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Camera, read_camera
 from pipeline.ingest.truth import read_truth
 
-# Weights of the colours R, G, B in grey, by ITU-R BT.601.
+# Weights by which the colours R, G, B add up to grey, from ITU-R BT.601.
 LUMA = np.array([0.299, 0.587, 0.114])
-# Share of augmented images without colour: some drives have a grey camera.
+# Share of augmented images that are made grey, since some drives have a grey camera.
 GREY = 0.15
 
 
 class Example(NamedTuple):
-    """A training image uint8 [H,W,3] and its camera; depth and classes as in Truth."""
+    """A training image uint8 [H,W,3], its camera, and its true depth and classes, as in Truth."""
 
     image: np.ndarray
     camera: Camera
@@ -29,13 +29,16 @@ class Example(NamedTuple):
 
 
 class Examples(ExitStack):
-    """Training frames by number, read on access; a context manager."""
+    """Training frames by number, which are read when they are accessed.
+
+    It is a context manager that closes the files of the drives.
+    """
 
     def __init__(self, ingest: Path, drives: Sequence[str], frames: int) -> None:
         """Choose `frames` frames with an image and ground truth, evenly spread over `drives`.
 
-        `ingest` is the folder of stage ingest. Raises InputError unless at least one frame with an
-        image has depth, and one has classes.
+        `ingest` is the folder of stage ingest. Raises InputError if no frame with an image has
+        depth, or if none has classes.
         """
         super().__init__()
         any_depth = False
@@ -56,7 +59,7 @@ class Examples(ExitStack):
                 fix = "Name a fitted encoder.pt, and set encoder.epochs: 0"
                 raise InputError(f"no image of the training drives has {kind}", ingest, fix)
 
-        # The middles of `count` equal spans.
+        # Divide all frames into `count` equal spans, and take the frame in the middle of each.
         count = min(frames, len(rows))
         self._frames = [rows[int((i + 0.5) * len(rows) // count)] for i in range(count)]
         files = [file for file, _, _ in self._frames]
@@ -75,7 +78,7 @@ class Examples(ExitStack):
 
 
 def mirrored(example: Example) -> Example:
-    """Return the mirror image; the principal point moves with the pixels."""
+    """Return the mirror image of an example. The camera is mirrored, too."""
     return Example(
         example.image[:, ::-1],
         example.camera.mirrored(),
@@ -87,7 +90,7 @@ def mirrored(example: Example) -> Example:
 def augment(example: Example, rng: np.random.Generator) -> Example:
     """Return the example or its mirror image, with random gain, contrast and gamma.
 
-    Gain differs between colours. A share GREY of images is grey.
+    The gain differs between colours. A share GREY of the images becomes grey.
     """
     if rng.random() < 0.5:
         example = mirrored(example)
@@ -95,7 +98,7 @@ def augment(example: Example, rng: np.random.Generator) -> Example:
     contrast = rng.uniform(0.75, 1.3)
     gamma = rng.uniform(0.8, 1.25)
 
-    # New values of each colour's 256 levels, [3,256].
+    # The new values of the 256 levels of each colour, [3,256]. Contrast is around a level of 0.45.
     level = (np.arange(256) / 255) ** gamma
     level = gain[:, None] * (0.45 + contrast * (level - 0.45))
     table = np.clip(255 * level, 0, 255).astype(np.uint8)

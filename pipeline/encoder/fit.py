@@ -24,8 +24,8 @@ from pipeline.encoder.settings import Encoder
 WARM_UP = 0.15
 # Weight decay of AdamW per unit of the learning rate.
 WEIGHT_DECAY = 1e-4
-# Largest relative error of a pixel's depth that counts. Early predictions next to edges are tens of
-# times too far and would dominate the sum.
+# Largest relative error of a pixel's depth; larger errors count as this error. Early predictions
+# next to edges are tens of times too far and would dominate the sum.
 MAX_RELATIVE_ERROR = 6.0
 
 
@@ -38,15 +38,16 @@ def fit_drives(
     ingest: Path,
     drives: Sequence[str],
 ) -> Summary:
-    """Write the encoder fitted to drives of stage ingest to `path`.
+    """Fit an encoder to drives of stage ingest, and write it to `path`.
 
-    Returns its curve, and keys of its config.json.
+    Returns the number of frames, the learning curve, and values for the encoder's config.json.
     """
     model.to("cuda" if torch.cuda.is_available() else "cpu")
     with Examples(ingest, drives, settings.frames) as examples:
         curve = fit(model, examples, settings)
-        # Datasets of the weights at the start count, too.
-        before = architecture.get("datasets", ["unknown"] if settings.weights else [])
+        # If the fit starts from weights, the datasets that these were fitted to are listed, too.
+        default = ["unknown"] if settings.weights else []
+        before = architecture.get("datasets", default)
         datasets = sorted({*before, *examples.datasets})
         save_encoder(path.parent, {**architecture, "datasets": datasets}, model.state_dict())
         config = {"frames_per_drive": examples.frames_per_drive, "image_size": list(examples.size)}
@@ -54,7 +55,7 @@ def fit_drives(
 
 
 def fit(model: nn.Module, examples: Examples, settings: Encoder) -> list[dict[str, float]]:
-    """Fit an encoder in place. Returns a row of mean losses per epoch.
+    """Fit an encoder in place. Return for each epoch a row of mean losses.
 
     Raises InputError if the loss is not finite.
     """
@@ -72,7 +73,7 @@ def fit(model: nn.Module, examples: Examples, settings: Encoder) -> list[dict[st
         batches = _batches(examples, settings.batch, rng, device.type)
         title = f"epoch {epoch + 1}/{epochs}"
         bar = tqdm(batches, title, steps, unit="batch", leave=False, disable=None)
-        # Sums of the losses, read once per epoch: no step waits for a GPU.
+        # The sums of the losses are read once per epoch, so that no step waits for a GPU.
         sums = torch.zeros(2, dtype=torch.float64, device=device)
         for step, tensors in enumerate(bar):
             factor = warm_up_cosine((epoch * steps + step) / (epochs * steps), WARM_UP)
@@ -105,14 +106,18 @@ def fit(model: nn.Module, examples: Examples, settings: Encoder) -> list[dict[st
 def depth_and_class_loss(
     depth_m: Tensor, logits: Tensor, true_depth_m: Tensor, true_cls: Tensor
 ) -> Tensor:
-    """Return [depth loss, cross-entropy], means over the pixels with ground truth; 0 without any.
+    """Return the depth loss and the cross-entropy of the classes, [2].
 
-    The depth loss is the mean of |log d/d*| and |d - d*|/d*. Both are relative. The second, which
-    is also the reported abs rel, penalises overestimates more: the first one alone loses thin
-    nearby objects to their background.
+    Each is a mean over the pixels with ground truth, or 0 if no pixel has it. The depth loss of a
+    pixel is the mean of |log d/d*| and |d - d*|/d*, for predicted depth d and true depth d*. Both
+    are relative errors. The second, which is also the reported abs rel, penalises overestimates
+    more. With the first alone, thin nearby objects get the depth of their background.
 
-    Args: predicted depth [B,H,W] and logits [B,19,H,W] (or 20); true depth [B,H,W] in metres, 0
-    where unknown; true classes int64 [B,H,W], 255 where unknown.
+    Args:
+        depth_m: predicted depth [B,H,W] in metres.
+        logits: [B,19,H,W], or [B,20,H,W] with void.
+        true_depth_m: [B,H,W] in metres, 0 where unknown.
+        true_cls: trainIds int64 [B,H,W], 255 where unknown.
     """
     is_known = true_depth_m > 0
     ratio = torch.where(is_known, depth_m / true_depth_m.clamp(min=1e-3), 1.0)
@@ -120,7 +125,8 @@ def depth_and_class_loss(
     error = 0.5 * torch.log(ratio).abs() + 0.5 * relative_error
     depth_loss = error.sum() / is_known.sum().clamp(min=1)
 
-    # The heads' memory order; softmax along the second axis would copy to planes and back.
+    # The logits of a pixel are next to each other in memory, and stay so in this view. A softmax
+    # along the second axis would copy them to another order and back.
     pixels = logits.permute(0, 2, 3, 1).flatten(0, 2)
     targets = true_cls.flatten()
     error = F.cross_entropy(pixels, targets, ignore_index=classes.VOID, reduction="sum")
@@ -131,9 +137,10 @@ def depth_and_class_loss(
 def _batches(
     examples: Examples, batch: int, rng: np.random.Generator, device: str
 ) -> Iterator[list[Tensor]]:
-    """Return image [B,H,W,3], K, depth and classes of augmented examples in random order.
+    """Return batches of augmented examples in random order.
 
-    For a GPU they are read ahead, in pinned memory.
+    A batch is images [B,H,W,3], intrinsics, depth and classes. For a GPU, batches are read ahead
+    into pinned memory.
     """
 
     def read_batch(numbers: np.ndarray) -> list[Tensor]:

@@ -1,4 +1,4 @@
-"""Depth and classes from PNG files of another program, by drive and frame number."""
+"""Read depth and classes of a frame from PNG files that another program has written."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from pipeline.base.resume import digest, file_hash
 from pipeline.camera import classes
 from pipeline.camera.images import nearest, read_classes, read_depth
 
-# The files that are expected, for messages.
+# Names and formats of the expected files, for messages.
 LAYOUT = (
     "Expected files: DRIVE/depth/0000000000.png (16 bit, metres x 256, 0 = none) and "
     "DRIVE/cls/0000000000.png (8 bit, trainIds)"

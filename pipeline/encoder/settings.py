@@ -1,4 +1,4 @@
-"""Section ``encoder``: the network of depth and classes, its weights, and how it is fitted."""
+"""Section ``encoder``: the network for depth and classes, its weights, and how it is fitted."""
 
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -9,7 +9,7 @@ from pipeline.base.params import Count, Positive, Rate, Section, Seed
 
 FilePath = Annotated[Path, Field(strict=False)]
 Hub = Annotated[str, Field(min_length=1, description="a name on the hub, or a folder")]
-# Backbone → keys that it needs unless it has weights.
+# Backbone → keys that must be set for it, unless `weights` is set.
 NEEDED = {
     "pair": ("depth", "classes", "focal_by_width"),
     "hugging_face": ("model",),
@@ -19,17 +19,27 @@ FITTED = {"small", "hugging_face"}
 
 
 class Encoder(Section):
+    # Kind of network, see docs/models.md. For `precomputed`, files take the place of a network.
     backbone: Literal["small", "street", "pair", "hugging_face", "precomputed"]
+    # An encoder.pt, or for `precomputed` a folder of PNG files.
     weights: FilePath | None = None
-    # Hash of the weights. make NAME writes it, so that DVC notices another file.
+    # SHA-256 of the weights. make NAME writes it, so that DVC notices another file.
     weights_sha256: str | None = None
+    # Network for depth of the backbone `pair`.
     depth: Hub | None = None
+    # Network for classes of the backbone `pair`.
     classes: Hub | None = None
+    # Network of the backbone `hugging_face`.
     model: Hub | None = None
+    # Unit of the depth of `pair`, if the network does not tell; metric: metres.
     depth_unit: Literal["metric"] | None = None
+    # Focal length of the training images of `depth`, divided by their width.
     focal_by_width: Positive | None = None
+    # Number of epochs of the fit; 0: no fit.
     epochs: Annotated[int, Field(ge=0)]
+    # Number of training frames, spread evenly over the training drives.
     frames: Count
+    # Number of frames in a step of the fit.
     batch: Count
     learning_rate: Rate
     seed: Seed

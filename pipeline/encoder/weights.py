@@ -1,4 +1,4 @@
-"""The file or folder that encoder.weights names."""
+"""Find and hash the file or folder that the setting encoder.weights names."""
 
 from pathlib import Path
 
@@ -8,14 +8,14 @@ from pipeline.base.resume import file_hash
 from pipeline.encoder import precomputed
 from pipeline.encoder.settings import Encoder
 
-# Folder of the checkout for downloaded files, and for those of make street in its folder street.
+# Folder of the checkout for downloaded files. make street writes to its subfolder street.
 WEIGHTS = Path("weights")
 
 
 def weights_hash(settings: Encoder) -> str | None:
-    """Return the SHA-256 of the file, or of the PNG files; None without weights.
+    """Return the SHA-256 of the file or of the PNG files, or None if no weights are set.
 
-    Raises InputError if it is missing.
+    Raises InputError if the file or folder is missing.
     """
     if settings.weights is None:
         return None

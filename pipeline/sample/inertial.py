@@ -1,4 +1,4 @@
-"""Oxts files as an inertial system in the simulated car would record them."""
+"""Make the oxts files that an inertial system in the simulated car would record."""
 
 import numpy as np
 
@@ -14,16 +14,17 @@ from pipeline.sample.route import IMU_HEIGHT_M, rotation
 
 # Altitude of the road in metres.
 ALTITUDE_M = 110.0
-# Delay in seconds of the recorded rates. KITTI's are late: in each of its 31 drives with bends, wu
-# fits the heading's derivative of 0.055 to 0.065 s earlier best. So labels belong to half a frame
-# earlier, as does the mean motion between two images; angles and speed do not.
+# Delay in seconds of the recorded rates. KITTI's rates are late: in each of its 31 drives with
+# bends, wu is closest to the derivative of the heading 0.055 to 0.065 s earlier. So labels belong
+# to half a frame earlier, as the mean motion between two images does. Angles and speed are not
+# late.
 RATES_LATE_S = 0.06
 
 
 def record(journey: Journey, date: str, rng: np.random.Generator) -> tuple[list[bytes], bytes]:
     """Return the oxts files and timestamps.txt of a drive at a random place and time.
 
-    Both go on for the frames after the drive.
+    Both include the frames after the drive.
     """
     latitude_deg, longitude_deg = rng.uniform((48.9, 8.3), (49.1, 8.5))
     start_s = rng.uniform(8, 17) * 3600
@@ -37,8 +38,8 @@ def record(journey: Journey, date: str, rng: np.random.Generator) -> tuple[list[
 def oxts_rows(journey: Journey, latitude_deg: float, longitude_deg: float) -> np.ndarray:
     """Return oxts packets [F,30] for a level road on which the car's body moves.
 
-    Places follow from the first frame's tangent plane, which agrees with KITTI's Mercator formula
-    to millimetres.
+    Places are converted to degrees in the tangent plane of the first frame, which agrees with
+    KITTI's Mercator formula to millimetres.
     """
     route = journey.route
     motion = journey.motion
@@ -46,11 +47,11 @@ def oxts_rows(journey: Journey, latitude_deg: float, longitude_deg: float) -> np
     v = motion.speed_mps
     frames = len(v)
 
-    # The yaw rate is that of the path, late.
+    # The yaw rate follows from speed and curvature of the path. It is recorded late.
     late_s_m = _late(motion.s_m, motion.time_s)
     yaw_rate = _late(v, motion.time_s) * route.curvature(late_s_m)
 
-    # The accelerometer's axes are the body's: gravity appears on all three when it leans.
+    # The accelerometer turns with the body, so gravity appears on all of its axes when that leans.
     forward = motion.acceleration_mps2
     left = v**2 * route.curvature(motion.s_m)
     level = np.stack([forward, left, np.full(frames, GRAVITY_MPS2)], axis=-1)
@@ -60,7 +61,7 @@ def oxts_rows(journey: Journey, latitude_deg: float, longitude_deg: float) -> np
         tilted[i] = R.T @ level[i]
     ax, ay, az = tilted.T
 
-    # The body's rates are the derivatives of its motion; roll and pitch rates are late.
+    # The body's rates are the derivatives of its motion. Roll and pitch rates are recorded late.
     rates = np.zeros((3, 1))
     if frames > 1:
         rates = np.gradient(body, motion.time_s, axis=1)
@@ -91,7 +92,8 @@ def oxts_rows(journey: Journey, latitude_deg: float, longitude_deg: float) -> np
         ax=ax,
         ay=ay,
         az=az,
-        # Below a degree, the body's rates about its own axes and about the road's are equal.
+        # The body leans by less than a degree, so rates about its own axes equal those about the
+        # axes of the road.
         wx=roll_rate,
         wy=pitch_rate,
         wf=roll_rate,
@@ -107,5 +109,5 @@ def oxts_rows(journey: Journey, latitude_deg: float, longitude_deg: float) -> np
 
 
 def _late(values: np.ndarray, time_s: np.ndarray) -> np.ndarray:
-    """Return values [F] as of :data:`RATES_LATE_S` earlier."""
+    """Return the values [F] that held :data:`RATES_LATE_S` before each frame."""
     return np.interp(time_s - RATES_LATE_S, time_s, values)

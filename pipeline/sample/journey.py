@@ -1,4 +1,4 @@
-"""Move the ego along its route over time, and its body on its springs: its pose in every frame."""
+"""Draw the pose of the ego in every frame: its way along the route, and its body on springs."""
 
 from typing import NamedTuple
 
@@ -8,12 +8,12 @@ from pipeline.camera.geometry import rigid
 from pipeline.sample.plan import Character
 from pipeline.sample.route import AHEAD_M, IMU_HEIGHT_M, STEP_M, Route, draw_route, rotation
 
-# Period of frames in seconds, that of KITTI's synchronised stream.
+# Time between two frames in seconds, as in KITTI's synchronised stream.
 PERIOD_S = 0.1036
-# Largest deviation of a frame from this period in seconds.
+# Largest deviation of a frame's time from a constant frame rate, in seconds.
 JITTER_S = 0.001
-# Frames that oxts records after the last image: most drives go on for 30 m, the path ahead of the
-# last images.
+# Number of frames that oxts records after the last image. In most drives they cover 30 m, the path
+# ahead of the last images.
 FRAMES_AFTER = 45
 # Acceleration of the ego after bends and stops, in m/s².
 ACCELERATE_MPS2 = 1.8
@@ -36,7 +36,7 @@ _BUMPS_RAD = np.deg2rad((0.03, 0.2))
 _BUMPS_M = (0.002, 0.012)
 # Half the length of a bump along the road in metres.
 _BUMP_M = 2.0
-# Frames within which the body responds to a step of the acceleration.
+# Number of frames within which the body responds to a step of the acceleration.
 _SPRING_FRAMES = 5
 # Distance in metres between the samples of bumps.
 _GRID_M = 0.25
@@ -54,9 +54,9 @@ class Travel(NamedTuple):
 class Body(NamedTuple):
     """The body's motion on its springs, per frame [F]; signs are those of oxts."""
 
-    roll_rad: np.ndarray  # positive: left side up
-    pitch_rad: np.ndarray  # positive: front down
-    heave_m: np.ndarray
+    roll_rad: np.ndarray  # positive if the left side is up
+    pitch_rad: np.ndarray  # positive if the front is down
+    heave_m: np.ndarray  # height of the body above its mean
 
 
 class Journey(NamedTuple):
@@ -64,17 +64,17 @@ class Journey(NamedTuple):
 
     route: Route
     motion: Travel
-    after: Travel  # in the FRAMES_AFTER frames that follow
+    after: Travel  # the motion in the FRAMES_AFTER frames after the drive
     body: Body
 
     def continued(self) -> "Journey":
-        """Return the journey with the frames `after`; the body leans as in the last frame."""
+        """Return the journey with the frames `after`, in which the body keeps its last lean."""
         columns = [np.concatenate(pair) for pair in zip(self.motion, self.after, strict=True)]
         leans = [np.pad(lean, (0, FRAMES_AFTER), mode="edge") for lean in self.body]
         return Journey(self.route, Travel(*columns), self.after, Body(*leans))
 
     def pose(self, frame: int) -> np.ndarray:
-        """Return T_world_imu [4,4]."""
+        """Return the pose T_world_imu [4,4] in a frame."""
         (x, y), heading_rad = self.route.at(self.motion.s_m[frame])
         body = self.body
         R = rotation(body.roll_rad[frame], body.pitch_rad[frame], float(heading_rad))
@@ -89,7 +89,7 @@ def draw_journey(
     cruise_mps = rng.uniform(*character.quarter.cruise_mps)
     route = draw_route(rng, cruise_mps * time_s[-1] + AHEAD_M, character.lane_m, first)
 
-    # The driver slows down in bends, and in some drives halts.
+    # The driver slows down in bends, and in some drives stops.
     lateral_mps2 = rng.uniform(*LATERAL_MPS2)
     stop_m = draw_stop(rng, route, 0.75 * cruise_mps * time_s[-1])
     speed_mps = speed_profile(route, cruise_mps, lateral_mps2, stop_m)
@@ -119,7 +119,7 @@ def speed_profile(
     if stop_m is not None:
         speed_mps[round((stop_m - route.s_m[0]) / STEP_M)] = 0.0
 
-    # The speed is also limited by the acceleration after slower places and the braking before them.
+    # The speed is also limited by the acceleration after slower places, and by the braking before.
     for i in range(1, len(speed_mps)):
         reachable_mps = np.sqrt(speed_mps[i - 1] ** 2 + 2 * ACCELERATE_MPS2 * STEP_M)
         speed_mps[i] = min(speed_mps[i], reachable_mps)
@@ -130,7 +130,7 @@ def speed_profile(
 
 
 def draw_stop(rng: np.random.Generator, route: Route, before_m: float) -> float | None:
-    """Draw where the ego halts: in some drives, ahead of a junction before `before_m`."""
+    """Draw where the ego stops, ahead of a junction before `before_m`; None if it does not."""
     places_m = []
     for junction_m in route.junctions_m:
         place_m = junction_m - _STOP_BEFORE_M
@@ -142,16 +142,16 @@ def draw_stop(rng: np.random.Generator, route: Route, before_m: float) -> float 
 
 
 def drive(route: Route, speed_mps: np.ndarray, times_s: np.ndarray, wait_s: float) -> Travel:
-    """Follow `speed_mps` [N] along the route from s = 0; wait for `wait_s` where it is zero.
+    """Drive along the route from s = 0 with the speeds [N] of its samples.
 
-    Acceleration is constant between samples of the route, so that positions integrate speeds
-    exactly.
+    Where the speed is 0, the ego waits for `wait_s`. Acceleration is constant between samples of
+    the route, so that positions integrate speeds exactly.
     """
     start = round(-route.s_m[0] / STEP_M)
     s_m = route.s_m[start:]
     v_mps = speed_mps[start:]
 
-    # A stop has two knots: arrival and departure.
+    # Knots are the samples of the route with their times. A stop has two: arrival and departure.
     stop = np.flatnonzero(v_mps == 0)
     s_m = np.insert(s_m, stop, s_m[stop])
     v_mps = np.insert(v_mps, stop, 0.0)
@@ -170,7 +170,7 @@ def drive(route: Route, speed_mps: np.ndarray, times_s: np.ndarray, wait_s: floa
 
 
 def draw_body(route: Route, motion: Travel, rng: np.random.Generator) -> Body:
-    """Draw the body's motion: it leans out of bends, dives under braking and follows bumps."""
+    """Draw the motion of the body: it leans out of bends, dives when braking, follows bumps."""
     # Bumps are smooth noise along the road, with a standard deviation of 1.
     grid_m = np.arange(motion.s_m[0], motion.s_m[-1] + _GRID_M, _GRID_M)
     reach = round(3 * _BUMP_M / _GRID_M)
@@ -192,6 +192,6 @@ def draw_body(route: Route, motion: Travel, rng: np.random.Generator) -> Body:
 
 
 def _smooth(acceleration: np.ndarray) -> np.ndarray:
-    """Return the mean over the last frames [F]."""
+    """Return for each frame the mean over the last _SPRING_FRAMES frames, [F]."""
     padded = np.pad(acceleration, (_SPRING_FRAMES - 1, 0), mode="edge")
     return np.convolve(padded, np.full(_SPRING_FRAMES, 1 / _SPRING_FRAMES), "valid")

@@ -1,4 +1,4 @@
-"""Shade surfaces: sun and shadow, surface patterns, haze, sky, exposure. One draw per drive."""
+"""Draw the light of a drive, and shade surfaces: sun, shadow, patterns, haze, sky, exposure."""
 
 from typing import NamedTuple
 
@@ -8,11 +8,13 @@ from pipeline.camera import classes
 from pipeline.sample.plan import ASPHALT, BAY, GRASS, KERB_M, KERBSTONE, MARKING, PAVEMENT, STOREY_M
 from pipeline.sample.world import Hits, dot
 
-# Side of a pattern's tile in cells; a power of two, see _look_up.
+# Side of a pattern's tile in cells. It is a power of two, so that _look_up can repeat the tile by a
+# bit mask.
 _TILE = 256
-# Largest brightness that the tone curve has a value for; the darkest is 0.
+# Largest brightness that the tone curve has a value for; the smallest is 0.
 _STEPS = 4095
-# Shift of the grain on vertical faces per metre along x, which windows and boards do not have.
+# Shift of the grain on vertical faces, in metres per metre along x. Windows and boards are not
+# shifted.
 _SHIFT = np.float32(0.37)
 
 # Colour of the sky at the horizon.
@@ -24,24 +26,24 @@ _GREY = np.array([0.60, 0.64, 0.70])
 
 
 class Light(NamedTuple):
-    """One drive's light. Colours are linear RGB [3]."""
+    """The light of a drive. Colours are linear RGB [3]."""
 
-    sun: np.ndarray  # float32 [3] direction towards the sun
+    sun: np.ndarray  # float32 [3], direction towards the sun
     sun_colour: np.ndarray
-    ambient: np.ndarray
-    zenith: np.ndarray
-    haze_m: float
-    exposure: float
-    curve: np.ndarray  # uint8 [_STEPS + 1]: tone curve
-    slope: np.ndarray  # [2] change of brightness over the image's width and height
-    grain: np.ndarray  # float32 [_TILE,_TILE] fine pattern in -1..1
-    patches: np.ndarray  # float32 [_TILE,_TILE] coarse pattern in -1..1
-    clouds: float
+    ambient: np.ndarray  # colour of the light from the sky
+    zenith: np.ndarray  # colour of the sky at the zenith
+    haze_m: float  # distance at which haze leaves 1/e of a surface's contrast
+    exposure: float  # factor on brightness
+    curve: np.ndarray  # uint8 [_STEPS + 1], tone curve: brightness → value of a pixel
+    slope: np.ndarray  # [2], change of brightness over the image's width and height
+    grain: np.ndarray  # float32 [_TILE,_TILE], fine pattern in -1..1
+    patches: np.ndarray  # float32 [_TILE,_TILE], coarse pattern in -1..1
+    clouds: float  # contrast of clouds
 
 
 def draw_light(rng: np.random.Generator) -> Light:
     """Draw the light of a drive."""
-    overcast = rng.uniform(0, 1) ** 1.5 * 0.8  # sunny more often than not
+    overcast = rng.uniform(0, 1) ** 1.5 * 0.8  # sunny drives are more frequent
     azimuth = rng.uniform(0, 2 * np.pi)
     elevation = np.deg2rad(rng.uniform(18, 60))
     east = np.cos(azimuth) * np.cos(elevation)
@@ -72,7 +74,7 @@ def draw_light(rng: np.random.Generator) -> Light:
 
 
 def draw_ground_colours(rng: np.random.Generator) -> np.ndarray:
-    """Draw the albedo [6,3] of each kind of ground of the plan."""
+    """Draw the albedo of each kind of ground in the plan, [6,3]."""
     colours = np.zeros((6, 3))
     asphalt = rng.uniform(0.13, 0.24)
     colours[ASPHALT] = np.array([1, 1, 1.03]) * asphalt
@@ -88,7 +90,7 @@ def draw_ground_colours(rng: np.random.Generator) -> np.ndarray:
 def shade(
     light: Light, hits: Hits, rays: np.ndarray, lit: np.ndarray, size: tuple[int, int]
 ) -> np.ndarray:
-    """Return the image of `hits` along `rays` [6,N], RGB uint8 [H,W,3], N = H·W.
+    """Return the image that `hits` of `rays` [6,N] make, RGB uint8 [H,W,3] with N = H·W.
 
     `lit` bool [N] tells which surfaces are not in shadow.
     """
@@ -97,14 +99,14 @@ def shade(
     distance_m[sky] = 0
     points = rays[:3] + distance_m * rays[3:]
 
-    # Surfaces reflect the sun and the sky, of which upward faces see more.
+    # Surfaces reflect the sun and the sky. Faces that look upwards see more of the sky.
     direct = np.maximum(dot(hits.normal, light.sun), 0) * lit
     from_sky = 0.75 + 0.25 * hits.normal[2]
     colour = direct * _column(light.sun_colour) + from_sky * _column(light.ambient)  # [3,N]
     colour *= hits.colour
     colour *= 1 + _pattern(light, hits, points)
 
-    # Distance fades them to the colour of the horizon.
+    # With distance, surfaces fade to the colour of the horizon.
     haze = 1 - np.exp(-distance_m / np.float32(light.haze_m))
     colour += haze * (_column(_HORIZON) - colour)
     colour[:, sky] = _sky(light, rays[3:, sky])
@@ -125,11 +127,11 @@ def _column(colour: np.ndarray) -> np.ndarray:
 
 
 def _pattern(light: Light, hits: Hits, points: np.ndarray) -> np.ndarray:
-    """Return each surface's relative brightness [N]: grain, joints, windows, boards."""
+    """Return the relative brightness of patterns [N]: grain, joints, windows, boards."""
     x, y, z = points
     normal_x, normal_y, normal_z = hits.normal
 
-    # The ground is patterned along x and y, vertical faces along the street and upwards.
+    # Patterns of the ground are along x and y, those of vertical faces along the face and upwards.
     on_ground = hits.ground >= 0
     along = np.where(on_ground, x, _SHIFT * x + y * normal_x - x * normal_y)
     up = np.where(on_ground, y, z)
@@ -143,7 +145,7 @@ def _pattern(light: Light, hits: Hits, points: np.ndarray) -> np.ndarray:
     wall = np.flatnonzero((hits.cls == classes.BUILDING) & (np.abs(normal_z) < 0.1))
     pattern[wall] -= _windows(along[wall] - _SHIFT * x[wall], z[wall] - KERB_M)
 
-    # Fences of wood, other than barriers, have gaps between their boards.
+    # Wooden fences have gaps between their boards. They are told from barriers by their colours.
     red, _, blue = hits.colour
     fence = np.flatnonzero((hits.cls == classes.FENCE) & (blue > 0.12) & (red < 0.6))
     gap = np.mod(along[fence] - _SHIFT * x[fence], 0.35) < 0.08
@@ -152,7 +154,7 @@ def _pattern(light: Light, hits: Hits, points: np.ndarray) -> np.ndarray:
 
 
 def _grain(light: Light, hits: Hits, along: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Return the brightness [N] of grain and patches. Leaves have the coarsest grain."""
+    """Return the relative brightness of grain and patches, [N]. The grain of leaves is coarser."""
     leaves = hits.cls == classes.VEGETATION
     contrast = np.full(len(along), 0.08, np.float32)
     contrast[hits.ground == GRASS] = 0.22
@@ -164,7 +166,7 @@ def _grain(light: Light, hits: Hits, along: np.ndarray, up: np.ndarray) -> np.nd
 
 
 def _windows(along: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Return how dark the windows of a wall are, and a band between storeys, [M]."""
+    """Return by how much windows, and a band between storeys, are darker than a wall, [M]."""
     storey_m = np.mod(up, STOREY_M)
     window = np.abs(np.mod(along, 2.6) - 1.3) < 0.55
     window &= (np.abs(storey_m - 1.7) < 0.7) & (up > 0.5)
@@ -184,7 +186,7 @@ def _sky(light: Light, direction: np.ndarray) -> np.ndarray:
 
 
 def _look_up(tile: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the values [N] of a tile at places in cells; it repeats in all directions."""
+    """Return the values [N] of a tile, which repeats endlessly, at places in units of cells."""
     row = np.floor(y).astype(np.int32) & (_TILE - 1)
     column = np.floor(x).astype(np.int32) & (_TILE - 1)
     return tile.ravel().take(row * _TILE + column)
@@ -192,7 +194,7 @@ def _look_up(tile: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 def _draw_patches(rng: np.random.Generator) -> np.ndarray:
     """Draw a tile of soft patches that repeats without seams."""
-    # A low-pass filter of Gaussian shape, by its spectrum.
+    # Filter noise by a Gaussian, in the spectrum.
     spectrum = np.fft.rfft2(rng.uniform(-1, 1, (_TILE, _TILE)))
     frequency_y = np.fft.fftfreq(_TILE)[:, None]
     frequency_x = np.fft.rfftfreq(_TILE)

@@ -1,6 +1,6 @@
-"""Draw the quarter that a drive crosses, and its ground plan.
+"""Draw the quarter that a drive crosses, and the plan of its ground.
 
-The plan is a raster of the kinds of ground, with the distances to the road.
+The plan is a raster. Each cell has a kind of ground, and its distance to the road.
 """
 
 from typing import NamedTuple
@@ -26,21 +26,22 @@ STOREY_M = 2.9
 # Kinds of ground, the values of a plan's cells.
 GRASS, PAVEMENT, ASPHALT, MARKING, BAY, KERBSTONE = range(6)
 
-# Samples of the route between which the plan is painted: one every half metre.
+# Samples of the route at which the plan is painted, every half metre.
 _PAINTED = slice(None, None, round(0.5 / STEP_M))
 
 
 class Quarter(NamedTuple):
-    """Ranges of dimensions, and densities, that all streets of a quarter share."""
+    """Ranges and probabilities that all streets of a quarter share."""
 
-    setback_m: tuple[float, float]  # of houses, behind the pavement
-    storeys: tuple[int, int]
-    gap_m: tuple[float, float]  # between houses
-    trees: float  # probability per place
-    hedges: float  # probability per place
+    setback_m: tuple[float, float]  # distance between pavement and houses
+    storeys: tuple[int, int]  # number of storeys of a house
+    gap_m: tuple[float, float]  # distance between houses
+    trees: float  # probability of a tree at each place
+    hedges: float  # probability of a hedge at each place
     bays: float  # probability that a side of the road has parking bays
-    cruise_mps: tuple[float, float] = (6.5, 10.0)
-    # Cars park at both kerbs of a street without markings; otherwise in bays beside the lanes.
+    cruise_mps: tuple[float, float] = (6.5, 10.0)  # speed on a straight road
+    # Whether cars park at both kerbs, and the road has no markings. Otherwise cars park in bays
+    # beside the lanes.
     kerbside: bool = False
 
 
@@ -91,21 +92,21 @@ QUARTERS = {
 
 
 class Character(NamedTuple):
-    """Dimensions and densities of a drive's streets."""
+    """Dimensions of a drive's streets, and how many cars park there."""
 
     quarter: Quarter
-    lane_m: float
-    pavement_m: float
-    parked: float  # probability of a parked car per place
+    lane_m: float  # width of a lane
+    pavement_m: float  # width of the pavement
+    parked: float  # probability of a parked car at each place
 
 
 def draw_character(rng: np.random.Generator, quarter: str) -> Character:
-    """Draw the streets' dimensions and densities in a quarter of :data:`QUARTERS`."""
+    """Draw the character of the streets in a quarter of :data:`QUARTERS`."""
     lane_m = rng.uniform(3.1, 3.7)
     pavement_m = rng.uniform(1.8, 3.0)
     parked = rng.uniform(0.5, 0.85)
-    # In narrow streets, parked cars leave little more room than two cars need: the ego drives close
-    # to the middle.
+    # In narrow streets, parked cars leave little more width than two cars need. So lanes are
+    # narrow, and the ego drives close to the middle.
     narrow_lane_m = rng.uniform(2.0, 2.5)
     narrow_pavement_m = rng.uniform(1.3, 2.2)
     narrow_parked = rng.uniform(0.55, 0.95)
@@ -117,15 +118,15 @@ def draw_character(rng: np.random.Generator, quarter: str) -> Character:
 class Plan(NamedTuple):
     """The ground of a drive, in cells of ``CELL_M``, and where cars park along the route."""
 
-    kind: np.ndarray  # uint8 [Y,X] of GRASS ... KERBSTONE
-    to_road_m: np.ndarray  # float32 [Y,X]
-    origin: np.ndarray  # [2] world x, y of cell (0, 0)
-    bays: dict[int, np.ndarray]  # side -> width for parked cars at the route's samples
-    parking: np.ndarray  # bool, whether cars may park at the route's samples
+    kind: np.ndarray  # uint8 [Y,X], a kind of ground from GRASS to KERBSTONE
+    to_road_m: np.ndarray  # float32 [Y,X], distance to the road
+    origin: np.ndarray  # [2], x and y of cell (0, 0) in the world
+    bays: dict[int, np.ndarray]  # side → width for parked cars at the route's samples [N]
+    parking: np.ndarray  # bool [N], whether cars may park at the route's samples
 
     @property
     def size_m(self) -> np.ndarray:
-        """Extent [2] along x and y."""
+        """Extent of the plan along x and y, [2]."""
         return np.array(self.kind.shape[::-1]) * CELL_M
 
     def cells(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -155,7 +156,7 @@ def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> P
     origin = points.min(axis=0) - MARGIN_M
     width, height = np.ceil((points.max(axis=0) + MARGIN_M - origin) / CELL_M).astype(int)
 
-    # Roads are as wide as their lanes and bays; the corners between them are round.
+    # A road covers its lanes and bays. The corners between roads are round.
     parking = _may_park(route, character.quarter.kerbside)
     bays = {side: _draw_bays(route, parking, rng, character.quarter) for side in SIDES}
     road = np.zeros((height, width), np.uint8)
@@ -168,7 +169,7 @@ def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> P
         _paint_band(road, ends + to_left, ends - to_left, origin, 1)
     road = _close(road, CORNER_M)
 
-    # Kerbstones, pavement and grass follow each other away from the road.
+    # Beside the road are kerbstones, then pavement, then grass.
     to_road_m = _distance_m(road)
     kind = np.full(road.shape, GRASS, np.uint8)
     kind[to_road_m < character.pavement_m] = PAVEMENT
@@ -182,9 +183,10 @@ def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> P
 
 
 def _may_park(route: Route, kerbside: bool) -> np.ndarray:
-    """Return bool [N]: cars may park at the route's samples.
+    """Return whether cars may park at each sample of the route, bool [N].
 
-    They park neither in sharp bends nor at junctions, at kerbs closer to them than in bays.
+    They park neither in sharp bends nor close to junctions. At kerbs the limits are less strict
+    than for bays.
     """
     if kerbside:
         sharp_1pm = 0.085
@@ -196,7 +198,7 @@ def _may_park(route: Route, kerbside: bool) -> np.ndarray:
     for junction_m in route.junctions_m:
         blocked |= np.abs(route.s_m - junction_m) < clearance_m
 
-    # Places within two metres of these are blocked, too.
+    # Places within two metres of blocked samples are blocked, too.
     reach = round(2 / STEP_M)
     return np.convolve(blocked, np.ones(2 * reach + 1), "same") == 0
 
@@ -204,7 +206,7 @@ def _may_park(route: Route, kerbside: bool) -> np.ndarray:
 def _draw_bays(
     route: Route, parking: np.ndarray, rng: np.random.Generator, quarter: Quarter
 ) -> np.ndarray:
-    """Draw the width for parked cars [N]: bays come in stretches; kerbs are free throughout."""
+    """Draw the width for parked cars at each sample [N]: everywhere at kerbs, else in bays."""
     width_m = np.zeros(len(route.s_m))
     if quarter.kerbside:
         width_m[:] = BAY_M
@@ -216,13 +218,13 @@ def _draw_bays(
             start_m = end_m + rng.uniform(6, 20)
         width_m[~parking] = 0
 
-    # The kerb gives way to a bay within two metres.
+    # The width of a bay increases and decreases over two metres.
     ramp = round(2 / STEP_M)
     return np.convolve(width_m, np.ones(ramp) / ramp, "same")
 
 
 def _outer_edge(route: Route, bays: dict[int, np.ndarray], side: int) -> np.ndarray:
-    """Return the kerb's points [M,2] on a side, beyond the bays, at the painted samples."""
+    """Return the points of the kerb on a side, beyond the bays, at the painted samples [M,2]."""
     offset_m = route.edge_m(side) + side * bays[side][_PAINTED]
     xy, _ = route.at(route.s_m[_PAINTED], offset_m)
     return xy
@@ -236,7 +238,7 @@ def _close(mask: np.ndarray, radius_m: float) -> np.ndarray:
 
 
 def _distance_m(mask: np.ndarray) -> np.ndarray:
-    """Return the distance float32 [Y,X] of each cell to those where `mask` is 1."""
+    """Return the distance of each cell to the cells where `mask` is 1, float32 [Y,X]."""
     return cv2.distanceTransform(1 - mask, cv2.DIST_L2, 5) * CELL_M
 
 
@@ -247,7 +249,7 @@ def _paint_markings(
     origin: np.ndarray,
     rng: np.random.Generator,
 ) -> None:
-    """Paint bays, the line between the lanes, and in some drives lines along the edges."""
+    """Paint bays, a line between the lanes, and in some drives lines along the edges."""
     s_m = route.s_m[_PAINTED]
     for side in SIDES:
         inner_edge, _ = route.at(s_m, route.edge_m(side))

@@ -18,8 +18,8 @@ from pipeline.sample.settings import Sample
 from pipeline.sample.traffic import draw_traffic
 from pipeline.sample.world import World
 
-# Options of PNG files. Level 1 and one filter per file take half the time of writing and two thirds
-# of reading for 13 kB more of a frame's 130.
+# Options of PNG files. With level 1 and a fixed filter, files are written in half the time and read
+# in two thirds of the time. A frame of about 130 kB takes 13 kB more.
 _FAST = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 _UNFILTERED = (*_FAST, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE)
 _FILTERED = (*_FAST, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP)
@@ -30,12 +30,12 @@ def render_drive(
 ) -> dict[str, float]:
     """Render `frames` frames of the drive named `drive` into the new folder `path`.
 
-    The name (2026_01_01_drive_0001) and the seed determine road, street, light and motion. Oxts
-    files continue for some frames after the last image, for labels of the path ahead. `lidar`: add
-    scans; `truth`: add truth/depth (16-bit PNG, metres x 256, 0: none) and truth/cls (trainIds) of
-    the images.
+    The name, such as 2026_01_01_drive_0001, and the seed determine road, street, light and motion.
+    Oxts files continue for some frames after the last image, for labels of the path ahead. With
+    `lidar`, scans are added. With `truth`, the depth and the classes of the images are added:
+    truth/depth (16-bit PNG, metres x 256, 0 for none) and truth/cls (trainIds).
 
-    Returns the number of frames and metres driven.
+    Returns the number of frames, and the metres driven.
     """
     rng = random_of(drive, settings.seed)
     date = drive[:10]
@@ -96,7 +96,7 @@ def _make_folder(sensor: Path, timestamps: bytes) -> Path:
 def theme(drive: str) -> tuple[str, str]:
     """Return the quarter and the first manoeuvre of a drive.
 
-    They vary with number and date: a few short drives cover all.
+    Both depend on number and date, so that a few short drives cover all of them.
     """
     day = int(drive[8:10])
     number = int(drive[-4:])
@@ -105,6 +105,6 @@ def theme(drive: str) -> tuple[str, str]:
 
 
 def random_of(drive: str, seed: int, *frame: int) -> np.random.Generator:
-    """Return the random generator of a drive of the sample with `seed`, or of one of its frames."""
+    """Return the random generator of a drive with `seed`, or of a frame of that drive."""
     digest = hashlib.sha256(f"{seed}/{drive}".encode()).digest()
     return np.random.default_rng([int.from_bytes(digest[:8], "big"), *frame])

@@ -1,8 +1,8 @@
 """The sensors on the car: KITTI's calibration files, camera images and LiDAR scans.
 
 The rig resembles KITTI's: the scanner is 0.8 m in front of the IMU, the cameras 0.27 m in front of
-the scanner. Some dates have other cameras, as other cars would. ``T_a_b`` takes points from frame b
-to frame a.
+the scanner. Some dates have other cameras, as other cars would. ``T_a_b`` transforms points from
+frame b to frame a.
 """
 
 from pathlib import Path
@@ -18,20 +18,22 @@ from pipeline.sample.light import Light, shade
 from pipeline.sample.route import IMU_HEIGHT_M, rotation
 from pipeline.sample.world import World, dot
 
-# Offsets in metres of the cameras to the left of camera 0: grey left, right, colour left, right.
+# Camera → its offset in metres to the left of camera 0. Cameras 0 and 1 are grey, 2 and 3 are in
+# colour.
 CAMERAS_LEFT_M = {0: 0.0, 1: -0.537, 2: 0.0622, 3: -0.4706}
-# Rotation from axes forward, left, up to a camera's, right, down, forward.
+# Rotation from the axes forward, left, up to the axes of a camera: right, down, forward.
 _FACING = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
 
 # Elevations in degrees of the top and the bottom laser of the HDL-64E.
 ELEVATION_DEG = (2.0, -24.8)
-# Distance in metres from which the scanner has no returns.
+# Distance in metres beyond which the scanner has no returns.
 SCAN_RANGE_M = 90.0
 # Largest depth in metres that is stored.
 FARTHEST_M = float(to_metres(np.array(MAX_UNITS)))
 # Standard deviation of the scanner's distances in metres.
 RANGE_NOISE_M = 0.015
-# Resolution of points in metres: finer than the noise, and stored scans are smaller.
+# Resolution in metres to which points are rounded. It is finer than the noise, and stored scans get
+# smaller.
 _RESOLUTION_M = 1 / 1024
 # Reflectance of each class.
 _REFLECTANCE = np.full(256, 0.3, np.float32)
@@ -44,15 +46,15 @@ _FOCAL_PER_WIDTH = 360.8 / 621
 
 
 class _Optics(NamedTuple):
-    """A date's cameras.
+    """The cameras of a date.
 
-    The scanner's height is constant, so that T_cam_velo determines the camera's.
+    The scanner has the same height on all dates, so T_cam_velo determines the height of a camera.
     """
 
-    focal: float  # relative to KITTI's
-    x: float  # of the principal point, as a share of the width
-    y: float  # of the principal point, as a share of the height
-    height_m: float  # over the road
+    focal: float  # focal length, relative to KITTI's
+    x: float  # x of the principal point, as a share of the width
+    y: float  # y of the principal point, as a share of the height
+    height_m: float  # height over the road
 
 
 _KITTI = _Optics(1.0, 304.5 / 621, 86.2 / 188, CAMERA_HEIGHT_M)
@@ -60,7 +62,8 @@ _OPTICS_OF_DATE = {
     "2026_01_04": _Optics(0.86, 0.506, 0.478, 1.55),
     "2026_01_05": _Optics(1.18, 0.477, 0.441, 1.72),
     "2026_01_06": _Optics(1.06, 0.512, 0.466, 1.76),
-    # Of validation (07) and test drives, within the range of the training dates.
+    # These are dates of validation (07) and test drives. Their values are within the range of the
+    # training dates.
     "2026_01_07": _Optics(0.93, 0.483, 0.470, 1.60),
     "2026_01_09": _Optics(0.90, 0.495, 0.462, 1.58),
     "2026_01_10": _Optics(1.03, 0.486, 0.473, 1.73),
@@ -78,17 +81,17 @@ _OPTICS_OF_DATE = {
 
 
 class Rig(NamedTuple):
-    """Calibration for one image size."""
+    """Calibration of all sensors, for an image size."""
 
     size: tuple[int, int]  # [H, W] pixels
-    P_rect: dict[int, np.ndarray]  # camera -> [3,4]
-    R_rect: np.ndarray  # [3,3] of camera 0
-    T_cam_velo: np.ndarray  # [4,4] to camera 0 before rectification
+    P_rect: dict[int, np.ndarray]  # camera → projection [3,4]
+    R_rect: np.ndarray  # [3,3], rectifies camera 0
+    T_cam_velo: np.ndarray  # [4,4], to camera 0 before rectification
     T_velo_imu: np.ndarray  # [4,4]
 
     @property
     def T_cam2_imu(self) -> np.ndarray:
-        """Transform [4,4] from the IMU to the rectified left colour camera, as from the files."""
+        """Transform [4,4] from the IMU to the rectified left colour camera, as in KITTI's files."""
         P = self.P_rect[2]
         shift = rigid(np.eye(3), [P[0, 3] / P[0, 0], 0, 0])
         return shift @ rigid(self.R_rect, np.zeros(3)) @ self.T_cam_velo @ self.T_velo_imu
@@ -110,8 +113,8 @@ def make_rig(size: tuple[int, int], date: str) -> Rig:
     imu_to_velo = [-0.81, 0.30, IMU_HEIGHT_M - SCANNER_HEIGHT_M]
     T_velo_imu = rigid(rotation(0.002, -0.0015, 0.001), imu_to_velo)
 
-    # Rectified cameras point straight ahead up to mounting errors of milliradians; the tilts of raw
-    # camera and scanner cancel.
+    # Rectified cameras point straight ahead, but for mounting errors of milliradians. The rotations
+    # of the raw camera and of the scanner cancel.
     R_rect = rotation(-0.004, 0.007, -0.009)
     R_cam_velo = R_rect.T @ rotation(0.004, -0.002, 0.001) @ _FACING @ T_velo_imu[:3, :3].T
     scanner_to_camera = [0.0, round(optics.height_m - SCANNER_HEIGHT_M, 3), -0.27]
@@ -138,7 +141,7 @@ def write_calibration(rig: Rig, folder: Path) -> None:
 
 
 class ImageSensor:
-    """The left colour camera: renders images, depth and classes."""
+    """The left colour camera, which renders images, depth and classes."""
 
     def __init__(self, rig: Rig) -> None:
         self._size = rig.size
@@ -158,8 +161,8 @@ class ImageSensor:
         rays = _rays(T_world_imu @ self._T_imu_cam, self._directions)
         hits = world.cast(rays)
 
-        # A surface that faces the sun may be in shadow; the sky has no normal. Rays to the sun
-        # start off the surface, which would shade itself.
+        # Surfaces that face the sun may be in shadow. Rays to the sun start 1 cm above a surface,
+        # since otherwise it would shade itself. The sky has no normal, and casts no rays.
         facing = np.flatnonzero(dot(hits.normal, light.sun) > 0)
         points = rays[:3, facing] + hits.distance_m[facing] * rays[3:, facing]
         points += np.float32(0.01) * hits.normal[:, facing]
@@ -167,16 +170,16 @@ class ImageSensor:
         lit[facing] = world.lit(points, light.sun)
         image = shade(light, hits, rays, lit, self._size)
 
-        depth_m = hits.distance_m * self._z_per_m  # sky: inf
+        depth_m = hits.distance_m * self._z_per_m  # infinite for the sky
         depth_m = np.where(depth_m < FARTHEST_M, depth_m, 0)
         return image, depth_m.reshape(self._size), hits.cls.reshape(self._size)
 
 
 class Scanner:
-    """A spinning LiDAR with instantaneous scans (KITTI's are motion-compensated)."""
+    """A spinning LiDAR. Its scans are instantaneous, as KITTI's are motion-compensated."""
 
     def __init__(self, rig: Rig, rays: tuple[int, int]) -> None:
-        """`rays`: number of rings, and of rays per ring."""
+        """Store the directions of `rays`, the number of rings and the number of rays per ring."""
         rings, per_ring = rays
         self._T_imu_velo = np.linalg.inv(rig.T_velo_imu)
         elevation = np.deg2rad(np.linspace(*ELEVATION_DEG, rings))[:, None]
@@ -187,7 +190,7 @@ class Scanner:
         self._directions = np.stack([x, y, z]).reshape(3, -1).astype(np.float32)
 
     def take(self, world: World, T_world_imu: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Return the scan float32 [P,4]: x, y, z in the velodyne frame, reflectance 0..1."""
+        """Return a scan float32 [P,4]: x, y, z in the velodyne frame, and reflectance in 0..1."""
         rays = _rays(T_world_imu @ self._T_imu_velo, self._directions)
         hits = world.cast(rays)
         distance_m = hits.distance_m + rng.normal(0, RANGE_NOISE_M, rays.shape[1])
@@ -202,7 +205,7 @@ class Scanner:
 
 
 def _rays(T_world_sensor: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Return the rays [6,N] of a sensor with viewing `directions` float32 [3,N]."""
+    """Return the rays [6,N] of a sensor in the world; `directions` [3,N] are in its own frame."""
     rays = np.empty((6, directions.shape[1]), np.float32)
     rays[:3] = T_world_sensor[:3, 3:]
     rotation_rows = T_world_sensor[:3, :3].astype(np.float32)

@@ -1,8 +1,8 @@
-"""Draw the ego's path: straights, bends with clothoid transitions, turns at crossings.
+"""Draw the path of the ego: straights, bends with clothoid transitions, turns at crossings.
 
-World frame: x east, y north, z up, metres; headings counter-clockwise from east. The path is that
-of the IMU (the rear axle). Its curvature is continuous and piecewise linear in arc length, which
-makes the steering label exact.
+The axes of the world are x east, y north and z up, in metres. Headings are counter-clockwise from
+east. The path is that of the IMU, over the rear axle. Its curvature is continuous and piecewise
+linear in arc length, which makes the steering label exact.
 """
 
 from typing import NamedTuple
@@ -26,13 +26,15 @@ LEFT = 1
 RIGHT = -1
 SIDES = (LEFT, RIGHT)
 
-# Manoeuvres, shuffled for every road: right and left turns at crossings, corners of wider roads,
-# bends, long sweeps (+ left, - right), and straight on past side roads ("crossing").
+# Manoeuvres, which are shuffled like cards for every road. `right` and `left` are turns at
+# junctions. A corner has a larger radius, a bend turns less, and a sweep is long and turns least;
+# + is to the left, - to the right. `crossing` goes straight on past side roads.
 DECK = ("right", "bend+", "crossing", "left", "sweep-", "corner+", "bend-", "sweep+", "corner-")
 
-# Distance in metres along the road from which on two of its places must not be close.
+# Smallest distance in metres along the road between two places that must not be close to each
+# other.
 _APART_M = 60.0
-# Smallest distance in metres between such places.
+# Smallest distance in metres between two such places.
 _ROOM_M = 32.0
 # Range of the lengths of side roads in metres.
 _ARM_M = (28.0, 45.0)
@@ -49,14 +51,14 @@ class Piece(NamedTuple):
 
 
 class _Turn(NamedTuple):
-    """Ranges of a turn's angle, radius (of the rear axle) and length of its transitions."""
+    """Ranges of a turn's angle, of the rear axle's radius, and of the length of its transitions."""
 
     angle_deg: tuple[float, float]
     radius_m: tuple[float, float]
     transition_m: tuple[float, float]
 
 
-# Turns of the deck by the kinds of manoeuvres.
+# Kind of manoeuvre in the deck → its turn.
 _TURNS = {
     "right": _Turn((75, 100), (5.0, 7.0), (4, 6)),
     "left": _Turn((75, 100), (4.7, 8.0), (5, 8)),
@@ -67,7 +69,7 @@ _TURNS = {
 
 
 class Manoeuvre(NamedTuple):
-    """A card of :data:`DECK` without its sign, and where along the road it starts and ends."""
+    """A manoeuvre of :data:`DECK`, without its sign, and where along the road it is."""
 
     kind: str
     start_m: float
@@ -77,9 +79,9 @@ class Manoeuvre(NamedTuple):
 class Arm(NamedTuple):
     """A side road, from the centre of a junction outwards."""
 
-    xy: np.ndarray  # [2] centre of the junction
+    xy: np.ndarray  # [2], centre of the junction
     heading_rad: float
-    closed: bool  # by a barrier, which shows that the route goes elsewhere
+    closed: bool  # whether a barrier shows that the route does not go there
     length_m: float
     half_m: float  # half its width
 
@@ -91,16 +93,16 @@ class Arm(NamedTuple):
 class Route(NamedTuple):
     """The path, sampled every ``STEP_M``."""
 
-    s_m: np.ndarray  # [N] along the path, from -BEHIND_M; 0 at the first frame
+    s_m: np.ndarray  # [N], distance along the path, from -BEHIND_M; 0 at the first frame
     xy: np.ndarray  # [N,2]
     heading_rad: np.ndarray  # [N]
     curvature_1pm: np.ndarray  # [N]
     lane_m: float
-    junctions_m: tuple[float, ...]  # s of their centres
+    junctions_m: tuple[float, ...]  # s_m of the junctions' centres
     arms: tuple[Arm, ...]
 
     def edge_m(self, side: int) -> float:
-        """Return the offset of the road's edge on a side of :data:`SIDES`."""
+        """Return the offset of the road's edge from the path, on a side of :data:`SIDES`."""
         if side == LEFT:
             return -IMU_LEFT_M + 1.5 * self.lane_m + 0.25
         return -IMU_LEFT_M - self.lane_m / 2 - 0.25
@@ -151,7 +153,7 @@ def rotation(x: float, y: float, z: float) -> np.ndarray:
 
 def bend(angle_rad: float, radius_m: float, transition_m: float) -> list[Piece]:
     """Return clothoid, arc and clothoid for a turn by `angle_rad` (left positive)."""
-    # The clothoids turn half as much per metre as the arc.
+    # A clothoid turns half as much per metre as the arc, on average.
     turn_m = abs(angle_rad) * radius_m
     transition_m = min(transition_m, turn_m)
     curvature_1pm = np.sign(angle_rad) / radius_m
@@ -178,7 +180,7 @@ def trace(pieces: list[Piece]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
     within_m = s_m - knots_m[index]
     curvature = start_1pm + (end_1pm - start_1pm) * within_m / length_m
 
-    # The heading integrates the curvature, places integrate the heading.
+    # The heading is the integral of the curvature, places are the integral of the heading.
     turned = (curvature[1:] + curvature[:-1]) / 2 * STEP_M
     heading = np.concatenate([[0.0], np.cumsum(turned)])
     steps = unit((heading[1:] + heading[:-1]) / 2) * STEP_M
@@ -189,8 +191,8 @@ def trace(pieces: list[Piece]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
 def draw_route(rng: np.random.Generator, length_m: float, lane_m: float, first: str) -> Route:
     """Draw a road of at least `length_m` after the first frame that does not cross itself.
 
-    It begins with the manoeuvre `first` of :data:`DECK`, often in the middle of it: otherwise all
-    short drives would begin with a straight.
+    It begins with the manoeuvre `first` of :data:`DECK`. The first frame is often in the middle of
+    this manoeuvre, since otherwise all short drives would begin with a straight.
     """
     while True:
         route = _draw(rng, length_m, lane_m, first)
@@ -202,7 +204,7 @@ def _draw(rng: np.random.Generator, length_m: float, lane_m: float, first: str) 
     """Draw a road that may cross itself."""
     pieces, manoeuvres = _draw_pieces(rng, length_m, lane_m, first)
 
-    # The first frame lies some metres before the first manoeuvre, or in it.
+    # The first frame is at most 12 m before the first manoeuvre, or in it.
     _, start_m, end_m = manoeuvres[0]
     origin_m = rng.uniform(start_m - 12.0, start_m + 0.6 * (end_m - start_m))
     origin_m = round(origin_m / STEP_M) * STEP_M
@@ -212,7 +214,7 @@ def _draw(rng: np.random.Generator, length_m: float, lane_m: float, first: str) 
     part = slice(begin, np.searchsorted(s_m, length_m))
     path = Route(s_m[part], xy[part], heading_rad[part], curvature_1pm[part], lane_m, (), ())
 
-    # Side roads are drawn where the path turns or goes straight on at a junction.
+    # Draw side roads at the manoeuvres that are at junctions.
     junctions_m = []
     arms = []
     for kind, start_m, end_m in manoeuvres:
@@ -230,7 +232,7 @@ def _draw(rng: np.random.Generator, length_m: float, lane_m: float, first: str) 
 def _draw_pieces(
     rng: np.random.Generator, length_m: float, lane_m: float, first: str
 ) -> tuple[list[Piece], list[Manoeuvre]]:
-    """Draw the pieces of a road, and which of its stretches are manoeuvres."""
+    """Draw the pieces of a road, and the manoeuvres that they make."""
     pieces = [Piece(2 * BEHIND_M)]
     manoeuvres: list[Manoeuvre] = []
     while _length(pieces) < 2 * BEHIND_M + length_m:
@@ -252,21 +254,21 @@ def _length(pieces: list[Piece]) -> float:
 
 
 def _draw_manoeuvre(card: str, lane_m: float, rng: np.random.Generator) -> list[Piece]:
-    """Draw the pieces of a card of the deck."""
+    """Draw the pieces of a manoeuvre of the deck."""
     if card == "crossing":
         return [Piece(rng.uniform(16, 22))]
     turn = _TURNS[card.rstrip("+-")]
     angle_rad = np.deg2rad(rng.uniform(*turn.angle_deg))
     radius_m = rng.uniform(*turn.radius_m)
     if card == "left":
-        radius_m += 0.6 * lane_m  # across the other lane
+        radius_m += 0.6 * lane_m  # the turn crosses the other lane
     if card == "right" or card.endswith("-"):
         angle_rad = -angle_rad
     return bend(angle_rad, radius_m, rng.uniform(*turn.transition_m))
 
 
 def _clear_of_itself(route: Route) -> bool:
-    """Return whether no two stretches of road, and no arm and a stretch, are close."""
+    """Return whether the road keeps away from its own distant stretches and from all arms."""
     every = int(1 / STEP_M)
     s_m = route.s_m[::every]
     xy = route.xy[::every]
@@ -276,7 +278,7 @@ def _clear_of_itself(route: Route) -> bool:
         return False
 
     for arm in route.arms:
-        # An arm is close to its own junction up to its mouth.
+        # The first metres of an arm are close to its own junction.
         beyond_mouth = arm.at(np.arange(14, arm.length_m))
         distance_m = np.linalg.norm(beyond_mouth[:, None] - xy, axis=-1)
         if (distance_m < 8).any():
@@ -287,7 +289,8 @@ def _clear_of_itself(route: Route) -> bool:
 def _draw_arms(path: Route, manoeuvre: Manoeuvre, rng: np.random.Generator) -> list[Arm]:
     """Draw the side roads of a crossing, or of a junction where the ego turns.
 
-    Those of a turn are closed: otherwise the image would not show which way the ego goes.
+    The side roads of a turn are closed, since otherwise the image would not show which way the ego
+    goes.
     """
     kind, start_m, end_m = manoeuvre
     start, heading_in = path.at(start_m, path.centre_m)

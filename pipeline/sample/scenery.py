@@ -11,7 +11,7 @@ from pipeline.sample.plan import CELL_M, KERB_M, STOREY_M, Character, Plan
 from pipeline.sample.route import LEFT, SIDES, Arm, Route, unit
 from pipeline.sample.shapes import Mesh, draw_colour
 
-# Range of the distances in metres from a junction's edge to the barrier of a closed arm.
+# Range of the distances in metres between a junction's edge and the barrier of a closed arm.
 BARRIER_M = (2.0, 3.5)
 # Distance in metres between two samples of a frontage.
 _STEP_M = 0.5
@@ -36,7 +36,7 @@ _ROOFS = np.array([(0.38, 0.16, 0.12), (0.22, 0.20, 0.20), (0.30, 0.24, 0.22), (
 
 
 class Ground:
-    """The plan, with a map of occupied cells."""
+    """The plan, with a map of the cells on which objects stand."""
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
@@ -45,9 +45,10 @@ class Ground:
     def claim(
         self, xy: np.ndarray, outward_rad: float, size: tuple[float, float], clear_m: float
     ) -> bool:
-        """Take a rectangle around `xy` if it is free and keeps `clear_m` from roads.
+        """Occupy a rectangle around `xy` if it is free and at least `clear_m` from roads.
 
-        `size`: metres along the street, and away from it in direction `outward_rad`.
+        `size` is its length along the street in metres, and its depth in the direction
+        `outward_rad`. Returns whether it is occupied now.
         """
         length_m, depth_m = size
         along = unit(outward_rad - np.pi / 2) * length_m / 2
@@ -56,7 +57,7 @@ class Ground:
             [xy + along + away, xy - along + away, xy - along - away, xy + along - away]
         )
 
-        # Only cells in the window around the rectangle are compared.
+        # Only the cells in a window around the rectangle are examined.
         cells = np.rint((corners - self.plan.origin) / CELL_M).astype(np.int32)
         left, bottom = cells.min(axis=0)
         right, top = cells.max(axis=0) + 1
@@ -77,10 +78,10 @@ class Ground:
 
 
 class Frontage(NamedTuple):
-    """One side of a road, sampled every half metre."""
+    """A side of a road, sampled every half metre."""
 
-    edge: np.ndarray  # [N,2] points of the road's edge
-    outward_rad: np.ndarray  # [N] headings away from the road
+    edge: np.ndarray  # [N,2], points of the road's edge
+    outward_rad: np.ndarray  # [N], headings away from the road
 
     def behind(self, sample: int, distance_m: float) -> np.ndarray:
         """Return the point [2] at `distance_m` behind a sample of the edge."""
@@ -97,7 +98,7 @@ def build_street(route: Route, plan: Plan, character: Character, rng: np.random.
     for side in SIDES:
         parts += _parked_cars(side, route, plan, character, rng)
 
-    # Houses claim their places first.
+    # Houses claim their places first, since they need the most.
     ground = Ground(plan)
     sides = frontages(route, plan)
     for frontage in sides:
@@ -110,7 +111,7 @@ def build_street(route: Route, plan: Plan, character: Character, rng: np.random.
 
 
 def _horizon(plan: Plan, rng: np.random.Generator) -> Mesh:
-    """Build a ring of woods around the sample."""
+    """Build a ring of woods around the plan, as a wall of 9 m with lumps and waves."""
     points = 160
     middle = plan.origin + plan.size_m / 2
     radius_m = np.linalg.norm(plan.size_m) / 2 + 25
@@ -122,7 +123,8 @@ def _horizon(plan: Plan, rng: np.random.Generator) -> Mesh:
 
 
 def _barrier(arm: Arm, lane_m: float, rng: np.random.Generator) -> list[Mesh]:
-    """Build red and white boards across a closed arm, just beyond the junction."""
+    """Build a barrier across a closed arm, of red and white boards of 0.7 m."""
+    # The edge of the junction is a lane and 0.25 m from its centre.
     middle = arm.at(lane_m + 0.25 + rng.uniform(*BARRIER_M))
     to_left = unit(arm.heading_rad + np.pi / 2)
     boards = []
@@ -136,7 +138,7 @@ def _barrier(arm: Arm, lane_m: float, rng: np.random.Generator) -> list[Mesh]:
 def _houses(
     frontage: Frontage, ground: Ground, character: Character, rng: np.random.Generator
 ) -> list[Mesh]:
-    """Build a row of houses; where one does not fit, the row goes on two metres later."""
+    """Build a row of houses. If a house does not fit, the row continues two metres farther."""
     quarter = character.quarter
     nearest_m, _ = quarter.setback_m
     clear_m = character.pavement_m + nearest_m * 0.6
@@ -144,7 +146,7 @@ def _houses(
     i = int(rng.integers(4))
     setback_m = rng.uniform(*quarter.setback_m)
     while i < len(frontage.edge):
-        # The house's middle is half its length ahead.
+        # The row has reached sample i. The middle of the house is half its length farther.
         length_m = rng.uniform(7, 15)
         depth_m = rng.uniform(7, 11)
         middle = min(i + int(length_m / 2 / _STEP_M), len(frontage.edge) - 1)
@@ -164,7 +166,7 @@ def _houses(
         house = shapes.house((length_m, depth_m, height_m), colour, roof, roof_m)
         houses.append(house.placed(xy, outward_rad - np.pi / 2, KERB_M))
 
-        # Neighbours often stand in line.
+        # Most neighbours stand in line, at the same setback.
         i += int((length_m + rng.uniform(*quarter.gap_m)) / _STEP_M) + 1
         if rng.random() < 0.3:
             setback_m = rng.uniform(*quarter.setback_m)
@@ -172,7 +174,7 @@ def _houses(
 
 
 def _lamp_posts(frontage: Frontage, ground: Ground, rng: np.random.Generator) -> list[Mesh]:
-    """Build lamp posts near the kerb, every 19 to 28 m."""
+    """Build lamp posts near the kerb, with distances of 19 to 28 m."""
     posts = []
     first = int(rng.integers(20))
     spacing = int(rng.integers(38, 56))
@@ -200,7 +202,7 @@ def _hedges_and_trees(
                 hedge = shapes.hedge(rng)
                 parts.append(hedge.placed(xy, outward_rad - np.pi / 2, KERB_M))
         if rng.random() < quarter.trees * 0.5:
-            # Street trees stand in the pavement, garden trees behind it.
+            # If houses stand at the pavement, trees stand in it; otherwise, in gardens behind it.
             behind_m = pavement_m - 0.5
             if farthest_m >= 2:
                 behind_m = pavement_m + rng.uniform(1.5, 7)
@@ -237,10 +239,14 @@ def _backdrop(ground: Ground, character: Character, rng: np.random.Generator) ->
 def _parked_cars(
     side: int, route: Route, plan: Plan, character: Character, rng: np.random.Generator
 ) -> list[Mesh]:
-    """Build the cars in the bays, or at the kerb, of one side of the route."""
+    """Build parked cars on a side of the route.
+
+    They stand in bays or, in narrow streets, at the kerb. `plan.bays` has the width for both.
+    """
     cars = []
     s_m = route.s_m[0] + 3.0
     while s_m < route.s_m[-1] - 3:
+        # A car needs the width of a bay for 2.7 m before and behind its middle.
         around = (route.s_m > s_m - 2.7) & (route.s_m < s_m + 2.7)
         has_room = plan.bays[side][around].min() > 2.0 and plan.parking[around].all()
         if has_room and rng.random() < character.parked:
@@ -249,7 +255,7 @@ def _parked_cars(
             if side == LEFT:
                 heading_rad = heading_rad + np.pi
             car = shapes.car(rng).placed(xy, float(heading_rad))
-            # It must not stand on another stretch of the road.
+            # The car must not stand on another stretch of the road.
             if np.linalg.norm(route.xy - xy, axis=1).min() > abs(offset_m) - 0.2:
                 cars.append(car)
         s_m += 5.6 + rng.uniform(0, 0.8)
@@ -265,6 +271,7 @@ def frontages(route: Route, plan: Plan) -> list[Frontage]:
         edge, heading_rad = route.at(s_m, route.edge_m(side) + side * bay_m)
         sides.append(Frontage(edge, heading_rad + side * np.pi / 2))
     for arm in route.arms:
+        # The sides of an arm begin 6 m from the centre of the junction, where its road has ended.
         along = arm.at(np.arange(6, arm.length_m + 6, _STEP_M))
         for side in SIDES:
             outward_rad = arm.heading_rad + side * np.pi / 2

@@ -1,4 +1,4 @@
-"""Section ``sample``: the embedded sample."""
+"""Section ``sample``: the rendered streets of dataset sample."""
 
 from typing import Annotated, Literal
 
@@ -9,8 +9,9 @@ from pipeline.base.params import Count, ImageSize, Section, Seed
 
 class Sample(Section):
     seed: Seed
+    # Height and width of the rendered images in pixels.
     image_size: ImageSize
-    # Frames per drive of each split.
+    # Split → number of frames in each of its drives.
     frames: Annotated[dict[Literal["train", "val", "test"], Count], Field(min_length=3)]
-    # LiDAR rings, and rays per ring.
+    # Number of rings of the LiDAR, and number of rays per ring.
     scan_rays: Annotated[tuple[Count, Count], Field(strict=False)]

@@ -59,7 +59,7 @@ class Mesh(NamedTuple):
     def placed(
         self, xy: np.ndarray | tuple[float, float], heading_rad: float = 0.0, z: float = 0.0
     ) -> "Mesh":
-        """Return the mesh, rotated about z, then translated."""
+        """Return the mesh after a rotation about z and a translation."""
         c = np.cos(heading_rad)
         s = np.sin(heading_rad)
         R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
@@ -68,7 +68,7 @@ class Mesh(NamedTuple):
 
 
 def mesh(vertices: np.ndarray, triangles: np.ndarray, colour: Colour, cls: int) -> Mesh:
-    """Return a mesh of one class, with one colour or a colour per triangle [T,3]."""
+    """Return a mesh of a single class. `colour` is that of all triangles, or [T,3]."""
     count = len(triangles)
     return Mesh(
         vertices.astype(np.float32),
@@ -79,7 +79,7 @@ def mesh(vertices: np.ndarray, triangles: np.ndarray, colour: Colour, cls: int) 
 
 
 def merge(meshes: Sequence[Mesh]) -> Mesh:
-    """Join meshes into one."""
+    """Join meshes into a single mesh."""
     triangles = []
     first_vertex = 0
     for part in meshes:
@@ -99,7 +99,7 @@ def draw_colour(rng: np.random.Generator, colours: np.ndarray) -> np.ndarray:
 
 
 def box(size: Size, colour: Colour, cls: int, taper: float = 1.0) -> Mesh:
-    """Build a box of `size` (x, y, z) on the origin; its top is `taper` times as long along x."""
+    """Build a box of `size` (x, y, z) on the origin. Its top is `taper` times its length."""
     corners = _BOX_CORNERS * size
     top = _BOX_CORNERS[:, 2] > 0
     corners[top, 0] *= taper
@@ -107,9 +107,9 @@ def box(size: Size, colour: Colour, cls: int, taper: float = 1.0) -> Mesh:
 
 
 def house(size: Size, colour: Colour, roof: Colour, roof_m: float) -> Mesh:
-    """Build a house with a gable roof of height `roof_m` (0: flat).
+    """Build a house with a gable roof of height `roof_m`; 0 is a flat roof.
 
-    `size`: x along the street, y deep, z high.
+    `size` is its length along the street, its depth, and the height of its walls.
     """
     length, depth, height = size
     walls = box(size, colour, classes.BUILDING)
@@ -138,7 +138,7 @@ def house(size: Size, colour: Colour, roof: Colour, roof_m: float) -> Mesh:
 
 
 def wall(outline: np.ndarray, height_m: float | np.ndarray, colour: Colour, cls: int) -> Mesh:
-    """Build vertical faces along a closed outline [N,2], up to `height_m`, one number or [N]."""
+    """Build vertical faces along a closed outline [N,2]. `height_m` is a number, or [N]."""
     n = len(outline)
     bottom = np.column_stack([outline, np.zeros(n)])
     top = np.column_stack([outline, np.full(n, height_m)])
@@ -170,7 +170,7 @@ def _draw_leaves(rng: np.random.Generator) -> np.ndarray:
 
 
 def hedge(rng: np.random.Generator) -> Mesh:
-    """Build a hedge or a wooden fence, along x on the origin."""
+    """Build a hedge or a wooden fence of 4.5 m, along x on the origin."""
     if rng.random() < 0.5:
         height_m = rng.uniform(0.9, 1.5)
         return box((4.5, 0.7, height_m), _draw_leaves(rng), classes.VEGETATION)
@@ -195,14 +195,14 @@ def tree(rng: np.random.Generator, height_m: float) -> Mesh:
 
 
 def lamp_post(height_m: float) -> Mesh:
-    """Build a post with an arm over the road (towards +x)."""
+    """Build a post with an arm towards +x, where the road is."""
     post = cylinder(0.19, height_m, _GREY, classes.POLE)
     arm = box((1.6, 0.22, 0.18), _GREY, classes.POLE)
     return merge([post, arm.placed((0.7, 0.0), z=height_m - 0.18)])
 
 
 def car(rng: np.random.Generator) -> Mesh:
-    """Build a car of 3.9 to 4.7 m, heading along +x, centred over the origin."""
+    """Build a car with a length of 3.9 to 4.7 m, which heads along +x, over the origin."""
     paint = draw_colour(rng, _PAINTS)
     length = rng.uniform(3.9, 4.7)
     width = rng.uniform(1.7, 1.85)

@@ -1,4 +1,4 @@
-"""Draw moving cars: oncoming ones, and sometimes one ahead."""
+"""Draw moving cars: oncoming cars, and in some drives a car ahead of the ego."""
 
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ from pipeline.sample import shapes
 from pipeline.sample.journey import Journey
 from pipeline.sample.route import IMU_LEFT_M
 
-# Distance in metres from which cars are not rendered.
+# Distance in metres beyond which cars are not rendered.
 SIGHT_M = 100.0
 # Distance in metres along the road between the centres of two cars that do not touch.
 _ROOM_ALONG_M = 4.5
@@ -16,12 +16,12 @@ _ROOM_ALONG_M = 4.5
 _ROOM_ACROSS_M = 2.4
 # Distance in metres from the IMU, over the rear axle, to the centre of the ego.
 _AXLE_TO_MIDDLE_M = 1.3
-# Time in seconds by which the car ahead is in advance of the ego.
+# Time in seconds by which the car ahead passes a place before the ego.
 _LEAD_S = 2.5
 
 
 class Vehicle(NamedTuple):
-    """A car and its pose per frame."""
+    """A car, and its pose in each of F frames."""
 
     shape: shapes.Mesh
     xy: np.ndarray  # [F,2]
@@ -42,7 +42,7 @@ def draw_traffic(journey: Journey, rng: np.random.Generator) -> list[Vehicle]:
 
 
 def _draw_oncoming(journey: Journey, rng: np.random.Generator) -> list[Vehicle]:
-    """Draw oncoming cars, one every 40 to 110 m."""
+    """Draw oncoming cars with distances of 40 to 110 m between them."""
     route = journey.route
     motion = journey.motion
     speed_mps = rng.uniform(5.0, 7.5)
@@ -62,11 +62,12 @@ def _draw_oncoming(journey: Journey, rng: np.random.Generator) -> list[Vehicle]:
 
 
 def _draw_lead(journey: Journey, rng: np.random.Generator) -> Vehicle:
-    """Draw the car ahead: the ego a few seconds earlier; towards the drive's end it pulls away."""
+    """Draw the car ahead, which drives as the ego will a few seconds later."""
     route = journey.route
     motion = journey.motion
     time_s = motion.time_s + _LEAD_S
     as_ego_m = np.interp(time_s, motion.time_s, motion.s_m, right=np.nan)
+    # Beyond the ego's last place, the car drives on at the ego's last speed, but at least at 4 m/s.
     end_mps = max(float(motion.speed_mps[-1]), 4.0)
     beyond_m = motion.s_m[-1] + (time_s - motion.time_s[-1]) * end_mps
     s_m = np.where(np.isnan(as_ego_m), beyond_m, as_ego_m) + 6.0
@@ -75,10 +76,10 @@ def _draw_lead(journey: Journey, rng: np.random.Generator) -> Vehicle:
 
 
 def _in_sight(xy: np.ndarray, journey: Journey) -> np.ndarray:
-    """Return bool [F]: a vehicle at xy [F,2] is in sight.
+    """Return whether a vehicle at xy [F,2] is to be rendered in each frame, bool [F].
 
-    In narrow streets, a vehicle might touch the ego. It is then hidden for the entire encounter, so
-    that it neither appears nor vanishes in sight.
+    In narrow streets, a vehicle might touch the ego. Then it is hidden for the entire encounter, so
+    that it neither appears nor vanishes in view of the camera.
     """
     ego_xy, heading_rad = journey.route.at(journey.motion.s_m)
     offset = xy - ego_xy
@@ -92,6 +93,6 @@ def _in_sight(xy: np.ndarray, journey: Journey) -> np.ndarray:
     across_m = y * c - x * s + IMU_LEFT_M
     touches = (np.abs(along_m) < _ROOM_ALONG_M) & (np.abs(across_m) < _ROOM_ACROSS_M)
 
-    # Encounters are numbered from 1; 0 is out of sight.
+    # Number the encounters, the runs of frames in sight. Frames out of sight have the number 0.
     encounter = np.cumsum(np.diff(in_sight, prepend=False)) * in_sight
     return in_sight & ~np.isin(encounter, encounter[touches & in_sight])

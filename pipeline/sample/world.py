@@ -1,7 +1,8 @@
-"""Cast rays at the sample: objects are triangles (Open3D's ray casting), the ground is two planes.
+"""Cast rays at a street of the sample.
 
-Rays and points are float32 [6,N] (origin, unit direction) and [3,N]: numpy is several times faster
-on rows than on triples.
+Objects are triangles, which Open3D casts rays at. The ground is two planes: the road, and a plane
+at the height of the kerb. Rays are float32 [6,N], with origin and unit direction; points are
+[3,N]. numpy is several times as fast on these rows as on triples [N,3].
 """
 
 from typing import Any, NamedTuple
@@ -12,12 +13,12 @@ from pipeline.camera import classes
 from pipeline.sample.plan import ASPHALT, BAY, GRASS, KERB_M, KERBSTONE, MARKING, PAVEMENT, Plan
 from pipeline.sample.shapes import Mesh
 
-# Distance in metres from which the ground is sky.
+# Distance in metres beyond which the ground is not rendered, but the sky.
 FAR_M = 500.0
 # Length in metres of the longest shadow.
 _SHADOW_M = 150.0
 
-# Number of the sky among the surfaces: it follows the kinds of ground.
+# Number of the sky in the numbering of surfaces, in which it follows the kinds of ground.
 _SKY = 6
 # Class of each kind of ground and of the sky.
 _CLASSES = np.zeros(_SKY + 1, np.uint8)
@@ -30,18 +31,18 @@ _CLASSES[_SKY] = classes.SKY
 class Hits(NamedTuple):
     """The first surface that each of N rays hits."""
 
-    distance_m: np.ndarray  # [N], sky: inf
+    distance_m: np.ndarray  # [N], infinite for the sky
     cls: np.ndarray  # uint8 [N]
-    colour: np.ndarray  # [3,N] albedo
-    normal: np.ndarray  # [3,N] towards the viewer, sky: 0
-    ground: np.ndarray  # int8 [N]: the plan's kind, -1 for objects and sky
+    colour: np.ndarray  # [3,N], albedo
+    normal: np.ndarray  # [3,N], on the viewer's side of the surface; 0 for the sky
+    ground: np.ndarray  # int8 [N], kind of ground in the plan; -1 for objects and sky
 
 
 class World:
-    """One drive's street; traffic is set frame by frame."""
+    """The street of a drive, with moving cars that are set for each frame."""
 
     def __init__(self, plan: Plan, street: Mesh, ground_colours: np.ndarray) -> None:
-        """`ground_colours` [6,3]: albedo of each kind of ground."""
+        """Store the street; `ground_colours` [6,3] are the albedo of each kind of ground."""
         self.plan = plan
         self._street = _Layer(street)
         self._colours = np.zeros((_SKY + 1, 3), np.float32)
@@ -52,7 +53,8 @@ class World:
         """Replace the moving cars."""
         self._layers = [self._street, *(_Layer(car) for car in cars)]
 
-        # Surfaces are numbered: the kinds of ground, the sky, the triangles of each layer.
+        # Surfaces are numbered in this order: the kinds of ground, the sky, and the triangles of
+        # each layer.
         meshes = [layer.mesh for layer in self._layers]
         self._surface_cls = np.concatenate([_CLASSES, *(mesh.cls for mesh in meshes)])
         colours = np.concatenate([self._colours, *(mesh.colour for mesh in meshes)])
@@ -65,7 +67,7 @@ class World:
         surface = np.full(count, _SKY)
         normal = np.zeros((3, count), np.float32)
 
-        # A layer replaces the hits of earlier ones where it is nearer.
+        # A layer replaces the hits of earlier layers if it is nearer.
         first_surface = _SKY + 1
         for layer in self._layers:
             candidates = layer.near(rays)
@@ -77,7 +79,7 @@ class World:
             normal[:, ray] = facing[:, nearer]
             first_surface += len(layer.mesh.cls)
 
-        # The ground replaces hits behind it, too; its normal points upwards.
+        # The ground replaces hits behind it, too. Its normal points upwards.
         ground = self._cast_ground(rays, distance_m)
         on_ground = ground >= 0
         surface = np.where(on_ground, ground, surface)
@@ -87,7 +89,7 @@ class World:
         return Hits(distance_m, cls, colour, normal, ground)
 
     def lit(self, points: np.ndarray, sun: np.ndarray) -> np.ndarray:
-        """Return bool [N]: `points` [3,N] see the sun in direction `sun` [3]."""
+        """Return whether `points` [3,N] see the sun in direction `sun` [3], bool [N]."""
         rays = np.empty((6, points.shape[1]), np.float32)
         rays[:3] = points
         rays[3:] = sun[:, None]
@@ -97,15 +99,16 @@ class World:
         return lit
 
     def _cast_ground(self, rays: np.ndarray, distance_m: np.ndarray) -> np.ndarray:
-        """Return the kind of ground int8 [N] that rays hit, otherwise -1.
+        """Return the kind of ground that each ray hits first, int8 [N], or -1 if it hits none.
 
-        `distance_m` is lowered in place where the ground is nearer.
+        `distance_m` has the distances to objects. Where the ground is nearer, its distance replaces
+        them in place.
         """
         kind = np.full(rays.shape[1], -1, np.int8)
         x, y, z, dx, dy, dz = rays
         ray = np.flatnonzero(dz < -1e-6)
         for level_m in (KERB_M, 0.0):
-            # Rays that reach this level before an object.
+            # Keep the rays that reach this level before an object.
             t = (level_m - z.take(ray)) / dz.take(ray)
             hit = (t < distance_m.take(ray)) & (t < FAR_M)
             ray = ray[hit]
@@ -114,7 +117,7 @@ class World:
             level_y = y.take(ray) + t * dy.take(ray)
             level_kind = self.plan.kind[self.plan.cells(level_x, level_y)]
 
-            # A ray over road at kerb height continues down to the road.
+            # A ray that is above a road at the height of the kerb continues down to the road.
             ends = np.full(len(ray), True)
             if level_m > 0:
                 ends = _CLASSES[level_kind] != classes.ROAD
@@ -125,13 +128,16 @@ class World:
 
 
 class _Layer:
-    """A mesh prepared for ray casting. Most rays miss the bounding sphere of a car."""
+    """A mesh prepared for ray casting.
+
+    Only rays that meet its bounding sphere are cast, since most rays miss that of a car.
+    """
 
     def __init__(self, mesh: Mesh) -> None:
         import open3d as o3d
 
         self.mesh = mesh
-        # One thread: Embree's parallel build is not guaranteed to be deterministic.
+        # A single thread builds the scene, since Embree's parallel build may differ between runs.
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
         self._scene.add_triangles(_tensor(mesh.vertices), _tensor(mesh.triangles))
         self._middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
@@ -139,7 +145,10 @@ class _Layer:
         self._radius_m = float(from_middle_m.max()) + 0.01
 
     def cast(self, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return per ray: distance (miss: inf), triangle, normal [3,N] towards the viewer."""
+        """Return for each ray the distance, the triangle and the normal [3,N] of its first hit.
+
+        The distance is infinite if the ray hits nothing. Normals are on the viewer's side.
+        """
         hits = self._scene.cast_rays(_tensor(rays.T))
         distance_m = hits["t_hit"].numpy()
         triangle = hits["primitive_ids"].numpy().astype(np.int64)
@@ -148,7 +157,7 @@ class _Layer:
         return distance_m, triangle, normal
 
     def blocks(self, rays: np.ndarray) -> np.ndarray:
-        """Return the indices of the rays that hit."""
+        """Return the indices of the rays that hit the mesh."""
         candidates = self.near(rays)
         tensor = _tensor(rays[:, candidates].T)
         hit = self._scene.test_occlusions(tensor, 0.02, _SHADOW_M).numpy()
@@ -163,9 +172,9 @@ class _Layer:
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the products [...] of vectors [3, ...].
+    """Return the scalar products [...] of vectors [3, ...].
 
-    Unlike BLAS's, the result does not depend on threads.
+    Unlike a product by BLAS, the result does not depend on the number of threads.
     """
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 

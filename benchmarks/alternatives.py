@@ -1,10 +1,10 @@
 """Measure this project beside alternatives.
 
-python -m benchmarks.alternatives networks: speed beside PyTorch Geometric and ncps, in turn on the
-same arrays and one thread.
+``python -m benchmarks.alternatives networks`` compares its speed with PyTorch Geometric and ncps.
+They run in turn with this project, on the same arrays and on a single thread.
 
-python -m benchmarks.alternatives udacity VIDEO CSV LEADERBOARD: the steering wheel's angle of the
-test drive Ch2_001 of Udacity's Challenge 2, beside the predictions of three leading teams.
+``python -m benchmarks.alternatives udacity VIDEO CSV LEADERBOARD`` compares its steering angles in
+the test drive Ch2_001 of Udacity's Challenge 2 with the predictions of three leading teams.
 """
 
 import time
@@ -42,23 +42,25 @@ from steer.measure import measure
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 
-# Measurements of each side of a row, of which the median counts.
+# Number of times that both sides of a row are measured; their medians are printed.
 ROUNDS = 5
 
-# Graphs of the random street: the sizes of the paper's Table 1.
+# Variant of the random street's graphs. It has the sizes of the paper's Table 1.
 VARIANT = Variant(source="clouds/pseudo", points=43_000, k=6, keep_inter_class=0.2)
 
-# Frames of the random street: a span of 24 windows of 8 frames.
+# Number of frames of the random street, which are a span of 24 windows.
 FRAMES = 31
+
+# Number of frames in a window.
 WINDOW = 8
 
-# Frames in a batch of the graph convolutions.
+# Number of frames in a batch of the graph convolutions.
 GCN_FRAMES = 4
 
-# Features of a frame, which the recurrent network gets.
+# Number of features of a frame, which the recurrent network gets.
 FEATURES = 32
 
-# The network of this project: the demo's sa-gnn-ncp.
+# The network of this project that is measured, sa-gnn-ncp of the demo.
 ENTRY = Entry.model_validate(
     {
         "input": "semantic",
@@ -70,13 +72,14 @@ ENTRY = Entry.model_validate(
     }
 )
 
-# Seconds at the start of Udacity's drive on which the constants are fitted; the rest is compared.
+# Seconds at the start of Udacity's drive on which gain, offset and lag are fitted. The angles after
+# these seconds are compared.
 FITTED_S = 30.0
 
-# Lags in seconds of the measured motion behind the steering wheel, of which the best is taken.
+# Lags in seconds by which measured motion may follow the steering wheel; the best of them is taken.
 LAGS_S = np.arange(-0.2, 0.41, 0.02)
 
-# Does the work of one measurement, and returns the number of items that it has processed.
+# Function that does the work of a measurement, and returns the number of items that it processed.
 Work = Callable[[], int]
 
 
@@ -92,7 +95,7 @@ def networks() -> None:
 
 
 def compare_gcn(street: Path) -> None:
-    """Compare graph convolutions with GCNConv, whose edges are normalised once for all layers."""
+    """Compare graph convolutions with GCNConv. Both normalise edges once for all layers."""
     batch = read_graphs(street, GCN_FRAMES)
     net = gnn.GCN(FEATURES, gnn.Options(semantics=1.0)).to(DEVICE)
     pyg_net = pyg_gcn(normalize=False)
@@ -109,9 +112,10 @@ def compare_gcn(street: Path) -> None:
 
 
 def compare_windows(street: Path) -> None:
-    """Compare a training step on a span, reading included, with steps on single windows.
+    """Compare a training step on a span with steps on single windows. Both include reading.
 
-    The alternative, by PyTorch Geometric and ncps, reads and encodes the frames of each window.
+    The alternative uses PyTorch Geometric and ncps. It reads and encodes the frames of each window
+    again, although windows share frames.
     """
     net = ENTRY.build("graph").to(DEVICE)
     optimiser = torch.optim.AdamW(net.parameters())
@@ -135,7 +139,7 @@ def compare_windows(street: Path) -> None:
 
 
 def compare_ltc() -> None:
-    """Compare LTC networks on windows that share frames, forward and backward."""
+    """Compare LTC networks on windows that share frames; forward and backward passes."""
     x = torch.randn(FRAMES, FEATURES, device=DEVICE)
     windows, dt_s = window_rows()
     ltc = LTC(ncp(FEATURES)).to(DEVICE)
@@ -155,14 +159,17 @@ def compare_ltc() -> None:
 
 
 def pyg_gcn(*, normalize: bool) -> pyg.PyG:
-    """Return the network GCN by PyTorch Geometric; `normalize`: each layer computes weights."""
+    """Return the network GCN by PyTorch Geometric.
+
+    With `normalize`, each layer computes the weights of the edges again.
+    """
     options = {"normalize": normalize}
     settings = pyg.Options(layer="GCNConv", layer_options=options, semantics=1.0)
     return pyg.PyG(FEATURES, settings).to(DEVICE)
 
 
 def normalised_once(net: pyg.PyG, batch: GraphBatch) -> Tensor:
-    """Return the features [B,F] of a batch, whose edges get weights once for all layers."""
+    """Return the features [B,F] of a batch; the weights of its edges are computed only once."""
     x = node_features(batch.xyz, batch.cls, net.semantics)
     edges, weights = gcn_norm(batch.edge_index, None, len(x))
     for layer in net.layers:
@@ -185,7 +192,7 @@ def ncps_ltc() -> nn.Module:
 
 
 def window_rows() -> tuple[Tensor, Tensor]:
-    """Return the rows of the frames of all windows, int64 [W,T], and their time steps in s."""
+    """Return the rows of all windows' frames, int64 [W,T], and their time steps in seconds."""
     rows = torch.arange(FRAMES, device=DEVICE).unfold(0, WINDOW, 1)
     return rows, torch.full(rows.shape, 0.1, device=DEVICE)
 
@@ -203,7 +210,10 @@ def backward(output: Tensor) -> None:
 
 
 def print_row(title: str, ours: Work, alternative: Work) -> None:
-    """Print the medians of both, run once to warm up, then in turn: other load affects both."""
+    """Print the median times of both sides.
+
+    Each side runs once to warm up. Then they run in turn, so that other load affects both.
+    """
     ours()
     alternative()
     times_ms = [(milliseconds(ours), milliseconds(alternative)) for _ in range(ROUNDS)]
@@ -213,21 +223,21 @@ def print_row(title: str, ours: Work, alternative: Work) -> None:
 
 
 def milliseconds(work: Work) -> float:
-    """Return the time of `work` per item."""
+    """Return the time of `work` per item in milliseconds."""
     start_s = now_s()
     items = work()
     return 1e3 * (now_s() - start_s) / items
 
 
 def now_s() -> float:
-    """Return the present time, after the device has finished its work."""
+    """Return the time in seconds, after the device has finished its work."""
     if DEVICE == "cuda":
         torch.cuda.synchronize()
     return time.perf_counter()
 
 
 def write_street(folder: Path) -> Path:
-    """Write a graph file of random points on a road and on a wall on either side of it."""
+    """Write a graph file of random points on a road and on walls on both sides of the road."""
     path = folder / "street.h5"
     rng = np.random.default_rng(0)
     assert VARIANT.points
@@ -253,7 +263,7 @@ def write_street(folder: Path) -> Path:
 
 
 def read_graphs(street: Path, frames: int) -> GraphBatch:
-    """Return the first frames of a graph file as a batch of a graph network."""
+    """Return the first frames of a graph file as a batch for a graph network."""
     with graph_file.open_graphs(street) as file:
         arrays = number_rows(join([(file, 0, frames)]), file)
         batch = from_arrays(arrays, DEVICE)
@@ -262,9 +272,9 @@ def read_graphs(street: Path, frames: int) -> GraphBatch:
 
 
 def fit_wheel(time_s: np.ndarray, measured_rad: np.ndarray, wheel_rad: np.ndarray) -> np.ndarray:
-    """Return the steering wheel's angle [F] in rad by measured angles of the front wheels [F].
+    """Return the steering wheel's angle [F] from measured angles of the front wheels [F], in rad.
 
-    Gain, offset and the measurement's lag have the least squared error in the first FITTED_S.
+    Gain, offset and lag are those with the least squared error in the first FITTED_S seconds.
     """
     fitted = time_s < FITTED_S
     least_error = np.inf
@@ -280,11 +290,11 @@ def fit_wheel(time_s: np.ndarray, measured_rad: np.ndarray, wheel_rad: np.ndarra
 
 
 def udacity(video: Path, csv: Path, leaderboard: Path) -> None:
-    """Compare steer measure with three teams by the angle of the steering wheel.
+    """Compare the command steer measure with three teams by the angle of the steering wheel.
 
-    VIDEO has the drive's frames, CSV their time_s and wheel_rad (left positive, by CAN),
-    LEADERBOARD the teams' predictions for the same frames: komanda_rad, rambo_rad, autumn_rad.
-    Writes out/udacity.json.
+    VIDEO has the frames of the drive. CSV has their time_s, and wheel_rad from the CAN bus, left
+    positive. LEADERBOARD has the predictions of the teams for the same frames: komanda_rad,
+    rambo_rad and autumn_rad. Writes out/udacity.json.
     """
     log = pd.read_csv(csv)
     time_s = log["time_s"].to_numpy()
@@ -294,7 +304,7 @@ def udacity(video: Path, csv: Path, leaderboard: Path) -> None:
     source = Source(video, video.stem, drive, drive.camera, len(log), {})
     table = measure(source, None, STREET, Car(2.7, min_speed_mps=1.0), video=False).table
 
-    # Frames without a measured angle get it from their neighbours.
+    # Frames without a measured angle get an interpolated angle.
     measured = table.dropna(subset="measured_rad")
     measured_rad = np.interp(time_s, measured["time_s"], measured["measured_rad"])
     angles = pd.read_csv(leaderboard).drop(columns="time_s")

@@ -1,4 +1,4 @@
-"""Measure stages train and perception on this machine's device: on a GPU, whether it waits."""
+"""Measure the speed of stages train and perception on this machine, and how long a GPU waits."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -23,15 +23,15 @@ from pipeline.train.windows import Reader
 
 PARAMS = ROOT / "params.yaml"
 
-# Drives of the training, all with the frames of the same street.
+# Number of drives of the training. All of them have the frames of the same street.
 DRIVES = 7
 
-# Height and width of the images in pixels, as the encoder of the sample was trained.
+# Height and width of the images in pixels, on which the encoder of the sample was trained.
 IMAGE_SIZE = (96, 320)
 
 
 def main() -> None:
-    """Print what a training step and an image take."""
+    """Print how long a training step and an image take."""
     torch.set_num_threads(1)
     with TemporaryDirectory() as folder:
         measure_training(Path(folder))
@@ -39,14 +39,14 @@ def main() -> None:
 
 
 def measure_training(folder: Path) -> None:
-    """Train the demo's sa-gnn-ncp on a street of random points, by stage train's own code."""
+    """Train sa-gnn-ncp of the demo on a street of random points, by the code of stage train."""
     drive = labelled_street(folder)
     drives = [drive] * DRIVES
     settings = load(Train, PARAMS).model_copy(update={"epochs": 1})
     net = ENTRY.build("graph").to(DEVICE)
     fit = Fit(net, ENTRY, settings, 0, train=drives, val=[], files=Files([drive.graphs]))
 
-    # The first epoch, as stage train runs it.
+    # The first epoch runs as in stage train, with its preparations.
     step_ends_s: list[float] = []
     hook = fit.optimiser.register_step_post_hook(lambda *_: step_ends_s.append(now_s()))
     start_s = now_s()
@@ -54,7 +54,7 @@ def measure_training(folder: Path) -> None:
     hook.remove()
     print_value("start of a training to its first step, s", step_ends_s[0] - start_s)
 
-    # A later epoch.
+    # A later epoch needs no preparations.
     reader = Reader(drives, ENTRY.window, fit.files)
 
     def train_epoch() -> int:
@@ -81,7 +81,7 @@ def labelled_street(folder: Path) -> LabelledDrive:
 
 
 def profile_training(train_epoch: Work) -> None:
-    """Print how long a GPU computes in an epoch, and what makes it wait."""
+    """Print which share of an epoch a GPU computes, and how often it is launched and waited for."""
     torch.cuda.reset_peak_memory_stats()
     with profile() as profiled:
         start_s = now_s()
@@ -100,13 +100,13 @@ def profile_training(train_epoch: Work) -> None:
             waits += event.count
     print_value("kernel time / wall time", kernel_us / 1e6 / wall_s)
     print_value("launches per step", launches / steps)
-    # The end of an epoch, this measurement and the profiler wait, too.
+    # This value includes waits at the end of the epoch, of this measurement and of the profiler.
     print_value("synchronisations per step", waits / steps)
     print_value("peak memory, GiB", torch.cuda.max_memory_allocated() / 2**30)
 
 
 def measure_perception() -> None:
-    """Measure the encoder of the sample on black images, by stage perception's own code."""
+    """Measure the encoder of the sample on black images, by the code of stage perception."""
     encoder = open_encoder(ROOT / "models/encoder/sample", "auto")
     camera = Camera(np.eye(3), IMAGE_SIZE)
     images = np.zeros((GPU_BATCH, *IMAGE_SIZE, 3), np.uint8)
@@ -121,7 +121,7 @@ def measure_perception() -> None:
 
 
 def print_value(what: str, value: float) -> None:
-    """Print a value of three digits; `what` has its unit."""
+    """Print a value with three digits. `what` names the value and its unit."""
     print(f"{what}: {value:.3g}", flush=True)
 
 

@@ -3,9 +3,10 @@
     python -m docs.make_results collect data/report/roads.json    # adds a run, or replaces it
     python -m docs.make_results render
 
-A value stands before its key in a comment, as in 0.064<!-- roads/angle-0/sa-gnn-ncp -->, or before
-a key with another part than the nmse, as in 1.44<!-- roads/angle-0/sa-gnn-ncp:mae_deg -->. A table
-of the report is rendered between a comment with its run, group, name and columns, and <!-- end -->.
+A value stands before a comment with its key, as in 0.064<!-- roads/angle-0/sa-gnn-ncp -->. This
+value is an nmse. For another part of the entry, its name follows the key, as in
+1.44<!-- roads/angle-0/sa-gnn-ncp:mae_deg -->. A table of the report is written between a comment
+with its run, group, name and columns, and the comment <!-- end -->.
 """
 
 import json
@@ -24,12 +25,14 @@ from pipeline.report.summary import Comparison, Results
 DOCS = Path(__file__).parent
 RUNS = DOCS / "results"
 PAGES = (DOCS.parent / "README.md", DOCS / "results.md")
+# Name of a table in a page → function that makes it.
 TABLES = {"claims": tables.claims_table, "results": tables.results_table}
-# RUN GROUP NAME: COLUMN, COLUMN
+# A table in a page. The comment before it has RUN GROUP NAME: COLUMN; COLUMN.
 TABLE = re.compile(r"(<!-- table: (\S+) (\S+) (\w+): ([^\n]*) -->\n).*?(\n<!-- end -->)", re.DOTALL)
-# RUN/KEY:PART, behind a number, and the interval of a difference.
+# A value in a page: a number, the interval of a difference in brackets, and a comment with RUN/KEY
+# or RUN/KEY:PART.
 VALUE = re.compile(r"[−+]?\d+\.\d+(?: \([^()]*\))?(<!-- (\w+)/([^:>]+?)(?::(\w+))? -->)")
-# Digits of a part.
+# Part of an entry → the format of its value.
 FORMS = {"value": ".3f", "mae_deg": ".2f"}
 
 
@@ -38,7 +41,8 @@ def collect(
 ) -> None:
     """Copy the results of a run to docs/results/NAME.json, and render the pages.
 
-    `source`: data/report/PRESET.json. Raises InputError.
+    `source` is data/report/PRESET.json. Raises InputError if it is not the result of committed
+    code.
     """
     run = store.read_json(source, stage="report")
     if not re.fullmatch("[0-9a-f]+", run["revision"]):
@@ -53,12 +57,12 @@ def collect(
 
 def render() -> None:
     """Write values and tables into the pages."""
-    for page, content in pages(read()).items():
+    for page, content in pages(read_results()).items():
         store.write_text(page, content)
 
 
-def read() -> dict[str, Results]:
-    """Return preset → results of all runs; a later run of a preset takes precedence."""
+def read_results() -> dict[str, Results]:
+    """Return preset → results of its runs. If runs have the same key, the later run counts."""
     runs = [json.loads(path.read_text(encoding="utf-8")) for path in RUNS.glob("*.json")]
     presets: dict[str, Results] = {}
     for run in sorted(runs, key=lambda run: str(run["date"])):
@@ -67,7 +71,7 @@ def read() -> dict[str, Results]:
 
 
 def pages(runs: dict[str, Results]) -> dict[Path, str]:
-    """Return the pages with their values and tables."""
+    """Return the path and the text of each page, with values and tables of `runs`."""
 
     def value(match: re.Match[str]) -> str:
         comment, run, key, part = match.groups()

@@ -86,7 +86,7 @@ def test_links_lead_to_files_and_headings_and_prose_has_110_columns(page):
 
 
 def test_figures_and_tables_are_those_of_the_runs():
-    pages = make_results.pages(make_results.read())
+    pages = make_results.pages(make_results.read_results())
     assert [page.name for page, text in pages.items() if text != page.read_text()] == []
 
 
@@ -101,7 +101,7 @@ def test_a_run_of_committed_code_is_collected(tmp_path, monkeypatch):
         (tmp_path / "new").write_text(json.dumps(run | {"revision": revision}))
         with pytest.raises(InputError, match=revision):
             make_results.collect(tmp_path / "new")
-    assert make_results.read()["mine"] == values
+    assert make_results.read_results()["mine"] == values
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

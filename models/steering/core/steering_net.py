@@ -29,10 +29,10 @@ class FeatureScale(nn.Module):
     The features that a spatial network pools over a frame are nearly the same in every frame of a
     street. A tanh would saturate on this common part, the difference between frames would be lost,
     and training would stay on a plateau. So the mean is subtracted, and the result divided by the
-    standard deviation. In training, both are those of the batch's frames. In prediction, both are
-    running values: plain means over the first training steps, later moving averages with
-    `momentum`. Nothing is learned. If not `centred`, features are only divided, so odd features
-    stay odd. The tanh is applied because LTC synapses are sensitive in (-1, 1).
+    standard deviation. In training, mean and deviation are those of the batch's frames. In
+    prediction they are running values: plain means over the first training steps, later moving
+    averages with `momentum`. Nothing is learned. If not `centred`, features are only divided, so
+    odd features stay odd. The tanh is applied because LTC synapses are sensitive in (-1, 1).
     """
 
     mean: Tensor

@@ -72,7 +72,10 @@ class PyG(nn.Module):
 def build_layer(
     layer: type[nn.Module], inputs: int, outputs: int, options: dict[str, Any]
 ) -> nn.Module:
-    """Build a layer with new weights. A layer that takes a network, as EdgeConv, gets Linear."""
+    """Build a layer with new weights.
+
+    Some layers take a network instead of sizes, such as EdgeConv. They get a linear network.
+    """
     if next(iter(signature(layer).parameters), "") == "nn":
         return layer(nn=nn.LazyLinear(outputs), **options)
     return layer(in_channels=inputs, out_channels=outputs, **options)

@@ -222,7 +222,7 @@ class Fit:
             errors.append(error.detach())
             weights.append(weight)
 
-        # The sums are read once per epoch, so that no step waits for a GPU.
+        # The sums of errors and weights are read once per epoch, so that no step waits for a GPU.
         sums = torch.stack(errors + weights).double().view(2, -1).sum(1)
         error_sum, weight_sum = sums.tolist()
         return error_sum / weight_sum, learning_rate
@@ -252,6 +252,7 @@ class Fit:
         reader = windows.Reader([*self.train, *self.val], self.entry.window, self.files)
         net = copy.deepcopy(self.net)
         before = torch.cuda.memory_reserved()
+        # Find the largest step of an epoch, and the largest batch of a validation.
         step = max(self._plan(1), key=_frames)
         tested = windows.spans(reader.timelines, self.entry.window, trained.WINDOWS)
         largest = max(([span] for span in tested), key=_frames)

@@ -57,8 +57,8 @@ def spans(
 ) -> list[Span]:
     """Split all stretches into spans of at most `windows` windows of `window` frames.
 
-    Each window is in one span. With `rng`, the first span of a stretch has a random length, so that
-    epochs have different batches.
+    Each window is in a single span. With `rng`, the first span of a stretch has a random length, so
+    that epochs have different batches.
     """
     result = []
     for number, timeline in enumerate(timelines):
@@ -67,8 +67,8 @@ def spans(
             phase = int(rng.integers(windows)) if rng else 0
             first_windows = phase or windows
 
-            # The windows of a span end at the rows from an edge to the next edge. A stretch that is
-            # shorter than a window has no span.
+            # A span has the windows that end at the rows [end, next_end). A stretch that is shorter
+            # than a window has no span.
             first_end = start + window - 1
             edges = [first_end, *range(first_end + first_windows, stop, windows), stop]
             for end, next_end in pairwise(edges):
@@ -214,7 +214,7 @@ class Reader:
         batch = joined.arrays
         for name, values in batch.items():
             if not name.endswith("ptr"):
-                # Wait for a copy to the CPU, since numpy reads it next.
+                # A copy to the CPU is waited for, since numpy reads it next. Pointers stay there.
                 batch[name] = values.to(device, non_blocking=device.type == "cuda")
         number_rows(batch, joined.file)
         if "xyz" in batch:

@@ -196,8 +196,10 @@ def describe(name: str) -> tuple[Path, dict[str, Any], list[str]]:
         auto = import_transformers().AutoConfig
         config = auto.from_pretrained(folder, trust_remote_code=False)
         content = json.loads(config.to_json_string(use_diff=False))
+        # The path of the folder is no property of the network.
         del content["_name_or_path"]
 
+        # The file of the image processor, if there is one, has the normalisation.
         images = IMAGENET
         file = folder / "preprocessor_config.json"
         if file.is_file():
@@ -231,8 +233,9 @@ class Network(nn.Module):
         self.multiple = 32
         if isinstance(patch, int) and patch > STRIDE:
             self.multiple = math.lcm(2 * patch, STRIDE)
+        # The maps of a backbone are spread evenly over its stages, and include the last.
         if auto == "AutoBackbone":
-            stages = len(getattr(config, "stage_names", ())) - 1  # without the stem
+            stages = len(getattr(config, "stage_names", ())) - 1  # the stem does not count
             levels = [max(1, stages * level // LEVELS) for level in range(1, LEVELS + 1)]
             config.out_indices = sorted(set(levels))
 

@@ -45,6 +45,7 @@ class Quarter(NamedTuple):
     kerbside: bool = False
 
 
+# Name of a quarter → its streets.
 QUARTERS = {
     "centre": Quarter(
         setback_m=(0.0, 0.6),

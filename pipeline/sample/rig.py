@@ -57,7 +57,9 @@ class _Optics(NamedTuple):
     height_m: float  # height over the road
 
 
+# The cameras of KITTI.
 _KITTI = _Optics(1.0, 304.5 / 621, 86.2 / 188, CAMERA_HEIGHT_M)
+# Date → its cameras. All other dates have those of KITTI.
 _OPTICS_OF_DATE = {
     "2026_01_04": _Optics(0.86, 0.506, 0.478, 1.55),
     "2026_01_05": _Optics(1.18, 0.477, 0.441, 1.72),

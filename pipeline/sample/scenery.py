@@ -16,10 +16,15 @@ BARRIER_M = (2.0, 3.5)
 # Distance in metres between two samples of a frontage.
 _STEP_M = 0.5
 
+# Albedo of kerbs, RGB in 0..1.
 _STONE = (0.5, 0.5, 0.49)
+# Albedo of the woods around the plan.
 _WOODS = (0.13, 0.20, 0.10)
+# Albedo of the red boards of a barrier.
 _RED = (0.75, 0.08, 0.06)
+# Albedo of the white boards of a barrier.
 _WHITE = (0.9, 0.9, 0.88)
+# Albedos of walls, of which a house has one.
 _WALLS = np.array(
     [
         (0.62, 0.50, 0.38),
@@ -32,6 +37,7 @@ _WALLS = np.array(
         (0.60, 0.62, 0.64),
     ]
 )
+# Albedos of roofs, of which a house has one.
 _ROOFS = np.array([(0.38, 0.16, 0.12), (0.22, 0.20, 0.20), (0.30, 0.24, 0.22), (0.42, 0.24, 0.16)])
 
 
@@ -98,7 +104,7 @@ def build_street(route: Route, plan: Plan, character: Character, rng: np.random.
     for side in SIDES:
         parts += _parked_cars(side, route, plan, character, rng)
 
-    # Houses claim their places first, since they need the most.
+    # Houses claim their places first, since they need the most space.
     ground = Ground(plan)
     sides = frontages(route, plan)
     for frontage in sides:

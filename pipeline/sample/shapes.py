@@ -14,14 +14,23 @@ Colour = np.ndarray | tuple[float, float, float]
 # Metres along x, y and z.
 Size = tuple[float, float, float]
 
+# Albedo of lamp posts, RGB in 0..1.
 _GREY = (0.42, 0.44, 0.45)
+# Albedo of trunks.
 _BARK = (0.30, 0.22, 0.15)
+# Albedo of a car's windows.
 _GLASS = (0.10, 0.13, 0.16)
+# Albedo of wooden fences, before random shading.
 _WOOD = np.array([0.42, 0.28, 0.16])
+# Albedos of leaves, before random shading.
 _LEAVES = np.array([(0.16, 0.30, 0.08), (0.22, 0.34, 0.10), (0.12, 0.24, 0.10), (0.30, 0.34, 0.12)])
+# Albedo of tyres.
 _TYRE = (0.04, 0.04, 0.04)
+# Albedo of a car's rear lights.
 _REAR_LIGHT = (0.45, 0.03, 0.03)
+# Albedo of a car's headlights.
 _HEADLIGHT = (0.9, 0.9, 0.8)
+# Albedos of cars, of which a car has one.
 _PAINTS = np.array(
     [
         (0.75, 0.75, 0.77),
@@ -35,7 +44,9 @@ _PAINTS = np.array(
     ]
 )
 
+# Corners of a box with sides of 1, whose foot is centred on the origin.
 _BOX_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
+# Triangles of a box, two for each side, as numbers of its corners.
 _BOX_FACES = np.array(
     [
         [0, 1, 3], [0, 3, 2],

@@ -67,6 +67,7 @@ def _draw_lead(journey: Journey, rng: np.random.Generator) -> Vehicle:
     motion = journey.motion
     time_s = motion.time_s + _LEAD_S
     as_ego_m = np.interp(time_s, motion.time_s, motion.s_m, right=np.nan)
+
     # Beyond the ego's last place, the car drives on at the ego's last speed, but at least at 4 m/s.
     end_mps = max(float(motion.speed_mps[-1]), 4.0)
     beyond_m = motion.s_m[-1] + (time_s - motion.time_s[-1]) * end_mps

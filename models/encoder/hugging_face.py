@@ -168,9 +168,8 @@ def check_network(name: str, key: str = "") -> None:
         task, suitable = FAMILIES[key]
         with loading(name):
             family = json.loads(config.read_text())["model_type"]
-        if family not in getattr(
-            library.models.auto.modeling_auto, f"MODEL_FOR_{task}_MAPPING_NAMES"
-        ):
+        families = getattr(library.models.auto.modeling_auto, f"MODEL_FOR_{task}_MAPPING_NAMES")
+        if family not in families:
             raise InputError(
                 f"networks of type {family} have no map of {key}",
                 name,

@@ -203,9 +203,10 @@ def results_table(comparison: Comparison) -> Table:
 
         cells = {"model": name + marks if name in comparison.models else f"*{name}*"}
         if with_paper:
-            published = paper.PAPER[name] if facts.get("paper") else None
-            cells["paper: train MSE"] = number(published and published.train_mse, ".3f")
-            cells["paper: test MSE"] = number(published and published.test_mse, ".3f")
+            cells |= {"paper: train MSE": NONE, "paper: test MSE": NONE}
+            if facts.get("paper"):
+                cells["paper: train MSE"] = f"{paper.PAPER[name].train_mse:.3f}"
+                cells["paper: test MSE"] = f"{paper.PAPER[name].test_mse:.3f}"
             cells["MSE, rad²"] = number(facts["mse"], "#.3g")
         for label in comparison.labels:
             cells |= _error_cells(comparison.entry(name, label), label, name in comparison.models)

@@ -1,4 +1,4 @@
-"""KITTI's calibration files: lines "name: numbers"."""
+"""Read and write KITTI's calibration files, which have lines "name: numbers"."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -12,9 +12,9 @@ from pipeline.camera.camera import Camera, camera_height
 from pipeline.camera.geometry import rigid
 from pipeline.camera.lens import check_pinhole
 
-# The file of the cameras in a date's folder.
+# Name of the file with the cameras' calibration, in the folder of a date.
 CALIBRATION = "calib_cam_to_cam.txt"
-# First line of this file of rendered drives.
+# First line of this file if stage sample rendered the drives of the date.
 RENDERED = "dataset: sample"
 
 
@@ -36,9 +36,9 @@ def read_calibration(folder: Path, number: int) -> Camera:
         if not velo_path.exists():
             return camera
 
-        # P_rect projects from the reference camera's frame, P = K [I | t]: t shifts points to this
-        # camera. All three components count: with x alone (as in pykitti) depths are off by t_z, 3
-        # mm.
+        # P_rect = K [I | t] projects from the reference camera's frame, so t shifts points to this
+        # camera. All three components of t count: with t_x alone, as in pykitti, depths are off by
+        # t_z, which is 3 mm.
         shift = rigid(np.eye(3), np.linalg.solve(K, P[:, 3]))
         rectify = rigid(matrix(entries, "R_rect_00", (3, 3), path), np.zeros(3))
 

@@ -19,12 +19,12 @@ LIMIT_RAD = 1.2
 def read_columns(
     path: Path, limits: Mapping[str, float], expected: str
 ) -> tuple[pd.DataFrame, list[str]]:
-    """Return float64 columns by line of a file, and their faults.
+    """Return columns of a file as float64, indexed by line, and a list of their faults.
 
-    A fault is a cell that is no number, NaN in its column, or an implausible one. `limits`: names
-    of the columns → largest plausible magnitudes. All columns but the first may have empty cells.
-    The separator is a comma, a semicolon or a tab. Raises InputError, with the hint `expected`, for
-    a missing column.
+    A cell is faulty if it is not a number, or an implausible one. A cell that is not a number is
+    NaN in the table. `limits` maps the names of the columns to the largest plausible magnitudes.
+    All columns but the first may have empty cells. The separator is a comma, a semicolon or a tab.
+    Raises InputError, with the hint `expected`, for a missing column.
     """
     cells, header = _read_cells(path, expected)
     missing = [name for name in limits if name not in header]
@@ -35,6 +35,7 @@ def read_columns(
 
     table = pd.DataFrame(index=cells.index)
     faults = list[str]()
+    # Only in the first column, an empty cell is a fault.
     needs_number = True
     for name, limit in limits.items():
         words = cells[header.index(name)].rename(name)
@@ -44,7 +45,7 @@ def read_columns(
         faults += fault(words[values.abs() > limit], f"is implausible (limit ±{limit:g})")
         needs_number = False
 
-    # Decimal commas make more cells than names.
+    # With decimal commas, a line has more cells than line 1 has names.
     for place in cells.columns[len(header) :]:
         nameless = cells[place].dropna().rename(f"cell {place + 1}")
         faults += fault(nameless, "has no name in line 1")
@@ -52,11 +53,11 @@ def read_columns(
 
 
 def _read_cells(path: Path, expected: str) -> tuple[pd.DataFrame, list[str]]:
-    """Return the cells of a CSV file, text by line and place, and the names in its first line.
+    """Return the cells of a CSV file as text, by line and place, and the names in its first line.
 
     Lines without content are left out. Raises InputError.
     """
-    # A zero byte is in Excel's Unicode text, and in PowerShell's files.
+    # Excel's "Unicode text" and PowerShell's files are in UTF-16, which has zero bytes.
     if b"\0" in path.read_bytes():
         raise InputError(
             "is in UTF-16",
@@ -71,6 +72,7 @@ def _read_cells(path: Path, expected: str) -> tuple[pd.DataFrame, list[str]]:
             f"Remove line 1: {lines[0]}",
         )
 
+    # The separator is the one that is most frequent in line 1. Other lines may have more cells.
     separator = max(",;\t", key=lines[0].count)
     most_separators = max(line.count(separator) for line in lines)
     try:
@@ -87,14 +89,15 @@ def _read_cells(path: Path, expected: str) -> tuple[pd.DataFrame, list[str]]:
         )
     except ValueError as error:
         raise InputError(f"is not a CSV file ({error})", path, expected) from error
+    # Lines are counted from 1. Line 1 has the names.
     header = cells.iloc[0].fillna("").str.strip().tolist()[: 1 + lines[0].count(separator)]
     return cells.set_axis(cells.index + 1)[1:].dropna(how="all"), header
 
 
 def fault(cells: pd.Series, problem: str) -> list[str]:
-    """Return a text with the first of the wrong `cells` of a column, by line of the file.
+    """Return a list with one text about the faulty `cells` of a column, or an empty list.
 
-    Nothing if there are none.
+    `cells` are indexed by line of the file. The text quotes the first.
     """
     if cells.empty:
         return []
@@ -104,7 +107,7 @@ def fault(cells: pd.Series, problem: str) -> list[str]:
 
 
 def check_increase(values: pd.Series, least_step: float) -> list[str]:
-    """Return a fault of the `values` that are less than `least_step` above the one before."""
+    """Return a fault of the `values` that exceed the value before by less than `least_step`."""
     values = values.dropna()
     return fault(values[values.diff() < least_step], f"does not increase by {least_step:g} or more")
 

@@ -1,11 +1,12 @@
 """The interface of a dataset's file, ``pipeline/ingest/datasets/NAME.py``: two functions.
 
-- ``fingerprint(name, settings, root)``: JSON-able facts that change with the drive's files, for
-  instance :func:`stamps`; drives with more of them are read first. Each run calls it for each
-  drive, so it decodes no images.
-- ``open_drive(name, settings, root)``: a :class:`Drive`.
+- ``fingerprint(name, settings, root)`` returns a list of JSON-able facts that change with the
+  drive's files, for instance :func:`stamps`. Drives with longer lists are read first. Each run
+  calls it for each drive, so it should decode no images.
+- ``open_drive(name, settings, root)`` returns a :class:`Drive`.
 
-`settings` is section ``ingest``, `root` the folder data/raw; of the rendered sample data/sample.
+`settings` is section ``ingest``. `root` is the folder data/raw, or data/sample for the rendered
+sample.
 """
 
 import importlib
@@ -22,15 +23,17 @@ from pipeline.camera.camera import Camera, Frame
 class Drive:
     """One drive of a dataset."""
 
-    # The camera of complete, rectified images; None: no images and no scans.
+    # The camera of the complete, rectified images. None if there are neither images nor scans.
     camera: Camera | None
     # Frames in ascending numbers. Images, depth and classes have the camera's size.
     frames: Callable[[], Iterator[Frame]]
-    # Name → frame number → value: steering_rad; speed_mps and yaw_rate_radps, or oxts [30]; see
-    # ingest_file.VALUES.
+    # Recorded values: name → frame number → value. A drive may have steering_rad, and either
+    # speed_mps and yaw_rate_radps or oxts packets [30]. See ingest_file.VALUES for the units.
     values: Mapping[str, Mapping[int, Any]] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)  # for the user; complete after the last frame
-    dataset: str = ""  # if it is another than the file's name
+    # Notes for the user. They are complete after the last frame has been read.
+    notes: list[str] = field(default_factory=list)
+    # Name of the dataset, if it differs from the name of the dataset's file.
+    dataset: str = ""
 
 
 def load(name: str) -> ModuleType:
@@ -39,7 +42,7 @@ def load(name: str) -> ModuleType:
 
 
 def stamps(paths: Iterable[Path], folder: Path) -> list[Any]:
-    """Return names below `folder`, sizes and times of files.
+    """Return the name relative to `folder`, the size and the times of each file.
 
     Hashing KITTI's 175 GB would take longer than ingesting them. The change time detects a file
     that was extracted again: unzip restores the modification time.

@@ -1,7 +1,8 @@
 """Write the ingest file of a drive, data/ingest/<drive>.h5.
 
-It has everything that later stages need of a drive of any dataset. Each row belongs to a frame
-number. Missing data has the fill value, and ``has_<name>`` is 0.
+It has all data that later stages need, whatever the drive's dataset is. Row i of a dataset belongs
+to the frame whose number is in row i of ``frame``. Where a frame lacks data, the row has a fill
+value, and ``has_<name>`` is 0.
 """
 
 from collections.abc import Callable, Mapping
@@ -22,18 +23,18 @@ from pipeline.ingest.settings import Ingest, Reading
 
 
 class _Map(NamedTuple):
-    """A value for each pixel of a frame."""
+    """How to store a dataset that has a value for each pixel of a frame."""
 
     unit: str
-    missing: np.ndarray  # value of missing pixels
+    missing: np.ndarray  # fill value of a pixel
     resize: Callable[..., np.ndarray]
 
 
 class _Value(NamedTuple):
-    """A value, or a packet of values, for each frame."""
+    """How to store a dataset that has a value, or a packet of values, for each frame."""
 
     unit: str
-    missing: float  # of a frame without one
+    missing: float  # fill value of a frame
 
 
 MAPS = {
@@ -41,7 +42,7 @@ MAPS = {
     "depth": _Map("1/256 m, 0 = none", np.array(0, np.uint16), nearest),
     "cls": _Map(f"trainId, {VOID} = void", np.array(VOID, np.uint8), nearest),
 }
-# Of oxts, each frame has a packet.
+# Recorded values by name. In a drive with oxts, each frame has a packet, so there is no has_oxts.
 VALUES = {
     "oxts": _Value("as KITTI's oxts/dataformat.txt", np.nan),
     "steering_rad": _Value("rad, left positive", 0.0),
@@ -49,9 +50,9 @@ VALUES = {
     "left_mps": _Value("m/s, left positive", np.nan),
     "yaw_rate_radps": _Value("rad/s, left positive", np.nan),
 }
-# Data that a frame may lack.
+# Names of the data that a frame may lack. For each, the file has a dataset has_<name>.
 HAS = (*MAPS, "lidar")
-# Words for the summary.
+# Name of a count → its word in the log.
 COUNTS = {
     "image": "images",
     "lidar": "scans",
@@ -62,12 +63,12 @@ COUNTS = {
 
 
 class _Row(NamedTuple):
-    """A frame that is written."""
+    """Facts of a frame that has been written."""
 
     number: int
     time_s: float
-    points: int  # of its scan
-    has: dict[str, bool]  # by the names HAS
+    points: int  # number of points in its scan
+    has: dict[str, bool]  # name in HAS → whether the frame has the data
 
 
 def ingest_drive(
@@ -86,11 +87,12 @@ def write_drive(
     settings: Reading,
     advance: Callable[[int], object] | None = None,
 ) -> Summary:
-    """Write a drive of `dataset`, with images cropped around the horizon.
+    """Write a drive of `dataset`, with images cropped around the horizon and resized.
 
-    `advance` is called with the number of frames that are done since the last call. Returns the
-    counts of frames, images, scans, …, and ``counts``, a text. Raises InputError if there are no
-    frames, pixels of another size than the camera's, or values with an unknown name.
+    `advance` is called with the number of frames that were written since its last call. Returns the
+    numbers of frames, images, scans and so on, and ``counts``, a text about them. Raises InputError
+    if the drive has no frames, pixels of another size than the camera's, or values with an unknown
+    name.
     """
     _check_names(drive.values)
     camera = drive.camera
@@ -100,11 +102,13 @@ def write_drive(
         "dataset": drive.dataset or dataset,
         "ingest": settings.model_dump(mode="json"),
     }
+    # A height that was passed, and does not follow from the calibration, is a setting of the drive.
     if camera and camera.height_known and camera.height_m != camera_height(camera.T_cam_velo):
         params["camera_height_m"] = camera.height_m
 
     rows = list[_Row]()
     with DriveWriter(path, stage="ingest", drive=name, params=params) as file:
+        # Maps that the file has so far. It always has images.
         written = {"image"}
         for frame in drive.frames():
             _check_size(frame, camera)
@@ -113,7 +117,7 @@ def write_drive(
             for key, pixels in maps.items():
                 unit, missing, resize = MAPS[key]
                 content = np.broadcast_to(missing, (*size, *missing.shape))
-                # The first depth or classes: earlier frames have none.
+                # With the first depth or classes, earlier frames get the fill value.
                 if pixels is not None and key not in written:
                     written.add(key)
                     for _ in rows:
@@ -156,7 +160,7 @@ def write_drive(
 def _put_values(
     file: DriveWriter, values: Mapping[str, Mapping[int, Any]], numbers: list[int]
 ) -> int:
-    """Write the values of the frames with these numbers, and return the number of angles."""
+    """Write the values of the frames with these numbers. Return the number of steering angles."""
     motion = recorded_motion(values.get("oxts", {}))
     values = {**motion, **values}
     has_steering = np.isin(numbers, [*values.get("steering_rad", ())])
@@ -171,7 +175,7 @@ def _put_values(
 
 
 def _check_names(values: Mapping[str, Any]) -> None:
-    """Raise InputError if values have a name that the file lacks: they would be lost."""
+    """Raise InputError for values with an unknown name, which would not be written."""
     for name in values:
         if name not in VALUES:
             problem = f"Drive.values has the unknown name {name}: {closest(name, [*VALUES])}"
@@ -181,7 +185,7 @@ def _check_names(values: Mapping[str, Any]) -> None:
 def _check_size(frame: Frame, camera: Camera | None) -> None:
     """Raise InputError if pixels of a frame have another size than the camera.
 
-    Its crop would cut them.
+    The crop around the horizon is computed for the camera's size.
     """
     if camera is None:
         return

@@ -1,4 +1,4 @@
-"""Read logs of a car, its motion and its wheel's angles, and interpolate them at images' times."""
+"""Read logs of a car's motion and of its wheel's angles, and interpolate them at images' times."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -20,24 +20,28 @@ from pipeline.ingest.columns import (
 from pipeline.ingest.names import check_name
 from pipeline.ingest.settings import RecordingOptions
 
-# Largest distance in seconds of two values between which values are interpolated.
+# Largest distance in seconds between two logged values for an interpolation between them.
 MAX_GAP_S = 0.5
-# Least difference in radians between two values that is a jump from 2π to 0: no wheel turns this
-# fast.
+# Least difference in radians between two successive values that is a jump from 2π to 0. No wheel
+# turns this fast.
 WRAPPED_RAD = 5.0
 # Error in seconds of timestamps in videos, which are rounded. Comparisons tolerate it.
 ROUNDING_S = 1e-3
-# Least time in seconds by which the rows of a log rise.
+# Least difference in seconds between the times of successive rows.
 LEAST_STEP_S = 1e-5
-# Least median step in seconds: below, times are in another unit.
+# Least median step in seconds. If it is smaller, the times are in another unit than seconds.
 LEAST_MEDIAN_S = 0.999e-3
-# Largest median step in seconds of a file with the times of images: milliseconds have 10 and more.
+# Largest median step in seconds between images. If it is larger, the times are in another unit: in
+# milliseconds, the step is 10 or more.
 LONGEST_STEP_S = 2.0
+# Columns of a log of the motion → their largest plausible magnitudes.
 _RATES = {"speed_mps": LIMIT_MPS, "yaw_rate_radps": LIMIT_RADPS}
+# Advice for a faulty log of the motion.
 _MOTION = (
     "Expected CSV, numbers with decimal points: time_s [s], speed_mps [m/s], yaw_rate_radps "
     "[rad/s, left +]"
 )
+# Advice for a faulty log of the wheel.
 _WHEEL = "Expected CSV, numbers with decimal points: time_s [s], wheel_rad [rad, left +]"
 
 
@@ -46,19 +50,21 @@ class Log(NamedTuple):
 
     time_s: np.ndarray  # ascending [N]
     values: np.ndarray  # [C,N], NaN where unknown
-    name: str = ""
-    repeated: int = 0  # rows of the file that equal another one and are left out
-    ratio: float = 1.0  # by which the file's values were divided
+    name: str = ""  # name of the file
+    repeated: int = 0  # number of rows that are left out, as they equal another row
+    ratio: float = 1.0  # number by which the file's values were divided
 
     def at(self, time_s: np.ndarray) -> np.ndarray:
-        """Return quantities [C,F] at `time_s` [F], linear between times.
+        """Return the quantities [C,F] at `time_s` [F], interpolated linearly.
 
-        They are NaN outside, and in gaps of any quantity.
+        They are NaN before the first and after the last logged time, between times that are more
+        than MAX_GAP_S apart, and wherever one of the quantities is NaN.
         """
         left = np.searchsorted(self.time_s, time_s, side="right") - 1
         left = np.clip(left, 0, len(self.time_s) - 2)
         before_s = self.time_s[left]
         after_s = self.time_s[left + 1]
+        # At a time that is logged itself, a gap does not matter.
         is_logged = (time_s == before_s) | (time_s == after_s)
         gap_s = np.where(is_logged, 0.0, after_s - before_s)
 
@@ -68,7 +74,7 @@ class Log(NamedTuple):
         return np.where(is_known, values, np.nan)
 
     def check_overlap(self, first_s: float, last_s: float) -> None:
-        """Raise InputError if there is no value from the first to the last image."""
+        """Raise InputError if the log ends before the first image, or begins after the last."""
         begin_s, end_s = self.time_s[[0, -1]]
         if begin_s > last_s + ROUNDING_S or end_s < first_s - ROUNDING_S:
             offset = f"--offset {round(first_s - begin_s, 3):.13g}, added to an earlier one"
@@ -88,9 +94,10 @@ Logs = Mapping[str, Log]
 def read_logs(options: RecordingOptions) -> Logs:
     """Read the logs of a recording, CSV files of the wheel's angle and of the car's motion.
 
-    The first has time_s and wheel_rad, the second time_s, speed_mps and yaw_rate_radps. The offset
-    is added to their times. Empty cells are interpolated, and repeated rows left out. Raises
-    InputError with all faults of a file; times of a column have to increase and to be in seconds.
+    A log of the wheel has the columns time_s and wheel_rad; a log of the motion has time_s,
+    speed_mps and yaw_rate_radps. The offset is added to the times. Empty cells are interpolated,
+    and repeated rows are left out. Raises InputError with all faults of a file. The times of a
+    column have to increase, and to be in seconds.
     """
     ratio = options.steering_ratio
     if (options.wheel is None) != (ratio is None):
@@ -99,7 +106,8 @@ def read_logs(options: RecordingOptions) -> Logs:
     if options.offset_s and not (options.wheel or options.motion):
         raise InputError("--offset needs a log", fix="Pass --motion or --wheel, too")
 
-    # A fault of the motion is reported first, but the wheel is the first log.
+    # The motion is read first, so that its faults are reported first. In the result, the wheel is
+    # first.
     motion: Log | None = None
     if options.motion:
         motion = _read_log(options.motion, _RATES, _MOTION, options.offset_s)
@@ -112,7 +120,10 @@ def read_logs(options: RecordingOptions) -> Logs:
 
 
 def _read_wheel(path: Path, ratio: float, offset_s: float) -> Log:
-    """Return the front wheels' angle by a log of the steering wheel, `ratio` times as large."""
+    """Return the front wheels' angle from a log of the steering wheel's angle.
+
+    The steering wheel's angle is `ratio` times the front wheels'.
+    """
     if not abs(ratio) >= 1:
         raise InputError(
             "expected a magnitude of 1 or more", "--steering-ratio", "1: angles of front wheels"
@@ -125,14 +136,15 @@ def _read_wheel(path: Path, ratio: float, offset_s: float) -> Log:
 
 
 def log_names(logs: Logs) -> str:
-    """Return the names of the files, empty without a log."""
+    """Return the names of the logs' files as a text, which is empty if there are no logs."""
     return " and ".join(log.name for log in logs.values())
 
 
 def logged_values(logs: Logs, frame: np.ndarray, time_s: np.ndarray) -> dict[str, dict[int, float]]:
     """Return name → frame number → value, for the frames [F] at `time_s` [F].
 
-    Unknown rates are NaN, unknown angles are left out; see Drive.
+    This is the form of ``Drive.values``. Where speed or yaw rate is unknown, both are NaN. Frames
+    with an unknown angle have no entry.
     """
     result = dict[str, dict[int, float]]()
     if "motion" in logs:
@@ -146,7 +158,7 @@ def logged_values(logs: Logs, frame: np.ndarray, time_s: np.ndarray) -> dict[str
 
 
 def log_notes(logs: Logs, time_s: np.ndarray) -> Iterator[str]:
-    """Yield notes on logs with repeated rows, and without a value of all images at `time_s` [F]."""
+    """Yield notes on logs that repeat rows, or lack values for some images at `time_s` [F]."""
     for log in logs.values():
         if log.repeated:
             yield f"{log.name}: {log.repeated:,} rows repeat another row and are left out"
@@ -156,7 +168,7 @@ def log_notes(logs: Logs, time_s: np.ndarray) -> Iterator[str]:
 
 
 def _read_log(path: Path, limits: Mapping[str, float], expected: str, offset_s: float) -> Log:
-    """Return the columns `limits` of a file as a log at all of its times, see read_columns."""
+    """Return a file as a log. `limits` and `expected` are those of :func:`read_columns`."""
     check_name(path)
     rows, faults = read_columns(path, {"time_s": np.inf, **limits}, expected)
     table = rows.drop_duplicates()
@@ -165,7 +177,8 @@ def _read_log(path: Path, limits: Mapping[str, float], expected: str, offset_s: 
         faults += _check_times(column["time_s"], MAX_GAP_S + ROUNDING_S, name)
     refuse(faults, path, expected)
 
-    # Two topics in one file have their own times, so each column is interpolated at all times.
+    # Quantities of two sensors in one file have different times, so each column is interpolated at
+    # all times of the file.
     time_s = np.unique(table["time_s"])
     values = []
     for column in columns.values():
@@ -190,8 +203,8 @@ def read_times(path: Path) -> np.ndarray:
 def _check_times(times_s: pd.Series, longest_s: float, column: str = "") -> list[str]:
     """Return faults of the times of a `column`.
 
-    They are too few, do not increase, or have a median step that is below 1 ms or above
-    `longest_s`.
+    It is a fault if there are fewer than two times, if they do not increase, or if their median
+    step is below 1 ms or above `longest_s`.
     """
     if len(times_s) < 2:
         return [f"{column or times_s.name} has fewer than 2 values"]

@@ -14,7 +14,8 @@ from pipeline.camera.images import Size, read_image
 from pipeline.ingest.names import PICTURES, order_doubts, visible, words
 from pipeline.ingest.video import CONVERT, Video, decode, probe, upright
 
-# Largest difference in seconds that times of creation do not tell: they are whole seconds.
+# Largest difference in seconds between times of creation that may come from rounding: they are
+# whole seconds.
 WHOLE_S = 1.5
 
 
@@ -24,7 +25,7 @@ class ImageFolder:
     Their times follow from a rate, or from names in nanoseconds.
     """
 
-    # Number of images by a header, which a folder lacks.
+    # Number of images by a header. It is 0, as a folder has no header.
     stored = 0
 
     def __init__(self, folder: Path, fps: float | None) -> None:
@@ -54,37 +55,44 @@ class ImageFolder:
     def span_s(self) -> tuple[float, float]:
         """Return the times of the first and the last image, without decoding.
 
-        Raises InputError without times.
+        Raises InputError if the images have no times.
         """
         times_s = self.times_s()
         return float(times_s[0]), float(times_s[-1])
 
     def times_s(self, stamps_s: np.ndarray | None = None) -> np.ndarray:
-        """Return the times of the images [N], which have no time stamps of their own."""
+        """Return the times of the images [N].
+
+        The argument is only for videos, as the images of a folder have no time stamps.
+        """
         if self._times_s is None:
             raise _without_times(self.path)
         return self._times_s
 
 
 class VideoFiles:
-    """Videos that follow each other; their times are their own, or follow from a rate."""
+    """Videos that follow each other.
+
+    The times of their images are the time stamps in the files, or follow from a rate.
+    """
 
     def __init__(self, paths: Sequence[Path], fps: float | None) -> None:
         self.path = paths[0]
         self._fps = fps
         self._videos = [probe(path) for path in paths]
         self._begins_s, gaps = follow(self._videos)
-        # Number of images by the headers, 0: unknown.
+        # Number of images by the headers; a file whose header does not say it counts as 0.
         self.stored = sum(video.stored for video in self._videos)
         self.notes = [note for video in self._videos for note in video.notes] + gaps
-        # Whether this is one recording, in order: by the names of its files, or else by their
-        # times of creation.
+        # Doubts whether the files are one recording, in order. Times of creation are only compared
+        # if the names of the files raise no doubt.
         self.doubts = order_doubts(paths) if len(paths) > 1 else []
         if not self.doubts:
             self.doubts = [*_created_earlier(self._videos)]
 
     def images(self) -> Iterator[av.VideoFrame]:
         """Yield the images; a second call starts again."""
+        # Time stamps of all files are shifted to continue those of the first.
         first_s = self._videos[0].first_s
         for video, begin_s in zip(self._videos, self._begins_s, strict=True):
             yield from decode(video.path, begin_s + first_s - video.first_s)
@@ -92,8 +100,8 @@ class VideoFiles:
     def span_s(self) -> tuple[float, float]:
         """Return the times of the first and the last image, without decoding.
 
-        Raises InputError without times, and for time lapse or slow motion, whose times are not
-        those of the camera.
+        Raises InputError if the images have no times, and for time lapse or slow motion, whose
+        times are not those at which the images were taken.
         """
         if self._fps:
             count = sum(video.packets for video in self._videos)
@@ -101,7 +109,7 @@ class VideoFiles:
         if not all(video.stamped for video in self._videos):
             raise _without_times(self.path)
         first = self._videos[0]
-        # False for NaN.
+        # The comparison is false for NaN, which is neither time lapse nor slow motion.
         if first.taken_hz > 0:
             raise InputError(
                 f"time lapse or slow motion: {first.taken_hz:g} images per second were taken, "
@@ -114,7 +122,7 @@ class VideoFiles:
     def times_s(self, stamps_s: np.ndarray) -> np.ndarray:
         """Return the times of the images [N] by their time stamps.
 
-        Raises DamagedFile if these do not increase.
+        Raises DamagedFile if the time stamps do not increase.
         """
         if self._fps:
             return np.arange(len(stamps_s)) / self._fps
@@ -142,19 +150,20 @@ def follow(videos: Sequence[Video]) -> tuple[list[float], list[str]]:
     begins_s = [0.0]
     notes = list[str]()
     for before, after in pairwise(videos):
-        lasts_s = before.length_s + before.step_s
-        begin_s = begins_s[-1] + lasts_s
+        duration_s = before.length_s + before.step_s
+        begin_s = begins_s[-1] + duration_s
 
-        # Times of creation tell a gap, or an overlap, if they are known and in order.
+        # Times of creation show a gap, or an overlap, if they are known and in order.
         gap_s = 0.0
         apart_s = _created_after_s(before, after)
         if apart_s > 0:
-            gap_s = apart_s - lasts_s
+            gap_s = apart_s - duration_s
         if abs(gap_s) > WHOLE_S:
             when = "after" if gap_s > 0 else "before"
             notes.append(
                 f"{after.path.name} begins {abs(gap_s):.1f} s {when} the end of {before.path.name}"
             )
+        # An overlap gets a note only, as times have to increase.
         if gap_s > WHOLE_S:
             begin_s += gap_s
         begins_s.append(begin_s)
@@ -188,13 +197,14 @@ def image_size(source: ImageFolder | VideoFiles) -> Size:
 def _image_files(folder: Path) -> tuple[list[Path], np.ndarray]:
     """Return the PNG and JPEG files of a folder in order, and their places [F].
 
-    Places leave room for missing numbers; of names without consecutive numbers they are 0, 1, …
+    A place is the position of an image among all images that were taken: it skips a missing number.
+    If names have no regular numbers, the places are 0, 1, and so on.
     """
     files = visible(folder, PICTURES)
     if not files:
         raise InputError(f"folder has no images (expected {', '.join(PICTURES)})", folder)
 
-    # The numbers in the names of one camera's images rise from file to file.
+    # The numbers in the names of one camera's images, every second word, rise from file to file.
     for before, after in pairwise(files):
         numbers_before = words(before)[1::2]
         if numbers_before and words(after)[1::2] <= numbers_before:
@@ -205,13 +215,14 @@ def _image_files(folder: Path) -> tuple[list[Path], np.ndarray]:
                 "Pass a folder with the images of one",
             )
 
-    # The last number counts the images if the names differ in nothing else,
+    # The last number counts the images only if the names differ in nothing else.
     in_order = np.arange(len(files))
     names = [words(file) for file in files]
     if len({(*name[:-2], name[-1]) for name in names}) > 1:
         return files, in_order
 
-    # and if it rises regularly: gaps are multiples of the most frequent step.
+    # It must also rise regularly: the smallest step is the median of all steps, and the others are
+    # multiples of it.
     numbers = [int(name[-2]) for name in names if len(name) > 1]
     steps = [after - before for before, after in pairwise(numbers)]
     step = min(steps, default=0)

@@ -1,4 +1,4 @@
-"""Find the files of one recording, of one camera and in order, by their names."""
+"""Find the files of one recording by one camera, and their order, by their names."""
 
 import re
 from collections import defaultdict
@@ -9,23 +9,25 @@ from pathlib import Path
 from pipeline.base.errors import InputError
 from pipeline.base.resume import content_hash
 
+# Suffixes of images.
 PICTURES = (".png", ".jpg", ".jpeg")
+# Suffixes of videos.
 VIDEOS = (".mp4", ".mov", ".mkv", ".avi", ".ts", ".mts", ".webm")
-# Largest number of pictures per video of a folder that are thumbnails or photographs; more of them
-# are a recording.
+# Largest number of images per video in a folder at which the images are thumbnails or photographs.
+# If there are more, the images are the recording.
 BESIDE = 10
-# Number of patterns of names in an error message.
+# Largest number of patterns of names that an error message lists.
 NAMED = 6
-# A number in a name. Times are one number: 2024-05-01_12-00-00, 20240501_120000, 20240501120000123,
-# and 12-00-00 without a date.
+# Pattern of a number in a name. A time counts as one number: 2024-05-01_12-00-00, 20240501_120000,
+# 20240501120000123, and 12-00-00 without a date.
 _NUMBER = re.compile(
     r"(20\d\d\D?\d\d\D?\d\d\D?\d\d\D?\d\d\D?\d\d\d*|\d\d[-.]\d\d[-.]\d\d(?!\d)|\d+)"
 )
-# A name of GoPro: GX020042 is the second chapter of recording 0042; of older cameras, GP010042
-# follows GOPR0042.
+# Pattern of a name by a GoPro camera. GX020042 is the second chapter of recording 0042. Older
+# cameras write GOPR0042, then GP010042.
 _GOPRO = re.compile(r"(G[HLSX](?=\d{6})|GP(?=\d{6})|GOPR(?=\d{4}$))(\d\d)??(\d{4})")
-# A name of BlackVue: 20240501_120000_NF has the mode N (others are E for events, P for parking),
-# and the camera F.
+# Pattern of a name by a BlackVue camera. 20240501_120000_NF has the mode N and the camera F. Other
+# modes are E for events and P for parking.
 _BLACKVUE = re.compile(r"(\d{8}_\d{6})_[A-Z]([A-Z])")
 
 
@@ -41,7 +43,7 @@ def check_name(path: Path) -> None:
 def check_different(paths: Sequence[Path]) -> None:
     """Raise InputError if two files, or two folders, have the same content.
 
-    Missing ones are for the caller.
+    Missing files are skipped, as the caller reports them.
     """
     path_of = dict[str, Path]()
     for path in paths:
@@ -58,8 +60,8 @@ def check_different(paths: Sequence[Path]) -> None:
 def videos_in(folder: Path) -> tuple[list[Path], list[str]]:
     """Return the videos of a folder in order, and notes on ignored files.
 
-    There are no videos if the folder's images are the recording. Raises InputError for videos of
-    several cameras or recordings.
+    The list of videos is empty if the folder's images are the recording. Raises InputError for
+    videos of several cameras or recordings.
     """
     videos = visible(folder, VIDEOS)
     pictures = visible(folder, PICTURES)
@@ -97,8 +99,8 @@ def _some(files: Sequence[Path]) -> str:
 def group(files: Sequence[Path]) -> dict[str, list[Path]]:
     """Return the files of each recording in order, by a pattern of their names.
 
-    Names of one recording differ in one number, for which * stands. Others may rise with it, as a
-    counter does with the time.
+    The names of one recording differ in one number, which is * in the pattern. Further numbers may
+    rise together with it, such as a counter beside a time; they are *, too.
     """
     alike = defaultdict[tuple[str, ...], list[Path]](list)
     for path in files:
@@ -108,22 +110,28 @@ def group(files: Sequence[Path]) -> dict[str, list[Path]]:
     groups = dict[str, list[Path]]()
     for paths in alike.values():
         for pattern, members in _by_rising_number(sorted(paths, key=_numbers)).items():
-            groups[pattern if len(members) > 1 else members[0].name] = members
+            key = pattern if len(members) > 1 else members[0].name
+            groups[key] = members
     return groups
 
 
 def _by_rising_number(paths: Sequence[Path]) -> dict[str, list[Path]]:
-    """Group files, in order, whose names have the same texts, by the numbers that do not rise."""
+    """Return pattern → files, for files in order whose names have the same texts.
+
+    Files of one group differ only in the numbers that rise.
+    """
     rows = [_numbers(path) for path in paths]
     values = [set(column) for column in zip(*rows, strict=True)]
     rising = [place for place, column in enumerate(values) if len(column) > 1]
     if not all(_rise(before, after) for before, after in pairwise(rows)):
-        # Only one number counts the files: the last of those with the most values.
+        # Some number falls, so there are several recordings, and only one number counts the files
+        # of each. It is the one with the most values; of several such numbers, the last.
         most = max(len(column) for column in values)
         rising = [place for place in rising if len(values[place]) == most][-1:]
 
     groups = defaultdict[str, list[Path]](list)
     for path in paths:
+        # The numbers are every second part.
         parts = _split_name(path)
         for place in rising:
             parts[2 * place + 1] = "*"
@@ -132,14 +140,14 @@ def _by_rising_number(paths: Sequence[Path]) -> dict[str, list[Path]]:
 
 
 def _rise(before: Sequence[int], after: Sequence[int]) -> bool:
-    """Return whether no number is smaller after than before."""
+    """Return whether no number is smaller in `after` than in `before`."""
     return all(first <= second for first, second in zip(before, after, strict=True))
 
 
 def _split_name(path: Path) -> list[str]:
     """Return the parts of a name: text, number, text, and so on.
 
-    The number of a recording of GoPro is a text.
+    A GoPro camera's number of a recording counts as a text, so that its chapters stay together.
     """
     gopro = _GOPRO.fullmatch(path.stem)
     if gopro:
@@ -163,6 +171,7 @@ def order_doubts(paths: Sequence[Path]) -> list[str]:
     """Return a doubt on videos in the order that a user passed, if their names say otherwise."""
     groups = group(paths)
     patterns = {path: pattern for pattern, members in groups.items() for path in members}
+    # If the files of each group are together, the group changes len(groups) - 1 times.
     changes = sum(patterns[before] != patterns[after] for before, after in pairwise(paths))
     if changes >= len(groups):
         return [
@@ -189,5 +198,5 @@ def visible(folder: Path, suffixes: Sequence[str]) -> list[Path]:
 
 
 def words(path: Path) -> list[str | int]:
-    """Return the parts of a name, with numbers as such: img_9 comes before img_10."""
+    """Return the texts and the numbers of a name in turn, so that img_9 sorts before img_10."""
     return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", path.stem)]

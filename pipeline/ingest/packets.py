@@ -17,7 +17,7 @@ from pipeline.ingest.columns import (
     refuse,
 )
 
-# Columns of a packet of the inertial and GNSS system.
+# Columns of a packet by the inertial and GNSS system, in order.
 COLUMNS = (
     "lat",
     "lon",
@@ -64,7 +64,9 @@ _LIMITS = np.full(len(COLUMNS), np.inf)
 _LIMITS[COLUMNS.index("vf")] = LIMIT_MPS
 _LIMITS[COLUMNS.index("vl")] = LIMIT_MPS
 _LIMITS[COLUMNS.index("wu")] = LIMIT_RADPS
+# Acceleration of gravity in m/s².
 GRAVITY_MPS2 = 9.81
+# Radius of the earth at the equator in metres.
 EARTH_RADIUS_M = 6378137.0
 # File of recorded angles in a drive's folder, which KITTI itself lacks.
 STEERING = "steering.csv"
@@ -81,18 +83,19 @@ def make_rows(frames: int, **columns: np.ndarray | float) -> np.ndarray:
 def interpolated(rows: np.ndarray) -> np.ndarray:
     """Return which packets [F,30] KITTI interpolated, bool [F].
 
-    Of these, a mode of position, velocity or orientation is -1. Labels from interpolated packets of
-    2011_10_03_drive_0027 are off by 0.04 rad rms, others by 0.006.
+    In such a packet, the mode of position, velocity or orientation is -1. Labels from the
+    interpolated packets of 2011_10_03_drive_0027 are off by 0.04 rad rms, those from its other
+    packets by 0.006.
     """
     modes = rows[:, COLUMNS.index("posmode") :]
     return np.asarray((modes == -1).any(axis=1))
 
 
 def recorded_motion(packets: Mapping[int, np.ndarray]) -> dict[str, dict[int, float]]:
-    """Return name → frame number → value of packets [30], for the names of MOTION.
+    """Return name → frame number → value, for the names of MOTION.
 
-    Values are in m/s and rad/s, left positive; NaN in an interpolated packet, which is no
-    measurement.
+    `packets` maps frame numbers to packets [30]. Values are in m/s and rad/s, left positive. They
+    are NaN for an interpolated packet, which is no measurement.
     """
     motion: dict[str, dict[int, float]] = {name: {} for name in MOTION}
     for number, row in packets.items():
@@ -141,10 +144,10 @@ def read_row(path: Path) -> np.ndarray:
 def read_times(path: Path, frames: Sequence[int]) -> np.ndarray:
     """Return the times of `frames` in seconds since the first, float64 [F].
 
-    These are KITTI frame numbers, ascending. Line i of ``timestamps.txt`` belongs to frame i. A
-    file with exactly one line per existing file belongs to a drive cut out of a longer one: then
-    lines belong to `frames` by position. Raises InputError if the file or a line is missing, or
-    time does not increase.
+    `frames` are KITTI frame numbers, ascending. Line i of ``timestamps.txt``, counted from 0,
+    belongs to frame i. If a drive was cut out of a longer one, the file may have exactly one line
+    per frame: in this case, line i belongs to ``frames[i]``. Raises InputError if the file or a
+    line is missing, or if time does not increase.
     """
     if not path.is_file():
         raise InputError(
@@ -163,7 +166,8 @@ def read_times(path: Path, frames: Sequence[int]) -> np.ndarray:
     words = pd.Series(lines, np.arange(len(lines)) + 1, name="time").iloc[places]
     stamps = pd.to_datetime(words, format="ISO8601", errors="coerce").astype("datetime64[ns]")
     refuse(fault(words[stamps.isna()], "is not a date and time"), path, "Correct it")
-    # Differences in nanoseconds: a float64 of seconds since 1970 resolves only 0.2 microseconds.
+    # Subtract in integer nanoseconds: a float64 resolves the seconds since 1970 only to 0.2
+    # microseconds.
     time_s = (stamps - stamps.iloc[0]).astype("int64") / 1e9
     refuse(check_increase(time_s, 1e-9), path, "Correct or remove it")
     return time_s.to_numpy()

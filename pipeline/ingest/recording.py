@@ -1,6 +1,6 @@
 """Open a recording: a user's videos or images with their times, the camera, and logs of the car.
 
-The way of a recording into data/ingest:
+A recording gets into data/ingest in three steps:
 
 1. ``steer import`` opens it with :func:`open_recording`, which scans all of its images. It writes
    links to its files, and the scan, to a folder of data/raw, and cuts it into parts, each a drive
@@ -32,7 +32,8 @@ from pipeline.ingest.scan import scan
 from pipeline.ingest.settings import RecordingOptions
 from pipeline.ingest.video import INEXACT, upright
 
-# Largest number of frames over which the rate of a recording is measured: single steps are uneven.
+# Largest number of frames between the two frames from which a frame rate is measured. Single steps
+# are uneven.
 RATE_FRAMES = 20
 
 # A function that removes the lens' distortion from an image.
@@ -44,14 +45,20 @@ class Recording:
     """The frames of a recording, which are its images without repeats, its camera and its logs."""
 
     source: ImageFolder | VideoFiles
-    camera: Camera  # of complete images without distortion, at an unknown row of the horizon
+    # The camera of complete, straightened images. Its horizon is not known yet.
+    camera: Camera
     straighten: Straighten
-    scan: pd.DataFrame  # a row per image, also of repeats; see :func:`pipeline.ingest.scan.scan`
-    kept: np.ndarray  # places of the frames among the images [F]
-    times_s: np.ndarray  # [F]
+    # A row per image, also for repeats; see :func:`pipeline.ingest.scan.scan`.
+    scan: pd.DataFrame
+    # Places of the frames among the images [F].
+    kept: np.ndarray
+    # Times of the frames [F].
+    times_s: np.ndarray
     logs: Logs
-    notes: list[str]  # for the user
-    doubts: list[str]  # whether the files are one recording, in order
+    # Notes for the user.
+    notes: list[str]
+    # Doubts whether the files are one recording, in order.
+    doubts: list[str]
 
     @property
     def path(self) -> Path:
@@ -61,8 +68,8 @@ class Recording:
     def frames(self, used: np.ndarray | None = None) -> Iterator[Frame]:
         """Yield the frames, or those of a mask bool [F]; a second call starts again.
 
-        They have the number, the time and a straightened image RGB uint8 [H,W,3]. Times are seconds
-        since the first image, or those of a file.
+        A frame has a number, a time and a straightened image RGB uint8 [H,W,3]. Times are seconds
+        since the first image, or those in a file of times.
         """
         rows = np.arange(len(self.kept))
         if used is not None:
@@ -80,8 +87,8 @@ class Recording:
     def resample(self, hz: float) -> None:
         """Keep only the frames nearest to a grid of `hz`.
 
-        Of a recording at about n times `hz`, it is every n-th frame. Raises InputError if the
-        recording is slower than `hz` by more than RATE_TOLERANCE.
+        If the recording has about n times that rate, every n-th frame is kept. Raises InputError if
+        the recording is slower than `hz` by more than RATE_TOLERANCE.
         """
         time_s = self.times_s
         apart = min(RATE_FRAMES, len(time_s) - 1)
@@ -95,6 +102,7 @@ class Recording:
         if ratio <= 1 + RATE_TOLERANCE:
             return
 
+        # A whole number of frames per step of the grid keeps the steps even.
         every = ratio
         if abs(ratio / round(ratio) - 1) < RATE_TOLERANCE / 2:
             every = round(ratio)
@@ -109,13 +117,15 @@ class Recording:
 def open_recording(
     paths: Sequence[Path], options: RecordingOptions, *, scanned: pd.DataFrame | None = None
 ) -> Recording:
-    """Open a video file, several that follow each other, a folder of these, or one of images.
+    """Open a video, several videos that follow each other, a folder of videos, or one of images.
 
-    All images are decoded once, unless they were `scanned` before. Raises InputError if there are
-    no images or they have no usable times, if they are mirrored or of several sizes, if pixels are
-    not square, for a lens that does not fit, and for logs of another time, before any image is
-    decoded; DamagedFile if an image cannot be decoded, images are missing at the end, or timestamps
-    do not increase.
+    All images are decoded once, unless `scanned` is the result of an earlier scan.
+
+    Raises InputError, before any image is decoded, for logs of another time than the images, or if
+    the images have no usable times. Raises InputError also if there are no images, if they are
+    mirrored or have several sizes, if pixels are not square, or if the lens does not fit. Raises
+    DamagedFile if an image cannot be decoded, if images are missing at the end, or if timestamps do
+    not increase.
     """
     if options.fps and options.times:
         raise InputError(
@@ -149,7 +159,7 @@ def open_recording(
     if len(times_s) != count:
         raise InputError(f"has {count} images, but {len(times_s)} times", source.path)
 
-    # A conversion to a higher rate repeats images. The others become the frames.
+    # A conversion to a higher rate repeats images. Only images that are no repeats become frames.
     is_repeat = repeats(scanned["change"].to_numpy(), scanned["key"].to_numpy(), times_s)
     kept = np.flatnonzero(~is_repeat)
     if len(kept) < count:

@@ -1,4 +1,4 @@
-"""Scan a recording: look at all of its images once, for what the user or later steps must know."""
+"""Scan a recording: decode all images once to find repeats, stereo images and other problems."""
 
 from pathlib import Path
 
@@ -12,15 +12,16 @@ from pipeline.camera.images import Size, format_size
 from pipeline.ingest.media import ImageFolder, VideoFiles
 from pipeline.ingest.stereo import likeness, refuse_stereo
 
-# Width in pixels of the images that are compared: smaller ones average noise.
+# Width in pixels to which images are shrunk before they are compared, which averages noise.
 THUMB_PX = 64
-# Number of images of which one is searched for black bars, and for two images of a stereo camera.
+# Images whose number is a multiple of this are searched for black bars, and for the two images of a
+# stereo camera.
 STRIDE = 20
-# Share of a row's pixels, or a column's, that are not lighter than its level.
+# Quantile of the values of a row's or a column's pixels that is called its level.
 MOST = 0.95
-# Largest level of a row or column of a black bar.
+# Largest level, in grey levels, of a row or column of a black bar.
 BAR = 8
-# Least level of the image beside a black bar.
+# Least level, in grey levels, of the image beside a black bar.
 LIT = 32
 # Distance in pixels from a black bar's edge at which the level of the image is read. Bars of this
 # width or less are noise.
@@ -30,8 +31,9 @@ BESIDE_PX = 2
 def scan(source: ImageFolder | VideoFiles) -> tuple[pd.DataFrame, list[str]]:
     """Return a row for each image of a recording, and notes for the user.
 
-    Columns are time_s, the image's time stamp or NaN, and the change and key of :func:`repeats`.
-    Raises InputError if the size changes, or if images are those of a stereo camera.
+    Column time_s is the image's time stamp, or NaN. Columns change and key are arguments of
+    :func:`pipeline.ingest.repeats.repeats`. Raises InputError if the size changes, or if images are
+    those of a stereo camera.
     """
     shrink = VideoReformatter()
     rows = []
@@ -90,15 +92,20 @@ def _black_bars(lightest: np.ndarray, path: Path) -> list[str]:
 
 
 def _between_bars(level: np.ndarray) -> range:
-    """Return the rows, or columns, between two bars, by their levels; all if there are no bars."""
+    """Return the range of rows, or of columns, between two bars.
+
+    `level` has the level of each row. All rows are returned if there are no two bars.
+    """
     complete = range(len(level))
     light = np.flatnonzero(level > BAR)
     if not len(light):
         return complete
+    # There is a bar on each side, and each is wider than noise.
     first = int(light[0])
     last = int(light[-1])
     if first <= BESIDE_PX or last >= len(level) - 1 - BESIDE_PX:
         return complete
+    # A bar ends abruptly: the image beside it is light.
     if min(level[first + BESIDE_PX], level[last - BESIDE_PX]) <= LIT:
         return complete
     return range(first, last + 1)

@@ -1,4 +1,4 @@
-"""Section ``ingest``: drives of each split, their datasets, and what to read of them."""
+"""Declare section ``ingest``: the drives of each split, their datasets, and how they are read."""
 
 import math
 import re
@@ -12,14 +12,15 @@ from pydantic import BeforeValidator, Field, field_validator, model_validator
 from pipeline.base.errors import closest
 from pipeline.base.params import SPLITS, ImageSize, Name, Section
 
+# Name of the dataset of drives that are parts of recordings.
 RECORDING = "recording"
 # Beginning of the names of a recording's videos in its folder of data/raw.
 VIDEO = "video"
 # Name of a recording's folder of images in its folder of data/raw.
 FRAMES = "frames"
-# Names of datasets, each a file.
+# Names of the datasets: each is a file in pipeline/ingest/datasets.
 DATASETS = sorted(path.stem for path in (Path(__file__).parent / "datasets").glob("[!_]*.py"))
-# Names of KITTI's drives, and of the sample's.
+# Pattern of the names of KITTI's drives, and of the sample's.
 KITTI_NAMES = re.compile(r"\d{4}_\d\d_\d\d_drive_\d{4}")
 
 
@@ -72,7 +73,9 @@ def _joined(numbers: object) -> object:
     return ",".join(map(str, numbers))
 
 
+# Numbers as a text with commas. YAML and Python may pass a list instead.
 Numbers = Annotated[str | None, BeforeValidator(_joined)]
+# A path. It is not strict, so that a text is taken, too.
 File = Annotated[Path | None, Field(strict=False)]
 
 
@@ -136,13 +139,13 @@ class RecordingOptions(Section):
 
 
 class Part(RecordingOptions):
-    """A part of a recording in data/raw; `steer import` writes these.
+    """A part of a recording in data/raw. `steer import` writes these settings.
 
-    Its logs and times are among its files.
+    Logs and times are listed in `files`, not in the options for them.
     """
 
-    folder: Name  # of the recording, in data/raw
-    files: dict[str, str]  # name in the folder → SHA-256
+    folder: Name  # name of the recording's folder in data/raw
+    files: dict[str, str]  # name of a file in this folder → SHA-256
     horizon: float | None = Field(
         default=None, ge=-1e4, le=1e4, description="row of the road's horizon; default: estimated"
     )
@@ -154,18 +157,18 @@ class Part(RecordingOptions):
     )
 
     def shares_images(self, other: Self) -> bool:
-        """Return whether another part has images of this one, also in a folder of another name."""
+        """Return whether another part has images of this part, whatever its folder's name is."""
         if self.folder != other.folder and not self.image_hashes() & other.image_hashes():
             return False
         ends = [part.end for part in (self, other) if part.end is not None]
         return max(self.start, other.start) < min(ends, default=math.inf)
 
     def image_hashes(self) -> set[str]:
-        """Return the hashes of the videos, or of the folder of images."""
+        """Return the hashes of the videos, or the hash of the folder of images."""
         return {hashed for name, hashed in self.files.items() if name.startswith((VIDEO, FRAMES))}
 
     def span(self) -> str:
-        """Return the span as text."""
+        """Return the start and the end as text."""
         end = "the end" if self.end is None else f"{self.end:g} s"
         return f"{self.start:g} s to {end}"
 
@@ -180,9 +183,11 @@ class Reading(Section):
 
 
 class Ingest(Reading):
-    source: str  # a file of pipeline/ingest/datasets
+    """Section ``ingest``."""
+
+    source: str  # name of a dataset
     drives: Drives
-    recordings: dict[Name, Part] = {}  # drives of another dataset than source
+    recordings: dict[Name, Part] = {}  # drives that are parts of recordings, not of `source`
 
     @model_validator(mode="after")
     def _check_datasets(self) -> Self:
@@ -226,7 +231,7 @@ class Ingest(Reading):
         return self
 
     def datasets(self) -> dict[str, str]:
-        """Return drive → dataset, a file of pipeline/ingest/datasets."""
+        """Return drive → name of its dataset."""
         return {
             drive: RECORDING if drive in self.recordings else self.source
             for drive in self.drives.splits()

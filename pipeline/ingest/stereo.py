@@ -9,28 +9,28 @@ from pipeline.base.errors import InputError
 
 # Width in pixels of a half when the halves are compared.
 WIDTH = 240
-# Largest shift in pixels between the two images: 12 % of their width, as of a thing 3 m before
-# KITTI's.
+# Largest shift in pixels between the two images: 12 % of their width. In the images of KITTI's
+# stereo camera, objects at a distance of 3 m are shifted by so much.
 REACH = 28
 # Blocks of a half in each direction; each has its own shift.
 BLOCKS = 6
 # Least height in pixels of a block.
 LEAST_HEIGHT = 4
-# Least standard deviation of a block's structure, in grey levels.
+# Least standard deviation of a block's derivative, in grey levels, for a block with structure.
 STRUCTURE = 0.5
-# Least share of the blocks that have structure.
+# Least share of blocks that must have structure for a comparison of the halves.
 STRUCTURED = 1 / 3
-# Least correlation of the halves of a stereo camera's image, a median. It is 0.66 at a baseline of
-# 54 cm and 0.9 at 12 cm; other images of streets have at most 0.25, also at night, in fog or with
-# black bars, and 0.44 out of focus.
+# Least median correlation of the halves at which they are images of a stereo camera. Those of
+# stereo cameras have 0.66 at a baseline of 54 cm, and 0.9 at 12 cm. Halves of other images of
+# streets have at most 0.25, also at night, in fog or with black bars, and 0.44 if out of focus.
 ALIKE = 0.55
 
 
 def likeness(grey: np.ndarray) -> tuple[float, float]:
-    """Return how alike the halves of an image uint8 [H,W] are, as correlations.
+    """Return how alike the halves of an image uint8 [H,W] are, as two correlations.
 
-    They are those of the left and the right half, and of the upper and the lower; NaN if there is
-    not enough structure.
+    The first is that of the left and the right half, the second that of the upper and the lower
+    half. A correlation is NaN if a half has not enough structure.
     """
     wide = _structure(grey, 2 * WIDTH)
     side_by_side = _correlation(wide[:, :WIDTH], wide[:, WIDTH:])
@@ -41,9 +41,10 @@ def likeness(grey: np.ndarray) -> tuple[float, float]:
 
 
 def _structure(grey: np.ndarray, width: int) -> np.ndarray:
-    """Return the derivative of an image of this width along both axes.
+    """Return the mixed derivative, along x and y, of an image that is resized to this width.
 
-    It is 0 at edges of black bars, which both halves share.
+    Edges of black bars, which would make the halves of any image alike, have a derivative of 0:
+    they are straight along one of the axes.
     """
     height = max(1, round(grey.shape[0] * width / grey.shape[1]))
     small = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
@@ -53,7 +54,7 @@ def _structure(grey: np.ndarray, width: int) -> np.ndarray:
 def _correlation(first: np.ndarray, second: np.ndarray) -> float:
     """Return the median correlation of the blocks of one half with the other.
 
-    Each block is where it fits best in its rows.
+    Each block is shifted along its rows to where it fits best.
     """
     height, width = first.shape
     if height < LEAST_HEIGHT * BLOCKS:
@@ -73,7 +74,7 @@ def _correlation(first: np.ndarray, second: np.ndarray) -> float:
 
 
 def refuse_stereo(likenesses: np.ndarray, path: Path) -> None:
-    """Raise InputError if the :func:`likeness` [N,2] of images is that of a stereo camera's."""
+    """Raise InputError if images are those of a stereo camera, by their :func:`likeness` [N,2]."""
     side_by_side, above = likenesses.T
     if _median(side_by_side) > ALIKE:
         _refuse("side by side", "left", "iw/2:ih", path)

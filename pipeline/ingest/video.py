@@ -1,4 +1,4 @@
-"""Read a video file: the facts of its container, and its images."""
+"""Read a video file: facts in its container, and its images."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -15,9 +15,9 @@ from av.video.stream import VideoStream
 
 from pipeline.base.errors import DamagedFile, InputError
 
-# Playlists, scripts and session descriptions can open other files and sockets. So only containers
-# and streams of frames are accepted, and no protocol: FFmpeg reads the file that is already open.
+# Formats of streams without a container, whose images have no times.
 _WITHOUT_TIMES = ("h264", "hevc", "m4v", "mpegvideo", "mjpeg", "obu")
+# Formats of containers.
 _CONTAINERS = (
     "mov",
     "mp4",
@@ -32,28 +32,33 @@ _CONTAINERS = (
     "asf",
     "yuv4mpegpipe",
 )
+# Options of FFmpeg. Playlists, scripts and session descriptions can open other files and sockets,
+# so only the formats above are accepted. No protocol is accepted, as FFmpeg reads a file that is
+# already open.
 _OPTIONS = {
     "format_whitelist": ",".join((*_CONTAINERS, *_WITHOUT_TIMES)),
     "protocol_whitelist": "none",
     "enable_drefs": "0",  # references of MOV files to other files
     "use_absolute_path": "0",
 }
+# Advice for a file that cannot be decoded.
 CONVERT = "Copy the file again, or convert it: ffmpeg -i {name} -c:v libx264 converted.mp4"
 
-# Largest deviation from 1 of the width over the height of a square pixel.
+# Largest deviation from 1 of a pixel's width over its height at which the pixel counts as square.
 SQUARE = 0.01
-# Least share of the header's count of frames, or of its duration, in a complete file. Such a file
+# Least share that a complete file has of the frames, or of the duration, that its header gives. It
 # may also lack one frame.
 INEXACT = 0.99
 # Longest duration in seconds of a last image whose duration the file does not store.
 LAST_S = 0.2
-# Largest ratio of the rates at which images were taken and are stored, or its inverse, that is not
-# time lapse or slow motion.
+# Largest ratio between the rate at which images were taken and the rate at which they are stored,
+# in either direction. Beyond it, the video is time lapse or slow motion.
 PLAYED = 1.2
 # Largest distance between the 5th and the 95th percentile of the steps at a steady rate, as a share
 # of the median step. Phones in the dark slow down unevenly.
 STEADY = 0.1
-# Seconds before damage that are left out, too: threads decode some images after the one that fails.
+# Seconds before the reported damage that the advice leaves out, too. Decoding runs in several
+# threads, so damage is reported some images late.
 BEFORE_S = 2.0
 
 
@@ -61,14 +66,15 @@ class Video(NamedTuple):
     """The facts of a video's container, which are read without decoding."""
 
     path: Path
-    stored: int  # frames by the header, 0: unknown
-    packets: int
-    stamped: bool  # whether images have times of their own
-    first_s: float
-    length_s: float  # between the first and the last frame
-    step_s: float
-    created: pd.Timestamp  # NaT: unknown
-    # Images per second by the phone's tag, if they are stored at another steady rate; else NaN.
+    stored: int  # number of frames by the header; 0 if unknown
+    packets: int  # number of packets that are not empty
+    stamped: bool  # whether images have time stamps
+    first_s: float  # time stamp of the first frame
+    length_s: float  # time between the first and the last frame
+    step_s: float  # median time between two frames
+    created: pd.Timestamp  # NaT if unknown
+    # Rate at which images were taken, in images per second, by a tag that phones write. It is NaN
+    # unless the video is stored at a steady rate that differs from it.
     taken_hz: float
     notes: list[str]  # for the user
 
@@ -94,7 +100,7 @@ def probe(path: Path) -> Video:
     steps = np.diff(ascending) if len(ascending) > 1 else np.zeros(1)
     step_s = float(int(np.median(steps)) * unit_s)
 
-    # The phone's tag says something only about a steady rate that differs from it.
+    # The phone's tag matters only if the stored rate is steady, and differs from the tag.
     taken_hz = float(pd.to_numeric(tagged_hz, errors="coerce"))
     low, high = np.percentile(steps, [5, 95])
     uneven = (high - low) * unit_s > STEADY * step_s
@@ -116,7 +122,7 @@ def probe(path: Path) -> Video:
 
 
 def _ignored_streams(streams: Sequence[VideoStream]) -> list[str]:
-    """Return a note on the streams of a video that are not used: all but the first."""
+    """Return a note on the video streams that are not used, which are all but the first."""
     used, *ignored = [
         f"{stream.index} ({stream.width} x {stream.height} pixels)" for stream in streams
     ]
@@ -140,7 +146,7 @@ def decode(path: Path, shift_s: float) -> Iterator[av.VideoFrame]:
         end_s = 0.0
         for packet in container.demux():
             unit_s = packet.time_base or 0
-            # The last packet may be cut short.
+            # A packet that is cut short, as the last one may be, does not count.
             if not packet.is_corrupt:
                 packet_end = (packet.pts or 0) + (packet.duration or 0)
                 end_s = max(end_s, float(packet_end * unit_s))
@@ -166,10 +172,12 @@ def _check_complete(
 ) -> None:
     """Raise DamagedFile if a file ends before its header says so.
 
-    It is `stored` images by its header, and has `packets` of them; packets of all its streams end
-    at `end_s`. The edit list of an MP4 or MOV file may leave out stored frames; then the others
-    last as long as the header says. Matroska has no count of frames, but a duration, that of its
-    longest stream.
+    The header says that the file has `stored` images, and `packets` of them were read. The last
+    packet of all streams ends at `end_s`.
+
+    The edit list of an MP4 or MOV file may leave out stored frames. Such a file is complete if its
+    duration is that of the header. The header of a Matroska file does not have the number of
+    frames, but the duration of the longest stream.
     """
     is_cut = packets < INEXACT * stored - 1
     total_s = (container.duration or 0) / av.time_base
@@ -183,7 +191,7 @@ def _check_complete(
 
 @contextmanager
 def _place_of_damage(path: Path, number: int, time_s: float) -> Iterator[None]:
-    """Raise DamagedFile for an error in the block, which decodes about image `number`."""
+    """Raise DamagedFile if FFmpeg fails in the block, which decodes about image `number`."""
     try:
         yield
     except av.FFmpegError as error:
@@ -200,12 +208,13 @@ def _place_of_damage(path: Path, number: int, time_s: float) -> Iterator[None]:
 def _container(path: Path) -> Iterator[tuple[InputContainer, list[VideoStream]]]:
     """Yield an open file and its video streams, the default first.
 
-    Raises DamagedFile, also for errors of FFmpeg in the block.
+    Raises DamagedFile, also if FFmpeg fails in the block.
     """
-    # FFmpeg would interpret some names as addresses or patterns.
+    # FFmpeg gets an open file, as it would interpret some names as addresses or patterns.
     with path.open("rb") as file:
         try:
             with av.open(file, "r", options=_OPTIONS, metadata_errors="replace") as container:
+                # A picture that is attached, such as a cover, is a stream, too.
                 streams = [
                     stream
                     for stream in container.streams.video
@@ -232,6 +241,7 @@ def upright(frame: av.VideoFrame, path: Path) -> np.ndarray:
     image = frame.to_ndarray(format="rgb24")
     display = cast(Any, frame.side_data.get("DISPLAYMATRIX"))
     if display is not None:
+        # Rotations have a = d and b = -c. By multiples of 90 degrees, a or b is 0.
         a, b, _, c, d, *_ = np.frombuffer(display, np.int32).tolist()
         if (a, b) != (d, -c) or (a and b):
             raise InputError(

@@ -1,9 +1,10 @@
-"""KITTI raw: folders, LiDAR scans, calibration.
+"""Read the drives of KITTI raw: images, LiDAR scans, oxts packets and calibration.
 
-Everything is keyed on frame numbers, never on list position. Drives are
-``<root>/<date>/<date>_drive_NNNN_sync/{image_0X,velodyne_points,oxts}/data/%010d.{png,bin,txt}``,
-calibration in ``<root>/<date>/``; images may be JPEG. pykitti's ``raw`` class is not used: its
-sorted lists shift after a missing frame, and it needs all four cameras.
+All data of a frame is found by the frame's number, never by a position in a list. The files of a
+drive are
+``<root>/<date>/<date>_drive_NNNN_sync/{image_0X,velodyne_points,oxts}/data/%010d.{png,bin,txt}``.
+Images may also be JPEG files. The calibration is in ``<root>/<date>/``. pykitti's ``raw`` class is
+not used: its sorted lists shift after a missing frame, and it needs all four cameras.
 """
 
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -26,12 +27,13 @@ from pipeline.ingest.settings import Ingest, Reading
 LOWEST_DEG = -20.0
 # Largest coordinate in metres of a point. The range of the sensor is 120 m.
 _MAX_RANGE_M = 150.0
-# End of the names of drives whose images are not rectified and whose scans have other times.
+# Suffix of the folders of unsynced drives. Their images are not rectified, and their scans are not
+# taken at the times of the images.
 UNSYNCED = "_extract"
 
 
 def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
-    """Return names, sizes and times of the files."""
+    """Return the names, sizes and times of a drive's files."""
     files = find_drive(root, name)
     return stamps(files.paths(settings.cameras), files.calibration)
 
@@ -39,7 +41,7 @@ def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
 def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
     """Return a drive.
 
-    Its frames have an oxts packet or, in a drive without oxts, an image.
+    Its frames are those with an oxts packet or, if the drive has no packets, those with an image.
     """
     return read_drive(find_drive(root, name), settings)
 
@@ -53,7 +55,8 @@ class KittiDrive:
         self.oxts = _frames(folder / "oxts" / "data", ".txt")
         self.scans = _frames(folder / "velodyne_points" / "data", ".bin")
         self.oxts_times = folder / "oxts" / "timestamps.txt"
-        # Beside KITTI's own folders, written by stage sample: dense depth and classes of camera 2.
+        # KITTI itself lacks these folders. Stage sample writes them: dense depth and classes of
+        # camera 2.
         self.truth_depth = _frames(folder / "truth" / "depth", ".png")
         self.truth_cls = _frames(folder / "truth" / "cls", ".png")
 
@@ -77,7 +80,7 @@ class KittiDrive:
     def camera_number(self, choices: Sequence[int]) -> int | None:
         """Return the first camera of `choices` with images, else the first with a calibration.
 
-        None if there is no such camera.
+        Returns None if no camera has either.
         """
         for number in choices:
             if self.images(number):
@@ -95,21 +98,22 @@ class KittiDrive:
         return read_calibration(self.calibration, number)
 
     def is_rendered(self) -> bool:
-        """Return whether the drive is one of the sample's, by its calibration."""
+        """Return whether stage sample rendered the drive, as its calibration says."""
         path = self.calibration / CALIBRATION
         return path.is_file() and path.read_text(errors="replace").startswith(f"{RENDERED}\n")
 
     def timeline(self, camera: int | None) -> tuple[list[int], Path]:
         """Return the numbers of the frames with an oxts packet, and the file with their times.
 
-        A drive without packets has the frames with an image of `camera`, at the camera's times.
+        In a drive without packets, the frames are those with an image of `camera`, and the times
+        are the camera's.
         """
         if camera is None or self.oxts:
             return list(self.oxts), self.oxts_times
         return list(self.images(camera)), self.folder / f"image_{camera:02d}" / "timestamps.txt"
 
     def paths(self, cameras: Sequence[int]) -> list[Path]:
-        """Return all files that are read."""
+        """Return all files that :func:`read_drive` reads of a drive with these `cameras`."""
         camera = self.camera_number(cameras)
         _, times = self.timeline(camera)
         paths = list[Path]()
@@ -117,15 +121,16 @@ class KittiDrive:
             paths += files.values()
         if camera is not None:
             paths += self.images(camera).values()
-        single = [times, *sorted(self.calibration.glob("calib_*.txt")), self.folder / STEERING]
-        return paths + [path for path in single if path.is_file()]
+        calibration = sorted(self.calibration.glob("calib_*.txt"))
+        optional = [times, *calibration, self.folder / STEERING]
+        return paths + [path for path in optional if path.is_file()]
 
 
 def open_folder(path: Path) -> KittiDrive:
     """Return the drive of a folder, which may be a link.
 
-    Its date's calibration lies beside the link or its target. Raises InputError if drives are in
-    folders below it.
+    The calibration is in the folder around the link, or in the folder around its target. Raises
+    InputError if `path` is itself a folder around drives.
     """
     below = sorted(path.glob("*/image_0?")) + sorted(path.glob("*/*/image_0?"))
     if below:
@@ -138,9 +143,12 @@ def open_folder(path: Path) -> KittiDrive:
 
 
 def read_drive(files: KittiDrive, settings: Reading) -> Drive:
-    """Return a drive, whose frames end with a DamagedFile that lists all damaged files, if any.
+    """Return a drive, whose frames are read only when they are iterated over.
 
-    Raises InputError if packets, times or the calibration are missing.
+    At its end, the iteration raises a DamagedFile that lists all damaged files, if there are any.
+    If ``ingest.on_damaged`` is skip, it does so only if all packets are damaged, and raises
+    InputError if all images or all scans are. Raises InputError if packets, times or the
+    calibration are missing.
     """
     camera: Camera | None = None
     images: dict[int, Path] = {}
@@ -155,10 +163,10 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
         fix = "Extract the date's calibration archive, or set ingest.lidar: false"
         raise InputError(problem, files.calibration, fix)
 
-    damaged = list[DamagedFile]()
+    damaged_packets = list[DamagedFile]()
     oxts = {}
     for number, path in files.oxts.items():
-        packet = _read(read_row, path, damaged)
+        packet = _read(read_row, path, damaged_packets)
         if packet is not None:
             oxts[number] = packet
     # A frame whose packet is damaged is left out.
@@ -175,8 +183,8 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
     size = camera.size if camera else None
 
     def frames() -> Iterator[Frame]:
-        """Yield the frames. After the last one, raise an error of damaged files, or add notes."""
-        faults = [*damaged]
+        """Yield the frames. After the last one, raise DamagedFile, or add notes."""
+        faults = [*damaged_packets]
         for number, seconds in time_s.items():
             frame = Frame(number, seconds)
             frame.scan = _read(read_scan, scans.get(number), faults)
@@ -188,13 +196,14 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
                 frame.cls = _read(read_classes, cls, faults, size=size)
             yield frame
 
-        lost_oxts = len(files.oxts) == len(damaged) > 0
+        # Damaged files can be skipped, but not all packets, all images or all scans.
+        lost_oxts = len(damaged_packets) > 0 and len(damaged_packets) == len(files.oxts)
         if faults and (lost_oxts or settings.on_damaged != "skip"):
             raise _list_damage(faults, lost_oxts, settings)
         for kind, paths in (("images", images), ("scans", scans)):
-            read = {str(paths[number]) for number in time_s if number in paths}
-            lost = [fault for fault in faults if fault.where in read]
-            if lost and len(lost) == len(read):
+            read_paths = {str(paths[number]) for number in time_s if number in paths}
+            lost = [fault for fault in faults if fault.where in read_paths]
+            if lost and len(lost) == len(read_paths):
                 problem = f"all {kind} of the drive are damaged: {lost[0].problem}"
                 raise InputError(problem, lost[0].where)
 
@@ -204,6 +213,7 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
             lines.append(f"{len(without_frame)} images or scans without a frame")
         if faults:
             lines.append(f"{len(faults)} damaged files left out")
+        # A second iteration over the frames must not add the same notes again.
         notes.extend(line for line in lines if line not in notes)
 
     return Drive(camera, frames, values, notes, "sample" if files.is_rendered() else "kitti")
@@ -213,6 +223,7 @@ def _read_timeline(files: KittiDrive, camera: int | None) -> dict[int, float]:
     """Return frame number → time in seconds of all frames, also of those with damaged files."""
     numbers, times = files.timeline(camera)
     folder = files.oxts_times.parent
+    # A folder without packets is taken for an incomplete extraction.
     if not numbers or (not files.oxts and folder.is_dir()):
         fix = "Extract it. Only if labels come from another labels.source: remove the empty folder"
         raise InputError("drive has no oxts packets", folder, fix)
@@ -220,7 +231,10 @@ def _read_timeline(files: KittiDrive, camera: int | None) -> dict[int, float]:
 
 
 def _list_damage(faults: list[DamagedFile], lost_oxts: bool, settings: Reading) -> DamagedFile:
-    """Return the error of a drive with damaged files; `lost_oxts`: all packets are among them."""
+    """Return the exception for a drive with damaged files.
+
+    `lost_oxts` tells whether all its oxts packets are damaged.
+    """
     problem = "; ".join(f"{fault.where}: {fault.problem}" for fault in faults)
     where = f"{len(faults)} damaged files"
     if lost_oxts:
@@ -234,9 +248,9 @@ def _list_damage(faults: list[DamagedFile], lost_oxts: bool, settings: Reading) 
 def _read(
     reader: Callable[..., np.ndarray], path: Path | None, damaged: list[DamagedFile], **options: Any
 ) -> np.ndarray | None:
-    """Return the content of a file; None if there is none, or it is damaged.
+    """Return the content of a file, or None if `path` is None or the file is damaged.
 
-    A damaged file is added to `damaged`.
+    The exception of a damaged file is added to `damaged`.
     """
     if path is None:
         return None
@@ -272,8 +286,9 @@ def find_drive(root: Path, name: str) -> KittiDrive:
 def leave_out(root: Path, settings: Ingest, required: Collection[str] = ()) -> list[str]:
     """Return which of KITTI's drives are missing below `root`, and print them.
 
-    Drives that are there but in no split are printed with them. Raises InputError if `root` has a
-    drive that is rendered, or lacks all drives, all of a split, or one of the `required`.
+    The printed text also names drives below `root` that belong to no split. Raises InputError if
+    `root` has a drive with the name of a rendered drive. Raises it also if all drives are missing,
+    all drives of one split, or one of the `required` drives.
     """
     present = _drives(root)
     splits = settings.drives.splits()
@@ -288,9 +303,9 @@ def leave_out(root: Path, settings: Ingest, required: Collection[str] = ()) -> l
             )
 
     missing = [drive for drive in splits if dataset_of[drive] == "kitti" and drive not in present]
-    kept = {splits[drive] for drive in splits if drive not in missing}
+    splits_left = {splits[drive] for drive in splits if drive not in missing}
     for drive in missing:
-        if not present or drive in required or splits[drive] not in kept:
+        if not present or drive in required or splits[drive] not in splits_left:
             find_drive(root, drive)  # raises InputError
         elsewhere = _elsewhere(root, drive)
         if elsewhere:
@@ -305,14 +320,14 @@ def leave_out(root: Path, settings: Ingest, required: Collection[str] = ()) -> l
 
 
 def _elsewhere(root: Path, name: str) -> str:
-    """Return where a drive is that is not at its place below `root`, and what to do about it.
+    """Return the wrong place below `root` at which a drive was found, and what to do about it.
 
-    Empty if it is nowhere.
+    The text is empty if the drive is not found.
     """
     place = f"{name[:10]}/{name}_sync"
     paths = [path for start in ("", "*/", "*/*/") for path in sorted(root.glob(f"{start}{name}*"))]
     for path in paths:
-        # A folder around the drive is not the drive.
+        # A folder that only contains the drive's folder is not the drive itself.
         if path.suffix != ".zip" and not any(path.glob("*/data")):
             continue
         if path.stem.endswith(UNSYNCED):
@@ -338,8 +353,9 @@ def _drives(root: Path) -> list[str]:
 def read_scan(path: Path) -> np.ndarray:
     """Return a scan, float32 [P,4]: x, y, z in metres in the velodyne frame, and reflectance.
 
-    Reflectance is 0 to 1. Rays that did not return, with a position of 0 or NaN, are left out.
-    Raises DamagedFile; InputError for numbers in another format.
+    Reflectance is 0 to 1. Rays that did not return have a position of 0 or NaN, and are left out.
+    Raises DamagedFile for a scan that is cut short or implausible, and InputError for reflectance
+    of another range.
     """
     size = path.stat().st_size
     values = np.fromfile(path, np.float32)
@@ -371,13 +387,16 @@ def read_scan(path: Path) -> np.ndarray:
 
 
 def _frames(folder: Path, *suffixes: str) -> dict[int, Path]:
-    """Return frame number → file in a folder, ascending; of a frame in two formats, the first."""
+    """Return frame number → file in a folder, ascending.
+
+    If a frame has files in two formats, its file is that with the first of the `suffixes`.
+    """
     # Other names are ignored: macOS adds "._0000000000.png", half-finished downloads ".part".
     paths = [
         path
         for path in folder.glob("*")
         if path.stem.isdecimal() and path.suffix.lower() in suffixes
     ]
-    # The last path of a frame stays: that with the first suffix.
+    # Of several paths of a frame, the dict keeps the last: so the first suffix is sorted last.
     paths.sort(key=lambda path: (int(path.stem), -suffixes.index(path.suffix.lower()), path))
     return {int(path.stem): path for path in paths}

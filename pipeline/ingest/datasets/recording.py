@@ -1,4 +1,4 @@
-"""Parts of recordings in data/raw, as ingest.recordings has them: images and logs of the car."""
+"""Read the parts of recordings that ingest.recordings lists: images, and logs of the car."""
 
 from dataclasses import replace
 from functools import cache, partial
@@ -15,19 +15,22 @@ from pipeline.ingest.log import ROUNDING_S, Logs, logged_values
 from pipeline.ingest.recording import Recording, open_recording
 from pipeline.ingest.settings import FRAMES, VIDEO, Ingest, Part
 
-# Files in the folder of a recording.
+# File with the log of the steering wheel's angles, in the folder of a recording.
 WHEEL = "wheel.csv"
+# File with the log of speed and yaw rate.
 MOTION = "motion.csv"
+# File with the times of the images.
 TIMES = "times.txt"
-# The scan of all images by steer import, so that no part is decoded for it again.
+# File with the scan of all images that steer import made. Stage ingest reads it instead of decoding
+# all images for each part.
 SCAN = "scan.csv"
 
 
 def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
     """Return the part's settings, which hold the hashes of its files.
 
-    Raises InputError for a file of another hash. Files may be missing on a machine that fetches
-    finished drives.
+    Raises InputError for a file with another hash. A missing file is accepted, as a machine that
+    fetches finished drives does not need it.
     """
     part = settings.recordings[name]
     for path, expected in _paths(part, root).items():
@@ -37,7 +40,8 @@ def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
     return [part.model_dump(mode="json")]
 
 
-# The parts of a recording have the same files.
+# All parts of a recording have the same files, so hashes are cached. The second argument is the
+# time of the last change, so that a changed file is hashed again.
 @cache
 def _hash(path: Path, _: int) -> str:
     return content_hash(path)
@@ -46,7 +50,7 @@ def _hash(path: Path, _: int) -> str:
 def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
     """Return the part of a recording.
 
-    Images without motion, if there is a log of it, are left out.
+    If the recording has a log of the motion, images without a logged motion are left out.
     """
     part = settings.recordings[name]
     for path in _paths(part, root):
@@ -63,7 +67,8 @@ def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
         )
     camera = replace(recording.camera, horizon=part.horizon).at_height(part.camera_height_m)
 
-    # Logs have the times of the recording. Those of the drive begin at 0.
+    # Read the logs, which have the times of the recording, before the times are shifted: the drive
+    # begins at 0.
     time_s = recording.times_s[used]
     values = logged_values(recording.logs, np.flatnonzero(used), time_s)
     recording.times_s = recording.times_s - time_s[0]
@@ -78,7 +83,7 @@ def open_part(part: Part, folder: Path) -> Recording:
     images = [path for name, path in files.items() if name.startswith((VIDEO, FRAMES))]
     scanned = None
     if SCAN in files:
-        # Pandas itself does not read floats to the last digit.
+        # The parser of pandas may round the last digit of floats, so they are read as text.
         scanned = pd.read_csv(files[SCAN], comment="#", dtype=str).astype(float)
     return open_recording(images, options, scanned=scanned)
 
@@ -89,10 +94,13 @@ def _paths(part: Part, root: Path) -> dict[Path, str]:
 
 
 def usable(time_s: np.ndarray, logs: Logs, start_s: float, end_s: float | None) -> np.ndarray:
-    """Return which images bool [F] at `time_s` [F] lie in [start, end) and have a logged motion.
+    """Return which images at `time_s` [F] lie in [start, end) and have a logged motion, bool [F].
 
-    Start and end are seconds since the first image; a log of motion may be missing.
+    Start and end are seconds since the first image. If there is no log of the motion, only the time
+    counts.
     """
+    # Times have rounding errors. With this addition, an image at the start is in the part, and an
+    # image at the end is not.
     elapsed_s = time_s - time_s[0] + ROUNDING_S
     used = elapsed_s > start_s
     if end_s is not None:

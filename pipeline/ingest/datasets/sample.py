@@ -11,7 +11,7 @@ open_drive = kitti.open_drive
 
 
 def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
-    """Return the contents of the files: a checkout has other times."""
+    """Return names and hashes of a drive's files, as each checkout has other file times."""
     folder = root / name[:10]
     paths = kitti.find_drive(root, name).paths(settings.cameras)
     return [[str(path.relative_to(folder)), file_hash(path)] for path in paths]

@@ -1,7 +1,7 @@
-"""Udacity's Challenge 2: videos of the centre camera, and the angles of the steering wheel by CAN.
+"""Read Udacity's Challenge 2: videos of the centre camera, and steering wheel angles from CAN.
 
-Drive NAME is data/raw/udacity/NAME.mp4, and NAME.csv with time_s and wheel_rad, left positive, of
-each of its frames.
+Drive NAME is the video data/raw/udacity/NAME.mp4. NAME.csv beside it has the columns time_s and
+wheel_rad (left positive), and a row for each frame of the video.
 """
 
 from dataclasses import replace
@@ -16,22 +16,22 @@ from pipeline.ingest.drive import Drive, stamps
 from pipeline.ingest.recording import open_recording
 from pipeline.ingest.settings import Ingest, RecordingOptions
 
-# Intrinsics in pixels of the right-hand camera of this rig, with images of the same size:
-# sensor_info/camera_calibration/right_camera/ost.yaml of the challenge.
+# Intrinsics FX,FY,CX,CY in pixels. They are those of the rig's right-hand camera, whose images have
+# the same size: sensor_info/camera_calibration/right_camera/ost.yaml of the challenge.
 K = "2152,2166,268,303"
 # Distortion of this camera, from the same file.
 DISTORTION = "-0.042,-0.89,0,0"
-# Image row of the horizon, by steer import.
+# Image row of the horizon, as steer import estimates it.
 HORIZON = 215.24
-# Height in metres of the camera over the road: 3.66 m wide lanes are 2.5 camera heights wide in the
-# images.
+# Height in metres of the camera over the road. Lanes, which are 3.66 m wide, are 2.5 camera heights
+# wide in the images.
 CAMERA_HEIGHT_M = 1.48
 # Ratio of the steering wheel's angle to the front wheels' of a Lincoln MKZ.
 STEERING_RATIO = 14.8
 
 
 def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
-    """Return names, sizes and times of the two files."""
+    """Return the names, sizes and times of the two files."""
     return stamps(_files(name, root), root)
 
 
@@ -41,7 +41,7 @@ def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
 
 
 def read_drive(video: Path, log: Path) -> Drive:
-    """Return the drive of two files. Raises InputError if they do not fit."""
+    """Return a drive. Raises InputError if the log does not belong to the video."""
     recording = open_recording([video], RecordingOptions(K=K, distortion=DISTORTION))
     camera = replace(recording.camera, horizon=HORIZON).at_height(CAMERA_HEIGHT_M)
     limits = {"time_s": np.inf, "wheel_rad": LIMIT_RAD * STEERING_RATIO}

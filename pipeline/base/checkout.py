@@ -1,9 +1,9 @@
-"""Find the checkout of a run in runs/NAME, which takes data/raw and weights from there."""
+"""Find the checkout that a run in runs/NAME belongs to: it has data/raw and weights."""
 
 from pathlib import Path
 
-# File in runs/NAME with the path of the checkout. It is no link: `runs` may be on another disk, and
-# some disks have no links.
+# File in runs/NAME with the path of the checkout. It is not a link, as `runs` may be on a disk that
+# has no links.
 CHECKOUT = Path("checkout")
 
 

@@ -18,8 +18,8 @@ from pipeline.base.store import replacing
 
 def write(path: Path, content: Mapping[str, Any]) -> None:
     """Write tensors and plain values by name, in one step."""
-    # Through memory: on a full disk torch's own writer raises RuntimeError, a plain file OSError
-    # with the reason.
+    # Serialise to memory first. On a full disk, torch's own writer would raise a RuntimeError;
+    # writing the bytes raises an OSError with the reason.
     buffer = io.BytesIO()
     torch.save(content, buffer)
     with replacing(path) as tmp:
@@ -29,7 +29,7 @@ def write(path: Path, content: Mapping[str, Any]) -> None:
 def read(path: Path, kind: str) -> dict[str, Any]:
     """Return the content of a file by :func:`write` whose ``content["kind"]`` is `kind`.
 
-    Raises InputError without a fix, which callers add.
+    Raises InputError if it is not. Callers add the fix.
     """
     content = load(path)
     if not isinstance(content, dict) or content.get("kind") != kind:
@@ -40,13 +40,14 @@ def read(path: Path, kind: str) -> dict[str, Any]:
 def load(path: Path) -> Any:
     """Return the content of a file by torch.save, on the CPU.
 
-    Raises InputError if it is missing, damaged or has code, which does not run.
+    Raises InputError if it is missing, damaged or contains code. Such code does not run.
     """
     if not path.is_file():
         raise InputError("file is missing", path)
     try:
         return torch.load(path, weights_only=True, map_location="cpu")
-    # torch raises various kinds for a damaged file, OSError and UnpicklingError among them
+    # For a damaged file, torch raises exceptions of various classes, for instance OSError and
+    # UnpicklingError.
     except Exception as error:
         problem = "file is damaged, or has more than tensors and plain values"
         raise InputError(problem, path) from error

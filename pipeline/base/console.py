@@ -1,4 +1,4 @@
-"""Run functions as commands: arguments by Typer, errors as one line."""
+"""Run functions as commands: Typer parses the arguments, and errors are printed as one line."""
 
 import functools
 import sys
@@ -10,9 +10,9 @@ from pipeline.base.errors import InputError
 
 
 def run(*commands: Callable[..., object]) -> None:
-    """Parse the command line and call the function, :func:`guarded`.
+    """Parse the command line and call the command, which is :func:`guarded`.
 
-    With several functions, the first argument is the name of one.
+    If there are several commands, the first argument is the name of the one to call.
     """
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     for command in commands:
@@ -23,10 +23,11 @@ def run(*commands: Callable[..., object]) -> None:
 def guarded(main: Callable[..., object]) -> Callable[..., None]:
     """Return `main` as a command that prints an InputError, an OSError or Ctrl-C as one line.
 
-    Its exit status is 1 then.
+    After any of these, the exit status is 1.
     """
 
-    @functools.wraps(main)  # Typer reads its arguments
+    # Typer reads the arguments of `main` through the wrapper.
+    @functools.wraps(main)
     def command(*args: object, **options: object) -> None:
         try:
             main(*args, **options)
@@ -38,6 +39,7 @@ def guarded(main: Callable[..., object]) -> Callable[..., None]:
 
 
 def _message(error: BaseException) -> str:
+    """Return the text about an exception, which may have several lines."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     if isinstance(error, KeyboardInterrupt):

@@ -1,16 +1,17 @@
-"""Name the settings of earlier versions that are gone, and what replaces them."""
+"""List settings and presets of earlier versions that were removed, and what to do instead."""
 
 import re
 from collections.abc import Iterator
 from typing import Any
 
-# Last revision that has the presets, options and controls of closed questions.
+# Last revision with the presets and options of experiments whose question has been answered since.
+# Their results are in docs/log.md.
 LAST = "0919269e"
-# Presets of closed questions.
+# Names of the presets that were removed after that revision.
 PRESETS = ("real", "streets", "transfer", "winding", "winding-wheel")
 
-# Dotted key, with * for the name of an entry, or "key: value" if only a value was removed → what to
-# do.
+# Removed setting → what to do instead. A setting is a dotted key, in which * stands for the name of
+# an entry, or "key: value" if only this value was removed.
 EARLIER = {
     "base": "Copy the settings of these presets into this one",
     "encoder.backbone: dinov2": f"Choose another one of docs/models.md, or use revision {LAST}",
@@ -63,9 +64,9 @@ EARLIER = {
 
 
 def find_earlier(settings: Any, where: str) -> tuple[str, str]:
-    """Return the first earlier key in the settings at the dotted key `where`, and what to do.
+    """Return the first removed setting at or below the dotted key `where`, and what to do instead.
 
-    Both are empty if there is none.
+    Both texts are empty if there is none.
     """
     for key in _keys(settings, where):
         way_on = EARLIER.get(re.sub(r"^(models|graphs)\.[^.]+", r"\1.*", key))
@@ -75,7 +76,7 @@ def find_earlier(settings: Any, where: str) -> tuple[str, str]:
 
 
 def _keys(settings: Any, where: str) -> Iterator[str]:
-    """Yield the dotted keys of nested settings, and "key: value" of values."""
+    """Yield the dotted keys of nested settings, and "key: value" for each single value."""
     yield where
     if not isinstance(settings, dict):
         yield f"{where}: {settings}"

@@ -13,7 +13,8 @@ class InputError(ValueError):
 
     def __init__(self, problem: str, where: object = "", fix: str = "") -> None:
         """`where`: a file, parameter or drive; `fix`: a sentence or command for the user."""
-        super().__init__(problem, str(where), fix)  # positional, so that it can be pickled
+        # Arguments are positional, so that a worker process can pickle the exception.
+        super().__init__(problem, str(where), fix)
         self.problem = problem
         self.where = str(where)
         self.fix = fix
@@ -30,7 +31,7 @@ class InputError(ValueError):
 
 
 class DamagedFile(InputError):
-    """One frame's file cannot be read. ``ingest.on_damaged`` decides whether the stage stops."""
+    """A file of one frame cannot be read. ``ingest.on_damaged`` decides whether the stage stops."""
 
 
 @contextmanager
@@ -44,7 +45,7 @@ def error_context(where: object = "", fix: str = "") -> Iterator[None]:
 
 
 def closest(name: str, options: Sequence[str]) -> str:
-    """Return a clause for an error message: the options most similar to `name`, or all of them."""
+    """Return a clause for a message: the `options` most similar to `name`, or all if none is."""
     similar = difflib.get_close_matches(name, options, n=3, cutoff=0.6)
     if similar:
         return f"did you mean {' or '.join(similar)}?"

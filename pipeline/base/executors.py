@@ -24,7 +24,8 @@ from pipeline.base.resume import Code
 SCHEDULER = "STEER_SCHEDULER"
 # Environment variable with the number of worker processes.
 WORKERS = "STEER_WORKERS"
-# File with the quota of a container, "200000 100000" for two cores.
+# File with the CPU quota of a container: CPU time and period in microseconds, "200000 100000" for
+# two cores.
 CPU_MAX = Path("/sys/fs/cgroup/cpu.max")
 # A forked child would inherit the thread pools of torch, OpenCV and Open3D in an unusable state.
 _SPAWN = multiprocessing.get_context("spawn")
@@ -35,7 +36,7 @@ def usable_cores() -> int:
     """Return the number of cores that this process may use, as SLURM and taskset limit it."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
-    # macOS and Windows have no limits.
+    # macOS and Windows do not limit a process to some cores.
     return os.cpu_count() or 1
 
 
@@ -68,13 +69,16 @@ def run_jobs(
     workers: int | None = None,
     threads: int | None = None,
 ) -> Iterator[tuple[J, Any]]:
-    """Yield each job with the result of ``work(job)``, picklable, as they finish.
+    """Yield each job with the result of ``work(job)``, in the order in which jobs finish.
 
-    `workers` is the number of processes, None: :func:`default_workers`. If ``STEER_SCHEDULER``
-    names a Dask cluster, its workers are taken instead, unless `workers` is 1. Each process has
-    `threads` threads; None: the cores are divided, and a single job runs in this process. `code` is
-    that of `work`, which workers compare with theirs. Raises the first error after the jobs in
-    progress are done; no other job is started.
+    Jobs and results are picklable. `workers` is the number of processes; if it is None,
+    :func:`default_workers` is. If ``STEER_SCHEDULER`` names a Dask cluster, its workers are taken
+    instead, unless `workers` is 1. Each process has `threads` threads. If `threads` is None, the
+    cores are divided among the processes, and a single process is this one. `code` is the code of
+    `work`: each worker checks that it has loaded the same.
+
+    If a job raises an exception, no further job is started, and the exception is raised after the
+    jobs in progress are done.
     """
     if not jobs:
         return
@@ -112,13 +116,18 @@ def run_jobs(
 
 
 def _is_dead_worker(error: Exception) -> bool:
+    """Return whether an exception means that a worker process died."""
     if isinstance(error, BrokenExecutor | CancelledError):
         return True
-    return type(error).__name__ == "KilledWorker"  # of Dask
+    # The class is Dask's, which is imported only if a cluster is used.
+    return type(error).__name__ == "KilledWorker"
 
 
 def _start_worker(threads: int) -> None:
-    """Limit a worker's threads, and let it end with its parent, or at Ctrl-C without traceback."""
+    """Limit a worker's threads, and let it end with its parent.
+
+    At Ctrl-C it ends without a traceback.
+    """
     import cv2
 
     cv2.setNumThreads(threads)
@@ -127,6 +136,7 @@ def _start_worker(threads: int) -> None:
 
 
 def _exit_with_parent() -> None:
+    """Wait for the parent process to end, then end this process."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()
@@ -135,7 +145,10 @@ def _exit_with_parent() -> None:
 
 @contextmanager
 def _cluster(address: str) -> Iterator[Executor]:
-    """Yield the workers of a cluster, which repeats the job of a dead worker up to three times."""
+    """Yield an executor on the workers of a Dask cluster.
+
+    The cluster repeats the job of a dead worker up to three times.
+    """
     from distributed import Client
 
     try:

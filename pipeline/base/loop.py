@@ -1,4 +1,4 @@
-"""Help loops over batches: work ahead in threads, learning rate."""
+"""Help loops over batches: prefetch batches in threads, and vary the learning rate."""
 
 import math
 from collections import deque
@@ -19,9 +19,10 @@ def prefetch(
 ) -> Generator[R]:
     """Yield ``work(item)`` of each item, in order, computed by `threads` threads.
 
-    The caller's thread computes the items. This helps where work waits for a disk, or for a library
-    that releases Python's lock. At most `ahead` results exist besides the one at the caller.
-    Closing this generator waits for work in progress. Each thread calls `init` first.
+    `items` themselves are computed in the caller's thread. Threads help where `work` waits for a
+    disk, or for a library that releases Python's lock. At most `ahead` results exist besides the
+    one that the caller has. Closing this generator waits for work in progress. Each thread calls
+    `init` first.
     """
     with ThreadPoolExecutor(threads, "prefetch", initializer=init) as pool:
         ready: deque[Future[R]] = deque()
@@ -37,9 +38,9 @@ def prefetch(
 
 
 def warm_up_cosine(progress: float, warm_up: float) -> float:
-    """Return the factor of the learning rate at `progress` in [0,1].
+    """Return the factor of the learning rate at `progress` of the training, which is in [0,1].
 
-    It rises linearly from 0.05 to 1 at `warm_up`, and falls to 0 by half a cosine.
+    The factor rises linearly from 0.05 to 1 at `warm_up`, then falls to 0 as half a cosine.
     """
     if progress < warm_up:
         return 0.05 + 0.95 * progress / warm_up

@@ -1,6 +1,6 @@
 """Compute errors of predictions: squared, absolute, and relative to a prediction of zero.
 
-Predictions are [N], or [S,N] of S networks, for true values [N].
+True values have shape [N]. Predictions have shape [N], or [S,N] if they are those of S networks.
 """
 
 import numpy as np
@@ -24,7 +24,8 @@ def mae(truth: np.ndarray, predicted: np.ndarray) -> float:
 def nmse(truth: np.ndarray, predicted: np.ndarray) -> float | None:
     """Return the mean squared error relative to that of always predicting zero.
 
-    0 is perfect, 1 is as good as zero. None if there are no true values, or all are 0.
+    0 is perfect, and 1 is as good as predicting zero. None if there are no true values, or all are
+    0.
     """
     if not len(truth):
         return None

@@ -1,4 +1,4 @@
-"""Protect output: a command writes a folder that is free, a stage also one that it wrote before."""
+"""Protect existing files: a command writes to a free folder, a stage also to its earlier output."""
 
 import os
 import shutil
@@ -32,9 +32,9 @@ def check_free(path: Path) -> None:
 def claimed(out: Path | None, stem: str, suffix: str = "") -> Iterator[Path]:
     """Yield `out`, or for None the first path of out/STEM, out/STEM-2, … that does not exist.
 
-    That path is made at once, so that another process takes the next one, and removed if the block
-    leaves it empty. `suffix` is that of a file, for instance .html; empty for a folder. Raises
-    InputError unless `out` is free.
+    The path is created at once, so that another process takes the next one. It is removed if the
+    block leaves it empty. `suffix` is the suffix of a file, for instance .html, or empty for a
+    folder. Raises InputError unless `out` is free.
     """
     if out is not None:
         check_free(out)
@@ -55,7 +55,7 @@ def claimed(out: Path | None, stem: str, suffix: str = "") -> Iterator[Path]:
 
 
 def _make_empty(path: Path, *, is_file: bool) -> bool:
-    """Make an empty file or folder; return False if something is there."""
+    """Make an empty file or folder. Return False if the path exists already."""
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
         if is_file:
@@ -74,7 +74,7 @@ def _is_free(path: Path) -> bool:
 
 
 class StageFolder(NamedTuple):
-    """Where a stage works while it runs."""
+    """The code and the folders of a stage that runs."""
 
     # The code of the stage, as this process loaded it.
     code: Code
@@ -83,7 +83,7 @@ class StageFolder(NamedTuple):
     # The folder of files for the next run, outside of all DVC outputs: data/.drives/STAGE, or
     # data/.drives/STAGE-ENTRY.
     kept: Path
-    # Children of `kept` that this run needs; a success removes all others.
+    # Children of `kept` that this run needs. If the stage succeeds, all others are removed.
     used: set[Path]
 
 
@@ -118,9 +118,10 @@ def stage_folder(
 ) -> Iterator[StageFolder]:
     """Yield a folder for a stage to write, and move its files to `out` if the block succeeds.
 
-    `stage` is a name in ``dvc.yaml``; with an entry, ``graphs@NAME``, `out` is a folder in the
-    stage's folder. `drives` are written to ``out/index.json``: drive → split for each DRIVE.h5, in
-    order. `chosen`: see :meth:`Code.read`.
+    `stage` is a name in ``dvc.yaml``. A stage with entries is named with its entry, as in
+    ``graphs@NAME``, and its `out` is a folder in the stage's folder. `drives` maps each DRIVE.h5
+    that the block writes to its split; it is written to ``out/index.json`` in this order. `chosen`
+    is an argument of :meth:`Code.read`.
 
     Raises InputError if another process writes `out`, or if `out` holds files that this stage did
     not write. Raises it also if the code or the sections of `params` were edited since the start,
@@ -162,7 +163,7 @@ def _check_owner(out: Path, stage: str, index: Mapping[str, Any]) -> None:
 
     `index` is what the stage will write to ``out/index.json``.
     """
-    # DVC has emptied the folder without a question.
+    # DVC empties the folder before it runs a stage, so there is nothing to protect.
     if "DVC_STAGE" in os.environ:
         return
     if all(path.name.startswith(".") for path in out.glob("*")):
@@ -177,7 +178,7 @@ def _check_owner(out: Path, stage: str, index: Mapping[str, Any]) -> None:
 def _move(new: Path, out: Path) -> None:
     """Move the content of `new` to `out`, and remove drives of earlier runs from there."""
     out.mkdir(parents=True, exist_ok=True)
-    # No stage reads the folder without an index, which is moved last.
+    # Stages read no folder without an index, so it is removed first, and moved last.
     _remove(out / INDEX)
     paths = sorted(new.iterdir(), key=lambda path: path.name == INDEX)
 
@@ -198,7 +199,7 @@ def _remove(path: Path) -> None:
 
 
 def link(path: str | Path, target: str | Path) -> None:
-    """Hard-link a file; copy it if that fails, as between two disks."""
+    """Make a hard link to a file, or a copy if a link is impossible, as between two disks."""
     try:
         os.link(path, target)
     except OSError:

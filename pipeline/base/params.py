@@ -37,7 +37,8 @@ _Side = Annotated[int, Field(ge=32, le=4096)]
 # Height and width of images in pixels. Not strict, as a strict tuple takes no YAML list.
 ImageSize = Annotated[tuple[_Side, _Side], Field(strict=False)]
 SPLITS = ("train", "val", "test")
-# Largest relative difference of frame rates in training, and between training and a recording.
+# Largest relative difference between the frame rates of training drives, and between their rate and
+# a recording's.
 RATE_TOLERANCE = 0.2
 # Advice for a missing section or key.
 _COPY = "Copy it from the project's own params.yaml"
@@ -46,7 +47,7 @@ _COPY = "Copy it from the project's own params.yaml"
 class Section(BaseModel):
     """One section of the params file, or one entry of a mapping section.
 
-    It is strict: numbers in quotes and true are no numbers.
+    Types are strict: neither a number in quotes nor ``true`` is accepted as a number.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
@@ -54,7 +55,7 @@ class Section(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _check_keys(cls, value: Any) -> Any:
-        """Report an unknown key first: it may be a missing key, misspelt."""
+        """Report an unknown key before a missing one: it may be the missing key, misspelt."""
         if not isinstance(value, dict) or cls.model_config["extra"] != "forbid":
             return value
         keys = [field.alias or name for name, field in cls.model_fields.items()]
@@ -108,14 +109,16 @@ def entries(mapping: str, path: Path) -> dict[str, Any]:
 
 
 def read_yaml(path: Path, *, comments: bool = False) -> dict[str, Any]:
-    """Return the sections of a YAML 1.2 file, with `comments` for ruamel's writer.
+    """Return the sections of a YAML 1.2 file.
 
-    Raises InputError if it is missing, invalid or has no sections.
+    If `comments` is true, they are mappings of ruamel, whose writer keeps the comments. Raises
+    InputError if the file is missing, invalid or has no sections.
     """
     if not path.is_file():
         fix = f"Run from the repository's root, or: git checkout {path.name}"
         raise InputError("file is missing", path, fix)
-    from ruamel.yaml.error import YAMLError  # here, as workers read no YAML
+    # Imported only here, as workers read no YAML.
+    from ruamel.yaml.error import YAMLError
 
     try:
         parsed = _parse_yaml(path.read_text("utf-8-sig"), comments)
@@ -159,7 +162,7 @@ def parse(kind: type[M], value: Any, where: str = "", path: Path | None = None) 
 
 
 def from_python(kind: type[S], options: dict[str, Any]) -> S:
-    """Validate options by the names of fields; None counts as not given.
+    """Validate options that have the names of the fields. None means that an option is not given.
 
     Raises TypeError for an unknown name, InputError for an invalid value.
     """

@@ -34,10 +34,10 @@ from pipeline.base.params import read_yaml
 ROOT = Path(__file__).resolve().parents[2]
 # Packages whose files are code of stages.
 PACKAGES = ("pipeline", "models", "stages")
-# Files and folders that a run needs of the checkout, without settings.
+# Files and folders of the checkout, other than settings, that a run in runs/NAME needs.
 CODE = (*PACKAGES, "dvc.yaml", ".dvcignore", "data/.gitignore")
-# Modules whose versions change no number: command lines, settings, locks, progress, memory,
-# clusters, downloads, pages.
+# Modules whose versions do not change results, as they serve command lines, settings, locks,
+# progress bars, memory, clusters, downloads and pages.
 TOOLS = {
     "distributed",
     "filelock",
@@ -52,7 +52,7 @@ TOOLS = {
     "tqdm",
     "typer",
 }
-# Module → its distribution, if that has another name.
+# Module → name of the package that installs it, if the names differ.
 DISTRIBUTIONS = {"cv2": "opencv-python-headless"}
 # Advice after an edit while a stage ran.
 UNDO = (
@@ -63,7 +63,7 @@ UNDO = (
 LEFTOVERS = (".pyc", ".pyo", "~")
 # Files that Windows writes to a folder that a user opens.
 WINDOWS_FILES = ("thumbs.db", "desktop.ini")
-# Time and size of a file that is missing.
+# Stamp of a missing file, in place of its time and size.
 MISSING = (0, 0)
 
 
@@ -95,9 +95,9 @@ def file_hash(path: Path) -> str:
 
 
 def content_hash(path: Path) -> str:
-    """Return the SHA-256 of a file, or one of the names and contents of a folder's files.
+    """Return the SHA-256 of a file, or of the names and contents of the files in a folder.
 
-    Files that a file manager wrote do not count.
+    Files that a file manager wrote to the folder do not count.
     """
     if path.is_dir():
         files = [file for file in path.iterdir() if file.is_file()]
@@ -111,9 +111,9 @@ def is_by_desktop(path: Path) -> bool:
 
 
 class Module(NamedTuple):
-    """A file of code, or a data file beside code, as it counts for cache keys."""
+    """What cache keys take from a file of code, or from a data file beside code."""
 
-    # Hash of the syntax tree without docstrings and comments; of a data file, of its bytes.
+    # Hash of the code without docstrings and comments. For a data file, the hash of its bytes.
     meaning: str
     # Names of imported modules. "from a import b" gives a and a.b, as b may be a module.
     names: frozenset[str]
@@ -124,7 +124,7 @@ def parse_module(file: Path, content: bytes) -> Module:
     """Return the meaning and the imports of a file's content; `file` is relative to ROOT."""
     tree = None
     if file.suffix == ".py":
-        # A network that is being written may have errors; others can be trained.
+        # A user's unfinished network may have syntax errors. Other networks can still be trained.
         with suppress(SyntaxError, ValueError):
             tree = ast.parse(content)
     if tree is None:
@@ -139,13 +139,13 @@ def parse_module(file: Path, content: bytes) -> Module:
             names.add(module)
             names.update(f"{module}.{alias.name}" for alias in node.names)
 
-    # Not ast.dump, which differs more between versions of Python.
+    # ast.unparse differs less between versions of Python than ast.dump.
     code = ast.unparse(_WithoutDocstrings().visit(tree))
     return Module(hashlib.sha256(code.encode()).hexdigest(), frozenset(names))
 
 
 def _imported_from(node: ast.ImportFrom, file: Path) -> str:
-    """Return the module a of "from a import b" in a file, also of "from .a import b"."""
+    """Return the full name of the module from which a file imports, also for "from .a import b"."""
     names = [node.module] if node.module else []
     if node.level:
         names = [*file.parts[: -node.level], *names]
@@ -188,7 +188,8 @@ def with_imports(files: Iterable[Path]) -> set[Path]:
 def listed_code(stage: str, chosen: Collection[str] = ()) -> set[Path]:
     """Return the files of code that dvc.yaml lists for a stage, relative to ROOT.
 
-    ``${…}`` in dvc.yaml stands for a name that the settings choose: it lists the files in `chosen`.
+    A path with ``${…}`` in dvc.yaml stands for files that depend on the settings. It lists the
+    files in `chosen` that match it.
     """
     files = set[Path]()
     for dep in _dvc_entry(stage)["deps"]:
@@ -202,6 +203,7 @@ def listed_code(stage: str, chosen: Collection[str] = ()) -> set[Path]:
 
 
 def _dvc_entry(stage: str) -> dict[str, Any]:
+    """Return what dvc.yaml says about a stage. In a stage with entries, it is below ``do``."""
     entry = read_yaml(ROOT / "dvc.yaml")["stages"][stage]
     return entry.get("do", entry)
 
@@ -225,7 +227,8 @@ def _stamp(path: Path) -> tuple[int, int]:
     return stat.st_mtime_ns, stat.st_size
 
 
-# Module → its stamp before this process loads it, as stages import base/ before all other rooms.
+# File of code → its stamp before this process loads it: each stage imports pipeline/base before
+# other packages of the project.
 _LOADED = {
     file: _stamp(ROOT / file) for package in PACKAGES for file in _code_files(ROOT / package)
 }
@@ -233,7 +236,7 @@ _LOADED = {
 
 @dataclass(frozen=True)
 class Code:
-    """The code of a stage as it was at the start: files by their path relative to ROOT."""
+    """The code of a stage as it was when the stage began. Paths of files are relative to ROOT."""
 
     stage: str
     content: Mapping[Path, bytes]
@@ -243,13 +246,13 @@ class Code:
     def read(cls, stage: str, chosen: Collection[str] = ()) -> "Code":
         """Read the code that dvc.yaml lists for a stage.
 
-        Each network and each dataset is a file. `chosen` are those files that the settings name:
-        the other networks and datasets are no part of the code. Raises InputError if this process
-        may have loaded other code.
+        Each network and each dataset is a file. `chosen` are the networks or datasets that the
+        settings name. The others do not belong to the code. Raises InputError if this process may
+        have loaded other code.
         """
         files = _without_alternatives(listed_code(stage, chosen), chosen)
         content = {file: (ROOT / file).read_bytes() for file in files}
-        # After the content, so that an edit between the two is found.
+        # Stamps are taken after the content was read, so that an edit in between is detected.
         stamps = {file: _stamp(ROOT / file) for file in files}
         code = cls(stage, content, stamps)
         code.check_unedited()
@@ -257,6 +260,7 @@ class Code:
 
     @cached_property
     def modules(self) -> dict[Path, Module]:
+        """Meaning and imports of each file."""
         return {file: parse_module(file, content) for file, content in self.content.items()}
 
     def __getstate__(self) -> dict[str, Any]:
@@ -266,7 +270,7 @@ class Code:
     def hash(self, chosen: Collection[str] = ()) -> str:
         """Return the hash of the code's meaning, and of versions of the packages that it imports.
 
-        `chosen`: the networks or datasets that count, among those with which the code was read.
+        `chosen` are the networks or datasets that count, among those passed to :meth:`read`.
         """
         meanings = dict[str, str]()
         imported = set[str]()
@@ -280,26 +284,32 @@ class Code:
         return digest([meanings, versions])
 
     def check_unedited(self) -> None:
-        """Raise InputError unless code has one meaning: at the start, as loaded, and on disk."""
+        """Raise InputError if code was edited since this process started.
+
+        Its meaning must be the same as loaded by this process, when the stage began, and now on
+        disk.
+        """
         for file, stamp in self.stamps.items():
             now = _stamp(ROOT / file)
             loaded = _LOADED.get(file, now)
             if stamp == loaded == now:
                 continue
 
-            # The file was written since. That is no edit if both versions have one meaning, and
-            # this process loaded one of them: any other version is unknown.
+            # The file was written again. Its content is known at two times: when the stage began,
+            # and now. The file counts as unedited if both contents have the same meaning, and this
+            # process loaded one of the two.
             content = b""
             if now != MISSING:
                 content = (ROOT / file).read_bytes()
             same_meaning = parse_module(file, content).meaning == self.modules[file].meaning
-            if not same_meaning or loaded not in (stamp, now):
+            was_compared = loaded in (stamp, now)
+            if not same_meaning or not was_compared:
                 raise InputError(f"was edited while stage {self.stage} ran", file, UNDO)
 
     def read_sections(self, params: Path | None, entry: str) -> dict[str, Any]:
         """Return the settings that dvc.yaml lists for the stage: dotted key → content.
 
-        `entry`: the variant or model of the stage; empty for a stage without entries.
+        `entry` is the variant or model of the stage, or empty for a stage without entries.
         """
         sections = dict[str, Any]()
         if not params:
@@ -338,18 +348,19 @@ def _is_installed(module: str) -> bool:
 
 @cache
 def _version(module: str) -> str:
-    """Return the version of the package that has a module; empty without it."""
+    """Return the version of the package that installs a module, or an empty text."""
     try:
         return importlib.metadata.version(DISTRIBUTIONS.get(module, module))
     except importlib.metadata.PackageNotFoundError:
-        names = importlib.metadata.packages_distributions().get(module, [])  # slow
+        # This search is slow, so DISTRIBUTIONS has the frequent names.
+        names = importlib.metadata.packages_distributions().get(module, [])
         return " ".join(importlib.metadata.version(name) for name in names)
 
 
 def revision(checkout: Path = Path()) -> str:
     """Return the short hash of the commit, with "-dirty" if code or settings differ from it.
 
-    Empty without git.
+    It is empty if git is not installed, or `checkout` is not a repository.
     """
     if not shutil.which("git") or not (checkout / ".git").exists():
         return ""

@@ -26,17 +26,17 @@ Summary = dict[str, Any]
 
 
 class Job(NamedTuple):
-    """One drive of a stage."""
+    """The work of a stage on one drive."""
 
     # Name that is unique in the stage.
     drive: str
-    # Path of its file or folder in the stage's folder.
+    # Path of the drive's file or folder in the stage's folder.
     target: str
     # Files and strings that determine the content, together with the stage's code and settings.
     inputs: Sequence[Path | str]
     # Picklable function that writes the file or folder to a path and returns a JSON-able summary.
     work: Callable[[Path], Summary]
-    # Files of the network or dataset that this drive uses, see :meth:`Code.read`.
+    # Code of the networks or datasets that this drive uses, see :meth:`Code.hash`.
     chosen: tuple[str, ...] = ()
 
 
@@ -44,6 +44,7 @@ class Task(NamedTuple):
     """A job that no earlier run has finished."""
 
     drive: str
+    # Path that `work` will write.
     result: Path
     work: Callable[[Path], Summary]
 
@@ -54,9 +55,10 @@ def file_jobs(
     work: Callable[..., Summary],
     target: str = "{}.h5",
 ) -> list[Job]:
-    """Return the jobs that make `target` from the drives' files.
+    """Return the jobs that make `target` of each drive from the drive's files of other stages.
 
-    `inputs`: argument of `work` → folder of a stage.
+    `inputs` maps an argument of `work` to the folder of the stage whose file it gets. ``{}`` in
+    `target` stands for the drive.
     """
     jobs = []
     for drive in drives:
@@ -74,9 +76,9 @@ def make_drives(
 ) -> dict[str, Summary]:
     """Make the drives that no earlier run made, and add all to ``folder.new``.
 
-    `settings`, a section or JSON-able, are part of every key. They must not have what determines
-    single drives only, which belongs to the inputs of these jobs. `log_format` is the format of a
-    summary for the log.
+    `settings`, which are a section or JSON-able, are part of the key of every drive. A value that
+    affects only some of the drives belongs to the inputs of their jobs instead. `log_format`
+    formats the summary of a drive for the log.
 
     Returns drive → summary, in the order of `jobs`.
     """
@@ -115,7 +117,7 @@ def _find_results(
     folder: StageFolder, jobs: Sequence[Job], settings: Mapping[str, Any], workers: int | None
 ) -> dict[str, Path]:
     """Return drive → path of its result, which exists if an earlier run made it with this key."""
-    # Most jobs choose the same files.
+    # Most jobs choose the same files, so each choice is hashed once.
     choices = {job.chosen for job in jobs}
     code = {chosen: folder.code.hash(chosen) for chosen in choices}
 
@@ -123,7 +125,7 @@ def _find_results(
         key = stage_key(code[job.chosen], {"drive": job.drive, **settings}, job.inputs)
         return folder.kept / f"{job.drive}-{key}" / Path(job.target).name
 
-    # In threads, as hashing files releases Python's lock.
+    # Threads are enough, as hashing files releases Python's lock.
     with ThreadPoolExecutor(workers or default_workers()) as pool:
         paths = pool.map(find, jobs)
         return {job.drive: path for job, path in zip(jobs, paths, strict=True)}
@@ -134,9 +136,9 @@ def _input_bytes(job: Job) -> int:
 
 
 def _make(task: Task) -> tuple[Summary, float]:
-    """Make one drive, and its summary beside it; an error names the drive.
+    """Make the result of a drive, and write its summary beside it.
 
-    Returns the summary, and the time in seconds.
+    Returns the summary, and the time in seconds. Raises InputError with the name of the drive.
     """
     start = time.perf_counter()
     with error_context(task.drive), replacing(task.result.parent) as unfinished:

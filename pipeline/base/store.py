@@ -1,7 +1,8 @@
 """Read and write the HDF5 files and indexes that stages exchange.
 
-data/README.md describes their content. Files are deterministic: written once, in a fixed order,
-with no clock, host or user inside. They may come from elsewhere, see :func:`_datasets`.
+data/README.md describes their content. Files are deterministic: they are written once, in a fixed
+order, and contain no clock time, host or user. A file may come from a stranger, so
+:func:`_datasets` accepts only plain arrays of numbers.
 """
 
 import errno
@@ -23,16 +24,16 @@ from pipeline.base.errors import InputError
 SCHEMA = 6
 # Name of the file in a stage's folder that lists its drives.
 INDEX = "index.json"
-# Rows of a chunk of points or other short rows.
+# Number of rows in a chunk of points, or of other short rows.
 _CHUNK_ROWS = 32768
-# Compression of points. Sizes and speeds of the alternatives to both are in docs/log.md; Blosc2
-# would let a file name a codec that runs code.
+# Compression of points. docs/log.md compares sizes and speeds of alternatives. Blosc2 is not used,
+# as its files can name a codec that runs code.
 _POINTS = hdf5plugin.Blosc(cname="lz4", shuffle=hdf5plugin.Blosc.BITSHUFFLE)
 # Compression of images.
 _PIXELS = hdf5plugin.Blosc(cname="zstd", clevel=3, shuffle=hdf5plugin.Blosc.SHUFFLE)
 # Numbers of the errors of a file system without locks.
 NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)
-# Bytes of chunks that h5py keeps for each dataset of an open file.
+# Size in bytes of the cache of chunks that h5py has for each dataset of an open file.
 _CACHE_BYTES = 1 << 20
 # Exceptions that h5py raises for damaged bytes.
 _H5PY_ERRORS = (OSError, RuntimeError, LookupError, ValueError, TypeError)
@@ -47,7 +48,7 @@ def replacing(path: Path) -> Iterator[Path]:
     ``*.h5`` does not match it.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    # In a temporary folder, as a file from mkstemp is unreadable for other users.
+    # The path is in a temporary folder, as a file by mkstemp is unreadable for other users.
     prefix = f".{path.name}."
     with tempfile.TemporaryDirectory(".tmp", prefix, path.parent) as folder:
         tmp = Path(folder) / path.name
@@ -68,7 +69,8 @@ class Sink(io.FileIO):
         unwritten = memoryview(data).cast("B")
         size = len(unwritten)
         try:
-            while unwritten:  # the system may write a part only
+            # The system may write only a part at once.
+            while unwritten:
                 count = super().write(unwritten)
                 unwritten = unwritten[count:]
         except OSError as error:
@@ -93,24 +95,27 @@ class DriveWriter(ExitStack):
     """Write one drive's file. The file appears if the block of this context manager succeeds."""
 
     def __init__(self, path: Path, *, stage: str, drive: str, params: Mapping[str, Any]) -> None:
-        """`params`: JSON-able, section of params.yaml → its content."""
+        """`params` maps sections of params.yaml to their content, which is JSON-able."""
         super().__init__()
         self.path = path
         self.attrs: dict[str, Any] = {"schema": SCHEMA, "stage": stage, "drive": drive}
         self.attrs["params"] = json.dumps(params, sort_keys=True)
-        # Open until the end, as HDF5 writes chunks when a dataset is closed: the order of the bytes
-        # depends on it.
+        # Datasets stay open until the end. HDF5 writes chunks when a dataset is closed, so the
+        # order of the bytes depends on when that is.
         self._datasets: dict[str, h5py.Dataset] = {}
 
     def put(self, name: str, array: np.ndarray, unit: str = "", **options: Any) -> None:
-        """Write a complete dataset, a row per frame, with `options` of h5py's create_dataset."""
+        """Write a complete dataset that has a row per frame.
+
+        `options` are those of h5py's create_dataset.
+        """
         self._datasets[name] = self._file.create_dataset(name, data=array, **options)
         self._datasets[name].attrs["unit"] = unit
 
     def put_pointers(self, name: str, counts: Iterable[int], unit: str = "") -> None:
-        """Write the first row of each frame, and the end: int64 [F+1].
+        """Write each frame's first row in a ragged dataset, then the number of rows: int64 [F+1].
 
-        `counts` [F] are the numbers of rows of the frames.
+        `counts` [F] has the number of rows of each frame.
         """
         self.put(name, np.cumsum([0, *counts], dtype=np.int64), unit)
 
@@ -119,8 +124,9 @@ class DriveWriter(ExitStack):
     ) -> None:
         """Add `rows` [n, ...] at the end of dataset `name`, which the first call creates.
 
-        `pointer`: the dataset with each frame's first row, see :meth:`put_pointers`; without it, a
-        row per frame. `refers_to`: the dataset whose rows these numbers refer to.
+        `pointer` names the dataset with each frame's first row, see :meth:`put_pointers`. If it is
+        empty, the dataset has one row per frame. If the values are numbers of rows, `refers_to`
+        names the dataset that has these rows.
         """
         if name not in self._datasets:
             # An image is one chunk, so that frames can be read one by one; points share chunks.
@@ -149,9 +155,9 @@ class DriveWriter(ExitStack):
 
 
 class DriveReader(ExitStack):
-    """Read one drive's file. It is a context manager.
+    """Read one drive's file. The reader is a context manager.
 
-    Raises InputError unless it is a valid file of `stage`; None: of any stage.
+    Raises InputError unless it is a valid file by `stage`, or by any stage if `stage` is None.
     """
 
     def __init__(self, path: Path, *, stage: str | None) -> None:
@@ -164,9 +170,9 @@ class DriveReader(ExitStack):
             file = self.enter_context(_open(path))
             self.attrs: dict[str, Any] = dict(file.attrs)
             self.datasets = _datasets(file)
-            # Ragged dataset → dataset with the first row of each frame.
+            # Name of a ragged dataset → name of the dataset with the first row of each frame.
             self.pointers = _read_names(self.datasets, "pointer")
-            # Dataset of numbers of rows → dataset with these rows.
+            # Name of a dataset with numbers of rows → name of the dataset that has these rows.
             self.refers_to = _read_names(self.datasets, "refers_to")
         except BlockingIOError as error:
             problem = "another process has it open for writing"
@@ -231,7 +237,8 @@ class DriveReader(ExitStack):
 def _open(path: Path) -> h5py.File:
     """Open a file for reading.
 
-    A file system without locks needs none, as files appear complete.
+    On a file system without locks it is opened without one, which is safe, as files appear only
+    when they are complete.
     """
     try:
         return h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES)
@@ -244,8 +251,9 @@ def _open(path: Path) -> h5py.File:
 def _datasets(file: h5py.File) -> dict[str, h5py.Dataset]:
     """Return name → dataset of a file.
 
-    HDF5 would follow links, external storage and virtual datasets to other files, and filters of
-    plugins run code. Raises ValueError unless all are arrays of numbers in the file itself.
+    Raises ValueError unless all datasets are arrays of numbers in the file itself. HDF5 would
+    follow links, external storage and virtual datasets to other files, and would run the code of
+    plugins for filters.
     """
     datasets = {}
     for name in file:
@@ -273,6 +281,7 @@ def _read_names(datasets: Mapping[str, h5py.Dataset], attribute: str) -> dict[st
 
 
 def _fault(problem: str, path: Path, stage: str) -> InputError:
+    """Return an exception about a file of a stage, with the commands that make or fetch it."""
     fix = f"Make it: dvc repro {stage}. Or fetch it: git pull, dvc pull {stage}"
     return InputError(problem, path, fix)
 
@@ -284,11 +293,12 @@ def write_json(path: Path, content: Any, *, sort_keys: bool = True) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text in one step. A hard link to the earlier file, as in DVC's cache, keeps it."""
+    """Write a text in one step. A hard link to the earlier file, as in DVC's cache, stays as is."""
     with replacing(path) as tmp:
         try:
             tmp.write_text(text, encoding="utf-8")
-        except OSError as error:  # of a full disk, without a name
+        # The exception of a full disk does not name the file.
+        except OSError as error:
             error.filename = str(path)
             raise
 
@@ -304,7 +314,7 @@ def read_json(path: Path, *, stage: str) -> dict[str, Any]:
 
 
 def read_index(folder: Path, *, stage: str) -> dict[str, str]:
-    """Return drive → split of a stage's folder, in its order.
+    """Return drive → split of a stage's folder, in the order of its index.
 
     Raises InputError if a drive in it has no file.
     """
@@ -316,5 +326,5 @@ def read_index(folder: Path, *, stage: str) -> dict[str, str]:
 
 
 def drives_in(splits: Mapping[str, str], *names: str) -> list[str]:
-    """Return the drives with one of the splits `names`, in the index's order."""
+    """Return the drives that belong to one of the splits `names`, in the order of `splits`."""
     return [drive for drive, split in splits.items() if split in names]

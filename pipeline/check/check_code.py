@@ -11,7 +11,7 @@ METRICS = "pipeline/evaluate/statistics.py"
 
 
 def check_code(settings: Params) -> None:
-    """Check the files that the settings name by :func:`check_file`."""
+    """Call :func:`check_file` for the files that the settings name."""
     for dataset in sorted(set(settings.ingest.datasets().values())):
         check_file(f"pipeline/ingest/datasets/{dataset}.py", "ingest")
 

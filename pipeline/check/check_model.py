@@ -22,11 +22,12 @@ def check_model(entry: Entry, settings: Params) -> None:
         fix = "Set it to edges, for instance [0, 10]"
         raise InputError("predict: path needs labels.ahead_m (got [])", fix=fix)
 
-    # Measured motion as an input gives away a label that is measured at the same frame.
+    # If labels are measured motion, this motion must not be an input, too. With a horizon above 0
+    # it may be, as it is earlier than the label.
     is_measured = entry.motion != "none" and source.load_source(settings.labels.source).MEASURED
     if entry.predict == "angle" and is_measured and not entry.horizon:
         problem = (
-            f"motion: {entry.motion} with labels.source: {entry.motion} at horizon: 0 "
+            f"motion: {entry.motion} with labels.source: {settings.labels.source} at horizon: 0 "
             "makes the label an input"
         )
         fix = "Set motion: none, a horizon above 0, or another labels.source, or remove the model"

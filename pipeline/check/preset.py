@@ -1,4 +1,4 @@
-"""Merge presets, which are sets of changes to ``params.yaml``, and apply one to the file."""
+"""Merge presets, which are sets of changes to ``params.yaml``, or apply a preset to the file."""
 
 import hashlib
 import io
@@ -19,7 +19,9 @@ from pipeline.check.settings import Params
 from pipeline.ingest.datasets.recording import MOTION, WHEEL
 from pipeline.ingest.settings import Part
 
+# Folder of the presets.
 PRESETS = ROOT / "presets"
+# File to which presets are applied.
 PARAMS = ROOT / "params.yaml"
 # Names that no preset may have: the other targets of the Makefile, and earlier presets.
 TARGETS = (
@@ -60,8 +62,8 @@ def main(
         apply(name, params, author)
         return
 
-    # make street and make encoder write the settings of one encoder elsewhere. A preset that was
-    # applied to params.yaml has no part in them.
+    # make street and make encoder write the settings of an encoder to another folder. They start
+    # from the user's own file, even if a preset has been applied to params.yaml since.
     base = params
     if author_of(params).startswith(_AUTHOR) and path_before(params).is_file():
         base = path_before(params)
@@ -69,7 +71,7 @@ def main(
 
 
 def apply(name: str, params: Path, author: str) -> None:
-    """Replace `params` by the file with the changes of preset `name`; keep the user's own file."""
+    """Apply the changes of preset `name` to the file `params`, and keep the user's own file."""
     content = merged(name, base_of(name, params))
     take_logs(content, Path("data/raw"))
     if not author_of(params):
@@ -100,8 +102,9 @@ def keep_before(params: Path) -> None:
 def base_of(name: str, params: Path) -> Path:
     """Return the file to which a preset applies: `params`, or the file before it.
 
-    It is the file before if ``make params`` has applied this preset to `params`. Raises InputError
-    if another preset wrote `params`, if `params` was edited since, or if a run wrote it.
+    If ``make params`` has already applied this preset to `params`, the file before that is
+    returned. Raises InputError if another preset wrote `params`, if `params` was edited since, or
+    if a run wrote it.
     """
     author = author_of(params)
     before = path_before(params)
@@ -110,7 +113,7 @@ def base_of(name: str, params: Path) -> Path:
     if author == f"{_AUTHOR} PRESET={name}" and is_unedited(params):
         if before.is_file():
             return before
-        # A clone has params.yaml alone. Applying the preset once more changes nothing there.
+        # A clone lacks the file before. Applying the preset to params.yaml again changes nothing.
         return params
 
     problem = f"{author} wrote it"
@@ -127,9 +130,10 @@ def base_of(name: str, params: Path) -> Path:
 def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:
     """Return the content of file `params` with its comments, and with the changes of a preset.
 
-    `name` is a name in presets/, or a path. Mappings are merged key by key; any other value
-    replaces the old one. null removes a key, so its default applies, and ``"*": null`` removes all
-    earlier keys, so that a list of models is replaced. Raises InputError.
+    `name` is a name in presets/, or a path. Mappings are merged key by key. Any other value
+    replaces the old one. null removes a key, so that its default applies. ``"*": null`` in a
+    mapping removes all of its earlier keys, so that, for instance, all models are replaced. Raises
+    InputError if the file or the preset is invalid.
     """
     preset = path_of(name)
     content = read_yaml(params, comments=True)
@@ -158,10 +162,10 @@ def path_of(name: str) -> Path:
 
 
 def take_logs(content: dict[str, Any], raw: Path) -> None:
-    """Replace the hashes of logs below `raw` that were edited since their import.
+    """Replace the hashes in `content` of logs below `raw` that were edited since their import.
 
-    Missing files keep theirs. Raises InputError for images that were not imported, and for a log
-    that an import would refuse.
+    The hashes of missing files stay. Raises InputError for images that are not the imported ones,
+    and for a log that an import would refuse.
     """
     parts_of: dict[str, list[Any]] = {}
     for part in content["ingest"].get("recordings", {}).values():
@@ -175,7 +179,8 @@ def take_logs(content: dict[str, Any], raw: Path) -> None:
         paths = ", ".join(str(folder / file) for file in edited)
         print(f"edited since steer import: {paths}", flush=True)
 
-        # Without the images, only drives that were made or fetched with this log can be used.
+        # A log can only be compared with the images if all files are present. If not, the run needs
+        # finished drives, which were made with this log.
         if all((folder / file).exists() for file in files):
             check_recording_logs(_whole(parts), folder)
         for part in parts:
@@ -183,7 +188,7 @@ def take_logs(content: dict[str, Any], raw: Path) -> None:
 
 
 def _whole(parts: list[Any]) -> Part:
-    """Return one part from the first start of parts of a recording to their last end."""
+    """Return a part from the first start of the `parts` of a recording to their last end."""
     ends = [part.get("end") for part in parts]
     whole = dict(parts[0])
     whole["start"] = min(part.get("start", 0.0) for part in parts)
@@ -192,10 +197,10 @@ def _whole(parts: list[Any]) -> Part:
 
 
 def find_edited(folder: Path, files: dict[str, str]) -> dict[str, str]:
-    """Return log → its new hash, for the logs in a recording's `folder` that were edited.
+    """Return name → new hash, for the logs in a recording's `folder` that were edited.
 
-    `files`: name of a file → its hash when it was imported. Missing files count as unedited. Raises
-    InputError for other images or times of images.
+    `files` maps the names of files to their hashes when they were imported. Missing files count as
+    unedited. Raises InputError if images, or the times of images, are not the imported ones.
     """
     edited = {}
     for name, imported in files.items():
@@ -213,20 +218,20 @@ def find_edited(folder: Path, files: dict[str, str]) -> dict[str, str]:
 
 
 def to_yaml(content: dict[str, Any], author: str) -> str:
-    """Return content with comments as YAML, :func:`stamped`."""
+    """Return content with comments as YAML that is :func:`stamped`."""
     stream = io.StringIO()
     writer = YAML()
     writer.default_flow_style = False  # as DVC writes, so that `dvc exp run -S` changes one line
     writer.dump(content, stream)
     dumped = stream.getvalue()
-    # The stamp of the file to which the changes were applied is a comment.
+    # The comments begin with the stamp of the file to which the changes were applied.
     if dumped.startswith(_STAMP):
         dumped = dumped.partition("\n")[2]
     return stamped(dumped, author)
 
 
 def write(content: dict[str, Any], out: Path, author: str) -> None:
-    """Write a params file. Raises InputError if the file before was edited."""
+    """Write a params file. Raises InputError if it would replace a file that was edited."""
     if out.exists() and not is_unedited(out):
         fix = "Move the edits to the preset, then delete the file"
         raise InputError("was edited, and would be replaced", out, fix)
@@ -234,7 +239,7 @@ def write(content: dict[str, Any], out: Path, author: str) -> None:
 
 
 def _merge(content: dict[str, Any], changes: dict[str, Any]) -> None:
-    """Apply changes to nested mappings with comments; equal values keep their comments."""
+    """Apply changes to nested mappings. Values that do not change keep their comments."""
     if changes.get("*", 0) is None:
         content.clear()
     for key, value in changes.items():
@@ -253,7 +258,7 @@ def stamped(content: str, author: str) -> str:
 
 
 def author_of(path: Path) -> str:
-    """Return the author of a :func:`stamped` file, also of an edited one; empty for other files."""
+    """Return the author of a :func:`stamped` file, even if it was edited, or an empty text."""
     if not path.exists():
         return ""
     first = path.read_text("utf-8", errors="replace").partition("\n")[0]
@@ -273,7 +278,8 @@ def check_name_is_free(name: str) -> None:
     if name in TARGETS:
         raise InputError("is a target of make", name, "Choose another name")
     outs = read_yaml(ROOT / "dvc.yaml")["stages"]["report"]["outs"]
-    # The page of the run would replace it, in DVC's cache, too; also on a disk that ignores case.
+    # The page of the run would replace that file, and its hard link in DVC's cache. Case is
+    # ignored, as some disks ignore it.
     if name.lower() in {Path(out).stem for out in outs}:
         problem = "is the name of a file that stage report writes"
         raise InputError(problem, name, "Choose another name")

@@ -14,19 +14,20 @@ from pipeline.labels.label import Labels
 from pipeline.motion.horizon import turn_rates
 from pipeline.motion.step import TYPICAL_MPS
 
-# Standard deviation in rad/s of a yaw rate that the rotation between two images gives. On five real
-# recordings it is 0.010 to 0.016.
+# Standard deviation in rad/s of a yaw rate that is measured from the rotation between two images.
+# On five real recordings it is 0.010 to 0.016.
 TURN_SIGMA_RADPS = 0.012
-# Wheelbase of a car in metres, for the angle at a typical speed.
+# Wheelbase in metres of a typical car, by which a yaw rate at a typical speed becomes an angle.
 CAR_M = 2.7
 
 
 def check_recording_logs(part: Part, folder: Path) -> None:
     """Check the logs of a recording from start to end of a `part`, as steer import does.
 
-    The recording's files are in `folder`. To check all its parts at once, pass one that starts with
-    the first and ends with the last. Raises InputError for a log that cannot be read, is of another
-    time, or has a wrong sign or clock, and for a part of which no image is left.
+    The recording's files are in `folder`. To check all parts of a recording at once, pass a part
+    that spans them all. Raises InputError for a log that cannot be read, is of another time than
+    the images, or has a wrong sign or clock. Raises it also if no image of the part has a logged
+    motion.
     """
     check_logs(open_part(part, folder), part.start, part.end)
 
@@ -34,9 +35,10 @@ def check_recording_logs(part: Part, folder: Path) -> None:
 def check_logs(recording: Recording, start_s: float, end_s: float | None) -> np.ndarray:
     """Compare a recording's logs with the turns of its images from start to end.
 
-    A note is added to the recording if too few images turn. Returns which images from start to end
-    have logged motion, bool [F]. Raises InputError if the sign or the clock of a log is wrong, or
-    no image is left.
+    A note is added to the recording if the car turns in too few images. Returns which images lie
+    between start and end and have a logged motion, bool [F]; if there is no log of the motion, only
+    the time counts. Raises InputError if the sign or the clock of a log is wrong, or if there is no
+    such image.
     """
     time_s = recording.times_s
     if recording.logs:
@@ -49,7 +51,7 @@ def check_logs(recording: Recording, start_s: float, end_s: float | None) -> np.
 
 
 def _compare_turns(recording: Recording, within: np.ndarray) -> None:
-    """Compare the logs with the turns of the images `within` some time, bool [F]."""
+    """Compare the logs with the turns of those images that `within`, bool [F], selects."""
     time_s = recording.times_s
     unknown = np.full(len(time_s), np.nan)
 
@@ -79,6 +81,6 @@ def _compare_turns(recording: Recording, within: np.ndarray) -> None:
 
 
 def _labels(steering_rad: np.ndarray, yaw_rate_radps: np.ndarray) -> Labels:
-    """Return labels [F] without speeds; values are NaN where unknown."""
+    """Return labels [F] with unknown speeds. Arguments are NaN where unknown."""
     valid = np.isfinite(steering_rad) | np.isfinite(yaw_rate_radps)
     return Labels(steering_rad, valid, np.full(len(valid), np.nan), yaw_rate_radps)

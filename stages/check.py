@@ -18,7 +18,7 @@ from pipeline.encoder import create
 def main(params: Path = Path("params.yaml")) -> Path:
     """Validate all sections and imports, and build each steering network once. Return `params`.
 
-    The encoder's files have to be there, unless DVC has an encoder of these settings.
+    The encoder's files have to exist, unless dvc.lock lists an encoder of these settings.
     """
     content = read_yaml(params)
     settings = parse(Params, content, path=params)
@@ -34,7 +34,10 @@ def main(params: Path = Path("params.yaml")) -> Path:
 
 
 def is_locked(lock: Path, encoder: dict[str, Any]) -> bool:
-    """Return whether dvc.lock has an encoder of these settings, which DVC takes or fetches."""
+    """Return whether dvc.lock lists an encoder of these settings.
+
+    DVC takes it from its cache, or fetches it, so the files that a fit reads are not needed.
+    """
     if not lock.is_file():
         return False
     stages = read_yaml(lock).get("stages", {})

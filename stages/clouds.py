@@ -1,6 +1,6 @@
 """Stage clouds: semantic point clouds of images and scans.
 
-They are data/clouds/pseudo/<drive>.h5 and data/clouds/lidar/<drive>.h5.
+It writes data/clouds/pseudo/<drive>.h5 and data/clouds/lidar/<drive>.h5.
 """
 
 from functools import partial
@@ -18,8 +18,8 @@ from pipeline.ingest.settings import Ingest
 def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     """Back-project depth with K⁻¹ (paper eq. 6, 7) and transform LiDAR scans into the camera frame.
 
-    Returns the output folder, which holds the folders pseudo and lidar; lidar has no drives without
-    ingest.lidar.
+    Returns the output folder, which holds the folders pseudo and lidar. If ingest.lidar is false,
+    lidar has no drives.
     """
     settings = load(Clouds, params)
     out = data / "clouds"

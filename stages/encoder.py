@@ -36,7 +36,7 @@ def main(
         with error_context(params), error_context("encoder"):
             architecture, model = create(settings)
 
-        # A network that does not take the images fails here, before any drive is read.
+        # A network that does not take images of this size fails here, before any drive is read.
         where = f"backbone {settings.backbone}, ingest.image_size {list(size)}"
         if settings.backbone != "precomputed":
             with error_context(params), error_context(where):
@@ -77,7 +77,7 @@ def fit(
 
     Returns the summary of :func:`pipeline.encoder.fit.fit_drives`.
     """
-    # The weights at the start are a file, so that the cache key of the fit depends on them.
+    # The initial weights are written to a file, so that the cache key of the fit depends on them.
     encoder_file.save_encoder(folder.kept / "start", architecture, model.state_dict())
     start = folder.kept / "start" / encoder_file.FILE
 

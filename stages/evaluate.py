@@ -1,5 +1,6 @@
-"""Compute the errors of a trained model on each split, beside those of the baselines:
-data/evaluate/<model>/.
+"""Stage evaluate: errors of a trained model and of baselines on each split.
+
+It writes data/evaluate/<model>/.
 """
 
 from pathlib import Path

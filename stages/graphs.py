@@ -1,4 +1,4 @@
-"""Stage graphs: build one variant of the networks' input, data/graphs/<variant>/<drive>.h5."""
+"""Stage graphs: build a variant of the networks' input, and write data/graphs/<variant>/."""
 
 from functools import partial
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Stage ingest: read each drive once, and write all that later stages need to one HDF5 file."""
+"""Stage ingest: read each drive once, and write its data for all later stages to one HDF5 file."""
 
 from functools import partial
 from pathlib import Path
@@ -23,7 +23,7 @@ def main(
     settings = load(Ingest, params)
     out = data / "ingest"
 
-    # Drives that are not there are left out, unless an earlier run has read them.
+    # Missing drives are left out. Drives that an earlier run has read must not be missing.
     earlier: dict[str, str] = {}
     if (out / store.INDEX).is_file():
         earlier = store.read_index(out, stage="ingest")
@@ -32,7 +32,7 @@ def main(
     for drive in missing:
         del splits[drive]
 
-    # Each drive depends on the code of its own dataset alone.
+    # Of the code of all datasets, a drive depends only on that of its own dataset.
     dataset_of = settings.datasets()
     readers = {
         drive: f"pipeline/ingest/datasets/{dataset}.py" for drive, dataset in dataset_of.items()

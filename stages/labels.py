@@ -18,7 +18,7 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     """Compute each frame's steering angle (paper section 4.1), path ahead and their validity.
 
     Recorded labels are first compared with measured motion. Returns the folder. Raises InputError
-    if their sign or unit is wrong.
+    if the sign or the unit of recorded labels is wrong.
     """
     settings = load(Labels, params)
     ingest = data / "ingest"
@@ -26,7 +26,8 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     out = data / "labels"
     splits = store.read_index(ingest, stage="ingest")
     with stage_folder("labels", out, splits, params=params) as folder:
-        # Not with test drives: a lag fitted to them would align the truth with odometry.
+        # Test drives are not compared, as a lag that is fitted to them would align the truth with
+        # odometry.
         drives = store.drives_in(splits, "train", "val") or [*splits]
         car = Car(settings.wheelbase_m, settings.min_speed_mps)
         pairs = comparison.read_pairs(settings.source, drives, ingest, motion, car)
@@ -40,7 +41,7 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
         log_format = (
             "{frames} frames, {valid} valid, {turning} turning, {interpolated} interpolated"
         )
-        # One worker, as this is less work than starting a process.
+        # This process makes all labels, which takes less time than starting another one.
         summaries = make_drives(folder, jobs, settings, log_format, workers=1)
     for line in find_doubts(splits, summaries):
         print(line)

@@ -1,4 +1,4 @@
-"""Stage motion: the car's motion since the previous frame, without oxts, data/motion/<drive>.h5."""
+"""Stage motion: measure the car's motion from the images, and write data/motion/<drive>.h5."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,7 +9,8 @@ from pipeline.base.runner import Summary, file_jobs, make_drives
 from pipeline.motion.doubts import check_unit, find_doubts
 from pipeline.motion.motion_file import measure_drive
 
-# Smallest share of frames with a road; below, the scale and so the speed are called uncertain.
+# Least share of frames in which the road must be found. If it is found in fewer, the scale of the
+# motion, and so the speed, is uncertain.
 MIN_ROAD = 0.5
 
 
@@ -27,8 +28,11 @@ def main(data: Path = Path("data")) -> Path:
 
 
 def print_doubts(summaries: Mapping[str, Summary]) -> None:
-    """Print doubts about the measured motion: drive → summary of :func:`measure_drive`."""
-    # One line for each kind of doubt: what is wrong with one drive is wrong with most.
+    """Print doubts about the measured motion.
+
+    `summaries` maps drives to summaries by :func:`measure_drive`.
+    """
+    # Most drives have the same doubts, so each kind of doubt is printed once, with its first drive.
     doubts = dict[str, dict[str, str]]()
     for drive, summary in summaries.items():
         for kind, text in find_doubts(summary):

@@ -24,7 +24,7 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     out = data / "perception"
     splits = store.read_index(ingest, stage="ingest")
     with stage_folder("perception", out, splits, params=params) as folder:
-        # Reports a bad checkpoint, too: once, not from each worker.
+        # This also reports a bad checkpoint, once instead of from each worker.
         files = [ingest / f"{drive}.h5" for drive in splits]
         for line in warnings(encoder, settings.precision, files):
             print(line, flush=True)

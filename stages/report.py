@@ -1,4 +1,4 @@
-"""Compare all models: data/report/{index.html, table.md, results.json, …}."""
+"""Stage report: compare all models, and write data/report/{index.html, table.md, …}."""
 
 from pathlib import Path
 from textwrap import fill
@@ -24,7 +24,7 @@ def main(
 ) -> Path:
     """Write the page with its pictures, the tables, and the file of DVC's metrics. Returns `out`.
 
-    Models of the params file that are not evaluated on this machine are named.
+    The report also names the models of the params file that are not evaluated on this machine.
     """
     with stage_folder("report", out, params=params) as folder:
         models = entries("models", params)
@@ -68,6 +68,7 @@ def main(
 
 
 def _read_json(path: Path, stage: str) -> dict[str, Any]:
+    """Return the content of a file by a stage, or an empty one if there is no file."""
     return store.read_json(path, stage=stage) if path.is_file() else {}
 
 

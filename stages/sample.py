@@ -28,7 +28,8 @@ def main(out: Path = Path("data/sample"), params: Path = Path("params.yaml")) ->
     jobs = []
     # The longest drives start first, so that all processes end at about the same time.
     for split, frames in sorted(settings.frames.items(), key=lambda item: -item[1]):
-        # Stage scores reads the truth of validation and test drives, a fit that of training drives.
+        # Ground truth is rendered only for its readers: stage scores for validation and test
+        # drives, and a fit of the encoder for training drives.
         truth = split != "train" or encoder.epochs > 0
         for drive in getattr(ingest.drives, split):
             if dataset_of[drive] != "sample":

@@ -1,4 +1,7 @@
-"""Stage train: train one model on its graph variant, data/train/<model>/{best.pt, curve.csv}."""
+"""Stage train: train a model on its graph variant, and write best.pt and curve.csv.
+
+They are in data/train/<model>/.
+"""
 
 from pathlib import Path
 from typing import Annotated
@@ -29,8 +32,8 @@ def main(
 ) -> Path:
     """Train the model, stop early when the validation error stops falling, and keep the best epoch.
 
-    One network per seed: in parallel on CPUs, one process each, and one after the other on a GPU.
-    Returns the model's folder.
+    One network is trained per seed. On CPUs, networks are trained in parallel, each in a process.
+    On a GPU, they are trained one after the other. Returns the model's folder.
     """
     settings = load(Train, params)
     entry = load_entry(Entry, "models", name, params)
@@ -48,7 +51,8 @@ def main(
             for drive in store.drives_in(splits, split):
                 drives[drive] = read_drive(graphs, data / "labels", drive, entry)
 
-        # Drives that teach nothing are reported before the first network is trained.
+        # Raise InputError for drives from which nothing can be learned before the first network is
+        # trained. Scale is made only for its checks.
         for split in SPLITS:
             members = [drives[drive] for drive in store.drives_in(splits, split)]
             if members:
@@ -68,7 +72,8 @@ def main(
         model = Model(name, where, entry, settings, splits, drives)
         states = fit_model(model, todo, folder)
         folder.used.update(states)
-        # Fitted networks of all code and settings stay: they are small, and costly to make.
+        # Networks of other code and settings stay for later runs, too, as they are small and costly
+        # to train.
         folder.used.update(folder.kept.glob("*.pt"))
     return out / name
 

@@ -40,9 +40,10 @@ def measure(
 ) -> Outcome:
     """Measure the motion of a car from the images of its camera.
 
-    `out` is a new or empty folder for motion.csv, track.png, quality.json and, with `video`,
-    overlay.mp4; None: no files. `options` are those of :class:`steer.parameters.MeasureOptions`.
-    Raises InputError for input that cannot be used.
+    `out` is a new or empty folder for motion.csv, track.png, quality.json and, if `video` is true,
+    overlay.mp4. If `out` is None, no files are written. `encoder` is the folder of an encoder.
+    `options` are those of :class:`steer.parameters.MeasureOptions`. Raises InputError for input
+    that cannot be used.
     """
     given = from_python(MeasureOptions, options)
     target = _free(out)
@@ -64,11 +65,12 @@ def predict(
     video: bool = False,
     **options: Any,
 ) -> Outcome:
-    """Predict the steering angle of each frame by a trained model: its folder, or runs/NAME.
+    """Predict the steering angle of each frame with a trained model.
 
-    `encoder` is its folder; None: data/encoder beside the model's data/train. `options` are those
-    of :class:`pipeline.ingest.settings.RecordingOptions`. `out` and errors are those of
-    :func:`measure`.
+    `model` is the model's folder, or runs/NAME. `encoder` is the folder of its encoder; if it is
+    None, it is data/encoder beside the model's data/train. `options` are those of
+    :class:`pipeline.ingest.settings.RecordingOptions`. `out` is a folder as in :func:`measure`, for
+    steering.csv, track.png and overlay.mp4. Raises InputError for input that cannot be used.
     """
     given = from_python(RecordingOptions, options)
     target = _free(out)
@@ -76,6 +78,7 @@ def predict(
     trained = load_model(folder)
     opened = open_source(_paths(source), predicting.reading(trained), given, trained.fps)
 
+    # If no height of the camera is known, it is that of the training drives.
     height_m = trained.settings.get("camera_height_m")
     if height_m and not opened.camera.height_known:
         opened = opened.at_height(height_m)
@@ -92,6 +95,7 @@ def predict(
 
 
 def _free(out: PathLike | None) -> Path | None:
+    """Return the path of a new or empty folder, or None. Raises InputError if it has files."""
     if out is None:
         return None
     check_free(Path(out))
@@ -99,7 +103,7 @@ def _free(out: PathLike | None) -> Path | None:
 
 
 def here_or_in_checkout(path: Path) -> Path:
-    """Return the path, or if it does not exist, the same path below the checkout."""
+    """Return `path` or, if it exists only below the checkout, its path there."""
     in_checkout = ROOT / path
     if not path.exists() and in_checkout.exists():
         return in_checkout
@@ -107,15 +111,16 @@ def here_or_in_checkout(path: Path) -> Path:
 
 
 def _paths(source: Paths) -> list[Path]:
+    """Return one path or several as a list."""
     if isinstance(source, Path | str):
         return [Path(source)]
     return [Path(path) for path in source]
 
 
 def _network(model: Path) -> Path:
-    """Return the folder of the only network of runs/NAME, or the folder itself.
+    """Return the folder of a model: that of the only model if `model` is runs/NAME, else `model`.
 
-    Raises InputError if there are more.
+    Raises InputError if runs/NAME has several models.
     """
     networks = sorted(path.parent for path in (model / "data/train").glob("*/best.pt"))
     if not networks:
@@ -127,9 +132,10 @@ def _network(model: Path) -> Path:
 
 
 def _encoder_beside(model: Path) -> Path:
-    """Return data/encoder of a model data/train/<model> or a seed's folder in it; or the sample's.
+    """Return the folder of the encoder that belongs to a model.
 
-    Raises InputError if the model is elsewhere.
+    It is data/encoder for a model in data/train/<model>, or in the folder of a seed in it. The
+    model of the sample has the encoder of the sample. Raises InputError if the model is elsewhere.
     """
     if model.resolve() == ROOT / "models/steering/sample":
         return ROOT / "models/encoder/sample"

@@ -16,18 +16,20 @@ from pipeline.ingest.settings import Part, RecordingOptions
 from steer.commands import import_, measure, predict
 from steer.parameters import MeasureOptions, with_options
 
-# Python's default browsers without a screen, as over SSH. They would wait for keys in the terminal.
+# Browsers that Python chooses if there is no screen, as over SSH. They would wait for keys in the
+# terminal.
 TEXT_BROWSERS = ("www-browser", "links", "elinks", "lynx", "w3m")
 
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    rich_markup_mode=None,  # rich's help takes twice the time
+    rich_markup_mode=None,  # help by rich takes twice the time
 )
 
 
 def _version(requested: bool) -> None:
+    """Print the version and exit, if --version is given."""
     if requested:
         from pipeline.base.resume import ROOT, revision
 
@@ -101,7 +103,8 @@ def view(
     with claimed(out, path.stem, ".html") as page:
         artefact.view(path, page)
     print(page)
-    with suppress(webbrowser.Error):  # there is none
+    # The exception means that there is no browser.
+    with suppress(webbrowser.Error):
         browser = webbrowser.get()
         if browser.basename not in TEXT_BROWSERS:
             browser.open(page.absolute().as_uri())

@@ -37,7 +37,7 @@ def describe(path: Path) -> Content:
 
 
 def _describe_dataset(file: DriveReader, name: str) -> list[str]:
-    """Return dtype and shape of a dataset, its unit, its pointers and its size in the file."""
+    """Return texts about a dataset: type and shape, unit, name of its pointers, size on disk."""
     dataset = file.datasets[name]
     shape = " × ".join(str(size) for size in dataset.shape)
     texts = [f"{dataset.dtype} {shape}"]
@@ -51,9 +51,10 @@ def _describe_dataset(file: DriveReader, name: str) -> list[str]:
 
 
 def frame(path: Path, number: int, out: Path | None = None) -> Content:
-    """Return a frame's numbers by dataset, and draw it to `out`.
+    """Return dataset → value of a frame, and draw the frame to `out`, unless that is None.
 
-    Raises InputError if it is missing, or has nothing to draw.
+    Only datasets with a single number per frame are returned. Raises InputError if the frame is
+    missing, or has nothing to draw.
     """
     with _open(path) as file:
         row = file.row_of(number)
@@ -87,6 +88,7 @@ def view(path: Path, out: Path) -> None:
 
 
 def _open(path: Path) -> DriveReader:
+    """Open a drive's file of any stage. Raises InputError for other files."""
     if path.is_dir() or path.suffix != ".h5":
         problem = "expected a drive's file (.h5) or a checkpoint (.pt)"
         raise InputError(problem, path, "Pass one from a folder in data/")
@@ -94,7 +96,10 @@ def _open(path: Path) -> DriveReader:
 
 
 def _without_tensors(content: Mapping[str, Any]) -> Content:
-    """Return the plain values of a checkpoint; drives as ranges, and no empty mappings."""
+    """Return the plain values of a checkpoint.
+
+    Tensors and empty mappings are left out. Lists of drives become ranges.
+    """
     plain = {}
     for name, value in content.items():
         if hasattr(value, "detach"):
@@ -109,9 +114,9 @@ def _without_tensors(content: Mapping[str, Any]) -> Content:
 
 
 def ranges(drives: Sequence[str]) -> list[str]:
-    """Return names of drives, with DATE_drive_0001..0009 for consecutive ones.
+    """Return names of drives, in which DATE_drive_0001..0009 stands for consecutive drives.
 
-    ``ingest.drives`` takes the same form.
+    ``ingest.drives`` accepts this form, too.
     """
     groups = list[list[str]]()
     for name in drives:

@@ -35,10 +35,10 @@ BYTES_PER_PIXEL = 6
 
 @dataclass(frozen=True)
 class Source:
-    """A drive, with the values of the car's logs."""
+    """A KITTI drive or a recording that is open, with the logs of the car."""
 
     path: Path
-    # Random draws depend on the name.
+    # Name of the drive. Random draws depend on it.
     name: str
     drive: Drive
     # The camera of complete images.
@@ -46,13 +46,16 @@ class Source:
     # Number of frames.
     frames: int
     logs: Logs
-    # None for a recording.
+    # Files of the KITTI drive; None for a recording.
     files: kitti.KittiDrive | None = None
     # Doubts whether the files are one recording, in order.
     doubts: Sequence[str] = ()
 
     def at_height(self, height_m: float | None) -> "Source":
-        """Return the source with its camera at a known height over the road; None: as it is."""
+        """Return the source with its camera at a known height over the road.
+
+        If `height_m` is None, the camera stays as it is.
+        """
         camera = self.camera.at_height(height_m)
         drive = replace(self.drive, camera=camera)
         return replace(self, camera=camera, drive=drive)
@@ -61,10 +64,11 @@ class Source:
 def open_source(
     paths: Sequence[Path], reading: Reading, options: RecordingOptions, hz: float | None = None
 ) -> Source:
-    """Open a KITTI drive's folder, or a recording, of which `hz` frames per second are kept.
+    """Open the folder of a KITTI drive, or a recording.
 
-    Raises InputError if it is none of them, lacks a calibration, cannot be read, or one of the logs
-    has no value in its time.
+    If `hz` is given, only so many frames per second of a recording are kept. Raises InputError if
+    the paths are neither of the two, if a calibration is missing, if files cannot be read, or if a
+    log has no value at the time of the images.
     """
     source = None
     if len(paths) == 1 and paths[0].is_dir():
@@ -97,9 +101,10 @@ def _open_kitti(
         log.check_overlap(time_s[0], time_s[-1])
 
     drive = kitti.read_drive(files, reading)
+    # Logs replace the values that the drive recorded itself.
     if logs:
         drive.values = logged_values(logs, np.array(numbers), time_s)
-    assert drive.camera  # as it has images
+    assert drive.camera  # always true, as the drive has images
     name = folder.removesuffix("_sync")
     return Source(path, name, drive, drive.camera, len(time_s), logs, files)
 
@@ -123,8 +128,8 @@ def run_chain(
 ) -> Iterator[Path]:
     """Yield a temporary folder with ingest.h5, perception.h5 and motion.h5.
 
-    It is on the disk of `out`, if there is one. `encoder` is a folder. Raises InputError if no
-    frame can be read, or the disk is too small.
+    The folder is on the same disk as `out`, unless that is None. `encoder` is the folder of an
+    encoder. Raises InputError if no frame can be read, or the disk is too small.
     """
     parent = None
     if out:

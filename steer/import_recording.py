@@ -1,6 +1,6 @@
 """Import recordings with their logs.
 
-An import writes links in data/raw/NAME, and a preset whose drives are the parts of the recordings.
+An import writes links to data/raw/NAME, and a preset whose drives are the parts of the recordings.
 """
 
 import hashlib
@@ -32,7 +32,7 @@ from pipeline.motion.horizon import noted_horizon
 
 # File with the settings of a preset that do not depend on the recording.
 TEMPLATE = Path(__file__).with_name("imported.yaml")
-# Pattern of the names of links that an import makes.
+# Pattern of the names of the links that an import makes.
 LINKS = rf"({VIDEO}[-.]|({FRAMES}|{WHEEL}|{MOTION}|{TIMES})$)"
 # Files and folders by which a checkout of the project is recognised.
 CHECKOUT = ("params.yaml", "dvc.yaml", "presets")
@@ -52,7 +52,7 @@ class ImportedDrive(NamedTuple):
 
 
 def name_files(paths: Sequence[Path], part: Part, scan: pd.DataFrame) -> dict[str, Path | str]:
-    """Return the content of the folder of a recording: name → file, or text."""
+    """Return the content of a recording's folder: name → path of a file to link, or text."""
     files: dict[str, Path | str] = {}
     if len(paths) > 1:
         for number, path in enumerate(paths, 1):
@@ -74,9 +74,9 @@ def cut_recording(
 ) -> list[tuple[Part, int]]:
     """Return the parts of a recording with `shares` of its time, each with its number of images.
 
-    `part` has the options of the recording. The horizon is estimated if it has none. Raises
-    InputError if the sign or the clock of a log is wrong, no image is left, or a part is too short
-    or has no angle.
+    `part` has the options of the recording. If it has no horizon, the horizon is estimated. Raises
+    InputError if the sign or the clock of a log is wrong, if no image is left, or if a part is too
+    short or has no angle.
     """
     time_s = recording.times_s
     logs = recording.logs
@@ -88,7 +88,7 @@ def cut_recording(
         row = noted_horizon(recording.path, frames, recording.camera, recording.notes)
     recording.notes.extend(log_notes(logs, time_s[within]))
 
-    # All parts share the files of the recording, which have the logs and times under other names.
+    # All parts have the files of the recording. Logs and times are among them.
     changes: dict[str, Any] = {
         "horizon": None if row is None else round(row, 2),
         "files": {name: _hash(content) for name, content in files.items()},
@@ -100,7 +100,8 @@ def cut_recording(
     for rows in cut(used, time_s, shares):
         if "wheel" in logs and not np.isfinite(logs["wheel"].at(time_s[rows])).any():
             raise InputError("a part has no image with an angle", "--wheel", "Check its times")
-        # In whole milliseconds. An end leaves out its own image, so it is 2 ms behind the last one.
+        # Start and end are whole milliseconds. The last image must be before the end by more than
+        # the tolerance of 1 ms (ROUNDING_S), so the end is 2 ms after it.
         part_s = time_s[rows] - time_s[0]
         changes["start"] = math.floor(part_s[0] * 1e3) / 1e3
         changes["end"] = round(math.ceil(part_s[-1] * 1e3) / 1e3 + 0.002, 3)
@@ -109,6 +110,7 @@ def cut_recording(
 
 
 def _hash(content: Path | str) -> str:
+    """Return the SHA-256 of a file or folder, or of a text."""
     if isinstance(content, Path):
         return content_hash(content)
     return hashlib.sha256(content.encode()).hexdigest()
@@ -117,8 +119,8 @@ def _hash(content: Path | str) -> str:
 def cut(usable: np.ndarray, time_s: np.ndarray, shares: Sequence[float]) -> list[np.ndarray]:
     """Cut the `usable` images, bool [F], taken at `time_s` [F], into consecutive parts.
 
-    GAP_S are left out between two parts. Returns a mask [F] of each part. Raises InputError if a
-    part would have fewer than two images.
+    Between two parts, GAP_S seconds are left out. Returns a mask [F] for each part. Raises
+    InputError if a part would have fewer than two images.
     """
     first_s, last_s = time_s[usable][[0, -1]]
     edges_s = first_s + (last_s - first_s) * np.cumsum([0.0, *shares]) / sum(shares)
@@ -138,8 +140,8 @@ def cut(usable: np.ndarray, time_s: np.ndarray, shares: Sequence[float]) -> list
 def name_drives(name: str, parts: Sequence[tuple[Part, int]], *, each: bool) -> list[ImportedDrive]:
     """Return the parts as drives, in turn for training, validation and test.
 
-    Of two parts, the second is for test. A name in KITTI's pattern is that of the first drive, and
-    the next drives have the next numbers.
+    If there are two parts, the second is for test. If `name` has the pattern of KITTI's names, it
+    is the name of the first drive, and the next drives have the next numbers.
     """
     drives = []
     for number, (part, images) in enumerate(parts):
@@ -156,7 +158,7 @@ def name_drives(name: str, parts: Sequence[tuple[Part, int]], *, each: bool) -> 
 
 
 def check_checkout(folder: Path) -> None:
-    """Raise InputError if `folder` is in another checkout than the code that runs: a worktree."""
+    """Raise InputError if `folder` is in another checkout, or worktree, than the running code."""
     for place in (folder, *folder.parents):
         if all((place / name).exists() for name in CHECKOUT):
             if place.resolve() != ROOT:
@@ -169,8 +171,8 @@ def check_checkout(folder: Path) -> None:
 def check_free(preset: Path, recordings: Mapping[Path, Sequence[Path]]) -> None:
     """Raise InputError if a preset or a folder of `recordings` is not by an earlier import.
 
-    `recordings`: folder below data/raw → images that are imported to it. Copies of other images
-    stay, as they may be the only ones.
+    `recordings` maps folders below data/raw to the images that are imported to them. Raises
+    InputError also for a folder with copies of other images, as they may be the only copies.
     """
     check_name_is_free(preset.stem)
     hashes = {}
@@ -200,12 +202,12 @@ def _check_copy(path: Path, expected: str, images: Sequence[Path]) -> None:
 
     `expected` is its hash by the preset, or empty.
     """
-    # An import copies no folders in a folder.
+    # An import does not copy folders inside a folder, so they are the user's.
     for child in path.glob("*"):
         if child.is_dir():
             raise InputError("is not as steer import wrote it", child, OTHER_NAME)
 
-    # The preset that a scan.csv belongs to may be gone.
+    # The preset with the hash of scan.csv may be gone, but its stamp shows that it is unedited.
     is_scan = path.name == SCAN and is_unedited(path)
     if not is_scan and content_hash(path) != expected:
         raise InputError("is not as steer import wrote it", path, OTHER_NAME)
@@ -221,8 +223,8 @@ def _check_copy(path: Path, expected: str, images: Sequence[Path]) -> None:
 def linked(recordings: Mapping[Path, Mapping[str, Path | str]], *, copy: bool) -> Iterator[None]:
     """Fill the folders of recordings with links to files, or copies, and run the block.
 
-    After the block they replace the folders of an earlier import. `recordings`: folder → its
-    content by :func:`name_files`.
+    After the block, they replace the folders of an earlier import. `recordings` maps folders to
+    their contents by :func:`name_files`.
     """
     folders = [folder.resolve() for folder in recordings]
     sources = [source for content in recordings.values() for source in content.values()]
@@ -257,6 +259,7 @@ def _link(link: Path, path: Path) -> bool:
 
 
 def _copy(path: Path, target: Path) -> None:
+    """Copy a file, or a folder without the folders in it."""
     if not path.is_dir():
         shutil.copyfile(path, target)
         return
@@ -269,10 +272,10 @@ def _copy(path: Path, target: Path) -> None:
 def write_preset(
     path: Path, drives: Sequence[ImportedDrive], recording: Recording, options: Part
 ) -> None:
-    """Write a preset of drives with two models, with and without measured motion as input.
+    """Write a preset with drives, and with models with and without measured motion as input.
 
-    `recording` and its `options` are those of the first recording: all have the same camera, rate
-    and kinds of logs.
+    `recording` and `options` are those of the first recording. The others have the same camera,
+    rate and kinds of logs.
     """
     settings = yaml.safe_load(TEMPLATE.read_text(encoding="utf-8"))
     names = dict[str, list[str]]({split: [] for split in SPLITS})
@@ -289,14 +292,15 @@ def write_preset(
         settings["labels"]["source"] = "recorded"
     elif options.wheel:
         settings["labels"]["source"] = "wheel"
-        # A wheel's angle and measured motion may differ in scale, so the one is no base of the
-        # other. Nor do recorded angles scale with the scene.
+        # The wheel's angle and measured motion may differ in scale, so measured motion is no base
+        # to which a prediction is added. Recorded angles do not change with the scale of the scene,
+        # so training must not scale both.
         models["motion"]["base"] = "none"
         settings["train"]["rescale"] = 1.0
     else:
         settings["labels"]["source"] = "visual"
-        # Motion that is the label cannot be an input for the same frame, so labels are predicted a
-        # second ahead.
+        # Measured motion cannot be the label and an input of the same frame, so labels are
+        # predicted a second ahead.
         hz = (len(recording.times_s) - 1) / float(np.ptp(recording.times_s))
         for model in ("motion", "scene"):
             models[model]["horizon"] = max(1, round(hz))

@@ -15,16 +15,17 @@ from steer.chain import INGEST, MOTION, Source, run_chain
 from steer.outcome import Outcome, Results
 from steer.pictures import publish
 
-# Images have the size with which the encoder was trained. Of a KITTI drive, the first of these
-# cameras with images is read.
+# Settings for reading a source. Images get the size with which the encoder was trained. If the
+# source is a KITTI drive, the first of these cameras that has images is read.
 READING = Reading(image_size=(192, 640), cameras=[2, 0, 3, 1], lidar=False, on_damaged="skip")
 
 
 def measure(source: Source, out: Path | None, encoder: Path, car: Car, *, video: bool) -> Outcome:
-    """Measure a source; write motion.csv, track.png, quality.json and overlay.mp4 to a free folder.
+    """Measure a source, and write motion.csv, track.png, quality.json and overlay.mp4.
 
-    `out` is the folder; None: no files. `encoder` is a folder, too. overlay.mp4 needs `video`.
-    Raises InputError if no frame can be read, or a log is unusable.
+    `out` is a new or empty folder for the files; if it is None, none are written. overlay.mp4 is
+    written only if `video` is true. `encoder` is the folder of an encoder. Raises InputError if no
+    frame can be read, or a log is unusable.
     """
     with run_chain(source, out, READING, Perception(batch=4), encoder) as work:
         results = Results.read(source, work, car, look_ahead=True)
@@ -38,7 +39,7 @@ def measure(source: Source, out: Path | None, encoder: Path, car: Car, *, video:
 
 
 def _measure_quality(source: Source, results: Results, work: Path) -> dict[str, Any]:
-    """Return the content of quality.json, None where unknown."""
+    """Return the content of quality.json. Unknown values are None."""
     with DriveReader(work / MOTION, stage="motion") as motion:
         heights_m = motion["road_height_m"]
         bonnet = float(motion.attrs["still"])
@@ -47,7 +48,7 @@ def _measure_quality(source: Source, results: Results, work: Path) -> dict[str, 
     return {
         "horizon": source.camera.horizon,
         "road_frames": float(has_road.mean()),
-        # By the encoder's depth.
+        # Height in metres of the camera over the road, as the encoder's depth shows it.
         "road_height_m": _median(heights_m[has_road]),
         "speed_sigma": _median(results.table["speed_sigma"][is_valid]),
         "bonnet": bonnet,

@@ -1,4 +1,4 @@
-"""Collect the results of a run: the car's course, ground truth, a CSV file, errors of angles."""
+"""Collect the results of a run: the course of the car, ground truth, and errors of angles."""
 
 import math
 from collections import Counter
@@ -25,9 +25,10 @@ from pipeline.motion.doubts import find_doubts
 from pipeline.motion.step import PROBLEMS
 from steer.chain import INGEST, MOTION, Source
 
-# Largest share of the moving frames that may be measured backwards: beyond, the camera looks back.
+# Largest share of the moving frames in which the measured speed may be negative. If it is exceeded,
+# the camera looks back.
 BACKWARDS = 0.5
-# Longest gap in seconds over which the track continues with the motion before it.
+# Longest gap in seconds over which the track continues with the last measured motion.
 BRIDGED_S = 1.0
 # Relative standard deviation of the speed if the camera's height over the road is unknown.
 HEIGHT_SCALE = 0.2
@@ -55,16 +56,19 @@ class Truth(NamedTuple):
     # The column of recorded angles; empty if angles follow from yaw rate and speed.
     column: str
     driven: Labels
-    # Ratio of angles in the log to these.
+    # Ratio of the angles in the log to the angles in `driven`.
     ratio: float = 1.0
 
 
 def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> Truth:
-    """Return the truth for frame numbers [F] of an ingest file, which has the values of `logs`.
+    """Return the ground truth for frame numbers [F] of an ingest file.
 
-    With two logs the angle is the wheel's. A drive without logs may have oxts, whose angle comes
-    first, or recorded angles.
+    The file has the values of `logs`. If there are two logs, the angle is the wheel's. A drive
+    without logs may have oxts or a file of recorded angles. If it has both, the angle follows from
+    oxts.
     """
+    # Source "wheel" has recorded angles. Source "recorded" computes angles from recorded speed and
+    # yaw rate.
     recorded = sources.recorded_labels(ingest, car)
     if "wheel" not in recorded and "recorded" not in recorded:
         unknown = np.full(len(frame), np.nan)
@@ -85,13 +89,13 @@ def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> 
 def read_course(
     motion: DriveReader, car: Car, *, look_ahead: bool, height_known: bool
 ) -> dict[str, np.ndarray]:
-    """Return the course by a file of stage motion: column → [F], NaN if not measured.
+    """Return the course of the car from a file of stage motion: column → [F], NaN if not measured.
 
     Left and forward are positive. x and y are the position ahead and to the left of the first
-    frame. ``speed_sigma`` and ``measured_sigma_rad`` are standard deviations, that of the speed
-    relative. Curvature and angle are also NaN below the minimum speed. For `look_ahead` see
-    :func:`pipeline.motion.rates.measured_rates`; `height_known` tells whether the camera's height
-    over the road is known.
+    frame. ``speed_sigma`` is the standard deviation of the speed, relative to the speed;
+    ``measured_sigma_rad`` is that of the angle. Curvature and angle are also NaN below the minimum
+    speed. If `look_ahead` is true, rates are means over the frames before and after. `height_known`
+    tells whether the camera's height over the road is known.
     """
     yaw_rate, speed_mps, yaw_sigma, speed_sigma = rates.measured_rates(
         motion, look_ahead=look_ahead
@@ -99,7 +103,7 @@ def read_course(
     if not height_known:
         speed_sigma = np.hypot(speed_sigma, HEIGHT_SCALE)
 
-    # The bicycle model: curvature and angle need a moving car.
+    # Curvature and angle follow from the bicycle model, which needs a moving car.
     is_fast = np.abs(np.nan_to_num(speed_mps)) >= car.min_speed_mps
     fast_mps = np.where(is_fast, speed_mps, np.nan)
     curvature = yaw_rate / fast_mps
@@ -107,20 +111,23 @@ def read_course(
     curvature_sigma = np.hypot(yaw_sigma / fast_mps, curvature * speed_sigma)
     angle_sigma = curvature_sigma * car.wheelbase_m * np.cos(angle) ** 2
 
-    # In short gaps the car goes on with the motion before, unless it stood since: for each frame,
-    # the latest rows in which it was measured and stood.
+    # In a short gap, the car continues with the last measured motion, unless it has stood since.
+    # For each row, find the latest row in which the motion was measured, and in which the car
+    # stood; -1 if there is none yet.
     time_s = motion.time_s
     valid = motion["valid"].astype(bool)
     rows = np.arange(len(time_s))
-    measured = np.maximum.accumulate(np.where(valid, rows, -1))
-    stood = np.maximum.accumulate(np.where(rates.stands(motion), rows, -1))
-    moves = (measured >= 0) & (stood <= measured) & (time_s - time_s[measured] <= BRIDGED_S)
+    measured_row = np.maximum.accumulate(np.where(valid, rows, -1))
+    standing_row = np.maximum.accumulate(np.where(rates.stands(motion), rows, -1))
+    is_recent = time_s - time_s[measured_row] <= BRIDGED_S
+    moves = (measured_row >= 0) & (standing_row <= measured_row) & is_recent
 
-    # Each step has the mean heading of its two ends.
+    # Each step has the mean heading of its two ends. Places are complex: x is the real part, y the
+    # imaginary part.
     step_s = np.diff(time_s, prepend=time_s[:1])
-    turned = np.where(moves, yaw_rate[measured], 0.0) * step_s
+    turned = np.where(moves, yaw_rate[measured_row], 0.0) * step_s
     heading_rad = np.cumsum(turned)
-    step_m = np.where(moves, speed_mps[measured], 0.0) * step_s
+    step_m = np.where(moves, speed_mps[measured_row], 0.0) * step_s
     place_m = np.cumsum(step_m * np.exp(1j * (heading_rad - turned / 2)))
     return {
         "speed_mps": speed_mps,
@@ -146,8 +153,9 @@ class Results:
     # Reason why the motion of each frame is not measured; empty where it is.
     problems: list[str]
     truth: Truth
-    # Agreement of the truth with the measured motion, and at most one line about it.
+    # Agreement of the truth with the measured motion.
     agreement: Agreement
+    # At most one line for the user about this agreement.
     agreement_lines: list[str]
     doubts: list[str]
     # Edges of the ranges of the predicted path; empty unless the model predicts one.
@@ -169,10 +177,12 @@ class Results:
     ) -> "Results":
         """Return the measured motion that :func:`steer.chain.run_chain` wrote to `work`.
 
-        Columns are frame, time_s, driven_rad, valid, those of :func:`read_course`, and points that
-        agree with the motion, with their median error `residual` in px. `frame` are the numbers of
-        the frames to return, if they have a motion; None: all. Raises InputError if there is no
-        frame, or a log says that the camera looks back.
+        Columns are frame, time_s, driven_rad, valid, those of :func:`read_course`, points and
+        residual. ``points`` is the number of points that agree with the motion, and ``residual``
+        their median error in pixels. `frame` has the numbers of the frames to return, of which
+        those without a row in the file of motion are left out. If it is None, all frames are
+        returned. Raises InputError if there is no frame, or if a log says that the camera looks
+        back.
         """
         with (
             DriveReader(work / MOTION, stage="motion") as motion,
@@ -211,7 +221,7 @@ class Results:
         table = {"frame": frame, "time_s": time_s}
         table["driven_rad"] = np.where(truth.driven.valid, truth.driven.steering_rad, np.nan)
         table |= {name: values[rows] for name, values in columns.items()}
-        # The fault of a log, if there is one; a summary of the comparison; and doubts.
+        # The first line about the agreement is a summary, and the others are doubts.
         fault, lines = judge(agreement, truth.column, truth.ratio)
         if fault:
             doubts.append(fault)
@@ -219,7 +229,11 @@ class Results:
         return cls(source.name, table, problems, truth, agreement, lines[:1], doubts)
 
     def columns(self) -> pd.DataFrame:
-        """Return a row per frame: name, columns, and a column per range of a predicted path."""
+        """Return a table with a row per frame.
+
+        It has the name of the drive, the columns of ``table``, and a column for each range of a
+        predicted path.
+        """
         columns = {"drive": self.name, **self.table}
         if self.path_1pm is not None:
             for (near, far), values in zip(pairwise(self.ahead_m), self.path_1pm.T, strict=True):
@@ -227,10 +241,11 @@ class Results:
         return pd.DataFrame(columns)
 
     def write_csv(self, path: Path) -> None:
-        """Write the :meth:`columns`; unknown values are empty."""
+        """Write the table of :meth:`columns`. Cells of unknown values are empty."""
         table = self.columns()
         for name in table.columns[1:]:
-            to_text = f"{{:{FORMATS.get(name, '.6f')}}}".format
+            number_format = FORMATS.get(name, ".6f")
+            to_text = f"{{:{number_format}}}".format
             table[name] = table[name].map(to_text, na_action="ignore")
         table.to_csv(path, index=False)
 
@@ -258,8 +273,8 @@ class Results:
     def compare(self, column: str, horizon: int = 0) -> dict[str, Any] | None:
         """Return errors of angles against the truth `horizon` frames later.
 
-        They are computed on the frames with a truth and a value of `column`, predicted or measured;
-        None if there are none.
+        `column` is predicted or measured. Errors are computed on the frames that have a truth and a
+        value of `column`. Returns None if there are no such frames.
         """
         frame = self.table["frame"]
         time_s = self.table["time_s"]
@@ -270,7 +285,8 @@ class Results:
             return None
         target_rad[~used] = np.nan
 
-        # Where no angle is measured, the one before is repeated, or 0 at the start.
+        # Measured angles are a baseline on all of these frames: where none is measured, the last
+        # one is repeated. Before the first, the baseline is 0.
         held_rad = pd.Series(self.table["measured_rad"]).ffill().fillna(0.0).to_numpy()
         angles = {"measured": held_rad, "zero": np.zeros(len(frame))}
         if column == "predicted":
@@ -286,11 +302,11 @@ class Results:
 
 
 def _backwards(path: Path, speed_mps: np.ndarray, truth: Truth, least_mps: float) -> Iterator[str]:
-    """Yield a doubt if most moving frames of [F] are measured backwards.
+    """Yield a doubt if the measured speed `speed_mps` [F] is negative in most moving frames.
 
-    Raises InputError if a log has them forward.
+    Raises InputError if the truth says that the car moved forward in these frames.
     """
-    moves = np.abs(speed_mps) >= least_mps  # false for NaN
+    moves = np.abs(speed_mps) >= least_mps  # the comparison is false for NaN
     back = moves & (speed_mps < 0)
     if back.sum() <= BACKWARDS * moves.sum():
         return
@@ -308,7 +324,7 @@ def _errors(target_rad: np.ndarray, angle_rad: np.ndarray, settings: Evaluate) -
 
     Frames whose target is NaN do not count.
     """
-    # An interval needs enough blocks of frames.
+    # The interval is computed only if there are enough blocks of frames.
     counted = np.isfinite(target_rad)
     drive = np.zeros(len(target_rad), int)
     blocks = np.unique(statistics.parts(drive, settings.bootstrap_block_frames)[counted])

@@ -1,4 +1,4 @@
-"""Give commands the options that settings and Python declare."""
+"""Give commands the options that settings declare, so that each option is declared once."""
 
 import inspect
 from collections.abc import Callable, Collection
@@ -14,7 +14,10 @@ from pipeline.ingest.settings import RecordingOptions
 
 
 class MeasureOptions(RecordingOptions):
-    """Options of a recording, and the car's wheelbase, which a trained model knows."""
+    """Options of a recording, and the car's wheelbase.
+
+    For a prediction, the wheelbase is that of the trained model.
+    """
 
     wheelbase_m: float = Field(
         default=2.7,
@@ -30,7 +33,8 @@ def with_options(
 ) -> Callable[..., None]:
     """Return a command with the fields of `kind` that have a description as its options.
 
-    They replace its ``**options``. Options that are `repeated` get a list.
+    They replace the parameter ``**options``. An option whose name is in `repeated` may be passed
+    several times.
     """
     signature = inspect.signature(command)
     *parameters, _ = signature.parameters.values()  # without **options

@@ -1,4 +1,4 @@
-"""Draw results: the track, speeds and angles as a figure, and a video with paths on the street."""
+"""Draw results: a figure of the track, speeds and angles, and a video with paths on the street."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from fractions import Fraction
@@ -18,12 +18,12 @@ from steer.outcome import Results
 
 # Largest width of the video in pixels.
 MAX_WIDTH = 1280
-# Length in metres of a path at a constant angle.
+# Length in metres of a path that is drawn for a constant steering angle.
 REACH_M = 60.0
 # Name of a curve → its colour in the figure.
 LINES = {"measured": "tab:blue", "predicted": "tab:green", "driven": "0.2"}
 
-# Red, green and blue, 0 to 255.
+# Red, green and blue, each from 0 to 255.
 Colour = tuple[int, int, int]
 BLACK: Colour = (0, 0, 0)
 
@@ -33,7 +33,7 @@ def publish(
 ) -> list[Path]:
     """Write the table `csv`, track.png, quality.json and, if `video`, overlay.mp4 to a folder.
 
-    Returns the files; none if `out` is None.
+    Returns the files. If `out` is None, no file is written.
     """
     if out is None:
         return []
@@ -78,7 +78,7 @@ def draw_track(path: Path, results: Results) -> None:
 
 def write_overlay(path: Path, source: Source, results: Results, wheelbase_m: float) -> None:
     """Write an H.264 video of the results on the complete images of `source`."""
-    # Sides are even, as H.264 has colours at half the resolution.
+    # Height and width are even, as H.264 stores colours at half the resolution.
     height, width = source.camera.size
     scale = min(1.0, MAX_WIDTH / width)
     size = (max(2, int(height * scale) // 2 * 2), max(2, int(width * scale) // 2 * 2))
@@ -107,7 +107,7 @@ def write_overlay(path: Path, source: Source, results: Results, wheelbase_m: flo
 
 
 def _find_paths(results: Results, wheelbase_m: float) -> dict[str, np.ndarray]:
-    """Return the paths to draw: name → curvature [N,F] of each of N steps, NaN where unknown."""
+    """Return the paths to draw: name → curvature [N,F] in each of N steps, NaN where unknown."""
     paths = {}
     steps = round(REACH_M / STEP_M)
     for name in PATHS:
@@ -137,14 +137,14 @@ def _draw_paths(
 
 def _draw_legend(image: np.ndarray, lines: Iterable[tuple[str, Colour]]) -> None:
     height, width, _ = image.shape
-    # At size 0.5, the longest text has 400 px.
+    # At size 0.5, the longest text is 400 px wide.
     size = max(0.3, min(0.7, width / 960, height / 300))
     font = cv2.FONT_HERSHEY_SIMPLEX
     x = round(16 * size)
     for number, (text, colour) in enumerate(lines, start=1):
         y = round(36 * size * number)
-        # Black around the letters, so that they are readable on any ground. OpenCV would draw
-        # thicker text wider.
+        # The text is drawn in black around each letter first, so that it is readable on any ground.
+        # OpenCV would also draw thicker letters at a larger distance.
         places = [((x + dx, y + dy), BLACK) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
         places.append(((x, y), colour))
         for place, shade in places:
@@ -154,9 +154,9 @@ def _draw_legend(image: np.ndarray, lines: Iterable[tuple[str, Colour]]) -> None
 def _legend(
     paths: Mapping[str, np.ndarray], results: Results, row: int
 ) -> Iterator[tuple[str, Colour]]:
-    """Yield lines and their colours: time and speed, then the angle of each path.
+    """Yield lines of text and their colours: time and speed, then the angle of each path.
 
-    For a predicted path it is the angle by which the path turns.
+    If the model predicts a path, its line has the angle by which the path turns.
     """
     table = results.table
     text = f"{table['time_s'][row]:.1f} s"

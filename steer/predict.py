@@ -1,6 +1,6 @@
 """Predict steering on the frames of a source with a trained model.
 
-The model knows the settings of its chain, so params.yaml is not read.
+The file of a model has the settings of all stages before its training, so params.yaml is not read.
 """
 
 from collections.abc import Iterator
@@ -27,7 +27,7 @@ from steer.pictures import publish
 
 
 def reading(model: Trained) -> Reading:
-    """Return what the model's chain reads of a recording; damaged images are left out."""
+    """Return the settings for reading a source for a model. Damaged images are left out."""
     lidar = model.settings["graphs"]["source"] == "clouds/lidar"
     return Reading.model_validate(model.settings["ingest"] | {"on_damaged": "skip", "lidar": lidar})
 
@@ -35,7 +35,7 @@ def reading(model: Trained) -> Reading:
 def predict(
     model: Trained, source: Source, out: Path | None, encoder: Path, *, video: bool
 ) -> Outcome:
-    """Predict the angles of a source; write steering.csv, track.png and overlay.mp4.
+    """Predict the angles of a source, and write steering.csv, track.png and overlay.mp4.
 
     Arguments are those of :func:`steer.measure.measure`. Raises InputError if no frame can be read,
     a log is unusable, or the source lacks an input of the model.
@@ -49,7 +49,7 @@ def predict(
     with run_chain(source, out, reading(model), perception, encoder) as work:
         with graph_file.open_graphs(_make_graphs(model, source, work)) as graphs:
             results = Results.read(source, work, model.car, look_ahead=False, frame=graphs.frame)
-            # A frame with a scan may lack an image.
+            # Frames with a scan but without an image have a graph, but no motion, and are left out.
             rows = np.isin(graphs.frame, results.table["frame"])
             prediction = model.predict(graphs)[rows]
         first_column = prediction[:, 0]
@@ -73,7 +73,7 @@ def predict(
 
 
 def _make_graphs(model: Trained, source: Source, work: Path) -> Path:
-    """Write the input of the model from the files of :func:`run_chain`; return its path."""
+    """Write the input of the model from the files of :func:`run_chain`, and return its path."""
     variant = Variant.model_validate(model.settings["graphs"])
     ingest = work / INGEST
     graphs = work / "graphs.h5"
@@ -88,7 +88,7 @@ def _make_graphs(model: Trained, source: Source, work: Path) -> Path:
 
 
 def _clouds(model: Trained, source: Source) -> Clouds:
-    """Return the model's settings of clouds, deeper for a recording by a longer lens."""
+    """Return the model's settings of clouds, with a larger depth limit for a longer lens."""
     settings = Clouds.model_validate(model.settings["clouds"])
     limit_m = depth_limit(source.camera)
     if source.files or limit_m <= MAX_DEPTH_M:
@@ -100,11 +100,11 @@ def _differences(
     model: Trained, source: Source, encoder: Path, time_s: np.ndarray
 ) -> Iterator[str]:
     """Yield doubts where a source or an encoder differs from those of the training."""
-    if model.datasets == ["sample"] != [source.drive.dataset]:
+    if model.datasets == ["sample"] and source.drive.dataset != "sample":
         fitted = f"{model.name} was fitted to the rendered sample alone"
         yield f"{fitted}, so expect wrong angles on real streets"
 
-    # A recording has been resampled to the rate of the training.
+    # A recording has been resampled to the rate of the training, but not a KITTI drive.
     if source.files and len(time_s) > 1:
         fps = 1 / float(np.median(np.diff(time_s)))
         if abs(fps / model.fps - 1) > RATE_TOLERANCE:

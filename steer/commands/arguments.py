@@ -1,4 +1,4 @@
-"""Declare the arguments of several commands, beside the options of a recording."""
+"""Declare the arguments that several commands share, beside the options of a recording."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -25,7 +25,7 @@ Video = Annotated[bool, typer.Option(help="write overlay.mp4")]
 def run(
     function: Callable[..., "Outcome"], source: list[Path], out: Path | None, **options: Any
 ) -> None:
-    """Call a function of `steer.api` for a free folder; print notes, files and three doubts."""
+    """Call a function of `steer.api` with a free folder. Print notes, files and three doubts."""
     from pipeline.base.outputs import claimed
 
     with claimed(out, source[0].resolve().stem.removesuffix("_sync")) as folder:

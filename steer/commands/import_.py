@@ -6,8 +6,8 @@ noticed by `make NAME`.
 
 Times count from the first image; images of a folder may be named by timestamps in ns. With
 --motion, speed and yaw rate are interpolated linearly at the images' times, and images without
-motion are left out. Without it, labels come from the angles of --wheel or, without both, from the
-images.
+motion are left out. Without --motion, labels come from the angles of --wheel. Without both, they
+are measured in the images.
 
 With --each, each recording is a drive of its own: for training, validation, test, training, …
 
@@ -28,8 +28,10 @@ import typer
 from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS
 
+# Help of --split.
 _SPLIT = "shares of the time in %; default: 60,20,20"
-# Options that are passed once per recording with --each; cameras may also share one K.
+# Options that are passed once per recording if --each is given. A single K may also be that of all
+# cameras.
 EACH = ("motion", "wheel", "K")
 
 
@@ -57,7 +59,7 @@ def import_recording(
     from pipeline.ingest.settings import Part
     from steer import import_recording as importing
 
-    # All files are one recording, or with --each, each file is one.
+    # All files together are one recording. With --each, each file is a recording.
     shares = read_shares(split)
     groups = [recording]
     if each:
@@ -69,7 +71,7 @@ def import_recording(
         shares = [100.0]
     options_of = divide_options(options, len(groups), each=each)
 
-    # A folder of data/raw for each recording, and one preset.
+    # Each recording gets a folder in data/raw. All of them get one preset.
     name = name or recording[0].stem
     with error_context("--name"):
         check_name(name)
@@ -82,8 +84,8 @@ def import_recording(
     importing.check_checkout(Path.cwd())
     importing.check_free(preset, images)
 
-    # Each recording as one part, with its options. Faults of all options and logs are found before
-    # the first video is decoded.
+    # Describe each recording by a part that spans it. Faults of all options and logs are found
+    # before the first video is decoded.
     wholes = []
     for folder, own_options in zip(folders, options_of, strict=True):
         whole = from_python(Part, {**own_options, "folder": folder, "files": {}})
@@ -125,9 +127,10 @@ def read_shares(split: str | None) -> list[float]:
 
 
 def divide_options(options: dict[str, Any], count: int, *, each: bool) -> list[dict[str, Any]]:
-    """Return the options of each of `count` recordings: options in EACH are lists of their values.
+    """Return the options of each of `count` recordings.
 
-    Raises InputError if a list has another length; one K may be that of all.
+    Each option in EACH is a list with a value per recording. Raises InputError if a list has
+    another length. A single K is that of all recordings.
     """
     divided = [dict(options) for _ in range(count)]
     for name in EACH:

@@ -1,8 +1,8 @@
 """Predict the steering angle of each frame with a trained model.
 
-Angles are in rad, left positive. The first frames, and those after a gap, have none until a window
-is complete. LiDAR scans and oxts are needed only by models with LiDAR input. steering.csv also has
-the measured motion, without means over later frames: see steer measure.
+Angles are in rad, left positive. The first frames, and those after a gap, have no angle until a
+window of frames is complete. LiDAR scans and oxts are needed only by models with LiDAR input.
+steering.csv also has the measured motion, without means over later frames: see steer measure.
 
 \b
 steer predict street.mp4 --fov 65 --model runs/monday/data/train/motion

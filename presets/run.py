@@ -26,16 +26,18 @@ from pipeline.encoder.settings import Encoder
 from pipeline.encoder.weights import weights_hash
 from pipeline.report.origin import RUN, duration, origin, read_run
 
+# Commands of DVC that a run executes. Hard links to the run's own cache save space on the disk.
 DVC = ("config cache.type hardlink,copy", "cache dir .dvc/cache", "repro")
 
 
 def main(name: str) -> None:
-    """Run preset `name` and copy its report to data/report/NAME.*. Raises InputError if it is
-    running already.
+    """Run preset `name` and copy its report to data/report/NAME.*.
+
+    Raises InputError if the preset is running already.
     """
     run = Path("runs") / name
 
-    # Nothing is written before all settings are known.
+    # All settings are checked before anything is written.
     preset.check_name_is_free(name)
     params = preset.base_of(name, Path("params.yaml"))
     settings = preset.merged(name, params)
@@ -45,72 +47,78 @@ def main(name: str) -> None:
     run.parent.mkdir(exist_ok=True)
     with locked(run, f"{run}.lock"):
         check_is_run(run)
-        made = {
+        record = {
             "preset": name,
             "revision": revision(),
             "started_s": time.time(),
             "settings": changes(settings, read_yaml(params)),
             "next": next_command(name, run, settings),
         }
-        write_json(run / RUN, made, sort_keys=False)
+        write_json(run / RUN, record, sort_keys=False)
         write_text(run / CHECKOUT, str(Path.cwd()))
         preset.write(settings, run / "params.yaml", f"make {name}")
         copy_code(run)
         release_locks(run / ".dvc/tmp/rwlock")
         run_dvc(run)
         publish(run, Path("data/report"), name)
-    print(f"Open data/report/{name}.html in a browser.", f"next: {made['next']}", sep="\n")
+    print(f"Open data/report/{name}.html in a browser.", f"next: {record['next']}", sep="\n")
     if settings["ingest"].get("recordings"):
         recorded = json.loads((run / "data/scores/metrics.json").read_text("utf-8"))["recorded"]
-        for doubt in dict.fromkeys(line for log in recorded.values() for line in log["lines"][1:]):
+        # The first line about a log is a summary, and the others are doubts. Each is printed once.
+        doubts = list[str]()
+        for log in recorded.values():
+            doubts += log["lines"][1:]
+        for doubt in dict.fromkeys(doubts):
             print(f"doubt: {doubt}")
 
 
 def publish(run: Path, report: Path, name: str) -> None:
     """Copy the page, the table and the results of a run to files NAME.*, and print the table."""
     results = json.loads((run / "data/report/results.json").read_text(encoding="utf-8"))
-    made = origin(run)
-    write_json(report / f"{name}.json", made | {"results": results}, sort_keys=False)
+    run_origin = origin(run)
+    write_json(report / f"{name}.json", run_origin | {"results": results}, sort_keys=False)
     for source, suffix in {"index.html": "html", "table.md": "md"}.items():
         text = (run / "data/report" / source).read_text(encoding="utf-8")
         write_text(report / f"{name}.{suffix}", text)
-    facts = [*map(" ".join, made.items()), f"{duration(read_run(run))} of the last make"]
+    facts = [f"{key} {value}" for key, value in run_origin.items()]
+    facts.append(f"{duration(read_run(run))} of the last make")
     print(text, ", ".join(facts), sep="\n")
 
 
 def check_is_run(run: Path) -> None:
-    """Raise InputError if a folder has files, but none by an earlier run."""
+    """Raise InputError if a folder has files, but no earlier run made it."""
     if run.exists() and any(run.iterdir()) and not (run / RUN).exists():
         raise InputError("is a folder that no run made", run, "Move it away, or rename the preset")
 
 
 def take_weights(encoder: dict[str, Any], params: Path) -> None:
-    """Add the hash of the weights to section encoder, so that DVC notices a file that was replaced.
+    """Add the hash of the weights to section `encoder`, so that DVC notices another file.
 
-    A missing file keeps the hash that the run's `params` have of it: results of an earlier run need
-    no weights.
+    If the file is missing, the hash in the run's `params` stays: results of an earlier run can be
+    used without the weights.
     """
     earlier = read_yaml(params).get("encoder", {}) if params.is_file() else {}
     same_file = earlier.get("weights") == encoder.get("weights")
     if same_file and "weights_sha256" in earlier and not Path(encoder["weights"]).exists():
         encoder["weights_sha256"] = earlier["weights_sha256"]
         return
-    found = weights_hash(parse(Encoder, encoder, "encoder"))
-    if found:
-        encoder["weights_sha256"] = found
+    weights_sha256 = weights_hash(parse(Encoder, encoder, "encoder"))
+    if weights_sha256:
+        encoder["weights_sha256"] = weights_sha256
 
 
 def copy_code(run: Path) -> None:
-    """Copy the code. copied.json lists the files: only these are removed where the code no longer
-    has them.
+    """Copy the code to the folder of a run, and remove files that the code no longer has.
+
+    copied.json lists the copied files. Only files that an earlier list has are removed.
     """
     listed = run / "copied.json"
-    before = set(json.loads(listed.read_text(encoding="utf-8"))) if listed.exists() else set()
-    paths = [
-        file
-        for name in CODE
-        for file in ([Path(name)] if Path(name).is_file() else Path(name).rglob("*.*"))
-    ]
+    before = set[str]()
+    if listed.exists():
+        before.update(json.loads(listed.read_text(encoding="utf-8")))
+    paths = list[Path]()
+    for name in CODE:
+        paths += [Path(name), *Path(name).rglob("*.*")]
     now = {str(path) for path in paths if path.is_file() and path.suffix != ".pyc"}
     for name in before - now:
         (run / name).unlink(missing_ok=True)
@@ -121,17 +129,18 @@ def copy_code(run: Path) -> None:
 
 
 def release_locks(path: Path) -> None:
-    """Remove the entries of DVC's lock file whose process is not the one that wrote them.
+    """Remove the entries of DVC's lock file whose process has ended.
 
-    DVC keeps them while any process has this number, as on another machine or after the restart of
-    a container.
+    DVC itself keeps an entry while any process has its process number. On another machine, or after
+    the restart of a container, this may be the number of an unrelated process.
     """
     if not path.is_file():
         return
     written_s = path.stat().st_mtime
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError:  # half a file, by a kill
+    # DVC was killed while it wrote the file.
+    except ValueError:
         content = {}
     write = {
         file: entry
@@ -152,31 +161,33 @@ def is_dvc(pid: int, since_s: float) -> bool:
         process = psutil.Process(pid)
         words = process.cmdline()
         return process.create_time() < since_s and "dvc" in [Path(word).name for word in words]
-    # that of another user is no run here: the folder is locked
+    # A process of another user is no run in this folder, which this process has locked.
     except (psutil.NoSuchProcess, psutil.AccessDenied):
         return False
 
 
 def run_dvc(run: Path) -> None:
-    """Run DVC's commands. Raises Exit with the status of the first that fails."""
+    """Run the commands of DVC. Raises Exit with the status of the first command that fails."""
     commands = [*DVC]
     if not (run / ".dvc").is_dir():
         commands.insert(0, "init --quiet --no-scm")
-    # of an earlier version
+    # Earlier versions of this file did not write dvc.lock.ended.
     if (run / "dvc.lock").exists() and not (run / "dvc.lock.ended").exists():
         keep_lock(run, ended_well=True)
     status = 0
     groups = list[int]()
     with interrupting(groups) as interrupted:
         for words in commands:
-            # A group of its own: `timeout` and a closed terminal signal all processes of the group
-            # of make.
+            # DVC gets its own group of processes, as `timeout` and a closed terminal send signals
+            # to all processes in the group of make.
             process = subprocess.Popen(
                 ["dvc", *words.split()], cwd=run, process_group=0, stdin=subprocess.DEVNULL
             )
             groups.append(process.pid)
-            if interrupted:  # before the process was known
+            # A signal may have come before the group was in the list.
+            if interrupted:
                 os.killpg(process.pid, signal.SIGINT)
+            # After a signal, the command counts as failed.
             status = process.wait() or len(interrupted)
             if status:
                 break
@@ -187,11 +198,10 @@ def run_dvc(run: Path) -> None:
 
 @contextmanager
 def interrupting(groups: list[int]) -> Iterator[list[int]]:
-    """Pass signals that end this process on to the last group of processes, as Ctrl-C; yield the
-    list of signals.
+    """Pass signals that end this process on to the last of `groups`, as Ctrl-C.
 
-    DVC and stages end by themselves. Killed, DVC would leave locks, and a stage would go on without
-    it.
+    Yields the list of signals so far. After Ctrl-C, DVC and its stages end by themselves. If DVC
+    were killed, it would leave locks, and its stage would go on.
     """
     interrupted = list[int]()
 
@@ -205,7 +215,8 @@ def interrupting(groups: list[int]) -> Iterator[list[int]]:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) != signal.SIG_IGN:
             handlers[number] = signal.signal(number, interrupt)
-        # as in the background of a script: DVC would inherit that, and not end
+        # SIGINT is ignored, as in the background of a script. DVC would inherit that, and would not
+        # end. A handler is not inherited, even if it does nothing.
         elif number == signal.SIGINT:
             handlers[number] = signal.signal(number, lambda *_: None)
     try:
@@ -216,11 +227,10 @@ def interrupting(groups: list[int]) -> Iterator[list[int]]:
 
 
 def keep_lock(run: Path, *, ended_well: bool) -> None:
-    """Keep dvc.lock, which names results, of the last run that ended well before the current
-    results.
+    """Keep copies of dvc.lock, which lists the results of a run.
 
-    It is dvc.lock.before; dvc.lock.ended is of the last run that ended well, whether or not results
-    differ.
+    dvc.lock.ended is the copy of the last run that ended well. dvc.lock.before is the copy of the
+    last run that ended well with other results than the current ones.
     """
     lock = run / "dvc.lock"
     ended = run / "dvc.lock.ended"
@@ -233,8 +243,10 @@ def keep_lock(run: Path, *, ended_well: bool) -> None:
 
 
 def next_command(name: str, run: Path, settings: dict[str, Any]) -> str:
-    """Return the command after a run: a prediction with the lens of a recording, or the next
-    run.
+    """Return the command that a user may run next.
+
+    If a test drive is part of a recording, it is a prediction for a video with the same lens, else
+    another run of the preset.
     """
     ingest = settings["ingest"]
     recordings = ingest.get("recordings", {})
@@ -245,25 +257,24 @@ def next_command(name: str, run: Path, settings: dict[str, Any]) -> str:
         lens = [
             f"--{key} {part[key]}" for key in ("fov", "K", "distortion", "fisheye") if key in part
         ]
-        return " ".join(
-            [
-                "steer predict VIDEO",
-                *lens,
-                f"--model {run}/data/train/{next(iter(settings['models']))}",
-            ]
-        )
+        model = next(iter(settings["models"]))
+        words = ["steer predict VIDEO", *lens, f"--model {run}/data/train/{model}"]
+        return " ".join(words)
     return f"$EDITOR presets/{name}.yaml && make {name}  # trains only what changed"
 
 
 def changes(new: dict[str, Any], old: dict[str, Any]) -> dict[str, Any]:
-    """Return what differs in nested settings, as a preset: None for a key that `new` lacks."""
-    both = {
-        key: (new.get(key), old.get(key)) for key in {**old, **new} if new.get(key) != old.get(key)
-    }
-    return {
-        key: changes(a, b) if isinstance(a, dict) and isinstance(b, dict) else a
-        for key, (a, b) in both.items()
-    }
+    """Return the preset that turns settings `old` into `new`. A key that `new` lacks is None."""
+    preset_changes = dict[str, Any]()
+    for key in {**old, **new}:
+        value = new.get(key)
+        old_value = old.get(key)
+        if value == old_value:
+            continue
+        if isinstance(value, dict) and isinstance(old_value, dict):
+            value = changes(value, old_value)
+        preset_changes[key] = value
+    return preset_changes
 
 
 if __name__ == "__main__":

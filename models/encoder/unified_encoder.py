@@ -27,7 +27,8 @@ BUILD: dict[str, Callable[[Architecture], nn.Module]] = {
     "street": lambda architecture: Street(),
     "pair": Pair,
     "hugging_face": HuggingFace,
-    "precomputed": lambda architecture: nn.Module(),  # files take its place
+    # Depth and classes are read from files, so there is no network.
+    "precomputed": lambda architecture: nn.Module(),
 }
 
 

@@ -13,16 +13,16 @@ PRESETS = ("real", "streets", "transfer", "winding", "winding-wheel")
 # Removed setting → what to do instead. A setting is a dotted key, in which * stands for the name of
 # an entry, or "key: value" if only this value was removed.
 EARLIER = {
-    "base": "Copy the settings of these presets into this one",
+    "base": "Copy the settings of the presets that base names into this preset",
     "encoder.backbone: dinov2": f"Choose another one of docs/models.md, or use revision {LAST}",
     "encoder.frozen": "Remove it: a fit trains all weights",
     "encoder.targets": "Remove it: the fit takes ground truth of the drives",
     "encoder.teacher": "Remove it. Encoders of real streets are published ones: backbone: street",
     "encoder.weights.backbone": (
-        "Name the encoder: backbone: street, or another one of docs/models.md; weights: null"
+        "Set backbone to the encoder, for instance street (docs/models.md), and weights to null"
     ),
     "encoder.weights.class_head": (
-        "Name the encoder: backbone: street, or another one of docs/models.md; weights: null"
+        "Set backbone to the encoder, for instance street (docs/models.md), and weights to null"
     ),
     "evaluate.curvature_bins_1pm": "Remove it: bends and turns at junctions have fixed limits",
     "evaluate.path": "Remove it: paths are integrated by the bicycle model",
@@ -34,8 +34,8 @@ EARLIER = {
     "ingest.source: both": "Name one dataset for all drives: source: kitti",
     "labels.source: lidar": "Write source: visual",
     "labels.standstill": (
-        "Remove it: frames below min_speed_mps have no label; min_speed_mps: 0 gives all of them "
-        "one"
+        "Remove it: frames below min_speed_mps have no label. With min_speed_mps: 0, all frames "
+        "have a label"
     ),
     "models.*.fit_to": "Remove it: networks are trained on the drives of ingest.drives.train",
     "models.*.motion: lidar": "Write motion: visual",
@@ -44,7 +44,7 @@ EARLIER = {
     "models.*.uncertainty": "Remove it: networks predict no standard deviation",
     "motion": "Remove the section: motion is always measured from the images",
     "perception.camera_height_m": (
-        "Remove it. Of own recordings, steer import --camera-height; KITTI's is calibrated"
+        "Remove it. Pass --camera-height to steer import; KITTI has a calibrated height"
     ),
     "perception.depth_scale": "Remove it: stage motion scales depth by the camera's height",
     "pictures": "Remove the section: stage report draws the pictures",
@@ -57,7 +57,7 @@ EARLIER = {
     "train.mirror": (
         "Remove it. Networks that treat left and right alike have equivariant: true in models"
     ),
-    "train.noise": "Remove it: training has no simulated errors but rescale",
+    "train.noise": "Remove it: of the simulated errors, training has train.rescale only",
     "train.precision": "Remove it: training is in float32",
     "train.run_windows": "Rename it: span_windows",
 }

@@ -24,8 +24,9 @@ def check_model(entry: Entry, settings: Params) -> None:
 
     # If labels are measured motion, this motion must not be an input, too. With a horizon above 0
     # it may be, as it is earlier than the label.
-    is_measured = entry.motion != "none" and source.load_source(settings.labels.source).MEASURED
-    if entry.predict == "angle" and is_measured and not entry.horizon:
+    has_motion = entry.motion != "none"
+    labels_are_measured = source.load_source(settings.labels.source).MEASURED
+    if entry.predict == "angle" and has_motion and labels_are_measured and not entry.horizon:
         problem = (
             f"motion: {entry.motion} with labels.source: {settings.labels.source} at horizon: 0 "
             "makes the label an input"
@@ -35,5 +36,6 @@ def check_model(entry: Entry, settings: Params) -> None:
 
     if variant.source == "clouds/lidar" and not settings.ingest.lidar:
         raise InputError(f"input = {entry.input!r} needs scans, but ingest.lidar is false")
+    # A network that sees the scene of another drive needs a second drive in each split.
     runs.check_splits(settings.ingest.drives.splits(), entry.scene)
     entry.build(variant.kind, len(variant.levels), settings.ingest.image_size, outputs)

@@ -1,8 +1,8 @@
-"""Make semantic point clouds (paper eq. 6 and 7) from images or scans, and draw their points.
+"""Make semantic point clouds (paper eq. 6 and 7) from images or scans, and choose their points.
 
 A point is in metres and has the class of its pixel. Clouds are in the rectified camera frame: x
-right, y down, z forward. Clouds always have classes, since the factor λ of eq. 7, which scales
-them, is a setting of each model (`semantics`).
+right, y down, z forward. Clouds always have classes. How much they count, the factor λ of eq. 7, is
+a setting of each model (`semantics`).
 """
 
 import zlib
@@ -95,7 +95,8 @@ def clouds_drive(
         with DriveWriter(path, stage="clouds", drive=frames.drive, params=params) as file:
             file.put("frame", frames.frame)
             file.put("time_s", frames.time_s, unit="s")
-            # The first call creates a dataset, also in the file of a drive without frames.
+            # These calls create the datasets, also in the file of a drive without frames. Dataset
+            # "ptr", which is written at the end, has the rows where frames begin.
             file.append("xyz", np.empty((0, 3), np.float32), "m", "ptr")
             file.append("cls", np.empty(0, np.uint8), "trainId", "ptr")
             for frame in frames:
@@ -134,10 +135,10 @@ def draw_points(
     of points from intervals of range.
     """
     if crop_m is not None:
-        near_left = np.array(crop_m[:2])
-        far_right = np.array(crop_m[2:])
+        lowest = np.array(crop_m[:2])
+        highest = np.array(crop_m[2:])
         xz = cloud.xyz[:, [0, 2]]
-        inside = (near_left <= xz) & (xz <= far_right)
+        inside = (lowest <= xz) & (xz <= highest)
         cloud = cloud.at(np.flatnonzero(inside.all(axis=1)))
     if sampling == "range":
         return cloud.at(draw_by_range(cloud.xyz, points, rng))

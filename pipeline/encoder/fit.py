@@ -22,7 +22,7 @@ from pipeline.encoder.settings import Encoder
 
 # Share of the steps in which the learning rate rises.
 WARM_UP = 0.15
-# Weight decay of AdamW per unit of the learning rate.
+# Weight decay, the coefficient of AdamW.
 WEIGHT_DECAY = 1e-4
 # Largest relative error of a pixel's depth; larger errors count as this error. Early predictions
 # next to edges are tens of times too far and would dominate the sum.
@@ -45,11 +45,14 @@ def fit_drives(
     model.to("cuda" if torch.cuda.is_available() else "cpu")
     with Examples(ingest, drives, settings.frames) as examples:
         curve = fit(model, examples, settings)
-        # If the fit starts from weights, the datasets that these were fitted to are listed, too.
-        default = ["unknown"] if settings.weights else []
-        before = architecture.get("datasets", default)
-        datasets = sorted({*before, *examples.datasets})
-        save_encoder(path.parent, {**architecture, "datasets": datasets}, model.state_dict())
+        # The encoder's file lists the datasets it was fitted to. Weights at the start come with
+        # theirs; if their file lists none, these are "unknown".
+        datasets = {*examples.datasets, *architecture.get("datasets", [])}
+        if settings.weights and "datasets" not in architecture:
+            datasets.add("unknown")
+        save_encoder(
+            path.parent, {**architecture, "datasets": sorted(datasets)}, model.state_dict()
+        )
         config = {"frames_per_drive": examples.frames_per_drive, "image_size": list(examples.size)}
         return {"frames": len(examples), "curve": curve, "config": config}
 
@@ -125,8 +128,8 @@ def depth_and_class_loss(
     error = 0.5 * torch.log(ratio).abs() + 0.5 * relative_error
     depth_loss = error.sum() / is_known.sum().clamp(min=1)
 
-    # The logits of a pixel are next to each other in memory, and stay so in this view. A softmax
-    # along the second axis would copy them to another order and back.
+    # The model computes in channels-last order, in which the logits of a pixel lie next to each
+    # other, and this view keeps it. A softmax along the second axis would copy all logits twice.
     pixels = logits.permute(0, 2, 3, 1).flatten(0, 2)
     targets = true_cls.flatten()
     error = F.cross_entropy(pixels, targets, ignore_index=classes.VOID, reduction="sum")

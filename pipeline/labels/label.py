@@ -70,9 +70,10 @@ def steering_angle(
 
 
 def steering_labels(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, car: Car) -> Labels:
-    """Return the labels that follow from yaw rates and speeds [F], which are NaN where unknown.
+    """Return the labels that follow from yaw rates and speeds [F].
 
-    A label is valid if the car is at least as fast as its minimum speed, ahead or in reverse.
+    In a frame whose motion is unknown, both are NaN. A label is valid if the car is at least as
+    fast as its minimum speed, ahead or in reverse.
     """
     is_known = np.isfinite(speed_mps)
     angle_rad = steering_angle(yaw_rate_radps, speed_mps, car.wheelbase_m)

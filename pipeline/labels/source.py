@@ -28,8 +28,9 @@ from pipeline.labels.settings import SOURCES
 from pipeline.labels.settings import Labels as Settings
 
 # Largest plausible sideways speed in m/s of a car. In KITTI, the sideways speed vl stays below 0.4.
-# Above this limit, the recorded heading or GNSS velocity is wrong, and so is the label. For
-# instance, 2011_09_26_drive_0093 has 14 m/s to the left and then 11 m/s backwards.
+# Above this limit, the recorded heading or GNSS velocity is wrong, and so is the label. Such frames
+# are counted, and stage labels doubts the drive. For instance, 2011_09_26_drive_0093 has 14 m/s to
+# the left and then 11 m/s backwards.
 SIDEWAYS_MPS = 1.0
 
 
@@ -45,12 +46,16 @@ def labels_drive(
     measured = load_source(settings.source).MEASURED
     with DriveReader(ingest, stage="ingest") as raw:
         labels = make_labels(settings.source, raw, motion, car)
-        # Only an angle that follows from the speed depends on its sign.
-        if motion and not measured and not angle_column(settings.source):
-            labels = labels.without(backwards(labels, make_labels("visual", raw, motion, car)))
+        # An angle that follows from the recorded speed is wrong if the speed has the wrong sign.
+        # The images show where. A recorded angle, which has a column, does not depend on it.
+        follows_from_speed = not measured and not angle_column(settings.source)
+        if motion and follows_from_speed:
+            by_images = make_labels("visual", raw, motion, car)
+            labels = labels.without(backwards(labels, by_images))
         interpolated = np.zeros(len(raw.frame), bool)
         sideways = np.zeros(len(raw.frame), bool)
         if not measured and "oxts" in raw:
+            # Stage ingest leaves the speed unknown where KITTI interpolated the packet.
             interpolated = np.isnan(raw["speed_mps"])
             sideways = np.abs(raw["left_mps"]) > SIDEWAYS_MPS
 
@@ -92,7 +97,7 @@ def write_labels(
 def make_labels(
     source: str, raw: DriveReader, motion: Path | None, car: Car, *, look_ahead: bool = True
 ) -> Labels:
-    """Return a drive's labels, valid from the car's minimum speed on.
+    """Return a drive's labels. They are valid where the car has at least its minimum speed.
 
     `raw` and `motion` are the drive's files of stages ingest and motion. With `look_ahead`,
     measured rates are means over neighbouring frames, later ones included. Without it, they are the

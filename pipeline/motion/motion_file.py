@@ -13,7 +13,7 @@ from pipeline.motion.roll import EVERY, Roll
 from pipeline.motion.step import LEAST_NOISE, PROBLEMS, STANDSTILL, durations, filter_speed, rates
 from pipeline.motion.still import lowest_share
 
-# Share of the class road in front of the car from which a frame's classes show a road.
+# Least share of the class road, in front of the car, in a frame whose classes show a road.
 ROAD_BY_CLASS = 0.5
 # Problems of frames that are not measured though the car may move.
 LOST = [

@@ -130,7 +130,7 @@ def _horizon(plan: Plan, rng: np.random.Generator) -> Mesh:
 
 def _barrier(arm: Arm, lane_m: float, rng: np.random.Generator) -> list[Mesh]:
     """Build a barrier across a closed arm, of red and white boards of 0.7 m."""
-    # The edge of the junction is a lane and 0.25 m from its centre.
+    # The edge of the junction is as far from its centre as a lane is wide, and 0.25 m.
     middle = arm.at(lane_m + 0.25 + rng.uniform(*BARRIER_M))
     to_left = unit(arm.heading_rad + np.pi / 2)
     boards = []
@@ -208,7 +208,7 @@ def _hedges_and_trees(
                 hedge = shapes.hedge(rng)
                 parts.append(hedge.placed(xy, outward_rad - np.pi / 2, KERB_M))
         if rng.random() < quarter.trees * 0.5:
-            # If houses stand at the pavement, trees stand in it; otherwise, in gardens behind it.
+            # Trees stand in the pavement or, where houses are 2 m or more behind it, in gardens.
             behind_m = pavement_m - 0.5
             if farthest_m >= 2:
                 behind_m = pavement_m + rng.uniform(1.5, 7)
@@ -247,7 +247,8 @@ def _parked_cars(
 ) -> list[Mesh]:
     """Build parked cars on a side of the route.
 
-    They stand in bays or, in narrow streets, at the kerb. `plan.bays` has the width for both.
+    They stand in bays or, in narrow streets, at the kerb. `plan.bays` has the width of the strip
+    where they stand, in both cases.
     """
     cars = []
     s_m = route.s_m[0] + 3.0
@@ -261,7 +262,8 @@ def _parked_cars(
             if side == LEFT:
                 heading_rad = heading_rad + np.pi
             car = shapes.car(rng).placed(xy, float(heading_rad))
-            # The car must not stand on another stretch of the road.
+            # The car must not stand on another stretch of the road: no point of the route is nearer
+            # than the one beside the car.
             if np.linalg.norm(route.xy - xy, axis=1).min() > abs(offset_m) - 0.2:
                 cars.append(car)
         s_m += 5.6 + rng.uniform(0, 0.8)
@@ -277,7 +279,8 @@ def frontages(route: Route, plan: Plan) -> list[Frontage]:
         edge, heading_rad = route.at(s_m, route.edge_m(side) + side * bay_m)
         sides.append(Frontage(edge, heading_rad + side * np.pi / 2))
     for arm in route.arms:
-        # The sides of an arm begin 6 m from the centre of the junction, where its road has ended.
+        # The sides of an arm begin 6 m from the centre of the junction, outside of it, and end as
+        # far behind the arm's end, so that no gap is seen beside the houses that close it.
         along = arm.at(np.arange(6, arm.length_m + 6, _STEP_M))
         for side in SIDES:
             outward_rad = arm.heading_rad + side * np.pi / 2

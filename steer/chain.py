@@ -85,7 +85,7 @@ def _open_kitti(
     path: Path, files: kitti.KittiDrive, reading: Reading, options: RecordingOptions
 ) -> Source:
     lens = (options.fov_deg, options.K, options.distortion, options.fisheye)
-    if any(lens) or options.fps or options.times:
+    if any(lens) or options.fps or options.times or options.hz:
         fix = "Remove --fov, --K, --distortion, --fisheye, --fps and --times"
         raise InputError("a KITTI drive has its own calibration and times", path, fix)
     folder = files.folder.name
@@ -110,9 +110,11 @@ def _open_kitti(
 
 
 def _open_recording(paths: Sequence[Path], options: RecordingOptions, hz: float | None) -> Source:
-    recording = open_recording(paths, options)
     if hz:
-        recording.resample(hz)
+        options = options.model_copy(update={"hz": hz})
+    recording = open_recording(paths, options)
+    if not options.hz:
+        recording.reduce()
     path = recording.path
     frames = len(recording.times_s)
     row = noted_horizon(path, recording.frames, recording.camera, recording.notes)

@@ -35,6 +35,11 @@ from pipeline.ingest.video import INEXACT, upright
 # Largest number of frames between the two frames from which a frame rate is measured. Single steps
 # are uneven.
 RATE_FRAMES = 20
+# Frames per second that odometry and networks need. With 60 and 120, steps are so short that errors
+# of tracking count, and the angle is worse.
+USUAL_HZ = 10.0
+# Least rate in frames per second that is reduced to about USUAL_HZ.
+REDUCED_HZ = 15.0
 
 # A function that removes the lens' distortion from an image.
 Straighten = Callable[[np.ndarray], np.ndarray]
@@ -84,6 +89,22 @@ class Recording:
                 if not row_at:
                     return
 
+    def recorded_hz(self) -> float:
+        """Return the frames per second; 0 of a single frame."""
+        apart = min(RATE_FRAMES, len(self.times_s) - 1)
+        if not apart:
+            return 0.0
+        return apart / float(np.median(self.times_s[apart:] - self.times_s[:-apart]))
+
+    def reduce(self) -> float | None:
+        """Keep every n-th frame of a fast recording, about USUAL_HZ; return the rate, if any."""
+        recorded_hz = round(self.recorded_hz(), 2)
+        if recorded_hz < REDUCED_HZ:
+            return None
+        hz = round(recorded_hz / round(recorded_hz / USUAL_HZ), 3)
+        self.resample(hz)
+        return hz
+
     def resample(self, hz: float) -> None:
         """Keep only the frames nearest to a grid of `hz`.
 
@@ -91,14 +112,12 @@ class Recording:
         the recording is slower than `hz` by more than RATE_TOLERANCE.
         """
         time_s = self.times_s
-        apart = min(RATE_FRAMES, len(time_s) - 1)
-        recorded_hz = hz
-        if apart:
-            recorded_hz = apart / float(np.median(time_s[apart:] - time_s[:-apart]))
+        recorded_hz = self.recorded_hz() or hz
         ratio = recorded_hz / hz
-        rates = f"the recording has {recorded_hz:.1f} frames/s, the model was fitted to {hz:.1f}"
         if ratio < 1 - RATE_TOLERANCE:
-            raise InputError(rates, self.path, "Pass the right --fps, or another --model")
+            problem = f"has {recorded_hz:.1f} frames/s, expected {hz:.1f} or more"
+            fix = "Pass the right --fps, a lower --hz, or a --model that was fitted to this rate"
+            raise InputError(problem, self.path, fix)
         if ratio <= 1 + RATE_TOLERANCE:
             return
 
@@ -111,6 +130,7 @@ class Recording:
         rows = np.unique(np.searchsorted(between_s, grid_s))
         self.kept = self.kept[rows]
         self.times_s = time_s[rows]
+        rates = f"the recording has {recorded_hz:.1f} a second, {hz:.1f} are used"
         self.notes.append(f"{len(rows)} of {len(time_s)} frames are used: {rates}")
 
 
@@ -169,7 +189,12 @@ def open_recording(
         times_s = evened(times_s[kept], float(np.median(np.diff(times_s))))
 
     camera, straighten = _lens(options, size, source.path)
-    return Recording(source, camera, straighten, scanned, kept, times_s, logs, notes, source.doubts)
+    recording = Recording(
+        source, camera, straighten, scanned, kept, times_s, logs, notes, source.doubts
+    )
+    if options.hz:
+        recording.resample(options.hz)
+    return recording
 
 
 def _find_images(paths: Sequence[Path], fps: float | None) -> ImageFolder | VideoFiles:

@@ -112,6 +112,12 @@ class RecordingOptions(Section):
     times: File = Field(
         default=None, description="times: a file with the seconds of each image, one per line"
     )
+    hz: float | None = Field(
+        default=None,
+        ge=0.1,
+        le=1000,
+        description="frames per second that are used; default: about 10 of 15 or more",
+    )
     camera_height_m: float | None = Field(
         default=None,
         alias="camera_height",

@@ -97,6 +97,8 @@ def import_recording(
     parts = []
     for paths, whole in zip(groups, wholes, strict=True):
         opened = open_recording(paths, whole)
+        if not whole.hz:
+            whole = whole.model_copy(update={"hz": opened.reduce()})
         files = importing.name_files(paths, whole, opened.scan)
         parts += importing.cut_recording(opened, whole, files, shares)
         recordings.append(opened)

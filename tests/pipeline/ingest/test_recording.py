@@ -35,10 +35,23 @@ def test_frames_nearest_to_a_rate(tmp_path, hz, fps, steps):
     assert len(list(recording.frames())) == len(recording.kept)
 
 
-def test_a_recording_that_is_slower_than_the_model_is_refused(tmp_path):
+@pytest.mark.parametrize(
+    ("fps", "hz"), [(14, None), (15, 7.5), (25, 12.5), (29.97, 9.99), (60, 10)]
+)
+def test_about_ten_frames_a_second_are_kept_of_a_fast_recording(tmp_path, fps, hz):
     path = write_folder(tmp_path / "images", pictures(60))
-    with pytest.raises(InputError, match=r"has 7.0 frames/s, the model was fitted to 10.0"):
-        open_recording(path, fps=7).resample(10)
+    recording = open_recording(path, fps=fps)
+    assert recording.reduce() == hz
+    every = round(fps / hz) if hz else 1
+    assert recording.kept.tolist() == list(range(0, 60, every))
+    if hz:  # as the preset of an import has it
+        assert open_recording(path, fps=fps, hz=hz).kept.tolist() == recording.kept.tolist()
+
+
+def test_a_recording_that_is_slower_than_asked_is_refused(tmp_path):
+    path = write_folder(tmp_path / "images", pictures(60))
+    with pytest.raises(InputError, match=r"has 7.0 frames/s, expected 10.0 or more"):
+        open_recording(path, fps=7, hz=10)
 
 
 def orient(path: Path) -> None:

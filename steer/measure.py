@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.base.resume import ROOT, revision
 from pipeline.base.store import DriveReader
 from pipeline.ingest.settings import Reading
 from pipeline.labels.label import Car
@@ -45,8 +46,15 @@ def _measure_quality(source: Source, results: Results, work: Path) -> dict[str, 
         bonnet = float(motion.attrs["still"])
     has_road = heights_m > 0
     is_valid = results.table["valid"] > 0
+    time_s = results.table["time_s"]
+    camera = source.camera
     return {
-        "horizon": source.camera.horizon,
+        "revision": revision(ROOT),
+        "source": str(source.path),
+        "step_s": _median(np.diff(time_s)),
+        "K": camera.K.round(3).tolist(),
+        "camera_height_m": camera.height_m if camera.height_known else None,
+        "horizon": camera.horizon,
         "road_frames": float(has_road.mean()),
         # Height in metres of the camera over the road, as the encoder's depth shows it.
         "road_height_m": _median(heights_m[has_road]),

@@ -122,13 +122,9 @@ def read_course(
     is_recent = time_s - time_s[measured_row] <= BRIDGED_S
     moves = (measured_row >= 0) & (standing_row <= measured_row) & is_recent
 
-    # Each step has the mean heading of its two ends. Places are complex: x is the real part, y the
-    # imaginary part.
-    step_s = np.diff(time_s, prepend=time_s[:1])
-    turned = np.where(moves, yaw_rate[measured_row], 0.0) * step_s
-    heading_rad = np.cumsum(turned)
-    step_m = np.where(moves, speed_mps[measured_row], 0.0) * step_s
-    place_m = np.cumsum(step_m * np.exp(1j * (heading_rad - turned / 2)))
+    held_mps = np.where(moves, speed_mps[measured_row], 0.0)
+    held_radps = np.where(moves, yaw_rate[measured_row], 0.0)
+    place_m, heading_rad = integrate_motion(time_s, held_mps, held_radps)
     return {
         "speed_mps": speed_mps,
         "yaw_rate_radps": yaw_rate,
@@ -140,6 +136,21 @@ def read_course(
         "speed_sigma": speed_sigma,
         "measured_sigma_rad": angle_sigma,
     }
+
+
+def integrate_motion(
+    time_s: np.ndarray, speed_mps: np.ndarray, yaw_rate_radps: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return places, complex numbers [F] of metres ahead + left i, and headings [F] in rad.
+
+    The rates [F] of a frame are those of the step that ends there.
+    """
+    step_s = np.diff(time_s, prepend=time_s[:1])
+    turned_rad = yaw_rate_radps * step_s
+    heading_rad = np.cumsum(turned_rad)
+    # Each step has the mean heading of its two ends.
+    place_m = np.cumsum(speed_mps * step_s * np.exp(1j * (heading_rad - turned_rad / 2)))
+    return place_m, heading_rad
 
 
 @dataclass

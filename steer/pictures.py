@@ -7,6 +7,7 @@ from pathlib import Path
 import av
 import cv2
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pipeline.base.store import replacing, write_json
@@ -14,7 +15,7 @@ from pipeline.camera.camera import Camera
 from pipeline.camera.images import resized
 from pipeline.report.street_view import PATHS, STEP_M, path_steps, wheel_tracks
 from steer.chain import Source
-from steer.outcome import Results
+from steer.outcome import Results, integrate_motion
 
 # Largest width of the video in pixels.
 MAX_WIDTH = 1280
@@ -60,7 +61,12 @@ def draw_track(path: Path, results: Results) -> None:
     above.set(title=f"{results.name}: measured track", aspect="equal")
     above.set(xlabel="to the right, m", ylabel="ahead, m")
     above.set_adjustable("datalim")
-    above.plot(-table["y_m"], table["x_m"], color=LINES["measured"])
+    above.plot(-table["y_m"], table["x_m"], color=LINES["measured"], label="measured")
+    recorded_m = _recorded_track(results)
+    if recorded_m is not None:
+        above.plot(-recorded_m.imag, recorded_m.real, color=LINES["driven"], label="recorded")
+        above.set_title(f"{results.name}: {_end_error(results, recorded_m)}")
+        above.legend(frameon=False)
     above.plot(0, 0, "o", color="tab:green")  # the start
 
     speed.set(ylabel="speed, m/s")
@@ -69,11 +75,55 @@ def draw_track(path: Path, results: Results) -> None:
     angles = {name: np.degrees(table[f"{name}_rad"]) for name in LINES if f"{name}_rad" in table}
     for axes, curves in ((speed, speeds), (steering, angles)):
         for name, values in curves.items():
-            axes.plot(table["time_s"], values, ".", markersize=3, color=LINES[name], label=name)
+            if np.isfinite(values).any() and np.nanmax(np.abs(values)) > 0:
+                axes.plot(table["time_s"], values, ".", markersize=3, color=LINES[name], label=name)
+
+    # One standard deviation.
+    speed_mps = table["speed_mps"]
+    _draw_band(speed, table["time_s"], speed_mps, np.abs(speed_mps) * table["speed_sigma"])
+    if "measured" in angles:
+        sigma_deg = np.degrees(table["measured_sigma_rad"])
+        _draw_band(steering, table["time_s"], angles["measured"], sigma_deg)
     # The legend is above the curves of the angles.
-    steering.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, frameon=False)
+    if steering.lines:
+        steering.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, frameon=False)
 
     figure.savefig(path, dpi=110, metadata={"Software": None})  # without the version of matplotlib
+
+
+def _draw_band(axes: Axes, time_s: np.ndarray, values: np.ndarray, sigma: np.ndarray) -> None:
+    """Draw a band of one standard deviation around values [F]."""
+    axes.fill_between(
+        time_s, values - sigma, values + sigma, color=LINES["measured"], alpha=0.25, linewidth=0
+    )
+
+
+def _recorded_track(results: Results) -> np.ndarray | None:
+    """Return the recorded places, complex numbers [F] of metres ahead + left i, if there are any.
+
+    They begin at the first measured frame. A log of a wheel has no speed, and so no track.
+    """
+    driven = results.truth.driven
+    speed_mps = np.nan_to_num(driven.speed_mps)
+    if not results.truth.name or not speed_mps.any():
+        return None
+    yaw_rate_radps = np.nan_to_num(driven.yaw_rate_radps)
+    place_m, _ = integrate_motion(results.table["time_s"], speed_mps, yaw_rate_radps)
+    return place_m
+
+
+def _end_error(results: Results, recorded_m: np.ndarray) -> str:
+    """Return how far the measured track ends from the recorded one."""
+    table = results.table
+    measured_m = table["x_m"] + 1j * table["y_m"]
+    rows = np.flatnonzero(np.isfinite(measured_m))
+    if not len(rows):
+        return "measured track"
+    error_m = abs(measured_m[rows[-1]] - recorded_m[rows[-1]])
+    length_m = np.abs(np.diff(recorded_m)).sum()
+    return (
+        f"ends {error_m:.1f} m from the recorded track ({100 * error_m / length_m:.1f} m per 100 m)"
+    )
 
 
 def write_overlay(path: Path, source: Source, results: Results, wheelbase_m: float) -> None:

@@ -102,6 +102,9 @@ def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
     assert quality["recorded"]["speed"]["gain"] == pytest.approx(3.6, rel=0.1)
     assert quality["comparison"]["frames"] == 20
     assert quality["speed_sigma"] < 0.1
+    assert quality["step_s"] == pytest.approx(0.1)
+    assert quality["camera_height_m"] == CAMERA_HEIGHT_M
+    assert quality["K"][0][0] == 180
     with av.open(str(out / "overlay.mp4")) as file:
         assert sum(1 for _ in file.decode(video=0)) == 30
 

@@ -225,6 +225,8 @@ def write_motion(
         file.put("problem", problem.astype(np.uint8))
         file.put("road_height_m", np.full(len(rows), 1, np.float32))
         file.put("speed_sigma", np.full(len(rows), 0.05, np.float32))
+        file.put("ratio", np.zeros(len(rows), np.float32))
+        file.put("ratio_sigma", np.zeros(len(rows), np.float32))
         file.put("scale", np.full(len(rows), 1, np.float32))
         file.put("T_before_now", T_before_now)
 

@@ -21,7 +21,7 @@ import numpy as np
 from pipeline.base.errors import InputError
 
 # Version of the layout of drives' files.
-SCHEMA = 6
+SCHEMA = 7
 # Name of the file in a stage's folder that lists its drives.
 INDEX = "index.json"
 # Number of rows in a chunk of points, or of other short rows.

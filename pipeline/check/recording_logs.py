@@ -12,7 +12,7 @@ from pipeline.labels.agreement import Noise, Pair, compare
 from pipeline.labels.comparison import UNKNOWN, judge_turns
 from pipeline.labels.label import Labels
 from pipeline.motion.horizon import turn_rates
-from pipeline.motion.step import TYPICAL_MPS
+from pipeline.motion.speed import TYPICAL_MPS
 
 # Standard deviation in rad/s of a yaw rate that is measured from the rotation between two images.
 # On five real recordings it is 0.010 to 0.016.

@@ -29,6 +29,8 @@ FEW_MEASURED = 0.5
 MIN_FRAMES = 10
 # Least number of frames with a moving car from which MIN_MEASURED is asked.
 LONG = 60
+# Largest scatter of successive speeds. Recordings have 0.02 to 0.03, the sample up to 0.05.
+MAX_SCATTER = 0.08
 # Least share of the class road where depth shows a road. Recordings, grey ones too, have 0.8 and
 # more.
 MIN_ROAD_CLASS = 0.1
@@ -58,11 +60,17 @@ def find_doubts(summary: Mapping[str, float]) -> Iterator[tuple[str, str]]:
             "unreliable. Crop the images above it",
         )
 
-    # Where images are too far apart, few can be measured.
+    # Where images are too far apart or poorly tracked, few can be measured.
     if summary["step_s"] > MAX_STEP_S:
         yield _step_doubt(f"{summary['step_s']:.2f} s")
     elif summary["step_m"] > MAX_STEP_M:
         yield _step_doubt(f"{summary['step_m']:.1f} m")
+    elif summary["scatter"] > MAX_SCATTER and summary["moving"] >= MIN_FRAMES:
+        yield (
+            "scatter",
+            f"successive speeds differ by {summary['scatter']:.0%}: the images are poorly tracked "
+            "or not evenly spaced in time. Use a sharper recording, or pass the images' --times",
+        )
     elif _few_are_measured(summary):
         yield (
             "measured",

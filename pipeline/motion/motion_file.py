@@ -10,11 +10,21 @@ from pipeline.base.store import DriveWriter
 from pipeline.camera.camera import Camera, DriveFrames
 from pipeline.motion.odometry import Odometry
 from pipeline.motion.roll import EVERY, Roll
-from pipeline.motion.step import LEAST_NOISE, PROBLEMS, STANDSTILL, durations, filter_speed, rates
+from pipeline.motion.speed import LEAST_MPS, Speeds, filter_speeds
+from pipeline.motion.step import PROBLEMS, STANDSTILL, durations, rates
 from pipeline.motion.still import lowest_share
+from pipeline.motion.triangulation import MEDIAN_DEVIATION
 
 # Least share of the class road, in front of the car, in a frame whose classes show a road.
 ROAD_BY_CLASS = 0.5
+# Largest acceleration of a car in m/s², when it brakes.
+MAX_ACCELERATION_MPS2 = 12.0
+# Largest error of a measured speed, as a share of it, for which a step is believed.
+MAX_ERROR = 0.25
+# Time in seconds after which a speed says nothing about the present one.
+FORGET_S = 1.0
+# Code of a step that no car makes.
+NOT_A_CARS = PROBLEMS.index("a motion that is not a car's")
 # Problems of frames that are not measured though the car may move.
 LOST = [
     code for code, text in enumerate(PROBLEMS) if text not in ("", "no previous frame", *STANDSTILL)
@@ -27,11 +37,13 @@ UNITS = {
     "inliers": "",
     "residual": "px",
     "scale": "depth was multiplied by it",
+    "ratio": "speed relative to that of the step before, by triangulation, 0 = unknown",
+    "ratio_sigma": "standard deviation of the logarithm of ratio",
     "T_before_now": "m",
     "road_height_m": "m below the camera in the encoder's depth, 0 = no road found",
-    "still": "share of the lowest row that shows no street",
+    "still": "share of the lowest row whose pixels stay the same while the car moves: a bonnet",
     "problem": f"0 = measured; {_CODES}",
-    "filtered_mps": "m/s, speed_mps after a causal filter of the error of depth's scale",
+    "filtered_mps": "m/s, the speed by this and earlier steps, an input of models",
     "speed_sigma": "relative standard deviation of filtered_mps",
 }
 
@@ -43,13 +55,13 @@ def measure_drive(
     *,
     advance: Callable[[int], object] = lambda frames: None,
 ) -> Summary:
-    """Write the motion of each frame with an image since the previous frame, by visual odometry.
+    """Write the motion of each frame relative to the frame before, by visual odometry.
 
-    All values are causal: they depend on a frame and earlier ones only. Where motion is not
-    measured, ``valid`` and the rates are 0, and ``problem`` is the reason. Depth is scaled so that
-    the road is as far below the camera as its height, if that is known. `advance` is called with
-    the number of frames that are done since the last call. Returns counts and medians for
-    :mod:`pipeline.motion.doubts`, which are also attributes of the file.
+    Only frames with an image are written. All values are causal: they depend on a frame and earlier
+    ones only. Where motion is not measured, ``valid`` and the rates are 0, and ``problem`` is the
+    reason. Depth is scaled so that the road is as far below the camera as its height, if that is
+    known. `advance` is called with the number of frames that are done since the last call. Returns
+    counts and medians for :mod:`pipeline.motion.doubts`, which are also attributes of the file.
     """
     with (
         DriveFrames(ingest, perception) as frames,
@@ -65,28 +77,43 @@ def measure_drive(
         for row, frame in enumerate(frames):
             step = odometry.step(frame)
             if step:
+                # The fields of a step and its rates are columns of these names.
                 values = step._asdict() | rates(step.T_before_now, duration_s[row])._asdict()
                 for name, value in values.items():
                     columns[name][row] = value
             columns["problem"][row] = PROBLEMS.index(odometry.problem)
             columns["road_height_m"][row] = odometry.road.frame_height_m
+            # The lowest row of the image is the first that a bonnet hides.
             columns["still"][row] = odometry.still.mask[-1].mean()
             road_class[row] = odometry.road_class
             if row % EVERY == 0:
                 roll.add(frame.image)
             advance(1)
 
-        # Filter the measured speeds: without a road, their scale is uncertain.
+        # A speed that no car can reach from the one before is no measurement. Without a road, the
+        # scale of depth is unknown, and speeds tell nothing.
+        has_scale = (columns["problem"] == 0) & (columns["road_height_m"] > 0)
+        scatter = _scatter(columns["speed_mps"], has_scale)
+        jumps = find_jumps(frames.time_s, columns["speed_mps"], has_scale)
+        columns["problem"][jumps] = NOT_A_CARS
+        for name in ("yaw_rate_radps", "speed_mps"):
+            columns[name][jumps] = 0
         valid = columns["problem"] == 0
-        road = columns["road_height_m"] > 0
-        filtered_mps, speed_sigma = filter_speed(
-            frames.time_s[valid],
-            columns["speed_mps"][valid],
-            road[valid],
-            np.full(valid.sum(), LEAST_NOISE),
+
+        # Filter the measured speeds. Ratios of lengths become those of speeds.
+        before_s = np.append(np.nan, duration_s[:-1])
+        columns["ratio"] *= np.nan_to_num(before_s / duration_s).astype(np.float32)
+        filtered = filter_speeds(
+            Speeds(
+                frames.time_s[valid],
+                columns["speed_mps"][valid],
+                columns["road_height_m"][valid] > 0,
+                columns["ratio"][valid],
+                columns["ratio_sigma"][valid],
+            )
         )
-        columns["filtered_mps"][valid] = filtered_mps
-        columns["speed_sigma"][valid] = speed_sigma
+        columns["filtered_mps"][valid] = filtered.speed_mps
+        columns["speed_sigma"][valid] = filtered.sigma
 
         file.put("frame", frames.frame)
         file.put("time_s", frames.time_s, "s")
@@ -95,10 +122,30 @@ def measure_drive(
             file.put(name, columns[name], unit)
 
         summary = _summarise(columns, road_class, duration_s, frames.camera)
+        summary["scatter"] = scatter
         summary["roll_deg"] = roll.degrees()
+        # Factor above which depth must be in another unit; 0 if the height is unknown.
         summary["unit_error"] = frames.unit_error if np.isfinite(frames.unit_error) else 0.0
         file.attrs |= summary
     return summary
+
+
+def find_jumps(time_s: np.ndarray, speed_mps: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Return the frames, bool [F], whose speed no car can reach from that of an earlier frame.
+
+    It is causal: a frame is compared with the last one before it that is no jump itself.
+    """
+    jumps = np.zeros(len(time_s), bool)
+    last: int | None = None
+    for row in np.flatnonzero(valid):
+        if last is not None and time_s[row] - time_s[last] < FORGET_S:
+            change_mps = abs(speed_mps[row] - speed_mps[last])
+            error_mps = MAX_ERROR * max(abs(speed_mps[row]), abs(speed_mps[last]))
+            by_car_mps = MAX_ACCELERATION_MPS2 * (time_s[row] - time_s[last])
+            jumps[row] = change_mps > by_car_mps + error_mps
+        if not jumps[row]:
+            last = int(row)
+    return jumps
 
 
 def _empty_columns(count: int) -> dict[str, np.ndarray]:
@@ -122,7 +169,7 @@ def _summarise(
     moving = valid | np.isin(columns["problem"], LOST)
     length_m = np.linalg.norm(columns["T_before_now"][:, :3, 3], axis=1)
 
-    # The class road is judged where depth shows one.
+    # Where depth shows a road, classes should show the class road.
     road = columns["road_height_m"] > 0
     share_on_road = road_class[road & np.isfinite(road_class)]
     return {
@@ -139,6 +186,14 @@ def _summarise(
         "road_class_frames": int((road_class > ROAD_BY_CLASS).sum()),
         "scaled": int(camera.height_known),
     }
+
+
+def _scatter(speed_mps: np.ndarray, valid: np.ndarray) -> float:
+    """Return the typical ratio of successive speeds, less 1; it is robust to few large ones."""
+    both = valid[1:] & valid[:-1]
+    magnitude_mps = np.maximum(np.abs(speed_mps), LEAST_MPS)
+    changes = np.abs(np.diff(np.log(magnitude_mps)))[both]
+    return float(np.expm1(_median(changes) / MEDIAN_DEVIATION))
 
 
 def _median(values: np.ndarray) -> float:

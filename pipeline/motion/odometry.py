@@ -13,6 +13,7 @@ from pipeline.motion.pose import MIN_POINTS, estimate_pose
 from pipeline.motion.road import Road
 from pipeline.motion.step import Step
 from pipeline.motion.still import Still
+from pipeline.motion.triangulation import Ratio, Tracks, compare_lengths, find_tracks
 
 # Whether a class, the index, is one of traffic.
 IS_TRAFFIC = np.isin(np.arange(256), classes.TRAFFIC)
@@ -87,8 +88,9 @@ class Odometry:
         # Why the last step could not be measured; empty if it was.
         self.problem = ""
         self._previous: _LiftedFrame | None = None
-        # The step to the previous frame.
+        # The step to the previous frame, and its points as they are seen there.
         self._T_before_now: np.ndarray | None = None
+        self._tracks: Tracks | None = None
 
     def step(self, frame: Frame) -> Step | None:
         """Return the motion since the previous frame; None where it cannot be measured.
@@ -107,6 +109,7 @@ class Odometry:
             step = None
             self.problem = result
             self._T_before_now = None
+            self._tracks = None
         else:
             step = result
             self.problem = ""
@@ -150,8 +153,29 @@ class Odometry:
             return "the camera stands"
         if not _is_possible_for_a_car(T_before_now):
             return "a motion that is not a car's"
+        ratio = self._compare_lengths(previous, grey, T_before_now)
+        self._tracks = find_tracks(uv_before[pose.inliers], uv[pose.inliers], T_before_now, self._K)
         residual_px = float(np.median(pose.error_px[pose.inliers]))
-        return Step(T_before_now, int(pose.inliers.sum()), residual_px, previous.scale)
+        inliers = int(pose.inliers.sum())
+        return Step(T_before_now, inliers, residual_px, previous.scale, *ratio)
+
+    def _compare_lengths(
+        self, previous: _LiftedFrame, grey: np.ndarray, T_before_now: np.ndarray
+    ) -> Ratio:
+        """Return the length of a step relative to that of the step before, if it was measured."""
+        tracks = self._tracks
+        if tracks is None or not len(tracks.uv) or self._T_before_now is None:
+            return Ratio()
+
+        # Follow the points of the step before once more.
+        length_m = np.linalg.norm(self._T_before_now[:3, 3])
+        rays = np.linalg.solve(self._K, np.column_stack([tracks.uv, np.ones(len(tracks.uv))]).T).T
+        xyz = rays * (tracks.depth_steps * length_m)[:, None]
+        uv_ahead, z = project(transform(np.linalg.inv(T_before_now), xyz), self._K)
+        uv_guess = np.where(z[:, None] > MIN_DEPTH_M, uv_ahead, tracks.uv)
+        uv, tracked = track(previous.grey, grey, self._larger(tracks.uv), self._larger(uv_guess))
+        seen = Tracks(*(column[tracked] for column in tracks))
+        return compare_lengths(seen, self._smaller(uv[tracked]), T_before_now, self._K)
 
     def _lift(self, frame: Frame, grey: np.ndarray) -> _LiftedFrame:
         """Return a frame and its corners as points, their depth scaled to the camera's height."""

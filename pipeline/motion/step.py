@@ -1,11 +1,10 @@
-"""Compute the durations and rates of steps, and filter their speeds.
+"""Compute the durations and rates of steps.
 
 A step is the car's motion since the previous frame. ``T_before_now`` takes points from this frame's
 rectified camera (x right, y down, z forward) to the previous frame's. Its translation is the
 camera's new position in the previous frame.
 """
 
-import math
 from typing import NamedTuple
 
 import cv2
@@ -28,27 +27,6 @@ RECENT = 20
 # 1.5 and are not.
 SIMILAR = 1.45
 
-# Typical speed in m/s: the geometric mean of the medians of KITTI's 55 drives above 1.5 m/s.
-TYPICAL_MPS = 8.4
-# Standard deviation of the logarithm of the speed in one of these drives.
-SPREAD = 0.4
-# Correlation time in seconds of the logarithm of the speed in one of these drives.
-SPREAD_S = 20.0
-# Standard deviation of the logarithm of depth's scale if all recent frames show a road.
-ROAD_SCALE = 0.03
-# Standard deviation of the logarithm of depth's scale if no recent frame shows a road. A network
-# takes a lens of 17 degrees for KITTI's, whose focal length is 5.8 times shorter. With
-# factors of 2.7 and 12, the angle on Udacity's drive had an RMSE of 0.0408 and 0.0396 rad.
-NO_SCALE = math.log(5.8)
-# Correlation time in seconds of the scale's error.
-SCALE_S = 20.0
-# Time in seconds over which the share of frames with a road is averaged.
-SHARE_S = 20.0
-# Least speed in m/s whose logarithm is taken.
-LEAST_MPS = 0.3
-# Relative standard deviation of a measured speed, apart from the scale.
-LEAST_NOISE = 0.01
-
 
 class Step(NamedTuple):
     """A measured step."""
@@ -57,6 +35,10 @@ class Step(NamedTuple):
     inliers: int
     residual: float  # px
     scale: float = 1.0  # factor that was applied to depth
+    # Length relative to that of the step before, and the standard deviation of its logarithm; 0 if
+    # it is unknown.
+    ratio: float = 0.0
+    ratio_sigma: float = 0.0
 
 
 class Rates(NamedTuple):
@@ -98,50 +80,3 @@ def durations(frame: np.ndarray, time_s: np.ndarray) -> np.ndarray:
         similar = (recent_s < step_s * SIMILAR) & (recent_s > step_s / SIMILAR)
         result[row + 1] = recent_s[similar].mean()
     return result
-
-
-def filter_speed(
-    time_s: np.ndarray, speed_mps: np.ndarray, road: np.ndarray, noise: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return filtered speeds float64 [M] and their relative standard deviations [M]. It is causal.
-
-    A Kalman filter: the logarithm of a measured speed is that of the true one, plus sigma times a
-    scale error of variance 1. Both are Ornstein-Uhlenbeck processes, the speed with mean
-    TYPICAL_MPS, SPREAD and SPREAD_S, the error with SCALE_S. Where a road gives the scale, sigma is
-    small, and the filter follows the measurement. Without a road it stays near a typical speed: a
-    depth network has no scale for a lens that differs much from its training lens.
-
-    `speed_mps` [M] is measured at `time_s` [M], ascending, with relative standard deviations
-    `noise` [M] apart from the scale; `road` bool [M]: whether a road was found.
-    """
-    filtered_mps = np.zeros(len(time_s))
-    relative_sigma = np.zeros(len(time_s))
-
-    # The state is the logarithm of the speed over TYPICAL_MPS, and the scale error.
-    state = np.zeros(2)
-    covariance = np.diag([SPREAD**2, 1.0])
-    road_share = 0.0
-
-    for row, step_s in enumerate(np.diff(time_s, prepend=time_s[:1])):
-        # The more of the recent frames show a road, the better the scale is known.
-        update = max(1 - math.exp(-step_s / SHARE_S), 1 / (row + 1))
-        road_share += update * (road[row] - road_share)
-        sigma = NO_SCALE * (ROAD_SCALE / NO_SCALE) ** road_share**2
-
-        # Predict: both components return to their means.
-        keep = np.exp([-step_s / SPREAD_S, -step_s / SCALE_S])
-        state = keep * state
-        covariance = np.outer(keep, keep) * covariance
-        covariance += np.diag((1 - keep**2) * [SPREAD**2, 1.0])
-
-        # Correct by the measured speed.
-        measured = math.log(max(abs(speed_mps[row]), LEAST_MPS) / TYPICAL_MPS)
-        observation = np.array([1.0, sigma])
-        variance = observation @ covariance @ observation + noise[row] ** 2
-        gain = covariance @ observation / variance
-        state = state + gain * (measured - observation @ state)
-        covariance = covariance - np.outer(gain, observation @ covariance)
-
-        filtered_mps[row] = speed_mps[row] * math.exp(state[0] - measured)
-        relative_sigma[row] = math.sqrt(covariance[0, 0])
-    return filtered_mps, relative_sigma

@@ -64,14 +64,14 @@ def recorded(tmp_path) -> Path:
 def test_measured_and_recorded_labels_are_valid_unless_the_car_is_slow_or_stands(recorded):
     for file in run(recorded, source="visual"):
         expected_rad = np.arctan([0, 2.7 * 0.1, 0, 2.7, 0])
-        np.testing.assert_allclose(file["steering_rad"], expected_rad, rtol=0.02)
+        np.testing.assert_allclose(file["steering_rad"], expected_rad, rtol=0.05)
         np.testing.assert_array_equal(file["valid"], [0, 1, 0, 0, 0])
-        np.testing.assert_allclose(file["speed_mps"], [0, 5, 0, 0.5, 0], rtol=0.02)  # filtered
+        np.testing.assert_allclose(file["speed_mps"], [0, 5, 0, 0.5, 0], rtol=0.05)  # filtered
     without, with_oxts = run(recorded, source="wheel")
     np.testing.assert_array_equal(without["steering_rad"], [0.1, 0, 0.2, 0.3, 0.4])
     # 8 is measured, and slow; in 9 nothing moves
     np.testing.assert_array_equal(without["valid"], [1, 0, 1, 0, 0])
-    np.testing.assert_allclose(without["speed_mps"], [0, 5, 0, 0.5, 0], rtol=0.02)
+    np.testing.assert_allclose(without["speed_mps"], [0, 5, 0, 0.5, 0], rtol=0.05)
     np.testing.assert_array_equal(with_oxts["valid"], [1, 0, 0, 1, 1])
     np.testing.assert_array_equal(with_oxts["speed_mps"], [10, 10, 0.5, 10, 10])
 

@@ -161,7 +161,7 @@ def in_folder_of_stage(path: Path) -> None:
 @pytest.mark.parametrize(
     ("stage", "change", "problem"),
     [
-        ("ingest", None, "expected stage 'ingest', schema 6; got stage 'clouds', schema 6"),
+        ("ingest", None, "expected stage 'ingest', schema 7; got stage 'clouds', schema 7"),
         ("clouds", Path.unlink, "missing"),
         ("clouds", in_folder_of_stage, f"contains drive {DRIVE}"),
         ("clouds", to_schema_3, "got stage 'clouds', schema 3"),

@@ -86,7 +86,7 @@ def _open_kitti(
 ) -> Source:
     lens = (options.fov_deg, options.K, options.distortion, options.fisheye)
     if any(lens) or options.fps or options.times or options.hz:
-        fix = "Remove --fov, --K, --distortion, --fisheye, --fps and --times"
+        fix = "Remove --fov, --K, --distortion, --fisheye, --fps, --times and --hz"
         raise InputError("a KITTI drive has its own calibration and times", path, fix)
     folder = files.folder.name
     if folder.endswith(kitti.UNSYNCED):

@@ -116,7 +116,7 @@ class RecordingOptions(Section):
         default=None,
         ge=0.1,
         le=1000,
-        description="frames per second that are used; default: about 10 of 15 or more",
+        description="frames per second that are used; default: about 10 if there are 15 or more",
     )
     camera_height_m: float | None = Field(
         default=None,

@@ -13,7 +13,7 @@ from pipeline.motion.pose import MIN_POINTS, estimate_pose
 from pipeline.motion.road import Road
 from pipeline.motion.step import Step
 from pipeline.motion.still import Still
-from pipeline.motion.triangulation import Ratio, Tracks, compare_lengths, find_tracks
+from pipeline.motion.triangulation import Ratio, Tracks, compare_lengths, find_tracks, pixel_rays
 
 # Whether a class, the index, is one of traffic.
 IS_TRAFFIC = np.isin(np.arange(256), classes.TRAFFIC)
@@ -123,22 +123,17 @@ class Odometry:
         """Return the motion since the previous frame, or why it cannot be measured (PROBLEMS)."""
         uv_before = project(previous.xyz, self._K)[0]
 
-        # Corners are searched where they are if the car moves on as before.
-        uv_guess = uv_before
+        # Follow the corners of the previous frame into this one, as if the car moved on as before.
         T_previous = None
         if self._T_before_now is not None:
             T_previous = np.linalg.inv(self._T_before_now)
-            uv_ahead, z = project(transform(T_previous, previous.xyz), self._K)
-            uv_guess = np.where(z[:, None] > MIN_DEPTH_M, uv_ahead, uv_before)
-
-        # Follow the corners of the previous frame into this one.
-        uv, tracked = track(previous.grey, grey, self._larger(uv_before), self._larger(uv_guess))
+        uv, tracked = self._follow(previous.grey, grey, uv_before, previous.xyz, T_previous)
         column, row = np.rint(uv_before).astype(np.int64).T
         tracked &= ~self.still.mask[row, column]
         xyz = previous.xyz[tracked]
         depth_sigma = previous.depth_sigma[tracked]
         uv_before = uv_before[tracked]
-        uv = self._smaller(uv[tracked])
+        uv = uv[tracked]
         if len(uv) < MIN_POINTS:
             return "too few points can be tracked"
         if np.median(np.abs(uv - uv_before).max(axis=1)) < STANDSTILL_PX:
@@ -169,13 +164,30 @@ class Odometry:
 
         # Follow the points of the step before once more.
         length_m = np.linalg.norm(self._T_before_now[:3, 3])
-        rays = np.linalg.solve(self._K, np.column_stack([tracks.uv, np.ones(len(tracks.uv))]).T).T
-        xyz = rays * (tracks.depth_steps * length_m)[:, None]
-        uv_ahead, z = project(transform(np.linalg.inv(T_before_now), xyz), self._K)
-        uv_guess = np.where(z[:, None] > MIN_DEPTH_M, uv_ahead, tracks.uv)
-        uv, tracked = track(previous.grey, grey, self._larger(tracks.uv), self._larger(uv_guess))
+        xyz = pixel_rays(tracks.uv, self._K) * (tracks.depth_steps * length_m)[:, None]
+        T_now_before = np.linalg.inv(T_before_now)
+        uv, tracked = self._follow(previous.grey, grey, tracks.uv, xyz, T_now_before)
         seen = Tracks(*(column[tracked] for column in tracks))
-        return compare_lengths(seen, self._smaller(uv[tracked]), T_before_now, self._K)
+        return compare_lengths(seen, uv[tracked], T_before_now, self._K)
+
+    def _follow(
+        self,
+        grey_before: np.ndarray,
+        grey: np.ndarray,
+        uv_before: np.ndarray,
+        xyz_before: np.ndarray,
+        T_now_before: np.ndarray | None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return where pixels [N,2] are after a step, and whether they are tracked, bool [N].
+
+        They are searched where their points [N,3] are after the expected motion, if it is known.
+        """
+        uv_guess = uv_before
+        if T_now_before is not None:
+            uv_ahead, z = project(transform(T_now_before, xyz_before), self._K)
+            uv_guess = np.where(z[:, None] > MIN_DEPTH_M, uv_ahead, uv_before)
+        uv, tracked = track(grey_before, grey, self._larger(uv_before), self._larger(uv_guess))
+        return self._smaller(uv), tracked
 
     def _lift(self, frame: Frame, grey: np.ndarray) -> _LiftedFrame:
         """Return a frame and its corners as points, their depth scaled to the camera's height."""
@@ -199,8 +211,7 @@ class Odometry:
 
         # Back-project the corners by their depth.
         column, row = np.rint(uv).astype(np.int64).T
-        rays = np.linalg.solve(self._K, np.column_stack([uv, np.ones(len(uv))]).T).T
-        xyz = rays * (depth_m[row, column] * scale)[:, None]
+        xyz = pixel_rays(uv, self._K) * (depth_m[row, column] * scale)[:, None]
         depth_sigma = np.where(road[row, column], ROAD_SIGMA, DEPTH_SIGMA)
         return _LiftedFrame(frame.number, grey, xyz, depth_sigma, scale)
 

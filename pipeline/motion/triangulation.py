@@ -49,6 +49,11 @@ class _Triangulated(NamedTuple):
     usable: np.ndarray  # bool [N]: in front of both cameras, with enough parallax
 
 
+def pixel_rays(uv: np.ndarray, K: np.ndarray) -> np.ndarray:
+    """Return K⁻¹[u,v,1]ᵀ for pixels (u, v) [N,2], float64 [N,3]."""
+    return np.linalg.solve(K, np.column_stack([uv, np.ones(len(uv))]).T).T
+
+
 def find_tracks(
     uv_before: np.ndarray, uv: np.ndarray, T_before_now: np.ndarray, K: np.ndarray
 ) -> Tracks:
@@ -79,19 +84,14 @@ def compare_lengths(
     return Ratio(float(np.exp(middle)), float(np.hypot(RATIO_NOISE, POINTS_ALIKE * standard_error)))
 
 
-def _rays(uv: np.ndarray, K: np.ndarray) -> np.ndarray:
-    """Return the rays [N,3] of pixels [N,2], with z = 1."""
-    return np.linalg.solve(K, np.column_stack([uv, np.ones(len(uv))]).T).T
-
-
 def _triangulate(
     uv_before: np.ndarray, uv: np.ndarray, T_before_now: np.ndarray, K: np.ndarray
 ) -> _Triangulated:
     """Return where the rays of pixels [N,2] before and now are nearest to each other."""
     rotation = T_before_now[:3, :3]
     direction = T_before_now[:3, 3] / np.linalg.norm(T_before_now[:3, 3])
-    a = _rays(uv_before, K)
-    b = _rays(uv, K) @ rotation.T
+    a = pixel_rays(uv_before, K)
+    b = pixel_rays(uv, K) @ rotation.T
 
     # before · a − now · b = direction, by least squares.
     aa = (a * a).sum(axis=1)
@@ -112,7 +112,7 @@ def _errors_px(
 ) -> np.ndarray:
     """Return the distances [N] in pixels of points from where they are seen now."""
     direction = T[:3, 3] / np.linalg.norm(T[:3, 3])
-    xyz_before = _rays(uv_before, K) * points.before[:, None]
+    xyz_before = pixel_rays(uv_before, K) * points.before[:, None]
     x, y, z = ((xyz_before - direction) @ T[:3, :3]).T
     z = np.where(z > 0, z, np.inf)
     projected = np.stack([x / z * K[0, 0] + K[0, 2], y / z * K[1, 1] + K[1, 2]], axis=1)

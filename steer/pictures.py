@@ -101,29 +101,32 @@ def _draw_band(axes: Axes, time_s: np.ndarray, values: np.ndarray, sigma: np.nda
 def _recorded_track(results: Results) -> np.ndarray | None:
     """Return the recorded places, complex numbers [F] of metres ahead + left i, if there are any.
 
-    They begin at the first measured frame. A log of a wheel has no speed, and so no track.
+    They begin at the first measured frame, as the measured ones do, and are NaN from the first
+    frame on that the log does not cover. A log of a wheel has no speed, and so no track.
     """
+    first = int(np.argmax(np.isfinite(results.table["x_m"])))
+    rows = np.arange(len(results.table["x_m"]))
     driven = results.truth.driven
-    speed_mps = np.nan_to_num(driven.speed_mps)
-    if not results.truth.name or not speed_mps.any():
-        return None
-    yaw_rate_radps = np.nan_to_num(driven.yaw_rate_radps)
+    speed_mps = np.where(rows < first, 0, driven.speed_mps)
+    yaw_rate_radps = np.where(rows < first, 0, driven.yaw_rate_radps)
     place_m, _ = integrate_motion(results.table["time_s"], speed_mps, yaw_rate_radps)
+    if not results.truth.name or not np.nan_to_num(place_m).any():
+        return None
     return place_m
 
 
 def _end_error(results: Results, recorded_m: np.ndarray) -> str:
-    """Return how far the measured track ends from the recorded one."""
-    table = results.table
-    measured_m = table["x_m"] + 1j * table["y_m"]
-    rows = np.flatnonzero(np.isfinite(measured_m))
-    if not len(rows):
+    """Return how far apart the measured and the recorded track are where the first of them ends."""
+    measured_m = results.table["x_m"] + 1j * results.table["y_m"]
+    both = np.isfinite(measured_m) & np.isfinite(recorded_m)
+    moved = np.flatnonzero(both & (recorded_m != 0))
+    if not len(moved):
         return "measured track"
-    error_m = abs(measured_m[rows[-1]] - recorded_m[rows[-1]])
-    length_m = np.abs(np.diff(recorded_m)).sum()
-    return (
-        f"ends {error_m:.1f} m from the recorded track ({100 * error_m / length_m:.1f} m per 100 m)"
-    )
+    last = moved[-1]
+    error_m = abs(measured_m[last] - recorded_m[last])
+    length_m = np.abs(np.diff(recorded_m[: last + 1])).sum()
+    per_100_m = 100 * error_m / length_m
+    return f"{error_m:.1f} m from the recorded track after {length_m:.0f} m ({per_100_m:.1f} %)"
 
 
 def write_overlay(path: Path, source: Source, results: Results, wheelbase_m: float) -> None:

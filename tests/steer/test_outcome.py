@@ -1,6 +1,7 @@
 """Results of steer: the course, ground truth, and their comparison."""
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,11 +16,27 @@ from pipeline.ingest.log import Logs, logged_values, read_logs
 from pipeline.ingest.packets import make_rows
 from pipeline.ingest.settings import RecordingOptions
 from pipeline.labels.label import Car, Labels
+from steer import pictures
 from steer.measure import READING
 from steer.outcome import Results, Truth, read_course, read_truth
 from tests.artefacts import write_motion
 
 CAR = Car(2.7, 1.0)
+
+
+def test_the_recorded_track_begins_with_the_measured_one_and_ends_with_the_log():
+    """The first measured step ends in frame 2, and the log ends in frame 4 of 6."""
+    log_mps = np.array([10.0, 10, 10, 10, 10, np.nan])
+    log = Labels(np.zeros(6), np.ones(6, bool), log_mps, np.zeros(6))
+    x_m = np.array([np.nan, np.nan, 9, 18, 27, 36])
+    table = {"time_s": np.arange(6.0), "x_m": x_m, "y_m": 0 * x_m}
+    results: Any = SimpleNamespace(table=table, truth=Truth("can.csv", "", log))
+    recorded_m = pictures._recorded_track(results)
+    assert recorded_m is not None
+    assert recorded_m.real.tolist()[:5] == [0, 0, 10, 20, 30]
+    assert np.isnan(recorded_m[5])
+    expected = "3.0 m from the recorded track after 30 m (10.0 %)"
+    assert pictures._end_error(results, recorded_m) == expected
 
 
 def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path):

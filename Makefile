@@ -13,9 +13,8 @@ export LOGNAME := $(firstword $(shell id -un 2>/dev/null || id -u))
 endif
 # uv installs no bytecode. Where this is set, as in many containers, each process would compile its libraries anew.
 unexport PYTHONDONTWRITEBYTECODE
-CLOSED := real streets transfer winding winding-wheel
 PRESETS := $(filter-out encoder street,$(patsubst presets/%.yaml,%,$(wildcard presets/*.yaml)))
-.PHONY: demo help $(PRESETS) $(CLOSED) encoder street udacity params test bench lint format setup system
+.PHONY: demo help $(PRESETS) encoder street udacity params test bench lint format setup system
 
 demo: setup            ## run the complete chain on the embedded sample and print its table
 	@git rev-parse 2>/dev/null || if [ -e .git ] && command -v git >/dev/null; then git rev-parse; else \
@@ -33,9 +32,6 @@ help:                  ## list the targets
 
 $(PRESETS): setup
 	@python -m presets.run "$@"
-
-$(CLOSED): setup       # presets that have left: says where they run
-	@python -m pipeline.check.preset "$@"
 
 encoder: setup         ## fit the sample's encoder, models/encoder/sample, on roads that no other settings name: 15 min
 	@python -m pipeline.check.preset encoder runs/encoder

@@ -1,6 +1,7 @@
 """Write the values of published runs, docs/results, into the pages.
 
     python -m docs.make_results collect data/report/roads.json    # adds a run, or replaces it
+    python -m docs.make_results collect data/report/results.json demo   # the same after make demo
     python -m docs.make_results render
 
 A value stands before a comment with its key, as in 0.064<!-- roads/angle-0/sa-gnn-ncp -->. This
@@ -20,6 +21,7 @@ from pipeline.base import console, store
 from pipeline.base.errors import InputError
 from pipeline.evaluate.statistics import interval_text
 from pipeline.report import tables
+from pipeline.report.origin import origin
 from pipeline.report.summary import Comparison, Results
 
 DOCS = Path(__file__).parent
@@ -41,10 +43,12 @@ def collect(
 ) -> None:
     """Copy the results of a run to docs/results/NAME.json, and render the pages.
 
-    `source` is data/report/PRESET.json. Raises InputError if it is not the result of committed
-    code.
+    `source` is data/report/PRESET.json, or results.json of the checkout. Raises InputError if it is
+    not the result of committed code.
     """
     run = store.read_json(source, stage="report")
+    if "results" not in run:
+        run = {"preset": name, **origin(), "results": run}
     if not re.fullmatch("[0-9a-f]+", run["revision"]):
         problem = f"its code is not committed (revision {run['revision']})"
         raise InputError(problem, source, "Commit the code and repeat the run")

@@ -61,7 +61,6 @@ def main(name: str) -> None:
         release_locks(run / ".dvc/tmp/rwlock")
         run_dvc(run)
         publish(run, Path("data/report"), name)
-    print(f"Open data/report/{name}.html in a browser.", f"next: {record['next']}", sep="\n")
     if settings["ingest"].get("recordings"):
         recorded = json.loads((run / "data/scores/metrics.json").read_text("utf-8"))["recorded"]
         # The first line about a log is a summary, and the others are doubts. Each is printed once.
@@ -70,6 +69,7 @@ def main(name: str) -> None:
             doubts += log["lines"][1:]
         for doubt in dict.fromkeys(doubts):
             print(f"doubt: {doubt}")
+    print(f"next: {record['next']}", f"Open data/report/{name}.html in a browser.", sep="\n")
 
 
 def publish(run: Path, report: Path, name: str) -> None:

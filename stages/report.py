@@ -51,7 +51,9 @@ def main(
         pictures = folder.new / "figures"
         pictures.mkdir()  # DVC expects each output, even an empty one
         content: dict[str, page.Content] = {"Errors": page.errors(comparisons)}
+        bend = None
         if groups:
+            bend = page.bend(pictures, groups[0], comparisons[0], data / "ingest")
             content["From image to graph"] = page.chain(pictures, groups[0], comparisons[0], data)
         content |= {table.title: [table] for table in steering}
         for group, comparison in zip(groups, comparisons, strict=True):
@@ -60,9 +62,10 @@ def main(
         content["Learning curves"] = page.learning(data / "train", evaluated)
         content |= {table.title: [table] for table in (*details, *perceived)}
         notes, doubts = tables.recorded_motion(scores)
+        doubts += tables.few_turns(comparisons)
         content["Notes"] = [*encoder.get("sources", []), *notes]
         content["Definitions"] = [f"{word}: {text}" for word, text in tables.DEFINITIONS.items()]
-        page.write(folder.new / "index.html", page.Page(sentences, doubts, content))
+        page.write(folder.new / "index.html", page.Page(sentences, bend, doubts, content))
     print(text, f"Tables: {out.absolute()}/table.md. Page: {out.absolute()}/index.html", sep="\n")
     return out
 

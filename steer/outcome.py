@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,6 +18,7 @@ from pipeline.evaluate.settings import Evaluate
 from pipeline.ingest.log import Logs, log_names, log_notes
 from pipeline.labels import source as sources
 from pipeline.labels.agreement import Agreement, Pair, compare
+from pipeline.labels.ahead import path_ahead
 from pipeline.labels.comparison import judge, read_noise
 from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
 from pipeline.motion import rates
@@ -34,6 +35,8 @@ BRIDGED_S = 1.0
 HEIGHT_SCALE = 0.2
 # Length in seconds of a block of the bootstrap: errors of nearer frames are correlated.
 BLOCK_S = 5.0
+# Longest time in seconds for which the car may stand on the path that is drawn.
+MAX_STAND_S = 5.0
 # Formats of columns in a CSV file; other columns have ".6f".
 FORMATS = {"frame": ".0f", "valid": ".0f", "points": ".0f", "residual": ".3f", "driven_rad": ".9f"}
 
@@ -164,6 +167,8 @@ class Results:
     # Reason why the motion of each frame is not measured; empty where it is.
     problems: list[str]
     truth: Truth
+    # Labels by the measured motion, which later frames smooth.
+    measured: Labels
     # Agreement of the truth with the measured motion.
     agreement: Agreement
     # At most one line for the user about this agreement.
@@ -173,6 +178,9 @@ class Results:
     ahead_m: tuple[float, ...] = ()
     # Predicted mean curvature in each range, [F,R].
     path_1pm: np.ndarray | None = None
+    # Mean curvature in each range of the path that the car took, [F,R]; NaN where unknown. It is
+    # the driven one by a log with speeds, otherwise the measured one.
+    taken_1pm: dict[str, np.ndarray] = field(default_factory=dict)
     # Content of quality.json.
     quality: dict[str, Any] | None = None
 
@@ -237,7 +245,21 @@ class Results:
         if fault:
             doubts.append(fault)
         doubts += lines[1:]
-        return cls(source.name, table, problems, truth, agreement, lines[:1], doubts)
+        return cls(source.name, table, problems, truth, measured, agreement, lines[:1], doubts)
+
+    def add_path(self, ahead_m: tuple[float, ...], path_1pm: np.ndarray) -> None:
+        """Add a predicted path [F,R] with edges [R+1], and the path that the car took."""
+        self.ahead_m = ahead_m
+        self.path_1pm = path_1pm
+        name = "measured"
+        labels = self.measured
+        if np.isfinite(self.truth.driven.speed_mps).any():
+            name = "driven"
+            labels = self.truth.driven
+        curvature_1pm, valid = path_ahead(
+            self.table["frame"], self.table["time_s"], labels, ahead_m, MAX_STAND_S
+        )
+        self.taken_1pm = {name: np.where(valid, curvature_1pm, np.nan)}
 
     def columns(self) -> pd.DataFrame:
         """Return a table with a row per frame.

@@ -160,14 +160,20 @@ def write_overlay(path: Path, source: Source, results: Results, wheelbase_m: flo
 
 
 def _find_paths(results: Results, wheelbase_m: float) -> dict[str, np.ndarray]:
-    """Return the paths to draw: name → curvature [N,F] in each of N steps, NaN where unknown."""
+    """Return the paths to draw: name → curvature [N,F] in each of N steps, NaN where unknown.
+
+    If a path is predicted, they are this one and the one that the car took afterwards. Otherwise,
+    each is that of an angle, which is held.
+    """
+    if results.path_1pm is not None:
+        predicted = {"predicted": results.path_1pm, **results.taken_1pm}
+        return {name: path_steps(path.T, results.ahead_m) for name, path in predicted.items()}
+
     paths = {}
     steps = round(REACH_M / STEP_M)
     for name in PATHS:
         angle_rad = results.table.get(f"{name}_rad", np.zeros(0))
-        if name == "predicted" and results.path_1pm is not None:
-            paths[name] = path_steps(results.path_1pm.T, results.ahead_m)
-        elif np.isfinite(angle_rad).any():
+        if np.isfinite(angle_rad).any():
             paths[name] = np.tile(np.tan(angle_rad) / wheelbase_m, (steps, 1))
     return paths
 
@@ -207,9 +213,10 @@ def _draw_legend(image: np.ndarray, lines: Iterable[tuple[str, Colour]]) -> None
 def _legend(
     paths: Mapping[str, np.ndarray], results: Results, row: int
 ) -> Iterator[tuple[str, Colour]]:
-    """Yield lines of text and their colours: time and speed, then the angle of each path.
+    """Yield lines of text and their colours: time and speed, then what each drawn path is.
 
-    If the model predicts a path, its line has the angle by which the path turns.
+    A path that a model predicts has the angle by which it turns. Any other path is that of an
+    angle, which is held.
     """
     table = results.table
     text = f"{table['time_s'][row]:.1f} s"
@@ -219,12 +226,16 @@ def _legend(
 
     for name, steps in paths.items():
         text = "-"
-        angle_deg = np.degrees(table[f"{name}_rad"][row])
         turn_deg = np.degrees(steps[:, row].sum() * STEP_M)
-        if np.isfinite(angle_deg):
-            text = f"{angle_deg:+.1f} deg"
-        elif np.isfinite(turn_deg):
-            text = f"turns {turn_deg:+.1f} deg in {results.ahead_m[-1]:g} m"
-        elif name == "measured":
-            text = results.problems[row] or "low speed"
-        yield f"{name}: {text}", PATHS[name]
+        if results.path_1pm is not None:
+            title = f"{name} path"
+            if np.isfinite(turn_deg):
+                text = f"turns {turn_deg:+.1f} deg in {results.ahead_m[-1]:g} m"
+        else:
+            title = f"path of the {name} angle"
+            angle_deg = np.degrees(table[f"{name}_rad"][row])
+            if np.isfinite(angle_deg):
+                text = f"{angle_deg:+.1f} deg"
+            elif name == "measured":
+                text = results.problems[row] or "low speed"
+        yield f"{title}: {text}", PATHS[name]

@@ -54,8 +54,7 @@ def predict(
             prediction = model.predict(graphs)[rows]
         first_column = prediction[:, 0]
         if model.ahead_m:
-            results.ahead_m = model.ahead_m
-            results.path_1pm = prediction
+            results.add_path(model.ahead_m, prediction)
             results.table["predicted_rad"] = np.full(len(prediction), np.nan)
         else:
             results.table["predicted_rad"] = first_column
@@ -109,6 +108,10 @@ def _differences(
         fps = 1 / float(np.median(np.diff(time_s)))
         if abs(fps / model.fps - 1) > RATE_TOLERANCE:
             yield f"{model.name} was fitted to {model.fps:.1f} frames/s, got {fps:.1f}"
+
+    # The drive of KITTI, or the first part of the recording, that was imported by this name.
+    if any(drive.removesuffix("-train") == source.name for drive in model.drives):
+        yield f"{model.name} was trained on {source.name}: on other streets its error is larger"
 
     if file_hash(encoder / FILE) != model.settings["encoder"]["sha256"]:
         yield f"{model.name} was fitted to depth and classes of another encoder than {encoder}"

@@ -11,7 +11,6 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from pipeline.base.earlier import find_earlier
 from pipeline.base.errors import InputError, closest, error_context
 
 
@@ -146,9 +145,6 @@ def parse(kind: type[M], value: Any, where: str = "", path: Path | None = None) 
     try:
         return kind.model_validate(value)
     except ValidationError as error:
-        earlier, way_on = find_earlier(value, where)
-        if earlier:
-            raise InputError(f"{earlier} is of an earlier version", path or "", way_on) from error
         first = error.errors()[0]
         keys = [str(key) for key in (where, *first["loc"]) if key not in ("", "[key]")]
         place = ".".join(keys)

@@ -26,8 +26,8 @@ SCHEMA = 7
 INDEX = "index.json"
 # Number of rows in a chunk of points, or of other short rows.
 _CHUNK_ROWS = 32768
-# Compression of points. docs/log.md compares sizes and speeds of alternatives. Blosc2 is not used,
-# as its files can name a codec that runs code.
+# Compression of points. docs/history.md compares sizes and speeds of alternatives. Blosc2 is not
+# used, as its files can name a codec that runs code.
 _POINTS = hdf5plugin.Blosc(cname="lz4", shuffle=hdf5plugin.Blosc.BITSHUFFLE)
 # Compression of images.
 _PIXELS = hdf5plugin.Blosc(cname="zstd", clevel=3, shuffle=hdf5plugin.Blosc.SHUFFLE)

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 from ruamel.yaml import YAML
 
-from pipeline.base import console, earlier
+from pipeline.base import console
 from pipeline.base.errors import InputError
 from pipeline.base.params import parse, read_yaml
 from pipeline.base.resume import ROOT, content_hash
@@ -23,7 +23,7 @@ from pipeline.ingest.settings import Part
 PRESETS = ROOT / "presets"
 # File to which presets are applied.
 PARAMS = ROOT / "params.yaml"
-# Names that no preset may have: the other targets of the Makefile, and earlier presets.
+# Names that no preset may have: the other targets of the Makefile.
 TARGETS = (
     "demo",
     "help",
@@ -37,7 +37,6 @@ TARGETS = (
     "format",
     "setup",
     "system",
-    *earlier.PRESETS,
 )
 # Start of the first line of a stamped file.
 _STAMP = "# Written by "
@@ -153,10 +152,6 @@ def path_of(name: str) -> Path:
         preset = Path(name)
     if preset.is_file():
         return preset
-    if preset.stem in earlier.PRESETS:
-        command = f"git switch --detach {earlier.LAST}"
-        fix = f"Its question is closed, see docs/log.md. {command} runs it"
-        raise InputError("is a preset of an earlier version", name, fix)
     names = ", ".join(sorted(file.stem for file in PRESETS.glob("*.yaml")))
     raise InputError("there is no such preset", name, f"Choose one of {names}")
 

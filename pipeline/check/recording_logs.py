@@ -9,8 +9,8 @@ from pipeline.ingest.datasets.recording import open_part, usable
 from pipeline.ingest.recording import Recording
 from pipeline.ingest.settings import Part
 from pipeline.labels.agreement import Noise, Pair, compare
-from pipeline.labels.comparison import UNKNOWN, judge_turns
-from pipeline.labels.label import Labels
+from pipeline.labels.comparison import TURNING_FRAMES, UNKNOWN, judge_turns
+from pipeline.labels.label import TURNING_RAD, Labels, steering_angle
 from pipeline.motion.horizon import turn_rates
 from pipeline.motion.speed import TYPICAL_MPS
 
@@ -35,7 +35,8 @@ def check_recording_logs(part: Part, folder: Path) -> None:
 def check_logs(recording: Recording, start_s: float, end_s: float | None) -> np.ndarray:
     """Compare a recording's logs with the turns of its images from start to end.
 
-    A note is added to the recording if the car turns in too few images. Returns which images lie
+    A note is added to the recording if the car turns in too few images to compare the log, or to
+    train on it. Returns which images lie
     between start and end and have a logged motion, bool [F]; if there is no log of the motion, only
     the time counts. Raises InputError if the sign or the clock of a log is wrong, or if there is no
     such image.
@@ -66,10 +67,16 @@ def _compare_turns(recording: Recording, within: np.ndarray) -> None:
             column = "yaw_rate_radps"
             speed_mps, yaw_rate_radps = values
             recorded = _labels(unknown, yaw_rate_radps)
+            angle_rad = steering_angle(yaw_rate_radps, speed_mps, CAR_M)
         else:
             column = "wheel_rad"
             speed_mps = unknown
-            recorded = _labels(values[0], unknown)
+            angle_rad = values[0]
+            recorded = _labels(angle_rad, unknown)
+        turning = int(np.sum(np.abs(angle_rad[within]) > TURNING_RAD))
+        if turning < TURNING_FRAMES:
+            text = f"{turning} of {int(within.sum())} images turn by {log.name}"
+            recording.notes.append(f"{text} (radius below 135 m): too few to train on")
 
         agreement = compare([Pair(time_s, recorded, measured, noise)])
         problem, fix = judge_turns(agreement, column, speed_mps[within])

@@ -13,7 +13,7 @@ SOURCES = sorted(path.stem for path in (Path(__file__).parent / "sources").glob(
 
 
 class Labels(Section):
-    # Name of a file in pipeline/labels/sources; oxts is another name for recorded.
+    # Name of a file in pipeline/labels/sources.
     source: str = "recorded"
     wheelbase_m: Positive
     min_speed_mps: Annotated[float, Field(ge=0)]
@@ -26,8 +26,6 @@ class Labels(Section):
     @field_validator("source")
     @classmethod
     def _check_source(cls, source: str) -> str:
-        if source == "oxts":
-            source = "recorded"
         if source not in SOURCES:
             path = f"pipeline/labels/sources/{source}.py"
             raise ValueError(f"there is no {path} ({closest(source, SOURCES)})")

@@ -10,15 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pipeline.base import store
-from pipeline.camera.camera import Camera, read_camera
+from pipeline.camera.camera import read_camera
 from pipeline.report import street_view
 from pipeline.report.results import Group
 from pipeline.report.street_view import View
 from pipeline.report.summary import Comparison
 
-# Least angle in degrees of the bend to the left that the picture of the chain shows. If no drive
-# has such a bend, the picture shows the sharpest bend of all drives.
-BEND_DEG = 5.0
 # Length in metres of the path that a steering angle makes in an image.
 PATH_M = 20.0
 # Matplotlib's colours of angles.
@@ -26,26 +23,46 @@ _COLOURS = {"true": "0.15", "odometry": "tab:orange", "predicted": "tab:blue"}
 Captions = dict[str, str]  # name of the file without suffix → caption
 
 
+def draw_bend(path: Path, group: Group, comparison: Comparison, ingest: Path) -> str:
+    """Draw the paths of the median bend into its image, and return a caption.
+
+    Nothing is drawn, and the caption is empty, if the image is missing in `ingest`, the folder of
+    that stage.
+    """
+    model = comparison.by_error[0]
+    drive, frame = median_bend(group.first_seed(model))
+    paths = read_paths(group, comparison, drive, frame)
+    caption = f"The path from frame {frame} of {drive}. "
+    if group.edges_m:
+        caption += f"Red is the path that the car drove in the next {group.edges_m[-1]:g} m"
+    else:
+        caption += "Red is the path of the driven angle"
+    caption += f", green the prediction of model {model}"
+    if "without the scene" in paths:
+        caption += f", and blue that of model {comparison.without_scene}, without the scene"
+    caption += ". This is the drive of median error among the half of the drives that turn most."
+    return caption if _draw_paths(path, ingest, drive, frame, paths) else ""
+
+
 def draw_chain(
-    path: Path, group: Group, models: Sequence[str], data: Path
+    path: Path, group: Group, comparison: Comparison, data: Path
 ) -> tuple[str, list[View]]:
     """Draw a frame's way from image to steering, and return a caption and the graphs of its drive.
 
-    The model is the first of `models` that sees points. The drive is that of median error among the
-    drives that bend left. Nothing is drawn if a file of a stage is missing in the folder `data`.
+    The model is the best that sees points, and the frame that of :func:`draw_bend`. Nothing is
+    drawn if a file of a stage is missing in the folder `data`.
     """
     with_points = [
         name
-        for name in models
-        if group.models[name]["entry"]["spatial"] != "blind"
-        and group.models[name]["variant"]["source"] != "ingest"
+        for name in comparison.by_error
+        if comparison.gets_scene(name) and group.models[name]["variant"]["source"] != "ingest"
     ]
     if not with_points:
         return "", []
     model = with_points[0]
     row = group.models[model]
     predictions = group.first_seed(model)
-    drive, number = _typical_bend(predictions)
+    drive, number = median_bend(predictions)
 
     folders = {
         "ingest": "ingest",
@@ -66,33 +83,78 @@ def draw_chain(
         view = street_view.read_view(number, *files.values())
         graph = street_view.read_view(number, graphs)
         views = street_view.read_some(graphs)
-    _draw_panels(path, view, graph, predictions[predictions["drive"] == drive])
+
+    figure, last_panel = _draw_panels(view, graph)
+    if group.edges_m:
+        driven_and_predicted = read_paths(group, comparison, drive, number)
+        street_view.draw_paths_from_above(last_panel, driven_and_predicted)
+        last_panel.set_title("path ahead")
+        last_panel.legend(frameon=False)
+    else:
+        _draw_angles(last_panel, predictions[predictions["drive"] == drive], number)
+    street_view.save(figure, path)
     caption = (
-        f"From image to steering (Figure 1 of the paper): frame {number} of {drive}, a drive of "
+        f"From image to steering (Figure 1 of the paper): frame {number} of {drive}, a bend of "
         f"median error of {model}. The network gets the graph, of this frame and of the "
         f"{row['entry']['window'] - 1} before."
     )
     return caption, views
 
 
-def _typical_bend(predictions: pd.DataFrame) -> tuple[str, int]:
-    """Return the drive of median error among those that bend left, and its sharpest frame."""
-    # The sharpest frame of a drive has its largest angle to the left.
+def read_paths(
+    group: Group, comparison: Comparison, drive: str, frame: int
+) -> dict[str, np.ndarray]:
+    """Return kind → curvature of each step, of the path ahead of a frame.
+
+    Kinds are the driven path, that predicted by the best model's first seed, and that by the best
+    model without the scene, if there is one. Steps are those of :func:`street_view.path_steps`.
+    """
+    columns = {"driven": "true", "predicted": "predicted"}
+    models = dict.fromkeys(columns, comparison.by_error[0])
+    if comparison.without_scene:
+        columns["without the scene"] = "predicted"
+        models["without the scene"] = comparison.without_scene
+
+    paths = {}
+    for kind, column in columns.items():
+        predictions = group.first_seed(models[kind])
+        rows = predictions[(predictions["drive"] == drive) & (predictions["frame"] == frame)]
+        if len(rows):
+            values = rows[[f"{column}_{name}" for name in group.labels]].to_numpy()[0]
+            paths[kind] = _steps(values, group.edges_m, group.models[models[kind]]["wheelbase_m"])
+    return paths
+
+
+def _steps(values: np.ndarray, edges_m: Sequence[float], wheelbase_m: float) -> np.ndarray:
+    """Return the curvature of each step of a path.
+
+    `values` are the curvatures [R] in ranges with these edges. Without edges, they are one steering
+    angle [1], which is held along the path.
+    """
+    if edges_m:
+        return street_view.path_steps(values, edges_m)
+    return street_view.path_steps(np.tan(values) / wheelbase_m, [0.0, PATH_M])
+
+
+def median_bend(predictions: pd.DataFrame) -> tuple[str, int]:
+    """Return the drive of median error among those that turn most, and its sharpest frame."""
     predicted = predictions.dropna(subset="cost")
-    sharpest = predicted.loc[predicted.groupby("drive")["true_deg"].idxmax()].set_index("drive")
+    turn_deg = predicted["true_deg"].abs()
+    sharpest = predicted.loc[turn_deg.groupby(predicted["drive"]).idxmax()].set_index("drive")
 
-    # If no drive bends by BEND_DEG, that with the largest angle is left.
-    bends = sharpest[sharpest["true_deg"] >= min(BEND_DEG, sharpest["true_deg"].max())]
-    costs = predicted.groupby("drive")["cost"].sum()[bends.index].sort_values()
+    # The half of the drives that turn most, by their error.
+    by_turn = sharpest["true_deg"].abs().sort_values()
+    bends = by_turn.index[len(by_turn) // 2 :]
+    costs = predicted.groupby("drive")["cost"].sum()[bends].sort_values()
     drive = str(costs.index[len(costs) // 2])
-    return drive, int(bends.loc[drive, "frame"])
+    return drive, int(sharpest.loc[drive, "frame"])
 
 
-def _draw_panels(path: Path, view: View, graph: View, steering: pd.DataFrame) -> None:
-    """Draw the image, depth, classes and cloud of a frame, its pruned graph, and the angles.
+def _draw_panels(view: View, graph: View) -> tuple[Figure, Axes]:
+    """Draw the image, depth, classes and cloud of a frame and its pruned graph.
 
-    `view` has no points of the graph, which are in `graph`. `steering` holds the predictions for
-    the drive of the frame.
+    `view` has no points of the graph, which are in `graph`. Returns the figure and its last panel,
+    which is empty.
     """
     figure = Figure(figsize=(13, 6.4), layout="constrained")
     panels = figure.subplot_mosaic("aabbcc;ddeeff", height_ratios=[1, 2.2])
@@ -103,9 +165,8 @@ def _draw_panels(path: Path, view: View, graph: View, steering: pd.DataFrame) ->
         street_view.draw_image(panels[key], pixels, title)
     street_view.draw_points(panels["d"], view, fontsize="medium")
     street_view.draw_points(panels["e"], graph, fontsize="medium")
-    _draw_angles(panels["f"], steering, view.frame)
     street_view.class_legend(figure, view, columns=10)
-    street_view.save(figure, path)
+    return figure, panels["f"]
 
 
 def _draw_angles(panel: Axes, steering: pd.DataFrame, frame: int) -> None:
@@ -132,54 +193,38 @@ def draw_errors(out: Path, comparison: Comparison, group: Group, ingest: Path) -
     predictions = group.first_seed(model)
     captions = Captions()
     for drive, rank in group.typical_drives(model).items():
-        path = ingest / f"{drive}.h5"
-        if not path.is_file():
-            continue
         row = predictions.loc[predictions["cost"].where(predictions["drive"] == drive).idxmax()]
-        with store.DriveReader(path, stage="ingest") as images:
-            if row["frame"] not in images.frame:
-                continue
-            number = images.row_of(row["frame"])
-            if not images["has_image"][number]:
-                continue
-            image = images.row("image", number)
-            camera = read_camera(images)
-        paths = {}
-        for kind, columns in {"driven": "true", "predicted": "predicted"}.items():
-            values = np.array([row[f"{columns}_{column}"] for column in group.labels])
-            paths[kind] = _path(values, group.edges_m, group.models[model]["wheelbase_m"])
+        paths = read_paths(group, comparison, drive, row["frame"])
         name = f"{group.key}-{rank}"
-        _draw_paths(out / f"{name}.png", image, camera, paths)
-        captions[name] = (
-            f"Frame {row['frame']}, the largest error of {model} in this drive: driven "
-            f"{row['true_deg']:.1f}° (red), predicted {row['predicted_deg']:.1f}° (green), left +. "
-            "The image is the last one of the input."
-        )
+        if _draw_paths(out / f"{name}.png", ingest, drive, row["frame"], paths):
+            captions[name] = (
+                f"Frame {row['frame']}, the largest error of {model} in this drive: driven "
+                f"{row['true_deg']:.1f}° (red), predicted {row['predicted_deg']:.1f}° (green), "
+                "left +. The image is the last one of the input."
+            )
     return captions
 
 
-def _path(values: np.ndarray, edges_m: Sequence[float], wheelbase_m: float) -> np.ndarray:
-    """Return the curvature of each step of a path.
-
-    `values` are the curvatures [R] in ranges with these edges. Without edges, they are one steering
-    angle [1], which is held along the path.
-    """
-    if edges_m:
-        return street_view.path_steps(values, edges_m)
-    return street_view.path_steps(np.tan(values) / wheelbase_m, [0.0, PATH_M])
-
-
 def _draw_paths(
-    path: Path, image: np.ndarray, camera: Camera, paths: dict[str, np.ndarray]
-) -> None:
-    """Draw the wheels' tracks of paths into an image. `paths` is kind → curvature of each step."""
+    path: Path, ingest: Path, drive: str, frame: int, paths: dict[str, np.ndarray]
+) -> bool:
+    """Draw paths into the image of a frame. Returns whether there is an image.
+
+    `paths` is kind → curvature of each step, and `ingest` the folder of that stage.
+    """
+    if not (ingest / f"{drive}.h5").is_file():
+        return False
+    with store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as images:
+        if frame not in images.frame:
+            return False
+        number = images.row_of(frame)
+        if not images["has_image"][number]:
+            return False
+        image = images.row("image", number)
+        camera = read_camera(images)
+
     height, width = image.shape[:2]
     figure = Figure(figsize=(8, 8 * height / width))
-    panel = figure.add_axes((0, 0, 1, 1))
-    street_view.draw_image(panel, image, "")
-    panel.autoscale(False)
-    for kind, curvature_1pm in paths.items():
-        colour = np.array(street_view.PATHS[kind]) / 255
-        for wheel in street_view.wheel_tracks(curvature_1pm, camera):
-            panel.plot(*wheel.T, color=colour, linewidth=1.5)
+    street_view.draw_paths_in_image(figure.add_axes((0, 0, 1, 1)), image, camera, paths)
     street_view.save(figure, path)
+    return True

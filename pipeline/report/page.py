@@ -24,7 +24,8 @@ _LEARNING = (
     "Each line is a seed: nmse on the validation drives; dotted, without these, the training loss."
 )
 # Beginning of the caption of a chart of errors.
-_ERRORS = "nmse on the test drives, with its 95 % interval; 0 is perfect, 1 is useless"
+_ERRORS = "nmse on the test drives, with its 95 % interval; 0 is perfect, 1 is useless; "
+_ERRORS += "values above 2 are in the tables only"
 # Caption of the points and edges in 3D.
 _SPACE = (
     "Points and edges of the same drive in 3D. Drag to turn, move the slider, click a class to "
@@ -32,8 +33,8 @@ _SPACE = (
 )
 
 
-# Command that trains a network of the demo with another model of the sequence.
-NEXT = "dvc exp run -S models.sa-gnn-ncp.temporal=lstm"
+# What to do after the demo.
+NEXT = "add a network to models in params.yaml, and run dvc repro (README, Add yours)"
 
 
 class Figure(NamedTuple):
@@ -51,6 +52,7 @@ class Page:
     """The content of the page from top to bottom."""
 
     sentences: Sequence[str]  # the first one is the headline
+    picture: Figure | None  # what stands below the headline
     doubts: Sequence[str]
     sections: Mapping[str, Content]  # title → content; a section without content is left out
 
@@ -94,6 +96,16 @@ def errors(comparisons: Sequence[Comparison]) -> Content:
     return charts
 
 
+def bend(pictures: Path, group: Group, comparison: Comparison, ingest: Path) -> Figure | None:
+    """Return a picture of the predicted paths at a bend, or None if its image is missing.
+
+    The picture is also written to the folder `pictures`. `ingest` is the folder of that stage.
+    """
+    path = pictures / "bend.png"
+    caption = figures.draw_bend(path, group, comparison, ingest)
+    return picture(path, caption) if caption else None
+
+
 def chain(pictures: Path, group: Group, comparison: Comparison, data: Path) -> Content:
     """Return a picture of a frame's way from image to steering, and the graphs of its drive in 3D.
 
@@ -101,7 +113,7 @@ def chain(pictures: Path, group: Group, comparison: Comparison, data: Path) -> C
     result is empty if files of the stages are missing.
     """
     path = pictures / "chain.png"
-    caption, views = figures.draw_chain(path, group, comparison.by_error, data)
+    caption, views = figures.draw_chain(path, group, comparison, data)
     if not views:
         return []
     space = plots.to_html(plots.in_space(views), "space", "min(32rem, 105vw)")

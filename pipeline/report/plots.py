@@ -23,6 +23,8 @@ MODELS_SHOWN = 3
 POINTS_SHOWN = 3_000
 # Largest number of edges that are shown of a frame in 3D.
 EDGES_SHOWN = 4_000
+# nmse above which the chart of errors shows no value, since the others would be hard to tell apart.
+CHART_LIMIT = 2.0
 _LAYOUT = {
     "template": "none",
     "showlegend": True,
@@ -64,7 +66,7 @@ def to_html(figure: go.Figure, name: str, height: str = "24rem", *, alone: bool 
 def errors(comparison: Comparison) -> go.Figure:
     """Plot the nmse of models and baselines with its 95 % interval, for each range of a path.
 
-    Baselines that get the truth are not shown.
+    Baselines that get the truth are not shown, nor are errors above CHART_LIMIT.
     """
     figure = go.Figure(layout=_PLANE | {"xaxis_title": "nmse", "yaxis_autorange": "reversed"})
     figure.update_layout(showlegend=len(comparison.labels) > 1, margin={"l": 130})
@@ -76,7 +78,7 @@ def errors(comparison: Comparison) -> go.Figure:
         for name in (*comparison.models, *comparison.fair_baselines):
             entry = comparison.entry(name, label)
             value = entry["value"]
-            if value is not None:
+            if value is not None and value < CHART_LIMIT:
                 low, high = entry["interval"] or (value, value)
                 values.append(value)
                 names.append(name)

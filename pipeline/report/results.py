@@ -95,8 +95,10 @@ def load_groups(folders: Mapping[str, Path]) -> list[Group]:
         entry = rows[model]["entry"]
         groups.setdefault((entry["predict"], entry["horizon"]), {})[model] = rows[model]
 
+    # The path ahead comes first, since the present angle can also be measured.
+    ordered = sorted(groups.items(), key=lambda group: (group[0][0] != "path", group[0]))
     loaded = []
-    for (predict, horizon), models in sorted(groups.items()):
+    for (predict, horizon), models in ordered:
         tables = {
             model: pd.read_csv(folders[model] / "predictions.csv", dtype={"drive": str})
             for model in models

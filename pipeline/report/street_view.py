@@ -1,6 +1,6 @@
 """Draw a frame with its cloud or graph (the paper's Figures 1 and 2), and a path in an image."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,7 +30,12 @@ X_SHOWN_M = (-22.0, 22.0)
 # Range in metres ahead of the camera that is shown from above.
 Z_SHOWN_M = (0.0, 50.0)
 # RGB colours of paths.
-PATHS = {"predicted": (0, 200, 60), "measured": (70, 160, 255), "driven": (255, 70, 50)}
+PATHS = {
+    "predicted": (0, 200, 60),
+    "measured": (70, 160, 255),
+    "without the scene": (70, 160, 255),
+    "driven": (255, 70, 50),
+}
 # Half the distance in metres between the two lines of a path.
 HALF_TRACK_M = 0.8
 # Length in metres of the steps of a path.
@@ -136,6 +141,28 @@ def draw_points(panel: Axes, view: View, **style: Any) -> None:
     panel.set(xlabel="x in m", ylabel="z in m", aspect="equal", xlim=X_SHOWN_M, ylim=Z_SHOWN_M)
 
 
+def draw_paths_in_image(
+    panel: Axes, image: np.ndarray, camera: Camera, paths: Mapping[str, np.ndarray]
+) -> None:
+    """Draw the wheels' tracks of paths into an image. `paths` is kind → curvature of each step."""
+    panel.imshow(image, interpolation="bilinear")
+    panel.set_axis_off()
+    panel.autoscale(False)
+    for kind, curvature_1pm in paths.items():
+        colour = np.array(PATHS[kind]) / 255
+        for wheel in wheel_tracks(curvature_1pm, camera):
+            panel.plot(*wheel.T, color=colour, linewidth=1.5)
+
+
+def draw_paths_from_above(panel: Axes, paths: Mapping[str, np.ndarray]) -> None:
+    """Draw paths from above. `paths` is kind → curvature of each step."""
+    for kind, curvature_1pm in paths.items():
+        position_m, _ = path_positions(curvature_1pm)
+        colour = np.array(PATHS[kind]) / 255
+        panel.plot(-position_m.imag, position_m.real, color=colour, linewidth=2.5, label=kind)
+    panel.set(xlabel="x in m", ylabel="z in m", aspect="equal", xlim=X_SHOWN_M, ylim=Z_SHOWN_M)
+
+
 def class_legend(figure: Figure, view: View, columns: int) -> None:
     """Add a legend below the figure: the colours of the classes of all pixels and points."""
     present: set[int] = set()
@@ -194,11 +221,7 @@ def wheel_tracks(curvature_1pm: np.ndarray, camera: Camera, slope: float = 0.0) 
         camera: camera at its height over the road.
         slope: metres by which the road falls per metre ahead, in the camera's frame.
     """
-    # A position is a complex number in metres, ahead + left i.
-    heading_rad = np.append(0, np.cumsum(curvature_1pm * STEP_M))
-    halfway_rad = (heading_rad[1:] + heading_rad[:-1]) / 2
-    middle = np.append(0, np.cumsum(STEP_M * np.exp(1j * halfway_rad)))
-
+    middle, heading_rad = path_positions(curvature_1pm)
     tracks = []
     for offset_m in (HALF_TRACK_M, -HALF_TRACK_M):
         wheel = middle + 1j * offset_m * np.exp(1j * heading_rad)
@@ -213,6 +236,18 @@ def wheel_tracks(curvature_1pm: np.ndarray, camera: Camera, slope: float = 0.0) 
         limit = 5 * camera.size[1]
         tracks.append(np.clip(uv[start:end], -limit, limit))
     return tracks
+
+
+def path_positions(curvature_1pm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the positions [N+1] along a path, and the headings [N+1] in rad, left positive.
+
+    A position is a complex number in metres, ahead + left i. `curvature_1pm` [N] is that of each
+    step of STEP_M.
+    """
+    heading_rad = np.append(0, np.cumsum(curvature_1pm * STEP_M))
+    halfway_rad = (heading_rad[1:] + heading_rad[:-1]) / 2
+    position_m = np.append(0, np.cumsum(STEP_M * np.exp(1j * halfway_rad)))
+    return position_m, heading_rad
 
 
 def path_steps(path_1pm: Sequence[float] | np.ndarray, ahead_m: Sequence[float]) -> np.ndarray:

@@ -121,6 +121,7 @@ def _facts(row: Row) -> dict[str, Any]:
     test = next(iter(row["test"].values()))
     return {
         "paper": row["paper"] is not None,
+        "scene": row["entry"]["spatial"] != "blind",
         "drift": test["drift_m_per_100m"],
         "parameters": row["parameters"],
         "edges": row["edges_per_frame"],
@@ -185,6 +186,15 @@ class Comparison:
     def by_error(self) -> list[str]:
         """The models by validation error, or by test error if a model has no validation error."""
         return sorted(self.models, key=self._validation if self.validated else self._error)
+
+    @property
+    def without_scene(self) -> str | None:
+        """The best model that does not get the scene, if there is one."""
+        return next((name for name in self.by_error if not self.gets_scene(name)), None)
+
+    def gets_scene(self, name: str) -> bool:
+        """Whether a model gets the scene. Results of earlier versions do not say so: they do."""
+        return bool(self.entry(name).get("scene", True))
 
     @property
     def fair_baselines(self) -> list[str]:

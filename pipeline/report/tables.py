@@ -17,6 +17,8 @@ from pipeline.report.summary import Comparison
 NONE = "–"
 # nmse on the test drives above which a model has learned nothing.
 USELESS = 0.95
+# Number of turning frames in the training drives below which models cannot be told apart.
+LEAST_TURNING = 20
 # Words that the tables use → their meanings.
 DEFINITIONS = {
     "nmse": (
@@ -145,22 +147,35 @@ def _finding(comparison: Comparison) -> list[str]:
     difference = comparison.difference(name, baseline)
     if difference["value"] is None:
         return []
+
+    # The headline compares with a network that lacks the scene, if there is one.
+    rival = comparison.without_scene
+    headline = f"Model {name} predicts the {comparison.title} with an error (nmse) of "
+    headline += f"{errors['value']:.3f}, where 0 is perfect and 1 is useless. "
+    if rival and comparison.gets_scene(name):
+        headline += f"Without the scene, model {rival} has {comparison.entry(rival)['value']:.3f}. "
+        verdict = comparison.difference(name, rival)["verdict"]
+    else:
+        headline += f"{baseline.capitalize()}, without a network, has "
+        headline += f"{baseline_errors['value']:.3f}. "
+        verdict = difference["verdict"]
+    headline += f"Verdict on the difference: {verdict}."
+
     turn = comparison.title if comparison.labels == [""] else f"turn of the {comparison.title}"
     choice = "validation error" if comparison.validated else "test error (there is no validation)"
     count = errors["drives"]
     drives = "1 drive" if count == 1 else f"{count} drives"
     bounds = interval_text(difference["interval"], "+.3f")
     return [
-        f"{name} predicts the {comparison.title} with an error (nmse) of {errors['value']:.3f}, "
-        f"where 0 is perfect and 1 is useless. {baseline.capitalize()}, without a network, has "
-        f"{baseline_errors['value']:.3f}. Verdict on the difference: {difference['verdict']}.",
+        headline,
         f"These are errors on {drives} that it was not trained on. nmse is the squared error "
         f"relative to that of always driving straight ahead. {name} is the model with the least "
         f"{choice}: its mean absolute error of the {turn} is {errors['mae_deg']:.2f}°, and the "
-        f"95 % interval of its nmse is {interval_text(errors['interval'])}. "
-        f"{baseline.capitalize()} predicts {NO_LEARNING[baseline]}. It is the best baseline "
-        f"that does not get the truth, with {baseline_errors['mae_deg']:.2f}°. The difference in "
-        f"nmse is {difference['value']:+.3f} ({bounds}).",
+        f"95 % interval of its nmse is {interval_text(errors['interval'])}.",
+        f"The best baseline without a network that does not get the truth is {baseline}, "
+        f"{NO_LEARNING[baseline]}. Its nmse is {baseline_errors['value']:.3f}, and its mean "
+        f"absolute error {baseline_errors['mae_deg']:.2f}°. {name} differs from it by "
+        f"{difference['value']:+.3f} in nmse ({bounds}): {difference['verdict']}.",
     ]
 
 
@@ -175,6 +190,17 @@ def useless_models(comparison: Comparison) -> dict[str, str]:
                 f"{entry['turning_frames']:,} turning frames (radius below 135 m)."
             )
     return texts
+
+
+def few_turns(comparisons: Sequence[Comparison]) -> list[str]:
+    """Return a list of a doubt if the training drives have too few bends, or an empty list."""
+    counts = []
+    for comparison in comparisons:
+        counts += [comparison.entry(name)["turning_frames"] for name in comparison.models]
+    if not counts or min(counts) >= LEAST_TURNING:
+        return []
+    text = f"{min(counts)} frames of the training drives turn (radius below 135 m)"
+    return [f"{text}, too few to tell models apart"]
 
 
 # Tables of steering

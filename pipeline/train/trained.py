@@ -10,7 +10,6 @@ import torch
 
 from models.steering.core.steering_net import SteeringNet
 from pipeline.base import checkpoint
-from pipeline.base.earlier import LAST
 from pipeline.base.errors import InputError, error_context
 from pipeline.graphs.graph_file import Contents, Graphs, open_graphs
 from pipeline.labels import label
@@ -22,9 +21,6 @@ from pipeline.train.targets import Timeline
 
 # Kind of the checkpoint of a trained network.
 KIND = "steering net"
-# Settings that entries of earlier revisions have, and their defaults. Only an earlier revision can
-# use a network with other values.
-REMOVED = {"fit_to": "train", "train_drives": None}
 # Number of windows in a batch of predictions, which limits the memory.
 WINDOWS = 96
 
@@ -101,9 +97,7 @@ def load_model(folder: str | Path, device: torch.device | str | None = None) -> 
     with error_context(fix="Train it again: dvc repro --force --single-item train@MODEL"):
         content = checkpoint.read(path, KIND)
         try:
-            fields = _parse(content, path)
-        except InputError:
-            raise
+            fields = _parse(content)
         except (AttributeError, LookupError, TypeError, ValueError) as error:
             raise InputError(
                 f"not a model of this version ({shorten(repr(error), 200)})", path
@@ -116,28 +110,13 @@ def load_model(folder: str | Path, device: torch.device | str | None = None) -> 
     return Trained(**fields, net=net.to(device).eval())
 
 
-def _parse(content: dict[str, Any], path: Path) -> dict[str, Any]:
+def _parse(content: dict[str, Any]) -> dict[str, Any]:
     """Return the fields of Trained, all except `net`, from the content of a checkpoint."""
-    entry = parse_entry(content["entry"], path)
+    entry = Entry.model_validate(content["entry"])
     fields = {name: content[name] for name in ("name", "seeds", "settings", "drives", "fps")}
     fields["datasets"] = content.get("datasets", [])
-    # Checkpoints of earlier versions have the camera's height in section perception.
-    height_m = fields["settings"].get("perception", {}).pop("camera_height_m", None)
-    fields["settings"].setdefault("camera_height_m", height_m)
     contents = Contents(**content["contents"])
     return fields | {"entry": entry, "contents": contents, "scale": Scale.parse(content["scale"])}
-
-
-def parse_entry(content: dict[str, Any], path: Path) -> Entry:
-    """Return the entry of a checkpoint, which may be of an earlier revision. Raises InputError."""
-    settings = dict(content)
-    for key, default in REMOVED.items():
-        value = settings.pop(key, default)
-        if value != default:
-            raise InputError(
-                f"was trained by revision {LAST} with {key}: {value}", path, "Use that revision"
-            )
-    return Entry.model_validate(settings)
 
 
 def predict_drives(net: SteeringNet, reader: windows.Reader, scale: Scale) -> list[np.ndarray]:

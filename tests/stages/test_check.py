@@ -160,27 +160,7 @@ def test_weights_are_looked_for_where_stage_encoder_will_run(tmp_path):
             PAIR | {"classes": SWIN},
             "type swin have no map of classes. Families that work: segformer, up",
         ),
-        (
-            "encoder.backbone",
-            "dinov2",
-            "encoder.backbone: dinov2 is of an earlier version. Choose another",
-        ),
         ("model", {}, "model.*did you mean models"),
-        (
-            "encoder.targets",
-            "data/targets",
-            "encoder.targets is of an earlier version. Remove it: the fit takes ground",
-        ),
-        (
-            "ingest.source",
-            {"test": "kitti"},
-            "ingest.source.test is of an earlier version. Name one dataset",
-        ),
-        (
-            f"{MODEL}.train_drives",
-            30,
-            f"{MODEL}.train_drives is of an earlier version. Remove it, and name fewer",
-        ),
     ],
 )
 def test_a_fault_is_one_line_with_its_key(tmp_path, where, value, message):

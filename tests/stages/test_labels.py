@@ -168,7 +168,7 @@ def test_a_split_whose_only_drive_stands_is_named(tmp_path, capsys):
 
 def test_a_source_that_a_drive_lacks(recorded):
     with pytest.raises(InputError, match=r"no labels\.source: recorded"):
-        run(recorded, source="oxts")
+        run(recorded, source="recorded")
     write_ingest(recorded / "ingest", speed=[5.0], yaw_rate=[0.0])
     with pytest.raises(InputError, match=r"steering\.csv"):
         run(recorded, source="wheel")

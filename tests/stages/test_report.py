@@ -45,7 +45,7 @@ def test_all_files_are_written_and_repeat(tmp_path):
         files = [path for path in (tmp_path / "report").rglob("*") if path.is_file()]
         made.append({path.name: path.read_bytes() for path in files})
     assert made[0] == made[1]
-    assert text.startswith("sa-gnn-ncp predicts the steering angle with an error (nmse) of 0.200, ")
+    assert text.startswith("Model scene predicts the path ahead with an error (nmse) of 0.200, ")
     places = [
         text.index("No result here: absent."),
         text.index("## Results: steering angle"),
@@ -53,7 +53,7 @@ def test_all_files_are_written_and_repeat(tmp_path):
     ]
     assert places == sorted(places)
     metrics = json.loads(made[0]["metrics.json"])
-    assert next(iter(metrics)) == "angle-0/sa-gnn-ncp"
+    assert next(iter(metrics)) == "path-0/scene"
     assert metrics["angle-0/sa-gnn-ncp"]["nmse"] == pytest.approx(0.2)
     assert metrics["path-0/0-5 m/scene"]["nmse"] == pytest.approx(0.2)
     assert b'"sa-gnn-ncp.seed-1"' in made[0]["index.html"]

@@ -10,7 +10,7 @@ from pipeline.camera.camera import Camera, read_camera
 from pipeline.camera.classes import VOID
 from pipeline.clouds.cloud import clouds_drive
 from pipeline.clouds.settings import Clouds
-from pipeline.report import figures
+from pipeline.report import figures, tables
 from pipeline.report.results import load_groups
 from pipeline.report.street_view import (
     HALF_TRACK_M,
@@ -87,14 +87,39 @@ def test_pictures_show_what_the_encoder_has(tmp_path, monkeypatch, with_classes)
                 file["cls"][:] = VOID
     table = examples.predictions().query("drive == @DRIVE and frame < 9")
     examples.write_model(tmp_path, metrics("net"), table)
-    (group,) = load_groups({"net": tmp_path / "evaluate/net"})
-    caption, views = figures.draw_chain(tmp_path / "chain.png", group, ["net"], tmp_path)
+    groups = load_groups({"net": tmp_path / "evaluate/net"})
+    (comparison,) = examples.comparisons(groups)
+    chain = tmp_path / "chain.png"
+    caption, views = figures.draw_chain(chain, groups[0], comparison, tmp_path)
     assert caption.startswith("From image to steering (Figure 1 of the paper): frame 8 of ")
     assert (tmp_path / "chain.png").is_file()
     assert [view.frame for view in views] == [0, 1, 2, 3, 4, 5, 6, 8]
     assert any("classes" in title for title in titles) == with_classes
     (title,) = [title for title in titles if title.startswith("graph from above: 80 points, ")]
     assert title.endswith("directed edges" if with_classes else "; black: no class")
+
+
+def test_the_picture_of_a_bend_shows_the_paths_with_and_without_the_scene(tmp_path):
+    """The drive turns most at frame 29, the last one."""
+    street.write_drive(tmp_path / "ingest", DRIVE, 30)
+    for model, spatial, nmse in (("path", "gnn", 0.1), ("path-blind", "blind", 0.6)):
+        content = metrics(model, nmse, predict="path", spatial=spatial)
+        table = examples.predictions(nmse, content["columns"]).query("drive == @DRIVE")
+        examples.write_model(tmp_path, content, table)
+    groups = load_groups({name: tmp_path / "evaluate" / name for name in ("path", "path-blind")})
+    (comparison,) = examples.comparisons(groups)
+    picture = tmp_path / "bend.png"
+    caption = figures.draw_bend(picture, groups[0], comparison, tmp_path / "ingest")
+    assert picture.is_file()
+    assert caption.startswith(f"The path from frame 29 of {DRIVE}. Red is the path that the car ")
+    assert "green the prediction of model path, and blue that of model path-blind" in caption
+    paths = figures.read_paths(groups[0], comparison, DRIVE, 29)
+    driven, predicted, blind = (paths[kind][0] for kind in paths)
+    assert [*paths] == ["driven", "predicted", "without the scene"]
+    assert 0 < abs(predicted - driven) < abs(blind - driven)
+
+    headline, *_ = tables.sentences([comparison])
+    assert "Without the scene, model path-blind has 0.600. Verdict" in headline
 
 
 @pytest.mark.parametrize("predict", ["angle", "path"])

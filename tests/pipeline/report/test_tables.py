@@ -13,7 +13,7 @@ from tests.pipeline.report.examples import compare, metrics
 
 
 def test_groups_and_rows_are_sorted_with_baselines_last(tmp_path):
-    angle, far, path = compare(
+    path, angle, far = compare(
         tmp_path,
         metrics("path", predict="path"),
         metrics("far", baselines={"odometry": 0.5}, horizon=10),
@@ -56,7 +56,7 @@ def test_a_network_with_the_papers_name_and_other_settings_is_not_the_papers():
 
 
 def test_angles_in_degrees_are_those_of_the_wheels_or_the_turns_of_a_path(tmp_path):
-    angle, path = examples.groups(
+    path, angle = examples.groups(
         tmp_path, metrics("net", 0.25), metrics("path", 0.25, predict="path")
     )
     for group, name, factor in ((angle, "net", 1), (path, "path", 10)):  # curvature times metres
@@ -236,7 +236,7 @@ def test_the_best_validated_model_has_a_verdict(
     for model, errors in zip(models, ((0.4, 0.4), (0.1, 0.5)), strict=True):
         values = zip(model["columns"], errors, strict=False)
         model["val"] = {name: {"nmse": value, "nmse_by_seed": [value]} for name, value in values}
-    headline, text = tables.sentences(compare(tmp_path, *models))
+    headline, text, _ = tables.sentences(compare(tmp_path, *models))
     assert headline.endswith(": too few seeds (train.seeds).")
 
     title, metres = {"angle": ("steering angle", 1), "path": ("turn of the path ahead", 10)}[
@@ -249,12 +249,12 @@ def test_the_best_validated_model_has_a_verdict(
 
     for model in models:
         model["seeds"] = [0, 1]
-    headline, _ = tables.sentences(compare(tmp_path, *models))
+    headline, *_ = tables.sentences(compare(tmp_path, *models))
     assert f"with an error (nmse) of {np.mean(nmse):.3f}, " in headline
     assert headline.endswith(verdict)
     blocks = examples.SETTINGS.model_copy(update={"bootstrap_block_frames": 6})
     monkeypatch.setattr(examples, "SETTINGS", blocks)
-    headline, _ = tables.sentences(compare(tmp_path, *models))
+    headline, *_ = tables.sentences(compare(tmp_path, *models))
     assert headline.endswith(": too few drives.")
 
 

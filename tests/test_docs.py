@@ -51,7 +51,6 @@ OTHERS = {
     "--downstream",
     "--allow-missing",
 }
-OTHERS |= {"--nthreads", "--nworkers"}  # of Dask
 
 
 def code_block(part: str) -> str:

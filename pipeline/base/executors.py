@@ -1,17 +1,10 @@
-"""Run jobs in this process, in local worker processes, or on the workers of a Dask cluster."""
+"""Run jobs in this process or in worker processes."""
 
 import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import (
-    BrokenExecutor,
-    CancelledError,
-    Executor,
-    ProcessPoolExecutor,
-    as_completed,
-)
-from contextlib import AbstractContextManager, contextmanager
+from concurrent.futures import BrokenExecutor, CancelledError, ProcessPoolExecutor, as_completed
 from functools import partial
 from pathlib import Path
 from threading import Thread
@@ -20,8 +13,6 @@ from typing import Any, TypeVar
 from pipeline.base.errors import InputError
 from pipeline.base.resume import Code
 
-# Environment variable with the address of a Dask cluster's scheduler.
-SCHEDULER = "STEER_SCHEDULER"
 # Environment variable with the number of worker processes.
 WORKERS = "STEER_WORKERS"
 # File with the CPU quota of a container: CPU time and period in microseconds, "200000 100000" for
@@ -72,10 +63,9 @@ def run_jobs(
     """Yield each job with the result of ``work(job)``, in the order in which jobs finish.
 
     Jobs and results are picklable. `workers` is the number of processes; if it is None,
-    :func:`default_workers` is. If ``STEER_SCHEDULER`` names a Dask cluster, its workers are taken
-    instead, unless `workers` is 1. Each process has `threads` threads. If `threads` is None, the
-    cores are divided among the processes, and a single process is this one. `code` is the code of
-    `work`: each worker checks that it has loaded the same.
+    :func:`default_workers` is. Each process has `threads` threads. If `threads` is None, the cores
+    are divided among the processes, and a single process is this one. `code` is the code of `work`:
+    each worker checks that it has loaded the same.
 
     If a job raises an exception, no further job is started, and the exception is raised after the
     jobs in progress are done.
@@ -83,44 +73,26 @@ def run_jobs(
     if not jobs:
         return
     count = min(workers or default_workers(), len(jobs))
-    cluster = None if workers == 1 else os.environ.get(SCHEDULER)
-    if count == 1 and threads is None and not cluster:
+    if count == 1 and threads is None:
         for job in jobs:
             yield job, work(job)
         return
 
-    pool: AbstractContextManager[Executor]
-    if cluster:
-        call = partial(_call_on_cluster, work, code, str(Path.cwd()))
-        pool = _cluster(cluster)
-    else:
+    threads = threads or max(1, default_workers() // count)
+    os.environ["OMP_NUM_THREADS"] = str(threads)  # read when a worker imports its libraries
+    with ProcessPoolExecutor(count, _SPAWN, _start_worker, (threads,)) as executor:
         call = partial(_call, work, code)
-        threads = threads or max(1, default_workers() // count)
-        os.environ["OMP_NUM_THREADS"] = str(threads)  # read when a worker imports its libraries
-        pool = ProcessPoolExecutor(count, _SPAWN, _start_worker, (threads,))
-
-    with pool as executor:
         futures = {executor.submit(call, job): job for job in jobs}
         try:
             for future in as_completed(futures):
                 yield futures[future], future.result()
-        except Exception as error:
-            if not _is_dead_worker(error):
-                raise
+        except (BrokenExecutor, CancelledError) as error:
             repeat = "repeat the command: finished drives are kept"
             fix = f"Use fewer workers ({WORKERS}=1) or {repeat}"
             raise InputError("a worker process died (out of memory?)", fix=fix) from error
         finally:
             for future in futures:
                 future.cancel()
-
-
-def _is_dead_worker(error: Exception) -> bool:
-    """Return whether an exception means that a worker process died."""
-    if isinstance(error, BrokenExecutor | CancelledError):
-        return True
-    # The class is Dask's, which is imported only if a cluster is used.
-    return type(error).__name__ == "KilledWorker"
 
 
 def _start_worker(threads: int) -> None:
@@ -143,50 +115,10 @@ def _exit_with_parent() -> None:
     os._exit(1)
 
 
-@contextmanager
-def _cluster(address: str) -> Iterator[Executor]:
-    """Yield an executor on the workers of a Dask cluster.
-
-    The cluster repeats the job of a dead worker up to three times.
-    """
-    from distributed import Client
-
-    try:
-        client = Client(address, timeout=5, set_as_default=False)
-    except ValueError as error:
-        raise InputError(str(error), SCHEDULER) from error
-    with client:
-        if not client.nthreads():
-            command = f"dask worker {address} --nthreads 1"
-            print(f"waiting for workers. Start them: {command}", flush=True)
-        yield client.get_executor(pure=False)
-
-
 def _call(work: Callable[[J], Any], code: Code, job: J) -> Any:
     """Call ``work(job)`` in a worker process.
 
     Raises InputError if the code that this process has just loaded was edited since the start.
     """
     code.check_unedited()
-    return work(job)
-
-
-def _call_on_cluster(work: Callable[[J], Any], code: Code, folder: str, job: J) -> Any:
-    """Call ``work(job)`` on a Dask worker, in the caller's folder.
-
-    Raises InputError if the worker's code differs.
-    """
-    try:
-        code.check_unedited()
-    except InputError as error:
-        from distributed import get_worker
-
-        problem = f"other code in {error.where}"
-        where = f"worker {get_worker().address}"
-        fix = "Update it, and start the worker again from this environment"
-        raise InputError(problem, where, fix) from error
-    import cv2
-
-    cv2.setNumThreads(1)
-    os.chdir(folder)
     return work(job)

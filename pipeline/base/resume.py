@@ -37,9 +37,8 @@ PACKAGES = ("pipeline", "models", "stages")
 # Files and folders of the checkout, other than settings, that a run in runs/NAME needs.
 CODE = (*PACKAGES, "dvc.yaml", ".dvcignore", "data/.gitignore")
 # Modules whose versions do not change results, as they serve command lines, settings, locks,
-# progress bars, memory, clusters, downloads and pages.
+# progress bars, memory, downloads and pages.
 TOOLS = {
-    "distributed",
     "filelock",
     "huggingface_hub",
     "jinja2",

@@ -93,8 +93,7 @@ def warnings(folder: Path, precision: str, ingest: Iterable[Path]) -> Iterator[s
                 return
 
 
-# The encoder is kept for all drives of a process. The hash is an argument, since the file may
-# change while a worker of a cluster runs.
+# The encoder is kept for all drives of a process. Another file has another hash.
 @lru_cache(maxsize=1)
 def _open_file(folder: Path, sha256: str, precision: str) -> OpenEncoder:
     with error_context(fix="Make it again: dvc repro --force --single-item encoder"):

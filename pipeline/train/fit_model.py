@@ -1,6 +1,5 @@
 """Fit the networks of a model, one per seed."""
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,7 +12,7 @@ import torch
 from models.steering.core.steering_net import SteeringNet
 from pipeline.base import checkpoint, store
 from pipeline.base.errors import error_context
-from pipeline.base.executors import SCHEDULER, default_workers, run_jobs
+from pipeline.base.executors import default_workers, run_jobs
 from pipeline.base.outputs import StageFolder
 from pipeline.base.resume import stage_key
 from pipeline.train import runs, trained
@@ -56,11 +55,8 @@ def fit_model(model: Model, todo: Sequence[runs.Run], folder: StageFolder) -> li
     files = Files(model.drives[name].graphs for name in names)
     job = partial(fit_run, model, files=files, code=folder.code.hash(), kept=folder.kept)
 
-    # A GPU trains one network at a time. A cluster has a worker for each GPU, so networks are
-    # distributed to its workers.
-    in_turn = SCHEDULER not in os.environ and (torch.cuda.is_available() or default_workers() == 1)
     states = []
-    if in_turn or len(todo) == 1:
+    if torch.cuda.is_available() or default_workers() == 1 or len(todo) == 1:
         for run in todo:
             states.append(job(run))
     else:

@@ -21,9 +21,7 @@ import pytest
 
 from pipeline.base import console, executors, resume, store
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.base.executors import SCHEDULER
 from pipeline.base.outputs import claimed, stage_folder
-from pipeline.base.resume import ROOT
 from pipeline.base.store import DriveReader, DriveWriter, read_json
 from tests.artefacts import write_index
 from tests.kitti_drive import contents
@@ -442,57 +440,6 @@ def test_a_killed_run_keeps_finished_drives_and_leaves_no_process(folder, expect
     toy_stage.main(folder, workers=1)
     assert "b" not in calls(folder)
     assert outputs(folder) == expected
-
-
-@pytest.fixture(scope="module")
-def cluster() -> Iterator[Any]:
-    """A scheduler and two workers."""
-    distributed = pytest.importorskip("distributed")
-    options = {"dashboard_address": "127.0.0.1:0", "host": "127.0.0.1", "processes": True}
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, **options) as started:
-        yield started
-
-
-@pytest.fixture
-def dask(cluster, monkeypatch) -> Any:
-    monkeypatch.setenv(SCHEDULER, cluster.scheduler_address)
-    return cluster
-
-
-@pytest.mark.slow
-def test_a_cluster_writes_the_bytes_of_one_process_and_repeats_jobs_of_dead_workers(
-    folder, expected, dask
-):
-    trouble(folder, b="die once")
-    toy_stage.main(folder)
-    assert str(os.getpid()) not in (folder / "calls").read_text().split()
-    assert calls(folder).count("b") == 2
-    assert outputs(folder) == expected
-    allowed = dask.scheduler.allowed_failures
-    dask.scheduler.allowed_failures = 0
-    trouble(folder, b="die")
-    with pytest.raises(InputError, match="died"):
-        toy_stage.main(folder, k=3)
-    dask.scheduler.allowed_failures = allowed
-
-
-def pretend(loaded: tuple[int, int]) -> None:
-    """Let a process have loaded a file of another time and size."""
-    resume._LOADED[Path("pipeline/labels/label.py")] = loaded
-
-
-@pytest.mark.slow
-def test_a_worker_with_other_code_is_refused(folder, dask):
-    import distributed
-
-    with distributed.Client(dask, set_as_default=False) as client:
-        client.wait_for_workers(2)  # an earlier test may have killed them
-        client.run(pretend, (0, 0))
-        with pytest.raises(InputError, match="other code") as raised:
-            toy_stage.main(folder)
-        client.run(pretend, resume._stamp(ROOT / "pipeline/labels/label.py"))
-    assert raised.value.where.startswith("worker tcp://")
-    assert calls(folder) == []
 
 
 def test_the_hash_of_a_folder_ignores_files_of_file_managers(tmp_path):

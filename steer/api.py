@@ -135,9 +135,10 @@ def _encoder_beside(model: Path) -> Path:
     """Return the folder of the encoder that belongs to a model.
 
     It is data/encoder for a model in data/train/<model>, or in the folder of a seed in it. The
-    model of the sample has the encoder of the sample. Raises InputError if the model is elsewhere.
+    models of the sample have the encoder of the sample. Raises InputError if the model is
+    elsewhere.
     """
-    if model.resolve() == ROOT / "models/steering/sample":
+    if model.resolve().parent == ROOT / "models/steering":
         return ROOT / "models/encoder/sample"
     for parent in model.resolve().parents[:2]:
         if parent.name == "train":

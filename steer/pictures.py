@@ -188,10 +188,16 @@ def _draw_paths(
         slope = (camera.horizon - camera.K[1, 2]) / camera.K[1, 1]
     thickness = max(1, round(camera.size[1] / 480))
     for name, steps in paths.items():
-        path = steps[:, row]
-        if np.isfinite(path).all():
+        path = _known_part(steps[:, row])
+        if len(path):
             sides = [np.rint(side).astype(np.int32) for side in wheel_tracks(path, camera, slope)]
             cv2.polylines(image, sides, False, PATHS[name], thickness, cv2.LINE_AA)
+
+
+def _known_part(path: np.ndarray) -> np.ndarray:
+    """Return the steps [N] of a path before the first one that is unknown."""
+    unknown = np.flatnonzero(~np.isfinite(path))
+    return path[: unknown[0]] if len(unknown) else path
 
 
 def _draw_legend(image: np.ndarray, lines: Iterable[tuple[str, Colour]]) -> None:
@@ -226,11 +232,12 @@ def _legend(
 
     for name, steps in paths.items():
         text = "-"
-        turn_deg = np.degrees(steps[:, row].sum() * STEP_M)
         if results.path_1pm is not None:
             title = f"{name} path"
-            if np.isfinite(turn_deg):
-                text = f"turns {turn_deg:+.1f} deg in {results.ahead_m[-1]:g} m"
+            path = _known_part(steps[:, row])
+            turn_deg = np.degrees(path.sum() * STEP_M)
+            if len(path):
+                text = f"turns {turn_deg:+.1f} deg in {len(path) * STEP_M:g} m"
         else:
             title = f"path of the {name} angle"
             angle_deg = np.degrees(table[f"{name}_rad"][row])

@@ -1,12 +1,14 @@
-"""Predict the steering angle of each frame with a trained model.
+"""Predict the steering angle, or the path ahead, of each frame with a trained model.
 
-Angles are in rad, left positive. The first frames, and those after a gap, have no angle until a
-window of frames is complete. LiDAR scans and oxts are needed only by models with LiDAR input.
-steering.csv also has the measured motion, without means over later frames: see steer measure.
+The video shows the angle as the path of a car that keeps it. A predicted path is shown beside the
+one that the car took afterwards, by a log or by the measured motion. Angles are in rad, left
+positive. The first frames, and those after a gap, have no angle until a window of frames is
+complete. LiDAR scans and oxts are needed only by models with LiDAR input. steering.csv also has
+the measured motion, without means over later frames: see steer measure.
 
 \b
 steer predict street.mp4 --fov 65 --model runs/monday/data/train/motion
-steer predict data/sample/2026_01_18/2026_01_18_drive_0004_sync --model models/steering/sample
+steer predict data/sample/2026_01_21/2026_01_21_drive_0001_sync --model models/steering/sample-path
 """
 
 from pathlib import Path

@@ -181,6 +181,10 @@ def test_the_model_of_the_checkout_predicts_an_angle():
     angle_rad = outcome.table["predicted_rad"].iloc[-1]
     assert np.degrees(angle_rad) == pytest.approx(17.1, abs=3)
 
+    # The other model predicts a path that turns to the same side.
+    outcome = api.predict(ROOT / "examples/street", ROOT / "models/steering/sample-path", **lens)
+    assert outcome.table["path_0_5m_1pm"].iloc[-1] > 0.05
+
 
 def test_a_gap_and_a_damaged_image_start_a_new_window(folder, tmp_path, capsys):
     date = tmp_path / TEST[:10]

@@ -13,7 +13,7 @@ export LOGNAME := $(firstword $(shell id -un 2>/dev/null || id -u))
 endif
 # uv installs no bytecode. Where this is set, as in many containers, each process would compile its libraries anew.
 unexport PYTHONDONTWRITEBYTECODE
-PRESETS := $(filter-out encoder street,$(patsubst presets/%.yaml,%,$(wildcard presets/*.yaml)))
+PRESETS := $(filter-out encoder,$(patsubst presets/%.yaml,%,$(wildcard presets/*.yaml)))
 .PHONY: demo help $(PRESETS) encoder street udacity params test bench lint format setup system
 
 demo: setup            ## run the complete chain on the embedded sample and print its table
@@ -39,8 +39,7 @@ encoder: setup         ## fit the sample's encoder, models/encoder/sample, on ro
 	@mkdir -p models/encoder/sample && cp runs/encoder/data/encoder/encoder.pt runs/encoder/data/encoder/config.json models/encoder/sample
 
 street: setup          ## make the encoder of real streets, weights/street, from published weights: seconds
-	@python -m pipeline.check.preset street runs/street
-	@python -m stages.encoder --params runs/street/params.yaml --out weights/street
+	@python -m steer.app street
 
 UDACITY ?= data/raw/udacity
 udacity: street        ## compare with the teams of Udacity's Challenge 2; UDACITY is the folder of the three files

@@ -37,8 +37,8 @@ from pipeline.report.origin import origin
 from pipeline.train.entry import Entry
 from pipeline.train.frames import join, number_rows
 from steer.chain import Source
-from steer.commands.measure import STREET
 from steer.measure import measure
+from steer.street_encoder import encoder_folder
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 
@@ -302,7 +302,8 @@ def udacity(video: Path, csv: Path, leaderboard: Path) -> None:
     drive = read_drive(video, csv)
     assert drive.camera
     source = Source(video, video.stem, drive, drive.camera, len(log), {})
-    table = measure(source, None, STREET, Car(2.7, min_speed_mps=1.0), video=False).table
+    car = Car(2.7, min_speed_mps=1.0)
+    table = measure(source, None, encoder_folder(), car, video=False).table
 
     # Frames without a measured angle get an interpolated angle.
     measured = table.dropna(subset="measured_rad")

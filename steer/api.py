@@ -24,6 +24,7 @@ from steer import predict as predicting
 from steer.chain import open_source
 from steer.outcome import Outcome
 from steer.parameters import MeasureOptions
+from steer.street_encoder import encoder_folder
 
 PathLike = Path | str
 # Videos in order, or the folder of a KITTI drive, of images or of videos.
@@ -33,7 +34,7 @@ Paths = PathLike | Sequence[PathLike]
 def measure(
     source: Paths,
     *,
-    encoder: PathLike = "weights/street",
+    encoder: PathLike | None = None,
     out: PathLike | None = None,
     video: bool = False,
     **options: Any,
@@ -41,16 +42,18 @@ def measure(
     """Measure the motion of a car from the images of its camera.
 
     `out` is a new or empty folder for motion.csv, track.png, quality.json and, if `video` is true,
-    overlay.mp4. If `out` is None, no files are written. `encoder` is the folder of an encoder.
-    `options` are those of :class:`steer.parameters.MeasureOptions`. Raises InputError for input
-    that cannot be used.
+    overlay.mp4. If `out` is None, no files are written. `encoder` is the folder of an encoder; if
+    it is None, it is the one that `steer street` makes. `options` are those of
+    :class:`steer.parameters.MeasureOptions`. Raises InputError for input that cannot be used.
     """
     given = from_python(MeasureOptions, options)
     target = _free(out)
-    folder = here_or_in_checkout(Path(encoder))
+    folder = encoder_folder()
+    if encoder is not None:
+        folder = here_or_included(Path(encoder))
     if not (folder / FILE).is_file():
-        fix = "Make one for real streets: make street. Or pass --encoder"
-        raise InputError("no encoder", encoder, fix)
+        fix = "Make one for real streets: steer street. Or pass --encoder"
+        raise InputError("no encoder", folder, fix)
     opened = open_source(_paths(source), measuring.READING, given)
     car = Car(given.wheelbase_m, min_speed_mps=1.0)
     return measuring.measure(opened, target, folder, car, video=video)
@@ -74,7 +77,7 @@ def predict(
     """
     given = from_python(RecordingOptions, options)
     target = _free(out)
-    folder = _network(here_or_in_checkout(Path(model)))
+    folder = _network(here_or_included(Path(model)))
     trained = load_model(folder)
     opened = open_source(_paths(source), predicting.reading(trained), given, trained.fps)
 
@@ -102,11 +105,14 @@ def _free(out: PathLike | None) -> Path | None:
     return Path(out)
 
 
-def here_or_in_checkout(path: Path) -> Path:
-    """Return `path` or, if it exists only below the checkout, its path there."""
-    in_checkout = ROOT / path
-    if not path.exists() and in_checkout.exists():
-        return in_checkout
+def here_or_included(path: Path) -> Path:
+    """Return `path` or, if it exists only beside the code, its path there.
+
+    The checkout and the wheel include an encoder and a network of rendered streets.
+    """
+    included = ROOT / path
+    if not path.exists() and included.exists():
+        return included
     return path
 
 

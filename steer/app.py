@@ -1,4 +1,4 @@
-"""Define the command `steer`, and its verbs `show` and `view`.
+"""Define the command `steer`, and its verbs `street`, `show` and `view`.
 
 Large imports are inside functions, so that help is quick.
 """
@@ -33,7 +33,8 @@ def _version(requested: bool) -> None:
     if requested:
         from pipeline.base.resume import ROOT, revision
 
-        print("steer", version("semantic-steering"), revision(ROOT))
+        # An installed wheel has no revision.
+        print(f"steer {version('semantic-steering')} {revision(ROOT)}".rstrip())
         raise typer.Exit
 
 
@@ -42,6 +43,19 @@ def steer(
     _: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True)] = False,
 ) -> None:
     """Measure motion, predict angles with a trained model, import recordings, and inspect data."""
+
+
+def street() -> None:
+    """Make the encoder of real streets, which `steer measure` uses by default.
+
+    Its two networks have published weights, which are downloaded once: 8 MB, for non-commercial use
+    only. In a checkout, they and the encoder lie in weights/, otherwise in the user's cache.
+    """
+    from steer import street_encoder
+
+    for source in street_encoder.make_encoder():
+        print(source)
+    print(street_encoder.encoder_folder())
 
 
 def show(
@@ -117,6 +131,7 @@ COMMANDS = {
 }
 for name, (module, command) in COMMANDS.items():
     app.command(name, no_args_is_help=True, help=module.__doc__)(guarded(command))
+app.command("street")(guarded(street))
 app.command("show", no_args_is_help=True)(guarded(show))
 app.command("view", no_args_is_help=True)(guarded(view))
 

@@ -61,8 +61,8 @@ def main(
         apply(name, params, author)
         return
 
-    # make street and make encoder write the settings of an encoder to another folder. They start
-    # from the user's own file, even if a preset has been applied to params.yaml since.
+    # make encoder writes the settings of an encoder to another folder. It starts from the user's
+    # own file, even if a preset has been applied to params.yaml since.
     base = params
     if author_of(params).startswith(_AUTHOR) and path_before(params).is_file():
         base = path_before(params)

@@ -40,6 +40,20 @@ def create(settings: Encoder) -> tuple[Architecture, nn.Module]:
     return architecture, model
 
 
+def create_street(weights: Path) -> tuple[Architecture, nn.Module]:
+    """Return the encoder of real streets: its description and its network.
+
+    Published files that are missing below the folder `weights` are downloaded. The description has
+    their URLs and terms of use as ``sources``. Raises InputError if a download fails.
+    """
+    for path, (url, sha256, _) in street.SOURCES.items():
+        fetch(weights / path, url, sha256)
+    model = street.Street()
+    model.load_published(weights)
+    sources = [f"{path}: {url} ({terms})" for path, (url, _, terms) in street.SOURCES.items()]
+    return {"backbone": "street", "sources": sources}, model
+
+
 def check_encoder(settings: Encoder) -> None:
     """Raise InputError if a file, a folder or a package is missing.
 
@@ -68,12 +82,7 @@ def _create_small(settings: Encoder) -> tuple[Architecture, nn.Module]:
 
 
 def _create_street(settings: Encoder) -> tuple[Architecture, nn.Module]:
-    for path, (url, sha256, _) in street.SOURCES.items():
-        fetch(in_checkout(WEIGHTS / path), url, sha256)
-    model = street.Street()
-    model.load_published(in_checkout(WEIGHTS))
-    sources = [f"{path}: {url} ({terms})" for path, (url, _, terms) in street.SOURCES.items()]
-    return {"backbone": settings.backbone, "sources": sources}, model
+    return create_street(in_checkout(WEIGHTS))
 
 
 def _create_pair(settings: Encoder) -> tuple[Architecture, nn.Module]:

@@ -86,7 +86,7 @@ def warnings(folder: Path, precision: str, ingest: Iterable[Path]) -> Iterator[s
     for path in ingest:
         with DriveReader(path, stage="ingest") as file:
             if file.params.get("dataset", "sample") != "sample":
-                fix = "Use the encoder of make street, weights/street, "
+                fix = "Use the encoder that steer street makes, "
                 fix += "and ingest.image_size: [192, 640]"
                 problem = f"{folder} was fitted to rendered streets alone"
                 yield f"{problem}: wrong depth on {file.drive}. {fix}"

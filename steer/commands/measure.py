@@ -15,16 +15,15 @@ import typer
 
 from steer.commands import arguments
 
-STREET = Path("weights/street")
-
 
 def measure(
     source: arguments.SourcePath,
     out: arguments.Out = None,
     video: arguments.Video = True,
     encoder: Annotated[
-        Path, typer.Option(help="folder of an encoder; make street writes the default one")
-    ] = STREET,
+        Path | None,
+        typer.Option(help="folder of an encoder; default: the one that steer street makes"),
+    ] = None,
     **options: Any,
 ) -> None:
     """Write the measured motion and print its quality; the module's docstring is the help text."""

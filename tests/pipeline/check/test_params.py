@@ -210,9 +210,9 @@ def test_one_preset_at_a_time_is_written_into_params(tmp_path, monkeypatch):
     before.unlink()
     params.write_text(written)
 
-    preset.main("street", Path("runs/street"))  # as make street does, for any params.yaml
-    Path("runs/street/params.yaml").write_text("edits")
-    problem = "runs/street/params.yaml: was edited, and would be replaced"
+    preset.main("encoder", Path("runs/encoder"))  # as make encoder does, for any params.yaml
+    Path("runs/encoder/params.yaml").write_text("edits")
+    problem = "runs/encoder/params.yaml: was edited, and would be replaced"
     with pytest.raises(InputError, match=problem):
-        preset.main("street", Path("runs/street"))
+        preset.main("encoder", Path("runs/encoder"))
     assert params.read_text() == written

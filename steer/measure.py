@@ -1,6 +1,7 @@
 """Measure the motion of a car from the frames of a source."""
 
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +50,8 @@ def _measure_quality(source: Source, results: Results, work: Path) -> dict[str, 
     time_s = results.table["time_s"]
     camera = source.camera
     return {
-        "revision": revision(ROOT),
+        "version": version("semantic-steering"),
+        "revision": revision(ROOT) or None,
         "source": str(source.path),
         "step_s": _median(np.diff(time_s)),
         "K": camera.K.round(3).tolist(),

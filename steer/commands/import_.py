@@ -50,6 +50,12 @@ def import_recording(
     **options: Any,
 ) -> None:
     """Write links and a preset; the module's docstring is the help text."""
+    from pipeline.base.checkout import is_checkout
+
+    if not is_checkout():
+        fix = "Clone it: git clone …; then run make setup and .venv/bin/steer import there"
+        raise InputError("steer import needs a checkout of the project", fix=fix)
+
     from pipeline.base.errors import error_context
     from pipeline.base.params import check_name, from_python
     from pipeline.check.preset import PRESETS

@@ -5,12 +5,14 @@ that exists.
 import json
 import re
 import sys
+import tomllib
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
 import typer
+import yaml
 
 from docs import make_results
 from pipeline.base.errors import InputError
@@ -29,7 +31,10 @@ PAGES = [ROOT / "README.md", ROOT / "data/README.md"] + [
     ROOT / f"docs/{name}.md"
     for name in ("measure", "models", "paper", "real", "results", "running")
 ]
-TEXTS = [*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "docs/history.md"]
+TEXTS = [
+    *PAGES,
+    *(ROOT / name for name in ("CONTRIBUTING.md", "CHANGELOG.md", "docs/history.md")),
+]
 LINK = re.compile(r"\[[^\]]*\]\(([^)]+)\)")
 CODE = re.compile(r"```(?:\w*\n)?(.*?)```|`([^`]+)`", re.DOTALL)
 SECTIONS = {
@@ -81,6 +86,15 @@ def test_links_lead_to_files_and_headings_and_prose_has_110_columns(page):
         if len(line) > 110 and not line.startswith(("|", "!", "<!--"))
     ]
     assert wide == []
+
+
+def test_version_and_date_of_the_release_agree():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    newest = re.search(r"^## (\S+) - (\S+)$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert newest.groups() == (project["version"], str(citation["date-released"]))
+    assert citation["version"] == project["version"]
+    assert citation["license"] == project["license"]
 
 
 def test_figures_and_tables_are_those_of_the_runs():

@@ -182,7 +182,7 @@ def test_the_model_of_the_checkout_predicts_an_angle():
     assert np.degrees(angle_rad) == pytest.approx(17.1, abs=3)
 
     # The other model predicts a path that turns to the same side.
-    outcome = api.predict(ROOT / "examples/street", ROOT / "models/steering/sample-path", **lens)
+    outcome = api.predict(ROOT / "examples/street", ROOT / "models/steering/sample_path", **lens)
     assert outcome.table["path_0_5m_1pm"].iloc[-1] > 0.05
 
 

@@ -99,6 +99,7 @@ def test_motion_is_measured_and_angles_are_predicted_without_a_checkout(steer, t
     steer("predict", IMAGES, *LENS, "--model", "models/steering/sample")
     steering = pd.read_csv(tmp_path / "out/street-2/steering.csv")
     assert steering["predicted_rad"].iloc[-1] == pytest.approx(0.298, abs=0.05)
+    steer("predict", IMAGES, *LENS, "--model", "models/steering/sample_path")
 
 
 def test_an_import_needs_a_checkout(steer):

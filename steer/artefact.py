@@ -1,5 +1,6 @@
 """Show one file of a stage: its content, one of its frames, or its points in 3D."""
 
+import html
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ def describe(path: Path) -> Content:
         loaded = checkpoint.load(path)
         return {"bytes": path.stat().st_size, **_without_tensors(loaded)}
 
-    with _open(path) as file:
+    with open_drive(path) as file:
         content: Content = {"bytes": path.stat().st_size}
         for name in sorted(file.attrs):
             if name != "params":
@@ -53,10 +54,11 @@ def _describe_dataset(file: DriveReader, name: str) -> list[str]:
 def frame(path: Path, number: int, out: Path | None = None) -> Content:
     """Return dataset → value of a frame, and draw the frame to `out`, unless that is None.
 
-    Only datasets with a single number per frame are returned. Raises InputError if the frame is
-    missing, or has nothing to draw.
+    Only datasets with a single number per frame are returned. Points are drawn with the frame's
+    image, if that is in the same data folder. Raises InputError if the frame is missing, or has
+    nothing to draw.
     """
-    with _open(path) as file:
+    with open_drive(path) as file:
         row = file.row_of(number)
         names = [name for name, data in file.datasets.items() if data.shape == file.frame.shape]
         numbers = {name: file.row(name, row).item() for name in sorted(names)}
@@ -65,34 +67,54 @@ def frame(path: Path, number: int, out: Path | None = None) -> Content:
             if not view.images() and view.xyz is None:
                 problem = f"frame {number} has neither an image nor points"
                 raise InputError(problem, path, "Leave out --out")
+            images = open_images(file)
+            if view.xyz is not None and images is not None:
+                view = street_view.with_image(view, images)
             title = f"{Path(*path.parts[-3:])}, frame {number}"
             street_view.save(street_view.sheet(title, view), out)
         return numbers
 
 
 def view(path: Path, out: Path) -> None:
-    """Write a page with some frames of a file in 3D.
+    """Write a page with some frames of a file in 3D, and their images, if there are any.
 
     Raises InputError if the file has no points.
     """
     from pipeline.report import plots
 
-    with _open(path) as file:
+    with open_drive(path) as file:
         if "xyz" not in file or not len(file["xyz"]):
             fix = "Pass a file of point clouds, or of graphs of points"
             raise InputError("has no points", path, fix)
-        figure = plots.in_space(street_view.read_some(file))
+        views = street_view.read_some(file, open_images(file))
+        kind = f"{file.attrs['stage']}/{path.absolute().parent.name}"
+        title = html.escape(f"{file.drive}, {kind}: {len(views)} of {len(file.frame)} frames")
+        figure = plots.in_space(views, title)
     page = plots.to_html(figure, "space", "min(95vh, 105vw)", alone=True)
+    page = page.replace("<head>", f"<head><title>{title}</title>", 1)
     with replacing(out) as unfinished:
         unfinished.write_text(page, encoding="utf-8")
 
 
-def _open(path: Path) -> DriveReader:
+def open_drive(path: Path) -> DriveReader:
     """Open a drive's file of any stage. Raises InputError for other files."""
     if path.is_dir() or path.suffix != ".h5":
         problem = "expected a drive's file (.h5) or a checkpoint (.pt)"
         raise InputError(problem, path, "Pass one from a folder in data/")
     return DriveReader(path, stage=None)
+
+
+def open_images(file: DriveReader) -> DriveReader | None:
+    """Open the drive's file of stage ingest in the same data folder; None if it is not there.
+
+    `file` is in data/clouds/KIND or data/graphs/VARIANT. Both files are closed together.
+    """
+    # The folder is resolved without the file, which DVC may have linked to its cache.
+    data = file.path.parent.resolve().parent.parent
+    ingest = data / "ingest" / file.path.name
+    if not ingest.is_file():
+        return None
+    return file.enter_context(DriveReader(ingest, stage="ingest"))
 
 
 def _without_tensors(content: Mapping[str, Any]) -> Content:

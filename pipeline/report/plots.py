@@ -3,10 +3,12 @@
 They show errors, angles over time, learning curves, and points with their graph in 3D.
 """
 
+import base64
 from collections.abc import Mapping, Sequence
 from itertools import cycle
 from typing import Any
 
+import cv2
 import numpy as np
 import pandas as pd
 import plotly.graph_objects as go
@@ -25,6 +27,10 @@ POINTS_SHOWN = 3_000
 EDGES_SHOWN = 4_000
 # nmse above which the chart of errors shows no value, since the others would be hard to tell apart.
 CHART_LIMIT = 2.0
+# Share of the width that a frame's image has beside its points, if there is one.
+IMAGE_WIDTH = 0.4
+# Quality of images in the page, from 0 to 100.
+JPEG_QUALITY = 90
 _LAYOUT = {
     "template": "none",
     "showlegend": True,
@@ -35,11 +41,16 @@ _PLANE = _LAYOUT | {
     "legend_y": -0.2,
     "legend_yanchor": "top",
 }
+# Least and largest coordinates in metres that are shown in 3D: right, ahead, up.
+_LOWEST_M = np.array([-22, 0, -4])
+_HIGHEST_M = np.array([22, 50, 10])
 _SCENE = {
-    "xaxis": {"title": "right, m", "range": [-22, 22]},
-    "yaxis": {"title": "ahead, m", "range": [0, 50]},
-    "zaxis": {"title": "up, m", "range": [-4, 10]},
-    "aspectmode": "data",
+    "xaxis": {"title": "right, m", "range": [_LOWEST_M[0], _HIGHEST_M[0]]},
+    "yaxis": {"title": "ahead, m", "range": [_LOWEST_M[1], _HIGHEST_M[1]]},
+    "zaxis": {"title": "up, m", "range": [_LOWEST_M[2], _HIGHEST_M[2]]},
+    # A metre has the same length along all axes. The camera's position is in units of 31 m.
+    "aspectmode": "manual",
+    "aspectratio": dict(zip("xyz", (_HIGHEST_M - _LOWEST_M) / 31, strict=True)),
     # The view is from behind and above the car.
     "camera": {"eye": {"x": 0, "y": -1.5, "z": 0.9}, "center": {"z": -0.25}},
 }
@@ -155,15 +166,45 @@ def learning(curves: Mapping[str, pd.DataFrame]) -> go.Figure:
     return figure
 
 
-def in_space(views: Sequence[View]) -> go.Figure:
+def in_space(views: Sequence[View], title: str = "") -> go.Figure:
     """Plot the points of frames by class, and their edges, with a slider that selects a frame.
 
-    If a frame has too many edges, those near the car are shown.
+    Points and edges outside of the axes are left out. If a frame has too many edges, those near the
+    car are shown. The image of a frame, if there is one, is beside its points. Below a `title`
+    stand the numbers of the frame's points and edges.
     """
     present = np.unique(np.concatenate([np.asarray(view.points_cls) for view in views])).tolist()
-    frames = [go.Frame(name=str(view.frame), data=_traces(view, present)) for view in views]
+    has_images = any(view.rgb is not None for view in views)
+    frames = []
+    for view in views:
+        points = _traces(view, present)
+        images = [_image(view)] if has_images else []
+        frame = go.Frame(name=str(view.frame), data=[*points, *images])
+        if title:
+            frame.layout.title = {"text": title, "subtitle": {"text": _counts(view, points)}}
+        frames.append(frame)
 
-    # A step of the slider shows its frame at once.
+    layout = _LAYOUT | {
+        "legend_y": 1.02,
+        "legend_yanchor": "bottom",
+        "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
+        "scene": _SCENE,
+        "sliders": [_slider(frames)],
+    }
+    figure = go.Figure(frames[0].data, layout, frames)
+    if title:
+        figure.update_layout(title=frames[0].layout.title, margin_t=110)
+        figure.update_layout(title={"x": 0.01, "y": 1, "yanchor": "top", "pad": {"t": 12}})
+    if has_images:
+        figure.update_layout(scene_domain_x=[IMAGE_WIDTH, 1])
+        figure.update_xaxes(visible=False, domain=[0, IMAGE_WIDTH])
+        figure.update_yaxes(visible=False)
+    return figure
+
+
+def _slider(frames: Sequence[go.Frame]) -> dict[str, Any]:
+    """Return a slider that has a step for each frame."""
+    # A step shows its frame at once.
     now = {
         "mode": "immediate",
         "frame": {"duration": 0, "redraw": True},
@@ -172,19 +213,33 @@ def in_space(views: Sequence[View]) -> go.Figure:
     steps = [
         {"label": frame.name, "method": "animate", "args": [[frame.name], now]} for frame in frames
     ]
-    slider = {
+    return {
         "steps": steps,
         "currentvalue": {"prefix": "frame "},
         "pad": {"t": 10, "l": 10, "r": 10, "b": 30},
     }
-    layout = _LAYOUT | {
-        "legend_y": 1.02,
-        "legend_yanchor": "bottom",
-        "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
-        "scene": _SCENE,
-        "sliders": [slider],
-    }
-    return go.Figure(frames[0].data, layout, frames)
+
+
+def _image(view: View) -> go.Image:
+    """Return a trace of the frame's image, which is invisible if the frame has none."""
+    if view.rgb is None:
+        return go.Image(visible=False)
+    bgr = view.rgb[..., ::-1]
+    _, jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    text = base64.b64encode(jpeg.tobytes()).decode("ascii")
+    return go.Image(source=f"data:image/jpeg;base64,{text}", visible=True, hoverinfo="skip")
+
+
+def _counts(view: View, traces: Sequence[go.Scatter3d]) -> str:
+    """Return how many of the frame's points and edges the traces show."""
+    shown = sum(len(trace.x) for trace in traces if trace.mode == "markers")
+    aside_m, ahead_m, _ = _HIGHEST_M
+    text = f"frame {view.frame}, up to {ahead_m} m ahead and {aside_m} m aside: "
+    text += f"{shown:,} of {len(np.asarray(view.xyz)):,} points"
+    if view.edges is not None:
+        # The last trace has three rows for each edge.
+        text += f" and {len(traces[-1].x) // 3:,} of {len(view.edges):,} edges"
+    return text
 
 
 def _traces(view: View, present: Sequence[int]) -> list[go.Scatter3d]:
@@ -192,7 +247,8 @@ def _traces(view: View, present: Sequence[int]) -> list[go.Scatter3d]:
     cls = np.asarray(view.points_cls)
     # Columns are right, ahead and up, as Plotly's z points up.
     xyz = np.asarray(view.xyz)[:, [0, 2, 1]] * np.array([1, 1, -1], np.float32)
-    shown = np.random.default_rng(0).permutation(len(xyz))[:POINTS_SHOWN]
+    is_inside = np.all((xyz >= _LOWEST_M) & (xyz <= _HIGHEST_M), axis=1)
+    shown = np.random.default_rng(0).permutation(np.flatnonzero(is_inside))[:POINTS_SHOWN]
     traces = []
     for number in present:
         x, y, z = xyz[shown[cls[shown] == number]].T
@@ -201,8 +257,9 @@ def _traces(view: View, present: Sequence[int]) -> list[go.Scatter3d]:
         marker = {"size": 2, "color": f"rgb({red}, {green}, {blue})"}
         traces.append(go.Scatter3d(x=x, y=y, z=z, name=name, mode="markers", marker=marker))
     if view.edges is not None:
-        nearest = np.argsort(xyz[view.edges[:, 0], 1], kind="stable")[:EDGES_SHOWN]
-        ends = xyz[view.edges[nearest]]  # [E,2,3]
+        edges = view.edges[is_inside[view.edges].all(axis=1)]
+        nearest = np.argsort(xyz[edges[:, 0], 1], kind="stable")[:EDGES_SHOWN]
+        ends = xyz[edges[nearest]]  # [E,2,3]
         # A NaN after each edge makes a gap in the line.
         x, y, z = np.insert(ends, 2, np.nan, axis=1).reshape(-1, 3).T
         line = {"width": 1.5, "color": "#8b95a1"}

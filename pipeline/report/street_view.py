@@ -102,11 +102,25 @@ def read_view(number: int, *files: DriveReader) -> View:
     return View(number, **values)
 
 
-def read_some(file: DriveReader) -> list[View]:
-    """Read at most FRAMES_SHOWN frames, which are evenly spread over a drive."""
+def read_some(file: DriveReader, ingest: DriveReader | None = None) -> list[View]:
+    """Read at most FRAMES_SHOWN frames, which are evenly spread over a drive.
+
+    They have the images of `ingest`, the drive's file of that stage, unless it is None.
+    """
     count = min(FRAMES_SHOWN, len(file.frame))
     rows = np.linspace(0, len(file.frame) - 1, count).astype(int)
-    return [read_view(number, file) for number in file.frame[rows].tolist()]
+    views = [read_view(number, file) for number in file.frame[rows].tolist()]
+    if ingest is not None:
+        views = [with_image(view, ingest) for view in views]
+    return views
+
+
+def with_image(view: View, ingest: DriveReader) -> View:
+    """Return a view with the frame's image in a file of stage ingest, if it has one.
+
+    Raises InputError if the file lacks the frame.
+    """
+    return view._replace(rgb=read_view(view.frame, ingest).rgb)
 
 
 def draw_image(panel: Axes, pixels: np.ndarray, title: str, **style: Any) -> None:

@@ -1,5 +1,6 @@
 """The page and its plots."""
 
+import base64
 import html
 import re
 
@@ -74,9 +75,9 @@ def test_the_page_is_complete_self_contained_and_runs_no_script_of_a_name(tmp_pa
 
 
 def test_points_have_a_trace_per_class_and_edges_one_in_each_frame():
-    xyz = np.array([[1.0, 2, 3], [4, 5, 6], [7, 8, 9]])
-    edges = np.array([[1, 2]])
-    views = [View(7, xyz=xyz, points_cls=np.array([ROAD, ROAD, VOID]), edges=edges)]
+    xyz = np.array([[1.0, 2, 3], [4, 3, 6], [7, 1, 9], [7, 1, 51]])  # the last is outside
+    edges = np.array([[1, 2], [2, 3]])
+    views = [View(7, xyz=xyz, points_cls=np.array([ROAD, ROAD, VOID, VOID]), edges=edges)]
     views += [View(9, xyz=xyz[:1], points_cls=np.array([ROAD]), edges=edges[:0])]
     figure = plots.in_space(views)
     assert [step.label for step in figure.layout.sliders[0].steps] == [
@@ -84,13 +85,33 @@ def test_points_have_a_trace_per_class_and_edges_one_in_each_frame():
     ]
     road, void, line = figure.data
     assert (road.name, road.marker.color, void.name) == ("road", "rgb(128, 64, 128)", "no class")
-    assert {*zip(road.x, road.y, road.z, strict=True)} == {(1, 3, -2), (4, 6, -5)}
+    assert {*zip(road.x, road.y, road.z, strict=True)} == {(1, 3, -2), (4, 6, -3)}
     np.testing.assert_array_equal(
-        [line.x, line.y, line.z], [[4, 7, np.nan], [6, 9, np.nan], [-5, -8, np.nan]]
+        [line.x, line.y, line.z], [[4, 7, np.nan], [6, 9, np.nan], [-3, -1, np.nan]]
     )
     first, second = figure.frames
     assert [len(trace.x) for trace in first.data] == [2, 1, 3]
     assert [len(trace.x) for trace in second.data] == [1, 0, 0]
+    length_m = np.array([44, 50, 14])  # of the axes
+    ratio = figure.layout.scene.aspectratio
+    assert np.ptp([ratio.x, ratio.y, ratio.z] / length_m) < 1e-9
+
+
+def test_the_image_and_the_title_follow_the_slider():
+    point = np.array([[1.0, 0, 3]])
+    rgb = np.full((8, 16, 3), [250, 0, 0], np.uint8)
+    views = [View(7, rgb, xyz=point, points_cls=np.array([ROAD]))]
+    views += [View(9, xyz=point - 9, points_cls=np.array([ROAD]))]
+    figure = plots.in_space(views, "a drive")
+    for frame, is_visible, count in zip(figure.frames, [True, False], [1, 0], strict=True):
+        title = frame.layout.title
+        assert title.text == "a drive"
+        assert title.subtitle.text.startswith(f"frame {frame.name}, ")
+        assert title.subtitle.text.endswith(f": {count} of 1 points")
+        assert frame.data[-1].visible == is_visible
+    jpeg = base64.b64decode(figure.data[-1].source.partition(",")[2])
+    shown = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR_RGB)
+    assert np.abs(shown.astype(int) - rgb).max() < 8
 
 
 def test_a_network_without_validation_has_its_training_loss():

@@ -1,4 +1,4 @@
-"""Measure and predict from Python, as the commands `steer measure` and `steer predict` do.
+"""Use the commands `steer measure`, `steer predict` and `steer export` from Python.
 
 from steer.api import measure
 
@@ -19,6 +19,7 @@ from pipeline.encoder.encoder_file import FILE
 from pipeline.ingest.settings import RecordingOptions
 from pipeline.labels.label import Car
 from pipeline.train.trained import load_model
+from steer import export as exporting
 from steer import measure as measuring
 from steer import predict as predicting
 from steer.chain import open_source
@@ -95,6 +96,14 @@ def predict(
     if encoder is None:
         encoder = _encoder_beside(folder)
     return predicting.predict(trained, opened, target, Path(encoder), video=video)
+
+
+def export(file: PathLike, frame: int, out: PathLike) -> str:
+    """Write the points of a frame to `out`, a new PLY or PCD file, and return what it holds.
+
+    `file` is a drive's file of clouds, graphs or scans, see :func:`steer.export.export`.
+    """
+    return exporting.export(Path(file), frame, Path(out))
 
 
 def _free(out: PathLike | None) -> Path | None:

@@ -1,4 +1,5 @@
 """Define the command `steer`, and its verbs `street`, `show` and `view`.
+"""Define the command `steer`, and its verbs `show`, `view` and `export`.
 
 Large imports are inside functions, so that help is quick.
 """
@@ -42,7 +43,7 @@ def _version(requested: bool) -> None:
 def steer(
     _: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True)] = False,
 ) -> None:
-    """Measure motion, predict angles with a trained model, import recordings, and inspect data."""
+    """Measure motion, predict angles with a trained model, import recordings, and use data."""
 
 
 def street() -> None:
@@ -104,6 +105,8 @@ def view(
 ) -> None:
     """Write some frames of a point cloud or graph in 3D as a page, and open it in the browser.
 
+    The page also shows the images of these frames, if they are in data/ingest.
+
     \b
     steer view data/graphs/semantic/2026_01_18_drive_0004.h5
     """
@@ -124,6 +127,31 @@ def view(
             browser.open(page.absolute().as_uri())
 
 
+def export(
+    path: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE",
+            help="a drive's .h5 file of data/clouds or data/graphs, or of data/ingest with scans",
+        ),
+    ],
+    out: Annotated[Path, typer.Argument(metavar="CLOUD", help="new .ply or .pcd file")],
+    frame: Annotated[int, typer.Option(min=0, help="number of the frame")],
+) -> None:
+    """Write the points of a frame as PLY or PCD, which Open3D, CloudCompare and others read.
+
+    Each point has x, y and z in metres, its class or reflectance, and the colour of its pixel if
+    the frame's image is in data/ingest.
+
+    \b
+    steer export data/clouds/pseudo/2026_01_18_drive_0004.h5 --frame 7 cloud.ply
+    steer export data/graphs/semantic/2026_01_18_drive_0004.h5 --frame 7 graph.pcd
+    """
+    from steer import export as exporting
+
+    print(f"{out}: {exporting.export(path, frame, out)}")
+
+
 COMMANDS = {
     "predict": (predict, with_options(predict.predict, RecordingOptions)),
     "measure": (measure, with_options(measure.measure, MeasureOptions)),
@@ -134,6 +162,7 @@ for name, (module, command) in COMMANDS.items():
 app.command("street")(guarded(street))
 app.command("show", no_args_is_help=True)(guarded(show))
 app.command("view", no_args_is_help=True)(guarded(view))
+app.command("export", no_args_is_help=True)(guarded(export))
 
 if __name__ == "__main__":
     app(prog_name="steer")

@@ -14,7 +14,7 @@ from pipeline.base.resume import UNDO, Code
 from pipeline.base.store import INDEX, NO_LOCKS, read_json, replacing, write_json
 
 # Advice for an output folder that is not free.
-_FIX = "Pass another --out, or move it away"
+_FIX = "Choose another name for the output, or move it away"
 
 
 def check_free(path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The command steer: quick help, errors as one line, and its verbs show and view."""
+"""The command steer: quick help, errors as one line, and its verbs show, view and export."""
 
 import subprocess
 import sys
@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from pipeline.base import checkpoint
 from pipeline.base.resume import ROOT
 from steer.app import app
+from tests import street
 from tests.artefacts import write_dataset
 
 HEAVY = (
@@ -111,21 +112,53 @@ def test_points_are_shown_in_a_page_that_opens(data, monkeypatch):
     assert len(opened) == 2
 
 
+def test_the_page_says_what_it_shows_beside_the_images_of_the_same_data_folder(data, monkeypatch):
+    monkeypatch.setattr("webbrowser.get", lambda: SimpleNamespace(basename="w3m"))
+    path = data / f"graphs/semantic/{DRIVE}.h5"
+    run("view", path, "--out", "without.html")
+    text = Path("without.html").read_text()
+    assert f"<title>{DRIVE}, graphs/semantic: 5 of 5 frames</title>" in text
+    assert "frame 4, up to 50 m ahead and 22 m aside: 25 of 30 points and 55 of 65 edges" in text
+    jpeg = r"jpeg;base64,\u002f9j"  # plotly escapes slashes
+    assert jpeg not in text
+
+    street.write_drive(data / "ingest", DRIVE, 5)
+    run("view", path, "--out", "with.html")
+    # The image of the first frame is also shown before the slider is moved.
+    assert Path("with.html").read_text().count(jpeg) == 1 + 5
+
+
+def test_a_cloud_is_exported_and_described(data):
+    text = run("export", data / f"graphs/semantic/{DRIVE}.h5", "--frame", 2, "cloud.ply")
+    coordinates = "camera coordinates (x right, y down, z forward)"
+    start = f"cloud.ply: 30 points in metres, {coordinates}, class (Cityscapes trainId), no colour"
+    assert text.startswith(start)
+    assert text.count("\n") == 1
+    assert Path("cloud.ply").read_bytes().startswith(b"ply\n")
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["nowhere.h5"], "nowhere.h5: "),
-        (["."], "expected a drive's file (.h5) or a checkpoint (.pt)"),
-        (["GRAPHS", "--frame", 77], "has no frame 77"),
-        (["GRAPHS", "--frame", 1, "--out", "photo.png"], "photo.png: exists already"),
-        (["LABELS", "--frame", 1, "--out", "a.png"], "neither an image nor points"),
+        (["show", "nowhere.h5"], "nowhere.h5: "),
+        (["show", "."], "expected a drive's file (.h5) or a checkpoint (.pt)"),
+        (["show", "GRAPHS", "--frame", 77], "has no frame 77"),
+        (["show", "GRAPHS", "--frame", 1, "--out", "photo.png"], "photo.png: exists already"),
+        (["show", "LABELS", "--frame", 1, "--out", "a.png"], "neither an image nor points"),
+        (["export", "GRAPHS", "--frame", 77, "a.ply"], "has no frame 77"),
+        (["export", "GRAPHS", "--frame", 1, "photo.png"], "expected the name of a PLY or PCD file"),
+        (["export", "GRAPHS", "--frame", 1, "photo.ply"], "photo.ply: exists already"),
+        (["export", "LABELS", "--frame", 1, "a.ply"], "has no points. Pass a file of point clouds"),
     ],
 )
 def test_wrong_input_is_one_line(data, arguments, message):
     files = {"GRAPHS": data / f"graphs/semantic/{DRIVE}.h5", "LABELS": data / f"labels/{DRIVE}.h5"}
-    Path("photo.png").write_bytes(b"precious")
-    text = show(*(files.get(str(argument), argument) for argument in arguments), status=1)
+    for name in ("photo.png", "photo.ply"):
+        Path(name).write_bytes(b"precious")
+    text = run(*(files.get(str(argument), argument) for argument in arguments), status=1)
     assert text.startswith("error: ")
     assert message in text
     assert text.count("\n") == 1
-    assert Path("photo.png").read_bytes() == b"precious"
+    for name in ("photo.png", "photo.ply"):
+        assert Path(name).read_bytes() == b"precious"
+    assert not list(Path().glob("a.*"))

@@ -313,7 +313,7 @@ def test_a_command_takes_the_first_free_folder(tmp_path, monkeypatch, existing, 
     assert contents(tmp_path) == before | {str(other / "motion.csv"): b""}
     for name in existing[:1]:
         with (
-            pytest.raises(InputError, match="Pass another --out"),
+            pytest.raises(InputError, match="Choose another name"),
             claimed(Path("out") / name, "ride"),
         ):
             pass

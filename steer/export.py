@@ -1,0 +1,124 @@
+"""Write the points of a frame as a file of other programs: PLY or PCD."""
+
+import errno
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from pipeline.base.errors import InputError
+from pipeline.base.outputs import check_free
+from pipeline.base.store import DriveReader, replacing
+from pipeline.camera.camera import read_camera, visible
+from pipeline.camera.geometry import transform
+from pipeline.report import street_view
+from steer.artefact import open_drive, open_images
+
+# Suffix of a file → last line of its header.
+HEADER_ENDS = {".ply": b"end_header\n", ".pcd": b"DATA binary\n"}
+# Suffix of a file → start of the lines of its header that are comments.
+COMMENTS = {".ply": b"comment ", ".pcd": b"# "}
+
+
+class Points(NamedTuple):
+    """The points of a frame, with the attributes that are exported."""
+
+    xyz: np.ndarray  # float32 [P,3] in metres
+    # Name of an attribute in Open3D → its values [P,n].
+    attributes: dict[str, np.ndarray]
+    # Text for users: the coordinates and the attributes.
+    about: str
+    camera_xyz: np.ndarray  # [P,3] in metres, camera frame
+
+
+def export(path: Path, number: int, out: Path) -> str:
+    """Write the points of a frame to `out`, a new PLY or PCD file, and return what it holds.
+
+    `path` is a drive's file of clouds or graphs, whose points have a class, or of stage ingest,
+    whose scans have a reflectance. If the frame's image is in the same data folder, points have the
+    colour of their pixel, or are black if the camera does not see them. Raises InputError if `out`
+    exists or has another suffix, or if the frame has no points.
+    """
+    if out.suffix not in HEADER_ENDS:
+        raise InputError("expected the name of a PLY or PCD file (.ply, .pcd)", out)
+    check_free(out)
+
+    with open_drive(path) as file:
+        row = file.row_of(number)
+        if "xyz" in file:
+            points = _read_cloud(file, row)
+            images = open_images(file)
+        elif "T_cam_velo" in file:
+            points = _read_scan(file, row)
+            images = file
+        else:
+            fix = "Pass a file of point clouds, of graphs of points, or of scans"
+            raise InputError("has no points", path, fix)
+        if not len(points.xyz):
+            raise InputError(f"frame {number} has no points", path)
+
+        rgb = None
+        if images is not None:
+            rgb = _colours(points.camera_xyz, number, images)
+        about = f"{len(points.xyz):,} points in metres, {points.about}"
+        if rgb is None:
+            about += ", no colour, as there is no image in data/ingest"
+        else:
+            points.attributes["colors"] = rgb
+            about += ", colour (black: not seen by the camera)"
+        _write(points, f"{file.drive}, frame {number}: {about}", out)
+    return about
+
+
+def _read_cloud(file: DriveReader, row: int) -> Points:
+    """Read the points of a cloud or graph, and their classes."""
+    xyz = file.rows_of("xyz", row)
+    cls = file.rows_of("cls", row)
+    about = "camera coordinates (x right, y down, z forward), class (Cityscapes trainId)"
+    return Points(xyz, {"class": cls[:, None]}, about, xyz)
+
+
+def _read_scan(file: DriveReader, row: int) -> Points:
+    """Read the points of a scan, and their reflectance."""
+    scan = file.rows_of("lidar", row)
+    xyz = scan[:, :3]
+    about = "velodyne coordinates (x forward, y left, z up), intensity (reflectance, 0 to 1)"
+    return Points(xyz, {"intensity": scan[:, 3:]}, about, transform(file["T_cam_velo"], xyz))
+
+
+def _colours(xyz: np.ndarray, number: int, ingest: DriveReader) -> np.ndarray | None:
+    """Return the colours, uint8 [P,3], of points [P,3] in the camera frame in the frame's image.
+
+    Points outside of the image, or hidden by others, are black. Returns None if the frame has no
+    image.
+    """
+    image = street_view.read_view(number, ingest).rgb
+    if image is None:
+        return None
+    index, row, column = visible(xyz, read_camera(ingest))
+    rgb = np.zeros((len(xyz), 3), np.uint8)
+    rgb[index] = image[row, column]
+    return rgb
+
+
+def _write(points: Points, comment: str, out: Path) -> None:
+    """Write points in the format of the suffix of `out`. Raises OSError if the disk is full."""
+    import open3d as o3d
+
+    cloud = o3d.t.geometry.PointCloud()
+    for name, values in {"positions": points.xyz, **points.attributes}.items():
+        cloud.point[name] = o3d.core.Tensor.from_numpy(np.ascontiguousarray(values))
+
+    with replacing(out) as unfinished:
+        is_written = o3d.t.io.write_point_cloud(unfinished, cloud)
+        header, end, body = unfinished.read_bytes().partition(HEADER_ENDS[out.suffix])
+
+        # If the disk is full, Open3D may report success for an incomplete PLY file.
+        size = points.xyz.nbytes + sum(values.nbytes for values in points.attributes.values())
+        if not is_written or len(body) < size:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(out))
+
+        # Open3D has no option for comments.
+        line = COMMENTS[out.suffix] + comment.encode("ascii", "replace") + b"\n"
+        unfinished.write_bytes(header + line + end + body)

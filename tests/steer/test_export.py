@@ -1,0 +1,99 @@
+"""Files of points for other programs, as Open3D reads them."""
+
+import errno
+from pathlib import Path
+
+import numpy as np
+import open3d as o3d
+import pytest
+
+from pipeline.base.errors import InputError
+from pipeline.base.store import DriveReader
+from pipeline.clouds.cloud import clouds_drive
+from pipeline.clouds.settings import Clouds
+from steer.export import export
+from tests import artefacts, street
+from tests.pipeline.base.test_base import files_up_to
+
+DRIVE = "2011_09_26_drive_0001"
+FRAME = 2
+KINDS = ("clouds/pseudo", "clouds/lidar", "graphs/semantic", "ingest")
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory) -> Path:
+    """Return a folder with the files of a drive in which each frame has an image and a scan."""
+    data = tmp_path_factory.mktemp("data")
+    ingest = data / f"ingest/{DRIVE}.h5"
+    street.write_drive(ingest.parent, DRIVE, 4, lidar=True)
+    street.write_perception(data / "perception", ingest.parent, DRIVE)
+    settings = Clouds(max_points=2048, max_depth_m=80.0, seed=0)
+    for kind in ("pseudo", "lidar"):
+        path = data / f"clouds/{kind}/{DRIVE}.h5"
+        clouds_drive(path, kind, ingest, data / f"perception/{DRIVE}.h5", settings)
+    artefacts.write_graphs(data / f"graphs/semantic/{DRIVE}.h5", np.zeros(4), np.arange(4), 80)
+    return data
+
+
+@pytest.mark.parametrize("suffix", ["ply", "pcd"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_points_keep_their_values_and_get_the_colour_of_their_pixel(data, tmp_path, kind, suffix):
+    out = tmp_path / f"cloud.{suffix}"
+    about = export(data / kind / f"{DRIVE}.h5", FRAME, out)
+    read = o3d.t.io.read_point_cloud(str(out)).point
+    exported = {name: values.numpy() for name, values in read.items()}
+    xyz = exported.pop("positions")
+    rgb = exported.pop("colors")
+
+    # Coordinates and attributes are those of the file, in its frame.
+    with DriveReader(data / kind / f"{DRIVE}.h5", stage=None) as file:
+        if kind == "ingest":
+            scan = file.rows_of("lidar", FRAME)
+            expected = {"intensity": scan[:, 3:]}
+            stored_xyz = scan[:, :3]
+            T_cam_velo = street.T_CAM_VELO
+            frame = "velodyne coordinates (x forward, y left, z up)"
+        else:
+            expected = {"class": file.rows_of("cls", FRAME)[:, None]}
+            stored_xyz = file.rows_of("xyz", FRAME)
+            T_cam_velo = np.eye(4)
+            frame = "camera coordinates (x right, y down, z forward)"
+    np.testing.assert_array_equal(xyz, stored_xyz)
+    np.testing.assert_equal(exported, expected)
+    assert f"{len(xyz):,} points in metres, {frame}" in about
+    assert f"{DRIVE}, frame {FRAME}: {about}\n".encode() in out.read_bytes()
+
+    # A point that the camera sees has the colour of its pixel, and others are black.
+    image, *_ = street.scene(FRAME)
+    camera_xyz = xyz @ T_cam_velo[:3, :3].T + T_cam_velo[:3, 3]
+    u, v = np.rint((camera_xyz @ street.K.T)[:, :2].T / camera_xyz[:, 2]).astype(int)
+    height, width = street.SIZE
+    in_image = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+    has_colour = rgb.any(axis=1)
+    assert has_colour[in_image].mean() > 0.6
+    assert not has_colour[~in_image].any()
+    np.testing.assert_array_equal(rgb[has_colour], image[v[has_colour], u[has_colour]])
+
+
+def test_without_an_image_points_have_no_colour(tmp_path):
+    street.write_drive(tmp_path / "ingest", DRIVE, 3, images=False, lidar=True)
+    out = tmp_path / "cloud.pcd"
+    about = export(tmp_path / f"ingest/{DRIVE}.h5", 1, out)
+    assert about.endswith("no colour, as there is no image in data/ingest")
+    assert {*o3d.t.io.read_point_cloud(str(out)).point} == {"positions", "intensity"}
+
+
+def test_a_frame_without_a_scan_has_no_points(tmp_path):
+    street.write_drive(tmp_path / "ingest", DRIVE, 3)
+    with pytest.raises(InputError, match="has no points"):
+        export(tmp_path / f"ingest/{DRIVE}.h5", 1, tmp_path / "cloud.ply")
+
+
+@pytest.mark.parametrize("suffix", ["ply", "pcd"])
+def test_a_full_disk_leaves_no_file(data, tmp_path, suffix):
+    """Open3D reports no error for a PLY file."""
+    out = tmp_path / f"cloud.{suffix}"
+    with pytest.raises(OSError, match=out.name) as error, files_up_to(10_000):
+        export(data / f"clouds/pseudo/{DRIVE}.h5", FRAME, out)
+    assert error.value.errno == errno.ENOSPC
+    assert not list(tmp_path.iterdir())

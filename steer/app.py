@@ -1,5 +1,4 @@
-"""Define the command `steer`, and its verbs `street`, `show` and `view`.
-"""Define the command `steer`, and its verbs `show`, `view` and `export`.
+"""Define the command `steer`, and its verbs `street`, `show`, `view` and `export`.
 
 Large imports are inside functions, so that help is quick.
 """
@@ -74,8 +73,8 @@ def show(
     """Print a file's attributes, datasets and settings, or one of its frames.
 
     \b
-    steer show data/graphs/semantic/2026_01_18_drive_0004.h5
-    steer show data/graphs/semantic/2026_01_18_drive_0004.h5 --frame 20 --out frame.png
+    steer show data/graphs/semantic/2026_01_21_drive_0004.h5
+    steer show data/graphs/semantic/2026_01_21_drive_0004.h5 --frame 20 --out frame.png
     steer show data/train/sa-gnn-ncp/best.pt
     """
     import yaml
@@ -108,7 +107,7 @@ def view(
     The page also shows the images of these frames, if they are in data/ingest.
 
     \b
-    steer view data/graphs/semantic/2026_01_18_drive_0004.h5
+    steer view data/graphs/semantic/2026_01_21_drive_0004.h5
     """
     import webbrowser
 
@@ -144,8 +143,8 @@ def export(
     the frame's image is in data/ingest.
 
     \b
-    steer export data/clouds/pseudo/2026_01_18_drive_0004.h5 --frame 7 cloud.ply
-    steer export data/graphs/semantic/2026_01_18_drive_0004.h5 --frame 7 graph.pcd
+    steer export data/clouds/pseudo/2026_01_21_drive_0004.h5 --frame 7 cloud.ply
+    steer export data/graphs/semantic/2026_01_21_drive_0004.h5 --frame 7 graph.pcd
     """
     from steer import export as exporting
 

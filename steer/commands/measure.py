@@ -5,7 +5,7 @@ measured has valid = 0 and no numbers. quality.json says how certain the scale i
 
 \b
 steer measure street.mp4 --fov 65
-steer measure data/sample/2026_01_18/2026_01_18_drive_0004_sync --encoder data/encoder
+steer measure data/sample/2026_01_21/2026_01_21_drive_0004_sync --encoder data/encoder
 """
 
 from pathlib import Path

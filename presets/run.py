@@ -171,9 +171,6 @@ def run_dvc(run: Path) -> None:
     commands = [*DVC]
     if not (run / ".dvc").is_dir():
         commands.insert(0, "init --quiet --no-scm")
-    # Earlier versions of this file did not write dvc.lock.ended.
-    if (run / "dvc.lock").exists() and not (run / "dvc.lock.ended").exists():
-        keep_lock(run, ended_well=True)
     status = 0
     groups = list[int]()
     with interrupting(groups) as interrupted:
@@ -191,7 +188,6 @@ def run_dvc(run: Path) -> None:
             status = process.wait() or len(interrupted)
             if status:
                 break
-    keep_lock(run, ended_well=not status)
     if status:
         raise typer.Exit(status)
 
@@ -224,22 +220,6 @@ def interrupting(groups: list[int]) -> Iterator[list[int]]:
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
-
-
-def keep_lock(run: Path, *, ended_well: bool) -> None:
-    """Keep copies of dvc.lock, which lists the results of a run.
-
-    dvc.lock.ended is the copy of the last run that ended well. dvc.lock.before is the copy of the
-    last run that ended well with other results than the current ones.
-    """
-    lock = run / "dvc.lock"
-    ended = run / "dvc.lock.ended"
-    if not lock.exists():
-        return
-    if ended.exists() and ended.read_bytes() != lock.read_bytes():
-        write_text(run / "dvc.lock.before", ended.read_text(encoding="utf-8"))
-    if ended_well:
-        write_text(ended, lock.read_text(encoding="utf-8"))
 
 
 def next_command(name: str, run: Path, settings: dict[str, Any]) -> str:

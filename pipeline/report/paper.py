@@ -59,8 +59,8 @@ CLAIMS = (
     Claim("graph networks are better than PointNet++", "gnn-ncp", "pointnet2-ncp"),
     Claim("depth from images is at least as good as LiDAR", "do-gnn-ncp", "gnn-ncp"),
     Claim("classes with pruning help", "sa-gnn-ncp", "do-gnn-ncp"),
-    Claim("… classes alone", "sa-gnn-ncp", "lambda-0"),
-    Claim("… pruning alone", "sa-gnn-ncp", "keep-100"),
+    Claim("… classes, where both prune", "sa-gnn-ncp", "lambda-0"),
+    Claim("… pruning, where both have classes", "sa-gnn-ncp", "keep-100"),
     Claim("NCP and LSTM are comparable", "gnn-ncp", "gnn-lstm", comparable=True),
 )
 

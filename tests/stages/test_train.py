@@ -90,7 +90,7 @@ def test_training_starts_anew_where_a_drive_moves_between_training_and_validatio
 
 def test_the_averaged_network_has_the_statistics_of_the_trained_one(folder, monkeypatch):
     small_model.add_users_network(monkeypatch)
-    write_params(folder, {"spatial": "users"}, epochs=1)
+    write_params(folder, {"spatial": "users"}, epochs=1, seeds=[0])
     average = load(run_train(folder) / "best.pt")["net"]
     (state,) = (folder / ".drives").rglob("*.pt")
     net = load(state)["net"]

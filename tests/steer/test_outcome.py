@@ -146,7 +146,7 @@ def test_comparison_by_its_definition():
     }
     labels = Labels(driven_rad, frame > -1, driven_rad, driven_rad)
     truth = Truth("log.csv", "wheel_rad", labels)
-    results = Results("drive", table, [""] * 11, truth, {}, [], [])
+    results = Results("drive", table, [""] * 11, truth, labels, {}, [], [])
     comparison = results.compare("predicted", 2)
     target = results.table["driven_rad"][5:]
     assert comparison["truth"] == "log.csv"

@@ -475,11 +475,6 @@ def test_code_in_a_file_does_not_run(tmp_path):
         ("nett", {}, r"best\.pt is missing.*train/net"),
         ("net", {"kind": "encoder"}, "expected a checkpoint of .* steering net.*Train it again"),
         ("net", {"entry": {"spatial": "nothing"}}, "Train it again"),
-        (
-            "net",
-            {"entry": {"fit_to": "others"}},
-            "by revision 0919269e with fit_to: others. Use that revision",
-        ),
         ("net", {"scale": None}, "Train it again"),
         ("net", {"net": {"weight": torch.zeros(1)}}, "Train it again"),
         ("cut", {}, "file is damaged"),

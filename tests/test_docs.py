@@ -46,7 +46,7 @@ PLACEHOLDERS = {
     "models/steering/spatial/NAME.py",
     "presets/NAME.yaml",
 }
-PLACEHOLDERS |= {f"presets/{name}.yaml" for name in ("monday", "NAME")}
+PLACEHOLDERS |= {f"presets/{name}.yaml" for name in ("monday", "more", "NAME")}
 # of DVC
 OTHERS = {
     "--force",

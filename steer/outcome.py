@@ -15,16 +15,17 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.evaluate import statistics
 from pipeline.evaluate.settings import Evaluate
-from pipeline.ingest.log import Logs, log_names, log_notes
+from pipeline.ingest.log import Log, Logs, log_names, log_notes
 from pipeline.labels import source as sources
 from pipeline.labels.agreement import Agreement, Pair, compare
 from pipeline.labels.ahead import path_ahead
-from pipeline.labels.comparison import judge, read_noise
+from pipeline.labels.comparison import UNKNOWN, judge, read_noise
 from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
 from pipeline.motion import rates
 from pipeline.motion.doubts import find_doubts
 from pipeline.motion.step import PROBLEMS
 from steer.chain import INGEST, MOTION, Source
+from steer.wheel import WheelFit, fit_wheel
 
 # Largest share of the moving frames in which the measured speed may be negative. If it is exceeded,
 # the camera looks back.
@@ -61,6 +62,14 @@ class Truth(NamedTuple):
     driven: Labels
     # Ratio of the angles in the log to the angles in `driven`.
     ratio: float = 1.0
+    # The fit of a wheel's log, if one was asked for and the car turns enough.
+    wheel: WheelFit | None = None
+    # Note about this fit for the user; empty if none was asked for.
+    note: str = ""
+
+    def with_angle(self, angle_rad: np.ndarray) -> "Truth":
+        """Return the truth with other angles [F], NaN where unknown."""
+        return self._replace(driven=self.driven._replace(steering_rad=angle_rad))
 
 
 def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> Truth:
@@ -193,6 +202,7 @@ class Results:
         *,
         look_ahead: bool,
         frame: np.ndarray | None = None,
+        fit_ratio: bool = False,
     ) -> "Results":
         """Return the measured motion that :func:`steer.chain.run_chain` wrote to `work`.
 
@@ -200,8 +210,9 @@ class Results:
         residual. ``points`` is the number of points that agree with the motion, and ``residual``
         their median error in pixels. `frame` has the numbers of the frames to return, of which
         those without a row in the file of motion are left out. If it is None, all frames are
-        returned. Raises InputError if there is no frame, or if a log says that the camera looks
-        back.
+        returned. If `fit_ratio` is true, the angles of the wheel's log are by a steering ratio, a
+        zero and a delay that are fitted to the measured motion. Raises InputError if there is no
+        frame, or if a log says that the camera looks back.
         """
         with (
             DriveReader(work / MOTION, stage="motion") as motion,
@@ -229,7 +240,7 @@ class Results:
             ingest_rows = np.searchsorted(raw.frame, frame)
             measured = sources.make_labels("visual", raw, work / MOTION, car).at(ingest_rows)
             noise = read_noise(raw, work / MOTION).at(ingest_rows)
-            agreement = compare([Pair(time_s, truth.driven, measured, noise)])
+            pair = Pair(time_s, truth.driven, measured, noise)
             source.drive.notes.extend(log_notes(source.logs, time_s))
 
             speed_mps = course["speed_mps"][rows]
@@ -237,10 +248,17 @@ class Results:
             doubts += _backwards(source.path, speed_mps, truth, car.min_speed_mps)
             doubts += [text for _, text in find_doubts(motion.attrs)]
 
+        measured_columns = {name: values[rows] for name, values in columns.items()}
+        if fit_ratio:
+            course = {"time_s": time_s, **measured_columns}
+            truth = _fit_truth(truth, source.logs["wheel"], course, pair)
+            pair = pair._replace(recorded=truth.driven)
+
         table = {"frame": frame, "time_s": time_s}
         table["driven_rad"] = np.where(truth.driven.valid, truth.driven.steering_rad, np.nan)
-        table |= {name: values[rows] for name, values in columns.items()}
+        table |= measured_columns
         # The first line about the agreement is a summary, and the others are doubts.
+        agreement = compare([pair])
         fault, lines = judge(agreement, truth.column, truth.ratio)
         if fault:
             doubts.append(fault)
@@ -291,6 +309,8 @@ class Results:
             reasons = ", ".join(f"{problem} ({count})" for problem, count in counts)
             line += f"; not measured: {reasons}"
         yield line
+        if self.truth.note:
+            yield self.truth.note
         yield from self.agreement_lines
 
         if comparison is None:
@@ -332,6 +352,40 @@ class Results:
         settings = Evaluate(bootstrap_samples=2000, bootstrap_block_frames=block, seed=0)
         errors = {name: _errors(target_rad, angle, settings) for name, angle in angles.items()}
         return {"truth": self.truth.name, "frames": int(used.sum()), "horizon": horizon, **errors}
+
+
+def _fit_truth(truth: Truth, log: Log, course: Mapping[str, np.ndarray], pair: Pair) -> Truth:
+    """Return the truth by a fit of the wheel's log to the measured motion.
+
+    Its angles are unknown if the log cannot be fitted. `course` has time_s and the columns of
+    :func:`read_course`. `pair` has the angles by a typical steering ratio.
+    """
+    # Whether a log follows does not depend on its ratio, zero and delay.
+    agreement = compare([pair])
+    wheel = None
+    if agreement.angle and agreement.angle.follows:
+        wheel = fit_wheel(log, course)
+        reason = UNKNOWN
+    else:
+        reason = _why_not_followed(agreement, truth.column)
+
+    if wheel is None:
+        unknown = truth.with_angle(np.full(len(course["time_s"]), np.nan))
+        return unknown._replace(note=f"the steering ratio cannot be fitted: {reason}")
+    fitted = truth.with_angle(wheel.angle_rad(log, course["time_s"]))
+    name = f"{truth.name} (fitted to the measured motion)"
+    return fitted._replace(name=name, ratio=wheel.ratio, wheel=wheel, note=wheel.line())
+
+
+def _why_not_followed(agreement: Agreement, column: str) -> str:
+    """Return the reason why a log does not follow the measured motion."""
+    fault, lines = judge(agreement, column)
+    doubts = lines[1:]
+    if fault:
+        return fault
+    if doubts:
+        return doubts[0]
+    return UNKNOWN
 
 
 def _backwards(path: Path, speed_mps: np.ndarray, truth: Truth, least_mps: float) -> Iterator[str]:

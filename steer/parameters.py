@@ -2,7 +2,7 @@
 
 import inspect
 from collections.abc import Callable, Collection
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, ClassVar, get_args
 
 import typer
 from annotated_types import Ge, Le
@@ -18,6 +18,8 @@ class MeasureOptions(RecordingOptions):
 
     For a prediction, the wheelbase is that of the trained model.
     """
+
+    fits_ratio: ClassVar[bool] = True
 
     wheelbase_m: float = Field(
         default=2.7,
@@ -54,6 +56,9 @@ def _parameter(name: str, field: FieldInfo, *, repeated: bool) -> inspect.Parame
         if isinstance(limit, Le):
             limits["max"] = limit.le
     annotation: Any = field.annotation
+    if len(get_args(annotation)) > 2:
+        # Typer takes no unions, so the field's validator gets the text.
+        annotation = str | None
     text = field.description
     if repeated:
         annotation = list[get_args(annotation)[0]] | None  # type: ignore[misc]

@@ -228,6 +228,8 @@ def write_motion(
         file.put("ratio", np.zeros(len(rows), np.float32))
         file.put("ratio_sigma", np.zeros(len(rows), np.float32))
         file.put("scale", np.full(len(rows), 1, np.float32))
+        file.put("inliers", np.full(len(rows), 100, np.int32))
+        file.put("residual", np.full(len(rows), 0.1, np.float32))
         file.put("T_before_now", T_before_now)
 
 

@@ -18,8 +18,10 @@ from pipeline.ingest.columns import (
     refuse,
 )
 from pipeline.ingest.names import check_name
-from pipeline.ingest.settings import RecordingOptions
+from pipeline.ingest.settings import FIT, RecordingOptions
 
+# Steering ratio of a car that is assumed until it is fitted.
+TYPICAL_RATIO = 15.0
 # Largest distance in seconds between two logged values for an interpolation between them.
 MAX_GAP_S = 0.5
 # Least difference in radians between two successive values that is a jump from 2π to 0. No wheel
@@ -97,11 +99,13 @@ def read_logs(options: RecordingOptions) -> Logs:
     A log of the wheel has the columns time_s and wheel_rad; a log of the motion has time_s,
     speed_mps and yaw_rate_radps. The offset is added to the times. Empty cells are interpolated,
     and repeated rows are left out. Raises InputError with all faults of a file. The times of a
-    column have to increase, and to be in seconds.
+    column have to increase, and to be in seconds. A steering ratio to be fitted is TYPICAL_RATIO.
     """
     ratio = options.steering_ratio
+    if ratio == FIT:
+        ratio = TYPICAL_RATIO
     if (options.wheel is None) != (ratio is None):
-        fix = "Pass both; a ratio of 1 if the log holds angles of the front wheels"
+        fix = "Pass both. 1: the log holds angles of the front wheels; fit: steer measure fits it"
         raise InputError("--wheel and --steering-ratio need each other", fix=fix)
     if options.offset_s and not (options.wheel or options.motion):
         raise InputError("--offset needs a log", fix="Pass --motion or --wheel, too")
@@ -124,10 +128,6 @@ def _read_wheel(path: Path, ratio: float, offset_s: float) -> Log:
 
     The steering wheel's angle is `ratio` times the front wheels'.
     """
-    if not abs(ratio) >= 1:
-        raise InputError(
-            "expected a magnitude of 1 or more", "--steering-ratio", "1: angles of front wheels"
-        )
     log = _read_log(path, {"wheel_rad": LIMIT_RAD * abs(ratio)}, _WHEEL, offset_s)
     largest_step = np.nanmax(np.abs(np.diff(log.values)))
     if np.nanmin(log.values) >= 0 and largest_step > WRAPPED_RAD:

@@ -5,13 +5,17 @@ import re
 from collections.abc import Iterable
 from itertools import combinations
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from pipeline.base.errors import closest
 from pipeline.base.params import SPLITS, ImageSize, Name, Section
 
+# Value of the steering ratio with which `steer measure` fits the ratio.
+FIT: Literal["fit"] = "fit"
+# Largest magnitude of a steering ratio. Cars have 12 to 20.
+LARGEST_RATIO = 50.0
 # Name of the dataset of drives that are parts of recordings.
 RECORDING = "recording"
 # Beginning of the names of a recording's videos in its folder of data/raw.
@@ -85,6 +89,9 @@ class RecordingOptions(Section):
     The command line and ingest.recordings use the aliases, Python the names with units.
     """
 
+    # Whether the steering ratio may be FIT.
+    fits_ratio: ClassVar[bool] = False
+
     fov_deg: float | None = Field(
         default=None,
         alias="fov",
@@ -129,11 +136,13 @@ class RecordingOptions(Section):
         default=None, description="CSV with time_s, speed_mps, yaw_rate_radps (left +)"
     )
     wheel: File = Field(default=None, description="CSV with time_s and wheel_rad (left +)")
-    steering_ratio: float | None = Field(
+    steering_ratio: float | Literal["fit"] | None = Field(
         default=None,
-        ge=-50,
-        le=50,
-        description="steering wheel's angle / front wheels'; negative: turns the sign",
+        description=(
+            "steering wheel's angle / front wheels'; negative: turns the sign; fit: steer measure "
+            "fits it"
+        ),
+        examples=["NUMBER"],
     )
     offset_s: float = Field(
         default=0.0,
@@ -142,6 +151,24 @@ class RecordingOptions(Section):
         le=1e10,
         description="seconds to add to the times of --motion and --wheel",
     )
+
+    @field_validator("steering_ratio", mode="plain")
+    @classmethod
+    def _read_ratio(cls, ratio: Any) -> float | str:
+        """Return a number, which is text on the command line, or FIT."""
+        if ratio == FIT:
+            if not cls.fits_ratio:
+                command = "steer measure VIDEO --wheel FILE --steering-ratio fit"
+                raise ValueError(f"expected a number, which this prints: {command}")
+            return FIT
+        try:
+            number = float(ratio)
+        except (TypeError, ValueError):
+            raise ValueError("expected a number") from None
+        if not 1 <= abs(number) <= LARGEST_RATIO:
+            limits = f"expected a magnitude of 1 to {LARGEST_RATIO:g}"
+            raise ValueError(f"{limits}; 1 for angles of the front wheels")
+        return number
 
 
 class Part(RecordingOptions):

@@ -1,108 +1,129 @@
-"""The installed wheel: steer measures and predicts without a checkout."""
+"""The fit of a steering wheel's log: known numbers, and drives that do not tell them."""
 
-import json
-import os
-import shutil
-import subprocess
-import sys
-import sysconfig
-import venv
-from collections.abc import Callable
 from pathlib import Path
-from zipfile import ZipFile
+from types import SimpleNamespace
+from typing import Any
 
-import pandas as pd
+import numpy as np
 import pytest
 
-from pipeline.base.resume import ROOT
+from pipeline.camera.camera import Frame
+from pipeline.ingest.drive import Drive
+from pipeline.ingest.ingest_file import write_drive
+from pipeline.ingest.log import TYPICAL_RATIO, Log, logged_values, read_logs
+from pipeline.labels.label import Car
+from steer import outcome
+from steer.measure import READING
+from steer.parameters import MeasureOptions
+from steer.wheel import fit_wheel
+from tests.artefacts import WHEELBASE_M, write_motion
 
-pytestmark = pytest.mark.slow
-
-FOLDERS = ("pipeline", "models", "stages", "steer", "presets", "benchmarks", "docs", "tests")
-IMAGES = ROOT / "examples/street"
-LENS = ("--K", "172.9,172.9,154.4,44.95", "--fps", "10", "--no-video")
-# The environment of the tests, without the checkout.
-ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-
-
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory) -> Path:
-    """Return the wheel of a copy of the checkout, as a build leaves files beside the code."""
-    source = tmp_path_factory.mktemp("source")
-    for name in FOLDERS:
-        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
-        shutil.copy(ROOT / name, source)
-    (source / "runs/kitti/pipeline").mkdir(parents=True)
-    (source / "runs/kitti/pipeline/code.py").touch()
-
-    out = tmp_path_factory.mktemp("wheel")
-    pip("wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", out, source)
-    return next(out.iterdir())
+SPEED_MPS = 10.0
+# Times of frames at 10 Hz, which are the ends of their steps.
+TIME_S = np.arange(1200) / 10
 
 
-@pytest.fixture(scope="module")
-def scripts(wheel, tmp_path_factory) -> Path:
-    """Return the scripts of an environment with the wheel and the tests' other packages."""
-    folder = tmp_path_factory.mktemp("environment")
-    venv.create(folder, symlinks=True)
-    python = folder / "bin/python"
-
-    # Python adds the folder in a .pth file to its path, but does not read the .pth files in that
-    # folder, of which one adds the checkout.
-    command = [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    Path(done.stdout.strip(), "tests.pth").write_text(sysconfig.get_path("purelib"))
-    pip("--python", python, "install", "--no-deps", "--no-index", wheel)
-    return python.parent
+def bends(time_s: np.ndarray, middles_s: np.ndarray) -> np.ndarray:
+    """Return angles of the front wheels [F] that turn left and right in turn, by up to 0.1 rad."""
+    sides = np.resize([0.1, -0.1], len(middles_s))
+    return np.exp(-(((time_s[:, None] - middles_s) / 1.5) ** 2)) @ sides
 
 
-@pytest.fixture
-def steer(scripts, tmp_path) -> Callable[..., str]:
-    """Return a function that runs steer in another folder and returns what it prints."""
-    environment = ENVIRONMENT | {"XDG_CACHE_HOME": str(tmp_path / "cache")}
-
-    def run(*arguments: object, status: int = 0) -> str:
-        command = [scripts / "steer", *map(str, arguments)]
-        done = subprocess.run(
-            command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
-        )
-        assert done.returncode == status, done.stderr
-        return done.stderr if status else done.stdout
-
-    return run
-
-
-def pip(*arguments: object) -> None:
-    command = [sys.executable, "-m", "pip", *map(str, arguments)]
-    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+def measure(middles_s: np.ndarray, noise_rad: float, speed_sigma: float) -> dict[str, np.ndarray]:
+    """Return measured columns with noise, and with errors of the speed that last for 2 s."""
+    rng = np.random.default_rng(1)
+    angle_rad = bends(TIME_S - 0.05, middles_s)
+    error = np.repeat(rng.normal(0, speed_sigma, len(TIME_S) // 20), 20)
+    measured_rad = angle_rad * np.exp(error) + rng.normal(0, noise_rad, len(TIME_S))
+    by_speed_rad = np.sin(2 * measured_rad) / 2 * speed_sigma
+    return {
+        "time_s": TIME_S,
+        "measured_rad": measured_rad,
+        "measured_sigma_rad": np.hypot(noise_rad, by_speed_rad),
+        "speed_mps": np.full(len(TIME_S), SPEED_MPS),
+        "speed_sigma": np.full(len(TIME_S), speed_sigma),
+    }
 
 
-def test_the_wheel_has_the_code_of_steer_alone(wheel, scripts):
-    folders = {name.partition("/")[0] for name in ZipFile(wheel).namelist()}
-    metadata = f"{wheel.name.removesuffix('-py3-none-any.whl')}.dist-info"
-    assert folders == {"models", "pipeline", "steer", metadata}
-    command = [scripts / "python", "-c", "from pipeline.base.resume import ROOT; print(ROOT)"]
-    done = subprocess.run(command, cwd="/", env=ENVIRONMENT, capture_output=True, text=True)
-    assert Path(done.stdout.strip()).is_relative_to(scripts.parent)
+def wheel_log(middles_s: np.ndarray, ratio: float, zero_rad: float, delay_s: float) -> Log:
+    time_s = np.arange(-150, 6150) / 50
+    wheel_rad = ratio * bends(time_s - delay_s, middles_s) + zero_rad
+    return Log(time_s, wheel_rad[None] / TYPICAL_RATIO, ratio=TYPICAL_RATIO)
 
 
-def test_motion_is_measured_and_angles_are_predicted_without_a_checkout(steer, tmp_path):
-    version = steer("--version").split()[1:]
-    steer("measure", IMAGES, *LENS, "--encoder", "models/encoder/sample")
-    quality = json.loads((tmp_path / "out/street/quality.json").read_text())
-    assert [quality["version"]] == version
-    assert quality["revision"] is None
-    assert pd.read_csv(tmp_path / "out/street/motion.csv")["valid"].sum() == 7
+@pytest.mark.parametrize("noise_rad", [0.002, 0.04])
+@pytest.mark.parametrize(
+    ("ratio", "zero_rad", "delay_s"), [(14.8, 0.05, 0.12), (-20.0, -0.3, -0.43)]
+)
+def test_known_numbers_are_in_the_intervals(ratio, zero_rad, delay_s, noise_rad):
+    """Noise as large as the angles does not make the ratio smaller."""
+    middles_s = np.arange(4, 120, 7.3)
+    log = wheel_log(middles_s, ratio, zero_rad, delay_s)
+    fit = fit_wheel(log, measure(middles_s, noise_rad, speed_sigma=0.04))
+    assert fit
+    low, high = fit.ratio_ci95
+    assert low < ratio < high
+    assert high - low == pytest.approx(2 * 1.96 * 0.04 * abs(ratio), rel=0.5)
+    assert fit.ratio == pytest.approx(ratio, rel=0.08)
+    low, high = fit.zero_rad_ci95
+    assert low < zero_rad < high < low + 0.2
+    low, high = fit.delay_s_ci95
+    assert low < delay_s < high < low + 0.3
+    angle_rad = fit.angle_rad(log, TIME_S)
+    np.testing.assert_allclose(angle_rad, bends(TIME_S - 0.05, middles_s), atol=0.015)
 
-    steer("predict", IMAGES, *LENS, "--model", "models/steering/sample")
-    steering = pd.read_csv(tmp_path / "out/street-2/steering.csv")
-    assert steering["predicted_rad"].iloc[-1] == pytest.approx(0.298, abs=0.05)
-    steer("predict", IMAGES, *LENS, "--model", "models/steering/sample_path")
+
+def test_bends_in_a_single_stretch_tell_no_interval():
+    middles_s = np.array([43.0, 46.0])
+    log = wheel_log(middles_s, 14.8, 0.05, 0.12)
+    assert fit_wheel(log, measure(middles_s, noise_rad=0.01, speed_sigma=0.04)) is None
 
 
-def test_an_import_needs_a_checkout(steer):
-    text = steer("import", "monday.mp4", "--fov", "65", status=1)
-    assert text.startswith("error: steer import needs a checkout of the project. Clone it: git")
-    assert text.count("\n") == 1
+@pytest.mark.parametrize(("turn_rad", "ratio"), [(0.08, 16.0), (0.0, None)])
+def test_results_have_the_fitted_angles_or_none(tmp_path, monkeypatch, turn_rad, ratio):
+    """Frames are 10 s apart; the log is 0.3 s late, and 0.1 rad is straight ahead."""
+
+    def angle_rad(time_s: np.ndarray) -> np.ndarray:
+        return turn_rad * np.sin(time_s / 30) * np.sin(time_s / 71)
+
+    # The motion of a frame is that in the middle of its step.
+    rng = np.random.default_rng(0)
+    frame = np.arange(150)
+    noise_rad = rng.normal(0, 0.001, len(frame))
+    yaw_radps = SPEED_MPS / WHEELBASE_M * np.tan(angle_rad(10.0 * frame - 5) + noise_rad)
+    rows = {number: (SPEED_MPS, yaw_radps[number]) for number in frame.tolist()}
+    write_motion(tmp_path, "motion", rows)
+
+    log_s = np.arange(0, 1500, 0.25)
+    wheel_rad = 16 * angle_rad(log_s - 0.3) + 0.1 + rng.normal(0, 0.001, len(log_s))
+    lines = [f"{at_s},{angle}" for at_s, angle in zip(log_s, wheel_rad, strict=True)]
+    wheel = tmp_path / "wheel.csv"
+    wheel.write_text("\n".join(["time_s,wheel_rad", *lines]))
+    logs = read_logs(MeasureOptions(wheel=wheel, steering_ratio="fit"))
+
+    frames = [Frame(number, 10.0 * number) for number in frame.tolist()]
+    drive = Drive(None, lambda: iter(frames), logged_values(logs, frame, 10.0 * frame))
+    write_drive(tmp_path / "ingest.h5", drive, "drive", "recording", READING)
+    monkeypatch.setattr(outcome, "find_doubts", lambda attrs: [])
+    camera = SimpleNamespace(height_known=True)
+    source: Any = SimpleNamespace(
+        path=Path("a.mp4"), name="a", logs=logs, drive=drive, camera=camera, doubts=[]
+    )
+
+    results = outcome.Results.read(
+        source, tmp_path, Car(WHEELBASE_M, 1.0), look_ahead=True, fit_ratio=True
+    )
+    comparison = results.compare("measured")
+    text = "\n".join(results.lines(comparison))
+    if ratio is None:
+        assert "the steering ratio cannot be fitted: too little turning for its noise" in text
+        assert comparison is None
+        assert results.doubts == []
+    else:
+        assert results.truth.wheel
+        assert results.truth.wheel.ratio == pytest.approx(ratio, rel=0.05)
+        assert results.truth.wheel.delay_s == pytest.approx(0.3, abs=0.1)
+        assert "fitted to the measured motion, 95 % intervals: steering ratio 1" in text
+        assert comparison
+        assert comparison["truth"] == "wheel.csv (fitted to the measured motion)"
+        assert comparison["measured"]["nmse"] < 0.01

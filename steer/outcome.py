@@ -16,6 +16,7 @@ from pipeline.base.store import DriveReader
 from pipeline.evaluate import statistics
 from pipeline.evaluate.settings import Evaluate
 from pipeline.ingest.log import Log, Logs, log_names, log_notes
+from pipeline.ingest.settings import LARGEST_RATIO
 from pipeline.labels import source as sources
 from pipeline.labels.agreement import Agreement, Pair, compare
 from pipeline.labels.ahead import path_ahead
@@ -363,11 +364,14 @@ def _fit_truth(truth: Truth, log: Log, course: Mapping[str, np.ndarray], pair: P
     # Whether a log follows does not depend on its ratio, zero and delay.
     agreement = compare([pair])
     wheel = None
+    reason = UNKNOWN
     if agreement.angle and agreement.angle.follows:
         wheel = fit_wheel(log, course)
-        reason = UNKNOWN
     else:
         reason = _why_not_followed(agreement, truth.column)
+    if wheel and abs(wheel.ratio) > LARGEST_RATIO:
+        reason = f"it would be {wheel.ratio:.0f}. Is {truth.column} in degrees?"
+        wheel = None
 
     if wheel is None:
         unknown = truth.with_angle(np.full(len(course["time_s"]), np.nan))

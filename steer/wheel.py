@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from pipeline.evaluate import statistics
+from pipeline.evaluate.statistics import interval_text, parts, sums_by_part
 from pipeline.ingest.log import Log
 from pipeline.labels.agreement import NEAR_S
 
@@ -46,9 +46,9 @@ class WheelFit(NamedTuple):
 
     def line(self) -> str:
         """Return the numbers as a line for the user."""
-        ratio = f"steering ratio {self.ratio:.3g} ({_text(self.ratio_ci95, '.3g')})"
-        zero = f"zero {self.zero_rad:z.3f} rad ({_text(self.zero_rad_ci95, 'z.3f')})"
-        delay = f"delay {self.delay_s:z.2f} s ({_text(self.delay_s_ci95, 'z.2f')})"
+        ratio = f"steering ratio {self.ratio:#.3g} ({interval_text(self.ratio_ci95, '#.3g')})"
+        zero = f"zero {self.zero_rad:z.3f} rad ({interval_text(self.zero_rad_ci95, 'z.3f')})"
+        delay = f"delay {self.delay_s:z.2f} s ({interval_text(self.delay_s_ci95, 'z.2f')})"
         return (
             f"wheel fitted to the measured motion, 95 % intervals: {ratio}, {zero}, {delay}; "
             "a wrong lens, camera height or wheelbase scales the ratio"
@@ -78,28 +78,7 @@ def fit_wheel(log: Log, table: Mapping[str, np.ndarray]) -> WheelFit | None:
         log: the wheel's log. Its `ratio` is a guess, on which only the weights of frames depend.
         table: columns [F] of :func:`steer.outcome.read_course`, and ``time_s``.
     """
-    # The angle of the steering wheel at each frame, for L delays.
-    time_s = _halfway(table["time_s"])
-    wheel_rad = np.stack([_wheel_rad(log, time_s + delay_s) for delay_s in DELAYS_S])  # [L,F]
-    measured_rad = table["measured_rad"]
-    used = np.isfinite(measured_rad) & np.isfinite(wheel_rad).all(axis=0)
-
-    # Cut the drive into D stretches, and sum the terms of the regression over each.
-    step_s = np.median(np.diff(time_s))
-    stretch = statistics.parts(np.zeros(len(time_s), int), round(STRETCH_S / step_s))
-    weight = 1 / _sigma_rad(log, table) ** 2
-    terms = np.stack(
-        [
-            np.ones_like(wheel_rad),
-            wheel_rad,
-            wheel_rad**2,
-            np.broadcast_to(measured_rad, wheel_rad.shape),
-            wheel_rad * measured_rad,
-            np.broadcast_to(measured_rad**2, wheel_rad.shape),
-        ],
-        axis=-1,
-    )
-    sums = statistics.sums_by_part(weight[:, None] * terms, used[:, None], stretch)  # [L,D,6]
+    sums = _sum_terms(log, table)
     if sums.shape[1] < 2:
         return None
 
@@ -108,26 +87,28 @@ def fit_wheel(log: Log, table: Mapping[str, np.ndarray]) -> WheelFit | None:
     fitted = _fit_lines(total)
     without = _fit_lines(total - sums)
     slope = float(fitted.slope[0])
+    zero_rad = float(fitted.zero_rad[0])
+    delay_s = float(fitted.delay_s[0])
+
+    # An error of the speed that is the same in all frames multiplies the ratio.
+    measured = np.isfinite(table["measured_rad"])
+    common = NORMAL_95 * float(np.median(table["speed_sigma"][measured]))
     error = _reach(without.slope) / abs(slope)  # relative
     if not error < 1:  # true for NaN
         return None
+    nearer = math.exp(-math.hypot(math.log1p(error), common)) / slope
+    farther = math.exp(math.hypot(math.log1p(-error), common)) / slope
 
-    # An error of the speed in all frames multiplies the ratio.
-    common = NORMAL_95 * float(np.median(table["speed_sigma"][used]))
-    lower = math.exp(-math.hypot(math.log1p(error), common)) / slope
-    upper = math.exp(math.hypot(math.log1p(-error), common)) / slope
-    zero_rad = float(fitted.zero_rad[0])
     zero_reach_rad = _reach(without.zero_rad)
-    delay_s = float(fitted.delay_s[0])
     delay_reach_s = _reach(without.delay_s)
     return WheelFit(
         ratio=1 / slope,
-        ratio_ci95=(min(lower, upper), max(lower, upper)),
+        ratio_ci95=(min(nearer, farther), max(nearer, farther)),
         zero_rad=zero_rad,
         zero_rad_ci95=(zero_rad - zero_reach_rad, zero_rad + zero_reach_rad),
         delay_s=delay_s,
         delay_s_ci95=(delay_s - delay_reach_s, delay_s + delay_reach_s),
-        speed_mps=float(np.median(np.abs(table["speed_mps"][used]))),
+        speed_mps=float(np.median(np.abs(table["speed_mps"][measured]))),
     )
 
 
@@ -144,6 +125,33 @@ def _wheel_rad(log: Log, time_s: np.ndarray) -> np.ndarray:
     return log.ratio * log.at(time_s)[0]
 
 
+def _sum_terms(log: Log, table: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return the sums [L,D,6] of the terms of a regression, for L delays, over D stretches.
+
+    The terms are 1, w, w², m, wm and m², times the weight of the frame, for the wheel's angle w and
+    the measured angle m.
+    """
+    time_s = _halfway(table["time_s"])
+    wheel_rad = np.stack([_wheel_rad(log, time_s + delay_s) for delay_s in DELAYS_S])  # [L,F]
+    measured_rad = np.broadcast_to(table["measured_rad"], wheel_rad.shape)
+    terms = [
+        np.ones_like(wheel_rad),
+        wheel_rad,
+        wheel_rad**2,
+        measured_rad,
+        wheel_rad * measured_rad,
+        measured_rad**2,
+    ]
+    weight = 1 / _sigma_rad(log, table) ** 2
+    weighted = weight[:, None] * np.stack(terms, axis=-1)
+
+    # At all delays, the same frames count.
+    counted = np.isfinite(measured_rad[0]) & np.isfinite(wheel_rad).all(axis=0)
+    step_s = np.median(np.diff(time_s))
+    stretch = parts(np.zeros(len(time_s), int), round(STRETCH_S / step_s))
+    return sums_by_part(weighted, counted[:, None], stretch)
+
+
 def _sigma_rad(log: Log, table: Mapping[str, np.ndarray]) -> np.ndarray:
     """Return the standard deviations of the measured angles [F].
 
@@ -158,7 +166,7 @@ def _sigma_rad(log: Log, table: Mapping[str, np.ndarray]) -> np.ndarray:
 def _fit_lines(sums: np.ndarray) -> _Lines:
     """Return the lines with the least squared error at the best of L delays.
 
-    `sums` [L,M,6] are the sums of weights, w, w², m, wm and m² for wheel w and measured angle m.
+    `sums` [L,M,6] are those of :func:`_sum_terms` over M selections of stretches.
     """
     means = sums[..., 1:] / sums[..., :1]
     wheel, wheel_wheel, measured, wheel_measured, measured_measured = np.moveaxis(means, -1, 0)
@@ -185,7 +193,3 @@ def _reach(without: np.ndarray) -> float:
     """Return half of the 95 % interval of a number, from its values without each of D stretches."""
     others = len(without) - 1
     return float(stats.t.ppf(0.975, others) * math.sqrt(others * np.var(without)))
-
-
-def _text(bounds: tuple[float, float], form: str) -> str:
-    return statistics.interval_text(bounds, form)

@@ -278,3 +278,30 @@ def test_a_second_machine_trains_the_same_network_on_the_firsts_graphs(folder, t
         assert not any((second / "data" / unused).glob("*")), unused
     best = f"data/train/{MODEL}/best.pt"
     assert (second / best).read_bytes() == (folder / best).read_bytes()
+
+
+def test_a_second_machine_reads_shared_clouds_and_makes_other_graphs(folder, tmp_path, monkeypatch):
+    """By the commands and the code of data/README.md."""
+    second = tmp_path / "second"
+    push = "dvc push clouds motion labels"
+    pull = "dvc pull clouds motion labels"
+    make = "dvc repro --single-item graphs@dense"
+    assert push in code_block("dvc remote add")
+    assert pull in code_block(make)
+    run(folder, "dvc", "remote", "add", "-d", "lab", str(tmp_path / "lab"))
+    run(folder, *push.split())
+    commit(folder)
+    run(tmp_path, "git", "clone", "-q", str(folder), str(second))
+    run(second, *pull.split())
+    graphs = yaml.safe_load((second / "params.yaml").read_text())["graphs"]
+    dense = {"source": "clouds/pseudo", "points": 50, "k": 10}
+    edit_params(second, graphs=graphs | {"dense": dense})
+    assert stages_run(run(second, *make.split())) == ["graphs@dense"]
+
+    drives = json.loads((second / "data/clouds/pseudo/index.json").read_text())["drives"]
+    lines = code_block("np.intersect1d").removeprefix("python\n")
+    names: dict[str, Any] = {}
+    monkeypatch.chdir(second)
+    exec(lines.replace("2026_01_21_drive_0004", next(iter(drives))), names)
+    assert names["xyz"].shape == (len(names["cls"]), 3)
+    assert np.isfinite(names["steering_rad"])

@@ -26,7 +26,7 @@ from pipeline.motion import rates
 from pipeline.motion.doubts import find_doubts
 from pipeline.motion.step import PROBLEMS
 from steer.chain import INGEST, MOTION, Source
-from steer.wheel import WheelFit, fit_wheel
+from steer.wheel_fit import WheelFit, fit_wheel
 
 # Largest share of the moving frames in which the measured speed may be negative. If it is exceeded,
 # the camera looks back.

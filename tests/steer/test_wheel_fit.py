@@ -15,7 +15,7 @@ from pipeline.labels.label import Car
 from steer import outcome
 from steer.measure import READING
 from steer.parameters import MeasureOptions
-from steer.wheel import fit_wheel
+from steer.wheel_fit import fit_wheel
 from tests.artefacts import WHEELBASE_M, write_motion
 
 SPEED_MPS = 10.0

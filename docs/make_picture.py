@@ -69,7 +69,7 @@ def main(
         camera = read_camera(files["ingest"])
         for frame in counted["frame"].tolist():
             view = street_view.read_view(frame, *files.values())
-            paths = figures.read_paths(group, comparison, drive, frame)
+            paths = figures.read_paths(group, comparison, model, drive, frame)
             pictures.append(_draw(view, camera, paths))
     first, *others = pictures
     first.save(

@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pipeline.camera.geometry import project
+
 # Least parallax in pixels of a point that is compared.
 MIN_PARALLAX_PX = 0.5
 # Least number of points that are compared.
@@ -110,12 +112,14 @@ def _triangulate(
 def _errors_px(
     points: _Triangulated, uv_before: np.ndarray, uv: np.ndarray, T: np.ndarray, K: np.ndarray
 ) -> np.ndarray:
-    """Return the distances [N] in pixels of points from where they are seen now."""
+    """Return the distances [N] in pixels of points from where they are seen now.
+
+    They are NaN for points behind the camera.
+    """
     direction = T[:3, 3] / np.linalg.norm(T[:3, 3])
     xyz_before = pixel_rays(uv_before, K) * points.before[:, None]
-    x, y, z = ((xyz_before - direction) @ T[:3, :3]).T
-    z = np.where(z > 0, z, np.inf)
-    projected = np.stack([x / z * K[0, 0] + K[0, 2], y / z * K[1, 1] + K[1, 2]], axis=1)
+    xyz_now = (xyz_before - direction) @ T[:3, :3]
+    projected, _ = project(xyz_now, K)
     return np.linalg.norm(projected - uv, axis=1)
 
 

@@ -31,7 +31,7 @@ def draw_bend(path: Path, group: Group, comparison: Comparison, ingest: Path) ->
     """
     model = comparison.by_error[0]
     drive, frame = median_bend(group.first_seed(model))
-    paths = read_paths(group, comparison, drive, frame)
+    paths = read_paths(group, comparison, model, drive, frame)
     caption = f"The path from frame {frame} of {drive}. "
     if group.edges_m:
         caption += f"Red is the path that the car drove in the next {group.edges_m[-1]:g} m"
@@ -86,7 +86,7 @@ def draw_chain(
 
     figure, last_panel = _draw_panels(view, graph)
     if group.edges_m:
-        driven_and_predicted = read_paths(group, comparison, drive, number)
+        driven_and_predicted = read_paths(group, comparison, model, drive, number)
         street_view.draw_paths_from_above(last_panel, driven_and_predicted)
         last_panel.set_title("path ahead")
         last_panel.legend(frameon=False)
@@ -102,18 +102,20 @@ def draw_chain(
 
 
 def read_paths(
-    group: Group, comparison: Comparison, drive: str, frame: int
+    group: Group, comparison: Comparison, model: str, drive: str, frame: int
 ) -> dict[str, np.ndarray]:
     """Return kind → curvature of each step, of the path ahead of a frame.
 
-    Kinds are the driven path, that predicted by the best model's first seed, and that by the best
-    model without the scene, if there is one. Steps are those of :func:`street_view.path_steps`.
+    Kinds are the driven path, that predicted by the first seed of `model`, and that by the best
+    model without the scene, if there is another one. Steps are those of
+    :func:`street_view.path_steps`.
     """
     columns = {"driven": "true", "predicted": "predicted"}
-    models = dict.fromkeys(columns, comparison.by_error[0])
-    if comparison.without_scene:
+    models = dict.fromkeys(columns, model)
+    blind = comparison.without_scene
+    if blind and blind != model:
         columns["without the scene"] = "predicted"
-        models["without the scene"] = comparison.without_scene
+        models["without the scene"] = blind
 
     paths = {}
     for kind, column in columns.items():
@@ -194,7 +196,7 @@ def draw_errors(out: Path, comparison: Comparison, group: Group, ingest: Path) -
     captions = Captions()
     for drive, rank in group.typical_drives(model).items():
         row = predictions.loc[predictions["cost"].where(predictions["drive"] == drive).idxmax()]
-        paths = read_paths(group, comparison, drive, row["frame"])
+        paths = read_paths(group, comparison, model, drive, row["frame"])
         name = f"{group.key}-{rank}"
         if _draw_paths(out / f"{name}.png", ingest, drive, row["frame"], paths):
             captions[name] = (

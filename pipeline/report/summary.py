@@ -193,7 +193,7 @@ class Comparison:
         return next((name for name in self.by_error if not self.gets_scene(name)), None)
 
     def gets_scene(self, name: str) -> bool:
-        """Whether a model gets the scene. Results of earlier versions do not say so: they do."""
+        """Whether a model gets the scene. Results before 2026-11-28 do not say so: they do."""
         return bool(self.entry(name).get("scene", True))
 
     @property

@@ -158,3 +158,24 @@ def test_comparison_by_its_definition():
         assert comparison[name]["rmse_deg"] == pytest.approx(np.rad2deg(np.sqrt(error)))
     results.table["driven_rad"] = np.full(11, np.nan)
     assert results.compare("predicted") is None
+
+
+@pytest.mark.parametrize("recorded", [True, False])
+def test_the_taken_path_is_recorded_or_else_measured(recorded):
+    """At 10 m/s, the log turns by 1 rad/s to the left, and the images by 0.5."""
+    frame = np.arange(8)
+    known = np.ones(8, bool)
+    speed_mps = np.full(8, 10.0)
+    driven = Labels(np.zeros(8), known, speed_mps, np.full(8, 1.0))
+    if not recorded:
+        driven = driven.without(known)
+    measured = Labels(np.zeros(8), known, speed_mps, np.full(8, 0.5))
+    table = {"frame": frame, "time_s": frame / 10}
+    results = Results("drive", table, [""] * 8, Truth("", "", driven), measured, {}, [], [])
+    results.add_path((0.0, 2.0, 5.0), np.zeros((8, 2)))
+
+    (name,) = results.taken_1pm
+    curvature_1pm = {"driven": 0.1, "measured": 0.05}[name]
+    assert name == ("driven" if recorded else "measured")
+    np.testing.assert_allclose(results.taken_1pm[name][0], curvature_1pm)
+    assert np.isnan(results.taken_1pm[name][-2:]).all(), "the drive ends"

@@ -115,6 +115,13 @@ def test_predictions_equal_those_of_the_stages(folder, tmp_path, model):
     np.testing.assert_allclose(rows[names], expected, atol=2e-6)
 
 
+def test_a_prediction_for_a_training_drive_is_doubted(folder, capsys):
+    source = folder / "data/sample/2026_01_01/2026_01_01_drive_0001_sync"
+    outcome = api.predict(source, folder / "data/train/path")
+    doubt = "path was trained on 2026_01_01_drive_0001: on other streets its error is larger"
+    assert doubt in outcome.doubts
+
+
 def test_a_model_is_compared_with_oxts(folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     predict([drive(folder)], model=Path("data/train/scans"), out=tmp_path / "out", video=False)

@@ -113,7 +113,7 @@ def test_the_picture_of_a_bend_shows_the_paths_with_and_without_the_scene(tmp_pa
     assert picture.is_file()
     assert caption.startswith(f"The path from frame 29 of {DRIVE}. Red is the path that the car ")
     assert "green the prediction of model path, and blue that of model path-blind" in caption
-    paths = figures.read_paths(groups[0], comparison, DRIVE, 29)
+    paths = figures.read_paths(groups[0], comparison, "path", DRIVE, 29)
     driven, predicted, blind = (paths[kind][0] for kind in paths)
     assert [*paths] == ["driven", "predicted", "without the scene"]
     assert 0 < abs(predicted - driven) < abs(blind - driven)

@@ -258,6 +258,14 @@ def test_the_best_validated_model_has_a_verdict(
     assert headline.endswith(": too few drives.")
 
 
+def test_few_turning_frames_are_doubted(tmp_path):
+    comparisons = compare(tmp_path, metrics("net") | {"turning_frames": 19})
+    assert tables.few_turns(comparisons) == [
+        "19 frames of the training drives turn (radius below 135 m), too few to tell models apart"
+    ]
+    assert tables.few_turns(compare(tmp_path, metrics("net") | {"turning_frames": 20})) == []
+
+
 def test_perception_has_a_row_per_split_with_ground_truth():
     scores = {split: Scores() for split in ("train", "val", "test")}
     truth = np.full((40, 50), 10.0)

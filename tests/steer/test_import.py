@@ -280,6 +280,12 @@ def test_the_sign_of_a_log_is_that_of_the_images(tmp_path, take):
         preset.take_logs(content, tmp_path / "data/raw")
 
 
+def test_an_import_counts_the_images_that_turn(take, video, capsys):
+    take(video, wheel=every_second(0.0))
+    line = f"0 of {FRAMES} images turn by wheel-0.txt (radius below 135 m): too few to train on"
+    assert line in capsys.readouterr().out.splitlines()
+
+
 def distorted(image: np.ndarray, K: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
     """Return the image of a lens with this distortion; `image` is that of a pinhole."""
     v, u = np.mgrid[: image.shape[0], : image.shape[1]].astype(np.float64)

@@ -11,9 +11,8 @@ from pipeline.camera.camera import Camera, DriveFrames
 from pipeline.motion.odometry import Odometry
 from pipeline.motion.roll import EVERY, Roll
 from pipeline.motion.speed import LEAST_MPS, Speeds, filter_speeds
-from pipeline.motion.step import PROBLEMS, STANDSTILL, durations, rates
+from pipeline.motion.step import MEDIAN_DEVIATION, PROBLEMS, STANDSTILL, durations, rates
 from pipeline.motion.still import lowest_share
-from pipeline.motion.triangulation import MEDIAN_DEVIATION
 
 # Least share of the class road, in front of the car, in a frame whose classes show a road.
 ROAD_BY_CLASS = 0.5

@@ -6,8 +6,7 @@ import numpy as np
 
 from pipeline.base.store import DriveReader
 from pipeline.motion.speed import Speeds, smooth_speeds
-from pipeline.motion.step import PROBLEMS, STANDSTILL
-from pipeline.motion.triangulation import MEDIAN_DEVIATION
+from pipeline.motion.step import MEDIAN_DEVIATION, PROBLEMS, STANDSTILL
 
 # Standard deviation in seconds of the Gaussian for yaw rates with a noise of YAW_NOISE_RADPS: a
 # driver turns the wheel in a second. Noisier ones need a longer one.

@@ -10,6 +10,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+# Median of the absolute deviation of a normal distribution, in standard deviations.
+MEDIAN_DEVIATION = 0.6745
 STANDSTILL = ("the image does not move", "the camera stands")
 PROBLEMS = (
     "",

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.camera.geometry import project
+from pipeline.motion.step import MEDIAN_DEVIATION
 
 # Least parallax in pixels of a point that is compared.
 MIN_PARALLAX_PX = 0.5
@@ -23,8 +24,6 @@ RATIO_NOISE = 0.006
 # Factor on the standard error of the median of points, since points near each other err alike. With
 # it and RATIO_NOISE, errors on the three drives and on eight of the sample are as large as stated.
 POINTS_ALIKE = 2.0
-# Median of the absolute deviation of a normal distribution, in standard deviations.
-MEDIAN_DEVIATION = 0.6745
 
 
 class Tracks(NamedTuple):

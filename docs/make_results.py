@@ -6,7 +6,7 @@
 
 A value stands before a comment with its key, as in 0.064<!-- roads/angle-0/sa-gnn-ncp -->. This
 value is an nmse. For another part of the entry, its name follows the key, as in
-1.44<!-- roads/angle-0/sa-gnn-ncp:mae_deg -->. A table of the report is written between a comment
+1.44<!-- roads/angle-0/sa-gnn-ncp:mae -->. A table of the report is written between a comment
 with its run, group, name and columns, and the comment <!-- end -->.
 """
 
@@ -35,7 +35,7 @@ TABLE = re.compile(r"(<!-- table: (\S+) (\S+) (\w+): ([^\n]*) -->\n).*?(\n<!-- e
 # or RUN/KEY:PART.
 VALUE = re.compile(r"[−+]?\d+\.\d+(?: \([^()]*\))?(<!-- (\w+)/([^:>]+?)(?::(\w+))? -->)")
 # Part of an entry → the format of its value.
-FORMS = {"value": ".3f", "mae_deg": ".2f"}
+FORMS = {"value": ".3f", "mae": ".2f"}
 
 
 def collect(

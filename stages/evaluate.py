@@ -37,9 +37,7 @@ def main(
     train = data / "train" / name
     out = data / "evaluate" / name
     first = trained.load_model(train)
-    with stage_folder(
-        f"evaluate@{name}", out, params=params, chosen=first.entry.networks
-    ) as folder:
+    with stage_folder(f"evaluate@{name}", out, params=params, chosen=first.entry.files) as folder:
         models = {run.seed: trained.load_model(run.folder) for run in runs.runs(train, first.seeds)}
         cases = predict_cases(models, data / "graphs" / first.entry.input, data / "labels")
         result = evaluate_model(name, first, cases, settings)

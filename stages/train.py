@@ -40,7 +40,7 @@ def main(
     if entry.learning_rate:
         settings = settings.model_copy(update={"learning_rate": entry.learning_rate})
     graphs = data / "graphs" / entry.input
-    with stage_folder(f"train@{name}", out / name, params=params, chosen=entry.networks) as folder:
+    with stage_folder(f"train@{name}", out / name, params=params, chosen=entry.files) as folder:
         splits = store.read_index(graphs, stage="graphs")
         where = f"{params}: models.{name}"
         with error_context(where=where):

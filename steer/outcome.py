@@ -2,9 +2,8 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,6 +24,7 @@ from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
 from pipeline.motion import rates
 from pipeline.motion.doubts import find_doubts
 from pipeline.motion.step import PROBLEMS
+from pipeline.train.quantity import Quantity
 from steer.chain import INGEST, MOTION, Source
 from steer.wheel_fit import WheelFit, fit_wheel
 
@@ -184,8 +184,8 @@ class Results:
     # At most one line for the user about this agreement.
     agreement_lines: list[str]
     doubts: list[str]
-    # Edges of the ranges of the predicted path; empty unless the model predicts one.
-    ahead_m: tuple[float, ...] = ()
+    # Edges in metres of the ranges of the predicted path; empty unless a path ahead is predicted.
+    edges_m: Sequence[float] = ()
     # Predicted mean curvature in each range, [F,R].
     path_1pm: np.ndarray | None = None
     # Mean curvature in each range of the path that the car took, [F,R]; NaN where unknown. It is
@@ -266,9 +266,22 @@ class Results:
         doubts += lines[1:]
         return cls(source.name, table, problems, truth, measured, agreement, lines[:1], doubts)
 
-    def add_path(self, ahead_m: tuple[float, ...], path_1pm: np.ndarray) -> None:
+    def add_prediction(self, quantity: Quantity, values: np.ndarray) -> None:
+        """Add the predicted values [F,R] of a quantity.
+
+        A quantity in another unit than rad has columns of its own, ``predicted_COLUMN``. If it lies
+        ahead of the car, the path that the car took is added, too.
+        """
+        self.table["predicted_rad"] = quantity.angle_rad(values)
+        if quantity.unit != "rad":
+            for name, column in zip(quantity.columns, values.T, strict=True):
+                self.table[f"predicted_{name}"] = column
+        if quantity.is_ahead:
+            self._add_path(quantity.edges_m, quantity.curvature(values))
+
+    def _add_path(self, edges_m: Sequence[float], path_1pm: np.ndarray) -> None:
         """Add a predicted path [F,R] with edges [R+1], and the path that the car took."""
-        self.ahead_m = ahead_m
+        self.edges_m = edges_m
         self.path_1pm = path_1pm
         name = "measured"
         labels = self.measured
@@ -276,21 +289,13 @@ class Results:
             name = "driven"
             labels = self.truth.driven
         curvature_1pm, valid = path_ahead(
-            self.table["frame"], self.table["time_s"], labels, ahead_m, MAX_STAND_S
+            self.table["frame"], self.table["time_s"], labels, edges_m, MAX_STAND_S
         )
         self.taken_1pm = {name: np.where(valid, curvature_1pm, np.nan)}
 
     def columns(self) -> pd.DataFrame:
-        """Return a table with a row per frame.
-
-        It has the name of the drive, the columns of ``table``, and a column for each range of a
-        predicted path.
-        """
-        columns = {"drive": self.name, **self.table}
-        if self.path_1pm is not None:
-            for (near, far), values in zip(pairwise(self.ahead_m), self.path_1pm.T, strict=True):
-                columns[f"path_{near:g}_{far:g}m_1pm"] = values
-        return pd.DataFrame(columns)
+        """Return a row per frame, with the name of the drive and the columns of ``table``."""
+        return pd.DataFrame({"drive": self.name, **self.table})
 
     def write_csv(self, path: Path) -> None:
         """Write the table of :meth:`columns`. Cells of unknown values are empty."""

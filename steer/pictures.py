@@ -167,7 +167,7 @@ def _find_paths(results: Results, wheelbase_m: float) -> dict[str, np.ndarray]:
     """
     if results.path_1pm is not None:
         predicted = {"predicted": results.path_1pm, **results.taken_1pm}
-        return {name: path_steps(path.T, results.ahead_m) for name, path in predicted.items()}
+        return {name: path_steps(path.T, results.edges_m) for name, path in predicted.items()}
 
     paths = {}
     steps = round(REACH_M / STEP_M)

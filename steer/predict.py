@@ -41,6 +41,7 @@ def predict(
     a log is unusable, or the source lacks an input of the model.
     """
     perception = Perception.model_validate(model.settings["perception"])
+    car = model.quantity.car
     has_scans = source.files and source.files.scans and source.camera.T_cam_velo is not None
     if reading(model).lidar and not has_scans:
         problem = f"model {model.name} needs LiDAR scans"
@@ -48,26 +49,21 @@ def predict(
 
     with run_chain(source, out, reading(model), perception, encoder) as work:
         with graph_file.open_graphs(_make_graphs(model, source, work)) as graphs:
-            results = Results.read(source, work, model.car, look_ahead=False, frame=graphs.frame)
+            results = Results.read(source, work, car, look_ahead=False, frame=graphs.frame)
             # Frames with a scan but without an image have a graph, but no motion, and are left out.
             rows = np.isin(graphs.frame, results.table["frame"])
             prediction = model.predict(graphs)[rows]
-        first_column = prediction[:, 0]
-        if model.ahead_m:
-            results.add_path(model.ahead_m, prediction)
-            results.table["predicted_rad"] = np.full(len(prediction), np.nan)
-        else:
-            results.table["predicted_rad"] = first_column
+        results.add_prediction(model.quantity, prediction)
 
         horizon = model.entry.horizon
         notes = [*source.drive.notes, *results.lines(results.compare("predicted", horizon))]
-        predictions = f"{np.isfinite(first_column).sum()} predictions"
+        predictions = f"{np.isfinite(prediction[:, 0]).sum()} predictions"
         note = f"{model.name}: {predictions} for {len(prediction)} frames"
         if horizon:
             note += f", each {horizon} frames ahead"
         notes.append(note)
         results.doubts += _differences(model, source, encoder, results.table["time_s"])
-    files = publish(out, "steering.csv", results, source, model.car.wheelbase_m, video=video)
+    files = publish(out, "steering.csv", results, source, car.wheelbase_m, video=video)
     return Outcome(results.columns(), notes, results.doubts, files)
 
 

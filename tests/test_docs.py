@@ -10,11 +10,13 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
+import pandas as pd
 import pytest
 import typer
 import yaml
 
 from docs import make_results
+from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
 from pipeline.base.store import DriveReader
@@ -22,9 +24,10 @@ from pipeline.check import preset
 from pipeline.evaluate import statistics
 from pipeline.labels import source
 from pipeline.labels.settings import Labels
+from pipeline.train import quantity
 from stages import report
 from steer.app import app
-from tests import artefacts
+from tests import artefacts, small_model
 from tests.pipeline.report import examples
 
 PAGES = [ROOT / "README.md", ROOT / "data/README.md"] + [
@@ -44,6 +47,7 @@ SECTIONS = {
 PLACEHOLDERS = {
     "models/steering/spatial/height.py",
     "models/steering/spatial/NAME.py",
+    "pipeline/train/quantities/curvature.py",
     "presets/NAME.yaml",
 }
 PLACEHOLDERS |= {f"presets/{name}.yaml" for name in ("monday", "more", "NAME")}
@@ -195,6 +199,41 @@ def test_the_example_of_a_label_source_works(tmp_path, monkeypatch):
             [0.1, 0, -0.05],
             [1, 0, 1],
         )
+
+
+def test_the_quantity_of_the_documentation_is_trained_evaluated_and_shown(tmp_path, monkeypatch):
+    """Tables, metrics and page show it in its own unit, beside its baselines."""
+    module = ModuleType("pipeline.train.quantities.curvature")
+    exec(code_block('title = "curvature"').removeprefix("python\n"), vars(module))
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setattr(quantity, "NAMES", ["angle", "curvature"])
+    artefacts.write_dataset(tmp_path, small_model.SPLITS, frames=60, points=20, motion=True)
+    model = {"predict": "curvature", "temporal": "lstm", "motion": "visual"}
+    small_model.write_params(tmp_path, model, epochs=1)
+    small_model.run_train(tmp_path)
+    path = small_model.run_evaluate(tmp_path) / "metrics.json"
+    metrics = store.read_json(path, stage="evaluate")
+    assert [*metrics["test"]] == ["curvature_1pm"]
+    metrics["variant"]["source"] = "clouds/pseudo"  # the graphs of tests do not name it
+    store.write_json(path, metrics)
+    table = pd.read_csv(tmp_path / "evaluate/net/predictions.csv")
+    of_seed = table[table["seed"] == 0]
+    angle_rad = np.arctan(of_seed["true_curvature_1pm"] * artefacts.WHEELBASE_M)
+    with DriveReader(tmp_path / f"labels/{small_model.TEST}.h5", stage="labels") as labels:
+        np.testing.assert_allclose(angle_rad, labels["steering_rad"], atol=1e-6)
+
+    report.main(tmp_path, tmp_path / "report", tmp_path / "params.yaml")
+    text = (tmp_path / "report/table.md").read_text()
+    assert "## Results: curvature" in text
+    assert re.search(r"\| +MAE 1/m \|", text)
+    sentence = r"its mean absolute error of the curvature is [\d.e-]+ 1/m"
+    assert re.search(sentence, " ".join(text.split()))
+    rows = json.loads((tmp_path / "report/metrics.json").read_text())
+    assert {"curvature-0/net", "curvature-0/odometry", "curvature-0/persistence"} <= {*rows}
+    error_1pm = (table["predicted_curvature_1pm"] - table["true_curvature_1pm"]).abs().mean()
+    assert rows["curvature-0/net"]["mae"] == pytest.approx(error_1pm, rel=1e-4)
+    page = (tmp_path / "report/index.html").read_text()
+    assert f"The only drive, {small_model.TEST}: curvature over time" in page
 
 
 def test_a_metric_of_the_documentation_stands_in_tables_page_and_dvc_metrics(tmp_path, monkeypatch):

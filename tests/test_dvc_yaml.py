@@ -20,7 +20,7 @@ NETWORKS = {
     "${item.temporal}": "models/steering/temporal",
 }
 # Packages with files that are found by their names.
-FOUND = {"pipeline/ingest", "pipeline/labels"}
+FOUND = {"pipeline/ingest", "pipeline/labels", "pipeline/train/quantities"}
 # Stage → packages that it lists although it does not import every file. Of other packages it lists
 # single files.
 PACKAGES = {

@@ -1,4 +1,4 @@
-"""Find code that DVC would not watch: imports of networks, datasets, label sources and metrics."""
+"""Find code that DVC would not watch: imports of files that settings name, and of metrics."""
 
 from pathlib import Path
 
@@ -19,11 +19,11 @@ def check_code(settings: Params) -> None:
     check_file(source, "labels")
     check_file(source, "scores")
 
-    networks = set[str]()
+    files = set[str]()
     for model in settings.models.values():
-        networks.update(model.networks)
-    for network in sorted(networks):
-        check_file(network, "train")
+        files.update(model.files)
+    for file in sorted(files):
+        check_file(file, "train")
 
     check_file(METRICS, "evaluate")
 

@@ -1,32 +1,28 @@
-"""Find faults of a model's entry: build its network, and look for its inputs."""
+"""Find faults of a model's entry: look for its inputs, and run its network on small frames."""
 
 from pipeline.base.errors import InputError, closest
+from pipeline.check.contract import check_network
 from pipeline.check.settings import Params
 from pipeline.labels import source
 from pipeline.train import runs
 from pipeline.train.entry import Entry
+from pipeline.train.quantity import load_quantity
 
 
 def check_model(entry: Entry, settings: Params) -> None:
-    """Build a model's network and check that its inputs are available. Raises InputError."""
+    """Check that a model's inputs are available, and its network. Raises InputError."""
     if entry.input not in settings.graphs:
         options = closest(entry.input, [*settings.graphs])
         raise InputError(f"unknown variant {entry.input!r}: {options}", "input")
     variant = settings.graphs[entry.input]
 
-    # A path has one output for each range between two edges.
-    outputs = 1
-    if entry.predict == "path":
-        outputs = len(settings.labels.ahead_m) - 1
-    if outputs < 1:
-        fix = "Set it to edges, for instance [0, 10]"
-        raise InputError("predict: path needs labels.ahead_m (got [])", fix=fix)
+    quantity = load_quantity(entry.predict)(settings.labels.model_dump(), entry.horizon)
 
-    # If labels are measured motion, this motion must not be an input, too. With a horizon above 0
-    # it may be, as it is earlier than the label.
+    # If labels are measured motion, this motion must not be an input, too. If they lie ahead of the
+    # last input frame it may be, as it is earlier than the label.
     has_motion = entry.motion != "none"
     labels_are_measured = source.load_source(settings.labels.source).MEASURED
-    if entry.predict == "angle" and has_motion and labels_are_measured and not entry.horizon:
+    if has_motion and labels_are_measured and not entry.predicts_ahead:
         problem = (
             f"motion: {entry.motion} with labels.source: {settings.labels.source} at horizon: 0 "
             "makes the label an input"
@@ -38,4 +34,7 @@ def check_model(entry: Entry, settings: Params) -> None:
         raise InputError(f"input = {entry.input!r} needs scans, but ingest.lidar is false")
     # A network that sees the scene of another drive needs a second drive in each split.
     runs.check_splits(settings.ingest.drives.splits(), entry.scene)
-    entry.build(variant.kind, len(variant.levels), settings.ingest.image_size, outputs)
+    outputs = len(quantity.columns)
+    image_size = settings.ingest.image_size
+    net = entry.build(variant.kind, len(variant.levels), image_size, outputs)
+    check_network(net, entry, variant, image_size, outputs)

@@ -1,12 +1,11 @@
 """Predict the drives of all splits with a model, compute its errors, and write predictions.csv.
 
-A column is a quantity that a model predicts: the steering angle, or the mean curvature in one range
-of the path ahead. Letters: S seeds of a model, G frames of a drive, N frames of a split, R columns.
+Letters: S seeds of a model, G frames of a drive, N frames of a split, R columns of the predicted
+quantity.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -48,8 +47,8 @@ class Case:
         """Return the values [G,R] of predictors that do not use the scene.
 
         - train_mean is the mean of the training targets.
-        - persistence is the last true angle before the target frame. No model gets it as an input.
-          A path ahead has none, since its truth is in the future.
+        - persistence is the last true value before the target frame. No model gets it as an input.
+          A quantity ahead of the car has none, since its truth is in the future.
         - odometry is the value that is measured at the last input frame. It is NaN before the first
           measurement.
         - regression is odometry times its regression coefficient on the training drives. Before the
@@ -57,13 +56,14 @@ class Case:
         """
         drive = self.drive
         values = {"train_mean": self.scale.mean}
-        if not drive.ahead_m:
-            last_rad = label.hold_valid(drive.driven.steering_rad, drive.driven.valid)
-            if not drive.horizon:
-                # The target frame is the last input frame, so the last true angle before it is that
+        if not drive.quantity.is_ahead:
+            held = [label.hold_valid(column, np.isfinite(column)) for column in drive.present.T]
+            last = np.stack(held, axis=1)
+            if not drive.quantity.horizon:
+                # The target frame is the last input frame, so the last true value before it is that
                 # of the previous frame.
-                last_rad = np.concatenate([np.zeros(1), last_rad[:-1]])
-            values["persistence"] = last_rad[:, None]
+                last = np.concatenate([np.zeros_like(last[:1]), last[:-1]])
+            values["persistence"] = last
         if drive.odometry is not None:
             values["odometry"] = drive.odometry
             if self.scale.odometry_gain is not None:
@@ -80,7 +80,7 @@ def predict_cases(
     """Return split → drives with their predictions.
 
     `models` is seed → network. `variant` and `labels` are the folders of the graphs and of the
-    labels. Raises InputError if the labels have other ranges of the path ahead than the networks.
+    labels. Raises InputError if the labels have other columns than the networks.
     """
     splits = read_index(variant, stage="graphs")
     scenes = [runs.scenes(splits, seed, model.entry.scene) for seed, model in models.items()]
@@ -90,9 +90,10 @@ def predict_cases(
     cases: dict[str, list[Case]] = {split: [] for split in SPLITS}
     for name, split in splits.items():
         drive = read_drive(variant, labels, name, first.entry)
-        if drive.columns != first.scale.names:
-            ranges = f"got {drive.ahead_m}"
-            problem = f"labels.ahead_m differs from the ranges of the trained model ({ranges})"
+        columns = drive.quantity.columns
+        if columns != first.scale.names:
+            problem = f"the labels have {', '.join(columns)}"
+            problem += f", the trained model predicts {', '.join(first.scale.names)}"
             raise InputError(problem, drive.labels, f"Train it again: dvc repro train@{first.name}")
 
         # Each seed sees the scene of the drive itself, or of another drive if `scene` of the
@@ -126,8 +127,7 @@ def evaluate_model(
         "drives": {},
         "turning_frames": turning_frames(drives["train"]),
         "parameters": sum(weights.numel() for weights in first.net.parameters()),
-        "columns": columns(tested[0]),
-        "wheelbase_m": tested[0].settings["labels"]["wheelbase_m"],
+        "labels": tested[0].settings["labels"],
         **inputs(tested),
     }
     for split, split_cases in cases.items():
@@ -158,7 +158,7 @@ def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, An
 
     drift_m = _drift(drives, by_seed)
     result = {}
-    for column, name in enumerate(drives[0].columns):
+    for column, name in enumerate(drives[0].quantity.columns):
         errors = statistics.errors(truth[:, column], predicted[..., column], number, settings)
         result[name] = errors | {"drift_m_per_100m": drift_m}
     return result
@@ -169,36 +169,28 @@ def _drift(
 ) -> float | None:
     """Return the mean drift over seeds.
 
-    It is None for a model with a horizon or of a path ahead, since only angles at the frame itself
-    make a path that can drift.
+    It is None for a model that predicts ahead, since only angles at the frame itself make a path
+    that can drift.
     """
-    if drives[0].horizon or drives[0].ahead_m:
+    quantity = drives[0].quantity
+    if quantity.horizon or quantity.is_ahead:
         return None
     onsets = [read_onsets(drive) for drive in drives]
     values = []
     for predictions in by_seed:
-        angles_rad = [prediction[:, 0] for prediction in predictions]
+        angles_rad = [quantity.angle_rad(prediction) for prediction in predictions]
         value = drift(zip(drives, onsets, angles_rad, strict=True))
         if value is not None:
             values.append(value)
     return float(np.mean(values)) if values else None
 
 
-def columns(drive: LabelledDrive) -> dict[str, dict[str, Any]]:
-    """Return column → unit, and range in metres, which is None for the steering angle."""
-    if not drive.ahead_m:
-        return {name: {"unit": "rad", "from_m": None, "to_m": None} for name in drive.columns}
-    ranges = zip(drive.columns, pairwise(drive.ahead_m), strict=True)
-    return {name: {"unit": "1/m", "from_m": near, "to_m": far} for name, (near, far) in ranges}
-
-
 def turning_frames(drives: Sequence[LabelledDrive]) -> int:
-    """Return the number of frames that turn by their target, in any range of a path ahead."""
+    """Return the number of frames that turn by their target, in any range of its path."""
     frames = 0
     for drive in drives:
-        angle_rad = drive.target
-        if drive.ahead_m:
-            angle_rad = np.arctan(drive.target * drive.settings["labels"]["wheelbase_m"])
+        quantity = drive.quantity
+        angle_rad = np.arctan(quantity.curvature(drive.target) * quantity.car.wheelbase_m)
         frames += int((np.abs(angle_rad) > label.TURNING_RAD).any(axis=1).sum())
     return frames
 
@@ -236,7 +228,7 @@ def write_predictions(path: Path, name: str, seeds: Sequence[int], cases: Sequen
             }
             values = {"true": drive.target, "predicted": case.predictions[number]}
             values |= case.baselines()
-            for column, target in enumerate(drive.columns):
+            for column, target in enumerate(drive.quantity.columns):
                 for kind, columns_of_kind in values.items():
                     table[f"{kind}_{target}"] = columns_of_kind[:, column]
             tables.append(pd.DataFrame(table))

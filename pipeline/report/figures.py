@@ -1,6 +1,5 @@
 """Draw the pictures of the page from the outputs of stages, as PNG files with captions."""
 
-from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -15,10 +14,9 @@ from pipeline.report import street_view
 from pipeline.report.results import Group
 from pipeline.report.street_view import View
 from pipeline.report.summary import Comparison
+from pipeline.train.quantity import Quantity
 
-# Length in metres of the path that a steering angle makes in an image.
-PATH_M = 20.0
-# Matplotlib's colours of angles.
+# Matplotlib's colours of curves.
 _COLOURS = {"true": "0.15", "odometry": "tab:orange", "predicted": "tab:blue"}
 Captions = dict[str, str]  # name of the file without suffix → caption
 
@@ -33,11 +31,7 @@ def draw_bend(path: Path, group: Group, comparison: Comparison, ingest: Path) ->
     drive, frame = median_bend(group.first_seed(model))
     paths = read_paths(group, comparison, model, drive, frame)
     caption = f"The path from frame {frame} of {drive}. "
-    if group.edges_m:
-        caption += f"Red is the path that the car drove in the next {group.edges_m[-1]:g} m"
-    else:
-        caption += "Red is the path of the driven angle"
-    caption += f", green the prediction of model {model}"
+    caption += f"Red is {_driven_path(group.quantity)}, green the prediction of model {model}"
     if "without the scene" in paths:
         caption += f", and blue that of model {comparison.without_scene}, without the scene"
     caption += ". This is the drive of median error among the half of the drives that turn most."
@@ -85,13 +79,14 @@ def draw_chain(
         views = street_view.read_some(graphs)
 
     figure, last_panel = _draw_panels(view, graph)
-    if group.edges_m:
+    if group.quantity.is_ahead:
         driven_and_predicted = read_paths(group, comparison, model, drive, number)
         street_view.draw_paths_from_above(last_panel, driven_and_predicted)
-        last_panel.set_title("path ahead")
+        last_panel.set_title(group.quantity.title)
         last_panel.legend(frameon=False)
     else:
-        _draw_angles(last_panel, predictions[predictions["drive"] == drive], number)
+        of_drive = predictions[predictions["drive"] == drive]
+        _draw_over_time(last_panel, of_drive, number, group.quantity)
     street_view.save(figure, path)
     caption = (
         f"From image to steering (Figure 1 of the paper): frame {number} of {drive}, a bend of "
@@ -110,6 +105,7 @@ def read_paths(
     model without the scene, if there is another one. Steps are those of
     :func:`street_view.path_steps`.
     """
+    quantity = group.quantity
     columns = {"driven": "true", "predicted": "predicted"}
     models = dict.fromkeys(columns, model)
     blind = comparison.without_scene
@@ -122,30 +118,27 @@ def read_paths(
         predictions = group.first_seed(models[kind])
         rows = predictions[(predictions["drive"] == drive) & (predictions["frame"] == frame)]
         if len(rows):
-            values = rows[[f"{column}_{name}" for name in group.labels]].to_numpy()[0]
-            paths[kind] = _steps(values, group.edges_m, group.models[models[kind]]["wheelbase_m"])
+            values = rows[[f"{column}_{name}" for name in quantity.columns]].to_numpy()[0]
+            curvature_1pm = quantity.curvature(values)
+            paths[kind] = street_view.path_steps(curvature_1pm, quantity.edges_m)
     return paths
 
 
-def _steps(values: np.ndarray, edges_m: Sequence[float], wheelbase_m: float) -> np.ndarray:
-    """Return the curvature of each step of a path.
-
-    `values` are the curvatures [R] in ranges with these edges. Without edges, they are one steering
-    angle [1], which is held along the path.
-    """
-    if edges_m:
-        return street_view.path_steps(values, edges_m)
-    return street_view.path_steps(np.tan(values) / wheelbase_m, [0.0, PATH_M])
+def _driven_path(quantity: Quantity) -> str:
+    """Return in words what the path of the true values is."""
+    if quantity.is_ahead:
+        return f"the path that the car drove in the next {quantity.edges_m[-1]:g} m"
+    return f"the path of the driven {quantity.title}"
 
 
 def median_bend(predictions: pd.DataFrame) -> tuple[str, int]:
     """Return the drive of median error among those that turn most, and its sharpest frame."""
     predicted = predictions.dropna(subset="cost")
-    turn_deg = predicted["true_deg"].abs()
-    sharpest = predicted.loc[turn_deg.groupby(predicted["drive"]).idxmax()].set_index("drive")
+    turn = predicted["shown_true"].abs()
+    sharpest = predicted.loc[turn.groupby(predicted["drive"]).idxmax()].set_index("drive")
 
     # The half of the drives that turn most, by their error.
-    by_turn = sharpest["true_deg"].abs().sort_values()
+    by_turn = sharpest["shown_true"].abs().sort_values()
     bends = by_turn.index[len(by_turn) // 2 :]
     costs = predicted.groupby("drive")["cost"].sum()[bends].sort_values()
     drive = str(costs.index[len(costs) // 2])
@@ -171,16 +164,17 @@ def _draw_panels(view: View, graph: View) -> tuple[Figure, Axes]:
     return figure, panels["f"]
 
 
-def _draw_angles(panel: Axes, steering: pd.DataFrame, frame: int) -> None:
-    """Draw the driven, measured and predicted angle over the time of a drive, and mark a frame."""
+def _draw_over_time(panel: Axes, predictions: pd.DataFrame, frame: int, quantity: Quantity) -> None:
+    """Draw the driven, measured and predicted values of a drive over time, and mark a frame."""
     for kind, style in {"true": "-", "odometry": "--", "predicted": "-"}.items():
-        angle_deg = steering[f"{kind}_deg"]
-        if angle_deg.notna().any():
+        shown = predictions[f"shown_{kind}"]
+        if shown.notna().any():
             label = "driven" if kind == "true" else kind
-            panel.plot(steering["elapsed_s"], angle_deg, style, color=_COLOURS[kind], label=label)
-    time_s = steering.loc[steering["frame"] == frame, "elapsed_s"].iloc[0]
+            panel.plot(predictions["elapsed_s"], shown, style, color=_COLOURS[kind], label=label)
+    time_s = predictions.loc[predictions["frame"] == frame, "elapsed_s"].iloc[0]
     panel.axvline(time_s, color="0.7", linewidth=1)
-    panel.set(xlabel="time in s", title="steering in deg, left +; grey: this frame")
+    title = f"{quantity.shown_title} in {quantity.shown_unit}, left +; grey: this frame"
+    panel.set(xlabel="time in s", title=title)
     panel.margins(x=0)
     panel.legend(frameon=False)
 
@@ -199,10 +193,12 @@ def draw_errors(out: Path, comparison: Comparison, group: Group, ingest: Path) -
         paths = read_paths(group, comparison, model, drive, row["frame"])
         name = f"{group.key}-{rank}"
         if _draw_paths(out / f"{name}.png", ingest, drive, row["frame"], paths):
+            driven = group.quantity.text(row["shown_true"])
+            predicted = group.quantity.text(row["shown_predicted"])
             captions[name] = (
                 f"Frame {row['frame']}, the largest error of {model} in this drive: driven "
-                f"{row['true_deg']:.1f}° (red), predicted {row['predicted_deg']:.1f}° (green), "
-                "left +. The image is the last one of the input."
+                f"{driven} (red), predicted {predicted} (green), left +. The image is the last one "
+                "of the input."
             )
     return captions
 

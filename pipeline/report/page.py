@@ -123,7 +123,7 @@ def chain(pictures: Path, group: Group, comparison: Comparison, data: Path) -> C
 def test_drives(pictures: Path, group: Group, comparison: Comparison, ingest: Path) -> Content:
     """Return plots and pictures of the best, the median and the worst test drive.
 
-    A plot shows the angles over time. A picture shows the paths at the largest error, and is also
+    A plot shows values over time. A picture shows the paths at the largest error, and is also
     written to the folder `pictures`. `ingest` is the folder of stage ingest.
     """
     best = comparison.by_error[0]
@@ -131,20 +131,20 @@ def test_drives(pictures: Path, group: Group, comparison: Comparison, ingest: Pa
     first = "The only test drive"
     if count > 1:
         first = f"Of {count} test drives, the best, the median and the worst by error of {best}"
-    turn = "" if comparison.labels == [""] else " The angle is the turn of the path in all ranges."
     hint = "Drag to zoom, double-click to reset, click the legend to hide."
-    content: list[str | Figure] = [f"{first}: predictions of the first seed.{turn} {hint}"]
+    content: list[str | Figure] = [f"{first}: predictions of the first seed. {hint}"]
 
-    # The plots of all drives have the same axis of angles.
+    # The plots of all drives have the same vertical axis.
     drives = group.typical_drives(best)
     shown = group.first_seeds[group.first_seeds["drive"].isin(drives)]
-    angles_deg = shown[["true_deg", "predicted_deg"]].to_numpy()
-    limit_deg = float(np.nanmax(np.abs(angles_deg), initial=1.0))
+    values = shown[["shown_true", "shown_predicted"]].to_numpy()
+    limit = float(np.nanmax(np.abs(values), initial=0.0)) or 1.0
     captions = figures.draw_errors(pictures, comparison, group, ingest)
     for drive, rank in drives.items():
-        plot = plots.over_time(shown[shown["drive"] == drive], comparison.by_error, limit_deg)
+        rows = shown[shown["drive"] == drive]
+        plot = plots.over_time(rows, comparison, limit)
         name = f"{group.key}-{rank}"
-        caption = f"The {rank} drive, {drive}: {comparison.title} over time"
+        caption = f"The {rank} drive, {drive}: {comparison.quantity.shown_title} over time"
         content.append(Figure(caption, plots.to_html(plot, name)))
         if name in captions:
             content.append(picture(pictures / f"{name}.png", captions[name]))

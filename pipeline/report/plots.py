@@ -102,14 +102,18 @@ def errors(comparison: Comparison) -> go.Figure:
     return figure
 
 
-def over_time(predictions: pd.DataFrame, models: Sequence[str], limit_deg: float) -> go.Figure:
-    """Plot driven angle, odometry and predictions over the time of one drive, in degrees, left +.
+def over_time(predictions: pd.DataFrame, comparison: Comparison, limit: float) -> go.Figure:
+    """Plot driven values, odometry and predictions over the time of one drive, left +.
 
-    `models` are in the order of the legend, the best first. The axis of angles ends at `limit_deg`
-    on both sides.
+    The best model is the first in the legend. The vertical axis ends at `limit` on both sides.
     """
-    figure = go.Figure(layout=_PLANE | {"xaxis_title": "time in s", "yaxis_title": "deg, left +"})
-    figure.update_yaxes(range=[-1.05 * limit_deg, 1.05 * limit_deg])
+    quantity = comparison.quantity
+    title = f"{quantity.shown_unit}, left +"
+    figure = go.Figure(layout=_PLANE | {"xaxis_title": "time in s", "yaxis_title": title})
+    figure.update_yaxes(range=[-1.05 * limit, 1.05 * limit])
+
+    value = f"%{{y:{quantity.shown_format}}} {quantity.shown_unit}"
+    hover = value + " at %{x:.1f} s, frame %{text}"
 
     def add(rows: pd.DataFrame, column: str, name: str, **style: Any) -> None:
         if rows[column].isna().all():
@@ -118,19 +122,19 @@ def over_time(predictions: pd.DataFrame, models: Sequence[str], limit_deg: float
             x=rows["elapsed_s"].to_numpy(np.float32),
             y=rows[column].to_numpy(np.float32),
             text=rows["frame"].tolist(),
-            hovertemplate="%{y:.2f}° at %{x:.1f} s, frame %{text}",
+            hovertemplate=hover,
             mode="lines",
             name=name,
             **style,
         )
 
     truth = predictions.drop_duplicates("frame").sort_values("frame")
-    add(truth, "true_deg", "driven", line={"color": "#1b2027", "width": 3})
-    add(truth, "odometry_deg", "odometry", line={"color": "#e08e0b", "dash": "dash"})
-    for rank, (name, colour) in enumerate(zip(models, cycle(COLOURS), strict=False)):
+    add(truth, "shown_true", "driven", line={"color": "#1b2027", "width": 3})
+    add(truth, "shown_odometry", "odometry", line={"color": "#e08e0b", "dash": "dash"})
+    for rank, (name, colour) in enumerate(zip(comparison.by_error, cycle(COLOURS), strict=False)):
         visible = True if rank < MODELS_SHOWN else "legendonly"
         rows = predictions[predictions["model"] == name]
-        add(rows, "predicted_deg", name, line={"color": colour}, visible=visible)
+        add(rows, "shown_predicted", name, line={"color": colour}, visible=visible)
     return figure
 
 

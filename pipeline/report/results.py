@@ -1,6 +1,6 @@
 """Load the outputs of stage evaluate as groups of models that predict the same quantities."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ import pandas as pd
 
 from pipeline.base import store
 from pipeline.report import paper
+from pipeline.train.quantity import Quantity, load_quantity
 
 # Names of the baselines that use neither a network nor the truth → what they predict.
 NO_LEARNING = {
@@ -27,33 +28,24 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Group:
-    """Models that predict the same R columns equally far ahead, and the N frames of their drives.
+    """Models that predict the same quantity equally far ahead, and the N frames of their drives.
 
     A frame counts if it has a valid true value, and if every model and seed predicts it. The true
-    values of other frames are NaN. S is the number of a model's seeds.
+    values of other frames are NaN. S is the number of a model's seeds, and R that of the columns.
     """
 
     key: str  # name in keys and file names, for instance angle-0, angle-10 or path-0
-    # Column → label, which is empty for the steering angle, and a text such as "5-10 m" for a range
-    # of the path ahead.
-    labels: dict[str, str]
-    # Edges [R+1] of the ranges in metres; empty for the steering angle.
-    edges_m: list[float]
+    quantity: Quantity
     models: dict[str, Row]  # those of the paper first, in its order
     # Rows of each model's first seed in predictions.csv, with further columns: elapsed_s, the time
-    # since the drive's first frame; true_deg, predicted_deg and odometry_deg, the steering angle or
-    # the turn in all ranges of the path together, in degrees, left +; and cost, the squared error.
+    # since the drive's first frame; shown_true, shown_predicted and shown_odometry, the number that
+    # charts show of each frame; and cost, the squared error of this number.
     first_seeds: pd.DataFrame
     drive: np.ndarray  # number [N] of each frame's drive, in time order
     truth: np.ndarray  # true values [N,R]
     # Model or baseline → predictions [S,N,R]. If several models have a baseline, it is that of the
     # first model.
     predicted: dict[str, np.ndarray]
-
-    @property
-    def length_m(self) -> np.ndarray:
-        """Lengths [R] of the ranges; 1 for the angle. A curvature times its length is a turn."""
-        return lengths(self.edges_m)
 
     def first_seed(self, model: str) -> pd.DataFrame:
         """Return the predictions of the first seed of a model."""
@@ -70,11 +62,6 @@ class Group:
         # Of two drives, the second has the rank of the worst.
         ranks = {0: "best", len(drives) // 2: "median", len(drives) - 1: "worst"}
         return {drives[number]: rank for number, rank in ranks.items()}
-
-
-def lengths(edges_m: Sequence[float]) -> np.ndarray:
-    """Return the lengths [R] of ranges with edges [R+1]; 1 for the angle, which has no ranges."""
-    return np.diff(edges_m) if edges_m else np.ones(1)
 
 
 def load_groups(folders: Mapping[str, Path]) -> list[Group]:
@@ -95,36 +82,30 @@ def load_groups(folders: Mapping[str, Path]) -> list[Group]:
         entry = rows[model]["entry"]
         groups.setdefault((entry["predict"], entry["horizon"]), {})[model] = rows[model]
 
-    # The path ahead comes first, since the present angle can also be measured.
-    ordered = sorted(groups.items(), key=lambda group: (group[0][0] != "path", group[0]))
+    # What lies ahead comes first, since the present angle can also be measured.
+    ordered = sorted(groups, key=lambda group: (not load_quantity(group[0]).is_ahead, group))
     loaded = []
-    for (predict, horizon), models in ordered:
+    for predict, horizon in ordered:
+        models = groups[predict, horizon]
         tables = {
             model: pd.read_csv(folders[model] / "predictions.csv", dtype={"drive": str})
             for model in models
         }
-        loaded.append(_load_group(f"{predict}-{horizon}", models, tables))
+        section = next(iter(models.values()))["labels"]
+        quantity = load_quantity(predict)(section, horizon)
+        loaded.append(_load_group(f"{predict}-{horizon}", quantity, models, tables))
     return loaded
 
 
-def _load_group(key: str, models: dict[str, Row], tables: Mapping[str, pd.DataFrame]) -> Group:
+def _load_group(
+    key: str, quantity: Quantity, models: dict[str, Row], tables: Mapping[str, pd.DataFrame]
+) -> Group:
     """Return the group of some models. `tables` is model → its predictions.csv."""
-    columns = next(iter(models.values()))["columns"]
-    labels = {}
-    edges_m: list[float] = []
-    for name, column in columns.items():
-        if column["to_m"] is None:
-            labels[name] = ""
-        else:
-            labels[name] = f"{column['from_m']:g}-{column['to_m']:g} m"
-            if not edges_m:
-                edges_m.append(column["from_m"])
-            edges_m.append(column["to_m"])
-
-    firsts = [
-        _in_degrees(table[table["seed"] == table["seed"].iloc[0]], [*columns], edges_m)
-        for table in tables.values()
-    ]
+    columns = quantity.columns
+    firsts = []
+    for table in tables.values():
+        first_seed = table[table["seed"] == table["seed"].iloc[0]]
+        firsts.append(_with_shown(first_seed, quantity))
     first_seeds = pd.concat(firsts, ignore_index=True)
 
     # List the drives and frames of all models. If models share a frame, its values are those of the
@@ -158,19 +139,16 @@ def _load_group(key: str, models: dict[str, Row], tables: Mapping[str, pd.DataFr
         if np.isfinite(value[np.isfinite(truth)]).all():
             predicted[name] = value[None]
     drive, _ = frames.index.get_level_values("drive").factorize()
-    return Group(key, labels, edges_m, models, first_seeds, drive, truth, predicted)
+    return Group(key, quantity, models, first_seeds, drive, truth, predicted)
 
 
-def _in_degrees(
-    table: pd.DataFrame, columns: Sequence[str], edges_m: Sequence[float]
-) -> pd.DataFrame:
+def _with_shown(table: pd.DataFrame, quantity: Quantity) -> pd.DataFrame:
     """Return the predictions of a seed with the further columns of :attr:`Group.first_seeds`."""
     table = table.copy()
     for kind in ("true", "predicted", "odometry"):
-        turns_rad = 0.0
-        for column, length_m in zip(columns, lengths(edges_m), strict=True):
-            turns_rad = turns_rad + table.get(f"{kind}_{column}", np.nan) * length_m
-        table[f"{kind}_deg"] = np.rad2deg(turns_rad)
+        names = [f"{kind}_{column}" for column in quantity.columns]
+        values = table.reindex(columns=names).to_numpy(float)
+        table[f"shown_{kind}"] = quantity.shown(values)
     table["elapsed_s"] = table["time_s"] - table.groupby("drive")["time_s"].transform("first")
-    table["cost"] = (table["predicted_deg"] - table["true_deg"]) ** 2
+    table["cost"] = (table["shown_predicted"] - table["shown_true"]) ** 2
     return table

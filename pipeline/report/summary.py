@@ -4,8 +4,8 @@ Tables, the page and DVC's metrics are made from these values, and docs/results 
 published runs. Their keys are:
 
 - GROUP/ROW, for instance angle-10/motion-10. A row is a model, a baseline, or "A - B", the paired
-  difference in nmse of A from B. For a path, it is the mean over the path's ranges.
-- GROUP/RANGE/ROW for a single range of a path, for instance path-0/10-20 m/path.
+  difference in nmse of A from B. For a quantity with ranges, it is the mean over them.
+- GROUP/RANGE/ROW for a single range, for instance path-0/10-20 m/path.
 - val/MODEL for a model's validation error.
 - motion/KIND for the error of measured motion.
 """
@@ -22,6 +22,7 @@ from pipeline.evaluate.settings import Evaluate
 from pipeline.evaluate.statistics import shown_metrics
 from pipeline.report import paper
 from pipeline.report.results import BASELINES, NO_LEARNING, Group, Row
+from pipeline.train.quantity import Quantity, load_quantity
 
 # Key → entry, which has the nmse as `value` and further values that belong to it.
 Results = dict[str, dict[str, Any]]
@@ -35,10 +36,11 @@ def results(groups: Sequence[Group], settings: Evaluate, scores: Mapping[str, An
     values = Results()
     for group in groups:
         claims = paper.claims(group.models)
-        # The range with an empty label has all columns of a path, or the only one of the angle.
-        ranges = {"": [*range(len(group.labels))]}
-        for column, label in enumerate(group.labels.values()):
-            ranges[label] = [column]
+        # The range without a name has all columns.
+        ranges = {"": [*range(len(group.quantity.columns))]}
+        for column, label in enumerate(group.quantity.ranges):
+            if label:
+                ranges[label] = [column]
         for label, columns in ranges.items():
             key = partial(_key, group.key, label)
             for name in group.predicted:
@@ -78,18 +80,21 @@ def _errors(group: Group, name: str, columns: Sequence[int], settings: Evaluate)
     """Return the errors of a model or baseline over some columns together."""
     truth = group.truth[:, columns]
     error = _squared_error(group, name, columns)
-    turns_rad = ((group.predicted[name] - group.truth) * group.length_m)[..., columns].sum(axis=-1)
+    # The number that is shown of an error in some columns, if there is none in the others.
+    difference = np.zeros_like(group.predicted[name])
+    difference[..., columns] = (group.predicted[name] - group.truth)[..., columns]
+    shown = np.abs(group.quantity.shown(difference))
     counted = np.isfinite(truth).any(axis=1)
     entry = {
         "value": statistics.nmse_of(error, truth),
         "interval": statistics.interval(error, truth, group.drive, settings),
-        "mae_deg": None,
+        "mae": None,
         "frames": int(counted.sum()),
         "drives": len(np.unique(group.drive[counted])),
         "seeds": [statistics.nmse_of(seed[None], truth) for seed in error],
     }
-    if np.isfinite(turns_rad).any():
-        entry["mae_deg"] = float(np.rad2deg(np.nanmean(np.abs(turns_rad))))
+    if np.isfinite(shown).any():
+        entry["mae"] = float(np.nanmean(shown))
     if len(columns) == 1:
         predicted = group.predicted[name][:, counted, columns[0]]
         scores = statistics.scores(truth[counted, 0], predicted)
@@ -157,17 +162,22 @@ class Comparison:
         keys = [key.split("/")[1:] for key in values if key.startswith(f"{group}/")]
         rows = dict.fromkeys(key[-1] for key in keys)
         names = [name for name in rows if " - " not in name]
-        # Ranges of a path. For the angle, there is a single range without a name.
+        # Ranges of the quantity. Without ranges, there is a single one without a name.
         self.labels = list(dict.fromkeys(key[0] for key in keys if len(key) == 2)) or [""]
         self.models = [name for name in names if name not in BASELINES]
         self.baselines = [name for name in BASELINES if name in names]
 
     @property
+    def quantity(self) -> type[Quantity]:
+        """The quantity that the group's models predict."""
+        name, _ = self.group.split("-")
+        return load_quantity(name)
+
+    @property
     def title(self) -> str:
-        """The quantity that the group's models predict, in words."""
-        quantity, horizon = self.group.split("-")
-        title = {"path": "path ahead", "angle": "steering angle"}[quantity]
-        return title if horizon == "0" else f"{title}, {horizon} frames ahead"
+        """The quantity in words, and how far ahead it is."""
+        _, horizon = self.group.split("-")
+        return self.quantity.title_at(int(horizon))
 
     def entry(self, row: str, label: str = "") -> dict[str, Any]:
         """Return the values of a model, a baseline or a difference; they are empty if unknown."""
@@ -216,7 +226,7 @@ class Comparison:
 
 def dvc_metrics(values: Results) -> dict[str, dict[str, Any]]:
     """Return key → errors of models and baselines, as ``dvc metrics show`` prints them."""
-    names = ("mae_deg", *shown_metrics())
+    names = ("mae", *shown_metrics())
     metrics = {}
     for key, entry in values.items():
         if " - " not in key:

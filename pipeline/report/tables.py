@@ -26,7 +26,7 @@ DEFINITIONS = {
         "between seeds; in parentheses the 95 % interval for other roads and seeds (bootstrap; "
         "with one seed, for other roads only)."
     ),
-    "MAE deg": "mean absolute error of the angle in degrees.",
+    "MAE": "mean absolute error, with its unit.",
     "drift": (
         "of the path by measured speed and predicted angles, m per 100 m (Figure 5 of the paper), "
         "on all frames that the model predicts."
@@ -161,7 +161,7 @@ def _finding(comparison: Comparison) -> list[str]:
         verdict = difference["verdict"]
     headline += f"Verdict on the difference: {verdict}."
 
-    turn = comparison.title if comparison.labels == [""] else f"turn of the {comparison.title}"
+    text = comparison.quantity.text
     choice = "validation error" if comparison.validated else "test error (there is no validation)"
     count = errors["drives"]
     drives = "1 drive" if count == 1 else f"{count} drives"
@@ -170,11 +170,12 @@ def _finding(comparison: Comparison) -> list[str]:
         headline,
         f"These are errors on {drives} that it was not trained on. nmse is the squared error "
         f"relative to that of always driving straight ahead. {name} is the model with the least "
-        f"{choice}: its mean absolute error of the {turn} is {errors['mae_deg']:.2f}°, and the "
+        f"{choice}: its mean absolute error of the {comparison.quantity.shown_title} is "
+        f"{text(errors['mae'])}, and the "
         f"95 % interval of its nmse is {interval_text(errors['interval'])}.",
         f"The best baseline without a network that does not get the truth is {baseline}, "
         f"{NO_LEARNING[baseline]}. Its nmse is {baseline_errors['value']:.3f}, and its mean "
-        f"absolute error {baseline_errors['mae_deg']:.2f}°. {name} differs from it by "
+        f"absolute error {text(baseline_errors['mae'])}. {name} differs from it by "
         f"{difference['value']:+.3f} in nmse ({bounds}): {difference['verdict']}.",
     ]
 
@@ -235,7 +236,7 @@ def results_table(comparison: Comparison) -> Table:
                 cells["paper: test MSE"] = f"{paper.PAPER[name].test_mse:.3f}"
             cells["MSE, rad²"] = number(facts["mse"], "#.3g")
         for label in comparison.labels:
-            cells |= _error_cells(comparison.entry(name, label), label, name in comparison.models)
+            cells |= _error_cells(comparison, name, label)
         cells["drift"] = number(facts.get("drift"), ".1f")
         cells["parameters"] = number(facts.get("parameters"), ",d")
         cells["edges"] = number(facts.get("edges"), ",.0f")
@@ -248,19 +249,21 @@ def results_table(comparison: Comparison) -> Table:
     return Table(f"Results: {comparison.title}", rows, " ".join(notes))
 
 
-def _error_cells(entry: Mapping[str, Any], label: str, trained: bool) -> dict[str, str]:
-    """Return the cells of a model's or baseline's errors in a range of a path.
+def _error_cells(comparison: Comparison, name: str, label: str) -> dict[str, str]:
+    """Return the cells of the errors of a model or baseline in a range, named by its `label`.
 
-    Without a `label`, they are the errors of the angle. `trained` is true for a model.
+    The label of a quantity without ranges is empty.
     """
+    entry = comparison.entry(name, label)
+    quantity = comparison.quantity
     text = number(entry["value"], ".3f")
-    if trained and entry["value"] is not None:
+    if name in comparison.models and entry["value"] is not None:
         text = nmse_text(entry["value"], entry["seeds"], entry["interval"])
     cells = {f"nmse {label}".strip(): text}
     for metric in shown_metrics():
         cells[f"{metric} {label}".strip()] = number(entry.get(metric), ".3f")
     if not label:
-        cells["MAE deg"] = number(entry["mae_deg"], ".2f")
+        cells[f"MAE {quantity.shown_unit}"] = number(entry["mae"], quantity.shown_format)
     return cells
 
 
@@ -306,12 +309,13 @@ def _claim_cells(
     # A claim that both errors are equally large is refuted by a difference of either sign.
     verdicts = {"better": "reversed" if claim.comparable else "confirmed", "worse": "reversed"}
     bounds = interval_text(difference["interval"], "+.3f")
+    form = comparison.quantity.shown_format
     return {
         "the paper's claim": claim.text,
         "verdict": verdicts.get(difference["verdict"], difference["verdict"]),
         "networks": f"{claim.model}, {claim.rival}",
         "nmse": f"{number(first['value'], '.3f')}, {number(second['value'], '.3f')}",
-        "mean error, °": f"{number(first['mae_deg'], '.2f')}, {number(second['mae_deg'], '.2f')}",
+        "mean error, °": f"{number(first['mae'], form)}, {number(second['mae'], form)}",
         "MSE ratio: paper": number(published, ".2f"),
         "here": number(ratio, ".2f"),
         "difference in nmse": f"{number(difference['value'], '+.3f')} ({bounds})",

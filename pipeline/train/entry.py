@@ -2,11 +2,12 @@
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from models.steering.core import options, steering_net
 from pipeline.base.errors import InputError, closest
 from pipeline.base.params import Rate, Section, parse
+from pipeline.train.quantity import load_quantity, quantity_file
 
 # Kind of frames → its name in messages.
 FRAMES = {
@@ -38,10 +39,9 @@ class Entry(Section):
     alpha: Annotated[float, Field(ge=0, le=100)] = 0.0
     # Number of features per frame, between the two networks.
     features: Annotated[int, Field(ge=1, le=1024)] = 32
-    # Quantity that the network predicts: the steering angle, or for `path` the mean curvature of
-    # the path ahead in each range of labels.ahead_m.
-    predict: Literal["angle", "path"] = "angle"
-    # Frames between the last input frame and the predicted angle.
+    # Quantity that the network predicts, a file of pipeline/train/quantities.
+    predict: str = "angle"
+    # Frames between the last input frame and the frame of the predicted quantity.
     horizon: Annotated[int, Field(ge=0, le=10_000)] = 0
     # Motion that the network gets beside the frames: none, or motion measured from images.
     motion: Literal["none", "visual"] = "none"
@@ -52,13 +52,23 @@ class Entry(Section):
     # another drive of the split.
     scene: Literal["same", "another"] = "same"
 
+    @field_validator("predict")
+    @classmethod
+    def _check_predict(cls, name: str) -> str:
+        load_quantity(name)
+        return name
+
     @model_validator(mode="after")
-    def _check_path(self) -> Self:
-        if self.predict == "path":
-            for key in ("horizon", "alpha"):
-                value = getattr(self, key)
-                if value:
-                    raise ValueError(f"predict: path has no {key} (got {value}): remove {key}")
+    def _check_quantity(self) -> Self:
+        quantity = load_quantity(self.predict)
+        for key in quantity.excluded_keys:
+            value = getattr(self, key)
+            if value:
+                text = f"predict: {self.predict} has no {key} (got {value}): remove {key}"
+                raise ValueError(text)
+        if self.equivariant and not quantity.is_odd:
+            text = f"predict: {self.predict} does not change its sign in the mirror image"
+            raise ValueError(f"{text}: remove equivariant")
         return self
 
     @model_validator(mode="before")
@@ -87,7 +97,7 @@ class Entry(Section):
     @property
     def predicts_ahead(self) -> bool:
         """Whether targets lie ahead of the last frame of their windows."""
-        return self.horizon > 0 or self.predict == "path"
+        return self.horizon > 0 or load_quantity(self.predict).is_ahead
 
     @property
     def networks(self) -> list[str]:
@@ -96,6 +106,11 @@ class Entry(Section):
             f"models/steering/spatial/{self.spatial}.py",
             f"models/steering/temporal/{self.temporal}.py",
         ]
+
+    @property
+    def files(self) -> list[str]:
+        """The files that the entry names: those of the networks and of the quantity."""
+        return [*self.networks, quantity_file(self.predict)]
 
     def seeded(self, seed: int) -> Self:
         """Return the entry with `seed` for the wiring of an NCP, unless it has one."""
@@ -114,7 +129,7 @@ class Entry(Section):
         """Build the network with new weights from torch's random state.
 
         `kind`, `levels` and `image_size` describe the frames of the entry's input, see
-        graph_file.Contents. `outputs` is 1 for an angle, or the number R of ranges of a path.
+        graph_file.Contents. `outputs` is R, the number of columns of the predicted quantity.
         Raises InputError if the network reads another kind of frames, or an option is out of range.
         """
         spatial = self._network_options("spatial", self.spatial)

@@ -119,7 +119,8 @@ class Fit:
 
             error = math.nan
             if self.val:
-                predictions = trained.predict_drives(self.average, val, self.scale)
+                with error_context(f"{title}: validation of epoch {epoch}"):
+                    predictions = trained.predict_drives(self.average, val, self.scale)
                 error = mean_nmse(self.val, predictions)
             row = {"epoch": epoch, "learning_rate": rate, "train_loss": loss, "val_nmse": error}
             self.curve.append(row)
@@ -231,7 +232,8 @@ class Fit:
         """Return the weighted sum of a batch's errors, and the sum of the weights."""
         residual, weight = step_targets(batch, self._gain, self._std, self.entry.alpha)
         output = net(*net.inputs(batch))
-        error = weighted_loss(output, residual, weight, robust=self.entry.predict == "path")
+        robust = self.train[0].quantity.is_robust
+        error = weighted_loss(output, residual, weight, robust=robust)
         # Each span has a valid target, but all ranges of a scaled path may be unknown. Then all
         # weights are 0, the sum of errors is 0, and the minimum avoids 0 / 0.
         return error, weight.sum().clamp_min(1e-6)

@@ -103,6 +103,7 @@ def fit_run(model: Model, run: runs.Run, files: Files, code: str, kept: Path) ->
         "fps": float(1 / np.median(intervals_s)),
         **inputs,
         "scale": fit.scale.content,
+        "code": trained.code_hashes(entry),
         "epoch": selected_epoch(fit.curve),
         "net": fit.best,
     }
@@ -122,5 +123,5 @@ def _build(entry: Entry, drive: LabelledDrive, seed: int) -> SteeringNet:
         torch.set_num_threads(1)  # rounding of sums depends on the number of threads
     torch.backends.cudnn.allow_tf32 = False  # convolutions compute in float32
     torch.manual_seed(seed)
-    net = entry.build(**drive.contents._asdict(), outputs=len(drive.columns))
+    net = entry.build(**drive.contents._asdict(), outputs=len(drive.quantity.columns))
     return net.to(device)

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -18,15 +17,15 @@ from pipeline.train.targets import LabelledDrive
 class Scale:
     """y = gain · base + std · output, in each of R columns.
 
-    y is the predicted angle or curvature. base is the measured angle or curvature of the window's
-    last frame, or 0 if the model's entry says so. gain is 1 for an angle. For a range of the path
-    it is the regression coefficient of y on base. std is the standard deviation of y - gain · base.
+    y is the predicted value. base is the measured value of the window's last frame, or 0 if the
+    model's entry says so. gain is 1, or for a quantity that lies ahead of the car the regression
+    coefficient of y on base. std is the standard deviation of y - gain · base.
     So an output of 0 means the best prediction from base alone. `mean`, the mean of y, and
     `odometry_gain`, the regression coefficient of y on odometry, serve baselines. All arrays are
     float64 [R].
     """
 
-    names: list[str]  # LabelledDrive.columns
+    names: list[str]  # Quantity.columns
     gain: np.ndarray
     std: np.ndarray
     mean: np.ndarray
@@ -36,19 +35,19 @@ class Scale:
     def from_drives(cls, drives: Sequence[LabelledDrive]) -> "Scale":
         """Return the scale of the training drives.
 
-        Raises InputError if no frame has a target in one of the ranges of the path.
+        Raises InputError if no frame has a target in one of the columns.
         """
+        quantity = drives[0].quantity
         y = np.concatenate([drive.target for drive in drives])
-        ranges_m = [*pairwise(drives[0].ahead_m)]
-        for number, (near, far) in enumerate(ranges_m):
+        for number, name in enumerate(quantity.ranges):
             if not np.isfinite(y[:, number]).any():
                 names = ", ".join(drive.name for drive in drives)
-                problem = f"no frame is followed by a path from {near:g} to {far:g} m in {names}"
-                fix = "Add longer drives, or shorten labels.ahead_m"
-                raise InputError(f"predict: path: {problem}", drives[0].labels.parent, fix)
+                problem = f"no frame has a known {quantity.title} {name}".rstrip()
+                fix = "Add longer drives, or shorten the ranges in section labels"
+                raise InputError(f"{problem} in {names}", drives[0].labels.parent, fix)
 
         base = np.concatenate([drive.base for drive in drives])[:, None]
-        gain = _regress(base, y) if ranges_m else np.ones(1)
+        gain = _regress(base, y) if quantity.is_ahead else np.ones(y.shape[1])
         std = np.nanstd(y - gain * base, axis=0)
         std = np.maximum(std, 1e-6)  # std is 0 on a straight road
 
@@ -56,7 +55,7 @@ class Scale:
         measured = [drive.odometry for drive in drives if drive.odometry is not None]
         if len(measured) == len(drives):
             odometry_gain = _regress(np.concatenate(measured), y)
-        return cls(drives[0].columns, gain, std, np.nanmean(y, axis=0), odometry_gain)
+        return cls(quantity.columns, gain, std, np.nanmean(y, axis=0), odometry_gain)
 
     @classmethod
     def parse(cls, content: dict[str, Any]) -> "Scale":
@@ -121,8 +120,11 @@ def weighted_loss(predicted: Tensor, target: Tensor, weight: Tensor, robust: boo
     """Return Σ w (ŷ - y)² over windows and columns [W,R].
 
     Divided by Σ w, this sum is paper eq. 9. With `robust` the sum is Σ w Huber(ŷ - y), which is
-    linear beyond one standard deviation. The reason is that the path at a junction is the driver's
-    choice, and squared errors there would dominate the loss.
+    linear beyond one standard deviation. Raises ValueError for two shapes, which torch would
+    broadcast.
     """
+    if predicted.shape != target.shape:
+        shapes = f"{list(predicted.shape)}, the targets {list(target.shape)}"
+        raise ValueError(f"the network's outputs have the shape {shapes}")
     criterion = nn.functional.huber_loss if robust else nn.functional.mse_loss
     return (weight * criterion(predicted, target, reduction="none")).sum()

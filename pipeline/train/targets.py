@@ -1,7 +1,6 @@
 """Read the targets and the measured motion of a drive, and scale them to a larger world.
 
-A column is a quantity that a network predicts: the steering angle, or the mean curvature in one
-range of the path ahead. Letters: G frames of a graph file, W windows, R columns.
+Letters: G frames of a graph file, W windows, R columns of the quantity that a network predicts.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,12 +14,13 @@ import numpy as np
 
 from models.steering.core.motion import ANGLE, SPEED
 from models.steering.core.recurrent import NOMINAL_STEP_S
-from pipeline.base.errors import InputError
+from pipeline.base.errors import InputError, error_context
 from pipeline.base.params import RATE_TOLERANCE
 from pipeline.base.store import DriveReader
-from pipeline.graphs.graph_file import Arrays, Contents, Graphs, MeasuredMotion, open_graphs
+from pipeline.graphs.graph_file import Arrays, Contents, Graphs, open_graphs
 from pipeline.labels import label
 from pipeline.train.entry import Entry
+from pipeline.train.quantity import Quantity, load_quantity, scale_radius
 
 
 @dataclass(frozen=True)
@@ -39,10 +39,10 @@ class Timeline:
     motion: np.ndarray | None  # float32 [G,4], as in windows.py; None if not an input
 
     @classmethod
-    def read(cls, graphs: Graphs, car: label.Car, entry: Entry) -> "Timeline":
+    def read(cls, graphs: Graphs, quantity: Quantity, entry: Entry) -> "Timeline":
         """Read the times of an open graph file, and the measured motion if the model needs it.
 
-        `car` converts yaw rate and speed to an angle. Raises InputError if motion is missing.
+        `quantity` is what the model predicts. Raises InputError if motion is missing.
         """
         base = np.zeros(len(graphs.frame))
         motion = None
@@ -52,10 +52,11 @@ class Timeline:
                 raise InputError(
                     "no measured motion", graphs.path, "Make it again: dvc repro graphs"
                 )
-            angle_rad = np.nan_to_num(label.measured_angle(*measured, car))
-            motion = np.stack([angle_rad, *measured], axis=1).astype(np.float32)
+            angle_rad = label.measured_angle(*measured, quantity.car)
+            columns = [np.nan_to_num(angle_rad), *measured]
+            motion = np.stack(columns, axis=1).astype(np.float32)
             if entry.base == "motion":
-                base = np.nan_to_num(_odometry(measured, car, entry))
+                base = np.nan_to_num(quantity.measured(angle_rad))
         return cls(graphs.path, graphs.path, graphs.frame, graphs.time_s, base, motion)
 
     @cached_property
@@ -76,32 +77,21 @@ class Timeline:
 
 @dataclass(frozen=True)
 class LabelledDrive(Timeline):
-    """A drive's frames with their targets.
-
-    The target of a frame is the angle `horizon` frames later, or the path ahead of the frame.
-    """
+    """A drive's frames with their targets, the values of a quantity `horizon` frames later."""
 
     name: str
     labels: Path
     settings: dict[str, Any]  # section → settings that made graphs and labels
     contents: Contents  # kind and sizes of the graphs
     counts: Arrays  # numbers of points and edges per frame
-    horizon: int
-    # Edges of the R ranges of the path ahead, R+1; none with predict: angle.
-    ahead_m: tuple[float, ...]
+    quantity: Quantity
     target: np.ndarray  # float64 [G,R], NaN without a valid label
+    present: np.ndarray  # float64 [G,R], true values of the frames themselves
     driven: label.Labels  # labels of the frames themselves
-    # Measured angle or curvature [G,1]. A frame that was not measured has the value of the last
-    # measured frame before it, or NaN if there is none. The field is None if the file has no
-    # motion, or if the targets are of the same frames and from the same measurement.
+    # Measured value [G,1]. A frame that was not measured has the value of the last measured frame
+    # before it, or NaN if there is none. The field is None if the file has no motion, or if the
+    # targets are of the same frames and from the same measurement.
     odometry: np.ndarray | None
-
-    @property
-    def columns(self) -> list[str]:
-        """Names of the R columns."""
-        if not self.ahead_m:
-            return ["steering_rad"]
-        return [f"path_{near:g}-{far:g}m_1pm" for near, far in pairwise(self.ahead_m)]
 
     def has_target(self, start: int, stop: int) -> bool:
         """Return whether a row of [start, stop) has a target."""
@@ -133,11 +123,9 @@ def check_drives(drives: Sequence[LabelledDrive], window: int) -> None:
             f"no point in any frame of {names}", folder, "Widen the variant's crop_m or add drives"
         )
     if not any(drive.has_window(window) for drive in drives):
-        target = f"a valid label {first.horizon} frames after"
-        if first.ahead_m:
-            target = f"a driven path of {first.ahead_m[1]:g} m ahead of"
+        title = first.quantity.title_at(first.quantity.horizon)
         lengths = [stop - start for drive in drives for start, stop in drive.stretches]
-        problem = f"no window of {window} consecutive frames with {target} its end in {names}"
+        problem = f"no window of {window} consecutive frames ends at a known {title} in {names}"
         raise InputError(
             f"{problem} (longest: {max(lengths, default=0)})",
             folder,
@@ -187,48 +175,38 @@ def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledD
             raise InputError("motion is not measured in any frame (it needs images)", graphs, fix)
 
         # Row -1, which stands for a missing label, is an additional row of NaN.
-        targets = np.pad(_targets(truth, entry), ((0, 1), (0, 0)), constant_values=np.nan)
+        with error_context(labels):
+            quantity = load_quantity(entry.predict)(truth.params["labels"], entry.horizon)
+        values = np.pad(_read_values(truth, quantity), ((0, 1), (0, 0)), constant_values=np.nan)
 
         # Labels that are from the same measurement cannot judge it, unless they lie ahead of it.
-        section = truth.params["labels"]
-        car = label.Car(section["wheelbase_m"], section["min_speed_mps"])
         odometry = None
         if measured and (entry.predicts_ahead or not truth.attrs.get("measured", 0)):
-            odometry = _odometry(measured, car, entry)[:, None]
+            angle_rad = label.measured_angle(*measured, quantity.car)
+            odometry = quantity.measured(angle_rad)[:, None]
         return LabelledDrive(
-            **vars(Timeline.read(file, car, entry)),
+            **vars(Timeline.read(file, quantity, entry)),
             name=name,
             labels=labels,
             settings=file.params | truth.params,
             contents=file.contents,
             counts=file.counts,
-            horizon=entry.horizon,
-            ahead_m=tuple(section["ahead_m"]) if entry.predict == "path" else (),
-            target=targets[target_rows],
+            quantity=quantity,
+            target=values[target_rows],
+            present=values[rows],
             driven=driven,
             odometry=odometry,
         )
 
 
-def _targets(labels: DriveReader, entry: Entry) -> np.ndarray:
-    """Return the quantities that a model predicts, [F,R] for F frames of labels; NaN if unknown.
-
-    Raises InputError if the model predicts the path ahead and the labels lack it.
-    """
-    if entry.predict == "angle":
-        return np.where(labels["valid"], labels["steering_rad"], np.nan)[:, None]
-    if "ahead_1pm" not in labels:
-        fix = "Set labels.ahead_m and make the labels again: dvc repro labels"
-        raise InputError("no path ahead (ahead_1pm), which predict: path needs", labels.path, fix)
-    return np.where(labels["ahead_valid"], labels["ahead_1pm"], np.nan)
-
-
-def _odometry(motion: MeasuredMotion, car: label.Car, entry: Entry) -> np.ndarray:
-    """Return the measured angle [G], or for a path the curvature; NaN if not measured yet."""
-    angle_rad = label.measured_angle(*motion, car)
-    if entry.predict == "path":
-        return np.tan(angle_rad) / car.wheelbase_m
-    return angle_rad
+def _read_values(labels: DriveReader, quantity: Quantity) -> np.ndarray:
+    """Return the true values of a quantity for the F frames of labels, [F,R]; NaN if unknown."""
+    values = quantity.read(labels)
+    shape = (len(labels.frame), len(quantity.columns))
+    if values.shape != shape:
+        problem = f"{quantity.title}: read returns an array {values.shape}, expected {shape}"
+        raise InputError(f"{problem}, a row per frame and the columns {quantity.columns}")
+    return values
 
 
 def window_values(
@@ -244,53 +222,21 @@ def window_values(
     if isinstance(timeline, LabelledDrive):
         values["target"] = timeline.target[ends].astype(np.float32)
         if factor != 1:
-            _rescale(values, factor, timeline.ahead_m)
+            _rescale(values, factor, timeline.quantity)
     if hidden:
         for name in ("motion", "base"):
             values[name] = np.zeros_like(values[name])
     return values
 
 
-def _rescale(values: Arrays, factor: float, ahead_m: Sequence[float]) -> None:
+def _rescale(values: Arrays, factor: float, quantity: Quantity) -> None:
     """Scale motion, base and target to a world that is `factor` times as large.
 
-    The bicycle model's tan Θ is wheelbase × curvature, and curvature is 1 / length; the yaw rate
-    does not change.
+    The yaw rate does not change.
     """
-    if ahead_m:
-        values["base"] = values["base"] / factor
-        values["target"] = scale_path(values["target"], ahead_m, factor)
-    else:
-        for name in ("base", "target"):
-            values[name] = _scale_radius(values[name], factor)
+    values["base"] = quantity.rescale_measured(values["base"], factor)
+    values["target"] = quantity.rescale(values["target"], factor)
     if "motion" in values:
         motion = values["motion"]  # a copy of the drive's rows
-        motion[:, ANGLE] = _scale_radius(motion[:, ANGLE], factor)
+        motion[:, ANGLE] = scale_radius(motion[:, ANGLE], factor)
         motion[:, SPEED] *= factor
-
-
-def scale_path(path_1pm: np.ndarray, ahead_m: Sequence[float], factor: float) -> np.ndarray:
-    """Return the path ahead [W,R] in a world `factor` times as large, NaN where it is unknown.
-
-    A range of that world is 1 / factor as long in the world of the labels. So it overlaps several
-    of their ranges, whose curvature counts as constant within each. It is unknown where one of
-    these is unknown, or where the labels end.
-    """
-    edges_m = np.array(ahead_m, np.float32)
-    near = edges_m[:-1]
-    far = edges_m[1:]
-
-    # Share of each range of the labels in each range of the larger world, [R,R].
-    starts = np.maximum(near[:, None] / factor, near)
-    ends = np.minimum(far[:, None] / factor, far)
-    share = np.maximum(ends - starts, 0) * factor / (far - near)[:, None]
-
-    # The shares of a range sum to 1, but for rounding, if all of it is known.
-    is_known = (share * np.isfinite(path_1pm)[:, None]).sum(axis=2) > 1 - 1e-4
-    scaled = (share * np.nan_to_num(path_1pm)[:, None]).sum(axis=2) / factor
-    return np.where(is_known, scaled, np.nan).astype(path_1pm.dtype)
-
-
-def _scale_radius(steering_rad: np.ndarray, factor: float) -> np.ndarray:
-    """Return the steering angle in bends with `factor` times the radius."""
-    return np.arctan(np.tan(steering_rad) / factor)

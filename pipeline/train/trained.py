@@ -1,6 +1,8 @@
 """Predict steering with a trained network; docs/models.md has an example."""
 
+from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from textwrap import shorten
 from typing import Any, NamedTuple
@@ -11,16 +13,19 @@ import torch
 from models.steering.core.steering_net import SteeringNet
 from pipeline.base import checkpoint
 from pipeline.base.errors import InputError, error_context
+from pipeline.base.resume import ROOT, file_hash
 from pipeline.graphs.graph_file import Contents, Graphs, open_graphs
-from pipeline.labels import label
 from pipeline.train import windows
 from pipeline.train.entry import Entry
 from pipeline.train.frames import Files
 from pipeline.train.loss import Scale
+from pipeline.train.quantity import Quantity, load_quantity
 from pipeline.train.targets import Timeline
 
 # Kind of the checkpoint of a trained network.
 KIND = "steering net"
+# Folder of the code that all networks share.
+CORE = "models/steering/core"
 # Number of windows in a batch of predictions, which limits the memory.
 WINDOWS = 96
 
@@ -46,40 +51,35 @@ class Trained(NamedTuple):
     net: SteeringNet
 
     @property
-    def car(self) -> label.Car:
-        section = self.settings["labels"]
-        return label.Car(section["wheelbase_m"], section["min_speed_mps"])
-
-    @property
-    def ahead_m(self) -> tuple[float, ...]:
-        """Edges of the ranges of the path ahead; none for an angle."""
-        if self.entry.predict == "angle":
-            return ()
-        return tuple(self.settings["labels"]["ahead_m"])
+    def quantity(self) -> Quantity:
+        """The quantity that the network predicts."""
+        return load_quantity(self.entry.predict)(self.settings["labels"], self.entry.horizon)
 
     def predict(
         self, graphs: Graphs, scene: Path | None = None, files: Files | None = None
     ) -> np.ndarray:
         """Return the predictions for the G frames of a file, float64 [G,R].
 
-        The columns are `scale.names`. The prediction for frame t uses the frames up to t. It is the
-        angle at frame t + `entry.horizon`, or the path ahead of frame t. It is NaN if too few
-        frames precede frame t in the drive, or since a gap, to fill a window. Only a control with
-        `scene: another` needs `scene`, the graph file of the drive that it sees. `files` may hold
-        files that are open already. Raises InputError if the file has another kind of frames than
-        the network was trained on, or lacks the motion that the network needs.
+        The columns are `scale.names`. The prediction for frame t uses the frames up to t, and is
+        the quantity at frame t + `entry.horizon`. It is NaN if too few frames precede frame t in
+        the drive, or since a gap, to fill a window. Only a control with `scene: another` needs
+        `scene`, the graph file of the drive that it sees. `files` may hold files that are open
+        already. Raises InputError if the file has another kind of frames than the network was
+        trained on, lacks the motion that the network needs, or if an output is not finite.
         """
         if scene is None and self.entry.scene == "another":
             problem = f"model {self.name} is a control, which needs the scene of another drive"
             raise InputError(problem, graphs.path, "Choose a model with scene: same")
-        timeline = replace(Timeline.read(graphs, self.car, self.entry), scene=scene or graphs.path)
+        timeline = Timeline.read(graphs, self.quantity, self.entry)
+        timeline = replace(timeline, scene=scene or graphs.path)
         with open_graphs(timeline.scene) as file:
             if file.contents != self.contents:
                 problem = f"model {self.name} expects {self.contents}, got {file.contents}"
                 fix = f"Use graphs of input: {self.entry.input}, or train the model again"
                 raise InputError(problem, file.path, fix)
         reader = windows.Reader([timeline], self.entry.window, files)
-        return predict_drives(self.net, reader, self.scale)[0]
+        with error_context(f"model {self.name}: {graphs.path}"):
+            return predict_drives(self.net, reader, self.scale)[0]
 
 
 def load_model(folder: str | Path, device: torch.device | str | None = None) -> Trained:
@@ -105,9 +105,37 @@ def load_model(folder: str | Path, device: torch.device | str | None = None) -> 
         contents = fields["contents"]._asdict()
         net = fields["entry"].build(**contents, outputs=len(fields["scale"].names))
         checkpoint.load_state(net, content["net"], path)
+    # Older checkpoints have no hashes.
+    if "code" in content:
+        _print_edits(fields["name"], fields["entry"], content["code"])
     if device is None:
         device = "cuda" if torch.cuda.is_available() else "cpu"
     return Trained(**fields, net=net.to(device).eval())
+
+
+def code_hashes(entry: Entry) -> dict[str, str]:
+    """Return file → SHA-256 for the code of a model's networks and the code that they share."""
+    paths = [ROOT / file for file in entry.networks]
+    paths += sorted((ROOT / CORE).rglob("*.py"))
+    return {str(path.relative_to(ROOT)): file_hash(path) for path in paths if path.is_file()}
+
+
+def _print_edits(name: str, entry: Entry, hashes: Mapping[str, str]) -> None:
+    """Print a line if files of the code differ from their `hashes` when the model was trained."""
+    present = code_hashes(entry)
+    files = sorted(present.keys() | hashes.keys())
+    edited = [file for file in files if present.get(file) != hashes.get(file)]
+    if edited:
+        _print_once(
+            f"{name}: {', '.join(edited)} changed since its training, so its predictions may be "
+            f"wrong. Train it again: dvc repro train@{name}"
+        )
+
+
+@cache
+def _print_once(text: str) -> None:
+    """Print a line, unless this process has printed it: a model has a checkpoint per seed."""
+    print(text, flush=True)
 
 
 def _parse(content: dict[str, Any]) -> dict[str, Any]:
@@ -120,7 +148,11 @@ def _parse(content: dict[str, Any]) -> dict[str, Any]:
 
 
 def predict_drives(net: SteeringNet, reader: windows.Reader, scale: Scale) -> list[np.ndarray]:
-    """Return the predictions [G,R] for the frames of each of the reader's timelines."""
+    """Return the predictions [G,R] for the frames of each of the reader's timelines.
+
+    A prediction is NaN if no window ends at the frame. Raises InputError if the network returns NaN
+    or infinity for a window.
+    """
     spans = windows.spans(reader.timelines, reader.window, WINDOWS)
     groups = [[span] for span in spans]
     outputs = []
@@ -129,8 +161,16 @@ def predict_drives(net: SteeringNet, reader: windows.Reader, scale: Scale) -> li
         for batch in reader.batches(groups, net.device):
             outputs.append(net(*net.inputs(batch)))
 
-    # Outputs are copied after the loop, so that the loop does not wait for the GPU. The windows of
-    # a span end at its last rows.
+    # Outputs are read after the loop, so that the loop does not wait for the GPU.
+    if outputs:
+        is_finite = torch.cat(outputs).isfinite().all(dim=1)
+        broken = int((~is_finite).sum())
+        if broken:
+            problem = f"the network returns NaN or infinity for {broken} of {len(is_finite)} frames"
+            fix = "Look for a division by 0 or an overflow in models/steering/spatial or temporal"
+            raise InputError(problem, fix=fix)
+
+    # The windows of a span end at its last rows.
     values = [
         np.full((len(timeline.frame), len(scale.names)), np.nan) for timeline in reader.timelines
     ]

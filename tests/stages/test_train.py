@@ -159,15 +159,15 @@ def test_other_networks_and_inputs(tmp_path, kind, entry, epochs, limit):
 @pytest.mark.parametrize(
     ("frames", "edges_m", "scale", "entry", "problem"),
     [
-        (60, [], 1.0, {"predict": "path"}, r"labels/2026.*no path ahead.*dvc repro labels"),
+        (60, [], 1.0, {"predict": "path"}, r"labels/2026.*needs labels.ahead_m.*dvc repro labels"),
         (
             5,
             EDGES_M,
             1.0,
             {"predict": "path"},
-            "no window of 4 consecutive frames with a driven path of 5 m ahead of",
+            "no window of 4 consecutive frames ends at a known path ahead in",
         ),
-        (20, EDGES_M, 1.0, {"predict": "path"}, "path from 10 to 20 m"),
+        (20, EDGES_M, 1.0, {"predict": "path"}, "no frame has a known path ahead 10-20 m in"),
         (20, [], 0.0, {}, f"every valid label of {TEST} is 0"),
         (20, [], 1.0, {"motion": "visual"}, "motion is not measured in any frame"),
     ],

@@ -16,6 +16,7 @@ from pipeline.ingest.log import Logs, logged_values, read_logs
 from pipeline.ingest.packets import make_rows
 from pipeline.ingest.settings import RecordingOptions
 from pipeline.labels.label import Car, Labels
+from pipeline.train.quantities.path import Target
 from steer import pictures
 from steer.measure import READING
 from steer.outcome import Results, Truth, read_course, read_truth
@@ -172,7 +173,8 @@ def test_the_taken_path_is_recorded_or_else_measured(recorded):
     measured = Labels(np.zeros(8), known, speed_mps, np.full(8, 0.5))
     table = {"frame": frame, "time_s": frame / 10}
     results = Results("drive", table, [""] * 8, Truth("", "", driven), measured, {}, [], [])
-    results.add_path((0.0, 2.0, 5.0), np.zeros((8, 2)))
+    labels = {"wheelbase_m": 2.7, "min_speed_mps": 1.0, "ahead_m": [0.0, 2.0, 5.0]}
+    results.add_prediction(Target(labels), np.zeros((8, 2)))
 
     (name,) = results.taken_1pm
     curvature_1pm = {"driven": 0.1, "measured": 0.05}[name]

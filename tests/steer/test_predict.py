@@ -110,7 +110,7 @@ def test_predictions_equal_those_of_the_stages(folder, tmp_path, model):
     names = ["predicted_rad"]
     if model == "path":
         assert rows["predicted_rad"].isna().all()
-        names = ["path_0_2m_1pm", "path_2_4m_1pm"]
+        names = ["predicted_path_0-2m_1pm", "predicted_path_2-4m_1pm"]
     assert np.isfinite(expected).sum() >= 9
     np.testing.assert_allclose(rows[names], expected, atol=2e-6)
 

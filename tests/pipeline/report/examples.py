@@ -1,5 +1,6 @@
 """Write results of stage evaluate with numbers that tests know."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +27,9 @@ ENTRY = {
     "predict": "angle",
     "scene": "same",
 }
-ANGLE = {"steering_rad": {"unit": "rad", "from_m": None, "to_m": None}}
-PATH = {
-    f"path_{start}-{stop}m_1pm": {"unit": "1/m", "from_m": float(start), "to_m": float(stop)}
-    for start, stop in ((0, 5), (5, 10))
-}
+LABELS = {"wheelbase_m": 2.5, "min_speed_mps": 1.0, "ahead_m": [0, 5, 10]}
+ANGLE = ("steering_rad",)
+PATH = ("path_0-5m_1pm", "path_5-10m_1pm")
 
 
 def metrics(
@@ -58,8 +57,7 @@ def metrics(
         "points_per_frame": 1000.0,
         "edges_per_frame": 5160.0,
         "edges_per_frame_unpruned": 6000.0,
-        "columns": columns,
-        "wheelbase_m": 2.5,
+        "labels": LABELS,
         "val": None,
         "train": {column: {"nmse": 0.1, "mse": 1.23e-6} for column in columns},
         "test": dict.fromkeys(columns, test),
@@ -68,7 +66,7 @@ def metrics(
 
 def predictions(
     nmse: float | list[float] | None = 0.2,
-    columns: dict[str, Any] = ANGLE,
+    columns: Sequence[str] = ANGLE,
     baselines: dict[str, float] | None = None,
 ) -> pd.DataFrame:
     """Return predictions.csv of two drives of 30 frames, whose errors are multiples of the truth.
@@ -104,7 +102,7 @@ def write_model(data: Path, content: dict[str, Any], table: pd.DataFrame | None 
     store.write_json(folder / "metrics.json", content, sort_keys=False)
     if table is None:
         test = next(iter(content["test"].values()))
-        table = predictions(test["nmse"], content["columns"], test["baselines"])
+        table = predictions(test["nmse"], [*content["test"]], test["baselines"])
     seeds = [table]
     if "seed" not in table:
         seeds = [table.assign(seed=seed) for seed in content["seeds"]]

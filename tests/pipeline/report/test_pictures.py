@@ -104,7 +104,7 @@ def test_the_picture_of_a_bend_shows_the_paths_with_and_without_the_scene(tmp_pa
     street.write_drive(tmp_path / "ingest", DRIVE, 30)
     for model, spatial, nmse in (("path", "gnn", 0.1), ("path-blind", "blind", 0.6)):
         content = metrics(model, nmse, predict="path", spatial=spatial)
-        table = examples.predictions(nmse, content["columns"]).query("drive == @DRIVE")
+        table = examples.predictions(nmse, [*content["test"]]).query("drive == @DRIVE")
         examples.write_model(tmp_path, content, table)
     groups = load_groups({name: tmp_path / "evaluate" / name for name in ("path", "path-blind")})
     (comparison,) = examples.comparisons(groups)
@@ -133,16 +133,16 @@ def test_the_largest_error_of_a_typical_drive_is_drawn(tmp_path, monkeypatch, pr
     street.write_drive(tmp_path / "ingest", DRIVE, 30)
     for model, nmse in (("worse", 0.9), ("best", 0.0)):
         content = metrics(model, nmse, predict=predict)
-        table = examples.predictions(nmse, content["columns"])
+        table = examples.predictions(nmse, [*content["test"]])
         row = (table["drive"] == DRIVE) & (table["frame"] == 12)
-        for column in content["columns"]:
+        for column in content["test"]:
             table.loc[row, f"predicted_{column}"] = 0.3
         examples.write_model(tmp_path, content, table)
     folders = {model: tmp_path / "evaluate" / model for model in ("worse", "best")}
     groups = load_groups(folders)
     (comparison,) = examples.comparisons(groups)
     captions = figures.draw_errors(tmp_path / "figures", comparison, groups[0], tmp_path / "ingest")
-    driven = {"angle": "6.9°", "path": "68.8°"}[predict]
+    driven = {"angle": "6.88 deg", "path": "68.75 deg"}[predict]
     assert captions[f"{predict}-0-worst"].startswith(
         f"Frame 12, the largest error of best in this drive: driven {driven} (red)"
     )

@@ -62,14 +62,14 @@ def test_angles_in_degrees_are_those_of_the_wheels_or_the_turns_of_a_path(tmp_pa
     for group, name, factor in ((angle, "net", 1), (path, "path", 10)):  # curvature times metres
         row = group.first_seed(name).iloc[10]
         expected_rad = [0.1 * factor, 0.15 * factor]
-        assert row[["true_deg", "predicted_deg"]].tolist() == pytest.approx(
+        assert row[["shown_true", "shown_predicted"]].tolist() == pytest.approx(
             np.rad2deg(expected_rad)
         )
 
 
 def test_errors_differences_and_validation_errors(tmp_path):
     scene = metrics("path", [0.2, 0.4], predict="path") | {"drives": {"train": ["a"] * 3}}
-    nmse = zip(scene["columns"], (0.1, 0.3), strict=True)
+    nmse = zip(scene["test"], (0.1, 0.3), strict=True)
     scene["val"] = {column: {"nmse": value, "nmse_by_seed": [value]} for column, value in nmse}
     scene["val"]["a straight range"] = {"nmse": None, "nmse_by_seed": [None]}
     blind = metrics("path-blind", 0.9, predict="path")
@@ -234,7 +234,7 @@ def test_the_best_validated_model_has_a_verdict(
         metrics("net", nmse, baselines, predict=predict),
     ]
     for model, errors in zip(models, ((0.4, 0.4), (0.1, 0.5)), strict=True):
-        values = zip(model["columns"], errors, strict=False)
+        values = zip(model["test"], errors, strict=False)
         model["val"] = {name: {"nmse": value, "nmse_by_seed": [value]} for name, value in values}
     headline, text, _ = tables.sentences(compare(tmp_path, *models))
     assert headline.endswith(": too few seeds (train.seeds).")
@@ -245,7 +245,7 @@ def test_the_best_validated_model_has_a_verdict(
     driven_rad = 0.01 * metres * np.delete(np.arange(7, 30), 13).mean()
     mae_deg = np.rad2deg(driven_rad * np.sqrt(nmse).mean())
     choice = "net is the model with the least validation error: its mean absolute error of the "
-    assert f"{choice}{title} is {mae_deg:.2f}°, " in text
+    assert f"{choice}{title} is {mae_deg:.2f} deg, " in text
 
     for model in models:
         model["seeds"] = [0, 1]

@@ -17,11 +17,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from models.steering.core.motion import ANGLE, SPEED, VALID
+from models.steering.core.steering_net import SteeringNet
 from pipeline.base import checkpoint, loop
 from pipeline.base.errors import InputError
 from pipeline.graphs.graph_file import Arrays, open_graphs
-from pipeline.train import fit, frames, loss, runs, targets, trained, windows
+from pipeline.train import fit, frames, loss, runs, trained, windows
 from pipeline.train.loss import Scale
+from pipeline.train.quantities.path import Target
 from pipeline.train.settings import Train
 from pipeline.train.targets import LabelledDrive, Timeline, read_drive
 from tests import artefacts, small_model
@@ -302,7 +304,8 @@ def test_the_path_in_a_larger_world_has_the_mean_curvature_of_its_stretched_cour
 ):
     curvature = np.array(values)
     path = np.where(np.arange(3) == unknown, np.nan, curvature)
-    (scaled,) = targets.scale_path(path[None], EDGES_M, factor)
+    quantity = Target({"wheelbase_m": 2.7, "min_speed_mps": 1.0, "ahead_m": EDGES_M})
+    (scaled,) = quantity.rescale(path[None], factor)
 
     # Curvature along the course, at distances in the scaled world in metres.
     distance = (np.arange(20_000) + 0.5) / 1000
@@ -409,6 +412,8 @@ def test_loss_is_the_weighted_sum_of_squares_or_of_hubers_function(robust):
     target = torch.full((2, 2), 3.0)
     expected = 0.25 + 0.5 + 8.5 if robust else 0.5 + 1 + 81
     assert loss.weighted_loss(target + error, target, weight, robust).item() == expected
+    with pytest.raises(ValueError, match=r"outputs have the shape \[\d+, 1\], the targets"):
+        loss.weighted_loss(target[:, :1], target, weight, robust)
 
 
 WINDOW = 4
@@ -448,7 +453,7 @@ def test_shared_frames_equal_naive_windows_and_gaps_are_nan(tmp_path):
     model = trained.load_model(str(write_model(tmp_path / "net")), "cpu")
     with open_graphs(tmp_path / "drive.h5") as graphs:
         steering_rad = model.predict(graphs)[:, 0]
-        timeline = Timeline.read(graphs, model.car, model.entry)
+        timeline = Timeline.read(graphs, model.quantity, model.entry)
         for row, number in enumerate(numbers):
             before = numbers[max(0, row - WINDOW + 1) : row + 1]
             if len(before) < WINDOW or number - before[0] >= WINDOW:
@@ -460,6 +465,32 @@ def test_shared_frames_equal_naive_windows_and_gaps_are_nan(tmp_path):
                 output = model.net(*model.net.inputs(batch)).item()
             assert steering_rad[row] == pytest.approx(0.12 * output, abs=1e-6)
         assert np.isfinite(steering_rad).sum() == (12 - 3) + (11 - 3)
+
+        # NaN is only where no window ends. A network that returns it is refused.
+        with torch.no_grad():
+            model.net.temporal.output_shift.fill_(torch.inf)
+        problem = r"model net: .*drive\.h5: the network returns NaN or infinity for 17 of 17 frames"
+        with pytest.raises(InputError, match=problem):
+            model.predict(graphs)
+
+
+def test_a_network_that_returns_nan_in_validation_stops_training(folder, monkeypatch):
+    """Its loss is finite."""
+    forward = SteeringNet.forward
+
+    def broken(net: SteeringNet, *inputs: Any) -> torch.Tensor:
+        output = forward(net, *inputs)
+        return output if net.training else output * torch.nan
+
+    monkeypatch.setattr(SteeringNet, "forward", broken)
+    section = yaml.safe_load(small_model.PARAMS.read_text())["train"]
+    model = entry(window=4)
+    drives = read(folder, window=4)
+    fitting = fit.Fit(model.build("graph"), model, Train(**section), 0, drives[:1], drives[1:])
+    problem = "net seed 0: validation of epoch 1: the network returns NaN or infinity for 20 of 20"
+    with pytest.raises(InputError, match=problem):
+        fitting.run(folder / "state.pt", "net seed 0")
+    assert not (folder / "state.pt").exists()
 
 
 def test_code_in_a_file_does_not_run(tmp_path):

@@ -1,0 +1,71 @@
+"""The path ahead: the mean curvature of the way that the car drives afterwards, by range."""
+
+from collections.abc import Mapping
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from pipeline.base.errors import InputError
+from pipeline.base.store import DriveReader
+from pipeline.train.quantity import Quantity
+
+
+class Target(Quantity):
+    """A column for each range of labels.ahead_m."""
+
+    title = "path ahead"
+    unit = "1/m"
+    shown_title = "turn of the path ahead"
+    shown_unit = "deg"
+    shown_format = ".2f"
+    is_ahead = True
+    # The path at a junction is the driver's choice, and squared errors there would dominate.
+    is_robust = True
+    excluded_keys = ("horizon", "alpha")
+
+    def __init__(self, labels: Mapping[str, Any], horizon: int = 0) -> None:
+        super().__init__(labels, horizon)
+        self.edges_m = list(labels.get("ahead_m", []))
+        if not self.edges_m:
+            fix = "Set it to edges such as [0, 10], and make the labels: dvc repro labels"
+            raise InputError("predict: path needs labels.ahead_m (got [])", fix=fix)
+        self.ranges = [f"{near:g}-{far:g} m" for near, far in pairwise(self.edges_m)]
+        self.columns = [f"path_{near:g}-{far:g}m_1pm" for near, far in pairwise(self.edges_m)]
+
+    def read(self, labels: DriveReader) -> np.ndarray:
+        return np.where(labels["ahead_valid"], labels["ahead_1pm"], np.nan)
+
+    def measured(self, angle_rad: np.ndarray) -> np.ndarray:
+        return np.tan(angle_rad) / self.car.wheelbase_m
+
+    def rescale(self, values: np.ndarray, factor: float) -> np.ndarray:
+        """Return the path ahead [W,R] in a larger world.
+
+        A range of that world is 1 / factor as long in the world of the labels. So it overlaps
+        several of their ranges, whose curvature counts as constant within each. It is unknown where
+        one of these is unknown, or where the labels end.
+        """
+        edges_m = np.array(self.edges_m, np.float32)
+        near = edges_m[:-1]
+        far = edges_m[1:]
+
+        # Share of each range of the labels in each range of the larger world, [R,R].
+        starts = np.maximum(near[:, None] / factor, near)
+        ends = np.minimum(far[:, None] / factor, far)
+        share = np.maximum(ends - starts, 0) * factor / (far - near)[:, None]
+
+        # The shares of a range sum to 1, but for rounding, if all of it is known.
+        is_known = (share * np.isfinite(values)[:, None]).sum(axis=2) > 1 - 1e-4
+        scaled = (share * np.nan_to_num(values)[:, None]).sum(axis=2) / factor
+        return np.where(is_known, scaled, np.nan).astype(values.dtype)
+
+    def rescale_measured(self, values: np.ndarray, factor: float) -> np.ndarray:
+        return values / factor
+
+    def shown(self, values: np.ndarray) -> np.ndarray:
+        """Return the turn in all ranges together, in degrees."""
+        return np.rad2deg((values * np.diff(self.edges_m)).sum(axis=-1))
+
+    def curvature(self, values: np.ndarray) -> np.ndarray:
+        return values

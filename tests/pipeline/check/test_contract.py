@@ -1,0 +1,264 @@
+"""The contract of networks: faults are named, right ones pass, the included ones are current."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from models.steering.core.batch import GraphBatch
+from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_features
+from models.steering.core.options import Sizes, load_options
+from models.steering.core.recurrent import RecurrentCell
+from models.steering.core.steering_net import SteeringNet
+from models.steering.temporal import lstm
+from pipeline.base import checkpoint
+from pipeline.base.errors import InputError
+from pipeline.check import renew
+from pipeline.check.contract import check_network
+from pipeline.graphs.settings import Variant
+from pipeline.train import trained
+from pipeline.train.entry import Entry
+
+FEATURES = 8
+IMAGE_SIZE = (48, 96)
+VARIANTS = {
+    "graph": Variant(source="clouds/pseudo", points=60, k=6, keep_inter_class=0.2),
+    "pointnet2": Variant(
+        source="clouds/pseudo",
+        neighbourhood="pointnet2",
+        points=60,
+        centres=[12, 4],
+        radius_m=[8.0, 16.0],
+        neighbours=[5, 6],
+    ),
+    "image": Variant(source="ingest"),
+}
+SPATIAL = [path.stem for path in Path("models/steering/spatial").glob("[!_]*.py")]
+TEMPORAL = [path.stem for path in Path("models/steering/temporal").glob("[!_]*.py")]
+# Layers of PyTorch Geometric: attention, a maximum over edges, and a sum.
+LAYERS = ["GATv2Conv", "EdgeConv", "GraphConv"]
+
+
+class Net(nn.Module):
+    """Pooled features and a dense layer, whose output `change` may change."""
+
+    def __init__(self, change: Callable[[Any, GraphBatch, Tensor], Tensor] | None) -> None:
+        super().__init__()
+        self.read_out = nn.Linear(2 * NODE_FEATURES, FEATURES)
+        self.norm = nn.BatchNorm1d(FEATURES)
+        self.frozen = nn.Linear(FEATURES, FEATURES).requires_grad_(False)
+        self.low = nn.Linear(FEATURES, FEATURES).bfloat16()
+        self.change = change
+        self.calls = 0
+
+    def forward(self, batch: GraphBatch) -> Tensor:
+        if self.change is moves_points:
+            batch.xyz[:, 2] -= 10
+        y = self.read_out(mean_max_pool(node_features(batch.xyz, batch.cls, 1.0), batch.ptr))
+        return self.change(self, batch, y) if self.change else y
+
+
+def moves_points(net: Net, batch: GraphBatch, y: Tensor) -> Tensor:
+    return y
+
+
+def per_point(net: Net, batch: GraphBatch, y: Tensor) -> Tensor:
+    return node_features(batch.xyz, batch.cls, 1.0)[:, :FEATURES]
+
+
+def plain_mean(net: Net, batch: GraphBatch, y: Tensor) -> Tensor:
+    means = [frame.mean(0) for frame in torch.split(batch.xyz, batch.ptr.diff().tolist())]
+    return y + torch.stack(means).sum(1, keepdim=True)
+
+
+def above_median(net: Net, batch: GraphBatch, y: Tensor) -> Tensor:
+    far = torch.stack([f[:, 2].mean() for f in torch.split(batch.xyz, batch.ptr.diff().tolist())])
+    return y if net.training else torch.where((far > far.median())[:, None], torch.nan, y)
+
+
+def counts_calls(net: Net, batch: GraphBatch, y: Tensor) -> Tensor:
+    net.calls += 1
+    return y * (1 + 0.1 * net.calls)
+
+
+def first_point(net: Net, batch: GraphBatch, y: Tensor) -> Tensor:
+    first = [frame[:1].sum(0) for frame in torch.split(batch.xyz, batch.ptr.diff().tolist())]
+    return y + torch.stack(first)[:, :1]
+
+
+def dropout(net: Net, batch: GraphBatch, y: Tensor) -> Tensor:
+    return nn.functional.dropout(y, 0.5)  # in prediction, too
+
+
+FAULTS: list[tuple[Callable[..., Tensor], str]] = [
+    (per_point, r"a row for each point, \[150, 8\], expected \[4, 8\]. Pool the points of each"),
+    (
+        lambda net, batch, y: torch.cat([y, y], 1),
+        r"the shape \[4, 16\] in training, expected \[4, 8",
+    ),
+    (lambda net, batch, y: y.mean(1), r"the shape \[4\] in training, expected \[4, 8\]"),
+    (lambda net, batch, y: y.double(), "torch.float64 in training, expected torch.float32"),
+    (lambda net, batch, y: y.detach(), "no weight gets a gradient. Look for detach"),
+    (lambda net, batch, y: y / 0 if net.training else y, "NaN or infinity in training for a frame"),
+    (plain_mean, "NaN or infinity in training for a frame with 0 points"),
+    (above_median, "NaN or infinity in prediction for a frame with"),
+    (counts_calls, "other features for the same frames when it is called again"),
+    (dropout, "other features for the same frames when it is called again"),
+    (lambda net, batch, y: y - y.mean(0), "depend on the other frames of its batch"),
+    (first_point, "depend on the order of the points"),
+]
+RIGHT: list[Callable[..., Tensor] | None] = [
+    None,
+    moves_points,
+    lambda net, batch, y: net.norm(y),
+    lambda net, batch, y: net.frozen(y),
+    lambda net, batch, y: net.low(y.bfloat16()).float(),
+    lambda net, batch, y: nn.functional.dropout(y, 0.5, net.training),
+]
+
+
+def entry(**changes: Any) -> Entry:
+    keys = {"input": "semantic", "spatial": "gnn", "temporal": "lstm", "semantics": 1.0}
+    return Entry.model_validate(keys | {"features": FEATURES, "window": 4} | changes)
+
+
+def given(module: nn.Module) -> Any:
+    """Return options that build a module."""
+    return SimpleNamespace(build=lambda sizes: module, sees_frames=True)
+
+
+def check(module: nn.Module, **changes: Any) -> None:
+    """Check a spatial network."""
+    model = entry(**changes)
+    net = SteeringNet(given(module), lstm.Options(), Sizes(FEATURES), equivariant=model.equivariant)
+    check_network(net, model, VARIANTS["graph"], IMAGE_SIZE, outputs=1)
+
+
+@pytest.mark.parametrize(("change", "message"), FAULTS)
+def test_a_faulty_spatial_network_is_one_line(change, message):
+    with pytest.raises(InputError, match=f"^spatial: gnn: .*{message}") as raised:
+        check(Net(change))
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("change", RIGHT)
+def test_a_right_spatial_network_passes(change):
+    check(Net(change))
+
+
+def test_a_layer_without_sizes_and_a_changed_input_are_refused():
+    net = Net(None)
+    net.read_out = nn.LazyLinear(FEATURES)
+    with pytest.raises(InputError, match=r"read_out\.weight has no size before the first batch"):
+        check(net)
+    with pytest.raises(InputError, match="changes its input, from which the mirror image"):
+        check(Net(moves_points), equivariant=True)
+
+
+def test_a_compiled_network_runs_without_compilation():
+    net = torch.compile(Net(None), backend=pytest.fail)  # type: ignore[call-overload]
+    check(net)
+
+
+class Cell(RecurrentCell):
+    """A mean over the frames of a window, whose output `change` may change."""
+
+    def __init__(self, change: Callable[[Any, Tensor], Tensor]) -> None:
+        super().__init__()
+        self.dense = nn.Linear(FEATURES, 1)
+        self.change = change
+        self.state: Any = 0.0
+
+    def project_inputs(self, x: Tensor) -> Tensor:
+        return self.dense(x)
+
+    def forward(self, projected: Tensor, dt_s: Tensor) -> Tensor:
+        frames = torch.arange(1, projected.shape[1] + 1)[:, None]
+        return self.change(self, projected.cumsum(1) / frames)
+
+
+def keeps_state(cell: Cell, y: Tensor) -> Tensor:
+    y = y + cell.state
+    cell.state = y.mean().detach()
+    return y
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda cell, y: y[:, -1], r"the shape \[5, 1\] in training, expected \[5, 4, 1\]"),
+        (lambda cell, y: y.log(), "NaN or infinity in training"),
+        (lambda cell, y: y.detach(), "no weight gets a gradient"),
+        (keeps_state, "other outputs for the same windows when it is called again"),
+        (lambda cell, y: y - y.mean(0), "depends on the other windows of its batch"),
+        (lambda cell, y: y, None),
+    ],
+)
+def test_a_faulty_temporal_network_is_one_line(change, message):
+    net = SteeringNet(given(Net(None)), given(Cell(change)), Sizes(FEATURES))
+    if message is None:
+        check_network(net, entry(), VARIANTS["graph"], IMAGE_SIZE, outputs=1)
+        return
+    with pytest.raises(InputError, match=f"^temporal: lstm: .*{message}"):
+        check_network(net, entry(), VARIANTS["graph"], IMAGE_SIZE, outputs=1)
+
+
+@pytest.mark.parametrize("equivariant", [False, True])
+@pytest.mark.parametrize(
+    ("spatial", "temporal", "layer"),
+    [
+        *((name, "lstm", "GCNConv") for name in SPATIAL),
+        *(("gnn", name, "") for name in TEMPORAL),
+        *(("pyg", "lstm", layer) for layer in LAYERS),
+    ],
+)
+def test_our_own_networks_keep_the_contract(spatial, temporal, layer, equivariant):
+    keys: dict[str, Any] = {"input": "x", "spatial": spatial, "temporal": temporal}
+    keys |= {"features": FEATURES, "window": 4, "equivariant": equivariant, "motion": "visual"}
+    options = load_options("spatial", spatial)
+    if "semantics" in options.model_fields:
+        keys["semantics"] = 1.0
+    if spatial == "pyg":
+        keys["layer"] = layer
+    model = Entry.model_validate(keys)
+    variant = VARIANTS[str(options.kind)]
+    net = model.build(str(options.kind), len(variant.levels), IMAGE_SIZE, outputs=3)
+    check_network(net, model, variant, IMAGE_SIZE, outputs=3)
+
+
+@pytest.mark.parametrize("folder", renew.FOLDERS)
+def test_an_included_network_has_the_hashes_and_outputs_of_its_code(folder, capsys):
+    """If this fails after an edit of models/steering: python -m pipeline.check.renew."""
+    model = trained.load_model(folder, "cpu")
+    assert capsys.readouterr().out == ""
+    expected = checkpoint.read(Path(folder) / "best.pt", trained.KIND)["outputs"]
+    torch.testing.assert_close(renew.run_on_streets(model), expected, rtol=0, atol=renew.TOLERANCE)
+
+
+def test_hashes_are_renewed_only_if_outputs_stay(tmp_path, monkeypatch, capsys):
+    """With an edited network, loading prints one line for all checkpoints of a model."""
+    for folder in renew.FOLDERS:
+        content = checkpoint.read(Path(folder) / "best.pt", trained.KIND)
+        content["code"]["models/steering/core/batch.py"] = "another hash"
+        checkpoint.write(tmp_path / folder / "best.pt", content)
+    monkeypatch.setattr(renew, "FOLDERS", [str(tmp_path / folder) for folder in renew.FOLDERS])
+    path = tmp_path / folder
+    trained.load_model(path, "cpu")
+    trained.load_model(path, "cpu")
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 1
+    assert re.match(r"path: models/steering/core/batch\.py changed since its training", lines[0])
+
+    before = (path / "best.pt").read_bytes()
+    with monkeypatch.context() as patch:
+        patch.setattr(renew, "run_on_streets", lambda model: torch.full((1, 4), 9.0))
+        with pytest.raises(InputError, match=r"best\.pt: its outputs changed by .* Undo the edit"):
+            renew.main()
+    assert (path / "best.pt").read_bytes() == before
+    renew.main()
+    assert content["code"] != checkpoint.read(path / "best.pt", trained.KIND)["code"]

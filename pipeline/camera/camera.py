@@ -46,6 +46,7 @@ class Camera:
     T_cam_velo: np.ndarray | None = None  # [4,4]; None without a LiDAR
     horizon: float | None = None  # image row of the road's horizon; None if it is unknown
     height_known: bool = False  # otherwise, the height is that of KITTI's cameras
+    crop: Crop | None = None  # the part of complete images that is left; None if it is unknown
 
     def at_height(self, height_m: float | None) -> "Camera":
         """Return the camera at a known height over the road, or the same camera for None."""
@@ -77,7 +78,7 @@ class Camera:
         horizon = self.horizon
         if horizon is not None:
             horizon = horizon - crop.rows.start
-        return replace(self, K=self.K - shift, size=crop.size, horizon=horizon)
+        return replace(self, K=self.K - shift, size=crop.size, horizon=horizon, crop=crop)
 
     def mirrored(self) -> "Camera":
         """Return the camera of the mirrored images."""
@@ -94,13 +95,13 @@ class Camera:
         the aspect ratios differ by at most SAME_SHAPE, the crop is the complete image.
         """
         height, width = self.size
-        ratio = height * aspect[1] / (width * aspect[0])
         rows = slice(0, height)
         columns = slice(0, width)
-        if max(ratio, 1 / ratio) <= 1 + SAME_SHAPE:
-            return Crop(rows, columns)
+        if same_shape(self.size, aspect):
+            return Crop(rows, columns, self.size)
 
         # With a ratio above 1, the image is higher than the aspect ratio allows.
+        ratio = height * aspect[1] / (width * aspect[0])
         if ratio > 1:
             centre = self.K[1, 2]
             if self.horizon is not None:
@@ -108,7 +109,13 @@ class Camera:
             rows = _range_around(centre, round(height / ratio), height)
         else:
             columns = _range_around(self.K[0, 2], round(width * ratio), width)
-        return Crop(rows, columns)
+        return Crop(rows, columns, self.size)
+
+
+def same_shape(size: Size, other: Size) -> bool:
+    """Return whether the aspect ratios of two sizes (H, W) differ by at most SAME_SHAPE."""
+    ratio = size[0] * other[1] / (size[1] * other[0])
+    return max(ratio, 1 / ratio) <= 1 + SAME_SHAPE
 
 
 def _range_around(centre: float, length: int, limit: int) -> slice:
@@ -175,8 +182,12 @@ def visible(xyz: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np
 
 
 def write_camera(file: DriveWriter, camera: Camera) -> None:
-    """Write a camera's intrinsics to an ingest file, and T_cam_velo if the camera has it."""
+    """Write a camera's intrinsics to an ingest file, and crop and T_cam_velo if it has them."""
     file.put("K", camera.K, "pixels")
+    if camera.crop:
+        ranges = zip((camera.crop.rows, camera.crop.columns), camera.crop.image_size, strict=True)
+        crop = [[used.start, used.stop, length] for used, length in ranges]
+        file.put("crop", np.array(crop, np.int32), "pixels")
     if camera.T_cam_velo is not None:
         file.put("T_cam_velo", camera.T_cam_velo, "m")
 
@@ -186,7 +197,11 @@ def read_camera(file: DriveReader) -> Camera:
     height, width = file.datasets["image"].shape[1:3]
     calibration = {name: file[name] for name in ("K", "T_cam_velo") if name in file}
     T_cam_velo = calibration.get("T_cam_velo")
-    camera = Camera(calibration.get("K"), (height, width), T_cam_velo=T_cam_velo)
+    crop = None
+    if "crop" in file:
+        (top, bottom, full_height), (left, right, full_width) = file["crop"].tolist()
+        crop = Crop(slice(top, bottom), slice(left, right), (full_height, full_width))
+    camera = Camera(calibration.get("K"), (height, width), T_cam_velo=T_cam_velo, crop=crop)
     return camera.at_height(file.params.get("camera_height_m") or camera_height(T_cam_velo))
 
 

@@ -47,6 +47,7 @@ class Crop(NamedTuple):
 
     rows: slice
     columns: slice
+    image_size: Size  # (H, W) of the complete image
 
     @property
     def size(self) -> Size:

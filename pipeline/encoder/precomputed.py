@@ -7,12 +7,13 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.resume import digest, file_hash
 from pipeline.camera import classes
-from pipeline.camera.images import nearest, read_classes, read_depth
+from pipeline.camera.camera import Camera, same_shape
+from pipeline.camera.images import format_size, nearest, read_classes, read_depth
 
 # Names and formats of the expected files, for messages.
 LAYOUT = (
-    "Expected files: DRIVE/depth/0000000000.png (16 bit, metres x 256, 0 = none) and "
-    "DRIVE/cls/0000000000.png (8 bit, trainIds)"
+    "Expected files: DRIVE/depth/0000000000.png (16 bit, metres x 256 along the optical axis, 0 = "
+    "none) and DRIVE/cls/0000000000.png (8 bit, trainIds)"
 )
 
 
@@ -35,23 +36,41 @@ def fingerprint(folder: Path) -> tuple[int, str]:
 
 
 def read_frame(
-    folder: Path, drive: str, frame: int, size: tuple[int, int]
+    folder: Path, drive: str, frame: int, camera: Camera
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a frame's depth and classes.
 
     Depth is float32 [H,W] in metres, 0 where unknown; classes are trainIds uint8 [H,W], 255 for
-    void. Files of another size are resized to `size` (H, W) by nearest neighbour. Raises
-    InputError.
+    void. H and W are the size of `camera`. Raises InputError.
     """
     depth_path = folder / drive / "depth" / f"{frame:010d}.png"
     cls_path = folder / drive / "cls" / f"{frame:010d}.png"
     for path in (depth_path, cls_path):
         if not path.is_file():
             raise InputError("file is missing", path, LAYOUT)
-    depth = nearest(read_depth(depth_path), size).astype(np.float32)
-    cls = nearest(read_classes(cls_path), size)
+    depth = _fit(read_depth(depth_path), camera, depth_path).astype(np.float32)
+    cls = _fit(read_classes(cls_path), camera, cls_path)
     unknown = np.setdiff1d(cls, [*range(classes.COUNT), classes.VOID])
     if unknown.size:
         problem = f"class {unknown[0]}, expected trainIds 0 to {classes.COUNT - 1}, or 255"
         raise InputError(problem, cls_path)
     return depth, cls
+
+
+def _fit(pixels: np.ndarray, camera: Camera, path: Path) -> np.ndarray:
+    """Return depth or classes [H,W] of the pixels of a camera's images.
+
+    A file with the aspect ratio of these images is resized. A file with that of complete images is
+    cropped as stage ingest crops them, and then resized. Raises InputError for another one.
+    """
+    size = pixels.shape[:2]
+    crop = camera.crop
+    if not same_shape(size, camera.size):
+        if not crop or not same_shape(size, crop.image_size):
+            expected = f"ingest.image_size, {format_size(camera.size)}"
+            if crop:
+                expected = f"the images, {format_size(crop.image_size)}, or {expected}"
+            problem = f"has {format_size(size)} pixels, expected the aspect ratio of {expected}"
+            raise InputError(problem, path, "Write depth and classes of the complete images")
+        pixels = crop.pixels(nearest(pixels, crop.image_size))
+    return nearest(pixels, camera.size)

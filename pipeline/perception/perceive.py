@@ -117,7 +117,7 @@ def _read_precomputed(folder: Path, batch: EncoderInput) -> Perceived:
     depths_m = []
     class_maps = []
     for frame in batch.frame.tolist():
-        depth_m, cls = precomputed.read_frame(folder, batch.drive, frame, batch.camera.size)
+        depth_m, cls = precomputed.read_frame(folder, batch.drive, frame, batch.camera)
         depths_m.append(depth_m)
         class_maps.append(cls)
     return Perceived(np.stack(depths_m), np.stack(class_maps))

@@ -1,5 +1,6 @@
 """Stages perception by precomputed files, and clouds of drives with LiDAR, images or both."""
 
+from contextlib import nullcontext
 from pathlib import Path
 
 import h5py
@@ -11,7 +12,12 @@ from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
 from pipeline.camera import classes
+from pipeline.camera.camera import Camera, Frame, read_camera
 from pipeline.encoder.encoder_file import save_encoder
+from pipeline.encoder.precomputed import read_frame
+from pipeline.ingest.drive import Drive
+from pipeline.ingest.ingest_file import write_drive
+from pipeline.ingest.settings import Reading
 from pipeline.motion.motion_file import measure_drive
 from stages import clouds, perception
 from tests import street
@@ -93,3 +99,39 @@ def test_precomputed_files_are_matched_by_frame_number(tmp_path, capsys):
         run(tmp_path)
     warning = f"encoder was fitted to rendered streets alone: wrong depth on {FULL}"
     assert warning in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("columns", "factor", "problem"),
+    [
+        (slice(0, 200), 1, None),
+        (slice(0, 200), 2, None),
+        (slice(30, 110), 1, None),  # the crop of stage ingest
+        (
+            slice(0, 100),
+            1,
+            "has 100 x 40 pixels, expected the aspect ratio of the images, 200 x 40, or "
+            "ingest.image_size, 64 x 32",
+        ),
+    ],
+)
+def test_precomputed_files_get_the_crop_of_the_image(tmp_path, columns, factor, problem):
+    """The image, depth and classes hold the column of the complete image."""
+    column = np.tile(np.arange(200), (40, 1))
+    camera = Camera(np.array([[100, 0, 69.5], [0, 100, 19.5], [0, 0, 1]]), column.shape)
+    image = np.repeat(column[..., None], 3, axis=-1).astype(np.uint8)
+    drive = Drive(camera, lambda: iter([Frame(0, 0.0, image)]))
+    settings = Reading(image_size=(32, 64), cameras=[2], lidar=False, on_damaged="fail")
+    write_drive(tmp_path / "ingest.h5", drive, FULL, "recording", settings)
+
+    made = column[:, columns].repeat(factor, axis=0).repeat(factor, axis=1)
+    write_png(tmp_path / f"{FULL}/depth/0000000000.png", (made * 256).astype(np.uint16))
+    write_png(tmp_path / f"{FULL}/cls/0000000000.png", (made // 20).astype(np.uint8))
+    refused = pytest.raises(InputError, match=problem)
+    with store.DriveReader(tmp_path / "ingest.h5", stage="ingest") as file:
+        pixels = file["image"][0, ..., 0].astype(float)
+        with refused if problem else nullcontext():
+            depth_m, cls = read_frame(tmp_path, FULL, 0, read_camera(file))
+    if not problem:
+        assert np.abs(depth_m - pixels).max() <= 1
+        assert np.abs(20 * cls + 10 - pixels).max() <= 11

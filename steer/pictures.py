@@ -150,7 +150,10 @@ def write_overlay(path: Path, source: Source, results: Results, wheelbase_m: flo
         stream.pix_fmt = "yuv420p"
         stream.options = {"preset": "veryfast"}
         for frame in source.drive.frames():
-            if frame.number in rows and frame.image is not None:
+            if frame.number not in rows:
+                continue
+            frame.read()
+            if frame.image is not None:
                 row = rows[frame.number]
                 image = resized(frame.image, camera.size).copy()
                 _draw_paths(image, camera, paths, row)

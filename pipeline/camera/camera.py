@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from pipeline.base.errors import DamagedFile
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.camera.geometry import (
     CAMERA_HEIGHT_M,
@@ -127,7 +128,10 @@ def _range_around(centre: float, length: int, limit: int) -> slice:
 
 @dataclass
 class Frame:
-    """Sensor data and perception of one frame. A field is None if the frame lacks it."""
+    """Sensor data and perception of one frame. A field is None if the frame lacks it.
+
+    A dataset may set a field to a function without arguments that reads and returns it.
+    """
 
     number: int  # KITTI's frame number, or one counted from 0
     time_s: float  # time since the start of the drive
@@ -135,6 +139,24 @@ class Frame:
     depth_m: Any = None  # [H,W] in metres, rounded as in the file of stage perception; 0: no depth
     cls: Any = None  # trainIds uint8 [H,W]
     scan: Any = None  # float32 [P,4] in the velodyne frame: x, y, z in metres, reflectance
+
+    def read(self) -> dict[str, DamagedFile]:
+        """Replace the fields that are functions by what they read, None for a damaged file.
+
+        Returns name of a field → exception for the damaged files.
+        """
+        damaged = {}
+        for name in ("image", "depth_m", "cls", "scan"):
+            field = getattr(self, name)
+            if not callable(field):
+                continue
+            content = None
+            try:
+                content = field()
+            except DamagedFile as fault:
+                damaged[name] = fault
+            setattr(self, name, content)
+        return damaged
 
 
 def camera_height(T_cam_velo: np.ndarray | None) -> float | None:

@@ -16,6 +16,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from pipeline.base.errors import DamagedFile
 from pipeline.camera.camera import Camera, Frame
 
 
@@ -25,15 +26,18 @@ class Drive:
 
     # The camera of the complete, rectified images. None if there are neither images nor scans.
     camera: Camera | None
-    # Frames in ascending numbers. Images, depth and classes have the camera's size.
+    # Frames in ascending numbers. Images, depth and classes have the camera's size. If a field of a
+    # frame is a function that reads it, the setting on_damaged applies to damaged files.
     frames: Callable[[], Iterator[Frame]]
     # Recorded values: name → frame number → value. A drive may have steering_rad, and either
     # speed_mps and yaw_rate_radps or oxts packets [30]. See ingest_file.VALUES for the units.
     values: Mapping[str, Mapping[int, Any]] = field(default_factory=dict)
-    # Notes for the user. They are complete after the last frame has been read.
+    # Notes for the user. They are complete after write_drive.
     notes: list[str] = field(default_factory=list)
     # Name of the dataset, if it differs from the name of the dataset's file.
     dataset: str = ""
+    # Damaged files of the values, which are left out.
+    damaged: list[DamagedFile] = field(default_factory=list)
 
 
 def load(name: str) -> ModuleType:

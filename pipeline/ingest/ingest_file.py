@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline.base.errors import InputError, closest
+from pipeline.base.errors import DamagedFile, InputError, closest
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
 from pipeline.camera.camera import Camera, Frame, camera_height, write_camera
@@ -50,8 +50,9 @@ VALUES = {
     "left_mps": _Value("m/s, left positive", np.nan),
     "yaw_rate_radps": _Value("rad/s, left positive", np.nan),
 }
-# Names of the data that a frame may lack. For each, the file has a dataset has_<name>.
-HAS = (*MAPS, "lidar")
+# Name of the data that a frame may lack → its field of Frame. For each name, the file has a dataset
+# has_<name>.
+HAS = {"image": "image", "depth": "depth_m", "cls": "cls", "lidar": "scan"}
 # Name of a count → its word in the log.
 COUNTS = {
     "image": "images",
@@ -92,7 +93,8 @@ def write_drive(
     `advance` is called with the number of frames that were written since its last call. Returns the
     numbers of frames, images, scans and so on, and ``counts``, a text about them. Raises InputError
     if the drive has no frames, pixels of another size than the camera's, or values with an unknown
-    name.
+    name. After the last frame, raises a DamagedFile that lists all damaged files or, if
+    ``ingest.on_damaged`` is skip, InputError if all files of a kind are damaged.
     """
     _check_names(drive.values)
     camera = drive.camera
@@ -107,10 +109,16 @@ def write_drive(
         params["camera_height_m"] = camera.height_m
 
     rows = list[_Row]()
+    faults = [*drive.damaged]
+    # Name of a field of Frame → the first damaged file.
+    first_fault = dict[str, DamagedFile]()
     with DriveWriter(path, stage="ingest", drive=name, params=params) as file:
         # Maps that the file has so far. It always has images.
         written = {"image"}
         for frame in drive.frames():
+            damaged = frame.read()
+            faults += damaged.values()
+            first_fault = damaged | first_fault
             _check_size(frame, camera)
             depth = None if frame.depth_m is None else to_units(frame.depth_m)
             maps = {"image": frame.image, "depth": depth, "cls": frame.cls}
@@ -135,6 +143,8 @@ def write_drive(
             rows.append(_Row(frame.number, frame.time_s, len(scan), has))
             if advance:
                 advance(1)
+        if faults and settings.on_damaged != "skip":
+            raise _list_damage(faults)
         if not rows:
             raise InputError("drive has no frames", name)
 
@@ -146,15 +156,28 @@ def write_drive(
             write_camera(file, camera.cropped(crop).scaled(size))
         file.put_pointers("lidar_ptr", [row.points for row in rows], "rows of lidar")
         counts = {}
-        for key in HAS:
+        for key, field in HAS.items():
             present = np.array([row.has[key] for row in rows], np.uint8)
             file.put(f"has_{key}", present)
             counts[key] = int(present.sum())
+            if field in first_fault and not counts[key]:
+                fault = first_fault[field]
+                problem = f"all {COUNTS[key]} of the drive are damaged: {fault.problem}"
+                raise InputError(problem, fault.where)
     counts["steering"] = steered
+    if faults:
+        drive.notes.append(f"{len(faults)} damaged files left out")
 
     texts = [f"{counts[key]} {text}" for key, text in COUNTS.items() if counts[key]]
     text = "".join(f", {text}" for text in texts + drive.notes)
     return {"frames": len(rows), **counts, "counts": text}
+
+
+def _list_damage(faults: list[DamagedFile]) -> DamagedFile:
+    """Return the exception for a drive with damaged files."""
+    problem = "; ".join(f"{fault.where}: {fault.problem}" for fault in faults)
+    fix = "Copy or extract them again, or set ingest.on_damaged: skip to leave them out"
+    return DamagedFile(problem, f"{len(faults)} damaged files", fix)
 
 
 def _put_values(

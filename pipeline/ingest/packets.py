@@ -153,24 +153,50 @@ def read_times(path: Path, frames: Sequence[int]) -> np.ndarray:
         raise InputError(
             "file is missing", path, f"Extract the drive's {path.parent.name} folder again"
         )
-    lines = path.read_text("ascii", errors="replace").rstrip().split("\n")
-    if len(lines) > frames[-1]:
-        places = list(frames)
-    elif len(lines) == len(frames):
-        places = list(range(len(frames)))
-    else:
+    lines = _read_lines(path)
+    numbers = _line_numbers(len(lines), frames)
+    if numbers[-1] > len(lines):
         raise InputError(
             f"expected at least {frames[-1] + 1} lines for frame {frames[-1]}, got {len(lines)}",
             path,
         )
-    words = pd.Series(lines, np.arange(len(lines)) + 1, name="time").iloc[places]
-    stamps = pd.to_datetime(words, format="ISO8601", errors="coerce").astype("datetime64[ns]")
+    words = lines.loc[numbers]
+    stamps = _to_stamps(words)
     refuse(fault(words[stamps.isna()], "is not a date and time"), path, "Correct it")
     # Subtract in integer nanoseconds: a float64 resolves the seconds since 1970 only to 0.2
     # microseconds.
     time_s = (stamps - stamps.iloc[0]).astype("int64") / 1e9
     refuse(check_increase(time_s, 1e-9), path, "Correct or remove it")
     return time_s.to_numpy()
+
+
+def read_stamps(path: Path, frames: Sequence[int]) -> pd.Series:
+    """Return frame number → time stamp of the `frames` that have one in a ``timestamps.txt``.
+
+    Its lines belong to frames as in :func:`read_times`.
+    """
+    lines = _read_lines(path)
+    stamps = _to_stamps(lines.reindex(_line_numbers(len(lines), frames)))
+    return stamps.set_axis(frames).dropna()
+
+
+def _read_lines(path: Path) -> pd.Series:
+    """Return number of the line, counted from 1 → line of a file."""
+    lines = path.read_text("ascii", errors="replace").rstrip().split("\n")
+    return pd.Series(lines, np.arange(len(lines)) + 1, name="time")
+
+
+def _line_numbers(lines: int, frames: Sequence[int]) -> list[int]:
+    """Return the number, counted from 1, of the line of each frame in a file of so many `lines`."""
+    if len(frames) == lines <= frames[-1]:
+        return list(range(1, lines + 1))
+    return [frame + 1 for frame in frames]
+
+
+def _to_stamps(words: pd.Series) -> pd.Series:
+    """Convert texts to UTC, or to NaT where they are not a date and time."""
+    stamps = pd.to_datetime(words, format="ISO8601", errors="coerce", utc=True)
+    return stamps.dt.tz_localize(None).astype("datetime64[ns]")
 
 
 def read_steering(path: Path) -> dict[int, float]:

@@ -7,7 +7,8 @@ Images may also be JPEG files. The calibration is in ``<root>/<date>/``. pykitti
 not used: its sorted lists shift after a missing frame, and it needs all four cameras.
 """
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,9 @@ from pipeline.base.errors import DamagedFile, InputError, closest
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import read_classes, read_depth, read_image
 from pipeline.ingest.calibration import CALIBRATION, RENDERED, read_calibration, read_entries
+from pipeline.ingest.clocks import check_rate, compare_times
 from pipeline.ingest.drive import Drive, stamps
+from pipeline.ingest.other_layouts import find_other_layout
 from pipeline.ingest.packets import STEERING, read_row, read_steering, read_times
 from pipeline.ingest.settings import Ingest, Reading
 
@@ -102,6 +105,10 @@ class KittiDrive:
         path = self.calibration / CALIBRATION
         return path.is_file() and path.read_text(errors="replace").startswith(f"{RENDERED}\n")
 
+    def image_times(self, camera: int) -> Path:
+        """Return the file with the times of a camera's images, which may be missing."""
+        return self.folder / f"image_{camera:02d}" / "timestamps.txt"
+
     def timeline(self, camera: int | None) -> tuple[list[int], Path]:
         """Return the numbers of the frames with an oxts packet, and the file with their times.
 
@@ -110,7 +117,7 @@ class KittiDrive:
         """
         if camera is None or self.oxts:
             return list(self.oxts), self.oxts_times
-        return list(self.images(camera)), self.folder / f"image_{camera:02d}" / "timestamps.txt"
+        return list(self.images(camera)), self.image_times(camera)
 
     def paths(self, cameras: Sequence[int]) -> list[Path]:
         """Return all files that :func:`read_drive` reads of a drive with these `cameras`."""
@@ -119,19 +126,23 @@ class KittiDrive:
         paths = list[Path]()
         for files in (self.oxts, self.scans, self.truth_depth, self.truth_cls):
             paths += files.values()
+        calibration = sorted(self.calibration.glob("calib_*.txt"))
+        optional = {times, *calibration, self.folder / STEERING}
         if camera is not None:
             paths += self.images(camera).values()
-        calibration = sorted(self.calibration.glob("calib_*.txt"))
-        optional = [times, *calibration, self.folder / STEERING]
-        return paths + [path for path in optional if path.is_file()]
+            optional.add(self.image_times(camera))
+        return paths + sorted(path for path in optional if path.is_file())
 
 
 def open_folder(path: Path) -> KittiDrive:
     """Return the drive of a folder, which may be a link.
 
     The calibration is in the folder around the link, or in the folder around its target. Raises
-    InputError if `path` is itself a folder around drives.
+    InputError if `path` is itself a folder around drives, or has another layout.
     """
+    other_layout = find_other_layout(path)
+    if other_layout:
+        raise InputError("is not a drive of KITTI raw", path, other_layout)
     below = sorted(path.glob("*/image_0?")) + sorted(path.glob("*/*/image_0?"))
     if below:
         fix = f"Pass one of them: {below[0].parent}"
@@ -145,10 +156,8 @@ def open_folder(path: Path) -> KittiDrive:
 def read_drive(files: KittiDrive, settings: Reading) -> Drive:
     """Return a drive, whose frames are read only when they are iterated over.
 
-    At its end, the iteration raises a DamagedFile that lists all damaged files, if there are any.
-    If ``ingest.on_damaged`` is skip, it does so only if all packets are damaged, and raises
-    InputError if all images or all scans are. Raises InputError if packets, times or the
-    calibration are missing.
+    Raises InputError if packets, times or the calibration are missing, if all packets are damaged
+    and ``ingest.on_damaged`` is skip, or if the times of packets and images do not fit.
     """
     camera: Camera | None = None
     images: dict[int, Path] = {}
@@ -163,12 +172,16 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
         fix = "Extract the date's calibration archive, or set ingest.lidar: false"
         raise InputError(problem, files.calibration, fix)
 
-    damaged_packets = list[DamagedFile]()
+    damaged = list[DamagedFile]()
     oxts = {}
     for number, path in files.oxts.items():
-        packet = _read(read_row, path, damaged_packets)
-        if packet is not None:
-            oxts[number] = packet
+        try:
+            oxts[number] = read_row(path)
+        except DamagedFile as fault:
+            damaged.append(fault)
+    if damaged and not oxts and settings.on_damaged == "skip":
+        problem = f"all packets of the drive are damaged: {damaged[0].problem}"
+        raise InputError(problem, damaged[0].where)
     # A frame whose packet is damaged is left out.
     all_times_s = _read_timeline(files, chosen)
     time_s = {number: all_times_s[number] for number in oxts or all_times_s}
@@ -180,43 +193,25 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
     if steering.is_file():
         values["steering_rad"] = read_steering(steering)
     scans = files.scans if settings.lidar else {}
+    without_frame = {*images, *scans} - {*all_times_s}
+    if without_frame:
+        notes.append(f"{len(without_frame)} images or scans without a frame")
+    if oxts and chosen is not None:
+        notes += _compare_times(files, chosen, all_times_s)
     size = camera.size if camera else None
 
     def frames() -> Iterator[Frame]:
-        """Yield the frames. After the last one, raise DamagedFile, or add notes."""
-        faults = [*damaged_packets]
         for number, seconds in time_s.items():
             frame = Frame(number, seconds)
-            frame.scan = _read(read_scan, scans.get(number), faults)
-            frame.image = _read(read_image, images.get(number), faults, size=size)
+            frame.scan = _reader(read_scan, scans.get(number))
+            frame.image = _reader(read_image, images.get(number), size=size)
             if camera:
-                depth = files.truth_depth.get(number)
-                cls = files.truth_cls.get(number)
-                frame.depth_m = _read(read_depth, depth, faults, size=size)
-                frame.cls = _read(read_classes, cls, faults, size=size)
+                frame.depth_m = _reader(read_depth, files.truth_depth.get(number), size=size)
+                frame.cls = _reader(read_classes, files.truth_cls.get(number), size=size)
             yield frame
 
-        # Damaged files can be skipped, but not all packets, all images or all scans.
-        lost_oxts = len(damaged_packets) > 0 and len(damaged_packets) == len(files.oxts)
-        if faults and (lost_oxts or settings.on_damaged != "skip"):
-            raise _list_damage(faults, lost_oxts, settings)
-        for kind, paths in (("images", images), ("scans", scans)):
-            read_paths = {str(paths[number]) for number in time_s if number in paths}
-            lost = [fault for fault in faults if fault.where in read_paths]
-            if lost and len(lost) == len(read_paths):
-                problem = f"all {kind} of the drive are damaged: {lost[0].problem}"
-                raise InputError(problem, lost[0].where)
-
-        lines = []
-        without_frame = {*images, *scans} - {*all_times_s}
-        if without_frame:
-            lines.append(f"{len(without_frame)} images or scans without a frame")
-        if faults:
-            lines.append(f"{len(faults)} damaged files left out")
-        # A second iteration over the frames must not add the same notes again.
-        notes.extend(line for line in lines if line not in notes)
-
-    return Drive(camera, frames, values, notes, "sample" if files.is_rendered() else "kitti")
+    dataset = "sample" if files.is_rendered() else "kitti"
+    return Drive(camera, frames, values, notes, dataset, damaged)
 
 
 def _read_timeline(files: KittiDrive, camera: int | None) -> dict[int, float]:
@@ -225,40 +220,46 @@ def _read_timeline(files: KittiDrive, camera: int | None) -> dict[int, float]:
     folder = files.oxts_times.parent
     # A folder without packets is taken for an incomplete extraction.
     if not numbers or (not files.oxts and folder.is_dir()):
+        other_layout = find_other_layout(files.folder)
+        if other_layout:
+            raise InputError("is not a drive of KITTI raw", files.folder, other_layout)
         fix = "Extract it. Only if labels come from another labels.source: remove the empty folder"
         raise InputError("drive has no oxts packets", folder, fix)
     return dict(zip(numbers, read_times(times, numbers).tolist(), strict=True))
 
 
-def _list_damage(faults: list[DamagedFile], lost_oxts: bool, settings: Reading) -> DamagedFile:
-    """Return the exception for a drive with damaged files.
+def _compare_times(files: KittiDrive, camera: int, time_s: Mapping[int, float]) -> list[str]:
+    """Return notes on packets that do not fit a camera's images. Raises InputError.
 
-    `lost_oxts` tells whether all its oxts packets are damaged.
+    `time_s` maps the frame numbers of the packets to their times.
     """
-    problem = "; ".join(f"{fault.where}: {fault.problem}" for fault in faults)
-    where = f"{len(faults)} damaged files"
-    if lost_oxts:
-        where += ", among them all oxts packets"
-    fix = "Extract them again"
-    if settings.on_damaged != "skip":
-        fix += ", or set ingest.on_damaged: skip to leave them out"
-    return DamagedFile(problem, where, fix)
+    packets = list(time_s)
+    images = list(files.images(camera))
+    if images or files.scans:
+        check_rate(files.oxts_times, list(time_s.values()))
+    if not images:
+        return []
+
+    notes = []
+    times = files.image_times(camera)
+    if times.is_file():
+        notes += compare_times(files.oxts_times, packets, times, images)
+    # Times do not show it if images were deleted and renumbered, and their times were not. The
+    # sample's packets go on after the last image.
+    is_complete = images == list(range(len(images)))
+    if is_complete and packets[-1] > images[-1] and not files.is_rendered():
+        notes.append(
+            f"images end at frame {images[-1]}, packets at {packets[-1]}: if images were "
+            "renumbered, labels are wrong"
+        )
+    return notes
 
 
-def _read(
-    reader: Callable[..., np.ndarray], path: Path | None, damaged: list[DamagedFile], **options: Any
-) -> np.ndarray | None:
-    """Return the content of a file, or None if `path` is None or the file is damaged.
-
-    The exception of a damaged file is added to `damaged`.
-    """
-    if path is None:
-        return None
-    try:
-        return reader(path, **options)
-    except DamagedFile as fault:
-        damaged.append(fault)
-        return None
+def _reader(
+    read: Callable[..., np.ndarray], path: Path | None, **options: Any
+) -> Callable[[], np.ndarray] | None:
+    """Return a function that reads a file, or None if `path` is None."""
+    return partial(read, path, **options) if path else None
 
 
 def find_drive(root: Path, name: str) -> KittiDrive:
@@ -276,6 +277,8 @@ def find_drive(root: Path, name: str) -> KittiDrive:
     if name not in present:
         problem = f"drive {name} of ingest.drives is missing"
         elsewhere = _elsewhere(root, name)
+        if not elsewhere and not present:
+            elsewhere = find_other_layout(root)
         if elsewhere:
             raise InputError(problem, root, elsewhere)
         fix = "Extract it, or take it out of ingest.drives"

@@ -1,0 +1,64 @@
+"""Compare the times of a drive's images with those of its packets ("oxts")."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from pipeline.base.errors import InputError
+from pipeline.ingest.packets import read_stamps
+
+# Difference in seconds between the times of a frame's image and packet above which a note says so.
+# In drive 2011_09_26_drive_0001 it is 0.01, since KITTI takes the nearest of 100 packets a second.
+NOTED_S = 0.1
+# Difference in seconds, or change of this difference, above which an image and a packet of the same
+# number are not of the same frame.
+LIMIT_S = 0.25
+# Rate of packets in Hz above which they are not synchronised with images. Cameras have up to 60,
+# KITTI's unsynced packets have 100.
+UNSYNCED_HZ = 80.0
+
+
+def check_rate(oxts: Path, time_s: Sequence[float]) -> None:
+    """Raise InputError if the packets at `time_s` [F] are too many for one per image.
+
+    `oxts` is the file with the times of the packets.
+    """
+    if len(time_s) < 2:
+        return
+    hz = 1 / float(np.median(np.diff(time_s)))
+    if hz > UNSYNCED_HZ:
+        problem = f"has {hz:.0f} packets a second, expected one per image: they are unsynced"
+        raise InputError(problem, oxts, "Extract the oxts folder of the synced archive")
+
+
+def compare_times(
+    oxts: Path, packets: Sequence[int], times: Path, images: Sequence[int]
+) -> list[str]:
+    """Return a note if packets and images are more than NOTED_S apart.
+
+    `oxts` and `times` are the timestamps.txt of `packets` and `images`, frame numbers in ascending
+    order. Raises InputError if they are more than LIMIT_S apart, or drift by more than that.
+    """
+    after = read_stamps(oxts, packets) - read_stamps(times, images)
+    after_s = (after.dropna() / pd.Timedelta(seconds=1)).to_numpy(float)
+    if not len(after_s):
+        return []
+    median_s = float(np.median(after_s))
+
+    # Clocks that run apart, and images that were deleted in between, shift the end against the
+    # beginning. The medians of a tenth of the frames ignore single wrong times.
+    tenth = -(-len(after_s) // 10)
+    drift_s = float(np.median(after_s[-tenth:]) - np.median(after_s[:tenth]))
+
+    when = "after" if median_s > 0 else "before"
+    found = f"packets are {abs(median_s):.2f} s {when} the images of the same number"
+    if max(abs(median_s), abs(drift_s)) > LIMIT_S:
+        problem = f"{found}, and drift by {drift_s:.2f} s (expected up to {LIMIT_S} s)"
+        fix = (
+            "Extract images and oxts of the synced archive again, and do not renumber them. If "
+            f"only the times of the images are wrong, remove {times}"
+        )
+        raise InputError(problem, oxts, fix)
+    return [found] if abs(median_s) > NOTED_S else []

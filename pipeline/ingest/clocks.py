@@ -9,8 +9,8 @@ import pandas as pd
 from pipeline.base.errors import InputError
 from pipeline.ingest.packets import read_stamps
 
-# Difference in seconds between the times of a frame's image and packet above which a note says so.
-# In drive 2011_09_26_drive_0001 it is 0.01, since KITTI takes the nearest of 100 packets a second.
+# Difference in seconds between the times of a frame's image and packet, or its change, above which a
+# note says so. In drive 2011_09_26_drive_0001 it is 0.01, since KITTI takes the nearest of 100 packets a second.
 NOTED_S = 0.1
 # Difference in seconds, or change of this difference, above which an image and a packet of the same
 # number are not of the same frame.
@@ -36,10 +36,10 @@ def check_rate(oxts: Path, time_s: Sequence[float]) -> None:
 def compare_times(
     oxts: Path, packets: Sequence[int], times: Path, images: Sequence[int]
 ) -> list[str]:
-    """Return a note if packets and images are more than NOTED_S apart.
+    """Return a note if packets and images are more than NOTED_S apart, or drift by more.
 
     `oxts` and `times` are the timestamps.txt of `packets` and `images`, frame numbers in ascending
-    order. Raises InputError if they are more than LIMIT_S apart, or drift by more than that.
+    order. Raises InputError if they are more than LIMIT_S apart, or drift by more.
     """
     after = read_stamps(oxts, packets) - read_stamps(times, images)
     after_s = (after.dropna() / pd.Timedelta(seconds=1)).to_numpy(float)
@@ -53,12 +53,15 @@ def compare_times(
     drift_s = float(np.median(after_s[-tenth:]) - np.median(after_s[:tenth]))
 
     when = "after" if median_s > 0 else "before"
-    found = f"packets are {abs(median_s):.2f} s {when} the images of the same number"
-    if max(abs(median_s), abs(drift_s)) > LIMIT_S:
-        problem = f"{found}, and drift by {drift_s:.2f} s (expected up to {LIMIT_S} s)"
+    differences = (
+        f"packets are {abs(median_s):.2f} s {when} the images of the same number, and drift by "
+        f"{abs(drift_s):.2f} s"
+    )
+    largest_s = max(abs(median_s), abs(drift_s))
+    if largest_s > LIMIT_S:
         fix = (
             "Extract images and oxts of the synced archive again, and do not renumber them. If "
             f"only the times of the images are wrong, remove {times}"
         )
-        raise InputError(problem, oxts, fix)
-    return [found] if abs(median_s) > NOTED_S else []
+        raise InputError(f"{differences} (expected up to {LIMIT_S} s)", oxts, fix)
+    return [differences] if largest_s > NOTED_S else []

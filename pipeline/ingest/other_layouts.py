@@ -7,15 +7,15 @@ _CAMERAS = (2, 3, 0, 1)
 
 
 def find_other_layout(folder: Path) -> str:
-    """Return what is in a folder, or up to two folders below, and what to do about it.
+    """Return what is in a folder, or up to three folders below, and what to do about it.
 
     The text is empty if there is neither a drive of KITTI-360 nor a sequence of the benchmark.
     """
-    for below in ("", "*/", "*/*/"):
+    for below in ("", "*/", "*/*/", "*/*/*/"):
         for images in sorted(folder.glob(f"{below}image_0[01]/data_rect")):
             number = images.parent.name[-2:]
             return (
-                f"Found {images}: images of KITTI-360, whose drives are read as recordings alone. "
+                f"Found {images}: images of KITTI-360, which has another layout. "
                 "Pass them to steer measure or steer import with --fps 10 and --K FX,FY,CX,CY "
                 f"(P_rect_{number} in perspective.txt)"
             )

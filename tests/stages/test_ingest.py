@@ -1,7 +1,9 @@
 """Stage ingest on small drives in KITTI raw's layout, intact and damaged."""
 
 import shutil
+from collections.abc import Iterator
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.base.errors import InputError
+from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.store import DriveReader, read_index
 from pipeline.camera.camera import Camera, Frame
+from pipeline.camera.images import read_image
 from pipeline.ingest.calibration import CALIBRATION, RENDERED
 from pipeline.ingest.datasets import kitti
 from pipeline.ingest.drive import Drive
@@ -124,6 +127,34 @@ def test_damaged_files_are_listed_at_once_or_left_out(tmp_path, capsys):
     problem = "0.txt: all packets of the drive are damaged: expected 30"
     with pytest.raises(InputError, match=problem):
         run(tmp_path, on_damaged="skip")
+
+
+def test_damaged_files_of_any_dataset_are_left_out(tmp_path):
+    paths = [tmp_path / f"{number}.png" for number in range(3)]
+    for path in paths:
+        write_png(path, np.zeros((*SIZE, 3), np.uint8))
+
+    def frames() -> Iterator[Frame]:
+        for number, path in enumerate(paths):
+            yield Frame(number, number / 10, image=partial(read_image, path))
+
+    def ingest_images(on_damaged: str) -> DriveReader:
+        camera = Camera(np.array([[50, 0, 31.3], [0, 50, 22.2], [0, 0, 1]]), SIZE)
+        drive = Drive(camera, frames)
+        reading = READING.model_copy(update={"on_damaged": on_damaged})
+        write_ingest(tmp_path / "drive.h5", drive, "drive", "mine", reading)
+        assert drive.notes == ["1 damaged files left out"]
+        return DriveReader(tmp_path / "drive.h5", stage="ingest")
+
+    write(paths[1], "")
+    with pytest.raises(DamagedFile, match=f"1 damaged files: {paths[1]}: .*on_damaged: skip"):
+        ingest_images("fail")
+    with ingest_images("skip") as file:
+        assert file["has_image"].tolist() == [1, 0, 1]
+    for path in paths:
+        write(path, "")
+    with pytest.raises(InputError, match=r"0\.png: all images of the drive are damaged"):
+        ingest_images("skip")
 
 
 @pytest.mark.parametrize(

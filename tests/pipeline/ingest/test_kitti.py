@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,6 +20,7 @@ from pipeline.ingest import packets
 from pipeline.ingest.calibration import read_calibration
 from pipeline.ingest.datasets import kitti, sample
 from pipeline.ingest.datasets.kitti import KittiDrive, read_scan
+from steer.measure import READING
 from tests.kitti_drive import DATE, DRIVE, scan, write, write_calibration, write_drive
 
 
@@ -117,6 +119,63 @@ def test_columns_equal_pykittis():
     assert packets.MOTION == {"speed_mps": 8, "left_mps": 9, "yaw_rate_radps": 22}
 
 
+def stamps(*seconds: float | str) -> str:
+    return "".join(f"2011-09-26 13:02:{second}\n" for second in seconds)
+
+
+@pytest.mark.parametrize(
+    ("images", "times", "notes", "problem"),
+    [
+        (4, stamps(25.01, 25.11, 25.21, 25.31), [], ""),
+        (4, stamps(25.15, 25.25, 25.35, 25.45), ["packets are 0.15 s before the images"], ""),
+        (4, "\n" + stamps(25.01, "x", 25.21).replace("\n", "\r\n"), [], ""),
+        (4, stamps(25.0, 25.1), [], ""),
+        (4, "", [], ""),
+        (2, stamps(25.0, 25.1, 25.2, 25.3), ["images end at frame 1, packets at 3: if images"], ""),
+        (4, stamps(25.3, 25.4, 25.5, 25.6), [], "oxts/timestamps.txt: packets are 0.30 s before"),
+        (4, stamps(24.8, 25.0, 25.2, 25.4), [], "0.05 s after .*, and drift by 0.30 s"),
+        # as in an unsynced drive
+        (4, None, [], "has 100 packets a second, expected one per image: they are unsynced"),
+    ],
+)
+def test_times_of_images_and_packets(tmp_path, images, times, notes, problem):
+    folder = write_drive(tmp_path)
+    for number in range(images, 4):
+        (folder / f"image_02/data/{number:010d}.png").unlink()
+    if times is None:
+        write(folder / "oxts/timestamps.txt", stamps(*(f"{25 + i / 100:.2f}" for i in range(4))))
+    else:
+        write(folder / "image_02/timestamps.txt", times)
+    with pytest.raises(InputError, match=problem) if problem else nullcontext():
+        found = kitti.open_drive(DRIVE, READING, tmp_path).notes
+        assert found[0] == "camera 2"
+        for note, expected in zip(found[1:], notes, strict=True):
+            assert note.startswith(expected)
+
+
+@pytest.mark.parametrize(
+    ("drive", "folder", "other_file", "problem"),
+    [
+        (
+            "data_2d_raw/2013_05_28_drive_0000_sync",
+            "image_00/data_rect",
+            "image_00/timestamps.txt",
+            "images of KITTI-360",
+        ),
+        (f"{DATE}/{DRIVE}_sync", "image_00/data_rect", "other.txt", "images of KITTI-360"),
+        ("dataset/sequences/00", "image_2", "calib.txt", "images of the odometry benchmark"),
+    ],
+)
+def test_other_layouts(tmp_path, drive, folder, other_file, problem):
+    images = tmp_path / drive / folder
+    write(images / "0000000000.png", "")
+    write(tmp_path / drive / other_file, "")
+    with pytest.raises(InputError, match=f"Found {images}: {problem}"):
+        kitti.open_drive(DRIVE, READING, tmp_path)
+    with pytest.raises(InputError, match=f"is not a drive of KITTI raw. Found {images}: {problem}"):
+        kitti.open_folder(tmp_path / drive)
+
+
 @given(st.integers(0, 2**32 - 1))
 def test_packets_and_times_round_trip(tmp_path_factory, seed):
     rng = np.random.default_rng(seed)
@@ -142,8 +201,8 @@ def test_packets_and_times_round_trip(tmp_path_factory, seed):
 )
 def test_lines_and_frames(tmp_path, lines, frames, expected):
     path = tmp_path / "a.txt"
-    stamps = [f"2011-09-26 13:02:{text}\n" if text else "\n" for text in lines]
-    write(path, "".join(stamps))
+    texts = [stamps(text) if text else "\n" for text in lines]
+    write(path, "".join(texts))
     np.testing.assert_allclose(packets.read_times(path, frames), expected, atol=1e-12)
 
 
@@ -162,10 +221,6 @@ def read_camera(path: Path) -> object:
     return read_calibration(path.parent, 2)
 
 
-def lines(*seconds: float | str) -> str:
-    return "".join(f"2011-09-26 13:02:{second}\n" for second in seconds)
-
-
 SCAN = scan(np.random.default_rng(0), 640)
 # Reflectance from 0 to 255.
 BYTES = (SCAN * np.float32([1, 1, 1, 255])).tobytes()
@@ -182,11 +237,11 @@ PLAINLY_WRONG: list[tuple[Callable[[Path], object], str | bytes, str]] = [
     (read_scan, (0 * SCAN).tobytes(), "no point"),
     (packets.read_row, "", "got 0"),
     (packets.read_row, "1.0 " * 22 + "nan " + "1.0 " * 7, "wu = nan"),
-    (read_three, lines(25.0, 25.1), "got 2"),
-    (read_three, lines(25.0, 25.2, 25.1), "time does not increase .*: 0.1 in line 3"),
+    (read_three, stamps(25.0, 25.1), "got 2"),
+    (read_three, stamps(25.0, 25.2, 25.1), "time does not increase .*: 0.1 in line 3"),
     (
         read_three,
-        lines(25.0, 25.1, "x"),
+        stamps(25.0, 25.1, "x"),
         "time is not a date and time: '2011-09-26 13:02:x' in line 3",
     ),
     (read_camera, "P_rect_02: 5.000000000e+01→P_rect_02: inf", "P_rect_02: expected 12 finite"),

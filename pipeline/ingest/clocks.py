@@ -9,8 +9,9 @@ import pandas as pd
 from pipeline.base.errors import InputError
 from pipeline.ingest.packets import read_stamps
 
-# Difference in seconds between the times of a frame's image and packet, or its change, above which a
-# note says so. In drive 2011_09_26_drive_0001 it is 0.01, since KITTI takes the nearest of 100 packets a second.
+# Difference in seconds between the times of a frame's image and packet, or change of the
+# difference, above which a note says so. KITTI takes the nearest of 100 packets a second, so it is
+# 0.01 there.
 NOTED_S = 0.1
 # Difference in seconds, or change of this difference, above which an image and a packet of the same
 # number are not of the same frame.

@@ -42,9 +42,8 @@ def _describe_dataset(file: DriveReader, name: str) -> list[str]:
     dataset = file.datasets[name]
     shape = " × ".join(str(size) for size in dataset.shape)
     texts = [f"{dataset.dtype} {shape}"]
-    unit = dataset.attrs.get("unit", "")
-    if unit:
-        texts.append(unit)
+    if file.units.get(name):
+        texts.append(file.units[name])
     if name in file.pointers:
         texts.append(f"rows of a frame: {file.pointers[name]}")
     texts.append(f"{dataset.id.get_storage_size()} bytes")

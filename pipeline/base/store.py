@@ -2,7 +2,8 @@
 
 data/README.md describes their content. Files are deterministic: they are written once, in a fixed
 order, and contain no clock time, host or user. A file may come from a stranger, so
-:func:`_datasets` accepts only plain arrays of numbers.
+:func:`_datasets` accepts only plain arrays of numbers. It may also be damaged: HDF5 checks its own
+structures, and Fletcher32 the values, so that a wrong bit is an error.
 """
 
 import errno
@@ -20,8 +21,17 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 
-# Version of the layout of drives' files.
-SCHEMA = 7
+# Stage → versions of its files' layout that are read. The last of them is written. A stage whose
+# datasets change gets another version, and the other stages keep theirs.
+SCHEMAS = {
+    "ingest": [8],
+    "perception": [8],
+    "motion": [8],
+    "labels": [8],
+    # Clouds of version 7 differ only in their texts, of variable length, and lack Fletcher32.
+    "clouds": [7, 8],
+    "graphs": [8],
+}
 # Name of the file in a stage's folder that lists its drives.
 INDEX = "index.json"
 # Number of rows in a chunk of points, or of other short rows.
@@ -31,6 +41,9 @@ _CHUNK_ROWS = 32768
 _POINTS = hdf5plugin.Blosc(cname="lz4", shuffle=hdf5plugin.Blosc.BITSHUFFLE)
 # Compression of images.
 _PIXELS = hdf5plugin.Blosc(cname="zstd", clevel=3, shuffle=hdf5plugin.Blosc.SHUFFLE)
+# Largest size in bytes of a text in an attribute. HDF5 has no checksum of a larger attribute if
+# there are many of them. The settings of a file have about 400 bytes.
+_MAX_TEXT_BYTES = 4000
 # Numbers of the errors of a file system without locks.
 NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)
 # Size in bytes of the cache of chunks that h5py has for each dataset of an open file.
@@ -98,19 +111,18 @@ class DriveWriter(ExitStack):
         """`params` maps sections of params.yaml to their content, which is JSON-able."""
         super().__init__()
         self.path = path
-        self.attrs: dict[str, Any] = {"schema": SCHEMA, "stage": stage, "drive": drive}
+        schema = SCHEMAS[stage][-1]
+        self.attrs: dict[str, Any] = {"schema": schema, "stage": stage, "drive": drive}
         self.attrs["params"] = json.dumps(params, sort_keys=True)
         # Datasets stay open until the end. HDF5 writes chunks when a dataset is closed, so the
         # order of the bytes depends on when that is.
         self._datasets: dict[str, h5py.Dataset] = {}
 
-    def put(self, name: str, array: np.ndarray, unit: str = "", **options: Any) -> None:
-        """Write a complete dataset that has a row per frame.
-
-        `options` are those of h5py's create_dataset.
-        """
-        self._datasets[name] = self._file.create_dataset(name, data=array, **options)
-        self._datasets[name].attrs["unit"] = unit
+    def put(self, name: str, array: np.ndarray, unit: str = "") -> None:
+        """Write a complete dataset that has a row per frame."""
+        # Only chunks have a checksum, and a chunk cannot be empty.
+        chunks = array.shape if array.size else None
+        self._create(name, array, {"unit": unit}, chunks=chunks, fletcher32=array.size > 0)
 
     def put_pointers(self, name: str, counts: Iterable[int], unit: str = "") -> None:
         """Write each frame's first row in a ragged dataset, then the number of rows: int64 [F+1].
@@ -135,22 +147,31 @@ class DriveWriter(ExitStack):
             compression = _PIXELS if is_image else _POINTS
             shape = rows.shape[1:]
             options = {"maxshape": (None, *shape), "chunks": (chunk_rows, *shape), **compression}
-            self.put(name, rows[:0], unit, **options)
+            attributes = {"unit": unit}
             if pointer:
-                self._datasets[name].attrs["pointer"] = pointer
+                attributes["pointer"] = pointer
             if refers_to:
-                self._datasets[name].attrs["refers_to"] = refers_to
+                attributes["refers_to"] = refers_to
+            self._create(name, rows[:0], attributes, fletcher32=True, **options)
         dataset = self._datasets[name]
         dataset.resize(len(dataset) + len(rows), axis=0)
         dataset[len(dataset) - len(rows) :] = rows
         self._sink.check(self.path)
+
+    def _create(
+        self, name: str, array: np.ndarray, attributes: Mapping[str, str], **options: Any
+    ) -> None:
+        """Create a dataset with `options` of h5py's create_dataset."""
+        dataset = self._file.create_dataset(name, data=array, **options)
+        _write_attributes(dataset, attributes)
+        self._datasets[name] = dataset
 
     def __enter__(self) -> Self:
         unfinished = self.enter_context(replacing(self.path))
         self._sink = self.enter_context(Sink(unfinished, "w+"))
         self.callback(self._sink.check, self.path)  # after HDF5 has closed the file
         self._file = self.enter_context(h5py.File(self._sink, "w", libver="v110"))
-        self.callback(lambda: self._file.attrs.update(self.attrs))
+        self.callback(_write_attributes, self._file, self.attrs)
         return super().__enter__()
 
 
@@ -168,8 +189,10 @@ class DriveReader(ExitStack):
             raise _fault("file is missing", path, self._stage)
         try:
             file = self.enter_context(_open(path))
-            self.attrs: dict[str, Any] = dict(file.attrs)
+            self.attrs = {name: _decode(value) for name, value in file.attrs.items()}
             self.datasets = _datasets(file)
+            # Name of a dataset → its unit.
+            self.units = _read_names(self.datasets, "unit")
             # Name of a ragged dataset → name of the dataset with the first row of each frame.
             self.pointers = _read_names(self.datasets, "pointer")
             # Name of a dataset with numbers of rows → name of the dataset that has these rows.
@@ -180,23 +203,37 @@ class DriveReader(ExitStack):
         except _H5PY_ERRORS as error:
             raise _fault(f"damaged ({error})", path, self._stage) from error
 
-        written_by = str(self.attrs.get("stage"))
-        schema = str(self.attrs.get("schema"))
-        is_of_stage = stage is None or stage == written_by
-        if not is_of_stage or schema != str(SCHEMA):
-            expected = f"expected stage {self._stage!r}, schema {SCHEMA}"
-            problem = f"{expected}; got stage {written_by!r}, schema {schema}"
-            raise _fault(problem, path, self._stage)
+        self._check_layout(stage)
         self.drive = str(self.attrs.get("drive"))
         if path.with_name(INDEX).is_file() and self.drive != path.stem:
             raise _fault(f"contains drive {self.drive}", path, self._stage)
 
-        # Section of params.yaml → its content.
-        self.params: dict[str, Any] = json.loads(self.attrs["params"])
+        try:
+            # Section of params.yaml → its content.
+            self.params: dict[str, Any] = dict(json.loads(self.attrs["params"]))
+        except (LookupError, ValueError, TypeError) as error:
+            raise _fault(f"damaged in its settings ({error})", path, self._stage) from error
         # KITTI frame numbers, int32 [F], ascending.
         self.frame = self["frame"]
         # Seconds since the drive's first frame, float64 [F].
         self.time_s = self["time_s"]
+
+    def _check_layout(self, stage: str | None) -> None:
+        """Raise InputError unless `stage`, or any stage if it is None, wrote a layout that is read.
+
+        Fixes then name the stage that wrote the file.
+        """
+        stages = [stage] if stage else [*SCHEMAS]
+        written_by = str(self.attrs.get("stage"))
+        if written_by not in stages:
+            problem = f"expected a file of stage {' or '.join(stages)}, got stage {written_by}"
+            raise _fault(problem, self.path, self._stage)
+        self._stage = written_by
+        schemas = [str(schema) for schema in SCHEMAS[written_by]]
+        schema = str(self.attrs.get("schema"))
+        if schema not in schemas:
+            problem = f"expected schema {' or '.join(schemas)}, got {schema} (of another revision)"
+            raise _fault(problem, self.path, self._stage)
 
     def row_of(self, number: int) -> int:
         """Return the row of the frame with this KITTI number.
@@ -265,19 +302,35 @@ def _datasets(file: h5py.File) -> dict[str, h5py.Dataset]:
         created = dataset.id.get_create_plist()
         is_elsewhere = dataset.is_virtual or created.get_external_count()
         filters = {created.get_filter(i)[0] for i in range(created.get_nfilters())}
-        if is_elsewhere or filters - {hdf5plugin.Blosc.filter_id}:
-            raise ValueError(f"{name!r} has external storage or a filter other than Blosc")
+        if is_elsewhere or filters - {hdf5plugin.Blosc.filter_id, h5py.h5z.FILTER_FLETCHER32}:
+            problem = "has external storage or a filter other than Blosc and Fletcher32"
+            raise ValueError(f"{name!r} {problem}")
         datasets[name] = dataset
     return datasets
 
 
+def _write_attributes(target: h5py.File | h5py.Dataset, attributes: Mapping[str, Any]) -> None:
+    """Write attributes. Texts get a fixed length, as HDF5 has no checksum of variable ones."""
+    for name, value in attributes.items():
+        if isinstance(value, str):
+            text = value.encode()
+            assert len(text) <= _MAX_TEXT_BYTES, f"{name} is too long for a checksum"
+            value = np.array(text, h5py.string_dtype(length=max(1, len(text))))
+        target.attrs[name] = value
+
+
 def _read_names(datasets: Mapping[str, h5py.Dataset], attribute: str) -> dict[str, str]:
-    """Return dataset → the name in its attribute, for the datasets that have the attribute."""
+    """Return dataset → the text of its attribute, for the datasets that have the attribute."""
     return {
-        name: str(dataset.attrs[attribute])
+        name: str(_decode(dataset.attrs[attribute]))
         for name, dataset in datasets.items()
         if attribute in dataset.attrs
     }
+
+
+def _decode(value: Any) -> Any:
+    """Return an attribute's value. h5py reads a text as bytes if its length is fixed."""
+    return value.decode() if isinstance(value, bytes) else value
 
 
 def _fault(problem: str, path: Path, stage: str) -> InputError:

@@ -65,7 +65,7 @@ def test_round_trip(tmp_path):
         for row, points in enumerate(XYZ):
             np.testing.assert_array_equal(file.rows_of("xyz", row), points)
         assert (file["cls"] == 7).all()
-        assert file.datasets["xyz"].attrs["unit"] == "m"
+        assert file.units["xyz"] == "m"
         assert [file.row_of(number) for number in (0, 2, 3)] == [0, 1, 2]
         with pytest.raises(InputError, match="no frame 1"):
             file.row_of(1)
@@ -79,7 +79,7 @@ def test_two_writes_are_byte_identical_and_an_error_changes_nothing(tmp_path):
     assert write(tmp_path / "b.h5").read_bytes() == before
     with (  # noqa: PT012
         pytest.raises(ZeroDivisionError),
-        DriveWriter(path, stage="x", drive=DRIVE, params={}) as file,
+        DriveWriter(path, stage="labels", drive=DRIVE, params={}) as file,
     ):
         file.put("frame", np.arange(1000))
         raise ZeroDivisionError

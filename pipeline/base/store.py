@@ -226,13 +226,13 @@ class DriveReader(ExitStack):
         stages = [stage] if stage else [*SCHEMAS]
         written_by = str(self.attrs.get("stage"))
         if written_by not in stages:
-            problem = f"expected a file of stage {' or '.join(stages)}, got stage {written_by}"
+            problem = f"expected a file of stage {', '.join(stages)}; got stage {written_by}"
             raise _fault(problem, self.path, self._stage)
         self._stage = written_by
         schemas = [str(schema) for schema in SCHEMAS[written_by]]
         schema = str(self.attrs.get("schema"))
         if schema not in schemas:
-            problem = f"expected schema {' or '.join(schemas)}, got {schema} (of another revision)"
+            problem = f"expected schema {' or '.join(schemas)}; got {schema}, of another revision"
             raise _fault(problem, self.path, self._stage)
 
     def row_of(self, number: int) -> int:

@@ -10,6 +10,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -23,6 +24,7 @@ from pipeline.base import console, executors, resume, store
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.outputs import claimed, stage_folder
 from pipeline.base.store import DriveReader, DriveWriter, read_json
+from tests import artefacts
 from tests.artefacts import write_index
 from tests.kitti_drive import contents
 from tests.kitti_drive import write as write_text
@@ -143,9 +145,9 @@ def test_a_file_from_elsewhere_opens_no_other_file_and_runs_no_filter_of_others(
     assert raised.value.where == str(path)
 
 
-def to_schema_3(path: Path) -> None:
+def edit_attributes(path: Path, **attributes: Any) -> None:
     with h5py.File(path, "r+") as file:
-        file.attrs["schema"] = 3
+        file.attrs.update(attributes)
 
 
 def cut_short(path: Path) -> None:
@@ -159,10 +161,12 @@ def in_folder_of_stage(path: Path) -> None:
 @pytest.mark.parametrize(
     ("stage", "change", "problem"),
     [
-        ("ingest", None, "expected stage 'ingest', schema 7; got stage 'clouds', schema 7"),
+        ("ingest", None, "expected a file of stage ingest; got stage clouds"),
         ("clouds", Path.unlink, "missing"),
         ("clouds", in_folder_of_stage, f"contains drive {DRIVE}"),
-        ("clouds", to_schema_3, "got stage 'clouds', schema 3"),
+        ("clouds", partial(edit_attributes, schema=3), "expected schema 7 or 8; got 3"),
+        ("graphs", partial(edit_attributes, stage="graphs", schema=7), "expected schema 8; got 7"),
+        ("clouds", partial(edit_attributes, params="{"), "damaged in its settings"),
         ("clouds", cut_short, "damaged"),
     ],
 )
@@ -174,6 +178,58 @@ def test_files_of_other_stages_schemas_and_drives_are_refused(tmp_path, stage, c
         DriveReader(path, stage=stage)
     assert raised.value.where == str(path)
     assert f"dvc repro {stage}" in raised.value.fix
+
+
+def write_each_stage(folder: Path) -> None:
+    """Write a small file of each stage."""
+    frame = np.arange(8)
+    angles_rad = np.linspace(-0.1, 0.1, 8)
+    write(folder / "clouds.h5")
+    artefacts.write_recorded(folder / "ingest.h5", frame, oxts=np.ones((8, 30)))
+    artefacts.write_motion(folder, "motion", dict.fromkeys(range(8), (8.0, 0.1)))
+    artefacts.write_labels(folder / "labels.h5", angles_rad, frame)
+    artefacts.write_graphs(folder / "graphs.h5", angles_rad, frame, points=50)
+    params = {"perception": {"batch": 4}}
+    path = folder / "perception.h5"
+    with DriveWriter(path, stage="perception", drive="drive", params=params) as file:
+        # HDF5 keeps more than eight attributes in another structure.
+        for number in range(20):
+            file.attrs[f"count_{number}"] = number
+        file.put("frame", frame.astype(np.int32))
+        file.put("time_s", frame / 10, "s")
+        file.append("depth_m", np.full((8, 6, 9), 2560, np.uint16), "1/256 m")
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Return all values, texts and settings of a file."""
+    with DriveReader(path, stage=None) as file:
+        content = {name: (file[name].tobytes(), file.units[name]) for name in file.datasets}
+        names = {"pointers": file.pointers, "refers_to": file.refers_to}
+        return content | file.attrs | names | {"params": file.params}
+
+
+def test_a_wrong_bit_in_a_file_is_never_another_value(tmp_path):
+    """Equal values come from unused bytes."""
+    rng = np.random.default_rng(0)
+    write_each_stage(tmp_path)
+    paths = sorted(tmp_path.iterdir())
+    assert [path.stem for path in paths] == sorted(store.SCHEMAS)
+    for path in paths:
+        content = path.read_bytes()
+        expected = read(path)
+        settings = json.dumps(expected["params"], sort_keys=True).encode()
+        places = rng.integers(len(content), size=40)
+        places[:8] = content.index(settings) + rng.integers(len(settings), size=8)
+        refused = 0
+        for place in places.tolist():
+            damaged = bytearray(content)
+            damaged[place] ^= 1 << rng.integers(8)
+            path.write_bytes(damaged)
+            try:
+                assert read(path) == expected
+            except InputError:
+                refused += 1
+        assert refused > len(places) / 2, path.name
 
 
 def test_a_file_that_is_open_for_writing_is_refused(tmp_path):

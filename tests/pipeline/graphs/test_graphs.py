@@ -1,5 +1,11 @@
 """Test accumulated clouds, kNN graphs, the neighbourhoods of PointNet++, and graph files."""
 
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import h5py
+import hdf5plugin
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,6 +17,7 @@ from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.camera.geometry import transform
 from pipeline.clouds.cloud import Cloud
 from pipeline.graphs import frame_graph, graph, graph_file
+from pipeline.graphs.settings import Variant
 from tests import artefacts
 from tests.artefacts import write_motion
 from tests.models.steering.frames import FRAME, REFERS_TO, concatenated
@@ -145,6 +152,49 @@ def test_levels_are_farthest_points_and_build_on_each_other(xyz):
     assert second.tolist() == reference_fps(xyz[first], 10)
     for centre, ball in zip(second.tolist(), neighbours.tolist(), strict=True):
         assert ball == reference_ball(xyz[first], centre, 12.0, 6, np.arange(40))
+
+
+def write_schema_7(path: Path, clouds: Sequence[Cloud]) -> None:
+    """Write clouds as before schema 8, with texts of variable length and without checksums."""
+    attributes = {"schema": 7, "stage": "clouds", "drive": path.stem}
+    counts = [len(cloud.xyz) for cloud in clouds]
+    columns = {
+        "xyz": np.concatenate([cloud.xyz for cloud in clouds]),
+        "cls": np.concatenate([cloud.cls for cloud in clouds]),
+    }
+    with h5py.File(path, "w", libver="v110") as file:
+        file.attrs.update(attributes | {"params": json.dumps({"clouds": {"seed": 3}})})
+        file["frame"] = np.arange(len(clouds), dtype=np.int32)
+        file["time_s"] = np.arange(len(clouds)) / 10
+        file["ptr"] = np.cumsum([0, *counts])
+        for name, rows in columns.items():
+            file.create_dataset(name, data=rows, chunks=rows.shape, **hdf5plugin.Blosc())
+            file[name].attrs["pointer"] = "ptr"
+        for dataset in file.values():
+            dataset.attrs["unit"] = "m"
+
+
+def test_clouds_of_schema_7_still_make_graphs(tmp_path):
+    path = tmp_path / "clouds" / "drive.h5"
+    path.parent.mkdir()
+    clouds = [Cloud(*artefacts.points(100, seed)) for seed in range(3)]
+    write_schema_7(path, clouds)
+    write_motion(tmp_path, "drive", dict.fromkeys(range(3), (8.0, 0.1)))
+    with DriveReader(path, stage="clouds") as file:
+        assert file.params == {"clouds": {"seed": 3}}
+        assert file.units["xyz"] == "m"
+        for row, cloud in enumerate(clouds):
+            np.testing.assert_array_equal(file.rows_of("xyz", row), cloud.xyz)
+            np.testing.assert_array_equal(file.rows_of("cls", row), cloud.cls)
+
+    variant = Variant(source="clouds/pseudo", points=100, k=6)
+    frame_graph.graphs_drive(tmp_path / "graphs.h5", path, tmp_path / "drive.h5", variant)
+    with graph_file.open_graphs(tmp_path / "graphs.h5") as graphs:
+        assert graphs.params["clouds"] == {"seed": 3}
+        for row, cloud in enumerate(clouds):
+            expected = frame_graph.build_frame(cloud, variant, "drive", row)
+            for name in ("xyz", "degree", "indices"):
+                np.testing.assert_array_equal(graphs.rows_of(name, row), expected[name].rows)
 
 
 def test_motion_is_matched_by_frame_number(tmp_path):

@@ -11,6 +11,7 @@ from pydantic.fields import FieldInfo
 
 from pipeline.base.params import Section
 from pipeline.ingest.settings import RecordingOptions
+from pipeline.labels.settings import Wheelbase
 
 
 class MeasureOptions(RecordingOptions):
@@ -21,12 +22,8 @@ class MeasureOptions(RecordingOptions):
 
     fits_ratio: ClassVar[bool] = True
 
-    wheelbase_m: float = Field(
-        default=2.7,
-        alias="wheelbase",
-        ge=0.5,
-        le=20,
-        description="distance between the axles, metres",
+    wheelbase_m: Wheelbase = Field(
+        default=2.7, alias="wheelbase", description="distance between the axles, metres"
     )
 
 

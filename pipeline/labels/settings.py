@@ -6,16 +6,19 @@ from typing import Annotated
 from pydantic import Field, field_validator
 
 from pipeline.base.errors import closest
-from pipeline.base.params import Positive, Section
+from pipeline.base.params import Section
 
 # Names of the sources. Each is the name of a file in the folder sources.
 SOURCES = sorted(path.stem for path in (Path(__file__).parent / "sources").glob("[!_]*.py"))
+
+# Distance between the axles of a car in metres.
+Wheelbase = Annotated[float, Field(ge=0.5, le=20)]
 
 
 class Labels(Section):
     # Name of a file in pipeline/labels/sources.
     source: str = "recorded"
-    wheelbase_m: Positive
+    wheelbase_m: Wheelbase
     min_speed_mps: Annotated[float, Field(ge=0)]
     # Edges in metres of the ranges into which the path ahead is split. No camera shows a road
     # farther away than 200 m.

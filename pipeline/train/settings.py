@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from pipeline.base.params import Count, Positive, Rate, Section, Seed
 
@@ -28,3 +28,10 @@ class Train(Section):
     rescale: Annotated[float, Field(ge=1, le=2)]
     # Decay of the moving average of the weights, per step; 0: off.
     average: Annotated[float, Field(ge=0, lt=1)]
+
+    @field_validator("seeds")
+    @classmethod
+    def _check_different(cls, seeds: list[int]) -> list[int]:
+        if len(set(seeds)) < len(seeds):
+            raise ValueError("expected each seed once")
+        return seeds

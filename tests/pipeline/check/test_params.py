@@ -68,6 +68,8 @@ def test_a_range_names_all_its_drives(tmp_path):
         ),
         (Ingest, "ingest.drives.test", ["2026_01_04_drive_0010..0008"], "at most 100 letters"),
         (Train, "train.learning_rate", True, "valid number"),
+        (Train, "train.seeds", [0, 1, 0], r"train.seeds: expected each seed once .got \[0, 1, 0"),
+        (Labels, "labels.wheelbase_m", 2700, "wheelbase_m: .*less than or equal to 20 .got 2700"),
         # misspelt, so missing
         (Clouds, "clouds", {"max_point": 1, "max_depth_m": 80.0}, "did you mean max_points"),
     ],

@@ -23,8 +23,9 @@ def main(params: Path = Path("params.yaml")) -> Path:
     content = read_yaml(params)
     settings = parse(Params, content, path=params)
     check_code(settings)
+    has_encoder = is_locked(params.with_name("dvc.lock"), content["encoder"])
     with error_context(params):
-        if not is_locked(params.with_name("dvc.lock"), content["encoder"]):
+        if not has_encoder:
             with error_context("encoder"):
                 create.check_encoder(settings.encoder)
         for name, model in settings.models.items():

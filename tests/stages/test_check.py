@@ -75,6 +75,9 @@ def test_weights_are_looked_for_where_stage_encoder_will_run(tmp_path):
     content["encoder"]["seed"] = 1
     with pytest.raises(InputError, match=r"weights: no.pt: file is missing"):
         run(tmp_path, content)
+    (tmp_path / "dvc.lock").write_text("stages:\n<<<<<<< HEAD\n  encoder: {}\n")
+    with pytest.raises(InputError, match=rf"^{tmp_path}/dvc\.lock:3: invalid YAML"):
+        run(tmp_path, content)
 
 
 @pytest.mark.parametrize(

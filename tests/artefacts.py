@@ -115,7 +115,8 @@ def write_graphs(
         for image in stripes(steering_rad, rng):
             frames.append({"image": graph_file.Column(image[None], "RGB", "ptr")})
     else:
-        variant = Variant(source="clouds/pseudo", points=points, **VARIANTS[kind])
+        # A variant has at least one point, although clouds may be empty.
+        variant = Variant(source="clouds/pseudo", points=max(points, 1), **VARIANTS[kind])
         empty = frame_graph.empty_frame(variant)
         counts = [points] * len(frame)
         if kind == "pointnet2":

@@ -119,9 +119,11 @@ def check_drives(drives: Sequence[LabelledDrive], window: int) -> None:
     folder = first.graphs.parent
     # Images have no count of points, and pass this check.
     if not any(drive.counts.get("points", np.ones(len(drive.frame))).any() for drive in drives):
-        raise InputError(
-            f"no point in any frame of {names}", folder, "Widen the variant's crop_m or add drives"
+        fix = (
+            "If stage clouds printed 0 points, too, raise clouds.max_depth_m. Otherwise, widen the "
+            "variant's crop_m"
         )
+        raise InputError(f"0 points in all frames of {names}", folder, fix)
     if not any(drive.has_window(window) for drive in drives):
         title = first.quantity.title_at(first.quantity.horizon)
         lengths = [stop - start for drive in drives for start, stop in drive.stretches]

@@ -157,23 +157,27 @@ def test_other_networks_and_inputs(tmp_path, kind, entry, epochs, limit):
 
 
 @pytest.mark.parametrize(
-    ("frames", "edges_m", "scale", "entry", "problem"),
+    ("frames", "points", "edges_m", "scale", "entry", "problem"),
     [
-        (60, [], 1.0, {"predict": "path"}, r"labels/2026.*needs labels.ahead_m.*dvc repro labels"),
+        (60, 20, [], 1.0, {"predict": "path"}, r"labels/2026.*needs labels.ahead_m.*repro labels"),
         (
             5,
+            20,
             EDGES_M,
             1.0,
             {"predict": "path"},
             "no window of 4 consecutive frames ends at a known path ahead in",
         ),
-        (20, EDGES_M, 1.0, {"predict": "path"}, "no frame has a known path ahead 10-20 m in"),
-        (20, [], 0.0, {}, f"every valid label of {TEST} is 0"),
-        (20, [], 1.0, {"motion": "visual"}, "motion is not measured in any frame"),
+        (20, 20, EDGES_M, 1.0, {"predict": "path"}, "no frame has a known path ahead 10-20 m in"),
+        (20, 20, [], 0.0, {}, f"every valid label of {TEST} is 0"),
+        (20, 20, [], 1.0, {"motion": "visual"}, "motion is not measured in any frame"),
+        (20, 0, [], 1.0, {}, "0 points in all frames of .*, raise clouds.max_depth_m"),
     ],
 )
-def test_drives_that_teach_nothing_are_refused(tmp_path, frames, edges_m, scale, entry, problem):
-    artefacts.write_dataset(tmp_path, SPLITS, frames=frames, points=20, ahead_m=edges_m)
+def test_drives_that_teach_nothing_are_refused(
+    tmp_path, frames, points, edges_m, scale, entry, problem
+):
+    artefacts.write_dataset(tmp_path, SPLITS, frames=frames, points=points, ahead_m=edges_m)
     for drive in SPLITS:
         graphs = tmp_path / f"graphs/semantic/{drive}.h5"
         artefacts.add_motion(graphs, np.zeros(frames), valid=np.zeros(frames, bool))

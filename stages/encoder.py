@@ -2,9 +2,11 @@
 
 from functools import partial
 from pathlib import Path
+from typing import Annotated
 
 import pandas as pd
 import torch
+import typer
 
 from models.encoder.unified_encoder import Architecture
 from pipeline.base import console, store
@@ -23,9 +25,12 @@ LOSSES = ("loss", "depth", "classes")
 
 
 def main(
-    data: Path = Path("data"), out: Path = Path("data/encoder"), params: Path = Path("params.yaml")
+    data: Path = Path("data"),
+    out: Annotated[Path | None, typer.Option(help="default: encoder in --data")] = None,
+    params: Path = Path("params.yaml"),
 ) -> Path:
     """Write encoder.pt, config.json and curve.csv. Return the folder."""
+    out = out or data / "encoder"
     settings = load(Encoder, params)
     size = load(Ingest, params).image_size
     config = settings.model_dump(mode="json", exclude_none=True, exclude={"weights_sha256"})

@@ -14,13 +14,16 @@ from pipeline.motion.motion_file import measure_drive
 MIN_ROAD = 0.5
 
 
-def main(data: Path = Path("data")) -> Path:
-    """Measure each drive's motion from images and depth. Return the output folder."""
+def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
+    """Measure each drive's motion from images and depth. Return the output folder.
+
+    The stage has no settings. `params` is an option of each stage.
+    """
     inputs = {name: data / name for name in ("ingest", "perception")}
     out = data / "motion"
     splits = store.read_index(inputs["perception"], stage="perception")
     jobs = file_jobs(splits, inputs, measure_drive)
-    with stage_folder("motion", out, splits) as folder:
+    with stage_folder("motion", out, splits, params=params) as folder:
         summaries = make_drives(folder, jobs, {}, "{frames} frames, {valid} measured")
         check_unit(summaries)
     print_doubts(summaries)

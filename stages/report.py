@@ -19,13 +19,15 @@ def main(
     data: Annotated[Path, typer.Option(help="folder with the folders of all stages")] = Path(
         "data"
     ),
-    out: Path = Path("data/report"),
+    out: Annotated[Path | None, typer.Option(help="default: report in --data")] = None,
     params: Path = Path("params.yaml"),
 ) -> Path:
-    """Write the page with its pictures, the tables, and the file of DVC's metrics. Returns `out`.
+    """Write the page with its pictures, the tables, and the file of DVC's metrics.
 
     The report also names the models of the params file that are not evaluated on this machine.
+    Returns the folder.
     """
+    out = out or data / "report"
     with stage_folder("report", out, params=params) as folder:
         models = entries("models", params)
         evaluated = [name for name in models if (data / f"evaluate/{name}/metrics.json").is_file()]

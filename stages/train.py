@@ -27,7 +27,9 @@ ModelName = Annotated[
 def main(
     name: ModelName,
     data: Path = Path("data"),
-    out: Annotated[Path, typer.Option(help="parent of the model's folder")] = Path("data/train"),
+    out: Annotated[
+        Path | None, typer.Option(help="parent of the model's folder; default: train in --data")
+    ] = None,
     params: Path = Path("params.yaml"),
 ) -> Path:
     """Train the model, stop early when the validation error stops falling, and keep the best epoch.
@@ -35,6 +37,7 @@ def main(
     One network is trained per seed. On CPUs, networks are trained in parallel, each in a process.
     On a GPU, they are trained one after the other. Returns the model's folder.
     """
+    out = out or data / "train"
     settings = load(Train, params)
     entry = load_entry(Entry, "models", name, params)
     if entry.learning_rate:

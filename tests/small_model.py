@@ -88,7 +88,7 @@ def entry(**changes: object) -> Entry:
 
 
 def run_train(folder: Path) -> Path:
-    return train.main("net", folder, folder / "train", folder / "params.yaml")
+    return train.main("net", folder, params=folder / "params.yaml")
 
 
 def run_evaluate(folder: Path) -> Path:

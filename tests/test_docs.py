@@ -248,7 +248,7 @@ def test_a_metric_of_the_documentation_stands_in_tables_page_and_dvc_metrics(tmp
     (tmp_path / "params.yaml").write_text(
         "models: {net: {}}\nevaluate: {bootstrap_samples: 9, bootstrap_block_frames: 5, seed: 0}\n"
     )
-    report.main(tmp_path, tmp_path / "report", tmp_path / "params.yaml")
+    report.main(tmp_path, params=tmp_path / "params.yaml")
     head, _, *rows = [
         line for line in (tmp_path / "report/table.md").read_text().splitlines() if line[:1] == "|"
     ][:6]

@@ -16,7 +16,7 @@ def run(folder: Path, *models: str) -> str:
     settings = "{bootstrap_samples: 9, bootstrap_block_frames: 5, seed: 0}"
     entries = ", ".join(f"{model}: {{}}" for model in models)
     (folder / "params.yaml").write_text(f"models: {{{entries}}}\nevaluate: {settings}\n")
-    assert report.main(folder, folder / "report", folder / "params.yaml") == folder / "report"
+    assert report.main(folder, params=folder / "params.yaml") == folder / "report"
     return (folder / "report/table.md").read_text()
 
 

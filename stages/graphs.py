@@ -30,7 +30,7 @@ def main(name: VariantName, data: Path = Path("data"), params: Path = Path("para
     jobs = file_jobs(splits, inputs, partial(graphs_drive, variant=variant))
     log_format = "{frames} frames"
     if variant.kind != "image":
-        log_format += ", {points} points"
+        log_format += ", {points} points{edges}"
     with stage_folder(f"graphs@{name}", out, splits, params=params) as folder:
         make_drives(folder, jobs, variant, log_format)
     return out

@@ -102,11 +102,11 @@ def write_graphs(
     points: int,
     kind: str = "graph",
     rng: Any = None,
-) -> None:
+) -> dict[str, int | str]:
     """Write a drive's graphs file whose frames [F] show roads that bend as `steering_rad` says.
 
     `kind`: of VARIANTS, or image, which has no `points`. Clouds of kind pointnet2 differ in size,
-    and the last is smaller than its centres.
+    and the last is smaller than its centres. Returns the summary of the drive.
     """
     rng = rng or np.random.default_rng(0)
     frames = []
@@ -126,7 +126,7 @@ def write_graphs(
             cloud = bend(curvature_1pm, count, rng)
             frames.append(frame_graph.connect(cloud, variant, rng))
     with store.DriveWriter(path, stage="graphs", drive=path.stem, params=GRAPHS) as file:
-        graph_file.write(file, frame, frame * 0.1, frames, empty)
+        return graph_file.write(file, frame, frame * 0.1, frames, empty)
 
 
 def add_motion(path: Path, steering_rad: np.ndarray, valid: np.ndarray | None = None) -> None:

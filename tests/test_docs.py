@@ -22,6 +22,7 @@ from pipeline.base.resume import ROOT
 from pipeline.base.store import DriveReader
 from pipeline.check import preset
 from pipeline.evaluate import statistics
+from pipeline.graphs.settings import KINDS, Variant
 from pipeline.labels import source
 from pipeline.labels.settings import Labels
 from pipeline.train import quantity
@@ -51,8 +52,10 @@ PLACEHOLDERS = {
     "presets/NAME.yaml",
 }
 PLACEHOLDERS |= {f"presets/{name}.yaml" for name in ("monday", "more", "NAME")}
-# of DVC
+# of DVC and git
 OTHERS = {
+    "--ours",
+    "--theirs",
     "--force",
     "--single-item",
     "--wait-for-lock",
@@ -183,6 +186,22 @@ def test_names_exist(page):
         for name in option.secondary_opts
     }
     assert {*re.findall(r"(?<!\S)--[a-zA-Z][\w-]*", code)} <= options | OTHERS
+
+
+def test_the_keys_of_graphs_have_the_defaults_and_kinds_of_the_settings():
+    _, _, text = (ROOT / "docs/models.md").read_text().partition("\n## Graphs\n")
+    section, _, _ = text.partition("\n## ")
+    rows = [line.split(" | ") for line in section.splitlines() if line.startswith("| `")]
+    documented = {key.strip("| `"): (default, kinds) for key, default, kinds, _ in rows}
+
+    expected = {}
+    for name, field in Variant.model_fields.items():
+        kinds = [key for key, kind in KINDS.items() if name in kind.required | kind.optional]
+        default = "required"
+        if not field.is_required() and all(name in KINDS[key].optional for key in kinds):
+            default = f"`{json.dumps(field.default)}`".replace('"', "")
+        expected[name] = (default, ", ".join(kinds))
+    assert documented == expected
 
 
 def test_the_example_of_a_label_source_works(tmp_path, monkeypatch):

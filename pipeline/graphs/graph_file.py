@@ -80,11 +80,12 @@ def write(
     time_s: np.ndarray,
     frames: Iterable[Columns],
     empty: Columns,
-) -> dict[str, int]:
-    """Write KITTI frame numbers [F], times [F] and the frames, and return counts for the summary.
+) -> dict[str, int | str]:
+    """Write KITTI frame numbers [F], times [F] and the frames, and return the summary.
 
-    `empty` is a frame without rows. It creates the datasets, also in the file of a drive without
-    frames.
+    It has counts, and the text ``edges`` with the share of the kNN edges that pruning kept, which
+    is empty without edges. `empty` is a frame without rows. It creates the datasets, also in the
+    file of a drive without frames.
     """
     file.put("frame", np.asarray(frame, np.int32))
     file.put("time_s", time_s, unit="s")
@@ -93,9 +94,14 @@ def write(
     counts: dict[str, list[int]] = {
         column.pointer: [] for column in empty.values() if column.pointer
     }
+    edges_knn = 0
+    edges_kept = 0
     for columns in frames:
         for name, column in columns.items():
             file.append(name, *column)
+        if "edges_knn" in columns:
+            edges_knn += int(columns["edges_knn"].rows.sum())
+            edges_kept += int(columns["edges_kept"].rows.sum())
         # Columns with the same pointer have equally many rows.
         rows = {column.pointer: len(column.rows) for column in columns.values()}
         for pointer in counts:
@@ -103,9 +109,11 @@ def write(
     for pointer, counts_of_frames in counts.items():
         file.put_pointers(pointer, counts_of_frames, unit="row")
 
-    summary = {"frames": len(frame)}
+    summary: dict[str, int | str] = {"frames": len(frame), "edges": ""}
     if "xyz" in empty:
         summary["points"] = sum(counts["ptr"])
+    if edges_knn:
+        summary["edges"] = f", {edges_kept / edges_knn:.0%} of the edges kept"
     return summary
 
 

@@ -16,7 +16,8 @@ class _Kind(NamedTuple):
 
 
 _POINT_KEYS = {"source", "neighbourhood", "sampling", "crop_m", "accumulate", "seed"}
-_KINDS = {
+# Name of a kind of frames → its keys.
+KINDS = {
     "graph": _Kind("a kNN graph", {"points", "k"}, _POINT_KEYS | {"keep_inter_class"}),
     "pointnet2": _Kind(
         "neighbourhood: pointnet2", {"points"}, _POINT_KEYS | {"centres", "radius_m", "neighbours"}
@@ -67,7 +68,7 @@ class Variant(Section):
 
     @model_validator(mode="after")
     def _keys_fit_kind(self) -> Self:
-        kind = _KINDS[self.kind]
+        kind = KINDS[self.kind]
         for key in sorted(kind.required):
             if getattr(self, key) is None:
                 raise ValueError(f"{kind.name} needs {key}")

@@ -214,6 +214,15 @@ def test_motion_is_matched_by_frame_number(tmp_path):
     assert yaw_rate == pytest.approx([0, 0.5, 0])
 
 
+def test_the_summary_has_the_share_of_the_edges_that_pruning_kept(tmp_path):
+    pruned = artefacts.write_graphs(tmp_path / "a.h5", np.zeros(4), np.arange(4), 50)
+    with graph_file.open_graphs(tmp_path / "a.h5") as graphs:
+        share = graphs.counts["edges_kept"].sum() / graphs.counts["edges_knn"].sum()
+    assert pruned["edges"] == f", {share:.0%} of the edges kept"
+    points = artefacts.write_graphs(tmp_path / "b.h5", np.zeros(4), np.arange(4), 50, "points")
+    assert points["edges"] == ""
+
+
 @pytest.mark.parametrize("kind", FRAME)
 def test_a_batch_is_its_frames_with_shifted_numbers(tmp_path, kind):
     path = tmp_path / "drive.h5"

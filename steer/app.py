@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from pipeline.base.console import guarded
+from pipeline.base.console import guarded, start
 from pipeline.base.errors import InputError
 from pipeline.ingest.settings import Part, RecordingOptions
 from steer.commands import import_, measure, predict
@@ -163,5 +163,11 @@ app.command("show", no_args_is_help=True)(guarded(show))
 app.command("view", no_args_is_help=True)(guarded(view))
 app.command("export", no_args_is_help=True)(guarded(export))
 
+
+def main() -> None:
+    """Run the command `steer`."""
+    start(app, "steer")
+
+
 if __name__ == "__main__":
-    app(prog_name="steer")
+    main()

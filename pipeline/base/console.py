@@ -1,6 +1,7 @@
 """Run functions as commands: Typer parses the arguments, and errors are printed as one line."""
 
 import functools
+import io
 import sys
 from collections.abc import Callable
 
@@ -17,7 +18,17 @@ def run(*commands: Callable[..., object]) -> None:
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     for command in commands:
         app.command()(guarded(command))
-    app()
+    start(app)
+
+
+def start(app: typer.Typer, name: str | None = None) -> None:
+    """Run an app, whose name in its help is by default that of the script.
+
+    Characters that the terminal's encoding lacks are printed as escapes, as Python does in stderr.
+    """
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
+    app(prog_name=name)
 
 
 def guarded(main: Callable[..., object]) -> Callable[..., None]:

@@ -2,6 +2,7 @@
 
 import errno
 import fcntl
+import io
 import json
 import os
 import resource
@@ -528,3 +529,17 @@ def test_errors_are_one_line_and_a_status(monkeypatch, error, line):
     with pytest.raises(SystemExit) as end:
         console.run(main)
     assert end.value.code == f"error: {line}"  # Python prints it to stderr and exits with status 1
+
+
+def test_an_ascii_terminal_gets_other_characters_as_escapes(monkeypatch):
+    def main() -> None:
+        print("150 × 3")
+
+    terminal = io.TextIOWrapper(io.BytesIO(), "ascii")
+    monkeypatch.setattr(sys, "argv", ["stage"])
+    monkeypatch.setattr(sys, "stdout", terminal)
+    with pytest.raises(SystemExit) as end:
+        console.run(main)
+    assert end.value.code == 0
+    terminal.flush()
+    assert terminal.buffer.getvalue() == rb"150 \xd7 3" + b"\n"

@@ -11,7 +11,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.outputs import check_free
 from pipeline.base.store import DriveReader, replacing
 from pipeline.camera.camera import read_camera, visible
-from pipeline.camera.geometry import transform
+from pipeline.camera.geometry import pixels_of, transform
 from pipeline.report import street_view
 from steer.artefact import open_drive, open_images
 
@@ -30,6 +30,8 @@ class Points(NamedTuple):
     # Text for users: the coordinates and the attributes.
     about: str
     camera_xyz: np.ndarray  # [P,3] in metres, camera frame
+    # Whether the points are pixels of the frame's image. Otherwise, some may be hidden by others.
+    is_of_image: bool
 
 
 def export(path: Path, number: int, out: Path) -> str:
@@ -60,7 +62,7 @@ def export(path: Path, number: int, out: Path) -> str:
 
         rgb = None
         if images is not None:
-            rgb = _colours(points.camera_xyz, number, images)
+            rgb = _colours(points, number, images)
         about = f"{len(points.xyz):,} points in metres, {points.about}"
         if rgb is None:
             about += ", no colour, as there is no image in data/ingest"
@@ -76,7 +78,12 @@ def _read_cloud(file: DriveReader, row: int) -> Points:
     xyz = file.rows_of("xyz", row)
     cls = file.rows_of("cls", row)
     about = "camera coordinates (x right, y down, z forward), class (Cityscapes trainId)"
-    return Points(xyz, {"class": cls[:, None]}, about, xyz)
+
+    # A file of clouds has its kind in the name of its folder, without which no image is found.
+    variant = file.params.get("graphs", {})
+    source = variant.get("source", f"clouds/{file.path.parent.resolve().name}")
+    is_of_image = source == "clouds/pseudo" and not variant.get("accumulate")
+    return Points(xyz, {"class": cls[:, None]}, about, xyz, is_of_image)
 
 
 def _read_scan(file: DriveReader, row: int) -> Points:
@@ -84,11 +91,12 @@ def _read_scan(file: DriveReader, row: int) -> Points:
     scan = file.rows_of("lidar", row)
     xyz = scan[:, :3]
     about = "velodyne coordinates (x forward, y left, z up), intensity (reflectance, 0 to 1)"
-    return Points(xyz, {"intensity": scan[:, 3:]}, about, transform(file["T_cam_velo"], xyz))
+    camera_xyz = transform(file["T_cam_velo"], xyz)
+    return Points(xyz, {"intensity": scan[:, 3:]}, about, camera_xyz, is_of_image=False)
 
 
-def _colours(xyz: np.ndarray, number: int, ingest: DriveReader) -> np.ndarray | None:
-    """Return the colours, uint8 [P,3], of points [P,3] in the camera frame in the frame's image.
+def _colours(points: Points, number: int, ingest: DriveReader) -> np.ndarray | None:
+    """Return the colours, uint8 [P,3], of points in the frame's image.
 
     Points outside of the image, or hidden by others, are black. Returns None if the frame has no
     image.
@@ -96,8 +104,12 @@ def _colours(xyz: np.ndarray, number: int, ingest: DriveReader) -> np.ndarray | 
     image = street_view.read_view(number, ingest).rgb
     if image is None:
         return None
-    index, row, column = visible(xyz, read_camera(ingest))
-    rgb = np.zeros((len(xyz), 3), np.uint8)
+    camera = read_camera(ingest)
+    if points.is_of_image:
+        index, row, column = pixels_of(points.camera_xyz, camera.K, camera.size)
+    else:
+        index, row, column = visible(points.camera_xyz, camera)
+    rgb = np.zeros((len(points.xyz), 3), np.uint8)
     rgb[index] = image[row, column]
     return rgb
 

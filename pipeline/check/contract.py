@@ -95,23 +95,24 @@ def _check_spatial(
             "returns other features for the same frames when it is called again",
             "It must keep no state between calls, and draw no random numbers in prediction",
         )
-        # In a batch without an empty frame, and each in a batch of its own.
-        full_frames = run(frames[:-1])
-        _check_output(full_frames, [len(frames) - 1, features], "in prediction", counts)
-        alone = torch.cat([run([frame]) for frame in frames])
-        for output, expected in ((full_frames, together[:-1]), (alone, together)):
+        # The frames with points in a batch without the empty one, and each in a batch of its own.
+        full_frames = frames[:-1]
+        full = run(full_frames)
+        _check_output(full, [len(full_frames), features], "in prediction", counts)
+        alone = torch.cat([run([frame]) for frame in full_frames])
+        for output in (full, alone):
             _check_equal(
                 output,
-                expected,
+                together[:-1],
                 "the features of a frame depend on the other frames of its batch",
                 "Compute them from the rows ptr[b]:ptr[b+1] of the frame alone",
             )
         if variant.kind == "graph":
             rng = np.random.default_rng(SEED)
-            shuffled = [shuffle_points(frame, rng) for frame in frames[:-1]]
+            shuffled = [shuffle_points(frame, rng) for frame in full_frames]
             _check_equal(
-                run([*shuffled, frames[-1]]),
-                together,
+                run(shuffled),
+                together[:-1],
                 "the features depend on the order of the points",
                 "Pool by a sum, a mean or a maximum",
             )

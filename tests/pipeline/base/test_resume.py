@@ -66,7 +66,7 @@ def edit(path: Path, before: str, after: str) -> None:
         (f"{DATASETS}/mine.py", "", "LIMIT = 1\n", set()),
         (f"{DATASETS}/lens.yaml", "", "fov: 60\n", {"kitti", "sample", "recording"}),
         ("pipeline/labels/helper/__init__.py", "", "LIMIT = 1\n", {"labels"}),
-        ("pipeline/labels/label.py", "", "LIMIT = 1\n", {"labels", "gnn", "polar"}),
+        ("pipeline/labels/label.py", "", "LIMIT = 1\n", {"labels", "gnn", "polar", "report"}),
         ("models/encoder/words.txt", "", "road", {"perception"}),
         ("pipeline/report/page.html.j2", "", "road", {"report"}),
         (f"{SPATIAL}/gnn.py", "", "LIMIT = 1\n", {"gnn"}),

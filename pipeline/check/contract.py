@@ -13,7 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.batch import Batch, from_arrays
+from models.steering.core.batch import from_arrays
+from models.steering.core.motion import SCALES
 from models.steering.core.recurrent import NOMINAL_STEP_S
 from models.steering.core.steering_net import SteeringNet
 from pipeline.base.errors import InputError, error_context
@@ -24,12 +25,13 @@ from pipeline.train.entry import Entry
 
 # Largest number of points of a frame.
 POINTS = 1000
-# Share of the spread between frames above which two features differ. bfloat16 rounds to 0.4 %.
-TOLERANCE = 0.01
-# Share of the largest feature above which two features differ, if all frames have equal ones.
-ROUNDING = 1e-4
 # Number of windows on which a temporal network runs.
 WINDOWS = 5
+# Share of the spread between items above which two outputs differ. bfloat16 rounds to 0.4 %.
+TOLERANCE = 0.01
+# Share of the largest output above which two outputs differ, if all items have equal ones.
+ROUNDING = 1e-4
+# Seed of weights that are drawn in a call, of frames and of windows.
 SEED = 0
 
 
@@ -50,18 +52,9 @@ def check_network(
     with torch.random.fork_rng(devices=[]), eager:
         torch.manual_seed(SEED)
         with error_context(f"spatial: {entry.spatial}"):
-            _check_parameters(net.spatial)
             _check_spatial(net, entry.features, variant, image_size)
         with error_context(f"temporal: {entry.temporal}"):
-            _check_parameters(net.temporal)
             _check_temporal(net, entry, outputs)
-
-
-def _check_parameters(net: nn.Module) -> None:
-    for name, parameter in net.named_parameters():
-        if nn.parameter.is_lazy(parameter):
-            problem = f"parameter {name} has no size before the first batch"
-            raise InputError(problem, fix="Use a layer with sizes, such as Linear for LazyLinear")
 
 
 def _check_spatial(
@@ -71,127 +64,121 @@ def _check_spatial(
     points = min(variant.points or 0, POINTS)
     counts = [points, points, points // 2, 0]
     frames = make_frames(variant, counts, image_size, SEED)
+    full_frames = range(len(frames) - 1)
 
-    def run(some: Sequence[Columns]) -> Tensor:
-        """Return the features of frames, which are copied, as a network may change its input."""
-        return _run(net.spatial, from_arrays(join_frames(some)))
+    def run(numbers: Sequence[int]) -> Tensor:
+        output: Tensor = net.spatial(from_arrays(join_frames([frames[row] for row in numbers])))
+        if len(output) == sum(counts):
+            problem = f"returns a row for each point, {list(output.shape)}"
+            fix = "Pool the points of each frame, for instance by mean_max_pool"
+            raise InputError(f"{problem}, expected {[len(frames), features]}", fix=fix)
+        return output
 
-    net.train()
-    shape = [len(frames), features]
-    output = run(frames)
-    if len(output) == sum(counts) and len(output) != len(frames):
-        problem = f"returns a row for each point, {list(output.shape)}, expected {shape}"
-        raise InputError(problem, fix="Pool the points of each frame, for instance mean_max_pool")
-    _check_output(output, shape, "in training", counts)
-    _check_gradient(net.spatial, output)
-
-    net.eval()
+    together = _check_part(net.spatial, run, len(frames), full_frames, [features], "frame")
     with torch.no_grad():
-        together = run(frames)
-        _check_output(together, shape, "in prediction", counts)
-        _check_equal(
-            run(frames),
-            together,
-            "returns other features for the same frames when it is called again",
-            "It must keep no state between calls, and draw no random numbers in prediction",
-        )
-        # The frames with points in a batch without the empty one, and each in a batch of its own.
-        full_frames = frames[:-1]
-        full = run(full_frames)
-        _check_output(full, [len(full_frames), features], "in prediction", counts)
-        alone = torch.cat([run([frame]) for frame in full_frames])
-        for output in (full, alone):
-            _check_equal(
-                output,
-                together[:-1],
-                "the features of a frame depend on the other frames of its batch",
-                "Compute them from the rows ptr[b]:ptr[b+1] of the frame alone",
-            )
         if variant.kind == "graph":
-            rng = np.random.default_rng(SEED)
-            shuffled = [shuffle_points(frame, rng) for frame in full_frames]
-            _check_equal(
-                run(shuffled),
-                together[:-1],
-                "the features depend on the order of the points",
-                "Pool by a sum, a mean or a maximum",
-            )
+            problem = "the features depend on the order of the points"
+            shuffled = _run_shuffled(net, [frames[row] for row in full_frames])
+            fix = "Pool by a sum, a mean or a maximum"
+            _check_equal(shuffled, together[:-1], problem, fix)
         if net.equivariant:
-            batch = from_arrays(join_frames(frames))
-            mirrored = from_arrays(join_frames(frames)).mirrored()
-            difference = together - _run(net.spatial, mirrored)
-            _check_equal(
-                net._features(batch)[: len(frames)],
-                difference,
-                "changes its input, from which the mirror image of equivariant: true is made",
-                "Copy what it changes",
-            )
+            # The features of a frame and of its mirror image, from two copies of the input.
+            mirrored = net.spatial(from_arrays(join_frames(frames)).mirrored())
+            from_one_copy = net._features(from_arrays(join_frames(frames)))[: len(frames)]
+            problem = "changes its input, from which equivariant: true makes the mirror image"
+            _check_equal(from_one_copy, together - mirrored, problem, "Copy what it changes")
+
+
+def _run_shuffled(net: SteeringNet, frames: Sequence[Columns]) -> Tensor:
+    """Return the features of frames whose points are in another order."""
+    rng = np.random.default_rng(SEED)
+    shuffled = [shuffle_points(frame, rng) for frame in frames]
+    output: Tensor = net.spatial(from_arrays(join_frames(shuffled)))
+    return output
 
 
 def _check_temporal(net: SteeringNet, entry: Entry, outputs: int) -> None:
-    """Check the outputs of windows of random features."""
-    frames = 2 * entry.window
+    """Check the outputs for windows of random features.
+
+    Only the last output of a window is read, so it may depend on all frames of the window.
+    """
     inputs = entry.features
     if net.motion:
-        inputs += 4
+        inputs += len(SCALES)
+    frames = 2 * entry.window
     features = torch.rand(frames, inputs) * 2 - 1
     first = torch.randint(0, frames - entry.window + 1, (WINDOWS, 1))
     windows = first + torch.arange(entry.window)
-    dt_s = torch.full(windows.shape, NOMINAL_STEP_S)
 
-    def run(rows: slice) -> Tensor:
+    def run(numbers: Sequence[int]) -> Tensor:
         projected = net.temporal.project_inputs(features.clone())
-        return net.temporal(projected[windows[rows]], dt_s[rows].clone())
+        dt_s = torch.full((len(numbers), entry.window), NOMINAL_STEP_S)
+        output: Tensor = net.temporal(projected[windows[list(numbers)]], dt_s)
+        return output
 
-    net.train()
-    shape = [WINDOWS, entry.window, outputs]
-    every = slice(0, WINDOWS)
+    shape = [entry.window, outputs]
+    _check_part(net.temporal, run, WINDOWS, range(WINDOWS), shape, "window")
+
+
+def _check_part(
+    network: nn.Module,
+    run: Callable[[Sequence[int]], Tensor],
+    count: int,
+    full: Sequence[int],
+    shape: Sequence[int],
+    item: str,
+) -> Tensor:
+    """Check the outputs for a batch of items, for the same batch again, and for each item alone.
+
+    `run` returns outputs, each of `shape`, for the numbers of some of `count` items. `full` are the
+    items that may be alone in a batch. An `item` is a frame or a window. Returns the outputs for
+    all items in prediction.
+    """
+    for name, parameter in network.named_parameters():
+        if nn.parameter.is_lazy(parameter):
+            problem = f"parameter {name} has no size before the first batch"
+            raise InputError(problem, fix="Use a layer with sizes, such as Linear for LazyLinear")
+
+    every = range(count)
+    network.train()
     output = run(every)
-    _check_output(output, shape, "in training")
-    _check_gradient(net.temporal, output)
+    _check_output(output, [count, *shape], "in training")
+    _check_gradient(network, output)
 
-    net.eval()
+    network.eval()
     with torch.no_grad():
         together = run(every)
-        _check_output(together, shape, "in prediction")
-        _check_equal(
-            run(every)[:, -1],
-            together[:, -1],
-            "returns other outputs for the same windows when it is called again",
-            "It must keep no state between calls, and draw no random numbers in prediction",
-        )
-        alone = torch.cat([run(slice(row, row + 1)) for row in range(WINDOWS)])
-        _check_equal(
-            alone[:, -1],
-            together[:, -1],
-            "the output of a window depends on the other windows of its batch",
-            "Start each window from the same state",
-        )
+        _check_output(together, [count, *shape], "in prediction")
+        problem = f"returns other values for the same {item}s when it is called again"
+        fix = "Keep no state between calls, and draw no random numbers in prediction"
+        _check_equal(run(every), together, problem, fix)
+
+        problem = f"what it returns for a {item} depends on the other {item}s of its batch"
+        fix = f"Compute it from the {item} alone"
+        alone = torch.cat([run([number]) for number in full])
+        for output in (run(full), alone):
+            _check_equal(output, together[list(full)], problem, fix)
+    return together
 
 
-def _run(network: Callable[[Batch], Tensor], batch: Batch) -> Tensor:
-    return network(batch)
-
-
-def _check_output(
-    output: Tensor, shape: Sequence[int], mode: str, counts: Sequence[int] = ()
-) -> None:
+def _check_output(output: Tensor, shape: Sequence[int], mode: str) -> None:
     """Raise InputError unless an output is float32 of a shape, and finite."""
     if list(output.shape) != list(shape):
         raise InputError(f"returns the shape {list(output.shape)} {mode}, expected {list(shape)}")
     if output.dtype != torch.float32:
         raise InputError(f"returns {output.dtype} {mode}, expected torch.float32")
-    broken = (~output.isfinite()).flatten(1).any(dim=1).nonzero().flatten().tolist()
-    if broken:
-        problem = f"returns NaN or infinity {mode}"
-        if counts:
-            problem += f" for a frame with {counts[broken[-1]]} points"
-        raise InputError(problem, fix="Look for a division by 0 or an overflow")
+    _check_finite(output, mode)
 
 
-def _check_gradient(net: nn.Module, output: Tensor) -> None:
+def _check_finite(output: Tensor, mode: str) -> None:
+    if not output.isfinite().all():
+        fix = "Look for a division by 0 or an overflow; a frame may have no points"
+        raise InputError(f"returns NaN or infinity {mode}", fix=fix)
+
+
+def _check_gradient(network: nn.Module, output: Tensor) -> None:
     """Raise InputError if no weight gets a gradient, though one asks for it."""
-    weights = [weight for weight in net.parameters() if weight.requires_grad]
+    weights = [weight for weight in network.parameters() if weight.requires_grad]
     if not weights:
         return
     if output.requires_grad:
@@ -199,11 +186,12 @@ def _check_gradient(net: nn.Module, output: Tensor) -> None:
     if all(weight.grad is None for weight in weights):
         fix = "Look for detach, no_grad or numpy between the weights and the output"
         raise InputError("no weight gets a gradient", fix=fix)
-    net.zero_grad()
+    network.zero_grad()
 
 
 def _check_equal(output: Tensor, expected: Tensor, problem: str, fix: str) -> None:
-    """Raise InputError if an output differs from the expected one [B, ...]."""
+    """Raise InputError if outputs in prediction differ from the expected ones, both [B, ...]."""
+    _check_finite(output, "in prediction")
     spread = (expected - expected.mean(0)).square().mean().sqrt()
     limit = torch.maximum(TOLERANCE * spread, ROUNDING * expected.abs().max())
     if (output - expected).abs().max() > limit:

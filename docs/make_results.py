@@ -34,8 +34,11 @@ TABLE = re.compile(r"(<!-- table: (\S+) (\S+) (\w+): ([^\n]*) -->\n).*?(\n<!-- e
 # A value in a page: a number, the interval of a difference in brackets, and a comment with RUN/KEY
 # or RUN/KEY:PART.
 VALUE = re.compile(r"[−+]?\d+\.\d+(?: \([^()]*\))?(<!-- (\w+)/([^:>]+?)(?::(\w+))? -->)")
-# Part of an entry → the format of its value.
-FORMS = {"value": ".3f", "mae": ".2f"}
+# Part of an entry → decimal places of its value.
+PLACES = {"value": 3, "mae": 2}
+# Decimal places of the demo's values, which every reader computes again: the third depends on the
+# processor.
+DEMO_PLACES = 2
 
 
 def collect(
@@ -81,10 +84,11 @@ def pages(runs: dict[str, Results]) -> dict[Path, str]:
         comment, run, key, part = match.groups()
         part = part or "value"
         entry = runs[run][key]
+        places = DEMO_PLACES if run == "demo" else PLACES[part]
         if " - " in key:
-            bounds = interval_text(entry["interval"], "+.3f")
-            return with_minus(f"{entry['value']:+.3f} ({bounds})") + comment
-        return f"{entry[part]:{FORMS[part]}}{comment}"
+            bounds = interval_text(entry["interval"], f"+.{places}f")
+            return with_minus(f"{entry['value']:+.{places}f} ({bounds})") + comment
+        return f"{entry[part]:.{places}f}{comment}"
 
     def table(match: re.Match[str]) -> str:
         start, run, group, name, columns, end = match.groups()

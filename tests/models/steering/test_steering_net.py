@@ -177,8 +177,11 @@ def test_statistics_count_frames_once():
     ("cell", "expected"), [("ltc", -0.04993238503010382), ("lstm", 0.3806235178621074)]
 )
 def test_a_seed_gives_the_same_numbers_in_all_versions(cell, expected):
-    """Initial weights are drawn in float32, whose logarithms differ between CPUs by a bit."""
-    assert build("gnn", cell)(batch(), WINDOWS, DT_S)[0].item() == pytest.approx(expected, rel=1e-7)
+    """Initial weights are drawn in float32, whose logarithms differ between CPUs by a bit.
+
+    Outputs differ by 1.6e-7 then, and by a multiple if anything else is drawn.
+    """
+    assert build("gnn", cell)(batch(), WINDOWS, DT_S)[0].item() == pytest.approx(expected, rel=1e-5)
 
 
 class Counter(TorchDispatchMode):

@@ -162,6 +162,7 @@ def padded(
 @torch.no_grad()
 def test_each_pixel_has_depth_and_classes_whatever_the_batch(create, kind, size):
     kind, _, model = kind.partition(" on ")
+    torch.manual_seed(0)
     if kind in ("small", "street"):
         network = build({"backbone": kind}).eval()
     elif model:
@@ -195,10 +196,10 @@ def test_a_pair_equals_the_networks_themselves(create, folder, size, capsys):
 
     network = transformers.SegformerForSemanticSegmentation.from_pretrained(folder / "classes")
     rgb = padded(size, [0.485, 0.456, 0.406], [0.229, 0.224, 0.225], 32)
-    labels = network(rgb).logits.argmax(1)[:, : height // 4, : width // 4]
-    numbers = torch.tensor([classes.ROAD, classes.VEGETATION, classes.SKY, classes.COUNT])
-    predicted = logits[:, :, 1:-2:4, 1:-2:4].argmax(1)
-    assert (predicted == numbers[labels]).float().mean() > 0.8
+    expected = network(rgb).logits.log_softmax(1)
+    expected = F.interpolate(expected, rgb.shape[-2:], mode="bilinear")[..., :height, :width]
+    numbers = [classes.ROAD, classes.VEGETATION, classes.SKY, classes.COUNT]  # of LABELS
+    torch.testing.assert_close(logits[:, numbers], expected, rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize("kind", ["pair", "hugging_face"])
@@ -208,8 +209,10 @@ def test_a_saved_encoder_needs_no_folder(create, kind, tmp_path):
     save_encoder(tmp_path, architecture, network.state_dict())
     assert "networks" not in json.dumps(architecture)  # the folder's name
     _, saved = load_encoder(tmp_path / "encoder.pt")
-    saved = saved.cpu()
-    torch.testing.assert_close(saved(image((50, 75)), K), network(image((50, 75)), K))
+    # With equal weights in the same memory order, not a bit differs.
+    pixels = image((50, 75))
+    expected = network.to(memory_format=torch.channels_last)(pixels, K)
+    torch.testing.assert_close(saved.cpu()(pixels, K), expected, rtol=0, atol=0)
 
 
 @torch.no_grad()

@@ -80,29 +80,35 @@ def test_the_filter_is_causal(rows, known):
     np.testing.assert_array_equal(complete.sigma[:known], start.sigma)
 
 
-@pytest.mark.parametrize(("spread", "least_gain"), [(0.03, 1.0), (0.08, 0.75)])
-def test_ratios_reduce_the_errors_of_depth_and_sigma_tells_what_is_left(spread, least_gain):
+@pytest.mark.parametrize(("spread", "gain"), [(0.03, 0.85), (0.08, 0.58)])
+def test_ratios_reduce_the_errors_of_depth_and_sigma_tells_what_is_left(spread, gain):
     """Depth errs for a second, in some drives more than in others."""
-    rng = np.random.default_rng(0)
     true_mps = braking()
-    by_depth = true_mps * np.exp(slow_noise(rng, spread, np.exp(-0.1)))
-    ratio = np.append(0, true_mps[1:] / true_mps[:-1])
-    ratio *= np.exp(rng.normal(0, RATIO_NOISE, COUNT))
-    speeds = measured(by_depth, ratio=ratio)
-
     known = slice(100, None)  # the spread is learned
-    errors = {}
-    for name, estimate in {
-        "filter": filter_speeds(speeds),
-        "smooth": smooth_speeds(speeds),
-    }.items():
-        error = np.log(estimate.speed_mps / true_mps)[known]
-        errors[name] = np.sqrt((error**2).mean())
-        within = np.abs(error) / estimate.sigma[known]
-        assert 0.6 < (within < 1).mean() <= 1
-        assert (within < 2).mean() > 0.9
-    assert errors["filter"] < least_gain * spread
-    assert errors["smooth"] < errors["filter"]
+    squared = {"filter": [], "smooth": []}
+    in_sigmas = {"filter": [], "smooth": []}
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        by_depth = true_mps * np.exp(slow_noise(rng, spread, np.exp(-0.1)))
+        ratio = np.append(0, true_mps[1:] / true_mps[:-1])
+        ratio *= np.exp(rng.normal(0, RATIO_NOISE, COUNT))
+        speeds = measured(by_depth, ratio=ratio)
+        for name, estimate in {
+            "filter": filter_speeds(speeds),
+            "smooth": smooth_speeds(speeds),
+        }.items():
+            error = np.log(estimate.speed_mps / true_mps)[known]
+            squared[name].append(error**2)
+            in_sigmas[name].append((error / estimate.sigma[known]) ** 2)
+
+    # Over groups of six seeds, errors have a deviation of 5 %; in sigmas, they are 0.7 to 1.0 with
+    # a deviation of 0.04 to 0.07.
+    filtered = np.sqrt(np.mean(squared["filter"]))
+    smoothed = np.sqrt(np.mean(squared["smooth"]))
+    assert filtered == pytest.approx(gain * spread, rel=0.2)
+    assert smoothed < 0.95 * filtered
+    for values in in_sigmas.values():
+        assert 0.55 < np.sqrt(np.mean(values)) < 1.3
 
 
 def steps(*lengths_m: float) -> list[np.ndarray]:

@@ -51,29 +51,33 @@ def test_half_of_the_points_are_enough_only_for_a_motion_like_the_previous_one()
 
     similar = np.linalg.inv(pose(0, 0, 1.2))
     estimated = estimate_pose(xyz, uv, K, sigma, similar)
-    np.testing.assert_allclose(estimated.T_now_before, forth, atol=0.01)
+    # Over 20 seeds, the largest error is 0.005 ± 0.003.
+    np.testing.assert_allclose(estimated.T_now_before, forth, atol=0.017)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_the_last_motion_is_a_start_where_most_depths_are_wrong(seed):
-    rng = np.random.default_rng(seed)
-    _, xyz = points(rng)
-    xyz = 0.3 * xyz
+def test_the_last_motion_is_a_start_where_most_depths_are_wrong():
     forth = np.linalg.inv(pose(0.05, 0, 0.67))
-    uv, _ = project(transform(forth, xyz), K)
-
-    has_right_depth = np.arange(POINTS) < 8
-    factors = np.where(has_right_depth, 1, np.exp(rng.normal(0, 1, POINTS)))
-    wrong = factors[:, None] * xyz
-    sigma = np.where(has_right_depth, 0.02, 1.0)
-
-    alone = estimate_pose(wrong, uv, K, sigma)
-    error_alone = np.abs(alone.T_now_before - forth).max()
     T_last = np.linalg.inv(pose(0.04, 0, 0.6))
-    started = estimate_pose(wrong, uv, K, sigma, T_last)
-    error = np.abs(started.T_now_before - forth).max()
-    assert error < 0.004
-    assert error < error_alone / 3
+    has_right_depth = np.arange(POINTS) < 8
+    sigma = np.where(has_right_depth, 0.02, 1.0)
+    found = {"alone": 0, "started": 0}
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        _, xyz = points(rng)
+        xyz = 0.3 * xyz
+        uv, _ = project(transform(forth, xyz), K)
+        factors = np.where(has_right_depth, 1, np.exp(rng.normal(0, 1, POINTS)))
+        wrong = factors[:, None] * xyz
+
+        alone = estimate_pose(wrong, uv, K, sigma)
+        started = estimate_pose(wrong, uv, K, sigma, T_last)
+        for name, estimated in (("alone", alone), ("started", started)):
+            if estimated is not None:
+                found[name] += np.abs(estimated.T_now_before - forth).max() < 0.01
+
+    # Of 200 seeds, the motion is found with all, or with 65 alone: here with 13 ± 3 of 40.
+    assert found["started"] == 40
+    assert found["alone"] < 25
 
 
 @pytest.mark.parametrize("ahead_m", [0.0, 1.5])
@@ -142,8 +146,9 @@ def constant(value: float, count: int = 3, **tolerance: float) -> object:
 )
 def test_known_motion_is_measured(yaw_rate, speed):
     steps = measured(views(*street.arc(4, yaw_rate, speed)))
-    assert yaw_rates(steps) == constant(yaw_rate, abs=0.005)
-    assert speeds(steps) == constant(speed, rel=0.02, abs=0.05)
+    # Over textures of 8 seeds, errors have a deviation of 0.0017 rad/s, and of 0.03 m/s or 0.5 %.
+    assert yaw_rates(steps) == constant(yaw_rate, abs=0.007)
+    assert speeds(steps) == constant(speed, rel=0.02, abs=0.12)
     for measured_step in steps[1:]:
         assert measured_step.inliers > 100
         assert measured_step.residual < 0.4
@@ -186,8 +191,9 @@ def test_a_bonnet_is_left_out(reflection):
         frame.depth_m[bonnet] = 3.0
         frame.cls[bonnet] = classes.ROAD
     steps = measured(frames)
-    assert speeds(steps) == constant(6.0, 4, rel=0.03)
-    assert yaw_rates(steps) == constant(0.2, 4, abs=0.005)
+    # Over textures of 8 seeds, errors have a deviation of 1.1 % and 0.0025 rad/s.
+    assert speeds(steps) == constant(6.0, 4, rel=0.05)
+    assert yaw_rates(steps) == constant(0.2, 4, abs=0.012)
 
 
 @pytest.mark.parametrize(("speed", "yaw_rate"), [(0.0, 0.0), (0.3, 0.0), (8.0, 0.0), (8.0, 0.3)])
@@ -224,13 +230,10 @@ def test_traffic_is_excluded_by_its_class():
         frame.cls[bus] = classes.BUS
     assert speeds(measured(frames)) == constant(6.0, 2, rel=0.05)
 
-    # With another class, the speed is wrong, or not measured.
+    # With another class, it hides the motion of the street, with 7 of 8 textures in a step or both.
     for frame in frames:
         frame.cls[bus] = classes.BUILDING
-    for measured_step in measured(frames):
-        if measured_step is not None:
-            speed_mps = step.rates(measured_step.T_before_now, DT_S).speed_mps
-            assert abs(speed_mps - 6) >= 0.3
+    assert None in measured(frames)[1:]
 
 
 # The summary of a drive by day at 10 images per second.

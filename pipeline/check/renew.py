@@ -3,6 +3,7 @@
 Run it in the repository's root after an edit of models/steering: python -m pipeline.check.renew
 """
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -17,8 +18,10 @@ from pipeline.train.trained import KIND, Trained, code_hashes, load_model
 
 # Folders of the included networks.
 FOLDERS = ("models/steering/sample", "models/steering/sample_path")
-# Number of points of each frame of the window on which predictions are compared.
-POINTS = 300
+# Numbers of points of the frames on which predictions are compared, in turn.
+POINTS = (300, 150, 0, 300)
+# Number of windows on which predictions are compared.
+WINDOWS = 4
 # Largest difference of an output, in standard deviations of the predicted quantity. Processors
 # differ by 1e-6.
 TOLERANCE = 1e-4
@@ -43,17 +46,27 @@ def main() -> None:
 
 
 def run_on_streets(model: Trained) -> Tensor:
-    """Return the standardised outputs [1,R] of a network for a window of streets in memory."""
+    """Return the standardised outputs [W,R] of a network for windows of streets in memory.
+
+    Their time steps and motion vary, and some frames have no points or no measured motion.
+    """
+    rng = np.random.default_rng(0)
     variant = Variant.model_validate(model.settings["graphs"])
-    window = model.entry.window
-    frames = make_frames(variant, [POINTS] * window, (96, 320), seed=0)
+    count = model.entry.window + WINDOWS - 1
+    counts = [POINTS[row % len(POINTS)] for row in range(count)]
+    frames = make_frames(variant, counts, (96, 320), seed=0)
+    windows = np.arange(WINDOWS)[:, None] + np.arange(model.entry.window)
+    dt_s = NOMINAL_STEP_S * rng.uniform(0.5, 2, windows.shape)
+
     motion = None
     if model.net.motion:
-        motion = torch.tensor([0.1, 0.3, 8.0, 1.0]).repeat(window, 1)
+        measured = rng.integers(0, 2, count)
+        columns = [rng.normal(0, 0.2, count), rng.normal(0, 0.3, count), rng.uniform(1, 15, count)]
+        rows = np.stack([*columns, np.ones(count)], axis=1) * measured[:, None]
+        motion = torch.from_numpy(rows).float()
+    batch = from_arrays(join_frames(frames))
     with torch.inference_mode():
-        windows = torch.arange(window)[None]
-        dt_s = torch.full((1, window), NOMINAL_STEP_S)
-        return model.net(from_arrays(join_frames(frames)), windows, dt_s, motion)
+        return model.net(batch, torch.from_numpy(windows), torch.from_numpy(dt_s).float(), motion)
 
 
 if __name__ == "__main__":

@@ -16,17 +16,17 @@ NOTED_S = 0.1
 # Difference in seconds, or change of this difference, above which an image and a packet of the same
 # number are not of the same frame.
 LIMIT_S = 0.25
-# Rate of packets in Hz above which they are not synchronised with images. Cameras have up to 60,
-# KITTI's unsynced packets have 100.
+# Rate of packets in Hz above which they are not synchronised with images if they are more than
+# these. KITTI's unsynced packets have 100.
 UNSYNCED_HZ = 80.0
 
 
-def check_rate(oxts: Path, time_s: Sequence[float]) -> None:
+def check_rate(oxts: Path, time_s: Sequence[float], images: int) -> None:
     """Raise InputError if the packets at `time_s` [F] are too many for one per image.
 
-    `oxts` is the file with the times of the packets.
+    `oxts` is the file with the times of the packets, and `images` the number of images or scans.
     """
-    if len(time_s) < 2:
+    if len(time_s) <= 2 * images:
         return
     hz = 1 / float(np.median(np.diff(time_s)))
     if hz > UNSYNCED_HZ:
@@ -45,7 +45,7 @@ def compare_times(
     after = read_stamps(oxts, packets) - read_stamps(times, images)
     after_s = (after.dropna() / pd.Timedelta(seconds=1)).to_numpy(float)
     if not len(after_s):
-        return []
+        return [f"times of images and packets cannot be compared ({times.parent.name})"]
     median_s = float(np.median(after_s))
 
     # Clocks that run apart, and images that were deleted in between, shift the end against the

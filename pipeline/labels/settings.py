@@ -22,7 +22,7 @@ class Labels(Section):
     min_speed_mps: Annotated[float, Field(ge=0)]
     # Edges in metres of the ranges into which the path ahead is split. No camera shows a road
     # farther away than 200 m.
-    ahead_m: list[Annotated[float, Field(ge=0, le=200)]] = []
+    ahead_m: list[Annotated[float, Field(ge=0, le=200)]] = Field(default=[], max_length=50)
     # Longest time in seconds for which the car may stand on its path ahead.
     max_stand_s: Annotated[float, Field(ge=0)] = 5.0
 

@@ -173,7 +173,7 @@ def _draw_over_time(panel: Axes, predictions: pd.DataFrame, frame: int, quantity
             panel.plot(predictions["elapsed_s"], shown, style, color=_COLOURS[kind], label=label)
     time_s = predictions.loc[predictions["frame"] == frame, "elapsed_s"].iloc[0]
     panel.axvline(time_s, color="0.7", linewidth=1)
-    title = f"{quantity.shown_title} in {quantity.shown_unit}, left +; grey: this frame"
+    title = f"{quantity.shown_title} in {quantity.axis_title()}; grey: this frame"
     panel.set(xlabel="time in s", title=title)
     panel.margins(x=0)
     panel.legend(frameon=False)
@@ -197,8 +197,8 @@ def draw_errors(out: Path, comparison: Comparison, group: Group, ingest: Path) -
             predicted = group.quantity.text(row["shown_predicted"])
             captions[name] = (
                 f"Frame {row['frame']}, the largest error of {model} in this drive: driven "
-                f"{driven} (red), predicted {predicted} (green), left +. The image is the last one "
-                "of the input."
+                f"{driven} (red), predicted {predicted} (green), left is positive. The image is "
+                "the last one of the input."
             )
     return captions
 
@@ -206,10 +206,12 @@ def draw_errors(out: Path, comparison: Comparison, group: Group, ingest: Path) -
 def _draw_paths(
     path: Path, ingest: Path, drive: str, frame: int, paths: dict[str, np.ndarray]
 ) -> bool:
-    """Draw paths into the image of a frame. Returns whether there is an image.
+    """Draw paths into the image of a frame. Returns whether there are a path and an image.
 
     `paths` is kind → curvature of each step, and `ingest` the folder of that stage.
     """
+    if not any(np.isfinite(curvature_1pm).any() for curvature_1pm in paths.values()):
+        return False
     if not (ingest / f"{drive}.h5").is_file():
         return False
     with store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as images:

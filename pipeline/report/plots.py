@@ -103,12 +103,12 @@ def errors(comparison: Comparison) -> go.Figure:
 
 
 def over_time(predictions: pd.DataFrame, comparison: Comparison, limit: float) -> go.Figure:
-    """Plot driven values, odometry and predictions over the time of one drive, left +.
+    """Plot driven values, odometry and predictions over the time of one drive.
 
     The best model is the first in the legend. The vertical axis ends at `limit` on both sides.
     """
     quantity = comparison.quantity
-    title = f"{quantity.shown_unit}, left +"
+    title = quantity.axis_title()
     figure = go.Figure(layout=_PLANE | {"xaxis_title": "time in s", "yaxis_title": title})
     figure.update_yaxes(range=[-1.05 * limit, 1.05 * limit])
 

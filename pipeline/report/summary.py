@@ -170,13 +170,13 @@ class Comparison:
     @property
     def quantity(self) -> type[Quantity]:
         """The quantity that the group's models predict."""
-        name, _ = self.group.split("-")
+        name, _ = self.group.rsplit("-", 1)
         return load_quantity(name)
 
     @property
     def title(self) -> str:
         """The quantity in words, and how far ahead it is."""
-        _, horizon = self.group.split("-")
+        _, horizon = self.group.rsplit("-", 1)
         return self.quantity.title_at(int(horizon))
 
     def entry(self, row: str, label: str = "") -> dict[str, Any]:

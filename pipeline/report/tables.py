@@ -34,9 +34,9 @@ DEFINITIONS = {
     "edges": "directed kNN edges per frame after pruning.",
     "paper": "MSE in the paper's Table 2. Its unit cannot be rad² of this label (docs/paper.md).",
     "zero, train_mean": "baselines that are constants.",
-    "persistence": "a baseline that repeats the last true angle, which no model gets.",
+    "persistence": "a baseline that repeats the last true value, which no model gets.",
     "odometry": (
-        "a baseline that repeats the measured angle: to know the present angle, use that (steer "
+        "a baseline that repeats the measured value: to know the present angle, use that (steer "
         "measure). A model without motion gets only the scene, and the question is what it tells."
     ),
     "regression": "a baseline: the best multiple of odometry on the training drives.",
@@ -169,7 +169,7 @@ def _finding(comparison: Comparison) -> list[str]:
     return [
         headline,
         f"These are errors on {drives} that it was not trained on. nmse is the squared error "
-        f"relative to that of always driving straight ahead. {name} is the model with the least "
+        f"relative to that of always predicting zero. {name} is the model with the least "
         f"{choice}: its mean absolute error of the {comparison.quantity.shown_title} is "
         f"{text(errors['mae'])}, and the "
         f"95 % interval of its nmse is {interval_text(errors['interval'])}.",

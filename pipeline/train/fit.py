@@ -115,7 +115,8 @@ class Fit:
             loss, rate = self._train(train, epoch)
             if not math.isfinite(loss):
                 problem = f"loss of epoch {epoch} is {loss}"
-                raise InputError(problem, title, "Lower train.learning_rate or clip_norm")
+                fix = "Lower train.learning_rate or clip_norm, or look for a division by 0"
+                raise InputError(problem, title, fix)
 
             error = math.nan
             if self.val:

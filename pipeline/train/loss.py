@@ -46,7 +46,7 @@ class Scale:
                 fix = "Add longer drives, or shorten the ranges in section labels"
                 raise InputError(f"{problem} in {names}", drives[0].labels.parent, fix)
 
-        base = np.concatenate([drive.base for drive in drives])[:, None]
+        base = np.concatenate([drive.base for drive in drives])
         gain = _regress(base, y) if quantity.is_ahead else np.ones(y.shape[1])
         std = np.nanstd(y - gain * base, axis=0)
         std = np.maximum(std, 1e-6)  # std is 0 on a straight road
@@ -71,8 +71,8 @@ class Scale:
         return {name: np.array(value).tolist() for name, value in vars(self).items()}
 
     def decode(self, output: np.ndarray, base: np.ndarray) -> np.ndarray:
-        """Return the predictions [G,R] of outputs [G,R] for base [G]."""
-        return np.asarray(self.gain * base[:, None] + self.std * output)
+        """Return the predictions [G,R] of outputs [G,R] for base [G,R]."""
+        return np.asarray(self.gain * base + self.std * output)
 
 
 def mean_nmse(drives: Sequence[LabelledDrive], predictions: Sequence[np.ndarray]) -> float:
@@ -89,7 +89,7 @@ def mean_nmse(drives: Sequence[LabelledDrive], predictions: Sequence[np.ndarray]
 
 
 def _regress(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return the regression coefficients [R] of y [N,R] on x [N,R] or [N,1], without offset.
+    """Return the regression coefficients [R] of y [N,R] on x [N,R], without offset.
 
     They are 0 where x is 0.
     """
@@ -112,7 +112,7 @@ def step_targets(
     target = batch["target"].to(std.dtype)
     is_known = target.isfinite()
     target = target.nan_to_num()  # 0 × NaN is NaN
-    residual = (target - gain * base[:, None]) / std
+    residual = (target - gain * base) / std
     return residual, is_known * torch.exp(alpha * target.abs())
 
 

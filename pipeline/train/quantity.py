@@ -73,9 +73,9 @@ class Quantity(ABC):
 
     @abstractmethod
     def measured(self, angle_rad: np.ndarray) -> np.ndarray:
-        """Return the value [F] of all columns if the car held the measured angle [F].
+        """Return the values [F,R] if the car held the measured angle [F].
 
-        It is the base of the network's output, and the baseline odometry.
+        They are the base of the network's outputs, and the baseline odometry.
         """
 
     @abstractmethod
@@ -83,8 +83,8 @@ class Quantity(ABC):
         """Return true values [W,R] in a world that is `factor` times as large."""
 
     def rescale_measured(self, values: np.ndarray, factor: float) -> np.ndarray:
-        """Return values [W] of :meth:`measured` in a world that is `factor` times as large."""
-        return self.rescale(values[:, None], factor)[:, 0]
+        """Return values [W,R] of :meth:`measured` in a world that is `factor` times as large."""
+        return self.rescale(values, factor)
 
     def shown(self, values: np.ndarray) -> np.ndarray:
         """Return one number per frame for values [..., R]: [...].
@@ -110,6 +110,11 @@ class Quantity(ABC):
     def title_at(cls, horizon: int) -> str:
         """Return the title with the number of frames ahead, if it is not 0."""
         return f"{cls.title}, {horizon} frames ahead" if horizon else cls.title
+
+    @classmethod
+    def axis_title(cls) -> str:
+        """Return the unit of :meth:`shown`, and which sign is left."""
+        return f"{cls.shown_unit}, left +" if cls.is_odd else cls.shown_unit
 
     @classmethod
     def text(cls, value: float) -> str:

@@ -33,8 +33,8 @@ class Timeline:
     scene: Path
     frame: np.ndarray  # int32 [G], KITTI frame numbers, ascending
     time_s: np.ndarray  # float64 [G]
-    # float64 [G], measured value to which the network's output is added. It is 0 if the model's
-    # entry has motion: none or base: none.
+    # float64 [G,R], measured values to which the network's outputs are added. They are 0 if the
+    # model's entry has motion: none or base: none.
     base: np.ndarray
     motion: np.ndarray | None  # float32 [G,4], as in windows.py; None if not an input
 
@@ -44,7 +44,7 @@ class Timeline:
 
         `quantity` is what the model predicts. Raises InputError if motion is missing.
         """
-        base = np.zeros(len(graphs.frame))
+        base = np.zeros((len(graphs.frame), len(quantity.columns)))
         motion = None
         if entry.motion != "none":
             measured = graphs.motion
@@ -88,7 +88,7 @@ class LabelledDrive(Timeline):
     target: np.ndarray  # float64 [G,R], NaN without a valid label
     present: np.ndarray  # float64 [G,R], true values of the frames themselves
     driven: label.Labels  # labels of the frames themselves
-    # Measured value [G,1]. A frame that was not measured has the value of the last measured frame
+    # Measured values [G,R]. A frame that was not measured has the values of the last measured frame
     # before it, or NaN if there is none. The field is None if the file has no motion, or if the
     # targets are of the same frames and from the same measurement.
     odometry: np.ndarray | None
@@ -134,9 +134,8 @@ def check_drives(drives: Sequence[LabelledDrive], window: int) -> None:
             "Use a smaller window, other drives or another input",
         )
     if not any(np.nan_to_num(drive.target).any() for drive in drives):
-        raise InputError(
-            f"every valid label of {names} is 0", first.labels.parent, "Add drives with bends"
-        )
+        problem = f"every known {first.quantity.title} of {names} is 0"
+        raise InputError(problem, first.labels.parent, "Add drives with bends")
 
 
 def rate_doubt(drives: Drives, train: Sequence[str]) -> str | None:
@@ -185,7 +184,7 @@ def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledD
         odometry = None
         if measured and (entry.predicts_ahead or not truth.attrs.get("measured", 0)):
             angle_rad = label.measured_angle(*measured, quantity.car)
-            odometry = quantity.measured(angle_rad)[:, None]
+            odometry = quantity.measured(angle_rad)
         return LabelledDrive(
             **vars(Timeline.read(file, quantity, entry)),
             name=name,
@@ -203,7 +202,7 @@ def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledD
 
 def _read_values(labels: DriveReader, quantity: Quantity) -> np.ndarray:
     """Return the true values of a quantity for the F frames of labels, [F,R]; NaN if unknown."""
-    values = quantity.read(labels)
+    values = np.asarray(quantity.read(labels), np.float64)
     shape = (len(labels.frame), len(quantity.columns))
     if values.shape != shape:
         problem = f"{quantity.title}: read returns an array {values.shape}, expected {shape}"

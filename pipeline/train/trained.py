@@ -114,8 +114,8 @@ def load_model(folder: str | Path, device: torch.device | str | None = None) -> 
 
 
 def code_hashes(entry: Entry) -> dict[str, str]:
-    """Return file → SHA-256 for the code of a model's networks and the code that they share."""
-    paths = [ROOT / file for file in entry.networks]
+    """Return file → SHA-256 for the code of a model's networks and of its quantity."""
+    paths = [ROOT / file for file in (*entry.files, "pipeline/train/quantity.py")]
     paths += sorted((ROOT / CORE).rglob("*.py"))
     return {str(path.relative_to(ROOT)): file_hash(path) for path in paths if path.is_file()}
 
@@ -123,12 +123,11 @@ def code_hashes(entry: Entry) -> dict[str, str]:
 def _print_edits(name: str, entry: Entry, hashes: Mapping[str, str]) -> None:
     """Print a line if files of the code differ from their `hashes` when the model was trained."""
     present = code_hashes(entry)
-    files = sorted(present.keys() | hashes.keys())
-    edited = [file for file in files if present.get(file) != hashes.get(file)]
+    edited = [file for file, before in hashes.items() if present.get(file) != before]
     if edited:
         _print_once(
             f"{name}: {', '.join(edited)} changed since its training, so its predictions may be "
-            f"wrong. Train it again: dvc repro train@{name}"
+            "wrong until it is trained again"
         )
 
 

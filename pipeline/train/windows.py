@@ -10,7 +10,7 @@ windows of T frames these arrays:
 
 - windows int64 [W,T]: the frames of each window, as numbers of the batch's frames.
 - dt_s float32 [W,T]: time since the previous frame.
-- base float32 [W]: measured value of the window's last frame, to which the network's output is
+- base float32 [W,R]: measured values of the window's last frame, to which the network's outputs are
   added.
 - motion float32 [B,4]: measured motion since the previous frame, with the columns of
   models/steering/core/motion.py. Only models with motion have it.

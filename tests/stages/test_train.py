@@ -175,7 +175,7 @@ def test_other_networks_and_inputs(tmp_path, kind, entry, epochs, share):
             "no window of 4 consecutive frames ends at a known path ahead in",
         ),
         (20, 20, EDGES_M, 1.0, {"predict": "path"}, "no frame has a known path ahead 10-20 m in"),
-        (20, 20, [], 0.0, {}, f"every valid label of {TEST} is 0"),
+        (20, 20, [], 0.0, {}, f"every known steering angle of {TEST} is 0"),
         (20, 20, [], 1.0, {"motion": "visual"}, "motion is not measured in any frame"),
         (20, 0, [], 1.0, {}, "0 points in all frames of .*, raise clouds.max_depth_m"),
     ],

@@ -18,7 +18,7 @@ class Target(Quantity):
         return np.where(labels["valid"], labels["steering_rad"], np.nan)[:, None]
 
     def measured(self, angle_rad: np.ndarray) -> np.ndarray:
-        return angle_rad
+        return angle_rad[:, None]
 
     def rescale(self, values: np.ndarray, factor: float) -> np.ndarray:
         return scale_radius(values, factor)

@@ -37,7 +37,8 @@ class Target(Quantity):
         return np.where(labels["ahead_valid"], labels["ahead_1pm"], np.nan)
 
     def measured(self, angle_rad: np.ndarray) -> np.ndarray:
-        return np.tan(angle_rad) / self.car.wheelbase_m
+        curvature_1pm = np.tan(angle_rad) / self.car.wheelbase_m
+        return np.repeat(curvature_1pm[:, None], len(self.columns), axis=1)
 
     def rescale(self, values: np.ndarray, factor: float) -> np.ndarray:
         """Return the path ahead [W,R] in a larger world.

@@ -91,6 +91,11 @@ def first_point(net: Net, batch: GraphBatch, y: Tensor) -> Tensor:
     return y + torch.stack(first)[:, :1]
 
 
+def largest_so_far(net: Net, batch: GraphBatch, y: Tensor) -> Tensor:
+    net.calls = torch.maximum(torch.as_tensor(net.calls), y.abs().max())
+    return y / net.calls.detach()
+
+
 def dropout(net: Net, batch: GraphBatch, y: Tensor) -> Tensor:
     return nn.functional.dropout(y, 0.5)  # in prediction, too
 
@@ -114,6 +119,9 @@ FAULTS: list[tuple[Callable[..., Tensor], str]] = [
     (dropout, "other values for the same frames when it is called again"),
     (lambda net, batch, y: y - y.mean(0), "for a frame depends on the other frames of its batch"),
     (first_point, "depend on the order of the points"),
+    (largest_so_far, "for a frame depends on the other frames of its batch"),
+    (lambda net, batch, y: (y, y), r"returns tuple, expected a tensor \[4, 8\]"),
+    (lambda net, batch, y: y.mean(), r"the shape \[\] in training"),
 ]
 RIGHT: list[Callable[..., Tensor] | None] = [
     None,
@@ -159,6 +167,10 @@ def test_a_layer_without_sizes_and_a_changed_input_are_refused():
     net.read_out = nn.LazyLinear(FEATURES)
     with pytest.raises(InputError, match=r"read_out\.weight has no size before the first batch"):
         check(net)
+    net = Net(None)
+    net.norm = nn.LazyBatchNorm1d(affine=False)
+    with pytest.raises(InputError, match=r"norm\.running_mean has no size before"):
+        check(net)
     with pytest.raises(InputError, match="changes its input, from which equivariant: true makes"):
         check(Net(moves_points), equivariant=True)
 
@@ -181,6 +193,7 @@ class Cell(RecurrentCell):
         return self.dense(x)
 
     def forward(self, projected: Tensor, dt_s: Tensor) -> Tensor:
+        self.dt_s = dt_s
         frames = torch.arange(1, projected.shape[1] + 1)[:, None]
         return self.change(self, projected.cumsum(1) / frames)
 
@@ -199,11 +212,17 @@ def keeps_state(cell: Cell, y: Tensor) -> Tensor:
         (lambda cell, y: y.detach(), "no weight gets a gradient"),
         (keeps_state, "other values for the same windows when it is called again"),
         (lambda cell, y: y - y.mean(0), "for a window depends on the other windows of its batch"),
+        (lambda cell, y: y * cell.dt_s.mean(), "depends on the other windows of its batch"),
+        ("centred", "depends on the other windows of its batch"),
         (lambda cell, y: y, None),
     ],
 )
 def test_a_faulty_temporal_network_is_one_line(change, message):
-    net = SteeringNet(given(Net(None)), given(Cell(change)), Sizes(FEATURES))
+    cell = Cell(change)
+    if change == "centred":  # over all frames of a batch, before windows are taken
+        cell = Cell(lambda cell, y: y)
+        cell.project_inputs = lambda x: cell.dense(x - x.mean(0))  # type: ignore[method-assign]
+    net = SteeringNet(given(Net(None)), given(cell), Sizes(FEATURES))
     if message is None:
         check_network(net, entry(), VARIANTS["graph"], IMAGE_SIZE, outputs=1)
         return
@@ -247,7 +266,7 @@ def test_hashes_are_renewed_only_if_outputs_stay(tmp_path, monkeypatch, capsys):
     """With an edited network, loading prints one line for all checkpoints of a model."""
     for folder in renew.FOLDERS:
         content = checkpoint.read(Path(folder) / "best.pt", trained.KIND)
-        content["code"]["models/steering/core/batch.py"] = "another hash"
+        content["code"]["pipeline/train/quantity.py"] = "another hash"
         checkpoint.write(tmp_path / folder / "best.pt", content)
     monkeypatch.setattr(renew, "FOLDERS", [str(tmp_path / folder) for folder in renew.FOLDERS])
     path = tmp_path / folder
@@ -255,11 +274,11 @@ def test_hashes_are_renewed_only_if_outputs_stay(tmp_path, monkeypatch, capsys):
     trained.load_model(path, "cpu")
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 1
-    assert re.match(r"path: models/steering/core/batch\.py changed since its training", lines[0])
+    assert re.match(r"path: pipeline/train/quantity\.py changed since its training", lines[0])
 
     before = (path / "best.pt").read_bytes()
     with monkeypatch.context() as patch:
-        patch.setattr(renew, "run_on_streets", lambda model: torch.full((1, 4), 9.0))
+        patch.setattr(renew, "run_on_streets", lambda model: torch.full((4, 4), 9.0))
         with pytest.raises(InputError, match=r"best\.pt: its outputs changed by .* Undo the edit"):
             renew.main()
     assert (path / "best.pt").read_bytes() == before

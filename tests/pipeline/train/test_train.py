@@ -119,7 +119,7 @@ def test_motion_and_base_of_a_batch(folder):
     held = drives[0].target[:, 0].copy()
     held[0] = 0
     held[5] = held[4]
-    assert drives[0].base == pytest.approx(held, abs=1e-6)
+    assert drives[0].base[:, 0] == pytest.approx(held, abs=1e-6)
     odometry = np.r_[np.nan, held[1:]]
     assert without[0].odometry[:, 0] == pytest.approx(odometry, abs=1e-6, nan_ok=True)
 
@@ -130,7 +130,7 @@ def test_motion_and_base_of_a_batch(folder):
     assert batch["motion"].shape == (11 + 9, 4)
     assert batch["motion"].dtype == batch["base"].dtype == np.float32
     last_frames = batch["windows"][:, -1]
-    assert (batch["base"] == batch["motion"][last_frames, ANGLE]).all()
+    assert (batch["base"][:, 0] == batch["motion"][last_frames, ANGLE]).all()
     assert batch["motion"][11 + 5].tolist() == [pytest.approx(held[4], abs=1e-6), 0, 0, 0]
     assert batch["motion"][11 + 6, [SPEED, VALID]].tolist() == [8, 1]
     assert "motion" not in plain
@@ -368,7 +368,7 @@ def test_scale_is_the_regression_and_spread_of_the_residual(tmp_path, path, entr
     for number in range(len(scale.names)):
         known = np.isfinite(truth[:, number])
         assert 0 < known.sum() < len(truth)
-        x = base[known]
+        x = base[known, number]
         y = truth[known, number]
         (best,), *_ = np.linalg.lstsq(x[:, None], y, rcond=None)
         assert scale.odometry_gain[number] == pytest.approx(best)
@@ -385,7 +385,7 @@ def test_targets_of_a_step_and_decode_are_inverse(columns, seed):
     std = rng.uniform(1e-3, 2, columns)
     scale = Scale.parse(Scale(names, gain, std, mean=np.zeros(columns)).content)
     y = rng.normal(size=(5, columns))
-    base = rng.normal(size=5)
+    base = rng.normal(size=(5, columns))
     batch = {"target": torch.from_numpy(y), "base": torch.from_numpy(base)}
     outputs, _ = loss.step_targets(
         batch, torch.from_numpy(scale.gain), torch.from_numpy(scale.std), alpha=0.0
@@ -396,7 +396,7 @@ def test_targets_of_a_step_and_decode_are_inverse(columns, seed):
 def test_targets_of_a_step_are_standardised_and_weighted():
     batch = {
         "target": torch.tensor([[0.2], [-0.3], [torch.nan]]),
-        "base": torch.tensor([0.1, 0.0, 0.0]),
+        "base": torch.tensor([[0.1], [0.0], [0.0]]),
     }
     gain = torch.ones(1).double()
     std = torch.full((1,), 0.5).double()

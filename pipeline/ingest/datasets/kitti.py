@@ -236,7 +236,7 @@ def _compare_times(files: KittiDrive, camera: int, time_s: Mapping[int, float]) 
     packets = list(time_s)
     images = list(files.images(camera))
     if images or files.scans:
-        check_rate(files.oxts_times, list(time_s.values()), max(len(images), len(files.scans)))
+        check_rate(files.oxts_times, list(time_s.values()), len(images) or len(files.scans))
     if not images:
         return []
 

@@ -190,7 +190,7 @@ def test_the_model_of_the_checkout_predicts_an_angle():
 
     # The other model predicts a path that turns to the same side.
     outcome = api.predict(ROOT / "examples/street", ROOT / "models/steering/sample_path", **lens)
-    assert outcome.table["path_0_5m_1pm"].iloc[-1] > 0.05
+    assert outcome.table["predicted_path_0-5m_1pm"].iloc[-1] > 0.05
 
 
 def test_a_gap_and_a_damaged_image_start_a_new_window(folder, tmp_path, capsys):
@@ -206,7 +206,7 @@ def test_a_gap_and_a_damaged_image_start_a_new_window(folder, tmp_path, capsys):
     predict([source], model=model, out=tmp_path / "out", video=False)
     rows = read_table(tmp_path / "out")
     assert rows["frame"].tolist() == [0, 1, 2, 3, 5, 6, 7, 9, 10, 11]
-    assert rows["frame"][rows["path_0_2m_1pm"].isna()].tolist() == [0, 5, 9]
+    assert rows["frame"][rows["predicted_path_0-2m_1pm"].isna()].tolist() == [0, 5, 9]
     assert "1 damaged files left out" in capsys.readouterr().out
     scans = folder / "data/train/scans"
     predict([source], model=scans, out=tmp_path / "scans", video=False)

@@ -41,7 +41,6 @@ def main(name: str) -> None:
     preset.check_name_is_free(name)
     params = preset.base_of(name, Path("params.yaml"))
     settings = preset.merged(name, params)
-    preset.take_logs(settings, Path("data/raw"))
     take_weights(settings["encoder"], run / "params.yaml")
 
     run.parent.mkdir(exist_ok=True)

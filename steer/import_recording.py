@@ -23,7 +23,6 @@ from pipeline.base.resume import ROOT, content_hash, is_by_desktop
 from pipeline.base.store import replacing
 from pipeline.camera.lens import depth_limit
 from pipeline.check.preset import IMPORT, author_of, check_name_is_free, is_unedited, stamped
-from pipeline.check.recording_logs import check_logs
 from pipeline.ingest.datasets.recording import MOTION, SCAN, TIMES, WHEEL, usable
 from pipeline.ingest.log import log_notes
 from pipeline.ingest.recording import Recording
@@ -75,13 +74,15 @@ def cut_recording(
     """Return the parts of a recording with `shares` of its time, each with its number of images.
 
     `part` has the options of the recording. If it has no horizon, the horizon is estimated. Raises
-    InputError if the sign or the clock of a log is wrong, if no image is left, or if a part is too
-    short or has no angle.
+    InputError if no image is left, or if a part is too short or has no angle.
     """
     time_s = recording.times_s
     logs = recording.logs
     within = usable(time_s, {}, part.start, part.end)
-    used = check_logs(recording, part.start, part.end)
+    used = usable(time_s, logs, part.start, part.end)
+    if not used.any():
+        problem = "no image from --start to --end is left, or none with motion"
+        raise InputError(problem, fix="Change --start, --end or --offset")
     row = part.horizon
     if row is None:
         frames = partial(recording.frames, within)

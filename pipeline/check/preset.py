@@ -12,12 +12,9 @@ from ruamel.yaml import YAML
 from pipeline.base import console
 from pipeline.base.errors import InputError
 from pipeline.base.params import parse, read_yaml
-from pipeline.base.resume import ROOT, content_hash
+from pipeline.base.resume import ROOT
 from pipeline.base.store import replacing, write_text
-from pipeline.check.recording_logs import check_recording_logs
 from pipeline.check.settings import Params
-from pipeline.ingest.datasets.recording import MOTION, WHEEL
-from pipeline.ingest.settings import Part
 
 # Folder of the presets.
 PRESETS = ROOT / "presets"
@@ -72,7 +69,6 @@ def main(
 def apply(name: str, params: Path, author: str) -> None:
     """Apply the changes of preset `name` to the file `params`, and keep the user's own file."""
     content = merged(name, base_of(name, params))
-    take_logs(content, Path("data/raw"))
     if not author_of(params):
         keep_before(params)
     write_text(params, to_yaml(content, author))
@@ -154,62 +150,6 @@ def path_of(name: str) -> Path:
         return preset
     names = ", ".join(sorted(file.stem for file in PRESETS.glob("*.yaml")))
     raise InputError("there is no such preset", name, f"Choose one of {names}")
-
-
-def take_logs(content: dict[str, Any], raw: Path) -> None:
-    """Replace the hashes in `content` of logs below `raw` that were edited since their import.
-
-    The hashes of missing files stay. Raises InputError for images that are not the imported ones,
-    and for a log that an import would refuse.
-    """
-    parts_of: dict[str, list[Any]] = {}
-    for part in content["ingest"].get("recordings", {}).values():
-        parts_of.setdefault(part["folder"], []).append(part)
-    for name, parts in parts_of.items():
-        folder = raw / name
-        files = parts[0]["files"]
-        edited = find_edited(folder, files)
-        if not edited:
-            continue
-        paths = ", ".join(str(folder / file) for file in edited)
-        print(f"edited since steer import: {paths}", flush=True)
-
-        # A log can only be compared with the images if all files are present. If not, the run needs
-        # finished drives, which were made with this log.
-        if all((folder / file).exists() for file in files):
-            check_recording_logs(_whole(parts), folder)
-        for part in parts:
-            part["files"].update(edited)
-
-
-def _whole(parts: list[Any]) -> Part:
-    """Return a part from the first start of the `parts` of a recording to their last end."""
-    ends = [part.get("end") for part in parts]
-    whole = dict(parts[0])
-    whole["start"] = min(part.get("start", 0.0) for part in parts)
-    whole["end"] = None if None in ends else max(ends)
-    return Part(**whole)
-
-
-def find_edited(folder: Path, files: dict[str, str]) -> dict[str, str]:
-    """Return name → new hash, for the logs in a recording's `folder` that were edited.
-
-    `files` maps the names of files to their hashes when they were imported. Missing files count as
-    unedited. Raises InputError if images, or the times of images, are not the imported ones.
-    """
-    edited = {}
-    for name, imported in files.items():
-        path = folder / name
-        if not path.exists():
-            continue
-        present = content_hash(path)
-        if present == imported:
-            continue
-        if name not in (WHEEL, MOTION):
-            but = "lens, horizon and parts of the preset may not fit it"
-            raise InputError(f"is not what was imported: {but}", path, "Repeat steer import")
-        edited[name] = present
-    return edited
 
 
 def to_yaml(content: dict[str, Any], author: str) -> str:

@@ -1,4 +1,4 @@
-"""Find the road's horizon, and turns, by the essential matrices of pairs of images."""
+"""Find the road's horizon by the essential matrices of pairs of images."""
 
 from collections.abc import Callable, Iterable, Iterator
 from itertools import islice, pairwise
@@ -46,13 +46,6 @@ LEAST_ABOVE = 4
 # Least share of these pairs where points above the horizon are nearer, if images are upside down.
 # In six real recordings, it is up to 12 %; turned by 180°, 86 % and more.
 OPPOSITE = 0.8
-
-# Largest number of pairs that are compared for the yaw rates of a recording.
-TURN_PAIRS = 200
-# Largest yaw rate in rad/s of a car. KITTI's have up to 0.5.
-MAX_RADPS = 1.0
-# Seconds between two images that are compared for a turn: the yaw of nearer ones is noise.
-APART_S = 0.095
 
 
 class _Motion(NamedTuple):
@@ -157,52 +150,6 @@ def _find_heading(motion: _Motion) -> _Heading | None:
     if len(above) >= MIN_POINTS and len(below) >= MIN_POINTS:
         nearer_above = bool(np.median(above) > np.median(below))
     return _Heading(float(focus[1]), nearer_above)
-
-
-def turn_rates(
-    frames: Callable[[np.ndarray], Iterator[Frame]],
-    camera: Camera,
-    time_s: np.ndarray,
-    within: np.ndarray,
-) -> np.ndarray:
-    """Return yaw rates in rad/s, left positive, [F], by the rotations between images.
-
-    They are NaN where none is measured. Up to TURN_PAIRS pairs of the images `within` some time,
-    bool [F], are compared, APART_S apart and evenly spread; a rate stands at the first image of its
-    pair. `time_s`: [F]. `frames` returns the frames of a mask [F], numbered by row.
-    """
-    rates = np.full(len(time_s), np.nan)
-    after = np.searchsorted(time_s, time_s + APART_S)
-    possible = np.flatnonzero(within & np.append(within, False)[after])
-    if not len(possible):
-        return rates
-
-    # Choose pairs: row of the second image → row of the first.
-    spread = np.linspace(0, len(possible) - 1, TURN_PAIRS).round().astype(int)
-    first = possible[np.unique(spread)]
-    first_of = {int(after[row]): int(row) for row in first}
-    used = np.zeros(len(time_s), bool)
-    used[first] = True
-    used[after[first]] = True
-
-    images = dict[int, np.ndarray]()
-    for frame in frames(used):
-        images[frame.number] = frame.image
-        row = first_of.get(frame.number)
-        if row is not None and row in images:
-            motion = _measure_motion(images[row], frame.image, camera)
-            if motion is not None:
-                # A rotation of points, not of the camera, about y, which points down.
-                angle_rad = cv2.Rodrigues(motion.rotation)[0][1, 0]
-                rate_radps = angle_rad / (time_s[frame.number] - time_s[row])
-                if abs(rate_radps) < MAX_RADPS:
-                    rates[row] = rate_radps
-
-        # Keep only the images that can be the first of a later pair.
-        for number in list(images):
-            if time_s[number] < frame.time_s - 2 * APART_S:
-                del images[number]
-    return rates
 
 
 def _small_size(camera: Camera) -> Size:

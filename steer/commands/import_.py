@@ -1,8 +1,8 @@
 """Import your own recording: write a preset that trains on its first part and tests on its last.
 
 data/raw/NAME gets links to the files, or copies (--copy), and presets/NAME.yaml the parts: 60 %, 20
-% and 20 % of the time, less 2 s between them. Then `make NAME` runs the chain. An edited log is
-noticed by `make NAME`.
+% and 20 % of the time, less 2 s between them. Then `make NAME` runs the chain. After an edit of a
+log, repeat the import.
 
 Times count from the first image; images of a folder may be named by timestamps in ns. With
 --motion, speed and yaw rate are interpolated linearly at the images' times, and images without

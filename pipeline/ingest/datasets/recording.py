@@ -35,7 +35,7 @@ def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
     part = settings.recordings[name]
     for path, expected in _paths(part, root).items():
         if path.exists() and _hash(path, path.stat().st_mtime_ns) != expected:
-            fix = "Run it with the new file: make NAME of its preset, or make params PRESET=NAME"
+            fix = "Repeat steer import"
             raise InputError("is not the file whose hash ingest.recordings has", path, fix)
     return [part.model_dump(mode="json")]
 

@@ -60,14 +60,6 @@ def main(name: str) -> None:
         release_locks(run / ".dvc/tmp/rwlock")
         run_dvc(run)
         publish(run, Path("data/report"), name)
-    if settings["ingest"].get("recordings"):
-        recorded = json.loads((run / "data/scores/metrics.json").read_text("utf-8"))["recorded"]
-        # The first line about a log is a summary, and the others are doubts. Each is printed once.
-        doubts = list[str]()
-        for log in recorded.values():
-            doubts += log["lines"][1:]
-        for doubt in dict.fromkeys(doubts):
-            print(f"doubt: {doubt}")
     print(f"next: {record['next']}", f"Open data/report/{name}.html in a browser.", sep="\n")
 
 

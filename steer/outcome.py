@@ -17,9 +17,7 @@ from pipeline.evaluate.settings import Evaluate
 from pipeline.ingest.log import Log, Logs, log_names, log_notes
 from pipeline.ingest.settings import LARGEST_RATIO
 from pipeline.labels import source as sources
-from pipeline.labels.agreement import Agreement, Pair, compare
 from pipeline.labels.ahead import path_ahead
-from pipeline.labels.comparison import UNKNOWN, judge, read_noise
 from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
 from pipeline.motion import rates
 from pipeline.motion.doubts import find_doubts
@@ -179,10 +177,6 @@ class Results:
     truth: Truth
     # Labels by the measured motion, which later frames smooth.
     measured: Labels
-    # Agreement of the truth with the measured motion.
-    agreement: Agreement
-    # At most one line for the user about this agreement.
-    agreement_lines: list[str]
     doubts: list[str]
     # Edges in metres of the ranges of the predicted path; empty unless a path ahead is predicted.
     edges_m: Sequence[float] = ()
@@ -237,11 +231,9 @@ class Results:
             columns["residual"] = np.where(valid, motion["residual"], np.nan)
             problems = [PROBLEMS[code] for code in motion["problem"][rows]]
 
-            # The truth is compared with the motion as stage labels would measure it.
+            # The motion as stage labels would measure it.
             ingest_rows = np.searchsorted(raw.frame, frame)
             measured = sources.make_labels("visual", raw, work / MOTION, car).at(ingest_rows)
-            noise = read_noise(raw, work / MOTION).at(ingest_rows)
-            pair = Pair(time_s, truth.driven, measured, noise)
             source.drive.notes.extend(log_notes(source.logs, time_s))
 
             speed_mps = course["speed_mps"][rows]
@@ -252,19 +244,12 @@ class Results:
         measured_columns = {name: values[rows] for name, values in columns.items()}
         if fit_ratio:
             course = {"time_s": time_s, **measured_columns}
-            truth = _fit_truth(truth, source.logs["wheel"], course, pair)
-            pair = pair._replace(recorded=truth.driven)
+            truth = _fit_truth(truth, source.logs["wheel"], course)
 
         table = {"frame": frame, "time_s": time_s}
         table["driven_rad"] = np.where(truth.driven.valid, truth.driven.steering_rad, np.nan)
         table |= measured_columns
-        # The first line about the agreement is a summary, and the others are doubts.
-        agreement = compare([pair])
-        fault, lines = judge(agreement, truth.column, truth.ratio)
-        if fault:
-            doubts.append(fault)
-        doubts += lines[1:]
-        return cls(source.name, table, problems, truth, measured, agreement, lines[:1], doubts)
+        return cls(source.name, table, problems, truth, measured, doubts)
 
     def add_prediction(self, quantity: Quantity, values: np.ndarray) -> None:
         """Add the predicted values [F,R] of a quantity.
@@ -316,7 +301,6 @@ class Results:
         yield line
         if self.truth.note:
             yield self.truth.note
-        yield from self.agreement_lines
 
         if comparison is None:
             return
@@ -359,20 +343,14 @@ class Results:
         return {"truth": self.truth.name, "frames": int(used.sum()), "horizon": horizon, **errors}
 
 
-def _fit_truth(truth: Truth, log: Log, course: Mapping[str, np.ndarray], pair: Pair) -> Truth:
+def _fit_truth(truth: Truth, log: Log, course: Mapping[str, np.ndarray]) -> Truth:
     """Return the truth by a fit of the wheel's log to the measured motion.
 
     Its angles are unknown if the log cannot be fitted. `course` has time_s and the columns of
-    :func:`read_course`. `pair` has the angles by a typical steering ratio.
+    :func:`read_course`.
     """
-    # Whether a log follows does not depend on its ratio, zero and delay.
-    agreement = compare([pair])
-    wheel = None
-    reason = UNKNOWN
-    if agreement.angle and agreement.angle.follows:
-        wheel = fit_wheel(log, course)
-    else:
-        reason = _why_not_followed(agreement, truth.column)
+    wheel = fit_wheel(log, course)
+    reason = "the car turns too little, or the log does not follow its turns"
     if wheel and abs(wheel.ratio) > LARGEST_RATIO:
         reason = f"it would be {wheel.ratio:.0f}. Is {truth.column} in degrees?"
         wheel = None
@@ -383,17 +361,6 @@ def _fit_truth(truth: Truth, log: Log, course: Mapping[str, np.ndarray], pair: P
     fitted = truth.with_angle(wheel.angle_rad(log, course["time_s"]))
     name = f"{truth.name} (fitted to the measured motion)"
     return fitted._replace(name=name, ratio=wheel.ratio, wheel=wheel, note=wheel.line())
-
-
-def _why_not_followed(agreement: Agreement, column: str) -> str:
-    """Return the reason why a log does not follow the measured motion."""
-    fault, lines = judge(agreement, column)
-    doubts = lines[1:]
-    if fault:
-        return fault
-    if doubts:
-        return doubts[0]
-    return UNKNOWN
 
 
 def _backwards(path: Path, speed_mps: np.ndarray, truth: Truth, least_mps: float) -> Iterator[str]:

@@ -17,10 +17,9 @@ from scipy import stats
 
 from pipeline.evaluate.statistics import interval_text, parts, sums_by_part
 from pipeline.ingest.log import Log
-from pipeline.labels.agreement import NEAR_S
 
 # Delays of the wheel's log in seconds that are tried.
-DELAYS_S = np.sort(NEAR_S)
+DELAYS_S = np.arange(-40, 41) / 20
 # Length in seconds of a stretch of the drive. Errors of the speed last for seconds, so that shorter
 # stretches are not independent of each other.
 STRETCH_S = 10.0

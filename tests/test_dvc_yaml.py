@@ -71,7 +71,7 @@ def test_no_two_rooms_have_a_module_of_one_name():
                 _, room, *_ = file.relative_to(resume.ROOT).parts
             places.setdefault(file.stem, set()).add(room)
     twice = {name for name, rooms in places.items() if len(rooms) > 1}
-    assert twice == {"doubts", "fit", "settings"}
+    assert twice == {"fit", "settings"}
 
 
 @pytest.mark.parametrize("name", STAGES)

@@ -35,15 +35,6 @@ class Labels(NamedTuple):
     speed_mps: np.ndarray
     yaw_rate_radps: np.ndarray
 
-    def without(self, rows: np.ndarray) -> "Labels":
-        """Return labels that are unknown in `rows`, bool [F], and otherwise the same."""
-        return Labels(
-            steering_rad=np.where(rows, 0.0, self.steering_rad),
-            valid=self.valid & ~rows,
-            speed_mps=np.where(rows, np.nan, self.speed_mps),
-            yaw_rate_radps=np.where(rows, np.nan, self.yaw_rate_radps),
-        )
-
     def at(self, rows: np.ndarray | slice) -> "Labels":
         """Return the labels in some `rows`."""
         return Labels(*(values[rows] for values in self))

@@ -20,7 +20,6 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader, DriveWriter
-from pipeline.labels.agreement import backwards
 from pipeline.labels.ahead import path_ahead
 from pipeline.labels.by_row import recorded_motion
 from pipeline.labels.label import TURNING_RAD, Car, Labels
@@ -29,29 +28,18 @@ from pipeline.labels.settings import Labels as Settings
 
 # Largest plausible sideways speed in m/s of a car. In KITTI, the sideways speed vl stays below 0.4.
 # Above this limit, the recorded heading or GNSS velocity is wrong, and so is the label. Such frames
-# are counted, and stage labels doubts the drive. For instance, 2011_09_26_drive_0093 has 14 m/s to
-# the left and then 11 m/s backwards.
+# are counted. For instance, 2011_09_26_drive_0093 has 14 m/s to the left and then 11 m/s backwards.
 SIDEWAYS_MPS = 1.0
 
 
 def labels_drive(
     path: Path, ingest: Path, motion: Path | None = None, *, settings: Settings
 ) -> Summary:
-    """Write data/labels/<drive>.h5, and return counts of frames for the summary.
-
-    A frame has no label if it is measured backwards while the recorded speed goes ahead: the speed
-    has the wrong sign, and so would the angle that follows from it.
-    """
+    """Write data/labels/<drive>.h5, and return counts of frames for the summary."""
     car = Car(settings.wheelbase_m, settings.min_speed_mps)
     measured = load_source(settings.source).MEASURED
     with DriveReader(ingest, stage="ingest") as raw:
         labels = make_labels(settings.source, raw, motion, car)
-        # An angle that follows from the recorded speed is wrong if the speed has the wrong sign.
-        # The images show where. A recorded angle, which has a column, does not depend on it.
-        follows_from_speed = not measured and not angle_column(settings.source)
-        if motion and follows_from_speed:
-            by_images = make_labels("visual", raw, motion, car)
-            labels = labels.without(backwards(labels, by_images))
         interpolated = np.zeros(len(raw.frame), bool)
         sideways = np.zeros(len(raw.frame), bool)
         if not measured and "oxts" in raw:

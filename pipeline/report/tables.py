@@ -426,20 +426,6 @@ def _depth_rows(scores: Mapping[str, Any]) -> list[dict[str, str]]:
     return rows
 
 
-def recorded_motion(scores: Mapping[str, Any]) -> tuple[list[str], list[str]]:
-    """Return notes and doubts about recorded motion, as two lists.
-
-    The first line about a log is its note, and further lines are doubts.
-    """
-    notes = []
-    doubts = []
-    for kind, row in scores.get("recorded", {}).items():
-        name = "recorded motion" if kind == "recorded" else kind
-        notes += [f"{name}: {line}" for line in row["lines"][:1]]
-        doubts += [f"{name}: {line}" for line in row["lines"][1:]]
-    return notes, doubts
-
-
 def definitions() -> str:
     """Return the DEFINITIONS in Markdown."""
     text = "## Definitions\n\n"

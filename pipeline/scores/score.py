@@ -10,11 +10,7 @@ from pipeline.base.store import DriveReader, drives_in, write_json
 from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
 from pipeline.ingest.truth import read_truth
-from pipeline.labels import comparison
-from pipeline.labels import source as sources
-from pipeline.labels.agreement import compare
 from pipeline.labels.label import Car
-from pipeline.labels.settings import SOURCES
 from pipeline.scores.motion_scores import score_motion
 from pipeline.scores.pixels import Scores
 
@@ -49,11 +45,9 @@ def score_splits(
     motion: Path,
     car: Car,
 ) -> dict[str, Any]:
-    """Return the scores of the validation and test drives, and a comparison of recorded motion.
+    """Return the scores of the validation and test drives.
 
-    Scores of training drives are None, since these drives are not scored. Recorded motion is
-    compared with measured motion in the training and validation drives. If a run has no such
-    drives, it is compared in all drives.
+    Scores of training drives are None, since these drives are not scored.
 
     Args:
         splits: drive → split, for all drives.
@@ -62,7 +56,7 @@ def score_splits(
         motion: folder of stage motion.
         car: parameters of the steering angle.
     """
-    content: dict[str, Any] = {"motion": {}, "recorded": {}, "train": Scores().report()}
+    content: dict[str, Any] = {"motion": {}, "train": Scores().report()}
     for split in ("val", "test"):
         scores = Scores()
         drives = drives_in(splits, split)
@@ -71,14 +65,4 @@ def score_splits(
         content[split] = scores.report()
         for kind, motion_scores in score_motion(drives, ingest, motion, car).items():
             content["motion"].setdefault(kind, dict.fromkeys(SPLITS))[split] = motion_scores
-
-    compared = drives_in(splits, "train", "val") or [*splits]
-    for kind in SOURCES:
-        if not sources.load_source(kind).MEASURED:
-            pairs = comparison.read_pairs(kind, compared, ingest, motion, car)
-            agreement = compare([*pairs.values()])
-            fault, lines = comparison.judge(agreement, sources.angle_column(kind))
-            if fault:
-                lines.append(fault)
-            content["recorded"][kind] = {"lines": lines}
     return content

@@ -135,37 +135,6 @@ def test_interpolated_packets_of_kitti(real_kitti, tmp_path):
     assert counts["2011_10_03_drive_0027"] == 134
 
 
-def test_an_inverted_wheel_is_refused_and_test_drives_are_not_compared(tmp_path, capsys):
-    frame = np.arange(1, 151)
-    angle_rad = 0.1 * np.sin(np.arange(150) / 9)
-    rates = [(8.0, 8 * np.tan(rad) / 2.7) for rad in angle_rad]
-    motion = dict(zip(frame.tolist(), rates, strict=True))
-    for drive, sign in zip(DRIVES, (1, -1), strict=True):
-        recorded = dict(zip(frame.tolist(), sign * angle_rad, strict=True))
-        write_recorded(tmp_path / f"ingest/{drive}.h5", frame, None, recorded)
-        write_motion(tmp_path / "motion", drive, motion)
-    write_index(tmp_path / "ingest", DRIVES)
-    run(tmp_path, source="wheel")
-    line = f"{FIRST}: recorded / measured, 147 turning frames: angle gain 1.00"
-    assert line in capsys.readouterr().out
-    for split in ("val", "test"):  # leave-one-out has test drives only
-        write_index(tmp_path / "ingest", {FIRST: "test", SECOND: split})
-        with pytest.raises(InputError, match=f"{SECOND}: the sign of steering_rad is inverted"):
-            run(tmp_path, source="wheel")
-
-
-def test_a_split_whose_only_drive_stands_is_named(tmp_path, capsys):
-    """Before stage train refuses it, minutes later."""
-    write_ingest(tmp_path / "ingest", speed=[5.0] * 9 + [0.1], yaw_rate=[0.1] * 10)
-    run(tmp_path)
-    text = capsys.readouterr().out
-    assert "have a label" not in text
-    assert "9 of 10 frames of split test turn" in text
-    write_ingest(tmp_path / "ingest", speed=[5.0] + [0.1] * 9, yaw_rate=[0.1] * 10)
-    run(tmp_path)
-    assert f"1 of 10 frames of {SECOND} have a label: the car stands?" in capsys.readouterr().out
-
-
 def test_a_source_that_a_drive_lacks(recorded):
     with pytest.raises(InputError, match=r"no labels\.source: recorded"):
         run(recorded, source="recorded")

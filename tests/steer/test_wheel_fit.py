@@ -122,7 +122,7 @@ def test_results_have_the_fitted_angles_or_none(tmp_path, monkeypatch, turn_rad,
     comparison = results.compare("measured")
     text = "\n".join(results.lines(comparison))
     if ratio is None:
-        assert "the steering ratio cannot be fitted: too little turning for its noise" in text
+        assert "the steering ratio cannot be fitted: the car turns too little" in text
         assert comparison is None
         assert results.doubts == []
     else:

@@ -1,6 +1,5 @@
-"""Test the steering label, paths, the path ahead, logs against motion, and means of rates."""
+"""Test the steering label, paths, the path ahead, and means of rates."""
 
-import re
 from collections.abc import Callable
 
 import numpy as np
@@ -9,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.evaluate import turns
-from pipeline.labels import agreement, ahead, comparison, label
+from pipeline.labels import ahead, label
 from pipeline.labels.label import Labels
-from pipeline.motion.rates import REACH, YAW_NOISE_RADPS, YAW_SIGMA_S, gaussian_mean
+from pipeline.motion.rates import REACH, YAW_SIGMA_S, gaussian_mean
 
 L = 2.7
 CAR = label.Car(L, 1.0)
@@ -145,143 +144,6 @@ def test_no_path_passes_a_reversing_a_missing_or_an_unmeasured_frame(change):
     np.testing.assert_array_equal(valid[:40], far_edges <= distance_m[39] + 1e-9)
     np.testing.assert_array_equal(valid[41:], complete[41:])
     assert np.isfinite(curvature).all()
-
-
-def course(time_s: np.ndarray, factor: float, speed: float) -> Labels:
-    """Return labels on a winding road, angles and yaw rates times `factor`."""
-    yaw_rate = factor * (0.25 * np.sin(0.9 * time_s) + 0.15 * np.sin(2.3 * time_s + 1))
-    valid = np.full(len(time_s), True)
-    return Labels(L * yaw_rate / 8, valid, np.full(len(time_s), float(speed)), yaw_rate)
-
-
-def pair(time_s: np.ndarray, recorded: Labels, measured: Labels) -> agreement.Pair:
-    """Return labels to compare, with a yaw rate as exact as images tell it, and an exact speed."""
-    yaw_sigma = np.full(len(time_s), YAW_NOISE_RADPS)
-    noise = agreement.Noise(yaw_sigma, np.zeros(len(time_s)))
-    return agreement.Pair(time_s, recorded, measured, noise)
-
-
-def judge(pairs: list[agreement.Pair], column: str, ratio: float = 1.0) -> tuple[str, list[str]]:
-    return comparison.judge(agreement.compare(pairs), column, ratio)
-
-
-RECORDED = [  # seconds, lag, factor, speed, fault, doubt
-    (30, 0, 1, 8, None, None),
-    (30, 0.15, 0.88, 10, None, None),  # a camera of another height
-    (30, 0.15, 0.75, 10, None, "{} is 0.74"),  # a wrong focal length, or ratio
-    (30, 0.5, 1, 8, None, "0.50 s late: pass --offset -0.50"),
-    (30, -1.25, 1, 8, None, "1.25 s early: pass --offset 1.25"),
-    (30, 0.5, -1, 8, "the sign of {} is inverted: left is positive", None),
-    (30, 0, 46, 8, "degrees to radians", None),
-    (30, 0, 1 / 57.3, 8, "degrees to radians", None),
-    (30, 0, 15, 8, None, "{} is 15 times"),
-    (30, 0, 1, 28.8, None, "speed_mps is 3.60 times what is measured: km/h"),
-    (30, 10, 1, 8, None, "the clock of {} is 10.00 s late: pass --offset -10.00"),
-    (30, 0, 0, 8, None, "{} stays equal for 15 s while the car turns"),
-    (7, 0.5, 1, 8, None, "0.50 s late: pass --offset -0.50"),
-    (7, 0, -1, 8, "the sign of {} is inverted", None),
-    (3, 0, -1, 8, None, "the sign of {} is inverted"),
-]
-
-
-@pytest.mark.parametrize("column", ["", "wheel_rad"])
-@pytest.mark.parametrize(
-    ("seconds", "lag_s", "factor", "speed", "expected_fault", "expected_doubt"), RECORDED
-)
-def test_what_was_recorded_is_compared_with_measured_motion(
-    column, seconds, lag_s, factor, speed, expected_fault, expected_doubt
-):
-    """The log has a wheel's angle, or yaw rate and speed; each half ends with unknown motion."""
-    pairs = []
-    for time_s in np.split(np.arange(0, seconds, 0.1), 2):
-        measured = course(time_s, 1, 8)
-        measured.steering_rad[:] += 0.002 * np.sin(1e4 * time_s)
-        measured.valid[-3:] = False
-        measured.speed_mps[-3:] = np.nan
-        recorded = course(time_s - lag_s, factor, speed)
-        if column:
-            recorded.yaw_rate_radps[:] = np.nan
-        pairs.append(pair(time_s, recorded, measured))
-
-    fault, (summary, *doubts) = judge(pairs, column)
-    name = column or "yaw_rate_radps"
-    if expected_fault is None:
-        assert fault == ""
-    else:
-        assert expected_fault.format(name) in fault
-    if expected_doubt is None:
-        assert doubts == []
-    else:
-        assert [expected_doubt.format(name) in text for text in doubts] == [True]
-    assert re.search(rf"(angle|yaw rate) gain .*speed gain {speed / 8:.2f}$", summary)
-
-
-@pytest.mark.parametrize("column", ["", "wheel_rad"])
-def test_a_wrong_sign_of_the_speed_is_a_fault_if_angles_follow_from_it(column):
-    time_s = np.arange(0, 30, 0.1)
-    measured = course(time_s, 1, 8)
-    fault, (_, *doubts) = judge([pair(time_s, course(time_s, 1, -8), measured)], column)
-    message = "speed_mps is negative in 300 of 300 frames"
-    if column:
-        assert fault == ""
-        assert [message in doubt for doubt in doubts] == [True]
-    else:
-        assert message in fault
-        assert doubts == []
-
-    reverse = measured._replace(speed_mps=np.where(time_s < 3, -8.0, 8.0))
-    _, (_, doubt) = judge([pair(time_s, measured, reverse)], column)
-    assert "30 frames go ahead by speed_mps, but are measured backwards" in doubt
-    assert agreement.backwards(measured, reverse).sum() == 30
-
-
-def test_a_log_that_ends_early_is_not_stuck():
-    time_s = np.arange(0, 30, 0.1)
-    measured = course(time_s, 1, 8)
-    covered = time_s < 20
-    angle = np.where(covered, measured.steering_rad, 0.0)
-    recorded = Labels(angle, covered, measured.speed_mps, np.nan * time_s)
-    _, (_, *doubts) = judge([pair(time_s, recorded, measured)], "wheel_rad")
-    assert doubts == []
-
-
-WINDING_S = np.arange(0, 60, 0.1)
-FAULTS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-    "straight ahead is 0.35 in wheel_rad": lambda angle: angle + 0.35 / 14.8,
-    "stays equal for 10 s while the car turns": lambda angle: np.where(
-        abs(WINDING_S - 35) < 5, angle[300], angle
-    ),
-    "drifts or jumps, or --fps is wrong: it is 0.00 to 0.60 to 1.20 s late": lambda angle: (
-        np.interp(WINDING_S, WINDING_S + np.repeat([0, 0.6, 1.2], 200), angle)
-    ),
-    "has angles without a sign": np.abs,
-    "wheel_rad is 0.5 times": lambda angle: angle / 2,
-    "does not follow": lambda angle: angle[::-1],
-}
-
-
-@pytest.mark.parametrize(("doubt", "change"), FAULTS.items(), ids=FAULTS.keys())
-def test_a_fault_of_a_log_is_named_by_one_doubt(doubt, change):
-    measured = course(WINDING_S, 1, 8)
-    recorded = measured._replace(steering_rad=change(measured.steering_rad))
-    fault, (_, *doubts) = judge([pair(WINDING_S, recorded, measured)], "wheel_rad", 14.8)
-    assert fault == ""
-    assert [doubt in text for text in doubts] == [True]
-
-
-def test_a_steady_bend_or_no_frame_proves_nothing():
-    time_s = np.arange(0, 30, 0.1)
-    steady = Labels(
-        steering_rad=np.full(300, 0.1),
-        valid=np.full(300, True),
-        speed_mps=np.full(300, 8.0),
-        yaw_rate_radps=np.full(300, 0.3),
-    )
-    noisy = steady._replace(yaw_rate_radps=0.3 + 0.01 * np.sin(1e4 * time_s))
-    fault, (summary,) = judge([pair(time_s, steady, noisy)], "")
-    assert fault == ""
-    assert "correlation" not in summary
-    assert judge([], "") == ("", [])
 
 
 @given(st.lists(st.floats(0.05, 3.0), min_size=1, max_size=30), st.integers(0, 2**32 - 1))

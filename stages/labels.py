@@ -14,21 +14,18 @@ from pipeline.labels.source import labels_drive
 def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     """Compute each frame's steering angle (paper section 4.1), path ahead and their validity.
 
-    Returns the folder.
+    Returns the folder. data/motion is needed only if it is the source of the labels.
     """
     settings = load(Labels, params)
-    ingest = data / "ingest"
-    motion = data / "motion"
     out = data / "labels"
-    splits = store.read_index(ingest, stage="ingest")
+    inputs = {"ingest": data / "ingest"}
+    if settings.source == "motion":
+        inputs["motion"] = data / "motion"
+    splits = store.read_index(inputs["ingest"], stage="ingest")
     with stage_folder("labels", out, splits, params=params) as folder:
-        inputs = {"ingest": ingest}
-        if motion.is_dir():
-            inputs["motion"] = motion
         jobs = file_jobs(splits, inputs, partial(labels_drive, settings=settings))
         log_format = (
-            "{frames} frames, {valid} valid, {turning} turning, {interpolated} interpolated, "
-            "{sideways} sideways"
+            "{frames} frames, {valid} valid, {turning} turning, {interpolated} interpolated"
         )
         # This process makes all labels, which takes less time than starting another one.
         make_drives(folder, jobs, settings, log_format, workers=1)

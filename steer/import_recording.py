@@ -290,16 +290,16 @@ def write_preset(
 
     models = settings["models"]
     if options.motion:
-        settings["labels"]["source"] = "recorded"
+        settings["labels"] = {"source": "ingest", "angle": "computed"}
     elif options.wheel:
-        settings["labels"]["source"] = "wheel"
+        settings["labels"] = {"source": "motion", "angle": "recorded"}
         # The wheel's angle and measured motion may differ in scale, so measured motion is no base
         # to which a prediction is added. Recorded angles do not change with the scale of the scene,
         # so training must not scale both.
         models["motion"]["base"] = "none"
         settings["train"]["rescale"] = 1.0
     else:
-        settings["labels"]["source"] = "visual"
+        settings["labels"] = {"source": "motion", "angle": "computed"}
         # Measured motion cannot be the label and an input of the same frame, so labels are
         # predicted a second ahead.
         hz = (len(recording.times_s) - 1) / float(np.ptp(recording.times_s))

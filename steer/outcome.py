@@ -16,9 +16,9 @@ from pipeline.evaluate import statistics
 from pipeline.evaluate.settings import Evaluate
 from pipeline.ingest.log import Log, Logs, log_names, log_notes
 from pipeline.ingest.settings import LARGEST_RATIO
-from pipeline.labels import source as sources
 from pipeline.labels.ahead import path_ahead
 from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
+from pipeline.labels.source import rates_of_motion, recorded_angles, recorded_rates
 from pipeline.motion import rates
 from pipeline.motion.doubts import find_doubts
 from pipeline.motion.step import PROBLEMS
@@ -56,11 +56,7 @@ class Truth(NamedTuple):
 
     # The file or sensor that recorded it; empty without ground truth.
     name: str
-    # The column of recorded angles; empty if angles follow from yaw rate and speed.
-    column: str
     driven: Labels
-    # Ratio of the angles in the log to the angles in `driven`.
-    ratio: float = 1.0
     # The fit of a wheel's log, if one was asked for and the car turns enough.
     wheel: WheelFit | None = None
     # Note about this fit for the user; empty if none was asked for.
@@ -78,23 +74,20 @@ def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> 
     without logs may have oxts or a file of recorded angles. If it has both, the angle follows from
     oxts.
     """
-    # Source "wheel" has recorded angles. Source "recorded" computes angles from recorded speed and
-    # yaw rate.
-    recorded = sources.recorded_labels(ingest, car)
-    if "wheel" not in recorded and "recorded" not in recorded:
-        unknown = np.full(len(frame), np.nan)
-        return Truth("", "", steering_labels(unknown, unknown, car))
-
+    rates = recorded_rates(ingest)
+    angles = recorded_angles(ingest, rates, car)
+    unknown = np.full(len(ingest.frame), np.nan)
     rows = np.searchsorted(ingest.frame, frame)
-    if "wheel" in logs and "wheel" in recorded:
-        driven = recorded["wheel"].at(rows)
-        return Truth(log_names(logs), "wheel_rad", driven, logs["wheel"].ratio)
 
-    source = "recorded" if "recorded" in recorded else "wheel"
-    name = log_names(logs)
-    if not name:
-        name = "oxts" if source == "recorded" else "steering.csv"
-    return Truth(name, sources.angle_column(source), recorded[source].at(rows))
+    if angles and ("wheel" in logs or not rates):
+        # The track follows from a recorded yaw rate, never from a recorded angle.
+        yaw_rate_radps = rates.yaw_rate_radps if rates else unknown
+        driven = angles._replace(yaw_rate_radps=yaw_rate_radps).at(rows)
+        return Truth(log_names(logs) or "steering.csv", driven)
+    if rates:
+        driven = steering_labels(rates.yaw_rate_radps, rates.speed_mps, car).at(rows)
+        return Truth(log_names(logs) or "oxts", driven)
+    return Truth("", steering_labels(unknown, unknown, car).at(rows))
 
 
 def read_course(
@@ -233,7 +226,10 @@ class Results:
 
             # The motion as stage labels would measure it.
             ingest_rows = np.searchsorted(raw.frame, frame)
-            measured = sources.make_labels("visual", raw, work / MOTION, car).at(ingest_rows)
+            measured_rates = rates_of_motion(raw, work / MOTION)
+            measured = steering_labels(
+                measured_rates.yaw_rate_radps, measured_rates.speed_mps, car
+            ).at(ingest_rows)
             source.drive.notes.extend(log_notes(source.logs, time_s))
 
             speed_mps = course["speed_mps"][rows]
@@ -352,7 +348,7 @@ def _fit_truth(truth: Truth, log: Log, course: Mapping[str, np.ndarray]) -> Trut
     wheel = fit_wheel(log, course)
     reason = "the car turns too little, or the log does not follow its turns"
     if wheel and abs(wheel.ratio) > LARGEST_RATIO:
-        reason = f"it would be {wheel.ratio:.0f}. Is {truth.column} in degrees?"
+        reason = f"it would be {wheel.ratio:.0f}. Is wheel_rad in degrees?"
         wheel = None
 
     if wheel is None:
@@ -360,7 +356,7 @@ def _fit_truth(truth: Truth, log: Log, course: Mapping[str, np.ndarray]) -> Trut
         return unknown._replace(note=f"the steering ratio cannot be fitted: {reason}")
     fitted = truth.with_angle(wheel.angle_rad(log, course["time_s"]))
     name = f"{truth.name} (fitted to the measured motion)"
-    return fitted._replace(name=name, ratio=wheel.ratio, wheel=wheel, note=wheel.line())
+    return fitted._replace(name=name, wheel=wheel, note=wheel.line())
 
 
 def _backwards(path: Path, speed_mps: np.ndarray, truth: Truth, least_mps: float) -> Iterator[str]:

@@ -26,10 +26,10 @@ NETWORK = [f"train@{MODEL}", f"evaluate@{MODEL}"]
 STAGES = (
     "sample",
     "ingest",
+    "labels",
     "encoder",
     "perception",
     "motion",
-    "labels",
     "scores",
     "clouds",
     "graphs",

@@ -23,8 +23,6 @@ from pipeline.base.store import DriveReader
 from pipeline.check import preset
 from pipeline.evaluate import statistics
 from pipeline.graphs.settings import KINDS, Variant
-from pipeline.labels import source
-from pipeline.labels.settings import Labels
 from pipeline.train import quantity
 from stages import report
 from steer.app import app
@@ -202,22 +200,6 @@ def test_the_keys_of_graphs_have_the_defaults_and_kinds_of_the_settings():
             default = f"`{json.dumps(field.default)}`".replace('"', "")
         expected[name] = (default, ", ".join(kinds))
     assert documented == expected
-
-
-def test_the_example_of_a_label_source_works(tmp_path, monkeypatch):
-    """The source as a file that is found by its name."""
-    module = ModuleType("pipeline.labels.sources.example")
-    exec(code_block("MEASURED = False"), vars(module))
-    monkeypatch.setitem(sys.modules, module.__name__, module)
-    monkeypatch.setattr("pipeline.labels.settings.SOURCES", ["example", "recorded", "wheel"])
-    artefacts.write_recorded(tmp_path / "a.h5", np.arange(3), None, {0: 0.2, 2: -0.1})
-    settings = Labels(source="example", wheelbase_m=2.7, min_speed_mps=1.0)
-    source.labels_drive(tmp_path / "labels.h5", tmp_path / "a.h5", settings=settings)
-    with DriveReader(tmp_path / "labels.h5", stage="labels") as file:
-        assert (file["steering_rad"].tolist(), file["valid"].tolist()) == (
-            [0.1, 0, -0.05],
-            [1, 0, 1],
-        )
 
 
 def test_the_quantity_of_the_documentation_is_trained_evaluated_and_shown(tmp_path, monkeypatch):

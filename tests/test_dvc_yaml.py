@@ -2,6 +2,8 @@
 
 import ast
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any, get_args
 
@@ -10,6 +12,7 @@ import yaml
 
 from pipeline.base import resume
 from pipeline.graphs.settings import Variant
+from pipeline.labels.settings import Labels
 
 CONFIG: dict[str, Any] = yaml.safe_load((resume.ROOT / "dvc.yaml").read_text())
 STAGES: dict[str, Any] = {
@@ -20,7 +23,7 @@ NETWORKS = {
     "${item.temporal}": "models/steering/temporal",
 }
 # Packages with files that are found by their names.
-FOUND = {"pipeline/ingest", "pipeline/labels", "pipeline/train/quantities"}
+FOUND = {"pipeline/ingest", "pipeline/train/quantities"}
 # Stage → packages that it lists although it does not import every file. Of other packages it lists
 # single files.
 PACKAGES = {
@@ -96,12 +99,13 @@ def test_what_a_stage_imports_is_covered(name):
 def test_deps_on_data_are_exactly_outs(name):
     """Depending on a parent folder of outputs would miss the order of stages; report may do so."""
     outs = {out for stage in STAGES.values() for out in _outs(stage)}
-    sources = {f"data/{source}" for source in get_args(Variant.model_fields["source"].annotation)}
+    settings = {"data/${item.source}": Variant, "data/${labels.source}": Labels}
     for dep in STAGES[name]["deps"]:
         if not dep.startswith("data/"):
             continue
-        if dep == "data/${item.source}":
-            assert sources <= outs
+        if dep in settings:
+            options = get_args(settings[dep].model_fields["source"].annotation)
+            assert {f"data/{source}" for source in options} <= outs
         elif name != "report" or dep not in ("data/evaluate", "data/train"):
             assert re.sub(r"\$\{item\.\w+\}", "${key}", dep) in outs
 
@@ -120,6 +124,43 @@ def test_sections_that_a_stage_reads_are_its_params(name):
     expected = {"check": set(), "report": {"models", "evaluate"}}
     listed = {param.split(".")[0] for param in STAGES[name].get("params", [])}
     assert listed == expected.get(name, read)
+
+
+@pytest.mark.parametrize(
+    ("source", "expected"),
+    [
+        ("ingest", ["sample", "ingest", "labels"]),
+        ("motion", ["sample", "ingest", "encoder", "perception", "motion", "labels"]),
+        ("typo", "failed to reproduce 'labels': .* No such file or directory: '.*data/typo'"),
+        (None, r"failed to parse 'stages\.labels\.deps' .* Could not find 'labels\.source'"),
+    ],
+)
+def test_labels_depend_on_the_folder_that_their_source_names(tmp_path, source, expected):
+    """DVC takes data/ingest twice. A dry run reads files of data/, and runs no stage."""
+    for name in ("models", "pipeline", "stages", "dvc.yaml"):
+        (tmp_path / name).symlink_to(resume.ROOT / name)
+    for name in ("sample", "ingest", "encoder", "perception", "motion"):
+        (tmp_path / "data" / name).mkdir(parents=True)
+    params = yaml.safe_load((resume.ROOT / "params.yaml").read_text())
+    params["labels"]["source"] = source
+    if source is None:
+        del params["labels"]["source"]
+    (tmp_path / "params.yaml").write_text(yaml.safe_dump(params))
+
+    def dvc(*words: str) -> str:
+        command = [str(Path(sys.executable).with_name("dvc")), *words]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        return done.stdout + done.stderr
+
+    dvc("init", "--no-scm", "--quiet")
+    text = dvc("repro", "--dry", "labels")
+    if isinstance(expected, str):
+        assert re.search(expected, text)
+        return
+    assert re.findall(r"Running stage '(\w+)'", text) == expected
+    # The graph has an edge to labels from each folder that it reads.
+    edges = set(re.findall(r'"(\w+)" -> "labels"', dvc("dag", "--dot", "labels")))
+    assert edges == {"ingest", source}
 
 
 def _outs(stage: dict[str, Any]) -> list[str]:

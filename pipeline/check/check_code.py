@@ -15,10 +15,6 @@ def check_code(settings: Params) -> None:
     for dataset in sorted(set(settings.ingest.datasets().values())):
         check_file(f"pipeline/ingest/datasets/{dataset}.py", "ingest")
 
-    source = f"pipeline/labels/sources/{settings.labels.source}.py"
-    check_file(source, "labels")
-    check_file(source, "scores")
-
     files = set[str]()
     for model in settings.models.values():
         files.update(model.files)

@@ -3,7 +3,6 @@
 from pipeline.base.errors import InputError, closest
 from pipeline.check.contract import check_network
 from pipeline.check.settings import Params
-from pipeline.labels import source
 from pipeline.train import runs
 from pipeline.train.entry import Entry
 from pipeline.train.quantity import load_quantity
@@ -21,13 +20,12 @@ def check_model(entry: Entry, settings: Params) -> None:
     # If labels are measured motion, this motion must not be an input, too. If they lie ahead of the
     # last input frame it may be, as it is earlier than the label.
     has_motion = entry.motion != "none"
-    labels_are_measured = source.load_source(settings.labels.source).MEASURED
-    if has_motion and labels_are_measured and not entry.predicts_ahead:
+    if has_motion and settings.labels.are_measured and not entry.predicts_ahead:
         problem = (
             f"motion: {entry.motion} with labels.source: {settings.labels.source} at horizon: 0 "
             "makes the label an input"
         )
-        fix = "Set motion: none, a horizon above 0, or another labels.source, or remove the model"
+        fix = "Set motion: none, a horizon above 0, or labels.source: ingest, or remove the model"
         raise InputError(problem, fix=fix)
 
     if variant.source == "clouds/lidar" and not settings.ingest.lidar:

@@ -1,23 +1,27 @@
 """Section ``labels``: steering angles, the path ahead, and their source."""
 
-from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator
 
-from pipeline.base.errors import closest
 from pipeline.base.params import Section
 
-# Names of the sources. Each is the name of a file in the folder sources.
-SOURCES = sorted(path.stem for path in (Path(__file__).parent / "sources").glob("[!_]*.py"))
+# Earlier values of `source` → the settings that replace them.
+RENAMED = {
+    "recorded": "source: ingest",
+    "visual": "source: motion",
+    "wheel": "source: motion, or ingest if drives have a recorded speed, and angle: recorded",
+}
 
 # Distance between the axles of a car in metres.
 Wheelbase = Annotated[float, Field(ge=0.5, le=20)]
 
 
 class Labels(Section):
-    # Name of a file in pipeline/labels/sources.
-    source: str = "recorded"
+    # Folder in data/ with the speed and yaw rate: recorded ones, or those measured in images.
+    source: Literal["ingest", "motion"] = "ingest"
+    # Angles by the bicycle model from speed and yaw rate, or recorded ones.
+    angle: Literal["computed", "recorded"] = "computed"
     wheelbase_m: Wheelbase
     min_speed_mps: Annotated[float, Field(ge=0)]
     # Edges in metres of the ranges into which the path ahead is split. No camera shows a road
@@ -26,12 +30,16 @@ class Labels(Section):
     # Longest time in seconds for which the car may stand on its path ahead.
     max_stand_s: Annotated[float, Field(ge=0)] = 5.0
 
-    @field_validator("source")
+    @property
+    def are_measured(self) -> bool:
+        """Whether labels follow from measured motion, which is then no input of their frame."""
+        return self.source == "motion" and self.angle == "computed"
+
+    @field_validator("source", mode="before")
     @classmethod
-    def _check_source(cls, source: str) -> str:
-        if source not in SOURCES:
-            path = f"pipeline/labels/sources/{source}.py"
-            raise ValueError(f"there is no {path} ({closest(source, SOURCES)})")
+    def _name_new_value(cls, source: Any) -> Any:
+        if source in RENAMED:
+            raise ValueError(f"{source} has been replaced by {RENAMED[source]}")
         return source
 
     @field_validator("ahead_m")

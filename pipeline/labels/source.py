@@ -1,19 +1,12 @@
-"""Make and write a drive's labels from one of the files in ``pipeline/labels/sources``.
+"""Make and write a drive's labels from the folder that has its speed and yaw rate.
 
-The function ``read(raw, motion, car, look_ahead)`` of such a file returns the labels of a drive, or
-None if the drive lacks the source. Its constants are:
-
-- MEASURED is true if the labels follow from motion that stage motion measures. A model must not get
-  this motion as an input if it is the label, too.
-- NEEDS describes the source in the message about a drive that lacks it.
-- COLUMN is the name of the recorded angle in messages. A source has no COLUMN if its angles follow
-  from yaw rate and speed.
+A drive's speed and yaw rate are recorded ones in its file of stage ingest, by oxts or a log, or
+those that stage motion measures in images. Its angle follows from them by the bicycle model, or is
+the recorded angle in its file of stage ingest.
 """
 
-import importlib
-from contextlib import nullcontext
 from pathlib import Path
-from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,42 +14,55 @@ from pipeline.base.errors import InputError
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.labels.ahead import path_ahead
-from pipeline.labels.by_row import recorded_motion
-from pipeline.labels.label import TURNING_RAD, Car, Labels
-from pipeline.labels.settings import SOURCES
+from pipeline.labels.label import TURNING_RAD, Car, Labels, steering_labels
 from pipeline.labels.settings import Labels as Settings
+from pipeline.motion.rates import measured_rates, stands
 
-# Largest plausible sideways speed in m/s of a car. In KITTI, the sideways speed vl stays below 0.4.
-# Above this limit, the recorded heading or GNSS velocity is wrong, and so is the label. Such frames
-# are counted. For instance, 2011_09_26_drive_0093 has 14 m/s to the left and then 11 m/s backwards.
-SIDEWAYS_MPS = 1.0
+
+class Rates(NamedTuple):
+    """The motion in the frames [F] of an ingest file, NaN where it is unknown."""
+
+    speed_mps: np.ndarray  # forward positive
+    yaw_rate_radps: np.ndarray  # left positive
+    stands: np.ndarray  # bool, whether the motion is not measured because nothing moves
 
 
 def labels_drive(
     path: Path, ingest: Path, motion: Path | None = None, *, settings: Settings
 ) -> Summary:
-    """Write data/labels/<drive>.h5, and return counts of frames for the summary."""
+    """Write data/labels/<drive>.h5, and return counts of frames for the summary.
+
+    `ingest` and `motion` are the drive's files of these stages. `motion` is read if it is the
+    source. Raises InputError if the drive lacks the source or a recorded angle.
+    """
     car = Car(settings.wheelbase_m, settings.min_speed_mps)
-    measured = load_source(settings.source).MEASURED
     with DriveReader(ingest, stage="ingest") as raw:
-        labels = make_labels(settings.source, raw, motion, car)
+        rates = recorded_rates(raw) if motion is None else rates_of_motion(raw, motion)
+        if rates is None:
+            problem = "drive has no recorded speed and yaw rate"
+            raise InputError(problem, raw.path, "Set labels.source: motion")
+        labels: Labels | None = steering_labels(rates.yaw_rate_radps, rates.speed_mps, car)
+        if settings.angle == "recorded":
+            labels = recorded_angles(raw, rates, car)
+        if labels is None:
+            needed = "steering.csv of a drive in KITTI's layout, or a log of the steering wheel"
+            problem = f"drive has no recorded angles ({needed})"
+            raise InputError(problem, raw.path, "Set labels.angle: computed")
+
         interpolated = np.zeros(len(raw.frame), bool)
-        sideways = np.zeros(len(raw.frame), bool)
-        if not measured and "oxts" in raw:
+        if motion is None and "oxts" in raw:
             # Stage ingest leaves the speed unknown where KITTI interpolated the packet.
             interpolated = np.isnan(raw["speed_mps"])
-            sideways = np.abs(raw["left_mps"]) > SIDEWAYS_MPS
 
     params = {"labels": settings.model_dump()}
     with DriveWriter(path, stage="labels", drive=raw.drive, params=params) as file:
-        file.attrs["measured"] = int(measured)
+        file.attrs["measured"] = int(settings.are_measured)
         write_labels(file, raw.frame, raw.time_s, labels, settings)
     turning = labels.valid & (np.abs(labels.steering_rad) > TURNING_RAD)
     return {
         "frames": len(raw.frame),
         "valid": int(labels.valid.sum()),
         "turning": int(turning.sum()),
-        "sideways": int(sideways.sum()),
         "interpolated": int(interpolated.sum()),
     }
 
@@ -82,60 +88,53 @@ def write_labels(
         file.put("ahead_valid", valid.astype(np.uint8))
 
 
-def make_labels(
-    source: str, raw: DriveReader, motion: Path | None, car: Car, *, look_ahead: bool = True
-) -> Labels:
-    """Return a drive's labels. They are valid where the car has at least its minimum speed.
+def recorded_rates(raw: DriveReader) -> Rates | None:
+    """Return the recorded motion, or None if the drive has none.
 
-    `raw` and `motion` are the drive's files of stages ingest and motion. With `look_ahead`,
-    measured rates are means over neighbouring frames, later ones included. Without it, they are the
-    causal rates that models get. Raises InputError if the drive lacks the source.
+    It is unknown in frames whose packet KITTI interpolated, since that is no measurement.
     """
-    labels = _labels_or_none(source, raw, motion, car, look_ahead)
-    if labels is None:
-        needed = getattr(load_source(source), "NEEDS", source)
-        problem = f"drive has no labels.source: {source} ({needed})"
-        fix = "Set labels.source in params.yaml to a source that all drives have, "
-        fix += "for instance visual"
-        raise InputError(problem, raw.path, fix)
-    return labels
+    if "speed_mps" not in raw:
+        return None
+    return Rates(raw["speed_mps"], raw["yaw_rate_radps"], np.zeros(len(raw.frame), bool))
 
 
-def recorded_labels(raw: DriveReader, car: Car) -> dict[str, Labels]:
-    """Return source → labels, for each recorded source that an ingest file has.
+def rates_of_motion(raw: DriveReader, path: Path, *, look_ahead: bool = True) -> Rates:
+    """Return the motion that stage motion measured, NaN in frames without a measurement.
 
-    Measured motion is left out. The yaw rate of all labels is the recorded one, and NaN if the
-    drive has none. It is never computed from a recorded angle.
+    `path` is the drive's file of stage motion. With `look_ahead`, rates are means over neighbouring
+    frames, later ones included. No model may get these as inputs. Without it, they are the causal
+    rates that models get.
     """
-    rates = recorded_motion(raw)
+    speed_mps = np.full(len(raw.frame), np.nan)
     yaw_rate_radps = np.full(len(raw.frame), np.nan)
-    if rates is not None:
-        yaw_rate_radps = rates.yaw_rate_radps
-    recorded = {}
-    for source in SOURCES:
-        if not load_source(source).MEASURED:
-            labels = _labels_or_none(source, raw, None, car, look_ahead=True)
-            if labels:
-                recorded[source] = labels._replace(yaw_rate_radps=yaw_rate_radps)
-    return recorded
+    standing = np.zeros(len(raw.frame), bool)
+    with DriveReader(path, stage="motion") as motion:
+        rows = np.searchsorted(raw.frame, motion.frame)
+        rates = measured_rates(motion, look_ahead=look_ahead)
+        speed_mps[rows] = rates.speed_mps
+        yaw_rate_radps[rows] = rates.yaw_rate_radps
+        standing[rows] = stands(motion)
+    return Rates(speed_mps, yaw_rate_radps, standing)
 
 
-def _labels_or_none(
-    source: str, raw: DriveReader, motion: Path | None, car: Car, look_ahead: bool
-) -> Labels | None:
-    with DriveReader(motion, stage="motion") if motion else nullcontext() as file:
-        labels: Labels | None = load_source(source).read(raw, file, car, look_ahead=look_ahead)
-        return labels
+def recorded_angles(raw: DriveReader, rates: Rates | None, car: Car) -> Labels | None:
+    """Return labels with the recorded angles of the front wheels, or None if the drive has none.
 
-
-def load_source(source: str) -> ModuleType:
-    """Return the module of a source's file."""
-    return importlib.import_module(f"pipeline.labels.sources.{source}")
-
-
-def angle_column(source: str) -> str:
-    """Return the name of a source's recorded angle for messages.
-
-    It is empty if the source has none, since its angles follow from yaw rate and speed.
+    A label is valid if the frame has a recorded angle and the car moves by its `rates`. If the
+    speed of a frame is unknown, the car is taken to move, unless its motion was not measured
+    because nothing moves. The yaw rate is computed from the recorded angle by the bicycle model, so
+    that the path ahead follows from recorded angles and not from measured turns.
     """
-    return getattr(load_source(source), "COLUMN", "")
+    if "steering_rad" not in raw:
+        return None
+    if rates is None:
+        unknown = np.full(len(raw.frame), np.nan)
+        rates = Rates(unknown, unknown, np.zeros(len(raw.frame), bool))
+    speed_mps = rates.speed_mps
+    moves = np.where(np.isfinite(speed_mps), np.abs(speed_mps) >= car.min_speed_mps, ~rates.stands)
+
+    has_angle = raw["has_steering"].astype(bool)
+    steering_rad = raw["steering_rad"]
+    yaw_rate_radps = speed_mps * np.tan(steering_rad) / car.wheelbase_m
+    yaw_rate_radps = np.where(has_angle, yaw_rate_radps, np.nan)
+    return Labels(steering_rad, has_angle & moves, speed_mps, yaw_rate_radps)

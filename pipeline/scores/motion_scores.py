@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.base.metrics import nmse
 from pipeline.base.store import DriveReader
 from pipeline.labels import source
-from pipeline.labels.label import Car, Labels, hold_valid
+from pipeline.labels.label import Car, Labels, hold_valid, steering_labels
 
 
 class MotionErrors(NamedTuple):
@@ -45,26 +45,28 @@ def score_motion(drives: list[str], ingest: Path, motion: Path, car: Car) -> dic
 
 def _compare_drive(ingest: Path, motion: Path, car: Car) -> dict[str, MotionErrors]:
     with DriveReader(ingest, stage="ingest") as raw:
-        # Names of the recorded sources that the drive has.
-        references = [*source.recorded_labels(raw, car)]
-        labels = {}
-        for kind in ("visual", *references):
-            labels[kind] = source.make_labels(kind, raw, motion, car, look_ahead=False)
+        measured_rates = source.rates_of_motion(raw, motion, look_ahead=False)
+        recorded_rates = source.recorded_rates(raw)
+        measured = steering_labels(measured_rates.yaw_rate_radps, measured_rates.speed_mps, car)
+        wheel = source.recorded_angles(raw, recorded_rates or measured_rates, car)
         with DriveReader(motion, stage="motion") as file:
-            rows = {"visual": np.searchsorted(raw.frame, file.frame)}
-        if "wheel" in references:
-            rows["wheel"] = np.flatnonzero(raw["has_steering"])
+            measured_rows = np.searchsorted(raw.frame, file.frame)
+        wheel_rows = np.zeros(0, int)
+        if wheel:
+            wheel_rows = np.flatnonzero(raw["has_steering"])
             # A wheel records no speed, so these labels have the speed of another source, which must
             # not be scored.
             unknown = np.full(len(raw.frame), np.nan)
-            labels["wheel"] = labels["wheel"]._replace(speed_mps=unknown, yaw_rate_radps=unknown)
+            wheel = wheel._replace(speed_mps=unknown, yaw_rate_radps=unknown)
 
     errors = {}
-    for reference in references:
-        for kind, frames in rows.items():
-            if kind != reference:
-                name = kind if reference == "recorded" else f"{kind}-{reference}"
-                errors[name] = label_errors(labels[kind].at(frames), labels[reference].at(frames))
+    if recorded_rates:
+        true = steering_labels(recorded_rates.yaw_rate_radps, recorded_rates.speed_mps, car)
+        errors["visual"] = label_errors(measured.at(measured_rows), true.at(measured_rows))
+    if wheel:
+        errors["visual-wheel"] = label_errors(measured.at(measured_rows), wheel.at(measured_rows))
+    if recorded_rates and wheel:
+        errors["wheel"] = label_errors(wheel.at(wheel_rows), true.at(wheel_rows))
     return errors
 
 

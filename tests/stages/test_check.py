@@ -51,10 +51,10 @@ def test_the_projects_own_files_are_valid(name, tmp_path, monkeypatch, capsys):
 
 def test_measured_motion_is_not_both_input_and_label(tmp_path):
     """The label of a model with a horizon, or of a path, is driven after the input."""
-    content = changed("labels.source", "visual")
+    content = changed("labels.source", "motion")
     net = content["models"]["sa-gnn-ncp"] | {"motion": "visual"}
     content["models"] = {"net": net}
-    problem = r"models\.net: motion: visual with labels\.source: visual at"
+    problem = r"models\.net: motion: visual with labels\.source: motion at"
     with pytest.raises(InputError, match=problem) as raised:
         run(tmp_path, content)
     assert "motion: none" in raised.value.fix
@@ -182,7 +182,6 @@ IMPORT = "\ndef late():\n    from pipeline.report import page\n"
         ("models/steering/spatial/gnn.py", "train"),
         ("models/steering/core/batch.py", "train"),
         ("pipeline/ingest/datasets/sample.py", "ingest"),
-        ("pipeline/labels/sources/recorded.py", "labels"),
         ("pipeline/evaluate/statistics.py", "evaluate"),
     ],
 )
@@ -196,12 +195,11 @@ def test_code_that_dvc_would_not_watch_is_refused(tmp_path, checkout, file, stag
     assert expected in str(raised.value)
 
 
-def test_all_networks_datasets_and_sources_import_code_that_dvc_watches():
+def test_all_networks_and_datasets_import_code_that_dvc_watches():
     for folder, stages in {
         "models/steering/spatial": ("train", "evaluate"),
         "models/steering/temporal": ("train", "evaluate"),
         "pipeline/ingest/datasets": ("ingest",),
-        "pipeline/labels/sources": ("labels", "scores"),
     }.items():
         for path in (ROOT / folder).glob("*.py"):
             for stage in stages:

@@ -62,18 +62,30 @@ def recorded(tmp_path) -> Path:
 
 
 def test_measured_and_recorded_labels_are_valid_unless_the_car_is_slow_or_stands(recorded):
-    for file in run(recorded, source="visual"):
+    for file in run(recorded, source="motion"):
+        assert file.attrs["measured"] == 1
         expected_rad = np.arctan([0, 2.7 * 0.1, 0, 2.7, 0])
         np.testing.assert_allclose(file["steering_rad"], expected_rad, rtol=0.05)
         np.testing.assert_array_equal(file["valid"], [0, 1, 0, 0, 0])
         np.testing.assert_allclose(file["speed_mps"], [0, 5, 0, 0.5, 0], rtol=0.05)  # filtered
-    without, with_oxts = run(recorded, source="wheel")
-    np.testing.assert_array_equal(without["steering_rad"], [0.1, 0, 0.2, 0.3, 0.4])
-    # 8 is measured, and slow; in 9 nothing moves
-    np.testing.assert_array_equal(without["valid"], [1, 0, 1, 0, 0])
-    np.testing.assert_allclose(without["speed_mps"], [0, 5, 0, 0.5, 0], rtol=0.05)
-    np.testing.assert_array_equal(with_oxts["valid"], [1, 0, 0, 1, 1])
-    np.testing.assert_array_equal(with_oxts["speed_mps"], [10, 10, 0.5, 10, 10])
+    for file in run(recorded, source="motion", angle="recorded"):
+        assert file.attrs["measured"] == 0
+        np.testing.assert_array_equal(file["steering_rad"], [0.1, 0, 0.2, 0.3, 0.4])
+        # 8 is measured, and slow; in 9 nothing moves
+        np.testing.assert_array_equal(file["valid"], [1, 0, 1, 0, 0])
+        np.testing.assert_allclose(file["speed_mps"], [0, 5, 0, 0.5, 0], rtol=0.05)
+
+
+def test_recorded_angles_are_valid_where_the_recorded_speed_moves(tmp_path):
+    """No file of stage motion is needed."""
+    oxts = make_rows(5, vf=np.array([10.0, 10, 0.5, 10, 10]), wu=0.1)
+    angles = {5: 0.1, 7: 0.2, 8: 0.3, 9: 0.4}
+    for drive in DRIVES:
+        write_recorded(tmp_path / f"ingest/{drive}.h5", np.arange(5, 10), oxts, angles)
+    write_index(tmp_path / "ingest", DRIVES)
+    for file in run(tmp_path, angle="recorded"):
+        np.testing.assert_array_equal(file["valid"], [1, 0, 0, 1, 1])
+        np.testing.assert_array_equal(file["speed_mps"], [10, 10, 0.5, 10, 10])
 
 
 @pytest.mark.parametrize("mode", ["posmode", "velmode", "orimode"])
@@ -87,20 +99,20 @@ def test_an_interpolated_packet_is_no_target_and_ends_the_path_ahead(tmp_path, c
         write_motion(tmp_path / "motion", drive, dict.fromkeys(range(30), (5.0, 0.1)))
     write_index(tmp_path / "ingest", DRIVES)
 
-    curvatures_1pm = {"recorded": 0.2 / 11, "wheel": np.tan(0.1) / 2.7}
-    for source, valid, interpolated_frames in (
-        ("recorded", frame != 20, 1),
-        ("wheel", frame >= 0, 1),
-        ("visual", frame >= 0, 0),
+    curvatures_1pm = {"computed": 0.2 / 11, "recorded": np.tan(0.1) / 2.7}
+    for source, angle, valid, interpolated_frames in (
+        ("ingest", "computed", frame != 20, 1),
+        ("ingest", "recorded", frame >= 0, 1),
+        ("motion", "computed", frame >= 0, 0),
     ):
-        file, _ = run(tmp_path, source=source, ahead_m=[0, 5])
+        file, _ = run(tmp_path, source=source, angle=angle, ahead_m=[0, 5])
         np.testing.assert_array_equal(file["valid"], valid)
         counts = f"{valid.sum()} valid, {valid.sum()} turning, {interpolated_frames} interpolated"
         assert counts in capsys.readouterr().out
-        if source in curvatures_1pm:
+        if source == "ingest":
             has_path = file["ahead_valid"]
             assert np.flatnonzero(has_path).tolist() == [*range(15), *range(21, 25)]
-            np.testing.assert_allclose(file["ahead_1pm"][has_path == 1], curvatures_1pm[source])
+            np.testing.assert_allclose(file["ahead_1pm"][has_path == 1], curvatures_1pm[angle])
 
 
 @pytest.mark.real
@@ -135,9 +147,23 @@ def test_interpolated_packets_of_kitti(real_kitti, tmp_path):
     assert counts["2011_10_03_drive_0027"] == 134
 
 
-def test_a_source_that_a_drive_lacks(recorded):
-    with pytest.raises(InputError, match=r"no labels\.source: recorded"):
-        run(recorded, source="recorded")
-    write_ingest(recorded / "ingest", speed=[5.0], yaw_rate=[0.0])
-    with pytest.raises(InputError, match=r"steering\.csv"):
-        run(recorded, source="wheel")
+@pytest.mark.parametrize(
+    ("settings", "problem"),
+    [
+        ({}, f"{FIRST}.h5: drive has no recorded speed.* Set labels.source: motion"),
+        ({"angle": "recorded"}, f"{FIRST}.h5: drive has no recorded speed.* labels.source: motion"),
+        ({"source": "recorded"}, "labels.source: .*recorded has been replaced by source: ingest"),
+        ({"source": "visual"}, "visual has been replaced by source: motion"),
+        ({"source": "wheel"}, "wheel has been replaced by source: motion, .* angle: recorded"),
+        ({"source": "typo"}, "labels.source: .*'ingest' or 'motion' .*typo"),
+    ],
+)
+def test_a_source_that_a_drive_lacks_or_that_does_not_exist(recorded, settings, problem):
+    with pytest.raises(InputError, match=problem):
+        run(recorded, **settings)
+
+
+def test_an_angle_that_a_drive_lacks(tmp_path):
+    write_ingest(tmp_path / "ingest", speed=[5.0], yaw_rate=[0.0])
+    with pytest.raises(InputError, match=r"no recorded angles .*Set labels\.angle: computed"):
+        run(tmp_path, angle="recorded")

@@ -150,20 +150,20 @@ def test_angles_of_the_wheel_are_interpolated_from_start_to_end(
 
 
 @pytest.mark.parametrize(
-    ("source", "options", "base", "horizon"),
+    ("labels_by", "options", "base", "horizon"),
     [
-        ("visual", {}, "motion", 10),
-        ("recorded", {"motion": STEADY}, "motion", 0),
-        ("wheel", {"wheel": every_second(1.0)}, "none", 0),
+        (("motion", "computed"), {}, "motion", 10),
+        (("ingest", "computed"), {"motion": STEADY}, "motion", 0),
+        (("motion", "recorded"), {"wheel": every_second(1.0)}, "none", 0),
     ],
 )
 def test_the_preset_is_one_that_check_accepts(
-    tmp_path, take, video, source, options, base, horizon
+    tmp_path, take, video, labels_by, options, base, horizon
 ):
     content = take(video, camera_height_m=1.4, **options)
     assert list(content["models"]) == ["motion", "scene"]
     settings = preset.Params.model_validate(content)
-    assert settings.labels.source == source
+    assert (settings.labels.source, settings.labels.angle) == labels_by
     assert {part.camera_height_m for part in settings.ingest.recordings.values()} == {1.4}
     assert settings.ingest.drives.splits() == {f"monday-{ending}": ending for ending in ENDINGS}
     assert settings.models["motion"].base == base

@@ -31,7 +31,7 @@ def test_the_recorded_track_begins_with_the_measured_one_and_ends_with_the_log()
     log = Labels(np.zeros(6), np.ones(6, bool), log_mps, np.zeros(6))
     x_m = np.array([np.nan, np.nan, 9, 18, 27, 36])
     table = {"time_s": np.arange(6.0), "x_m": x_m, "y_m": 0 * x_m}
-    results: Any = SimpleNamespace(table=table, truth=Truth("can.csv", "", log))
+    results: Any = SimpleNamespace(table=table, truth=Truth("can.csv", log))
     recorded_m = pictures._recorded_track(results)
     assert recorded_m is not None
     assert recorded_m.real.tolist()[:5] == [0, 0, 10, 20, 30]
@@ -146,7 +146,7 @@ def test_comparison_by_its_definition():
         "predicted_rad": np.where(frame < 3, np.nan, 0.05),
     }
     labels = Labels(driven_rad, frame > -1, driven_rad, driven_rad)
-    truth = Truth("log.csv", "wheel_rad", labels)
+    truth = Truth("log.csv", labels)
     results = Results("drive", table, [""] * 11, truth, labels, [])
     comparison = results.compare("predicted", 2)
     target = results.table["driven_rad"][5:]
@@ -173,7 +173,7 @@ def test_the_taken_path_is_recorded_or_else_measured(recorded):
         driven = Labels(np.zeros(8), ~known, unknown, unknown)
     measured = Labels(np.zeros(8), known, speed_mps, np.full(8, 0.5))
     table = {"frame": frame, "time_s": frame / 10}
-    results = Results("drive", table, [""] * 8, Truth("", "", driven), measured, [])
+    results = Results("drive", table, [""] * 8, Truth("", driven), measured, [])
     labels = {"wheelbase_m": 2.7, "min_speed_mps": 1.0, "ahead_m": [0.0, 2.0, 5.0]}
     results.add_prediction(Target(labels), np.zeros((8, 2)))
 

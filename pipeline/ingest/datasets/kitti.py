@@ -223,7 +223,7 @@ def _read_timeline(files: KittiDrive, camera: int | None) -> dict[int, float]:
         other_layout = find_other_layout(files.folder)
         if other_layout:
             raise InputError("is not a drive of KITTI raw", files.folder, other_layout)
-        fix = "Extract it. Only if labels come from another labels.source: remove the empty folder"
+        fix = "Extract it. Only with labels.source: motion, remove the empty folder"
         raise InputError("drive has no oxts packets", folder, fix)
     return dict(zip(numbers, read_times(times, numbers).tolist(), strict=True))
 

@@ -24,9 +24,10 @@ from pipeline.base.store import replacing
 from pipeline.camera.lens import depth_limit
 from pipeline.check.preset import IMPORT, author_of, check_name_is_free, is_unedited, stamped
 from pipeline.ingest.datasets.recording import MOTION, SCAN, TIMES, WHEEL, usable
-from pipeline.ingest.log import log_notes
+from pipeline.ingest.log import Logs, log_notes
 from pipeline.ingest.recording import Recording
 from pipeline.ingest.settings import FRAMES, KITTI_NAMES, VIDEO, Part
+from pipeline.labels.label import TURNING_RAD, steering_angle
 from pipeline.motion.horizon import noted_horizon
 
 # File with the settings of a preset that do not depend on the recording.
@@ -37,6 +38,8 @@ LINKS = rf"({VIDEO}[-.]|({FRAMES}|{WHEEL}|{MOTION}|{TIMES})$)"
 CHECKOUT = ("params.yaml", "dvc.yaml", "presets")
 # Advice for a file that the import would replace.
 OTHER_NAME = "Move it away, or pass another --name"
+# Wheelbase in metres of a typical car, by which speed and yaw rate become an angle.
+CAR_M = 2.7
 # Seconds left out between the parts of a split, as neighbouring images are almost the same.
 GAP_S = 2.0
 
@@ -88,6 +91,7 @@ def cut_recording(
         frames = partial(recording.frames, within)
         row = noted_horizon(recording.path, frames, recording.camera, recording.notes)
     recording.notes.extend(log_notes(logs, time_s[within]))
+    recording.notes.extend(turn_notes(logs, time_s[within]))
 
     # All parts have the files of the recording. Logs and times are among them.
     changes: dict[str, Any] = {
@@ -108,6 +112,19 @@ def cut_recording(
         changes["end"] = round(math.ceil(part_s[-1] * 1e3) / 1e3 + 0.002, 3)
         parts.append((part.model_copy(update=changes), int(rows.sum())))
     return parts
+
+
+def turn_notes(logs: Logs, time_s: np.ndarray) -> Iterator[str]:
+    """Yield for each log how many of the images at `time_s` [F] turn."""
+    for kind, log in logs.items():
+        values = log.at(time_s)
+        angle_rad = values[0]
+        if kind == "motion":
+            speed_mps, yaw_rate_radps = values
+            angle_rad = steering_angle(yaw_rate_radps, speed_mps, CAR_M)
+        turning = np.sum(np.abs(angle_rad) > TURNING_RAD)  # false for NaN
+        counts = f"{turning:,} of {len(time_s):,} images"
+        yield f"{counts} turn by {log.name} (radius below 135 m)"
 
 
 def _hash(content: Path | str) -> str:

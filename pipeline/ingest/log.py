@@ -158,13 +158,23 @@ def logged_values(logs: Logs, frame: np.ndarray, time_s: np.ndarray) -> dict[str
 
 
 def log_notes(logs: Logs, time_s: np.ndarray) -> Iterator[str]:
-    """Yield notes on logs that repeat rows, or lack values for some images at `time_s` [F]."""
-    for log in logs.values():
+    """Yield notes on repeated rows, and on the values of each log at the images' times [F]."""
+    for kind, log in logs.items():
         if log.repeated:
             yield f"{log.name}: {log.repeated:,} rows repeat another row and are left out"
-        is_known = np.isfinite(log.at(time_s)[0])
-        if not is_known.all():
-            yield f"{log.name} covers {is_known.sum():,} of {len(is_known):,} images"
+        values = log.at(time_s) * log.ratio
+        is_known = np.isfinite(values[0])
+        note = f"{log.name} covers {is_known.sum():,} of {len(is_known):,} images"
+        if is_known.any():
+            columns = ["wheel_rad"] if kind == "wheel" else [*_RATES]
+            least = values[:, is_known].min(axis=1)
+            largest = values[:, is_known].max(axis=1)
+            ranges = [
+                f"{name} {low:z.3f} to {high:z.3f}"
+                for name, low, high in zip(columns, least, largest, strict=True)
+            ]
+            note += f": {', '.join(ranges)}"
+        yield note
 
 
 def _read_log(path: Path, limits: Mapping[str, float], expected: str, offset_s: float) -> Log:

@@ -1,5 +1,6 @@
 """steer import: the stages compute what a recording's log holds, or the recording is refused."""
 
+import re
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -135,7 +136,10 @@ def test_angles_of_the_wheel_are_interpolated_from_start_to_end(
     rows = [f"{0.05 + half / 2},{1.0 - 0.1 * half}\n" for half in range(32)]
     log = "time_s,wheel_rad\n" + "".join(rows)
     take(video, wheel=log, steering_ratio=-10.0, start=2.3, end=18.0)
-    assert "wheel-0.txt covers 133 of 157 images" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert "wheel-0.txt covers 133 of 157 images: wheel_rad -2.100 to 0.550" in text
+    turning = "of 157 images turn by wheel-0.txt (radius below 135 m)"
+    assert re.search(rf"^1\d\d {turning}$", text, re.MULTILINE)
     folder = ingested(tmp_path)
     frames = []
     for ending in ENDINGS:

@@ -115,7 +115,8 @@ def test_two_topics_in_one_log_have_their_own_times(tmp_path):
         logs = read_logs(RecordingOptions(motion=path))
         np.testing.assert_allclose(logs["motion"].at(time_s), [10 * expected, expected])
         repeated = "can.csv: 1 rows repeat another row and are left out"
-        assert [*log_notes(logs, time_s)] == [repeated, "can.csv covers 5 of 8 images"]
+        ranges = "speed_mps 1.500 to 11.000, yaw_rate_radps 0.150 to 1.100"
+        assert [*log_notes(logs, time_s)] == [repeated, f"can.csv covers 5 of 8 images: {ranges}"]
 
 
 def write_source(tmp_path: Path, kind: str) -> tuple[Path, dict[str, Any]]:

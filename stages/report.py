@@ -63,8 +63,9 @@ def main(
             content[title] = page.test_drives(pictures, group, comparison, data / "ingest")
         content["Learning curves"] = page.learning(data / "train", evaluated)
         content |= {table.title: [table] for table in (*details, *perceived)}
-        doubts = tables.few_turns(comparisons)
-        content["Notes"] = encoder.get("sources", [])
+        notes, doubts = tables.recorded_motion(scores)
+        doubts += tables.few_turns(comparisons)
+        content["Notes"] = [*encoder.get("sources", []), *notes]
         content["Definitions"] = [f"{word}: {text}" for word, text in tables.DEFINITIONS.items()]
         page.write(folder.new / "index.html", page.Page(sentences, bend, doubts, content))
     print(text, f"Tables: {out.absolute()}/table.md. Page: {out.absolute()}/index.html", sep="\n")

@@ -16,8 +16,8 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     """Write metrics.json with the scores of validation and test drives. Return the output folder.
 
     Each of these drives has a <drive>/metrics.json, too. The scores of training drives are None.
-    data/README.md explains the key ``motion``. Angles and valid frames are defined as in the
-    labels.
+    data/README.md explains the keys ``motion`` and ``recorded``. Angles and valid frames are
+    defined as in the labels.
     """
     labels = load(Labels, params)
     car = Car(labels.wheelbase_m, labels.min_speed_mps)
@@ -31,6 +31,8 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
         summaries = make_drives(folder, jobs, car._asdict(), "{frames} frames")
         content = score_splits(splits, summaries, inputs["ingest"], inputs["motion"], car)
         store.write_json(folder.new / "metrics.json", content)
+    for facts in content["recorded"].values():
+        print(facts["line"])
     return out
 
 

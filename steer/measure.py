@@ -58,7 +58,7 @@ def _measure_quality(source: Source, results: Results, work: Path) -> dict[str, 
     is_valid = results.table["valid"] > 0
     time_s = results.table["time_s"]
     camera = source.camera
-    recorded = dict[str, Any]()
+    recorded = dict[str, Any](results.recorded)
     if results.truth.wheel:
         recorded["wheel"] = results.truth.wheel._asdict()
     return {

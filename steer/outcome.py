@@ -16,8 +16,10 @@ from pipeline.evaluate import statistics
 from pipeline.evaluate.settings import Evaluate
 from pipeline.ingest.log import Log, Logs, log_names, log_notes
 from pipeline.ingest.settings import LARGEST_RATIO
+from pipeline.labels.agreement import split_doubts
 from pipeline.labels.ahead import path_ahead
 from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
+from pipeline.labels.recorded import Recorded, compare
 from pipeline.labels.source import rates_of_motion, recorded_angles, recorded_rates
 from pipeline.motion import rates
 from pipeline.motion.doubts import find_doubts
@@ -74,18 +76,18 @@ def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> 
     without logs may have oxts or a file of recorded angles. If it has both, the angle follows from
     oxts.
     """
-    rates = recorded_rates(ingest)
-    angles = recorded_angles(ingest, rates, car)
+    recorded = recorded_rates(ingest)
+    angles = recorded_angles(ingest, recorded, car)
     unknown = np.full(len(ingest.frame), np.nan)
     rows = np.searchsorted(ingest.frame, frame)
 
-    if angles and ("wheel" in logs or not rates):
+    if angles and ("wheel" in logs or not recorded):
         # The track follows from a recorded yaw rate, never from a recorded angle.
-        yaw_rate_radps = rates.yaw_rate_radps if rates else unknown
+        yaw_rate_radps = recorded.yaw_rate_radps if recorded else unknown
         driven = angles._replace(yaw_rate_radps=yaw_rate_radps).at(rows)
         return Truth(log_names(logs) or "steering.csv", driven)
-    if rates:
-        driven = steering_labels(rates.yaw_rate_radps, rates.speed_mps, car).at(rows)
+    if recorded:
+        driven = steering_labels(recorded.yaw_rate_radps, recorded.speed_mps, car).at(rows)
         return Truth(log_names(logs) or "oxts", driven)
     return Truth("", steering_labels(unknown, unknown, car).at(rows))
 
@@ -170,6 +172,8 @@ class Results:
     truth: Truth
     # Labels by the measured motion, which later frames smooth.
     measured: Labels
+    # Quantity → facts about the recorded values beside the measured ones.
+    recorded: dict[str, dict[str, Any]]
     doubts: list[str]
     # Edges in metres of the ranges of the predicted path; empty unless a path ahead is predicted.
     edges_m: Sequence[float] = ()
@@ -200,7 +204,7 @@ class Results:
         those without a row in the file of motion are left out. If it is None, all frames are
         returned. If `fit_ratio` is true, the angles of the wheel's log are by a steering ratio, a
         zero and a delay that are fitted to the measured motion. Raises InputError if there is no
-        frame, or if a log says that the camera looks back.
+        frame.
         """
         with (
             DriveReader(work / MOTION, stage="motion") as motion,
@@ -230,22 +234,29 @@ class Results:
             measured = steering_labels(
                 measured_rates.yaw_rate_radps, measured_rates.speed_mps, car
             ).at(ingest_rows)
+            recorded = Recorded.read(raw, motion, car)
             source.drive.notes.extend(log_notes(source.logs, time_s))
 
             speed_mps = course["speed_mps"][rows]
             doubts = [*source.doubts]
-            doubts += _backwards(source.path, speed_mps, truth, car.min_speed_mps)
+            doubts += _backwards(speed_mps, car.min_speed_mps)
             doubts += [text for _, text in find_doubts(motion.attrs)]
 
         measured_columns = {name: values[rows] for name, values in columns.items()}
         if fit_ratio:
             course = {"time_s": time_s, **measured_columns}
             truth = _fit_truth(truth, source.logs["wheel"], course)
+            if truth.wheel:
+                angle = recorded.angle._replace(recorded=truth.driven.steering_rad)
+                recorded = recorded._replace(angle=angle)
 
         table = {"frame": frame, "time_s": time_s}
         table["driven_rad"] = np.where(truth.driven.valid, truth.driven.steering_rad, np.nan)
         table |= measured_columns
-        return cls(source.name, table, problems, truth, measured, doubts)
+        facts = compare([recorded], _log_of_quantity(source.logs))
+        _, recorded_doubts = split_doubts([fact["line"] for fact in facts.values()])
+        doubts += recorded_doubts
+        return cls(source.name, table, problems, truth, measured, facts, doubts)
 
     def add_prediction(self, quantity: Quantity, values: np.ndarray) -> None:
         """Add the predicted values [F,R] of a quantity.
@@ -297,6 +308,8 @@ class Results:
         yield line
         if self.truth.note:
             yield self.truth.note
+        notes, _ = split_doubts([facts["line"] for facts in self.recorded.values()])
+        yield from notes
 
         if comparison is None:
             return
@@ -359,22 +372,23 @@ def _fit_truth(truth: Truth, log: Log, course: Mapping[str, np.ndarray]) -> Trut
     return fitted._replace(name=name, wheel=wheel, note=wheel.line())
 
 
-def _backwards(path: Path, speed_mps: np.ndarray, truth: Truth, least_mps: float) -> Iterator[str]:
-    """Yield a doubt if the measured speed `speed_mps` [F] is negative in most moving frames.
+def _log_of_quantity(logs: Logs) -> dict[str, str]:
+    """Return quantity → name of the file or sensor that recorded it."""
+    motion = logs["motion"].name if "motion" in logs else "oxts"
+    wheel = logs["wheel"].name if "wheel" in logs else "steering.csv"
+    return {"yaw_rate": motion, "speed": motion, "angle": wheel}
 
-    Raises InputError if the truth says that the car moved forward in these frames.
-    """
+
+def _backwards(speed_mps: np.ndarray, least_mps: float) -> Iterator[str]:
+    """Yield a doubt if the measured speed `speed_mps` [F] is negative in most moving frames."""
     moves = np.abs(speed_mps) >= least_mps  # the comparison is false for NaN
     back = moves & (speed_mps < 0)
-    if back.sum() <= BACKWARDS * moves.sum():
-        return
-    problem = f"{int(back.sum())} of {int(moves.sum())} moving frames are measured backwards"
-    logged_mps = truth.driven.speed_mps[back]
-    if np.mean(logged_mps >= least_mps) > BACKWARDS:
-        problem += f", forward by {truth.name}: the camera looks back?"
-        causes = "Causes are also images in reverse order, or of two cameras in one"
-        raise InputError(problem, path, f"Pass the front camera's recording. {causes}")
-    yield f"{problem}: the camera looks back? Then the angle has the wrong sign"
+    if back.sum() > BACKWARDS * moves.sum():
+        frames = f"{int(back.sum())} of {int(moves.sum())} moving frames"
+        yield (
+            f"{frames} are measured backwards: the camera looks back? Then the angle has the "
+            "wrong sign"
+        )
 
 
 def _errors(target_rad: np.ndarray, angle_rad: np.ndarray, settings: Evaluate) -> dict[str, Any]:

@@ -232,6 +232,7 @@ def write_motion(
         file.put("inliers", np.full(len(rows), 100, np.int32))
         file.put("residual", np.full(len(rows), 0.1, np.float32))
         file.put("T_before_now", T_before_now)
+        file.attrs["scaled"] = 1
 
 
 def points(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

@@ -9,6 +9,7 @@ import pandas as pd
 
 from pipeline.base.params import SPLITS
 from pipeline.evaluate.statistics import interval_text, nmse_text, shown_metrics
+from pipeline.labels.agreement import split_doubts
 from pipeline.report import paper
 from pipeline.report.results import NO_LEARNING, Group, Row
 from pipeline.report.summary import Comparison
@@ -424,6 +425,11 @@ def _depth_rows(scores: Mapping[str, Any]) -> list[dict[str, str]]:
                 row[head] = "{abs_rel:.3f}, {rmse_m:.2f}, {delta1:.3f}".format_map(errors)
         rows.append(row)
     return rows
+
+
+def recorded_motion(scores: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+    """Return notes and doubts about recorded motion, as two lists."""
+    return split_doubts([facts["line"] for facts in scores.get("recorded", {}).values()])
 
 
 def definitions() -> str:

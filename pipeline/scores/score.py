@@ -11,6 +11,7 @@ from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
 from pipeline.ingest.truth import read_truth
 from pipeline.labels.label import Car
+from pipeline.labels.recorded import Recorded, compare
 from pipeline.scores.motion_scores import score_motion
 from pipeline.scores.pixels import Scores
 
@@ -45,9 +46,12 @@ def score_splits(
     motion: Path,
     car: Car,
 ) -> dict[str, Any]:
-    """Return the scores of the validation and test drives.
+    """Return the scores of the validation and test drives, and facts about recorded motion.
 
-    Scores of training drives are None, since these drives are not scored.
+    Scores of training drives are None, since these drives are not scored. Recorded motion is
+    compared with measured motion in the training and validation drives, since a lag that is fitted
+    to test drives would align their truth with odometry. If a run has no other drives, all are
+    compared.
 
     Args:
         splits: drive → split, for all drives.
@@ -65,4 +69,15 @@ def score_splits(
         content[split] = scores.report()
         for kind, motion_scores in score_motion(drives, ingest, motion, car).items():
             content["motion"].setdefault(kind, dict.fromkeys(SPLITS))[split] = motion_scores
+
+    drives = drives_in(splits, "train", "val") or [*splits]
+    recorded = []
+    for drive in drives:
+        with (
+            DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
+            DriveReader(motion / f"{drive}.h5", stage="motion") as measured,
+        ):
+            recorded.append(Recorded.read(raw, measured, car))
+    names = dict.fromkeys(("yaw_rate", "angle", "speed"), f"{len(drives)} drives")
+    content["recorded"] = compare(recorded, names)
     return content

@@ -34,9 +34,10 @@ def test_all_files_are_written_and_repeat(tmp_path):
     scores = {split: Scores() for split in ("train", "val", "test")}
     scores["test"].add_depth("depth_dense", np.full((40, 50), 10.0), np.full((40, 50), 10.0))
     reports = {split: score.report() for split, score in scores.items()}
+    recorded = {"speed": {"line": "doubt: speed of 3"}, "angle": {"line": "angle of 2"}}
     store.write_json(
         tmp_path / "scores/metrics.json",
-        reports | {"motion": {}},
+        reports | {"motion": {}, "recorded": recorded},
     )
     store.write_json(tmp_path / "encoder/config.json", {"sources": ["b0.pt: its URL (its terms)"]})
     made = []
@@ -58,4 +59,6 @@ def test_all_files_are_written_and_repeat(tmp_path):
     assert metrics["path-0/0-5 m/scene"]["nmse"] == pytest.approx(0.2)
     assert b'"sa-gnn-ncp.seed-1"' in made[0]["index.html"]
     assert b"No result here: absent." in made[0]["index.html"]
+    assert b"<p>Doubt: speed of 3</p>" in made[0]["index.html"]
+    assert b"angle of 2" in made[0]["index.html"]
     assert b"b0.pt: its URL (its terms)" in made[0]["index.html"]

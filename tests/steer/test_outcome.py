@@ -147,7 +147,7 @@ def test_comparison_by_its_definition():
     }
     labels = Labels(driven_rad, frame > -1, driven_rad, driven_rad)
     truth = Truth("log.csv", labels)
-    results = Results("drive", table, [""] * 11, truth, labels, [])
+    results = Results("drive", table, [""] * 11, truth, labels, {}, [])
     comparison = results.compare("predicted", 2)
     target = results.table["driven_rad"][5:]
     assert comparison["truth"] == "log.csv"
@@ -173,7 +173,7 @@ def test_the_taken_path_is_recorded_or_else_measured(recorded):
         driven = Labels(np.zeros(8), ~known, unknown, unknown)
     measured = Labels(np.zeros(8), known, speed_mps, np.full(8, 0.5))
     table = {"frame": frame, "time_s": frame / 10}
-    results = Results("drive", table, [""] * 8, Truth("", driven), measured, [])
+    results = Results("drive", table, [""] * 8, Truth("", driven), measured, {}, [])
     labels = {"wheelbase_m": 2.7, "min_speed_mps": 1.0, "ahead_m": [0.0, 2.0, 5.0]}
     results.add_prediction(Target(labels), np.zeros((8, 2)))
 

@@ -1,0 +1,221 @@
+"""State how recorded values follow the values that are measured in images: a line per quantity.
+
+The numbers are facts, of which docs/measure.md has a table that says how to read them. No cause is
+named. A line begins with DOUBT if the numbers are not those of a healthy log.
+"""
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+
+from pipeline.labels.label import REVERSING_MPS
+
+# Beginning of a line whose numbers are not those of a healthy log.
+DOUBT = "doubt: "
+# Least measured yaw rate of a turning frame, in standard deviations of this yaw rate.
+TURNS_SIGMAS = 3.0
+# Lags in seconds that are tried, the smallest first. GPS time is 18 s ahead of UTC.
+LAGS_S = np.array(sorted(np.arange(-400, 401) / 20, key=abs))
+# Least number of frames that have both values at a lag. In fewer, any bend resembles another one.
+LAG_FRAMES = 60
+# Least correlation at which a log is of this drive, so that its gain, lag and offset count. Healthy
+# pieces of 15 to 60 s with TURNING_FRAMES have 0.998 and more on KITTI's drive 0005 and odometry
+# 09, by which it was chosen. They have 0.915 and more on drives 0039 and 0095, odometry 03 and
+# Udacity's HMB_4, whose lens covers 17 degrees.
+FOLLOWS = 0.8
+# Number of turning frames from which a log has to follow.
+TURNING_FRAMES = 100
+# Largest gain of a healthy log. Its inverse is the smallest one.
+GAIN = 2.0
+# Largest lag in seconds of a healthy log. A steering wheel leads the yaw rate by up to 0.3 s.
+LATE_S = 0.5
+# Largest offset of a healthy log, relative to the root mean square of the measured values.
+OFFSET = 0.5
+# Largest ratio of recorded to measured speed of a healthy log. Its inverse is the smallest one.
+SPEED_RATIO = 1.4
+# Largest share of the moving frames in which the sign of a healthy speed differs from the measured
+# one.
+CONTRADICTED = 0.02
+
+
+class Pair(NamedTuple):
+    """A quantity of a drive's frames [F], recorded and measured; NaN where unknown."""
+
+    time_s: np.ndarray
+    recorded: np.ndarray
+    measured: np.ndarray
+    turns: np.ndarray  # bool, whether the car turns by the measured yaw rate
+
+
+class Follow(NamedTuple):
+    """How recorded values follow measured ones, at the lag with the strongest correlation."""
+
+    frames: int  # number of frames with both values
+    turning: int  # number of these frames that turn
+    correlation: float  # 0 if one of both is constant
+    lag_s: float  # positive if the log is late
+    gain: float  # ratio of recorded to measured standard deviation
+    offset: float  # recorded value at a measured value of 0
+    constant_s: float  # longest time for which the log stays constant while the car turns
+    measured_rms: float  # root mean square of the measured values
+
+
+class Speed(NamedTuple):
+    """How recorded speeds follow measured ones, in frames that move by both."""
+
+    frames: int
+    ratio: float  # ratio of the median magnitudes, recorded to measured
+    contradicted_frames: int  # number of frames in which the signs differ
+
+
+class _Line(NamedTuple):
+    """The line recorded = offset + slope · measured, at some lag."""
+
+    correlation: float = 0.0
+    gain: float = 0.0
+    offset: float = 0.0
+
+
+def is_turning(yaw_rate_radps: np.ndarray, sigma_radps: np.ndarray) -> np.ndarray:
+    """Return which frames turn, bool [F], by measured yaw rates and their standard deviations."""
+    return np.abs(yaw_rate_radps) > TURNS_SIGMAS * sigma_radps  # false for NaN
+
+
+def follow(drives: Sequence[Pair]) -> Follow | None:
+    """Return how the recorded values of drives follow the measured ones.
+
+    All drives have the same lag. It is the smallest of those with the strongest correlation. A lag
+    other than 0 counts if LAG_FRAMES, and half of all compared frames, have both values at it. The
+    result is None if no frame has both values.
+    """
+    recorded = _at_lag(drives, 0.0)
+    measured = np.concatenate([pair.measured for pair in drives] or [recorded])
+    turns = np.concatenate([pair.turns for pair in drives] or [recorded])
+    compared = np.isfinite(recorded) & np.isfinite(measured)
+    frames = int(compared.sum())
+    if not frames:
+        return None
+
+    best_s = 0.0
+    best = _fit(recorded, measured)
+    for lag_s in LAGS_S[1:].tolist():
+        shifted = _at_lag(drives, lag_s)
+        common = np.sum(np.isfinite(shifted) & np.isfinite(measured))
+        if common >= max(LAG_FRAMES, frames / 2):
+            line = _fit(shifted, measured)
+            if abs(line.correlation) > abs(best.correlation):
+                best_s = lag_s
+                best = line
+
+    return Follow(
+        frames=frames,
+        turning=int(turns[compared].sum()),
+        correlation=best.correlation,
+        lag_s=best_s,
+        gain=best.gain,
+        offset=best.offset,
+        constant_s=max(_constant_s(pair) for pair in drives),
+        measured_rms=math.sqrt(np.mean(measured[compared] ** 2)),
+    )
+
+
+def _at_lag(drives: Sequence[Pair], lag_s: float) -> np.ndarray:
+    """Return the recorded values [N] of all drives, for logs that are `lag_s` late.
+
+    They are NaN beyond the ends of a log.
+    """
+    values = [np.zeros(0)]
+    for pair in drives:
+        late_s = pair.time_s + lag_s
+        values.append(np.interp(late_s, pair.time_s, pair.recorded, np.nan, np.nan))
+    return np.concatenate(values)
+
+
+def _fit(recorded: np.ndarray, measured: np.ndarray) -> _Line:
+    """Return the line through values [N], NaN where unknown. At least one frame has both."""
+    compared = np.isfinite(recorded) & np.isfinite(measured)
+    recorded = recorded[compared]
+    measured = measured[compared]
+    if not (np.ptp(recorded) > 0 and np.ptp(measured) > 0):
+        return _Line(offset=float(recorded.mean()))
+    mean_r = float(recorded.mean())
+    mean_m = float(measured.mean())
+    std_r = float(recorded.std())
+    std_m = float(measured.std())
+    correlation = float(np.mean((recorded - mean_r) * (measured - mean_m))) / (std_r * std_m)
+    gain = std_r / std_m
+    return _Line(correlation, gain, offset=mean_r - math.copysign(gain, correlation) * mean_m)
+
+
+def _constant_s(pair: Pair) -> float:
+    """Return the longest time between turning frames between which the log stays constant."""
+    longest_s = 0.0
+    changes = np.flatnonzero(np.diff(pair.recorded) != 0) + 1  # NaN differs from NaN
+    for first, end in pairwise([0, *changes, len(pair.recorded)]):
+        turning_s = pair.time_s[first:end][pair.turns[first:end]]
+        if len(turning_s) and np.isfinite(pair.recorded[first]):
+            longest_s = max(longest_s, float(np.ptp(turning_s)))
+    return longest_s
+
+
+def compare_speeds(drives: Sequence[Pair]) -> Speed | None:
+    """Return how recorded speeds follow measured ones, or None if no frame moves by both."""
+    recorded = np.concatenate([np.zeros(0), *[pair.recorded for pair in drives]])
+    measured = np.concatenate([np.zeros(0), *[pair.measured for pair in drives]])
+    # The comparisons are false for NaN.
+    moves = (np.abs(recorded) >= -REVERSING_MPS) & (np.abs(measured) >= -REVERSING_MPS)
+    if not moves.any():
+        return None
+    recorded = recorded[moves]
+    measured = measured[moves]
+    ratio = float(np.median(np.abs(recorded)) / np.median(np.abs(measured)))
+    return Speed(len(recorded), ratio, int(np.sum(recorded * measured < 0)))
+
+
+def turns_line(name: str, unit: str, facts: Follow) -> str:
+    """Return the line about yaw rates or angles. `name` is the quantity and its log."""
+    lag = f"{facts.lag_s:+.2f} s"
+    if facts.lag_s:
+        late = "late" if facts.lag_s > 0 else "early"
+        lag += f" (the log is {late}: --offset {-facts.lag_s:+.2f})"
+    text = (
+        f"{name}: correlation {facts.correlation:.2f} with the measured one at a lag of {lag}; "
+        f"gain {facts.gain:.2f}, offset {facts.offset:z.3f} {unit}; constant for "
+        f"{facts.constant_s:.1f} s at most while the car turns; {facts.frames:,} frames, "
+        f"{facts.turning:,} of them turn"
+    )
+    follows = abs(facts.correlation) >= FOLLOWS
+    is_unlike = (
+        facts.correlation < 0
+        or not 1 / GAIN <= facts.gain <= GAIN
+        or abs(facts.lag_s) > LATE_S
+        or abs(facts.offset) > OFFSET * facts.measured_rms
+    )
+    if (follows and is_unlike) or (not follows and facts.turning >= TURNING_FRAMES):
+        return DOUBT + text
+    return text
+
+
+def speed_line(name: str, facts: Speed, *, height_known: bool) -> str:
+    """Return the line about speeds. `height_known` tells whether the scale is known."""
+    share = facts.contradicted_frames / facts.frames
+    text = (
+        f"{name}: {facts.ratio:.2f} times the measured one; the sign differs in "
+        f"{facts.contradicted_frames:,} of {facts.frames:,} moving frames"
+    )
+    if not height_known:
+        text += "; the scale is not known"
+    is_unlike = height_known and not 1 / SPEED_RATIO <= facts.ratio <= SPEED_RATIO
+    if is_unlike or share > CONTRADICTED:
+        return DOUBT + text
+    return text
+
+
+def split_doubts(lines: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the lines without a doubt, and the doubts without the word."""
+    notes = [line for line in lines if not line.startswith(DOUBT)]
+    doubts = [line.removeprefix(DOUBT) for line in lines if line.startswith(DOUBT)]
+    return notes, doubts

@@ -1,0 +1,70 @@
+"""Compare what drives recorded with what stage motion measured in their images."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pipeline.base.store import DriveReader
+from pipeline.labels import agreement
+from pipeline.labels.agreement import Pair
+from pipeline.labels.label import Car, steering_labels
+from pipeline.motion.rates import measured_rates
+
+
+class Recorded(NamedTuple):
+    """The quantities of a drive, in the F frames of its file of stage motion."""
+
+    yaw_rate: Pair  # rad/s
+    angle: Pair  # rad, of the front wheels
+    speed: Pair  # m/s
+    height_known: bool  # whether the height of the camera over the road is known
+
+    @classmethod
+    def read(cls, raw: DriveReader, motion: DriveReader, car: Car) -> "Recorded":
+        """Read the files of stages ingest and motion. What the drive lacks is NaN."""
+        rows = np.searchsorted(raw.frame, motion.frame)
+        unknown = np.full(len(rows), np.nan)
+        speed_mps = unknown
+        yaw_rate_radps = unknown
+        if "speed_mps" in raw:
+            speed_mps = raw["speed_mps"][rows]
+            yaw_rate_radps = raw["yaw_rate_radps"][rows]
+        angle_rad = unknown
+        if "steering_rad" in raw:
+            has_angle = raw["has_steering"][rows] > 0
+            angle_rad = np.where(has_angle, raw["steering_rad"][rows], np.nan)
+
+        measured = measured_rates(motion, look_ahead=True)
+        labels = steering_labels(measured.yaw_rate_radps, measured.speed_mps, car)
+        measured_rad = np.where(labels.valid, labels.steering_rad, np.nan)
+        turns = agreement.is_turning(measured.yaw_rate_radps, measured.yaw_sigma_radps)
+        return cls(
+            yaw_rate=Pair(motion.time_s, yaw_rate_radps, measured.yaw_rate_radps, turns),
+            angle=Pair(motion.time_s, angle_rad, measured_rad, turns),
+            speed=Pair(motion.time_s, speed_mps, measured.speed_mps, turns),
+            height_known=bool(motion.attrs["scaled"]),
+        )
+
+
+def compare(drives: Sequence[Recorded], names: Mapping[str, str]) -> dict[str, dict[str, Any]]:
+    """Return quantity → facts about the recorded values of drives, and their ``line`` of text.
+
+    Quantities that no drive recorded are left out. `names` maps yaw_rate, angle and speed to the
+    names of their logs.
+    """
+    content: dict[str, dict[str, Any]] = {}
+    for quantity, unit in (("yaw_rate", "rad/s"), ("angle", "rad")):
+        follow = agreement.follow([getattr(drive, quantity) for drive in drives])
+        if follow:
+            name = f"{quantity.replace('_', ' ')} of {names[quantity]}"
+            line = agreement.turns_line(name, unit, follow)
+            content[quantity] = {**follow._asdict(), "line": line}
+
+    speed = agreement.compare_speeds([drive.speed for drive in drives])
+    if speed:
+        height_known = all(drive.height_known for drive in drives)
+        name = f"speed of {names['speed']}"
+        line = agreement.speed_line(name, speed, height_known=height_known)
+        content["speed"] = {**speed._asdict(), "line": line}
+    return content

@@ -1,6 +1,5 @@
 """steer import: the stages compute what a recording's log holds, or the recording is refused."""
 
-import re
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
@@ -138,8 +137,7 @@ def test_angles_of_the_wheel_are_interpolated_from_start_to_end(
     take(video, wheel=log, steering_ratio=-10.0, start=2.3, end=18.0)
     text = capsys.readouterr().out
     assert "wheel-0.txt covers 133 of 157 images: wheel_rad -2.090 to 0.550" in text
-    turning = "of 157 images turn by wheel-0.txt (radius below 135 m)"
-    assert re.search(rf"^1\d\d {turning}$", text, re.MULTILINE)
+    assert "113 of 157 images turn by wheel-0.txt (radius below 135 m)\n" in text
     folder = ingested(tmp_path)
     frames = []
     for ending in ENDINGS:

@@ -33,6 +33,8 @@ TOLERANCE = 0.01
 ROUNDING = 1e-4
 # Seed of weights that are drawn in a call, of frames and of windows.
 SEED = 0
+# Function that returns the outputs of a network for some frames or windows, by their numbers.
+Run = Callable[[Sequence[int]], Tensor]
 
 
 def check_network(
@@ -63,20 +65,20 @@ def _check_spatial(
     """Check the features of frames with many points, half as many, and none."""
     points = min(variant.points or 0, POINTS)
     counts = [points, points, points // 2, 0]
-    # Frames of the training come first, then those of the prediction.
-    all_frames = make_frames(variant, [*counts, *counts], image_size, SEED)
+    frames = make_frames(variant, counts, image_size, SEED)
 
     def run(numbers: Sequence[int]) -> Tensor:
-        output: Tensor = net.spatial(from_arrays(join_frames([all_frames[row] for row in numbers])))
-        if isinstance(output, Tensor) and list(output.shape[:1]) == [sum(counts)]:
+        arrays = join_frames([frames[row] for row in numbers])
+        output: Tensor = net.spatial(from_arrays(arrays))
+        points = len(arrays.get("xyz", ()))
+        if isinstance(output, Tensor) and list(output.shape[:1]) == [points]:
             problem = f"returns a row for each point, {list(output.shape)}"
             fix = "Pool the points of each frame, for instance by mean_max_pool"
-            raise InputError(f"{problem}, expected {[len(counts), features]}", fix=fix)
+            raise InputError(f"{problem}, expected {[len(numbers), features]}", fix=fix)
         return output
 
     full = len(counts) - 1
-    together = _check_part(net.spatial, run, len(counts), full, [features], "frame")
-    frames = all_frames[len(counts) :]
+    together = _check_prediction(net.spatial, run, len(counts), full, [features], "frame")
     with torch.no_grad():
         if variant.kind == "graph":
             problem = "the features depend on the order of the points"
@@ -88,6 +90,7 @@ def _check_spatial(
             from_one_copy = net._features(from_arrays(join_frames(frames)))[: len(frames)]
             problem = "changes its input, from which equivariant: true makes the mirror image"
             _check_equal(from_one_copy, together - mirrored, problem, "Copy what it changes")
+    _check_training(net.spatial, run, len(counts), [features])
 
 
 def _run_shuffled(net: SteeringNet, frames: Sequence[Columns]) -> Tensor:
@@ -108,7 +111,7 @@ def _check_temporal(net: SteeringNet, entry: Entry, outputs: int) -> None:
         inputs += len(SCALES)
     frames = 2 * entry.window
     features = torch.rand(frames, inputs) * 2 - 1
-    first = torch.randint(0, frames - entry.window + 1, (2 * WINDOWS, 1))
+    first = torch.randint(0, frames - entry.window + 1, (WINDOWS, 1))
     windows = first + torch.arange(entry.window)
     dt_s = NOMINAL_STEP_S * (0.5 + torch.rand(windows.shape))
 
@@ -120,51 +123,59 @@ def _check_temporal(net: SteeringNet, entry: Entry, outputs: int) -> None:
         return output
 
     shape = [entry.window, outputs]
-    _check_part(net.temporal, run, WINDOWS, WINDOWS, shape, "window")
+    _check_prediction(net.temporal, run, WINDOWS, WINDOWS, shape, "window")
+    _check_training(net.temporal, run, WINDOWS, shape)
 
 
-def _check_part(
-    network: nn.Module,
-    run: Callable[[Sequence[int]], Tensor],
-    count: int,
-    full: int,
-    shape: Sequence[int],
-    item: str,
+def _check_prediction(
+    network: nn.Module, run: Run, count: int, full: int, shape: Sequence[int], item: str
 ) -> Tensor:
-    """Check the outputs for a batch of items, for the same batch again, and for each item alone.
+    """Check the outputs for each item alone, for a batch of items, and for the same batch again.
 
-    `run` returns outputs, each of `shape`, for some items by their numbers: `count` items for
-    training, and as many others for prediction. The first `full` of these may be alone in a batch.
-    An `item` is a frame or a window. Returns the outputs in prediction.
+    `run` returns outputs, each of `shape`, for some of `count` items by their numbers. The first
+    `full` of them may be alone in a batch. An `item` is a frame or a window. Returns the outputs
+    for all items.
     """
     for name, tensor in (*network.named_parameters(), *network.named_buffers()):
         if nn.parameter.is_lazy(tensor):
             problem = f"{name} has no size before the first batch"
             raise InputError(problem, fix="Use a layer with sizes, such as Linear for LazyLinear")
 
-    network.train()
-    output = run(range(count))
-    _check_output(output, [count, *shape], "in training")
-    _check_gradient(network, output)
-
     network.eval()
-    every = range(count, 2 * count)
     with torch.no_grad():
-        # Items alone come first, since they may depend on a state that a batch of all leaves.
-        first_items = [run([number]) for number in every[:full]]
-        for output in first_items:
+        # Items alone come first: they may depend on a state that a batch of all items leaves.
+        alone = [run([number]) for number in range(full)]
+        for output in alone:
             _check_output(output, [1, *shape], "in prediction")
-        together = run(every)
+        together = run(range(count))
         _check_output(together, [count, *shape], "in prediction")
         problem = f"returns other values for the same {item}s when it is called again"
         fix = "Keep no state between calls, and draw no random numbers in prediction"
-        _check_equal(run(every), together, problem, fix)
+        _check_equal(run(range(count)), together, problem, fix)
 
         problem = f"what it returns for a {item} depends on the other {item}s of its batch"
         fix = f"Compute it from the {item} alone, without a state of earlier calls"
-        for output in (torch.cat(first_items), run(every[:full])):
+        for output in (torch.cat(alone), run(range(full))):
             _check_equal(output, together[:full], problem, fix)
     return together
+
+
+def _check_training(network: nn.Module, run: Run, count: int, shape: Sequence[int]) -> None:
+    """Check the outputs for a batch of `count` items in training, and that weights get a gradient.
+
+    It comes after the prediction, since outputs may depend on a state that training leaves.
+    """
+    network.train()
+    output = run(range(count))
+    _check_output(output, [count, *shape], "in training")
+    weights = [weight for weight in network.parameters() if weight.requires_grad]
+    if not weights:
+        return
+    if output.requires_grad:
+        output.square().sum().backward()  # type: ignore[no-untyped-call]
+    if all(weight.grad is None for weight in weights):
+        fix = "Look for detach, no_grad or numpy between the weights and the output"
+        raise InputError("no weight gets a gradient", fix=fix)
 
 
 def _check_output(output: Tensor, shape: Sequence[int], mode: str) -> None:
@@ -182,19 +193,6 @@ def _check_finite(output: Tensor, mode: str) -> None:
     if not output.isfinite().all():
         fix = "Look for a division by 0 or an overflow; a frame may have no points"
         raise InputError(f"returns NaN or infinity {mode}", fix=fix)
-
-
-def _check_gradient(network: nn.Module, output: Tensor) -> None:
-    """Raise InputError if no weight gets a gradient, though one asks for it."""
-    weights = [weight for weight in network.parameters() if weight.requires_grad]
-    if not weights:
-        return
-    if output.requires_grad:
-        output.square().sum().backward()  # type: ignore[no-untyped-call]
-    if all(weight.grad is None for weight in weights):
-        fix = "Look for detach, no_grad or numpy between the weights and the output"
-        raise InputError("no weight gets a gradient", fix=fix)
-    network.zero_grad()
 
 
 def _check_equal(output: Tensor, expected: Tensor, problem: str, fix: str) -> None:

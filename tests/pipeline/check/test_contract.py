@@ -44,6 +44,11 @@ TEMPORAL = [path.stem for path in Path("models/steering/temporal").glob("[!_]*.p
 LAYERS = ["GATv2Conv", "EdgeConv", "GraphConv"]
 
 
+@pytest.fixture(autouse=True)
+def _seed() -> None:
+    torch.manual_seed(0)
+
+
 class Net(nn.Module):
     """Pooled features and a dense layer, whose output `change` may change."""
 
@@ -91,37 +96,31 @@ def first_point(net: Net, batch: GraphBatch, y: Tensor) -> Tensor:
     return y + torch.stack(first)[:, :1]
 
 
-def largest_so_far(net: Net, batch: GraphBatch, y: Tensor) -> Tensor:
-    net.calls = torch.maximum(torch.as_tensor(net.calls), y.abs().max())
-    return y / net.calls.detach()
-
-
 def dropout(net: Net, batch: GraphBatch, y: Tensor) -> Tensor:
     return nn.functional.dropout(y, 0.5)  # in prediction, too
 
 
 FAULTS: list[tuple[Callable[..., Tensor], str]] = [
-    (per_point, r"a row for each point, \[150, 8\], expected \[4, 8\]. Pool the points of each"),
+    (per_point, r"a row for each point, \[60, 8\], expected \[1, 8\]. Pool the points of each"),
     (
         lambda net, batch, y: torch.cat([y, y], 1),
-        r"the shape \[4, 16\] in training, expected \[4, 8",
+        r"the shape \[1, 16\] in prediction, expected \[1, 8",
     ),
-    (lambda net, batch, y: y.mean(1), r"the shape \[4\] in training, expected \[4, 8\]"),
-    (lambda net, batch, y: y.double(), "torch.float64 in training, expected torch.float32"),
+    (lambda net, batch, y: y.mean(1), r"the shape \[1\] in prediction, expected \[1, 8\]"),
+    (lambda net, batch, y: y.double(), "torch.float64 in prediction, expected torch.float32"),
     (lambda net, batch, y: y.detach(), "no weight gets a gradient. Look for detach"),
     (
         lambda net, batch, y: y / 0 if net.training else y,
         "NaN or infinity in training. .* a frame may have no points",
     ),
-    (plain_mean, "NaN or infinity in training"),
+    (plain_mean, "NaN or infinity in prediction"),
     (above_median, "NaN or infinity in prediction"),
     (counts_calls, "other values for the same frames when it is called again"),
     (dropout, "other values for the same frames when it is called again"),
     (lambda net, batch, y: y - y.mean(0), "for a frame depends on the other frames of its batch"),
     (first_point, "depend on the order of the points"),
-    (largest_so_far, "for a frame depends on the other frames of its batch"),
-    (lambda net, batch, y: (y, y), r"returns tuple, expected a tensor \[4, 8\]"),
-    (lambda net, batch, y: y.mean(), r"the shape \[\] in training"),
+    (lambda net, batch, y: (y, y), r"returns tuple, expected a tensor \[1, 8\]"),
+    (lambda net, batch, y: y.mean(), r"the shape \[\] in prediction"),
 ]
 RIGHT: list[Callable[..., Tensor] | None] = [
     None,
@@ -207,8 +206,8 @@ def keeps_state(cell: Cell, y: Tensor) -> Tensor:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda cell, y: y[:, -1], r"the shape \[5, 1\] in training, expected \[5, 4, 1\]"),
-        (lambda cell, y: y / 0, "NaN or infinity in training"),
+        (lambda cell, y: y[:, -1], r"the shape \[1, 1\] in prediction, expected \[1, 4, 1\]"),
+        (lambda cell, y: y / 0, "NaN or infinity in prediction"),
         (lambda cell, y: y.detach(), "no weight gets a gradient"),
         (keeps_state, "other values for the same windows when it is called again"),
         (lambda cell, y: y - y.mean(0), "for a window depends on the other windows of its batch"),

@@ -70,8 +70,9 @@ def _check_spatial(
     def run(numbers: Sequence[int]) -> Tensor:
         arrays = join_frames([frames[row] for row in numbers])
         output: Tensor = net.spatial(from_arrays(arrays))
-        points = len(arrays.get("xyz", ()))
-        if isinstance(output, Tensor) and list(output.shape[:1]) == [points]:
+        rows = len(arrays.get("xyz", ()))
+        is_per_point = isinstance(output, Tensor) and list(output.shape[:1]) == [rows]
+        if is_per_point and rows != len(numbers):
             problem = f"returns a row for each point, {list(output.shape)}"
             fix = "Pool the points of each frame, for instance by mean_max_pool"
             raise InputError(f"{problem}, expected {[len(numbers), features]}", fix=fix)

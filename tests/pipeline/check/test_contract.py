@@ -161,6 +161,14 @@ def test_a_right_spatial_network_passes(change):
     check(Net(change))
 
 
+@pytest.mark.parametrize("points", [1, 2])
+def test_frames_of_few_points_are_no_fault(points):
+    model = entry()
+    net = SteeringNet(given(Net(None)), lstm.Options(), Sizes(FEATURES))
+    variant = VARIANTS["graph"].model_copy(update={"points": points})
+    check_network(net, model, variant, IMAGE_SIZE, outputs=1)
+
+
 def test_a_layer_without_sizes_and_a_changed_input_are_refused():
     net = Net(None)
     net.read_out = nn.LazyLinear(FEATURES)

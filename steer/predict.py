@@ -40,7 +40,9 @@ def predict(
     Arguments are those of :func:`steer.measure.measure`. Raises InputError if no frame can be read,
     a log is unusable, or the source lacks an input of the model.
     """
-    perception = Perception.model_validate(model.settings["perception"])
+    # Settings that are no longer part of the section were null.
+    recorded = model.settings["perception"].items()
+    perception = Perception.model_validate({k: v for k, v in recorded if v is not None})
     car = model.quantity.car
     has_scans = source.files and source.files.scans and source.camera.T_cam_velo is not None
     if reading(model).lidar and not has_scans:

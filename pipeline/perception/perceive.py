@@ -25,7 +25,6 @@ from pipeline.camera.camera import Camera, read_camera
 from pipeline.camera.images import DEPTH_UNITS_PER_M, to_units
 from pipeline.encoder import precomputed
 from pipeline.encoder.encoder_file import FILE, load_encoder
-from pipeline.perception.reach import limit_traffic_depth
 from pipeline.perception.settings import Perception
 
 # Least number of images in a forward pass on a GPU. A CPU computes them one by one.
@@ -220,15 +219,9 @@ def perceive_drive(
             file.append("depth_m", units, f"1/{DEPTH_UNITS_PER_M} m, 0 = none")
             file.append("cls", np.empty((0, *camera.size), np.uint8), "Cityscapes trainId")
 
-            # A thread reads images, other threads run the network, and this thread caps the depth
-            # of traffic and writes.
+            # A thread reads images, other threads run the network, and this thread writes.
             with closing(passes(opened.predict, batches)) as results:
                 for depth_m, cls in results:
-                    if settings.reach:
-                        for depth_of_image, cls_of_image in zip(depth_m, cls, strict=True):
-                            limit_traffic_depth(
-                                depth_of_image, cls_of_image, camera, settings.reach
-                            )
                     file.append("depth_m", to_units(np.where(cls == classes.SKY, 0, depth_m)))
                     file.append("cls", cls)
                     if advance:

@@ -71,7 +71,6 @@ def folder(tmp_path_factory) -> Path:
     drives = {"train": ["2026_01_01_drive_0001"], "val": ["2026_01_02_drive_0002"], "test": [TEST]}
     params["ingest"] |= {"image_size": [96, 320], "lidar": True, "drives": drives}
     params["encoder"]["weights"] = str(ROOT / params["encoder"]["weights"])
-    params["perception"] |= {"reach": 1.1}
     params["clouds"] |= {"max_points": 2000}
     params["graphs"] = VARIANTS
     params["models"] = MODELS

@@ -7,10 +7,8 @@ import torch
 from pipeline.base import store
 from pipeline.camera import classes
 from pipeline.camera.camera import read_camera
-from pipeline.camera.ground_plane import ground_plane_depth
 from pipeline.ingest.truth import read_truth
 from pipeline.perception.perceive import passes
-from pipeline.perception.reach import limit_traffic_depth
 from tests import street
 
 DENSE = "2026_01_01_drive_0001"
@@ -33,27 +31,6 @@ def test_passes_give_the_same_bits_for_any_number_of_threads(monkeypatch):
         assert torch.get_num_threads() == threads
     torch.set_num_threads(before)
     np.testing.assert_array_equal(*results)
-
-
-def test_only_traffic_is_limited():
-    _, truth, cls = street.scene(0)
-    # A lorry takes the place of the building in a column that has a road before it.
-    has_road = (cls == classes.ROAD).any(axis=0)
-    has_building = (cls == classes.BUILDING).any(axis=0)
-    column = np.argmax(has_road & has_building)
-    lorry = np.zeros(cls.shape, bool)
-    lorry[:, column] = cls[:, column] == classes.BUILDING
-    cls = np.where(lorry, classes.TRUCK, cls)
-
-    depth = np.where(lorry, 70.0, truth)
-    limit_traffic_depth(depth, cls, street.CAMERA, reach=1.1)
-    np.testing.assert_array_equal(depth[~lorry], truth[~lorry])
-    ground_m = ground_plane_depth(cls, street.CAMERA)
-    np.testing.assert_allclose(depth[lorry], 1.1 * ground_m[lorry])
-
-    near = np.where(lorry, 2.0, truth)
-    limit_traffic_depth(near, cls, street.CAMERA, reach=1.1)
-    assert (near[lorry] == 2.0).all()
 
 
 @pytest.mark.parametrize("dense", [True, False])

@@ -19,7 +19,7 @@ from pipeline.ingest.log import Logs, logged_values, read_logs
 from pipeline.ingest.packets import read_times
 from pipeline.ingest.recording import open_recording
 from pipeline.ingest.settings import Reading, RecordingOptions
-from pipeline.motion.doubts import check_unit
+from pipeline.motion.facts import check_unit
 from pipeline.motion.horizon import noted_horizon
 from pipeline.motion.motion_file import measure_drive
 from pipeline.perception.perceive import perceive_drive

@@ -1,6 +1,5 @@
 """Measure the motion of a car from the frames of a source."""
 
-from collections.abc import Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -39,12 +38,11 @@ def measure(
     frame can be read, or a log is unusable.
     """
     with run_chain(source, out, READING, Perception(batch=4), encoder) as work:
-        results = Results.read(source, work, car, look_ahead=True, fit_ratio=fit_ratio)
+        results = Results.read(source, work, car, smooth=True, fit_ratio=fit_ratio)
         results.doubts += warnings(encoder, "float32", [work / INGEST])
         quality = _measure_quality(source, results, work)
         results.quality = quality
         notes = [*source.drive.notes, *results.lines(quality["comparison"])]
-        notes += _quality_lines(source, results, quality)
     files = publish(out, "motion.csv", results, source, car.wheelbase_m, video=video)
     return Outcome(results.columns(), notes, results.doubts, files)
 
@@ -52,9 +50,7 @@ def measure(
 def _measure_quality(source: Source, results: Results, work: Path) -> dict[str, Any]:
     """Return the content of quality.json. Unknown values are None."""
     with DriveReader(work / MOTION, stage="motion") as motion:
-        heights_m = motion["road_height_m"]
-        bonnet = float(motion.attrs["still"])
-    has_road = heights_m > 0
+        facts = motion.attrs
     is_valid = results.table["valid"] > 0
     time_s = results.table["time_s"]
     camera = source.camera
@@ -69,11 +65,14 @@ def _measure_quality(source: Source, results: Results, work: Path) -> dict[str, 
         "K": camera.K.round(3).tolist(),
         "camera_height_m": camera.height_m if camera.height_known else None,
         "horizon": camera.horizon,
-        "road_frames": float(has_road.mean()),
+        "measured_frames": facts["valid"] / max(facts["moving"], 1),
+        "road_frames": facts["road_frames"] / facts["frames"],
         # Height in metres of the camera over the road, as the encoder's depth shows it.
-        "road_height_m": _median(heights_m[has_road]),
+        "road_height_m": facts["road_height_m"] or None,
+        # Relative scatter of successive speeds, and standard deviation of the drive's scale.
+        "scatter": facts["scatter"],
+        "scale_sigma": facts["scale_sigma"],
         "speed_sigma": _median(results.table["speed_sigma"][is_valid]),
-        "bonnet": bonnet,
         "recorded": recorded,
         "comparison": results.compare("measured"),
     }
@@ -81,20 +80,3 @@ def _measure_quality(source: Source, results: Results, work: Path) -> dict[str, 
 
 def _median(values: np.ndarray) -> float | None:
     return float(np.median(values)) if len(values) else None
-
-
-def _quality_lines(source: Source, results: Results, quality: dict[str, Any]) -> Iterator[str]:
-    """Yield notes for the user about the scale, which comes from the road."""
-    share = f"{quality['road_frames']:.0%}"
-    line = f"road found in {share} of the frames"
-    if share != "100%":
-        line += "; elsewhere speed stays near a typical car's"
-    yield line
-
-    if quality["road_height_m"] and not source.camera.height_known:
-        height = f"{quality['road_height_m']:.2f} m above the road"
-        advice = "Measure it and pass --camera-height: speed follows it"
-        yield f"the encoder's depth puts the camera {height}. {advice}"
-    if quality["speed_sigma"] and not results.doubts:
-        sigma = f"{quality['speed_sigma']:.0%} (one standard deviation)"
-        yield f"speed and curvature may be off by {sigma}"

@@ -10,31 +10,26 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from pipeline.base.console import split_doubts
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.evaluate import statistics
 from pipeline.evaluate.settings import Evaluate
 from pipeline.ingest.log import Log, Logs, log_names, log_notes
 from pipeline.ingest.settings import LARGEST_RATIO
-from pipeline.labels.agreement import split_doubts
 from pipeline.labels.ahead import path_ahead
 from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
 from pipeline.labels.recorded import Recorded, compare
 from pipeline.labels.source import rates_of_motion, recorded_angles, recorded_rates
 from pipeline.motion import rates
-from pipeline.motion.doubts import find_doubts
+from pipeline.motion.facts import facts_line
 from pipeline.motion.step import PROBLEMS
 from pipeline.train.quantity import Quantity
 from steer.chain import INGEST, MOTION, Source
 from steer.wheel_fit import WheelFit, fit_wheel
 
-# Largest share of the moving frames in which the measured speed may be negative. If it is exceeded,
-# the camera looks back.
-BACKWARDS = 0.5
 # Longest gap in seconds over which the track continues with the last measured motion.
 BRIDGED_S = 1.0
-# Relative standard deviation of the speed if the camera's height over the road is unknown.
-HEIGHT_SCALE = 0.2
 # Length in seconds of a block of the bootstrap: errors of nearer frames are correlated.
 BLOCK_S = 5.0
 # Longest time in seconds for which the car may stand on the path that is drawn.
@@ -92,22 +87,15 @@ def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> 
     return Truth("", steering_labels(unknown, unknown, car).at(rows))
 
 
-def read_course(
-    motion: DriveReader, car: Car, *, look_ahead: bool, height_known: bool
-) -> dict[str, np.ndarray]:
+def read_course(motion: DriveReader, car: Car, *, smooth: bool) -> dict[str, np.ndarray]:
     """Return the course of the car from a file of stage motion: column → [F], NaN if not measured.
 
     Left and forward are positive. x and y are the position ahead and to the left of the first
     frame. ``speed_sigma`` is the standard deviation of the speed, relative to the speed;
     ``measured_sigma_rad`` is that of the angle. Curvature and angle are also NaN below the minimum
-    speed. If `look_ahead` is true, rates are means over the frames before and after. `height_known`
-    tells whether the camera's height over the road is known.
+    speed. If `smooth` is true, rates depend on later frames, too.
     """
-    yaw_rate, speed_mps, yaw_sigma, speed_sigma = rates.measured_rates(
-        motion, look_ahead=look_ahead
-    )
-    if not height_known:
-        speed_sigma = np.hypot(speed_sigma, HEIGHT_SCALE)
+    yaw_rate, speed_mps, yaw_sigma, speed_sigma = rates.read_rates(motion, smooth=smooth)
 
     # Curvature and angle follow from the bicycle model, which needs a moving car.
     is_fast = np.abs(np.nan_to_num(speed_mps)) >= car.min_speed_mps
@@ -174,6 +162,8 @@ class Results:
     measured: Labels
     # Quantity → facts about the recorded values beside the measured ones.
     recorded: dict[str, dict[str, Any]]
+    # Lines of facts about the motion and the recorded values, and those with a doubt.
+    facts: list[str]
     doubts: list[str]
     # Edges in metres of the ranges of the predicted path; empty unless a path ahead is predicted.
     edges_m: Sequence[float] = ()
@@ -192,7 +182,7 @@ class Results:
         work: Path,
         car: Car,
         *,
-        look_ahead: bool,
+        smooth: bool,
         frame: np.ndarray | None = None,
         fit_ratio: bool = False,
     ) -> "Results":
@@ -220,8 +210,7 @@ class Results:
             time_s = motion.time_s[rows]
             truth = read_truth(raw, frame, source.logs, car)
 
-            height_known = source.camera.height_known
-            course = read_course(motion, car, look_ahead=look_ahead, height_known=height_known)
+            course = read_course(motion, car, smooth=smooth)
             valid = motion["valid"]
             columns = {"valid": valid, **course}
             columns["points"] = np.where(valid, motion["inliers"], np.nan)
@@ -237,10 +226,7 @@ class Results:
             recorded = Recorded.read(raw, motion, car)
             source.drive.notes.extend(log_notes(source.logs, time_s))
 
-            speed_mps = course["speed_mps"][rows]
-            doubts = [*source.doubts]
-            doubts += _backwards(speed_mps, car.min_speed_mps)
-            doubts += [text for _, text in find_doubts(motion.attrs)]
+            motion_facts = facts_line(source.name, [motion.attrs])
 
         measured_columns = {name: values[rows] for name, values in columns.items()}
         if fit_ratio:
@@ -253,10 +239,11 @@ class Results:
         table = {"frame": frame, "time_s": time_s}
         table["driven_rad"] = np.where(truth.driven.valid, truth.driven.steering_rad, np.nan)
         table |= measured_columns
-        facts = compare([recorded], _log_of_quantity(source.logs))
-        _, recorded_doubts = split_doubts([fact["line"] for fact in facts.values()])
-        doubts += recorded_doubts
-        return cls(source.name, table, problems, truth, measured, facts, doubts)
+        recorded_facts = compare([recorded], _log_of_quantity(source.logs))
+        lines = [motion_facts, *[facts["line"] for facts in recorded_facts.values()]]
+        notes, doubts = split_doubts(lines)
+        doubts = [*source.doubts, *doubts]
+        return cls(source.name, table, problems, truth, measured, recorded_facts, notes, doubts)
 
     def add_prediction(self, quantity: Quantity, values: np.ndarray) -> None:
         """Add the predicted values [F,R] of a quantity.
@@ -299,17 +286,13 @@ class Results:
 
     def lines(self, comparison: Mapping[str, Any] | None) -> Iterator[str]:
         """Yield notes for the user: why motion was not measured, and errors by :meth:`compare`."""
-        measured = int(self.table["valid"].sum())
-        line = f"motion measured in {measured} of {len(self.problems)} frames"
+        yield from self.facts
         counts = Counter(problem for problem in self.problems if problem).most_common()
         if counts:
             reasons = ", ".join(f"{problem} ({count})" for problem, count in counts)
-            line += f"; not measured: {reasons}"
-        yield line
+            yield f"frames without a measurement: {reasons}"
         if self.truth.note:
             yield self.truth.note
-        notes, _ = split_doubts([facts["line"] for facts in self.recorded.values()])
-        yield from notes
 
         if comparison is None:
             return
@@ -377,18 +360,6 @@ def _log_of_quantity(logs: Logs) -> dict[str, str]:
     motion = logs["motion"].name if "motion" in logs else "oxts"
     wheel = logs["wheel"].name if "wheel" in logs else "steering.csv"
     return {"yaw_rate": motion, "speed": motion, "angle": wheel}
-
-
-def _backwards(speed_mps: np.ndarray, least_mps: float) -> Iterator[str]:
-    """Yield a doubt if the measured speed `speed_mps` [F] is negative in most moving frames."""
-    moves = np.abs(speed_mps) >= least_mps  # the comparison is false for NaN
-    back = moves & (speed_mps < 0)
-    if back.sum() > BACKWARDS * moves.sum():
-        frames = f"{int(back.sum())} of {int(moves.sum())} moving frames"
-        yield (
-            f"{frames} are measured backwards: the camera looks back? Then the angle has the "
-            "wrong sign"
-        )
 
 
 def _errors(target_rad: np.ndarray, angle_rad: np.ndarray, settings: Evaluate) -> dict[str, Any]:

@@ -51,7 +51,7 @@ def predict(
 
     with run_chain(source, out, reading(model), perception, encoder) as work:
         with graph_file.open_graphs(_make_graphs(model, source, work)) as graphs:
-            results = Results.read(source, work, car, look_ahead=False, frame=graphs.frame)
+            results = Results.read(source, work, car, smooth=False, frame=graphs.frame)
             # Frames with a scan but without an image have a graph, but no motion, and are left out.
             rows = np.isin(graphs.frame, results.table["frame"])
             prediction = model.predict(graphs)[rows]

@@ -208,7 +208,7 @@ def write_motion(
     """Write measured motion: frame number → speed and yaw rate.
 
     In frames with 0, 0 it is not measured; in frames of `stands`, because nothing moves. Frames are
-    10 s apart, so that means over neighbours are the frames' own values.
+    10 s apart. Smooth values equal the causal ones.
     """
     frame = np.array(list(rows))
     speed, yaw_rate = np.array(list(rows.values()), np.float32).reshape(-1, 2).T
@@ -226,8 +226,10 @@ def write_motion(
         file.put("problem", problem.astype(np.uint8))
         file.put("road_height_m", np.full(len(rows), 1, np.float32))
         file.put("speed_sigma", np.full(len(rows), 0.05, np.float32))
-        file.put("ratio", np.zeros(len(rows), np.float32))
-        file.put("ratio_sigma", np.zeros(len(rows), np.float32))
+        file.put("smooth_speed_mps", speed)
+        file.put("smooth_yaw_rate_radps", yaw_rate)
+        file.put("smooth_speed_sigma", np.full(len(rows), 0.05))
+        file.put("smooth_yaw_sigma_radps", np.full(len(rows), 0.003))
         file.put("scale", np.full(len(rows), 1, np.float32))
         file.put("inliers", np.full(len(rows), 100, np.int32))
         file.put("residual", np.full(len(rows), 0.1, np.float32))

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import h5py
 import numpy as np
 
 from pipeline.base.store import DriveReader
@@ -68,3 +69,18 @@ def test_later_frames_change_no_input(tmp_path, monkeypatch):
     )
     for name, values in one.items():
         np.testing.assert_array_equal(values, other[name], err_msg=name)
+
+
+def test_graphs_have_no_smoothed_motion(tmp_path, monkeypatch):
+    """Smoothed values depend on later frames. A graph file is the same without them."""
+    encoder = write_encoder(tmp_path / "encoder", monkeypatch)
+    images = [street.view(pose)[0] for pose in street.arc(FRAMES, 0.2, 8.0)]
+    inputs(tmp_path, images, encoder)
+    graphs = (tmp_path / "graphs.h5").read_bytes()
+    with h5py.File(tmp_path / "motion.h5", "a") as file:
+        smoothed = [name for name in file if name.startswith("smooth_")]
+        for name in smoothed:
+            del file[name]
+    assert smoothed
+    graphs_drive(tmp_path / "other.h5", tmp_path / "clouds.h5", tmp_path / "motion.h5", VARIANT)
+    assert (tmp_path / "other.h5").read_bytes() == graphs

@@ -3,11 +3,14 @@
 import functools
 import io
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import typer
 
 from pipeline.base.errors import InputError
+
+# Beginning of a line of facts whose numbers are not those of healthy data.
+DOUBT = "doubt: "
 
 
 def run(*commands: Callable[..., object]) -> None:
@@ -56,3 +59,10 @@ def _message(error: BaseException) -> str:
     if isinstance(error, KeyboardInterrupt):
         return "interrupted. Repeat the command to continue: complete files are kept"
     return str(error)
+
+
+def split_doubts(lines: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the lines without a doubt, and the doubts without the word."""
+    notes = [line for line in lines if not line.startswith(DOUBT)]
+    doubts = [line.removeprefix(DOUBT) for line in lines if line.startswith(DOUBT)]
+    return notes, doubts

@@ -26,7 +26,7 @@ from pipeline.base.errors import InputError
 SCHEMAS = {
     "ingest": [8],
     "perception": [8],
-    "motion": [8],
+    "motion": [9],
     "labels": [8],
     # Clouds of version 7 differ only in their texts, of variable length, and lack Fletcher32.
     "clouds": [7, 8],

@@ -11,10 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pipeline.base.console import DOUBT
 from pipeline.labels.label import REVERSING_MPS
 
-# Beginning of a line whose numbers are not those of a healthy log.
-DOUBT = "doubt: "
 # Least measured yaw rate of a turning frame, in standard deviations of this yaw rate.
 TURNS_SIGMAS = 3.0
 # Lags in seconds that are tried, the smallest first. GPS time is 18 s ahead of UTC.
@@ -212,10 +211,3 @@ def speed_line(name: str, facts: Speed, *, height_known: bool) -> str:
     if is_unlike or share > CONTRADICTED:
         return DOUBT + text
     return text
-
-
-def split_doubts(lines: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return the lines without a doubt, and the doubts without the word."""
-    notes = [line for line in lines if not line.startswith(DOUBT)]
-    doubts = [line.removeprefix(DOUBT) for line in lines if line.startswith(DOUBT)]
-    return notes, doubts

@@ -9,7 +9,7 @@ from pipeline.base.store import DriveReader
 from pipeline.labels import agreement
 from pipeline.labels.agreement import Pair
 from pipeline.labels.label import Car, steering_labels
-from pipeline.motion.rates import measured_rates
+from pipeline.motion.rates import read_rates
 
 
 class Recorded(NamedTuple):
@@ -35,7 +35,7 @@ class Recorded(NamedTuple):
             has_angle = raw["has_steering"][rows] > 0
             angle_rad = np.where(has_angle, raw["steering_rad"][rows], np.nan)
 
-        measured = measured_rates(motion, look_ahead=True)
+        measured = read_rates(motion, smooth=True)
         labels = steering_labels(measured.yaw_rate_radps, measured.speed_mps, car)
         measured_rad = np.where(labels.valid, labels.steering_rad, np.nan)
         turns = agreement.is_turning(measured.yaw_rate_radps, measured.yaw_sigma_radps)

@@ -16,7 +16,7 @@ from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.labels.ahead import path_ahead
 from pipeline.labels.label import TURNING_RAD, Car, Labels, steering_labels
 from pipeline.labels.settings import Labels as Settings
-from pipeline.motion.rates import measured_rates, stands
+from pipeline.motion.rates import read_rates, stands
 
 
 class Rates(NamedTuple):
@@ -98,19 +98,18 @@ def recorded_rates(raw: DriveReader) -> Rates | None:
     return Rates(raw["speed_mps"], raw["yaw_rate_radps"], np.zeros(len(raw.frame), bool))
 
 
-def rates_of_motion(raw: DriveReader, path: Path, *, look_ahead: bool = True) -> Rates:
+def rates_of_motion(raw: DriveReader, path: Path, *, smooth: bool = True) -> Rates:
     """Return the motion that stage motion measured, NaN in frames without a measurement.
 
-    `path` is the drive's file of stage motion. With `look_ahead`, rates are means over neighbouring
-    frames, later ones included. No model may get these as inputs. Without it, they are the causal
-    rates that models get.
+    `path` is the drive's file of stage motion. Smooth rates depend on later frames, so no model may
+    get them as inputs. The others are the causal rates that models get.
     """
     speed_mps = np.full(len(raw.frame), np.nan)
     yaw_rate_radps = np.full(len(raw.frame), np.nan)
     standing = np.zeros(len(raw.frame), bool)
     with DriveReader(path, stage="motion") as motion:
         rows = np.searchsorted(raw.frame, motion.frame)
-        rates = measured_rates(motion, look_ahead=look_ahead)
+        rates = read_rates(motion, smooth=smooth)
         speed_mps[rows] = rates.speed_mps
         yaw_rate_radps[rows] = rates.yaw_rate_radps
         standing[rows] = stands(motion)

@@ -9,13 +9,16 @@ from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
 from pipeline.camera.camera import Camera, DriveFrames
 from pipeline.motion.odometry import Odometry
-from pipeline.motion.roll import EVERY, Roll
-from pipeline.motion.speed import LEAST_MPS, Speeds, filter_speeds
+from pipeline.motion.rates import smooth_rates
+from pipeline.motion.speed import (
+    KNOWN_HEIGHT_SIGMA,
+    LEAST_MPS,
+    UNKNOWN_HEIGHT_SIGMA,
+    Speeds,
+    filter_speeds,
+)
 from pipeline.motion.step import MEDIAN_DEVIATION, PROBLEMS, STANDSTILL, durations, rates
-from pipeline.motion.still import lowest_share
 
-# Least share of the class road, in front of the car, in a frame whose classes show a road.
-ROAD_BY_CLASS = 0.5
 # Largest acceleration of a car in m/s², when it brakes.
 MAX_ACCELERATION_MPS2 = 12.0
 # Largest error of a measured speed, as a share of it, for which a step is believed.
@@ -40,10 +43,14 @@ UNITS = {
     "ratio_sigma": "standard deviation of the logarithm of ratio",
     "T_before_now": "m",
     "road_height_m": "m below the camera in the encoder's depth, 0 = no road found",
-    "still": "share of the lowest row whose pixels stay the same while the car moves: a bonnet",
     "problem": f"0 = measured; {_CODES}",
     "filtered_mps": "m/s, the speed by this and earlier steps, an input of models",
     "speed_sigma": "relative standard deviation of filtered_mps",
+    # These depend on later steps, too. No model gets them.
+    "smooth_yaw_rate_radps": "rad/s, left positive",
+    "smooth_speed_mps": "m/s, forward positive",
+    "smooth_yaw_sigma_radps": "rad/s, standard deviation",
+    "smooth_speed_sigma": "relative standard deviation",
 }
 
 
@@ -56,11 +63,12 @@ def measure_drive(
 ) -> Summary:
     """Write the motion of each frame relative to the frame before, by visual odometry.
 
-    Only frames with an image are written. All values are causal: they depend on a frame and earlier
-    ones only. Where motion is not measured, ``valid`` and the rates are 0, and ``problem`` is the
-    reason. Depth is scaled so that the road is as far below the camera as its height, if that is
-    known. `advance` is called with the number of frames that are done since the last call. Returns
-    counts and medians for :mod:`pipeline.motion.doubts`, which are also attributes of the file.
+    Only frames with an image are written. Values are causal: they depend on a frame and earlier
+    ones only. Those whose name begins with ``smooth_`` depend on later frames, too. Where motion is
+    not measured, ``valid`` and the rates are 0, and ``problem`` is the reason. Depth is scaled so
+    that the road is as far below the camera as its height, if that is known. `advance` is called
+    with the number of frames that are done since the last call. Returns counts and medians for
+    :mod:`pipeline.motion.facts`, which are also attributes of the file.
     """
     with (
         DriveFrames(ingest, perception) as frames,
@@ -68,11 +76,9 @@ def measure_drive(
     ):
         duration_s = durations(frames.frame, frames.time_s)
         columns = _empty_columns(len(frames.frame))
-        road_class = np.zeros(len(frames.frame))
 
         # Measure frame after frame.
         odometry = Odometry(frames.camera)
-        roll = Roll(frames.camera)
         for row, frame in enumerate(frames):
             step = odometry.step(frame)
             if step:
@@ -82,11 +88,6 @@ def measure_drive(
                     columns[name][row] = value
             columns["problem"][row] = PROBLEMS.index(odometry.problem)
             columns["road_height_m"][row] = odometry.road.frame_height_m
-            # The lowest row of the image is the first that a bonnet hides.
-            columns["still"][row] = odometry.still.mask[-1].mean()
-            road_class[row] = odometry.road_class
-            if row % EVERY == 0:
-                roll.add(frame.image)
             advance(1)
 
         # A speed that no car can reach from the one before is no measurement. Without a road, the
@@ -99,20 +100,26 @@ def measure_drive(
             columns[name][jumps] = 0
         valid = columns["problem"] == 0
 
-        # Filter the measured speeds. Ratios of lengths become those of speeds.
+        # Filter and smooth the measured speeds. Ratios of lengths become those of speeds.
         before_s = np.append(np.nan, duration_s[:-1])
         columns["ratio"] *= np.nan_to_num(before_s / duration_s).astype(np.float32)
-        filtered = filter_speeds(
-            Speeds(
-                frames.time_s[valid],
-                columns["speed_mps"][valid],
-                columns["road_height_m"][valid] > 0,
-                columns["ratio"][valid],
-                columns["ratio_sigma"][valid],
-            )
+        speeds = Speeds(
+            frames.time_s[valid],
+            columns["speed_mps"][valid],
+            columns["road_height_m"][valid] > 0,
+            columns["ratio"][valid],
+            columns["ratio_sigma"][valid],
         )
+        filtered = filter_speeds(speeds)
+        smooth = smooth_rates(speeds, columns["yaw_rate_radps"][valid])
+
+        # The error of the scale is common to the drive, so no filter over time finds it.
+        scale_sigma = KNOWN_HEIGHT_SIGMA if frames.camera.height_known else UNKNOWN_HEIGHT_SIGMA
         columns["filtered_mps"][valid] = filtered.speed_mps
-        columns["speed_sigma"][valid] = filtered.sigma
+        columns["speed_sigma"][valid] = np.hypot(filtered.sigma, scale_sigma)
+        for name, values in smooth._asdict().items():
+            columns[f"smooth_{name}"][valid] = values
+        columns["smooth_speed_sigma"][valid] = np.hypot(smooth.speed_sigma, scale_sigma)
 
         file.put("frame", frames.frame)
         file.put("time_s", frames.time_s, "s")
@@ -120,9 +127,9 @@ def measure_drive(
         for name, unit in UNITS.items():
             file.put(name, columns[name], unit)
 
-        summary = _summarise(columns, road_class, duration_s, frames.camera)
+        summary = _summarise(columns, duration_s, frames.camera)
         summary["scatter"] = scatter
-        summary["roll_deg"] = roll.degrees()
+        summary["scale_sigma"] = scale_sigma
         # Factor above which depth must be in another unit; 0 if the height is unknown.
         summary["unit_error"] = frames.unit_error if np.isfinite(frames.unit_error) else 0.0
         file.attrs |= summary
@@ -149,7 +156,10 @@ def find_jumps(time_s: np.ndarray, speed_mps: np.ndarray, valid: np.ndarray) -> 
 
 def _empty_columns(count: int) -> dict[str, np.ndarray]:
     """Return the columns of a number of frames without motion."""
-    columns = {name: np.zeros(count, np.float32) for name in UNITS}
+    columns = dict[str, np.ndarray]()
+    for name in UNITS:
+        dtype = np.float64 if name.startswith("smooth_") else np.float32
+        columns[name] = np.zeros(count, dtype)
     columns["inliers"] = np.zeros(count, np.int32)
     columns["problem"] = np.zeros(count, np.uint8)
     columns["scale"] = np.ones(count, np.float32)
@@ -157,32 +167,26 @@ def _empty_columns(count: int) -> dict[str, np.ndarray]:
     return columns
 
 
-def _summarise(
-    columns: dict[str, np.ndarray], road_class: np.ndarray, duration_s: np.ndarray, camera: Camera
-) -> Summary:
+def _summarise(columns: dict[str, np.ndarray], duration_s: np.ndarray, camera: Camera) -> Summary:
     """Return counts and medians of F frames.
 
-    `columns`: name → [F]; `road_class`: share of the class road [F]; `duration_s`: of steps [F].
+    `columns`: name → [F]; `duration_s`: of steps [F].
     """
     valid = columns["problem"] == 0
     moving = valid | np.isin(columns["problem"], LOST)
-    length_m = np.linalg.norm(columns["T_before_now"][:, :3, 3], axis=1)
-
-    # Where depth shows a road, classes should show the class road.
     road = columns["road_height_m"] > 0
-    share_on_road = road_class[road & np.isfinite(road_class)]
+    length_m = np.linalg.norm(columns["T_before_now"][:, :3, 3], axis=1)
     return {
         "frames": len(valid),
         "valid": int(valid.sum()),
         "moving": int(moving.sum()),
+        "backwards": int((columns["speed_mps"] < 0).sum()),
         "step_s": _median(duration_s[moving]),
         # Without a road, the scale of a step is unknown.
         "step_m": _median(length_m[valid & road]),
-        "still": lowest_share(columns["still"], valid),
         "road_frames": int(road.sum()),
-        "height_ratio": _median(columns["road_height_m"][road]) / camera.height_m,
-        "road_class": float(share_on_road.mean()) if len(share_on_road) else 1.0,
-        "road_class_frames": int((road_class > ROAD_BY_CLASS).sum()),
+        "road_height_m": _median(columns["road_height_m"][road]),
+        "camera_height_m": camera.height_m,
         "scaled": int(camera.height_known),
     }
 

@@ -83,8 +83,6 @@ class Odometry:
         self._enlarged = -(-MIN_WIDTH // width)
         self.road = Road(camera)
         self.still = Still(camera)
-        # Share of the class road where a road is searched, in the last frame; NaN: no classes.
-        self.road_class = np.nan
         # Why the last step could not be measured; empty if it was.
         self.problem = ""
         self._previous: _LiftedFrame | None = None
@@ -200,7 +198,6 @@ class Odometry:
         # Trust depth over classes: road pixels are never traffic. In grey images, shaded road has
         # the class of cars.
         road, scale = self.road.find(depth_m, usable, self.still.mask)
-        self.road_class = _share_of_road(frame.cls[self.road.in_front & shows_something])
         traffic = cv2.dilate(IS_TRAFFIC[frame.cls].astype(np.uint8), AROUND) > 0
         elsewhere = usable & ~road & ~traffic
 
@@ -249,14 +246,6 @@ def _is_possible_for_a_car(T_before_now: np.ndarray) -> bool:
     right, down, forward = T_before_now[:3, 3]
     max_sideways_m = SIDEWAYS_M + SIDEWAYS_SHARE * abs(forward)
     return np.hypot(right, down) < max_sideways_m and abs(forward) < MAX_FORWARD_M
-
-
-def _share_of_road(cls: np.ndarray) -> float:
-    """Return the share of the class road among trainIds [N]; NaN if there are none but VOID."""
-    classified = cls[cls != classes.VOID]
-    if not len(classified):
-        return np.nan
-    return float((classified == classes.ROAD).mean())
 
 
 def corner_quality(grey: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Return the rates of measured motion: causal as inputs of models, or smoothed as labels."""
+"""Smooth the rates of measured motion, and read them: causal for models, or smooth for labels."""
 
 from typing import NamedTuple
 
@@ -28,7 +28,7 @@ MEDIAN_DIFFERENCE = 0.954
 
 
 class MeasuredRates(NamedTuple):
-    """Rates of F frames and their standard deviations, each [F]; NaN where not measured."""
+    """Rates and their standard deviations, each [F]; NaN where not measured."""
 
     yaw_rate_radps: np.ndarray  # left positive
     speed_mps: np.ndarray  # forward positive
@@ -36,36 +36,41 @@ class MeasuredRates(NamedTuple):
     speed_sigma: np.ndarray  # relative
 
 
-def measured_rates(motion: DriveReader, *, look_ahead: bool) -> MeasuredRates:
-    """Return the rates in a file of stage motion.
+def read_rates(motion: DriveReader, *, smooth: bool) -> MeasuredRates:
+    """Return the rates of the F frames in a file of stage motion.
 
-    With `look_ahead`, yaw rates are Gaussian means, and speeds are smoothed.
+    They are smoothed by later steps, too, or else the causal ones that models get.
     """
-    valid = motion["valid"].astype(bool)
-    yaw_radps = motion["yaw_rate_radps"][valid]
-    yaw_sigma_radps = np.full(len(yaw_radps), YAW_NOISE_RADPS)
-    if not look_ahead:
-        speed_mps = motion["filtered_mps"][valid]
-        speed_sigma = motion["speed_sigma"][valid]
+    valid = motion["valid"] > 0
+    if smooth:
+        columns = [motion[f"smooth_{name}"] for name in MeasuredRates._fields]
     else:
-        time_s = motion.time_s[valid]
-        sigma_s = YAW_SIGMA_S * np.clip(noise_of(yaw_radps) / YAW_NOISE_RADPS, 1, MORE_NOISE)
-        yaw_radps, yaw_error_radps = gaussian_mean(time_s, yaw_radps, float(sigma_s))
-        yaw_sigma_radps = np.maximum(YAW_NOISE_RADPS, yaw_error_radps)
+        yaw_sigma_radps = np.full(len(valid), YAW_NOISE_RADPS)
+        columns = [
+            motion["yaw_rate_radps"],
+            motion["filtered_mps"],
+            yaw_sigma_radps,
+            motion["speed_sigma"],
+        ]
+    return MeasuredRates(*[np.where(valid, column.astype(float), np.nan) for column in columns])
 
-        # A single step that is measured backwards is an error.
-        single_mps = motion["speed_mps"][valid]
-        mean_mps, _ = gaussian_mean(time_s, single_mps, DIRECTION_S)
-        single_mps = np.copysign(single_mps, mean_mps)
-        road = motion["road_height_m"][valid] > 0
-        ratio = motion["ratio"][valid]
-        ratio_sigma = motion["ratio_sigma"][valid]
-        speeds = Speeds(time_s, single_mps, road, ratio, ratio_sigma)
-        speed_mps, speed_sigma = smooth_speeds(speeds)
 
-    columns = np.full((len(MeasuredRates._fields), len(valid)), np.nan)
-    columns[:, valid] = yaw_radps, speed_mps, yaw_sigma_radps, speed_sigma
-    return MeasuredRates(*columns)
+def smooth_rates(speeds: Speeds, yaw_rate_radps: np.ndarray) -> MeasuredRates:
+    """Return the rates of M measured steps, smoothed by earlier and later steps.
+
+    `yaw_rate_radps` [M] has the measured yaw rates of the steps of `speeds`.
+    """
+    noise = noise_of(yaw_rate_radps) / YAW_NOISE_RADPS
+    sigma_s = YAW_SIGMA_S * float(np.clip(noise, 1, MORE_NOISE))
+    yaw_mean_radps, yaw_error_radps = gaussian_mean(speeds.time_s, yaw_rate_radps, sigma_s)
+
+    # A single step that is measured backwards is an error.
+    mean_mps, _ = gaussian_mean(speeds.time_s, speeds.speed_mps, DIRECTION_S)
+    directed_mps = np.copysign(speeds.speed_mps, mean_mps)
+    speed_mps, speed_sigma = smooth_speeds(speeds._replace(speed_mps=directed_mps))
+
+    yaw_sigma_radps = np.maximum(YAW_NOISE_RADPS, yaw_error_radps)
+    return MeasuredRates(yaw_mean_radps, speed_mps, yaw_sigma_radps, speed_sigma)
 
 
 def noise_of(values: np.ndarray) -> float:

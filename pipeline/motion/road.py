@@ -55,8 +55,6 @@ class Road:
         self._ahead_m: deque[float] = deque(maxlen=STEPS)
         # Height of the camera in the last frame, over its road in uncorrected depth; 0: no road.
         self.frame_height_m = 0.0
-        # Pixels of the last frame where a road is searched.
-        self.in_front = np.zeros(camera.size, bool)
 
     def find(
         self, depth_m: np.ndarray, usable: np.ndarray, still: np.ndarray
@@ -72,8 +70,8 @@ class Road:
         height_m = depth_m * below.astype(np.float32)
 
         in_front = (below > 1 / PATCH_LENGTH) & (np.abs(self._right) < PATCH_HALF_WIDTH * below)
-        self.in_front = in_front & ~still
-        self.frame_height_m = self._height_over_patch(height_m[usable & in_front])
+        patch = in_front & ~still
+        self.frame_height_m = _height_over_patch(height_m[usable & patch], int(patch.sum()))
         if self.frame_height_m:
             self._heights_m.append(self.frame_height_m)
         if not self._heights_m:
@@ -84,16 +82,6 @@ class Road:
         if self._camera_height_m is None:
             return road, 1.0
         return road, self._camera_height_m / median_m
-
-    def _height_over_patch(self, height_m: np.ndarray) -> float:
-        """Return the median of the heights [N] of usable points in front; 0 if they are no road."""
-        if len(height_m) <= MIN_VISIBLE * self.in_front.sum():
-            return 0.0
-        median_m = float(np.median(height_m))
-        flat = np.abs(height_m / median_m - 1) < FLAT
-        if flat.mean() <= MIN_FLAT:
-            return 0.0
-        return median_m
 
     @property
     def slope(self) -> float:
@@ -107,3 +95,17 @@ class Road:
         if abs(ahead_m) >= MIN_STEP_M:
             self._down_m.append(math.copysign(1, ahead_m) * down_m)
             self._ahead_m.append(abs(ahead_m))
+
+
+def _height_over_patch(height_m: np.ndarray, patch_pixels: int) -> float:
+    """Return the median of the heights [N] of a patch's usable points; 0 if they are no road.
+
+    `patch_pixels` is the number of pixels of the patch.
+    """
+    if len(height_m) <= MIN_VISIBLE * patch_pixels:
+        return 0.0
+    median_m = float(np.median(height_m))
+    flat = np.abs(height_m / median_m - 1) < FLAT
+    if flat.mean() <= MIN_FLAT:
+        return 0.0
+    return median_m

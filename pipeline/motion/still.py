@@ -30,16 +30,6 @@ QUANTILE = 0.75
 MOVES = 0.9
 
 
-def lowest_share(shares: np.ndarray, valid: np.ndarray) -> float:
-    """Return the median share of the lowest row without street [F]; 0 if no frame is valid.
-
-    Frames that are not valid do not count, because they may show a standstill.
-    """
-    if not valid.any():
-        return 0.0
-    return float(np.median(shares[valid > 0]))
-
-
 class Still:
     """Sums squared changes from image to image, as recorded and as predicted for a STEP ahead.
 

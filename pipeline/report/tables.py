@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
+from pipeline.base.console import split_doubts
 from pipeline.base.params import SPLITS
 from pipeline.evaluate.statistics import interval_text, nmse_text, shown_metrics
-from pipeline.labels.agreement import split_doubts
 from pipeline.report import paper
 from pipeline.report.results import NO_LEARNING, Group, Row
 from pipeline.report.summary import Comparison

@@ -45,7 +45,7 @@ def score_motion(drives: list[str], ingest: Path, motion: Path, car: Car) -> dic
 
 def _compare_drive(ingest: Path, motion: Path, car: Car) -> dict[str, MotionErrors]:
     with DriveReader(ingest, stage="ingest") as raw:
-        measured_rates = source.rates_of_motion(raw, motion, look_ahead=False)
+        measured_rates = source.rates_of_motion(raw, motion, smooth=False)
         recorded_rates = source.recorded_rates(raw)
         measured = steering_labels(measured_rates.yaw_rate_radps, measured_rates.speed_mps, car)
         wheel = source.recorded_angles(raw, recorded_rates or measured_rates, car)

@@ -65,8 +65,8 @@ def test_motion_is_measured_from_python(tmp_path, encoder):
     assert outcome.table["valid"].sum() == 29
     assert outcome.files == []
     assert outcome.doubts == []
-    line = "motion measured in 29 of 30 frames; not measured: no previous frame (1)"
-    assert outcome.notes[1] == line
+    assert outcome.notes[1].startswith("motion of images: measured in 29 of 29 moving frames")
+    assert outcome.notes[2] == "frames without a measurement: no previous frame (1)"
     with pytest.raises(TypeError, match=r"'camera_height': did you mean camera_height_m"):
         api.measure(images, encoder=encoder, camera_height=1.4)
     with pytest.raises(InputError, match=r"wheelbase: .*less than or equal to 20 \(got 2700\)"):
@@ -86,7 +86,7 @@ def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
     options = LENS | {"offset_s": -10, "distortion": "0,0,0,0"}
     measure([images], out=out, encoder=encoder, motion=log, **options)
     text = capsys.readouterr().out
-    assert "motion measured in 29 of 30 frames" in text
+    assert "motion of images: measured in 29 of 29 moving frames" in text
     assert "can.csv covers 21 of 30 images" in text
     assert re.search(r"doubt: speed of can.csv: 3\.\d\d times the measured one; the sign", text)
     turns = r"yaw rate of can.csv: correlation 0\.00 .*; 20 frames, 20 of them turn"
@@ -136,7 +136,7 @@ def test_input_without_motion_gets_no_numbers(tmp_path, encoder, images, capsys)
     for name in ("speed_mps", "yaw_rate_radps", "measured_rad", "x_m", "points"):
         assert np.isnan(rows[name]).all()
     text = capsys.readouterr().out
-    assert "motion measured in 0 of 12 frames; not measured:" in text
+    assert "motion of images: measured in 0 of" in text
     assert "horizon: not found" in text
 
 
@@ -144,8 +144,8 @@ def test_a_camera_that_looks_back_is_noticed(tmp_path, encoder, capsys):
     images = write_folder(tmp_path / "images", drive(12)[::-1])
     options = LENS | {"encoder": encoder, "video": False}
     measure([images], out=tmp_path / "out", **options)
-    doubt = "11 of 11 moving frames are measured backwards: the camera looks back?"
-    assert doubt in capsys.readouterr().out
+    line = "doubt: motion of images: measured in 11 of 11 moving frames, backwards in 11"
+    assert line in capsys.readouterr().out
 
     times_s = [number / 10 for number in range(12)]
     log = write_log(tmp_path / "can.csv", times_s, -SPEED)

@@ -45,8 +45,7 @@ def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path):
     rows = {0: (0, 0), 1: (8.0, 0.02), 2: (8.0, 0.02), 3: (0, 0), 4: (0.5, 0.0)}
     write_motion(tmp_path, "drive", rows)
     with DriveReader(tmp_path / "drive.h5", stage="motion") as motion:
-        causal = read_course(motion, CAR, look_ahead=False, height_known=True)
-        unknown = read_course(motion, CAR, look_ahead=False, height_known=False)
+        causal = read_course(motion, CAR, smooth=False)
     assert np.isnan(causal["speed_mps"]).tolist() == [True, False, False, True, False]
     assert causal["measured_rad"][1:3] == pytest.approx(np.arctan(2.7 * 0.02 / 8.0))
     assert np.isnan(causal["measured_rad"][4])  # below the minimum speed
@@ -54,8 +53,6 @@ def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path):
     assert causal["x_m"][1] == pytest.approx(80 * np.cos(0.1))
     assert causal["y_m"][1] == pytest.approx(80 * np.sin(0.1))
     assert causal["heading_rad"][4] == pytest.approx(0.4)
-    assert (unknown["speed_sigma"][1:3] > 0.2).all()
-    assert (unknown["measured_sigma_rad"][1:3] > causal["measured_sigma_rad"][1:3]).all()
 
 
 def truth_of(path: Path, values: dict[str, Any], logs: Logs) -> Truth:
@@ -147,7 +144,7 @@ def test_comparison_by_its_definition():
     }
     labels = Labels(driven_rad, frame > -1, driven_rad, driven_rad)
     truth = Truth("log.csv", labels)
-    results = Results("drive", table, [""] * 11, truth, labels, {}, [])
+    results = Results("drive", table, [""] * 11, truth, labels, {}, [], [])
     comparison = results.compare("predicted", 2)
     target = results.table["driven_rad"][5:]
     assert comparison["truth"] == "log.csv"
@@ -173,7 +170,7 @@ def test_the_taken_path_is_recorded_or_else_measured(recorded):
         driven = Labels(np.zeros(8), ~known, unknown, unknown)
     measured = Labels(np.zeros(8), known, speed_mps, np.full(8, 0.5))
     table = {"frame": frame, "time_s": frame / 10}
-    results = Results("drive", table, [""] * 8, Truth("", driven), measured, {}, [])
+    results = Results("drive", table, [""] * 8, Truth("", driven), measured, {}, [], [])
     labels = {"wheelbase_m": 2.7, "min_speed_mps": 1.0, "ahead_m": [0.0, 2.0, 5.0]}
     results.add_prediction(Target(labels), np.zeros((8, 2)))
 

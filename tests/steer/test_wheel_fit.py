@@ -110,14 +110,14 @@ def test_results_have_the_fitted_angles_or_none(tmp_path, monkeypatch, turn_rad,
     frames = [Frame(number, 10.0 * number) for number in frame.tolist()]
     drive = Drive(None, lambda: iter(frames), logged_values(logs, frame, 10.0 * frame))
     write_drive(tmp_path / "ingest.h5", drive, "drive", "recording", READING)
-    monkeypatch.setattr(outcome, "find_doubts", lambda attrs: [])
+    monkeypatch.setattr(outcome, "facts_line", lambda name, summaries: "motion")
     camera = SimpleNamespace(height_known=True)
     source: Any = SimpleNamespace(
         path=Path("a.mp4"), name="a", logs=logs, drive=drive, camera=camera, doubts=[]
     )
 
     results = outcome.Results.read(
-        source, tmp_path, Car(WHEELBASE_M, 1.0), look_ahead=True, fit_ratio=True
+        source, tmp_path, Car(WHEELBASE_M, 1.0), smooth=True, fit_ratio=True
     )
     comparison = results.compare("measured")
     text = "\n".join(results.lines(comparison))

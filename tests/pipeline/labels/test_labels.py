@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.base import console
 from pipeline.evaluate import turns
 from pipeline.labels import agreement, ahead, label
 from pipeline.labels.agreement import Pair
@@ -211,7 +212,7 @@ def test_a_straight_drive_or_no_frame_is_no_doubt():
     straight = Pair(WINDING_S[:300], noise[0], noise[1], np.zeros(300, bool))
     facts = agreement.follow([straight])
     assert facts
-    assert not agreement.turns_line("angle", "rad", facts).startswith(agreement.DOUBT)
+    assert not agreement.turns_line("angle", "rad", facts).startswith(console.DOUBT)
     unknown = straight._replace(recorded=np.full(300, np.nan))
     for drives in ([], [unknown]):
         assert agreement.follow(drives) is None
@@ -240,9 +241,9 @@ def test_speeds_have_a_ratio_and_a_sign(
     facts = agreement.compare_speeds([pair])
     assert facts == agreement.Speed(290, pytest.approx(ratio), contradicted)
     line = agreement.speed_line("speed", facts, height_known=height_known)
-    assert line.startswith(agreement.DOUBT) == is_doubtful
+    assert line.startswith(console.DOUBT) == is_doubtful
     assert ("the scale is not known" in line) != height_known
-    assert agreement.split_doubts([line]) == (
+    assert console.split_doubts([line]) == (
         ([], [line.removeprefix("doubt: ")]) if is_doubtful else ([line], [])
     )
 

@@ -75,55 +75,15 @@ def measure_drive(
         DriveWriter(path, stage="motion", drive=frames.drive, params=frames.params) as file,
     ):
         duration_s = durations(frames.frame, frames.time_s)
-        columns = _empty_columns(len(frames.frame))
-
-        # Measure frame after frame.
-        odometry = Odometry(frames.camera)
-        for row, frame in enumerate(frames):
-            step = odometry.step(frame)
-            if step:
-                # The fields of a step and its rates are columns of these names.
-                values = step._asdict() | rates(step.T_before_now, duration_s[row])._asdict()
-                for name, value in values.items():
-                    columns[name][row] = value
-            columns["problem"][row] = PROBLEMS.index(odometry.problem)
-            columns["road_height_m"][row] = odometry.road.frame_height_m
-            advance(1)
-
-        # A speed that no car can reach from the one before is no measurement. Without a road, the
-        # scale of depth is unknown, and speeds tell nothing.
-        has_scale = (columns["problem"] == 0) & (columns["road_height_m"] > 0)
-        scatter = _scatter(columns["speed_mps"], has_scale)
-        jumps = find_jumps(frames.time_s, columns["speed_mps"], has_scale)
-        columns["problem"][jumps] = NOT_A_CARS
-        for name in ("yaw_rate_radps", "speed_mps"):
-            columns[name][jumps] = 0
-        valid = columns["problem"] == 0
-
-        # Filter and smooth the measured speeds. Ratios of lengths become those of speeds.
-        before_s = np.append(np.nan, duration_s[:-1])
-        columns["ratio"] *= np.nan_to_num(before_s / duration_s).astype(np.float32)
-        speeds = Speeds(
-            frames.time_s[valid],
-            columns["speed_mps"][valid],
-            columns["road_height_m"][valid] > 0,
-            columns["ratio"][valid],
-            columns["ratio_sigma"][valid],
-        )
-        filtered = filter_speeds(speeds)
-        smooth = smooth_rates(speeds, columns["yaw_rate_radps"][valid])
-
-        # The error of the scale is common to the drive, so no filter over time finds it.
         scale_sigma = KNOWN_HEIGHT_SIGMA if frames.camera.height_known else UNKNOWN_HEIGHT_SIGMA
-        columns["filtered_mps"][valid] = filtered.speed_mps
-        columns["speed_sigma"][valid] = np.hypot(filtered.sigma, scale_sigma)
-        for name, values in smooth._asdict().items():
-            columns[f"smooth_{name}"][valid] = values
-        columns["smooth_speed_sigma"][valid] = np.hypot(smooth.speed_sigma, scale_sigma)
+        columns = _measure_steps(frames, duration_s, advance)
+        scatter = _scatter(columns["speed_mps"], _has_scale(columns))
+        _remove_jumps(columns, frames.time_s)
+        _add_estimates(columns, frames.time_s, duration_s, scale_sigma)
 
         file.put("frame", frames.frame)
         file.put("time_s", frames.time_s, "s")
-        file.put("valid", valid.astype(np.uint8))
+        file.put("valid", _is_measured(columns).astype(np.uint8))
         for name, unit in UNITS.items():
             file.put(name, columns[name], unit)
 
@@ -134,6 +94,84 @@ def measure_drive(
         summary["unit_error"] = frames.unit_error if np.isfinite(frames.unit_error) else 0.0
         file.attrs |= summary
     return summary
+
+
+def _measure_steps(
+    frames: DriveFrames, duration_s: np.ndarray, advance: Callable[[int], object]
+) -> dict[str, np.ndarray]:
+    """Return the columns of the file with the measured steps: name → [F].
+
+    `duration_s` [F] are the durations of the steps.
+    """
+    columns = dict[str, np.ndarray]()
+    for name in UNITS:
+        dtype = np.float64 if name.startswith("smooth_") else np.float32
+        columns[name] = np.zeros(len(duration_s), dtype)
+    columns["inliers"] = np.zeros(len(duration_s), np.int32)
+    columns["problem"] = np.zeros(len(duration_s), np.uint8)
+    columns["scale"] = np.ones(len(duration_s), np.float32)
+    columns["T_before_now"] = np.tile(np.eye(4, dtype=np.float32), (len(duration_s), 1, 1))
+
+    odometry = Odometry(frames.camera)
+    for row, frame in enumerate(frames):
+        step = odometry.step(frame)
+        if step:
+            # The fields of a step and its rates are columns of these names.
+            values = step._asdict() | rates(step.T_before_now, duration_s[row])._asdict()
+            for name, value in values.items():
+                columns[name][row] = value
+        columns["problem"][row] = PROBLEMS.index(odometry.problem)
+        columns["road_height_m"][row] = odometry.road.frame_height_m
+        advance(1)
+    return columns
+
+
+def _is_measured(columns: dict[str, np.ndarray]) -> np.ndarray:
+    """Return the frames whose motion is measured, bool [F]."""
+    return columns["problem"] == 0
+
+
+def _has_scale(columns: dict[str, np.ndarray]) -> np.ndarray:
+    """Return the measured frames with a road, bool [F]: without one, the scale is unknown."""
+    return _is_measured(columns) & (columns["road_height_m"] > 0)
+
+
+def _remove_jumps(columns: dict[str, np.ndarray], time_s: np.ndarray) -> None:
+    """Remove speeds that no car can reach from the one before: they are no measurement."""
+    jumps = find_jumps(time_s, columns["speed_mps"], _has_scale(columns))
+    columns["problem"][jumps] = NOT_A_CARS
+    for name in ("yaw_rate_radps", "speed_mps"):
+        columns[name][jumps] = 0
+
+
+def _add_estimates(
+    columns: dict[str, np.ndarray], time_s: np.ndarray, duration_s: np.ndarray, scale_sigma: float
+) -> None:
+    """Add filtered speeds and smooth rates, and their standard deviations.
+
+    `scale_sigma` is the relative standard deviation of the drive's scale.
+    """
+    # Ratios of lengths become those of speeds.
+    before_s = np.append(np.nan, duration_s[:-1])
+    columns["ratio"] *= np.nan_to_num(before_s / duration_s).astype(np.float32)
+
+    valid = _is_measured(columns)
+    speeds = Speeds(
+        time_s[valid],
+        columns["speed_mps"][valid],
+        columns["road_height_m"][valid] > 0,
+        columns["ratio"][valid],
+        columns["ratio_sigma"][valid],
+    )
+    filtered = filter_speeds(speeds)
+    smooth = smooth_rates(speeds, columns["yaw_rate_radps"][valid])
+    for name, values in smooth._asdict().items():
+        columns[f"smooth_{name}"][valid] = values
+
+    # The error of the scale is common to the drive, so no filter over time finds it.
+    columns["filtered_mps"][valid] = filtered.speed_mps
+    columns["speed_sigma"][valid] = np.hypot(filtered.sigma, scale_sigma)
+    columns["smooth_speed_sigma"][valid] = np.hypot(smooth.speed_sigma, scale_sigma)
 
 
 def find_jumps(time_s: np.ndarray, speed_mps: np.ndarray, valid: np.ndarray) -> np.ndarray:
@@ -154,25 +192,12 @@ def find_jumps(time_s: np.ndarray, speed_mps: np.ndarray, valid: np.ndarray) -> 
     return jumps
 
 
-def _empty_columns(count: int) -> dict[str, np.ndarray]:
-    """Return the columns of a number of frames without motion."""
-    columns = dict[str, np.ndarray]()
-    for name in UNITS:
-        dtype = np.float64 if name.startswith("smooth_") else np.float32
-        columns[name] = np.zeros(count, dtype)
-    columns["inliers"] = np.zeros(count, np.int32)
-    columns["problem"] = np.zeros(count, np.uint8)
-    columns["scale"] = np.ones(count, np.float32)
-    columns["T_before_now"] = np.tile(np.eye(4, dtype=np.float32), (count, 1, 1))
-    return columns
-
-
 def _summarise(columns: dict[str, np.ndarray], duration_s: np.ndarray, camera: Camera) -> Summary:
     """Return counts and medians of F frames.
 
     `columns`: name → [F]; `duration_s`: of steps [F].
     """
-    valid = columns["problem"] == 0
+    valid = _is_measured(columns)
     moving = valid | np.isin(columns["problem"], LOST)
     road = columns["road_height_m"] > 0
     length_m = np.linalg.norm(columns["T_before_now"][:, :3, 3], axis=1)

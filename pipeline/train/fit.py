@@ -33,7 +33,7 @@ SMOOTHING = 3
 # Share of the spans whose motion is hidden from a network that predicts ahead. Motion alone is a
 # good first guess: a network that always has it learns to use the scene late or never. The nmse a
 # second ahead was 0.264 and 0.179 with motion always (seeds 0 and 1), 0.087 with 0.3 of the spans
-# hidden (seed 0), and 0.077 and 0.100 with half of them: docs/history.md, roads.
+# hidden (seed 0), and 0.077 and 0.100 with half of them: docs/history.md.
 MOTION_DROPOUT = 0.5
 
 

@@ -46,7 +46,7 @@ def facts_line(name: str, summaries: Sequence[Summary]) -> str:
     road_frames = sum(summary["road_frames"] for summary in summaries)
     scatter = _median(summaries, "scatter")
 
-    height = f"{_median(summaries, 'camera_height_m'):.2f} m in truth"
+    height = f"known: {_median(summaries, 'camera_height_m'):.2f} m"
     if not all(summary["scaled"] for summary in summaries):
         height = "the scale is not known"
     text = (

@@ -246,7 +246,7 @@ HEALTHY = {
 def test_facts_of_healthy_drives():
     assert [*facts_lines({"1": HEALTHY, "2": HEALTHY | {"road_height_m": 1.66}})] == [
         "motion of all drives: measured in 196 of 198 moving frames, backwards in 0; a road in 198 "
-        "of 200 frames, by depth 1.64 m below the camera (1.65 m in truth); 0.10 s and 0.90 m per "
+        "of 200 frames, by depth 1.64 m below the camera (known: 1.65 m); 0.10 s and 0.90 m per "
         "step; the speed scatters by 3.0% from frame to frame, and by 4% from drive to drive"
     ]
     assert "below the camera (the scale is not known)" in facts_line("1", [HEALTHY | {"scaled": 0}])

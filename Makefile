@@ -14,7 +14,7 @@ endif
 # uv installs no bytecode. Where this is set, as in many containers, each process would compile its libraries anew.
 unexport PYTHONDONTWRITEBYTECODE
 PRESETS := $(filter-out encoder,$(patsubst presets/%.yaml,%,$(wildcard presets/*.yaml)))
-.PHONY: demo help $(PRESETS) encoder street udacity params test bench lint format setup system
+.PHONY: demo help $(PRESETS) encoder street udacity test bench lint format setup system
 
 demo: setup            ## run the complete chain on the embedded sample and print its table
 	@git rev-parse 2>/dev/null || if [ -e .git ] && command -v git >/dev/null; then git rev-parse; else \
@@ -45,9 +45,6 @@ UDACITY ?= data/raw/udacity
 udacity: street        ## compare with the teams of Udacity's Challenge 2; UDACITY is the folder of the three files
 	@python -m benchmarks.alternatives udacity $(UDACITY)/udacity_ch2_001.mp4 $(UDACITY)/udacity_ch2_001.csv \
 	$(UDACITY)/udacity_leaderboard.csv
-
-params: setup          ## write the settings of a preset into params.yaml: make params PRESET=kitti, or your own file
-	@python -m pipeline.check.preset "$(PRESET)"
 
 test: setup            ## run all tests, with coverage
 	OMP_NUM_THREADS=1 pytest -n "$$(nproc 2>/dev/null || getconf _NPROCESSORS_ONLN)" --dist loadfile --no-loadscope-reorder --cov --cov-report=term:skip-covered --cov-fail-under=92

@@ -39,7 +39,7 @@ def main(name: str) -> None:
 
     # All settings are checked before anything is written.
     preset.check_name_is_free(name)
-    params = preset.base_of(name, Path("params.yaml"))
+    params = Path("params.yaml")
     settings = preset.merged(name, params)
     take_weights(settings["encoder"], run / "params.yaml")
 

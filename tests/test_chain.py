@@ -17,6 +17,7 @@ from dvc.repo import Repo
 from dvc.utils.serialize import modify_yaml
 
 from pipeline.base.resume import ROOT
+from pipeline.check import preset
 from tests.kitti_drive import contents
 from tests.test_docs import code_block
 
@@ -229,9 +230,8 @@ def test_the_first_and_the_last_row_of_preset_kitti_train(folder):
     edit_params(folder, ingest=params["ingest"] | {"drives": drives, "lidar": True})
     run(folder, "python", "-m", "stages.sample", "--out", "data/raw")
     run(folder, "git", "checkout", "params.yaml")
-    run(folder, "python", "-m", "pipeline.check.preset", "kitti")  # make params PRESET=kitti
     rows = ("cnn-ncp", "motion-10-blind")
-    kitti = yaml.safe_load((folder / "params.yaml").read_text())
+    kitti = preset.merged("kitti", folder / "params.yaml")
     kitti["ingest"] |= {"image_size": [96, 320], "drives": drives}
     kitti["encoder"] = params["encoder"]
     for name, variant in kitti["graphs"].items():

@@ -144,16 +144,6 @@ REFUSED = [
         {"runs/roads/run.json": "{}", "runs/roads/params.yaml": "a: 1"},
         "runs/roads/params.yaml: was edited",
     ),
-    (
-        "roads",
-        {"params.yaml": preset.stamped("a: 1", "make params PRESET=kitti")},
-        "PRESET=kitti wrote it, so",
-    ),
-    (
-        "roads",
-        {"params.yaml": preset.stamped("a: 1", "make kitti")},
-        "make kitti wrote it, so preset roads does not",
-    ),
     ("mine", {"presets/mine.yaml": "encoder: {weights: no.pt}"}, "no.pt: file is missing"),
 ]
 

@@ -1,8 +1,7 @@
-"""Merge presets, which are sets of changes to ``params.yaml``, or apply a preset to the file."""
+"""Merge presets, which are sets of changes to ``params.yaml``, into its settings."""
 
 import hashlib
 import io
-import shutil
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,12 +12,12 @@ from pipeline.base import console
 from pipeline.base.errors import InputError
 from pipeline.base.params import parse, read_yaml
 from pipeline.base.resume import ROOT
-from pipeline.base.store import replacing, write_text
+from pipeline.base.store import write_text
 from pipeline.check.settings import Params
 
 # Folder of the presets.
 PRESETS = ROOT / "presets"
-# File to which presets are applied.
+# File of settings into which presets are merged.
 PARAMS = ROOT / "params.yaml"
 # Names that no preset may have: the other targets of the Makefile.
 TARGETS = (
@@ -27,7 +26,6 @@ TARGETS = (
     "encoder",
     "street",
     "udacity",
-    "params",
     "test",
     "bench",
     "lint",
@@ -37,89 +35,19 @@ TARGETS = (
 )
 # Start of the first line of a stamped file.
 _STAMP = "# Written by "
-# Author of stamped files that this command writes; the name of the preset follows.
-_AUTHOR = "make params"
 # Author of stamped files that steer import writes.
 IMPORT = "steer import"
 
 
 def main(
     name: Annotated[str, typer.Argument(metavar="PRESET", help="a name in presets/, or a file")],
-    folder: Annotated[Path, typer.Argument(help="where to write params.yaml")] = Path(),
+    folder: Annotated[Path, typer.Argument(help="where to write params.yaml")],
 ) -> None:
-    """Write params.yaml with the changes of a preset, and keep the file as params.yaml.before.
+    """Write params.yaml, with the changes of a preset, to a folder.
 
-    Raises InputError if the file was edited since it was written, or written by another preset.
+    Raises InputError if the file was edited since it was written.
     """
-    params = Path("params.yaml")
-    out = folder / params
-    author = f"{_AUTHOR} PRESET={name}"
-    if out.exists() and out.samefile(params):
-        apply(name, params, author)
-        return
-
-    # make encoder writes the settings of an encoder to another folder. It starts from the user's
-    # own file, even if a preset has been applied to params.yaml since.
-    base = params
-    if author_of(params).startswith(_AUTHOR) and path_before(params).is_file():
-        base = path_before(params)
-    write(merged(name, base), out, author)
-
-
-def apply(name: str, params: Path, author: str) -> None:
-    """Apply the changes of preset `name` to the file `params`, and keep the user's own file."""
-    content = merged(name, base_of(name, params))
-    if not author_of(params):
-        keep_before(params)
-    write_text(params, to_yaml(content, author))
-    before = path_before(params)
-    print(f"wrote {params} with the changes of preset {name}; the file before is {before}")
-
-
-def path_before(params: Path) -> Path:
-    """Return the path of the file that ``make params`` replaced."""
-    return params.with_name(f"{params.name}.before")
-
-
-def keep_before(params: Path) -> None:
-    """Keep `params`, which a preset will replace.
-
-    Raises InputError if another file is kept already.
-    """
-    kept = path_before(params)
-    if kept.exists() and kept.read_bytes() != params.read_bytes():
-        problem = "holds other settings, which this command would replace"
-        raise InputError(problem, kept, "Move or delete it")
-    with replacing(kept) as unfinished:
-        shutil.copyfile(params, unfinished)
-
-
-def base_of(name: str, params: Path) -> Path:
-    """Return the file to which a preset applies: `params`, or the file before it.
-
-    If ``make params`` has already applied this preset to `params`, the file before that is
-    returned. Raises InputError if another preset wrote `params`, if `params` was edited since, or
-    if a run wrote it.
-    """
-    author = author_of(params)
-    before = path_before(params)
-    if not author:
-        return params
-    if author == f"{_AUTHOR} PRESET={name}" and is_unedited(params):
-        if before.is_file():
-            return before
-        # A clone lacks the file before. Applying the preset to params.yaml again changes nothing.
-        return params
-
-    problem = f"{author} wrote it"
-    if not is_unedited(params):
-        problem += ", and it was edited since"
-    problem += f", so preset {name} does not apply to it"
-    way_back = f"mv {before} {params}"
-    if not before.is_file():
-        restore = f"git checkout COMMIT {params} restores one"
-        way_back = f"git log {params} names earlier versions, {restore}"
-    raise InputError(problem, params, f"Run it as it is: dvc repro. Or go back: {way_back}")
+    write(merged(name, Path("params.yaml")), folder / "params.yaml", f"make {name}")
 
 
 def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:

@@ -1,17 +1,13 @@
 """``make NAME``: run a preset in runs/NAME, a copy of the code with its own DVC cache."""
 
 import json
-import os
 import shutil
-import signal
 import subprocess
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import psutil
 import typer
 
 from pipeline.base import console
@@ -57,7 +53,6 @@ def main(name: str) -> None:
         write_text(run / CHECKOUT, str(Path.cwd()))
         preset.write(settings, run / "params.yaml", f"make {name}")
         copy_code(run)
-        release_locks(run / ".dvc/tmp/rwlock")
         run_dvc(run)
         publish(run, Path("data/report"), name)
     print(f"next: {record['next']}", f"Open data/report/{name}.html in a browser.", sep="\n")
@@ -119,98 +114,19 @@ def copy_code(run: Path) -> None:
     write_json(listed, sorted(now))
 
 
-def release_locks(path: Path) -> None:
-    """Remove the entries of DVC's lock file whose process has ended.
-
-    DVC itself keeps an entry while any process has its process number. On another machine, or after
-    the restart of a container, this may be the number of an unrelated process.
-    """
-    if not path.is_file():
-        return
-    written_s = path.stat().st_mtime
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    # DVC was killed while it wrote the file.
-    except ValueError:
-        content = {}
-    write = {
-        file: entry
-        for file, entry in content.get("write", {}).items()
-        if is_dvc(entry["pid"], written_s)
-    }
-    read = {}
-    for file, entries in content.get("read", {}).items():
-        alive = [entry for entry in entries if is_dvc(entry["pid"], written_s)]
-        if alive:
-            read[file] = alive
-    write_text(path, json.dumps({"write": write, "read": read}))
-
-
-def is_dvc(pid: int, since_s: float) -> bool:
-    """Return whether a process is a ``dvc`` that started before the time `since_s`."""
-    try:
-        process = psutil.Process(pid)
-        words = process.cmdline()
-        return process.create_time() < since_s and "dvc" in [Path(word).name for word in words]
-    # A process of another user is no run in this folder, which this process has locked.
-    except (psutil.NoSuchProcess, psutil.AccessDenied):
-        return False
-
-
 def run_dvc(run: Path) -> None:
     """Run the commands of DVC. Raises Exit with the status of the first command that fails."""
     commands = [*DVC]
     if not (run / ".dvc").is_dir():
         commands.insert(0, "init --quiet --no-scm")
-    status = 0
-    groups = list[int]()
-    with interrupting(groups) as interrupted:
-        for words in commands:
-            # DVC gets its own group of processes, as `timeout` and a closed terminal send signals
-            # to all processes in the group of make.
-            process = subprocess.Popen(
-                ["dvc", *words.split()], cwd=run, process_group=0, stdin=subprocess.DEVNULL
-            )
-            groups.append(process.pid)
-            # A signal may have come before the group was in the list.
-            if interrupted:
-                os.killpg(process.pid, signal.SIGINT)
-            # After a signal, the command counts as failed.
-            status = process.wait() or len(interrupted)
-            if status:
-                break
-    if status:
-        raise typer.Exit(status)
-
-
-@contextmanager
-def interrupting(groups: list[int]) -> Iterator[list[int]]:
-    """Pass signals that end this process on to the last of `groups`, as Ctrl-C.
-
-    Yields the list of signals so far. After Ctrl-C, DVC and its stages end by themselves. If DVC
-    were killed, it would leave locks, and its stage would go on.
-    """
-    interrupted = list[int]()
-
-    def interrupt(number: int, _: object) -> None:
-        interrupted.append(number)
-        with suppress(ProcessLookupError):
-            if groups:
-                os.killpg(groups[-1], signal.SIGINT)
-
-    handlers = {}
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) != signal.SIG_IGN:
-            handlers[number] = signal.signal(number, interrupt)
-        # SIGINT is ignored, as in the background of a script. DVC would inherit that, and would not
-        # end. A handler is not inherited, even if it does nothing.
-        elif number == signal.SIGINT:
-            handlers[number] = signal.signal(number, lambda *_: None)
-    try:
-        yield interrupted
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
+    for words in commands:
+        process = subprocess.Popen(["dvc", *words.split()], cwd=run)
+        while process.poll() is None:
+            # Ctrl-C reaches DVC, too, which ends its stage and then itself.
+            with suppress(KeyboardInterrupt):
+                process.wait()
+        if process.returncode:
+            raise typer.Exit(1)
 
 
 def next_command(name: str, run: Path, settings: dict[str, Any]) -> str:

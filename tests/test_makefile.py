@@ -6,7 +6,6 @@ import re
 import shutil
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -31,8 +30,6 @@ stage) echo train@fails train@works | tr ' ' '\\n' ;;
   case "$4" in train@fails) echo "$4: loss is nan" >&2; exit 255 ;; esac
   sleep 0.5; echo "trained $4" >> {log} ;;
 repro)
-  ended='sleep .5; echo ended >> {log}; exit 130'
-  [ ! -e wait ] || {{ trap "$ended" INT; while :; do sleep .1; done; }}
   mkdir -p data/report && ls stages > dvc.lock
   [ ! -e stages/broken.py ] || exit 255
   echo "<h1>Steering report</h1>" > data/report/index.html
@@ -195,41 +192,6 @@ def test_other_weights_under_the_same_name_change_the_settings(tmp_path, monkeyp
     Path("encoder.pt").unlink()  # results of the earlier run need no weights
     run.take_weights(encoder, Path("params.yaml"))
     assert encoder["weights_sha256"] == first["weights_sha256"]
-
-
-@pytest.mark.slow
-def test_sigterm_ends_dvc_as_ctrl_c_does(checkout):
-    folder = checkout / "runs/kitti"
-    folder.mkdir(parents=True)
-    (folder / "run.json").touch()
-    (folder / "wait").touch()
-    process = start(checkout, "kitti")
-    calls = checkout / "calls"
-    while not (calls.exists() and "\nrepro" in calls.read_text()):
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.1)
-    time.sleep(0.2)
-    process.terminate()
-    process.communicate()
-    assert calls.read_text().endswith("repro\nended\n")
-
-
-def test_locks_of_processes_that_are_no_dvc_are_released(tmp_path):
-    """As on another machine, or after the restart of a container: a process of the number lives."""
-    path = tmp_path / "rwlock"
-    with subprocess.Popen(["sh", "-c", "read line", "dvc"], stdin=subprocess.PIPE) as dvc:
-        alive = {"pid": dvc.pid, "cmd": "dvc repro"}
-        other = {"pid": os.getpid(), "cmd": "dvc repro"}
-        content = {"write": {"a": alive, "b": other}, "read": {"c": [alive, other], "d": [other]}}
-        path.write_text(json.dumps(content))
-        now_s = time.time()
-        os.utime(path, (now_s + 5, now_s + 5))
-        run.release_locks(path)
-        assert json.loads(path.read_text()) == {"write": {"a": alive}, "read": {"c": [alive]}}
-        os.utime(path, (now_s - 60, now_s - 60))  # before the process started
-        run.release_locks(path)
-        assert json.loads(path.read_text()) == {"write": {}, "read": {}}
-        dvc.communicate(b"")
 
 
 @pytest.mark.slow

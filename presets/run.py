@@ -11,11 +11,10 @@ from typing import Any
 import typer
 
 from pipeline.base import console
-from pipeline.base.checkout import CHECKOUT
+from pipeline.base.checkout import CHECKOUT, CODE, revision
 from pipeline.base.errors import InputError
 from pipeline.base.outputs import locked
 from pipeline.base.params import parse, read_yaml
-from pipeline.base.resume import CODE, revision
 from pipeline.base.store import write_json, write_text
 from pipeline.check import preset
 from pipeline.encoder.settings import Encoder

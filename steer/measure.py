@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.base.resume import ROOT, revision
+from pipeline.base.checkout import revision
+from pipeline.base.resume import ROOT
 from pipeline.base.store import DriveReader
 from pipeline.ingest.settings import Reading
 from pipeline.labels.label import Car

@@ -37,7 +37,7 @@ def _real(name: str) -> Callable[[], Path]:
 
 @pytest.fixture
 def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a copy of the code, which stage check and cache keys read instead of the project's."""
+    """Return a copy of the code, which cache keys read instead of the project's."""
     from pipeline.base import resume
 
     folder = tmp_path / "checkout"
@@ -45,7 +45,7 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         shutil.copytree(resume.ROOT / name, folder / name)
     shutil.copy(resume.ROOT / "dvc.yaml", folder)
     monkeypatch.setattr(resume, "ROOT", folder)
-    monkeypatch.setattr(resume, "_LOADED", {})
+    monkeypatch.setattr(resume, "LOADED", resume.scan_code())
     return folder
 
 

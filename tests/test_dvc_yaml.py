@@ -85,7 +85,7 @@ def test_what_a_stage_imports_is_covered(name):
             files |= _files(folder)
     for package in FOUND & {*_code(name)}:
         files |= _files(package)
-    imported = resume.with_imports(files)
+    imported = _with_imports(files)
     assert imported <= _covered(name)
     if name in PACKAGES:
         packages = {path for package in PACKAGES[name] for path in _files(package)}
@@ -93,6 +93,23 @@ def test_what_a_stage_imports_is_covered(name):
     else:
         for dep in _code(name):
             assert _files(dep) & imported, f"{dep} is not used"
+
+
+@pytest.mark.parametrize(
+    ("folder", "stages"),
+    [
+        ("models/steering/spatial", ["train", "evaluate"]),
+        ("models/steering/temporal", ["train", "evaluate"]),
+        ("pipeline/ingest/datasets", ["ingest"]),
+    ],
+)
+def test_a_network_or_dataset_imports_no_other_one_that_dvc_and_keys_do_not_see(folder, stages):
+    for file in sorted((resume.ROOT / folder).glob("*.py")):
+        path = file.relative_to(resume.ROOT)
+        for stage in stages:
+            code = resume.Code.read(stage, [str(path)]).loaded
+            missing = {name for name in map(str, _with_imports({path})) if name not in code}
+            assert not missing, f"{path} imports {missing}: list it in dvc.yaml, deps of {stage}"
 
 
 @pytest.mark.parametrize("name", STAGES)
@@ -161,6 +178,37 @@ def test_labels_depend_on_the_folder_that_their_source_names(tmp_path, source, e
     # The graph has an edge to labels from each folder that it reads.
     edges = set(re.findall(r'"(\w+)" -> "labels"', dvc("dag", "--dot", "labels")))
     assert edges == {"ingest", source}
+
+
+def _with_imports(files: set[Path]) -> set[Path]:
+    """Return files, and all files of the project that they import, directly or not."""
+    found = set[Path]()
+    queue = [*files]
+    while queue:
+        file = queue.pop()
+        if file not in found and (resume.ROOT / file).is_file():
+            found.add(file)
+            queue += _imports(file)
+    return found
+
+
+def _imports(file: Path) -> set[Path]:
+    """Return the modules that a file may import; "from a import b" may import a and a.b."""
+    names = set[str]()
+    for node in ast.walk(ast.parse((resume.ROOT / file).read_text())):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        if isinstance(node, ast.ImportFrom):
+            package = ".".join([*file.parts[: -node.level], ""]) if node.level else ""
+            names.add(f"{package}{node.module}")
+            names.update(f"{package}{node.module}.{alias.name}" for alias in node.names)
+    paths = set[Path]()
+    for name in names:
+        module = Path(*name.split("."))
+        paths.add(module.with_suffix(".py"))
+        # Python runs the __init__.py of all packages around a module.
+        paths.update(folder / "__init__.py" for folder in (module, *module.parents))
+    return paths
 
 
 def _outs(stage: dict[str, Any]) -> list[str]:

@@ -1,14 +1,15 @@
-"""Say whether this code is in a checkout, and find the checkout of a run in runs/NAME.
+"""Find the checkout of the code, and its revision."""
 
-The checkout has data/raw and weights. An installed wheel has neither.
-"""
-
+import shutil
+import subprocess
 from pathlib import Path
 
-from pipeline.base.resume import ROOT
+from pipeline.base.resume import PACKAGES, ROOT
 
-# File in runs/NAME with the path of the checkout. It is not a link, as `runs` may be on a disk that
-# has no links.
+# Files and folders of the checkout, other than settings, that a run in runs/NAME needs.
+CODE = (*PACKAGES, "dvc.yaml", ".dvcignore", "data/.gitignore")
+# File in runs/NAME with the path of the checkout, which has data/raw and weights. It is not a link,
+# as `runs` may be on a disk that has no links.
 CHECKOUT = Path("checkout")
 
 
@@ -25,3 +26,27 @@ def in_checkout(path: Path) -> Path:
     if CHECKOUT.is_file():
         return Path(CHECKOUT.read_text(encoding="utf-8")) / path
     return path
+
+
+def revision(checkout: Path = ROOT) -> str:
+    """Return the short hash of the commit, with "-dirty" if code or settings differ from it.
+
+    The checkout may be a folder of a larger repository. The hash is empty if git is not installed,
+    or no repository has the checkout's files, as those of an installed wheel.
+    """
+    if not shutil.which("git") or not _git(checkout, "ls-files", "dvc.yaml"):
+        return ""
+    commit = _git(checkout, "rev-parse", "--short", "HEAD").strip()
+    status = _git(checkout, "status", "--porcelain", "--", *CODE, "presets", "params.yaml")
+    for line in status.splitlines():
+        # A new preset, such as one by steer import, does not count: the page of its run shows it.
+        if not (line.startswith("??") and "presets/" in line):
+            return f"{commit}-dirty"
+    return commit
+
+
+def _git(checkout: Path, *arguments: str) -> str:
+    """Return the output of git in a checkout; empty if it fails."""
+    command = ["git", *arguments]
+    done = subprocess.run(command, cwd=checkout, capture_output=True, text=True, check=False)
+    return done.stdout

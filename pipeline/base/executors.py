@@ -116,9 +116,6 @@ def _exit_with_parent() -> None:
 
 
 def _call(work: Callable[[J], Any], code: Code, job: J) -> Any:
-    """Call ``work(job)`` in a worker process.
-
-    Raises InputError if the code that this process has just loaded was edited since the start.
-    """
-    code.check_unedited()
+    """Call ``work(job)`` in a worker process. Raises InputError if it has other code."""
+    code.check_worker()
     return work(job)

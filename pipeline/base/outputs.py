@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from filelock import FileLock, Timeout
 
 from pipeline.base.errors import InputError
-from pipeline.base.resume import UNDO, Code
+from pipeline.base.resume import UNDO, Code, read_sections
 from pipeline.base.store import INDEX, NO_LOCKS, read_json, replacing, write_json
 
 # Advice for an output folder that is not free.
@@ -142,14 +142,14 @@ def stage_folder(
     with locked(out, f"{kept}.lock"):
         _check_owner(out, stage, index)
         code = Code.read(name, chosen)
-        sections = code.read_sections(params, entry)
+        sections = read_sections(name, params, entry)
         folder = StageFolder(code, kept / "new", kept, set())
         _remove(folder.new)
         folder.new.mkdir()
         yield folder
 
         code.check_unedited()
-        for key, content in code.read_sections(params, entry).items():
+        for key, content in read_sections(name, params, entry).items():
             if content != sections[key]:
                 raise InputError(f"{key} was edited while stage {stage} ran", params or "", UNDO)
         write_json(folder.new / INDEX, index, sort_keys=False)

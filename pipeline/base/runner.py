@@ -36,7 +36,7 @@ class Job(NamedTuple):
     inputs: Sequence[Path | str]
     # Picklable function that writes the file or folder to a path and returns a JSON-able summary.
     work: Callable[[Path], Summary]
-    # Code of the networks or datasets that this drive uses, see :meth:`Code.hash`.
+    # Code of the networks or datasets that this drive uses, see :meth:`Code.read`.
     chosen: tuple[str, ...] = ()
 
 

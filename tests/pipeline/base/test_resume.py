@@ -1,6 +1,5 @@
 """Cache keys have what can change a result, and nothing else; edits during a stage are found."""
 
-import os
 import pickle
 from pathlib import Path
 from typing import Any
@@ -22,19 +21,19 @@ NCP = "models/steering/temporal/ncp.py"
 # Title of a result → its stage, and the files of its networks or of its dataset.
 RESULTS = {
     "gnn": ("train", (f"{SPATIAL}/gnn.py", NCP)),
-    "polar": ("train", (f"{SPATIAL}/polar.py", NCP)),
+    "cnn": ("train", (f"{SPATIAL}/cnn.py", NCP)),
     "kitti": ("ingest", (f"{DATASETS}/kitti.py",)),
     "sample": ("ingest", (f"{DATASETS}/sample.py",)),
-    "recording": ("ingest", (f"{DATASETS}/recording.py",)),
     "perception": ("perception", ()),
     "labels": ("labels", ()),
     "report": ("report", ()),
 }
 ALL = set(RESULTS)
-INGEST = {"kitti", "sample", "recording"}
+INGEST = {"kitti", "sample"}
 
 
 def keys() -> dict[str, str]:
+    resume.LOADED = resume.scan_code()
     return {
         title: Code.read(stage, chosen).hash(chosen) for title, (stage, chosen) in RESULTS.items()
     }
@@ -57,46 +56,41 @@ def edit(path: Path, before: str, after: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("file", "before", "after", "changed"),
+    ("file", "changed"),
     [
-        ("pipeline/ingest/ingest_file.py", "", "LIMIT = 1\n", INGEST),
-        ("pipeline/ingest/media.py", "", "LIMIT = 1\n", INGEST),
-        (f"{DATASETS}/kitti.py", "", "LIMIT = 1\n", {"kitti", "sample"}),
-        (f"{DATASETS}/udacity.py", "", "LIMIT = 1\n", set()),
-        (f"{DATASETS}/mine.py", "", "LIMIT = 1\n", set()),
-        (f"{DATASETS}/lens.yaml", "", "fov: 60\n", {"kitti", "sample", "recording"}),
-        ("pipeline/labels/helper/__init__.py", "", "LIMIT = 1\n", {"labels"}),
-        ("pipeline/labels/label.py", "", "LIMIT = 1\n", {"labels", "gnn", "polar", "report"}),
-        ("models/encoder/words.txt", "", "road", {"perception"}),
-        ("pipeline/report/page.html.j2", "", "road", {"report"}),
-        (f"{SPATIAL}/gnn.py", "", "LIMIT = 1\n", {"gnn"}),
-        (f"{SPATIAL}/mine.py", "", "LIMIT = 1\n", set()),
-        ("models/steering/core/features.py", "", "LIMIT = 1\n", {"gnn", "polar"}),
-        ("pipeline/base/runner.py", "", "LIMIT = 1\n", ALL),
-        ("pipeline/sample/world.py", "", "LIMIT = 1\n", set()),
-        # What has no meaning.
-        ("pipeline/base/runner.py", '"""Make drives', '"""Make all drives', set()),
-        ("pipeline/base/runner.py", "", "# a comment\n", set()),
-        ("pipeline/base/runner.py", "(summary, seconds)", "(\n summary, seconds)", set()),
-        ("pipeline/base/runner.py~", "", "LIMIT = 1\n", set()),
-        ("pipeline/base/.DS_Store", "", "LIMIT = 1\n", set()),
+        ("pipeline/ingest/ingest_file.py", INGEST),
+        ("pipeline/base/runner.py", ALL),
+        ("pipeline/labels/label.py", {"labels", "gnn", "cnn", "report"}),
+        ("pipeline/labels/helper/__init__.py", {"labels"}),
+        ("pipeline/sample/world.py", set()),
+        # Data files.
+        ("models/encoder/words.txt", {"perception"}),
+        ("pipeline/report/page.html.j2", {"report"}),
+        # A dataset. The sample is read by kitti.py, so dvc.yaml lists that by name.
+        (f"{DATASETS}/kitti.py", INGEST),
+        (f"{DATASETS}/sample.py", {"sample"}),
+        (f"{DATASETS}/sample.yaml", {"sample"}),
+        (f"{DATASETS}/mine.py", set()),
+        (f"{DATASETS}/mine.yaml", set()),
+        # A network, with a folder and weights of its own, and another network.
+        ("models/steering/core/features.py", {"gnn", "cnn"}),
+        (f"{SPATIAL}/gnn.py", {"gnn"}),
+        (f"{SPATIAL}/gnn/layers.py", {"gnn"}),
+        (f"{SPATIAL}/gnn.pt", {"gnn"}),
+        (f"{SPATIAL}/mine.py", set()),
+        # What Python, editors and file managers leave.
+        ("pipeline/base/runner.py~", set()),
+        ("pipeline/base/.DS_Store", set()),
+        ("pipeline/base/__pycache__/runner.cpython-311.pyc", set()),
     ],
 )
-def test_a_key_has_the_code_that_can_change_the_result(checkout, file, before, after, changed):
+def test_a_key_has_the_files_that_can_change_the_result(checkout, file, changed):
     keys_before = keys()
-    edit(checkout / file, before, after)
+    edit(checkout / file, "", "# a comment\n")
     assert changed_keys(keys_before) == changed
 
 
-@pytest.mark.parametrize(
-    ("package", "changed"),
-    [
-        ("opencv-python-headless", ALL),
-        ("transformers", {"perception"}),
-        ("av", INGEST),
-        ("tqdm", set()),
-    ],
-)
+@pytest.mark.parametrize(("package", "changed"), [("opencv-python-headless", ALL), ("tqdm", set())])
 def test_a_key_has_the_versions_of_packages_that_change_numbers(
     checkout, monkeypatch, package, changed
 ):
@@ -108,10 +102,8 @@ def test_a_key_has_the_versions_of_packages_that_change_numbers(
             return f"{version(name)}+other"
         return version(name)
 
-    resume._version.cache_clear()
     monkeypatch.setattr(resume.importlib.metadata, "version", other_version)
     assert changed_keys(keys_before) == changed
-    resume._version.cache_clear()
 
 
 PARAMS = {"labels": {"wheelbase_m": 2.7, "min_speed_mps": 1.0}, "train": {"epochs": 1}}
@@ -123,10 +115,9 @@ PARAMS = {"labels": {"wheelbase_m": 2.7, "min_speed_mps": 1.0}, "train": {"epoch
         (
             "pipeline/labels/label.py",
             "",
-            "LIMIT = 1\n",
+            "# a comment\n",
             "label.py: was edited while stage labels ran. Undo",
         ),
-        ("pipeline/labels/label.py", "", "# a comment\n", ""),
         ("pipeline/sample/world.py", "", "LIMIT = 1\n", ""),
         (
             "params.yaml",
@@ -164,23 +155,13 @@ def test_an_edit_while_a_stage_runs_is_found_at_its_end(checkout, file, before, 
     assert "a.h5" in contents(out)
 
 
-def test_a_worker_compares_the_code_that_it_loaded(checkout, monkeypatch):
-    """It starts seconds after its stage, and an edit may have been undone since."""
-    path = checkout / "pipeline/labels/label.py"
+@pytest.mark.parametrize("name", ["pipeline/labels/label.py", "numpy"])
+def test_a_worker_with_other_code_or_packages_names_them_and_its_host(checkout, monkeypatch, name):
+    """It compares what it loaded, as an edit may have been undone since."""
     code = pickle.loads(pickle.dumps(Code.read("labels")))
-    code.check_unedited()
-    text = path.read_text()
-    edit(path, "", "LIMIT = 1\n")
-    loaded = {Path("pipeline/labels/label.py"): resume._stamp(path)}
-    for restored in (False, True):
-        if restored:
-            path.write_text(text)
-            os.utime(path, ns=(10**18, 10**18))
-        monkeypatch.setattr(resume, "_LOADED", loaded)
-        with pytest.raises(InputError, match="was edited while stage labels ran"):
-            code.check_unedited()
-    monkeypatch.setattr(resume, "_LOADED", {})
-    code.check_unedited()
-    monkeypatch.setattr(resume, "_LOADED", loaded)
-    with pytest.raises(InputError, match="was edited while stage labels ran"):
-        Code.read("labels")
+    code.check_worker()
+    monkeypatch.setitem(resume.LOADED, name, "another")
+    problem = rf"differs from that of stage labels \(got another, expected {code.loaded[name]:.12}"
+    with pytest.raises(InputError, match=problem) as raised:
+        code.check_worker()
+    assert raised.value.where.startswith(f"{name} of the worker on ")

@@ -5,7 +5,8 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 # DVC starts the stages with the first python in PATH, which make 3.81 (macOS) ignores with its default shell.
 export PATH := $(abspath $(BIN)):$(PATH)
-SHELL := /bin/bash
+# DVC runs commands by the shell that this variable names.
+export SHELL := /bin/bash
 export DVC_NO_ANALYTICS := 1
 # DVC asks for the user's name, which a container may lack: docker run --user 1234.
 ifndef LOGNAME
@@ -31,11 +32,10 @@ help:                  ## list the targets
 	@echo "PRESET    run a preset in runs/PRESET: $(PRESETS)"
 
 $(PRESETS): setup
-	@python -m presets.run "$@"
+	@python -m stages.preset "$@"
 
 encoder: setup         ## fit the sample's encoder, models/encoder/sample, on roads that no other settings name: 15 min
-	@python -m pipeline.check.preset encoder runs/encoder
-	@cd runs/encoder && export PYTHONPATH="$(CURDIR)" && for stage in sample ingest encoder; do python -m stages.$$stage || exit; done
+	@python -m stages.preset encoder encoder
 	@mkdir -p models/encoder/sample && cp runs/encoder/data/encoder/encoder.pt runs/encoder/data/encoder/config.json models/encoder/sample
 
 street: setup          ## make the encoder of real streets, weights/street, from published weights: seconds
@@ -69,6 +69,7 @@ PIP := $(BIN)/python -m pip
 INSTALL := install --quiet --constraint constraints.txt
 pip_setting = $$($(PIP) config list | sed -n "s/^[^=]*[.]$(1)='\(.*\)'$$/\1/p" | sed 's/\\n/ /g')
 $(VENV)/.installed: pyproject.toml constraints.txt
+	@[ ! -L $(VENV) ] || rm $(VENV)  # a link to the environment of another checkout, which --clear would empty
 	[ "$(INSTALLED)" = "$(abspath $(VENV))" ] && $(PIP) --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
 	@$(PIP) $(INSTALL) uv || echo "uv is not available: pip installs, which takes minutes"
 	@links=$(call pip_setting,find-links); UV_FIND_LINKS=$${UV_FIND_LINKS:-$$(echo $$links | tr ' ' ,)}; \

@@ -17,7 +17,7 @@ from dvc.repo import Repo
 from dvc.utils.serialize import modify_yaml
 
 from pipeline.base.resume import ROOT
-from pipeline.check import preset
+from stages import preset
 from tests.kitti_drive import contents
 from tests.test_docs import code_block
 

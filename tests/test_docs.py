@@ -20,11 +20,10 @@ from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
 from pipeline.base.store import DriveReader
-from pipeline.check import preset
 from pipeline.evaluate import statistics
 from pipeline.graphs.settings import KINDS, Variant
 from pipeline.train import quantity
-from stages import report
+from stages import preset, report
 from steer.app import app
 from tests import artefacts, small_model
 from tests.pipeline.report import examples

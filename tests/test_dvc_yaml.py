@@ -53,13 +53,11 @@ def _files(dep: str) -> set[Path]:
 def test_one_name_five_places():
     """A file of stages/, an entry of dvc.yaml, a section, a folder of data/ and of pipeline/."""
     files = {path.stem for path in (resume.ROOT / "stages").glob("*.py")}
+    files.remove("preset")  # runs the stages of a preset, and is none
     rooms = {path.name for path in (resume.ROOT / "pipeline").iterdir() if any(path.glob("*.py"))}
     assert files == set(STAGES) == rooms - {"base", "camera"}
     for name, stage in STAGES.items():
-        command = f"python -m stages.{name}"
-        if "foreach" in stage:
-            command += r' "\${DVC_STAGE#*@}"'
-        assert stage["cmd"] == command
+        assert stage["cmd"] == f"python -m stages.{name}"  # without the syntax of a shell
         for out in _outs(stage):
             assert out.split("/")[:2] == ["data", name]
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import yaml
 
-from pipeline.check import preset
 from stages import (
     check,
     clouds,
@@ -18,6 +17,7 @@ from stages import (
     labels,
     motion,
     perception,
+    preset,
     report,
     scores,
     train,

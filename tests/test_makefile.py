@@ -12,14 +12,14 @@ import pytest
 import yaml
 from filelock import FileLock
 
-from pipeline.base.checkout import in_checkout
+from pipeline.base.checkout import in_checkout, revision
 from pipeline.base.errors import InputError
-from pipeline.base.resume import ROOT, file_hash, revision
-from pipeline.check import preset
+from pipeline.base.resume import ROOT, file_hash
 from pipeline.encoder import create
 from pipeline.encoder.settings import Encoder
 from pipeline.encoder.weights import weights_hash
-from presets import run
+from stages import preset
+from tests.kitti_drive import write
 
 DVC = """#!/bin/sh
 echo "$@" >> {log}
@@ -84,7 +84,9 @@ def test_a_preset_runs_in_a_copy_of_the_code(checkout):
     done = make(checkout, "kitti")
     assert done.returncode == 0, done.stderr
     folder = checkout / "runs/kitti"
-    assert yaml.safe_load((folder / "params.yaml").read_text()) == preset.merged("kitti")
+    text = (folder / "params.yaml").read_text()
+    assert text.startswith("# make kitti: params.yaml with presets/kitti.yaml\n")
+    assert yaml.safe_load(text) == preset.merged("kitti")
     for copied in (
         "dvc.yaml",
         ".dvcignore",
@@ -100,7 +102,7 @@ def test_a_preset_runs_in_a_copy_of_the_code(checkout):
     assert (results["preset"], results["results"]) == ("kitti", {})
     made = json.loads((folder / "run.json").read_text())
     assert made["settings"]["ingest"]["source"] == "kitti"
-    assert made["next"].startswith("$EDITOR presets/kitti.yaml && make kitti ")
+    assert made["settings"]["models"]["*"] is None
     assert "\npreset kitti, revision unknown, date 20" in done.stdout
     assert (checkout / "params.yaml").read_text() == params
     first = [
@@ -141,6 +143,12 @@ REFUSED = [
         {"runs/roads/run.json": "{}", "runs/roads/params.yaml": "a: 1"},
         "runs/roads/params.yaml: was edited",
     ),
+    (
+        "roads",
+        {"runs/roads/run.json": "{}", "runs/roads/pipeline/base/runner.py": "mine"},
+        "runs/roads/pipeline/base/runner.py: was edited",
+    ),
+    ("demo", {"presets/demo.yaml": "train: {}"}, "demo: is a target of make"),
     ("mine", {"presets/mine.yaml": "encoder: {weights: no.pt}"}, "no.pt: file is missing"),
 ]
 
@@ -155,7 +163,7 @@ def test_a_run_that_would_replace_other_files_or_mix_settings_is_refused(
         Path(file).parent.mkdir(parents=True, exist_ok=True)
         Path(file).write_text(text)
     with pytest.raises(InputError, match=problem):
-        run.main(name)
+        preset.main(name, None)
     users_files = {file: text for file, text in files.items() if not file.endswith("run.json")}
     for file, text in users_files.items():
         assert Path(file).read_text() == text
@@ -175,23 +183,29 @@ def test_a_run_takes_weights_from_its_checkout(tmp_path, monkeypatch):
     assert in_checkout(tmp_path / "elsewhere") == tmp_path / "elsewhere"
 
 
-def test_other_weights_under_the_same_name_change_the_settings(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("encoder", "file"),
+    [
+        ({"weights": "encoder.pt"}, "encoder.pt"),
+        ({"backbone": "precomputed", "weights": "pngs"}, "pngs/drive/cls/0.png"),
+        ({"backbone": "hugging_face", "weights": None, "model": "net", "epochs": 1}, "net/a.bin"),
+        ({"backbone": "street", "weights": None}, ""),
+    ],
+)
+def test_other_files_of_an_encoder_under_the_same_name_change_its_settings(
+    tmp_path, monkeypatch, encoder, file
+):
     monkeypatch.chdir(tmp_path)
-    Path("encoder.pt").write_text("first")
-    encoder = preset.merged("roads")["encoder"] | {"weights": "encoder.pt"}
-    run.take_weights(encoder, Path("params.yaml"))
-    first = dict(encoder)
-    assert first["weights_sha256"] == file_hash(Path("encoder.pt"))
-    Path("encoder.pt").write_text("second")
-    run.take_weights(encoder, Path("params.yaml"))
-    assert encoder["weights_sha256"] != first["weights_sha256"]
-    problem = r"encoder.pt: is not the file whose hash .* Repeat make NAME"
-    with pytest.raises(InputError, match=problem):
-        create.create(Encoder(**first))
-    preset.write({"encoder": first}, Path("params.yaml"), "make roads")
-    Path("encoder.pt").unlink()  # results of the earlier run need no weights
-    run.take_weights(encoder, Path("params.yaml"))
-    assert encoder["weights_sha256"] == first["weights_sha256"]
+    settings = preset.merged("roads")["encoder"] | encoder
+    if not file:
+        assert weights_hash(Encoder(**settings)) is None
+        return
+    write(Path(file), "first")
+    first = weights_hash(Encoder(**settings))
+    write(Path(file), "second")
+    assert weights_hash(Encoder(**settings)) not in (None, first)
+    with pytest.raises(InputError, match=r"hash of other weights\. Repeat make NAME"):
+        create.create(Encoder(**settings, weights_sha256=first))
 
 
 @pytest.mark.slow
@@ -218,9 +232,3 @@ def test_a_revision_names_the_commit_and_edits_of_the_code(tmp_path):
     assert revision(tmp_path) == commit
     (tmp_path / "dvc.yaml").write_text("stages: {a: }")
     assert revision(tmp_path) == f"{commit}-dirty"
-
-
-def test_no_preset_has_the_name_of_a_target():
-    text = (ROOT / "Makefile").read_text()
-    targets = re.findall(r"^([a-z]+):", text, re.MULTILINE)
-    assert {*targets} == {*preset.TARGETS}

@@ -95,14 +95,22 @@ def is_by_desktop(path: Path) -> bool:
     return path.name.startswith(".") or path.name.lower() in WINDOWS_FILES
 
 
+def code_files(folder: Path) -> list[Path]:
+    """Return all files below a folder of code, without leftovers."""
+    files = []
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if path.is_file() and not LEFTOVERS.search(f"/{name}"):
+            files.append(path)
+    return files
+
+
 def scan_code() -> dict[str, str]:
     """Return the SHA-256 of each file of code, by its path below ROOT, and versions of NUMERIC."""
     found = {}
     for package in PACKAGES:
-        for path in sorted((ROOT / package).rglob("*")):
-            name = path.relative_to(ROOT).as_posix()
-            if path.is_file() and not LEFTOVERS.search(name):
-                found[name] = file_hash(path)
+        for path in code_files(ROOT / package):
+            found[path.relative_to(ROOT).as_posix()] = file_hash(path)
     for package in NUMERIC:
         try:
             found[package] = importlib.metadata.version(package)

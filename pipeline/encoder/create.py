@@ -23,12 +23,8 @@ def create(settings: Encoder) -> tuple[Architecture, nn.Module]:
     Raises InputError if a file is missing, or is not the file that the section describes.
     """
     with error_context("weights"):
-        if settings.weights and settings.weights_sha256 not in (None, weights_hash(settings)):
-            raise InputError(
-                "is not the file whose hash weights_sha256 has",
-                settings.weights,
-                "Repeat make NAME",
-            )
+        if settings.weights_sha256 and settings.weights_sha256 != weights_hash(settings):
+            raise InputError("weights_sha256 is the hash of other weights", fix="Repeat make NAME")
     if settings.weights is None or settings.backbone == "precomputed":
         return CREATE[settings.backbone](settings)
     with error_context("weights"):

@@ -1,10 +1,10 @@
-"""Find and hash the file or folder that the setting encoder.weights names."""
+"""Find and hash the files that section encoder names."""
 
 from pathlib import Path
 
 from pipeline.base.checkout import in_checkout
 from pipeline.base.errors import InputError
-from pipeline.base.resume import file_hash
+from pipeline.base.resume import content_hash, digest, file_hash
 from pipeline.encoder import precomputed
 from pipeline.encoder.settings import Encoder
 
@@ -13,16 +13,21 @@ WEIGHTS = Path("weights")
 
 
 def weights_hash(settings: Encoder) -> str | None:
-    """Return the SHA-256 of the file or of the PNG files, or None if no weights are set.
+    """Return the SHA-256 of the files and folders of the encoder, or None if it names none.
 
-    Raises InputError if the file or folder is missing.
+    The published files of backbone street are not named: their hashes are part of the code. Raises
+    InputError if the weights are missing.
     """
-    if settings.weights is None:
-        return None
-    if settings.backbone == "precomputed":
+    if settings.backbone == "precomputed" and settings.weights:
         _, sha256 = precomputed.fingerprint(in_checkout(settings.weights))
         return sha256
-    return file_hash(find_weights(settings.weights))
+    if settings.weights:
+        return file_hash(find_weights(settings.weights))
+    # A network is a folder, or has a name on Hugging Face's hub.
+    networks = [settings.depth, settings.classes, settings.model]
+    folders = [in_checkout(Path(name)) for name in networks if name]
+    hashes = [content_hash(folder) for folder in folders if folder.is_dir()]
+    return digest(hashes) if hashes else None
 
 
 def find_weights(weights: Path) -> Path:

@@ -11,8 +11,7 @@ import yaml
 from models.steering.core import options
 from models.steering.spatial import polar
 from pipeline.base.errors import InputError
-from pipeline.check import preset
-from stages import check
+from stages import check, preset
 from tests.presets import NAMES
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -13,8 +13,8 @@ import yaml
 from models.encoder.street import SOURCES
 from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
-from pipeline.check import preset
 from pipeline.encoder import encoder_file
+from stages import preset
 from stages.encoder import main
 from tests import street
 from tests.artefacts import write_index

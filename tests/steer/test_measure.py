@@ -25,6 +25,7 @@ from pipeline.motion import horizon
 from pipeline.motion.motion_file import measure_drive
 from pipeline.perception.perceive import perceive_drive
 from pipeline.perception.settings import Perception
+from stages.preset import merged, to_yaml
 from steer import api, chain
 from steer.commands.import_ import import_recording
 from steer.commands.measure import measure
@@ -190,7 +191,8 @@ def test_an_imported_recording_has_the_same_numbers(tmp_path, encoder, monkeypat
     assert opened.camera.horizon == pytest.approx(114, abs=3)
 
     import_recording([images, other], "monday", K=[K], fps=10.0, each=True, **lens)
-    preset.main(str(tmp_path / "presets/monday.yaml"), tmp_path)
+    settings_text = to_yaml(merged(str(tmp_path / "presets/monday.yaml")), "a test")
+    (tmp_path / "params.yaml").write_text(settings_text)
     raw = tmp_path / "data/raw"
     settings = load(Ingest, tmp_path / "params.yaml")
     with monkeypatch.context() as patch:

@@ -11,12 +11,12 @@ import yaml
 from models.steering.core import options
 from pipeline.base import params
 from pipeline.base.errors import InputError
-from pipeline.check import preset
 from pipeline.clouds.settings import Clouds
 from pipeline.graphs.settings import Variant
 from pipeline.ingest.settings import Ingest
 from pipeline.labels.settings import Labels
 from pipeline.train.settings import Train
+from stages import preset
 from tests.presets import NAMES
 
 

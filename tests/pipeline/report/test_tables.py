@@ -4,10 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pipeline.check import preset
 from pipeline.report import paper, summary, tables
 from pipeline.scores.pixels import Scores
 from pipeline.train.entry import Entry
+from stages import preset
 from tests.pipeline.report import examples
 from tests.pipeline.report.examples import compare, metrics
 

@@ -10,7 +10,7 @@ import typer
 
 from pipeline.base import console, store
 from pipeline.base.outputs import stage_folder
-from pipeline.base.params import load
+from pipeline.base.params import entry_name, load
 from pipeline.evaluate.cases import (
     evaluate_model,
     predict_cases,
@@ -21,11 +21,14 @@ from pipeline.evaluate.cases import (
 from pipeline.evaluate.settings import Evaluate
 from pipeline.train import runs, trained
 
+ModelName = Annotated[
+    str | None,
+    typer.Argument(metavar="MODEL", help="an entry of models in the params file; default: DVC's"),
+]
+
 
 def main(
-    name: Annotated[
-        str, typer.Argument(metavar="MODEL", help="an entry of models: in the params file")
-    ],
+    name: ModelName = None,
     data: Path = Path("data"),
     params: Path = Path("params.yaml"),
 ) -> Path:
@@ -33,6 +36,7 @@ def main(
 
     Metrics are means over the seeds and ignore invalid frames.
     """
+    name = entry_name(name)
     settings = load(Evaluate, params)
     train = data / "train" / name
     out = data / "evaluate" / name

@@ -11,7 +11,7 @@ import typer
 from pipeline.base import console, store
 from pipeline.base.errors import error_context
 from pipeline.base.outputs import stage_folder
-from pipeline.base.params import SPLITS, load, load_entry
+from pipeline.base.params import SPLITS, entry_name, load, load_entry
 from pipeline.train import runs
 from pipeline.train.entry import Entry
 from pipeline.train.fit_model import Model, fit_model
@@ -20,12 +20,13 @@ from pipeline.train.settings import Train
 from pipeline.train.targets import check_drives, rate_doubt, read_drive
 
 ModelName = Annotated[
-    str, typer.Argument(metavar="MODEL", help="an entry of models in the params file")
+    str | None,
+    typer.Argument(metavar="MODEL", help="an entry of models in the params file; default: DVC's"),
 ]
 
 
 def main(
-    name: ModelName,
+    name: ModelName = None,
     data: Path = Path("data"),
     out: Annotated[
         Path | None, typer.Option(help="parent of the model's folder; default: train in --data")
@@ -37,6 +38,7 @@ def main(
     One network is trained per seed. On CPUs, networks are trained in parallel, each in a process.
     On a GPU, they are trained one after the other. Returns the model's folder.
     """
+    name = entry_name(name)
     out = out or data / "train"
     settings = load(Train, params)
     entry = load_entry(Entry, "models", name, params)

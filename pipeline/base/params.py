@@ -4,6 +4,7 @@ A section is a typed class in its stage's ``settings.py``, and a stage loads onl
 """
 
 import copy
+import os
 import re
 from functools import cache
 from pathlib import Path
@@ -90,6 +91,18 @@ def load_entry(kind: type[S], mapping: str, name: str, path: Path) -> S:
     if name not in content:
         raise InputError(f"{mapping} has no entry {name!r}: {closest(name, list(content))}", path)
     return parse(kind, content[name], f"{mapping}.{name}", path)
+
+
+def entry_name(name: str | None) -> str:
+    """Return the name of an entry: `name`, or for None the one in DVC's variable, as train@NAME.
+
+    So no command of dvc.yaml needs the syntax of a shell. Raises InputError if there is none.
+    """
+    _, _, entry = os.environ.get("DVC_STAGE", "").partition("@")
+    name = name or entry
+    if not name:
+        raise InputError("the name of an entry is missing", fix="Pass it: python -m STAGE NAME")
+    return name
 
 
 def entries(mapping: str, path: Path) -> dict[str, Any]:

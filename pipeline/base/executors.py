@@ -1,18 +1,30 @@
-"""Run jobs in this process or in worker processes."""
+"""Run jobs in this process, in worker processes, or on the workers of a Dask cluster."""
 
 import multiprocessing
 import os
 import signal
+import socket
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, ProcessPoolExecutor, as_completed
+from concurrent.futures import (
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    ProcessPoolExecutor,
+    as_completed,
+)
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from threading import Thread
+from threading import Thread, Timer
 from typing import Any, TypeVar
 
 from pipeline.base.errors import InputError
-from pipeline.base.resume import Code
+from pipeline.base.outputs import StageFolder
 
+# Environment variable with the address of a Dask scheduler.
+SCHEDULER = "STEER_SCHEDULER"
+# Seconds without a worker of a cluster after which a line says so.
+WAIT_S = 30
 # Environment variable with the number of worker processes.
 WORKERS = "STEER_WORKERS"
 # File with the CPU quota of a container: CPU time and period in microseconds, "200000 100000" for
@@ -55,7 +67,7 @@ def _cores_of_container() -> int:
 def run_jobs(
     work: Callable[[J], Any],
     jobs: Sequence[J],
-    code: Code,
+    folder: StageFolder,
     *,
     workers: int | None = None,
     threads: int | None = None,
@@ -63,46 +75,77 @@ def run_jobs(
     """Yield each job with the result of ``work(job)``, in the order in which jobs finish.
 
     Jobs and results are picklable. `workers` is the number of processes; if it is None,
-    :func:`default_workers` is. Each process has `threads` threads. If `threads` is None, the cores
-    are divided among the processes, and a single process is this one. `code` is the code of `work`:
-    each worker checks that it has loaded the same.
+    :func:`default_workers` is. A single process is this one. Each process has `threads` threads; if
+    `threads` is None, the cores are divided among the processes. If ``STEER_SCHEDULER`` names a
+    Dask cluster, its workers are taken instead, with a thread each, unless `workers` is 1. Each
+    worker checks that it has the code and the `folder` of the stage.
 
-    If a job raises an exception, no further job is started, and the exception is raised after the
-    jobs in progress are done.
+    If a job raises an exception, no further job is started, and the exception is raised. Before
+    that, local processes end their jobs in progress; a cluster ends them later.
     """
     if not jobs:
         return
+    on_cluster = SCHEDULER in os.environ and workers != 1
     count = min(workers or default_workers(), len(jobs))
-    if count == 1 and threads is None:
+    if count == 1 and not on_cluster:
         for job in jobs:
             yield job, work(job)
         return
 
     threads = threads or max(1, default_workers() // count)
-    os.environ["OMP_NUM_THREADS"] = str(threads)  # read when a worker imports its libraries
-    with ProcessPoolExecutor(count, _SPAWN, _start_worker, (threads,)) as executor:
-        call = partial(_call, work, code)
-        futures = {executor.submit(call, job): job for job in jobs}
+    call = partial(_call, work, folder, 1 if on_cluster else threads)
+    try:
+        with _executor(count, threads) as executor:
+            futures = {executor.submit(call, job): job for job in jobs}
+            try:
+                for future in as_completed(futures):
+                    yield futures[future], future.result()
+            finally:
+                for future in futures:
+                    future.cancel()
+    except (BrokenExecutor, CancelledError) as error:
+        fix = f"Use fewer workers ({WORKERS}=1) or repeat the command: finished drives are kept"
+        raise InputError("a worker process died (out of memory?)", fix=fix) from error
+
+
+@contextmanager
+def _executor(count: int, threads: int) -> Iterator[Executor]:
+    """Yield `count` processes of this machine, or the workers of a Dask cluster."""
+    address = os.environ.get(SCHEDULER)
+    if not address:
+        os.environ["OMP_NUM_THREADS"] = str(threads)  # read when a worker imports its libraries
+        with ProcessPoolExecutor(count, _SPAWN, _start_worker) as executor:
+            yield executor
+        return
+
+    try:
+        from distributed import Client, KilledWorker
+
+        client = Client(address, timeout=10, set_as_default=False)
+    except (ImportError, OSError, ValueError) as error:
+        fix = "Start one: dask scheduler. Or install Dask: pip install '.[cluster]'"
+        raise InputError(
+            f"no scheduler of Dask ({error})", f"{SCHEDULER}={address}", fix
+        ) from error
+    with client:
+        timer = Timer(WAIT_S, _say_if_idle, [client, address])
+        timer.start()
         try:
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-        except (BrokenExecutor, CancelledError) as error:
-            repeat = "repeat the command: finished drives are kept"
-            fix = f"Use fewer workers ({WORKERS}=1) or {repeat}"
-            raise InputError("a worker process died (out of memory?)", fix=fix) from error
+            yield client.get_executor(pure=False, retries=0)
+        except KilledWorker as error:
+            raise BrokenExecutor from error
         finally:
-            for future in futures:
-                future.cancel()
+            timer.cancel()
 
 
-def _start_worker(threads: int) -> None:
-    """Limit a worker's threads, and let it end with its parent.
+def _say_if_idle(client: Any, address: str) -> None:
+    """Print a line if a cluster has no workers, as jobs then wait for ever."""
+    if not client.nthreads():
+        print(f"waiting for workers. Start one: dask worker {address} --nthreads 1", flush=True)
 
-    At Ctrl-C it ends without a traceback.
-    """
-    import cv2
 
-    cv2.setNumThreads(threads)
+def _start_worker() -> None:
+    """Let a worker end with its parent. At Ctrl-C it ends without a traceback."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     Thread(target=_exit_with_parent, daemon=True).start()
 
@@ -115,7 +158,14 @@ def _exit_with_parent() -> None:
     os._exit(1)
 
 
-def _call(work: Callable[[J], Any], code: Code, job: J) -> Any:
-    """Call ``work(job)`` in a worker process. Raises InputError if it has other code."""
-    code.check_worker()
+def _call(work: Callable[[J], Any], folder: StageFolder, threads: int, job: J) -> Any:
+    """Call ``work(job)`` in a worker. Raises InputError if it has other code, or other data."""
+    import cv2
+
+    folder.code.check_worker()
+    if not folder.new.is_dir():
+        where = f"{folder.new.parent} of the worker on {socket.gethostname()}"
+        fix = "Start the worker in a folder whose data is the same as here"
+        raise InputError("is not the folder of the stage", where, fix)
+    cv2.setNumThreads(threads)
     return work(job)

@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
+from uuid import uuid4
 
 from filelock import FileLock, Timeout
 
@@ -78,7 +79,8 @@ class StageFolder(NamedTuple):
 
     # The code of the stage, as this process loaded it.
     code: Code
-    # A folder that is empty at first. Its files become the content of the stage's output folder.
+    # A folder that is empty at first, and has a name of its own, as a worker of an earlier run may
+    # still write to that of its run. Its files become the content of the stage's output folder.
     new: Path
     # The folder of files for the next run, outside of all DVC outputs: data/.drives/STAGE, or
     # data/.drives/STAGE-ENTRY.
@@ -143,8 +145,9 @@ def stage_folder(
         _check_owner(out, stage, index)
         code = Code.read(name, chosen)
         sections = read_sections(name, params, entry)
-        folder = StageFolder(code, kept / "new", kept, set())
-        _remove(folder.new)
+        for path in kept.glob("new-*"):
+            _remove(path)
+        folder = StageFolder(code, kept / f"new-{uuid4().hex}", kept, set())
         folder.new.mkdir()
         yield folder
 

@@ -94,7 +94,7 @@ def make_drives(
     # Drives with the most data start first, so that all processes end at about the same time.
     todo.sort(key=_input_bytes, reverse=True)
     tasks = [Task(job.drive, results[job.drive], job.work) for job in todo]
-    for task, (summary, seconds) in run_jobs(_make, tasks, folder.code, workers=workers):
+    for task, (summary, seconds) in run_jobs(_make, tasks, folder, workers=workers):
         files = [path for path in task.result.parent.rglob("*") if path.is_file()]
         megabytes = sum(file.stat().st_size for file in files) / 1e6
         text = f"{log_format.format_map(summary)}, {megabytes:.1f} MB, {seconds:.1f} s"
@@ -141,10 +141,15 @@ def _make(task: Task) -> tuple[Summary, float]:
     Returns the summary, and the time in seconds. Raises InputError with the name of the drive.
     """
     start = time.perf_counter()
-    with error_context(task.drive), replacing(task.result.parent) as unfinished:
-        unfinished.mkdir()
-        summary = task.work(unfinished / task.result.name)
-        (unfinished / "summary.json").write_text(json.dumps(summary))
+    try:
+        with error_context(task.drive), replacing(task.result.parent) as unfinished:
+            unfinished.mkdir()
+            summary = task.work(unfinished / task.result.name)
+            (unfinished / "summary.json").write_text(json.dumps(summary))
+    except OSError:
+        # A worker of a cluster may just have finished this drive for an interrupted run.
+        if not task.result.exists():
+            raise
     return summary, time.perf_counter() - start
 
 

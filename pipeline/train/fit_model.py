@@ -1,5 +1,6 @@
 """Fit the networks of a model, one per seed."""
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,7 +13,7 @@ import torch
 from models.steering.core.steering_net import SteeringNet
 from pipeline.base import checkpoint, store
 from pipeline.base.errors import error_context
-from pipeline.base.executors import default_workers, run_jobs
+from pipeline.base.executors import SCHEDULER, run_jobs
 from pipeline.base.outputs import StageFolder
 from pipeline.base.resume import stage_key
 from pipeline.train import runs, trained
@@ -48,21 +49,17 @@ class Model:
 def fit_model(model: Model, todo: Sequence[runs.Run], folder: StageFolder) -> list[Path]:
     """Train the networks of a model; return the files of their states.
 
-    On CPUs the networks are trained in parallel, each in a process. On a GPU they are trained one
-    after the other.
+    On CPUs and on a cluster the networks are trained in parallel, each in a process. On a GPU of
+    this machine they are trained one after the other.
     """
     names = store.drives_in(model.splits, "train", "val")
     files = Files(model.drives[name].graphs for name in names)
     job = partial(fit_run, model, files=files, code=folder.code.hash(), kept=folder.kept)
 
-    states = []
-    if torch.cuda.is_available() or default_workers() == 1 or len(todo) == 1:
-        for run in todo:
-            states.append(job(run))
-    else:
-        for _, state in run_jobs(job, todo, folder.code, threads=1):
-            states.append(state)
-    return states
+    workers = None
+    if torch.cuda.is_available() and SCHEDULER not in os.environ:
+        workers = 1
+    return [state for _, state in run_jobs(job, todo, folder, workers=workers, threads=1)]
 
 
 def fit_run(model: Model, run: runs.Run, files: Files, code: str, kept: Path) -> Path:

@@ -123,10 +123,9 @@ def _executor(count: int, threads: int) -> Iterator[Executor]:
 
         client = Client(address, timeout=10, set_as_default=False)
     except (ImportError, OSError, ValueError) as error:
+        problem = f"no scheduler answers at {address} ({error})"
         fix = "Start one: dask scheduler. Or install Dask: pip install '.[cluster]'"
-        raise InputError(
-            f"no scheduler of Dask ({error})", f"{SCHEDULER}={address}", fix
-        ) from error
+        raise InputError(problem, SCHEDULER, fix) from error
     with client:
         timer = Timer(WAIT_S, _say_if_idle, [client, address])
         timer.start()

@@ -8,11 +8,13 @@ import os
 import resource
 import shutil
 import signal
+import socket
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from threading import Timer
 from typing import Any
 from unittest.mock import Mock
 
@@ -23,7 +25,7 @@ import pytest
 
 from pipeline.base import console, executors, resume, store
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.base.outputs import claimed, stage_folder
+from pipeline.base.outputs import StageFolder, claimed, stage_folder
 from pipeline.base.store import DriveReader, DriveWriter, read_json
 from tests import artefacts
 from tests.artefacts import write_index
@@ -497,6 +499,78 @@ def test_a_killed_run_keeps_finished_drives_and_leaves_no_process(folder, expect
     toy_stage.main(folder, workers=1)
     assert "b" not in calls(folder)
     assert outputs(folder) == expected
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    """Start a scheduler and two workers."""
+    distributed = pytest.importorskip("distributed")
+    options = {"dashboard_address": "127.0.0.1:0", "host": "127.0.0.1", "processes": True}
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, **options) as started:
+        yield started
+
+
+@pytest.fixture
+def dask(cluster, monkeypatch) -> Any:
+    monkeypatch.setenv(executors.SCHEDULER, cluster.scheduler_address)
+    return cluster
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["die once", "die", "wait"])
+def test_a_cluster_writes_the_bytes_of_one_process(folder, expected, dask, monkeypatch, kind):
+    """A job of a dead worker is repeated, some times; one of an interrupted run ends beside it."""
+    trouble(folder, b=kind)
+    monkeypatch.setattr(dask.scheduler, "allowed_failures", 1)
+    match kind:
+        case "die":
+            with pytest.raises(InputError, match="a worker process died"):
+                toy_stage.main(folder)
+        case "wait":
+            with start(folder) as process:
+                waits = folder / "trouble/b waits"
+                wait_for(waits.exists)
+                os.killpg(process.pid, signal.SIGINT)
+                _, errors = process.communicate(timeout=60)
+            assert errors.splitlines()[-1].startswith("error: interrupted")
+            assert alive(int(waits.read_text()))
+            # The worker waits in the drive until this file is gone.
+            Timer(5, trouble, [folder]).start()
+    if kind == "die":
+        trouble(folder)
+    toy_stage.main(folder)
+    pids = {line.split()[1] for line in (folder / "calls").read_text().splitlines()}
+    assert str(os.getpid()) not in pids
+    assert outputs(folder) == expected
+
+
+@pytest.mark.slow
+def test_a_worker_of_a_cluster_with_other_code_or_data_is_refused(folder, dask):
+    import distributed
+
+    with distributed.Client(dask, set_as_default=False) as client:
+        client.wait_for_workers(2)  # an earlier test may have killed them
+        client.run(toy_stage.pretend, "another")
+        with pytest.raises(InputError, match="got another, expected") as raised:
+            toy_stage.main(folder)
+        client.run(toy_stage.pretend, resume.LOADED["numpy"])
+    assert socket.gethostname() in raised.value.where
+    assert calls(folder) == []
+
+    stage = StageFolder(resume.Code.read("labels"), folder / "elsewhere/new", folder, set())
+    with pytest.raises(InputError, match="data is the same as here"):
+        next(executors.run_jobs(len, ["a", "b"], stage))
+
+
+def test_without_a_scheduler_or_a_worker_a_line_says_so(folder, monkeypatch, capsys):
+    pytest.importorskip("distributed")
+    monkeypatch.setenv(executors.SCHEDULER, "tcp://127.0.0.1:1")
+    with pytest.raises(InputError, match=r"no scheduler answers at .*Start one: dask scheduler"):
+        toy_stage.main(folder)
+    executors._say_if_idle(Mock(nthreads=dict), "tcp://a:1")
+    assert capsys.readouterr().out == (
+        "waiting for workers. Start one: dask worker tcp://a:1 --nthreads 1\n"
+    )
 
 
 def test_the_hash_of_a_folder_ignores_files_of_file_managers(tmp_path):

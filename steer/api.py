@@ -16,7 +16,7 @@ from pipeline.base.outputs import check_free
 from pipeline.base.params import from_python
 from pipeline.base.resume import ROOT
 from pipeline.encoder.encoder_file import FILE
-from pipeline.ingest.settings import FIT, RecordingOptions
+from pipeline.ingest.settings import RecordingOptions
 from pipeline.labels.label import Car
 from pipeline.train.trained import load_model
 from steer import export as exporting
@@ -57,8 +57,7 @@ def measure(
         raise InputError("no encoder", folder, fix)
     opened = open_source(_paths(source), measuring.READING, given)
     car = Car(given.wheelbase_m, min_speed_mps=1.0)
-    fit_ratio = given.steering_ratio == FIT
-    return measuring.measure(opened, target, folder, car, video=video, fit_ratio=fit_ratio)
+    return measuring.measure(opened, target, folder, car, video=video)
 
 
 def predict(

@@ -29,17 +29,15 @@ def measure(
     car: Car,
     *,
     video: bool,
-    fit_ratio: bool = False,
 ) -> Outcome:
     """Measure a source, and write motion.csv, track.png, quality.json and overlay.mp4.
 
     `out` is a new or empty folder for the files; if it is None, none are written. overlay.mp4 is
-    written only if `video` is true. `encoder` is the folder of an encoder. If `fit_ratio` is true,
-    the steering ratio of the wheel's log is fitted to the measured motion. Raises InputError if no
+    written only if `video` is true. `encoder` is the folder of an encoder. Raises InputError if no
     frame can be read, or a log is unusable.
     """
     with run_chain(source, out, READING, Perception(batch=4), encoder) as work:
-        results = Results.read(source, work, car, smooth=True, fit_ratio=fit_ratio)
+        results = Results.read(source, work, car, smooth=True)
         results.doubts += warnings(encoder, "float32", [work / INGEST])
         quality = _measure_quality(source, results, work)
         results.quality = quality
@@ -55,9 +53,6 @@ def _measure_quality(source: Source, results: Results, work: Path) -> dict[str, 
     is_valid = results.table["valid"] > 0
     time_s = results.table["time_s"]
     camera = source.camera
-    recorded = dict[str, Any](results.recorded)
-    if results.truth.wheel:
-        recorded["wheel"] = results.truth.wheel._asdict()
     return {
         "version": version("semantic-steering"),
         "revision": revision(ROOT) or None,
@@ -74,7 +69,7 @@ def _measure_quality(source: Source, results: Results, work: Path) -> dict[str, 
         "scatter": facts["scatter"],
         "scale_sigma": facts["scale_sigma"],
         "speed_sigma": _median(results.table["speed_sigma"][is_valid]),
-        "recorded": recorded,
+        "recorded": results.recorded,
         "comparison": results.compare("measured"),
     }
 

@@ -15,8 +15,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.evaluate import statistics
 from pipeline.evaluate.settings import Evaluate
-from pipeline.ingest.log import Log, Logs, log_names, log_notes
-from pipeline.ingest.settings import LARGEST_RATIO
+from pipeline.ingest.log import Logs, log_names, log_notes
 from pipeline.labels.ahead import path_ahead
 from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
 from pipeline.labels.recorded import Recorded, compare
@@ -26,7 +25,6 @@ from pipeline.motion.facts import facts_line
 from pipeline.motion.step import PROBLEMS
 from pipeline.train.quantity import Quantity
 from steer.chain import INGEST, MOTION, Source
-from steer.wheel_fit import WheelFit, fit_wheel
 
 # Longest gap in seconds over which the track continues with the last measured motion.
 BRIDGED_S = 1.0
@@ -54,14 +52,6 @@ class Truth(NamedTuple):
     # The file or sensor that recorded it; empty without ground truth.
     name: str
     driven: Labels
-    # The fit of a wheel's log, if one was asked for and the car turns enough.
-    wheel: WheelFit | None = None
-    # Note about this fit for the user; empty if none was asked for.
-    note: str = ""
-
-    def with_angle(self, angle_rad: np.ndarray) -> "Truth":
-        """Return the truth with other angles [F], NaN where unknown."""
-        return self._replace(driven=self.driven._replace(steering_rad=angle_rad))
 
 
 def read_truth(ingest: DriveReader, frame: np.ndarray, logs: Logs, car: Car) -> Truth:
@@ -184,7 +174,6 @@ class Results:
         *,
         smooth: bool,
         frame: np.ndarray | None = None,
-        fit_ratio: bool = False,
     ) -> "Results":
         """Return the measured motion that :func:`steer.chain.run_chain` wrote to `work`.
 
@@ -192,9 +181,7 @@ class Results:
         residual. ``points`` is the number of points that agree with the motion, and ``residual``
         their median error in pixels. `frame` has the numbers of the frames to return, of which
         those without a row in the file of motion are left out. If it is None, all frames are
-        returned. If `fit_ratio` is true, the angles of the wheel's log are by a steering ratio, a
-        zero and a delay that are fitted to the measured motion. Raises InputError if there is no
-        frame.
+        returned. Raises InputError if there is no frame.
         """
         with (
             DriveReader(work / MOTION, stage="motion") as motion,
@@ -229,13 +216,6 @@ class Results:
             motion_facts = facts_line(source.name, [motion.attrs])
 
         measured_columns = {name: values[rows] for name, values in columns.items()}
-        if fit_ratio:
-            course = {"time_s": time_s, **measured_columns}
-            truth = _fit_truth(truth, source.logs["wheel"], course)
-            if truth.wheel:
-                angle = recorded.angle._replace(recorded=truth.driven.steering_rad)
-                recorded = recorded._replace(angle=angle)
-
         table = {"frame": frame, "time_s": time_s}
         table["driven_rad"] = np.where(truth.driven.valid, truth.driven.steering_rad, np.nan)
         table |= measured_columns
@@ -291,8 +271,6 @@ class Results:
         if counts:
             reasons = ", ".join(f"{problem} ({count})" for problem, count in counts)
             yield f"frames without a measurement: {reasons}"
-        if self.truth.note:
-            yield self.truth.note
 
         if comparison is None:
             return
@@ -333,26 +311,6 @@ class Results:
         settings = Evaluate(bootstrap_samples=2000, bootstrap_block_frames=block, seed=0)
         errors = {name: _errors(target_rad, angle, settings) for name, angle in angles.items()}
         return {"truth": self.truth.name, "frames": int(used.sum()), "horizon": horizon, **errors}
-
-
-def _fit_truth(truth: Truth, log: Log, course: Mapping[str, np.ndarray]) -> Truth:
-    """Return the truth by a fit of the wheel's log to the measured motion.
-
-    Its angles are unknown if the log cannot be fitted. `course` has time_s and the columns of
-    :func:`read_course`.
-    """
-    wheel = fit_wheel(log, course)
-    reason = "the car turns too little, or the log does not follow its turns"
-    if wheel and abs(wheel.ratio) > LARGEST_RATIO:
-        reason = f"it would be {wheel.ratio:.0f}. Is wheel_rad in degrees?"
-        wheel = None
-
-    if wheel is None:
-        unknown = truth.with_angle(np.full(len(course["time_s"]), np.nan))
-        return unknown._replace(note=f"the steering ratio cannot be fitted: {reason}")
-    fitted = truth.with_angle(wheel.angle_rad(log, course["time_s"]))
-    name = f"{truth.name} (fitted to the measured motion)"
-    return fitted._replace(name=name, wheel=wheel, note=wheel.line())
 
 
 def _log_of_quantity(logs: Logs) -> dict[str, str]:

@@ -2,7 +2,7 @@
 
 import inspect
 from collections.abc import Callable, Collection
-from typing import Annotated, Any, ClassVar, get_args
+from typing import Annotated, Any, get_args
 
 import typer
 from annotated_types import Ge, Le
@@ -19,8 +19,6 @@ class MeasureOptions(RecordingOptions):
 
     For a prediction, the wheelbase is that of the trained model.
     """
-
-    fits_ratio: ClassVar[bool] = True
 
     wheelbase_m: Wheelbase = Field(
         default=2.7, alias="wheelbase", description="distance between the axles, metres"

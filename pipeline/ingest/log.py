@@ -18,10 +18,8 @@ from pipeline.ingest.columns import (
     refuse,
 )
 from pipeline.ingest.names import check_name
-from pipeline.ingest.settings import FIT, RecordingOptions
+from pipeline.ingest.settings import RecordingOptions
 
-# Steering ratio of a car that is assumed until it is fitted.
-TYPICAL_RATIO = 15.0
 # Largest distance in seconds between two logged values for an interpolation between them.
 MAX_GAP_S = 0.5
 # Least difference in radians between two successive values that is a jump from 2π to 0. No wheel
@@ -99,13 +97,11 @@ def read_logs(options: RecordingOptions) -> Logs:
     A log of the wheel has the columns time_s and wheel_rad; a log of the motion has time_s,
     speed_mps and yaw_rate_radps. The offset is added to the times. Empty cells are interpolated,
     and repeated rows are left out. Raises InputError with all faults of a file. The times of a
-    column have to increase, and to be in seconds. A steering ratio to be fitted is TYPICAL_RATIO.
+    column have to increase, and to be in seconds.
     """
     ratio = options.steering_ratio
-    if ratio == FIT:
-        ratio = TYPICAL_RATIO
     if (options.wheel is None) != (ratio is None):
-        fix = "Pass both. 1: the log holds angles of the front wheels; fit: steer measure fits it"
+        fix = "Pass both. 1: the log holds angles of the front wheels"
         raise InputError("--wheel and --steering-ratio need each other", fix=fix)
     if options.offset_s and not (options.wheel or options.motion):
         raise InputError("--offset needs a log", fix="Pass --motion or --wheel, too")

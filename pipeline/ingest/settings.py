@@ -5,15 +5,13 @@ import re
 from collections.abc import Iterable
 from itertools import combinations
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from pipeline.base.errors import closest
 from pipeline.base.params import SPLITS, ImageSize, Name, Section
 
-# Value of the steering ratio with which `steer measure` fits the ratio.
-FIT: Literal["fit"] = "fit"
 # Largest magnitude of a steering ratio. Cars have 12 to 20.
 LARGEST_RATIO = 50.0
 # Name of the dataset of drives that are parts of recordings.
@@ -89,9 +87,6 @@ class RecordingOptions(Section):
     The command line and ingest.recordings use the aliases, Python the names with units.
     """
 
-    # Whether the steering ratio may be FIT.
-    fits_ratio: ClassVar[bool] = False
-
     fov_deg: float | None = Field(
         default=None,
         alias="fov",
@@ -136,12 +131,9 @@ class RecordingOptions(Section):
         default=None, description="CSV with time_s, speed_mps, yaw_rate_radps (left +)"
     )
     wheel: File = Field(default=None, description="CSV with time_s and wheel_rad (left +)")
-    steering_ratio: float | Literal["fit"] | None = Field(
+    steering_ratio: float | None = Field(
         default=None,
-        description=(
-            "steering wheel's angle / front wheels'; negative: turns the sign; fit: steer measure "
-            "fits it"
-        ),
+        description=("steering wheel's angle / front wheels'; negative: turns the sign"),
         examples=["NUMBER"],
     )
     offset_s: float = Field(
@@ -154,13 +146,8 @@ class RecordingOptions(Section):
 
     @field_validator("steering_ratio", mode="plain")
     @classmethod
-    def _read_ratio(cls, ratio: Any) -> float | str:
-        """Return a number, which is text on the command line, or FIT."""
-        if ratio == FIT:
-            if not cls.fits_ratio:
-                command = "steer measure VIDEO --wheel FILE --steering-ratio fit"
-                raise ValueError(f"expected a number, which this prints: {command}")
-            return FIT
+    def _read_ratio(cls, ratio: Any) -> float:
+        """Return a number, which is text on the command line."""
         try:
             number = float(ratio)
         except (TypeError, ValueError):

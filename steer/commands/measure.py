@@ -3,11 +3,9 @@
 Rates and angles are in rad (curvature in 1/m), left positive. A frame whose motion cannot be
 measured has valid = 0 and no numbers. quality.json says how certain the scale is.
 
---steering-ratio fit fits the ratio, zero and delay of the log of --wheel to the measured motion.
-
 \b
 steer measure street.mp4 --fov 65
-steer measure street.mp4 --fov 65 --camera-height 1.4 --wheel wheel.csv --steering-ratio fit
+steer measure street.mp4 --fov 65 --camera-height 1.4 --wheel wheel.csv --steering-ratio 14.8
 steer measure data/sample/2026_01_21/2026_01_21_drive_0004_sync --encoder data/encoder
 """
 

@@ -338,10 +338,7 @@ PLAINLY_WRONG = [
     ({"split": "90,5,5"}, "fewer than 2 images"),
     ({"each": True}, "--each needs two recordings"),
     ({"wheel": every_second(1.0), "steering_ratio": 0.5}, "a magnitude of 1 to 50"),
-    (
-        {"wheel": every_second(1.0), "steering_ratio": "fit"},
-        "expected a number, which this prints: steer measure .* --steering-ratio fit",
-    ),
+    ({"wheel": every_second(1.0), "steering_ratio": "fit"}, "expected a number"),
     ({"wheel": [every_second(1.0)] * 2}, "--wheel: expected 1, one per recording"),
     ({"more": lambda video: [video.parent]}, "is a folder among several files"),
     ({"more": lambda video: [video]}, "has the same content as .*drive.mp4"),

@@ -43,7 +43,10 @@ street: setup          ## make the encoder of real streets, weights/street, from
 
 UDACITY ?= data/raw/udacity
 udacity: street        ## compare with the teams of Udacity's Challenge 2; UDACITY is the folder of the three files
-	@python -m benchmarks.alternatives udacity $(UDACITY)/udacity_ch2_001.mp4 $(UDACITY)/udacity_ch2_001.csv \
+	@rm -rf out/udacity
+	@steer measure $(UDACITY)/udacity_ch2_001.mp4 --K 2152,2166,268,303 --distortion -0.042,-0.89,0,0 \
+	--camera-height 1.48 --no-video --out out/udacity  # K of the rig's right camera; lanes give the height
+	@python -m benchmarks.alternatives udacity out/udacity/motion.csv $(UDACITY)/udacity_ch2_001.csv \
 	$(UDACITY)/udacity_leaderboard.csv
 
 test: setup            ## run all tests, with coverage

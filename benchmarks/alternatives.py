@@ -3,7 +3,7 @@
 ``python -m benchmarks.alternatives networks`` compares its speed with PyTorch Geometric and ncps.
 They run in turn with this project, on the same arrays and on a single thread.
 
-``python -m benchmarks.alternatives udacity VIDEO CSV LEADERBOARD`` compares its steering angles in
+``python -m benchmarks.alternatives udacity MOTION CSV LEADERBOARD`` compares its steering angles in
 the test drive Ch2_001 of Udacity's Challenge 2 with the predictions of three leading teams.
 """
 
@@ -31,14 +31,9 @@ from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.clouds.cloud import Cloud
 from pipeline.graphs import frame_graph, graph_file
 from pipeline.graphs.settings import Variant
-from pipeline.ingest.datasets.udacity import read_drive
-from pipeline.labels.label import Car
 from pipeline.report.origin import origin
 from pipeline.train.entry import Entry
 from pipeline.train.frames import join, number_rows
-from steer.chain import Source
-from steer.measure import measure
-from steer.street_encoder import encoder_folder
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 
@@ -289,21 +284,18 @@ def fit_wheel(time_s: np.ndarray, measured_rad: np.ndarray, wheel_rad: np.ndarra
     return best_rad
 
 
-def udacity(video: Path, csv: Path, leaderboard: Path) -> None:
+def udacity(motion: Path, csv: Path, leaderboard: Path) -> None:
     """Compare the command steer measure with three teams by the angle of the steering wheel.
 
-    VIDEO has the frames of the drive. CSV has their time_s, and wheel_rad from the CAN bus, left
-    positive. LEADERBOARD has the predictions of the teams for the same frames: komanda_rad,
-    rambo_rad and autumn_rad. Writes out/udacity.json.
+    MOTION is the table that the command wrote of the drive's video. CSV has the time_s of the
+    video's frames, and wheel_rad from the CAN bus, left positive. LEADERBOARD has the predictions
+    of the teams for the same frames: komanda_rad, rambo_rad and autumn_rad. Writes
+    out/udacity.json.
     """
     log = pd.read_csv(csv)
     time_s = log["time_s"].to_numpy()
     wheel_rad = log["wheel_rad"].to_numpy()
-    drive = read_drive(video, csv)
-    assert drive.camera
-    source = Source(video, video.stem, drive, drive.camera, len(log), {})
-    car = Car(2.7, min_speed_mps=1.0)
-    table = measure(source, None, encoder_folder(), car, video=False).table
+    table = pd.read_csv(motion)
 
     # Frames without a measured angle get an interpolated angle.
     measured = table.dropna(subset="measured_rad")

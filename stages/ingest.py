@@ -32,30 +32,26 @@ def main(
     for drive in missing:
         del splits[drive]
 
-    # Of the code of all datasets, a drive depends only on that of its own dataset.
-    dataset_of = settings.datasets()
-    readers = {
-        drive: f"pipeline/ingest/datasets/{dataset}.py" for drive, dataset in dataset_of.items()
-    }
+    # Of the code of all datasets, a drive depends only on that of its own.
+    reader = f"pipeline/ingest/datasets/{settings.source}.py"
+    root = data / "sample" if settings.source == "sample" else raw
     reading = Reading(**settings.model_dump(include=set(Reading.model_fields)))
-    with stage_folder("ingest", out, splits, params=params, chosen=readers.values()) as folder:
+    with stage_folder("ingest", out, splits, params=params, chosen=[reader]) as folder:
         jobs = []
         sizes = dict[str, int]()
         for drive in splits:
-            dataset = dataset_of[drive]
-            root = data / "sample" if dataset == "sample" else raw
-            fingerprint = datasets.load(dataset).fingerprint(drive, settings, root)
+            fingerprint = datasets.load(settings.source).fingerprint(drive, settings, root)
             sizes[drive] = len(fingerprint)
             work = partial(
                 ingest_drive,
                 name=drive,
-                dataset=dataset,
+                dataset=settings.source,
                 settings=settings,
                 root=root,
                 reading=reading,
             )
-            inputs = [digest([dataset, fingerprint])]
-            jobs.append(Job(drive, f"{drive}.h5", inputs, work, (readers[drive],)))
+            inputs = [digest([settings.source, fingerprint])]
+            jobs.append(Job(drive, f"{drive}.h5", inputs, work, (reader,)))
 
         # Drives with the most files start first, so that all processes end at about the same time.
         jobs.sort(key=lambda job: sizes[job.drive], reverse=True)

@@ -22,18 +22,16 @@ def main(out: Path = Path("data/sample"), params: Path = Path("params.yaml")) ->
     settings = load(Sample, params)
     ingest = load(Ingest, params)
     encoder = load(Encoder, params)
-    dataset_of = ingest.datasets()
     scan_rays = settings.scan_rays if ingest.lidar else None
 
     jobs = []
     # The longest drives start first, so that all processes end at about the same time.
-    for split, frames in sorted(settings.frames.items(), key=lambda item: -item[1]):
+    counts = settings.frames if ingest.source == "sample" else {}
+    for split, frames in sorted(counts.items(), key=lambda item: -item[1]):
         # Ground truth is rendered only for its readers: stage scores for validation and test
         # drives, and a fit of the encoder for training drives.
         truth = split != "train" or encoder.epochs > 0
         for drive in getattr(ingest.drives, split):
-            if dataset_of[drive] != "sample":
-                continue
             work = partial(
                 render_drive,
                 settings=settings,

@@ -11,24 +11,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from footage.settings import Options
 from pipeline.base.errors import InputError
 from pipeline.base.outputs import check_free
 from pipeline.base.params import from_python
 from pipeline.base.resume import ROOT
 from pipeline.encoder.encoder_file import FILE
-from pipeline.ingest.settings import RecordingOptions
-from pipeline.labels.label import Car
 from pipeline.train.trained import load_model
 from steer import export as exporting
 from steer import measure as measuring
-from steer import predict as predicting
-from steer.chain import open_source
 from steer.outcome import Outcome
-from steer.parameters import MeasureOptions
 from steer.street_encoder import encoder_folder
 
 PathLike = Path | str
-# Videos in order, or the folder of a KITTI drive, of images or of videos.
+# Videos in order, or the folder of a drive or of images.
 Paths = PathLike | Sequence[PathLike]
 
 
@@ -38,26 +34,28 @@ def measure(
     encoder: PathLike | None = None,
     out: PathLike | None = None,
     video: bool = False,
+    wheelbase_m: float = 2.7,
     **options: Any,
 ) -> Outcome:
     """Measure the motion of a car from the images of its camera.
 
-    `out` is a new or empty folder for motion.csv, track.png, quality.json and, if `video` is true,
-    overlay.mp4. If `out` is None, no files are written. `encoder` is the folder of an encoder; if
-    it is None, it is the one that `steer street` makes. `options` are those of
-    :class:`steer.parameters.MeasureOptions`. Raises InputError for input that cannot be used.
+    `out` is a new or empty folder for motion.csv, track.png, quality.json, the drive to which a
+    recording was converted and, if `video` is true, overlay.mp4. If `out` is None, no files are
+    kept. `encoder` is the folder of an encoder; if it is None, it is the one that `steer street`
+    makes. `options` are those of a recording, :class:`footage.settings.Options`. Raises InputError
+    for input that cannot be used.
     """
-    given = from_python(MeasureOptions, options)
-    target = _free(out)
+    given = from_python(Options, options)
     folder = encoder_folder()
     if encoder is not None:
         folder = here_or_included(Path(encoder))
     if not (folder / FILE).is_file():
         fix = "Make one for real streets: steer street. Or pass --encoder"
         raise InputError("no encoder", folder, fix)
-    opened = open_source(_paths(source), measuring.READING, given)
-    car = Car(given.wheelbase_m, min_speed_mps=1.0)
-    return measuring.measure(opened, target, folder, car, video=video)
+    target = _free(out)
+    return measuring.measure(
+        _paths(source), given, target, folder, wheelbase_m=wheelbase_m, video=video
+    )
 
 
 def predict(
@@ -72,30 +70,19 @@ def predict(
     """Predict the steering angle of each frame with a trained model.
 
     `model` is the model's folder, or runs/NAME. `encoder` is the folder of its encoder; if it is
-    None, it is data/encoder beside the model's data/train. `options` are those of
-    :class:`pipeline.ingest.settings.RecordingOptions`. `out` is a folder as in :func:`measure`, for
-    steering.csv, track.png and overlay.mp4. Raises InputError for input that cannot be used.
+    None, it is data/encoder beside the model's data/train. `options` and `out` are
+    those of :func:`measure`, with steering.csv instead of motion.csv. Raises InputError for input
+    that cannot be used.
     """
-    given = from_python(RecordingOptions, options)
-    target = _free(out)
+    given = from_python(Options, options)
     folder = _network(here_or_included(Path(model)))
     trained = load_model(folder)
-    opened = open_source(_paths(source), predicting.reading(trained), given, trained.fps)
-
-    # If no height of the camera is known, it is that of the training drives.
-    height_m = trained.settings.get("camera_height_m")
-    if height_m and not opened.camera.height_known:
-        opened = opened.at_height(height_m)
-        note = f"camera {height_m:g} m over the road, as in the model's training drives"
-        opened.drive.notes.insert(0, note)
-    drives = trained.drives[0]
-    if len(trained.drives) > 1:
-        drives = f"{len(trained.drives)} drives: {drives} to {trained.drives[-1]}"
-    opened.drive.notes.insert(0, f"{trained.name} was trained on {drives}")
-
     if encoder is None:
         encoder = _encoder_beside(folder)
-    return predicting.predict(trained, opened, target, Path(encoder), video=video)
+    target = _free(out)
+    return measuring.measure(
+        _paths(source), given, target, Path(encoder), model=trained, video=video
+    )
 
 
 def export(file: PathLike, frame: int, out: PathLike) -> str:

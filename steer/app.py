@@ -12,9 +12,8 @@ import typer
 
 from pipeline.base.console import guarded, start
 from pipeline.base.errors import InputError
-from pipeline.ingest.settings import Part, RecordingOptions
 from steer.commands import import_, measure, predict
-from steer.parameters import MeasureOptions, with_options
+from steer.commands.arguments import with_options
 
 # Browsers that Python chooses if there is no screen, as over SSH. They would wait for keys in the
 # terminal.
@@ -153,9 +152,9 @@ def export(
 
 
 COMMANDS = {
-    "predict": (predict, with_options(predict.predict, RecordingOptions)),
-    "measure": (measure, with_options(measure.measure, MeasureOptions)),
-    "import": (import_, with_options(import_.import_recording, Part, repeated=import_.EACH)),
+    "predict": (predict, with_options(predict.predict)),
+    "measure": (measure, with_options(measure.measure)),
+    "import": (import_, with_options(import_.import_recordings)),
 }
 for name, (module, command) in COMMANDS.items():
     app.command(name, no_args_is_help=True, help=module.__doc__)(guarded(command))

@@ -1,78 +1,97 @@
-"""Measure the motion of a car from the frames of a source."""
+"""Measure the motion of a car in a drive or a recording, and predict with a model if given."""
 
-from importlib.metadata import version
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
 
-import numpy as np
+import pandas as pd
 
-from pipeline.base.checkout import revision
-from pipeline.base.resume import ROOT
-from pipeline.base.store import DriveReader
+from footage.convert import USUAL_HZ
+from footage.settings import Options
+from pipeline.base.store import replacing, write_json
 from pipeline.ingest.settings import Reading
 from pipeline.labels.label import Car
 from pipeline.perception.perceive import warnings
 from pipeline.perception.settings import Perception
-from steer.chain import INGEST, MOTION, Source, run_chain
-from steer.outcome import Outcome, Results
-from steer.pictures import publish
+from pipeline.train.trained import Trained
+from steer import predict
+from steer.chain import INGEST, open_source, run_chain
+from steer.outcome import Outcome, Results, comparison_lines
+from steer.pictures import draw_track, write_overlay
 
-# Settings for reading a source. Images get the size with which the encoder was trained. If the
-# source is a KITTI drive, the first of these cameras that has images is read.
+# Settings for reading a source. Images get the size with which the encoder was trained. The first
+# of these cameras that has images is read.
 READING = Reading(image_size=(192, 640), cameras=[2, 0, 3, 1], lidar=False, on_damaged="skip")
 
 
 def measure(
-    source: Source,
+    paths: Sequence[Path],
+    options: Options,
     out: Path | None,
     encoder: Path,
-    car: Car,
     *,
+    wheelbase_m: float = 2.7,
+    model: Trained | None = None,
     video: bool,
 ) -> Outcome:
-    """Measure a source, and write motion.csv, track.png, quality.json and overlay.mp4.
+    """Measure a source, and write the table, track.png, quality.json and overlay.mp4.
 
-    `out` is a new or empty folder for the files; if it is None, none are written. overlay.mp4 is
-    written only if `video` is true. `encoder` is the folder of an encoder. Raises InputError if no
-    frame can be read, or a log is unusable.
+    The source is the folder of a drive, or a recording, which is converted to ``out/drive`` first.
+    The table is motion.csv, or with a `model` steering.csv, which also has its predictions
+    and measured motion that does not depend on later frames. `out` is a new or empty folder; if it
+    is None, no files are kept. overlay.mp4 is written only if `video` is true. `encoder` is the
+    folder of an encoder. Raises InputError if the source cannot be used, or lacks an input of the
+    model.
     """
-    with run_chain(source, out, READING, Perception(batch=4), encoder) as work:
-        results = Results.read(source, work, car, smooth=True)
+    reading = READING
+    perception = Perception(batch=4)
+    hz = USUAL_HZ
+    car = Car(wheelbase_m, min_speed_mps=1.0)
+    if model:
+        reading = predict.reading(model)
+        perception = predict.perception(model)
+        hz = model.fps
+        car = model.quantity.car
+
+    with _folders(out) as (results_folder, work):
+        source = open_source(paths, reading, options, results_folder / "drive", hz)
+        if model:
+            source = predict.prepare(model, source)
+        run_chain(source, work, reading, perception, encoder)
+
+        results = Results.read(source, work, car, smooth=model is None)
         results.doubts += warnings(encoder, "float32", [work / INGEST])
-        quality = _measure_quality(source, results, work)
-        results.quality = quality
-        notes = [*source.drive.notes, *results.lines(quality["comparison"])]
-    files = publish(out, "motion.csv", results, source, car.wheelbase_m, video=video)
-    return Outcome(results.columns(), notes, results.doubts, files)
+        comparison = results.compare("measured")
+        if model:
+            predict.add_prediction(model, source, work, results)
+            results.doubts += predict.differences(model, source, encoder, results.table["time_s"])
+            comparison = results.compare("predicted", model.entry.horizon)
+        results.notes += comparison_lines(comparison)
+
+        if out:
+            table = "steering.csv" if model else "motion.csv"
+            results.write_csv(results_folder / table, source.name)
+            draw_track(results_folder / "track.png", source.name, results)
+            write_json(results_folder / "quality.json", results.quality(source, comparison))
+            if video:
+                write_overlay(results_folder / "overlay.mp4", source, results, car.wheelbase_m)
+    files = sorted(out.iterdir()) if out else []
+    frame = pd.DataFrame({"drive": source.name, **results.table})
+    return Outcome(frame, results.notes, results.doubts, files)
 
 
-def _measure_quality(source: Source, results: Results, work: Path) -> dict[str, Any]:
-    """Return the content of quality.json. Unknown values are None."""
-    with DriveReader(work / MOTION, stage="motion") as motion:
-        facts = motion.attrs
-    is_valid = results.table["valid"] > 0
-    time_s = results.table["time_s"]
-    camera = source.camera
-    return {
-        "version": version("semantic-steering"),
-        "revision": revision(ROOT) or None,
-        "source": str(source.path),
-        "step_s": _median(np.diff(time_s)),
-        "K": camera.K.round(3).tolist(),
-        "camera_height_m": camera.height_m if camera.height_known else None,
-        "horizon": camera.horizon,
-        "measured_frames": facts["valid"] / max(facts["moving"], 1),
-        "road_frames": facts["road_frames"] / facts["frames"],
-        # Height in metres of the camera over the road, as the encoder's depth shows it.
-        "road_height_m": facts["road_height_m"] or None,
-        # Relative scatter of successive speeds, and standard deviation of the drive's scale.
-        "scatter": facts["scatter"],
-        "scale_sigma": facts["scale_sigma"],
-        "speed_sigma": _median(results.table["speed_sigma"][is_valid]),
-        "recorded": results.recorded,
-        "comparison": results.compare("measured"),
-    }
+@contextmanager
+def _folders(out: Path | None) -> Iterator[tuple[Path, Path]]:
+    """Yield a folder that becomes `out` if the block succeeds, and one for temporary files.
 
-
-def _median(values: np.ndarray) -> float | None:
-    return float(np.median(values)) if len(values) else None
+    Both are on the same disk.
+    """
+    if out is None:
+        with TemporaryDirectory() as results, TemporaryDirectory() as work:
+            yield Path(results), Path(work)
+        return
+    with replacing(out) as results_folder:
+        results_folder.mkdir()
+        with TemporaryDirectory(dir=results_folder.parent) as work:
+            yield results_folder, Path(work)

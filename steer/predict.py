@@ -1,17 +1,18 @@
-"""Predict steering on the frames of a source with a trained model.
+"""Predict steering on the frames of a measured source with a trained model.
 
 The file of a model has the settings of all stages before its training, so params.yaml is not read.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from pipeline.base.errors import InputError
 from pipeline.base.params import RATE_TOLERANCE
 from pipeline.base.resume import file_hash
-from pipeline.camera.lens import MAX_DEPTH_M, depth_limit
+from pipeline.camera.pinhole import MAX_DEPTH_M, depth_limit
 from pipeline.clouds.cloud import clouds_drive
 from pipeline.clouds.settings import Clouds
 from pipeline.encoder.encoder_file import FILE
@@ -19,11 +20,15 @@ from pipeline.graphs import graph_file
 from pipeline.graphs.frame_graph import graphs_drive
 from pipeline.graphs.settings import Variant
 from pipeline.ingest.settings import Reading
+from pipeline.labels.ahead import path_ahead
 from pipeline.perception.settings import Perception
+from pipeline.report.street_view import path_steps
 from pipeline.train.trained import Trained
-from steer.chain import INGEST, MOTION, PERCEPTION, Source, run_chain
-from steer.outcome import Outcome, Results
-from steer.pictures import publish
+from steer.chain import INGEST, MOTION, PERCEPTION, Source
+from steer.outcome import Results
+
+# Longest time in seconds for which the car may stand on the path that is drawn.
+MAX_STAND_S = 5.0
 
 
 def reading(model: Trained) -> Reading:
@@ -32,41 +37,74 @@ def reading(model: Trained) -> Reading:
     return Reading.model_validate(model.settings["ingest"] | {"on_damaged": "skip", "lidar": lidar})
 
 
-def predict(
-    model: Trained, source: Source, out: Path | None, encoder: Path, *, video: bool
-) -> Outcome:
-    """Predict the angles of a source, and write steering.csv, track.png and overlay.mp4.
-
-    Arguments are those of :func:`steer.measure.measure`. Raises InputError if no frame can be read,
-    a log is unusable, or the source lacks an input of the model.
-    """
+def perception(model: Trained) -> Perception:
+    """Return the settings of depth and classes of a model."""
     # Settings that are no longer part of the section were null.
     recorded = model.settings["perception"].items()
-    perception = Perception.model_validate({k: v for k, v in recorded if v is not None})
-    car = model.quantity.car
-    has_scans = source.files and source.files.scans and source.camera.T_cam_velo is not None
+    return Perception.model_validate({k: v for k, v in recorded if v is not None})
+
+
+def prepare(model: Trained, source: Source) -> Source:
+    """Return a source with the model's camera height if its own is not known, and notes.
+
+    Raises InputError if it lacks the scans that the model needs.
+    """
+    has_scans = source.files.scans and source.camera.T_cam_velo is not None
     if reading(model).lidar and not has_scans:
         problem = f"model {model.name} needs LiDAR scans"
         raise InputError(problem, source.name, "Choose a model without them")
 
-    with run_chain(source, out, reading(model), perception, encoder) as work:
-        with graph_file.open_graphs(_make_graphs(model, source, work)) as graphs:
-            results = Results.read(source, work, car, smooth=False, frame=graphs.frame)
-            # Frames with a scan but without an image have a graph, but no motion, and are left out.
-            rows = np.isin(graphs.frame, results.table["frame"])
-            prediction = model.predict(graphs)[rows]
-        results.add_prediction(model.quantity, prediction)
+    height_m = model.settings.get("camera_height_m")
+    if height_m and not source.camera.height_known:
+        source = source.at_height(height_m)
+        note = f"camera {height_m:g} m over the road, as in the model's training drives"
+        source.drive.notes.insert(0, note)
+    drives = model.drives[0]
+    if len(model.drives) > 1:
+        drives = f"{len(model.drives)} drives: {drives} to {model.drives[-1]}"
+    source.drive.notes.insert(0, f"{model.name} was trained on {drives}")
+    return source
 
-        horizon = model.entry.horizon
-        notes = [*source.drive.notes, *results.lines(results.compare("predicted", horizon))]
-        predictions = f"{np.isfinite(prediction[:, 0]).sum()} predictions"
-        note = f"{model.name}: {predictions} for {len(prediction)} frames"
-        if horizon:
-            note += f", each {horizon} frames ahead"
-        notes.append(note)
-        results.doubts += _differences(model, source, encoder, results.table["time_s"])
-    files = publish(out, "steering.csv", results, source, car.wheelbase_m, video=video)
-    return Outcome(results.columns(), notes, results.doubts, files)
+
+def add_prediction(model: Trained, source: Source, work: Path, results: Results) -> None:
+    """Add the predictions of a model for the files of :func:`run_chain` to the results.
+
+    They become the columns ``predicted_COLUMN``, and their angle ``predicted_rad``. If they lie
+    ahead of the car, the path that the car took is added, too.
+    """
+    # Frames with a scan but without an image have a graph, but no motion, and are left out.
+    with graph_file.open_graphs(_make_graphs(model, source, work)) as graphs:
+        by_frame = pd.DataFrame(model.predict(graphs), graphs.frame)
+    values = by_frame.reindex(results.table["frame"]).to_numpy()
+
+    quantity = model.quantity
+    results.table["predicted_rad"] = quantity.angle_rad(values)
+    for name, column in zip(quantity.columns, values.T, strict=True):
+        results.table[f"predicted_{name}"] = column
+    if quantity.is_ahead:
+        paths = {"predicted": quantity.curvature(values), **taken_path(results, quantity.edges_m)}
+        for name, path_1pm in paths.items():
+            results.paths[name] = path_steps(path_1pm.T, quantity.edges_m)
+
+    note = f"{model.name}: {np.isfinite(values[:, 0]).sum()} predictions for {len(values)} frames"
+    if model.entry.horizon:
+        note += f", each {model.entry.horizon} frames ahead"
+    results.notes.append(note)
+
+
+def taken_path(results: Results, edges_m: Sequence[float]) -> dict[str, np.ndarray]:
+    """Return the path that the car took: curvatures [F,R] in the ranges between `edges_m` [R+1].
+
+    Its name is driven if it is by recorded speeds, otherwise measured. Unknown curvatures are NaN.
+    """
+    name = "measured"
+    labels = results.measured
+    if np.isfinite(results.driven.speed_mps).any():
+        name = "driven"
+        labels = results.driven
+    table = results.table
+    taken_1pm, valid = path_ahead(table["frame"], table["time_s"], labels, edges_m, MAX_STAND_S)
+    return {name: np.where(valid, taken_1pm, np.nan)}
 
 
 def _make_graphs(model: Trained, source: Source, work: Path) -> Path:
@@ -88,27 +126,23 @@ def _clouds(model: Trained, source: Source) -> Clouds:
     """Return the model's settings of clouds, with a larger depth limit for a longer lens."""
     settings = Clouds.model_validate(model.settings["clouds"])
     limit_m = depth_limit(source.camera)
-    if source.files or limit_m <= MAX_DEPTH_M:
+    if limit_m <= MAX_DEPTH_M:
         return settings
     return settings.model_copy(update={"max_depth_m": max(settings.max_depth_m, limit_m)})
 
 
-def _differences(
-    model: Trained, source: Source, encoder: Path, time_s: np.ndarray
-) -> Iterator[str]:
+def differences(model: Trained, source: Source, encoder: Path, time_s: np.ndarray) -> Iterator[str]:
     """Yield doubts where a source or an encoder differs from those of the training."""
     if model.datasets == ["sample"] and source.drive.dataset != "sample":
         fitted = f"{model.name} was fitted to the rendered sample alone"
         yield f"{fitted}, so expect wrong angles on real streets"
 
-    # A recording has been resampled to the rate of the training, but not a KITTI drive.
-    if source.files and len(time_s) > 1:
+    if len(time_s) > 1:
         fps = 1 / float(np.median(np.diff(time_s)))
         if abs(fps / model.fps - 1) > RATE_TOLERANCE:
             yield f"{model.name} was fitted to {model.fps:.1f} frames/s, got {fps:.1f}"
 
-    # The drive of KITTI, or the first part of the recording, that was imported by this name.
-    if any(drive.removesuffix("-train") == source.name for drive in model.drives):
+    if source.name in model.drives:
         yield f"{model.name} was trained on {source.name}: on other streets its error is larger"
 
     if file_hash(encoder / FILE) != model.settings["encoder"]["sha256"]:

@@ -199,7 +199,7 @@ def write_recorded(
     settings = Reading(image_size=(32, 32), cameras=[2], lidar=True, on_damaged="fail")
     frames = [Frame(number, row / 10) for row, number in enumerate(frame.tolist())]
     drive = Drive(None, lambda: iter(frames), values)
-    write_drive(path, drive, path.stem, "recording", settings)
+    write_drive(path, drive, path.stem, "kitti", settings)
 
 
 def write_motion(

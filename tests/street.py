@@ -156,7 +156,7 @@ def write_drive(
         frame.depth_m, frame.cls = (frame.depth_m, frame.cls) if dense else (None, None)
     values = {"oxts": dict(enumerate(make_rows(frames, vf=8.0)))}
     source = Drive(camera, lambda: iter(recorded), values)
-    ingest_file.write_drive(folder / f"{drive}.h5", source, drive, "recording", settings)
+    ingest_file.write_drive(folder / f"{drive}.h5", source, drive, "kitti", settings)
 
 
 def write_perception(folder: Path, ingest: Path, drive: str) -> None:

@@ -65,7 +65,7 @@ def test_one_name_five_places():
 def test_no_two_rooms_have_a_module_of_one_name():
     """Unless it is the same thing of two stages."""
     places: dict[str, set[str]] = {}
-    for folder in ("pipeline", "models", "steer", "benchmarks"):
+    for folder in ("footage", "pipeline", "models", "steer", "benchmarks"):
         for file in (resume.ROOT / folder).rglob("*.py"):
             room = folder
             if folder == "pipeline":

@@ -35,7 +35,7 @@ def inputs(folder: Path, images: list[np.ndarray], encoder: Path) -> dict[str, n
     }
     frames = [Frame(number, number / 10, image) for number, image in enumerate(images)]
     write_drive(
-        files["ingest"], Drive(street.WIDE, lambda: iter(frames)), "drive", "recording", READING
+        files["ingest"], Drive(street.WIDE, lambda: iter(frames)), "drive", "kitti", READING
     )
     settings = Perception(batch=4)
     perceive_drive(files["perception"], files["ingest"], encoder, settings)

@@ -1,6 +1,5 @@
-"""Names of presets, and stamped files: those that steer import wrote, and may replace."""
+"""The folder of the presets, and names that no preset may have."""
 
-import hashlib
 import re
 from pathlib import Path
 
@@ -10,32 +9,6 @@ from pipeline.base.resume import ROOT
 
 # Folder of the presets.
 PRESETS = ROOT / "presets"
-# Start of the first line of a stamped file.
-_STAMP = "# Written by "
-# Author of stamped files that steer import writes.
-IMPORT = "steer import"
-
-
-def stamped(content: str, author: str) -> str:
-    """Return the content of a file below a line with its author and its hash."""
-    digest = hashlib.sha256(content.encode()).hexdigest()
-    return f"{_STAMP}{author}; SHA-256 of the other lines: {digest}\n{content}"
-
-
-def author_of(path: Path) -> str:
-    """Return the author of a :func:`stamped` file, even if it was edited, or an empty text."""
-    if not path.exists():
-        return ""
-    first = path.read_text("utf-8", errors="replace").partition("\n")[0]
-    if not first.startswith(_STAMP):
-        return ""
-    return first.removeprefix(_STAMP).partition(";")[0]
-
-
-def is_unedited(path: Path) -> bool:
-    """Return whether a file is as :func:`stamped` returned it."""
-    first, _, content = path.read_text("utf-8", errors="replace").partition("\n")
-    return first.endswith(f" {hashlib.sha256(content.encode()).hexdigest()}")
 
 
 def check_name_is_free(name: str) -> None:

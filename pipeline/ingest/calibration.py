@@ -10,7 +10,7 @@ from pipeline.base.errors import InputError, error_context
 from pipeline.base.store import replacing
 from pipeline.camera.camera import Camera, camera_height
 from pipeline.camera.geometry import rigid
-from pipeline.camera.lens import check_pinhole
+from pipeline.camera.pinhole import check_pinhole
 
 # Name of the file with the cameras' calibration, in the folder of a date.
 CALIBRATION = "calib_cam_to_cam.txt"
@@ -21,7 +21,8 @@ RENDERED = "dataset: sample"
 def read_calibration(folder: Path, number: int) -> Camera:
     """Read camera `number` from a date folder's files.
 
-    Raises InputError for missing or wrong entries.
+    The entries camera_height_NN and horizon_NN, which KITTI itself lacks, take precedence over what
+    the others imply. Raises InputError for missing or wrong entries.
     """
     path = folder / CALIBRATION
     velo_path = folder / "calib_velo_to_cam.txt"
@@ -33,20 +34,53 @@ def read_calibration(folder: Path, number: int) -> Camera:
         width, height = np.rint(size).astype(int).tolist()
         camera = Camera(K, (height, width))
         check_pinhole(K, camera.size, f"{path}: P_rect_{number:02d}")
-        if not velo_path.exists():
-            return camera
+        if velo_path.exists():
+            T_cam_velo = _read_scanner(velo_path, entries, P, path)
+            camera = replace(camera, T_cam_velo=T_cam_velo).at_height(camera_height(T_cam_velo))
 
-        # P_rect = K [I | t] projects from the reference camera's frame, so t shifts points to this
-        # camera. All three components of t count: with t_x alone, as in pykitti, depths are off by
-        # t_z, which is 3 mm.
-        shift = rigid(np.eye(3), np.linalg.solve(K, P[:, 3]))
-        rectify = rigid(matrix(entries, "R_rect_00", (3, 3), path), np.zeros(3))
+        height = f"camera_height_{number:02d}"
+        horizon = f"horizon_{number:02d}"
+        if height in entries:
+            camera = camera.at_height(float(matrix(entries, height, (1,), path)[0]))
+        if horizon in entries:
+            camera = replace(camera, horizon=float(matrix(entries, horizon, (1,), path)[0]))
+        return camera
 
-        velo = read_entries(velo_path)
-        R = matrix(velo, "R", (3, 3), velo_path)
-        t = matrix(velo, "T", (3,), velo_path)
-        T_cam_velo = shift @ rectify @ rigid(R, t)
-        return replace(camera, T_cam_velo=T_cam_velo).at_height(camera_height(T_cam_velo))
+
+def _read_scanner(
+    velo_path: Path, entries: Mapping[str, np.ndarray], P: np.ndarray, path: Path
+) -> np.ndarray:
+    """Return the transform [4,4] from the scanner to the camera with the projection `P` [3,4].
+
+    `entries` are those of the cameras' file at `path`.
+    """
+    # P_rect = K [I | t] projects from the reference camera's frame, so t shifts points to this
+    # camera. All three components of t count: with t_x alone, as in pykitti, depths are off by t_z,
+    # which is 3 mm.
+    shift = rigid(np.eye(3), np.linalg.solve(P[:, :3], P[:, 3]))
+    rectify = rigid(matrix(entries, "R_rect_00", (3, 3), path), np.zeros(3))
+
+    velo = read_entries(velo_path)
+    R = matrix(velo, "R", (3, 3), velo_path)
+    t = matrix(velo, "T", (3,), velo_path)
+    return shift @ rectify @ rigid(R, t)
+
+
+def write_calibration(folder: Path, camera: Camera) -> None:
+    """Write the calibration of camera 2 without a scanner, as :func:`read_calibration` reads it.
+
+    The height over the road and the row of the horizon are written if they are known.
+    """
+    height, width = camera.size
+    entries: dict[str, str | np.ndarray] = {
+        "S_rect_02": np.array([width, height], float),
+        "P_rect_02": np.column_stack([camera.K, np.zeros(3)]),
+    }
+    if camera.height_known:
+        entries["camera_height_02"] = np.array([camera.height_m])
+    if camera.horizon is not None:
+        entries["horizon_02"] = np.array([camera.horizon])
+    write_entries(folder / CALIBRATION, entries)
 
 
 def read_entries(path: Path) -> dict[str, np.ndarray]:

@@ -68,8 +68,15 @@ _LIMITS[COLUMNS.index("wu")] = LIMIT_RADPS
 GRAVITY_MPS2 = 9.81
 # Radius of the earth at the equator in metres.
 EARTH_RADIUS_M = 6378137.0
-# File of recorded angles in a drive's folder, which KITTI itself lacks.
+# File of recorded speeds and yaw rates in a drive's folder, which KITTI itself lacks.
+MOTION_FILE = "motion.csv"
+# File of recorded angles of the front wheels there.
 STEERING = "steering.csv"
+# Columns of these files, beside the frame's number → their largest plausible magnitudes.
+VALUE_FILES = {
+    MOTION_FILE: {"speed_mps": LIMIT_MPS, "yaw_rate_radps": LIMIT_RADPS},
+    STEERING: {"steering_rad": LIMIT_RAD},
+}
 
 
 def make_rows(frames: int, **columns: np.ndarray | float) -> np.ndarray:
@@ -199,12 +206,23 @@ def _to_stamps(words: pd.Series) -> pd.Series:
     return stamps.dt.tz_localize(None).astype("datetime64[ns]")
 
 
-def read_steering(path: Path) -> dict[int, float]:
-    """Return frame number → angle of the front wheels in rad, left positive. Raises InputError."""
-    expected = (
-        "Expected CSV: frame (number of the image), steering_rad (angle of the front wheels, left "
-        "+)"
-    )
-    table, faults = read_columns(path, {"frame": np.inf, "steering_rad": LIMIT_RAD}, expected)
+def read_values(path: Path) -> dict[str, dict[int, float]]:
+    """Return name → frame number → value of the file MOTION_FILE or STEERING of a drive.
+
+    Frames with an empty cell are left out. Raises InputError.
+    """
+    limits = VALUE_FILES[path.name]
+    expected = f"Expected CSV: frame (number of the image), {', '.join(limits)} (left +)"
+    table, faults = read_columns(path, {"frame": np.inf, **limits}, expected)
     refuse(faults + check_increase(table["frame"], 1), path, expected)
-    return table.dropna().astype({"frame": int}).set_index("frame")["steering_rad"].to_dict()
+    by_frame = table.dropna().astype({"frame": int}).set_index("frame")
+    return {name: by_frame[name].to_dict() for name in limits}
+
+
+def write_values(path: Path, values: Mapping[str, np.ndarray]) -> None:
+    """Write name → value [F] of the frames 0 to F - 1 as :func:`read_values` reads it.
+
+    An unknown value, NaN, is an empty cell.
+    """
+    table = pd.DataFrame(values)
+    table.to_csv(path, index_label="frame", float_format="%.9f")

@@ -1,18 +1,19 @@
 """Find the road's horizon by the essential matrices of pairs of images."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Sequence
 from itertools import islice, pairwise
-from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import cv2
 import numpy as np
 
-from pipeline.base.errors import InputError, error_context
-from pipeline.camera.camera import Camera, Frame
+from pipeline.base.errors import InputError
+from pipeline.camera.camera import Camera
 from pipeline.camera.geometry import project
 from pipeline.camera.images import Size
 from pipeline.motion.odometry import best_corners, corner_quality, track
+
+T = TypeVar("T")
 
 # Width in pixels of the images that are tracked.
 WIDTH = 640
@@ -68,17 +69,21 @@ class _Heading(NamedTuple):
     nearer_above: bool | None  # whether points above it are nearer than those below; None: unknown
 
 
-def find_horizon(frames: Iterable[Frame], camera: Camera) -> float | None:
+def spread_pairs(images: Sequence[T]) -> list[tuple[T, T]]:
+    """Return pairs of consecutive images, spread over the first 600."""
+    return [*islice(pairwise(images), 0, PAIRS * PAIR_EVERY, PAIR_EVERY)]
+
+
+def find_horizon(pairs: Iterable[tuple[np.ndarray, np.ndarray]], camera: Camera) -> float | None:
     """Return the image row of the direction of travel; None if too few images show one.
 
-    It is the median over pairs of consecutive images, spread over the first 600. The row depends
+    It is the median over `pairs` of consecutive images RGB uint8 [H,W,3]. The row depends
     little on the focal length. A camera on a car travels along the road, so this is the road's
     horizon. Raises InputError if the images are upside down, because points above the horizon are
     nearer than points below it.
     """
-    images = (frame.image for frame in frames)
     headings = list[_Heading]()
-    for before, now in islice(pairwise(images), 0, PAIRS * PAIR_EVERY, PAIR_EVERY):
+    for before, now in pairs:
         motion = _measure_motion(before, now, camera)
         if motion is None:
             continue
@@ -104,20 +109,6 @@ def _check_upright(headings: Iterable[_Heading]) -> None:
             "the horizon are nearer than points below it",
             fix="Turn them: ffmpeg -i in.mp4 -vf hflip,vflip upright.mp4",
         )
-
-
-def noted_horizon(
-    path: Path, frames: Callable[[], Iterator[Frame]], camera: Camera, notes: list[str]
-) -> float | None:
-    """Return :func:`find_horizon` of the recording at `path`, and add a note about it."""
-    with error_context(path):
-        row = find_horizon(frames(), camera)
-    if row is None:
-        result = "not found, since too few images show a drive; assuming a level camera"
-    else:
-        result = f"row {row:.0f} of {camera.size[0]}"
-    notes.append(f"horizon: {result}")
-    return row
 
 
 def _find_heading(motion: _Motion) -> _Heading | None:

@@ -8,7 +8,7 @@ import numpy as np
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import project, transform
-from pipeline.camera.lens import depth_limit
+from pipeline.camera.pinhole import depth_limit
 from pipeline.motion.pose import MIN_POINTS, estimate_pose
 from pipeline.motion.road import Road
 from pipeline.motion.step import Step

@@ -1,5 +1,7 @@
 """Measure the motion and the course of a car from the frames of its camera, by visual odometry.
 
+A recording is first converted to a drive, OUT/drive, which can be a source again.
+
 Rates and angles are in rad (curvature in 1/m), left positive. A frame whose motion cannot be
 measured has valid = 0 and no numbers. quality.json says how certain the scale is.
 
@@ -25,9 +27,12 @@ def measure(
         Path | None,
         typer.Option(help="folder of an encoder; default: the one that steer street makes"),
     ] = None,
+    wheelbase: Annotated[float, typer.Option(help="distance between the axles, metres")] = 2.7,
     **options: Any,
 ) -> None:
     """Write the measured motion and print its quality; the module's docstring is the help text."""
     from steer import api
 
-    arguments.run(api.measure, source, out, video=video, encoder=encoder, **options)
+    arguments.run(
+        api.measure, source, out, video=video, encoder=encoder, wheelbase_m=wheelbase, **options
+    )

@@ -79,7 +79,7 @@ def test_the_fit_uses_training_drives_only_and_reports_itself(ingest, fitted):
     content = config(out)
     assert content["frames_per_drive"] == {TRAIN: 6}
     architecture, _ = encoder_file.load_encoder(out / "encoder.pt")
-    assert architecture == {"backbone": "small", "datasets": ["recording"]}
+    assert architecture == {"backbone": "small", "datasets": ["kitti"]}
     curve = pd.read_csv(out / "curve.csv")
     assert curve["epoch"].tolist() == [1, 2]
     assert all(curve[loss][1] < curve[loss][0] for loss in ("depth", "classes"))

@@ -122,7 +122,7 @@ def test_precomputed_files_get_the_crop_of_the_image(tmp_path, columns, factor, 
     image = np.repeat(column[..., None], 3, axis=-1).astype(np.uint8)
     drive = Drive(camera, lambda: iter([Frame(0, 0.0, image)]))
     settings = Reading(image_size=(32, 64), cameras=[2], lidar=False, on_damaged="fail")
-    write_drive(tmp_path / "ingest.h5", drive, FULL, "recording", settings)
+    write_drive(tmp_path / "ingest.h5", drive, FULL, "kitti", settings)
 
     made = column[:, columns].repeat(factor, axis=0).repeat(factor, axis=1)
     write_png(tmp_path / f"{FULL}/depth/0000000000.png", (made * 256).astype(np.uint16))

@@ -1,43 +1,36 @@
 """Results of steer: the course, ground truth, and their comparison."""
 
-from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Frame
 from pipeline.ingest.drive import Drive
 from pipeline.ingest.ingest_file import write_drive
-from pipeline.ingest.log import Logs, logged_values, read_logs
 from pipeline.ingest.packets import make_rows
-from pipeline.ingest.settings import RecordingOptions
 from pipeline.labels.label import Car, Labels
-from pipeline.train.quantities.path import Target
-from steer import pictures
+from steer import outcome, pictures, predict
 from steer.measure import READING
-from steer.outcome import Results, Truth, read_course, read_truth
+from steer.outcome import Results, read_course
 from tests.artefacts import write_motion
 
 CAR = Car(2.7, 1.0)
 
 
-def test_the_recorded_track_begins_with_the_measured_one_and_ends_with_the_log():
+def results_of(table: dict[str, Any], driven: Labels, measured: Labels | None = None) -> Results:
+    return Results(table, [], driven, "the log", measured or driven, {}, {}, [], [])
+
+
+def test_the_driven_track_begins_with_the_measured_one_and_ends_with_the_log():
     """The first measured step ends in frame 2, and the log ends in frame 4 of 6."""
     log_mps = np.array([10.0, 10, 10, 10, 10, np.nan])
     log = Labels(np.zeros(6), np.ones(6, bool), log_mps, np.zeros(6))
     x_m = np.array([np.nan, np.nan, 9, 18, 27, 36])
     table = {"time_s": np.arange(6.0), "x_m": x_m, "y_m": 0 * x_m}
-    results: Any = SimpleNamespace(table=table, truth=Truth("can.csv", log))
-    recorded_m = pictures._recorded_track(results)
-    assert recorded_m is not None
-    assert recorded_m.real.tolist()[:5] == [0, 0, 10, 20, 30]
-    assert np.isnan(recorded_m[5])
-    expected = "3.0 m from the recorded track after 30 m (10.0 %)"
-    assert pictures._end_error(results, recorded_m) == expected
+    driven_m = pictures.driven_track(results_of(table, log))
+    np.testing.assert_array_equal(driven_m.real, [0, 0, 10, 20, 30, np.nan])
 
 
 def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path):
@@ -55,78 +48,43 @@ def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path):
     assert causal["heading_rad"][4] == pytest.approx(0.4)
 
 
-def truth_of(path: Path, values: dict[str, Any], logs: Logs) -> Truth:
-    """Return the truth of four frames at 10 Hz with recorded or logged values."""
-    frames = [Frame(number, number / 10) for number in range(4)]
-    drive = Drive(None, lambda: iter(frames), values)
-    write_drive(path, drive, path.stem, "recording", READING)
-    with DriveReader(path, stage="ingest") as raw:
-        return read_truth(raw, raw.frame, logs, CAR)
-
-
 # Angles at standstill, and of interpolated packets, are unknown.
 OXTS = make_rows(4, vf=np.array([10, 0.5, 10, 10]), wu=0.5, velmode=np.array([0, 4, 4, -1]))
 
 
+RATES = {
+    "speed_mps": {0: 10.0, 1: 0.5, 2: 10.0},
+    "yaw_rate_radps": {0: 0.5, 1: 0.5, 2: 0.5},
+}
+
+
 @pytest.mark.parametrize(
-    ("values", "name", "expected_rad"),
+    ("values", "expected_rad"),
     [
-        ({"steering_rad": {1: 0.1, 3: -0.2}}, "steering.csv", [np.nan, 0.1, np.nan, -0.2]),
+        ({}, None),
+        ({"steering_rad": {1: 0.1, 3: -0.2}}, [np.nan, 0.1, np.nan, -0.2]),
         (
             {"oxts": dict(enumerate(OXTS))},
-            "oxts",
             [np.arctan(2.7 * 0.05), np.nan, np.arctan(2.7 * 0.05), np.nan],
         ),
+        (RATES, [np.arctan(2.7 * 0.05), np.nan, np.arctan(2.7 * 0.05), np.nan]),
+        # Of a log of both, angles count, where the car moves as far as it is known.
+        ({"steering_rad": dict.fromkeys(range(4), 0.1), **RATES}, [0.1, np.nan, 0.1, 0.1]),
     ],
 )
-def test_truth_without_logs_is_what_the_drive_recorded(tmp_path, values, name, expected_rad):
-    truth = truth_of(tmp_path / "a.h5", values, {})
-    angles_rad = np.where(truth.driven.valid, truth.driven.steering_rad, np.nan)
+def test_the_driven_angle_is_what_the_drive_recorded(tmp_path, values, expected_rad):
+    frames = [Frame(number, number / 10) for number in range(4)]
+    drive = Drive(None, lambda: iter(frames), values)
+    write_drive(tmp_path / "a.h5", drive, "a", "kitti", READING)
+    with DriveReader(tmp_path / "a.h5", stage="ingest") as raw:
+        driven = outcome._read_driven(raw, CAR)
+    if driven is None:
+        assert expected_rad is None
+        return
+    angles_rad = np.where(driven.valid, driven.steering_rad, np.nan)
     np.testing.assert_allclose(angles_rad, expected_rad)
-    assert truth.name == name
-
-
-SPEEDS = "time_s,speed_mps,yaw_rate_radps\n0.05,10,0.5\n0.25,20,0.5\n"
-
-
-@pytest.mark.parametrize(
-    ("files", "expected_rad"),
-    [
-        (
-            {"motion.csv": SPEEDS},
-            [np.nan, np.arctan(1.35 / 12.5), np.arctan(1.35 / 17.5), np.nan],
-        ),
-        ({"wheel.csv": "time_s,wheel_rad\n0.1,1.4\n0.3,0\n"}, [np.nan, 0.1, 0.05, 0]),
-        (
-            {"wheel.csv": "time_s,wheel_rad\n0,1.4\n0.2,2.8\n", "motion.csv": SPEEDS},
-            [0.1, 0.15, 0.2, np.nan],
-        ),
-    ],
-)
-def test_truth_is_that_of_the_logs(tmp_path, files, expected_rad):
-    options: dict[str, Any] = {}
-    for name, text in files.items():
-        (tmp_path / name).write_text(text)
-        options[name.removesuffix(".csv")] = tmp_path / name
-    if "wheel" in options:
-        options["steering_ratio"] = 14.0
-    logs = read_logs(RecordingOptions(**options))
-    values = logged_values(logs, np.arange(4), np.arange(4) / 10)
-    truth = truth_of(tmp_path / "a.h5", values, logs)
-    angles_rad = np.where(truth.driven.valid, truth.driven.steering_rad, np.nan)
-    np.testing.assert_allclose(angles_rad, expected_rad)
-    if "motion" in options:
-        np.testing.assert_allclose(truth.driven.speed_mps, [np.nan, 12.5, 17.5, np.nan])
-    assert truth.name == " and ".join(files)
-
-
-def test_options_that_belong_together(tmp_path):
-    wheel = tmp_path / "wheel.csv"
-    wheel.write_text("time_s,wheel_rad\n0,1.4\n0.2,2.8\n")
-    with pytest.raises(InputError, match="--steering-ratio"):
-        read_logs(RecordingOptions(wheel=wheel))
-    with pytest.raises(InputError, match="--offset needs a log"):
-        read_logs(RecordingOptions(offset=1))
+    if "speed_mps" in values:
+        np.testing.assert_array_equal(driven.yaw_rate_radps, [0.5, 0.5, 0.5, np.nan])
 
 
 def test_comparison_by_its_definition():
@@ -143,11 +101,10 @@ def test_comparison_by_its_definition():
         "predicted_rad": np.where(frame < 3, np.nan, 0.05),
     }
     labels = Labels(driven_rad, frame > -1, driven_rad, driven_rad)
-    truth = Truth("log.csv", labels)
-    results = Results("drive", table, [""] * 11, truth, labels, {}, [], [])
+    results = results_of(table, labels)
     comparison = results.compare("predicted", 2)
     target = results.table["driven_rad"][5:]
-    assert comparison["truth"] == "log.csv"
+    assert comparison["truth"] == "the log"
     assert comparison["frames"] == 6
     assert comparison["horizon"] == 2
     for name, angle in (("predicted", 0.05), ("measured", 0.2), ("zero", 0.0)):
@@ -170,12 +127,9 @@ def test_the_taken_path_is_recorded_or_else_measured(recorded):
         driven = Labels(np.zeros(8), ~known, unknown, unknown)
     measured = Labels(np.zeros(8), known, speed_mps, np.full(8, 0.5))
     table = {"frame": frame, "time_s": frame / 10}
-    results = Results("drive", table, [""] * 8, Truth("", driven), measured, {}, [], [])
-    labels = {"wheelbase_m": 2.7, "min_speed_mps": 1.0, "ahead_m": [0.0, 2.0, 5.0]}
-    results.add_prediction(Target(labels), np.zeros((8, 2)))
-
-    (name,) = results.taken_1pm
+    paths = predict.taken_path(results_of(table, driven, measured), [0.0, 2.0, 5.0])
+    (name,) = paths
     curvature_1pm = {"driven": 0.1, "measured": 0.05}[name]
     assert name == ("driven" if recorded else "measured")
-    np.testing.assert_allclose(results.taken_1pm[name][0], curvature_1pm)
-    assert np.isnan(results.taken_1pm[name][-2:]).all(), "the drive ends"
+    np.testing.assert_allclose(paths[name][0], curvature_1pm)
+    assert np.isnan(paths[name][-2:]).all(), "the drive ends"

@@ -3,10 +3,12 @@
 All data of a frame is found by the frame's number, never by a position in a list. The files of a
 drive are
 ``<root>/<date>/<date>_drive_NNNN_sync/{image_0X,velodyne_points,oxts}/data/%010d.{png,bin,txt}``.
-Images may also be JPEG files. The calibration is in ``<root>/<date>/``. pykitti's ``raw`` class is
-not used: its sorted lists shift after a missing frame, and it needs all four cameras.
+Images may also be JPEG files. The calibration is in ``<root>/<date>/``. `steer import` writes
+drives of this layout with another name in place of the date. pykitti's ``raw`` class is not used:
+its sorted lists shift after a missing frame, and it needs all four cameras.
 """
 
+import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -21,8 +23,8 @@ from pipeline.ingest.calibration import CALIBRATION, RENDERED, read_calibration,
 from pipeline.ingest.clocks import check_rate, compare_times
 from pipeline.ingest.drive import Drive, stamps
 from pipeline.ingest.other_layouts import find_other_layout
-from pipeline.ingest.packets import STEERING, read_row, read_steering, read_times
-from pipeline.ingest.settings import Ingest, Reading
+from pipeline.ingest.packets import VALUE_FILES, read_row, read_times, read_values
+from pipeline.ingest.settings import DATE, Ingest, Reading
 
 # Elevation in degrees below which a complete scan has points. The lowest laser of the HDL-64E is
 # directed 24.8 degrees down and hits the road 4 m away; complete scans of KITTI reach below -23.6
@@ -30,6 +32,8 @@ from pipeline.ingest.settings import Ingest, Reading
 LOWEST_DEG = -20.0
 # Largest coordinate in metres of a point. The range of the sensor is 120 m.
 _MAX_RANGE_M = 150.0
+# File that `steer import` writes beside the calibration of its drives.
+IMPORT = "import.json"
 # Suffix of the folders of unsynced drives. Their images are not rectified, and their scans are not
 # taken at the times of the images.
 UNSYNCED = "_extract"
@@ -105,6 +109,11 @@ class KittiDrive:
         path = self.calibration / CALIBRATION
         return path.is_file() and path.read_text(errors="replace").startswith(f"{RENDERED}\n")
 
+    def logs(self) -> list[Path]:
+        """Return the files with values of logs."""
+        paths = [self.folder / name for name in VALUE_FILES]
+        return [path for path in paths if path.is_file()]
+
     def image_times(self, camera: int) -> Path:
         """Return the file with the times of a camera's images, which may be missing."""
         return self.folder / f"image_{camera:02d}" / "timestamps.txt"
@@ -127,7 +136,7 @@ class KittiDrive:
         for files in (self.oxts, self.scans, self.truth_depth, self.truth_cls):
             paths += files.values()
         calibration = sorted(self.calibration.glob("calib_*.txt"))
-        optional = {times, *calibration, self.folder / STEERING}
+        optional = {times, *calibration, *self.logs()}
         if camera is not None:
             paths += self.images(camera).values()
             optional.add(self.image_times(camera))
@@ -189,9 +198,9 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
     values: dict[str, dict[int, Any]] = {}
     if oxts:
         values["oxts"] = oxts
-    steering = files.folder / STEERING
-    if steering.is_file():
-        values["steering_rad"] = read_steering(steering)
+    # Logs replace what packets say.
+    for path in files.logs():
+        values |= read_values(path)
     scans = files.scans if settings.lidar else {}
     without_frame = {*images, *scans} - {*all_times_s}
     if without_frame:
@@ -282,8 +291,21 @@ def find_drive(root: Path, name: str) -> KittiDrive:
         if elsewhere:
             raise InputError(problem, root, elsewhere)
         fix = "Extract it, or take it out of ingest.drives"
+        if _is_import(root, name):
+            fix = "Repeat steer import, or take it out of ingest.drives"
         raise InputError(f"{problem} ({closest(name, present)})", root, fix)
-    return KittiDrive(root / name[:10] / f"{name}_sync")
+    return KittiDrive(root / folder_of(name) / f"{name}_sync")
+
+
+def folder_of(name: str) -> str:
+    """Return the name of the folder of a drive and its calibration: NAME of NAME_drive_0001."""
+    return name.rpartition("_drive_")[0]
+
+
+def _is_import(root: Path, name: str) -> bool:
+    """Return whether a drive was imported, as its name has no date, or a file beside it says."""
+    folder = folder_of(name)
+    return not re.fullmatch(DATE, folder) or (root / folder / IMPORT).is_file()
 
 
 def leave_out(root: Path, settings: Ingest, required: Collection[str] = ()) -> list[str]:
@@ -291,24 +313,26 @@ def leave_out(root: Path, settings: Ingest, required: Collection[str] = ()) -> l
 
     The printed text also names drives below `root` that belong to no split. Raises InputError if
     `root` has a drive with the name of a rendered drive. Raises it also if all drives are missing,
-    all drives of one split, or one of the `required` drives.
+    all drives of one split, one of the `required` drives, or a drive of an import.
     """
     present = _drives(root)
     splits = settings.drives.splits()
-    dataset_of = settings.datasets()
     for drive in present:
-        if dataset_of.get(drive) == "sample":
-            folder = f"{drive[:10]}/{drive}_sync"
+        if settings.source == "sample" and drive in splits:
+            folder = f"{folder_of(drive)}/{drive}_sync"
             raise InputError(
                 f"stage sample renders a drive of the same name, data/sample/{folder}",
                 root / folder,
                 "Rename this folder, or set ingest.source: kitti",
             )
 
-    missing = [drive for drive in splits if dataset_of[drive] == "kitti" and drive not in present]
+    missing = []
+    if settings.source == "kitti":
+        missing = [drive for drive in splits if drive not in present]
     splits_left = {splits[drive] for drive in splits if drive not in missing}
     for drive in missing:
-        if not present or drive in required or splits[drive] not in splits_left:
+        is_needed = drive in required or splits[drive] not in splits_left
+        if not present or is_needed or _is_import(root, drive):
             find_drive(root, drive)  # raises InputError
         elsewhere = _elsewhere(root, drive)
         if elsewhere:
@@ -327,7 +351,7 @@ def _elsewhere(root: Path, name: str) -> str:
 
     The text is empty if the drive is not found.
     """
-    place = f"{name[:10]}/{name}_sync"
+    place = f"{folder_of(name)}/{name}_sync"
     paths = [path for start in ("", "*/", "*/*/") for path in sorted(root.glob(f"{start}{name}*"))]
     for path in paths:
         # A folder that only contains the drive's folder is not the drive itself.
@@ -342,15 +366,19 @@ def _elsewhere(root: Path, name: str) -> str:
             return f"Found {path.relative_to(root)}: extract it in {root}"
         return (
             f"Found {path.relative_to(root)}: move it to {place}, and its date's calib_*.txt to "
-            f"{name[:10]}/"
+            f"{folder_of(name)}/"
         )
     return ""
 
 
 def _drives(root: Path) -> list[str]:
     """Return the names of the drives below `root`."""
-    folders = root.glob("????_??_??/*_drive_????_sync")
-    return sorted(folder.name.removesuffix("_sync") for folder in folders)
+    names = []
+    for folder in sorted(root.glob("*/*_drive_????_sync")):
+        name = folder.name.removesuffix("_sync")
+        if folder.parent.name == folder_of(name):
+            names.append(name)
+    return names
 
 
 def read_scan(path: Path) -> np.ndarray:

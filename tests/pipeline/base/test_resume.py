@@ -24,12 +24,13 @@ RESULTS = {
     "cnn": ("train", (f"{SPATIAL}/cnn.py", NCP)),
     "kitti": ("ingest", (f"{DATASETS}/kitti.py",)),
     "sample": ("ingest", (f"{DATASETS}/sample.py",)),
+    "images": ("ingest", (f"{DATASETS}/images.py",)),
     "perception": ("perception", ()),
     "labels": ("labels", ()),
     "report": ("report", ()),
 }
 ALL = set(RESULTS)
-INGEST = {"kitti", "sample"}
+INGEST = {"kitti", "sample", "images"}
 
 
 def keys() -> dict[str, str]:

@@ -85,13 +85,6 @@ def merge(path: Path) -> dict[str, Any]:
     return preset.merged(str(path))
 
 
-def _parts(train: str, test: str) -> str:
-    """Return a preset of two parts of one recording."""
-    part = "{folder: mine, files: {}, "
-    parts = f"{{b: {part}{train[1:]}, a: {part}{test[1:]}}}"
-    return f"ingest: {{drives: {{train: [b], val: [], test: [a]}}, recordings: {parts}}}\n"
-
-
 @pytest.mark.parametrize(
     ("read", "text", "problem"),
     [
@@ -105,12 +98,6 @@ def _parts(train: str, test: str) -> str:
         ),
         (merge, "models:\n  '*': null\n", "models.*at least 1"),
         (merge, "train:\n  epochs: null\n", r"train\.epochs: Field required"),
-        (
-            merge,
-            _parts("{start: 0, end: 12}", "{start: 11.5}"),
-            r"recordings overlap: b is 0 s to 12 s, a is 11.5 s to the end of data/raw/mine. "
-            r"Change start or end",
-        ),
     ],
 )
 def test_a_faulty_file_is_named(tmp_path, read, text, problem):

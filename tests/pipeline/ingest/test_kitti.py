@@ -221,6 +221,10 @@ def read_camera(path: Path) -> object:
     return read_calibration(path.parent, 2)
 
 
+def read_angles(path: Path) -> object:
+    return packets.read_values(path.rename(path.with_name("steering.csv")))
+
+
 SCAN = scan(np.random.default_rng(0), 640)
 # Reflectance from 0 to 255.
 BYTES = (SCAN * np.float32([1, 1, 1, 255])).tobytes()
@@ -247,7 +251,7 @@ PLAINLY_WRONG: list[tuple[Callable[[Path], object], str | bytes, str]] = [
     (read_camera, "P_rect_02: 5.000000000e+01→P_rect_02: inf", "P_rect_02: expected 12 finite"),
     (read_camera, "calib_time:→<html>\ncalib_time:", "not a calibration file"),
     (
-        packets.read_steering,
+        read_angles,
         "frame,steering_rad\n3,2.5\n",
         "steering_rad is implausible .*: '2.5' in line 2",
     ),

@@ -300,9 +300,9 @@ def test_a_black_image_shows_no_road():
 
 def test_images_upside_down_are_refused():
     images = [street.view(pose)[0] for pose in street.arc(60, 0.0, 8.0)]
-    upright = [Frame(0, 0.0, image) for image in images * 2]
+    upright = horizon.spread_pairs(images * 2)
     assert horizon.find_horizon(upright, street.WIDE) is not None
 
-    upside_down = [Frame(0, 0.0, image[::-1, ::-1].copy()) for image in images]
+    upside_down = horizon.spread_pairs([image[::-1, ::-1].copy() for image in images])
     with pytest.raises(InputError, match="images are upside down"):
         horizon.find_horizon(upside_down, street.WIDE)

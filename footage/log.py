@@ -1,12 +1,13 @@
 """Read logs of a car's motion and of its wheel's angles, and interpolate them at images' times."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from footage.settings import Options
 from pipeline.base.errors import InputError
 from pipeline.ingest.columns import (
     LIMIT_MPS,
@@ -17,8 +18,6 @@ from pipeline.ingest.columns import (
     read_columns,
     refuse,
 )
-from pipeline.ingest.names import check_name
-from pipeline.ingest.settings import RecordingOptions
 
 # Largest distance in seconds between two logged values for an interpolation between them.
 MAX_GAP_S = 0.5
@@ -51,8 +50,6 @@ class Log(NamedTuple):
     time_s: np.ndarray  # ascending [N]
     values: np.ndarray  # [C,N], NaN where unknown
     name: str = ""  # name of the file
-    repeated: int = 0  # number of rows that are left out, as they equal another row
-    ratio: float = 1.0  # number by which the file's values were divided
 
     def at(self, time_s: np.ndarray) -> np.ndarray:
         """Return the quantities [C,F] at `time_s` [F], interpolated linearly.
@@ -86,36 +83,30 @@ class Log(NamedTuple):
             )
 
 
-# The logs of a recording by name: "wheel" has the front wheels' angle in rad, "motion" speed in m/s
-# and yaw rate in rad/s, all left positive.
+# The logs of a recording by name: "motion" has speed in m/s and yaw rate in rad/s, "wheel" the
+# front wheels' angle in rad, all left positive.
 Logs = Mapping[str, Log]
 
 
-def read_logs(options: RecordingOptions) -> Logs:
-    """Read the logs of a recording, CSV files of the wheel's angle and of the car's motion.
+def read_logs(options: Options) -> Logs:
+    """Read the logs of a recording, CSV files of the car's motion and of the wheel's angle.
 
-    A log of the wheel has the columns time_s and wheel_rad; a log of the motion has time_s,
-    speed_mps and yaw_rate_radps. The offset is added to the times. Empty cells are interpolated,
-    and repeated rows are left out. Raises InputError with all faults of a file. The times of a
-    column have to increase, and to be in seconds.
+    A log of the motion has the columns time_s, speed_mps and yaw_rate_radps; a log of the wheel has
+    time_s and wheel_rad. The offset is added to the times. Empty cells are interpolated, and
+    repeated rows are left out. Raises InputError with all faults of a file. The times of a column
+    have to increase, and to be in seconds.
     """
-    ratio = options.steering_ratio
-    if (options.wheel is None) != (ratio is None):
+    if (options.wheel is None) != (options.steering_ratio is None):
         fix = "Pass both. 1: the log holds angles of the front wheels"
         raise InputError("--wheel and --steering-ratio need each other", fix=fix)
     if options.offset_s and not (options.wheel or options.motion):
         raise InputError("--offset needs a log", fix="Pass --motion or --wheel, too")
 
-    # The motion is read first, so that its faults are reported first. In the result, the wheel is
-    # first.
-    motion: Log | None = None
-    if options.motion:
-        motion = _read_log(options.motion, _RATES, _MOTION, options.offset_s)
     logs = dict[str, Log]()
-    if options.wheel and ratio is not None:
-        logs["wheel"] = _read_wheel(options.wheel, ratio, options.offset_s)
-    if motion:
-        logs["motion"] = motion
+    if options.motion:
+        logs["motion"] = _read_log(options.motion, _RATES, _MOTION, options.offset_s)
+    if options.wheel and options.steering_ratio:
+        logs["wheel"] = _read_wheel(options.wheel, options.steering_ratio, options.offset_s)
     return logs
 
 
@@ -128,54 +119,33 @@ def _read_wheel(path: Path, ratio: float, offset_s: float) -> Log:
     largest_step = np.nanmax(np.abs(np.diff(log.values)))
     if np.nanmin(log.values) >= 0 and largest_step > WRAPPED_RAD:
         raise InputError("wheel_rad is 0 to 2π: angles jump by a turn", path, "Subtract 2π above π")
-    return log._replace(values=log.values / ratio, ratio=ratio)
+    return log._replace(values=log.values / ratio)
 
 
-def log_names(logs: Logs) -> str:
-    """Return the names of the logs' files as a text, which is empty if there are no logs."""
-    return " and ".join(log.name for log in logs.values())
+def logged_values(logs: Logs, time_s: np.ndarray) -> dict[str, np.ndarray]:
+    """Return name → value at `time_s` [F], NaN where unknown.
 
-
-def logged_values(logs: Logs, frame: np.ndarray, time_s: np.ndarray) -> dict[str, dict[int, float]]:
-    """Return name → frame number → value, for the frames [F] at `time_s` [F].
-
-    This is the form of ``Drive.values``. Where speed or yaw rate is unknown, both are NaN. Frames
-    with an unknown angle have no entry.
+    Where speed or yaw rate is unknown, both are.
     """
-    result = dict[str, dict[int, float]]()
+    values = dict[str, np.ndarray]()
     if "motion" in logs:
-        speed_mps, yaw_rate_radps = logs["motion"].at(time_s)
-        result["speed_mps"] = pd.Series(speed_mps, frame).to_dict()
-        result["yaw_rate_radps"] = pd.Series(yaw_rate_radps, frame).to_dict()
+        values["speed_mps"], values["yaw_rate_radps"] = logs["motion"].at(time_s)
     if "wheel" in logs:
-        (wheel_rad,) = logs["wheel"].at(time_s)
-        result["steering_rad"] = pd.Series(wheel_rad, frame).dropna().to_dict()
-    return result
+        (values["steering_rad"],) = logs["wheel"].at(time_s)
+    return values
 
 
-def log_notes(logs: Logs, time_s: np.ndarray) -> Iterator[str]:
-    """Yield notes on repeated rows, and on the values of each log at the images' times [F]."""
-    for kind, log in logs.items():
-        if log.repeated:
-            yield f"{log.name}: {log.repeated:,} rows repeat another row and are left out"
-        values = log.at(time_s) * log.ratio
-        is_known = np.isfinite(values[0])
-        note = f"{log.name} covers {is_known.sum():,} of {len(is_known):,} images"
-        if is_known.any():
-            columns = ["wheel_rad"] if kind == "wheel" else [*_RATES]
-            least = values[:, is_known].min(axis=1)
-            largest = values[:, is_known].max(axis=1)
-            ranges = [
-                f"{name} {low:z.3f} to {high:z.3f}"
-                for name, low, high in zip(columns, least, largest, strict=True)
-            ]
-            note += f": {', '.join(ranges)}"
-        yield note
+def range_note(name: str, values: np.ndarray) -> str:
+    """Return a note on the values [F] of a log at the images' times."""
+    known = values[np.isfinite(values)]
+    note = f"{name} is known at {len(known):,} of {len(values):,} images"
+    if len(known):
+        note += f": {known.min():z.3f} to {known.max():z.3f}"
+    return note
 
 
 def _read_log(path: Path, limits: Mapping[str, float], expected: str, offset_s: float) -> Log:
     """Return a file as a log. `limits` and `expected` are those of :func:`read_columns`."""
-    check_name(path)
     rows, faults = read_columns(path, {"time_s": np.inf, **limits}, expected)
     table = rows.drop_duplicates()
     columns = {name: table[["time_s", name]].dropna(subset=name) for name in limits}
@@ -190,13 +160,11 @@ def _read_log(path: Path, limits: Mapping[str, float], expected: str, offset_s: 
     for column in columns.values():
         column_time_s, column_values = column.to_numpy().T
         values.append(Log(column_time_s, column_values[None]).at(time_s))
-    repeated = len(rows) - len(table)
-    return Log(time_s + offset_s, np.concatenate(values), path.name, repeated)
+    return Log(time_s + offset_s, np.concatenate(values), path.name)
 
 
 def read_times(path: Path) -> np.ndarray:
     """Read the times of images, one number in seconds per line, float64 [F]. Raises InputError."""
-    check_name(path)
     words = pd.Series(path.read_text("utf-8-sig", errors="replace").split(), name="time", dtype=str)
     words.index += 1
     times_s = pd.to_numeric(words, errors="coerce").astype(float)

@@ -1,4 +1,4 @@
-"""Make cameras from a field of view or four numbers, and rectify the images of their lenses."""
+"""Make the camera of a recording from its options, and rectify the images of its lens."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -6,26 +6,15 @@ from collections.abc import Callable, Sequence
 import cv2
 import numpy as np
 
+from footage.settings import Options
 from pipeline.base.errors import InputError, error_context
 from pipeline.camera.camera import Camera
-from pipeline.camera.images import Size
+from pipeline.camera.images import Size, format_size
+from pipeline.camera.pinhole import check_pinhole
 
 # A function that rectifies an image uint8 [H,W,3].
 Rectify = Callable[[np.ndarray], np.ndarray]
 
-# Largest plausible focal length in image widths.
-_FOCAL_PER_WIDTH = 100.0
-# Largest plausible offset of a principal point from the middle of the image, as a share of the
-# image's width or height.
-_OFF_CENTRE = 0.2
-# Largest plausible offset if the principal point is off to the right and down, or to the left and
-# up. Intrinsics for images of another size have such an offset. Udacity's camera has −0.08 and
-# 0.13, which have different signs.
-_OFF_BOTH = 0.1
-# Largest usable depth in metres of a lens with a focal length of up to WIDE.
-MAX_DEPTH_M = 80.0
-# Focal length in image widths above which the largest usable depth is larger than MAX_DEPTH_M.
-WIDE = 0.65
 # Largest magnitude of p1 and p2 in OpenCV's model, which describe elements of a lens that are not
 # parallel. Larger values suggest that the numbers describe a fisheye lens.
 MAX_TANGENTIAL = 0.01
@@ -34,6 +23,30 @@ MAX_FOV_DEG = 100
 # Largest field of view in degrees of a rectified fisheye lens. Beyond it, the middle of the image
 # becomes coarse.
 RECTIFIED_FOV_DEG = 90
+
+
+def open_lens(options: Options, size: Size, where: object) -> tuple[Camera, Rectify]:
+    """Return the camera of rectified images, and the function that rectifies images of `size`.
+
+    Raises InputError for images of a camera on its side, and for options that do not fit.
+    """
+    if size[0] > size[1]:
+        raise InputError(
+            f"images are taller than wide ({format_size(size)} pixels): is it rotated by 90 "
+            "degrees?",
+            where,
+            "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)",
+        )
+    if options.distortion and options.fisheye:
+        raise InputError(
+            "expected one model of the lens, got two", fix="Pass --distortion or --fisheye"
+        )
+    if options.fisheye:
+        return fisheye(size, options.fisheye, options.fov_deg, options.K)
+    camera = pinhole(size, options.fov_deg, options.K)
+    if options.distortion:
+        return camera, undistortion(camera, options.distortion)
+    return camera, lambda image: image
 
 
 def pinhole(size: Size, fov_deg: float | None = None, K: str | None = None) -> Camera:
@@ -158,33 +171,3 @@ def undistortion(camera: Camera, text: str) -> Rectify:
     size = camera.size[::-1]
     maps = cv2.initUndistortRectifyMap(camera.K, coefficients, None, camera.K, size, cv2.CV_16SC2)
     return _rectification(maps)
-
-
-def check_pinhole(K: np.ndarray, size: Size, where: str) -> None:
-    """Raise InputError if K [3,3] is implausible for images of `size` (H, W).
-
-    The focal lengths, the principal point and the skew are checked. `where` names K in the message.
-    """
-    height, width = size
-    fx, _, cx = K[0]
-    _, fy, cy = K[1]
-    no_skew = np.allclose(K, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], atol=1e-3)
-    focal = min(fx, fy) > 1 and max(fx, fy) < _FOCAL_PER_WIDTH * width  # false for NaN
-
-    # K of images of another size has a principal point that is off to the same side in both
-    # directions.
-    offset = np.array([cx / width, cy / height]) - 0.5
-    same_side = (offset > _OFF_BOTH).all() or (offset < -_OFF_BOTH).all()
-    centred = np.abs(offset).max() <= _OFF_CENTRE and not same_side
-
-    if not (focal and centred and no_skew):
-        intrinsics = f"focal lengths {fx:g}, {fy:g} and centre {cx:g}, {cy:g}"
-        problem = f"implausible intrinsics of {width} x {height} pixels: {intrinsics}"
-        if not centred:
-            problem += ". K is for another image size?"
-        raise InputError(problem, where)
-
-
-def depth_limit(camera: Camera) -> float:
-    """Return the largest usable depth in metres, which is larger for long focal lengths."""
-    return MAX_DEPTH_M * max(1.0, camera.K[0, 0] / (WIDE * camera.size[1]))

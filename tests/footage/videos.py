@@ -1,6 +1,7 @@
-"""Write and open small videos."""
+"""Write and convert small videos."""
 
 import struct
+from collections.abc import Sequence
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
@@ -9,24 +10,41 @@ from typing import Any
 import av
 import numpy as np
 
-from pipeline.ingest import recording
-from pipeline.ingest.recording import Recording
-from pipeline.ingest.settings import RecordingOptions
+from footage import convert as conversion
+from footage.convert import Converted
+from footage.settings import Options
+from pipeline.camera.images import read_image
+from pipeline.ingest.datasets.kitti import KittiDrive
+from pipeline.ingest.packets import read_times
 from tests import street
 from tests.kitti_drive import SIZE, pictures, write_video
 
 
-def open_recording(paths: Path | list[Path], **options: Any) -> Recording:
-    """Open a recording of a lens of 80 degrees."""
-    options = {"fov": 80.0, **options}
-    if isinstance(paths, Path):
-        paths = [paths]
-    return recording.open_recording(paths, RecordingOptions(**options))
+def convert(
+    folder: Path, *recordings: Path | list[Path], shares: Sequence[float] = (100.0,), **options: Any
+) -> Converted:
+    """Convert recordings of a lens of 80 degrees to drives "monday" in a folder."""
+    given = Options(**{"fov": 80.0, "png": True, **options})
+    opened = [
+        conversion.open_recording(paths if isinstance(paths, list) else [paths], given)
+        for paths in recordings
+    ]
+    return conversion.convert(folder, "monday", opened, given, shares=shares)
 
 
-def times_of(path: Path, **options: Any) -> list[float]:
-    """Return the times of the frames of a recording."""
-    return [frame.time_s for frame in open_recording(path, **options).frames()]
+def read(folder: Path, number: int = 1) -> KittiDrive:
+    """Return a drive that was written by :func:`convert`."""
+    return KittiDrive(folder / f"monday_drive_{number:04d}_sync")
+
+
+def times_of(drive: KittiDrive) -> list[float]:
+    """Return the times of the images of a drive since its first."""
+    return read_times(drive.image_times(2), [*drive.images(2)]).tolist()
+
+
+def images_of(drive: KittiDrive) -> np.ndarray:
+    """Return the images of a drive, uint8 [F,H,W,3]."""
+    return np.stack([read_image(path) for path in drive.images(2).values()])
 
 
 def write_stream(
@@ -40,17 +58,10 @@ def write_stream(
 def write_streams(
     path: Path,
     *streams: dict[str, Any],
-    taken_hz: float | None = None,
-    created: str = "",
     **options: str,
 ) -> Path:
     """Write video streams, each a dict of the images and how they are stored."""
     with av.open(str(path), "w", options=options) as file:
-        if taken_hz:
-            file.metadata["com.android.capture.fps"] = str(taken_hz)
-        if created:
-            file.metadata["creation_time"] = created
-
         # Streams have to be complete before the first image is written.
         written = []
         for content in streams:

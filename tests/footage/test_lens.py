@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from footage.lens import fisheye, pinhole, undistortion
 from pipeline.base.errors import InputError
 from pipeline.camera.geometry import rays
-from pipeline.camera.lens import fisheye, pinhole, undistortion
 
 
 def test_field_of_view_spans_the_edges():

@@ -170,13 +170,17 @@ class Code(NamedTuple):
 def _select(loaded: Mapping[str, str], stage: str, chosen: Collection[str]) -> dict[str, str]:
     """Return what belongs to a stage.
 
-    A chosen module has the files with its name, mine.py and mine.yaml, and the folder mine.
+    A chosen module has the files with its name, mine.py and mine.yaml, and the folder mine; also
+    those in the folder `weights` beside its own.
     """
     deps = _dvc_entry(stage)["deps"]
     listed = tuple(f"{dep}/" for dep in deps)
-    own = tuple(path.removesuffix("py") for path in chosen)
-    own += tuple(path.removesuffix(".py") + "/" for path in chosen)
-    folders = tuple(f"{Path(path).parent}/" for path in chosen)
+    own: tuple[str, ...] = ()
+    folders: tuple[str, ...] = ()
+    for path in map(Path, chosen):
+        for folder in (path.parent, path.parent.with_name("weights")):
+            own += (f"{folder}/{path.stem}.", f"{folder}/{path.stem}/")
+            folders += (f"{folder}/",)
 
     selected = {}
     for name, value in loaded.items():

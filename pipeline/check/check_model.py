@@ -1,6 +1,7 @@
 """Find faults of a model's entry: look for its inputs, and run its network on small frames."""
 
 from pipeline.base.errors import InputError, closest
+from pipeline.base.resume import ROOT
 from pipeline.check.contract import check_network
 from pipeline.check.settings import Params
 from pipeline.train import runs
@@ -8,8 +9,19 @@ from pipeline.train.entry import Entry
 from pipeline.train.quantity import load_quantity
 
 
+def check_files(entry: Entry) -> None:
+    """Raise InputError if a network has files whose changes DVC would not notice."""
+    for name in entry.networks:
+        module = ROOT / name
+        for path in [*module.parent.glob(f"{module.stem}.*"), module.with_suffix("")]:
+            if path.exists() and path != module:
+                fix = "Move it to models/steering/weights, see docs/models.md"
+                raise InputError("DVC would not notice its changes", path.relative_to(ROOT), fix)
+
+
 def check_model(entry: Entry, settings: Params) -> None:
     """Check that a model's inputs are available, and its network. Raises InputError."""
+    check_files(entry)
     if entry.input not in settings.graphs:
         options = closest(entry.input, [*settings.graphs])
         raise InputError(f"unknown variant {entry.input!r}: {options}", "input")

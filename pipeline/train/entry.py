@@ -145,6 +145,11 @@ class Entry(Section):
             motion=self.motion != "none",
         )
 
+    def start(self, net: steering_net.SteeringNet) -> None:
+        """Load the weights with which the training of a network starts, if it has some."""
+        self._network_options("spatial", self.spatial).start(net.spatial)
+        self._network_options("temporal", self.temporal).start(net.temporal)
+
     def _network_options(
         self, part: Literal["spatial", "temporal"], name: str
     ) -> options.NetworkOptions:

@@ -121,4 +121,5 @@ def _build(entry: Entry, drive: LabelledDrive, seed: int) -> SteeringNet:
     torch.backends.cudnn.allow_tf32 = False  # convolutions compute in float32
     torch.manual_seed(seed)
     net = entry.build(**drive.contents._asdict(), outputs=len(drive.quantity.columns))
+    entry.start(net)
     return net.to(device)

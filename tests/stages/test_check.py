@@ -11,6 +11,7 @@ import yaml
 from models.steering.core import options
 from models.steering.spatial import polar
 from pipeline.base.errors import InputError
+from pipeline.check import check_model
 from stages import check, preset
 from tests.presets import NAMES
 
@@ -170,6 +171,19 @@ def test_a_fault_is_one_line_with_its_key(tmp_path, where, value, message):
         run(tmp_path, changed(where, value))
     assert str(raised.value).startswith(str(tmp_path / "params.yaml"))
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("file", ["gnn.pt", "gnn/layers.py"])
+def test_files_beside_a_network_that_dvc_would_not_watch_are_refused(tmp_path, monkeypatch, file):
+    path = tmp_path / "models/steering/spatial" / file
+    path.parent.mkdir(parents=True)
+    path.touch()
+    monkeypatch.setattr(check_model, "ROOT", tmp_path)
+    problem = (
+        r"spatial/gnn.*: DVC would not notice its changes\. Move it to models/steering/weights"
+    )
+    with pytest.raises(InputError, match=problem):
+        run(tmp_path, yaml.safe_load((ROOT / "params.yaml").read_text()))
 
 
 @pytest.mark.parametrize(

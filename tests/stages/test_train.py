@@ -3,6 +3,7 @@
 import json
 import shutil
 from pathlib import Path
+from unittest.mock import Mock
 
 import h5py
 import numpy as np
@@ -74,6 +75,17 @@ def test_resumed_training_writes_the_same_bytes(folder, monkeypatch, capsys, ent
     with monkeypatch.context() as patch:
         patch.setattr(Fit, "_train", None)
         assert contents(run_train(folder)) == complete
+
+
+def test_only_a_training_loads_the_weights_of_a_network(folder, monkeypatch):
+    """A trained checkpoint needs no other file."""
+    small_model.add_users_network(monkeypatch)
+    started = Mock()
+    monkeypatch.setattr(small_model.UsersOptions, "start", started)
+    write_params(folder, {"spatial": "users"}, epochs=1, seeds=[0])
+    run_train(folder)
+    run_evaluate(folder)
+    started.assert_called_once()
 
 
 @pytest.mark.parametrize(

@@ -51,6 +51,12 @@ class NetworkOptions(OptionGroup):
         """
         raise NotImplementedError
 
+    def start(self, network: nn.Module) -> None:
+        """Load weights into a network before its training. A trained checkpoint has them.
+
+        Their files are in models/steering/weights, under the name of the network.
+        """
+
 
 def load_options(part: Literal["spatial", "temporal"], name: str) -> type[NetworkOptions]:
     """Return the class `Options` of a network's file. Raises InputError if there is no file."""

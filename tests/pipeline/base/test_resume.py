@@ -78,6 +78,9 @@ def edit(path: Path, before: str, after: str) -> None:
         (f"{SPATIAL}/gnn.py", {"gnn"}),
         (f"{SPATIAL}/gnn/layers.py", {"gnn"}),
         (f"{SPATIAL}/gnn.pt", {"gnn"}),
+        ("models/steering/weights/gnn.pt", {"gnn"}),
+        ("models/steering/weights/ncp/a.bin", {"gnn", "cnn"}),
+        ("models/steering/weights/mine.pt", set()),
         (f"{SPATIAL}/mine.py", set()),
         # What Python, editors and file managers leave.
         ("pipeline/base/runner.py~", set()),

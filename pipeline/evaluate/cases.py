@@ -17,8 +17,8 @@ from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS
 from pipeline.base.store import read_index
 from pipeline.evaluate import statistics
+from pipeline.evaluate.drift import drift
 from pipeline.evaluate.settings import Evaluate
-from pipeline.evaluate.turns import drift, read_onsets
 from pipeline.graphs.graph_file import open_graphs
 from pipeline.labels import label
 from pipeline.train import runs
@@ -175,11 +175,10 @@ def _drift(
     quantity = drives[0].quantity
     if quantity.horizon or quantity.is_ahead:
         return None
-    onsets = [read_onsets(drive) for drive in drives]
     values = []
     for predictions in by_seed:
         angles_rad = [quantity.angle_rad(prediction) for prediction in predictions]
-        value = drift(zip(drives, onsets, angles_rad, strict=True))
+        value = drift(zip(drives, angles_rad, strict=True))
         if value is not None:
             values.append(value)
     return float(np.mean(values)) if values else None

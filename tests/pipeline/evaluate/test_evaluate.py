@@ -1,24 +1,14 @@
-"""Metrics of a split: counted frames, drives, baselines; errors and their intervals; onsets of
-turns and drift.
-"""
+"""Metrics of a split: counted frames, drives, baselines; errors and their intervals."""
 
-import tarfile
-from collections.abc import Sequence
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.evaluate import statistics, turns
+from pipeline.evaluate import statistics
 from pipeline.evaluate.cases import Case, metrics
 from pipeline.evaluate.settings import Evaluate
-from pipeline.evaluate.turns import drift, segments
-from pipeline.ingest import packets
-from pipeline.ingest.datasets.kitti import KittiDrive
-from pipeline.labels import label
 from pipeline.train.loss import Scale
 from pipeline.train.targets import LabelledDrive, read_drive
 from tests import artefacts
@@ -238,146 +228,3 @@ def test_the_difference_of_two_models_has_a_narrower_interval():
     truth = np.stack([steering] * 3, axis=-1)
     paired = statistics.interval(errors, truth, drive, settings(50, 500), others)
     assert paired == pytest.approx([2 * low, 2 * high])
-
-
-# Turns and drift
-
-
-STEPS = 101  # 10 m/s for 10 s
-TIME_S = np.arange(STEPS) / 10
-
-
-def off(predicted_rad: float, *onsets: int) -> float | None:
-    """Return the drift of a constant angle on a straight road."""
-    zero = np.zeros(STEPS)
-    driven = label.Labels(zero, np.ones(STEPS, bool), np.full(STEPS, 10.0), zero)
-    frame = np.arange(STEPS)
-    drive: Any = SimpleNamespace(
-        frame=frame, time_s=TIME_S, driven=driven, settings=artefacts.LABELS
-    )
-    return drift([(drive, np.isin(frame, onsets), np.full(STEPS, predicted_rad))])
-
-
-def test_segments_end_at_onsets_and_missing_predictions():
-    predicted = np.zeros(STEPS)
-    predicted[:7] = np.nan
-    predicted[[50, 99]] = np.nan
-    pieces = segments(np.isin(np.arange(STEPS), [3, 20, 50, 70]), predicted)
-    assert [(rows[0], rows[-1]) for rows in pieces] == [(7, 19), (20, 49), (51, 69), (70, 98)]
-    assert segments(np.zeros(STEPS, bool), np.full(STEPS, np.nan)) == []
-
-
-def test_drift_is_the_final_distance_per_100_m():
-    assert off(0.0) == 0
-    # Small angle ε from L: after s metres off by ε s² / 2 L; 100 m in one piece, or in two of 50
-    # and 49 steps.
-    assert off(0.01) == pytest.approx(0.01 * 100**2 / 2 / 2.7, rel=0.02)
-    assert off(0.01, 50) == pytest.approx(0.01 * (49**2 + 50**2) / 2 / 2.7 / 99 * 100, rel=0.02)
-    assert off(np.nan) is None
-
-
-def test_a_step_uses_speed_and_angle_of_its_end():
-    speed_mps = np.array([9.0, 2.0, 4.0])
-    angles_rad = np.array([9.0, 0.0, 0.1])
-    time_s = np.array([0.0, 0.5, 1.0])
-    path = turns.path(angles_rad, speed_mps, time_s, wheelbase_m=2.7)
-    halfway_rad = 2.0 / 2.7 * np.tan(0.1) / 2
-    end = [1 + 2 * np.cos(halfway_rad), 2 * np.sin(halfway_rad)]
-    np.testing.assert_allclose(path, [[0, 0], [1, 0], end])
-
-
-@pytest.mark.slow
-@pytest.mark.real
-def test_paths_of_true_angles_follow_gnss(real_kitti, tmp_path):
-    """Label, sign and integration at once: GNSS is a second route to where the car went."""
-    with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
-        archive.extractall(tmp_path, filter="data")
-    means = []
-    for path in sorted(tmp_path.glob("*/*_sync")):
-        drive = KittiDrive(path)
-        if len(drive.oxts) > 300:
-            pieces = off_the_track(drive)
-            if len(pieces):
-                means.append(pieces.mean())
-    assert len(means) == 30
-    # lost satellites, gaps, or a heading off by half a degree
-    assert sum(mean > 1 for mean in means) == 7
-    assert sorted(means)[-2] < 3  # one drive has no place at first: 44 m off
-
-
-def off_the_track(raw: KittiDrive) -> np.ndarray:
-    """Return how far the path of true angles ends beside GNSS, in metres per piece of 100 m."""
-    rows = np.array([packets.read_row(path) for path in raw.oxts.values()])
-    time_s = packets.read_times(raw.oxts_times, list(raw.oxts))
-    columns = dict(zip(packets.COLUMNS, rows.T, strict=True))
-    speed_mps = columns["vf"]
-    labels = label.steering_labels(columns["wu"], speed_mps, label.Car(2.7, 1.0))
-
-    # Mercator's, as KITTI's own tools have it: metres at the drive's latitude, east + north i.
-    radius_m = 6378137.0 * np.cos(np.deg2rad(columns["lat"][0]))
-    east = np.deg2rad(columns["lon"])
-    north = np.log(np.tan(np.deg2rad(90 + columns["lat"]) / 2))
-    gnss_m = radius_m * (east + 1j * north)
-
-    steps_m = np.abs(speed_mps[1:]) * np.diff(time_s)
-    driven_m = np.concatenate([[0.0], np.cumsum(steps_m)])
-    errors_m = []
-    for first in range(0, len(rows), 10):
-        last = int(np.searchsorted(driven_m, driven_m[first] + 100))
-        if last == len(rows):
-            break
-        piece = slice(first, last + 1)
-        angle_rad = labels.steering_rad[piece]
-        path_m = turns.path(angle_rad, speed_mps[piece], time_s[piece], wheelbase_m=2.7)
-        end_m = np.exp(1j * columns["yaw"][first]) * complex(*path_m[-1])
-        error_m = abs(end_m - (gnss_m[last] - gnss_m[first]))
-        errors_m.append(100 * error_m / (driven_m[last] - driven_m[first]))
-    return np.array(errors_m)
-
-
-# Curvatures in 1/m.
-STRAIGHT = 0.0
-CORNER = 0.1
-
-
-def bends(*stretches: tuple[int, float]) -> np.ndarray:
-    """Return curvature for stretches of (frames, curvature)."""
-    return np.concatenate([np.full(count, curvature) for count, curvature in stretches])
-
-
-def onset_frames(curvature: np.ndarray, missing: Sequence[int] = ()) -> list[int]:
-    """Return the frames at which turns begin, at 8 m/s."""
-    frames = np.setdiff1d(np.arange(len(curvature)), missing)
-    curvature = curvature[frames]
-    speed_mps = np.full(len(frames), 8.0)
-    valid = np.ones(len(frames), bool)
-    labels = label.Labels(curvature, valid, speed_mps, curvature * speed_mps)
-    return frames[turns.onsets(frames / 10, curvature, labels)].tolist()
-
-
-def test_a_turn_begins_where_the_curvature_leaves_straight():
-    into_the_turn = np.linspace(0.004, 0.1, 20)
-    after = bends((20, CORNER), (20, STRAIGHT))
-    turn = np.concatenate([bends((20, STRAIGHT)), into_the_turn, after])
-    assert onset_frames(turn) == [23]
-    assert onset_frames(-turn) == [23]
-    assert turn[22] < turns.STRAIGHT_1PM < turn[23]
-
-
-@pytest.mark.parametrize(
-    ("curvature", "missing", "onsets"),
-    [
-        (bends((30, STRAIGHT), (60, 0.03)), (), []),  # a bend of the road
-        # around an obstacle
-        (bends((30, STRAIGHT), (8, CORNER), (8, -CORNER), (30, STRAIGHT)), (), []),
-        (bends((30, CORNER), (5, STRAIGHT), (20, CORNER)), (), []),  # still the same turn
-        (bends((30, CORNER), (11, STRAIGHT), (20, -CORNER)), (), [41]),
-        (bends((5, STRAIGHT), (20, CORNER)), (), []),  # the drive starts less than a second before
-        (bends((30, STRAIGHT), (20, CORNER)), (25,), [30]),  # without a single frame
-        (bends((30, STRAIGHT), (20, CORNER)), range(5, 30), []),
-        (bends((30, STRAIGHT), (20, CORNER)), range(5, 26), []),
-        (np.empty(0), (), []),
-    ],
-)
-def test_only_corners_after_a_straight_second_are_onsets(curvature, missing, onsets):
-    assert onset_frames(curvature, missing) == onsets

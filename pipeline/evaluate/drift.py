@@ -1,0 +1,63 @@
+"""Compute the path of predicted angles, and its drift from the labelled path."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from pipeline.train.targets import LabelledDrive
+
+
+def path(
+    steering_rad: np.ndarray, speed_mps: np.ndarray, time_s: np.ndarray, wheelbase_m: float
+) -> np.ndarray:
+    """Return the car's positions [F,2] in metres, x ahead and y to the left of its start.
+
+    The heading follows from the bicycle model, ψ ← ψ + v/L tan Θ dt. The paper's formula as
+    printed, [x, y] ← [x, y] + v dt [cos Θ, sin Θ], takes the steering angle as the heading.
+
+    The speed and angle of a frame are applied to the step that ends at the frame, since the rates
+    in KITTI's oxts lag half a step behind its poses. In this way, paths of true angles stay within
+    1 m per 100 m of the recorded track in 23 of 30 drives. If the rates are applied to the step
+    that begins at the frame, they do so in 12 drives (tests/pipeline/evaluate/test_drift.py).
+    """
+    dt_s = np.diff(time_s)
+    speed_mps = speed_mps[1:]
+    turned_rad = speed_mps / wheelbase_m * np.tan(steering_rad[1:]) * dt_s
+    # The car moves along the chord of an arc, whose direction is the heading halfway through the
+    # step.
+    heading_rad = np.cumsum(turned_rad) - turned_rad / 2
+    direction = np.stack([np.cos(heading_rad), np.sin(heading_rad)], axis=-1)
+    steps_m = (speed_mps * dt_s)[:, None] * direction
+    return np.concatenate([np.zeros((1, 2)), np.cumsum(steps_m, axis=0)])
+
+
+def ways(true_rad: np.ndarray, predicted_rad: np.ndarray) -> list[np.ndarray]:
+    """Return the rows of each way: consecutive frames [F] with a label and a prediction.
+
+    Ways of a single frame are left out.
+    """
+    rows = np.flatnonzero(np.isfinite(true_rad) & np.isfinite(predicted_rad))
+    pieces = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+    return [way for way in pieces if len(way) > 1]
+
+
+def drift(drives: Iterable[tuple[LabelledDrive, np.ndarray]]) -> float | None:
+    """Return the mean drift of predicted paths in metres per 100 m (the paper's Figure 5).
+
+    The drift is the distance between the predicted and the labelled path at the end of a way. Both
+    start at the same point and have the same measured speeds and times. The result is None if there
+    is no way. `drives` are drives with their predicted angles [G].
+    """
+    error_m = 0.0
+    length_m = 0.0
+    for drive, predicted_rad in drives:
+        wheelbase_m = drive.settings["labels"]["wheelbase_m"]
+        true_rad = np.where(drive.driven.valid, drive.driven.steering_rad, np.nan)
+        for rows in ways(true_rad, predicted_rad):
+            speed_mps = drive.driven.speed_mps[rows]
+            time_s = drive.time_s[rows]
+            true = path(true_rad[rows], speed_mps, time_s, wheelbase_m)
+            predicted = path(predicted_rad[rows], speed_mps, time_s, wheelbase_m)
+            error_m += float(np.linalg.norm(predicted[-1] - true[-1]))
+            length_m += float(np.linalg.norm(np.diff(true, axis=0), axis=1).sum())
+    return 100 * error_m / length_m if length_m else None

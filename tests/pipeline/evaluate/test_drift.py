@@ -1,0 +1,103 @@
+"""The path of angles, and the drift of a predicted path."""
+
+import tarfile
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.evaluate.drift import drift, path, ways
+from pipeline.ingest import packets
+from pipeline.ingest.datasets.kitti import KittiDrive
+from pipeline.labels import label
+from tests import artefacts
+
+STEPS = 101  # 10 m/s for 10 s
+TIME_S = np.arange(STEPS) / 10
+
+
+def off(predicted_rad: float, unlabelled: int | None = None) -> float | None:
+    """Return the drift of a constant angle on a straight road."""
+    valid = np.arange(STEPS) != unlabelled
+    driven = label.Labels(np.zeros(STEPS), valid, np.full(STEPS, 10.0), np.zeros(STEPS))
+    drive: Any = SimpleNamespace(time_s=TIME_S, driven=driven, settings=artefacts.LABELS)
+    return drift([(drive, np.full(STEPS, predicted_rad))])
+
+
+def test_ways_end_where_a_label_or_a_prediction_is_missing():
+    true = np.zeros(STEPS)
+    predicted = np.zeros(STEPS)
+    predicted[:7] = np.nan
+    predicted[[50, 99]] = np.nan
+    true[20] = np.nan
+    assert [(rows[0], rows[-1]) for rows in ways(true, predicted)] == [(7, 19), (21, 49), (51, 98)]
+    assert ways(true, np.full(STEPS, np.nan)) == []
+
+
+def test_drift_is_the_final_distance_per_100_m():
+    assert off(0.0) == 0
+    # Small angle ε from L: after s metres off by ε s² / 2 L; 100 m in one piece, or in two of 49
+    # steps each.
+    assert off(0.01) == pytest.approx(0.01 * 100**2 / 2 / 2.7, rel=0.02)
+    assert off(0.01, 50) == pytest.approx(0.01 * 49 * 100 / 2 / 2.7, rel=0.02)
+    assert off(np.nan) is None
+
+
+def test_a_step_uses_speed_and_angle_of_its_end():
+    speed_mps = np.array([9.0, 2.0, 4.0])
+    angles_rad = np.array([9.0, 0.0, 0.1])
+    time_s = np.array([0.0, 0.5, 1.0])
+    positions_m = path(angles_rad, speed_mps, time_s, wheelbase_m=2.7)
+    halfway_rad = 2.0 / 2.7 * np.tan(0.1) / 2
+    end = [1 + 2 * np.cos(halfway_rad), 2 * np.sin(halfway_rad)]
+    np.testing.assert_allclose(positions_m, [[0, 0], [1, 0], end])
+
+
+@pytest.mark.slow
+@pytest.mark.real
+def test_paths_of_true_angles_follow_gnss(real_kitti, tmp_path):
+    """Label, sign and integration at once: GNSS is a second route to where the car went."""
+    with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
+        archive.extractall(tmp_path, filter="data")
+    means = []
+    for folder in sorted(tmp_path.glob("*/*_sync")):
+        drive = KittiDrive(folder)
+        if len(drive.oxts) > 300:
+            pieces = off_the_track(drive)
+            if len(pieces):
+                means.append(pieces.mean())
+    assert len(means) == 30
+    # lost satellites, gaps, or a heading off by half a degree
+    assert sum(mean > 1 for mean in means) == 7
+    assert sorted(means)[-2] < 3  # one drive has no place at first: 44 m off
+
+
+def off_the_track(raw: KittiDrive) -> np.ndarray:
+    """Return how far the path of true angles ends beside GNSS, in metres per piece of 100 m."""
+    rows = np.array([packets.read_row(packet) for packet in raw.oxts.values()])
+    time_s = packets.read_times(raw.oxts_times, list(raw.oxts))
+    columns = dict(zip(packets.COLUMNS, rows.T, strict=True))
+    speed_mps = columns["vf"]
+    labels = label.steering_labels(columns["wu"], speed_mps, label.Car(2.7, 1.0))
+
+    # Mercator's, as KITTI's own tools have it: metres at the drive's latitude, east + north i.
+    radius_m = 6378137.0 * np.cos(np.deg2rad(columns["lat"][0]))
+    east = np.deg2rad(columns["lon"])
+    north = np.log(np.tan(np.deg2rad(90 + columns["lat"]) / 2))
+    gnss_m = radius_m * (east + 1j * north)
+
+    steps_m = np.abs(speed_mps[1:]) * np.diff(time_s)
+    driven_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    errors_m = []
+    for first in range(0, len(rows), 10):
+        last = int(np.searchsorted(driven_m, driven_m[first] + 100))
+        if last == len(rows):
+            break
+        piece = slice(first, last + 1)
+        angle_rad = labels.steering_rad[piece]
+        path_m = path(angle_rad, speed_mps[piece], time_s[piece], wheelbase_m=2.7)
+        end_m = np.exp(1j * columns["yaw"][first]) * complex(*path_m[-1])
+        error_m = abs(end_m - (gnss_m[last] - gnss_m[first]))
+        errors_m.append(100 * error_m / (driven_m[last] - driven_m[first]))
+    return np.array(errors_m)

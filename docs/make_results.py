@@ -5,37 +5,39 @@
     python -m docs.make_results render
 
 A value stands before a comment with its key, as in 0.064<!-- roads/angle-0/sa-gnn-ncp -->. This
-value is an nmse. For another part of the entry, its name follows the key, as in
+value is an nmse. For another column, its name follows the key, as in
 1.44<!-- roads/angle-0/sa-gnn-ncp:mae -->. A table of the report is written between a comment
-with its run, group, name and columns, and the comment <!-- end -->.
+with its run, task, name and columns, and the comment <!-- end -->.
 """
 
 import json
 import re
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from pipeline.base import console, store
 from pipeline.base.errors import InputError
-from pipeline.evaluate.statistics import interval_text
 from pipeline.report import tables
 from pipeline.report.origin import origin
-from pipeline.report.summary import Comparison, Results
+from pipeline.report.values import from_json
+
+# Key → values of a row, as in results.json.
+Rows = dict[str, dict[str, Any]]
 
 DOCS = Path(__file__).parent
 RUNS = DOCS / "results"
 PAGES = (DOCS.parent / "README.md", DOCS / "results.md")
 # Name of a table in a page → function that makes it.
-TABLES = {"claims": tables.claims_table, "results": tables.results_table}
-# A table in a page. The comment before it has RUN GROUP NAME: COLUMN; COLUMN.
+TABLES = {"claims": tables.claims, "results": tables.results}
+# A table in a page. The comment before it has RUN TASK NAME: COLUMN; COLUMN.
 TABLE = re.compile(r"(<!-- table: (\S+) (\S+) (\w+): ([^\n]*) -->\n).*?(\n<!-- end -->)", re.DOTALL)
 # A value in a page: a number, the interval of a difference in brackets, and a comment with RUN/KEY
-# or RUN/KEY:PART.
+# or RUN/KEY:COLUMN.
 VALUE = re.compile(r"[−+]?\d+\.\d+(?: \([^()]*\))?(<!-- (\w+)/([^:>]+?)(?::(\w+))? -->)")
-# Part of an entry → decimal places of its value.
-PLACES = {"value": 3, "mae": 2}
+# Column → decimal places of its values.
+PLACES = {"nmse": 3, "mae": 2}
 # Decimal places of the demo's values, which every reader computes again: the third depends on the
 # processor.
 DEMO_PLACES = 2
@@ -52,10 +54,11 @@ def collect(
     run = store.read_json(source, stage="report")
     if "results" not in run:
         run = {"preset": name, **origin(), "results": run}
+    run["results"].pop("scores", None)
     if not re.fullmatch("[0-9a-f]+", run["revision"]):
         problem = f"its code is not committed (revision {run['revision']})"
         raise InputError(problem, source, "Commit the code and repeat the run")
-    values = [f"{json.dumps(key)}: {json.dumps(entry)}" for key, entry in run["results"].items()]
+    values = [f"{json.dumps(key)}: {json.dumps(row)}" for key, row in run["results"].items()]
     del run["results"]
     text = f'{json.dumps(run)[:-1]}, "results": {{\n' + ",\n".join(values) + "\n}}\n"
     store.write_text(RUNS / f"{name or run['preset']}.json", text)
@@ -68,44 +71,36 @@ def render() -> None:
         store.write_text(page, content)
 
 
-def read_results() -> dict[str, Results]:
-    """Return preset → results of its runs. If runs have the same key, the later run counts."""
+def read_results() -> dict[str, Rows]:
+    """Return preset → rows of its runs. If runs have the same key, the later run counts."""
     runs = [json.loads(path.read_text(encoding="utf-8")) for path in RUNS.glob("*.json")]
-    presets: dict[str, Results] = {}
+    presets: dict[str, Rows] = {}
     for run in sorted(runs, key=lambda run: str(run["date"])):
         presets.setdefault(run["preset"], {}).update(run["results"])
     return presets
 
 
-def pages(runs: dict[str, Results]) -> dict[Path, str]:
+def pages(runs: dict[str, Rows]) -> dict[Path, str]:
     """Return the path and the text of each page, with values and tables of `runs`."""
 
     def value(match: re.Match[str]) -> str:
-        comment, run, key, part = match.groups()
-        part = part or "value"
-        entry = runs[run][key]
-        places = DEMO_PLACES if run == "demo" else PLACES[part]
+        comment, run, key, column = match.groups()
+        column = column or "nmse"
+        row = runs[run][key]
+        places = DEMO_PLACES if run == "demo" else PLACES[column]
         if " - " in key:
-            bounds = interval_text(entry["interval"], f"+.{places}f")
-            return with_minus(f"{entry['value']:+.{places}f} ({bounds})") + comment
-        return f"{entry[part]:.{places}f}{comment}"
+            bounds = tables.bounds_text(row, f"+.{places}f")
+            return f"{tables.text(row['nmse'], f'+.{places}f')} ({bounds}){comment}"
+        return f"{row[column]:.{places}f}{comment}"
 
     def table(match: re.Match[str]) -> str:
-        start, run, group, name, columns, end = match.groups()
-        full = TABLES[name](Comparison(runs[run], group))
+        start, run, task, name, columns, end = match.groups()
+        full = TABLES[name](from_json(runs[run]), task).table.reset_index()
         heads = columns.split("; ")
-        rows = []
-        for row in full.rows:
-            rows.append({head: row.get(head, tables.NONE) for head in heads})
-        return start + with_minus(tables.Table("", rows).markdown()) + end
+        return start + tables.markdown(full[heads].set_index(heads[0])) + end
 
     texts = {page: page.read_text(encoding="utf-8") for page in PAGES}
     return {page: VALUE.sub(value, TABLE.sub(table, text)) for page, text in texts.items()}
-
-
-def with_minus(text: str) -> str:
-    """Return a text with typographic minus signs before numbers."""
-    return re.sub(r"-(?=\d\.)", "−", text)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Stage evaluate: errors of a trained model and of baselines on each split.
+"""Stage evaluate: predictions of a trained model and of baselines, and its errors on each split.
 
 It writes data/evaluate/<model>/.
 """
@@ -6,18 +6,15 @@ It writes data/evaluate/<model>/.
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from pipeline.base import console, store
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import entry_name, load
-from pipeline.evaluate.cases import (
-    evaluate_model,
-    predict_cases,
-    summary,
-    train_nmse,
-    write_predictions,
-)
+from pipeline.evaluate import statistics
+from pipeline.evaluate.error_table import common_frames, errors, records
+from pipeline.evaluate.predictions import model_facts, predict_cases, prediction_table
 from pipeline.evaluate.settings import Evaluate
 from pipeline.train import runs, trained
 
@@ -34,7 +31,7 @@ def main(
 ) -> Path:
     """Write metrics.json and, for the test drives, predictions.csv. Return the model's folder.
 
-    Metrics are means over the seeds and ignore invalid frames.
+    Errors are means over the seeds, on the frames that this model predicts.
     """
     name = entry_name(name)
     settings = load(Evaluate, params)
@@ -44,16 +41,30 @@ def main(
     with stage_folder(f"evaluate@{name}", out, params=params, chosen=first.entry.files) as folder:
         models = {run.seed: trained.load_model(run.folder) for run in runs.runs(train, first.seeds)}
         cases = predict_cases(models, data / "graphs" / first.entry.input, data / "labels")
-        result = evaluate_model(name, first, cases, settings)
-        for seed in result["untrained"]:
-            error = train_nmse(result)[first.seeds.index(seed)]
+        result = model_facts(name, first, cases)
+        tables = {}
+        for split, drives in cases.items():
+            result[split] = None
+            if drives:
+                tables[split] = prediction_table(name, first.seeds, drives)
+                predictions = common_frames({name: tables[split]}, drives[0].drive.quantity)
+                result[split] = records(errors(predictions, [name], settings))
+
+        nmse = result["train"][name]["seeds"] if result["train"] else []
+        stuck = statistics.untrained(np.array(nmse, float))
+        result["untrained"] = [first.seeds[number] for number in stuck]
+        for number in stuck:
             print(
-                f"{name}: seed {seed} failed to train: nmse {error:.3f} on its own training drives",
+                f"{name}: seed {first.seeds[number]} failed to train: nmse {nmse[number]:.3f} on "
+                "its own training drives",
                 flush=True,
             )
         store.write_json(folder.new / "metrics.json", result, sort_keys=False)
-        write_predictions(folder.new / "predictions.csv", name, first.seeds, cases["test"])
-    print(f"{name}: test nmse {', '.join(summary(*column) for column in result['test'].items())}")
+        text = tables["test"].to_csv(index=False, lineterminator="\n", float_format="%.9f")
+        store.write_text(folder.new / "predictions.csv", text)
+    for key, row in result["test"].items():
+        text = statistics.nmse_text(row)
+        print(f"{key}: test nmse {text}, on the {row['frames']} frames that it predicts itself")
     return out
 
 

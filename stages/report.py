@@ -7,12 +7,12 @@ from typing import Annotated, Any
 import typer
 
 from pipeline.base import console, store
+from pipeline.base.console import split_doubts
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import entries, load
 from pipeline.evaluate.settings import Evaluate
-from pipeline.report import page, summary, tables
-from pipeline.report.results import load_groups
-from pipeline.report.summary import Comparison
+from pipeline.report import drawings, page, tables
+from pipeline.report.values import dvc_metrics, gather, load_tasks, to_json
 
 
 def main(
@@ -32,42 +32,45 @@ def main(
         models = entries("models", params)
         evaluated = [name for name in models if (data / f"evaluate/{name}/metrics.json").is_file()]
         absent = [name for name in models if name not in evaluated]
-        groups = load_groups({name: data / "evaluate" / name for name in evaluated})
+        tasks = load_tasks({name: data / "evaluate" / name for name in evaluated})
         scores = _read_json(data / "scores/metrics.json", "scores")
         encoder = _read_json(data / "encoder/config.json", "encoder")
 
         # All values are computed here, once: tables, page and DVC's metrics show them.
-        values = summary.results(groups, load(Evaluate, params), scores)
-        store.write_json(folder.new / "results.json", summary.rounded(values), sort_keys=False)
-        store.write_json(folder.new / "metrics.json", summary.dvc_metrics(values), sort_keys=False)
-        comparisons = [Comparison(values, group.key) for group in groups]
+        values = gather(tasks, load(Evaluate, params))
+        rows = to_json(values) | {"scores": scores}
+        store.write_json(folder.new / "results.json", rows, sort_keys=False)
+        store.write_json(folder.new / "metrics.json", dvc_metrics(values), sort_keys=False)
 
-        sentences = tables.sentences(comparisons, absent)
-        steering, details = tables.steering_tables(comparisons, groups)
-        perceived = tables.perception_tables(scores)
+        sentences = tables.sentences(values, absent)
         text = "\n\n".join(fill(sentence, 110) for sentence in sentences)
-        sections = [table.section() for table in (*steering, *details, *perceived)]
-        table = "\n\n".join([text, *sections, tables.definitions()])
+        sections = [tables.results(values, task.name) for task in tasks]
+        sections += [tables.claims(values, task.name) for task in tasks]
+        sections += [tables.differences(values, task.name) for task in tasks]
+        sections += [tables.models(tasks), *tables.perception(scores)]
+        parts = [section.markdown() for section in sections if section.table.size]
+        table = "\n\n".join([text, *parts, tables.definitions()])
         store.write_text(folder.new / "table.md", table.lstrip())
 
-        pictures = folder.new / "figures"
-        pictures.mkdir()  # DVC expects each output, even an empty one
-        content: dict[str, page.Content] = {"Errors": page.errors(comparisons)}
+        figures = folder.new / "figures"
+        figures.mkdir()  # DVC expects each output, even an empty one
         bend = None
-        if groups:
-            bend = page.bend(pictures, groups[0], comparisons[0], data / "ingest")
-            content["From image to graph"] = page.chain(pictures, groups[0], comparisons[0], data)
-        content |= {table.title: [table] for table in steering}
-        for group, comparison in zip(groups, comparisons, strict=True):
-            title = f"Test drives: {comparison.title}"
-            content[title] = page.test_drives(pictures, group, comparison, data / "ingest")
-        content["Learning curves"] = page.learning(data / "train", evaluated)
-        content |= {table.title: [table] for table in (*details, *perceived)}
-        notes, doubts = tables.recorded_motion(scores)
-        doubts += tables.few_turns(comparisons)
-        content["Notes"] = [*encoder.get("sources", []), *notes]
-        content["Definitions"] = [f"{word}: {text}" for word, text in tables.DEFINITIONS.items()]
-        page.write(folder.new / "index.html", page.Page(sentences, bend, doubts, content))
+        for task in tasks[:1]:
+            bend = drawings.draw_bend(figures, task, values.loc[task.name], data)
+        details = page.details(figures, values, tasks, data)
+        details["Depth, classes and motion"] = [*tables.perception(scores)]
+        lines = [facts["line"] for facts in scores.get("recorded", {}).values()]
+        notes, doubts = split_doubts(lines)
+        details["Notes"] = [*encoder.get("sources", []), *notes]
+        details["Definitions"] = [f"{word}: {text}" for word, text in tables.DEFINITIONS.items()]
+        content = page.Page(
+            sentences=sentences,
+            doubts=[*doubts, *tables.few_turns(values)],
+            picture=bend,
+            results=page.results(figures, values, tasks),
+            details=details,
+        )
+        page.write(folder.new / "index.html", content)
     print(text, f"Tables: {out.absolute()}/table.md. Page: {out.absolute()}/index.html", sep="\n")
     return out
 

@@ -1,6 +1,5 @@
 """Show one file of a stage: its content, one of its frames, or its points in 3D."""
 
-import html
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -79,20 +78,17 @@ def view(path: Path, out: Path) -> None:
 
     Raises InputError if the file has no points.
     """
-    from pipeline.report import plots
+    from steer import space
 
     with open_drive(path) as file:
         if "xyz" not in file or not len(file["xyz"]):
             fix = "Pass a file of point clouds, or of graphs of points"
             raise InputError("has no points", path, fix)
-        views = street_view.read_some(file, open_images(file))
+        views = space.read_some(file, open_images(file))
         kind = f"{file.attrs['stage']}/{path.absolute().parent.name}"
-        title = html.escape(f"{file.drive}, {kind}: {len(views)} of {len(file.frame)} frames")
-        figure = plots.in_space(views, title)
-    page = plots.to_html(figure, "space", "min(95vh, 105vw)", alone=True)
-    page = page.replace("<head>", f"<head><title>{title}</title>", 1)
+        title = f"{file.drive}, {kind}: {len(views)} of {len(file.frame)} frames"
     with replacing(out) as unfinished:
-        unfinished.write_text(page, encoding="utf-8")
+        space.write_page(unfinished, views, title)
 
 
 def open_drive(path: Path) -> DriveReader:

@@ -13,6 +13,7 @@ import pandas as pd
 
 from pipeline.base.checkout import revision
 from pipeline.base.console import split_doubts
+from pipeline.base.metrics import nmse, rmse
 from pipeline.base.resume import ROOT
 from pipeline.base.store import DriveReader
 from pipeline.evaluate import statistics
@@ -297,14 +298,13 @@ def _errors(target_rad: np.ndarray, angle_rad: np.ndarray, settings: Evaluate) -
 
     target_rad = target_rad[counted]
     angle_rad = angle_rad[counted]
-    scores = statistics.scores(target_rad, angle_rad)
     correlation = None
     if np.ptp(target_rad) > 0 and np.ptp(angle_rad) > 0:
         correlation = float(np.corrcoef(target_rad, angle_rad)[0, 1])
     return {
-        "nmse": scores["nmse"],
+        "nmse": nmse(target_rad, angle_rad),
         "nmse_ci95": bounds,
-        "rmse_deg": math.degrees(scores["rmse"]),
+        "rmse_deg": math.degrees(rmse(target_rad, angle_rad)),
         "correlation": correlation,
     }
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from pipeline.camera.camera import Camera
 from pipeline.camera.images import resized
-from pipeline.report.street_view import PATHS, STEP_M, wheel_tracks
+from pipeline.report.street_view import COLOURS, STEP_M, chart_colour, wheel_tracks
 from steer.chain import Source
 from steer.outcome import Results, integrate_motion
 
@@ -20,8 +20,6 @@ from steer.outcome import Results, integrate_motion
 MAX_WIDTH = 1280
 # Length in metres of a path that is drawn for a constant steering angle.
 REACH_M = 60.0
-# Name of a curve → its colour in the figure.
-LINES = {"measured": "tab:blue", "predicted": "tab:green", "driven": "0.2"}
 
 
 def draw_track(path: Path, name: str, results: Results) -> None:
@@ -32,10 +30,10 @@ def draw_track(path: Path, name: str, results: Results) -> None:
     above = figure.add_subplot(grid[:, 0])
     above.set(title=name, xlabel="to the right, m", ylabel="ahead, m", aspect="equal")
     above.set_adjustable("datalim")
-    above.plot(-table["y_m"], table["x_m"], color=LINES["measured"])
+    above.plot(-table["y_m"], table["x_m"], color=chart_colour("measured"))
     driven_m = driven_track(results)
-    above.plot(-driven_m.imag, driven_m.real, color=LINES["driven"])
-    above.plot(0, 0, "o", color="tab:green")  # the start
+    above.plot(-driven_m.imag, driven_m.real, color=chart_colour("driven"))
+    above.plot(0, 0, "o", color="0.2")  # the start
 
     speed = figure.add_subplot(grid[0, 1], ylabel="speed, m/s")
     speeds_mps = {"measured": table["speed_mps"], "driven": results.driven.speed_mps}
@@ -45,7 +43,7 @@ def draw_track(path: Path, name: str, results: Results) -> None:
     label = "steering angle, deg, left +"
     steering = figure.add_subplot(grid[1, 1], ylabel=label, xlabel="time, s")
     angles_deg = {
-        curve: np.degrees(table[f"{curve}_rad"]) for curve in LINES if f"{curve}_rad" in table
+        curve: np.degrees(table[f"{curve}_rad"]) for curve in COLOURS if f"{curve}_rad" in table
     }
     _draw_curves(steering, table["time_s"], angles_deg, np.degrees(table["measured_sigma_rad"]))
     # The legend is above the curves of the angles.
@@ -58,10 +56,10 @@ def _draw_curves(
 ) -> None:
     """Draw curves [F], and a band of one standard deviation around the measured one."""
     for name, values in curves.items():
-        axes.plot(time_s, values, ".", markersize=3, color=LINES[name], label=name)
+        axes.plot(time_s, values, ".", markersize=3, color=chart_colour(name), label=name)
     low = curves["measured"] - sigma
     high = curves["measured"] + sigma
-    axes.fill_between(time_s, low, high, color=LINES["measured"], alpha=0.25, linewidth=0)
+    axes.fill_between(time_s, low, high, color=chart_colour("measured"), alpha=0.25, linewidth=0)
 
 
 def driven_track(results: Results) -> np.ndarray:
@@ -114,7 +112,7 @@ def write_overlay(path: Path, source: Source, results: Results, wheelbase_m: flo
 def _held_paths(results: Results, wheelbase_m: float) -> dict[str, np.ndarray]:
     """Return the path of each angle, if it is held: name → curvature [N,F] in each of N steps."""
     paths = {}
-    for name in PATHS:
+    for name in COLOURS:
         angle_rad = results.table.get(f"{name}_rad", np.zeros(0))
         if np.isfinite(angle_rad).any():
             paths[name] = np.tile(np.tan(angle_rad) / wheelbase_m, (round(REACH_M / STEP_M), 1))
@@ -132,7 +130,7 @@ def _draw_paths(image: np.ndarray, camera: Camera, paths: Mapping[str, np.ndarra
         known = path[np.isfinite(path).cumprod() > 0]
         if len(known):
             sides = [np.rint(side).astype(np.int32) for side in wheel_tracks(known, camera, slope)]
-            cv2.polylines(image, sides, False, PATHS[name], thickness, cv2.LINE_AA)
+            cv2.polylines(image, sides, False, COLOURS[name], thickness, cv2.LINE_AA)
 
 
 def _legend(results: Results, row: int) -> Iterator[tuple[str, tuple[int, int, int]]]:
@@ -142,9 +140,9 @@ def _legend(results: Results, row: int) -> Iterator[tuple[str, tuple[int, int, i
     yield f"{table['time_s'][row]:.1f} s   {speed}", (255, 255, 255)
     if results.paths:
         for name in results.paths:
-            yield f"{name} path", PATHS[name]
+            yield f"{name} path", COLOURS[name]
         return
-    for name, colour in PATHS.items():
+    for name, colour in COLOURS.items():
         angle_rad = table.get(f"{name}_rad", np.full(row + 1, np.nan))[row]
         if np.isfinite(angle_rad):
             yield f"{name}: {np.degrees(angle_rad):+.1f} deg", colour

@@ -20,7 +20,7 @@ from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
 from pipeline.base.store import DriveReader
-from pipeline.evaluate import statistics
+from pipeline.evaluate.own_metrics import METRICS
 from pipeline.graphs.settings import KINDS, Variant
 from pipeline.train import quantity
 from stages import preset, report
@@ -109,7 +109,7 @@ def test_figures_and_tables_are_those_of_the_runs():
 def test_a_run_of_committed_code_is_collected(tmp_path, monkeypatch):
     monkeypatch.setattr(make_results, "RUNS", tmp_path)
     monkeypatch.setattr(make_results, "render", lambda: None)
-    values = {"a/b": {"value": 0.5}}
+    values = {"a/b": {"nmse": 0.5}}
     run = {"preset": "mine", "date": "2026-01-01", "machine": "2 CPU cores", "results": values}
     (tmp_path / "new").write_text(json.dumps(run | {"revision": "abc1234"}))
     make_results.collect(tmp_path / "new")
@@ -213,7 +213,7 @@ def test_the_quantity_of_the_documentation_is_trained_evaluated_and_shown(tmp_pa
     small_model.run_train(tmp_path)
     path = small_model.run_evaluate(tmp_path) / "metrics.json"
     metrics = store.read_json(path, stage="evaluate")
-    assert [*metrics["test"]] == ["curvature_1pm"]
+    assert [*metrics["test"]] == ["net"]
     metrics["variant"]["source"] = "clouds/pseudo"  # the graphs of tests do not name it
     store.write_json(path, metrics)
     table = pd.read_csv(tmp_path / "evaluate/net/predictions.csv")
@@ -226,37 +226,46 @@ def test_the_quantity_of_the_documentation_is_trained_evaluated_and_shown(tmp_pa
     text = (tmp_path / "report/table.md").read_text()
     assert "## Results: curvature" in text
     assert re.search(r"\| +MAE 1/m \|", text)
-    sentence = r"its mean absolute error of the curvature is [\d.e-]+ 1/m"
+    sentence = r"Its mean absolute error of the curvature is [\d.e-]+ 1/m"
     assert re.search(sentence, " ".join(text.split()))
     rows = json.loads((tmp_path / "report/metrics.json").read_text())
     assert {"curvature-0/net", "curvature-0/odometry", "curvature-0/persistence"} <= {*rows}
     error_1pm = (table["predicted_curvature_1pm"] - table["true_curvature_1pm"]).abs().mean()
     assert rows["curvature-0/net"]["mae"] == pytest.approx(error_1pm, rel=1e-4)
     page = (tmp_path / "report/index.html").read_text()
-    assert f"The only drive, {small_model.TEST}: curvature over time" in page
+    assert "The curvature over time, in the drives of " in page
 
 
-def test_a_metric_of_the_documentation_stands_in_tables_page_and_dvc_metrics(tmp_path, monkeypatch):
-    """Also for baselines."""
-    monkeypatch.setattr(statistics, "METRICS", dict(statistics.METRICS))
-    exec(
-        code_block("def within_2_deg"), {"METRICS": statistics.METRICS, "Metric": statistics.Metric}
-    )
-    assert statistics.scores(np.zeros(4), np.array([0.01, -0.02, 0.05, 0.5]))["within_2_deg"] == 0.5
-    content = examples.metrics("net", baselines={"odometry": 0.04})
+@pytest.mark.parametrize("predict", ["angle", "path"])
+def test_a_metric_of_the_documentation_is_right_in_both_units(tmp_path, monkeypatch, predict):
+    """It stands in tables, page and `dvc metrics`, for the network as for the baselines.
+
+    The error is a share of the truth, which is 0.01 times the frame's number.
+    """
+    names = {"METRICS": METRICS, "np": np}
+    monkeypatch.setitem(METRICS, "within_2_deg", None)  # so that it is removed afterwards
+    exec(code_block("def within_2_deg").removeprefix("python\n"), names)
+    error, factor = {"angle": (0.2, 1), "path": (0.04, 5)}[predict]
+    content = examples.metrics("net", error**2, {"odometry": error**2}, predict=predict)
     examples.write_model(tmp_path, content)
     (tmp_path / "params.yaml").write_text(
         "models: {net: {}}\nevaluate: {bootstrap_samples: 9, bootstrap_block_frames: 5, seed: 0}\n"
     )
     report.main(tmp_path, params=tmp_path / "params.yaml")
-    head, _, *rows = [
-        line for line in (tmp_path / "report/table.md").read_text().splitlines() if line[:1] == "|"
-    ][:6]
-    column = [cell.strip() for cell in head.split("|")].index("within_2_deg")
-    assert all(re.fullmatch(r"[01]\.\d{3}", row.split("|")[column].strip()) for row in rows)
+
+    # The turn in a range of 5 m is five times its curvature.
+    frame = np.delete(np.arange(7, 30), 13)
+    share = (error * 0.01 * factor * frame < np.radians(2)).mean()
+    assert 0 < share < 1
+    key = {"angle": "angle-0", "path": "path-0/5-10 m"}[predict]
     metrics = json.loads((tmp_path / "report/metrics.json").read_text())
-    assert metrics.keys() == {
-        f"angle-0/{name}" for name in ("net", "zero", "train_mean", "odometry")
-    }
-    assert all("within_2_deg" in values for values in metrics.values())
-    assert "within_2_deg" in (tmp_path / "report/index.html").read_text()
+    for name in ("net", "odometry"):
+        assert metrics[f"{key}/{name}"]["within_2_deg"] == pytest.approx(share)
+    assert "within_2_deg" in metrics[f"{key}/zero"]
+    head = {"angle": "within_2_deg", "path": "within_2_deg 5-10 m"}[predict]
+    table = (tmp_path / "report/table.md").read_text()
+    assert head in table
+    assert f"{share:.3f}" in table
+    page = (tmp_path / "report/index.html").read_text()
+    assert f'<th scope="col">{head}</th>' in page
+    assert f"<td>{share:.3f}</td>" in page

@@ -1,10 +1,9 @@
 """Compute the path of predicted angles, and its drift from the labelled path."""
 
-from collections.abc import Iterable
-
 import numpy as np
+import pandas as pd
 
-from pipeline.train.targets import LabelledDrive
+from pipeline.labels.label import Car
 
 
 def path(
@@ -31,33 +30,45 @@ def path(
     return np.concatenate([np.zeros((1, 2)), np.cumsum(steps_m, axis=0)])
 
 
-def ways(true_rad: np.ndarray, predicted_rad: np.ndarray) -> list[np.ndarray]:
-    """Return the rows of each way: consecutive frames [F] with a label and a prediction.
+def ways(drive: np.ndarray, known: np.ndarray) -> list[np.ndarray]:
+    """Return the rows of each way: consecutive frames of a drive that are known.
 
-    Ways of a single frame are left out.
+    `drive` [N] is the number of each frame's drive, and `known`, bool [N], tells whether the frame
+    has a label and a prediction. Ways of a single frame are left out.
     """
-    rows = np.flatnonzero(np.isfinite(true_rad) & np.isfinite(predicted_rad))
-    pieces = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+    rows = np.flatnonzero(known)
+    ends = (np.diff(rows) > 1) | (np.diff(drive[rows]) != 0)
+    pieces = np.split(rows, np.flatnonzero(ends) + 1)
     return [way for way in pieces if len(way) > 1]
 
 
-def drift(drives: Iterable[tuple[LabelledDrive, np.ndarray]]) -> float | None:
-    """Return the mean drift of predicted paths in metres per 100 m (the paper's Figure 5).
+def drift(
+    true_rad: np.ndarray,
+    predicted_rad: np.ndarray,
+    drive: np.ndarray,
+    frames: pd.DataFrame,
+    car: Car,
+) -> float | None:
+    """Return the drift of predicted angles in metres per 100 m (the paper's Figure 5).
 
-    The drift is the distance between the predicted and the labelled path at the end of a way. Both
-    start at the same point and have the same measured speeds and times. The result is None if there
-    is no way. `drives` are drives with their predicted angles [G].
+    It is the distance between the predicted and the labelled path at the end of each way, over the
+    length of all ways. Both paths start at the same point and have the same measured speeds and
+    times. The result is None if there is no way.
+
+    Args:
+        true_rad: labelled angles [N], NaN in frames that do not count.
+        predicted_rad: predicted angles [N].
+        drive: number [N] of each frame's drive.
+        frames: the frames [N], with columns time_s and speed_mps.
+        car: the car of the labels.
     """
     error_m = 0.0
     length_m = 0.0
-    for drive, predicted_rad in drives:
-        wheelbase_m = drive.settings["labels"]["wheelbase_m"]
-        true_rad = np.where(drive.driven.valid, drive.driven.steering_rad, np.nan)
-        for rows in ways(true_rad, predicted_rad):
-            speed_mps = drive.driven.speed_mps[rows]
-            time_s = drive.time_s[rows]
-            true = path(true_rad[rows], speed_mps, time_s, wheelbase_m)
-            predicted = path(predicted_rad[rows], speed_mps, time_s, wheelbase_m)
-            error_m += float(np.linalg.norm(predicted[-1] - true[-1]))
-            length_m += float(np.linalg.norm(np.diff(true, axis=0), axis=1).sum())
+    for rows in ways(drive, np.isfinite(true_rad) & np.isfinite(predicted_rad)):
+        speed_mps = frames["speed_mps"].to_numpy()[rows]
+        time_s = frames["time_s"].to_numpy()[rows]
+        true = path(true_rad[rows], speed_mps, time_s, car.wheelbase_m)
+        predicted = path(predicted_rad[rows], speed_mps, time_s, car.wheelbase_m)
+        error_m += float(np.linalg.norm(predicted[-1] - true[-1]))
+        length_m += float(np.linalg.norm(np.diff(true, axis=0), axis=1).sum())
     return 100 * error_m / length_m if length_m else None

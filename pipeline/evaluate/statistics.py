@@ -6,77 +6,16 @@ ranges of the path ahead), D parts of drives, B draws of the bootstrap. Predicti
 """
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from pipeline.base.errors import InputError
-from pipeline.base.metrics import mae, mse, nmse, rmse
 from pipeline.evaluate.settings import Evaluate
 
 # Least number of independent parts of drives for a verdict on two methods.
 LEAST_DRIVES = 10
-
-
-class Metric(NamedTuple):
-    """A measure of the errors of predictions."""
-
-    # Function of true values [N] and predictions, [N] or [S,N]. It returns None if the metric is
-    # not defined for them.
-    compute: Callable[[np.ndarray, np.ndarray], float | None]
-    # Whether tables, page and DVC's metrics show it beside nmse and the mean error in degrees.
-    shown: bool = True
-
-
-# Name → metric. metrics.json has all of them. To use your own metric, add an entry.
-METRICS: dict[str, Metric] = {
-    "mae": Metric(mae, shown=False),
-    "mse": Metric(mse, shown=False),
-    "nmse": Metric(nmse, shown=False),
-    "rmse": Metric(rmse, shown=False),
-}
-
-
-def shown_metrics() -> list[str]:
-    """Return the names of the METRICS that tables show."""
-    return [name for name, metric in METRICS.items() if metric.shown]
-
-
-def scores(truth: np.ndarray, predicted: np.ndarray) -> dict[str, Any]:
-    """Return the number of frames, and the METRICS of predictions for true values [N].
-
-    Without frames, or if a prediction is NaN, all metrics are None. Raises InputError if a metric
-    returns NaN or infinity.
-    """
-    if not len(truth) or np.isnan(predicted).any():
-        return {"frames": 0, **dict.fromkeys(METRICS)}
-    result: dict[str, Any] = {"frames": len(truth)}
-    for name, metric in METRICS.items():
-        value = metric.compute(truth, predicted)
-        if value is not None and not math.isfinite(value):
-            problem = f"metric {name} returned {value}"
-            fix = "Return a finite number, or None where there is none"
-            raise InputError(problem, "pipeline/evaluate/statistics.py", fix)
-        result[name] = None if value is None else float(value)
-    return result
-
-
-def errors(
-    truth: np.ndarray, predicted: np.ndarray, drive: np.ndarray, settings: Evaluate
-) -> dict[str, Any]:
-    """Return the :func:`scores` of predictions [S,N], the nmse of each seed, and its interval.
-
-    Frames whose true value or prediction is NaN do not count. `truth` [N] holds the true values,
-    and `drive` [N] the number of each frame's drive.
-    """
-    error = (predicted - truth) ** 2
-    counted = np.isfinite(error).all(axis=0)
-    by_seed = [scores(truth[counted], seed[counted])["nmse"] for seed in predicted]
-    return scores(truth[counted], predicted[:, counted]) | {
-        "nmse_ci95": interval(error, truth, drive, settings),
-        "nmse_by_seed": by_seed,
-    }
 
 
 def nmse_of(error: np.ndarray, truth: np.ndarray) -> float | None:
@@ -255,10 +194,20 @@ def untrained(nmse: np.ndarray) -> list[int]:
     return np.flatnonzero((nmse > 0.9) | (nmse > 0.5) & (nmse > 2 * np.median(nmse))).tolist()
 
 
-def nmse_text(value: float, seeds: Sequence[float], bounds: Sequence[float] | None) -> str:
-    """Return an nmse as text, with its standard deviation over seeds and its :func:`interval`."""
-    spread = f" ± {np.std(seeds, ddof=1):.3f}" if len(seeds) > 1 else ""
-    return f"{value:.3f}{spread} ({interval_text(bounds)})"
+def nmse_text(row: Mapping[str, Any], digits: int = 3) -> str:
+    """Return the nmse of a row of errors, with its deviation over seeds and its interval."""
+    if pd.isna(row.get("nmse")):
+        return "unknown"
+    text = f"{row['nmse']:.{digits}f}"
+    if len(row["seeds"]) > 1:
+        text += f" ± {np.std(row['seeds'], ddof=1):.{digits}f}"
+    return f"{text} ({bounds_text(row, f'.{digits}f')})"
+
+
+def bounds_text(row: Mapping[str, Any], form: str) -> str:
+    """Return the interval of a row of errors or differences as text."""
+    bounds = None if pd.isna(row.get("low")) else [row["low"], row["high"]]
+    return interval_text(bounds, form)
 
 
 def interval_text(bounds: Sequence[float] | None, form: str = ".3f") -> str:

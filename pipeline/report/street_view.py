@@ -19,6 +19,8 @@ from pipeline.camera.geometry import project
 from pipeline.camera.images import to_metres
 from pipeline.graphs.graph_file import edge_pairs
 
+# Width of a picture in inches, at which its letters are readable on a screen of 400 pixels.
+WIDTH = 5.0
 # Near end of the depth scale in metres. Smaller depths have the colour of this end.
 NEAR_M = 4.0
 # Far end of the depth scale in metres. Larger depths have the colour of this end.
@@ -29,12 +31,13 @@ DEPTH_SCALE = ScalarMappable(LogNorm(NEAR_M, FAR_M), "turbo_r")
 X_SHOWN_M = (-22.0, 22.0)
 # Range in metres ahead of the camera that is shown from above.
 Z_SHOWN_M = (0.0, 50.0)
-# RGB colours of paths.
-PATHS = {
-    "predicted": (0, 200, 60),
-    "measured": (70, 160, 255),
-    "without the scene": (70, 160, 255),
+# RGB colours of paths and curves, in images and charts.
+COLOURS = {
     "driven": (255, 70, 50),
+    "measured": (255, 165, 0),
+    "odometry": (255, 165, 0),
+    "without the scene": (70, 160, 255),
+    "predicted": (0, 200, 60),
 }
 # Half the distance in metres between the two lines of a path.
 HALF_TRACK_M = 0.8
@@ -42,8 +45,11 @@ HALF_TRACK_M = 0.8
 STEP_M = 0.5
 # Least distance in metres from the camera at which a path is drawn.
 NEAREST_M = 1.0
-# Largest number of frames of a drive that are shown in 3D.
-FRAMES_SHOWN = 8
+
+
+def chart_colour(kind: str) -> tuple[float, ...]:
+    """Return one of COLOURS as Matplotlib's numbers from 0 to 1."""
+    return tuple(value / 255 for value in COLOURS[kind])
 
 
 class View(NamedTuple):
@@ -68,7 +74,9 @@ class View(NamedTuple):
             images[f"frame {self.frame}"] = self.rgb
         if self.depth_m is not None:
             valid_m = np.ma.masked_equal(self.depth_m, 0)
-            images["depth"] = np.asarray(DEPTH_SCALE.to_rgba(valid_m, bytes=True))
+            images[f"depth: red is {NEAR_M:g} m, blue {FAR_M:g} m"] = np.asarray(
+                DEPTH_SCALE.to_rgba(valid_m, bytes=True)
+            )
         if self.cls is not None and (self.cls != classes.VOID).any():
             images["classes"] = classes.colourise(self.cls)
         return images
@@ -102,19 +110,6 @@ def read_view(number: int, *files: DriveReader) -> View:
     return View(number, **values)
 
 
-def read_some(file: DriveReader, ingest: DriveReader | None = None) -> list[View]:
-    """Read at most FRAMES_SHOWN frames, which are evenly spread over a drive.
-
-    They have the images of `ingest`, the drive's file of that stage, unless it is None.
-    """
-    count = min(FRAMES_SHOWN, len(file.frame))
-    rows = np.linspace(0, len(file.frame) - 1, count).astype(int)
-    views = [read_view(number, file) for number in file.frame[rows].tolist()]
-    if ingest is not None:
-        views = [with_image(view, ingest) for view in views]
-    return views
-
-
 def with_image(view: View, ingest: DriveReader) -> View:
     """Return a view with the frame's image in a file of stage ingest, if it has one.
 
@@ -123,30 +118,23 @@ def with_image(view: View, ingest: DriveReader) -> View:
     return view._replace(rgb=read_view(view.frame, ingest).rgb)
 
 
-def draw_image(panel: Axes, pixels: np.ndarray, title: str, **style: Any) -> None:
-    """Draw pixels without axes. `style` holds options of the title."""
-    panel.imshow(pixels, interpolation="nearest")
-    panel.set_title(title, **style)
-    panel.set_axis_off()
-
-
-def draw_points(panel: Axes, view: View, **style: Any) -> None:
+def draw_points(panel: Axes, view: View) -> None:
     """Draw the points of a frame from above in the colours of their classes, and their edges.
 
-    High points are drawn over low ones. `style` holds options of the title.
+    High points are drawn over low ones.
     """
     xyz = np.asarray(view.xyz)
     cls = np.asarray(view.points_cls)
-    title = f"cloud from above: {len(xyz):,} points"
+    title = f"cloud from above:\n{len(xyz):,} points"
     size = 1.0
     if view.edges is not None:
-        title = f"graph from above: {len(xyz):,} points, {view.edge_count:,} directed edges"
+        title = f"graph from above:\n{len(xyz):,} points,\n{view.edge_count:,} directed edges"
         size = float(np.clip(4_000 / max(len(xyz), 1), 1, 12))
         lines = [*xyz[view.edges][..., [0, 2]]]
         panel.add_collection(LineCollection(lines, colors="0.5", linewidths=0.6, zorder=0))
     if (cls == classes.VOID).any():
         title += "; black: no class"
-    panel.set_title(title, **style)
+    panel.set_title(title, loc="left", fontsize="medium")
 
     low_first = np.argsort(-xyz[:, 1], kind="stable")  # y points down
     x, _, z = xyz[low_first].T
@@ -163,66 +151,52 @@ def draw_paths_in_image(
     panel.set_axis_off()
     panel.autoscale(False)
     for kind, curvature_1pm in paths.items():
-        colour = np.array(PATHS[kind]) / 255
         for wheel in wheel_tracks(curvature_1pm, camera):
-            panel.plot(*wheel.T, color=colour, linewidth=1.5)
+            panel.plot(*wheel.T, color=chart_colour(kind), linewidth=1.5)
 
 
-def draw_paths_from_above(panel: Axes, paths: Mapping[str, np.ndarray]) -> None:
-    """Draw paths from above. `paths` is kind → curvature of each step."""
-    for kind, curvature_1pm in paths.items():
-        position_m, _ = path_positions(curvature_1pm)
-        colour = np.array(PATHS[kind]) / 255
-        panel.plot(-position_m.imag, position_m.real, color=colour, linewidth=2.5, label=kind)
-    panel.set(xlabel="x in m", ylabel="z in m", aspect="equal", xlim=X_SHOWN_M, ylim=Z_SHOWN_M)
+def sheet(title: str, view: View, graph: View | None = None) -> Figure:
+    """Draw the images of a frame, and below them its points and its `graph` from above."""
+    images = view.images()
+    points = [part for part in (view, graph) if part is not None and part.xyz is not None]
+    heights = [1.6] * len(images) + [3.6] * bool(points)
+    figure = Figure(figsize=(WIDTH, sum(heights) + 0.6), layout="constrained")
+    rows = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+    for row, (name, pixels) in zip(rows, images.items(), strict=False):
+        panel = row.subplots()
+        panel.imshow(pixels, interpolation="nearest")
+        panel.set_title(name, loc="left", fontsize="medium")
+        panel.set_axis_off()
+    if points:
+        panels = rows[-1].subplots(1, len(points), squeeze=False)[0]
+        for panel, part in zip(panels, points, strict=True):
+            draw_points(panel, part)
 
-
-def class_legend(figure: Figure, view: View, columns: int) -> None:
-    """Add a legend below the figure: the colours of the classes of all pixels and points."""
-    present: set[int] = set()
+    # The colours of the classes of all pixels and points are below the panels.
+    present = set[int]()
     for cls in (view.cls, view.points_cls):
         if cls is not None:
             present.update(np.unique(cls).tolist())
     patches = []
-    for number in sorted(present):
-        if number < classes.COUNT:
-            colour = classes.COLOURS[number] / 255
-            patches.append(Patch(color=colour, label=classes.NAMES[number]))
-    figure.legend(
-        handles=patches, loc="outside lower center", ncols=columns, fontsize="small", frameon=False
-    )
-
-
-def sheet(title: str, view: View) -> Figure:
-    """Draw the images of a frame beside its points from above, with depth scale and legend."""
-    images = view.images()
-    style = {"fontsize": "small", "loc": "left"}
-    figure = Figure(figsize=(10, 6), layout="constrained")
-    widths = [5 if images else 0.1, 4 if view.xyz is not None else 0.1]
-    left, right = figure.subfigures(1, 2, width_ratios=widths, squeeze=False).ravel()
-    if images:
-        panels = left.subplots(len(images), 1, squeeze=False).ravel()
-        for panel, (name, pixels) in zip(panels, images.items(), strict=True):
-            draw_image(panel, pixels, name, **style)
-    if view.depth_m is not None:
-        scale = left.colorbar(DEPTH_SCALE, ax=panels, location="left", shrink=0.3, format="%d m")
-        scale.set_ticks([NEAR_M, 10, 20, FAR_M])
-        scale.minorticks_off()
-    if view.xyz is not None:
-        draw_points(right.subplots(), view, **style)
-    class_legend(figure, view, columns=8)
-    figure.suptitle(title)
+    for number in sorted(present & {*range(classes.COUNT)}):
+        colour = classes.COLOURS[number] / 255
+        patches.append(Patch(color=colour, label=classes.NAMES[number]))
+    rows[-1].legend(handles=patches, loc="outside lower center", ncols=4, frameon=False)
+    figure.suptitle(title, fontsize="medium")
     return figure
 
 
-def save(figure: Figure, path: Path, dpi: int = 110) -> None:
-    """Write `figure` to a PNG file in one step.
+def save(figure: Figure, path: Path, dpi: int = 160) -> None:
+    """Write `figure` to a PNG or JPEG file in one step.
 
     The file names no version of a program, so that the same figure gives the same bytes.
     """
-    metadata = {"Software": "semantic-steering"}
+    kind = path.suffix.removeprefix(".")
+    options: dict[str, Any] = {"metadata": {"Software": "semantic-steering"}}
+    if kind == "jpg":
+        options = {"pil_kwargs": {"quality": 85}}
     with replacing(path) as unfinished:
-        figure.savefig(unfinished, format="png", dpi=dpi, metadata=metadata)
+        figure.savefig(unfinished, format=kind, dpi=dpi, **options)
 
 
 def wheel_tracks(curvature_1pm: np.ndarray, camera: Camera, slope: float = 0.0) -> list[np.ndarray]:

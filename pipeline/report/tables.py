@@ -1,4 +1,4 @@
-"""Build the text of table.md and of the page from the values of results.json."""
+"""Write the values of results.json as tables of text, and as sentences."""
 
 from collections.abc import Mapping, Sequence
 from itertools import product
@@ -7,12 +7,23 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from pipeline.base.console import split_doubts
 from pipeline.base.params import SPLITS
-from pipeline.evaluate.statistics import interval_text, nmse_text, shown_metrics
+from pipeline.evaluate import statistics
+from pipeline.evaluate.error_table import BASELINES, NO_LEARNING
+from pipeline.evaluate.own_metrics import METRICS
 from pipeline.report import paper
-from pipeline.report.results import NO_LEARNING, Group, Row
-from pipeline.report.summary import Comparison
+from pipeline.report.values import (
+    Task,
+    best_baseline,
+    difference,
+    is_validated,
+    methods,
+    quantity_of,
+    ranges,
+    ranking,
+    title_of,
+    without_scene,
+)
 
 # Text of a cell without a value.
 NONE = "–"
@@ -24,30 +35,22 @@ LEAST_TURNING = 20
 DEFINITIONS = {
     "nmse": (
         "MSE / MSE of always predicting zero: 0 is perfect, 1 is useless; ± one standard deviation "
-        "between seeds; in parentheses the 95 % interval for other roads and seeds (bootstrap; "
-        "with one seed, for other roads only)."
+        "between seeds; in parentheses or below it, the 95 % interval for other roads and seeds "
+        "(bootstrap; with one seed, for other roads only). Without a range, the mean over ranges."
     ),
     "MAE": "mean absolute error, with its unit.",
     "drift": (
-        "of the path by measured speed and predicted angles, m per 100 m (Figure 5 of the paper), "
-        "on all frames that the model predicts."
+        "distance between the path by predicted angles and that by labels at the end of each "
+        "labelled way, both with the measured speed, m per 100 m (Figure 5 of the paper)."
     ),
-    "edges": "directed kNN edges per frame after pruning.",
+    "edges": "directed kNN edges per frame after pruning, of networks that get them.",
     "paper": "MSE in the paper's Table 2. Its unit cannot be rad² of this label (docs/paper.md).",
-    "zero, train_mean": "baselines that are constants.",
-    "persistence": "a baseline that repeats the last true value, which no model gets.",
-    "odometry": (
-        "a baseline that repeats the measured value: to know the present angle, use that (steer "
-        "measure). A model without motion gets only the scene, and the question is what it tells."
-    ),
-    "regression": "a baseline: the best multiple of odometry on the training drives.",
+    **{name: f"a baseline: {meaning}." for name, meaning in NO_LEARNING.items()},
+    "persistence": "a baseline: the last true value, which no model gets.",
     "differences": (
-        "paired differences in nmse on the frames of the results, mean over the seeds, with their "
-        "95 % intervals: below 0, the first is better. With one seed, the interval is of these "
-        "networks only, which is too few to compare methods: add some to train.seeds. Fewer than "
-        "ten drives are too few, too. The model with the least validation error (without "
-        "validation: test error) is compared with the best baseline without learning and with the "
-        "other models."
+        "paired differences in nmse, mean over the seeds, with their 95 % intervals: below 0, the "
+        "first is better. With one seed, the interval is of these networks only, which is too few "
+        "to compare methods: add some to train.seeds. Fewer than ten drives are too few, too."
     ),
     "claims": (
         "nmse and mean absolute error of both networks; MSE of the first relative to the second's, "
@@ -69,372 +72,353 @@ _MOTION = (
 )
 
 
-class Table(NamedTuple):
-    """A table of text cells with a title and a note."""
+class Section(NamedTuple):
+    """A table of text with a title and a note. The index of the table is its first column."""
 
     title: str
-    rows: Sequence[Mapping[str, str]]  # each maps headings to cells, and may lack some headings
+    table: pd.DataFrame
     note: str = ""
 
-    @property
-    def heads(self) -> list[str]:
-        """The headings that have a value in at least one row."""
-        heads: dict[str, bool] = {}
-        for row in self.rows:
-            for head, cell in row.items():
-                heads[head] = heads.get(head, False) or cell != NONE
-        return [head for head, has_value in heads.items() if has_value]
-
-    @property
-    def cells(self) -> list[list[str]]:
-        """The cells of each row, which are NONE without a value."""
-        heads = self.heads
-        rows = []
-        for row in self.rows:
-            rows.append([row.get(head, NONE) for head in heads])
-        return rows
-
     def markdown(self) -> str:
-        """Return the table in Markdown, with the first column left- and others right-aligned."""
-        lines = [self.heads, *self.cells]
-        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-
-        # In the line below the headings, a colon aligns a column to the right.
-        rule = ["-" * widths[0]]
-        rule += ["-" * (width - 1) + ":" for width in widths[1:]]
-        lines.insert(1, rule)
-        rows = []
-        for first, *others in lines:
-            cells = [cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True)]
-            rows.append(f"| {' | '.join([first.ljust(widths[0]), *cells])} |")
-        return "\n".join(rows)
-
-    def section(self) -> str:
         """Return title, table and note in Markdown."""
         note = f"\n\n{fill(self.note, 110)}" if self.note else ""
-        return f"## {self.title}\n\n{self.markdown()}{note}"
+        return f"## {self.title}\n\n{markdown(self.table)}{note}"
 
 
-def number(value: Any, form: str = "") -> str:
-    """Return a number as text, or NONE for None and NaN."""
-    return NONE if value is None or pd.isna(value) else format(value, form)
+def markdown(table: pd.DataFrame) -> str:
+    """Return a table in Markdown, with the index left- and the columns right-aligned."""
+    table = table.reset_index()
+    lines = [table.columns.tolist(), *table.to_numpy().tolist()]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+
+    # In the line below the headings, a colon aligns a column to the right.
+    rule = ["-" * widths[0]]
+    rule += ["-" * (width - 1) + ":" for width in widths[1:]]
+    lines.insert(1, rule)
+    rows = []
+    for first, *others in lines:
+        cells = [cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True)]
+        rows.append(f"| {' | '.join([first.ljust(widths[0]), *cells])} |")
+    return "\n".join(rows)
+
+
+def text(value: Any, form: str = "") -> str:
+    """Return a value as text with a typographic minus, or NONE if it is missing."""
+    return NONE if pd.isna(value) else format(value, form).replace("-", "−")
+
+
+def bounds_text(row: Mapping[str, Any] | pd.Series, form: str) -> str:
+    """Return the interval of a row of values as text with a typographic minus."""
+    return statistics.bounds_text(row, form).replace("-", "−")
+
+
+def _table(rows: Mapping[str, Mapping[str, str]], name: str) -> pd.DataFrame:
+    """Return a table of rows, without columns that have no value. `name` is that of its index."""
+    table = pd.DataFrame.from_dict(rows, orient="index").fillna(NONE).rename_axis(name)
+    return table.loc[:, (table != NONE).any()]
 
 
 # Sentences
 
 
-def sentences(comparisons: Sequence[Comparison], absent: Sequence[str] = ()) -> list[str]:
-    """Return sentences on the results, the headline first.
+def sentences(values: pd.DataFrame, absent: Sequence[str] = ()) -> list[str]:
+    """Return sentences on the results: the question with its answer, the verdict, and more.
 
-    `absent` are models without results on this machine, which the last sentence names.
+    Names of models are between backticks, and those of baselines between asterisks. `absent` are
+    models without results on this machine, which the last sentence names.
     """
-    texts = _finding(comparisons[0]) if comparisons else []
-    for comparison in comparisons:
-        texts += useless_models(comparison).values()
+    lines: list[str] = []
+    for task in values.index.unique("task"):
+        table = values.loc[task]
+        if not lines:
+            lines += _finding(table, task)
+        lines += useless_models(table).values()
     if absent:
-        texts.append(
+        lines.append(
             f"No result here: {', '.join(absent)}. To fetch those of another machine: dvc pull "
             "--allow-missing train evaluate, then dvc repro --pull --allow-missing"
         )
-    return texts
+    return lines
 
 
-def _finding(comparison: Comparison) -> list[str]:
+def _finding(table: pd.DataFrame, task: str) -> list[str]:
     """Return sentences on the best model, or none if the test drives have no bend."""
-    name = comparison.by_error[0]
-    baseline = comparison.best_baseline
-    errors = comparison.entry(name)
-    baseline_errors = comparison.entry(baseline)
-    difference = comparison.difference(name, baseline)
-    if difference["value"] is None:
+    name = ranking(table)[0]
+    row = table.loc[("", name)]
+    if pd.isna(row["nmse"]):
         return []
+    quantity = quantity_of(task)
+    blind = without_scene(table)
+    baseline = best_baseline(table)
+    baseline_nmse = text(table.loc[("", baseline), "nmse"], ".2f")
 
     # The headline compares with a network that lacks the scene, if there is one.
-    rival = comparison.without_scene
-    headline = f"Model {name} predicts the {comparison.title} with an error (nmse) of "
-    headline += f"{errors['value']:.3f}, where 0 is perfect and 1 is useless. "
-    if rival and comparison.gets_scene(name):
-        headline += f"Without the scene, model {rival} has {comparison.entry(rival)['value']:.3f}. "
-        verdict = comparison.difference(name, rival)["verdict"]
+    drives = "1 drive" if row["drives"] == 1 else f"{row['drives']} drives"
+    nmse = f"an error (nmse) of {text(row['nmse'], '.2f')} on {drives} that it was not trained on"
+    if blind and row["scene"]:
+        rival = f"`{blind}`"
+        question = f"Does the scene help to predict the {title_of(task)}?"
+        answer = f"Network `{name}` sees the scene and has {nmse}. Network {rival} does not see it "
+        answer += f"and has {text(table.loc[('', blind), 'nmse'], '.2f')}."
     else:
-        headline += f"{baseline.capitalize()}, without a network, has "
-        headline += f"{baseline_errors['value']:.3f}. "
-        verdict = difference["verdict"]
-    headline += f"Verdict on the difference: {verdict}."
+        rival = f"*{baseline}*"
+        question = f"How well does a network predict the {title_of(task)}?"
+        answer = f"Network `{name}` has {nmse}. Without a network, {rival} "
+        answer += f"({NO_LEARNING[baseline]}) has {baseline_nmse}."
 
-    text = comparison.quantity.text
-    choice = "validation error" if comparison.validated else "test error (there is no validation)"
-    count = errors["drives"]
-    drives = "1 drive" if count == 1 else f"{count} drives"
-    bounds = interval_text(difference["interval"], "+.3f")
+    choice = "validation error" if is_validated(table) else "test error (there is no validation)"
+    labels = [label for label in ranges(table) if label]
+    means = f", here as the mean over the ranges {', '.join(labels)}" if labels else ""
+    explained = [f"*{name}*: {NO_LEARNING[name]}" for name in methods(table) if name in NO_LEARNING]
     return [
-        headline,
-        f"These are errors on {drives} that it was not trained on. nmse is the squared error "
-        f"relative to that of always predicting zero. {name} is the model with the least "
-        f"{choice}: its mean absolute error of the {comparison.quantity.shown_title} is "
-        f"{text(errors['mae'])}, and the "
-        f"95 % interval of its nmse is {interval_text(errors['interval'])}.",
-        f"The best baseline without a network that does not get the truth is {baseline}, "
-        f"{NO_LEARNING[baseline]}. Its nmse is {baseline_errors['value']:.3f}, and its mean "
-        f"absolute error {text(baseline_errors['mae'])}. {name} differs from it by "
-        f"{difference['value']:+.3f} in nmse ({bounds}): {difference['verdict']}.",
+        f"{question} {answer} 0 is perfect, and 1 is as bad as always predicting zero.",
+        f"Verdict on `{name}` against {rival}: {_verdict(table, name, rival.strip('`*'))}.",
+        f"nmse is the squared error relative to that of always predicting zero{means}. The 95 % "
+        f"interval of that of `{name}` is {bounds_text(row, '.2f')}. `{name}` has the least "
+        f"{choice} of the networks. Its mean absolute error of the {quantity.shown_title} is "
+        f"{quantity.text(row['mae'])}.",
+        f"Predictions without a network: {'; '.join(explained)}. The best of them is *{baseline}*, "
+        f"with an nmse of {baseline_nmse}. Verdict on `{name}` against it: "
+        f"{_verdict(table, name, baseline)}.",
     ]
 
 
-def useless_models(comparison: Comparison) -> dict[str, str]:
-    """Return model → a sentence, for each model that has learned nothing."""
-    texts = {}
-    for name in comparison.models:
-        entry = comparison.entry(name)
-        if (entry["value"] or 0.0) > USELESS:
-            texts[name] = (
-                f"{name} learned nothing (test nmse above {USELESS}); its training drives have "
-                f"{entry['turning_frames']:,} turning frames (radius below 135 m)."
+def _verdict(table: pd.DataFrame, name: str, rival: str) -> str:
+    """Return the verdict on a model against a rival, with the difference in nmse."""
+    row = difference(table, name, rival)
+    value = text(row["nmse"], "+.2f")
+    return f"{row['verdict']} (difference {value}, 95 % interval {bounds_text(row, '+.2f')})"
+
+
+def useless_models(table: pd.DataFrame) -> dict[str, str]:
+    """Return model → a sentence, for each model of a task that has learned nothing."""
+    lines = {}
+    for name in ranking(table):
+        row = table.loc[("", name)]
+        if row["nmse"] > USELESS:
+            lines[name] = (
+                f"`{name}` learned nothing (test nmse above {USELESS}); its training drives have "
+                f"{row['turning_frames']:,} turning frames (radius below 135 m)."
             )
-    return texts
+    return lines
 
 
-def few_turns(comparisons: Sequence[Comparison]) -> list[str]:
+def few_turns(values: pd.DataFrame) -> list[str]:
     """Return a list of a doubt if the training drives have too few bends, or an empty list."""
-    counts = []
-    for comparison in comparisons:
-        counts += [comparison.entry(name)["turning_frames"] for name in comparison.models]
-    if not counts or min(counts) >= LEAST_TURNING:
+    least = values["turning_frames"].min()
+    if pd.isna(least) or least >= LEAST_TURNING:
         return []
-    text = f"{min(counts)} frames of the training drives turn (radius below 135 m)"
-    return [f"{text}, too few to tell models apart"]
+    problem = f"{least} frames of the training drives turn (radius below 135 m)"
+    return [f"{problem}, too few to tell models apart"]
 
 
-# Tables of steering
+# Tables of steering. A table of the page has two digits, and an interval below its value.
 
 
-def results_table(comparison: Comparison) -> Table:
-    """Return the table of the errors of models and baselines.
+def results(values: pd.DataFrame, task: str, *, page: bool = False) -> Section:
+    """Return the errors of models and baselines.
 
-    If the models can judge a claim of the paper, it has the paper's errors, too.
+    If the models can judge a claim of the paper, the paper's errors stand beside them.
     """
-    useless = useless_models(comparison)
-    with_paper = bool(claims_table(comparison).rows)
-    chosen = comparison.by_error[0]
-    notes = [f"✓ has the least {'validation' if comparison.validated else 'test'} error."]
-    rows = []
-    for name in (*comparison.models, *comparison.baselines):
-        facts = comparison.entry(name)
+    table = values.loc[task]
+    quantity = quantity_of(task)
+    labels = list(dict.fromkeys(["", *ranges(table)]))
+    chosen = ranking(table)[0]
+    with_paper = claims(values, task).table.size > 0
+    useless = useless_models(table)
+    notes = [f"✓ has the least {'validation' if is_validated(table) else 'test'} error."]
+    rows = {}
+    for name in methods(table):
+        row = table.loc[("", name)]
+        cells = {}
+        if with_paper:
+            published = paper.NETWORKS[name] if row["paper"] is True else None
+            cells["paper: train MSE"] = text(published and published.train_mse, ".3f")
+            cells["paper: test MSE"] = text(published and published.test_mse, ".3f")
+            cells["MSE, rad²"] = text(row["mse"], "#.3g")
+        for label in labels:
+            of_range = table.loc[(label, name)]
+            cells[f"nmse {label}".strip()] = _nmse_cell(of_range, page=page)
+            for metric in METRICS:
+                cells[f"{metric} {label}".strip()] = text(of_range[metric], ".3f")
+        cells[f"MAE {quantity.shown_unit}"] = text(row["mae"], quantity.shown_format)
+        cells["drift"] = text(row["drift"], ".1f")
+        cells["parameters"] = text(row["parameters"], ",d")
+        cells["edges"] = text(row["edges"], ",.0f")
+
         marks = " ✓" if name == chosen else ""
-        stuck = len(facts.get("untrained", []))
-        if stuck:
+        stuck = row["untrained"]
+        if isinstance(stuck, list) and stuck:
             marks += " †"
-            notes.append(f"† {stuck} of {len(facts['seeds'])} seeds of {name} failed to train.")
+            notes.append(f"† {len(stuck)} of {len(row['seeds'])} seeds of {name} failed to train.")
         if name in useless:
             marks += " ‡"
             notes.append(f"‡ {useless[name]}")
-
-        cells = {"model": name + marks if name in comparison.models else f"*{name}*"}
-        if with_paper:
-            cells |= {"paper: train MSE": NONE, "paper: test MSE": NONE}
-            if facts.get("paper"):
-                cells["paper: train MSE"] = f"{paper.PAPER[name].train_mse:.3f}"
-                cells["paper: test MSE"] = f"{paper.PAPER[name].test_mse:.3f}"
-            cells["MSE, rad²"] = number(facts["mse"], "#.3g")
-        for label in comparison.labels:
-            cells |= _error_cells(comparison, name, label)
-        cells["drift"] = number(facts.get("drift"), ".1f")
-        cells["parameters"] = number(facts.get("parameters"), ",d")
-        cells["edges"] = number(facts.get("edges"), ",.0f")
-        rows.append(cells)
+        rows[_label(name, page=page) + marks] = cells
     frames = [
-        f"{label} {comparison.entry(chosen, label)['frames']:,}".strip()
-        for label in comparison.labels
+        f"{label} {table.loc[(label, chosen), 'frames']:,}".strip() for label in ranges(table)
     ]
     notes.append(f"Test frames that every model of the table predicts: {', '.join(frames)}.")
-    return Table(f"Results: {comparison.title}", rows, " ".join(notes))
+    return Section(f"Results: {title_of(task)}", _table(rows, "model"), " ".join(notes))
 
 
-def _error_cells(comparison: Comparison, name: str, label: str) -> dict[str, str]:
-    """Return the cells of the errors of a model or baseline in a range, named by its `label`.
-
-    The label of a quantity without ranges is empty.
-    """
-    entry = comparison.entry(name, label)
-    quantity = comparison.quantity
-    text = number(entry["value"], ".3f")
-    if name in comparison.models and entry["value"] is not None:
-        text = nmse_text(entry["value"], entry["seeds"], entry["interval"])
-    cells = {f"nmse {label}".strip(): text}
-    for metric in shown_metrics():
-        cells[f"{metric} {label}".strip()] = number(entry.get(metric), ".3f")
-    if not label:
-        cells[f"MAE {quantity.shown_unit}"] = number(entry["mae"], quantity.shown_format)
-    return cells
+def _label(name: str, *, page: bool) -> str:
+    """Return the name of a model or baseline as the first cell of its row."""
+    if name in BASELINES:
+        return f"*{name}*"
+    return f"`{name}`" if page else name
 
 
-def differences_table(comparison: Comparison) -> Table:
-    """Return the table of differences of the best model from the best baseline and other models."""
-    best, *others = comparison.by_error
-    rows = []
-    for rival in (comparison.best_baseline, *others):
-        cells = {"models": f"{best} − {rival}"}
-        for label in comparison.labels:
-            cells[label or "nmse"] = difference_text(comparison.difference(best, rival, label))
-        rows.append(cells)
-    return Table(f"Differences: {comparison.title}", rows)
+def _nmse_cell(row: pd.Series, *, page: bool) -> str:
+    """Return the text of an nmse, with the interval of a model's."""
+    _, name = row.name
+    if name in BASELINES or pd.isna(row["nmse"]):
+        return text(row["nmse"], ".2f" if page else ".3f")
+    if page:
+        return f"{text(row['nmse'], '.2f')}\n{bounds_text(row, '.2f')}"
+    return statistics.nmse_text(row)
 
 
-def difference_text(entry: Mapping[str, Any]) -> str:
+def differences(values: pd.DataFrame, task: str, *, page: bool = False) -> Section:
+    """Return the differences of the best model from the best baseline and the other models."""
+    table = values.loc[task]
+    best, *others = ranking(table)
+    rows = {}
+    for rival in (best_baseline(table), *others):
+        cells = {}
+        for label in ranges(table):
+            row = difference(table, best, rival, label)
+            cells[label or "nmse"] = difference_text(row, page=page)
+        rows[f"{_label(best, page=page)} − {_label(rival, page=page)}"] = cells
+    return Section(f"Differences: {title_of(task)}", _table(rows, "models"))
+
+
+def difference_text(row: pd.Series, *, page: bool = False) -> str:
     """Return the text of a paired difference in nmse, with its interval and verdict."""
-    if entry["value"] is None:
+    if pd.isna(row["nmse"]):
         return NONE
-    bounds = interval_text(entry["interval"], "+.3f")
-    return f"{entry['value']:+.3f} ({bounds}) {entry['verdict']}"
+    form = "+.2f" if page else "+.3f"
+    value = text(row["nmse"], form)
+    bounds = bounds_text(row, form)
+    if page:
+        return f"{value} {row['verdict']}\n{bounds}"
+    return f"{value} ({bounds}) {row['verdict']}"
 
 
-def claims_table(comparison: Comparison) -> Table:
-    """Return the table of the paper's claims that the group's models can judge, with verdicts."""
-    rows = []
+def claims(values: pd.DataFrame, task: str) -> Section:
+    """Return the paper's claims on networks that the values have, with verdicts."""
+    table = values.loc[task]
+    form = quantity_of(task).shown_format
+    papers = [name for name in ranking(table) if table.loc[("", name), "paper"] is True]
+    rows = {}
     for claim in paper.CLAIMS:
-        difference = comparison.difference(claim.model, claim.rival)
-        if "claim" in difference:
-            rows.append(_claim_cells(claim, comparison, difference))
-    return Table("The paper's claims", rows)
+        if claim.model not in papers or claim.rival not in papers:
+            continue
+        first = table.loc[("", claim.model)]
+        second = table.loc[("", claim.rival)]
+        row = difference(table, claim.model, claim.rival)
+        # A claim that both errors are equally large is refuted by a difference of either sign.
+        verdicts = {"better": "reversed" if claim.comparable else "confirmed", "worse": "reversed"}
+        rows[claim.text] = {
+            "verdict": verdicts.get(row["verdict"], row["verdict"]),
+            "networks": f"{claim.model}, {claim.rival}",
+            "nmse": f"{text(first['nmse'], '.3f')}, {text(second['nmse'], '.3f')}",
+            "mean error, °": f"{text(first['mae'], form)}, {text(second['mae'], form)}",
+            "MSE ratio: paper": text(paper.ratio(claim), ".2f"),
+            "here": text(first["nmse"] / second["nmse"] if second["nmse"] else None, ".2f"),
+            "difference in nmse": f"{text(row['nmse'], '+.3f')} ({bounds_text(row, '+.3f')})",
+        }
+    return Section("The paper's claims", _table(rows, "the paper's claim"))
 
 
-def _claim_cells(
-    claim: paper.Claim, comparison: Comparison, difference: Mapping[str, Any]
-) -> dict[str, str]:
-    first = comparison.entry(claim.model)
-    second = comparison.entry(claim.rival)
-    ratio = first["value"] / second["value"] if second["value"] else None
-    published = None
-    if claim.model in paper.PAPER and claim.rival in paper.PAPER:
-        published = paper.PAPER[claim.model].test_mse / paper.PAPER[claim.rival].test_mse
-    # A claim that both errors are equally large is refuted by a difference of either sign.
-    verdicts = {"better": "reversed" if claim.comparable else "confirmed", "worse": "reversed"}
-    bounds = interval_text(difference["interval"], "+.3f")
-    form = comparison.quantity.shown_format
-    return {
-        "the paper's claim": claim.text,
-        "verdict": verdicts.get(difference["verdict"], difference["verdict"]),
-        "networks": f"{claim.model}, {claim.rival}",
-        "nmse": f"{number(first['value'], '.3f')}, {number(second['value'], '.3f')}",
-        "mean error, °": f"{number(first['mae'], form)}, {number(second['mae'], form)}",
-        "MSE ratio: paper": number(published, ".2f"),
-        "here": number(ratio, ".2f"),
-        "difference in nmse": f"{number(difference['value'], '+.3f')} ({bounds})",
-    }
+def models(tasks: Sequence[Task]) -> Section:
+    """Return the inputs and settings of all models."""
+    rows = {}
+    for task in tasks:
+        for name, content in task.models.items():
+            rows[name] = _model_cells(content)
+    return Section("Models", _table(rows, "model"))
 
 
-def steering_tables(
-    comparisons: Sequence[Comparison], groups: Sequence[Group]
-) -> tuple[list[Table], list[Table]]:
-    """Return the tables of results and claims, and the tables of details, as two lists."""
-    results = [results_table(comparison) for comparison in comparisons]
-    results += [claims_table(comparison) for comparison in comparisons]
-    details = [differences_table(comparison) for comparison in comparisons]
-    details.append(models_table(groups))
-    with_rows = [table for table in results if table.rows]
-    return with_rows, [table for table in details if table.rows]
-
-
-def models_table(groups: Sequence[Group]) -> Table:
-    """Return the table of the inputs and settings of all models."""
-    rows = [_model_cells(name, row) for group in groups for name, row in group.models.items()]
-    return Table("Models", rows)
-
-
-def _model_cells(name: str, row: Row) -> dict[str, str]:
-    entry = row["entry"]
-    unpruned = row["edges_per_frame_unpruned"]
-    pruned = 1 - row["edges_per_frame"] / unpruned if unpruned else None
-    spatial = f"{entry['spatial']} ({entry['layer']})" if "layer" in entry else entry["spatial"]
-    temporal = f"{entry['temporal']} ({entry['cell']})" if "cell" in entry else entry["temporal"]
-    cells = {
-        "model": name,
-        "input": entry["input"],
-        "points": number(row["points_per_frame"], ",.0f"),
-        "edges": number(unpruned, ",.0f"),
-        "pruned": number(pruned, ".0%"),
-        "spatial": spatial,
-        "temporal": temporal,
-    }
+def _model_cells(content: Mapping[str, Any]) -> dict[str, str]:
+    """Return the cells of a model, from its metrics.json."""
+    entry = content["entry"]
+    cells = {"input": entry["input"]}
+    if entry["spatial"] != "blind":
+        unpruned = content["edges_per_frame_unpruned"]
+        cells["points"] = text(content["points_per_frame"], ",.0f")
+        cells["edges"] = text(unpruned, ",.0f")
+        cells["pruned"] = text(
+            1 - content["edges_per_frame"] / unpruned if unpruned else None, ".0%"
+        )
+    for part, option in {"spatial": "layer", "temporal": "cell"}.items():
+        cells[part] = f"{entry[part]} ({entry[option]})" if option in entry else entry[part]
     for setting in ("semantics", "window", "equivariant", "motion"):
-        cells[setting] = number(entry.get(setting))
+        cells[setting] = text(entry.get(setting))
     return cells
 
 
 # Tables of perception
 
 
-def perception_tables(scores: Mapping[str, Any]) -> list[Table]:
+def perception(scores: Mapping[str, Any]) -> list[Section]:
     """Return the tables of depth, classes and motion, without those that have no rows."""
     if not scores:
         return []
-    classes = []
+    classes = {}
+    motion = {}
     for split in SPLITS:
         row = scores[split]["classes"]
         if row:
-            classes.append(
-                {
-                    "split": split,
-                    "frames": str(row["frames"]),
-                    "pixel accuracy": f"{row['pixel_accuracy']:.3f}",
-                    "mean IoU": f"{row['mean_iou']:.3f}",
-                    "classes": str(len(row["iou"])),
-                }
-            )
-    motion = []
+            classes[split] = {
+                "frames": str(row["frames"]),
+                "pixel accuracy": f"{row['pixel_accuracy']:.3f}",
+                "mean IoU": f"{row['mean_iou']:.3f}",
+                "classes": str(len(row["iou"])),
+            }
     for (kind, splits), split in product(scores["motion"].items(), SPLITS):
         row = splits[split]
         if row:
-            motion.append(
-                {
-                    "motion": kind,
-                    "split": split,
-                    "drives": str(row["drives"]),
-                    "frames": str(row["frames"]),
-                    "measured": f"{row['valid']:.1%}",
-                    "compared": str(row["judged"]),
-                    "yaw rate RMSE deg/s": number(row["yaw_rmse_degps"], ".3f"),
-                    "median": number(row["yaw_median_degps"], ".3f"),
-                    "speed ratio": number(row["speed_ratio"], ".3f"),
-                    "steering nmse": number(row["nmse"], ".4f"),
-                }
-            )
-    tables = [
-        Table("Depth", _depth_rows(scores), _DEPTH),
-        Table("Classes", classes, "Over the classes that occur in the ground truth."),
-        Table("Motion", motion, _MOTION),
+            motion[f"{kind}, {split}"] = {
+                "drives": str(row["drives"]),
+                "frames": str(row["frames"]),
+                "measured": f"{row['valid']:.1%}",
+                "compared": str(row["judged"]),
+                "yaw rate RMSE deg/s": text(row["yaw_rmse_degps"], ".3f"),
+                "median": text(row["yaw_median_degps"], ".3f"),
+                "speed ratio": text(row["speed_ratio"], ".3f"),
+                "steering nmse": text(row["nmse"], ".4f"),
+            }
+    sections = [
+        Section("Depth", _table(_depth_rows(scores), "split, truth"), _DEPTH),
+        Section(
+            "Classes",
+            _table(classes, "split"),
+            "Over the classes that occur in the ground truth.",
+        ),
+        Section("Motion", _table(motion, "motion, split"), _MOTION),
     ]
-    return [table for table in tables if table.rows]
+    return [section for section in sections if section.table.size]
 
 
-def _depth_rows(scores: Mapping[str, Any]) -> list[dict[str, str]]:
-    rows = []
+def _depth_rows(scores: Mapping[str, Any]) -> dict[str, dict[str, str]]:
+    rows = {}
     for split, truth in product(SPLITS, ("lidar", "dense")):
         depth = scores[split][f"depth_{truth}"]
         if not depth:
             continue
-        row = {
-            "split": split,
-            "truth": truth,
-            "frames": str(depth["frames"]),
-            "coverage": f"{depth['coverage']:.1%}",
-        }
+        row = {"frames": str(depth["frames"]), "coverage": f"{depth['coverage']:.1%}"}
         for head, source in {"encoder": "depth", "flat ground": "ground_plane"}.items():
             errors = scores[split][f"{source}_{truth}"]
             if errors:
                 row[head] = "{abs_rel:.3f}, {rmse_m:.2f}, {delta1:.3f}".format_map(errors)
-        rows.append(row)
+        rows[f"{split}, {truth}"] = row
     return rows
-
-
-def recorded_motion(scores: Mapping[str, Any]) -> tuple[list[str], list[str]]:
-    """Return notes and doubts about recorded motion, as two lists."""
-    return split_doubts([facts["line"] for facts in scores.get("recorded", {}).values()])
 
 
 def definitions() -> str:
     """Return the DEFINITIONS in Markdown."""
-    text = "## Definitions\n\n"
+    lines = "## Definitions\n\n"
     for word, meaning in DEFINITIONS.items():
-        text += fill(f"- {word}: {meaning}", 110, subsequent_indent="  ") + "\n"
-    return text
+        lines += fill(f"- {word}: {meaning}", 110, subsequent_indent="  ") + "\n"
+    return lines

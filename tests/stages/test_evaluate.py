@@ -47,21 +47,23 @@ def test_metrics_are_means_over_seeds_and_files_repeat(folder, predicted):
         assert np.isnan(values).all(axis=1).tolist() == [True] * 3 + [False] * 57
         odometry = table[f"odometry_{COLUMNS[predicted][0]}"]
         assert odometry.isna().tolist() == [True] + [False] * 59, "unknown in the first frame"
-    assert [*metrics["test"]] == COLUMNS[predicted]
     labels = [h5py.File(folder / f"labels/{drive}.h5") for drive in metrics["drives"]["train"]]
     name, limit = {"angle": ("steering_rad", 0.02), "path": ("ahead_1pm", 1 / 135)}[predicted]
     turns = np.abs(np.concatenate([file[name][:].reshape(60, -1) for file in labels])) > limit
     assert metrics["turning_frames"] == turns.any(axis=1).sum()
-    for name, scores in metrics["test"].items():
+    ranges = {"angle": ["net"], "path": ["0-5 m/net", "5-10 m/net", "10-20 m/net"]}[predicted]
+    assert {*metrics["test"]} == {"net", *ranges}
+    for key, name in zip(ranges, COLUMNS[predicted], strict=True):
+        row = metrics["test"][key]
         rows = [table.dropna(subset=[f"true_{name}", f"predicted_{name}"]) for table in tables]
         true = rows[0][f"true_{name}"]
         mse = [((table[f"predicted_{name}"] - true) ** 2).mean() for table in rows]
         zero = (true**2).mean()
-        assert scores["frames"] == len(true)
-        assert scores["mse"] == pytest.approx(np.mean(mse), rel=1e-3)
-        assert scores["nmse"] == pytest.approx(np.mean(mse) / zero, rel=1e-3)
-        np.testing.assert_allclose(scores["nmse_by_seed"], np.array(mse) / zero, rtol=1e-2)
-        assert scores["nmse_ci95"] is None  # one drive, shorter than two blocks
+        assert row["frames"] == len(true)
+        assert row["mse"] == pytest.approx(np.mean(mse), rel=1e-3)
+        assert row["nmse"] == pytest.approx(np.mean(mse) / zero, rel=1e-3)
+        np.testing.assert_allclose(row["seeds"], np.array(mse) / zero, rtol=1e-2)
+        assert "low" not in row  # one drive, shorter than two blocks
 
 
 def test_a_control_gets_the_scene_of_another_drive_in_training_and_evaluation(folder, monkeypatch):

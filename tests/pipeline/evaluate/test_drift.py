@@ -1,38 +1,35 @@
 """The path of angles, and the drift of a predicted path."""
 
 import tarfile
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from pipeline.evaluate.drift import drift, path, ways
 from pipeline.ingest import packets
 from pipeline.ingest.datasets.kitti import KittiDrive
 from pipeline.labels import label
-from tests import artefacts
 
 STEPS = 101  # 10 m/s for 10 s
-TIME_S = np.arange(STEPS) / 10
+FRAMES = pd.DataFrame({"time_s": np.arange(STEPS) / 10, "speed_mps": 10.0})
 
 
 def off(predicted_rad: float, unlabelled: int | None = None) -> float | None:
     """Return the drift of a constant angle on a straight road."""
-    valid = np.arange(STEPS) != unlabelled
-    driven = label.Labels(np.zeros(STEPS), valid, np.full(STEPS, 10.0), np.zeros(STEPS))
-    drive: Any = SimpleNamespace(time_s=TIME_S, driven=driven, settings=artefacts.LABELS)
-    return drift([(drive, np.full(STEPS, predicted_rad))])
+    true_rad = np.where(np.arange(STEPS) == unlabelled, np.nan, 0.0)
+    drive = np.zeros(STEPS, int)
+    return drift(true_rad, np.full(STEPS, predicted_rad), drive, FRAMES, label.Car(2.7, 1.0))
 
 
-def test_ways_end_where_a_label_or_a_prediction_is_missing():
-    true = np.zeros(STEPS)
-    predicted = np.zeros(STEPS)
-    predicted[:7] = np.nan
-    predicted[[50, 99]] = np.nan
-    true[20] = np.nan
-    assert [(rows[0], rows[-1]) for rows in ways(true, predicted)] == [(7, 19), (21, 49), (51, 98)]
-    assert ways(true, np.full(STEPS, np.nan)) == []
+def test_ways_end_with_their_drive_and_where_a_label_or_a_prediction_is_missing():
+    known = np.ones(STEPS, bool)
+    known[:7] = False
+    known[[20, 50, 99]] = False
+    drive = np.arange(STEPS) // 60
+    pieces = [(rows[0], rows[-1]) for rows in ways(drive, known)]
+    assert pieces == [(7, 19), (21, 49), (51, 59), (60, 98)]
+    assert ways(drive, np.zeros(STEPS, bool)) == []
 
 
 def test_drift_is_the_final_distance_per_100_m():

@@ -1,15 +1,19 @@
-"""Metrics of a split: counted frames, drives, baselines; errors and their intervals."""
+"""Errors of predictions: counted frames, drives, baselines; values by hand and intervals."""
 
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.evaluate import statistics
-from pipeline.evaluate.cases import Case, metrics
+from pipeline.evaluate.error_table import Predictions, common_frames, errors
+from pipeline.evaluate.own_metrics import METRICS
+from pipeline.evaluate.predictions import Case, prediction_table
 from pipeline.evaluate.settings import Evaluate
 from pipeline.train.loss import Scale
+from pipeline.train.quantity import load_quantity
 from pipeline.train.targets import LabelledDrive, read_drive
 from tests import artefacts
 from tests.small_model import entry
@@ -48,18 +52,40 @@ def test_invalid_and_early_frames_do_not_count(folder):
     test[0].target[10:15] = np.nan
     predicted[0][10:15] = 99.0
     cases = [case(drive, angles) for drive, angles in zip(test, predicted, strict=True)]
-    found = metrics(cases, settings(block=5, samples=100))["steering_rad"]
-    assert found["frames"] == 2 * (30 - 3) - 5
-    assert found["mse"] == pytest.approx(0.01**2)
-    assert found["nmse_ci95"][0] <= found["nmse"] <= found["nmse_ci95"][1]
-    assert found["nmse_by_seed"] == [found["nmse"]]
+    predictions = common_frames({"net": prediction_table("net", [0], cases)}, test[0].quantity)
+    row = errors(predictions, ["net"], settings(block=5, samples=100)).loc[("", "net")]
+    assert row["frames"] == 2 * (30 - 3) - 5
+    assert row["drives"] == 2
+    assert row["mse"] == pytest.approx(0.01**2)
+    assert row["low"] <= row["nmse"] <= row["high"]
+    assert row["seeds"] == [row["nmse"]]
+
+
+def by_hand(truth: np.ndarray, predicted: np.ndarray) -> pd.Series:
+    """Return the errors of predictions [N] for the steering angles [N] of a drive."""
+    quantity = load_quantity("angle")(artefacts.LABELS["labels"])
+    frame = np.arange(len(truth))
+    frames = pd.DataFrame({"drive": "a", "frame": frame, "time_s": frame / 10, "speed_mps": 8.0})
+    predictions = Predictions(quantity, frames, truth[:, None], {"net": predicted[None, :, None]})
+    return errors(predictions, ["net"], settings(50, 200)).loc[("", "net")]
+
+
+def test_errors_by_hand():
+    row = by_hand(np.array([0.1, -0.1, 0.2]), np.array([0.1, 0.1, 0.1]))
+    assert row["frames"] == 3
+    assert row["mse"] == pytest.approx((0 + 0.04 + 0.01) / 3)
+    assert row["nmse"] == pytest.approx(0.05 / 0.06)
+    assert row["mae"] == pytest.approx(np.rad2deg(0.1))
+    assert by_hand(np.zeros(3), np.ones(3))["nmse"] is None
+    steering = np.sin(np.arange(300) / 20)
+    row = by_hand(steering, 0 * steering)
+    assert [row["nmse"], row["low"], row["high"]] == [1.0, 1.0, 1.0]
 
 
 def test_a_metric_that_returns_no_number_is_named(monkeypatch):
-    metric = statistics.Metric(lambda truth, predicted: float("nan"))
-    monkeypatch.setitem(statistics.METRICS, "worst", metric)
+    monkeypatch.setitem(METRICS, "worst", lambda *_: float("nan"))
     with pytest.raises(InputError, match="metric worst returned nan"):
-        statistics.scores(np.ones(3), np.ones(3))
+        by_hand(np.ones(3), np.ones(3))
 
 
 @pytest.mark.parametrize("source", ["oxts", "visual"])
@@ -88,19 +114,6 @@ def test_odometry_needs_motion_in_all_frames_and_other_labels(folder, monkeypatc
         assert list(baselines(0)) == [*without, *measured]
     else:
         assert list(baselines(0)) == without
-
-
-def test_scores_by_hand():
-    result = statistics.scores(np.array([0.1, -0.1, 0.2]), np.array([0.1, 0.1, 0.1]))
-    assert result["frames"] == 3
-    assert result["mse"] == pytest.approx((0 + 0.04 + 0.01) / 3)
-    assert result["nmse"] == pytest.approx(0.05 / 0.06)
-    assert result["mae"] == pytest.approx(0.1)
-    assert result["rmse"] == pytest.approx(np.sqrt(0.05 / 3))
-    assert set(statistics.scores(np.empty(0), np.empty(0)).values()) == {0, None}
-    steering = np.sin(np.arange(300) / 20)
-    assert statistics.scores(steering, 0 * steering)["nmse"] == 1.0
-    assert interval(steering, steering, np.zeros(300), 50, 200) == [1.0, 1.0]
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,7 @@ import pandas as pd
 
 from pipeline.base import store
 from pipeline.evaluate.settings import Evaluate
-from pipeline.report.results import Group, load_groups
-from pipeline.report.summary import Comparison, results
+from pipeline.report.values import Task, gather, load_tasks
 
 SETTINGS = Evaluate(bootstrap_samples=50, bootstrap_block_frames=5, seed=0)
 DRIVES = ("2026_01_03_drive_0002", "2026_01_03_drive_0003")
@@ -43,15 +42,12 @@ def metrics(
     `nmse`: for :func:`predictions`, as that of `baselines`.
     """
     columns = PATH if entry.get("predict") == "path" else ANGLE
-    test = {"nmse": nmse, "baselines": baselines or {}, "drift_m_per_100m": None}
-    if not entry.get("horizon") and columns is ANGLE:
-        test["drift_m_per_100m"] = 3.0
+    test = {"nmse": nmse, "baselines": baselines or {}}
     return {
         "model": model,
         "entry": ENTRY | entry,
         "seeds": [0],
         "parameters": 9259,
-        "drives": {"train": []},
         "variant": {"source": "clouds/pseudo", "k": 6, "keep_inter_class": 0.2},
         "turning_frames": 1200,
         "points_per_frame": 1000.0,
@@ -59,7 +55,7 @@ def metrics(
         "edges_per_frame_unpruned": 6000.0,
         "labels": LABELS,
         "val": None,
-        "train": {column: {"nmse": 0.1, "mse": 1.23e-6} for column in columns},
+        "untrained": [],
         "test": dict.fromkeys(columns, test),
     }
 
@@ -109,24 +105,15 @@ def write_model(data: Path, content: dict[str, Any], table: pd.DataFrame | None 
     pd.concat(seeds).assign(model=content["model"]).to_csv(folder / "predictions.csv", index=False)
 
 
-def groups(data: Path, *contents: dict[str, Any]) -> list[Group]:
-    """Write models and load their results."""
+def load(data: Path, *models: str) -> tuple[list[Task], pd.DataFrame]:
+    """Return the tasks of models below data/evaluate, and their values."""
+    tasks = load_tasks({model: data / "evaluate" / model for model in models})
+    return tasks, gather(tasks, SETTINGS)
+
+
+def compare(data: Path, *contents: dict[str, Any]) -> pd.DataFrame:
+    """Write models and return their values."""
     for content in contents:
         write_model(data, content)
-    return load_groups({row["model"]: data / "evaluate" / row["model"] for row in contents})
-
-
-def load(data: Path, *models: str) -> list[Comparison]:
-    """Compare models below data/evaluate."""
-    return comparisons(load_groups({model: data / "evaluate" / model for model in models}))
-
-
-def compare(data: Path, *contents: dict[str, Any]) -> list[Comparison]:
-    """Write models and compare them."""
-    return comparisons(groups(data, *contents))
-
-
-def comparisons(loaded: list[Group]) -> list[Comparison]:
-    """Return the values of groups."""
-    values = results(loaded, SETTINGS, {})
-    return [Comparison(values, group.key) for group in loaded]
+    _, values = load(data, *(content["model"] for content in contents))
+    return values

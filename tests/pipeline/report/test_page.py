@@ -1,6 +1,5 @@
-"""The page and its plots."""
+"""The page: complete, self-contained, and safe for names of any kind."""
 
-import base64
 import html
 import re
 
@@ -8,13 +7,12 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from pipeline.camera.classes import ROAD, VOID
-from pipeline.report import page, plots, tables
-from pipeline.report.street_view import View
+from pipeline.report import drawings, page
+from pipeline.report.drawings import Picture
+from pipeline.report.tables import Section
 from tests.pipeline.report import examples
 from tests.pipeline.report.examples import metrics
 
-DRIVE = examples.DRIVES[0]
 EVIL = "x</script><script>alert(1)</script>"
 
 
@@ -27,100 +25,60 @@ def test_the_page_is_complete_self_contained_and_runs_no_script_of_a_name(tmp_pa
         "next": "make mine && make test",
     }
     monkeypatch.setattr(page, "read_run", lambda: run)
-    groups = examples.groups(
-        tmp_path,
-        metrics("sa-gnn-ncp"),
-        metrics("ahead", horizon=10),
-        metrics("path", predict="path"),
+    cv2.imwrite(str(tmp_path / "bend.jpg"), np.full((60, 200, 3), 90, np.uint8))
+    table = pd.DataFrame({"nmse": ["0.50\n0.40 to 0.60"]}, pd.Index([f"`{EVIL}` ✓"], name="model"))
+    content = page.Page(
+        sentences=["Network `net` against *zero*.", "Verdict: better.", "A sentence <b>."],
+        doubts=["a clock is late"],
+        picture=Picture(tmp_path / "bend.jpg", "The path."),
+        results=[Section("Results", table, "A note.")],
+        details={"Folded": ["A paragraph."], "Nothing": [None]},
     )
-    groups[0].first_seeds["drive"] = groups[0].first_seeds["drive"].replace(DRIVE, EVIL)
-    comparisons = examples.comparisons(groups)
-    cv2.imwrite(str(tmp_path / "chain.png"), np.full((60, 200, 3), 90, np.uint8))
-    curve = tmp_path / "train/sa-gnn-ncp/curve.csv"
-    curve.parent.mkdir(parents=True)
-    curve.write_text("epoch,learning_rate,train_loss,val_nmse\n1,0.1,0.7,\n")
-
-    content: dict[str, page.Content] = {
-        "Errors": page.errors(comparisons),
-        "From image to graph": [page.picture(tmp_path / "chain.png", "Figure 1.")],
-        "Nothing": [],
-    }
-    for group, comparison in zip(groups, comparisons, strict=True):
-        content[f"Test drives: {comparison.title}"] = page.test_drives(
-            tmp_path, group, comparison, tmp_path / "ingest"
-        )
-        table = tables.results_table(comparison)
-        content[table.title] = [table]
-    content["Learning curves"] = page.learning(tmp_path / "train", ["sa-gnn-ncp"])
-    sentences = ["Found.", "A sentence <b>."]
-    page.write(tmp_path / "index.html", page.Page(sentences, None, ["a clock is late"], content))
+    page.write(tmp_path / "index.html", content)
 
     text = (tmp_path / "index.html").read_text(encoding="utf-8")
-    headings = [html.unescape(title) for title in re.findall(r"<h2>(.*?)</h2>", text)]
-    assert headings == [title for title in content if title != "Nothing"]
-    assert re.findall(r'<a href="#(.*?)">', text) == re.findall(r'<section id="(.*?)">', text)
-    own = re.sub(r"<script>.*?</script>", "", text, count=1, flags=re.DOTALL)  # without plotly
-    assert not re.findall(r'(?:src|href)="(?!#|data:)', own)
-    order = ["Found.", "Doubt: a clock is late", "A sentence &lt;b&gt;.", "<h2>Errors", "Figure 1."]
-    places = [own.index(part) for part in order]
-    assert places == sorted(places)
-    assert "<pre>train:\n  epochs: 3\n</pre>" in own
-    assert "Next: make mine &amp;&amp; make test" in own
-    assert re.search(r"Made at revision .* min</p>", own)
-    names = re.findall(r'Plotly\.newPlot\(\s*"(.*?)"', own)
-    # Learning curves; errors and two drives of each group.
-    assert len({*names}) == len(names) == 1 + 3 * len(groups)
-    assert "alert(1)" in own
-    assert "<script>alert(1)" not in own
-
-
-def test_points_have_a_trace_per_class_and_edges_one_in_each_frame():
-    xyz = np.array([[1.0, 2, 3], [4, 3, 6], [7, 1, 9], [7, 1, 51]])  # the last is outside
-    edges = np.array([[1, 2], [2, 3]])
-    views = [View(7, xyz=xyz, points_cls=np.array([ROAD, ROAD, VOID, VOID]), edges=edges)]
-    views += [View(9, xyz=xyz[:1], points_cls=np.array([ROAD]), edges=edges[:0])]
-    figure = plots.in_space(views)
-    assert [step.label for step in figure.layout.sliders[0].steps] == [
-        frame.name for frame in figure.frames
+    assert re.findall("<summary>(.*?)</summary>", text) == [
+        "Folded",
+        "Settings that differ from params.yaml",
     ]
-    road, void, line = figure.data
-    assert (road.name, road.marker.color, void.name) == ("road", "rgb(128, 64, 128)", "no class")
-    assert {*zip(road.x, road.y, road.z, strict=True)} == {(1, 3, -2), (4, 6, -3)}
-    np.testing.assert_array_equal(
-        [line.x, line.y, line.z], [[4, 7, np.nan], [6, 9, np.nan], [-3, -1, np.nan]]
-    )
-    first, second = figure.frames
-    assert [len(trace.x) for trace in first.data] == [2, 1, 3]
-    assert [len(trace.x) for trace in second.data] == [1, 0, 0]
-    length_m = np.array([44, 50, 14])  # of the axes
-    ratio = figure.layout.scene.aspectratio
-    assert np.ptp([ratio.x, ratio.y, ratio.z] / length_m) < 1e-9
+    assert not re.findall(r'(?:src|href)="(?!#|data:)', text)
+    order = [
+        "<code>net</code> against <em>zero</em>.",
+        "Verdict: better.",
+        "data:image/jpeg;base64,",
+    ]
+    order += [
+        "The path.",
+        "doubt: a clock is late",
+        "A sentence &lt;b&gt;.",
+        "A note.",
+        "A paragraph.",
+    ]
+    places = [text.index(part) for part in order]
+    assert places == sorted(places)
+    assert "0.50<br><small>0.40 to 0.60</small>" in text
+    assert "<pre>train:\n  epochs: 3\n</pre>" in text
+    assert "Next: make mine &amp;&amp; make test" in text
+    assert re.search(r"Made at revision .* min</p>", text)
+    assert html.escape(EVIL) in text
+    assert "<script" not in text
 
 
-def test_the_image_and_the_title_follow_the_slider():
-    point = np.array([[1.0, 0, 3]])
-    rgb = np.full((8, 16, 3), [250, 0, 0], np.uint8)
-    views = [View(7, rgb, xyz=point, points_cls=np.array([ROAD]))]
-    views += [View(9, xyz=point - 9, points_cls=np.array([ROAD]))]
-    figure = plots.in_space(views, "a drive")
-    for frame, is_visible, count in zip(figure.frames, [True, False], [1, 0], strict=True):
-        title = frame.layout.title
-        assert title.text == "a drive"
-        assert title.subtitle.text.startswith(f"frame {frame.name}, ")
-        assert title.subtitle.text.endswith(f": {count} of 1 points")
-        assert frame.data[-1].visible == is_visible
-    jpeg = base64.b64decode(figure.data[-1].source.partition(",")[2])
-    shown = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR_RGB)
-    assert np.abs(shown.astype(int) - rgb).max() < 8
+def test_a_network_without_validation_has_its_training_loss(tmp_path, monkeypatch):
+    drawn = list[tuple[str, list[float]]]()
 
+    def plot(_: object, x: pd.Series, y: pd.Series, style: str, **options: object) -> None:
+        drawn.append((style, y.tolist()))
 
-def test_a_network_without_validation_has_its_training_loss():
-    columns = {"epoch": [1, 2], "train_loss": [0.7, 0.5], "val_nmse": [0.6, np.nan]}
-    validated = pd.DataFrame(columns)
-    without = pd.DataFrame(columns | {"val_nmse": np.nan})
-    first, second = plots.learning({"net": validated, "net.seed-1": without}).data
-    np.testing.assert_allclose(first.y, columns["val_nmse"], rtol=1e-6)
-    np.testing.assert_allclose(second.y, columns["train_loss"], rtol=1e-6)
-    assert first.legendgroup == "net"
-    assert first.showlegend
-    assert not second.showlegend
+    monkeypatch.setattr("matplotlib.axes.Axes.plot", plot)
+    monkeypatch.setattr(drawings, "_title", lambda *_: None)
+    values = examples.compare(tmp_path, metrics("net"))
+    for folder, errors in (("", ["0.6", "0.5"]), ("seed-1/", ["", ""])):
+        curve = tmp_path / f"train/net/{folder}curve.csv"
+        curve.parent.mkdir(parents=True)
+        rows = [f"{epoch},0.{9 - epoch},{error}" for epoch, error in enumerate(errors, start=1)]
+        curve.write_text("\n".join(["epoch,train_loss,val_nmse", *rows]))
+    picture = drawings.draw_learning(tmp_path, values, tmp_path / "train")
+    assert picture.path.is_file()
+    assert drawn == [("-", [0.6, 0.5]), (":", [0.8, 0.7])]
+    assert drawings.draw_learning(tmp_path, values, tmp_path / "absent") is None

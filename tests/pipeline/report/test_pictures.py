@@ -1,20 +1,20 @@
-"""Pictures of a frame, of paths in an image, and of the largest errors."""
+"""Pictures of a frame, of errors, and of paths in an image and from above."""
 
 import h5py
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 
-from pipeline.base import store
 from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Camera, read_camera
 from pipeline.camera.classes import VOID
 from pipeline.clouds.cloud import clouds_drive
 from pipeline.clouds.settings import Clouds
-from pipeline.report import figures, tables
-from pipeline.report.results import load_groups
+from pipeline.report import drawings
 from pipeline.report.street_view import (
     HALF_TRACK_M,
     STEP_M,
+    chart_colour,
     path_steps,
     read_view,
     wheel_tracks,
@@ -41,7 +41,7 @@ def test_a_later_file_replaces_what_an_earlier_one_has(tmp_path):
     np.testing.assert_array_equal(view.rgb, image)
     np.testing.assert_allclose(view.depth_m, depth_m, atol=0.01)
     np.testing.assert_array_equal(view.cls, cls)
-    assert [*view.images()] == ["frame 2", "depth", "classes"]
+    assert [*view.images()] == ["frame 2", "depth: red is 4 m, blue 80 m", "classes"]
     assert view.xyz is None
 
 
@@ -87,72 +87,71 @@ def test_pictures_show_what_the_encoder_has(tmp_path, monkeypatch, with_classes)
                 file["cls"][:] = VOID
     table = examples.predictions().query("drive == @DRIVE and frame < 9")
     examples.write_model(tmp_path, metrics("net"), table)
-    groups = load_groups({"net": tmp_path / "evaluate/net"})
-    (comparison,) = examples.comparisons(groups)
-    chain = tmp_path / "chain.png"
-    caption, views = figures.draw_chain(chain, groups[0], comparison, tmp_path)
-    assert caption.startswith("From image to steering (Figure 1 of the paper): frame 8 of ")
-    assert (tmp_path / "chain.png").is_file()
-    assert [view.frame for view in views] == [0, 1, 2, 3, 4, 5, 6, 8]
-    assert any("classes" in title for title in titles) == with_classes
-    (title,) = [title for title in titles if title.startswith("graph from above: 80 points, ")]
-    assert title.endswith("directed edges" if with_classes else "; black: no class")
+    (task,), values = examples.load(tmp_path, "net")
+    chain = drawings.draw_chain(tmp_path, task, values.loc["angle-0"], tmp_path)
+    assert chain.caption.startswith("From image to graph (Figure 1 of the paper): frame 8 of ")
+    assert chain.path.is_file()
+    assert ("classes" in titles) == with_classes
+    with DriveReader(graphs, stage="graphs") as file:
+        edges = file["edges_kept"][8]
+    ending = "" if with_classes else "; black: no class"
+    assert f"graph from above:\n80 points,\n{edges:,} directed edges{ending}" in titles
 
 
-def test_the_picture_of_a_bend_shows_the_paths_with_and_without_the_scene(tmp_path):
-    """The drive turns most at frame 29, the last one."""
-    street.write_drive(tmp_path / "ingest", DRIVE, 30)
-    for model, spatial, nmse in (("path", "gnn", 0.1), ("path-blind", "blind", 0.6)):
-        content = metrics(model, nmse, predict="path", spatial=spatial)
-        table = examples.predictions(nmse, [*content["test"]]).query("drive == @DRIVE")
-        examples.write_model(tmp_path, content, table)
-    groups = load_groups({name: tmp_path / "evaluate" / name for name in ("path", "path-blind")})
-    (comparison,) = examples.comparisons(groups)
-    picture = tmp_path / "bend.png"
-    caption = figures.draw_bend(picture, groups[0], comparison, tmp_path / "ingest")
-    assert picture.is_file()
-    assert caption.startswith(f"The path from frame 29 of {DRIVE}. Red is the path that the car ")
-    assert "green the prediction of model path, and blue that of model path-blind" in caption
-    paths = figures.read_paths(groups[0], comparison, "path", DRIVE, 29)
-    driven, predicted, blind = (paths[kind][0] for kind in paths)
-    assert [*paths] == ["driven", "predicted", "without the scene"]
-    assert 0 < abs(predicted - driven) < abs(blind - driven)
-
-    headline, *_ = tables.sentences([comparison])
-    assert "Without the scene, model path-blind has 0.600. Verdict" in headline
-
-
-@pytest.mark.parametrize("predict", ["angle", "path"])
-def test_the_largest_error_of_a_typical_drive_is_drawn(tmp_path, monkeypatch, predict):
-    """An angle is drawn as the path of a car that keeps it."""
+def test_the_picture_of_a_bend_shows_the_paths_with_and_without_the_scene(tmp_path, monkeypatch):
+    """The drive turns most at frame 29, the last one. The tracks are left and right wheels'."""
     drawn: list[np.ndarray] = []
-    monkeypatch.setattr(
-        "matplotlib.axes.Axes.plot",
-        lambda _, *track, **style: drawn.append(np.stack(track, axis=1)),
-    )
     street.write_drive(tmp_path / "ingest", DRIVE, 30)
-    for model, nmse in (("worse", 0.9), ("best", 0.0)):
-        content = metrics(model, nmse, predict=predict)
-        table = examples.predictions(nmse, [*content["test"]])
-        row = (table["drive"] == DRIVE) & (table["frame"] == 12)
-        for column in content["test"]:
-            table.loc[row, f"predicted_{column}"] = 0.3
+    nmse = {"path": 0.1, "path-blind": 0.6}
+    for model, spatial in (("path", "gnn"), ("path-blind", "blind")):
+        content = metrics(model, predict="path", spatial=spatial)
+        table = examples.predictions(nmse[model], [*content["test"]]).query("drive == @DRIVE")
         examples.write_model(tmp_path, content, table)
-    folders = {model: tmp_path / "evaluate" / model for model in ("worse", "best")}
-    groups = load_groups(folders)
-    (comparison,) = examples.comparisons(groups)
-    captions = figures.draw_errors(tmp_path / "figures", comparison, groups[0], tmp_path / "ingest")
-    driven = {"angle": "6.88 deg", "path": "68.75 deg"}[predict]
-    assert captions[f"{predict}-0-worst"].startswith(
-        f"Frame 12, the largest error of best in this drive: driven {driven} (red)"
-    )
-
-    # The wheels' tracks, left and right, of the driven and of the predicted path.
-    with store.DriveReader(tmp_path / f"ingest/{DRIVE}.h5", stage="ingest") as images:
+    (task,), values = examples.load(tmp_path, *nmse)
+    table = values.loc["path-0"]
+    with DriveReader(tmp_path / f"ingest/{DRIVE}.h5", stage="ingest") as images:
         camera = read_camera(images)
+    with monkeypatch.context() as patch:
+        patch.setattr(
+            "matplotlib.axes.Axes.plot",
+            lambda _, *track, **style: drawn.append((style["color"], np.stack(track, axis=1))),
+        )
+        picture = drawings.draw_bend(tmp_path, task, table, tmp_path)
+    assert picture.path.is_file()
+    assert picture.caption.startswith(f"Frame 29 of {DRIVE}, a bend of median error. Red is the ")
+    assert "green the prediction of `path`, blue that of `path-blind`" in picture.caption
     expected = []
-    for value in (0.12, 0.3):
-        steps = {"angle": np.full(40, np.tan(value) / 2.5), "path": np.full(20, value)}[predict]
-        expected += wheel_tracks(steps, camera)
-    for track, expected_track in zip(drawn, expected, strict=True):
+    for kind, error in (("driven", 0), ("predicted", 0.1), ("without the scene", 0.6)):
+        steps = np.full(20, 0.29 * (1 + np.sqrt(error)))
+        expected += [(chart_colour(kind), track) for track in wheel_tracks(steps, camera)]
+    for (colour, track), (expected_colour, expected_track) in zip(drawn, expected, strict=True):
+        assert colour == expected_colour
         np.testing.assert_allclose(track, expected_track)
+
+
+def test_charts_show_the_median_and_the_worst_drive_and_mark_what_is_beyond_the_edge(
+    tmp_path, monkeypatch
+):
+    marks: list[str] = []
+    plot = Axes.plot
+
+    def recorded(axes: Axes, *args: object, **options: object) -> object:
+        marks.extend(arg for arg in args if isinstance(arg, str))
+        return plot(axes, *args, **options)
+
+    monkeypatch.setattr(Axes, "plot", recorded)
+    values = examples.compare(tmp_path, metrics("net", [0.1, 0.4], {"odometry": 4.0}))
+    (task,), _ = examples.load(tmp_path, "net")
+    table = values.loc["angle-0"]
+    picture = drawings.draw_errors(tmp_path, "angle-0", table)
+    assert picture.path.is_file()
+    assert marks.count(">") == 1
+    assert marks.count("o") == 2  # net and train_mean
+    assert drawings.typical_drives(drawings.shown_values(task, table)) == {
+        examples.DRIVES[0]: "median",
+        examples.DRIVES[1]: "worst",
+    }
+    for draw in (drawings.draw_over_time, drawings.draw_drift):
+        assert draw(tmp_path, task, table).path.is_file()
+    assert drawings.draw_bend(tmp_path, task, table, tmp_path) is None
+    assert drawings.draw_chain(tmp_path, task, table, tmp_path) is None

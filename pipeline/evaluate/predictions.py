@@ -1,10 +1,9 @@
-"""Predict the drives of all splits with a model, compute its errors, and write predictions.csv.
+"""Predict the drives of all splits with a model, as tables of predictions.
 
-Letters: S seeds of a model, G frames of a drive, N frames of a split, R columns of the predicted
-quantity.
+Letters: S seeds of a model, G frames of a drive, R columns of the predicted quantity.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,9 +15,6 @@ import torch
 from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS
 from pipeline.base.store import read_index
-from pipeline.evaluate import statistics
-from pipeline.evaluate.drift import drift
-from pipeline.evaluate.settings import Evaluate
 from pipeline.graphs.graph_file import open_graphs
 from pipeline.labels import label
 from pipeline.train import runs
@@ -109,109 +105,12 @@ def predict_cases(
     return cases
 
 
-def evaluate_model(
-    name: str, first: Trained, cases: Mapping[str, Sequence[Case]], settings: Evaluate
-) -> dict[str, Any]:
-    """Return the content of metrics.json, which data/README.md describes.
-
-    `first` is the network of the model's first seed, and `cases` is split → predicted drives.
-    """
-    drives = {}
-    for split, split_cases in cases.items():
-        drives[split] = [case.drive for case in split_cases]
-    tested = drives["test"]
-    result: dict[str, Any] = {
-        "model": name,
-        "entry": first.entry.model_dump(mode="json"),
-        "seeds": first.seeds,
-        "drives": {},
-        "turning_frames": turning_frames(drives["train"]),
-        "parameters": sum(weights.numel() for weights in first.net.parameters()),
-        "labels": tested[0].settings["labels"],
-        **inputs(tested),
-    }
-    for split, split_cases in cases.items():
-        with_windows = [drive for drive in drives[split] if drive.has_window(first.entry.window)]
-        result["drives"][split] = [drive.name for drive in with_windows]
-        result[split] = metrics(split_cases, settings) if split_cases else None
-    stuck = statistics.untrained(train_nmse(result))
-    result["untrained"] = [first.seeds[number] for number in stuck]
-    return result
-
-
-def train_nmse(result: Mapping[str, Any]) -> np.ndarray:
-    """Return the nmse [S] of each seed on the training drives, as the mean over the columns."""
-    by_seed = [scores["nmse_by_seed"] for scores in (result["train"] or {}).values()]
-    return np.array(by_seed, float).reshape(-1, len(result["seeds"])).mean(axis=0)
-
-
-def metrics(cases: Sequence[Case], settings: Evaluate) -> dict[str, dict[str, Any]]:
-    """Return column → errors of the predictions for the drives of a split, with their drift."""
-    drives = [case.drive for case in cases]
-    # Predictions of each seed for all drives, each [G,R].
-    by_seed = list(zip(*(case.predictions for case in cases), strict=True))
-
-    # All frames of the split, one drive after the other.
-    truth = np.concatenate([drive.target for drive in drives])  # [N,R]
-    predicted = np.stack([np.concatenate(seed) for seed in by_seed])  # [S,N,R]
-    number = np.repeat(np.arange(len(drives)), [len(drive.frame) for drive in drives])
-
-    drift_m = _drift(drives, by_seed)
-    result = {}
-    for column, name in enumerate(drives[0].quantity.columns):
-        errors = statistics.errors(truth[:, column], predicted[..., column], number, settings)
-        result[name] = errors | {"drift_m_per_100m": drift_m}
-    return result
-
-
-def _drift(
-    drives: Sequence[LabelledDrive], by_seed: Iterable[Iterable[np.ndarray]]
-) -> float | None:
-    """Return the mean drift over seeds.
-
-    It is None for a model that predicts ahead, since only angles at the frame itself make a path
-    that can drift.
-    """
-    quantity = drives[0].quantity
-    if quantity.horizon or quantity.is_ahead:
-        return None
-    values = []
-    for predictions in by_seed:
-        angles_rad = [quantity.angle_rad(prediction) for prediction in predictions]
-        value = drift(zip(drives, angles_rad, strict=True))
-        if value is not None:
-            values.append(value)
-    return float(np.mean(values)) if values else None
-
-
-def turning_frames(drives: Sequence[LabelledDrive]) -> int:
-    """Return the number of frames that turn by their target, in any range of its path."""
-    frames = 0
-    for drive in drives:
-        quantity = drive.quantity
-        angle_rad = np.arctan(quantity.curvature(drive.target) * quantity.car.wheelbase_m)
-        frames += int((np.abs(angle_rad) > label.TURNING_RAD).any(axis=1).sum())
-    return frames
-
-
-def inputs(drives: Sequence[LabelledDrive]) -> dict[str, Any]:
-    """Return the graph variant's settings, and mean numbers of points and directed edges per frame.
-
-    An unknown number is None.
-    """
-    result = {"variant": drives[-1].settings.get("graphs", {})}
-    for key, name in SIZES.items():
-        counts = [drive.counts[name] for drive in drives if name in drive.counts]
-        result[key] = float(np.concatenate(counts).mean()) if counts else None
-    return result
-
-
-def write_predictions(path: Path, name: str, seeds: Sequence[int], cases: Sequence[Case]) -> None:
-    """Write the table of the model `name`, with one row per seed and frame.
+def prediction_table(name: str, seeds: Sequence[int], cases: Sequence[Case]) -> pd.DataFrame:
+    """Return the predictions of the model `name` for some drives, a row per seed and frame.
 
     `frame`, `time_s` and `speed_mps` are of the last input frame. For each quantity C that the
     model predicts, `true_C` and `predicted_C` are its values `horizon` frames later. Baselines have
-    such columns, too, for instance `odometry_C`. Unknown values are empty fields.
+    such columns, too, for instance `odometry_C`. Unknown values are NaN.
     """
     tables = []
     for number, seed in enumerate(seeds):
@@ -231,12 +130,42 @@ def write_predictions(path: Path, name: str, seeds: Sequence[int], cases: Sequen
                 for kind, columns_of_kind in values.items():
                     table[f"{kind}_{target}"] = columns_of_kind[:, column]
             tables.append(pd.DataFrame(table))
-    pd.concat(tables).to_csv(path, index=False, lineterminator="\n", float_format="%.9f")
+    return pd.concat(tables)
 
 
-def summary(column: str, errors: Mapping[str, Any]) -> str:
-    """Return the nmse of a column as text, with its spread over seeds and its interval."""
-    if errors["nmse"] is None:
-        return f"{column} unknown"
-    text = statistics.nmse_text(errors["nmse"], errors["nmse_by_seed"], errors["nmse_ci95"])
-    return f"{column} {text}, {errors['frames']} frames"
+def model_facts(name: str, first: Trained, cases: Mapping[str, Sequence[Case]]) -> dict[str, Any]:
+    """Return what metrics.json says of a model beside its errors (data/README.md describes it).
+
+    `first` is the network of the model's first seed, and `cases` is split → predicted drives.
+    """
+    drives = {}
+    for split, split_cases in cases.items():
+        drives[split] = [case.drive for case in split_cases]
+    listed = {}
+    for split, of_split in drives.items():
+        listed[split] = [drive.name for drive in of_split if drive.has_window(first.entry.window)]
+    tested = drives["test"]
+    facts = {
+        "model": name,
+        "entry": first.entry.model_dump(mode="json"),
+        "seeds": first.seeds,
+        "drives": listed,
+        "turning_frames": turning_frames(drives["train"]),
+        "parameters": sum(weights.numel() for weights in first.net.parameters()),
+        "labels": tested[0].settings["labels"],
+        "variant": tested[-1].settings.get("graphs", {}),
+    }
+    for key, count in SIZES.items():
+        counts = [drive.counts[count] for drive in tested if count in drive.counts]
+        facts[key] = float(np.concatenate(counts).mean()) if counts else None
+    return facts
+
+
+def turning_frames(drives: Sequence[LabelledDrive]) -> int:
+    """Return the number of frames that turn by their target, in any range of its path."""
+    frames = 0
+    for drive in drives:
+        quantity = drive.quantity
+        angle_rad = np.arctan(quantity.curvature(drive.target) * quantity.car.wheelbase_m)
+        frames += int((np.abs(angle_rad) > label.TURNING_RAD).any(axis=1).sum())
+    return frames

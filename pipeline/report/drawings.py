@@ -1,0 +1,345 @@
+"""Draw the pictures of the page. They are readable on a screen of 400 pixels.
+
+Charts are PNG files and photographs JPEG files, in the folder `folder`. A function returns None if
+there is nothing to draw, for instance without images on this machine. `table` holds the values of
+the task.
+"""
+
+import base64
+from contextlib import ExitStack
+from itertools import cycle
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from pipeline.base import store
+from pipeline.camera.camera import read_camera
+from pipeline.evaluate import drift
+from pipeline.evaluate.error_table import BASELINES
+from pipeline.report import street_view
+from pipeline.report.street_view import COLOURS, WIDTH, chart_colour
+from pipeline.report.values import Task, methods, ranges, ranking, title_of, without_scene
+
+# Colours of models that have none in COLOURS. They repeat if there are more models.
+OTHERS = ("#8a5fbf", "#7a6a53", "#c2185b", "#455a64")
+# Colour of baselines that have none in COLOURS.
+GREY = "#7f8790"
+# nmse at which the chart of errors ends: larger values stand at its edge, as a number.
+CHART_LIMIT = 1.5
+
+
+class Picture(NamedTuple):
+    """A PNG or JPEG file with its caption."""
+
+    path: Path
+    caption: str
+
+    @property
+    def source(self) -> str:
+        """The file as an address that contains it."""
+        kind = {".png": "png", ".jpg": "jpeg"}[self.path.suffix]
+        content = base64.b64encode(self.path.read_bytes()).decode("ascii")
+        return f"data:image/{kind};base64,{content}"
+
+
+def kinds(table: pd.DataFrame) -> dict[str, str]:
+    """Return kind of a curve → model, for the best model and the best one without the scene."""
+    models = {"predicted": ranking(table)[0]}
+    blind = without_scene(table)
+    if blind and blind != models["predicted"]:
+        models["without the scene"] = blind
+    return models
+
+
+def colours(table: pd.DataFrame) -> dict[str, Any]:
+    """Return method → its colour in all charts of a task."""
+    kind_of = {model: kind for kind, model in kinds(table).items()}
+    others = cycle(OTHERS)
+    chosen: dict[str, Any] = {}
+    for name in methods(table):
+        kind = kind_of.get(name, name)
+        if kind in COLOURS:
+            chosen[name] = chart_colour(kind)
+        else:
+            chosen[name] = GREY if name in BASELINES else next(others)
+    return chosen
+
+
+def _panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
+    """Return a figure of some panels below each other, of a height in inches each."""
+    figure = Figure(figsize=(WIDTH, height * count), layout="constrained")
+    return figure, figure.subplots(count, squeeze=False)[:, 0].tolist()
+
+
+def _title(panel: Axes, title: str) -> None:
+    """Set the title of a panel, with a legend below it, where no curve is."""
+    panel.set_title(title, loc="left", pad=26)
+    if panel.lines:
+        panel.legend(
+            loc="lower left",
+            bbox_to_anchor=(-0.02, 0.98),
+            ncols=4,
+            frameon=False,
+            fontsize="small",
+            handlelength=1.2,
+            columnspacing=1,
+        )
+
+
+def draw_errors(folder: Path, task: str, table: pd.DataFrame) -> Picture:
+    """Draw the nmse of models and baselines with its 95 % interval, a line for each value."""
+    # The dotted line is the baseline zero, and persistence gets the truth.
+    names = [name for name in methods(table) if name not in ("zero", "persistence")]
+    labels = list(dict.fromkeys(["", *ranges(table)]))
+    figure, (panel,) = _panels(1, 0.7 + 0.24 * len(labels) * (len(names) + 1))
+    colour_of = colours(table)
+    heads: list[str] = []
+    for label in labels:
+        if len(labels) > 1:
+            title = label or "mean over the ranges"
+            panel.text(0.02, len(heads), title, va="center", fontweight="bold")
+        heads.append("")
+        for name in names:
+            _draw_interval(panel, len(heads), table.loc[(label, name)], colour_of[name])
+            heads.append(name)
+    panel.axvline(1, color=GREY, linewidth=1, linestyle=":")
+    panel.set(xlim=(0, CHART_LIMIT), ylim=(len(heads), -0.7))
+    panel.set_xlabel("nmse: 0 is perfect, 1 is always zero")
+    panel.set_yticks(range(len(heads)), heads)
+    panel.tick_params(axis="y", length=0)
+    panel.spines[["left", "right", "top"]].set_visible(False)
+    path = folder / f"errors-{task}.png"
+    street_view.save(figure, path)
+    caption = f"The error of the {title_of(task)} on the test drives, with its 95 % interval. An "
+    return Picture(path, caption + "arrow marks what is beyond the edge.")
+
+
+def _draw_interval(panel: Axes, line: int, row: pd.Series, colour: Any) -> None:
+    """Draw a value with its interval on a line, and write the value beside the chart."""
+    if pd.isna(row["nmse"]):
+        return
+    panel.text(1.03 * CHART_LIMIT, line, f"{row['nmse']:.2f}", va="center")
+    if not pd.isna(row["low"]):
+        panel.plot([row["low"], row["high"]], [line, line], color=colour, linewidth=2)
+    if row["nmse"] <= CHART_LIMIT:
+        panel.plot(row["nmse"], line, "o", color=colour)
+    if max(row[["nmse", "high"]].dropna()) > CHART_LIMIT:
+        panel.plot(CHART_LIMIT, line, ">", color=colour, clip_on=False)
+
+
+def draw_learning(folder: Path, values: pd.DataFrame, train: Path) -> Picture | None:
+    """Draw the learning curves of all networks, a panel for each task.
+
+    A curve is the validation error, or a dotted curve of the training loss if a network has no
+    validation error. `train` is the folder of stage train.
+    """
+    if not any(train.rglob("curve.csv")):
+        return None
+    tasks = values.index.unique("task")
+    figure, panels = _panels(len(tasks), 2.6)
+    for panel, task in zip(panels, tasks, strict=True):
+        for model, colour in colours(values.loc[task]).items():
+            name = model
+            for file in sorted((train / model).rglob("curve.csv")):
+                curve = pd.read_csv(file)
+                is_validated = curve["val_nmse"].notna().any()
+                column = "val_nmse" if is_validated else "train_loss"
+                style = "-" if is_validated else ":"
+                panel.plot(curve["epoch"], curve[column], style, color=colour, label=name)
+                name = ""  # further seeds are not in the legend
+        panel.set_ylim(bottom=0)
+        _title(panel, title_of(task))
+    panels[-1].set_xlabel("epoch")
+    path = folder / "learning.png"
+    street_view.save(figure, path)
+    caption = "Each line is a seed: nmse on the validation drives; dotted, without these, the "
+    return Picture(path, caption + "training loss.")
+
+
+def curves(task: Task, table: pd.DataFrame) -> dict[str, np.ndarray]:
+    """Return kind of a curve → values [N,R], those of a model's first seed."""
+    predictions = task.predictions
+    values = {"driven": predictions.truth}
+    # Odometry is of the present, and far off for what lies ahead.
+    if "odometry" in predictions.predicted and not predictions.quantity.is_ahead:
+        values["odometry"] = predictions.predicted["odometry"][0]
+    for kind, model in kinds(table).items():
+        values[kind] = predictions.predicted[model][0]
+    return values
+
+
+def shown_values(task: Task, table: pd.DataFrame) -> pd.DataFrame:
+    """Return the frames with the number that charts show, in a column for each kind of curve.
+
+    A further column, cost, is the squared error of the best model's first seed.
+    """
+    shown = task.predictions.frames.copy()
+    for kind, values in curves(task, table).items():
+        shown[kind] = task.predictions.quantity.shown(values)
+    shown["cost"] = (shown["predicted"] - shown["driven"]) ** 2
+    return shown
+
+
+def typical_drives(shown: pd.DataFrame) -> dict[str, str]:
+    """Return drive → rank, for the median and the worst drive by the best model's error."""
+    costs = shown.groupby("drive")["cost"].mean().dropna()
+    drives = costs.sort_values(kind="stable").index
+    if len(drives) < 2:
+        return dict.fromkeys(drives, "only")
+    return {drives[(len(drives) - 1) // 2]: "median", drives[-1]: "worst"}
+
+
+def draw_over_time(folder: Path, task: Task, table: pd.DataFrame) -> Picture | None:
+    """Draw driven values, odometry and predictions over time, for the typical drives."""
+    quantity = task.predictions.quantity
+    shown = shown_values(task, table)
+    drives = typical_drives(shown)
+    if not drives:
+        return None
+    figure, panels = _panels(len(drives), 2.6)
+    limit = 1.05 * shown[shown["drive"].isin(drives)][[*curves(task, table)]].abs().max().max()
+    for panel, (drive, rank) in zip(panels, drives.items(), strict=True):
+        rows = shown[shown["drive"] == drive]
+        for kind in curves(task, table):
+            time_s = rows["time_s"] - rows["time_s"].iloc[0]
+            panel.plot(time_s, rows[kind], color=chart_colour(kind), label=kind)
+        panel.axhline(0, color=GREY, linewidth=0.8)
+        panel.set(ylim=(-limit or -1, limit or 1), ylabel=quantity.axis_title())
+        _title(panel, f"{rank} drive, {drive}")
+    panels[-1].set_xlabel("time in s")
+    path = folder / f"time-{task.name}.png"
+    street_view.save(figure, path)
+    caption = f"The {quantity.shown_title} over time, in the drives of median and largest error of "
+    return Picture(path, caption + f"`{kinds(table)['predicted']}`, whose first seed is shown.")
+
+
+def draw_drift(folder: Path, task: Task, table: pd.DataFrame) -> Picture | None:
+    """Draw the paths of labelled and of predicted angles from above, for the typical drives.
+
+    Nothing is drawn for a quantity ahead of the car, whose values make no such path.
+    """
+    predictions = task.predictions
+    quantity = predictions.quantity
+    angles_rad = {}
+    for kind, values in curves(task, table).items():
+        angles_rad[kind] = quantity.angle_rad(values)
+    known = np.isfinite([*angles_rad.values()]).all(axis=0)
+    drives = typical_drives(shown_values(task, table))
+    if quantity.horizon or not known.any():
+        return None
+
+    figure, panels = _panels(len(drives), 3.2)
+    for panel, (drive, rank) in zip(panels, drives.items(), strict=True):
+        of_drive = known & (predictions.frames["drive"] == drive).to_numpy()
+        for way in drift.ways(predictions.drive, of_drive)[:1]:
+            rows = predictions.frames.iloc[way]
+            motion = rows["speed_mps"].to_numpy(), rows["time_s"].to_numpy()
+            for kind, angle_rad in angles_rad.items():
+                x_m, y_m = drift.path(angle_rad[way], *motion, quantity.car.wheelbase_m).T
+                panel.plot(-y_m, x_m, color=chart_colour(kind), label=kind)
+        panel.set(xlabel="to the right, m", ylabel="ahead, m", aspect="equal")
+        panel.set_adjustable("datalim")
+        _title(panel, f"{rank} drive, {drive}")
+    path = folder / f"drift-{task.name}.png"
+    street_view.save(figure, path)
+    caption = "The first labelled way of each drive from above, by labelled and by predicted "
+    caption += "angles, all with the measured speed. Drift is the distance of their ends."
+    return Picture(path, caption)
+
+
+def median_bend(shown: pd.DataFrame) -> pd.Series:
+    """Return the sharpest frame of a drive.
+
+    The drive is that of median error among the half of the drives that turn most.
+    """
+    counted = shown.dropna(subset="cost")
+    turn = counted["driven"].abs()
+    sharpest = counted.loc[turn.groupby(counted["drive"]).idxmax()].set_index("drive", drop=False)
+    bends = sharpest["driven"].abs().sort_values(kind="stable").index[len(sharpest) // 2 :]
+    costs = counted.groupby("drive")["cost"].sum()[bends].sort_values(kind="stable")
+    return sharpest.loc[costs.index[len(costs) // 2]]
+
+
+def draw_bend(folder: Path, task: Task, table: pd.DataFrame, data: Path) -> Picture | None:
+    """Draw the driven and the predicted paths of the median bend into its image."""
+    quantity = task.predictions.quantity
+    shown = shown_values(task, table)
+    if not shown["cost"].notna().any():
+        return None
+    bend = median_bend(shown)
+    file = data / f"ingest/{bend['drive']}.h5"
+    if not file.is_file():
+        return None
+    with store.DriveReader(file, stage="ingest") as images:
+        image = street_view.read_view(bend["frame"], images).rgb
+        camera = read_camera(images)
+    if image is None:
+        return None
+
+    is_bend = (shown["drive"] == bend["drive"]) & (shown["frame"] == bend["frame"])
+    paths = {}
+    for kind, values in curves(task, table).items():
+        (curvature_1pm,) = quantity.curvature(values[is_bend])
+        paths[kind] = street_view.path_steps(curvature_1pm, quantity.edges_m)
+    height, width = image.shape[:2]
+    figure = Figure(figsize=(WIDTH, WIDTH * height / width))
+    street_view.draw_paths_in_image(figure.add_axes((0, 0, 1, 1)), image, camera, paths)
+    path = folder / "bend.jpg"
+    street_view.save(figure, path)
+
+    models = kinds(table)
+    driven = f"the path of the driven {quantity.title}"
+    if quantity.is_ahead:
+        driven = f"the path that the car drove in the next {quantity.edges_m[-1]:g} m"
+    caption = f"Frame {bend['frame']} of {bend['drive']}, a bend of median error. Red is {driven}, "
+    caption += f"green the prediction of `{models['predicted']}`"
+    if "without the scene" in models:
+        caption += f", blue that of `{models['without the scene']}`, without the scene"
+    if "odometry" in paths:
+        caption += ", orange *odometry*"
+    return Picture(path, f"{caption}.")
+
+
+def draw_chain(folder: Path, task: Task, table: pd.DataFrame, data: Path) -> Picture | None:
+    """Draw the way of the frame of :func:`draw_bend` from image to graph.
+
+    The graph is that of the best model that sees points. `data` is the folder of all stages.
+    """
+    with_points = []
+    for name in ranking(table):
+        source = task.models[name]["variant"].get("source", "")
+        if table.loc[("", name), "scene"] and source.startswith("clouds"):
+            with_points.append(name)
+    shown = shown_values(task, table)
+    if not with_points or not shown["cost"].notna().any():
+        return None
+    bend = median_bend(shown)
+    content = task.models[with_points[0]]
+    entry = content["entry"]
+    folders = {
+        "ingest": "ingest",
+        "perception": "perception",
+        "clouds": content["variant"]["source"],
+        "graphs": f"graphs/{entry['input']}",
+    }
+    files = {stage: data / name / f"{bend['drive']}.h5" for stage, name in folders.items()}
+    if not all(file.is_file() for file in files.values()):
+        return None
+    with ExitStack() as stack:
+        opened = {}
+        for stage, file in files.items():
+            opened[stage] = stack.enter_context(store.DriveReader(file, stage=stage))
+        if not all(bend["frame"] in file.frame for file in opened.values()):
+            return None
+        graph = street_view.read_view(bend["frame"], opened.pop("graphs"))
+        view = street_view.read_view(bend["frame"], *opened.values())
+
+    path = folder / "chain.jpg"
+    street_view.save(street_view.sheet("", view, graph), path)
+    caption = f"From image to graph (Figure 1 of the paper): frame {bend['frame']} of "
+    caption += f"{bend['drive']}. `{with_points[0]}` gets the graph, of this frame and of the "
+    return Picture(path, f"{caption}{entry['window'] - 1} before.")

@@ -1,0 +1,230 @@
+"""Gather the results of all models in one table, of which results.json, tables and pages are made.
+
+The table of values has a row per error and per paired difference in nmse. Its index is:
+
+- task: what is predicted and how many frames ahead, for instance path-0 or angle-10.
+- range: a range of the path, for instance 10-20 m. The range without a name is all of them.
+- row: a model, a baseline, or "A - B", the difference of A from B, which has a verdict.
+
+Its columns are those of :mod:`pipeline.evaluate.error_table`. Rows of models without a range have
+FACTS, too. A key of results.json joins the names of the index, for instance path-0/10-20 m/path.
+"""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from pipeline.base import store
+from pipeline.evaluate.error_table import (
+    BASELINES,
+    NO_LEARNING,
+    Predictions,
+    common_frames,
+    differences,
+    errors,
+    records,
+)
+from pipeline.evaluate.own_metrics import METRICS
+from pipeline.evaluate.settings import Evaluate
+from pipeline.report import paper
+from pipeline.train.quantity import Quantity, load_quantity
+
+# Names of the index.
+INDEX = ["task", "range", "row"]
+# Columns of the rows, without METRICS.
+ERRORS = [
+    "nmse",
+    "low",
+    "high",
+    "seeds",
+    "mae",
+    "unit",
+    "mse",
+    "frames",
+    "drives",
+    "drift",
+    "verdict",
+]
+# Columns of the models' rows → what they are.
+FACTS = {
+    "validation": "nmse on the validation drives, as the mean over ranges and seeds",
+    "scene": "whether the model gets the scene",
+    "paper": "whether the model is that of the paper's name",
+    "parameters": "number of weights",
+    "edges": "directed kNN edges per frame after pruning, if the model reads any",
+    "turning_frames": "frames of the training drives that turn",
+    "untrained": "seeds that failed to train",
+}
+
+
+@dataclass(frozen=True)
+class Task:
+    """Models that predict the same quantity equally far ahead, with their predictions."""
+
+    name: str  # in keys and file names, for instance angle-0, angle-10 or path-0
+    models: dict[str, dict[str, Any]]  # model → its metrics.json, those of the paper first
+    predictions: Predictions
+
+
+def load_tasks(folders: Mapping[str, Path]) -> list[Task]:
+    """Load the results of models. `folders` is model → its folder of stage evaluate.
+
+    Raises InputError if a file is missing.
+    """
+    metrics = {}
+    for model, folder in folders.items():
+        metrics[model] = store.read_json(folder / "metrics.json", stage=f"evaluate@{model}")
+
+    # Networks of the paper come first, in the order of its Table 2.
+    papers = [model for model in paper.NETWORKS if model in metrics and _is_papers(metrics[model])]
+    ranked = dict.fromkeys([*papers, *metrics])
+    by_task: dict[tuple[str, int], dict[str, dict[str, Any]]] = {}
+    for model in ranked:
+        entry = metrics[model]["entry"]
+        by_task.setdefault((entry["predict"], entry["horizon"]), {})[model] = metrics[model]
+
+    # What lies ahead comes first, since the present angle can also be measured.
+    ordered = sorted(by_task, key=lambda task: (not load_quantity(task[0]).is_ahead, task))
+    tasks = []
+    for predict, horizon in ordered:
+        models = by_task[predict, horizon]
+        tables = {}
+        for model in models:
+            path = folders[model] / "predictions.csv"
+            tables[model] = pd.read_csv(path, dtype={"drive": str})
+        labels = next(iter(models.values()))["labels"]
+        predictions = common_frames(tables, load_quantity(predict)(labels, horizon))
+        tasks.append(Task(f"{predict}-{horizon}", models, predictions))
+    return tasks
+
+
+def gather(tasks: Sequence[Task], settings: Evaluate) -> pd.DataFrame:
+    """Return the table of values of some tasks."""
+    rows = {}
+    for task in tasks:
+        methods = [*task.predictions.predicted]
+        table = errors(task.predictions, methods, settings)
+        facts = {("", model): _facts(content) for model, content in task.models.items()}
+        table = table.join(pd.DataFrame.from_dict(facts, orient="index", dtype=object))
+        rows[task.name] = pd.concat([table, differences(task.predictions, settings)])
+    values = (
+        pd.concat(rows) if rows else pd.DataFrame(index=pd.MultiIndex.from_tuples([], names=INDEX))
+    )
+    return _complete(values)
+
+
+def _complete(values: pd.DataFrame) -> pd.DataFrame:
+    """Return values with all columns and the names of the index."""
+    values = values.reindex(columns=[*ERRORS, *FACTS, *METRICS])
+    return values.rename_axis(INDEX)
+
+
+def _is_papers(content: Mapping[str, Any]) -> bool:
+    """Return whether a model is that of the paper, by its metrics.json."""
+    return paper.is_network(content["model"], content["entry"], content["variant"])
+
+
+def _facts(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the FACTS of a model, from its metrics.json."""
+    name = content["model"]
+    gets_scene = content["entry"]["spatial"] != "blind"
+    validation = content["val"][name] if content["val"] else {}
+    return {
+        "validation": validation.get("nmse"),
+        "scene": gets_scene,
+        "paper": _is_papers(content),
+        "parameters": content["parameters"],
+        "edges": content["edges_per_frame"] if gets_scene else None,
+        "turning_frames": content["turning_frames"],
+        "untrained": content["untrained"],
+    }
+
+
+def to_json(values: pd.DataFrame) -> dict[str, Any]:
+    """Return the rows of values as those of results.json, with numbers of five digits."""
+    text = json.dumps(records(values))
+    return json.loads(text, parse_float=lambda number: float(f"{float(number):.5g}"))
+
+
+def from_json(rows: Mapping[str, Any]) -> pd.DataFrame:
+    """Return the values that :func:`to_json` made rows of."""
+    index = []
+    for key in rows:
+        *task, row = key.split("/")
+        index.append((*task, *[""] * (2 - len(task)), row))
+    table = pd.DataFrame([*rows.values()], pd.MultiIndex.from_tuples(index), dtype=object)
+    return _complete(table)
+
+
+def dvc_metrics(values: pd.DataFrame) -> dict[str, Any]:
+    """Return key → errors of models and baselines, as ``dvc metrics show`` prints them."""
+    is_error = values["verdict"].isna()
+    return records(values.loc[is_error, ["nmse", "mae", *METRICS]])
+
+
+# The values of one task, with the index (range, row).
+
+
+def quantity_of(task: str) -> type[Quantity]:
+    """Return the class of the quantity that a task predicts."""
+    name, _ = task.rsplit("-", 1)
+    return load_quantity(name)
+
+
+def title_of(task: str) -> str:
+    """Return the quantity of a task in words, and how far ahead it is."""
+    _, horizon = task.rsplit("-", 1)
+    return quantity_of(task).title_at(int(horizon))
+
+
+def ranges(table: pd.DataFrame) -> list[str]:
+    """Return the names of the ranges, or the empty name of a quantity without ranges."""
+    return [name for name in table.index.unique("range") if name] or [""]
+
+
+def models(table: pd.DataFrame) -> list[str]:
+    """Return the models."""
+    rows = table.loc[""]
+    names = rows.index[rows["verdict"].isna()]
+    return [name for name in names if name not in BASELINES]
+
+
+def methods(table: pd.DataFrame) -> list[str]:
+    """Return the models, and the baselines after them."""
+    return models(table) + [name for name in BASELINES if ("", name) in table.index]
+
+
+def is_validated(table: pd.DataFrame) -> bool:
+    """Return whether all models have a validation error."""
+    return bool(table.loc[""].loc[models(table), "validation"].notna().all())
+
+
+def ranking(table: pd.DataFrame) -> list[str]:
+    """Return models by validation error, or by test error if a model has no validation error."""
+    column = "validation" if is_validated(table) else "nmse"
+    order = table.loc[""].loc[models(table), column].astype(float)
+    return order.sort_values(kind="stable").index.tolist()
+
+
+def without_scene(table: pd.DataFrame) -> str | None:
+    """Return the best model that does not get the scene, if there is one."""
+    # Published values before 2026-11-28 do not say so: all their models get it.
+    blind = [name for name in ranking(table) if not table.loc[("", name), "scene"]]
+    return blind[0] if blind else None
+
+
+def best_baseline(table: pd.DataFrame) -> str:
+    """Return the baseline with the least nmse among those that do not get the truth."""
+    names = [name for name in NO_LEARNING if name in methods(table)]
+    nmse = table.loc[""].loc[names, "nmse"].astype(float)
+    return str(nmse.fillna(math.inf).idxmin())
+
+
+def difference(table: pd.DataFrame, name: str, rival: str, label: str = "") -> pd.Series:
+    """Return the paired difference of a model from another model or a baseline."""
+    return table.loc[(label, f"{name} - {rival}")]

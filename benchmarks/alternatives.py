@@ -260,7 +260,7 @@ def write_street(folder: Path) -> Path:
 def read_graphs(street: Path, frames: int) -> GraphBatch:
     """Return the first frames of a graph file as a batch for a graph network."""
     with graph_file.open_graphs(street) as file:
-        arrays = number_rows(join([(file, 0, frames)]), file)
+        arrays = number_rows(join([(file, 0, frames)]))
         batch = from_arrays(arrays, DEVICE)
     assert isinstance(batch, GraphBatch)
     return batch

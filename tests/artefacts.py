@@ -25,13 +25,7 @@ WHEELBASE_M = 2.7
 GRAPHS = {"graphs": {"k": 6, "keep_inter_class": 0.2}}
 VARIANTS: dict[str, dict[str, Any]] = {
     "graph": {"k": 6, "keep_inter_class": 0.2},
-    "points": {"k": 0},
-    "pointnet2": {
-        "neighbourhood": "pointnet2",
-        "centres": [16, 5],
-        "radius_m": [8.0, 16.0],
-        "neighbours": [6, 4],
-    },
+    "points": {},
 }
 # Attributes of files of labels.
 MEASURED = {"measured": 0}
@@ -105,8 +99,8 @@ def write_graphs(
 ) -> dict[str, int | str]:
     """Write a drive's graphs file whose frames [F] show roads that bend as `steering_rad` says.
 
-    `kind`: of VARIANTS, or image, which has no `points`. Clouds of kind pointnet2 differ in size,
-    and the last is smaller than its centres. Returns the summary of the drive.
+    `kind`: of VARIANTS, or image, which has no `points`. Clouds of kind points differ in size.
+    Returns the summary of the drive.
     """
     rng = rng or np.random.default_rng(0)
     frames = []
@@ -119,7 +113,7 @@ def write_graphs(
         variant = Variant(source="clouds/pseudo", points=max(points, 1), **VARIANTS[kind])
         empty = frame_graph.empty_frame(variant)
         counts = [points] * len(frame)
-        if kind == "pointnet2":
+        if kind == "points":
             counts = [points - 2 * (row % 3) for row in range(len(frame) - 1)] + [7]
         curvatures_1pm = np.tan(steering_rad) / WHEELBASE_M
         for curvature_1pm, count in zip(curvatures_1pm, counts, strict=True):
@@ -146,8 +140,7 @@ def add_motion(path: Path, steering_rad: np.ndarray, valid: np.ndarray | None = 
 
 def collate(*spans: tuple[graph_file.Graphs, int, int]) -> dict[str, np.ndarray]:
     """Return the frames [start, stop) of graph files as one batch."""
-    graphs, _, _ = spans[0]
-    return {name: rows.numpy() for name, rows in number_rows(join(spans), graphs).items()}
+    return {name: rows.numpy() for name, rows in number_rows(join(spans)).items()}
 
 
 def write_index(folder: Path, splits: dict[str, str]) -> None:

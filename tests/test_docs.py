@@ -21,7 +21,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.resume import ROOT
 from pipeline.base.store import DriveReader
 from pipeline.evaluate.own_metrics import METRICS
-from pipeline.graphs.settings import KINDS, Variant
+from pipeline.graphs.settings import Variant
 from pipeline.train import quantity
 from stages import preset, report
 from steer.app import app
@@ -185,19 +185,17 @@ def test_names_exist(page):
     assert {*re.findall(r"(?<!\S)--[a-zA-Z][\w-]*", code)} <= options | OTHERS
 
 
-def test_the_keys_of_graphs_have_the_defaults_and_kinds_of_the_settings():
+def test_the_keys_of_graphs_have_the_defaults_of_the_settings():
     _, _, text = (ROOT / "docs/models.md").read_text().partition("\n## Graphs\n")
     section, _, _ = text.partition("\n## ")
     rows = [line.split(" | ") for line in section.splitlines() if line.startswith("| `")]
-    documented = {key.strip("| `"): (default, kinds) for key, default, kinds, _ in rows}
+    documented = {key.strip("| `"): default for key, default, _ in rows}
 
     expected = {}
     for name, field in Variant.model_fields.items():
-        kinds = [key for key, kind in KINDS.items() if name in kind.required | kind.optional]
-        default = "required"
-        if not field.is_required() and all(name in KINDS[key].optional for key in kinds):
-            default = f"`{json.dumps(field.default)}`".replace('"', "")
-        expected[name] = (default, ", ".join(kinds))
+        expected[name] = "required"
+        if not field.is_required() and name != "points":  # images have no points
+            expected[name] = f"`{json.dumps(field.default)}`".replace('"', "")
     assert documented == expected
 
 

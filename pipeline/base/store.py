@@ -131,14 +131,11 @@ class DriveWriter(ExitStack):
         """
         self.put(name, np.cumsum([0, *counts], dtype=np.int64), unit)
 
-    def append(
-        self, name: str, rows: np.ndarray, unit: str = "", pointer: str = "", refers_to: str = ""
-    ) -> None:
+    def append(self, name: str, rows: np.ndarray, unit: str = "", pointer: str = "") -> None:
         """Add `rows` [n, ...] at the end of dataset `name`, which the first call creates.
 
         `pointer` names the dataset with each frame's first row, see :meth:`put_pointers`. If it is
-        empty, the dataset has one row per frame. If the values are numbers of rows, `refers_to`
-        names the dataset that has these rows.
+        empty, the dataset has one row per frame.
         """
         if name not in self._datasets:
             # An image is one chunk, so that frames can be read one by one; points share chunks.
@@ -150,8 +147,6 @@ class DriveWriter(ExitStack):
             attributes = {"unit": unit}
             if pointer:
                 attributes["pointer"] = pointer
-            if refers_to:
-                attributes["refers_to"] = refers_to
             self._create(name, rows[:0], attributes, fletcher32=True, **options)
         dataset = self._datasets[name]
         dataset.resize(len(dataset) + len(rows), axis=0)
@@ -195,8 +190,6 @@ class DriveReader(ExitStack):
             self.units = _read_names(self.datasets, "unit")
             # Name of a ragged dataset → name of the dataset with the first row of each frame.
             self.pointers = _read_names(self.datasets, "pointer")
-            # Name of a dataset with numbers of rows → name of the dataset that has these rows.
-            self.refers_to = _read_names(self.datasets, "refers_to")
         except BlockingIOError as error:
             problem = "another process has it open for writing"
             raise InputError(problem, path, "Close it there, then repeat") from error

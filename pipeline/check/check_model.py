@@ -42,9 +42,12 @@ def check_model(entry: Entry, settings: Params) -> None:
 
     if variant.source == "clouds/lidar" and not settings.ingest.lidar:
         raise InputError(f"input = {entry.input!r} needs scans, but ingest.lidar is false")
+    if entry.network.reads_edges and not variant.k and variant.kind == "graph":
+        problem = f"spatial = {entry.spatial!r} reads edges, but graphs.{entry.input} has none"
+        raise InputError(problem, fix=f"Set graphs.{entry.input}.k, for instance to 6")
     # A network that sees the scene of another drive needs a second drive in each split.
     runs.check_splits(settings.ingest.drives.splits(), entry.scene)
     outputs = len(quantity.columns)
     image_size = settings.ingest.image_size
-    net = entry.build(variant.kind, len(variant.levels), image_size, outputs)
+    net = entry.build(variant.kind, image_size, outputs)
     check_network(net, entry, variant, image_size, outputs)

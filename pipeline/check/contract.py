@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.batch import from_arrays
+from models.steering.core.batch import Batch, GraphBatch, from_arrays
 from models.steering.core.motion import SCALES
 from models.steering.core.recurrent import NOMINAL_STEP_S
 from models.steering.core.steering_net import SteeringNet
@@ -54,52 +54,49 @@ def check_network(
     with torch.random.fork_rng(devices=[]), eager:
         torch.manual_seed(SEED)
         with error_context(f"spatial: {entry.spatial}"):
-            _check_spatial(net, entry.features, variant, image_size)
+            _check_spatial(net, entry, variant, image_size)
         with error_context(f"temporal: {entry.temporal}"):
             _check_temporal(net, entry, outputs)
 
 
 def _check_spatial(
-    net: SteeringNet, features: int, variant: Variant, image_size: tuple[int, int]
+    net: SteeringNet, entry: Entry, variant: Variant, image_size: tuple[int, int]
 ) -> None:
     """Check the features of frames with many points, half as many, and none."""
     points = min(variant.points or 0, POINTS)
     counts = [points, points, points // 2, 0]
     frames = make_frames(variant, counts, image_size, SEED)
 
+    def join(members: Sequence[Columns]) -> Batch:
+        return from_arrays(join_frames(members, entry.network))
+
     def run(numbers: Sequence[int]) -> Tensor:
-        arrays = join_frames([frames[row] for row in numbers])
-        output: Tensor = net.spatial(from_arrays(arrays))
-        rows = len(arrays.get("xyz", ()))
+        batch = join([frames[row] for row in numbers])
+        output: Tensor = net.spatial(batch)
+        rows = len(batch.xyz) if isinstance(batch, GraphBatch) else 0
         is_per_point = isinstance(output, Tensor) and list(output.shape[:1]) == [rows]
         if is_per_point and rows != len(numbers):
             problem = f"returns a row for each point, {list(output.shape)}"
             fix = "Pool the points of each frame, for instance by mean_max_pool"
-            raise InputError(f"{problem}, expected {[len(numbers), features]}", fix=fix)
+            raise InputError(f"{problem}, expected {[len(numbers), entry.features]}", fix=fix)
         return output
 
     full = len(counts) - 1
-    together = _check_prediction(net.spatial, run, len(counts), full, [features], "frame")
+    together = _check_prediction(net.spatial, run, len(counts), full, [entry.features], "frame")
     with torch.no_grad():
         if variant.kind == "graph":
+            rng = np.random.default_rng(SEED)
+            shuffled = join([shuffle_points(frame, rng) for frame in frames[:full]])
             problem = "the features depend on the order of the points"
             fix = "Pool by a sum, a mean or a maximum"
-            _check_equal(_run_shuffled(net, frames[:full]), together[:full], problem, fix)
+            _check_equal(net.spatial(shuffled), together[:full], problem, fix)
         if net.equivariant:
             # The features of a frame and of its mirror image, from two copies of the input.
-            mirrored = net.spatial(from_arrays(join_frames(frames)).mirrored())
-            from_one_copy = net._features(from_arrays(join_frames(frames)))[: len(frames)]
+            mirrored = net.spatial(join(frames).mirrored())
+            from_one_copy = net._features(join(frames))[: len(frames)]
             problem = "changes its input, from which equivariant: true makes the mirror image"
             _check_equal(from_one_copy, together - mirrored, problem, "Copy what it changes")
-    _check_training(net.spatial, run, len(counts), [features])
-
-
-def _run_shuffled(net: SteeringNet, frames: Sequence[Columns]) -> Tensor:
-    """Return the features of frames whose points are in another order."""
-    rng = np.random.default_rng(SEED)
-    shuffled = [shuffle_points(frame, rng) for frame in frames]
-    output: Tensor = net.spatial(from_arrays(join_frames(shuffled)))
-    return output
+    _check_training(net.spatial, run, len(counts), [entry.features])
 
 
 def _check_temporal(net: SteeringNet, entry: Entry, outputs: int) -> None:

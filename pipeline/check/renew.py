@@ -64,7 +64,7 @@ def run_on_streets(model: Trained) -> Tensor:
         columns = [rng.normal(0, 0.2, count), rng.normal(0, 0.3, count), rng.uniform(1, 15, count)]
         rows = np.stack([*columns, np.ones(count)], axis=1) * measured[:, None]
         motion = torch.from_numpy(rows).float()
-    batch = from_arrays(join_frames(frames))
+    batch = from_arrays(join_frames(frames, model.entry.network))
     with torch.inference_mode():
         return model.net(batch, torch.from_numpy(windows), torch.from_numpy(dt_s).float(), motion)
 

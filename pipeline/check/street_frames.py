@@ -7,8 +7,10 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
+import torch
 from scipy.sparse import csr_array
 
+from models.steering.core.options import NetworkOptions
 from pipeline.camera import classes
 from pipeline.clouds.cloud import Cloud
 from pipeline.graphs.frame_graph import connect
@@ -62,24 +64,27 @@ def _street(points: int, rng: np.random.Generator) -> Cloud:
     return Cloud(xyz.astype(np.float32), cls.astype(np.uint8))
 
 
-def join_frames(frames: Sequence[Columns]) -> Arrays:
-    """Return frames as one batch of new arrays, in which row numbers count within the batch."""
+def join_frames(frames: Sequence[Columns], network: NetworkOptions) -> Arrays:
+    """Return frames as one batch of new arrays for a network, as the reader of a training does."""
     batch = {}
     for name, column in frames[0].items():
         if not column.pointer:
             continue
         rows = [frame[name].rows for frame in frames]
         batch[column.pointer] = np.cumsum([0, *(len(part) for part in rows)])
-        if column.refers_to:
-            counts = [len(frame[column.refers_to].rows) for frame in frames]
-            firsts = np.cumsum([0, *counts[:-1]])
-            rows = [part.astype(np.int32) + first for part, first in zip(rows, firsts, strict=True)]
         batch[name] = np.concatenate(rows)
+    if "indices" in batch:
+        first_rows = np.repeat(batch["ptr"][:-1], np.diff(batch["indices_ptr"]))
+        batch["indices"] = batch["indices"].astype(np.int32) + first_rows.astype(np.int32)
+    if "xyz" in batch:
+        prepared = network.prepare(torch.from_numpy(batch["xyz"]), torch.from_numpy(batch["ptr"]))
+        if prepared is not None:
+            batch["prepared"] = prepared.numpy()
     return batch
 
 
 def shuffle_points(frame: Columns, rng: np.random.Generator) -> Columns:
-    """Return a frame with a graph whose points are in another order."""
+    """Return a frame of points in another order."""
     degree = frame["degree"].rows
     indices = frame["indices"].rows
     order = rng.permutation(len(degree))

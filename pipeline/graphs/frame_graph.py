@@ -1,6 +1,6 @@
 """Make the frames of a variant of the networks' input, and write data/graphs/<variant>/<drive>.h5.
 
-A frame is an image, or points that are drawn from a cloud and then connected or grouped.
+A frame is an image, or points that are drawn from a cloud and then connected.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -81,34 +81,18 @@ def build_frame(cloud: Cloud, variant: Variant, drive: str, number: int) -> Colu
 
 
 def connect(cloud: Cloud, variant: Variant, rng: np.random.Generator) -> Columns:
-    """Return the columns of a frame: its points, and their kNN graph or PointNet++'s groups."""
+    """Return the columns of a frame: its points, and their kNN graph, which may have no edges."""
     assert variant.points
     xyz, cls = cloud
     columns = {"xyz": Column(xyz, "m", "ptr"), "cls": Column(cls, "trainId", "ptr")}
     row_type = np.uint16 if variant.points <= 65_535 else np.uint32
 
-    if variant.kind == "graph":
-        assert variant.k is not None
-        edges = graph.undirected(graph.nearest_neighbours(xyz, variant.k))
-        pruned = graph.prune(edges, cls, variant.keep_inter_class, rng)
-        columns["degree"] = Column(pruned.degree, "neighbours", "ptr")
-        columns["indices"] = Column(pruned.indices.astype(row_type), "node", "indices_ptr", "xyz")
-        columns["edges_knn"] = Column(np.array([pruned.edges_knn], np.int32), "directed edges")
-        columns["edges_kept"] = Column(np.array([pruned.edges_kept], np.int32), "directed edges")
-        return columns
-
-    # The centres and neighbours of the first level are rows of the points. Those of another level
-    # are rows of the centres of the level before.
-    points = "xyz"
-    levels = graph.levels(xyz, variant.levels, rng)
-    for number, (centres, neighbours) in enumerate(levels, start=1):
-        name = f"centres_{number}"
-        pointer = f"{name}_ptr"
-        columns[name] = Column(centres.astype(row_type), points, pointer, points)
-        columns[f"neighbours_{number}"] = Column(
-            neighbours.astype(row_type), points, pointer, points
-        )
-        points = name
+    edges = graph.undirected(graph.nearest_neighbours(xyz, variant.k))
+    pruned = graph.prune(edges, cls, variant.keep_inter_class, rng)
+    columns["degree"] = Column(pruned.degree, "neighbours", "ptr")
+    columns["indices"] = Column(pruned.indices.astype(row_type), "node", "indices_ptr")
+    columns["edges_knn"] = Column(np.array([pruned.edges_knn], np.int32), "directed edges")
+    columns["edges_kept"] = Column(np.array([pruned.edges_kept], np.int32), "directed edges")
     return columns
 
 

@@ -1,6 +1,5 @@
-"""Connect the points of a cloud by a pruned kNN graph, or group them as PointNet++ does."""
+"""Connect the points of a cloud by a pruned kNN graph."""
 
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import cv2
@@ -98,68 +97,3 @@ def prune(
     edges_knn = int(matrix.data.sum()) // 2
     edges_kept = int(matrix.data[~removed].sum()) // 2
     return Graph(degree.astype(np.uint8), column[~removed], edges_knn, edges_kept)
-
-
-LevelSize = tuple[int, float, int]  # number of centres, radius in metres, neighbours per centre
-Grouping = tuple[np.ndarray, np.ndarray]  # rows of centres [M] and of their neighbours [M,n], int64
-
-
-def levels(xyz: np.ndarray, sizes: Iterable[LevelSize], rng: np.random.Generator) -> list[Grouping]:
-    """Choose centres among the points [P,3], and group the points around each centre.
-
-    Each further level does the same with the centres of the level before. This is PointNet++'s set
-    abstraction (paper eq. 1; Qi et al. 2017).
-    """
-    groupings = []
-    # A ball takes the first points that it contains. Points are stored in Morton order, in which
-    # these would be in a corner of the ball. So points are searched in random order, as in the
-    # reference. The centres need no such order, since the centres chosen first are evenly spread.
-    order = rng.permutation(len(xyz))
-    for count, radius_m, neighbours in sizes:
-        centres = farthest_points(xyz, count)
-        groupings.append((centres, ball_query(xyz, centres, radius_m, neighbours, order)))
-        xyz = xyz[centres]
-        order = np.arange(len(xyz))
-    return groupings
-
-
-def farthest_points(xyz: np.ndarray, count: int) -> np.ndarray:
-    """Choose points [P,3] by farthest point sampling, and return their rows, int64 [min(count,P)].
-
-    The first row is 0. Each further point is the farthest from all points chosen before it. Of
-    points that are equally far, the first is chosen.
-    """
-    axes = np.ascontiguousarray(xyz.T, np.float64)
-    chosen = np.zeros(min(count, len(xyz)), np.int64)
-    nearest_m2 = np.full(len(xyz), np.inf)  # squared distances to the nearest chosen point
-    for step in range(1, len(chosen)):
-        np.minimum(nearest_m2, _squared_distances(axes, chosen[step - 1]), out=nearest_m2)
-        chosen[step] = nearest_m2.argmax()
-    return chosen
-
-
-def ball_query(
-    xyz: np.ndarray, centres: np.ndarray, radius_m: float, neighbours: int, order: np.ndarray
-) -> np.ndarray:
-    """Return the first `neighbours` points of the ball around each centre, int64 [M,neighbours].
-
-    `centres` [M] are rows of the points [P,3]. `order` [P] is the permutation in which points are
-    searched. A ball with fewer points repeats its first point, as in the reference. This does not
-    change a maximum over the neighbours.
-    """
-    axes = np.ascontiguousarray(xyz[order].T, np.float64)
-    members = np.empty((len(centres), neighbours), np.int64)
-    for row, centre in enumerate(np.argsort(order)[centres]):
-        ball = np.flatnonzero(_squared_distances(axes, centre) <= radius_m**2)[:neighbours]
-        members[row] = ball[0]  # a centre is in its own ball
-        members[row, : len(ball)] = ball
-    return order[members]
-
-
-def _squared_distances(axes: np.ndarray, centre: int) -> np.ndarray:
-    """Return the squared distances [P] of points, given as `axes` [3,P], to the point `centre`.
-
-    They are exact for stored coordinates. Points as an array [P,3] would be 4 times slower.
-    """
-    offsets = axes - axes[:, centre, None]
-    return np.asarray((offsets**2).sum(axis=0))

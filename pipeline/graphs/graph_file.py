@@ -5,12 +5,10 @@ The file is the input of the networks. A frame is a dict of columns, which depen
 - A frame of kind graph has the points xyz, float32 [P,3] in metres, their classes cls, uint8 [P],
   and a kNN graph: the number of neighbours of each point, degree, uint8 [P], and the rows of these
   neighbours, indices [sum(degree)].
-- A frame of kind pointnet2 has xyz, cls, and for each level l, from 1 on, centres_l [M] and
-  neighbours_l [M,n].
 - A frame of kind image has the column image, uint8 [1,H,W,3].
 
-A column names the array in which the file keeps the first row of each frame. If a column holds row
-numbers, it also names the column whose rows they are.
+A column names the array in which the file keeps the first row of each frame. The row numbers in
+indices count within a frame.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -39,9 +37,6 @@ class Column(NamedTuple):
     rows: np.ndarray
     unit: str
     pointer: str = ""  # name of the array of first rows; empty if each frame has one row
-    # Name of the column to whose rows the numbers refer, counted from 0 in each frame. It is empty
-    # if the column holds no row numbers.
-    refers_to: str = ""
 
 
 Columns = dict[str, Column]
@@ -51,13 +46,10 @@ class Contents(NamedTuple):
     """The kind of the frames, and the sizes on which the layers of a network depend."""
 
     kind: str  # a FrameKind of models/steering/core/batch.py
-    levels: int = 0  # number of PointNet++'s levels
     image_size: tuple[int, int] | None = None  # (H, W)
 
     def __str__(self) -> str:
         text = f"frames of kind {self.kind}"
-        if self.kind == "pointnet2":
-            text += f" with {self.levels} levels"
         if self.kind == "image":
             text += f" of {self.image_size} (H, W) pixels"
         return text
@@ -158,12 +150,7 @@ class Graphs(store.DriveReader):
         if "image" in self:
             _, height, width, _ = self.datasets["image"].shape
             return Contents(kind="image", image_size=(height, width))
-        if "degree" in self:
-            return Contents(kind="graph")
-        levels = 0
-        while f"centres_{levels + 1}" in self:
-            levels += 1
-        return Contents(kind="pointnet2", levels=levels)
+        return Contents(kind="graph")
 
     @cached_property
     def counts(self) -> Arrays:

@@ -10,11 +10,7 @@ from pipeline.base.params import Rate, Section, parse
 from pipeline.train.quantity import load_quantity, quantity_file
 
 # Kind of frames → its name in messages.
-FRAMES = {
-    "graph": "kNN graphs",
-    "pointnet2": "points with neighbourhood: pointnet2",
-    "image": "images",
-}
+FRAMES = {"graph": "points", "image": "images"}
 
 
 class Entry(Section):
@@ -122,17 +118,16 @@ class Entry(Section):
     def build(
         self,
         kind: str,
-        levels: int = 0,
         image_size: tuple[int, int] | None = None,
         outputs: int = 1,
     ) -> steering_net.SteeringNet:
         """Build the network with new weights from torch's random state.
 
-        `kind`, `levels` and `image_size` describe the frames of the entry's input, see
+        `kind` and `image_size` describe the frames of the entry's input, see
         graph_file.Contents. `outputs` is R, the number of columns of the predicted quantity.
         Raises InputError if the network reads another kind of frames, or an option is out of range.
         """
-        spatial = self._network_options("spatial", self.spatial)
+        spatial = self.network
         temporal = self._network_options("temporal", self.temporal)
         if spatial.kind != kind:
             expects = f"spatial = {self.spatial!r} expects {FRAMES[str(spatial.kind)]}"
@@ -140,7 +135,7 @@ class Entry(Section):
         return steering_net.SteeringNet(
             spatial,
             temporal,
-            options.Sizes(self.features, levels, image_size or (0, 0), outputs),
+            options.Sizes(self.features, image_size or (0, 0), outputs),
             equivariant=self.equivariant,
             motion=self.motion != "none",
         )
@@ -149,6 +144,11 @@ class Entry(Section):
         """Load the weights with which the training of a network starts, if it has some."""
         self._network_options("spatial", self.spatial).start(net.spatial)
         self._network_options("temporal", self.temporal).start(net.temporal)
+
+    @property
+    def network(self) -> options.NetworkOptions:
+        """The options of the spatial network."""
+        return self._network_options("spatial", self.spatial)
 
     def _network_options(
         self, part: Literal["spatial", "temporal"], name: str

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from models.steering.core.options import NetworkOptions
 from pipeline.graphs.graph_file import Graphs, open_graphs
 
 # Where frames are kept: in the memory of the GPU, in RAM, or nowhere but in the files.
@@ -19,6 +20,9 @@ Place = Literal["GPU", "RAM", "disk"]
 RESERVE = 1.1
 # Share of the free RAM that frames may take; the rest is for batches.
 SPARE = 0.8
+# Largest number of points of the frames that a network prepares at once, if they are several. On a
+# CPU, they fit into its cache.
+BLOCKS = {"cpu": 2**16, "cuda": 2**19}
 # Folder with the limits of a container's memory.
 CGROUP = Path("/sys/fs/cgroup")
 # Folder with an entry for each GPU of the machine.
@@ -40,6 +44,8 @@ class Files:
         self.paths = [*dict.fromkeys(paths)]
         self.place = place
         self._opened: dict[Path, Graphs] = {}
+        # A file, and the options of a network as text → what the network prepares of its frames.
+        self._prepared: dict[tuple[Path, str], np.ndarray | None] = {}
 
     def __getitem__(self, path: Path) -> Graphs:
         if path not in self._opened:
@@ -47,7 +53,19 @@ class Files:
         return self._opened[path]
 
     def __getstate__(self) -> dict[str, Any]:
-        return self.__dict__ | {"_opened": {}}
+        return self.__dict__ | {"_opened": {}, "_prepared": {}}
+
+    def prepared(
+        self, path: Path, network: NetworkOptions, device: torch.device
+    ) -> np.ndarray | None:
+        """Return what a network prepares of the G frames of a file, [G, ...], or None.
+
+        The first call computes it on a device. It is kept in RAM.
+        """
+        key = (path, repr(network))
+        if key not in self._prepared:
+            self._prepared[key] = prepare(self[path], network, device)
+        return self._prepared[key]
 
     def load(self, device: torch.device, peak: Callable[[], int] | None = None) -> None:
         """Read the files into memory, unless they have been read already.
@@ -84,6 +102,24 @@ class Files:
             flush=True,
         )
         return place
+
+
+def prepare(file: Graphs, network: NetworkOptions, device: torch.device) -> np.ndarray | None:
+    """Compute what a network prepares of the frames of a file, block by block."""
+    if "xyz" not in file.pointers:
+        return None
+    starts = file.starts["ptr"]
+    points = int(np.diff(starts).max(initial=1))
+    frames = max(1, BLOCKS[device.type] // max(1, points))
+    blocks = []
+    for first in range(0, len(file.frame), frames):
+        ptr = starts[first : first + frames + 1]
+        xyz = as_tensor(file.row("xyz", slice(ptr[0], ptr[-1]))).to(device)
+        block = network.prepare(xyz, torch.from_numpy(ptr - ptr[0]))
+        if block is None:
+            return None
+        blocks.append(block.cpu().numpy())
+    return np.concatenate(blocks)
 
 
 def free_ram() -> int:
@@ -143,16 +179,12 @@ def _concatenated(pieces: list[Tensor], pin: bool) -> Tensor:
     return pinned
 
 
-def number_rows(batch: dict[str, Tensor], file: Graphs) -> dict[str, Tensor]:
-    """Change row numbers that count within a frame to int32 that count within the batch.
-
-    `file` is any file of the batch. It says which columns hold row numbers, and which column's
-    rows they count.
-    """
-    for name, counted in file.refers_to.items():
-        batch[name] = _unsigned(batch[name])
-        first_rows = batch[file.pointers[counted]][:-1]
-        for numbers, first in by_frame(batch[name], first_rows, batch[file.pointers[name]]):
+def number_rows(batch: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Change `indices`, which count within a frame, to int32 that count within the batch."""
+    if "indices" in batch:
+        batch["indices"] = _unsigned(batch["indices"])
+        first_rows = batch["ptr"][:-1]
+        for numbers, first in by_frame(batch["indices"], first_rows, batch["indices_ptr"]):
             numbers += first
     return batch
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from models.steering.core.motion import ANGLE, SPEED
+from models.steering.core.options import NetworkOptions
 from models.steering.core.recurrent import NOMINAL_STEP_S
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.params import RATE_TOLERANCE
@@ -37,6 +38,7 @@ class Timeline:
     # model's entry has motion: none or base: none.
     base: np.ndarray
     motion: np.ndarray | None  # float32 [G,4], as in windows.py; None if not an input
+    network: NetworkOptions  # options of the spatial network, which may prepare frames
 
     @classmethod
     def read(cls, graphs: Graphs, quantity: Quantity, entry: Entry) -> "Timeline":
@@ -57,7 +59,9 @@ class Timeline:
             motion = np.stack(columns, axis=1).astype(np.float32)
             if entry.base == "motion":
                 base = np.nan_to_num(quantity.measured(angle_rad))
-        return cls(graphs.path, graphs.path, graphs.frame, graphs.time_s, base, motion)
+        return cls(
+            graphs.path, graphs.path, graphs.frame, graphs.time_s, base, motion, entry.network
+        )
 
     @cached_property
     def stretches(self) -> list[tuple[int, int]]:

@@ -24,6 +24,10 @@ from pipeline.train.targets import Timeline
 
 # Kind of the checkpoint of a trained network.
 KIND = "steering net"
+# Key of a file of a model that this version has removed → its only value that still works.
+REMOVED = {"levels": 0, "neighbourhood": "knn"}
+# Last revision with the removed keys.
+BEFORE = "12c983c8"
 # Folder of the code that all networks share.
 CORE = "models/steering/core"
 # Number of windows in a batch of predictions, which limits the memory.
@@ -97,7 +101,10 @@ def load_model(folder: str | Path, device: torch.device | str | None = None) -> 
     with error_context(fix="Train it again: dvc repro --force --single-item train@MODEL"):
         content = checkpoint.read(path, KIND)
         try:
-            fields = _parse(content)
+            with error_context(path):
+                fields = _parse(content)
+        except InputError:
+            raise
         except (AttributeError, LookupError, TypeError, ValueError) as error:
             raise InputError(
                 f"not a model of this version ({shorten(repr(error), 200)})", path
@@ -142,8 +149,20 @@ def _parse(content: dict[str, Any]) -> dict[str, Any]:
     entry = Entry.model_validate(content["entry"])
     fields = {name: content[name] for name in ("name", "seeds", "settings", "drives", "fps")}
     fields["datasets"] = content.get("datasets", [])
-    contents = Contents(**content["contents"])
+    contents = Contents(**_without_removed(content["contents"]))
+    settings = content["settings"]
+    graphs = _without_removed(settings.get("graphs", {}))
+    fields["settings"] = settings | {"graphs": graphs}
     return fields | {"entry": entry, "contents": contents, "scale": Scale.parse(content["scale"])}
+
+
+def _without_removed(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings without the removed keys. Raises InputError if another value is needed."""
+    for key, value in REMOVED.items():
+        if values.get(key, value) != value:
+            problem = f"{key} = {values[key]!r} is not supported any more"
+            raise InputError(problem, fix=f"Use it at revision {BEFORE}, or train it again")
+    return {key: value for key, value in values.items() if key not in REMOVED}
 
 
 def predict_drives(net: SteeringNet, reader: windows.Reader, scale: Scale) -> list[np.ndarray]:

@@ -15,6 +15,7 @@ windows of T frames these arrays:
 - motion float32 [B,4]: measured motion since the previous frame, with the columns of
   models/steering/core/motion.py. Only models with motion have it.
 - target float32 [W,R]: the R columns of targets.py, NaN if unknown. Only labelled drives have it.
+- prepared [B, ...]: what the network prepares of each frame, if it does, before points are scaled.
 - scenes int64 [B]: the number of the graph that each frame sees. Only models with scene: another
   have it; in other batches graph b belongs to frame b.
 """
@@ -96,8 +97,6 @@ class JoinedBatch(NamedTuple):
     # All arrays of the batch. Columns have the types of the files, and row numbers count within a
     # frame.
     arrays: dict[str, Tensor]
-    # Any file of the batch; it says which columns hold row numbers.
-    file: Graphs
     # Factor on the lengths of each graph [B].
     factor: Tensor
 
@@ -128,7 +127,7 @@ class Reader:
         # Frames that are on the GPU already need no thread.
         if device.type == "cpu" and self.files.place != "RAM":
             return prefetch(self.__getitem__, groups)
-        join_group = partial(self._join, pin=device.type == "cuda")
+        join_group = partial(self._join, device=device)
         if self.files.place == "GPU":
             batches: Iterator[JoinedBatch] = map(join_group, groups)
         else:
@@ -140,11 +139,13 @@ class Reader:
 
         Raises InputError if the drive whose scene another one gets has no window.
         """
-        return self._finish(self._join(group), torch.device("cpu"))
+        cpu = torch.device("cpu")
+        return self._finish(self._join(group, cpu), cpu)
 
-    def _join(self, group: Sequence[Span], *, pin: bool = False) -> JoinedBatch:
-        """Read a group of spans; with `pin`, arrays that are not on a GPU are in pinned memory."""
-        parts = [self._read_span(span) for span in group]
+    def _join(self, group: Sequence[Span], device: torch.device) -> JoinedBatch:
+        """Read a group of spans. For a GPU, arrays that are not on it are in pinned memory."""
+        pin = device.type == "cuda"
+        parts = [self._read_span(span, device) for span in group]
 
         # In a part, numbers of frames and graphs count from the first of its span. In the batch
         # they count from the first of all spans.
@@ -166,11 +167,10 @@ class Reader:
                 if not values.is_cuda:
                     batch[name] = values.pin_memory()
 
-        file, _, _ = parts[0].graphs
         factor = np.concatenate([part.factor for part in parts])
-        return JoinedBatch(batch, file, torch.from_numpy(factor))
+        return JoinedBatch(batch, torch.from_numpy(factor))
 
-    def _read_span(self, span: Span) -> BatchPart:
+    def _read_span(self, span: Span, device: torch.device) -> BatchPart:
         """Read all arrays of a span but the graphs."""
         timeline = self.timelines[span.drive]
         file = self.files[timeline.scene]
@@ -193,6 +193,9 @@ class Reader:
         # Points can be scaled. An image cannot: it is the same in a larger world.
         larger = span.factor if "xyz" in file.pointers else 1.0
         arrays |= window_values(timeline, rows, ends, larger, span.hidden)
+        prepared = self.files.prepared(timeline.scene, timeline.network, device)
+        if prepared is not None:
+            arrays["prepared"] = prepared[start:stop]
         factor = np.full(stop - start, larger, np.float32)
         return BatchPart((file, start, stop), factor, len(rows), arrays)
 
@@ -216,7 +219,7 @@ class Reader:
             if not name.endswith("ptr"):
                 # A copy to the CPU is waited for, since numpy reads it next. Pointers stay there.
                 batch[name] = values.to(device, non_blocking=device.type == "cuda")
-        number_rows(batch, joined.file)
+        number_rows(batch)
         if "xyz" in batch:
             for points, factor in by_frame(batch["xyz"], joined.factor, batch["ptr"]):
                 points *= factor

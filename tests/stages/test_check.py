@@ -92,6 +92,18 @@ def test_weights_are_looked_for_where_stage_encoder_will_run(tmp_path):
         ),
         (f"{MODEL}.input", "image", "spatial.*gnn.*images"),
         ("models.cnn-ncp.input", "semantic", "spatial.*cnn.*expects images"),
+        (
+            f"{MODEL}.input",
+            "lidar-pointnet2",
+            "spatial = 'gnn' reads edges, but graphs.lidar-pointnet2 has none. Set graphs.lid",
+        ),
+        (
+            "models.pointnet2-ncp.centres",
+            [64],
+            "pointnet2-ncp: centres, radius_m and neighbours need one number per level each",
+        ),
+        ("graphs.lidar.points", None, "graphs.lidar: points is missing: the number of points"),
+        ("graphs.image.k", 6, r"graphs.image: k does not apply to images \(source: ingest\)"),
         (f"{MODEL}.wiring", {"comand": 5}, "wiring.comand"),
         (
             MODEL,

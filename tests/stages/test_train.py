@@ -156,7 +156,7 @@ def test_a_network_and_its_errors_do_not_depend_on_threads(tmp_path):
     ("kind", "entry", "epochs", "share"),
     [
         ("graph", {"temporal": "lstm", "motion": "visual", "horizon": 5}, 20, 0.3),
-        ("pointnet2", {"spatial": "pointnet2", "width": 0.125}, 4, 0.6),
+        ("points", {"spatial": "pointnet2", "width": 0.125, "centres": [16, 5]}, 4, 0.6),
         ("image", {"spatial": "cnn", "alpha": 5.0, "features": 32, "temporal": "lstm"}, 10, 0.1),
     ],
 )

@@ -4,27 +4,32 @@ import dataclasses
 from bisect import bisect_right
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Self
+from typing import Literal, Self
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 Array = np.ndarray | Tensor
-# Kind of frames that a network reads: a GraphBatch, a SetBatch or an ImageBatch.
-FrameKind = Literal["graph", "pointnet2", "image"]
+# Kind of frames that a network reads: a GraphBatch or an ImageBatch.
+FrameKind = Literal["graph", "image"]
 
 
 @dataclass(frozen=True)
-class _Points:
-    """Points of B frames, N in total.
+class GraphBatch:
+    """Points of B frames, N in total, with a symmetric graph per frame.
 
-    Frame b has the rows ptr[b]:ptr[b+1]. A frame may have no points.
+    Frame b has the rows ptr[b]:ptr[b+1]. A frame may have no points. There are E directed edges,
+    two for each undirected one.
     """
 
     xyz: Tensor  # [N,3] metres, rectified camera frame (x right, y down, z forward)
     cls: Tensor  # uint8 [N], class of each point as Cityscapes trainId
     ptr: Tensor  # int64 [B+1], on the CPU
+    degree: Tensor  # [N], number of each point's neighbours; a point is not its own neighbour
+    indices: Tensor  # int32 [E], row numbers of the neighbours, point by point (CSR)
+    # [B, ...], what NetworkOptions.prepare returned for each frame; None for most networks.
+    prepared: Tensor | None = None
 
     @property
     def frames(self) -> int:
@@ -35,14 +40,6 @@ class _Points:
         """Return the points mirrored left-right."""
         x = self.xyz[:, :1]
         return dataclasses.replace(self, xyz=torch.cat([-x, self.xyz[:, 1:]], dim=1))
-
-
-@dataclass(frozen=True)
-class GraphBatch(_Points):
-    """Points with a symmetric graph per frame: E directed edges, two for each undirected one."""
-
-    degree: Tensor  # [N], number of each point's neighbours; a point is not its own neighbour
-    indices: Tensor  # int32 [E], row numbers of the neighbours, point by point (CSR)
 
     @property
     def edge_index(self) -> Tensor:
@@ -75,27 +72,9 @@ class GraphBatch(_Points):
                 ptr=self.ptr[first : stop + 1] - ptr[first],
                 degree=self.degree[rows],
                 indices=self.indices[edges] - ptr[first],
+                prepared=None if self.prepared is None else self.prepared[first:stop],
             )
             first = stop
-
-
-class Level(NamedTuple):
-    """A level of PointNet++: M centres among the points of B frames, each with n neighbours.
-
-    Row numbers count the points of the batch, or from the second level on the centres of the level
-    before. The centres of frame b are the rows ptr[b]:ptr[b+1].
-    """
-
-    centres: Tensor  # int32 [M], row numbers
-    neighbours: Tensor  # int32 [M,n], row numbers
-    ptr: Tensor  # int64 [B+1], on the CPU
-
-
-@dataclass(frozen=True)
-class SetBatch(_Points):
-    """Points with the neighbourhoods of PointNet++, level by level."""
-
-    levels: tuple[Level, ...]
 
 
 @dataclass(frozen=True)
@@ -112,13 +91,14 @@ class ImageBatch:
         return dataclasses.replace(self, image=self.image.flip(2))
 
 
-Batch = GraphBatch | SetBatch | ImageBatch
+Batch = GraphBatch | ImageBatch
 
 
 def from_arrays(arrays: Mapping[str, Array], device: torch.device | str = "cpu") -> Batch:
     """Return a batch on `device` from arrays by name.
 
-    The names are those in pipeline/graphs/graph_file.py. Arrays of other names are ignored.
+    The names are those in pipeline/graphs/graph_file.py, and `prepared`. Arrays of other names are
+    ignored.
     """
     tensors = {}
     for name, array in arrays.items():
@@ -129,12 +109,4 @@ def from_arrays(arrays: Mapping[str, Array], device: torch.device | str = "cpu")
     if "image" in tensors:
         return ImageBatch(tensors["image"])
     points = (tensors["xyz"], tensors["cls"], tensors["ptr"])
-    if "degree" in tensors:
-        return GraphBatch(*points, tensors["degree"], tensors["indices"])
-    levels: list[Level] = []
-    while f"centres_{len(levels) + 1}" in tensors:
-        number = len(levels) + 1
-        centres = tensors[f"centres_{number}"]
-        neighbours = tensors[f"neighbours_{number}"]
-        levels.append(Level(centres, neighbours, tensors[f"centres_{number}_ptr"]))
-    return SetBatch(*points, tuple(levels))
+    return GraphBatch(*points, tensors["degree"], tensors["indices"], tensors.get("prepared"))

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
-from torch import nn
+from torch import Tensor, nn
 
 from models.steering.core.batch import FrameKind
 from pipeline.base.errors import InputError
@@ -31,7 +31,6 @@ class Sizes:
     """Sizes that a network takes from its input and from the general keys of its entry."""
 
     features: int  # F, number of features per frame that the spatial network computes
-    levels: int = 0  # number of levels in frames of kind pointnet2
     image_size: tuple[int, int] = (0, 0)  # (H,W) in pixels, of frames of kind image
     outputs: int = 1  # R, number of outputs per frame of the recurrent network
 
@@ -43,6 +42,8 @@ class NetworkOptions(OptionGroup):
     kind: ClassVar[FrameKind | None] = None
     # Whether the network's features depend on the frames.
     sees_frames: ClassVar[bool] = True
+    # Whether the network reads the edges of a graph.
+    reads_edges: ClassVar[bool] = False
 
     def build(self, sizes: Sizes) -> nn.Module:
         """Build the network with new weights from torch's random state.
@@ -56,6 +57,16 @@ class NetworkOptions(OptionGroup):
 
         Their files are in models/steering/weights, under the name of the network.
         """
+
+    def prepare(self, xyz: Tensor, ptr: Tensor) -> Tensor | None:
+        """Return what the network needs of each frame beside its points, [B, ...], or None.
+
+        It reaches the network as ``GraphBatch.prepared``. The reader calls this method once per
+        frame, before points are scaled or mirrored. What it returns for a frame must depend on
+        this frame alone, and be valid for its mirror image, too. If it holds row numbers, they
+        count within the frame. `xyz` [N,3] and `ptr` [B+1] are those of a GraphBatch.
+        """
+        return None
 
 
 def load_options(part: Literal["spatial", "temporal"], name: str) -> type[NetworkOptions]:

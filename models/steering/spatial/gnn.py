@@ -14,6 +14,7 @@ from models.steering.core.options import NetworkOptions, Semantics, Sizes, Width
 
 class Options(NetworkOptions):
     kind = "graph"
+    reads_edges = True
     layers: Widths = (32, 32, 64)  # channels after each layer
     semantics: Semantics
 

@@ -18,6 +18,7 @@ from pipeline.base.errors import InputError, closest
 
 class Options(NetworkOptions):
     kind = "graph"
+    reads_edges = True
     layer: Annotated[
         str, Field(description="a layer of torch_geometric.nn, for instance GATv2Conv")
     ]

@@ -1,26 +1,19 @@
 """Small irregular frames of each kind, and their concatenation, without the code under test."""
 
+from typing import Any
+
 import numpy as np
+import torch
 
 from models.steering.core.batch import Batch, from_arrays
-from pipeline.graphs.graph import levels
+from models.steering.core.options import NetworkOptions
 from pipeline.graphs.graph_file import Arrays
 
-# Array of row numbers → the array whose rows it counts.
-REFERS_TO = {
-    "indices": "xyz",
-    "centres_1": "xyz",
-    "neighbours_1": "xyz",
-    "centres_2": "centres_1",
-    "neighbours_2": "centres_1",
-}
 # Array → the array with the first row of each frame.
 POINTERS = {
     "xyz": "ptr",
     "image": "ptr",
     "indices": "indices_ptr",
-    "centres_1": "centres_1_ptr",
-    "centres_2": "centres_2_ptr",
 }
 
 
@@ -44,22 +37,13 @@ def graph(count: int, seed: int = 0) -> Arrays:
     return points(count, seed) | arrays
 
 
-def sets(count: int, seed: int = 0) -> Arrays:
-    """Return a frame with two levels of neighbourhoods."""
-    arrays = points(count, seed)
-    made = levels(arrays["xyz"], [(12, 8.0, 5), (4, 16.0, 6)], np.random.default_rng(seed))
-    for number, (centres, neighbours) in enumerate(made, start=1):
-        arrays |= {f"centres_{number}": centres, f"neighbours_{number}": neighbours}
-    return arrays
-
-
 def image(count: int, seed: int = 0) -> Arrays:
     """Return a random image, whatever the `count` of points."""
     return {"image": np.random.default_rng(seed).integers(0, 256, (1, 33, 50, 3), np.uint8)}
 
 
-FRAME = {"graph": graph, "pointnet2": sets, "image": image}
-CONTENTS = {"graph": {}, "pointnet2": {"levels": 2}, "image": {"image_size": (33, 50)}}
+FRAME = {"graph": graph, "image": image}
+CONTENTS = {"graph": {}, "image": {"image_size": (33, 50)}}
 
 
 def concatenated(frames: list[Arrays]) -> Arrays:
@@ -69,9 +53,9 @@ def concatenated(frames: list[Arrays]) -> Arrays:
         rows = []
         first = 0  # row of the frame in the batch
         for frame in frames:
-            if name in REFERS_TO:
+            if name == "indices":
                 rows.append(frame[name] + first)
-                first += len(frame[REFERS_TO[name]])
+                first += len(frame["xyz"])
             else:
                 rows.append(frame[name])
         batch[name] = np.concatenate(rows)
@@ -81,35 +65,30 @@ def concatenated(frames: list[Arrays]) -> Arrays:
     return batch
 
 
-def join(frames: list[Arrays], device: str = "cpu") -> Batch:
-    """Return frames as a batch."""
-    return from_arrays(concatenated(frames), device)
+def join(frames: list[Arrays], device: str = "cpu", options: NetworkOptions | None = None) -> Batch:
+    """Return frames as a batch, with what a network of these options prepares of each frame."""
+    arrays: dict[str, Any] = concatenated(frames)
+    if options and "xyz" in arrays:
+        prepared = options.prepare(torch.tensor(arrays["xyz"]), torch.tensor(arrays["ptr"]))
+        if prepared is not None:
+            arrays["prepared"] = prepared
+    return from_arrays(arrays, device)
 
 
-def batch(counts: list[int], kind: str = "graph") -> Batch:
+def batch(counts: list[int], kind: str = "graph", options: NetworkOptions | None = None) -> Batch:
     """Return a batch of frames with these numbers of points."""
-    return join([FRAME[kind](count, seed) for seed, count in enumerate(counts)])
+    return join([FRAME[kind](count, seed) for seed, count in enumerate(counts)], "cpu", options)
 
 
 def permuted(frame: Arrays, seed: int = 0) -> Arrays:
-    """Return the same frame with its points, centres and neighbours in another order."""
+    """Return the same frame with its points in another order."""
     if "image" in frame:
         return frame
     rng = np.random.default_rng(seed)
     order = rng.permutation(len(frame["xyz"]))
     place = np.argsort(order)  # new row of each point
     result = {"xyz": frame["xyz"][order], "cls": frame["cls"][order]}
-    if "degree" in frame:
-        neighbours = np.split(frame["indices"], np.cumsum(frame["degree"])[:-1])
-        result["degree"] = frame["degree"][order]
-        result["indices"] = np.concatenate([place[neighbours[node]] for node in order])
-    level = 1
-    while f"centres_{level}" in frame:
-        centres = frame[f"centres_{level}"]
-        neighbours = frame[f"neighbours_{level}"]
-        turn = rng.permutation(len(centres))
-        result[f"centres_{level}"] = place[centres[turn]]
-        result[f"neighbours_{level}"] = place[neighbours[turn]][:, ::-1].copy()
-        place = np.argsort(turn)
-        level += 1
+    neighbours = np.split(frame["indices"], np.cumsum(frame["degree"])[:-1])
+    result["degree"] = frame["degree"][order]
+    result["indices"] = np.concatenate([place[neighbours[node]] for node in order])
     return result

@@ -13,13 +13,14 @@ from torch.nn import functional
 from models.steering.core.batch import Batch, GraphBatch, ImageBatch
 from models.steering.core.features import GEOMETRY, node_features
 from models.steering.core.options import Sizes, load_options
-from models.steering.spatial import gnn, polar, pyg
+from models.steering.spatial import gnn, pointnet2, polar, pyg
 from models.steering.spatial.pointnet2 import OFFSET_M
 from pipeline.camera import classes
 from tests.models.steering import frames
 
 TOLERANCE = {"rtol": 0, "atol": 1e-9}
 SMALL = {"layers": [8, 16], "semantics": 0.7, "width": 0.125, "widths": [6, 8, 8]}
+SMALL |= {"centres": [12, 4], "radius_m": [8.0, 16.0], "neighbours": [5, 6]}
 HEADS = {"layer_options": {"heads": 2}}
 PYG: dict[str, Any] = {
     "GCNConv": {},
@@ -40,36 +41,37 @@ def keys(name: str) -> dict[str, Any]:
     return {"spatial": name}
 
 
-def build(name: str) -> tuple[Any, str]:
-    """Return a small network in float64, and the kind of its frames."""
+def build(name: str) -> tuple[Any, Any]:
+    """Return a small network in float64, and its options."""
     torch.manual_seed(0)
     values = SMALL | keys(name)
-    options = load_options("spatial", values["spatial"])
-    values = {key: value for key, value in values.items() if key in options.model_fields}
-    sizes = Sizes(8, **frames.CONTENTS[options.kind])
-    net = options.model_validate(values).build(sizes).double()
+    file = load_options("spatial", values["spatial"])
+    options = file.model_validate({k: v for k, v in values.items() if k in file.model_fields})
+    net = options.build(Sizes(8, **frames.CONTENTS[str(options.kind)])).double()
     for parameter in net.parameters():
         if parameter.ndim == 1:  # biases, which start as 0
             torch.nn.init.normal_(parameter, std=0.3)
-    return net, options.kind
+    return net, options
 
 
 @each_network
 def test_order_of_points_changes_nothing(name):
-    net, kind = build(name)
-    parts = [frames.FRAME[kind](count, count) for count in (40, 12)]
+    net, options = build(name)
+    parts = [frames.FRAME[options.kind](count, count) for count in (40, 12)]
     shuffled = [frames.permuted(part, seed) for seed, part in enumerate(parts)]
-    torch.testing.assert_close(net(frames.join(shuffled)), net(frames.join(parts)), **TOLERANCE)
+    output = net(frames.join(shuffled, options=options))
+    expected = net(frames.join(parts, options=options))
+    torch.testing.assert_close(output, expected, **TOLERANCE)
 
 
 @each_network
 @pytest.mark.parametrize("counts", [[30, 0, 1, 17, 45], [12, 12, 12]])
 def test_batch_equals_single_frames(name, counts, device):
     """Frames have equal or other numbers of points, or none; the batch is on a GPU, too."""
-    net, kind = build(name)
-    parts = [frames.FRAME[kind](count, count) for count in counts]
-    alone = torch.cat([net(frames.join([part])) for part in parts])
-    together = net.to(device)(frames.join(parts, device)).cpu()
+    net, options = build(name)
+    parts = [frames.FRAME[options.kind](count, count) for count in counts]
+    alone = torch.cat([net(frames.join([part], options=options)) for part in parts])
+    together = net.to(device)(frames.join(parts, device, options)).cpu()
     assert together.shape == (len(counts), 8)
     torch.testing.assert_close(together, alone, **TOLERANCE)
 
@@ -181,27 +183,86 @@ def plain_level(layer: Any, xyz: Tensor, f: Tensor, centres: Tensor, neighbours:
 
 
 def test_pointnet2_equals_plain_loops():
-    net, kind = build("pointnet2")
-    batch: Any = frames.batch([30, 18], kind)
-    xyz = batch.xyz
-    ptr = batch.ptr
-    f = node_features(xyz, batch.cls, SMALL["semantics"])
-    for layer, level in zip(net.levels, batch.levels, strict=True):
-        f = plain_level(layer, xyz, f, level.centres, level.neighbours)
-        xyz = xyz[level.centres]
-        ptr = level.ptr
-    rows = [plain_mlp(net.whole, torch.cat([xyz[i] / OFFSET_M, f[i]])) for i in range(len(f))]
+    """Reference: one frame at a time, groups in loops. A frame has fewer points than centres."""
+    net, options = build("pointnet2")
+    batch: Any = frames.batch([30, 18, 7], options=options)
     expected = []
-    for start, stop in pairwise(ptr.tolist()):
-        maximum = torch.stack(rows[start:stop]).max(0).values
+    for start, stop in pairwise(batch.ptr.tolist()):
+        xyz = batch.xyz[start:stop]
+        f = node_features(xyz, batch.cls[start:stop], SMALL["semantics"])
+        sizes = zip(options.centres, options.radius_m, options.neighbours, strict=True)
+        for layer, (count, radius_m, neighbours) in zip(net.levels, sizes, strict=True):
+            groups = torch.tensor(plain_groups(xyz, count, radius_m, neighbours))
+            f = plain_level(layer, xyz, f, groups[:, 0], groups[:, 1:])
+            xyz = xyz[groups[:, 0]]
+        rows = [plain_mlp(net.whole, torch.cat([xyz[i] / OFFSET_M, f[i]])) for i in range(len(f))]
+        maximum = torch.stack(rows).max(0).values
         expected.append(net.read_out(plain_mlp(net.head, maximum)))
     torch.testing.assert_close(net(batch), torch.stack(expected), **TOLERANCE)
 
 
+def plain_groups(xyz: Tensor, count: int, radius_m: float, neighbours: int) -> list[list[int]]:
+    """Reference of PointNet++'s groups: each centre, then its ball; at most a group per point."""
+    numbers = pointnet2.position_hash(xyz.float()).tolist()
+    order = sorted(range(len(xyz)), key=numbers.__getitem__)
+    points = xyz.float().numpy()
+
+    def squared(a: Any, b: Any) -> Any:
+        x, y, z = a - b  # float32, rounded as in the network's file
+        return x * x + y * y + z * z
+
+    chosen = [min(order, key=lambda row: squared(points[row], 0 * points[row]))]
+    while len(chosen) < min(count, len(xyz)):
+        nearest = {}
+        for row in order:
+            nearest[row] = min(squared(points[row], points[centre]) for centre in chosen)
+        chosen.append(max(order, key=nearest.__getitem__))
+    groups = []
+    for centre in chosen:
+        ball = [row for row in order if squared(points[row], points[centre]) <= radius_m**2]
+        ball = ball[:neighbours]
+        groups.append([centre, *ball, *[ball[0]] * (neighbours - len(ball))])
+    return groups
+
+
+@pytest.mark.parametrize("radius_m", [0.5, 3.0, 100.0])
+def test_groups_are_those_of_plain_loops(radius_m):
+    """Also in the mirror image, of points in another order, and of points that are equally far."""
+    options = pointnet2.Options(
+        semantics=0, centres=[40, 10], radius_m=[radius_m, 2 * radius_m], neighbours=[8, 6]
+    )
+    rng = torch.Generator().manual_seed(0)
+    clouds = []
+    for count in (120, 0, 1, 13, 120):
+        # On a grid of 1/4 m, squared distances have no rounding, and many are equal. Points have
+        # different |x|, y or z.
+        grid = torch.randint(0, 60, (3 * count, 3), generator=rng).unique(dim=0)
+        side = torch.randint(0, 2, (len(grid), 1), generator=rng) * 2 - 1
+        points = torch.cat([grid[:, :1] * side, grid[:, 1:]], dim=1) / 4
+        clouds.append(points[torch.randperm(len(points), generator=rng)[:count]])
+    ptr = torch.tensor([0, *(len(cloud) for cloud in clouds)]).cumsum(0)
+    first, second = pointnet2.PointNet2(4, options).groups(options.prepare(torch.cat(clouds), ptr))
+    for cloud, level, next_level in zip(clouds, first, second, strict=True):
+        if not len(cloud):
+            continue
+        expected = plain_groups(cloud, 40, radius_m, 8)
+        assert level[: len(expected)].tolist() == expected
+        assert all(group in expected for group in level[len(expected) :].tolist())
+        centres = cloud[[centre for centre, *_ in expected]]
+        expected = plain_groups(centres, 10, 2 * radius_m, 6)
+        assert next_level[: len(expected)].tolist() == expected
+
+        turn = torch.randperm(len(cloud), generator=rng)
+        mirrored = cloud[turn] * torch.tensor([-1, 1, 1])
+        changed = options.prepare(mirrored, torch.tensor([0, len(cloud)]))
+        same, _ = pointnet2.PointNet2(4, options).groups(changed)
+        assert torch.equal(turn[same[0]], level.long())
+
+
 def test_cnn_has_the_layers_of_the_ncp_paper():
     """Reference: one image, layer and map at a time, with explicit padding."""
-    net, kind = build("cnn")
-    batch: Batch = frames.batch([0, 0, 0], kind)
+    net, options = build("cnn")
+    batch: Batch = frames.batch([0, 0, 0], options.kind)
     assert isinstance(batch, ImageBatch)
     layers = [layer for layer in net.convolutions if isinstance(layer, nn.Conv2d)]
     sizes = [(layer.out_channels, layer.kernel_size[0], layer.stride[0]) for layer in layers]

@@ -28,6 +28,9 @@ SMALL = {
     "layers": [8, 12],
     "semantics": 1.0,
     "width": 0.125,
+    "centres": [12, 4],
+    "radius_m": [8.0, 16.0],
+    "neighbours": [5, 6],
     "units": 7,
     "wiring": {
         "inter": 8,
@@ -70,7 +73,12 @@ def build(spatial: str = "gnn", cell: str = "ltc", outputs: int = 1, **changes: 
 
 
 def batch(spatial: str = "gnn") -> Any:
-    return frames.batch(COUNTS, options(spatial).kind)
+    return frames.batch(COUNTS, options(spatial).kind, entry(spatial).network)
+
+
+def join(parts: list[Any], spatial: str) -> Any:
+    """Return frames as a batch for a small network."""
+    return frames.join(parts, options=entry(spatial).network)
 
 
 @each_cell
@@ -80,10 +88,10 @@ def test_shared_frames_equal_naive_windows(spatial, cell):
     net = build(spatial, cell)
     make = frames.FRAME[options(spatial).kind]
     parts = [make(count, seed) for seed, count in enumerate(COUNTS)]
-    shared = net(frames.join(parts), WINDOWS, DT_S)
+    shared = net(join(parts, spatial), WINDOWS, DT_S)
     outputs = []
     for window, dt_s in zip(WINDOWS.tolist(), DT_S, strict=True):
-        alone = frames.join([parts[row] for row in window])
+        alone = join([parts[row] for row in window], spatial)
         outputs.append(net(alone, torch.arange(4)[None], dt_s[None]))
     naive = torch.cat(outputs)
     torch.testing.assert_close(shared, naive, **TOLERANCE)
@@ -136,7 +144,7 @@ def test_the_controls_features_are_those_of_other_frames(spatial, cell, equivari
     net = build(spatial, cell, equivariant=equivariant, motion="visual")
     scenes = torch.tensor([3, 3, 0, 1, 5, 2])
     make = frames.FRAME[options(spatial).kind]
-    others = frames.join([make(COUNTS[row], row) for row in scenes.tolist()])
+    others = join([make(COUNTS[row], row) for row in scenes.tolist()], spatial)
     output = net(batch(spatial), WINDOWS, DT_S, MOTION, scenes)
     torch.testing.assert_close(output, net(others, WINDOWS, DT_S, MOTION), **TOLERANCE)
 

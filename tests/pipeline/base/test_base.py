@@ -51,7 +51,7 @@ def write(path: Path) -> Path:
         for xyz in XYZ:
             nearest = np.arange(len(xyz), dtype=np.int32)
             file.append("xyz", xyz, "m", "ptr")
-            file.append("nearest", nearest, "row", "ptr", refers_to="xyz")
+            file.append("nearest", nearest, "row", "ptr")
         file.put_pointers("ptr", COUNTS)
     return path
 
@@ -66,7 +66,6 @@ def test_round_trip(tmp_path):
         np.testing.assert_array_equal(file.row("image", 2), IMAGE[2])
         np.testing.assert_array_equal(file["ptr"], [0, 5000, 5000, 14000])
         assert file.pointers == {"xyz": "ptr", "nearest": "ptr"}
-        assert file.refers_to == {"nearest": "xyz"}
         for row, points in enumerate(XYZ):
             np.testing.assert_array_equal(file.rows_of("xyz", row), points)
         assert (file["cls"] == 7).all()
@@ -207,7 +206,7 @@ def read(path: Path) -> dict[str, Any]:
     """Return all values, texts and settings of a file."""
     with DriveReader(path, stage=None) as file:
         content = {name: (file[name].tobytes(), file.units[name]) for name in file.datasets}
-        names = {"pointers": file.pointers, "refers_to": file.refers_to}
+        names = {"pointers": file.pointers}
         return content | file.attrs | names | {"params": file.params}
 
 

@@ -28,14 +28,6 @@ FEATURES = 8
 IMAGE_SIZE = (48, 96)
 VARIANTS = {
     "graph": Variant(source="clouds/pseudo", points=60, k=6, keep_inter_class=0.2),
-    "pointnet2": Variant(
-        source="clouds/pseudo",
-        neighbourhood="pointnet2",
-        points=60,
-        centres=[12, 4],
-        radius_m=[8.0, 16.0],
-        neighbours=[5, 6],
-    ),
     "image": Variant(source="ingest"),
 }
 SPATIAL = [path.stem for path in Path("models/steering/spatial").glob("[!_]*.py")]
@@ -256,7 +248,7 @@ def test_our_own_networks_keep_the_contract(spatial, temporal, layer, equivarian
         keys["layer"] = layer
     model = Entry.model_validate(keys)
     variant = VARIANTS[str(options.kind)]
-    net = model.build(str(options.kind), len(variant.levels), IMAGE_SIZE, outputs=3)
+    net = model.build(str(options.kind), IMAGE_SIZE, outputs=3)
     check_network(net, model, variant, IMAGE_SIZE, outputs=3)
 
 

@@ -1,4 +1,4 @@
-"""Test accumulated clouds, kNN graphs, the neighbourhoods of PointNet++, and graph files."""
+"""Test accumulated clouds, kNN graphs, and graph files."""
 
 import json
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from pipeline.graphs import frame_graph, graph, graph_file
 from pipeline.graphs.settings import Variant
 from tests import artefacts
 from tests.artefacts import write_motion
-from tests.models.steering.frames import FRAME, REFERS_TO, concatenated
+from tests.models.steering.frames import concatenated
 from tests.street import pose
 
 
@@ -101,59 +101,6 @@ def test_a_hub_of_more_than_255_neighbours_is_refused():
         graph.prune(hub, np.zeros(257, np.uint8), 1.0, np.random.default_rng(0))
 
 
-@pytest.fixture
-def xyz() -> np.ndarray:
-    """A street's width of points as clouds store them, some of them twice."""
-    rng = np.random.default_rng(0)
-    street = np.rint(rng.uniform([-10, -1, 0], [10, 2, 40], (240, 3)) * 1024) / 1024
-    return street[np.sort(rng.integers(0, 240, 300))].astype(np.float32)
-
-
-def squared(a: np.ndarray, b: np.ndarray) -> float:
-    """Return a squared distance, from integers of 1/1024 m, so that nothing is rounded."""
-    total = 0
-    for p, q in zip(a.tolist(), b.tolist(), strict=True):
-        total += (round(p * 1024) - round(q * 1024)) ** 2
-    return total / 1024**2
-
-
-def nearest_m2(point: np.ndarray, xyz: np.ndarray) -> float:
-    return min(squared(point, other) for other in xyz)
-
-
-def reference_fps(xyz: np.ndarray, count: int) -> list[int]:
-    chosen = [0]
-    while len(chosen) < min(count, len(xyz)):
-        nearest = [nearest_m2(point, xyz[chosen]) for point in xyz]
-        chosen.append(nearest.index(max(nearest)))
-    return chosen
-
-
-def reference_ball(
-    xyz: np.ndarray, centre: int, radius_m: float, count: int, order: np.ndarray
-) -> list[int]:
-    ball = [int(row) for row in order if squared(xyz[row], xyz[centre]) <= radius_m**2]
-    members = ball[:count]
-    return members + [members[0]] * (count - len(members))
-
-
-@pytest.mark.parametrize("radius_m", [0.5, 3.0, 8.0, 100.0])
-def test_balls_are_those_of_brute_force(xyz, radius_m):
-    order = np.random.default_rng(1).permutation(len(xyz))
-    balls = graph.ball_query(xyz, np.arange(0, 300, 15), radius_m, 12, order)
-    for centre, ball in zip(range(0, 300, 15), balls.tolist(), strict=True):
-        assert ball == reference_ball(xyz, centre, radius_m, 12, order)
-
-
-def test_levels_are_farthest_points_and_build_on_each_other(xyz):
-    sizes = [(40, 5.0, 8), (10, 12.0, 6)]
-    (first, _), (second, neighbours) = graph.levels(xyz, sizes, np.random.default_rng(0))
-    assert first.tolist() == reference_fps(xyz, 40)
-    assert second.tolist() == reference_fps(xyz[first], 10)
-    for centre, ball in zip(second.tolist(), neighbours.tolist(), strict=True):
-        assert ball == reference_ball(xyz[first], centre, 12.0, 6, np.arange(40))
-
-
 def write_schema_7(path: Path, clouds: Sequence[Cloud]) -> None:
     """Write clouds as before schema 8, with texts of variable length and without checksums."""
     attributes = {"schema": 7, "stage": "clouds", "drive": path.stem}
@@ -223,7 +170,7 @@ def test_the_summary_has_the_share_of_the_edges_that_pruning_kept(tmp_path):
     assert points["edges"] == ""
 
 
-@pytest.mark.parametrize("kind", FRAME)
+@pytest.mark.parametrize("kind", [*artefacts.VARIANTS, "image"])
 def test_a_batch_is_its_frames_with_shifted_numbers(tmp_path, kind):
     path = tmp_path / "drive.h5"
     artefacts.write_graphs(path, np.linspace(-0.1, 0.1, 9), np.arange(9), 50, kind)
@@ -234,7 +181,7 @@ def test_a_batch_is_its_frames_with_shifted_numbers(tmp_path, kind):
         return {name: file.rows_of(name, row) for name in file.pointers}
 
     with graph_file.open_graphs(path) as graphs, DriveReader(path, stage="graphs") as file:
-        assert graphs.contents.kind == kind
+        assert graphs.contents.kind == ("image" if kind == "image" else "graph")
         batch = artefacts.collate(*((graphs, *span) for span in spans))
         pieces = artefacts.collate(*((graphs, row, row + 1) for row in rows))
         expected = concatenated([read_frame(file, row) for row in rows])
@@ -242,4 +189,4 @@ def test_a_batch_is_its_frames_with_shifted_numbers(tmp_path, kind):
     for name, array in expected.items():
         np.testing.assert_array_equal(batch[name], array)
         np.testing.assert_array_equal(pieces[name], array)
-        assert batch[name].dtype == (np.int32 if name in REFERS_TO else array.dtype)
+        assert batch[name].dtype == (np.int32 if name == "indices" else array.dtype)

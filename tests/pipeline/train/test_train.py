@@ -33,6 +33,8 @@ from tests.small_model import entry
 DRIVES = {"2026_01_01_drive_0001": "train", "2026_01_01_drive_0002": "train"}
 NAMES = [*DRIVES]
 EDGES_M = [0.0, 5.0, 10.0, 20.0]
+# A spatial network that prepares frames.
+POINTNET2: dict[str, Any] = {"spatial": "pointnet2", "semantics": 1.0, "centres": [12, 4]}
 
 
 @pytest.fixture
@@ -187,6 +189,8 @@ def test_batches_are_the_same_wherever_frames_are_kept(tmp_path, device, kind, p
     """
     artefacts.write_dataset(tmp_path, DRIVES, frames=23, points=40, kind=kind)
     drives = read(tmp_path)
+    if kind == "points":  # frames are prepared, too
+        drives = read(tmp_path, **POINTNET2)
     drives[1] = replace(drives[1], scene=tmp_path / f"graphs/semantic/{scene}.h5")
     groups = []
     for start in (0, 2, 4):
@@ -204,6 +208,7 @@ def test_batches_are_the_same_wherever_frames_are_kept(tmp_path, device, kind, p
             assert batch.keys() == expected.keys()
             for name, tensor in batch.items():
                 np.testing.assert_array_equal(tensor.cpu().numpy(), expected[name], strict=True)
+            assert ("prepared" in batch) == (kind == "points")
     assert not pickle.loads(pickle.dumps(files))[drives[0].graphs].kept
 
 
@@ -265,13 +270,14 @@ def test_motion_is_hidden_from_half_of_the_spans_beside_a_scene_ahead(
         assert share == 0
 
 
-@pytest.mark.parametrize("kind", ["graph", "pointnet2", "image"])
+@pytest.mark.parametrize("kind", [*artefacts.VARIANTS, "image"])
 @pytest.mark.parametrize("predicted", ["angle", "path"])
 def test_a_world_twice_as_large_has_bends_of_twice_the_radius(tmp_path, predicted, kind):
     artefacts.write_dataset(tmp_path, DRIVES, frames=40, points=40, kind=kind, ahead_m=EDGES_M)
     for name in DRIVES:
         artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", np.linspace(-0.3, 0.4, 40))
-    drives = read(tmp_path, motion="visual", predict=predicted)
+    network = POINTNET2 if kind == "points" else {}
+    drives = read(tmp_path, motion="visual", predict=predicted, **network)
     second = windows.Span(1, 1, 10)  # has two windows, the first span three
     batch = batch_of(drives, windows.Span(0, 0, 10), second)
     scaled = batch_of(drives, windows.Span(0, 0, 10, factor=2.0), second)
@@ -280,6 +286,8 @@ def test_a_world_twice_as_large_has_bends_of_twice_the_radius(tmp_path, predicte
         return
     factor = np.where(np.arange(len(batch["xyz"])) < batch["ptr"][10], 2, 1)[:, None]
     assert (scaled["xyz"] == batch["xyz"] * factor).all()
+    if kind == "points":
+        assert (scaled["prepared"] == batch["prepared"]).all()
 
     angle, yaw_rate, speed, valid = scaled["motion"].T.astype(np.float64)
     curvature = yaw_rate / speed
@@ -507,6 +515,11 @@ def test_code_in_a_file_does_not_run(tmp_path):
         ("net", {"kind": "encoder"}, "expected a checkpoint of .* steering net.*Train it again"),
         ("net", {"entry": {"spatial": "nothing"}}, "Train it again"),
         ("net", {"scale": None}, "Train it again"),
+        (
+            "net",
+            {"contents": {"kind": "sets", "levels": 2}},
+            r"best\.pt: levels = 2 is not supported any more. Use it at revision 12c983c8",
+        ),
         ("net", {"net": {"weight": torch.zeros(1)}}, "Train it again"),
         ("cut", {}, "file is damaged"),
     ],

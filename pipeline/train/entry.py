@@ -76,6 +76,9 @@ class Entry(Section):
         spatial = options.load_options("spatial", value["spatial"])
         temporal = options.load_options("temporal", value["temporal"])
         fields = spatial.model_fields | temporal.model_fields
+        # The weight of classes may stay where a network that reads none replaces one that does.
+        if spatial.kind == "image" or not spatial.sees_frames:
+            value = {key: value[key] for key in value if key != "semantics"}
         keys = [*cls.model_fields, *fields]
         for key in value.keys() - keys:
             where = f"spatial = {value['spatial']}, temporal = {value['temporal']}"

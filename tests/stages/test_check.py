@@ -102,6 +102,8 @@ def test_weights_are_looked_for_where_stage_encoder_will_run(tmp_path):
             [64],
             "pointnet2-ncp: centres, radius_m and neighbours need one number per level each",
         ),
+        ("models.cnn-ncp.semantic", 1.0, "unknown key 'semantic' for spatial = cnn"),
+        (f"{MODEL}.spatial", "polar", "unknown key 'semantics' for spatial = polar"),
         ("graphs.lidar.points", None, "graphs.lidar: points is missing: the number of points"),
         ("graphs.image.k", 6, r"graphs.image: k does not apply to images \(source: ingest\)"),
         (f"{MODEL}.wiring", {"comand": 5}, "wiring.comand"),

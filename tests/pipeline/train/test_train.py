@@ -270,6 +270,11 @@ def test_motion_is_hidden_from_half_of_the_spans_beside_a_scene_ahead(
         assert share == 0
 
 
+@pytest.mark.parametrize("spatial", ["cnn", "blind"])
+def test_a_network_that_reads_no_classes_ignores_their_weight(spatial):
+    assert entry(spatial=spatial, semantics=1.0) == entry(spatial=spatial)
+
+
 @pytest.mark.parametrize("kind", [*artefacts.VARIANTS, "image"])
 @pytest.mark.parametrize("predicted", ["angle", "path"])
 def test_a_world_twice_as_large_has_bends_of_twice_the_radius(tmp_path, predicted, kind):

@@ -195,7 +195,7 @@ def useless_models(table: pd.DataFrame) -> dict[str, str]:
     lines = {}
     for name in ranking(table):
         row = table.loc[("", name)]
-        if row["nmse"] > USELESS:
+        if not pd.isna(row["nmse"]) and row["nmse"] > USELESS:
             lines[name] = (
                 f"`{name}` learned nothing (test nmse above {USELESS}); its training drives have "
                 f"{row['turning_frames']:,} turning frames (radius below 135 m)."

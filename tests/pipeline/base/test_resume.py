@@ -24,13 +24,13 @@ RESULTS = {
     "cnn": ("train", (f"{SPATIAL}/cnn.py", NCP)),
     "kitti": ("ingest", (f"{DATASETS}/kitti.py",)),
     "sample": ("ingest", (f"{DATASETS}/sample.py",)),
-    "images": ("ingest", (f"{DATASETS}/images.py",)),
+    "folders": ("ingest", (f"{DATASETS}/folders.py",)),
     "perception": ("perception", ()),
     "labels": ("labels", ()),
     "report": ("report", ()),
 }
 ALL = set(RESULTS)
-INGEST = {"kitti", "sample", "images"}
+INGEST = {"kitti", "sample", "folders"}
 
 
 def keys() -> dict[str, str]:

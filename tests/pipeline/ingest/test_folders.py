@@ -3,7 +3,7 @@
 import numpy as np
 
 from pipeline.base.store import DriveReader
-from pipeline.ingest.datasets.images import CAMERA
+from pipeline.ingest.datasets.folders import CAMERA
 from stages import ingest
 from tests.kitti_drive import pictures, write, write_params, write_png
 
@@ -13,11 +13,11 @@ def test_frames_and_angles_of_a_drive(tmp_path):
         for number, image in enumerate(pictures(3, CAMERA.size)):
             write_png(tmp_path / f"raw/{name}/{number:04d}.png", image)
         write(tmp_path / f"raw/{name}/steering.csv", "frame,steering_rad\n0,0.1\n1,\n2,-0.05\n")
-    params = write_params(tmp_path / "params.yaml", ["hills"], ["town"], source="images")
+    params = write_params(tmp_path / "params.yaml", ["hills"], ["town"], source="folders")
     out = ingest.main(tmp_path / "data", tmp_path / "raw", params)
     with DriveReader(out / "hills.h5", stage="ingest") as file:
         np.testing.assert_allclose(file["steering_rad"], [0.1, 0, -0.05])
         assert file["has_steering"].tolist() == [1, 0, 1]
         np.testing.assert_allclose(file.time_s, [0, 0.1, 0.2])
         assert file["has_image"].all()
-        assert file.params["dataset"] == "images"
+        assert file.params["dataset"] == "folders"

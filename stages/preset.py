@@ -61,7 +61,7 @@ def main(
             "preset": name,
             "revision": revision(Path.cwd()),
             "started_s": time.time(),
-            "settings": read_yaml(path_of(name)),
+            "settings": read_yaml(PRESETS / f"{name}.yaml"),
         }
         files = {
             "params.yaml": to_yaml(settings, f"make {name}: params.yaml with presets/{name}.yaml"),
@@ -83,26 +83,12 @@ def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:
     mapping removes all of its earlier keys, so that, for instance, all models are replaced. Raises
     InputError if the file or the preset is invalid.
     """
-    preset = path_of(name)
+    preset = PRESETS / Path(name).with_suffix(".yaml")
     content = read_yaml(params, comments=True)
     parse(Params, content, path=params)
     _merge(content, read_yaml(preset))
     parse(Params, content, path=preset)
     return content
-
-
-def path_of(name: str) -> Path:
-    """Return the file of a preset: `name` is a name in presets/, or a path.
-
-    Raises InputError if there is none.
-    """
-    preset = PRESETS / f"{name}.yaml"
-    if "/" in name or name.endswith((".yaml", ".yml")):
-        preset = Path(name)
-    if preset.is_file():
-        return preset
-    names = ", ".join(sorted(file.stem for file in PRESETS.glob("*.yaml")))
-    raise InputError("there is no such preset", name, f"Choose one of {names}")
 
 
 def _merge(content: dict[str, Any], changes: dict[str, Any]) -> None:

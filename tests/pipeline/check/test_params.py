@@ -124,7 +124,7 @@ def test_a_preset_is_written_as_its_merged_content_with_all_comments(name):
     assert comments == re.findall(r"^ *#.*", original, re.MULTILINE)
 
     # Comments at the end of a line stay, too, unless the preset replaces the section.
-    changes = params.read_yaml(preset.path_of(name))
+    changes = params.read_yaml(preset.PRESETS / f"{name}.yaml")
     replaced = {key for key, value in changes.items() if "*" in value}
     section = ""
     for line in original.splitlines():

@@ -9,8 +9,8 @@ from torch.profiler import profile
 
 from benchmarks.alternatives import DEVICE, ENTRY, FRAMES, Work, milliseconds, now_s, write_street
 from pipeline.base import console, store
+from pipeline.base.keys import ROOT
 from pipeline.base.params import load
-from pipeline.base.resume import ROOT
 from pipeline.camera.camera import Camera
 from pipeline.labels import label, source
 from pipeline.labels.settings import Labels

@@ -5,9 +5,9 @@ from pathlib import Path
 
 from pipeline.base import console, store
 from pipeline.base.checkout import in_checkout
+from pipeline.base.keys import digest
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
-from pipeline.base.resume import digest
 from pipeline.base.runner import Job, make_drives
 from pipeline.ingest import drive as datasets
 from pipeline.ingest.datasets import kitti

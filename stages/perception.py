@@ -7,9 +7,9 @@ import torch
 
 from pipeline.base import console, store
 from pipeline.base.executors import default_workers
+from pipeline.base.keys import file_hash
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
-from pipeline.base.resume import file_hash
 from pipeline.base.runner import file_jobs, make_drives
 from pipeline.encoder.encoder_file import FILE
 from pipeline.perception.perceive import perceive_drive, warnings

@@ -19,9 +19,9 @@ from ruamel.yaml import YAML
 from pipeline.base import console
 from pipeline.base.checkout import CHECKOUT, CODE, revision
 from pipeline.base.errors import InputError
+from pipeline.base.keys import ROOT, code_files, file_hash
 from pipeline.base.outputs import locked
 from pipeline.base.params import parse, read_yaml
-from pipeline.base.resume import ROOT, code_files, file_hash
 from pipeline.base.store import replacing, write_json, write_text
 from pipeline.check.preset import PRESETS, check_name_is_free
 from pipeline.check.settings import Params

@@ -13,9 +13,9 @@ from typing import Any
 
 from footage.settings import Options
 from pipeline.base.errors import InputError
+from pipeline.base.keys import ROOT
 from pipeline.base.outputs import check_free
 from pipeline.base.params import from_python
-from pipeline.base.resume import ROOT
 from pipeline.encoder.encoder_file import FILE
 from pipeline.train.trained import load_model
 from steer import export as exporting

@@ -31,7 +31,7 @@ def _version(requested: bool) -> None:
     """Print the version and exit, if --version is given."""
     if requested:
         from pipeline.base.checkout import revision
-        from pipeline.base.resume import ROOT
+        from pipeline.base.keys import ROOT
 
         # An installed wheel has no revision.
         print(f"steer {version('semantic-steering')} {revision(ROOT)}".rstrip())

@@ -15,9 +15,9 @@ from footage.lens import numbers
 from footage.settings import Options
 from pipeline.base.checkout import is_checkout
 from pipeline.base.errors import InputError, error_context
+from pipeline.base.keys import ROOT, file_hash, is_by_desktop
 from pipeline.base.outputs import locked
 from pipeline.base.params import SPLITS, check_name
-from pipeline.base.resume import ROOT, file_hash, is_by_desktop
 from pipeline.base.store import replacing, write_json, write_text
 from pipeline.camera.pinhole import depth_limit
 from pipeline.check import preset as presets

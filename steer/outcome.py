@@ -13,8 +13,8 @@ import pandas as pd
 
 from pipeline.base.checkout import revision
 from pipeline.base.console import split_doubts
+from pipeline.base.keys import ROOT
 from pipeline.base.metrics import nmse, rmse
-from pipeline.base.resume import ROOT
 from pipeline.base.store import DriveReader
 from pipeline.evaluate import statistics
 from pipeline.evaluate.settings import Evaluate

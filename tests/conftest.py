@@ -38,14 +38,14 @@ def _real(name: str) -> Callable[[], Path]:
 @pytest.fixture
 def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a copy of the code, which cache keys read instead of the project's."""
-    from pipeline.base import resume
+    from pipeline.base import keys
 
     folder = tmp_path / "checkout"
-    for name in resume.PACKAGES:
-        shutil.copytree(resume.ROOT / name, folder / name)
-    shutil.copy(resume.ROOT / "dvc.yaml", folder)
-    monkeypatch.setattr(resume, "ROOT", folder)
-    monkeypatch.setattr(resume, "LOADED", resume.scan_code())
+    for name in keys.PACKAGES:
+        shutil.copytree(keys.ROOT / name, folder / name)
+    shutil.copy(keys.ROOT / "dvc.yaml", folder)
+    monkeypatch.setattr(keys, "ROOT", folder)
+    monkeypatch.setattr(keys, "LOADED", keys.scan_code())
     return folder
 
 

@@ -16,7 +16,7 @@ import yaml
 from dvc.repo import Repo
 from dvc.utils.serialize import modify_yaml
 
-from pipeline.base.resume import ROOT
+from pipeline.base.keys import ROOT
 from stages import preset
 from tests.kitti_drive import contents
 from tests.test_docs import code_block

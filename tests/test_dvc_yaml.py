@@ -10,11 +10,11 @@ from typing import Any, get_args
 import pytest
 import yaml
 
-from pipeline.base import resume
+from pipeline.base import keys
 from pipeline.graphs.settings import Variant
 from pipeline.labels.settings import Labels
 
-CONFIG: dict[str, Any] = yaml.safe_load((resume.ROOT / "dvc.yaml").read_text())
+CONFIG: dict[str, Any] = yaml.safe_load((keys.ROOT / "dvc.yaml").read_text())
 STAGES: dict[str, Any] = {
     name: {**stage, **stage.get("do", {})} for name, stage in CONFIG["stages"].items()
 }
@@ -41,20 +41,20 @@ def _files(dep: str) -> set[Path]:
     for name, folder in NETWORKS.items():
         if name in dep:
             return _files(folder)
-    path = resume.ROOT / dep
+    path = keys.ROOT / dep
     assert path.exists(), dep
     files = [path]
     if path.is_dir():
         files = [*path.rglob("*.py")]
     # A template imports nothing.
-    return {file.relative_to(resume.ROOT) for file in files if file.suffix != ".j2"}
+    return {file.relative_to(keys.ROOT) for file in files if file.suffix != ".j2"}
 
 
 def test_one_name_five_places():
     """A file of stages/, an entry of dvc.yaml, a section, a folder of data/ and of pipeline/."""
-    files = {path.stem for path in (resume.ROOT / "stages").glob("*.py")}
+    files = {path.stem for path in (keys.ROOT / "stages").glob("*.py")}
     files.remove("preset")  # runs the stages of a preset, and is none
-    rooms = {path.name for path in (resume.ROOT / "pipeline").iterdir() if any(path.glob("*.py"))}
+    rooms = {path.name for path in (keys.ROOT / "pipeline").iterdir() if any(path.glob("*.py"))}
     assert files == set(STAGES) == rooms - {"base", "camera"}
     for name, stage in STAGES.items():
         assert stage["cmd"] == f"python -m stages.{name}"  # without the syntax of a shell
@@ -66,10 +66,10 @@ def test_no_two_rooms_have_a_module_of_one_name():
     """Unless it is the same thing of two stages."""
     places: dict[str, set[str]] = {}
     for folder in ("footage", "pipeline", "models", "steer", "benchmarks"):
-        for file in (resume.ROOT / folder).rglob("*.py"):
+        for file in (keys.ROOT / folder).rglob("*.py"):
             room = folder
             if folder == "pipeline":
-                _, room, *_ = file.relative_to(resume.ROOT).parts
+                _, room, *_ = file.relative_to(keys.ROOT).parts
             places.setdefault(file.stem, set()).add(room)
     twice = {name for name, rooms in places.items() if len(rooms) > 1}
     assert twice == {"fit", "settings"}
@@ -102,10 +102,10 @@ def test_what_a_stage_imports_is_covered(name):
     ],
 )
 def test_a_network_or_dataset_imports_no_other_one_that_dvc_and_keys_do_not_see(folder, stages):
-    for file in sorted((resume.ROOT / folder).glob("*.py")):
-        path = file.relative_to(resume.ROOT)
+    for file in sorted((keys.ROOT / folder).glob("*.py")):
+        path = file.relative_to(keys.ROOT)
         for stage in stages:
-            code = resume.Code.read(stage, [str(path)]).loaded
+            code = keys.Code.read(stage, [str(path)]).loaded
             missing = {name for name in map(str, _with_imports({path})) if name not in code}
             assert not missing, f"{path} imports {missing}: list it in dvc.yaml, deps of {stage}"
 
@@ -127,7 +127,7 @@ def test_deps_on_data_are_exactly_outs(name):
 
 @pytest.mark.parametrize("name", STAGES)
 def test_sections_that_a_stage_reads_are_its_params(name):
-    tree = ast.parse((resume.ROOT / "stages" / f"{name}.py").read_text())
+    tree = ast.parse((keys.ROOT / "stages" / f"{name}.py").read_text())
     modules = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
     read = set()
     for module in modules:
@@ -153,10 +153,10 @@ def test_sections_that_a_stage_reads_are_its_params(name):
 def test_labels_depend_on_the_folder_that_their_source_names(tmp_path, source, expected):
     """DVC takes data/ingest twice. A dry run reads files of data/, and runs no stage."""
     for name in ("models", "pipeline", "stages", "dvc.yaml"):
-        (tmp_path / name).symlink_to(resume.ROOT / name)
+        (tmp_path / name).symlink_to(keys.ROOT / name)
     for name in ("sample", "ingest", "encoder", "perception", "motion"):
         (tmp_path / "data" / name).mkdir(parents=True)
-    params = yaml.safe_load((resume.ROOT / "params.yaml").read_text())
+    params = yaml.safe_load((keys.ROOT / "params.yaml").read_text())
     params["labels"]["source"] = source
     if source is None:
         del params["labels"]["source"]
@@ -184,7 +184,7 @@ def _with_imports(files: set[Path]) -> set[Path]:
     queue = [*files]
     while queue:
         file = queue.pop()
-        if file not in found and (resume.ROOT / file).is_file():
+        if file not in found and (keys.ROOT / file).is_file():
             found.add(file)
             queue += _imports(file)
     return found
@@ -193,7 +193,7 @@ def _with_imports(files: set[Path]) -> set[Path]:
 def _imports(file: Path) -> set[Path]:
     """Return the modules that a file may import; "from a import b" may import a and a.b."""
     names = set[str]()
-    for node in ast.walk(ast.parse((resume.ROOT / file).read_text())):
+    for node in ast.walk(ast.parse((keys.ROOT / file).read_text())):
         if isinstance(node, ast.Import):
             names.update(alias.name for alias in node.names)
         if isinstance(node, ast.ImportFrom):

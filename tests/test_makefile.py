@@ -14,7 +14,7 @@ from filelock import FileLock
 
 from pipeline.base.checkout import in_checkout, revision
 from pipeline.base.errors import InputError
-from pipeline.base.resume import ROOT, file_hash
+from pipeline.base.keys import ROOT, file_hash
 from pipeline.encoder import create
 from pipeline.encoder.settings import Encoder
 from pipeline.encoder.weights import weights_hash

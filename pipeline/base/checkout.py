@@ -4,7 +4,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
-from pipeline.base.resume import PACKAGES, ROOT
+from pipeline.base.keys import PACKAGES, ROOT
 
 # Files and folders of the checkout, other than settings, that a run in runs/NAME needs.
 CODE = (*PACKAGES, "dvc.yaml", ".dvcignore", "data/.gitignore")

@@ -11,7 +11,7 @@ from uuid import uuid4
 from filelock import FileLock, Timeout
 
 from pipeline.base.errors import InputError
-from pipeline.base.resume import UNDO, Code, read_sections
+from pipeline.base.keys import UNDO, Code, read_sections
 from pipeline.base.store import INDEX, NO_LOCKS, read_json, replacing, write_json
 
 # Advice for an output folder that is not free.

@@ -4,8 +4,8 @@ import re
 from pathlib import Path
 
 from pipeline.base.errors import InputError
+from pipeline.base.keys import ROOT
 from pipeline.base.params import read_yaml
-from pipeline.base.resume import ROOT
 
 # Folder of the presets.
 PRESETS = ROOT / "presets"

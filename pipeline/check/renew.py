@@ -11,7 +11,7 @@ from models.steering.core.batch import from_arrays
 from models.steering.core.recurrent import NOMINAL_STEP_S
 from pipeline.base import checkpoint, console
 from pipeline.base.errors import InputError
-from pipeline.base.resume import ROOT
+from pipeline.base.keys import ROOT
 from pipeline.check.street_frames import join_frames, make_frames
 from pipeline.graphs.settings import Variant
 from pipeline.train.trained import KIND, Trained, code_hashes, load_model

@@ -16,8 +16,8 @@ from torch import nn
 from pipeline.base.checkout import in_checkout
 from pipeline.base.errors import error_context
 from pipeline.base.executors import default_workers
+from pipeline.base.keys import file_hash
 from pipeline.base.loop import prefetch
-from pipeline.base.resume import file_hash
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.camera import classes

@@ -14,8 +14,8 @@ from models.steering.core.steering_net import SteeringNet
 from pipeline.base import checkpoint, store
 from pipeline.base.errors import error_context
 from pipeline.base.executors import SCHEDULER, run_jobs
+from pipeline.base.keys import stage_key
 from pipeline.base.outputs import StageFolder
-from pipeline.base.resume import stage_key
 from pipeline.train import runs, trained
 from pipeline.train.entry import Entry
 from pipeline.train.fit import Fit, selected_epoch

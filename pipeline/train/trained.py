@@ -13,7 +13,7 @@ import torch
 from models.steering.core.steering_net import SteeringNet
 from pipeline.base import checkpoint
 from pipeline.base.errors import InputError, error_context
-from pipeline.base.resume import ROOT, file_hash
+from pipeline.base.keys import ROOT, file_hash
 from pipeline.graphs.graph_file import Contents, Graphs, open_graphs
 from pipeline.train import windows
 from pipeline.train.entry import Entry

@@ -14,7 +14,7 @@ import yaml
 from footage import convert as conversion
 from footage.convert import GAP_S
 from pipeline.base.errors import InputError
-from pipeline.base.resume import ROOT
+from pipeline.base.keys import ROOT
 from pipeline.base.store import DriveReader
 from pipeline.ingest.calibration import read_calibration
 from pipeline.ingest.datasets.kitti import KittiDrive

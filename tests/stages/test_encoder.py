@@ -12,7 +12,7 @@ import yaml
 
 from models.encoder.street import SOURCES
 from pipeline.base.errors import InputError
-from pipeline.base.resume import ROOT
+from pipeline.base.keys import ROOT
 from pipeline.encoder import encoder_file
 from stages import preset
 from stages.encoder import main

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import yaml
 
-from pipeline.base import resume
+from pipeline.base import keys
 from pipeline.ingest.datasets.kitti import find_drive
 from stages import sample
 
@@ -13,7 +13,7 @@ DRIVES = ["2026_01_01_drive_0001", "2026_01_01_drive_0002", "2026_01_05_drive_00
 
 
 def write_params(path: Path, lidar: bool = False, epochs: int = 0, **frames: int) -> Path:
-    params = yaml.safe_load((resume.ROOT / "params.yaml").read_text(encoding="utf-8"))
+    params = yaml.safe_load((keys.ROOT / "params.yaml").read_text(encoding="utf-8"))
     params["sample"] |= {"image_size": [48, 160], "scan_rays": [16, 40], "frames": frames}
     params["encoder"]["epochs"] = epochs
     params["ingest"] |= {"lidar": lidar, "drives": {"train": DRIVES[:2], "test": DRIVES[2:]}}

@@ -11,7 +11,7 @@ import yaml
 from typer.testing import CliRunner
 
 from pipeline.base import checkpoint
-from pipeline.base.resume import ROOT
+from pipeline.base.keys import ROOT
 from steer.app import app
 from tests import street
 from tests.artefacts import write_dataset

@@ -20,7 +20,7 @@ from models.encoder.hugging_face import CityscapesLogits
 from models.encoder.rtmonodepth_s import SIZE
 from models.encoder.street import Street
 from models.encoder.unified_encoder import Architecture, build
-from pipeline.base.resume import ROOT
+from pipeline.base.keys import ROOT
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, scan_depth
 from pipeline.camera.images import read_image, resized

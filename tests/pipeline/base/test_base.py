@@ -23,7 +23,7 @@ import hdf5plugin
 import numpy as np
 import pytest
 
-from pipeline.base import console, executors, resume, store
+from pipeline.base import console, executors, keys, store
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.outputs import StageFolder, claimed, stage_folder
 from pipeline.base.store import DriveReader, DriveWriter, read_json
@@ -433,7 +433,7 @@ def test_only_what_changed_is_made_again(folder, expected, monkeypatch):
     ]:
         shutil.rmtree(folder / "data/toy", ignore_errors=True)
         (folder / "input/b").write_bytes(input_b)
-        monkeypatch.setattr(resume.Code, "hash", lambda self, own, code=code: code)
+        monkeypatch.setattr(keys.Code, "hash", lambda self, own, code=code: code)
         toy_stage.main(folder, k=k, workers=1, drives=drives)
         assert calls(folder) == made
     assert outputs(folder) == expected
@@ -552,11 +552,11 @@ def test_a_worker_of_a_cluster_with_other_code_or_data_is_refused(folder, dask):
         client.run(toy_stage.pretend, "another")
         with pytest.raises(InputError, match="got another, expected") as raised:
             toy_stage.main(folder)
-        client.run(toy_stage.pretend, resume.LOADED["numpy"])
+        client.run(toy_stage.pretend, keys.LOADED["numpy"])
     assert socket.gethostname() in raised.value.where
     assert calls(folder) == []
 
-    stage = StageFolder(resume.Code.read("labels"), folder / "elsewhere/new", folder, set())
+    stage = StageFolder(keys.Code.read("labels"), folder / "elsewhere/new", folder, set())
     with pytest.raises(InputError, match="data is the same as here"):
         next(executors.run_jobs(len, ["a", "b"], stage))
 
@@ -574,12 +574,12 @@ def test_without_a_scheduler_or_a_worker_a_line_says_so(folder, monkeypatch, cap
 
 def test_the_hash_of_a_folder_ignores_files_of_file_managers(tmp_path):
     write_text(tmp_path / "1.png", "a")
-    expected = resume.digest({"1.png": resume.file_hash(tmp_path / "1.png")})
+    expected = keys.digest({"1.png": keys.file_hash(tmp_path / "1.png")})
     for name in (".DS_Store", "._1.png", "Thumbs.db", "desktop.ini"):
         write_text(tmp_path / name, "b")
-        assert resume.content_hash(tmp_path) == expected
+        assert keys.content_hash(tmp_path) == expected
     write_text(tmp_path / "2.png", "a")
-    assert resume.content_hash(tmp_path) != expected
+    assert keys.content_hash(tmp_path) != expected
 
 
 @pytest.mark.parametrize(

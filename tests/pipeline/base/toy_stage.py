@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.base import console, resume, store
+from pipeline.base import console, keys, store
 from pipeline.base.errors import DamagedFile
+from pipeline.base.keys import ROOT
 from pipeline.base.outputs import stage_folder
-from pipeline.base.resume import ROOT
 from pipeline.base.runner import Job, make_drives
 from tests.kitti_drive import contents
 
@@ -74,7 +74,7 @@ def main(
 
 def pretend(version: str) -> None:
     """Let this process have loaded another version of a package."""
-    resume.LOADED["numpy"] = version
+    keys.LOADED["numpy"] = version
 
 
 def prepare(folder: Path) -> Path:

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.base.errors import InputError
-from pipeline.base.resume import digest
+from pipeline.base.keys import digest
 from pipeline.camera.geometry import depth_image, project, transform
 from pipeline.camera.images import read_pixels
 from pipeline.ingest import packets

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
+from pipeline.base.keys import ROOT
 from pipeline.base.params import load
-from pipeline.base.resume import ROOT
 from pipeline.camera import classes, geometry
 from pipeline.camera.images import read_pixels, to_metres
 from pipeline.ingest.datasets.kitti import KittiDrive, read_scan

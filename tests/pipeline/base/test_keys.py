@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 import yaml
 
-from pipeline.base import resume
+from pipeline.base import keys
 from pipeline.base.errors import InputError
+from pipeline.base.keys import Code
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load
-from pipeline.base.resume import Code
 from pipeline.labels.settings import Labels
 from tests.kitti_drive import contents, write
 
@@ -33,15 +33,15 @@ ALL = set(RESULTS)
 INGEST = {"kitti", "sample", "folders"}
 
 
-def keys() -> dict[str, str]:
-    resume.LOADED = resume.scan_code()
+def all_keys() -> dict[str, str]:
+    keys.LOADED = keys.scan_code()
     return {
         title: Code.read(stage, chosen).hash(chosen) for title, (stage, chosen) in RESULTS.items()
     }
 
 
 def changed_keys(before: dict[str, str]) -> set[str]:
-    return {title for title, key in keys().items() if key != before[title]}
+    return {title for title, key in all_keys().items() if key != before[title]}
 
 
 def edit(path: Path, before: str, after: str) -> None:
@@ -89,7 +89,7 @@ def edit(path: Path, before: str, after: str) -> None:
     ],
 )
 def test_a_key_has_the_files_that_can_change_the_result(checkout, file, changed):
-    keys_before = keys()
+    keys_before = all_keys()
     edit(checkout / file, "", "# a comment\n")
     assert changed_keys(keys_before) == changed
 
@@ -98,15 +98,15 @@ def test_a_key_has_the_files_that_can_change_the_result(checkout, file, changed)
 def test_a_key_has_the_versions_of_packages_that_change_numbers(
     checkout, monkeypatch, package, changed
 ):
-    keys_before = keys()
-    version = resume.importlib.metadata.version
+    keys_before = all_keys()
+    version = keys.importlib.metadata.version
 
     def other_version(name: str) -> str:
         if name == package:
             return f"{version(name)}+other"
         return version(name)
 
-    monkeypatch.setattr(resume.importlib.metadata, "version", other_version)
+    monkeypatch.setattr(keys.importlib.metadata, "version", other_version)
     assert changed_keys(keys_before) == changed
 
 
@@ -164,7 +164,7 @@ def test_a_worker_with_other_code_or_packages_names_them_and_its_host(checkout, 
     """It compares what it loaded, as an edit may have been undone since."""
     code = pickle.loads(pickle.dumps(Code.read("labels")))
     code.check_worker()
-    monkeypatch.setitem(resume.LOADED, name, "another")
+    monkeypatch.setitem(keys.LOADED, name, "another")
     problem = rf"differs from that of stage labels \(got another, expected {code.loaded[name]:.12}"
     with pytest.raises(InputError, match=problem) as raised:
         code.check_worker()

@@ -59,6 +59,8 @@ OTHERS = {
     "--pull",
     "--downstream",
     "--allow-missing",
+    "--nthreads",
+    "--nworkers",
 }
 
 

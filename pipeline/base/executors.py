@@ -97,12 +97,8 @@ def run_jobs(
     try:
         with _executor(count, threads) as executor:
             futures = {executor.submit(call, job): job for job in jobs}
-            try:
-                for future in as_completed(futures):
-                    yield futures[future], future.result()
-            finally:
-                for future in futures:
-                    future.cancel()
+            for future in as_completed(futures):
+                yield futures[future], future.result()
     except (BrokenExecutor, CancelledError) as error:
         fix = f"Use fewer workers ({WORKERS}=1) or repeat the command: finished drives are kept"
         raise InputError("a worker process died (out of memory?)", fix=fix) from error
@@ -110,12 +106,18 @@ def run_jobs(
 
 @contextmanager
 def _executor(count: int, threads: int) -> Iterator[Executor]:
-    """Yield `count` processes of this machine, or the workers of a Dask cluster."""
+    """Yield `count` processes of this machine, or the workers of a Dask cluster.
+
+    At the end, jobs that have not started are cancelled.
+    """
     address = os.environ.get(SCHEDULER)
     if not address:
         os.environ["OMP_NUM_THREADS"] = str(threads)  # read when a worker imports its libraries
-        with ProcessPoolExecutor(count, _SPAWN, _start_worker) as executor:
-            yield executor
+        processes = ProcessPoolExecutor(count, _SPAWN, _start_worker)
+        try:
+            yield processes
+        finally:
+            processes.shutdown(cancel_futures=True)
         return
 
     try:
@@ -129,12 +131,14 @@ def _executor(count: int, threads: int) -> Iterator[Executor]:
     with client:
         timer = Timer(WAIT_S, _say_if_idle, [client, address])
         timer.start()
+        cluster = client.get_executor(pure=False, retries=0)
         try:
-            yield client.get_executor(pure=False, retries=0)
+            yield cluster
         except KilledWorker as error:
             raise BrokenExecutor from error
         finally:
             timer.cancel()
+            cluster.shutdown(wait=False)
 
 
 def _say_if_idle(client: Any, address: str) -> None:

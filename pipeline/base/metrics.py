@@ -1,4 +1,4 @@
-"""Compute errors of predictions: squared, absolute, and relative to a prediction of zero.
+"""Compute errors of predictions: squared, and relative to a prediction of zero.
 
 True values have shape [N]. Predictions have shape [N], or [S,N] if they are those of S networks.
 """
@@ -14,11 +14,6 @@ def mse(truth: np.ndarray, predicted: np.ndarray) -> float:
 def rmse(truth: np.ndarray, predicted: np.ndarray) -> float:
     """Return the root of the mean squared error, in the values' unit."""
     return float(np.sqrt(np.mean((predicted - truth) ** 2)))
-
-
-def mae(truth: np.ndarray, predicted: np.ndarray) -> float:
-    """Return the mean absolute error, in the values' unit."""
-    return float(np.mean(np.abs(predicted - truth)))
 
 
 def nmse(truth: np.ndarray, predicted: np.ndarray) -> float | None:

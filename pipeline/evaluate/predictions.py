@@ -157,6 +157,9 @@ def model_facts(name: str, first: Trained, cases: Mapping[str, Sequence[Case]]) 
     }
     for key, count in SIZES.items():
         counts = [drive.counts[count] for drive in tested if count in drive.counts]
+        # The variant's edges do not count for a network that reads none.
+        if count.startswith("edges") and not first.entry.network.reads_edges:
+            counts = []
         facts[key] = float(np.concatenate(counts).mean()) if counts else None
     return facts
 

@@ -139,7 +139,7 @@ def _facts(content: Mapping[str, Any]) -> dict[str, Any]:
         "scene": gets_scene,
         "paper": _is_papers(content),
         "parameters": content["parameters"],
-        "edges": content["edges_per_frame"] if gets_scene else None,
+        "edges": content["edges_per_frame"],
         "turning_frames": content["turning_frames"],
         "untrained": content["untrained"],
     }

@@ -8,8 +8,7 @@ Its drives are ``NAME/NAME_drive_0001_sync`` and so on, with the files ``image_0
 
 import shutil
 import sys
-from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -25,10 +24,10 @@ from footage.settings import Options
 from footage.video import CONVERT, Images, open_images
 from pipeline.base.errors import DamagedFile, InputError, error_context
 from pipeline.camera.camera import Camera
-from pipeline.camera.images import Size, format_size, read_image, resized
+from pipeline.camera.images import Size, format_size, resized
 from pipeline.ingest.calibration import write_calibration
 from pipeline.ingest.packets import VALUE_FILES, format_times, write_values
-from pipeline.motion.horizon import find_horizon, spread_pairs
+from pipeline.motion.horizon import HorizonFinder
 
 # Largest width of written images in pixels, which is that of KITTI's.
 MAX_WIDTH = 1242
@@ -138,19 +137,17 @@ class Drive:
     """A drive that is being written."""
 
     folder: Path
-    # The written images, the file of the recording that each is from, and its time there.
+    # The written images, and their times in the recording.
     images: list[Path] = field(default_factory=list)
-    files: list[Path] = field(default_factory=list)
     times_s: list[float] = field(default_factory=list)
 
-    def write_image(self, image: np.ndarray, file: Path, time_s: float, *, png: bool) -> None:
+    def write_image(self, image: np.ndarray, time_s: float, *, png: bool) -> None:
         """Write the next image, RGB uint8 [H,W,3]."""
         suffix = ".png" if png else ".jpg"
         path = self.folder / f"image_02/data/{len(self.images):010d}{suffix}"
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(_encoded(image, png=png))
         self.images.append(path)
-        self.files.append(file)
         self.times_s.append(time_s)
 
 
@@ -217,6 +214,7 @@ def convert(
 
     drives = list[Drive]()
     notes = list[str]()
+    finders = {file.path: HorizonFinder(optics.camera) for file in files}
     with tqdm(total=frames, desc="convert", unit=" images", disable=None) as bar:
         for recording, edges in zip(recordings, edges_s, strict=True):
             numbers = range(len(drives) + 1, len(drives) + 1 + len(shares))
@@ -226,12 +224,13 @@ def convert(
                 in_gap = place < len(edges) and time_s >= edges[place] - GAP_S
                 if not in_gap:
                     frame = optics.to_frame(image, path)
-                    parts[place].write_image(frame, path, time_s, png=options.png)
+                    parts[place].write_image(frame, time_s, png=options.png)
+                    finders[path].add(frame)
                 bar.update()
             notes += _write_values(recording, parts)
             drives += parts
 
-    horizon, note, doubts = _find_horizon(drives, optics.camera)
+    horizon, note, doubts = _find_horizon(finders, optics.camera.size[0])
     camera = replace(optics.camera, horizon=horizon).at_height(options.camera_height_m)
     write_calibration(folder, camera)
     written = sorted(str(path.relative_to(folder)) for path in folder.rglob("*.*"))
@@ -297,21 +296,18 @@ def _write_values(recording: Recording, parts: Sequence[Drive]) -> list[str]:
     ]
 
 
-def _find_horizon(drives: Sequence[Drive], camera: Camera) -> tuple[float | None, str, list[str]]:
+def _find_horizon(
+    finders: Mapping[Path, HorizonFinder], height: int
+) -> tuple[float | None, str, list[str]]:
     """Return the row of the horizon of all files, a note on it, and doubts.
 
-    It is None if too few images show a drive. Raises InputError if images are upside down.
+    Images have a `height` in pixels. The row is None if too few images show a drive. Raises
+    InputError if images are upside down.
     """
-    paths = defaultdict[Path, list[Path]](list)
-    for drive in drives:
-        for image, file in zip(drive.images, drive.files, strict=True):
-            paths[file].append(image)
-
     rows = list[float]()
-    for file, images in paths.items():
-        pairs = ((read_image(before), read_image(now)) for before, now in spread_pairs(images))
-        with error_context(file):
-            row = find_horizon(pairs, camera)
+    for path, finder in finders.items():
+        with error_context(path):
+            row = finder.row()
         if row is not None:
             rows.append(row)
     if not rows:
@@ -319,7 +315,6 @@ def _find_horizon(drives: Sequence[Drive], camera: Camera) -> tuple[float | None
         return None, note, []
 
     doubts = list[str]()
-    height = camera.size[0]
     moved = max(rows) - min(rows)
     if moved > MOVED * height:
         doubts.append(

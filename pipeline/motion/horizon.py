@@ -1,8 +1,7 @@
 """Find the road's horizon by the essential matrices of pairs of images."""
 
-from collections.abc import Iterable, Sequence
-from itertools import islice, pairwise
-from typing import NamedTuple, TypeVar
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -12,8 +11,6 @@ from pipeline.camera.camera import Camera
 from pipeline.camera.geometry import project
 from pipeline.camera.images import Size
 from pipeline.motion.odometry import best_corners, corner_quality, track
-
-T = TypeVar("T")
 
 # Width in pixels of the images that are tracked.
 WIDTH = 640
@@ -69,34 +66,41 @@ class _Heading(NamedTuple):
     nearer_above: bool | None  # whether points above it are nearer than those below; None: unknown
 
 
-def spread_pairs(images: Sequence[T]) -> list[tuple[T, T]]:
-    """Return pairs of consecutive images, spread over the first 600."""
-    return [*islice(pairwise(images), 0, PAIRS * PAIR_EVERY, PAIR_EVERY)]
+class HorizonFinder:
+    """Find the horizon of consecutive images of a car's camera, which are added one by one."""
 
+    def __init__(self, camera: Camera) -> None:
+        self._camera = camera
+        self._before = np.zeros((0, 0, 3), np.uint8)
+        self._count = 0
+        self._headings = list[_Heading]()
 
-def find_horizon(pairs: Iterable[tuple[np.ndarray, np.ndarray]], camera: Camera) -> float | None:
-    """Return the image row of the direction of travel; None if too few images show one.
+    def add(self, image: np.ndarray) -> None:
+        """Take the next image RGB uint8 [H,W,3]. Pairs of the first 600 images are used."""
+        place = self._count % PAIR_EVERY
+        if self._count < PAIRS * PAIR_EVERY and place == 0:
+            self._before = image
+        elif self._count < PAIRS * PAIR_EVERY and place == 1:
+            motion = _measure_motion(self._before, image, self._camera)
+            heading = _find_heading(motion) if motion else None
+            if heading:
+                self._headings.append(heading)
+        self._count += 1
 
-    It is the median over `pairs` of consecutive images RGB uint8 [H,W,3]. The row depends
-    little on the focal length. A camera on a car travels along the road, so this is the road's
-    horizon. Raises InputError if the images are upside down, because points above the horizon are
-    nearer than points below it.
-    """
-    headings = list[_Heading]()
-    for before, now in pairs:
-        motion = _measure_motion(before, now, camera)
-        if motion is None:
-            continue
-        heading = _find_heading(motion)
-        if heading is not None:
-            headings.append(heading)
+    def row(self) -> float | None:
+        """Return the image row of the direction of travel; None if too few images show one.
 
-    _check_upright(headings)
-    if len(headings) < MIN_PAIRS:
-        return None
-    row = float(np.median([heading.row for heading in headings]))
-    scale = camera.size[0] / _small_size(camera)[0]
-    return (row + 0.5) * scale - 0.5
+        It is the median over pairs of consecutive images. The row depends little on the focal
+        length. A camera on a car travels along the road, so this is the road's horizon. Raises
+        InputError if the images are upside down, because points above the horizon are nearer than
+        points below it.
+        """
+        _check_upright(self._headings)
+        if len(self._headings) < MIN_PAIRS:
+            return None
+        row = float(np.median([heading.row for heading in self._headings]))
+        scale = self._camera.size[0] / _small_size(self._camera)[0]
+        return (row + 0.5) * scale - 0.5
 
 
 def _check_upright(headings: Iterable[_Heading]) -> None:

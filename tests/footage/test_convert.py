@@ -179,7 +179,7 @@ def test_a_distorted_image_is_rectified_and_a_large_one_made_smaller(tmp_path):
 
 @pytest.mark.parametrize(("rows", "moved"), [((20.0, 20.5), False), ((20.0, 24.0), True)])
 def test_files_of_a_camera_that_was_moved_are_doubted(tmp_path, monkeypatch, rows, moved):
-    monkeypatch.setattr(conversion, "find_horizon", Mock(side_effect=rows))
+    monkeypatch.setattr(conversion.HorizonFinder, "row", Mock(side_effect=rows))
     paths = [write_video(tmp_path / f"{number}.mp4", pictures(5)) for number in range(2)]
     converted = convert(tmp_path / "drives", paths)
     assert converted.camera.horizon == np.median(rows)

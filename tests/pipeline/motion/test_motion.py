@@ -300,9 +300,11 @@ def test_a_black_image_shows_no_road():
 
 def test_images_upside_down_are_refused():
     images = [street.view(pose)[0] for pose in street.arc(60, 0.0, 8.0)]
-    upright = horizon.spread_pairs(images * 2)
-    assert horizon.find_horizon(upright, street.WIDE) is not None
-
-    upside_down = horizon.spread_pairs([image[::-1, ::-1].copy() for image in images])
+    upright = horizon.HorizonFinder(street.WIDE)
+    upside_down = horizon.HorizonFinder(street.WIDE)
+    for image in images * 2:
+        upright.add(image)
+        upside_down.add(image[::-1, ::-1].copy())
+    assert upright.row() is not None
     with pytest.raises(InputError, match="images are upside down"):
-        horizon.find_horizon(upside_down, street.WIDE)
+        upside_down.row()

@@ -43,11 +43,10 @@ street: setup          ## make the encoder of real streets, weights/street, from
 
 UDACITY ?= data/raw/udacity
 udacity: street        ## compare with the teams of Udacity's Challenge 2; UDACITY is the folder of the three files
-	@rm -rf out/udacity
-	@steer measure $(UDACITY)/udacity_ch2_001.mp4 --K 2152,2166,268,303 --distortion -0.042,-0.89,0,0 \
-	--camera-height 1.48 --no-video --out out/udacity  # K of the rig's right camera; lanes give the height
-	@python -m benchmarks.alternatives udacity out/udacity/motion.csv $(UDACITY)/udacity_ch2_001.csv \
-	$(UDACITY)/udacity_leaderboard.csv
+	@# K is that of the rig's right camera; the height follows from lanes
+	@out=$$(mktemp -d) && steer measure $(UDACITY)/udacity_ch2_001.mp4 --K 2152,2166,268,303 \
+	--distortion -0.042,-0.89,0,0 --camera-height 1.48 --no-video --out $$out && python -m benchmarks.alternatives \
+	udacity $$out/motion.csv $(UDACITY)/udacity_ch2_001.csv $(UDACITY)/udacity_leaderboard.csv && rm -r $$out
 
 test: setup            ## run all tests, with coverage
 	OMP_NUM_THREADS=1 pytest -n "$$(nproc 2>/dev/null || getconf _NPROCESSORS_ONLN)" --dist loadfile --no-loadscope-reorder --cov --cov-report=term:skip-covered --cov-fail-under=92

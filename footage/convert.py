@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+import pandas as pd
 from tqdm import tqdm
 
 from footage.lens import Rectify, open_lens
@@ -290,10 +291,9 @@ def _write_values(recording: Recording, parts: Sequence[Drive]) -> list[str]:
             known = {name: values[name] for name in columns if name in values}
             if known:
                 write_values(part.folder / file, known)
-        tables.append(values)
-    return [
-        range_note(name, np.concatenate([values[name] for values in tables])) for name in tables[0]
-    ]
+        tables.append(pd.DataFrame(values))
+    table = pd.concat(tables)
+    return [range_note(name, table[name].to_numpy()) for name in table]
 
 
 def _find_horizon(

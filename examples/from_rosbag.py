@@ -6,6 +6,8 @@ This needs pip install -e '.[rosbag]'. A column of the log is NAME=TOPIC:FIELD:
     steer import a/images --times a/times.txt --wheel a/log.csv --steering-ratio 14.8 --fov 65
 """
 
+import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +20,13 @@ from rosbags.typesys import Stores, get_typestore
 
 def main(bag: Path, out: Path, images: str, columns: list[str]) -> None:
     """Write the images of topic IMAGES to OUT/images, OUT/times.txt, and COLUMNS to OUT/log.csv."""
-    (out / "images").mkdir(parents=True)
     times_s = []
     rows = []
     with AnyReader([bag], default_typestore=get_typestore(Stores.LATEST)) as reader:
+        topics = {images, *(re.split("[=:]", column)[1] for column in columns)}
+        if missing := topics - reader.topics.keys():
+            sys.exit(f"{bag} has no topic {min(missing)} (it has {', '.join(reader.topics)})")
+        (out / "images").mkdir(parents=True)
         for connection, received_ns, content in reader.messages():
             message: Any = reader.deserialize(content, connection.msgtype)
             time_s = received_ns / 1e9

@@ -28,7 +28,7 @@ from pipeline.camera.camera import Camera
 from pipeline.camera.images import Size, format_size, resized
 from pipeline.ingest.calibration import write_calibration
 from pipeline.ingest.packets import VALUE_FILES, format_times, write_values
-from pipeline.motion.horizon import HorizonFinder
+from pipeline.motion.horizon import HorizonFinder, horizon_row
 
 # Largest width of written images in pixels, which is that of KITTI's.
 MAX_WIDTH = 1242
@@ -129,7 +129,8 @@ class Optics(NamedTuple):
         if image.shape[:2] != self.size:
             problem = f"an image has {format_size(image.shape)} pixels"
             expected = f"expected {format_size(self.size)}, as the first one"
-            raise InputError(f"{problem}, {expected}", path, "Convert recordings one by one")
+            fix = "Import recordings of other sizes separately"
+            raise InputError(f"{problem}, {expected}", path, fix)
         return resized(self.rectify(image), self.camera.size)
 
 
@@ -178,6 +179,9 @@ def open_recording(paths: Sequence[Path], options: Options) -> Recording:
     times_s = None
     if options.times:
         times_s = read_times(options.times)
+        images = sum(len(file.files) for file in files)
+        if images and images != len(times_s):
+            raise InputError(f"has {images} images, but {len(times_s)} times", paths[0])
     else:
         files = [file.at_rate(options.fps) for file in files]
     recording = Recording(files, times_s, logs)
@@ -231,7 +235,7 @@ def convert(
             notes += _write_values(recording, parts)
             drives += parts
 
-    horizon, note, doubts = _find_horizon(finders, optics.camera.size[0])
+    horizon, note, doubts = _find_horizon(finders, optics.camera)
     camera = replace(optics.camera, horizon=horizon).at_height(options.camera_height_m)
     write_calibration(folder, camera)
     written = sorted(str(path.relative_to(folder)) for path in folder.rglob("*.*"))
@@ -297,32 +301,32 @@ def _write_values(recording: Recording, parts: Sequence[Drive]) -> list[str]:
 
 
 def _find_horizon(
-    finders: Mapping[Path, HorizonFinder], height: int
+    finders: Mapping[Path, HorizonFinder], camera: Camera
 ) -> tuple[float | None, str, list[str]]:
     """Return the row of the horizon of all files, a note on it, and doubts.
 
-    Images have a `height` in pixels. The row is None if too few images show a drive. Raises
-    InputError if images are upside down.
+    The row is None if too few images show a drive. Raises InputError if images are upside down.
     """
     rows = list[float]()
     for path, finder in finders.items():
         with error_context(path):
-            row = finder.row()
-        if row is not None:
-            rows.append(row)
-    if not rows:
-        note = "horizon: not found, since too few images show a drive; assuming a level camera"
-        return None, note, []
-
+            row_of_file = finder.row()
+        if row_of_file is not None:
+            rows.append(row_of_file)
     doubts = list[str]()
-    moved = max(rows) - min(rows)
-    if moved > MOVED * height:
+    height = camera.size[0]
+    if rows and max(rows) - min(rows) > MOVED * height:
         doubts.append(
-            f"horizons of the files differ by {moved:.0f} rows of {height}: the camera was moved? "
-            "Import the files separately"
+            f"horizons of the files differ by {max(rows) - min(rows):.0f} rows of {height}: the "
+            "camera was moved? Import the files separately"
         )
-    row = float(np.median(rows))
-    return row, f"horizon: row {row:.0f} of {height}", doubts
+
+    headings = [heading for finder in finders.values() for heading in finder.headings]
+    row = horizon_row(headings, camera)
+    note = "horizon: not found, since too few images show a drive; assuming a level camera"
+    if row is not None:
+        note = f"horizon: row {row:.0f} of {height}"
+    return row, note, doubts
 
 
 def _check_disk(folder: Path, optics: Optics, frames: int, options: Options) -> None:

@@ -148,7 +148,7 @@ def numbers(text: str, counts: Sequence[int], example: str) -> list[float]:
         values = [float(word) for word in text.split(",")]
     except ValueError:
         values = []
-    if len(values) not in counts:
+    if len(values) not in counts or not np.isfinite(values).all():
         option = example.split()[0]
         expected = " or ".join(map(str, counts))
         raise InputError(

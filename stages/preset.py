@@ -18,15 +18,17 @@ from ruamel.yaml import YAML
 
 from pipeline.base import console
 from pipeline.base.checkout import CHECKOUT, CODE, revision
-from pipeline.base.errors import InputError
-from pipeline.base.keys import ROOT, code_files, file_hash
+from pipeline.base.errors import InputError, error_context
+from pipeline.base.keys import ROOT, code_files, digest, file_hash
 from pipeline.base.outputs import locked
-from pipeline.base.params import parse, read_yaml
+from pipeline.base.params import check_name, parse, read_yaml
 from pipeline.base.store import replacing, write_json, write_text
 from pipeline.check.preset import PRESETS, check_name_is_free
 from pipeline.check.settings import Params
 from pipeline.encoder.settings import Encoder
 from pipeline.encoder.weights import weights_hash
+from pipeline.ingest.datasets.kitti import IMPORT
+from pipeline.ingest.settings import Ingest
 from pipeline.report.origin import RUN, duration, origin, read_run
 
 # File of settings into which presets are merged.
@@ -47,6 +49,8 @@ def main(
     run = Path("runs") / name
 
     # All settings are checked before anything is written.
+    with error_context(PRESETS / f"{name}.yaml"):
+        check_name(name)
     if not stages:
         check_name_is_free(name)
     settings = merged(name, Path("params.yaml"))
@@ -54,6 +58,10 @@ def main(
     sha256 = weights_hash(parse(Encoder, settings["encoder"], "encoder"))
     if sha256:
         settings["encoder"]["weights_sha256"] = sha256
+    # DVC does not watch data/raw. It notices another import of the same drives by this hash.
+    sha256 = imports_hash(parse(Ingest, settings["ingest"], "ingest"), Path("data/raw"))
+    if sha256:
+        settings["ingest"]["imports_sha256"] = sha256
 
     run.parent.mkdir(exist_ok=True)
     with locked(run, f"{run}.lock"):
@@ -83,12 +91,28 @@ def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:
     mapping removes all of its earlier keys, so that, for instance, all models are replaced. Raises
     InputError if the file or the preset is invalid.
     """
-    preset = PRESETS / Path(name).with_suffix(".yaml")
+    preset = PRESETS / f"{name}.yaml"
+    if Path(name).suffix == ".yaml":
+        preset = Path(name)
     content = read_yaml(params, comments=True)
     parse(Params, content, path=params)
     _merge(content, read_yaml(preset))
     parse(Params, content, path=preset)
     return content
+
+
+def imports_hash(ingest: Ingest, raw: Path) -> str:
+    """Return the hash of the files of imported drives but their images; empty without an import.
+
+    import.json lists the images, and has the names and sizes of the recordings.
+    """
+    hashes = {}
+    for name in sorted({drive.partition("_drive_")[0] for drive in ingest.drives.splits()}):
+        if (raw / name / IMPORT).is_file():
+            for path in sorted((raw / name).rglob("*.*")):
+                if path.suffix in (".json", ".csv", ".txt"):
+                    hashes[path.relative_to(raw).as_posix()] = file_hash(path)
+    return digest(hashes) if hashes else ""
 
 
 def _merge(content: dict[str, Any], changes: dict[str, Any]) -> None:
@@ -131,20 +155,23 @@ def write_run(run: Path, record: Mapping[str, Any], contents: Mapping[str, bytes
     was edited since the last run, or if no run made the folder.
     """
     written = {}
+    pending = {}
     if (run / RUN).exists():
         written = read_run(run).get("files", {})
+        # Hashes that a run wanted to write which was killed in this function.
+        pending = read_run(run).get("pending", {})
     elif run.exists() and any(run.iterdir()):
         raise InputError("is a folder that no run made", run, "Move it away, or rename the preset")
 
     new = {path: hashlib.sha256(content).hexdigest() for path, content in contents.items()}
-    present = {path: file_hash(run / path) for path in written | new if (run / path).is_file()}
+    paths = written | pending | new
+    present = {path: file_hash(run / path) for path in paths if (run / path).is_file()}
     for path, sha256 in present.items():
-        # A run that was killed in this function has files of both kinds.
-        if sha256 not in (written.get(path), new.get(path)):
+        if sha256 not in (written.get(path), pending.get(path), new.get(path)):
             fix = "Make the edits in the checkout or in the preset, then delete the file"
             raise InputError("was edited, and would be replaced", run / path, fix)
 
-    write_json(run / RUN, {**record, "files": written}, sort_keys=False)
+    write_json(run / RUN, {**record, "files": written, "pending": new}, sort_keys=False)
     for path in present.keys() - new.keys():
         (run / path).unlink()
     for path, content in contents.items():

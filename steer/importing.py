@@ -15,7 +15,7 @@ from footage.lens import numbers
 from footage.settings import Options
 from pipeline.base.checkout import is_checkout
 from pipeline.base.errors import InputError, error_context
-from pipeline.base.keys import ROOT, file_hash, is_by_desktop
+from pipeline.base.keys import ROOT, WINDOWS_FILES, file_hash
 from pipeline.base.outputs import locked
 from pipeline.base.params import SPLITS, check_name
 from pipeline.base.store import replacing, write_json, write_text
@@ -64,8 +64,13 @@ def take(
         with replacing(folder) as new:
             converted = convert(new, name, recordings, options[0], shares=shares)
             text = preset_text(name, converted, options[0])
-            digest = hashlib.sha256(text.encode()).hexdigest()
-            record = {**converted.record, "preset_sha256": digest}
+            # The preset may have been edited during the conversion.
+            check_replaceable(folder, preset, files)
+            hashes = [hashlib.sha256(text.encode()).hexdigest()]
+            if preset.exists():
+                # A killed import may leave the earlier preset.
+                hashes.append(file_hash(preset))
+            record = {**converted.record, "preset_sha256": hashes}
             write_json(new / IMPORT, record, sort_keys=False)
             # An earlier import is removed together with the temporary folder.
             if folder.exists():
@@ -100,7 +105,7 @@ def check_replaceable(folder: Path, preset: Path, recordings: Sequence[dict[str,
     """Raise InputError unless the folder and the preset are free, or an import of `recordings`."""
     if folder.is_file():
         raise InputError("is a file, expected a folder", folder, OTHER_NAME)
-    files = {path for path in folder.rglob("*") if path.is_file() and not is_by_desktop(path)}
+    files = {path for path in folder.rglob("*") if path.is_file() and not _is_by_desktop(path)}
     if not files:
         if preset.exists():
             raise InputError("exists already", preset, OTHER_NAME)
@@ -114,8 +119,13 @@ def check_replaceable(folder: Path, preset: Path, recordings: Sequence[dict[str,
     if record["recordings"] != recordings:
         names = ", ".join(file["name"] for file in record["recordings"])
         raise InputError(f"is an import of another recording, {names}", folder, OTHER_NAME)
-    if preset.exists() and file_hash(preset) != record["preset_sha256"]:
+    if preset.exists() and file_hash(preset) not in record["preset_sha256"]:
         raise InputError("was edited since the import", preset, OTHER_NAME)
+
+
+def _is_by_desktop(path: Path) -> bool:
+    """Return whether a file manager writes files of this name to a folder that a user opens."""
+    return path.name == ".DS_Store" or path.name.lower() in WINDOWS_FILES
 
 
 def read_shares(split: str) -> list[float]:

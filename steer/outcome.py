@@ -183,6 +183,7 @@ class Results:
             "speed_sigma": _median(self.table["speed_sigma"][is_valid]),
             "recorded": self.recorded,
             "comparison": comparison,
+            "doubts": self.doubts,
         }
 
 

@@ -69,4 +69,4 @@ def test_kitti_small_runs_on_real_drives(real_half, real_weights, tmp_path, monk
         evaluate.main(model)
     report.main()
     results = json.loads(Path("data/report/results.json").read_text())
-    assert all(np.isfinite(results[f"angle-0/{model}"]["value"]) for model in content["models"])
+    assert all(np.isfinite(results[f"angle-0/{model}"]["nmse"]) for model in content["models"])

@@ -37,7 +37,8 @@ def revision(checkout: Path = ROOT) -> str:
     if not shutil.which("git") or not _git(checkout, "ls-files", "dvc.yaml"):
         return ""
     commit = _git(checkout, "rev-parse", "--short", "HEAD").strip()
-    status = _git(checkout, "status", "--porcelain", "--", *CODE, "presets", "params.yaml")
+    watched = (*CODE, "footage", "steer", "presets", "params.yaml")
+    status = _git(checkout, "status", "--porcelain", "--", *watched)
     for line in status.splitlines():
         # A new preset, such as one by steer import, does not count: the page of its run shows it.
         if not (line.startswith("??") and "presets/" in line):

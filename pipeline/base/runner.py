@@ -150,6 +150,7 @@ def _make(task: Task) -> tuple[Summary, float]:
         # A worker of a cluster may just have finished this drive for an interrupted run.
         if not task.result.exists():
             raise
+        summary = json.loads((task.result.parent / "summary.json").read_text())
     return summary, time.perf_counter() - start
 
 

@@ -16,18 +16,8 @@ from pipeline.base.errors import InputError
 from pipeline.evaluate import statistics
 from pipeline.evaluate.drift import drift
 from pipeline.evaluate.own_metrics import METRICS
-from pipeline.evaluate.settings import Evaluate
+from pipeline.evaluate.settings import BASELINES, NO_LEARNING, Evaluate
 from pipeline.train.quantity import Quantity
-
-# Baselines that use neither a network nor the truth → what they predict.
-NO_LEARNING = {
-    "zero": "always zero, which is straight ahead",
-    "train_mean": "always the mean of the training drives",
-    "odometry": "what the images show of the car's present motion, by visual odometry",
-    "regression": "odometry times a factor that was fitted on the training drives",
-}
-# Names of all baselines. persistence repeats true values, which no model gets.
-BASELINES = (*NO_LEARNING, "persistence")
 
 
 @dataclass(frozen=True)

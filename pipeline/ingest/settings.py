@@ -73,6 +73,8 @@ class Ingest(Reading):
 
     source: str  # name of the dataset
     drives: Drives
+    # Hash of the imports that the drives are of. make NAME writes it, so that DVC sees another one.
+    imports_sha256: str | None = None
 
     @model_validator(mode="after")
     def _check_source(self) -> Self:

@@ -1,6 +1,6 @@
 """Find the road's horizon by the essential matrices of pairs of images."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import cv2
@@ -73,7 +73,7 @@ class HorizonFinder:
         self._camera = camera
         self._before = np.zeros((0, 0, 3), np.uint8)
         self._count = 0
-        self._headings = list[_Heading]()
+        self.headings = list[_Heading]()
 
     def add(self, image: np.ndarray) -> None:
         """Take the next image RGB uint8 [H,W,3]. Pairs of the first 600 images are used."""
@@ -84,23 +84,27 @@ class HorizonFinder:
             motion = _measure_motion(self._before, image, self._camera)
             heading = _find_heading(motion) if motion else None
             if heading:
-                self._headings.append(heading)
+                self.headings.append(heading)
         self._count += 1
 
     def row(self) -> float | None:
-        """Return the image row of the direction of travel; None if too few images show one.
+        """Return :func:`horizon_row` of the images."""
+        return horizon_row(self.headings, self._camera)
 
-        It is the median over pairs of consecutive images. The row depends little on the focal
-        length. A camera on a car travels along the road, so this is the road's horizon. Raises
-        InputError if the images are upside down, because points above the horizon are nearer than
-        points below it.
-        """
-        _check_upright(self._headings)
-        if len(self._headings) < MIN_PAIRS:
-            return None
-        row = float(np.median([heading.row for heading in self._headings]))
-        scale = self._camera.size[0] / _small_size(self._camera)[0]
-        return (row + 0.5) * scale - 0.5
+
+def horizon_row(headings: Sequence[_Heading], camera: Camera) -> float | None:
+    """Return the image row of the direction of travel; None if too few headings show one.
+
+    It is the median over pairs of consecutive images. The row depends little on the focal length. A
+    camera on a car travels along the road, so this is the road's horizon. Raises InputError if the
+    images are upside down, because points above the horizon are nearer than points below it.
+    """
+    _check_upright(headings)
+    if len(headings) < MIN_PAIRS:
+        return None
+    row = float(np.median([heading.row for heading in headings]))
+    scale = camera.size[0] / _small_size(camera)[0]
+    return (row + 0.5) * scale - 0.5
 
 
 def _check_upright(headings: Iterable[_Heading]) -> None:

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from pipeline.base import store
 from pipeline.camera.camera import read_camera
 from pipeline.evaluate import drift
-from pipeline.evaluate.error_table import BASELINES
+from pipeline.evaluate.settings import BASELINES
 from pipeline.report import street_view
 from pipeline.report.street_view import COLOURS, WIDTH, chart_colour
 from pipeline.report.values import Task, methods, ranges, ranking, title_of, without_scene

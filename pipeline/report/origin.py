@@ -18,8 +18,8 @@ RUN = "run.json"
 def read_run(folder: Path = ROOT) -> dict[str, Any]:
     """Return the description of a run in a copy of the code.
 
-    Its keys are preset, revision, started_s, settings (those that differ from params.yaml) and next
-    (a command). A checkout has no such file. Its description is only the revision.
+    Its keys are preset, revision, started_s, settings (those of the preset), files and pending. A
+    checkout has no such file. Its description is only the revision.
     """
     path = folder / RUN
     if path.is_file():

@@ -4,6 +4,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import yaml
@@ -16,10 +17,6 @@ from pipeline.report.drawings import Picture
 from pipeline.report.origin import duration, origin, read_run
 from pipeline.report.tables import Section
 from pipeline.report.values import Task, title_of
-
-# What to do after the demo.
-NEXT = "add a network to models in params.yaml, and run dvc repro (README, Add yours)"
-
 
 # A paragraph, a table or a picture, which is None if it was not drawn.
 Content = Sequence[str | Section | Picture | None]
@@ -100,9 +97,17 @@ def write(path: Path, page: Page) -> None:
         page=page,
         made=made,
         settings=yaml.safe_dump(run.get("settings", {}), allow_unicode=True, sort_keys=False),
-        next=run.get("next", NEXT),
+        next=next_step(run),
     )
     path.write_text(html, encoding="utf-8")
+
+
+def next_step(run: dict[str, Any]) -> str:
+    """Return what a reader of a run's page may do next."""
+    if "preset" in run:
+        name = run["preset"]
+        return f"edit presets/{name}.yaml, and run make {name}, which trains only what changed"
+    return "add a network to models in params.yaml, and run dvc repro (README, Add yours)"
 
 
 def marked(text: str) -> Markup:

@@ -9,8 +9,8 @@ import pandas as pd
 
 from pipeline.base.params import SPLITS
 from pipeline.evaluate import statistics
-from pipeline.evaluate.error_table import BASELINES, NO_LEARNING
 from pipeline.evaluate.own_metrics import METRICS
+from pipeline.evaluate.settings import BASELINES, NO_LEARNING
 from pipeline.report import paper
 from pipeline.report.values import (
     Task,

@@ -21,8 +21,6 @@ import pandas as pd
 
 from pipeline.base import store
 from pipeline.evaluate.error_table import (
-    BASELINES,
-    NO_LEARNING,
     Predictions,
     common_frames,
     differences,
@@ -30,7 +28,7 @@ from pipeline.evaluate.error_table import (
     records,
 )
 from pipeline.evaluate.own_metrics import METRICS
-from pipeline.evaluate.settings import Evaluate
+from pipeline.evaluate.settings import BASELINES, NO_LEARNING, Evaluate
 from pipeline.report import paper
 from pipeline.train.quantity import Quantity, load_quantity
 

@@ -106,7 +106,7 @@ class Files:
 
 def prepare(file: Graphs, network: NetworkOptions, device: torch.device) -> np.ndarray | None:
     """Compute what a network prepares of the frames of a file, block by block."""
-    if "xyz" not in file.pointers:
+    if "xyz" not in file.pointers or not len(file.frame):
         return None
     starts = file.starts["ptr"]
     points = int(np.diff(starts).max(initial=1))

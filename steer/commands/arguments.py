@@ -46,12 +46,12 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
 def run(
     function: Callable[..., "Outcome"], source: list[Path], out: Path | None, **options: Any
 ) -> None:
-    """Call a function of `steer.api` with a free folder. Print notes, files and three doubts."""
+    """Call a function of `steer.api` with a free folder. Print notes, files and doubts."""
     from pipeline.base.outputs import claimed
 
     with claimed(out, source[0].resolve().stem.removesuffix("_sync")) as folder:
         outcome = function(source, out=folder, **options)
     files = ", ".join(str(path) for path in outcome.files)
     print(*outcome.notes, files, sep="\n")
-    for text in outcome.doubts[:3]:
+    for text in outcome.doubts:
         print(f"doubt: {text}")

@@ -18,6 +18,7 @@ steer import a.mp4 b.mp4 c.mp4 --each --name week --fov 78 --motion a.csv --moti
     --motion c.csv
 """
 
+import re
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -72,5 +73,6 @@ def import_recordings(
     for number in range(len(groups)):
         log_of = {kind: paths[number] for kind, paths in logs.items()}
         all_options.append(from_python(Options, {**options, **log_of}))
-    for line in importing.take(name or recording[0].stem, groups, all_options, shares):
+    name = name or re.sub("[^A-Za-z0-9_-]+", "-", recording[0].stem)
+    for line in importing.take(name, groups, all_options, shares):
         print(line)

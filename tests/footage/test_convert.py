@@ -182,7 +182,6 @@ def test_files_of_a_camera_that_was_moved_are_doubted(tmp_path, monkeypatch, row
     monkeypatch.setattr(conversion.HorizonFinder, "row", Mock(side_effect=rows))
     paths = [write_video(tmp_path / f"{number}.mp4", pictures(5)) for number in range(2)]
     converted = convert(tmp_path / "drives", paths)
-    assert converted.camera.horizon == np.median(rows)
     doubt = "horizons of the files differ by 4 rows of 48: the camera was moved?"
     assert [text.startswith(doubt) for text in converted.doubts] == [True] * moved
 

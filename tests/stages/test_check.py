@@ -86,6 +86,11 @@ def test_weights_are_looked_for_where_stage_encoder_will_run(tmp_path):
         (f"{MODEL}.input", "semantc", "input: unknown variant 'semantc': did you mean semantic"),
         (f"{MODEL}.spatial", "cnnn", "spatial.*cnnn.*cnn"),
         (
+            "models.regression",
+            {"input": "image", "spatial": "cnn", "temporal": "ncp"},
+            "models: .*regression is the name of a baseline, or of a line in pictures",
+        ),
+        (
             "ingest.lidar",
             False,
             "models.gnn-lstm: input = 'lidar-50k' needs scans, but ingest.lidar is false",

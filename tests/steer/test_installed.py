@@ -18,7 +18,17 @@ from pipeline.base.keys import ROOT
 
 pytestmark = pytest.mark.slow
 
-FOLDERS = ("pipeline", "models", "stages", "steer", "presets", "benchmarks", "docs", "tests")
+FOLDERS = (
+    "footage",
+    "pipeline",
+    "models",
+    "stages",
+    "steer",
+    "presets",
+    "benchmarks",
+    "docs",
+    "tests",
+)
 IMAGES = ROOT / "examples/street"
 LENS = ("--K", "172.9,172.9,154.4,44.95", "--fps", "10", "--no-video")
 # The environment of the tests, without the checkout.
@@ -82,7 +92,7 @@ def pip(*arguments: object) -> None:
 def test_the_wheel_has_the_code_of_steer_alone(wheel, scripts):
     folders = {name.partition("/")[0] for name in ZipFile(wheel).namelist()}
     metadata = f"{wheel.name.removesuffix('-py3-none-any.whl')}.dist-info"
-    assert folders == {"models", "pipeline", "steer", metadata}
+    assert folders == {"footage", "models", "pipeline", "steer", metadata}
     command = [scripts / "python", "-c", "from pipeline.base.keys import ROOT; print(ROOT)"]
     done = subprocess.run(command, cwd="/", env=ENVIRONMENT, capture_output=True, text=True)
     assert Path(done.stdout.strip()).is_relative_to(scripts.parent)

@@ -126,7 +126,7 @@ def _draw_interval(panel: Axes, line: int, row: pd.Series, colour: Any) -> None:
     if not pd.isna(row["low"]):
         panel.plot([row["low"], row["high"]], [line, line], color=colour, linewidth=2)
     if row["nmse"] <= CHART_LIMIT:
-        panel.plot(row["nmse"], line, "o", color=colour)
+        panel.plot(row["nmse"], line, "o", color=colour, clip_on=False)
     if max(row[["nmse", "high"]].dropna()) > CHART_LIMIT:
         panel.plot(CHART_LIMIT, line, ">", color=colour, clip_on=False)
 

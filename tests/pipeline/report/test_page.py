@@ -38,7 +38,7 @@ def test_the_page_is_complete_self_contained_and_runs_no_script_of_a_name(tmp_pa
     text = (tmp_path / "index.html").read_text(encoding="utf-8")
     assert re.findall("<summary>(.*?)</summary>", text) == [
         "Folded",
-        "Settings that differ from params.yaml",
+        "Settings of the preset",
     ]
     assert not re.findall(r'(?:src|href)="(?!#|data:)', text)
     order = [
@@ -58,7 +58,7 @@ def test_the_page_is_complete_self_contained_and_runs_no_script_of_a_name(tmp_pa
     assert "0.50<br><small>0.40 to 0.60</small>" in text
     assert "<pre>train:\n  epochs: 3\n</pre>" in text
     assert "Next: edit presets/mine.yaml, and run make mine" in text
-    assert re.search(r"Made at revision .* min</p>", text)
+    assert re.search(r"Origin: revision .* min</p>", text)
     assert html.escape(EVIL) in text
     assert "<script" not in text
 

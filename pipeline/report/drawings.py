@@ -257,11 +257,17 @@ def median_bend(shown: pd.DataFrame) -> pd.Series:
     The drive is that of median error among the half of the drives that turn most.
     """
     counted = shown.dropna(subset="cost")
-    turn = counted["driven"].abs()
-    sharpest = counted.loc[turn.groupby(counted["drive"]).idxmax()].set_index("drive", drop=False)
-    bends = sharpest["driven"].abs().sort_values(kind="stable").index[len(sharpest) // 2 :]
-    costs = counted.groupby("drive")["cost"].sum()[bends].sort_values(kind="stable")
-    return sharpest.loc[costs.index[len(costs) // 2]]
+    drive = counted["drive"]
+
+    # The sharpest frame of each drive, and the half of the drives that turn most.
+    sharpest_row = counted["driven"].abs().groupby(drive).idxmax()
+    sharpest = counted.loc[sharpest_row].set_index("drive", drop=False)
+    by_turn = sharpest["driven"].abs().sort_values(kind="stable")
+    turning = by_turn.index[len(by_turn) // 2 :]
+
+    cost = counted["cost"].groupby(drive).sum()
+    by_cost = cost[turning].sort_values(kind="stable")
+    return sharpest.loc[by_cost.index[len(by_cost) // 2]]
 
 
 def draw_bend(folder: Path, task: Task, table: pd.DataFrame, data: Path) -> Picture | None:

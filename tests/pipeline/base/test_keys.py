@@ -46,12 +46,12 @@ def changed_keys(before: dict[str, str]) -> set[str]:
 
 def edit(path: Path, before: str, after: str) -> None:
     """Replace text of a file; without text before, add it to the file's end, or write the file."""
-    text = ""
-    if path.exists():
-        text = path.read_text()
     if not before:
-        write(path, text + after)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("a") as file:
+            file.write(after)
         return
+    text = path.read_text()
     assert before in text
     write(path, text.replace(before, after, 1))
 

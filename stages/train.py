@@ -49,7 +49,7 @@ def main(
         splits = store.read_index(graphs, stage="graphs")
         where = f"{params}: models.{name}"
         with error_context(where=where):
-            runs.check_splits(splits, entry.scene)
+            runs.check_splits(splits)
 
         drives = {}
         for split in SPLITS:

@@ -45,8 +45,7 @@ def check_model(entry: Entry, settings: Params) -> None:
     if entry.network.reads_edges and not variant.k and variant.kind == "graph":
         problem = f"spatial = {entry.spatial!r} reads edges, but graphs.{entry.input} has none"
         raise InputError(problem, fix=f"Set graphs.{entry.input}.k, for instance to 6")
-    # A network that sees the scene of another drive needs a second drive in each split.
-    runs.check_splits(settings.ingest.drives.splits(), entry.scene)
+    runs.check_splits(settings.ingest.drives.splits())
     outputs = len(quantity.columns)
     image_size = settings.ingest.image_size
     net = entry.build(variant.kind, image_size, outputs)

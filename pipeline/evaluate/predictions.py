@@ -17,7 +17,6 @@ from pipeline.base.params import SPLITS
 from pipeline.base.store import read_index
 from pipeline.graphs.graph_file import open_graphs
 from pipeline.labels import label
-from pipeline.train import runs
 from pipeline.train.frames import Files
 from pipeline.train.loss import Scale
 from pipeline.train.targets import LabelledDrive, read_drive
@@ -79,7 +78,6 @@ def predict_cases(
     labels. Raises InputError if the labels have other columns than the networks.
     """
     splits = read_index(variant, stage="graphs")
-    scenes = [runs.scenes(splits, seed, model.entry.scene) for seed, model in models.items()]
     first = next(iter(models.values()))
     if first.net.device.type == "cpu":
         torch.set_num_threads(1)  # as in training: sums of more threads differ
@@ -92,15 +90,11 @@ def predict_cases(
             problem += f", the trained model predicts {', '.join(first.scale.names)}"
             raise InputError(problem, drive.labels, f"Train it again: dvc repro train@{first.name}")
 
-        # Each seed sees the scene of the drive itself, or of another drive if `scene` of the
-        # model's entry says so. Each scene is loaded once, even if several seeds see it.
-        scene_paths = [variant / f"{scene_of[name]}.h5" for scene_of in scenes]
-        files = Files(scene_paths)
+        # All seeds share the frames, which are loaded once.
+        files = Files([drive.graphs])
         files.load(first.net.device)
-        predictions = []
         with open_graphs(drive.graphs) as graphs:
-            for model, scene in zip(models.values(), scene_paths, strict=True):
-                predictions.append(model.predict(graphs, scene, files))
+            predictions = [model.predict(graphs, files) for model in models.values()]
         cases[split].append(Case(drive, predictions, first.scale))
     return cases
 

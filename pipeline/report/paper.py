@@ -40,7 +40,6 @@ _COMMON = {
     "motion": "none",
     "horizon": 0,
     "predict": "angle",
-    "scene": "same",
 }
 
 

@@ -44,9 +44,6 @@ class Entry(Section):
     # Value to which the network's output is added. `motion`: the measured angle of the window's
     # last frame, or for a path the curvature that a regression predicts from it. `none`: 0.
     base: Literal["motion", "none"] = "motion"
-    # Drive whose scene the network sees: the same as its motion, or, in a control experiment,
-    # another drive of the split.
-    scene: Literal["same", "another"] = "same"
 
     @field_validator("predict")
     @classmethod

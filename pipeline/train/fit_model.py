@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -35,15 +35,10 @@ class Model:
     splits: Mapping[str, str]  # drive → split
     drives: Drives
 
-    def usable_drives(self, split: str, seed: int) -> list[LabelledDrive]:
-        """Return the drives of a split that have a window, each with its scene for a seed."""
-        scenes = runs.scenes(self.splits, seed, self.entry.scene)
-        usable = []
-        for name in store.drives_in(self.splits, split):
-            drive = self.drives[name]
-            if drive.has_window(self.entry.window):
-                usable.append(replace(drive, scene=self.drives[scenes[name]].graphs))
-        return usable
+    def usable_drives(self, split: str) -> list[LabelledDrive]:
+        """Return the drives of a split that have a window."""
+        drives = [self.drives[name] for name in store.drives_in(self.splits, split)]
+        return [drive for drive in drives if drive.has_window(self.entry.window)]
 
 
 def fit_model(model: Model, todo: Sequence[runs.Run], folder: StageFolder) -> list[Path]:
@@ -70,8 +65,8 @@ def fit_run(model: Model, run: runs.Run, files: Files, code: str, kept: Path) ->
     the state.
     """
     entry = model.entry.seeded(run.seed)
-    train = model.usable_drives("train", run.seed)
-    val = model.usable_drives("val", run.seed)
+    train = model.usable_drives("train")
+    val = model.usable_drives("val")
     with error_context(where=model.where):
         net = _build(entry, train[0], run.seed)
 
@@ -83,8 +78,8 @@ def fit_run(model: Model, run: runs.Run, files: Files, code: str, kept: Path) ->
         "drives": [drive.name for drive in train],
         "val": [drive.name for drive in val],
     }
-    paths = [path for drive in train + val for path in (drive.graphs, drive.labels, drive.scene)]
-    state = kept / f"{stage_key(code, inputs, [*dict.fromkeys(paths)])}.pt"
+    paths = [path for drive in train + val for path in (drive.graphs, drive.labels)]
+    state = kept / f"{stage_key(code, inputs, paths)}.pt"
 
     fit = Fit(net, entry, model.settings, run.seed, train, val, files)
     fit.run(state, f"{model.name} seed {run.seed}")

@@ -29,9 +29,6 @@ class Timeline:
     """Times and measured motion of a graph file's G frames, by row."""
 
     graphs: Path
-    # Graph file of the frames that a network sees: `graphs`, or the file of another drive if the
-    # model's entry has scene: another.
-    scene: Path
     frame: np.ndarray  # int32 [G], KITTI frame numbers, ascending
     time_s: np.ndarray  # float64 [G]
     # float64 [G,R], measured values to which the network's outputs are added. They are 0 if the
@@ -59,9 +56,7 @@ class Timeline:
             motion = np.stack(columns, axis=1).astype(np.float32)
             if entry.base == "motion":
                 base = np.nan_to_num(quantity.measured(angle_rad))
-        return cls(
-            graphs.path, graphs.path, graphs.frame, graphs.time_s, base, motion, entry.network
-        )
+        return cls(graphs.path, graphs.frame, graphs.time_s, base, motion, entry.network)
 
     @cached_property
     def stretches(self) -> list[tuple[int, int]]:

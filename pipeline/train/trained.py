@@ -1,7 +1,6 @@
 """Predict steering with a trained network; docs/models.md has an example."""
 
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from textwrap import shorten
@@ -14,7 +13,7 @@ from models.steering.core.steering_net import SteeringNet
 from pipeline.base import checkpoint
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.keys import ROOT, file_hash
-from pipeline.graphs.graph_file import Contents, Graphs, open_graphs
+from pipeline.graphs.graph_file import Contents, Graphs
 from pipeline.train import windows
 from pipeline.train.entry import Entry
 from pipeline.train.frames import Files
@@ -25,7 +24,7 @@ from pipeline.train.targets import Timeline
 # Kind of the checkpoint of a trained network.
 KIND = "steering net"
 # Key of a file of a model that this version has removed → its only value that still works.
-REMOVED = {"levels": 0, "neighbourhood": "knn"}
+REMOVED = {"levels": 0, "neighbourhood": "knn", "scene": "same"}
 # Last revision with the removed keys.
 BEFORE = "12c983c8"
 # Folder of the code that all networks share.
@@ -59,28 +58,20 @@ class Trained(NamedTuple):
         """The quantity that the network predicts."""
         return load_quantity(self.entry.predict)(self.settings["labels"], self.entry.horizon)
 
-    def predict(
-        self, graphs: Graphs, scene: Path | None = None, files: Files | None = None
-    ) -> np.ndarray:
+    def predict(self, graphs: Graphs, files: Files | None = None) -> np.ndarray:
         """Return the predictions for the G frames of a file, float64 [G,R].
 
         The columns are `scale.names`. The prediction for frame t uses the frames up to t, and is
         the quantity at frame t + `entry.horizon`. It is NaN if too few frames precede frame t in
-        the drive, or since a gap, to fill a window. Only a control with `scene: another` needs
-        `scene`, the graph file of the drive that it sees. `files` may hold files that are open
-        already. Raises InputError if the file has another kind of frames than the network was
-        trained on, lacks the motion that the network needs, or if an output is not finite.
+        the drive, or since a gap, to fill a window. `files` may hold files that are open already.
+        Raises InputError if the file has another kind of frames than the network was trained on,
+        lacks the motion that the network needs, or if an output is not finite.
         """
-        if scene is None and self.entry.scene == "another":
-            problem = f"model {self.name} is a control, which needs the scene of another drive"
-            raise InputError(problem, graphs.path, "Choose a model with scene: same")
+        if graphs.contents != self.contents:
+            problem = f"model {self.name} expects {self.contents}, got {graphs.contents}"
+            fix = f"Use graphs of input: {self.entry.input}, or train the model again"
+            raise InputError(problem, graphs.path, fix)
         timeline = Timeline.read(graphs, self.quantity, self.entry)
-        timeline = replace(timeline, scene=scene or graphs.path)
-        with open_graphs(timeline.scene) as file:
-            if file.contents != self.contents:
-                problem = f"model {self.name} expects {self.contents}, got {file.contents}"
-                fix = f"Use graphs of input: {self.entry.input}, or train the model again"
-                raise InputError(problem, file.path, fix)
         reader = windows.Reader([timeline], self.entry.window, files)
         with error_context(f"model {self.name}: {graphs.path}"):
             return predict_drives(self.net, reader, self.scale)[0]
@@ -146,7 +137,7 @@ def _print_once(text: str) -> None:
 
 def _parse(content: dict[str, Any]) -> dict[str, Any]:
     """Return the fields of Trained, all except `net`, from the content of a checkpoint."""
-    entry = Entry.model_validate(content["entry"])
+    entry = Entry.model_validate(_without_removed(content["entry"]))
     fields = {name: content[name] for name in ("name", "seeds", "settings", "drives", "fps")}
     fields["datasets"] = content.get("datasets", [])
     contents = Contents(**_without_removed(content["contents"]))

@@ -16,8 +16,6 @@ windows of T frames these arrays:
   models/steering/core/motion.py. Only models with motion have it.
 - target float32 [W,R]: the R columns of targets.py, NaN if unknown. Only labelled drives have it.
 - prepared [B, ...]: what the network prepares of each frame, if it does, before points are scaled.
-- scenes int64 [B]: the number of the graph that each frame sees. Only models with scene: another
-  have it; in other batches graph b belongs to frame b.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -30,7 +28,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from pipeline.base.errors import InputError
 from pipeline.base.loop import prefetch
 from pipeline.graphs.graph_file import Arrays, Graphs
 from pipeline.train.frames import Files, by_frame, join, number_rows
@@ -81,12 +78,10 @@ def spans(
 class BatchPart(NamedTuple):
     """The part of a batch that comes from one span."""
 
-    # File, start and stop of the graphs that its frames see.
+    # File, start and stop of its frames.
     graphs: tuple[Graphs, int, int]
-    # Factor on the lengths of each graph, a value per graph.
+    # Factor on the lengths of each frame, a value per frame.
     factor: np.ndarray
-    # Number of the span's frames.
-    frames: int
     # All arrays of the batch but the graphs. Row numbers count from the span's first frame.
     arrays: Arrays
 
@@ -97,7 +92,7 @@ class JoinedBatch(NamedTuple):
     # All arrays of the batch. Columns have the types of the files, and row numbers count within a
     # frame.
     arrays: dict[str, Tensor]
-    # Factor on the lengths of each graph [B].
+    # Factor on the lengths of each frame [B].
     factor: Tensor
 
 
@@ -135,10 +130,7 @@ class Reader:
         return (self._finish(joined, device) for joined in batches)
 
     def __getitem__(self, group: Sequence[Span]) -> dict[str, Tensor]:
-        """Read a group of spans as one batch on the CPU.
-
-        Raises InputError if the drive whose scene another one gets has no window.
-        """
+        """Read a group of spans as one batch on the CPU."""
         cpu = torch.device("cpu")
         return self._finish(self._join(group, cpu), cpu)
 
@@ -147,16 +139,12 @@ class Reader:
         pin = device.type == "cuda"
         parts = [self._read_span(span, device) for span in group]
 
-        # In a part, numbers of frames and graphs count from the first of its span. In the batch
-        # they count from the first of all spans.
+        # In a part, numbers of frames count from the first of its span. In the batch they count
+        # from the first of all spans.
         frames = 0
-        graphs = 0
         for part in parts:
             part.arrays["windows"] += frames
-            if "scenes" in part.arrays:
-                part.arrays["scenes"] += graphs
-            frames += part.frames
-            graphs += len(part.factor)
+            frames += len(part.factor)
 
         batch = join([part.graphs for part in parts], pin=pin)
         for name in parts[0].arrays:
@@ -173,44 +161,20 @@ class Reader:
     def _read_span(self, span: Span, device: torch.device) -> BatchPart:
         """Read all arrays of a span but the graphs."""
         timeline = self.timelines[span.drive]
-        file = self.files[timeline.scene]
+        file = self.files[timeline.graphs]
         ends = np.arange(span.start + self.window - 1, span.stop)
         windows = ends[:, None] + np.arange(1 - self.window, 1)  # rows of the drive [W,T]
         arrays = {"windows": windows - span.start, "dt_s": timeline.dt_s[windows]}
         rows = np.arange(span.start, span.stop)
-        start = span.start
-        stop = span.stop
-        if timeline.scene != timeline.graphs:
-            # Each window has copies of its frames, because the same frame may see a different scene
-            # in each window.
-            rows = windows.ravel()
-            arrays["windows"] = np.arange(rows.size).reshape(windows.shape)
-            scenes = self._scenes(timeline, file, ends)
-            start = scenes[0, 0]
-            stop = scenes[-1, -1] + 1
-            arrays["scenes"] = scenes.ravel() - start
 
         # Points can be scaled. An image cannot: it is the same in a larger world.
         larger = span.factor if "xyz" in file.pointers else 1.0
         arrays |= window_values(timeline, rows, ends, larger, span.hidden)
-        prepared = self.files.prepared(timeline.scene, timeline.network, device)
+        prepared = self.files.prepared(timeline.graphs, timeline.network, device)
         if prepared is not None:
-            arrays["prepared"] = prepared[start:stop]
-        factor = np.full(stop - start, larger, np.float32)
-        return BatchPart((file, start, stop), factor, len(rows), arrays)
-
-    def _scenes(self, timeline: Timeline, file: Graphs, ends: np.ndarray) -> np.ndarray:
-        """Return the rows [W,T] of another drive's `file` that the windows see.
-
-        `ends` [W] are the rows of the windows' last frames. Each window sees consecutive rows. If a
-        window ends halfway through its own drive, they end halfway through the other drive.
-        """
-        frames = len(file.frame)
-        if frames < self.window:
-            problem = f"scene: another needs a window of {self.window} frames (got {frames})"
-            raise InputError(problem, file.path, "Remove the drive")
-        scene_ends = np.maximum(ends * frames // len(timeline.frame), self.window - 1)
-        return scene_ends[:, None] + np.arange(1 - self.window, 1)
+            arrays["prepared"] = prepared[span.start : span.stop]
+        factor = np.full(len(rows), larger, np.float32)
+        return BatchPart((file, span.start, span.stop), factor, arrays)
 
     def _finish(self, joined: JoinedBatch, device: torch.device) -> dict[str, Tensor]:
         """Copy a batch to a device, number its rows there, and scale its points."""

@@ -11,7 +11,6 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.graphs import graph_file
-from pipeline.train import fit
 from pipeline.train.trained import load_model
 from tests import artefacts
 from tests.kitti_drive import contents
@@ -64,37 +63,6 @@ def test_metrics_are_means_over_seeds_and_files_repeat(folder, predicted):
         assert row["nmse"] == pytest.approx(np.mean(mse) / zero, rel=1e-3)
         np.testing.assert_allclose(row["seeds"], np.array(mse) / zero, rtol=1e-2)
         assert "low" not in row  # one drive, shorter than two blocks
-
-
-def test_a_control_gets_the_scene_of_another_drive_in_training_and_evaluation(folder, monkeypatch):
-    drives = [*SPLITS][:4]
-    tested = drives[2:]
-    splits = dict.fromkeys(drives[:2], "train") | dict.fromkeys(tested, "test")
-    artefacts.write_index(folder / "graphs/semantic", splits)
-    write_params(folder, {"scene": "another"}, epochs=1, seeds=[0])
-    paths = [folder / f"graphs/semantic/{drive}.h5" for drive in drives]
-    with monkeypatch.context() as patch:
-        scenes: list[tuple[Path, Path]] = []
-        patch.setattr(
-            fit.Fit,
-            "run",
-            lambda self, *_: scenes.extend((one.graphs, one.scene) for one in self.train),
-        )
-        run_train(folder)
-    assert scenes == [(paths[0], paths[1]), (paths[1], paths[0])]
-    model = load_model(run_train(folder))
-    table = pd.read_csv(run_evaluate(folder) / "predictions.csv")
-    for drive, own, other in ((tested[0], *paths[2:]), (tested[1], *paths[:1:-1])):
-        found = table[table["drive"] == drive]["predicted_steering_rad"]
-        with graph_file.open_graphs(own) as graphs:
-            np.testing.assert_allclose(found, model.predict(graphs, other)[:, 0], atol=1e-6)
-            assert not np.allclose(
-                found, model.predict(graphs, own)[:, 0], atol=1e-4, equal_nan=True
-            )
-            with pytest.raises(
-                InputError, match="is a control, which needs the scene of another drive"
-            ):
-                model.predict(graphs)
 
 
 def test_drives_without_a_window_are_not_listed(folder):

@@ -109,24 +109,18 @@ class SteeringNet(nn.Module):
         windows: Tensor,
         dt_s: Tensor,
         motion: Tensor | None = None,
-        scenes: Tensor | None = None,
     ) -> Tensor:
         """Predict the standardised steering, or residual, of each window's last frame, [W,R].
 
         Each frame is encoded once for all windows that contain it.
 
         Args:
-            batch: B frames. With `scenes` it may have another number of frames.
+            batch: B frames.
             windows: int64 [W,T], the numbers of each window's frames, oldest first.
             dt_s: [W,T], seconds since the previous frame.
             motion: [B,4], see core/motion.py; required if the network has motion.
-            scenes: int64 [B], for a control experiment: the number of the frame in `batch` that
-                each of the B frames sees. None: each frame sees itself.
         """
         inputs = self.scale(self._features(batch))
-        if scenes is not None:
-            versions = inputs.chunk(1 + self.equivariant)
-            inputs = torch.cat([version[scenes] for version in versions])
 
         # From here on, mirror images are additional frames and additional windows.
         if self.equivariant:
@@ -162,15 +156,13 @@ class SteeringNet(nn.Module):
             mirrored = self.spatial(batch.mirrored())
         return torch.cat([original - mirrored, mirrored - original])
 
-    def inputs(
-        self, arrays: Mapping[str, Array]
-    ) -> tuple[Batch, Tensor, Tensor, Tensor | None, Tensor | None]:
+    def inputs(self, arrays: Mapping[str, Array]) -> tuple[Batch, Tensor, Tensor, Tensor | None]:
         """Return the arguments of `forward`, on the network's device.
 
         `arrays` is a batch as pipeline/train/windows.py describes it.
         """
         tensors = {}
-        for name in ("windows", "dt_s", "motion", "scenes"):
+        for name in ("windows", "dt_s", "motion"):
             if name in arrays:
                 tensor = torch.as_tensor(arrays[name])
                 tensors[name] = tensor.to(self.device, non_blocking=True)
@@ -179,7 +171,6 @@ class SteeringNet(nn.Module):
             tensors["windows"],
             tensors["dt_s"],
             tensors.get("motion"),
-            tensors.get("scenes"),
         )
 
     @property

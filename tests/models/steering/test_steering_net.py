@@ -137,18 +137,6 @@ def test_mirrored_input_does_not_negate_a_plain_network(spatial, cell):
     assert (output + mirrored).abs().max() > 1e-6
 
 
-@each_cell
-@pytest.mark.parametrize("spatial", SPATIAL)
-@pytest.mark.parametrize("equivariant", [True, False])
-def test_the_controls_features_are_those_of_other_frames(spatial, cell, equivariant):
-    net = build(spatial, cell, equivariant=equivariant, motion="visual")
-    scenes = torch.tensor([3, 3, 0, 1, 5, 2])
-    make = frames.FRAME[options(spatial).kind]
-    others = join([make(COUNTS[row], row) for row in scenes.tolist()], spatial)
-    output = net(batch(spatial), WINDOWS, DT_S, MOTION, scenes)
-    torch.testing.assert_close(output, net(others, WINDOWS, DT_S, MOTION), **TOLERANCE)
-
-
 @pytest.mark.parametrize("centred", [True, False])
 def test_features_are_standardised_over_the_frames_of_a_step(centred):
     """Running statistics are means over the first steps, later moving averages."""
@@ -170,15 +158,6 @@ def test_features_are_standardised_over_the_frames_of_a_step(centred):
     expected = ((steps[0] - running_mean) / (running_variance + EPSILON).sqrt()).tanh()
     torch.testing.assert_close(scale(steps[0])[2:3], scale(steps[0][2:3]), **TOLERANCE)
     torch.testing.assert_close(scale(steps[0]), expected, **TOLERANCE)
-
-
-def test_statistics_count_frames_once():
-    """Also a frame that the control's windows share."""
-    net = build().train()
-    scenes = torch.tensor([0, 0, 0, 0, 1, 2])
-    net.scale.steps.zero_()
-    net(batch(), WINDOWS, DT_S, scenes=scenes)
-    torch.testing.assert_close(net.scale.mean, net.spatial(batch()).mean(0), **TOLERANCE)
 
 
 @pytest.mark.parametrize(

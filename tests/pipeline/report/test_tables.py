@@ -55,7 +55,6 @@ def test_a_network_with_the_papers_name_and_other_settings_is_not_the_papers():
     assert not is_papers({}, semantics=0.0)
     assert not is_papers({}, alpha=5.0)
     assert not is_papers({}, equivariant=True)
-    assert not is_papers({}, scene="another")
     assert not is_papers({}, width=0.5)
     assert not is_papers({"accumulate": 8})
 

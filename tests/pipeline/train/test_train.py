@@ -147,42 +147,9 @@ def test_motion_and_base_of_a_batch(folder):
     assert (hidden["target"] == batch["target"]).all()
 
 
-@pytest.mark.parametrize("others", [10, 23, 60])
-def test_the_control_gets_the_scene_of_another_drive_and_nothing_else_changes(folder, others):
-    """Also in a larger world, and with hidden motion.
-
-    The first windows, which the other drive lacks, get its first.
-    """
-    artefacts.write_dataset(folder, {NAMES[1]: "train"}, frames=others, points=12)
-    for name, count in zip(NAMES, (23, others), strict=True):
-        artefacts.add_motion(folder / f"graphs/semantic/{name}.h5", np.full(count, 0.2))
-    (drive,) = read(folder, NAMES[:1], motion="visual")
-    control = replace(drive, scene=folder / f"graphs/semantic/{NAMES[1]}.h5")
-    group = [windows.Span(0, 12, 23, factor=2.0, hidden=True), windows.Span(0, 0, 9)]
-    expected = batch_of([drive], *group)
-    batch = batch_of([control], *group)
-    for key in ("dt_s", "base", "target"):
-        assert (batch[key] == expected[key]).all()
-    motion = expected["motion"][expected["windows"]]
-    assert (batch["motion"][batch["windows"]] == motion).all()
-    with open_graphs(control.scene) as graphs:
-        for window, end in zip(batch["windows"], [*range(19, 23), 7, 8], strict=True):
-            stop = max(end * others // 23 + 1, 8)
-            factor = 2 if end > 8 else 1  # of the first span
-            for frame, row in zip(batch["scenes"][window], range(stop - 8, stop), strict=True):
-                alone = artefacts.collate((graphs, row, row + 1))
-                points = slice(*batch["ptr"][frame : frame + 2])
-                assert (batch["xyz"][points] == alone["xyz"] * factor).all()
-                assert (batch["degree"][points] == alone["degree"]).all()
-    if others < 23:
-        with pytest.raises(InputError, match="scene: another needs a window of 11 frames"):
-            batch_of([control], windows.Span(0, 0, 23), window=11)
-
-
 @pytest.mark.parametrize("place", ["disk", "RAM", "GPU"])
 @pytest.mark.parametrize("kind", [*artefacts.VARIANTS, "image"])
-@pytest.mark.parametrize("scene", NAMES)
-def test_batches_are_the_same_wherever_frames_are_kept(tmp_path, device, kind, place, scene):
+def test_batches_are_the_same_wherever_frames_are_kept(tmp_path, device, kind, place):
     """On a CPU that takes the GPU's way, too.
 
     A drive that is scaled stays as it is for the next batch.
@@ -191,7 +158,6 @@ def test_batches_are_the_same_wherever_frames_are_kept(tmp_path, device, kind, p
     drives = read(tmp_path)
     if kind == "points":  # frames are prepared, too
         drives = read(tmp_path, **POINTNET2)
-    drives[1] = replace(drives[1], scene=tmp_path / f"graphs/semantic/{scene}.h5")
     groups = []
     for start in (0, 2, 4):
         groups.append([windows.Span(0, start, start + 9, 1.1)])
@@ -553,29 +519,7 @@ def test_runs_are_seeds():
     model = Path("data/train/gnn")
     assert runs.runs(model, [3, 0]) == [runs.Run(3, model), runs.Run(0, model / "seed-0")]
     with pytest.raises(InputError, match="no training drives"):
-        runs.check_splits({"x": "test"}, "same")
-
-
-def test_the_scene_of_another_drive_is_one_of_the_same_split_drawn_per_seed():
-    splits = {
-        "a": "train",
-        "a2": "train",
-        "a3": "train",
-        "v": "val",
-        "v2": "val",
-        "x": "test",
-        "x2": "test",
-    }
-    drawn = [runs.scenes(splits, seed, "another") for seed in range(20)]
-    for scenes in drawn:
-        for drive, scene in scenes.items():
-            assert scene != drive
-            assert scene[0] == drive[0]
-    assert {scenes["a"] for scenes in drawn} == {"a2", "a3"}
-    assert drawn[0] == runs.scenes(splits, 0, "another")
-    assert runs.scenes(splits, 0, "same") == {name: name for name in splits}
-    with pytest.raises(InputError, match=r"needs two drives that are used alike \(got v alone"):
-        runs.check_splits(SPLITS, "another")
+        runs.check_splits({"x": "test"})
 
 
 @pytest.mark.parametrize(

@@ -82,8 +82,7 @@ def _read_cloud(file: DriveReader, row: int) -> Points:
     # A file of clouds has its kind in the name of its folder, without which no image is found.
     variant = file.params.get("graphs", {})
     source = variant.get("source", f"clouds/{file.path.parent.resolve().name}")
-    is_of_image = source == "clouds/pseudo" and not variant.get("accumulate")
-    return Points(xyz, {"class": cls[:, None]}, about, xyz, is_of_image)
+    return Points(xyz, {"class": cls[:, None]}, about, xyz, is_of_image=source == "clouds/pseudo")
 
 
 def _read_scan(file: DriveReader, row: int) -> Points:

@@ -29,7 +29,6 @@ EDGES_M = [0, 5, 10, 20]
 OPTIONS: dict[str, dict[str, object]] = {
     "cnn": {},
     "pointnet2": {"semantics": 1.0},
-    "polar": {},
     "users": {},
 }
 
@@ -83,7 +82,7 @@ def write_params(folder: Path, model: dict[str, object] | None = None, **setting
 
 def entry(**changes: object) -> Entry:
     return Entry.model_validate(
-        {"input": "semantic", "spatial": "polar", "temporal": "ncp"} | changes
+        {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "semantics": 1.0} | changes
     )
 
 

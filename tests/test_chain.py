@@ -157,7 +157,7 @@ def test_an_edit_reruns_what_dvc_yaml_promises(folder, monkeypatch):
     (folder / "stages/labels.py~").write_text("# an edit")
     assert reruns() == set()
 
-    for name, stages in (("gnn", {"check", *NETWORK}), ("polar", {"check"})):
+    for name, stages in (("gnn", {"check", *NETWORK}), ("pyg", {"check"})):
         path = folder / f"models/steering/spatial/{name}.py"
         text = path.read_text()
         path.write_text(f"{text}\n# an edit\n")

@@ -24,7 +24,7 @@ from tests.flat_ground import write_encoder
 FRAMES = 14
 KNOWN = 8
 READING = Reading(image_size=street.WIDE.size, cameras=[2], lidar=False, on_damaged="fail")
-VARIANT = Variant(source="clouds/pseudo", points=200, k=4, keep_inter_class=0.2, accumulate=3)
+VARIANT = Variant(source="clouds/pseudo", points=200, k=4, keep_inter_class=0.2)
 
 
 def inputs(folder: Path, images: list[np.ndarray], encoder: Path) -> dict[str, np.ndarray]:

@@ -20,9 +20,6 @@ from pipeline.camera.camera import Camera, DriveFrames, visible
 if TYPE_CHECKING:
     from pipeline.clouds.settings import Clouds
 
-# Limits in metres between the four intervals of horizontal range from which points are drawn in
-# equal numbers.
-STRATA_M = (10.0, 20.0, 40.0)
 # Resolution in metres of stored coordinates. It is far finer than that of any sensor, and multiples
 # of it are exact in float32 up to 16 km.
 RESOLUTION_M = 1 / 1024
@@ -126,13 +123,11 @@ def draw_points(
     crop_m: Sequence[float] | None,
     points: int,
     rng: np.random.Generator,
-    sampling: str = "uniform",
 ) -> Cloud:
     """Return at most `points` random points of a cloud inside of a crop, in the cloud's order.
 
     `crop_m` holds the limits left, near, right and far, of which left and right are limits of x,
-    near and far limits of z. None is no crop. `sampling` is uniform, or range to draw equal numbers
-    of points from intervals of range.
+    near and far limits of z. None is no crop.
     """
     if crop_m is not None:
         lowest = np.array(crop_m[:2])
@@ -140,8 +135,6 @@ def draw_points(
         xz = cloud.xyz[:, [0, 2]]
         inside = (lowest <= xz) & (xz <= highest)
         cloud = cloud.at(np.flatnonzero(inside.all(axis=1)))
-    if sampling == "range":
-        return cloud.at(draw_by_range(cloud.xyz, points, rng))
     return cloud.at(draw_rows(len(cloud.xyz), points, rng))
 
 
@@ -153,27 +146,6 @@ def draw_rows(count: int, limit: int, rng: np.random.Generator) -> np.ndarray:
     if count <= limit:
         return np.arange(count)
     return np.sort(rng.choice(count, limit, replace=False, shuffle=False))
-
-
-def draw_by_range(xyz: np.ndarray, limit: int, rng: np.random.Generator) -> np.ndarray:
-    """Draw at most `limit` of the points [P,3], equally many from each interval of STRATA_M.
-
-    Without this, few points would be far away, since an image has few pixels of distant things. If
-    an interval has too few points, more are drawn from the other intervals. Returns ascending rows
-    that are drawn without replacement.
-    """
-    shuffled = rng.permutation(len(xyz))
-    range_m = np.hypot(xyz[shuffled, 0], xyz[shuffled, 2])
-    stratum = np.digitize(range_m, STRATA_M)
-
-    # Number the points of each interval. Take the first point of each interval, then the second
-    # point of each, and so on.
-    rank = np.empty(len(xyz), np.int64)
-    for number in range(len(STRATA_M) + 1):
-        members = stratum == number
-        rank[members] = np.arange(np.count_nonzero(members))
-    by_rank = np.argsort(rank, kind="stable")
-    return np.sort(shuffled[by_rank[:limit]])
 
 
 def in_morton_order(cloud: Cloud) -> Cloud:

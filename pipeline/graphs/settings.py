@@ -13,8 +13,6 @@ class Variant(Section):
     source: Literal["clouds/pseudo", "clouds/lidar", "ingest"]
     # Number of points of a frame. Images have none, and no other keys.
     points: Count | None = None
-    # How points are drawn. With range, equal numbers are drawn from intervals of range.
-    sampling: Literal["uniform", "range"] = "uniform"
     # Number of nearest neighbours of a point. With 0, points have no edges.
     k: Annotated[int, Field(ge=0, le=32)] = 0
     # Share of the edges between points of different classes that pruning keeps.
@@ -22,8 +20,6 @@ class Variant(Section):
     # Limits in metres of x (left, right) and z (near, far) in the camera's frame, in the order
     # [left, near, right, far].
     crop_m: Annotated[tuple[float, float, float, float] | None, Field(strict=False)] = None
-    # Largest number of frames whose clouds are combined, the current frame included.
-    accumulate: Annotated[int, Field(ge=2, le=64)] | None = None
     seed: Seed = 0
 
     @property

@@ -64,14 +64,13 @@ CLAIMS = (
 )
 
 
-def is_network(name: str, entry: Mapping[str, Any], variant: Mapping[str, Any]) -> bool:
+def is_network(name: str, entry: Mapping[str, Any]) -> bool:
     """Return whether a model has the name and the settings of one of NETWORKS.
 
-    `entry` holds the model's settings, and `variant` those of its input. The width of a network
-    with PointNet++ may differ.
+    `entry` holds the model's settings. The width of a network with PointNet++ may differ.
     """
     network = NETWORKS.get(name)
-    if network is None or variant.get("accumulate"):
+    if network is None:
         return False
     # The first five fields are settings. Settings that a model lacks are not compared. Only the
     # paper's CNN weights frames (alpha).

@@ -124,7 +124,7 @@ def _complete(values: pd.DataFrame) -> pd.DataFrame:
 
 def _is_papers(content: Mapping[str, Any]) -> bool:
     """Return whether a model is that of the paper, by its metrics.json."""
-    return paper.is_network(content["model"], content["entry"], content["variant"])
+    return paper.is_network(content["model"], content["entry"])
 
 
 def _facts(content: Mapping[str, Any]) -> dict[str, Any]:

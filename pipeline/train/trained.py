@@ -24,7 +24,13 @@ from pipeline.train.targets import Timeline
 # Kind of the checkpoint of a trained network.
 KIND = "steering net"
 # Key of a file of a model that this version has removed → its only value that still works.
-REMOVED = {"levels": 0, "neighbourhood": "knn", "scene": "same"}
+REMOVED: dict[str, Any] = {
+    "levels": 0,
+    "neighbourhood": "knn",
+    "scene": "same",
+    "sampling": "uniform",
+    "accumulate": None,
+}
 # Last revision with the removed keys.
 BEFORE = "12c983c8"
 # Folder of the code that all networks share.
@@ -89,7 +95,9 @@ def load_model(folder: str | Path, device: torch.device | str | None = None) -> 
         names = ", ".join(sorted(str(best.parent) for best in models))
         fix = f"Trained models near it: {names or 'none'}. To train one: dvc repro train@MODEL"
         raise InputError("no trained model, best.pt is missing", folder, fix)
-    with error_context(fix="Train it again: dvc repro --force --single-item train@MODEL"):
+    fix = "Train it again: dvc repro --force --single-item train@MODEL. Or use it at revision "
+    fix += f"{BEFORE}, which has networks and keys that were removed since"
+    with error_context(fix=fix):
         content = checkpoint.read(path, KIND)
         try:
             with error_context(path):
@@ -151,8 +159,7 @@ def _without_removed(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return settings without the removed keys. Raises InputError if another value is needed."""
     for key, value in REMOVED.items():
         if values.get(key, value) != value:
-            problem = f"{key} = {values[key]!r} is not supported any more"
-            raise InputError(problem, fix=f"Use it at revision {BEFORE}, or train it again")
+            raise InputError(f"{key} = {values[key]!r} is not supported any more")
     return {key: value for key, value in values.items() if key not in REMOVED}
 
 

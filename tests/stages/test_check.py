@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from models.steering.core import options
-from models.steering.spatial import polar
+from models.steering.spatial import blind
 from pipeline.base.errors import InputError
 from pipeline.check import check_model
 from stages import check, preset
@@ -108,7 +108,6 @@ def test_weights_are_looked_for_where_stage_encoder_will_run(tmp_path):
             "pointnet2-ncp: centres, radius_m and neighbours need one number per level each",
         ),
         ("models.cnn-ncp.semantic", 1.0, "unknown key 'semantic' for spatial = cnn"),
-        (f"{MODEL}.spatial", "polar", "unknown key 'semantics' for spatial = polar"),
         ("graphs.lidar.points", None, "graphs.lidar: points is missing: the number of points"),
         ("graphs.image.k", 6, r"graphs.image: k does not apply to images \(source: ingest\)"),
         (f"{MODEL}.wiring", {"comand": 5}, "wiring.comand"),
@@ -207,11 +206,11 @@ def test_files_beside_a_network_that_dvc_would_not_watch_are_refused(tmp_path, m
 
 @pytest.mark.parametrize(
     ("part", "name", "error"),
-    [(options.importlib, "import_module", ImportError), (polar.Options, "build", ValueError)],
+    [(options.importlib, "import_module", ImportError), (blind.Options, "build", ValueError)],
 )
 def test_a_bug_of_a_network_is_no_fault_of_the_settings(tmp_path, monkeypatch, part, name, error):
     content = changed(
-        "models", {"net": {"input": "semantic", "spatial": "polar", "temporal": "lstm"}}
+        "models", {"net": {"input": "semantic", "spatial": "blind", "temporal": "lstm"}}
     )
     monkeypatch.setattr(part, name, Mock(side_effect=ValueError("boom")))
     with pytest.raises(error, match="boom") as raised:

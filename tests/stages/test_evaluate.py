@@ -80,7 +80,7 @@ def test_drives_without_a_window_are_not_listed(folder):
 
 
 def test_other_ranges_than_in_training_are_refused(folder):
-    write_params(folder, {"predict": "path", "spatial": "polar"}, epochs=1)
+    write_params(folder, {"predict": "path"}, epochs=1)
     run_train(folder)
     artefacts.write_dataset(folder, SPLITS, frames=60, points=80, ahead_m=EDGES_M[:3])
     with pytest.raises(

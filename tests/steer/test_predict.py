@@ -51,13 +51,7 @@ MODELS = {
 }
 VARIANTS = {
     "semantic": {"source": "clouds/pseudo", "points": 200, "k": 4, "keep_inter_class": 0.2},
-    "lidar": {
-        "source": "clouds/lidar",
-        "points": 200,
-        "k": 4,
-        "crop_m": [-15, -10, 15, 30],
-        "accumulate": 3,
-    },
+    "lidar": {"source": "clouds/lidar", "points": 200, "k": 4, "crop_m": [-15, -10, 15, 30]},
     "image": {"source": "ingest"},
 }
 

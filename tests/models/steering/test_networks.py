@@ -1,6 +1,5 @@
 """The contract of the spatial networks, each one's oracle, node features and pooling."""
 
-import math
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ from torch.nn import functional
 from models.steering.core.batch import Batch, GraphBatch, ImageBatch
 from models.steering.core.features import GEOMETRY, node_features
 from models.steering.core.options import Sizes, load_options
-from models.steering.spatial import gnn, pointnet2, polar, pyg
+from models.steering.spatial import gnn, pointnet2, pyg
 from models.steering.spatial.pointnet2 import OFFSET_M
 from pipeline.camera import classes
 from tests.models.steering import frames
@@ -101,63 +100,6 @@ def test_gcn_equals_pyg(monkeypatch, layers, block):
         torch.testing.assert_close(ours.weight.grad, theirs.lin.weight.grad.T, **TOLERANCE)
         torch.testing.assert_close(ours.bias.grad, theirs.bias.grad, **TOLERANCE)
         assert ours.weight.grad.abs().max() > 0.01
-
-
-def plain_map(frame: dict[str, Any]) -> Tensor:
-    """Return the polar map of one frame, point by point."""
-    counts = torch.zeros(4, polar.RANGES, polar.BEARINGS)
-    for (x, _, z), cls in zip(frame["xyz"].tolist(), frame["cls"].tolist(), strict=True):
-        cell = plain_cell(math.hypot(x, z), math.degrees(math.atan2(x, z)))
-        if cell is not None:
-            counts[plain_kind(cls), *cell] += 1
-    total = counts.sum(0)
-    result = counts / total.clamp_min(1)
-    result[3] = total == 0
-    return result
-
-
-def plain_cell(range_m: float, bearing_deg: float) -> tuple[int, int] | None:
-    """Return the row and the column of the cell that has a point, if there is one."""
-    width = 90 / polar.BEARINGS
-    for row in range(polar.RANGES):
-        near = polar.NEAR_M * (polar.FAR_M / polar.NEAR_M) ** (row / polar.RANGES)
-        far = polar.NEAR_M * (polar.FAR_M / polar.NEAR_M) ** ((row + 1) / polar.RANGES)
-        for column in range(polar.BEARINGS):
-            middle = (column - polar.BEARINGS // 2) * width
-            if near <= range_m < far and abs(bearing_deg - middle) < width / 2:
-                return row, column
-    return None
-
-
-def plain_kind(cls: int) -> int:
-    """Return the channel that counts points of a class; 3 for none."""
-    if cls == classes.ROAD:
-        return 0
-    if cls in classes.GROUND:
-        return 1
-    return 3 if cls == classes.VOID else 2
-
-
-def test_polar_map_equals_brute_force():
-    parts = [frames.graph(count, seed) for seed, count in enumerate([300, 0, 1, 170])]
-    # Points outside of the map.
-    parts[0]["xyz"][:5] = [[0.0, 0, 3.9], [0, 0, 40.1], [9, 0, 8.5], [0, 0, -10], [0, 0, 0]]
-    maps = polar.polar_map(frames.join(parts))
-    torch.testing.assert_close(maps, torch.stack([plain_map(part) for part in parts]))
-    assert maps[:, :3].sum(dim=(0, 2, 3)).all()  # each of the kinds occurs
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_mirroring_reverses_the_bearings_exactly(dtype):
-    """Also of points straight ahead and on the border of two cells."""
-    frame = frames.graph(400)
-    border = math.radians(90 / polar.BEARINGS / 2)
-    x, _, z = frame["xyz"].T
-    x[:40] = 0
-    x[40:80] = z[40:80] * math.tan(border)
-    xyz = torch.from_numpy(frame["xyz"]).to(dtype).numpy()
-    batch = frames.join([frame | {"xyz": xyz}])
-    assert torch.equal(polar.polar_map(batch.mirrored()), polar.polar_map(batch).flip(3))
 
 
 def plain_mlp(layers: nn.Sequential, row: Tensor) -> Tensor:

@@ -87,24 +87,3 @@ def test_drawn_points_depend_on_the_frame_alone_lie_in_the_crop_and_keep_order_a
     assert drawn(20, 5) == drawn(20, 5) != drawn(20, 6)
     assert set(drawn(20, 6)) < set(inside)
     assert len(drawn(20, 6)) == 20
-
-
-def test_sampling_by_range_draws_equal_numbers_and_fills_up_from_where_points_are_left():
-    """Of 1,000 points 700 are nearer than 10 m, 200 at 10 to 20 m, 90 at 20 to 40 m, 10 beyond."""
-    rng = np.random.default_rng(0)
-    range_m = np.repeat([7.0, 15.0, 30.0, 60.0], [700, 200, 90, 10])
-    bearing = rng.uniform(-1, 1, 1000)
-    x = range_m * np.sin(bearing)
-    z = range_m * np.cos(bearing)
-    xyz = np.stack([x, rng.uniform(-1, 2, 1000), z], axis=1)
-
-    def counts(limit: int) -> list[int]:
-        drawn = cloud.draw_by_range(xyz, limit, rng)
-        assert (np.diff(drawn) > 0).all()
-        return [int((range_m[drawn] == value).sum()) for value in (7, 15, 30, 60)]
-
-    assert counts(40) == [10, 10, 10, 10]
-    assert counts(250) == [80, 80, 80, 10]
-    assert counts(500) == [200, 200, 90, 10]
-    assert sum(counts(42)) == 42
-    assert sum(counts(5000)) == 1000

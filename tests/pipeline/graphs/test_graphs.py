@@ -1,4 +1,4 @@
-"""Test accumulated clouds, kNN graphs, and graph files."""
+"""Test kNN graphs and graph files."""
 
 import json
 from collections.abc import Sequence
@@ -14,57 +14,12 @@ from scipy.spatial import cKDTree
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, DriveWriter
-from pipeline.camera.geometry import transform
 from pipeline.clouds.cloud import Cloud
 from pipeline.graphs import frame_graph, graph, graph_file
 from pipeline.graphs.settings import Variant
 from tests import artefacts
 from tests.artefacts import write_motion
 from tests.models.steering.frames import concatenated
-from tests.street import pose
-
-
-@pytest.mark.parametrize(
-    ("numbers", "measured", "expected"),
-    [
-        ([0, 1, 2, 3], {1, 2, 3}, [[0], [0, 1], [0, 1, 2], [1, 2, 3]]),
-        ([0, 1, 5, 6], {1, 5, 6}, [[0], [0, 1], [2], [2, 3]]),  # a gap
-        ([0, 1, 2, 3], {1, 3}, [[0], [0, 1], [2], [2, 3]]),  # unmeasured motion
-        ([3, 4], set(), [[0], [1]]),
-    ],
-)
-def test_static_points_coincide_until_a_gap_or_unmeasured_motion(numbers, measured, expected):
-    """Clouds carry their row as class, so that it shows from which frame a point is."""
-    rng = np.random.default_rng(0)
-    T_before_now = pose(0.05, 0, 1.0)
-    T_world_cam = [np.linalg.matrix_power(T_before_now, row) for row in range(len(numbers))]
-    worlds = [rng.uniform([-10, -1, 0], [10, 2, 30], (10, 3)) for _ in numbers]
-    clouds = []
-    for row, world in enumerate(worlds):
-        xyz = transform(np.linalg.inv(T_world_cam[row]), world)
-        clouds.append(Cloud(xyz.astype(np.float32), np.full(10, row, np.uint8)))
-
-    steps = dict.fromkeys(measured, T_before_now)
-    accumulated = [*frame_graph.accumulate(zip(numbers, clouds, strict=True), steps, 3)]
-    assert [number for number, _ in accumulated] == numbers
-    for T, (_, cloud), rows in zip(T_world_cam, accumulated, expected, strict=True):
-        assert list(dict.fromkeys(cloud.cls.tolist())) == rows
-        world = np.concatenate([worlds[row] for row in rows])
-        assert transform(T, cloud.xyz) == pytest.approx(world, abs=1e-4)
-
-
-def test_steps_have_the_length_unit_of_the_clouds(tmp_path):
-    with DriveWriter(tmp_path / "a.h5", stage="motion", drive="drive", params={}) as file:
-        file.put("frame", np.array([4, 5], np.int32))
-        file.put("time_s", np.array([0.4, 0.5]))
-        file.put("valid", np.array([0, 1], np.uint8))
-        file.put("T_before_now", np.stack([np.eye(4), pose(0.1, 0, 2.0)]))
-        file.put("scale", np.array([0, 1.25]))
-    with DriveReader(tmp_path / "a.h5", stage="motion") as motion:
-        for source, forward_m in (("clouds/pseudo", 1.6), ("clouds/lidar", 2.0)):
-            steps = frame_graph.read_steps(motion, source)
-            assert list(steps) == [5]
-            assert steps[5] == pytest.approx(pose(0.1, 0, forward_m), abs=1e-6)
 
 
 @settings(max_examples=60, deadline=None)

@@ -38,7 +38,7 @@ def test_networks_of_the_presets_are_the_papers(name):
     published = set()
     for model, settings in preset.merged(name)["models"].items():
         entry = Entry.model_validate(settings)
-        if paper.is_network(model, entry.model_dump(), {}):
+        if paper.is_network(model, entry.model_dump()):
             published.add(model)
     expected = {model for claim in paper.CLAIMS for model in (claim.model, claim.rival)}
     if name == "kitti":
@@ -47,16 +47,15 @@ def test_networks_of_the_presets_are_the_papers(name):
 
 
 def test_a_network_with_the_papers_name_and_other_settings_is_not_the_papers():
-    def is_papers(variant: dict[str, int], **change: object) -> bool:
-        return paper.is_network("sa-gnn-ncp", examples.ENTRY | change, variant)
+    def is_papers(**change: object) -> bool:
+        return paper.is_network("sa-gnn-ncp", examples.ENTRY | change)
 
-    assert is_papers({}, cell="eq4", features=64)
-    assert not is_papers({}, temporal="lstm")
-    assert not is_papers({}, semantics=0.0)
-    assert not is_papers({}, alpha=5.0)
-    assert not is_papers({}, equivariant=True)
-    assert not is_papers({}, width=0.5)
-    assert not is_papers({"accumulate": 8})
+    assert is_papers(cell="eq4", features=64)
+    assert not is_papers(temporal="lstm")
+    assert not is_papers(semantics=0.0)
+    assert not is_papers(alpha=5.0)
+    assert not is_papers(equivariant=True)
+    assert not is_papers(width=0.5)
 
 
 def test_values_have_errors_differences_and_validation_and_are_read_again(tmp_path):

@@ -216,9 +216,9 @@ def test_free_memory_is_a_containers_and_shared_among_gpus(
 @pytest.mark.parametrize(
     ("ahead", "motion", "spatial", "hides"),
     [
-        (5, "visual", "polar", True),
-        (0, "visual", "polar", False),
-        (5, "none", "polar", False),
+        (5, "visual", "gnn", True),
+        (0, "visual", "gnn", False),
+        (5, "none", "gnn", False),
         (5, "visual", "blind", False),
     ],
 )
@@ -484,12 +484,12 @@ def test_code_in_a_file_does_not_run(tmp_path):
     [
         ("nett", {}, r"best\.pt is missing.*train/net"),
         ("net", {"kind": "encoder"}, "expected a checkpoint of .* steering net.*Train it again"),
-        ("net", {"entry": {"spatial": "nothing"}}, "Train it again"),
+        ("net", {"entry": {"spatial": "polar"}}, "there is no .*polar.py .*revision 12c983c8"),
         ("net", {"scale": None}, "Train it again"),
         (
             "net",
             {"contents": {"kind": "sets", "levels": 2}},
-            r"best\.pt: levels = 2 is not supported any more. Use it at revision 12c983c8",
+            r"best\.pt: levels = 2 is not supported any more. Train .* use it at revision 12c983c8",
         ),
         ("net", {"net": {"weight": torch.zeros(1)}}, "Train it again"),
         ("cut", {}, "file is damaged"),

@@ -9,6 +9,9 @@ from pipeline.camera import classes
 GEOMETRY = 6
 # Number of node features, with a column for each class.
 NODE_FEATURES = GEOMETRY + classes.COUNT
+# Factors [NODE_FEATURES, 1] that give the node features of the mirror image: x and the bearing
+# x/distance change their sign.
+MIRROR_SIGNS = [[-1.0] if column in (0, 3) else [1.0] for column in range(NODE_FEATURES)]
 # Approximate y of the ground in KITTI, in metres. It is subtracted to centre y.
 GROUND_Y_M = 1.65
 

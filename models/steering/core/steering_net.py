@@ -144,7 +144,7 @@ class SteeringNet(nn.Module):
         """Return the features of the frames, [B,F].
 
         If equivariant, the features of their mirror images follow, [2B,F] in total. A spatial
-        network may have a method `with_mirrored` that computes both and saves repeated work.
+        network may have a method `with_mirrored` that computes both faster.
         """
         if not self.equivariant:
             features: Tensor = self.spatial(batch)

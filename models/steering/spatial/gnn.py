@@ -8,7 +8,12 @@ import torch
 from torch import Tensor, nn
 
 from models.steering.core.batch import GraphBatch
-from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_features
+from models.steering.core.features import (
+    MIRROR_SIGNS,
+    NODE_FEATURES,
+    mean_max_pool,
+    node_features,
+)
 from models.steering.core.options import NetworkOptions, Semantics, Sizes, Widths
 
 
@@ -36,8 +41,12 @@ class GCNLayer(nn.Module):
 
         `adjacency` is the matrix [N,N] of :func:`normalised_adjacency`.
         """
-        propagated = SymmetricProduct.apply(adjacency, x)  # type: ignore[no-untyped-call]
-        return nn.functional.linear(propagated, self.weight.T, self.bias).relu()
+        return self.project(propagate(adjacency, x), self.weight)
+
+    def project(self, propagated: Tensor, weight: Tensor) -> Tensor:
+        """Return ReLU(ÂH W + b) of a product ÂH [N, inputs], with `weight` as W."""
+        # In place, since each pass over [N, outputs] takes longer than the arithmetic.
+        return (propagated @ weight).add_(self.bias).relu_()
 
 
 class GCN(nn.Module):
@@ -47,24 +56,55 @@ class GCN(nn.Module):
     # the gradients 2 MB more, which is about the size of a core's cache.
     block = 8192
 
+    mirror_signs: Tensor
+
     def __init__(self, features: int, options: Options) -> None:
         super().__init__()
         self.semantics = options.semantics
+        self.register_buffer("mirror_signs", torch.tensor(MIRROR_SIGNS), persistent=False)
         self.layers = nn.ModuleList()
         for inputs, outputs in pairwise([NODE_FEATURES, *options.layers]):
             self.layers.append(GCNLayer(inputs, outputs))
         self.read_out = nn.Linear(2 * options.layers[-1], features)
 
     def forward(self, batch: GraphBatch) -> Tensor:
+        """Return the features of the frames, [B,F]."""
+        (features,) = self._features(batch)
+        return features
+
+    def with_mirrored(self, batch: GraphBatch) -> list[Tensor]:
+        """Return the features of the frames and those of their mirror images, each [B,F].
+
+        A mirror image has the same edges, and node features that differ in signs. So the adjacency
+        and the first product are computed once, and signs are those of the first weights.
+        """
+        return self._features(batch, with_mirrored=True)
+
+    def _features(self, batch: GraphBatch, *, with_mirrored: bool = False) -> list[Tensor]:
         dtype = self.read_out.weight.dtype
-        pooled = []
+        first: Any
+        others: list[Any]
+        first, *others = self.layers
+        weights = [first.weight]
+        if with_mirrored:
+            weights.append(first.weight * self.mirror_signs)
+
+        pooled: list[list[Tensor]] = [[] for _ in weights]
         for block in batch.blocks(self.block):
             x = node_features(block.xyz.to(dtype), block.cls, self.semantics)
             adjacency = normalised_adjacency(block.degree, block.indices, dtype)
-            for layer in self.layers:
-                x = layer(adjacency, x)
-            pooled.append(mean_max_pool(x, block.ptr))
-        return self.read_out(torch.cat(pooled))
+            propagated = propagate(adjacency, x)
+            for weight, blocks in zip(weights, pooled, strict=True):
+                x = first.project(propagated, weight)
+                for layer in others:
+                    x = layer(adjacency, x)
+                blocks.append(mean_max_pool(x, block.ptr))
+        return [self.read_out(torch.cat(blocks)) for blocks in pooled]
+
+
+def propagate(adjacency: Tensor, x: Tensor) -> Tensor:
+    """Return the product of a symmetric sparse matrix [N,N] and x [N,C]."""
+    return SymmetricProduct.apply(adjacency, x)  # type: ignore[no-untyped-call]
 
 
 def normalised_adjacency(degree: Tensor, indices: Tensor, dtype: torch.dtype) -> Tensor:

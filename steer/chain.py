@@ -37,8 +37,6 @@ class Source:
     drive: Drive
     # The camera of complete images.
     camera: Camera
-    # Doubts about the recording.
-    doubts: Sequence[str] = ()
 
     @property
     def name(self) -> str:
@@ -73,7 +71,7 @@ def open_source(
     write_json(folder / kitti.IMPORT, converted.record, sort_keys=False)
     source = _read(paths[0], kitti.KittiDrive(converted.drives[0].folder), reading)
     source.drive.notes[:0] = converted.notes
-    return replace(source, doubts=converted.doubts)
+    return source
 
 
 def _check_drive(path: Path, files: kitti.KittiDrive, options: Options) -> None:

@@ -120,7 +120,7 @@ class Results:
             recorded,
             attrs,
             [*source.drive.notes, *notes],
-            [*source.doubts, *doubts],
+            doubts,
         )
 
     def write_csv(self, path: Path, name: str) -> None:

@@ -2,7 +2,7 @@
 
 The recording is converted once, to drives in KITTI's layout in data/raw/NAME: 60 %, 20 % and 20 %
 of the time, less 2 s between them, for training, validation and test. presets/NAME.yaml has the
-settings of `make NAME`, which runs the chain. After an edit of a log, repeat the import.
+settings of `make NAME`, which runs the chain. To repeat an import, remove both first.
 
 Times count from the first image. Values of --motion and --wheel are interpolated at the images'
 times. Without --motion, labels come from the angles of --wheel. Without both, they are measured in
@@ -54,10 +54,13 @@ def import_recordings(
 ) -> None:
     """Write drives and a preset; the module's docstring is the help text."""
     from footage.settings import Options
+    from pipeline.base.checkout import is_checkout
     from pipeline.base.params import from_python
     from steer import importing
 
-    importing.check_checkout(Path.cwd())
+    if not is_checkout():
+        fix = "Clone it: git clone …; then run make setup and .venv/bin/steer import there"
+        raise InputError("steer import needs a checkout of the project", fix=fix)
     shares = importing.read_shares(split)
     groups = [recording]
     if each:
@@ -74,5 +77,5 @@ def import_recordings(
         log_of = {kind: paths[number] for kind, paths in logs.items()}
         all_options.append(from_python(Options, {**options, **log_of}))
     name = name or re.sub("[^A-Za-z0-9_-]+", "-", recording[0].stem)
-    for line in importing.take(name, groups, all_options, shares):
+    for line in importing.write_import(name, groups, all_options, shares):
         print(line)

@@ -63,13 +63,13 @@ def open_source(
         # A folder of images has none of KITTI's cameras.
         if any(files.images(camera) for camera in reading.cameras):
             _check_drive(paths[0], files, options)
-            return _read(paths[0], files, reading)
+            return _open_files(paths[0], files, reading)
 
     recording = open_recording(paths, options)
     name = re.sub("[^A-Za-z0-9_-]+", "-", paths[0].stem)
     converted = convert(folder, name, [recording], options, hz=hz)
     write_json(folder / kitti.IMPORT, converted.record, sort_keys=False)
-    source = _read(paths[0], kitti.KittiDrive(converted.drives[0].folder), reading)
+    source = _open_files(paths[0], kitti.KittiDrive(converted.drives[0].folder), reading)
     source.drive.notes[:0] = converted.notes
     return source
 
@@ -88,7 +88,7 @@ def _check_drive(path: Path, files: kitti.KittiDrive, options: Options) -> None:
         raise InputError("is an unsynced drive: its images are not rectified", path, fix)
 
 
-def _read(path: Path, files: kitti.KittiDrive, reading: Reading) -> Source:
+def _open_files(path: Path, files: kitti.KittiDrive, reading: Reading) -> Source:
     drive = kitti.read_drive(files, reading)
     assert drive.camera  # always true, as the drive has images
     return Source(path, files, drive, drive.camera)

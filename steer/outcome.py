@@ -16,8 +16,6 @@ from pipeline.base.console import split_doubts
 from pipeline.base.keys import ROOT
 from pipeline.base.metrics import nmse, rmse
 from pipeline.base.store import DriveReader
-from pipeline.evaluate import statistics
-from pipeline.evaluate.settings import Evaluate
 from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
 from pipeline.labels.recorded import Recorded, compare
 from pipeline.labels.source import rates_of_motion, recorded_angles, recorded_rates
@@ -28,8 +26,6 @@ from steer.chain import INGEST, MOTION, Source
 
 # Longest gap in seconds over which the track continues with the last measured motion.
 BRIDGED_S = 1.0
-# Length in seconds of a block of the bootstrap: errors of nearer frames are correlated.
-BLOCK_S = 5.0
 # Formats of columns in a CSV file; other columns have ".6f".
 FORMATS = {"frame": ".0f", "valid": ".0f", "points": ".0f", "residual": ".3f", "driven_rad": ".9f"}
 
@@ -112,15 +108,15 @@ class Results:
             reasons = ", ".join(f"{problem} ({count})" for problem, count in counts)
             notes.append(f"frames without a measurement: {reasons}")
         return cls(
-            table,
-            problems,
-            labels,
-            recorder if driven else "",
-            measured_labels.at(rows),
-            recorded,
-            attrs,
-            [*source.drive.notes, *notes],
-            doubts,
+            table=table,
+            problems=problems,
+            driven=labels,
+            recorder=recorder if driven else "",
+            measured=measured_labels.at(rows),
+            recorded=recorded,
+            motion=attrs,
+            notes=[*source.drive.notes, *notes],
+            doubts=doubts,
         )
 
     def write_csv(self, path: Path, name: str) -> None:
@@ -131,14 +127,13 @@ class Results:
             table[column] = table[column].map(to_text, na_action="ignore")
         table.to_csv(path, index=False)
 
-    def compare(self, column: str, horizon: int = 0) -> dict[str, Any] | None:
+    def compare_angles(self, column: str, horizon: int = 0) -> dict[str, Any] | None:
         """Return errors of angles against the truth `horizon` frames later.
 
         `column` is predicted or measured. Errors are computed on the frames that have a truth and a
         value of `column`. Returns None if there are no such frames.
         """
         frame = self.table["frame"]
-        time_s = self.table["time_s"]
         driven_rad = pd.Series(self.table["driven_rad"], frame)
         target_rad = driven_rad.reindex(frame + horizon).to_numpy(copy=True)
         used = np.isfinite(target_rad) & np.isfinite(self.table[f"{column}_rad"])
@@ -153,14 +148,10 @@ class Results:
         if column == "predicted":
             angles = {column: self.table["predicted_rad"], **angles}
 
-        block = 1
-        if len(time_s) > 1:
-            block = max(1, round(BLOCK_S / float(np.median(np.diff(time_s)))))
-        settings = Evaluate(bootstrap_samples=2000, bootstrap_block_frames=block, seed=0)
-        errors = {name: _errors(target_rad, angle, settings) for name, angle in angles.items()}
+        errors = {name: _compute_errors(target_rad, angle) for name, angle in angles.items()}
         return {"truth": self.recorder, "frames": int(used.sum()), "horizon": horizon, **errors}
 
-    def quality(self, source: Source, comparison: dict[str, Any] | None) -> dict[str, Any]:
+    def describe_quality(self, source: Source, comparison: dict[str, Any] | None) -> dict[str, Any]:
         """Return the content of quality.json. Unknown values are None."""
         camera = source.camera
         facts = self.motion
@@ -271,7 +262,7 @@ def integrate_motion(
 
 
 def comparison_lines(comparison: Mapping[str, Any] | None) -> Iterator[str]:
-    """Yield errors by :meth:`Results.compare` as lines for the user."""
+    """Yield errors by :meth:`Results.compare_angles` as lines for the user."""
     if comparison is None:
         return
     line = f"truth from {comparison['truth']}, {comparison['frames']} frames"
@@ -280,23 +271,20 @@ def comparison_lines(comparison: Mapping[str, Any] | None) -> Iterator[str]:
     yield f"{line}:"
     for name in ("predicted", "measured", "zero"):
         if name in comparison:
-            yield f"  {name}: {_errors_text(comparison[name])}"
+            errors = comparison[name]
+            texts = [f"RMSE {errors['rmse_deg']:.2f} deg"]
+            for key in ("nmse", "correlation"):
+                if errors[key] is not None:
+                    texts.append(f"{key} {errors[key]:.3f}")
+            yield f"  {name}: {', '.join(texts)}"
 
 
-def _errors(target_rad: np.ndarray, angle_rad: np.ndarray, settings: Evaluate) -> dict[str, Any]:
-    """Return nmse, its 95 % interval, rmse_deg and correlation of angles [N]; None if undefined.
+def _compute_errors(target_rad: np.ndarray, angle_rad: np.ndarray) -> dict[str, Any]:
+    """Return nmse, rmse_deg and correlation of angles [N]; None if undefined.
 
     Frames whose target is NaN do not count.
     """
-    # The interval is computed only if there are enough blocks of frames.
     counted = np.isfinite(target_rad)
-    drive = np.zeros(len(target_rad), int)
-    blocks = np.unique(statistics.parts(drive, settings.bootstrap_block_frames)[counted])
-    bounds = None
-    if len(blocks) >= statistics.LEAST_DRIVES:
-        error = (angle_rad - target_rad)[None] ** 2
-        bounds = statistics.interval(error, target_rad, drive, settings)
-
     target_rad = target_rad[counted]
     angle_rad = angle_rad[counted]
     correlation = None
@@ -304,18 +292,6 @@ def _errors(target_rad: np.ndarray, angle_rad: np.ndarray, settings: Evaluate) -
         correlation = float(np.corrcoef(target_rad, angle_rad)[0, 1])
     return {
         "nmse": nmse(target_rad, angle_rad),
-        "nmse_ci95": bounds,
         "rmse_deg": math.degrees(rmse(target_rad, angle_rad)),
         "correlation": correlation,
     }
-
-
-def _errors_text(errors: Mapping[str, Any]) -> str:
-    """Return the errors of :func:`_errors` as a line for the user."""
-    nmse = "-"
-    if errors["nmse"] is not None:
-        nmse = f"{errors['nmse']:.3f} ({statistics.interval_text(errors['nmse_ci95'])})"
-    text = f"nmse {nmse}, RMSE {errors['rmse_deg']:.2f} deg"
-    if errors["correlation"] is not None:
-        text += f", correlation {errors['correlation']:.3f}"
-    return text

@@ -102,7 +102,7 @@ def write_overlay(path: Path, source: Source, results: Results, wheelbase_m: flo
                 row = rows[frame.number]
                 image = resized(frame.image, camera.size).copy()
                 _draw_paths(image, camera, {name: path[:, row] for name, path in paths.items()})
-                for number, (text, colour) in enumerate(_legend(results, row)):
+                for number, (text, colour) in enumerate(_legend_lines(results, row)):
                     place = (10, 20 * (number + 1))
                     cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1)
                 file.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
@@ -133,7 +133,7 @@ def _draw_paths(image: np.ndarray, camera: Camera, paths: Mapping[str, np.ndarra
             cv2.polylines(image, sides, False, COLOURS[name], thickness, cv2.LINE_AA)
 
 
-def _legend(results: Results, row: int) -> Iterator[tuple[str, tuple[int, int, int]]]:
+def _legend_lines(results: Results, row: int) -> Iterator[tuple[str, tuple[int, int, int]]]:
     """Yield lines of text and their colours: time and speed, then the angle of each path."""
     table = results.table
     speed = f"{table['speed_mps'][row]:.1f} m/s" if table["valid"][row] else results.problems[row]

@@ -51,8 +51,6 @@ def test_motion_is_measured_from_python(tmp_path, encoder):
     assert outcome.table["valid"].sum() == 29
     assert outcome.files == []
     assert outcome.doubts == []
-    assert any("measured in 29 of 29 moving frames" in note for note in outcome.notes)
-    assert outcome.notes[-1] == "frames without a measurement: no previous frame (1)"
     with pytest.raises(TypeError, match=r"'camera_height': did you mean camera_height_m"):
         api.measure(images, encoder=encoder, camera_height=1.4)
     with pytest.raises(InputError, match=r"fov: .*valid number \(got '65'\)"):
@@ -70,11 +68,8 @@ def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
     options = LENS | {"offset_s": -10, "distortion": "0,0,0,0"}
     measure([images], out=out, encoder=encoder, motion=log, **options)
     text = capsys.readouterr().out
-    assert "motion of images_drive_0001: measured in 29 of 29 moving frames" in text
     assert "speed_mps is known at 21 of 30 images" in text
     assert re.search(r"doubt: speed of the log: 3\.\d\d times the measured one; the sign", text)
-    turns = r"yaw rate of the log: correlation 0\.00 .*; 20 frames, 20 of them turn"
-    assert re.search(turns, text)
 
     rows = read_motion(out)
     assert rows["valid"].tolist() == [0] + 29 * [1]
@@ -109,8 +104,8 @@ def snow() -> np.ndarray:
 
 @pytest.mark.parametrize(
     "images",
-    [lambda: noisy(drive(1)[0]), lambda: noisy(np.array(3)), snow],
-    ids=["standing", "night", "snow"],
+    [lambda: noisy(drive(1)[0]), snow],
+    ids=["standing", "snow"],
 )
 def test_input_without_motion_gets_no_numbers(tmp_path, encoder, images, capsys):
     folder = write_folder(tmp_path / "images", images())
@@ -119,9 +114,7 @@ def test_input_without_motion_gets_no_numbers(tmp_path, encoder, images, capsys)
     assert not rows["valid"].any()
     for name in ("speed_mps", "yaw_rate_radps", "measured_rad", "x_m", "points"):
         assert np.isnan(rows[name]).all()
-    text = capsys.readouterr().out
-    assert "motion of images_drive_0001: measured in 0 of" in text
-    assert "horizon: not found" in text
+    assert "horizon: not found" in capsys.readouterr().out
 
 
 def test_a_camera_that_looks_back_is_noticed(tmp_path, encoder, capsys):
@@ -132,10 +125,7 @@ def test_a_camera_that_looks_back_is_noticed(tmp_path, encoder, capsys):
     assert line in capsys.readouterr().out
 
     times_s = [number / 10 for number in range(12)]
-    log = write_log(tmp_path / "can.csv", times_s, -SPEED)
-    measure([images], out=tmp_path / "backwards", motion=log, **options)
-    assert "0 of 11 moving frames" in capsys.readouterr().out
-    write_log(log, times_s, SPEED)
+    log = write_log(tmp_path / "can.csv", times_s, SPEED)
     measure([images], out=tmp_path / "forward", motion=log, **options)
     assert "the sign differs in 11 of 11 moving frames" in capsys.readouterr().out
 
@@ -176,7 +166,6 @@ def test_the_written_drive_is_a_source_with_the_same_numbers(tmp_path, encoder):
 
 def test_unsuitable_inputs(tmp_path, encoder, monkeypatch):
     images = write_folder(tmp_path / "images", drive(4))
-    rotated = write_folder(tmp_path / "rotated", [np.rot90(view) for view in drive(2)])
     write(tmp_path / "kept/poses.txt", "mine")
     monkeypatch.chdir(tmp_path)
     for _ in range(2):
@@ -187,6 +176,4 @@ def test_unsuitable_inputs(tmp_path, encoder, monkeypatch):
         measure([images], encoder=tmp_path, **LENS)
     with pytest.raises(InputError, match=r"exists already and holds poses\.txt"):
         measure([images], encoder=encoder, out=tmp_path / "kept", **LENS)
-    with pytest.raises(InputError, match="taller than wide"):
-        measure([rotated], encoder=encoder, **LENS)
     assert [path.name for path in (tmp_path / "kept").iterdir()] == ["poses.txt"]

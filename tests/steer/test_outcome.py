@@ -20,7 +20,17 @@ CAR = Car(2.7, 1.0)
 
 
 def results_of(table: dict[str, Any], driven: Labels, measured: Labels | None = None) -> Results:
-    return Results(table, [], driven, "the log", measured or driven, {}, {}, [], [])
+    return Results(
+        table=table,
+        problems=[],
+        driven=driven,
+        recorder="the log",
+        measured=measured or driven,
+        recorded={},
+        motion={},
+        notes=[],
+        doubts=[],
+    )
 
 
 def test_the_driven_track_begins_with_the_measured_one_and_ends_with_the_log():
@@ -102,7 +112,7 @@ def test_comparison_by_its_definition():
     }
     labels = Labels(driven_rad, frame > -1, driven_rad, driven_rad)
     results = results_of(table, labels)
-    comparison = results.compare("predicted", 2)
+    comparison = results.compare_angles("predicted", 2)
     target = results.table["driven_rad"][5:]
     assert comparison["truth"] == "the log"
     assert comparison["frames"] == 6
@@ -112,7 +122,7 @@ def test_comparison_by_its_definition():
         assert comparison[name]["nmse"] == pytest.approx(error / (target**2).mean())
         assert comparison[name]["rmse_deg"] == pytest.approx(np.rad2deg(np.sqrt(error)))
     results.table["driven_rad"] = np.full(11, np.nan)
-    assert results.compare("predicted") is None
+    assert results.compare_angles("predicted") is None
 
 
 @pytest.mark.parametrize("recorded", [True, False])

@@ -14,9 +14,9 @@ from pipeline.ingest.columns import (
     LIMIT_RAD,
     LIMIT_RADPS,
     check_increase,
-    fault,
+    list_fault,
     read_columns,
-    refuse,
+    refuse_faults,
 )
 
 # Largest distance in seconds between two logged values for an interpolation between them.
@@ -111,7 +111,7 @@ def _read_log(
         faults += _check_times(column["time_s"], MAX_GAP_S + ROUNDING_S, name)
         time_s, values = column.to_numpy().T
         logs[name] = Log(time_s + offset_s, values, path.name)
-    refuse(faults, path, expected)
+    refuse_faults(faults, path, expected)
     return logs
 
 
@@ -120,9 +120,9 @@ def read_times(path: Path) -> np.ndarray:
     words = pd.Series(path.read_text("utf-8-sig", errors="replace").split(), name="time", dtype=str)
     words.index += 1
     times_s = pd.to_numeric(words, errors="coerce").astype(float)
-    faults = fault(words[times_s.isna()], "is not a number")
+    faults = list_fault(words[times_s.isna()], "is not a number")
     faults += _check_times(times_s, LONGEST_STEP_S)
-    refuse(faults, path, "Expected one number per line, in seconds")
+    refuse_faults(faults, path, "Expected one number per line, in seconds")
     return times_s.to_numpy()
 
 
@@ -137,7 +137,7 @@ def _check_times(times_s: pd.Series, longest_s: float, column: str = "") -> list
     faults = check_increase(times_s, LEAST_STEP_S)
     step_s = float(times_s.diff().median())
     if 0 < step_s < LEAST_MEDIAN_S or step_s > longest_s:
-        faults += fault(
+        faults += list_fault(
             times_s.head(1),
             f"has a median step of {step_s:g} (expected 0.001 to {longest_s:.1g} s: divide "
             "milliseconds by 1000, nanoseconds by 1e9; values farther apart are not interpolated)",

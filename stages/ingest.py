@@ -27,7 +27,7 @@ def main(
     earlier: dict[str, str] = {}
     if (out / store.INDEX).is_file():
         earlier = store.read_index(out, stage="ingest")
-    missing = kitti.leave_out(raw, settings, required=earlier)
+    missing = kitti.find_missing(raw, settings, required=earlier)
     splits = settings.drives.splits()
     for drive in missing:
         del splits[drive]
@@ -40,7 +40,7 @@ def main(
         jobs = []
         sizes = dict[str, int]()
         for drive in splits:
-            fingerprint = datasets.load(settings.source).fingerprint(drive, settings, root)
+            fingerprint = datasets.load_dataset(settings.source).fingerprint(drive, settings, root)
             sizes[drive] = len(fingerprint)
             work = partial(
                 ingest_drive,

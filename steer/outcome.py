@@ -72,7 +72,7 @@ class Results:
         their median error in pixels.
         """
         recorder = "the log"
-        if source.files.oxts and not source.files.logs():
+        if source.files.oxts and not source.files.find_logs():
             recorder = "oxts"
         with (
             DriveReader(work / MOTION, stage="motion") as motion,

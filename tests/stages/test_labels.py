@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, DriveWriter, read_index
-from pipeline.ingest.packets import interpolated, make_rows, recorded_motion
+from pipeline.ingest.packets import extract_motion, is_interpolated, make_packets
 from stages import labels
 from tests.artefacts import write_index, write_motion, write_recorded
 from tests.kitti_drive import write_params
@@ -22,7 +22,7 @@ FIRST, SECOND = DRIVES
 def write_ingest(folder: Path, speed: list[float], yaw_rate: list[float]) -> None:
     """Write two drives whose first frame is 5; the second is the first's mirror image."""
     for sign, drive in zip((1, -1), DRIVES, strict=True):
-        oxts = make_rows(len(speed), vf=np.array(speed), wu=sign * np.array(yaw_rate))
+        oxts = make_packets(len(speed), vf=np.array(speed), wu=sign * np.array(yaw_rate))
         write_recorded(folder / f"{drive}.h5", np.arange(5, 5 + len(oxts)), oxts)
     write_index(folder, DRIVES)
 
@@ -51,7 +51,7 @@ def recorded(tmp_path) -> Path:
     """Write a drive with recorded angles, and one with oxts, too; motion is measured in both."""
     frame = np.arange(5, 10)
     angles = {5: 0.1, 7: 0.2, 8: 0.3, 9: 0.4}
-    oxts = make_rows(5, vf=np.array([10.0, 10, 0.5, 10, 10]), wu=0.1)
+    oxts = make_packets(5, vf=np.array([10.0, 10, 0.5, 10, 10]), wu=0.1)
     write_recorded(tmp_path / f"ingest/{FIRST}.h5", frame, None, angles)
     write_recorded(tmp_path / f"ingest/{SECOND}.h5", frame, oxts, angles)
     motion = {5: (0, 0), 6: (5.0, 0.5), 8: (0.5, 0.5), 9: (0, 0)}
@@ -78,7 +78,7 @@ def test_measured_and_recorded_labels_are_valid_unless_the_car_is_slow_or_stands
 
 def test_recorded_angles_are_valid_where_the_recorded_speed_moves(tmp_path):
     """No file of stage motion is needed."""
-    oxts = make_rows(5, vf=np.array([10.0, 10, 0.5, 10, 10]), wu=0.1)
+    oxts = make_packets(5, vf=np.array([10.0, 10, 0.5, 10, 10]), wu=0.1)
     angles = {5: 0.1, 7: 0.2, 8: 0.3, 9: 0.4}
     for drive in DRIVES:
         write_recorded(tmp_path / f"ingest/{drive}.h5", np.arange(5, 10), oxts, angles)
@@ -94,7 +94,7 @@ def test_an_interpolated_packet_is_no_target_and_ends_the_path_ahead(tmp_path, c
     frame = np.arange(30)
     interpolated_at_20 = {mode: np.where(frame == 20, -1.0, 4.0)}
     for drive in DRIVES:
-        rows = make_rows(30, vf=11.0, wu=0.2, **interpolated_at_20)
+        rows = make_packets(30, vf=11.0, wu=0.2, **interpolated_at_20)
         write_recorded(tmp_path / f"ingest/{drive}.h5", frame, rows, dict.fromkeys(range(30), 0.1))
         write_motion(tmp_path / "motion", drive, dict.fromkeys(range(30), (5.0, 0.1)))
     write_index(tmp_path / "ingest", DRIVES)
@@ -127,7 +127,7 @@ def test_interpolated_packets_of_kitti(real_kitti, tmp_path):
         path = tmp_path / f"ingest/{drive}.h5"
         rows = np.array(texts, float)
         with DriveWriter(path, stage="ingest", drive=drive, params={}) as file:
-            for name, column in recorded_motion(dict(enumerate(rows))).items():
+            for name, column in extract_motion(dict(enumerate(rows))).items():
                 file.put(name, np.array([*column.values()], float))
             file.put("frame", np.arange(len(rows), dtype=float))
             file.put("time_s", np.arange(len(rows)) / 10)
@@ -137,7 +137,7 @@ def test_interpolated_packets_of_kitti(real_kitti, tmp_path):
 
     counts = {}
     for drive, texts in packets.items():
-        guessed = interpolated(np.array(texts, float))
+        guessed = is_interpolated(np.array(texts, float))
         counts[drive] = guessed.sum()
         file = DriveReader(tmp_path / f"labels/{drive}.h5", stage="labels")
         assert not file["valid"][guessed].any()

@@ -9,7 +9,7 @@ from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Frame
 from pipeline.ingest.drive import Drive
 from pipeline.ingest.ingest_file import write_drive
-from pipeline.ingest.packets import make_rows
+from pipeline.ingest.packets import make_packets
 from pipeline.labels.label import Car, Labels
 from steer import outcome, pictures, predict
 from steer.measure import READING
@@ -59,7 +59,7 @@ def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path):
 
 
 # Angles at standstill, and of interpolated packets, are unknown.
-OXTS = make_rows(4, vf=np.array([10, 0.5, 10, 10]), wu=0.5, velmode=np.array([0, 4, 4, -1]))
+OXTS = make_packets(4, vf=np.array([10, 0.5, 10, 10]), wu=0.5, velmode=np.array([0, 4, 4, -1]))
 
 
 RATES = {

@@ -386,7 +386,7 @@ def street(real_weights) -> nn.Module:
 )
 def test_published_weights_give_metric_depth_of_real_streets(street, real_half, drive, most):
     raw = KittiDrive(real_half / drive[:10] / f"{drive}_sync")
-    number = raw.camera_number([2, 0])
+    number = raw.choose_camera([2, 0])
     camera = raw.camera(number)
     scaled = camera.scaled(SIZE)
     errors = []

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.camera import classes
 from pipeline.camera.ground_plane import ground_plane_depth
-from pipeline.ingest.packets import make_rows
+from pipeline.ingest.packets import make_packets
 from pipeline.ingest.truth import Truth
 from pipeline.labels import label
 from pipeline.labels.label import Car, Labels
@@ -129,7 +129,7 @@ def test_angles_without_speed_and_yaw_rate_have_an_error_of_the_angle_alone():
 @pytest.mark.parametrize("with_wheel", [False, True])
 def test_only_recorded_values_are_a_reference(tmp_path, with_oxts, with_wheel):
     """The measured speed is 10 % too high, and the recorded angle 0.01 rad off."""
-    oxts = make_rows(FRAMES, vf=SPEED_MPS, wu=YAW_RATE_RADPS) if with_oxts else None
+    oxts = make_packets(FRAMES, vf=SPEED_MPS, wu=YAW_RATE_RADPS) if with_oxts else None
     angles = dict.fromkeys(range(FRAMES), TRUE_RAD + 0.01) if with_wheel else None
     write_recorded(tmp_path / f"ingest/{DRIVE}.h5", np.arange(FRAMES), oxts, angles)
     motion = dict.fromkeys(range(FRAMES), (1.1 * SPEED_MPS, YAW_RATE_RADPS))

@@ -17,7 +17,7 @@ from pipeline.base.keys import ROOT
 from pipeline.base.metrics import nmse, rmse
 from pipeline.base.store import DriveReader
 from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
-from pipeline.labels.recorded import Recorded, compare
+from pipeline.labels.recorded import Recorded, compare_recorded
 from pipeline.labels.source import rates_of_motion, recorded_angles, recorded_rates
 from pipeline.motion import rates
 from pipeline.motion.facts import facts_line
@@ -82,12 +82,9 @@ class Results:
             driven = _read_driven(raw, car)
             measured = rates_of_motion(raw, work / MOTION)
             measured_labels = steering_labels(measured.yaw_rate_radps, measured.speed_mps, car)
-            recorded = compare(
-                [Recorded.read(raw, motion, car)],
-                dict.fromkeys(("yaw_rate", "speed", "angle"), recorder),
-            )
+            recorded = compare_recorded([Recorded.read(raw, motion, car)], recorder)
 
-            labels = (driven or _unknown(len(raw.frame))).at(rows)
+            labels = (driven or _unknown(len(raw.frame))).select(rows)
             valid = motion["valid"]
             table = {
                 "frame": motion.frame,
@@ -112,7 +109,7 @@ class Results:
             problems=problems,
             driven=labels,
             recorder=recorder if driven else "",
-            measured=measured_labels.at(rows),
+            measured=measured_labels.select(rows),
             recorded=recorded,
             motion=attrs,
             notes=[*source.drive.notes, *notes],

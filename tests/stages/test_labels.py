@@ -152,10 +152,7 @@ def test_interpolated_packets_of_kitti(real_kitti, tmp_path):
     [
         ({}, f"{FIRST}.h5: drive has no recorded speed.* Set labels.source: motion"),
         ({"angle": "recorded"}, f"{FIRST}.h5: drive has no recorded speed.* labels.source: motion"),
-        ({"source": "recorded"}, "labels.source: .*recorded has been replaced by source: ingest"),
-        ({"source": "visual"}, "visual has been replaced by source: motion"),
-        ({"source": "wheel"}, "wheel has been replaced by source: motion, .* angle: recorded"),
-        ({"source": "typo"}, "labels.source: .*'ingest' or 'motion' .*typo"),
+        ({"source": "visual"}, "labels.source: .*'ingest' or 'motion' .*visual"),
     ],
 )
 def test_a_source_that_a_drive_lacks_or_that_does_not_exist(recorded, settings, problem):

@@ -26,7 +26,7 @@ from pipeline.camera.camera import Camera
 from pipeline.camera.images import Size, format_size, resized
 from pipeline.ingest.calibration import write_calibration
 from pipeline.ingest.packets import VALUE_FILES, format_times, write_values
-from pipeline.motion.horizon import HorizonFinder, horizon_row
+from pipeline.motion.horizon import HorizonFinder, compute_horizon
 
 # Largest width of written images in pixels, which is that of KITTI's.
 MAX_WIDTH = 1242
@@ -209,7 +209,7 @@ def convert(
                 frame = optics.to_frame(image, path)
                 drive = new[parts[place]]
                 drive.write_image(frame, recording.times_s[place], png=options.png)
-                finders[path].add(frame)
+                finders[path].add_image(frame)
                 bar.update()
             notes += _write_values(recording, new)
             drives += new
@@ -288,9 +288,9 @@ def _find_horizon(
     rows = []
     for path, finder in finders.items():
         with error_context(path):
-            row = finder.row()
+            row = finder.find_row()
         rows.append(f"{path.name}: {'not found' if row is None else f'{row:.0f}'}")
-    row = horizon_row(
+    row = compute_horizon(
         [heading for finder in finders.values() for heading in finder.headings], camera
     )
     if row is None:

@@ -223,7 +223,7 @@ def read_course(motion: DriveReader, car: Car, *, smooth: bool) -> dict[str, np.
     valid = motion["valid"].astype(bool)
     rows = np.arange(len(time_s))
     measured_row = np.maximum.accumulate(np.where(valid, rows, -1))
-    standing_row = np.maximum.accumulate(np.where(rates.stands(motion), rows, -1))
+    standing_row = np.maximum.accumulate(np.where(rates.is_standing(motion), rows, -1))
     is_recent = time_s - time_s[measured_row] <= BRIDGED_S
     moves = (measured_row >= 0) & (standing_row <= measured_row) & is_recent
 

@@ -21,7 +21,7 @@ MAX_SCATTER = 0.08
 MAX_BACKWARDS = 0.5
 # Least number of moving frames about which there may be a doubt.
 MIN_MOVING = 10
-# Least number of frames with a road that tell the unit of depth.
+# Least number of frames with a road in a drive that tell the unit of depth.
 ROAD_FRAMES = 50
 
 
@@ -74,28 +74,15 @@ def _median(summaries: Sequence[Summary], name: str) -> float:
 def check_unit(summaries: Mapping[str, Summary]) -> None:
     """Raise InputError if the road is farther or nearer than it can be, so depth has another unit.
 
-    It is judged by the road of many frames, of one drive and of all. `summaries`: drive → summary.
-    Drives with a camera of unknown height, or an encoder with random weights, do not count: their
-    `unit_error` is 0.
+    `summaries` maps drives to their summaries. Drives with few frames with a road, a camera of
+    unknown height, or an encoder with random weights do not count.
     """
-    comparable = {drive: summary for drive, summary in summaries.items() if summary["unit_error"]}
-    for drive, summary in comparable.items():
-        _check_units([summary], drive)
-    _check_units([*comparable.values()], f"{len(comparable)} drives")
-
-
-def _check_units(summaries: list[Summary], where: str) -> None:
-    """Raise InputError as :func:`check_unit` by the road of all frames of some drives."""
-    frames = [summary["road_frames"] for summary in summaries]
-    if sum(frames) < ROAD_FRAMES:
-        return
-    ratios = [summary["road_height_m"] / summary["camera_height_m"] for summary in summaries]
-    ratio = float(np.median(np.repeat(ratios, frames)))
-    factor = min(summary["unit_error"] for summary in summaries)
-    if not 1 / factor < ratio < factor:
-        raise InputError(
-            f"by depth, the road is {ratio:.2f} times as far below the camera as it is: depth in "
-            "other units?",
-            where,
-            "PNG files of backbone: precomputed have metres × 256. Or correct the height",
-        )
+    for drive, summary in summaries.items():
+        ratio = summary["road_height_m"] / summary["camera_height_m"]
+        factor = summary["unit_error"]
+        if not factor or summary["road_frames"] < ROAD_FRAMES:
+            continue
+        if not 1 / factor < ratio < factor:
+            problem = f"by depth, the road is {ratio:.2f} times as far below the camera as it is"
+            fix = "PNG files of backbone: precomputed have metres × 256. Or correct the height"
+            raise InputError(f"{problem}: depth in other units?", drive, fix)

@@ -82,10 +82,10 @@ def estimate_pose(
     step, a second initial value.
     """
     best: Pose | None = None
-    for T_start in (_ransac(xyz, uv, K), T_previous):
+    for T_start in (_find_by_ransac(xyz, uv, K), T_previous):
         if T_start is None:
             continue
-        fit = _refine(T_start, xyz, uv, K, depth_sigma)
+        fit = _refine_motion(T_start, xyz, uv, K, depth_sigma)
         if fit and (best is None or fit.cost < best.cost):
             best = fit
     if best is None:
@@ -106,7 +106,7 @@ def _is_similar(T: np.ndarray, T_previous: np.ndarray) -> bool:
     return bool(turned_rad < np.radians(SIMILAR_DEG) and moved_m < SIMILAR_M)
 
 
-def _ransac(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray) -> np.ndarray | None:
+def _find_by_ransac(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray) -> np.ndarray | None:
     """Return the motion [4,4] of most points; None if too few agree.
 
     Arguments are those of :func:`estimate_pose`.
@@ -121,7 +121,7 @@ def _ransac(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray) -> np.ndarray | None
     return rigid(cv2.Rodrigues(rotation)[0], translation[:, 0])
 
 
-def _refine(
+def _refine_motion(
     T: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray
 ) -> Pose | None:
     """Return the motion of least robust cost near `T` [4,4], by Gauss-Newton with Cauchy's weights.
@@ -130,7 +130,7 @@ def _refine(
     """
     T = T.copy()
     for _ in range(ITERATIONS):
-        points = _linearise(T, xyz, uv, K, depth_sigma)
+        points = _linearise_errors(T, xyz, uv, K, depth_sigma)
         robust = points.weight / (1 + points.squared_distance / CAUCHY**2)[:, None, None]
 
         # The normal equations: (Σ JᵀWJ) change = −Σ JᵀW error.
@@ -145,13 +145,13 @@ def _refine(
         T[:3, :3] = cv2.Rodrigues(change[:3])[0] @ T[:3, :3]
         T[:3, 3] += change[3:]
 
-    points = _linearise(T, xyz, uv, K, depth_sigma)
+    points = _linearise_errors(T, xyz, uv, K, depth_sigma)
     cost = float(np.log1p(points.squared_distance / CAUCHY**2).sum())
     inliers = points.squared_distance < INLIER_SIGMAS**2
     return Pose(T, cost, inliers, np.linalg.norm(points.error_px, axis=-1))
 
 
-def _linearise(
+def _linearise_errors(
     T: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray
 ) -> _Linearised:
     """Return the points' errors at the motion `T` [4,4], and their derivatives by the motion."""

@@ -59,7 +59,7 @@ def find_tracks(
     uv_before: np.ndarray, uv: np.ndarray, T_before_now: np.ndarray, K: np.ndarray
 ) -> Tracks:
     """Return the usable points among pixels [N,2] before and after a step [4,4]."""
-    points = _triangulate(uv_before, uv, T_before_now, K)
+    points = _triangulate_points(uv_before, uv, T_before_now, K)
     use = points.usable
     return Tracks(uv[use], points.now[use], points.parallax_px[use])
 
@@ -71,8 +71,8 @@ def compare_lengths(
 
     `tracks`: N points of the step before; `uv`: their pixels [N,2] after this step [4,4].
     """
-    points = _triangulate(tracks.uv, uv, T_before_now, K)
-    use = points.usable & (_errors_px(points, tracks.uv, uv, T_before_now, K) < MAX_ERROR_PX)
+    points = _triangulate_points(tracks.uv, uv, T_before_now, K)
+    use = points.usable & (_measure_errors(points, tracks.uv, uv, T_before_now, K) < MAX_ERROR_PX)
     if use.sum() < MIN_TRIPLES:
         return Ratio()
 
@@ -85,7 +85,7 @@ def compare_lengths(
     return Ratio(float(np.exp(middle)), float(np.hypot(RATIO_NOISE, POINTS_ALIKE * standard_error)))
 
 
-def _triangulate(
+def _triangulate_points(
     uv_before: np.ndarray, uv: np.ndarray, T_before_now: np.ndarray, K: np.ndarray
 ) -> _Triangulated:
     """Return where the rays of pixels [N,2] before and now are nearest to each other."""
@@ -108,7 +108,7 @@ def _triangulate(
     return _Triangulated(before, now, parallax_px, usable)
 
 
-def _errors_px(
+def _measure_errors(
     points: _Triangulated, uv_before: np.ndarray, uv: np.ndarray, T: np.ndarray, K: np.ndarray
 ) -> np.ndarray:
     """Return the distances [N] in pixels of points from where they are seen now.

@@ -10,7 +10,7 @@ from pipeline.camera.geometry import project, transform
 from pipeline.motion.motion_file import find_jumps
 from pipeline.motion.odometry import Odometry
 from pipeline.motion.speed import TYPICAL_MPS, Speeds, filter_speeds, smooth_speeds
-from pipeline.motion.triangulation import RATIO_NOISE, Ratio, Tracks, compare_lengths, find_tracks
+from pipeline.motion.triangulation import RATIO_NOISE, Tracks, compare_lengths, find_tracks
 from tests import street
 from tests.street import pose
 
@@ -39,14 +39,6 @@ def slow_noise(rng: np.random.Generator, sigma: float, keep: float) -> np.ndarra
 def braking() -> np.ndarray:
     """Return a speed from 12 m/s to 1.5 m/s in 6 s, and back, as of a car in traffic."""
     return 6.75 + 5.25 * np.cos(TIME_S * np.pi / 6)
-
-
-def test_with_a_road_speed_is_that_of_the_images():
-    true_mps = braking()
-    estimate = filter_speeds(measured(true_mps))
-    error = np.log(estimate.speed_mps / true_mps)
-    assert np.sqrt((error**2).mean()) < 0.05
-    assert np.median(estimate.sigma) < 0.1
 
 
 def test_with_a_road_a_car_may_reverse_and_stand():
@@ -137,7 +129,7 @@ def test_the_ratio_of_two_steps_needs_no_depth_and_bears_outliers():
     assert noisy.sigma > RATIO_NOISE
 
     few = Tracks(*(column[:10] for column in tracks))
-    assert compare_lengths(few, uv[2][:10], step, K) == Ratio()
+    assert compare_lengths(few, uv[2][:10], step, K).value == 0
 
 
 def test_odometry_compares_each_step_with_the_one_before():
@@ -147,7 +139,7 @@ def test_odometry_compares_each_step_with_the_one_before():
     poses = [pose(0, 0, z) for z in np.concatenate([[0.0], np.cumsum(lengths_m)])]
     ratios = []
     for number, T in enumerate(poses):
-        step = odometry.step(Frame(number, number / 10, *street.view(T)))
+        step = odometry.measure_step(Frame(number, number / 10, *street.view(T)))
         ratios.append(step.ratio if step else 0.0)
     assert ratios[:2] == [0, 0]
     assert ratios[2:] == pytest.approx([1.0, 1.25, 1.0, 0.7], rel=0.03)

@@ -1,9 +1,9 @@
 """Read the images of a recording and their times, from a video file or a folder of images."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
@@ -62,14 +62,14 @@ class Images:
     """The images of a video file, or of a folder, in order."""
 
     path: Path
-    # Images of a folder; empty for a video.
-    files: list[Path]
     # Number of images. In a video, it is that of packets that are shown.
     count: int
+    # Images of a folder; empty for a video.
+    files: Sequence[Path] = ()
     # Time stamp of an image in a video → its place; empty if the file has no times.
-    places: Mapping[int, int]
+    places: Mapping[int, int] = field(default_factory=dict)
     # Seconds since the first image [count], or None if the file has no times.
-    times_s: np.ndarray | None
+    times_s: np.ndarray | None = None
 
     def read(self, wanted: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
         """Yield the place and the pixels, RGB [H,W,3], of the images that are `wanted`, bool [N].
@@ -104,7 +104,7 @@ def open_images(path: Path) -> Images:
         raise InputError("path is missing", path, "Pass a video, or a folder of images")
     if path.is_dir():
         files = _image_files(path)
-        return Images(path, files, len(files), {}, None)
+        return Images(path, files=files, count=len(files))
 
     with _open_container(path) as (container, stream):
         shape = float(stream.sample_aspect_ratio or 1)
@@ -120,11 +120,11 @@ def open_images(path: Path) -> Images:
         raise InputError(f"pixels are not square ({shape:.3f} times as wide as high)", path, fix)
 
     if not has_times or len(stamps) < max(2, len(shown)):
-        return Images(path, [], len(shown), {}, None)
+        return Images(path, count=len(shown))
     in_order = sorted(set(stamps))
     times_s = (np.array(in_order) - in_order[0]) * unit_s
     places = {stamp: place for place, stamp in enumerate(in_order)}
-    return Images(path, [], len(places), places, times_s)
+    return Images(path, count=len(places), places=places, times_s=times_s)
 
 
 def _image_files(folder: Path) -> list[Path]:
@@ -145,7 +145,7 @@ def _image_files(folder: Path) -> list[Path]:
     return sorted(files, key=order)
 
 
-def check_numbers(files: list[Path]) -> None:
+def check_numbers(files: Sequence[Path]) -> None:
     """Raise InputError if the last numbers in the names of images do not rise evenly.
 
     An image may be missing, or the images be those of two cameras.

@@ -51,7 +51,12 @@ class Source:
 
 
 def open_source(
-    paths: Sequence[Path], reading: Reading, options: Options, folder: Path, hz: float = USUAL_HZ
+    paths: Sequence[Path],
+    *,
+    reading: Reading,
+    options: Options,
+    folder: Path,
+    hz: float = USUAL_HZ,
 ) -> Source:
     """Open the folder of a drive, or convert a recording to a drive in the new `folder`.
 
@@ -95,7 +100,7 @@ def _open_files(path: Path, files: kitti.KittiDrive, reading: Reading) -> Source
 
 
 def run_chain(
-    source: Source, work: Path, reading: Reading, perception: Perception, encoder: Path
+    source: Source, work: Path, *, reading: Reading, perception: Perception, encoder: Path
 ) -> None:
     """Write ingest.h5, perception.h5 and motion.h5 of a source to the folder `work`.
 

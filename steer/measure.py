@@ -58,10 +58,12 @@ def measure_source(
         car = model.quantity.car
 
     with _open_folders(out) as (results_folder, work):
-        source = open_source(paths, reading, options, results_folder / "drive", hz)
+        source = open_source(
+            paths, reading=reading, options=options, folder=results_folder / "drive", hz=hz
+        )
         if model:
             source = predict.adapt_source(model, source)
-        run_chain(source, work, reading, perception, encoder)
+        run_chain(source, work, reading=reading, perception=perception, encoder=encoder)
 
         results = Results.read(source, work, car, smooth=model is None)
         results.doubts += warnings(encoder, "float32", [work / INGEST])
@@ -85,7 +87,7 @@ def measure_source(
                 write_overlay(results_folder / "overlay.mp4", source, results, car.wheelbase_m)
     files = sorted(out.iterdir()) if out else []
     frame = pd.DataFrame({"drive": source.name, **results.table})
-    return Outcome(frame, results.notes, results.doubts, files)
+    return Outcome(frame, notes=results.notes, doubts=results.doubts, files=files)
 
 
 @contextmanager

@@ -195,7 +195,12 @@ def _read_driven(ingest: DriveReader, car: Car) -> Labels | None:
 def _unknown(frames: int) -> Labels:
     """Return labels of which nothing is known."""
     unknown = np.full(frames, np.nan)
-    return Labels(unknown, np.zeros(frames, bool), unknown, unknown)
+    return Labels(
+        steering_rad=unknown,
+        valid=np.zeros(frames, bool),
+        speed_mps=unknown,
+        yaw_rate_radps=unknown,
+    )
 
 
 def read_course(motion: DriveReader, car: Car, *, smooth: bool) -> dict[str, np.ndarray]:

@@ -136,4 +136,9 @@ def recorded_angles(raw: DriveReader, rates: Rates | None, car: Car) -> Labels |
     steering_rad = raw["steering_rad"]
     yaw_rate_radps = speed_mps * np.tan(steering_rad) / car.wheelbase_m
     yaw_rate_radps = np.where(has_angle, yaw_rate_radps, np.nan)
-    return Labels(steering_rad, has_angle & moves, speed_mps, yaw_rate_radps)
+    return Labels(
+        steering_rad=steering_rad,
+        valid=has_angle & moves,
+        speed_mps=speed_mps,
+        yaw_rate_radps=yaw_rate_radps,
+    )

@@ -163,11 +163,11 @@ def _add_estimates(
 
     valid = _is_measured(columns)
     speeds = Speeds(
-        time_s[valid],
-        columns["speed_mps"][valid],
-        columns["road_height_m"][valid] > 0,
-        columns["ratio"][valid],
-        columns["ratio_sigma"][valid],
+        time_s=time_s[valid],
+        speed_mps=columns["speed_mps"][valid],
+        road=columns["road_height_m"][valid] > 0,
+        ratio=columns["ratio"][valid],
+        ratio_sigma=columns["ratio_sigma"][valid],
     )
     filtered = filter_speeds(speeds)
     smooth = smooth_rates(speeds, columns["yaw_rate_radps"][valid])

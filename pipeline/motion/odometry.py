@@ -9,7 +9,7 @@ from pipeline.camera import classes
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import project, transform
 from pipeline.camera.pinhole import depth_limit
-from pipeline.motion.pose import MIN_POINTS, estimate_pose
+from pipeline.motion.pose import MIN_POINTS, Matches, estimate_pose
 from pipeline.motion.road import Road
 from pipeline.motion.step import Step
 from pipeline.motion.still import Still
@@ -128,17 +128,16 @@ class Odometry:
         uv, tracked = self._follow_points(previous.grey, grey, uv_before, previous.xyz, T_previous)
         column, row = np.rint(uv_before).astype(np.int64).T
         tracked &= ~self.still.mask[row, column]
-        xyz = previous.xyz[tracked]
-        depth_sigma = previous.depth_sigma[tracked]
         uv_before = uv_before[tracked]
         uv = uv[tracked]
+        matches = Matches(previous.xyz[tracked], previous.depth_sigma[tracked], uv)
         if len(uv) < MIN_POINTS:
             return "too few points can be tracked"
         if np.median(np.abs(uv - uv_before).max(axis=1)) < STANDSTILL_PX:
             return "the image does not move"
 
         # Rotation and direction come from the pixels, the length of the step from depth.
-        pose = estimate_pose(xyz, uv, self._K, depth_sigma, T_previous)
+        pose = estimate_pose(matches, self._K, T_previous)
         if pose is None:
             return "no common motion of the scene"
         T_before_now = np.linalg.inv(pose.T_now_before)

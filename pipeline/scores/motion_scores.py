@@ -68,11 +68,11 @@ def compare_labels(measured: Labels, true: Labels) -> MotionErrors:
     angle_rad = hold_valid(measured.steering_rad, measured.valid, initial=np.nan)
     true_rad = np.where(true.valid & np.isfinite(angle_rad), true.steering_rad, np.nan)
     return MotionErrors(
-        measured.valid,
-        np.where(compared, yaw_rate_radps, np.nan),
-        speed_ratio,
-        angle_rad - true_rad,
-        true_rad,
+        measured=measured.valid,
+        yaw_rate_radps=np.where(compared, yaw_rate_radps, np.nan),
+        speed_ratio=speed_ratio,
+        angle_rad=angle_rad - true_rad,
+        true_angle_rad=true_rad,
     )
 
 

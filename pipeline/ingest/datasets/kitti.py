@@ -218,7 +218,7 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
             yield frame
 
     dataset = "sample" if files.is_rendered() else "kitti"
-    return Drive(camera, frames, values, notes, dataset, damaged)
+    return Drive(camera, frames, values=values, notes=notes, dataset=dataset, damaged=damaged)
 
 
 def _read_timeline(files: KittiDrive, camera: int | None) -> dict[int, float]:

@@ -14,7 +14,7 @@ from pipeline.camera.geometry import project, transform
 from pipeline.motion import horizon, step
 from pipeline.motion.facts import check_unit, facts_line, facts_lines
 from pipeline.motion.odometry import Odometry
-from pipeline.motion.pose import estimate_pose
+from pipeline.motion.pose import Matches, estimate_pose
 from pipeline.motion.still import Still
 from tests import street
 from tests.street import pose
@@ -40,14 +40,14 @@ def test_half_of_the_points_are_enough_only_for_a_motion_like_the_previous_one()
     uv_lorry, _ = project(transform(lorry, xyz), K)
     is_street = np.arange(POINTS) % 20 < 11
     uv = np.where(is_street[:, None], uv_street, uv_lorry)
-    sigma = np.full(POINTS, 0.1)
+    matches = Matches(xyz, np.full(POINTS, 0.1), uv)
 
-    assert estimate_pose(xyz, uv, K, sigma) is None
+    assert estimate_pose(matches, K) is None
     faster = np.linalg.inv(pose(0, 0, 3.0))
-    assert estimate_pose(xyz, uv, K, sigma, faster) is None
+    assert estimate_pose(matches, K, faster) is None
 
     similar = np.linalg.inv(pose(0, 0, 1.2))
-    estimated = estimate_pose(xyz, uv, K, sigma, similar)
+    estimated = estimate_pose(matches, K, similar)
     # Over 20 seeds, the largest error is 0.005 ± 0.003.
     np.testing.assert_allclose(estimated.T_now_before, forth, atol=0.017)
 
@@ -64,10 +64,10 @@ def test_the_last_motion_is_a_start_where_most_depths_are_wrong():
         xyz = 0.3 * xyz
         uv, _ = project(transform(forth, xyz), K)
         factors = np.where(has_right_depth, 1, np.exp(rng.normal(0, 1, POINTS)))
-        wrong = factors[:, None] * xyz
+        matches = Matches(factors[:, None] * xyz, sigma, uv)
 
-        alone = estimate_pose(wrong, uv, K, sigma)
-        started = estimate_pose(wrong, uv, K, sigma, T_last)
+        alone = estimate_pose(matches, K)
+        started = estimate_pose(matches, K, T_last)
         for name, estimated in (("alone", alone), ("started", started)):
             if estimated is not None:
                 found[name] += np.abs(estimated.T_now_before - forth).max() < 0.01

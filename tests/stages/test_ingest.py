@@ -219,25 +219,3 @@ def test_drives_of_the_sample_are_those_that_were_rendered(tmp_path):
         assert len(file.frame) == 2
         assert file.params["dataset"] == "sample"
         assert "cls" in file
-
-
-@pytest.mark.real
-def test_real_drives(real_kitti, tmp_path):
-    """Drive 0001 has 108 packets, one image and one scan. 0042 is grey and has no LiDAR."""
-    partly = "2011_09_26_drive_0001"
-    grey = "2011_10_03_drive_0042"
-    params = write_params(
-        tmp_path / "params.yaml", train=[partly], test=[grey], image_size=[96, 320]
-    )
-    ingest.main(tmp_path / "data", real_kitti, params)
-    with DriveReader(tmp_path / f"data/ingest/{partly}.h5", stage="ingest") as file:
-        np.testing.assert_array_equal(file.frame, np.arange(108))
-        assert np.flatnonzero(file["has_image"]).tolist() == [5]
-        assert np.flatnonzero(file["has_lidar"]).tolist() == [5]
-        assert file.datasets["lidar"].shape == (121_948, 4)
-        assert file["image"][5].std() > 30
-    with DriveReader(tmp_path / f"data/ingest/{grey}.h5", stage="ingest") as file:
-        assert file["has_image"].all()
-        assert file.datasets["image"].shape == (51, 96, 320, 3)
-        assert np.ptp(file["image"], axis=-1).max() == 0
-        assert np.diff(file.time_s) == pytest.approx(0.1037, abs=0.02)

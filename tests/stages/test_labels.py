@@ -1,7 +1,5 @@
 """Stage labels: angles of each source, down to KITTI's own packets."""
 
-import tarfile
-from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +7,8 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.base.store import DriveReader, DriveWriter, read_index
-from pipeline.ingest.packets import extract_motion, is_interpolated, make_packets
+from pipeline.base.store import DriveReader, read_index
+from pipeline.ingest.packets import make_packets
 from stages import labels
 from tests.artefacts import write_index, write_motion, write_recorded
 from tests.kitti_drive import write_params
@@ -113,38 +111,6 @@ def test_an_interpolated_packet_is_no_target_and_ends_the_path_ahead(tmp_path, c
             has_path = file["ahead_valid"]
             assert np.flatnonzero(has_path).tolist() == [*range(15), *range(21, 25)]
             np.testing.assert_allclose(file["ahead_1pm"][has_path == 1], curvatures_1pm[angle])
-
-
-@pytest.mark.real
-def test_interpolated_packets_of_kitti(real_kitti, tmp_path):
-    packets = defaultdict[str, list[Any]](list)
-    with tarfile.open(real_kitti / "oxts.tar.gz") as archive:
-        for member in archive:
-            if "/data/0" in member.name:
-                drive = member.name[11:32]
-                packets[drive].append(archive.extractfile(member).read().split())  # type: ignore[union-attr]
-    for drive, texts in packets.items():
-        path = tmp_path / f"ingest/{drive}.h5"
-        rows = np.array(texts, float)
-        with DriveWriter(path, stage="ingest", drive=drive, params={}) as file:
-            for name, column in extract_motion(dict(enumerate(rows))).items():
-                file.put(name, np.array([*column.values()], float))
-            file.put("frame", np.arange(len(rows), dtype=float))
-            file.put("time_s", np.arange(len(rows)) / 10)
-            file.put("oxts", rows)
-    write_index(tmp_path / "ingest", dict.fromkeys(packets, "train"))
-    run(tmp_path, ahead_m=[0, 0.1])
-
-    counts = {}
-    for drive, texts in packets.items():
-        guessed = is_interpolated(np.array(texts, float))
-        counts[drive] = guessed.sum()
-        file = DriveReader(tmp_path / f"labels/{drive}.h5", stage="labels")
-        assert not file["valid"][guessed].any()
-        assert not file["ahead_valid"][guessed].any()
-    assert len(counts) == 55
-    assert sum(counts.values()) == 323
-    assert counts["2011_10_03_drive_0027"] == 134
 
 
 @pytest.mark.parametrize(

@@ -144,11 +144,8 @@ PLAINLY_WRONG = [
     ({"name": "street"}, "street: is a target of make"),
     ({"name": "index"}, "index: is the name of a file that stage report writes"),
     ({"motion": HEAD + "19.5,5,0\n19.9,5,0\n"}, "0001_sync has no image with a known speed_mps"),
-    ({"motion": HEAD + "7200,5,0\n7200.1,5,0\n"}, "images from 0.0 to 19.9 s.*--offset -7200,"),
     ({"split": "60,20,30"}, "with the sum 100"),
-    ({"split": "90,5,5"}, "fewer than 2 images"),
     ({"each": True}, "--each needs two recordings"),
-    ({"wheel": WHEEL, "steering_ratio": 0.0}, "--wheel and --steering-ratio need each other"),
     ({"wheel": [WHEEL] * 2}, "--wheel: expected 1, one per recording"),
     (
         {"motion": [STEADY, "time_s,speed\n"], "each": True, "more": lambda video: [video]},

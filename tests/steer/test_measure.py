@@ -62,9 +62,6 @@ def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
     out = tmp_path / "out"
     images = write_folder(tmp_path / "images", drive(30))
     log = write_log(tmp_path / "can.csv", [10.0, 10.5, 11.0, 11.5, 12.0], 3.6 * SPEED)
-    problem = r"log is from 10\.0 to 12\.0 s, the images from 0\.0 to 2\.9 s"
-    with pytest.raises(InputError, match=problem):
-        measure([images], out=out, encoder=encoder, motion=log, **LENS)
     options = LENS | {"offset_s": -10, "distortion": "0,0,0,0"}
     measure([images], out=out, encoder=encoder, motion=log, **options)
     text = capsys.readouterr().out
@@ -84,9 +81,6 @@ def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
     assert quality["recorded"]["speed"]["ratio"] == pytest.approx(3.6, rel=0.1)
     assert quality["comparison"]["frames"] == 20
     assert quality["speed_sigma"] < 0.1
-    assert quality["step_s"] == pytest.approx(0.1)
-    assert quality["camera_height_m"] == CAMERA_HEIGHT_M
-    assert quality["K"][0][0] == 180
     with av.open(str(out / "overlay.mp4")) as file:
         assert sum(1 for _ in file.decode(video=0)) == 30
 
@@ -115,19 +109,6 @@ def test_input_without_motion_gets_no_numbers(tmp_path, encoder, images, capsys)
     for name in ("speed_mps", "yaw_rate_radps", "measured_rad", "x_m", "points"):
         assert np.isnan(rows[name]).all()
     assert "horizon: not found" in capsys.readouterr().out
-
-
-def test_a_camera_that_looks_back_is_noticed(tmp_path, encoder, capsys):
-    images = write_folder(tmp_path / "images", drive(12)[::-1])
-    options = LENS | {"encoder": encoder, "video": False}
-    measure([images], out=tmp_path / "out", **options)
-    line = "doubt: motion of images_drive_0001: measured in 11 of 11 moving frames, backwards in 11"
-    assert line in capsys.readouterr().out
-
-    times_s = [number / 10 for number in range(12)]
-    log = write_log(tmp_path / "can.csv", times_s, SPEED)
-    measure([images], out=tmp_path / "forward", motion=log, **options)
-    assert "the sign differs in 11 of 11 moving frames" in capsys.readouterr().out
 
 
 def test_a_cut_is_not_a_motion(tmp_path, encoder):

@@ -125,21 +125,16 @@ def test_comparison_by_its_definition():
     assert results.compare_angles("predicted") is None
 
 
-@pytest.mark.parametrize("recorded", [True, False])
-def test_the_taken_path_is_recorded_or_else_measured(recorded):
+@pytest.mark.parametrize(
+    ("recorded_mps", "name", "curvature_1pm"), [(10.0, "driven", 0.1), (np.nan, "measured", 0.05)]
+)
+def test_the_taken_path_is_recorded_or_else_measured(recorded_mps, name, curvature_1pm):
     """At 10 m/s, the log turns by 1 rad/s to the left, and the images by 0.5."""
-    frame = np.arange(8)
     known = np.ones(8, bool)
-    speed_mps = np.full(8, 10.0)
-    driven = Labels(np.zeros(8), known, speed_mps, np.full(8, 1.0))
-    if not recorded:
-        unknown = np.full(8, np.nan)
-        driven = Labels(np.zeros(8), ~known, unknown, unknown)
-    measured = Labels(np.zeros(8), known, speed_mps, np.full(8, 0.5))
-    table = {"frame": frame, "time_s": frame / 10}
+    driven = Labels(np.zeros(8), known, np.full(8, recorded_mps), np.full(8, 1.0))
+    measured = Labels(np.zeros(8), known, np.full(8, 10.0), np.full(8, 0.5))
+    table = {"frame": np.arange(8), "time_s": np.arange(8) / 10}
     paths = predict.taken_path(results_of(table, driven, measured), [0.0, 2.0, 5.0])
-    (name,) = paths
-    curvature_1pm = {"driven": 0.1, "measured": 0.05}[name]
-    assert name == ("driven" if recorded else "measured")
+    assert [*paths] == [name]
     np.testing.assert_allclose(paths[name][0], curvature_1pm)
     assert np.isnan(paths[name][-2:]).all(), "the drive ends"

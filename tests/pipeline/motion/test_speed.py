@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from pipeline.camera.camera import Frame
 from pipeline.camera.geometry import project, transform
@@ -54,22 +52,6 @@ def test_without_a_road_the_scale_of_depth_is_not_believed():
     assert np.log(estimate.speed_mps).std() < 0.2 < error.std()
     assert np.median(estimate.sigma) > 0.25  # it admits the uncertainty
     assert np.median(estimate.speed_mps) == pytest.approx(TYPICAL_MPS, rel=0.4)
-
-
-@given(
-    st.lists(
-        st.tuples(st.floats(0.1, 40), st.booleans(), st.floats(0, 2)), min_size=2, max_size=20
-    ),
-    st.integers(1, 19),
-)
-def test_the_filter_is_causal(rows, known):
-    speed_mps, road, ratio = np.array(rows).T
-    sigma = np.full(len(rows), 0.01)
-    columns = (TIME_S[: len(rows)], speed_mps, road > 0, ratio, sigma)
-    complete = filter_speeds(Speeds(*columns))
-    start = filter_speeds(Speeds(*(column[:known] for column in columns)))
-    np.testing.assert_array_equal(complete.speed_mps[:known], start.speed_mps)
-    np.testing.assert_array_equal(complete.sigma[:known], start.sigma)
 
 
 @pytest.mark.parametrize(("spread", "gain"), [(0.03, 0.85), (0.08, 0.58)])

@@ -57,16 +57,16 @@ class Recording(NamedTuple):
         """The median time between two images."""
         return float(np.median(np.diff(self.times_s)))
 
-    def every(self, hz: float) -> int:
+    def find_stride(self, hz: float) -> int:
         """Return n, if every n-th image becomes one of about `hz` frames a second."""
         return max(1, round(1 / (self.step_s * hz)))
 
-    def read(self, wanted: np.ndarray) -> Iterator[tuple[Path, int, np.ndarray]]:
+    def read_images(self, wanted: np.ndarray) -> Iterator[tuple[Path, int, np.ndarray]]:
         """Yield the images that are `wanted`, bool [N], with their file and their place."""
         start = 0
         for file in self.files:
             stop = start + file.count
-            for place, image in file.read(wanted[start:stop]):
+            for place, image in file.read_images(wanted[start:stop]):
                 yield file.path, start + place, image
             start = stop
 
@@ -81,7 +81,7 @@ class Optics(NamedTuple):
     @classmethod
     def open(cls, options: Options, images: Images) -> "Optics":
         """Return the optics of images by the options of their lens. Raises InputError."""
-        _, image = next(images.read(np.ones(images.count, bool)), (0, None))
+        _, image = next(images.read_images(np.ones(images.count, bool)), (0, None))
         if image is None:
             raise DamagedFile("has no images", images.path, CONVERT.format(name=images.path.name))
         height, width = image.shape[:2]
@@ -193,7 +193,7 @@ def convert(
     images are missing at the end, or times do not increase.
     """
     folder.mkdir(parents=True)
-    parts_of = [_divide(recording, shares, hz) for recording in recordings]
+    parts_of = [_divide_parts(recording, shares, hz) for recording in recordings]
     optics = Optics.open(options, recordings[0].files[0])
     files = [file for recording in recordings for file in recording.files]
     finders = {file.path: HorizonFinder(optics.camera) for file in files}
@@ -205,7 +205,7 @@ def convert(
         for recording, parts in zip(recordings, parts_of, strict=True):
             numbers = range(len(drives) + 1, len(drives) + 1 + len(shares))
             new = [Drive(folder / f"{name}_drive_{number:04d}_sync") for number in numbers]
-            for path, place, image in recording.read(parts >= 0):
+            for path, place, image in recording.read_images(parts >= 0):
                 frame = optics.to_frame(image, path)
                 drive = new[parts[place]]
                 drive.write_image(frame, recording.times_s[place], png=options.png)
@@ -220,13 +220,13 @@ def convert(
     record = {
         "version": version("semantic-steering"),
         "options": options.model_dump(mode="json", by_alias=True, exclude_defaults=True),
-        "recordings": [_describe(file.path) for file in files],
+        "recordings": [_describe_file(file.path) for file in files],
     }
-    frame_hz = 1 / (recordings[0].step_s * recordings[0].every(hz))
+    frame_hz = 1 / (recordings[0].step_s * recordings[0].find_stride(hz))
     return Converted(drives, camera, hz=frame_hz, notes=[*notes, note], record=record)
 
 
-def _divide(recording: Recording, shares: Sequence[float], hz: float) -> np.ndarray:
+def _divide_parts(recording: Recording, shares: Sequence[float], hz: float) -> np.ndarray:
     """Return the part of each image of a recording, int [N]; -1 for images that are not written.
 
     Raises InputError if a part has fewer than two images.
@@ -237,7 +237,7 @@ def _divide(recording: Recording, shares: Sequence[float], hz: float) -> np.ndar
     parts = np.searchsorted(ends_s, times_s, side="right")
     # A part begins where the one before ends, and ends before the gap.
     ends_s = np.append(ends_s - GAP_S, np.inf)
-    is_written = np.arange(len(times_s)) % recording.every(hz) == 0
+    is_written = np.arange(len(times_s)) % recording.find_stride(hz) == 0
     parts[~is_written | (times_s >= ends_s[parts])] = -1
     for number, share in enumerate(shares):
         if (parts == number).sum() < 2:
@@ -304,7 +304,7 @@ def _find_horizon(
     return row, note
 
 
-def _describe(path: Path) -> dict[str, Any]:
+def _describe_file(path: Path) -> dict[str, Any]:
     """Return the name and the size of a file, or of the files in a folder."""
     files = [path]
     if path.is_dir():

@@ -58,7 +58,7 @@ def open_lens(options: Options, size: Size, where: object) -> tuple[Camera, Rect
         fix = "Pass its --fisheye k1,k2,k3,k4 of OpenCV's model, or 0,0,0,0 where they are unknown"
         raise InputError(problem, "--K" if options.K else "--fov", fix)
     if options.distortion:
-        return camera, _undistort(camera, options.distortion)
+        return camera, _undistort_images(camera, options.distortion)
     return camera, lambda image: image
 
 
@@ -107,10 +107,10 @@ def _open_fisheye(options: Options, size: Size, text: str) -> tuple[Camera, Rect
     maps = cv2.fisheye.initUndistortRectifyMap(
         lens.K, coefficients, np.eye(3), camera.K, size[::-1], cv2.CV_16SC2
     )
-    return camera, _remap(maps)
+    return camera, _remap_images(maps)
 
 
-def _undistort(camera: Camera, text: str) -> Rectify:
+def _undistort_images(camera: Camera, text: str) -> Rectify:
     """Return a function that rectifies a camera's distorted images, for the same intrinsics.
 
     `text` is "k1,k2,p1,p2" or "k1,k2,p1,p2,k3" of OpenCV's model. Raises InputError for another
@@ -122,10 +122,10 @@ def _undistort(camera: Camera, text: str) -> Rectify:
         raise InputError(problem, "--distortion", "Pass these as --fisheye")
     size = camera.size[::-1]
     maps = cv2.initUndistortRectifyMap(camera.K, coefficients, None, camera.K, size, cv2.CV_16SC2)
-    return _remap(maps)
+    return _remap_images(maps)
 
 
-def _remap(maps: tuple[np.ndarray, np.ndarray]) -> Rectify:
+def _remap_images(maps: tuple[np.ndarray, np.ndarray]) -> Rectify:
     """Return a function that takes the pixels of an image from the places in OpenCV's `maps`."""
 
     def rectify(image: np.ndarray) -> np.ndarray:

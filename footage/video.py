@@ -71,7 +71,7 @@ class Images:
     # Seconds since the first image [count], or None if the file has no times.
     times_s: np.ndarray | None = None
 
-    def read(self, wanted: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+    def read_images(self, wanted: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
         """Yield the place and the pixels, RGB [H,W,3], of the images that are `wanted`, bool [N].
 
         Raises DamagedFile if an image cannot be decoded, times of a video do not increase, or a
@@ -84,7 +84,7 @@ class Images:
             return
 
         before = -1
-        for number, frame in enumerate(_decode(self.path)):
+        for number, frame in enumerate(_decode_frames(self.path)):
             place = number
             if self.places:
                 # FFmpeg may decode images that an edit list hides. They have no place.
@@ -95,7 +95,7 @@ class Images:
             if place < self.count:
                 before = place
                 if wanted[place]:
-                    yield place, _upright(frame, self.path)
+                    yield place, _rotate_upright(frame, self.path)
 
 
 def open_images(path: Path) -> Images:
@@ -138,11 +138,11 @@ def _image_files(folder: Path) -> list[Path]:
     if not files:
         raise InputError(f"folder has no images (expected {', '.join(PICTURES)})", folder)
 
-    def order(path: Path) -> list[str | int]:
+    def sort_key(path: Path) -> list[str | int]:
         parts = re.split(r"(\d+)", path.stem)
         return [int(part) if part.isdecimal() else part for part in parts]
 
-    return sorted(files, key=order)
+    return sorted(files, key=sort_key)
 
 
 def check_numbers(files: Sequence[Path]) -> None:
@@ -161,7 +161,7 @@ def check_numbers(files: Sequence[Path]) -> None:
             )
 
 
-def _decode(path: Path) -> Iterator[av.VideoFrame]:
+def _decode_frames(path: Path) -> Iterator[av.VideoFrame]:
     """Yield the images of a video from the first key frame on.
 
     Raises DamagedFile if it is cut short or has bad bytes.
@@ -224,7 +224,7 @@ def _open_container(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
             ) from error
 
 
-def _upright(frame: av.VideoFrame, path: Path) -> np.ndarray:
+def _rotate_upright(frame: av.VideoFrame, path: Path) -> np.ndarray:
     """Return the image RGB uint8 [H,W,3], rotated by its display matrix.
 
     Raises InputError for a matrix that does not turn by multiples of 90 degrees.

@@ -35,8 +35,12 @@ class Source:
     path: Path
     files: kitti.KittiDrive
     drive: Drive
-    # The camera of complete images.
-    camera: Camera
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of complete images."""
+        assert self.drive.camera, "a source has images, and so a camera"
+        return self.drive.camera
 
     @property
     def name(self) -> str:
@@ -45,9 +49,8 @@ class Source:
 
     def at_height(self, height_m: float) -> "Source":
         """Return the source with its camera at a known height over the road."""
-        camera = self.camera.at_height(height_m)
-        drive = replace(self.drive, camera=camera)
-        return replace(self, camera=camera, drive=drive)
+        drive = replace(self.drive, camera=self.camera.at_height(height_m))
+        return replace(self, drive=drive)
 
 
 def open_source(
@@ -66,7 +69,7 @@ def open_source(
     if len(paths) == 1 and paths[0].is_dir():
         files = kitti.open_folder(paths[0])
         # A folder of images has none of KITTI's cameras.
-        if any(files.images(camera) for camera in reading.cameras):
+        if any(files.find_images(camera) for camera in reading.cameras):
             _check_drive(paths[0], files, options)
             return _open_files(paths[0], files, reading)
 
@@ -94,9 +97,7 @@ def _check_drive(path: Path, files: kitti.KittiDrive, options: Options) -> None:
 
 
 def _open_files(path: Path, files: kitti.KittiDrive, reading: Reading) -> Source:
-    drive = kitti.read_drive(files, reading)
-    assert drive.camera  # always true, as the drive has images
-    return Source(path, files, drive, drive.camera)
+    return Source(path, files, kitti.read_drive(files, reading))
 
 
 def run_chain(

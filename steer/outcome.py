@@ -84,7 +84,7 @@ class Results:
             measured_labels = steering_labels(measured.yaw_rate_radps, measured.speed_mps, car)
             recorded = compare_recorded([Recorded.read(raw, motion, car)], recorder)
 
-            labels = (driven or _unknown(len(raw.frame))).select(rows)
+            labels = (driven or _unknown_labels(len(raw.frame))).select_rows(rows)
             valid = motion["valid"]
             table = {
                 "frame": motion.frame,
@@ -109,7 +109,7 @@ class Results:
             problems=problems,
             driven=labels,
             recorder=recorder if driven else "",
-            measured=measured_labels.select(rows),
+            measured=measured_labels.select_rows(rows),
             recorded=recorded,
             motion=attrs,
             notes=[*source.drive.notes, *notes],
@@ -157,7 +157,7 @@ class Results:
             "version": version("semantic-steering"),
             "revision": revision(ROOT) or None,
             "source": str(source.path),
-            "step_s": _median(np.diff(self.table["time_s"])),
+            "step_s": _median_or_none(np.diff(self.table["time_s"])),
             "K": camera.K.round(3).tolist(),
             "camera_height_m": camera.height_m if camera.height_known else None,
             "horizon": camera.horizon,
@@ -168,14 +168,14 @@ class Results:
             # Relative scatter of successive speeds, and standard deviation of the drive's scale.
             "scatter": facts["scatter"],
             "scale_sigma": facts["scale_sigma"],
-            "speed_sigma": _median(self.table["speed_sigma"][is_valid]),
+            "speed_sigma": _median_or_none(self.table["speed_sigma"][is_valid]),
             "recorded": self.recorded,
             "comparison": comparison,
             "doubts": self.doubts,
         }
 
 
-def _median(values: np.ndarray) -> float | None:
+def _median_or_none(values: np.ndarray) -> float | None:
     return float(np.median(values)) if len(values) else None
 
 
@@ -192,7 +192,7 @@ def _read_driven(ingest: DriveReader, car: Car) -> Labels | None:
     return None
 
 
-def _unknown(frames: int) -> Labels:
+def _unknown_labels(frames: int) -> Labels:
     """Return labels of which nothing is known."""
     unknown = np.full(frames, np.nan)
     return Labels(

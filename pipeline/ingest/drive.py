@@ -1,8 +1,8 @@
 """The interface of a dataset's file, ``pipeline/ingest/datasets/NAME.py``: two functions.
 
 - ``fingerprint(name, settings, root)`` returns a list of JSON-able facts that change with the
-  drive's files, for instance :func:`list_file_facts`. Drives with longer lists are read first. Each
-  run calls it for each drive, so it should decode no images.
+  drive's files, for instance :func:`list_file_facts`. Each run calls it for each drive, so it
+  should decode no images.
 - ``open_drive(name, settings, root)`` returns a :class:`Drive`.
 
 `settings` is section ``ingest``. `root` is the folder data/raw, or data/sample for the rendered

@@ -55,7 +55,7 @@ def path_ahead(
         rows = slice(first, end)
         if first < end and usable[rows].all():
             curvature[rows], valid[rows] = _drive_part(
-                time_s[rows], labels.select(rows), np.array(edges_m), max_stand_s
+                time_s[rows], labels.select_rows(rows), np.array(edges_m), max_stand_s
             )
     return np.where(valid, curvature, 0.0), valid
 
@@ -70,10 +70,10 @@ def _drive_part(
     # A speed below 0 is noise of a standing car. It counts as 0, so that arc length never
     # decreases.
     speed_mps = np.maximum(labels.speed_mps, 0.0)
-    arc_m = _integrate(speed_mps, time_s)
+    arc_m = _integrate_rate(speed_mps, time_s)
 
     # A car that does not move does not turn.
-    turned_rad = np.diff(_integrate(labels.yaw_rate_radps, time_s))
+    turned_rad = np.diff(_integrate_rate(labels.yaw_rate_radps, time_s))
     turned_rad = np.where(np.diff(arc_m) > 0, turned_rad, 0.0)
     heading_rad = np.concatenate([[0.0], np.cumsum(turned_rad)])
 
@@ -84,12 +84,12 @@ def _drive_part(
     # The time for which the car stands before it reaches the far edge is the difference of two
     # times since the first frame.
     far_arc_m = edge_arc_m[:, 1:]
-    stood_s = _integrate((speed_mps < STANDING_MPS).astype(float), time_s)
+    stood_s = _integrate_rate((speed_mps < STANDING_MPS).astype(float), time_s)
     stands_s = np.interp(far_arc_m, arc_m, stood_s) - stood_s[:, None]
     return curvature, (far_arc_m <= arc_m[-1]) & (stands_s <= max_stand_s)
 
 
-def _integrate(values: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+def _integrate_rate(values: np.ndarray, time_s: np.ndarray) -> np.ndarray:
     """Return the integral of `values` [F] from the first frame to each, by the trapezoidal rule.
 
     SciPy has such a function, too, but importing SciPy takes a second.

@@ -35,7 +35,7 @@ class Labels(NamedTuple):
     speed_mps: np.ndarray
     yaw_rate_radps: np.ndarray
 
-    def select(self, rows: np.ndarray | slice) -> "Labels":
+    def select_rows(self, rows: np.ndarray | slice) -> "Labels":
         """Return the labels in some `rows`."""
         return Labels(*(values[rows] for values in self))
 

@@ -214,11 +214,11 @@ def _summarise_steps(
         "valid": int(valid.sum()),
         "moving": int(moving.sum()),
         "backwards": int((columns["speed_mps"] < 0).sum()),
-        "step_s": _median(duration_s[moving]),
+        "step_s": _median_or_zero(duration_s[moving]),
         # Without a road, the scale of a step is unknown.
-        "step_m": _median(length_m[valid & road]),
+        "step_m": _median_or_zero(length_m[valid & road]),
         "road_frames": int(road.sum()),
-        "road_height_m": _median(columns["road_height_m"][road]),
+        "road_height_m": _median_or_zero(columns["road_height_m"][road]),
         "camera_height_m": camera.height_m,
         "scaled": int(camera.height_known),
     }
@@ -229,10 +229,10 @@ def _measure_scatter(speed_mps: np.ndarray, valid: np.ndarray) -> float:
     both = valid[1:] & valid[:-1]
     magnitude_mps = np.maximum(np.abs(speed_mps), LEAST_MPS)
     changes = np.abs(np.diff(np.log(magnitude_mps)))[both]
-    return float(np.expm1(_median(changes) / MEDIAN_DEVIATION))
+    return float(np.expm1(_median_or_zero(changes) / MEDIAN_DEVIATION))
 
 
-def _median(values: np.ndarray) -> float:
+def _median_or_zero(values: np.ndarray) -> float:
     """Return the median of values [N]; 0 if there are none."""
     if not len(values):
         return 0.0

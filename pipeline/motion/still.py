@@ -64,7 +64,8 @@ class Still:
         self._predicted = KEEP * self._predicted + predicted
         still = (self._predicted > LEAST) & (self._recorded < STILL * self._predicted)
 
-        # Single points are chance. At the edge of a bonnet, the means include what moves beside it.
+        # An erosion removes single points, which are chance. The dilation is larger, since means at
+        # the edge of a bonnet include what moves beside it.
         places = cv2.erode(still.astype(np.uint8), SPECK)
         places = cv2.dilate(places, AROUND_STILL)
         size = self.mask.shape[::-1]

@@ -53,7 +53,7 @@ def _compare_drive(ingest: Path, motion: Path, car: Car) -> MotionErrors | None:
         rows = np.searchsorted(raw.frame, file.frame)
     measured = steering_labels(measured_rates.yaw_rate_radps, measured_rates.speed_mps, car)
     true = steering_labels(recorded_rates.yaw_rate_radps, recorded_rates.speed_mps, car)
-    return compare_labels(measured.select(rows), true.select(rows))
+    return compare_labels(measured.select_rows(rows), true.select_rows(rows))
 
 
 def compare_labels(measured: Labels, true: Labels) -> MotionErrors:
@@ -95,8 +95,8 @@ def summarise_errors(drives: Sequence[MotionErrors]) -> dict[str, Any] | None:
         "valid": float(errors.measured.mean()),
         "judged": len(true_rad),
         "yaw_rmse_degps": float(np.sqrt((yaw_degps**2).mean())) if len(yaw_degps) else None,
-        "yaw_median_degps": _median(np.abs(yaw_degps)),
-        "speed_ratio": _median(_drop_nan(errors.speed_ratio)),
+        "yaw_median_degps": _median_or_none(np.abs(yaw_degps)),
+        "speed_ratio": _median_or_none(_drop_nan(errors.speed_ratio)),
         "nmse": nmse(true_rad, true_rad + _drop_nan(errors.angle_rad)),
     }
 
@@ -105,5 +105,5 @@ def _drop_nan(values: np.ndarray) -> np.ndarray:
     return values[np.isfinite(values)]
 
 
-def _median(values: np.ndarray) -> float | None:
+def _median_or_none(values: np.ndarray) -> float | None:
     return float(np.median(values)) if len(values) else None

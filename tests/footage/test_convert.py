@@ -30,7 +30,7 @@ def test_every_nth_image_becomes_a_frame(tmp_path, fps, every):
     drive = read(tmp_path / "drives")
     np.testing.assert_array_equal(images_of(drive), images[::every])
     np.testing.assert_allclose(times_of(drive), np.arange(60)[::every] / fps, atol=1e-8)
-    assert [*drive.images(2)] == [*range(len(images[::every]))]
+    assert [*drive.find_images(2)] == [*range(len(images[::every]))]
 
 
 def test_times_are_those_of_a_file_or_of_a_video(tmp_path):
@@ -80,7 +80,7 @@ def test_parts_have_gaps_and_the_values_of_their_log(tmp_path):
     for part, first in ((1, 0), (2, 120), (3, 160)):
         drive = read(tmp_path / "drives", part)
         values = read_values(drive.folder / "motion.csv")
-        frames = [*drive.images(2)]
+        frames = [*drive.find_images(2)]
         known = {frame: (first + frame) / 10 for frame in frames if (first + frame) / 10 in rows}
         assert values["speed_mps"] == pytest.approx({n: t / 2 for n, t in known.items()}, abs=1e-8)
         numbers += [first + frame for frame in frames]

@@ -108,7 +108,7 @@ def test_a_log_of_another_time_is_refused_before_images_are_decoded(tmp_path, mo
     path = write_stream(tmp_path / "a.mkv")
     rows = "".join(f"{7200 + number / 10:.1f},5,0\n" for number in range(20))
     motion = write_log(tmp_path, HEAD + rows)
-    monkeypatch.setattr(video, "_decode", None)
+    monkeypatch.setattr(video, "_decode_frames", None)
     for offset_s, expected in ((0, -7200), (-7202, 2)):
         problem = rf"the images from 0.0 to 2.9 s\. .*pass --offset {expected},"
         with pytest.raises(InputError, match=problem):

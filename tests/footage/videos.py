@@ -37,12 +37,12 @@ def read(folder: Path, number: int = 1) -> KittiDrive:
 
 def times_of(drive: KittiDrive) -> list[float]:
     """Return the times of the images of a drive since its first."""
-    return read_times(drive.image_times(2), [*drive.images(2)]).tolist()
+    return read_times(drive.image_times(2), [*drive.find_images(2)]).tolist()
 
 
 def images_of(drive: KittiDrive) -> np.ndarray:
     """Return the images of a drive, uint8 [F,H,W,3]."""
-    return np.stack([read_image(path) for path in drive.images(2).values()])
+    return np.stack([read_image(path) for path in drive.find_images(2).values()])
 
 
 def write_stream(

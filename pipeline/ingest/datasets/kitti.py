@@ -8,6 +8,7 @@ drives of this layout with another name in place of the date. pykitti's ``raw`` 
 its sorted lists shift after a missing frame, and it needs all four cameras.
 """
 
+import os
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
@@ -41,7 +42,7 @@ UNSYNCED = "_extract"
 def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
     """Return the names, sizes and times of a drive's files."""
     files = find_drive(root, name)
-    return list_file_facts(files.list_paths(settings.cameras), files.calibration)
+    return list_file_facts(files.list_files(), files.calibration)
 
 
 def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
@@ -66,7 +67,7 @@ class KittiDrive:
         self.truth_depth = _list_frames(folder / "truth" / "depth", ".png")
         self.truth_cls = _list_frames(folder / "truth" / "cls", ".png")
 
-    def images(self, camera: int) -> dict[int, Path]:
+    def find_images(self, camera: int) -> dict[int, Path]:
         """Return the images of a camera, as PNG or JPEG.
 
         Raises InputError if its folder has files but no images.
@@ -89,7 +90,7 @@ class KittiDrive:
         Returns None if no camera has either.
         """
         for number in choices:
-            if self.images(number):
+            if self.find_images(number):
                 return number
         path = self.calibration / CALIBRATION
         if path.is_file():
@@ -99,7 +100,7 @@ class KittiDrive:
                     return number
         return None
 
-    def camera(self, number: int) -> Camera:
+    def read_camera(self, number: int) -> Camera:
         """Return a calibrated camera. Raises InputError."""
         return read_calibration(self.calibration, number)
 
@@ -117,29 +118,12 @@ class KittiDrive:
         """Return the file with the times of a camera's images, which may be missing."""
         return self.folder / f"image_{camera:02d}" / "timestamps.txt"
 
-    def find_timeline(self, camera: int | None) -> tuple[list[int], Path]:
-        """Return the numbers of the frames with an oxts packet, and the file with their times.
-
-        In a drive without packets, the frames are those with an image of `camera`, and the times
-        are the camera's.
-        """
-        if camera is None or self.oxts:
-            return list(self.oxts), self.oxts_times
-        return list(self.images(camera)), self.image_times(camera)
-
-    def list_paths(self, cameras: Sequence[int]) -> list[Path]:
-        """Return all files that :func:`read_drive` reads of a drive with these `cameras`."""
-        camera = self.choose_camera(cameras)
-        _, times = self.find_timeline(camera)
-        paths = list[Path]()
-        for files in (self.oxts, self.scans, self.truth_depth, self.truth_cls):
-            paths += files.values()
-        calibration = sorted(self.calibration.glob("calib_*.txt"))
-        optional = {times, *calibration, *self.find_logs()}
-        if camera is not None:
-            paths += self.images(camera).values()
-            optional.add(self.image_times(camera))
-        return paths + sorted(path for path in optional if path.is_file())
+    def list_files(self) -> list[Path]:
+        """Return all files of the drive and of its calibration."""
+        paths = list(self.calibration.glob("calib_*.txt"))
+        for folder, _, names in os.walk(self.folder, followlinks=True):
+            paths += [Path(folder, name) for name in names if not name.startswith(".")]
+        return sorted(paths)
 
 
 def open_folder(path: Path) -> KittiDrive:
@@ -169,8 +153,8 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
     notes = list[str]()
     chosen = files.choose_camera(settings.cameras)
     if chosen is not None:
-        camera = files.camera(chosen)
-        images = files.images(chosen)
+        camera = files.read_camera(chosen)
+        images = files.find_images(chosen)
         notes.append(f"camera {chosen}")
     if files.scans and settings.lidar and (camera is None or camera.T_cam_velo is None):
         problem = "drive has scans, but calib_cam_to_cam.txt or calib_velo_to_cam.txt is missing"
@@ -223,7 +207,12 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
 
 def _read_timeline(files: KittiDrive, camera: int | None) -> dict[int, float]:
     """Return frame number → time in seconds of all frames, also of those with damaged files."""
-    numbers, times = files.find_timeline(camera)
+    numbers = list(files.oxts)
+    times = files.oxts_times
+    if camera is not None and not numbers:
+        # Without packets, the frames are those with an image.
+        numbers = list(files.find_images(camera))
+        times = files.image_times(camera)
     folder = files.oxts_times.parent
     # A folder without packets is taken for an incomplete extraction.
     if not numbers or (not files.oxts and folder.is_dir()):

@@ -387,13 +387,13 @@ def street(real_weights) -> nn.Module:
 def test_published_weights_give_metric_depth_of_real_streets(street, real_half, drive, most):
     raw = KittiDrive(real_half / drive[:10] / f"{drive}_sync")
     number = raw.choose_camera([2, 0])
-    camera = raw.camera(number)
+    camera = raw.read_camera(number)
     scaled = camera.scaled(SIZE)
     errors = []
     ratios = []
     matrix = np.zeros((classes.COUNT, classes.COUNT + 1), int)
     for frame in list(raw.scans)[::10]:
-        image = resized(read_image(raw.images(number)[frame], camera.size), SIZE)
+        image = resized(read_image(raw.find_images(number)[frame], camera.size), SIZE)
         (depth,), (cls,) = perceive(street, image[None], scaled)
         truth = scan_depth(read_scan(raw.scans[frame]), scaled)
         abs_rel, *_ = compute_depth_errors(crop_eigen(depth), crop_eigen(truth))

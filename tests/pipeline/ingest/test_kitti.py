@@ -51,7 +51,7 @@ def test_a_fingerprint_detects_a_file_that_was_extracted_again(tmp_path):
 def test_real_scan_lands_on_the_depth_benchmark(real_kitti):
     """KITTI's depth benchmark projected the same scan, after motion compensation: it is close."""
     drive = KittiDrive(real_kitti / DATE / "2011_09_26_drive_0001_sync")
-    camera = drive.camera(2)
+    camera = drive.read_camera(2)
     png = (
         real_kitti
         / "depth_benchmark/2011_09_26_drive_0001_sync_0000000005_velodyne_raw_image_02.png"

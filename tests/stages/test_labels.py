@@ -74,18 +74,6 @@ def test_measured_and_recorded_labels_are_valid_unless_the_car_is_slow_or_stands
         np.testing.assert_allclose(file["speed_mps"], [0, 5, 0, 0.5, 0], rtol=0.05)
 
 
-def test_recorded_angles_are_valid_where_the_recorded_speed_moves(tmp_path):
-    """No file of stage motion is needed."""
-    oxts = make_packets(5, vf=np.array([10.0, 10, 0.5, 10, 10]), wu=0.1)
-    angles = {5: 0.1, 7: 0.2, 8: 0.3, 9: 0.4}
-    for drive in DRIVES:
-        write_recorded(tmp_path / f"ingest/{drive}.h5", np.arange(5, 10), oxts, angles)
-    write_index(tmp_path / "ingest", DRIVES)
-    for file in run(tmp_path, angle="recorded"):
-        np.testing.assert_array_equal(file["valid"], [1, 0, 0, 1, 1])
-        np.testing.assert_array_equal(file["speed_mps"], [10, 10, 0.5, 10, 10])
-
-
 @pytest.mark.parametrize("mode", ["posmode", "velmode", "orimode"])
 def test_an_interpolated_packet_is_no_target_and_ends_the_path_ahead(tmp_path, capsys, mode):
     """A path of 5 m is that of five frames. A recorded angle does not need the packet."""

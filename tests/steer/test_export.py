@@ -7,7 +7,6 @@ import numpy as np
 import open3d as o3d
 import pytest
 
-from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.clouds.cloud import clouds_drive
 from pipeline.clouds.settings import Clouds
@@ -81,12 +80,6 @@ def test_without_an_image_points_have_no_colour(tmp_path):
     about = export_points(tmp_path / f"ingest/{DRIVE}.h5", 1, out)
     assert about.endswith("no colour, as there is no image in data/ingest")
     assert {*o3d.t.io.read_point_cloud(str(out)).point} == {"positions", "intensity"}
-
-
-def test_a_frame_without_a_scan_has_no_points(tmp_path):
-    street.write_drive(tmp_path / "ingest", DRIVE, 3)
-    with pytest.raises(InputError, match="has no points"):
-        export_points(tmp_path / f"ingest/{DRIVE}.h5", 1, tmp_path / "cloud.ply")
 
 
 @pytest.mark.parametrize("suffix", ["ply", "pcd"])

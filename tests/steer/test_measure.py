@@ -4,7 +4,6 @@ import json
 import re
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import av
 import numpy as np
@@ -13,7 +12,7 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
-from steer import api, chain
+from steer import api
 from steer.commands.measure import measure
 from tests import street
 from tests.flat_ground import write_encoder
@@ -120,14 +119,6 @@ def test_a_cut_is_not_a_motion(tmp_path, encoder):
     assert rows["valid"].tolist() == [0, *9 * [1], 0, *9 * [1]]
     assert yaw_rate[1:6] == pytest.approx(-YAW_RATE, abs=0.02)  # mirrored
     assert yaw_rate[15:] == pytest.approx(YAW_RATE, abs=0.02)
-
-
-def test_a_killed_run_leaves_nothing(tmp_path, encoder, monkeypatch):
-    images = write_folder(tmp_path / "images", drive(4))
-    monkeypatch.setattr(chain, "measure_drive", Mock(side_effect=KeyboardInterrupt))
-    with pytest.raises(KeyboardInterrupt):
-        measure([images], out=tmp_path / "results/out", encoder=encoder, **LENS)
-    assert [*(tmp_path / "results").iterdir()] == []
 
 
 def test_the_written_drive_is_a_source_with_the_same_numbers(tmp_path, encoder):

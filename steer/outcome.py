@@ -116,6 +116,11 @@ class Results:
             doubts=doubts,
         )
 
+    def angles_rad(self) -> dict[str, np.ndarray]:
+        """Return the angles [F] in rad that are driven, measured and predicted."""
+        names = ("driven", "measured", "predicted")
+        return {name: self.table[f"{name}_rad"] for name in names if f"{name}_rad" in self.table}
+
     def write_csv(self, path: Path, name: str) -> None:
         """Write the table of the drive `name`. Cells of unknown values are empty."""
         table = pd.DataFrame({"drive": name, **self.table})

@@ -42,9 +42,7 @@ def draw_track(path: Path, name: str, results: Results) -> None:
 
     label = "steering angle, deg, left +"
     steering = figure.add_subplot(grid[1, 1], ylabel=label, xlabel="time, s")
-    angles_deg = {
-        curve: np.degrees(table[f"{curve}_rad"]) for curve in COLOURS if f"{curve}_rad" in table
-    }
+    angles_deg = {name: np.degrees(angle) for name, angle in results.angles_rad().items()}
     _draw_curves(steering, table["time_s"], angles_deg, np.degrees(table["measured_sigma_rad"]))
     # The legend is above the curves of the angles.
     steering.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, frameon=False)
@@ -112,8 +110,7 @@ def write_overlay(path: Path, source: Source, results: Results, wheelbase_m: flo
 def _held_paths(results: Results, wheelbase_m: float) -> dict[str, np.ndarray]:
     """Return the path of each angle, if it is held: name → curvature [N,F] in each of N steps."""
     paths = {}
-    for name in COLOURS:
-        angle_rad = results.table.get(f"{name}_rad", np.zeros(0))
+    for name, angle_rad in results.angles_rad().items():
         if np.isfinite(angle_rad).any():
             paths[name] = np.tile(np.tan(angle_rad) / wheelbase_m, (round(REACH_M / STEP_M), 1))
     return paths
@@ -142,7 +139,6 @@ def _legend_lines(results: Results, row: int) -> Iterator[tuple[str, tuple[int, 
         for name in results.paths:
             yield f"{name} path", COLOURS[name]
         return
-    for name, colour in COLOURS.items():
-        angle_rad = table.get(f"{name}_rad", np.full(row + 1, np.nan))[row]
-        if np.isfinite(angle_rad):
-            yield f"{name}: {np.degrees(angle_rad):+.1f} deg", colour
+    for name, angle_rad in results.angles_rad().items():
+        if np.isfinite(angle_rad[row]):
+            yield f"{name}: {np.degrees(angle_rad[row]):+.1f} deg", COLOURS[name]

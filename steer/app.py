@@ -81,9 +81,10 @@ def show(
         raise InputError("expected --frame and the name of a PNG file", "--out")
     if out:
         check_free(out)
-    content = (
-        artefact.describe_file(path) if frame is None else artefact.show_frame(path, frame, out)
-    )
+    if frame is None:
+        content = artefact.describe_file(path)
+    else:
+        content = artefact.show_frame(path, frame, out)
     text = yaml.safe_dump(
         content, sort_keys=False, default_flow_style=None, allow_unicode=True, width=110
     )

@@ -17,19 +17,16 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from footage.lens import Rectify, open_lens
+from footage.lens import open_lens
 from footage.log import Log, read_logs, read_times
 from footage.settings import Options
-from footage.video import CONVERT, Images, check_numbers, open_images
-from pipeline.base.errors import DamagedFile, InputError, error_context
+from footage.video import Images, check_numbers, open_images
+from pipeline.base.errors import InputError, error_context
 from pipeline.camera.camera import Camera
-from pipeline.camera.images import Size, format_size, resized
 from pipeline.ingest.calibration import write_calibration
 from pipeline.ingest.packets import VALUE_FILES, format_times, write_values
 from pipeline.motion.horizon import HorizonFinder, compute_horizon
 
-# Largest width of written images in pixels, which is that of KITTI's.
-MAX_WIDTH = 1242
 # Frames per second that odometry and networks need. With 60 and 120, steps are so short that errors
 # of tracking count, and the angle is worse.
 USUAL_HZ = 10.0
@@ -69,35 +66,6 @@ class Recording(NamedTuple):
             for place, image in file.read_images(wanted[start:stop]):
                 yield file.path, start + place, image
             start = stop
-
-
-class Optics(NamedTuple):
-    """How images become frames."""
-
-    size: Size  # of the recorded images
-    rectify: Rectify
-    camera: Camera  # of the frames
-
-    @classmethod
-    def open(cls, options: Options, images: Images) -> "Optics":
-        """Return the optics of images by the options of their lens. Raises InputError."""
-        _, image = next(images.read_images(np.ones(images.count, bool)), (0, None))
-        if image is None:
-            raise DamagedFile("has no images", images.path, CONVERT.format(name=images.path.name))
-        height, width = image.shape[:2]
-        camera, rectify = open_lens(options, (height, width), images.path)
-        if width > MAX_WIDTH:
-            camera = camera.scaled((round(height * MAX_WIDTH / width), MAX_WIDTH))
-        return cls((height, width), rectify, camera)
-
-    def to_frame(self, image: np.ndarray, path: Path) -> np.ndarray:
-        """Return the rectified image of a file in the size of the camera. Raises InputError."""
-        if image.shape[:2] != self.size:
-            problem = f"an image has {format_size(image.shape)} pixels"
-            expected = f"expected {format_size(self.size)}, as the first one"
-            fix = "Import recordings of other sizes separately"
-            raise InputError(f"{problem}, {expected}", path, fix)
-        return resized(self.rectify(image), self.camera.size)
 
 
 @dataclass
@@ -194,9 +162,9 @@ def convert(
     """
     folder.mkdir(parents=True)
     parts_of = [_divide_parts(recording, shares, hz) for recording in recordings]
-    optics = Optics.open(options, recordings[0].files[0])
     files = [file for recording in recordings for file in recording.files]
-    finders = {file.path: HorizonFinder(optics.camera) for file in files}
+    lens = open_lens(options, files[0].read_size(), files[0].path)
+    finders = {file.path: HorizonFinder(lens.camera) for file in files}
 
     drives = list[Drive]()
     notes = list[str]()
@@ -206,7 +174,7 @@ def convert(
             numbers = range(len(drives) + 1, len(drives) + 1 + len(shares))
             new = [Drive(folder / f"{name}_drive_{number:04d}_sync") for number in numbers]
             for path, place, image in recording.read_images(parts >= 0):
-                frame = optics.to_frame(image, path)
+                frame = lens.to_frame(image, path)
                 drive = new[parts[place]]
                 drive.write_image(frame, recording.times_s[place], png=options.png)
                 finders[path].add_image(frame)
@@ -214,8 +182,8 @@ def convert(
             notes += _write_values(recording, new)
             drives += new
 
-    horizon, note = _find_horizon(finders, optics.camera)
-    camera = replace(optics.camera, horizon=horizon).at_height(options.camera_height_m)
+    horizon, note = _find_horizon(finders, lens.camera)
+    camera = replace(lens.camera, horizon=horizon).at_height(options.camera_height_m)
     write_calibration(folder, camera)
     record = {
         "version": version("semantic-steering"),

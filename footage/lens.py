@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -9,12 +11,14 @@ import numpy as np
 from footage.settings import Options
 from pipeline.base.errors import InputError, error_context
 from pipeline.camera.camera import Camera
-from pipeline.camera.images import Size, format_size
+from pipeline.camera.images import Size, format_size, resized
 from pipeline.camera.pinhole import check_pinhole
 
 # A function that rectifies an image uint8 [H,W,3].
 Rectify = Callable[[np.ndarray], np.ndarray]
 
+# Largest width of frames in pixels, which is that of KITTI's.
+MAX_WIDTH = 1242
 # Largest magnitude of p1 and p2 in OpenCV's model, which describe elements of a lens that are not
 # parallel. Larger values suggest that the numbers describe a fisheye lens.
 MAX_TANGENTIAL = 0.01
@@ -25,18 +29,44 @@ MAX_FOV_DEG = 100
 RECTIFIED_FOV_DEG = 90
 
 
-def open_lens(options: Options, size: Size, where: object) -> tuple[Camera, Rectify]:
-    """Return the camera of rectified images, and the function that rectifies images of `size`.
+class Lens(NamedTuple):
+    """How images of a recording become frames."""
+
+    size: Size  # of the images
+    rectify: Rectify
+    camera: Camera  # of the frames
+
+    def to_frame(self, image: np.ndarray, path: Path) -> np.ndarray:
+        """Return the rectified image of a file in the size of the camera. Raises InputError."""
+        if image.shape[:2] != self.size:
+            problem = f"an image has {format_size(image.shape)} pixels"
+            expected = f"expected {format_size(self.size)}, as the first one"
+            fix = "Import recordings of other sizes separately"
+            raise InputError(f"{problem}, {expected}", path, fix)
+        return resized(self.rectify(image), self.camera.size)
+
+
+def open_lens(options: Options, size: Size, path: Path) -> Lens:
+    """Return the lens of the images of `size` in a file, whose frames have at most MAX_WIDTH.
 
     The field of view is the angle between the left and right edge of the image, and gives square
     pixels and a centred principal point. Raises InputError for images of a camera on its side, and
     for options that do not fit.
     """
+    camera, rectify = _open_model(options, size, path)
+    height, width = size
+    if width > MAX_WIDTH:
+        camera = camera.scaled((round(height * MAX_WIDTH / width), MAX_WIDTH))
+    return Lens(size, rectify, camera)
+
+
+def _open_model(options: Options, size: Size, path: Path) -> tuple[Camera, Rectify]:
+    """Return the camera of rectified images of `size`, and the function that rectifies them."""
     if size[0] > size[1]:
         raise InputError(
             f"images are taller than wide ({format_size(size)} pixels): is it rotated by 90 "
             "degrees?",
-            where,
+            path,
             "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)",
         )
     if (options.fov_deg is None) == (options.K is None):

@@ -14,7 +14,7 @@ from av.stream import Disposition
 from av.video.stream import VideoStream
 
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.camera.images import read_image
+from pipeline.camera.images import Size, read_image
 
 # Suffixes of images.
 PICTURES = (".png", ".jpg", ".jpeg")
@@ -96,6 +96,13 @@ class Images:
                 before = place
                 if wanted[place]:
                     yield place, _rotate_upright(frame, self.path)
+
+    def read_size(self) -> Size:
+        """Return the size of the first image. Raises DamagedFile if there is none."""
+        for _, image in self.read_images(np.ones(self.count, bool)):
+            height, width = image.shape[:2]
+            return height, width
+        raise DamagedFile("has no images", self.path, CONVERT.format(name=self.path.name))
 
 
 def open_images(path: Path) -> Images:

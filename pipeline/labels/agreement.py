@@ -89,8 +89,8 @@ def fit_log(drives: Sequence[Pair]) -> Follow | None:
     result is None if no frame has both values.
     """
     recorded = _shift_logs(drives, 0.0)
-    measured = np.concatenate([pair.measured for pair in drives] or [recorded])
-    turns = np.concatenate([pair.turns for pair in drives] or [recorded])
+    measured = np.concatenate([pair.measured for pair in drives])
+    turns = np.concatenate([pair.turns for pair in drives])
     compared = np.isfinite(recorded) & np.isfinite(measured)
     frames = int(compared.sum())
     if not frames:
@@ -123,7 +123,7 @@ def _shift_logs(drives: Sequence[Pair], lag_s: float) -> np.ndarray:
 
     They are NaN beyond the ends of a log.
     """
-    values = [np.zeros(0)]
+    values = []
     for pair in drives:
         late_s = pair.time_s + lag_s
         values.append(np.interp(late_s, pair.time_s, pair.recorded, np.nan, np.nan))
@@ -148,8 +148,8 @@ def _fit_line(recorded: np.ndarray, measured: np.ndarray) -> _Line:
 
 def compare_speeds(drives: Sequence[Pair]) -> Speed | None:
     """Return how recorded speeds follow measured ones, or None if no frame moves by both."""
-    recorded = np.concatenate([np.zeros(0), *[pair.recorded for pair in drives]])
-    measured = np.concatenate([np.zeros(0), *[pair.measured for pair in drives]])
+    recorded = np.concatenate([pair.recorded for pair in drives])
+    measured = np.concatenate([pair.measured for pair in drives])
     # The comparisons are false for NaN.
     moves = (np.abs(recorded) >= -REVERSING_MPS) & (np.abs(measured) >= -REVERSING_MPS)
     if not moves.any():

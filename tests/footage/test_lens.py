@@ -1,5 +1,7 @@
 """Test the intrinsics of recordings, and lenses."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -7,13 +9,14 @@ from footage.lens import open_lens
 from footage.settings import Options
 from pipeline.base.errors import InputError
 
+PATH = Path("a.mp4")
 UDACITY = "2152,2166,268,303"
 KITTI = "721.5,721.5,609.6,172.9"
 HALF_KITTI = "360.2,361.7,304.0,86.4"
 
 
 def test_field_of_view_spans_the_edges():
-    camera, _ = open_lens(Options(fov=90), (480, 640), "a.mp4")
+    camera = open_lens(Options(fov=90), (480, 640), PATH).camera
     # The edges are half a pixel beyond the centres of the outer pixels.
     left = np.linalg.inv(camera.K) @ [-0.5, 239.5, 1]
     right = np.linalg.inv(camera.K) @ [639.5, 239.5, 1]
@@ -27,7 +30,7 @@ def test_a_fisheye_lens_is_rectified():
     focal = 320 / np.deg2rad(61)  # of an equidistant lens
     K = f"{focal},{focal},319.5,199.5"
     for intrinsics in ({"fov": 122.0}, {"K": K}):
-        camera, rectify = open_lens(Options(fisheye="0,0,0,0", **intrinsics), size, "a.mp4")
+        _, rectify, camera = open_lens(Options(fisheye="0,0,0,0", **intrinsics), size, PATH)
         assert 2 * np.rad2deg(np.arctan(320 / camera.K[0, 0])) == pytest.approx(90)
         for angle, turn in ((0.6, 0.0), (0.5, 2.5)):
             direction = np.array([np.cos(turn), np.sin(turn)])
@@ -38,7 +41,7 @@ def test_a_fisheye_lens_is_rectified():
             tangent = (np.array([column, row]) - middle) / camera.K[0, 0]
             np.testing.assert_allclose(tangent, np.tan(angle) * direction, atol=0.006)
 
-    narrow, _ = open_lens(Options(fisheye="0.1,0,0,0", fov=60), size, "a.mp4")
+    narrow = open_lens(Options(fisheye="0.1,0,0,0", fov=60), size, PATH).camera
     assert narrow.K[0, 0] == pytest.approx(320 / np.tan(np.deg2rad(30)), rel=1e-3)
 
 
@@ -47,10 +50,10 @@ def test_a_fisheye_lens_is_rectified():
 )
 def test_intrinsics_are_for_the_size_of_the_images(K, height, width):
     options = Options(K=K)
-    open_lens(options, (height, width), "a.mp4")
+    open_lens(options, (height, width), PATH)
     for size in ((height // 2, width // 2), (2 * height, 2 * width)):
         with pytest.raises(InputError, match="another image size"):
-            open_lens(options, size, "a.mp4")
+            open_lens(options, size, PATH)
 
 
 @pytest.mark.parametrize(
@@ -68,4 +71,4 @@ def test_intrinsics_are_for_the_size_of_the_images(K, height, width):
 )
 def test_plainly_wrong_lenses(options, problem):
     with pytest.raises(InputError, match=problem):
-        open_lens(Options(**options), (48, 64), "a.mp4")
+        open_lens(Options(**options), (48, 64), PATH)

@@ -198,9 +198,8 @@ def test_a_straight_drive_or_no_frame_is_no_doubt():
     assert facts
     assert not agreement.turns_line("angle", "rad", facts).startswith(console.DOUBT)
     unknown = straight._replace(recorded=np.full(300, np.nan))
-    for drives in ([], [unknown]):
-        assert agreement.fit_log(drives) is None
-        assert agreement.compare_speeds(drives) is None
+    assert agreement.fit_log([unknown]) is None
+    assert agreement.compare_speeds([unknown]) is None
 
 
 @pytest.mark.parametrize(

@@ -151,11 +151,11 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
     camera: Camera | None = None
     images: dict[int, Path] = {}
     notes = list[str]()
-    chosen = files.choose_camera(settings.cameras)
-    if chosen is not None:
-        camera = files.read_camera(chosen)
-        images = files.find_images(chosen)
-        notes.append(f"camera {chosen}")
+    camera_number = files.choose_camera(settings.cameras)
+    if camera_number is not None:
+        camera = files.read_camera(camera_number)
+        images = files.find_images(camera_number)
+        notes.append(f"camera {camera_number}")
     if files.scans and settings.lidar and (camera is None or camera.T_cam_velo is None):
         problem = "drive has scans, but calib_cam_to_cam.txt or calib_velo_to_cam.txt is missing"
         fix = "Extract the date's calibration archive, or set ingest.lidar: false"
@@ -172,7 +172,7 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
         problem = f"all packets of the drive are damaged: {damaged[0].problem}"
         raise InputError(problem, damaged[0].where)
     # A frame whose packet is damaged is left out.
-    all_times_s = _read_timeline(files, chosen)
+    all_times_s = _read_timeline(files, camera_number)
     time_s = {number: all_times_s[number] for number in oxts or all_times_s}
 
     values: dict[str, dict[int, Any]] = {}
@@ -186,7 +186,7 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
     if without_frame:
         notes.append(f"{len(without_frame)} images or scans without a frame")
     if oxts and images:
-        times = files.image_times(chosen or 0)
+        times = files.image_times(camera_number or 0)
         if times.is_file():
             notes += compare_times(files.oxts_times, list(all_times_s), times, list(images))
     size = camera.size if camera else None

@@ -45,15 +45,15 @@ def path_ahead(
     curvature = np.zeros((len(frame), len(edges_m) - 1))
     valid = np.zeros(curvature.shape, bool)
     measured = np.isfinite(labels.speed_mps) & np.isfinite(labels.yaw_rate_radps)
-    usable = measured & (labels.speed_mps >= REVERSING_MPS)
+    is_forward = measured & (labels.speed_mps >= REVERSING_MPS)
 
-    # Cut the drive at missing frames, and before and after each frame that is not usable. A drive
-    # without frames is one empty part.
-    gaps = (np.diff(frame) != 1) | ~usable[1:] | ~usable[:-1]
+    # Cut the drive at missing frames, and before and after each frame that does not go forward. A
+    # drive without frames is one empty part.
+    gaps = (np.diff(frame) != 1) | ~is_forward[1:] | ~is_forward[:-1]
     starts = np.flatnonzero(gaps) + 1
     for first, end in pairwise([0, *starts, len(frame)]):
         rows = slice(first, end)
-        if first < end and usable[rows].all():
+        if first < end and is_forward[rows].all():
             curvature[rows], valid[rows] = _drive_part(
                 time_s[rows], labels.select_rows(rows), np.array(edges_m), max_stand_s
             )
@@ -63,9 +63,10 @@ def path_ahead(
 def _drive_part(
     time_s: np.ndarray, labels: Labels, edges_m: np.ndarray, max_stand_s: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the curvatures and their validity as :func:`path_ahead` does, for usable frames.
+    """Return the curvatures and their validity as :func:`path_ahead` does.
 
-    The frames are consecutive. A curvature is not valid if they end before the far edge.
+    The frames are consecutive and go forward. A curvature is not valid if they end before the far
+    edge.
     """
     # A speed below 0 is noise of a standing car. It counts as 0, so that arc length never
     # decreases.

@@ -47,7 +47,7 @@ class _Triangulated(NamedTuple):
     before: np.ndarray  # depths [N] in the frame before, in lengths of the step
     now: np.ndarray  # depths [N] in the frame now
     parallax_px: np.ndarray  # [N]
-    usable: np.ndarray  # bool [N]: in front of both cameras, with enough parallax
+    has_parallax: np.ndarray  # bool [N]: in front of both cameras, with enough parallax
 
 
 def pixel_rays(uv: np.ndarray, K: np.ndarray) -> np.ndarray:
@@ -60,7 +60,7 @@ def find_tracks(
 ) -> Tracks:
     """Return the usable points among pixels [N,2] before and after a step [4,4]."""
     points = _triangulate_points(uv_before, uv, T_before_now, K)
-    use = points.usable
+    use = points.has_parallax
     return Tracks(uv[use], points.now[use], points.parallax_px[use])
 
 
@@ -72,7 +72,9 @@ def compare_lengths(
     `tracks`: N points of the step before; `uv`: their pixels [N,2] after this step [4,4].
     """
     points = _triangulate_points(tracks.uv, uv, T_before_now, K)
-    use = points.usable & (_measure_errors(points, tracks.uv, uv, T_before_now, K) < MAX_ERROR_PX)
+    use = points.has_parallax & (
+        _measure_errors(points, tracks.uv, uv, T_before_now, K) < MAX_ERROR_PX
+    )
     if use.sum() < MIN_TRIPLES:
         return Ratio()
 
@@ -104,8 +106,8 @@ def _triangulate_points(
 
     sine = np.sqrt(determinant / (aa * bb))
     parallax_px = sine * K[0, 0]
-    usable = (before > 0) & (now > 0) & (parallax_px > MIN_PARALLAX_PX)
-    return _Triangulated(before, now, parallax_px, usable)
+    has_parallax = (before > 0) & (now > 0) & (parallax_px > MIN_PARALLAX_PX)
+    return _Triangulated(before, now, parallax_px, has_parallax)
 
 
 def _measure_errors(

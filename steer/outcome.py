@@ -227,19 +227,17 @@ def read_course(motion: DriveReader, car: Car, *, smooth: bool) -> dict[str, np.
     angle_sigma = curvature_sigma * car.wheelbase_m * np.cos(angle) ** 2
 
     # In a short gap, the car continues with the last measured motion, unless it has stood since.
-    # For each row, find the latest row in which the motion was measured, and in which the car
-    # stood; -1 if there is none yet.
     time_s = motion.time_s
     valid = motion["valid"].astype(bool)
-    rows = np.arange(len(time_s))
-    measured_row = np.maximum.accumulate(np.where(valid, rows, -1))
-    standing_row = np.maximum.accumulate(np.where(rates.is_standing(motion), rows, -1))
-    is_recent = time_s - time_s[measured_row] <= BRIDGED_S
-    moves = (measured_row >= 0) & (standing_row <= measured_row) & is_recent
-
-    held_mps = np.where(moves, speed_mps[measured_row], 0.0)
-    held_radps = np.where(moves, yaw_rate[measured_row], 0.0)
-    place_m, heading_rad = integrate_motion(time_s, held_mps, held_radps)
+    steps = pd.DataFrame({"time_s": time_s, "speed_mps": speed_mps, "yaw_rate_radps": yaw_rate})
+    held = steps[valid].reindex(steps.index, method="ffill")
+    standing = steps[rates.is_standing(motion)].reindex(steps.index, method="ffill")
+    is_recent = time_s - held["time_s"] <= BRIDGED_S
+    moves = is_recent & ~(standing["time_s"] > held["time_s"])
+    held = held.where(moves, 0.0)
+    place_m, heading_rad = integrate_motion(
+        time_s, held["speed_mps"].to_numpy(), held["yaw_rate_radps"].to_numpy()
+    )
     return {
         "speed_mps": speed_mps,
         "yaw_rate_radps": yaw_rate,

@@ -188,7 +188,6 @@ def convert(
     record = {
         "version": version("semantic-steering"),
         "options": options.model_dump(mode="json", by_alias=True, exclude_defaults=True),
-        "recordings": [_describe_file(file.path) for file in files],
     }
     frame_hz = 1 / (recordings[0].step_s * recordings[0].find_stride(hz))
     return Converted(drives, camera, hz=frame_hz, notes=[*notes, note], record=record)
@@ -272,7 +271,7 @@ def _find_horizon(
     return row, note
 
 
-def _describe_file(path: Path) -> dict[str, Any]:
+def describe_file(path: Path) -> dict[str, Any]:
     """Return the name and the size of a file, or of the files in a folder."""
     files = [path]
     if path.is_dir():

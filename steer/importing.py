@@ -1,5 +1,7 @@
 """Import recordings: convert them to drives in data/raw/NAME, and write presets/NAME.yaml."""
 
+import hashlib
+import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,10 +9,11 @@ from typing import Any
 
 import yaml
 
-from footage.convert import Converted, convert, open_recording
+from footage.convert import Converted, convert, describe_file, open_recording
 from footage.lens import parse_numbers
 from footage.settings import Options
 from pipeline.base.errors import InputError, error_context
+from pipeline.base.keys import file_hash
 from pipeline.base.outputs import check_free
 from pipeline.base.params import SPLITS, check_name
 from pipeline.base.store import replacing, write_json, write_text
@@ -20,6 +23,8 @@ from pipeline.ingest.datasets.kitti import IMPORT
 
 # File with the settings of a preset that do not depend on the recording.
 TEMPLATE = Path(__file__).with_name("imported.yaml")
+# Advice for a file that the import would replace.
+OTHER_NAME = "Move it away, or pass another --name"
 
 
 def write_import(
@@ -31,16 +36,16 @@ def write_import(
     """Write the drives and the preset `name` of recordings, and return lines for the user.
 
     Each of the `groups` has the files of a recording, and each recording its `options`, which
-    differ in the logs only. Raises InputError for faulty files, and if drives or a preset of this
-    name exist.
+    differ in the logs only. Raises InputError for faulty files, and if the import would replace
+    anything but an import of the same recordings.
     """
     with error_context("--name"):
         check_name(name)
     presets.check_name_is_free(name)
     preset = presets.PRESETS / f"{name}.yaml"
     folder = presets.PRESETS.parent / "data/raw" / name
-    check_free(folder)
-    check_free(preset)
+    files = [describe_file(path) for paths in groups for path in paths]
+    check_replaceable(folder, preset, files)
 
     # Faults of all files and logs are found before the first image is decoded.
     recordings = []
@@ -49,8 +54,18 @@ def write_import(
 
     with replacing(folder) as new:
         converted = convert(new, name, recordings, options[0], shares=shares)
-        write_json(new / IMPORT, converted.record, sort_keys=False)
-    write_text(preset, _preset_text(name, converted, options[0]))
+        text = _preset_text(name, converted, options[0])
+        record = {
+            **converted.record,
+            "recordings": files,
+            "files": sorted(str(path.relative_to(new)) for path in new.rglob("*.*")),
+            "preset_sha256": hashlib.sha256(text.encode()).hexdigest(),
+        }
+        write_json(new / IMPORT, record, sort_keys=False)
+        # An earlier import is removed together with the temporary folder.
+        if folder.exists():
+            folder.rename(new.with_name("before"))
+    write_text(preset, text)
 
     lines = []
     for split, drives in _split_drives(converted).items():
@@ -59,6 +74,25 @@ def write_import(
     if not converted.camera.height_known:
         lines.append("the speed's scale is not known: pass --camera-height METRES")
     return [*lines, f"next: make street && make {name}"]
+
+
+def check_replaceable(folder: Path, preset: Path, recordings: Sequence[dict[str, Any]]) -> None:
+    """Raise InputError unless the folder and the preset are free, or an import of `recordings`."""
+    if not (folder / IMPORT).is_file():
+        check_free(folder)
+        check_free(preset)
+        return
+    record = json.loads((folder / IMPORT).read_text(encoding="utf-8"))
+    written = {folder / name for name in (IMPORT, *record["files"])}
+    # A file manager may leave a hidden file.
+    others = [path for path in folder.rglob("[!.]*") if path.is_file() and path not in written]
+    if others:
+        raise InputError("is not by the import", min(others), OTHER_NAME)
+    if record["recordings"] != recordings:
+        names = ", ".join(file["name"] for file in record["recordings"])
+        raise InputError(f"is an import of another recording, {names}", folder, OTHER_NAME)
+    if preset.exists() and file_hash(preset) != record["preset_sha256"]:
+        raise InputError("was edited since the import", preset, OTHER_NAME)
 
 
 def read_shares(split: str) -> list[float]:

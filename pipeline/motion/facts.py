@@ -68,15 +68,25 @@ def facts_line(name: str, summaries: Sequence[Summary]) -> str:
 def check_unit(summaries: Mapping[str, Summary]) -> None:
     """Raise InputError if the road is farther or nearer than it can be, so depth has another unit.
 
-    `summaries` maps drives to their summaries. Drives with few frames with a road, a camera of
-    unknown height, or an encoder with random weights do not count.
+    It is judged by the road of many frames, of one drive and of all. `summaries`: drive → summary.
+    Drives with a camera of unknown height, or an encoder with random weights, do not count: their
+    `unit_error` is 0.
     """
-    for drive, summary in summaries.items():
-        ratio = summary["road_height_m"] / summary["camera_height_m"]
-        factor = summary["unit_error"]
-        if not factor or summary["road_frames"] < ROAD_FRAMES:
-            continue
-        if not 1 / factor < ratio < factor:
-            problem = f"by depth, the road is {ratio:.2f} times as far below the camera as it is"
-            fix = "PNG files of backbone: precomputed have metres × 256. Or correct the height"
-            raise InputError(f"{problem}: depth in other units?", drive, fix)
+    comparable = {drive: summary for drive, summary in summaries.items() if summary["unit_error"]}
+    for drive, summary in comparable.items():
+        _check_units([summary], drive)
+    _check_units([*comparable.values()], f"{len(comparable)} drives")
+
+
+def _check_units(summaries: list[Summary], where: str) -> None:
+    """Raise InputError as :func:`check_unit` by the road of all frames of some drives."""
+    frames = [summary["road_frames"] for summary in summaries]
+    if sum(frames) < ROAD_FRAMES:
+        return
+    ratios = [summary["road_height_m"] / summary["camera_height_m"] for summary in summaries]
+    ratio = float(np.median(np.repeat(ratios, frames)))
+    factor = min(summary["unit_error"] for summary in summaries)
+    if not 1 / factor < ratio < factor:
+        problem = f"by depth, the road is {ratio:.2f} times as far below the camera as it is"
+        fix = "PNG files of backbone: precomputed have metres × 256. Or correct the height"
+        raise InputError(f"{problem}: depth in other units?", where, fix)

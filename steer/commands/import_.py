@@ -2,7 +2,7 @@
 
 The recording is converted once, to drives in KITTI's layout in data/raw/NAME: 60 %, 20 % and 20 %
 of the time, less 2 s between them, for training, validation and test. presets/NAME.yaml has the
-settings of `make NAME`, which runs the chain. To repeat an import, remove both first.
+settings of `make NAME`, which runs the chain. After an edit of a log, repeat the import.
 
 Times count from the first image. Values of --motion and --wheel are interpolated at the images'
 times. Without --motion, labels come from the angles of --wheel. Without both, they are measured in

@@ -19,7 +19,7 @@ from pipeline.ingest.datasets.kitti import IMPORT
 from stages import check, ingest
 from stages.preset import Params, imports_hash, merged
 from steer.commands.import_ import import_recordings
-from tests.kitti_drive import SIZE, contents, pictures, write_video
+from tests.kitti_drive import SIZE, contents, pictures, write, write_video
 
 FRAMES = 200
 HEAD = "time_s,speed_mps,yaw_rate_radps\n"
@@ -57,6 +57,36 @@ def video(tmp_path_factory) -> Path:
     """Write a video of 20 s, 10 images per second."""
     path = tmp_path_factory.mktemp("video") / "drive.mp4"
     return write_video(path, np.resize(pictures(12), (FRAMES, *SIZE, 3)))
+
+
+def test_an_import_is_repeated_and_nothing_else_is_replaced(tmp_path, take, video):
+    """An import with another log has another hash, by which make NAME notices it."""
+    raw = tmp_path / "data/raw"
+    preset_path = tmp_path / "presets/monday.yaml"
+    settings = Params.model_validate(take(video)).ingest
+    first = preset_path.read_text(), imports_hash(settings, raw)
+    take(video, motion=STEADY)
+    assert (raw / "monday/monday_drive_0001_sync/motion.csv").is_file()
+    second = preset_path.read_text()
+    assert second != first[0]
+    assert imports_hash(settings, raw) != first[1]
+    record = json.loads((raw / "monday" / IMPORT).read_text())
+    assert record["recordings"] == [{"name": "drive.mp4", "bytes": video.stat().st_size}]
+
+    other = tmp_path / "next/drive.mp4"
+    write(other, video.read_bytes() + b"\0\0\0\x08free")
+    with pytest.raises(InputError, match=r"is an import of another recording, drive.mp4"):
+        take(other)
+    preset_path.write_text(second + "# mine\n")
+    with pytest.raises(InputError, match=r"monday.yaml: was edited since the import"):
+        take(video)
+    preset_path.write_text(second)
+    write(raw / "monday/notes.txt", "mine")
+    with pytest.raises(InputError, match=r"notes.txt: is not by the import"):
+        take(video)
+    write(raw / "kitti/a.txt", "mine")
+    with pytest.raises(InputError, match=r"kitti: exists already and holds a\.txt"):
+        take(video, name="kitti")
 
 
 @pytest.mark.parametrize(
@@ -109,25 +139,6 @@ def test_each_recording_is_a_drive_for_the_splits_in_turn(tmp_path, take, video,
     text = capsys.readouterr().out
     assert "monday_drive_0004_sync: 200 images, train" in text
     assert "the speed's scale is not known: pass --camera-height" in text
-
-
-def test_nothing_is_replaced(tmp_path, take, video):
-    """An import that is removed and repeated with another log has another hash for make NAME."""
-    raw = tmp_path / "data/raw"
-    settings = Params.model_validate(take(video, motion=STEADY)).ingest
-    first_hash = imports_hash(settings, raw)
-    before = contents(tmp_path)
-    for path in (raw / "monday", tmp_path / "presets/monday.yaml"):
-        with pytest.raises(InputError, match=f"{path}: exists already"):
-            take(video)
-        assert contents(tmp_path) == before
-        path.rename(tmp_path / path.name)
-        before = contents(tmp_path)
-    take(video, camera_height_m=1.5)
-    assert first_hash != imports_hash(settings, raw) != ""
-    record = json.loads((raw / "monday" / IMPORT).read_text())
-    assert record["options"] == {"fov": 80.0, "camera_height": 1.5}
-    assert record["recordings"] == [{"name": "drive.mp4", "bytes": video.stat().st_size}]
 
 
 def test_a_full_disk_leaves_nothing_half(tmp_path, take, video, monkeypatch):

@@ -189,6 +189,15 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
         times = files.image_times(camera_number or 0)
         if times.is_file():
             notes += compare_times(files.oxts_times, list(all_times_s), times, list(images))
+        # Times do not show it if images were deleted and renumbered, and their times were not. The
+        # sample's packets go on after the last image.
+        last = max(images)
+        is_complete = len(images) == last + 1
+        if is_complete and max(files.oxts) > last and not files.is_rendered():
+            notes.append(
+                f"images end at frame {last}, packets at {max(files.oxts)}: if images were "
+                "renumbered, labels are wrong"
+            )
     size = camera.size if camera else None
 
     def frames() -> Iterator[Frame]:

@@ -130,6 +130,13 @@ def test_times_of_images_and_packets(tmp_path, times, note, problem):
         assert notes[-1].startswith(note or "camera")
 
 
+def test_images_that_may_have_been_renumbered_are_noted(tmp_path):
+    folder = write_drive(tmp_path)
+    (folder / "image_02/data/0000000003.png").unlink()
+    notes = kitti.open_drive(DRIVE, READING, tmp_path).notes
+    assert notes[-1].startswith("images end at frame 2, packets at 3: if images were renumbered")
+
+
 def test_packets_and_times_round_trip(tmp_path):
     rng = np.random.default_rng(0)
     path = tmp_path / "a.txt"

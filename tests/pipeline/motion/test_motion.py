@@ -270,20 +270,21 @@ def test_a_drive_is_doubted_if_little_is_measured(changes, doubted):
     assert line.startswith("motion of all drives")
 
 
-@pytest.mark.parametrize(
-    ("changes", "refused"),
-    [
-        ({"road_height_m": 1.8}, False),
-        ({"road_height_m": 6.4}, True),
-        ({"road_height_m": 0.8}, True),
-        ({"road_height_m": 6.4, "road_frames": 30}, False),
-        ({"road_height_m": 6.4, "unit_error": 0.0}, False),  # an encoder with random weights
-    ],
-)
-def test_depth_in_another_unit_is_refused(changes, refused):
-    expected = pytest.raises(InputError, match="2: by depth") if refused else nullcontext()
-    with expected:
-        check_unit({"1": HEALTHY, "2": HEALTHY | changes})
+@pytest.mark.parametrize(("ratio", "refused"), [(1.1, False), (3.9, True), (0.5, True)])
+def test_depth_in_another_unit_is_refused(ratio, refused):
+    """By the road of many frames, of one drive or of several."""
+    drive = HEALTHY | {"road_height_m": 1.65 * ratio, "road_frames": 30}
+    # One drive has too few frames, the other an encoder with random weights.
+    check_unit({"1": drive})
+    check_unit({"1": drive | {"unit_error": 0.0, "road_frames": 300}})
+    two_short = {"1": drive, "2": drive}
+    one_long = {"1": HEALTHY, "2": HEALTHY, "3": drive | {"road_frames": 50}}
+    for drives in (two_short, one_long):
+        expected = nullcontext()
+        if refused:
+            expected = pytest.raises(InputError, match=f"road is {ratio:.2f} times")
+        with expected:
+            check_unit(drives)
 
 
 def test_a_black_image_shows_no_road():

@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -9,12 +11,14 @@ import numpy as np
 from footage.settings import Options
 from pipeline.base.errors import InputError, error_context
 from pipeline.camera.camera import Camera
-from pipeline.camera.images import Size, format_size
+from pipeline.camera.images import Size, format_size, resized
 from pipeline.camera.pinhole import check_pinhole
 
 # A function that rectifies an image uint8 [H,W,3].
 Rectify = Callable[[np.ndarray], np.ndarray]
 
+# Largest width of frames in pixels, which is that of KITTI's.
+MAX_WIDTH = 1242
 # Largest magnitude of p1 and p2 in OpenCV's model, which describe elements of a lens that are not
 # parallel. Larger values suggest that the numbers describe a fisheye lens.
 MAX_TANGENTIAL = 0.01
@@ -25,95 +29,101 @@ MAX_FOV_DEG = 100
 RECTIFIED_FOV_DEG = 90
 
 
-def open_lens(options: Options, size: Size, where: object) -> tuple[Camera, Rectify]:
-    """Return the camera of rectified images, and the function that rectifies images of `size`.
+class Lens(NamedTuple):
+    """How images of a recording become frames."""
 
-    Raises InputError for images of a camera on its side, and for options that do not fit.
+    size: Size  # of the images
+    rectify: Rectify
+    camera: Camera  # of the frames
+
+    def to_frame(self, image: np.ndarray, path: Path) -> np.ndarray:
+        """Return the rectified image of a file in the size of the camera. Raises InputError."""
+        if image.shape[:2] != self.size:
+            problem = f"an image has {format_size(image.shape)} pixels"
+            expected = f"expected {format_size(self.size)}, as the first one"
+            fix = "Import recordings of other sizes separately"
+            raise InputError(f"{problem}, {expected}", path, fix)
+        return resized(self.rectify(image), self.camera.size)
+
+
+def open_lens(options: Options, size: Size, path: Path) -> Lens:
+    """Return the lens of the images of `size` in a file, whose frames have at most MAX_WIDTH.
+
+    The field of view is the angle between the left and right edge of the image, and gives square
+    pixels and a centred principal point. Raises InputError for images of a camera on its side, and
+    for options that do not fit.
     """
+    camera, rectify = _open_model(options, size, path)
+    height, width = size
+    if width > MAX_WIDTH:
+        camera = camera.scaled((round(height * MAX_WIDTH / width), MAX_WIDTH))
+    return Lens(size, rectify, camera)
+
+
+def _open_model(options: Options, size: Size, path: Path) -> tuple[Camera, Rectify]:
+    """Return the camera of rectified images of `size`, and the function that rectifies them."""
     if size[0] > size[1]:
         raise InputError(
             f"images are taller than wide ({format_size(size)} pixels): is it rotated by 90 "
             "degrees?",
-            where,
+            path,
             "Rotate it: ffmpeg -i in.mp4 -vf transpose=1 out.mp4 (or transpose=2)",
         )
+    if (options.fov_deg is None) == (options.K is None):
+        fix = "Pass --fov DEGREES (horizontal) or --K fx,fy,cx,cy (pixels)"
+        raise InputError("expected one source of camera intrinsics", fix=fix)
     if options.distortion and options.fisheye:
-        raise InputError(
-            "expected one model of the lens, got two", fix="Pass --distortion or --fisheye"
-        )
+        fix = "Pass --distortion or --fisheye"
+        raise InputError("expected one model of the lens, got two", fix=fix)
     if options.fisheye:
-        return fisheye(size, options.fisheye, options.fov_deg, options.K)
-    camera = pinhole(size, options.fov_deg, options.K)
+        return _open_fisheye(options, size, options.fisheye)
+
+    if options.fov_deg is not None:
+        camera = _centred_camera(size, math.tan(math.radians(options.fov_deg) / 2))
+    else:
+        camera = _parse_K(size, options.K or "")
+    covered_deg = 2 * math.degrees(math.atan(size[1] / 2 / camera.K[0, 0]))
+    if covered_deg > MAX_FOV_DEG:
+        problem = f"images cover {covered_deg:.0f}°, more than {MAX_FOV_DEG}°: a fisheye lens?"
+        fix = "Pass its --fisheye k1,k2,k3,k4 of OpenCV's model, or 0,0,0,0 where they are unknown"
+        raise InputError(problem, "--K" if options.K else "--fov", fix)
     if options.distortion:
-        return camera, undistortion(camera, options.distortion)
+        return camera, _undistort_images(camera, options.distortion)
     return camera, lambda image: image
 
 
-def pinhole(size: Size, fov_deg: float | None = None, K: str | None = None) -> Camera:
-    """Return the camera of images of `size` (H, W), by their field of view or by `K`.
-
-    `fov_deg` is the angle between the left and right edge of the image, and gives square pixels and
-    a centred principal point. `K` is the text "fx,fy,cx,cy" for this size. Raises InputError if
-    none or both are given, or if a value is implausible.
-    """
-    if (fov_deg is None) == (K is None):
-        fix = "Pass --fov DEGREES (horizontal) or --K fx,fy,cx,cy (pixels)"
-        raise InputError("expected one source of camera intrinsics", fix=fix)
-    if fov_deg is None:
-        camera = _camera_with_K(size, str(K))
-    else:
-        camera = _camera_of_width(size, math.tan(math.radians(fov_deg) / 2))
-
-    covered_deg = 2 * math.degrees(math.atan(size[1] / 2 / camera.K[0, 0]))
-    if covered_deg > MAX_FOV_DEG:
-        option = "--K" if K else "--fov"
-        problem = f"images cover {covered_deg:.0f}°, more than {MAX_FOV_DEG}°: a fisheye lens?"
-        fix = "Pass its --fisheye k1,k2,k3,k4 of OpenCV's model, or 0,0,0,0 where they are unknown"
-        raise InputError(problem, option, fix)
-    return camera
-
-
-def _camera_of_width(size: Size, half_width: float) -> Camera:
+def _centred_camera(size: Size, half_width: float) -> Camera:
     """Return a centred camera for images of `size`, half as wide as `half_width` focal lengths."""
     height, width = size
     focal = width / 2 / half_width
     # Integer coordinates are pixel centres, so the image's middle is half a pixel before W / 2.
-    return _plausible_camera(size, [focal, focal, (width - 1) / 2, (height - 1) / 2])
+    K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
+    return Camera(K, size)
 
 
-def _camera_with_K(size: Size, K: str) -> Camera:
-    """Return a camera for images of `size` from the text of the option --K."""
-    return _plausible_camera(size, numbers(K, (4,), "--K 721.5,721.5,609.6,172.9"))
-
-
-def _plausible_camera(size: Size, intrinsics: Sequence[float]) -> Camera:
-    fx, fy, cx, cy = intrinsics
+def _parse_K(size: Size, text: str) -> Camera:
+    """Return a camera for images of `size` from the text of the option --K. Raises InputError."""
+    fx, fy, cx, cy = parse_numbers(text, (4,), "--K 721.5,721.5,609.6,172.9")
     camera = Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), size)
     with error_context(fix="For images that were resized, scale all four numbers"):
         check_pinhole(camera.K, size, "--K")
     return camera
 
 
-def fisheye(
-    size: Size, text: str, fov_deg: float | None = None, K: str | None = None
-) -> tuple[Camera, Rectify]:
+def _open_fisheye(options: Options, size: Size, text: str) -> tuple[Camera, Rectify]:
     """Return a pinhole camera of up to 90°, and a function that rectifies images for it.
 
     `text` is "k1,k2,k3,k4" of OpenCV's fisheye model. In this model, a ray at an angle θ from the
     axis is seen θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸) focal lengths from the principal point. With
-    zeros, the lens is equidistant. Either `fov_deg`, the angle between the left and right edge of
-    the image, or `K`, the text "fx,fy,cx,cy", is given.
+    zeros, the lens is equidistant.
     """
-    if (fov_deg is None) == (K is None):
-        fix = "Pass --fov or --K of the fisheye lens"
-        raise InputError("expected one source of camera intrinsics", fix=fix)
-    coefficients = np.array(numbers(text, (4,), "--fisheye 0,0,0,0"))
-    if fov_deg:
-        theta = math.radians(fov_deg) / 2
+    coefficients = np.array(parse_numbers(text, (4,), "--fisheye 0,0,0,0"))
+    if options.fov_deg is not None:
+        theta = math.radians(options.fov_deg) / 2
         factor = 1 + float(coefficients @ theta ** np.array([2, 4, 6, 8]))
-        lens = _camera_of_width(size, theta * factor)
+        lens = _centred_camera(size, theta * factor)
     else:
-        lens = _camera_with_K(size, str(K))
+        lens = _parse_K(size, options.K or "")
 
     # The rectified image reaches as far to both sides as the lens sees on its narrower side, but
     # covers at most RECTIFIED_FOV_DEG.
@@ -122,15 +132,30 @@ def fisheye(
     tangents = cv2.fisheye.undistortPoints(edges, lens.K, coefficients)[0, :, 0]
     visible = float(np.abs(tangents).min())
     widest = math.tan(math.radians(RECTIFIED_FOV_DEG) / 2)
-    camera = _camera_of_width(size, min(widest, visible))
+    camera = _centred_camera(size, min(widest, visible))
 
     maps = cv2.fisheye.initUndistortRectifyMap(
         lens.K, coefficients, np.eye(3), camera.K, size[::-1], cv2.CV_16SC2
     )
-    return camera, _rectification(maps)
+    return camera, _remap_images(maps)
 
 
-def _rectification(maps: tuple[np.ndarray, np.ndarray]) -> Rectify:
+def _undistort_images(camera: Camera, text: str) -> Rectify:
+    """Return a function that rectifies a camera's distorted images, for the same intrinsics.
+
+    `text` is "k1,k2,p1,p2" or "k1,k2,p1,p2,k3" of OpenCV's model. Raises InputError for another
+    text, and if the numbers seem to describe a fisheye lens.
+    """
+    coefficients = np.array(parse_numbers(text, (4, 5), "--distortion -0.37,0.2,0,0"))
+    if np.abs(coefficients[2:4]).max() > MAX_TANGENTIAL:
+        problem = f"p1 or p2 exceeds {MAX_TANGENTIAL} (got {text}): a fisheye lens?"
+        raise InputError(problem, "--distortion", "Pass these as --fisheye")
+    size = camera.size[::-1]
+    maps = cv2.initUndistortRectifyMap(camera.K, coefficients, None, camera.K, size, cv2.CV_16SC2)
+    return _remap_images(maps)
+
+
+def _remap_images(maps: tuple[np.ndarray, np.ndarray]) -> Rectify:
     """Return a function that takes the pixels of an image from the places in OpenCV's `maps`."""
 
     def rectify(image: np.ndarray) -> np.ndarray:
@@ -139,7 +164,7 @@ def _rectification(maps: tuple[np.ndarray, np.ndarray]) -> Rectify:
     return rectify
 
 
-def numbers(text: str, counts: Sequence[int], example: str) -> list[float]:
+def parse_numbers(text: str, counts: Sequence[int], example: str) -> list[float]:
     """Return the numbers in the text of an option.
 
     Raises InputError unless their count is one of `counts`. The message shows the `example`.
@@ -151,23 +176,6 @@ def numbers(text: str, counts: Sequence[int], example: str) -> list[float]:
     if len(values) not in counts or not np.isfinite(values).all():
         option = example.split()[0]
         expected = " or ".join(map(str, counts))
-        raise InputError(
-            f"expected {expected} numbers, got {text!r}", option, f"Example: {example}"
-        )
+        problem = f"expected {expected} numbers, got {text!r}"
+        raise InputError(problem, option, f"Example: {example}")
     return values
-
-
-def undistortion(camera: Camera, text: str) -> Rectify:
-    """Return a function that rectifies a camera's distorted images, for the same intrinsics.
-
-    `text` is "k1,k2,p1,p2" or "k1,k2,p1,p2,k3" of OpenCV's model. Raises InputError for another
-    text, and if the numbers seem to describe a fisheye lens.
-    """
-    coefficients = np.array(numbers(text, (4, 5), "--distortion -0.37,0.2,0,0"))
-    if np.abs(coefficients[2:4]).max() > MAX_TANGENTIAL:
-        _, _, p1, p2, *_ = text.split(",")
-        problem = f"p1 and p2 are {p1} and {p2} (expected up to {MAX_TANGENTIAL}): a fisheye lens?"
-        raise InputError(problem, "--distortion", "Pass these as --fisheye")
-    size = camera.size[::-1]
-    maps = cv2.initUndistortRectifyMap(camera.K, coefficients, None, camera.K, size, cv2.CV_16SC2)
-    return _rectification(maps)

@@ -3,12 +3,9 @@
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from pipeline.base.params import Section
-
-# Largest magnitude of a steering ratio. Cars have 12 to 20.
-LARGEST_RATIO = 50.0
 
 # A path. It is not strict, so that a text is taken, too.
 File = Annotated[Path | None, Field(strict=False)]
@@ -72,11 +69,3 @@ class Options(Section):
         description="seconds to add to the times of --motion and --wheel",
     )
     png: bool = Field(default=False, description="write images as PNG files, without loss")
-
-    @field_validator("steering_ratio")
-    @classmethod
-    def _check_ratio(cls, ratio: float | None) -> float | None:
-        if ratio is not None and not 1 <= abs(ratio) <= LARGEST_RATIO:
-            limits = f"expected a magnitude of 1 to {LARGEST_RATIO:g}"
-            raise ValueError(f"{limits}; 1 for angles of the front wheels")
-        return ratio

@@ -1,9 +1,9 @@
 """Read the images of a recording and their times, from a video file or a folder of images."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
@@ -14,11 +14,12 @@ from av.stream import Disposition
 from av.video.stream import VideoStream
 
 from pipeline.base.errors import DamagedFile, InputError
-from pipeline.camera.images import read_image
+from pipeline.camera.images import Size, read_image
 
 # Suffixes of images.
 PICTURES = (".png", ".jpg", ".jpeg")
-# Formats of streams without a container, whose images have no times.
+# Formats of streams without a container, whose images have no times. For them, FFmpeg assumes 25
+# frames per second.
 _WITHOUT_TIMES = ("h264", "hevc", "m4v", "mpegvideo", "mjpeg", "obu")
 # Formats of containers.
 _CONTAINERS = (
@@ -35,6 +36,8 @@ _CONTAINERS = (
     "asf",
     "yuv4mpegpipe",
 )
+# Containers whose header has the duration of the complete file.
+_WITH_DURATION = ("mov", "matroska", "avi")
 # Options of FFmpeg. Playlists, scripts and session descriptions can open other files and sockets,
 # so only the formats above are accepted. No protocol is accepted, as FFmpeg reads a file that is
 # already open.
@@ -48,8 +51,7 @@ _OPTIONS = {
 CONVERT = "Copy the file again, or convert it: ffmpeg -i {name} -c:v libx264 converted.mp4"
 # Largest deviation from 1 of a pixel's width over its height at which the pixel counts as square.
 SQUARE = 0.01
-# Least share that a complete file has of the frames, or of the duration, that its header gives. It
-# may also lack one frame.
+# Least share of the duration in its header that a complete file has.
 INEXACT = 0.99
 # Longest duration in seconds of a last image whose duration the file does not store.
 LAST_S = 0.2
@@ -60,52 +62,47 @@ class Images:
     """The images of a video file, or of a folder, in order."""
 
     path: Path
-    # Images of a folder; empty for a video.
-    files: list[Path]
     # Number of images. In a video, it is that of packets that are shown.
     count: int
-    # Whether the times are even, by a rate, instead of those in the file.
-    is_even: bool
-    # Median time in seconds between two images; NaN if the file has no times.
-    step_s: float
-    # Seconds between the first and the last image; NaN if the file has no times.
-    length_s: float
+    # Images of a folder; empty for a video.
+    files: Sequence[Path] = ()
+    # Time stamp of an image in a video → its place; empty if the file has no times.
+    places: Mapping[int, int] = field(default_factory=dict)
+    # Seconds since the first image [count], or None if the file has no times.
+    times_s: np.ndarray | None = None
 
-    def read(self, every: int, count: int) -> Iterator[tuple[float, np.ndarray | None]]:
-        """Yield the seconds since the first image, and the pixels, RGB [H,W,3], of each image.
+    def read_images(self, wanted: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+        """Yield the place and the pixels, RGB [H,W,3], of the images that are `wanted`, bool [N].
 
-        Of images whose place, counted from `count`, is no multiple of `every`, the pixels are None.
-        Raises DamagedFile if an image cannot be decoded, or a video ends before its header says so.
+        Raises DamagedFile if an image cannot be decoded, times of a video do not increase, or a
+        video ends before its header says so.
         """
         for place, file in enumerate(self.files):
-            wanted = (count + place) % every == 0
-            yield place * self.step_s, read_image(file) if wanted else None
+            if wanted[place]:
+                yield place, read_image(file)
         if self.files:
             return
 
-        first_s = None
-        for place, frame in enumerate(_decode(self.path)):
-            wanted = (count + place) % every == 0
-            stamp_s = np.nan if frame.time is None else frame.time
-            if first_s is None:
-                first_s = stamp_s
-            seconds = place * self.step_s if self.is_even else stamp_s - first_s
-            yield seconds, _upright(frame, self.path) if wanted else None
+        before = -1
+        for number, frame in enumerate(_decode_frames(self.path)):
+            place = number
+            if self.places:
+                # FFmpeg may decode images that an edit list hides. They have no place.
+                place = self.places.get(cast(int, frame.pts), self.count)
+            if place <= before:
+                fix = CONVERT.format(name=self.path.name)
+                raise DamagedFile(f"times do not increase at image {number}", self.path, fix)
+            if place < self.count:
+                before = place
+                if wanted[place]:
+                    yield place, _rotate_upright(frame, self.path)
 
-    def at_rate(self, fps: float | None) -> "Images":
-        """Return the images with their own times, or for `fps` with even times.
-
-        Raises InputError if their times are unusable, or images of a folder seem to be missing.
-        """
-        if fps:
-            _check_numbers(self.files)
-            length_s = (self.count - 1) / fps
-            return replace(self, is_even=True, step_s=1 / fps, length_s=length_s)
-        if np.isnan(self.step_s):
-            raise InputError("images have no times", self.path, "Pass --fps N, or --times FILE")
-        if not self.step_s > 0:
-            raise DamagedFile("times do not increase", self.path, "Pass --fps N")
-        return self
+    def read_size(self) -> Size:
+        """Return the size of the first image. Raises DamagedFile if there is none."""
+        for _, image in self.read_images(np.ones(self.count, bool)):
+            height, width = image.shape[:2]
+            return height, width
+        raise DamagedFile("has no images", self.path, CONVERT.format(name=self.path.name))
 
 
 def open_images(path: Path) -> Images:
@@ -114,28 +111,27 @@ def open_images(path: Path) -> Images:
         raise InputError("path is missing", path, "Pass a video, or a folder of images")
     if path.is_dir():
         files = _image_files(path)
-        return Images(path, files, len(files), False, np.nan, np.nan)
+        return Images(path, files=files, count=len(files))
 
-    with _container(path) as (container, stream):
+    with _open_container(path) as (container, stream):
         shape = float(stream.sample_aspect_ratio or 1)
         unit_s = float(stream.time_base or 1)
-        # For streams without a container, FFmpeg assumes 25 frames per second.
         has_times = container.format.name not in _WITHOUT_TIMES
-        stamps = []
-        for packet in container.demux(stream):
-            # An edit list may hide packets.
-            if packet.size and not packet.is_discard:
-                stamps.append(packet.pts)
+        # An edit list may hide packets.
+        shown = [
+            packet for packet in container.demux(stream) if packet.size and not packet.is_discard
+        ]
+        stamps = [packet.pts for packet in shown if packet.pts is not None]
     if abs(shape - 1) > SQUARE:
         fix = f"Scale it: ffmpeg -i {path.name} -vf scale=iw*sar:ih,setsar=1 square.mp4"
         raise InputError(f"pixels are not square ({shape:.3f} times as wide as high)", path, fix)
 
-    known = np.sort([stamp for stamp in stamps if stamp is not None])
-    if not has_times or len(known) < 2:
-        return Images(path, [], len(stamps), False, np.nan, np.nan)
-    step_s = float(np.median(np.diff(known))) * unit_s
-    length_s = float(known[-1] - known[0]) * unit_s
-    return Images(path, [], len(stamps), False, step_s, length_s)
+    if not has_times or len(stamps) < max(2, len(shown)):
+        return Images(path, count=len(shown))
+    in_order = sorted(set(stamps))
+    times_s = (np.array(in_order) - in_order[0]) * unit_s
+    places = {stamp: place for place, stamp in enumerate(in_order)}
+    return Images(path, count=len(places), places=places, times_s=times_s)
 
 
 def _image_files(folder: Path) -> list[Path]:
@@ -148,17 +144,16 @@ def _image_files(folder: Path) -> list[Path]:
     ]
     if not files:
         raise InputError(f"folder has no images (expected {', '.join(PICTURES)})", folder)
-    parts = {path: re.split(r"(\d+)", path.stem) for path in files}
 
-    def order(path: Path) -> list[str | int]:
-        return [int(part) if part.isdecimal() else part for part in parts[path]]
+    def sort_key(path: Path) -> list[str | int]:
+        parts = re.split(r"(\d+)", path.stem)
+        return [int(part) if part.isdecimal() else part for part in parts]
 
-    files.sort(key=order)
-    return files
+    return sorted(files, key=sort_key)
 
 
-def _check_numbers(files: list[Path]) -> None:
-    """Raise InputError if the last numbers in the names do not rise evenly.
+def check_numbers(files: Sequence[Path]) -> None:
+    """Raise InputError if the last numbers in the names of images do not rise evenly.
 
     An image may be missing, or the images be those of two cameras.
     """
@@ -173,22 +168,22 @@ def _check_numbers(files: list[Path]) -> None:
             )
 
 
-def _decode(path: Path) -> Iterator[av.VideoFrame]:
+def _decode_frames(path: Path) -> Iterator[av.VideoFrame]:
     """Yield the images of a video from the first key frame on.
 
     Raises DamagedFile if it is cut short or has bad bytes.
     """
-    with _container(path) as (container, stream):
+    fix = CONVERT.format(name=path.name)
+    with _open_container(path) as (container, stream):
         stream.thread_type = "AUTO"
         packets = 0
         started = False
         end_s = 0.0
         for packet in container.demux():
-            unit_s = packet.time_base or 0
             # A packet that is cut short, as the last one may be, does not count.
             if not packet.is_corrupt:
                 packet_end = (packet.pts or 0) + (packet.duration or 0)
-                end_s = max(end_s, float(packet_end * unit_s))
+                end_s = max(end_s, float(packet_end * (packet.time_base or 0)))
             if packet.stream is not stream:
                 continue
             packets += packet.size > 0
@@ -198,38 +193,17 @@ def _decode(path: Path) -> Iterator[av.VideoFrame]:
             try:
                 yield from stream.decode(packet)
             except av.FFmpegError as error:
-                seconds = float((packet.pts or 0) * unit_s)
-                problem = f"is damaged at about image {packets}, {seconds:.1f} s"
-                part = f"ffmpeg -i {path.name} -t {max(seconds - 2, 0):.0f} -c copy start.mp4"
-                fix = f"Copy the file again, or use the part before: {part}"
+                problem = f"is damaged at about image {packets}, {end_s:.1f} s"
                 raise DamagedFile(problem, path, fix) from error
-        _check_complete(container, stream, path, packets, end_s)
 
-
-def _check_complete(
-    container: InputContainer, stream: VideoStream, path: Path, packets: int, end_s: float
-) -> None:
-    """Raise DamagedFile if a file ends before its header says so.
-
-    `packets` images were read, and the last packet of all streams ends at `end_s`.
-
-    The edit list of an MP4 or MOV file may leave out stored frames. Such a file is complete if its
-    duration is that of the header. The header of a Matroska file does not have the number of
-    frames, but the duration of the longest stream.
-    """
-    stored = stream.frames
-    is_cut = packets < INEXACT * stored - 1
-    total_s = (container.duration or 0) / av.time_base
-    kind = container.format.name
-    if "matroska" in kind or (is_cut and "mov" in kind):
-        is_cut = end_s < INEXACT * total_s - LAST_S
-    if is_cut:
-        end = f"{packets} of {stored} frames" if stored else f"{end_s:.1f} of {total_s:.1f} s"
-        raise DamagedFile(f"ends after {end}", path, CONVERT.format(name=path.name))
+        total_s = (container.duration or 0) / av.time_base
+        has_duration = container.format.name.split(",")[0] in _WITH_DURATION
+        if has_duration and end_s < INEXACT * total_s - LAST_S:
+            raise DamagedFile(f"ends after {end_s:.1f} of {total_s:.1f} s", path, fix)
 
 
 @contextmanager
-def _container(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
+def _open_container(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
     """Yield an open file and its video stream, the default one if there are several.
 
     Raises DamagedFile, also if FFmpeg fails in the block.
@@ -257,7 +231,7 @@ def _container(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
             ) from error
 
 
-def _upright(frame: av.VideoFrame, path: Path) -> np.ndarray:
+def _rotate_upright(frame: av.VideoFrame, path: Path) -> np.ndarray:
     """Return the image RGB uint8 [H,W,3], rotated by its display matrix.
 
     Raises InputError for a matrix that does not turn by multiples of 90 degrees.

@@ -27,7 +27,7 @@ def main(
     earlier: dict[str, str] = {}
     if (out / store.INDEX).is_file():
         earlier = store.read_index(out, stage="ingest")
-    missing = kitti.leave_out(raw, settings, required=earlier)
+    missing = kitti.find_missing(raw, settings, required=earlier)
     splits = settings.drives.splits()
     for drive in missing:
         del splits[drive]
@@ -38,10 +38,8 @@ def main(
     reading = Reading(**settings.model_dump(include=set(Reading.model_fields)))
     with stage_folder("ingest", out, splits, params=params, chosen=[reader]) as folder:
         jobs = []
-        sizes = dict[str, int]()
         for drive in splits:
-            fingerprint = datasets.load(settings.source).fingerprint(drive, settings, root)
-            sizes[drive] = len(fingerprint)
+            fingerprint = datasets.load_dataset(settings.source).fingerprint(drive, settings, root)
             work = partial(
                 ingest_drive,
                 name=drive,
@@ -53,8 +51,6 @@ def main(
             inputs = [digest([settings.source, fingerprint])]
             jobs.append(Job(drive, f"{drive}.h5", inputs, work, (reader,)))
 
-        # Drives with the most files start first, so that all processes end at about the same time.
-        jobs.sort(key=lambda job: sizes[job.drive], reverse=True)
         make_drives(folder, jobs, reading, "{frames} frames{counts}")
     return out
 

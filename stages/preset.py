@@ -104,7 +104,7 @@ def merged(name: str, params: Path = PARAMS) -> dict[str, Any]:
 def imports_hash(ingest: Ingest, raw: Path) -> str:
     """Return the hash of the files of imported drives but their images; empty without an import.
 
-    import.json lists the images, and has the names and sizes of the recordings.
+    timestamps.txt has a line per image, and import.json the names and sizes of the recordings.
     """
     hashes = {}
     for name in sorted({drive.partition("_drive_")[0] for drive in ingest.drives.splits()}):

@@ -14,7 +14,6 @@ from typing import Any
 from footage.settings import Options
 from pipeline.base.errors import InputError
 from pipeline.base.keys import ROOT
-from pipeline.base.outputs import check_free
 from pipeline.base.params import from_python
 from pipeline.encoder.encoder_file import FILE
 from pipeline.train.trained import load_model
@@ -52,9 +51,13 @@ def measure(
     if not (folder / FILE).is_file():
         fix = "Make one for real streets: steer street. Or pass --encoder"
         raise InputError("no encoder", folder, fix)
-    target = _free(out)
-    return measuring.measure(
-        _paths(source), given, target, folder, wheelbase_m=wheelbase_m, video=video
+    return measuring.measure_source(
+        _list_paths(source),
+        given,
+        out=None if out is None else Path(out),
+        encoder=folder,
+        wheelbase_m=wheelbase_m,
+        video=video,
     )
 
 
@@ -75,30 +78,26 @@ def predict(
     that cannot be used.
     """
     given = from_python(Options, options)
-    folder = _network(here_or_included(Path(model)))
+    folder = _find_model(here_or_included(Path(model)))
     trained = load_model(folder)
     if encoder is None:
-        encoder = _encoder_beside(folder)
-    target = _free(out)
-    return measuring.measure(
-        _paths(source), given, target, Path(encoder), model=trained, video=video
+        encoder = _find_encoder(folder)
+    return measuring.measure_source(
+        _list_paths(source),
+        given,
+        out=None if out is None else Path(out),
+        encoder=Path(encoder),
+        model=trained,
+        video=video,
     )
 
 
 def export(file: PathLike, frame: int, out: PathLike) -> str:
     """Write the points of a frame to `out`, a new PLY or PCD file, and return what it holds.
 
-    `file` is a drive's file of clouds, graphs or scans, see :func:`steer.export.export`.
+    `file` is a drive's file of clouds, graphs or scans, see :func:`steer.export.export_points`.
     """
-    return exporting.export(Path(file), frame, Path(out))
-
-
-def _free(out: PathLike | None) -> Path | None:
-    """Return the path of a new or empty folder, or None. Raises InputError if it has files."""
-    if out is None:
-        return None
-    check_free(Path(out))
-    return Path(out)
+    return exporting.export_points(Path(file), frame, Path(out))
 
 
 def here_or_included(path: Path) -> Path:
@@ -112,14 +111,14 @@ def here_or_included(path: Path) -> Path:
     return path
 
 
-def _paths(source: Paths) -> list[Path]:
+def _list_paths(source: Paths) -> list[Path]:
     """Return one path or several as a list."""
     if isinstance(source, Path | str):
         return [Path(source)]
     return [Path(path) for path in source]
 
 
-def _network(model: Path) -> Path:
+def _find_model(model: Path) -> Path:
     """Return the folder of a model: that of the only model if `model` is runs/NAME, else `model`.
 
     Raises InputError if runs/NAME has several models.
@@ -133,7 +132,7 @@ def _network(model: Path) -> Path:
     return networks[0]
 
 
-def _encoder_beside(model: Path) -> Path:
+def _find_encoder(model: Path) -> Path:
     """Return the folder of the encoder that belongs to a model.
 
     It is data/encoder for a model in data/train/<model>, or in the folder of a seed in it. The

@@ -3,7 +3,6 @@
 Large imports are inside functions, so that help is quick.
 """
 
-from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
@@ -15,10 +14,6 @@ from pipeline.base.errors import InputError
 from steer.commands import import_, measure, predict
 from steer.commands.arguments import with_options
 
-# Browsers that Python chooses if there is no screen, as over SSH. They would wait for keys in the
-# terminal.
-TEXT_BROWSERS = ("www-browser", "links", "elinks", "lynx", "w3m")
-
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -27,7 +22,7 @@ app = typer.Typer(
 )
 
 
-def _version(requested: bool) -> None:
+def _print_version(requested: bool) -> None:
     """Print the version and exit, if --version is given."""
     if requested:
         from pipeline.base.checkout import revision
@@ -40,7 +35,7 @@ def _version(requested: bool) -> None:
 
 @app.callback()
 def steer(
-    _: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True)] = False,
+    _: Annotated[bool, typer.Option("--version", callback=_print_version, is_eager=True)] = False,
 ) -> None:
     """Measure motion, predict angles with a trained model, import recordings, and use data."""
 
@@ -86,7 +81,10 @@ def show(
         raise InputError("expected --frame and the name of a PNG file", "--out")
     if out:
         check_free(out)
-    content = artefact.describe(path) if frame is None else artefact.frame(path, frame, out)
+    if frame is None:
+        content = artefact.describe_file(path)
+    else:
+        content = artefact.show_frame(path, frame, out)
     text = yaml.safe_dump(
         content, sort_keys=False, default_flow_style=None, allow_unicode=True, width=110
     )
@@ -102,28 +100,19 @@ def view(
         Path | None, typer.Option(metavar="HTML", help="new file; default: out/DRIVE.html")
     ] = None,
 ) -> None:
-    """Write some frames of a point cloud or graph in 3D as a page, and open it in the browser.
-
-    The page also shows the images of these frames, if they are in data/ingest.
+    """Write some frames of a point cloud or graph in 3D as a page, to open in a browser.
 
     \b
     steer view data/graphs/semantic/2026_01_21_drive_0004.h5
     """
-    import webbrowser
-
     from pipeline.base.outputs import claimed
     from steer import artefact
 
     if out and out.suffix != ".html":
         raise InputError("expected the name of an HTML file", "--out")
     with claimed(out, path.stem, ".html") as page:
-        artefact.view(path, page)
+        artefact.write_view(path, page)
     print(page)
-    # The exception means that there is no browser.
-    with suppress(webbrowser.Error):
-        browser = webbrowser.get()
-        if browser.basename not in TEXT_BROWSERS:
-            browser.open(page.absolute().as_uri())
 
 
 def export(
@@ -148,7 +137,7 @@ def export(
     """
     from steer import export as exporting
 
-    print(f"{out}: {exporting.export(path, frame, out)}")
+    print(f"{out}: {exporting.export_points(path, frame, out)}")
 
 
 COMMANDS = {

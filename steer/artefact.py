@@ -1,6 +1,6 @@
 """Show one file of a stage: its content, one of its frames, or its points in 3D."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +11,11 @@ from pipeline.base.store import DriveReader, replacing
 from pipeline.report import street_view
 
 Content = dict[str, Any]
+# Largest number of values in a list of a checkpoint that are all shown.
+LONGEST_LIST = 10
 
 
-def describe(path: Path) -> Content:
+def describe_file(path: Path) -> Content:
     """Return a drive's file or a checkpoint as plain values.
 
     Raises InputError if it is missing, damaged or another kind of file.
@@ -49,7 +51,7 @@ def _describe_dataset(file: DriveReader, name: str) -> list[str]:
     return texts
 
 
-def frame(path: Path, number: int, out: Path | None = None) -> Content:
+def show_frame(path: Path, number: int, out: Path | None = None) -> Content:
     """Return dataset → value of a frame, and draw the frame to `out`, unless that is None.
 
     Only datasets with a single number per frame are returned. Points are drawn with the frame's
@@ -73,18 +75,15 @@ def frame(path: Path, number: int, out: Path | None = None) -> Content:
         return numbers
 
 
-def view(path: Path, out: Path) -> None:
-    """Write a page with some frames of a file in 3D, and their images, if there are any.
-
-    Raises InputError if the file has no points.
-    """
+def write_view(path: Path, out: Path) -> None:
+    """Write a page with some frames of a file in 3D. Raises InputError if it has no points."""
     from steer import space
 
     with open_drive(path) as file:
         if "xyz" not in file or not len(file["xyz"]):
             fix = "Pass a file of point clouds, or of graphs of points"
             raise InputError("has no points", path, fix)
-        views = space.read_some(file, open_images(file))
+        views = space.read_views(file)
         kind = f"{file.attrs['stage']}/{path.absolute().parent.name}"
         title = f"{file.drive}, {kind}: {len(views)} of {len(file.frame)} frames"
     with replacing(out) as unfinished:
@@ -115,7 +114,7 @@ def open_images(file: DriveReader) -> DriveReader | None:
 def _without_tensors(content: Mapping[str, Any]) -> Content:
     """Return the plain values of a checkpoint.
 
-    Tensors and empty mappings are left out. Lists of drives become ranges.
+    Tensors and empty mappings are left out. Of long lists, such as those of drives, the ends stay.
     """
     plain = {}
     for name, value in content.items():
@@ -123,31 +122,8 @@ def _without_tensors(content: Mapping[str, Any]) -> Content:
             continue
         if isinstance(value, Mapping):
             value = _without_tensors(value)
-        elif name in ("drives", "val"):
-            value = ranges([*value])
+        elif isinstance(value, list) and len(value) > LONGEST_LIST:
+            value = f"{len(value)}: {value[0]} to {value[-1]}"
         if value != {}:
             plain[name] = value
     return plain
-
-
-def ranges(drives: Sequence[str]) -> list[str]:
-    """Return names of drives, in which DATE_drive_0001..0009 stands for consecutive drives.
-
-    ``ingest.drives`` accepts this form, too.
-    """
-    groups = list[list[str]]()
-    for name in drives:
-        number = name[-4:]
-        before = f"{name[:-4]}{int(number) - 1:04d}" if number.isdecimal() else ""
-        if groups and groups[-1][-1] == before:
-            groups[-1].append(name)
-        else:
-            groups.append([name])
-
-    texts = []
-    for group in groups:
-        text = group[0]
-        if len(group) > 1:
-            text += f"..{group[-1][-4:]}"
-        texts.append(text)
-    return texts

@@ -35,10 +35,12 @@ class Source:
     path: Path
     files: kitti.KittiDrive
     drive: Drive
-    # The camera of complete images.
-    camera: Camera
-    # Doubts about the recording.
-    doubts: Sequence[str] = ()
+
+    @property
+    def camera(self) -> Camera:
+        """The camera of complete images."""
+        assert self.drive.camera, "a source has images, and so a camera"
+        return self.drive.camera
 
     @property
     def name(self) -> str:
@@ -47,13 +49,17 @@ class Source:
 
     def at_height(self, height_m: float) -> "Source":
         """Return the source with its camera at a known height over the road."""
-        camera = self.camera.at_height(height_m)
-        drive = replace(self.drive, camera=camera)
-        return replace(self, camera=camera, drive=drive)
+        drive = replace(self.drive, camera=self.camera.at_height(height_m))
+        return replace(self, drive=drive)
 
 
 def open_source(
-    paths: Sequence[Path], reading: Reading, options: Options, folder: Path, hz: float = USUAL_HZ
+    paths: Sequence[Path],
+    *,
+    reading: Reading,
+    options: Options,
+    folder: Path,
+    hz: float = USUAL_HZ,
 ) -> Source:
     """Open the folder of a drive, or convert a recording to a drive in the new `folder`.
 
@@ -63,17 +69,17 @@ def open_source(
     if len(paths) == 1 and paths[0].is_dir():
         files = kitti.open_folder(paths[0])
         # A folder of images has none of KITTI's cameras.
-        if any(files.images(camera) for camera in reading.cameras):
+        if any(files.find_images(camera) for camera in reading.cameras):
             _check_drive(paths[0], files, options)
-            return _read(paths[0], files, reading)
+            return _open_files(paths[0], files, reading)
 
     recording = open_recording(paths, options)
     name = re.sub("[^A-Za-z0-9_-]+", "-", paths[0].stem)
     converted = convert(folder, name, [recording], options, hz=hz)
     write_json(folder / kitti.IMPORT, converted.record, sort_keys=False)
-    source = _read(paths[0], kitti.KittiDrive(converted.drives[0].folder), reading)
+    source = _open_files(paths[0], kitti.KittiDrive(converted.drives[0].folder), reading)
     source.drive.notes[:0] = converted.notes
-    return replace(source, doubts=converted.doubts)
+    return source
 
 
 def _check_drive(path: Path, files: kitti.KittiDrive, options: Options) -> None:
@@ -90,14 +96,12 @@ def _check_drive(path: Path, files: kitti.KittiDrive, options: Options) -> None:
         raise InputError("is an unsynced drive: its images are not rectified", path, fix)
 
 
-def _read(path: Path, files: kitti.KittiDrive, reading: Reading) -> Source:
-    drive = kitti.read_drive(files, reading)
-    assert drive.camera  # always true, as the drive has images
-    return Source(path, files, drive, drive.camera)
+def _open_files(path: Path, files: kitti.KittiDrive, reading: Reading) -> Source:
+    return Source(path, files, kitti.read_drive(files, reading))
 
 
 def run_chain(
-    source: Source, work: Path, reading: Reading, perception: Perception, encoder: Path
+    source: Source, work: Path, *, reading: Reading, perception: Perception, encoder: Path
 ) -> None:
     """Write ingest.h5, perception.h5 and motion.h5 of a source to the folder `work`.
 

@@ -15,10 +15,8 @@ from pipeline.camera.geometry import pixels_of, transform
 from pipeline.report import street_view
 from steer.artefact import open_drive, open_images
 
-# Suffix of a file → last line of its header.
-HEADER_ENDS = {".ply": b"end_header\n", ".pcd": b"DATA binary\n"}
-# Suffix of a file → start of the lines of its header that are comments.
-COMMENTS = {".ply": b"comment ", ".pcd": b"# "}
+# Suffixes of the formats that are written.
+SUFFIXES = (".ply", ".pcd")
 
 
 class Points(NamedTuple):
@@ -34,7 +32,7 @@ class Points(NamedTuple):
     is_of_image: bool
 
 
-def export(path: Path, number: int, out: Path) -> str:
+def export_points(path: Path, number: int, out: Path) -> str:
     """Write the points of a frame to `out`, a new PLY or PCD file, and return what it holds.
 
     `path` is a drive's file of clouds or graphs, whose points have a class, or of stage ingest,
@@ -42,7 +40,7 @@ def export(path: Path, number: int, out: Path) -> str:
     colour of their pixel, or are black if the camera does not see them. Raises InputError if `out`
     exists or has another suffix, or if the frame has no points.
     """
-    if out.suffix not in HEADER_ENDS:
+    if out.suffix not in SUFFIXES:
         raise InputError("expected the name of a PLY or PCD file (.ply, .pcd)", out)
     check_free(out)
 
@@ -62,14 +60,14 @@ def export(path: Path, number: int, out: Path) -> str:
 
         rgb = None
         if images is not None:
-            rgb = _colours(points, number, images)
+            rgb = _pick_colours(points, number, images)
         about = f"{len(points.xyz):,} points in metres, {points.about}"
         if rgb is None:
             about += ", no colour, as there is no image in data/ingest"
         else:
             points.attributes["colors"] = rgb
             about += ", colour (black: not seen by the camera)"
-        _write(points, f"{file.drive}, frame {number}: {about}", out)
+        _write_points(points, out)
     return about
 
 
@@ -94,7 +92,7 @@ def _read_scan(file: DriveReader, row: int) -> Points:
     return Points(xyz, {"intensity": scan[:, 3:]}, about, camera_xyz, is_of_image=False)
 
 
-def _colours(points: Points, number: int, ingest: DriveReader) -> np.ndarray | None:
+def _pick_colours(points: Points, number: int, ingest: DriveReader) -> np.ndarray | None:
     """Return the colours, uint8 [P,3], of points in the frame's image.
 
     Points outside of the image, or hidden by others, are black. Returns None if the frame has no
@@ -113,7 +111,7 @@ def _colours(points: Points, number: int, ingest: DriveReader) -> np.ndarray | N
     return rgb
 
 
-def _write(points: Points, comment: str, out: Path) -> None:
+def _write_points(points: Points, out: Path) -> None:
     """Write points in the format of the suffix of `out`. Raises OSError if the disk is full."""
     import open3d as o3d
 
@@ -121,15 +119,9 @@ def _write(points: Points, comment: str, out: Path) -> None:
     for name, values in {"positions": points.xyz, **points.attributes}.items():
         cloud.point[name] = o3d.core.Tensor.from_numpy(np.ascontiguousarray(values))
 
+    # If the disk is full, Open3D may report success for an incomplete PLY file.
+    size = points.xyz.nbytes + sum(values.nbytes for values in points.attributes.values())
     with replacing(out) as unfinished:
         is_written = o3d.t.io.write_point_cloud(unfinished, cloud)
-        header, end, body = unfinished.read_bytes().partition(HEADER_ENDS[out.suffix])
-
-        # If the disk is full, Open3D may report success for an incomplete PLY file.
-        size = points.xyz.nbytes + sum(values.nbytes for values in points.attributes.values())
-        if not is_written or len(body) < size:
+        if not is_written or unfinished.stat().st_size < size:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(out))
-
-        # Open3D has no option for comments.
-        line = COMMENTS[out.suffix] + comment.encode("ascii", "replace") + b"\n"
-        unfinished.write_bytes(header + line + end + body)

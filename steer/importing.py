@@ -3,20 +3,18 @@
 import hashlib
 import json
 import math
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from footage.convert import Converted, convert, describe, open_recording
-from footage.lens import numbers
+from footage.convert import Converted, convert, describe_file, open_recording
+from footage.lens import parse_numbers
 from footage.settings import Options
-from pipeline.base.checkout import is_checkout
 from pipeline.base.errors import InputError, error_context
-from pipeline.base.keys import ROOT, WINDOWS_FILES, file_hash
-from pipeline.base.outputs import locked
+from pipeline.base.keys import file_hash
+from pipeline.base.outputs import check_free
 from pipeline.base.params import SPLITS, check_name
 from pipeline.base.store import replacing, write_json, write_text
 from pipeline.camera.pinhole import depth_limit
@@ -25,13 +23,11 @@ from pipeline.ingest.datasets.kitti import IMPORT
 
 # File with the settings of a preset that do not depend on the recording.
 TEMPLATE = Path(__file__).with_name("imported.yaml")
-# Files and folders by which a checkout of the project is recognised.
-CHECKOUT = ("params.yaml", "dvc.yaml", "presets")
 # Advice for a file that the import would replace.
 OTHER_NAME = "Move it away, or pass another --name"
 
 
-def take(
+def write_import(
     name: str,
     groups: Sequence[Sequence[Path]],
     options: Sequence[Options],
@@ -48,89 +44,60 @@ def take(
     presets.check_name_is_free(name)
     preset = presets.PRESETS / f"{name}.yaml"
     folder = presets.PRESETS.parent / "data/raw" / name
+    files = [describe_file(path) for paths in groups for path in paths]
+    check_replaceable(folder, preset, files)
 
     # Faults of all files and logs are found before the first image is decoded.
     recordings = []
     for paths, its_options in zip(groups, options, strict=True):
         recordings.append(open_recording(paths, its_options))
-    files = [describe(path) for paths in groups for path in paths]
 
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    hidden = folder.with_name(f".{name}")
-    with locked(folder, f"{hidden}.lock"):
-        for leftover in folder.parent.glob(f"{hidden.name}.????????.tmp"):
-            shutil.rmtree(leftover)
-        check_replaceable(folder, preset, files)
-        with replacing(folder) as new:
-            converted = convert(new, name, recordings, options[0], shares=shares)
-            text = preset_text(name, converted, options[0])
-            # The preset may have been edited during the conversion.
-            check_replaceable(folder, preset, files)
-            hashes = [hashlib.sha256(text.encode()).hexdigest()]
-            if preset.exists():
-                # A killed import may leave the earlier preset.
-                hashes.append(file_hash(preset))
-            record = {**converted.record, "preset_sha256": hashes}
-            write_json(new / IMPORT, record, sort_keys=False)
-            # An earlier import is removed together with the temporary folder.
-            if folder.exists():
-                folder.rename(new.with_name("before"))
-        write_text(preset, text)
+    with replacing(folder) as new:
+        converted = convert(new, name, recordings, options[0], shares=shares)
+        text = _preset_text(name, converted, options[0])
+        record = {
+            **converted.record,
+            "recordings": files,
+            "files": sorted(str(path.relative_to(new)) for path in new.rglob("*.*")),
+            "preset_sha256": hashlib.sha256(text.encode()).hexdigest(),
+        }
+        write_json(new / IMPORT, record, sort_keys=False)
+        # An earlier import is removed together with the temporary folder.
+        if folder.exists():
+            folder.rename(new.with_name("before"))
+    write_text(preset, text)
 
     lines = []
-    for split, drives in split_drives(converted).items():
-        lines += [f"{drive.folder.name}: {len(drive.images)} images, {split}" for drive in drives]
+    for split, drives in _split_drives(converted).items():
+        lines += [f"{drive.folder.name}: {len(drive.times_s)} images, {split}" for drive in drives]
     lines += converted.notes
-    lines += [f"doubt: {text}" for text in converted.doubts]
     if not converted.camera.height_known:
         lines.append("the speed's scale is not known: pass --camera-height METRES")
     return [*lines, f"next: make street && make {name}"]
 
 
-def check_checkout(folder: Path) -> None:
-    """Raise InputError without a checkout, or if `folder` is in another one than the code."""
-    if not is_checkout():
-        fix = "Clone it: git clone …; then run make setup and .venv/bin/steer import there"
-        raise InputError("steer import needs a checkout of the project", fix=fix)
-    for place in (folder, *folder.parents):
-        if all((place / name).exists() for name in CHECKOUT):
-            if place.resolve() != ROOT:
-                command = f"cd {place} && python -m steer.app import …"
-                fix = f"Run it with this checkout's code: {command}"
-                raise InputError(f"is not the checkout of the installed steer, {ROOT}", place, fix)
-            return
-
-
 def check_replaceable(folder: Path, preset: Path, recordings: Sequence[dict[str, Any]]) -> None:
     """Raise InputError unless the folder and the preset are free, or an import of `recordings`."""
-    if folder.is_file():
-        raise InputError("is a file, expected a folder", folder, OTHER_NAME)
-    files = {path for path in folder.rglob("*") if path.is_file() and not _is_by_desktop(path)}
-    if not files:
-        if preset.exists():
-            raise InputError("exists already", preset, OTHER_NAME)
+    if not (folder / IMPORT).is_file():
+        check_free(folder)
+        check_free(preset)
         return
-    if folder / IMPORT not in files:
-        raise InputError("has files that no import wrote", folder, OTHER_NAME)
     record = json.loads((folder / IMPORT).read_text(encoding="utf-8"))
-    others = files - {folder / name for name in (IMPORT, *record["files"])}
+    written = {folder / name for name in (IMPORT, *record["files"])}
+    # A file manager may leave a hidden file.
+    others = [path for path in folder.rglob("[!.]*") if path.is_file() and path not in written]
     if others:
         raise InputError("is not by the import", min(others), OTHER_NAME)
     if record["recordings"] != recordings:
         names = ", ".join(file["name"] for file in record["recordings"])
         raise InputError(f"is an import of another recording, {names}", folder, OTHER_NAME)
-    if preset.exists() and file_hash(preset) not in record["preset_sha256"]:
+    if preset.exists() and file_hash(preset) != record["preset_sha256"]:
         raise InputError("was edited since the import", preset, OTHER_NAME)
-
-
-def _is_by_desktop(path: Path) -> bool:
-    """Return whether a file manager writes files of this name to a folder that a user opens."""
-    return path.name == ".DS_Store" or path.name.lower() in WINDOWS_FILES
 
 
 def read_shares(split: str) -> list[float]:
     """Return the shares of --split in %. Raises InputError."""
-    shares = numbers(split, (len(SPLITS),), "--split 60,20,20")
+    shares = parse_numbers(split, (len(SPLITS),), "--split 60,20,20")
     if min(shares) <= 0 or not math.isclose(sum(shares), 100):
         problem = f"expected shares above 0 with the sum 100, got {split}"
         raise InputError(problem, "--split", "Pass 60,20,20")
@@ -147,7 +114,7 @@ def divide_logs(logs: Sequence[Path] | None, option: str, count: int) -> Sequenc
     return logs
 
 
-def split_drives(converted: Converted) -> dict[str, list[Any]]:
+def _split_drives(converted: Converted) -> dict[str, list[Any]]:
     """Return split → drives, which are in turn for training, validation and test.
 
     If there are two drives, the second is for test.
@@ -158,11 +125,11 @@ def split_drives(converted: Converted) -> dict[str, list[Any]]:
     return {split: drives[place :: len(SPLITS)] for place, split in enumerate(SPLITS)}
 
 
-def preset_text(name: str, converted: Converted, options: Options) -> str:
+def _preset_text(name: str, converted: Converted, options: Options) -> str:
     """Return a preset with drives, and with models with and without measured motion as input."""
     settings = yaml.safe_load(TEMPLATE.read_text(encoding="utf-8"))
     names = {}
-    for split, drives in split_drives(converted).items():
+    for split, drives in _split_drives(converted).items():
         names[split] = [drive.folder.name.removesuffix("_sync") for drive in drives]
     settings["ingest"]["drives"] = names
     settings["clouds"]["max_depth_m"] = float(round(depth_limit(converted.camera)))

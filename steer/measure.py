@@ -9,6 +9,7 @@ import pandas as pd
 
 from footage.convert import USUAL_HZ
 from footage.settings import Options
+from pipeline.base.outputs import check_free
 from pipeline.base.store import replacing, write_json
 from pipeline.ingest.settings import Reading
 from pipeline.labels.label import Car
@@ -25,12 +26,12 @@ from steer.pictures import draw_track, write_overlay
 READING = Reading(image_size=(192, 640), cameras=[2, 0, 3, 1], lidar=False, on_damaged="skip")
 
 
-def measure(
+def measure_source(
     paths: Sequence[Path],
     options: Options,
+    *,
     out: Path | None,
     encoder: Path,
-    *,
     wheelbase_m: float = 2.7,
     model: Trained | None = None,
     video: bool,
@@ -44,45 +45,53 @@ def measure(
     folder of an encoder. Raises InputError if the source cannot be used, or lacks an input of the
     model.
     """
+    if out is not None:
+        check_free(out)
     reading = READING
     perception = Perception(batch=4)
     hz = USUAL_HZ
     car = Car(wheelbase_m, min_speed_mps=1.0)
     if model:
-        reading = predict.reading(model)
-        perception = predict.perception(model)
+        reading = predict.reading_settings(model)
+        perception = predict.perception_settings(model)
         hz = model.fps
         car = model.quantity.car
 
-    with _folders(out) as (results_folder, work):
-        source = open_source(paths, reading, options, results_folder / "drive", hz)
+    with _open_folders(out) as (results_folder, work):
+        source = open_source(
+            paths, reading=reading, options=options, folder=results_folder / "drive", hz=hz
+        )
         if model:
-            source = predict.prepare(model, source)
-        run_chain(source, work, reading, perception, encoder)
+            source = predict.adapt_source(model, source)
+        run_chain(source, work, reading=reading, perception=perception, encoder=encoder)
 
         results = Results.read(source, work, car, smooth=model is None)
         results.doubts += warnings(encoder, "float32", [work / INGEST])
-        comparison = results.compare("measured")
+        comparison = results.compare_angles("measured")
         if model:
             predict.add_prediction(model, source, work, results)
-            results.doubts += predict.differences(model, source, encoder, results.table["time_s"])
-            comparison = results.compare("predicted", model.entry.horizon)
+            results.doubts += predict.find_differences(
+                model, source, encoder, results.table["time_s"]
+            )
+            comparison = results.compare_angles("predicted", model.entry.horizon)
         results.notes += comparison_lines(comparison)
 
         if out:
             table = "steering.csv" if model else "motion.csv"
             results.write_csv(results_folder / table, source.name)
             draw_track(results_folder / "track.png", source.name, results)
-            write_json(results_folder / "quality.json", results.quality(source, comparison))
+            write_json(
+                results_folder / "quality.json", results.describe_quality(source, comparison)
+            )
             if video:
                 write_overlay(results_folder / "overlay.mp4", source, results, car.wheelbase_m)
     files = sorted(out.iterdir()) if out else []
     frame = pd.DataFrame({"drive": source.name, **results.table})
-    return Outcome(frame, results.notes, results.doubts, files)
+    return Outcome(frame, notes=results.notes, doubts=results.doubts, files=files)
 
 
 @contextmanager
-def _folders(out: Path | None) -> Iterator[tuple[Path, Path]]:
+def _open_folders(out: Path | None) -> Iterator[tuple[Path, Path]]:
     """Yield a folder that becomes `out` if the block succeeds, and one for temporary files.
 
     Both are on the same disk.

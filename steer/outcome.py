@@ -16,10 +16,8 @@ from pipeline.base.console import split_doubts
 from pipeline.base.keys import ROOT
 from pipeline.base.metrics import nmse, rmse
 from pipeline.base.store import DriveReader
-from pipeline.evaluate import statistics
-from pipeline.evaluate.settings import Evaluate
 from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
-from pipeline.labels.recorded import Recorded, compare
+from pipeline.labels.recorded import Recorded, compare_recorded
 from pipeline.labels.source import rates_of_motion, recorded_angles, recorded_rates
 from pipeline.motion import rates
 from pipeline.motion.facts import facts_line
@@ -28,8 +26,6 @@ from steer.chain import INGEST, MOTION, Source
 
 # Longest gap in seconds over which the track continues with the last measured motion.
 BRIDGED_S = 1.0
-# Length in seconds of a block of the bootstrap: errors of nearer frames are correlated.
-BLOCK_S = 5.0
 # Formats of columns in a CSV file; other columns have ".6f".
 FORMATS = {"frame": ".0f", "valid": ".0f", "points": ".0f", "residual": ".3f", "driven_rad": ".9f"}
 
@@ -76,7 +72,7 @@ class Results:
         their median error in pixels.
         """
         recorder = "the log"
-        if source.files.oxts and not source.files.logs():
+        if source.files.oxts and not source.files.find_logs():
             recorder = "oxts"
         with (
             DriveReader(work / MOTION, stage="motion") as motion,
@@ -86,12 +82,9 @@ class Results:
             driven = _read_driven(raw, car)
             measured = rates_of_motion(raw, work / MOTION)
             measured_labels = steering_labels(measured.yaw_rate_radps, measured.speed_mps, car)
-            recorded = compare(
-                [Recorded.read(raw, motion, car)],
-                dict.fromkeys(("yaw_rate", "speed", "angle"), recorder),
-            )
+            recorded = compare_recorded([Recorded.read(raw, motion, car)], recorder)
 
-            labels = (driven or _unknown(len(raw.frame))).at(rows)
+            labels = (driven or _unknown_labels(len(raw.frame))).select_rows(rows)
             valid = motion["valid"]
             table = {
                 "frame": motion.frame,
@@ -112,16 +105,21 @@ class Results:
             reasons = ", ".join(f"{problem} ({count})" for problem, count in counts)
             notes.append(f"frames without a measurement: {reasons}")
         return cls(
-            table,
-            problems,
-            labels,
-            recorder if driven else "",
-            measured_labels.at(rows),
-            recorded,
-            attrs,
-            [*source.drive.notes, *notes],
-            [*source.doubts, *doubts],
+            table=table,
+            problems=problems,
+            driven=labels,
+            recorder=recorder if driven else "",
+            measured=measured_labels.select_rows(rows),
+            recorded=recorded,
+            motion=attrs,
+            notes=[*source.drive.notes, *notes],
+            doubts=doubts,
         )
+
+    def angles_rad(self) -> dict[str, np.ndarray]:
+        """Return the angles [F] in rad that are driven, measured and predicted."""
+        names = ("driven", "measured", "predicted")
+        return {name: self.table[f"{name}_rad"] for name in names if f"{name}_rad" in self.table}
 
     def write_csv(self, path: Path, name: str) -> None:
         """Write the table of the drive `name`. Cells of unknown values are empty."""
@@ -131,14 +129,13 @@ class Results:
             table[column] = table[column].map(to_text, na_action="ignore")
         table.to_csv(path, index=False)
 
-    def compare(self, column: str, horizon: int = 0) -> dict[str, Any] | None:
+    def compare_angles(self, column: str, horizon: int = 0) -> dict[str, Any] | None:
         """Return errors of angles against the truth `horizon` frames later.
 
         `column` is predicted or measured. Errors are computed on the frames that have a truth and a
         value of `column`. Returns None if there are no such frames.
         """
         frame = self.table["frame"]
-        time_s = self.table["time_s"]
         driven_rad = pd.Series(self.table["driven_rad"], frame)
         target_rad = driven_rad.reindex(frame + horizon).to_numpy(copy=True)
         used = np.isfinite(target_rad) & np.isfinite(self.table[f"{column}_rad"])
@@ -153,14 +150,10 @@ class Results:
         if column == "predicted":
             angles = {column: self.table["predicted_rad"], **angles}
 
-        block = 1
-        if len(time_s) > 1:
-            block = max(1, round(BLOCK_S / float(np.median(np.diff(time_s)))))
-        settings = Evaluate(bootstrap_samples=2000, bootstrap_block_frames=block, seed=0)
-        errors = {name: _errors(target_rad, angle, settings) for name, angle in angles.items()}
+        errors = {name: _compute_errors(target_rad, angle) for name, angle in angles.items()}
         return {"truth": self.recorder, "frames": int(used.sum()), "horizon": horizon, **errors}
 
-    def quality(self, source: Source, comparison: dict[str, Any] | None) -> dict[str, Any]:
+    def describe_quality(self, source: Source, comparison: dict[str, Any] | None) -> dict[str, Any]:
         """Return the content of quality.json. Unknown values are None."""
         camera = source.camera
         facts = self.motion
@@ -169,7 +162,7 @@ class Results:
             "version": version("semantic-steering"),
             "revision": revision(ROOT) or None,
             "source": str(source.path),
-            "step_s": _median(np.diff(self.table["time_s"])),
+            "step_s": _median_or_none(np.diff(self.table["time_s"])),
             "K": camera.K.round(3).tolist(),
             "camera_height_m": camera.height_m if camera.height_known else None,
             "horizon": camera.horizon,
@@ -180,14 +173,14 @@ class Results:
             # Relative scatter of successive speeds, and standard deviation of the drive's scale.
             "scatter": facts["scatter"],
             "scale_sigma": facts["scale_sigma"],
-            "speed_sigma": _median(self.table["speed_sigma"][is_valid]),
+            "speed_sigma": _median_or_none(self.table["speed_sigma"][is_valid]),
             "recorded": self.recorded,
             "comparison": comparison,
             "doubts": self.doubts,
         }
 
 
-def _median(values: np.ndarray) -> float | None:
+def _median_or_none(values: np.ndarray) -> float | None:
     return float(np.median(values)) if len(values) else None
 
 
@@ -204,10 +197,15 @@ def _read_driven(ingest: DriveReader, car: Car) -> Labels | None:
     return None
 
 
-def _unknown(frames: int) -> Labels:
+def _unknown_labels(frames: int) -> Labels:
     """Return labels of which nothing is known."""
     unknown = np.full(frames, np.nan)
-    return Labels(unknown, np.zeros(frames, bool), unknown, unknown)
+    return Labels(
+        steering_rad=unknown,
+        valid=np.zeros(frames, bool),
+        speed_mps=unknown,
+        yaw_rate_radps=unknown,
+    )
 
 
 def read_course(motion: DriveReader, car: Car, *, smooth: bool) -> dict[str, np.ndarray]:
@@ -229,19 +227,17 @@ def read_course(motion: DriveReader, car: Car, *, smooth: bool) -> dict[str, np.
     angle_sigma = curvature_sigma * car.wheelbase_m * np.cos(angle) ** 2
 
     # In a short gap, the car continues with the last measured motion, unless it has stood since.
-    # For each row, find the latest row in which the motion was measured, and in which the car
-    # stood; -1 if there is none yet.
     time_s = motion.time_s
     valid = motion["valid"].astype(bool)
-    rows = np.arange(len(time_s))
-    measured_row = np.maximum.accumulate(np.where(valid, rows, -1))
-    standing_row = np.maximum.accumulate(np.where(rates.stands(motion), rows, -1))
-    is_recent = time_s - time_s[measured_row] <= BRIDGED_S
-    moves = (measured_row >= 0) & (standing_row <= measured_row) & is_recent
-
-    held_mps = np.where(moves, speed_mps[measured_row], 0.0)
-    held_radps = np.where(moves, yaw_rate[measured_row], 0.0)
-    place_m, heading_rad = integrate_motion(time_s, held_mps, held_radps)
+    steps = pd.DataFrame({"time_s": time_s, "speed_mps": speed_mps, "yaw_rate_radps": yaw_rate})
+    held = steps[valid].reindex(steps.index, method="ffill")
+    standing = steps[rates.is_standing(motion)].reindex(steps.index, method="ffill")
+    is_recent = time_s - held["time_s"] <= BRIDGED_S
+    moves = is_recent & ~(standing["time_s"] > held["time_s"])
+    held = held.where(moves, 0.0)
+    place_m, heading_rad = integrate_motion(
+        time_s, held["speed_mps"].to_numpy(), held["yaw_rate_radps"].to_numpy()
+    )
     return {
         "speed_mps": speed_mps,
         "yaw_rate_radps": yaw_rate,
@@ -271,7 +267,7 @@ def integrate_motion(
 
 
 def comparison_lines(comparison: Mapping[str, Any] | None) -> Iterator[str]:
-    """Yield errors by :meth:`Results.compare` as lines for the user."""
+    """Yield errors by :meth:`Results.compare_angles` as lines for the user."""
     if comparison is None:
         return
     line = f"truth from {comparison['truth']}, {comparison['frames']} frames"
@@ -280,23 +276,20 @@ def comparison_lines(comparison: Mapping[str, Any] | None) -> Iterator[str]:
     yield f"{line}:"
     for name in ("predicted", "measured", "zero"):
         if name in comparison:
-            yield f"  {name}: {_errors_text(comparison[name])}"
+            errors = comparison[name]
+            texts = [f"RMSE {errors['rmse_deg']:.2f} deg"]
+            for key in ("nmse", "correlation"):
+                if errors[key] is not None:
+                    texts.append(f"{key} {errors[key]:.3f}")
+            yield f"  {name}: {', '.join(texts)}"
 
 
-def _errors(target_rad: np.ndarray, angle_rad: np.ndarray, settings: Evaluate) -> dict[str, Any]:
-    """Return nmse, its 95 % interval, rmse_deg and correlation of angles [N]; None if undefined.
+def _compute_errors(target_rad: np.ndarray, angle_rad: np.ndarray) -> dict[str, Any]:
+    """Return nmse, rmse_deg and correlation of angles [N]; None if undefined.
 
     Frames whose target is NaN do not count.
     """
-    # The interval is computed only if there are enough blocks of frames.
     counted = np.isfinite(target_rad)
-    drive = np.zeros(len(target_rad), int)
-    blocks = np.unique(statistics.parts(drive, settings.bootstrap_block_frames)[counted])
-    bounds = None
-    if len(blocks) >= statistics.LEAST_DRIVES:
-        error = (angle_rad - target_rad)[None] ** 2
-        bounds = statistics.interval(error, target_rad, drive, settings)
-
     target_rad = target_rad[counted]
     angle_rad = angle_rad[counted]
     correlation = None
@@ -304,18 +297,6 @@ def _errors(target_rad: np.ndarray, angle_rad: np.ndarray, settings: Evaluate) -
         correlation = float(np.corrcoef(target_rad, angle_rad)[0, 1])
     return {
         "nmse": nmse(target_rad, angle_rad),
-        "nmse_ci95": bounds,
         "rmse_deg": math.degrees(rmse(target_rad, angle_rad)),
         "correlation": correlation,
     }
-
-
-def _errors_text(errors: Mapping[str, Any]) -> str:
-    """Return the errors of :func:`_errors` as a line for the user."""
-    nmse = "-"
-    if errors["nmse"] is not None:
-        nmse = f"{errors['nmse']:.3f} ({statistics.interval_text(errors['nmse_ci95'])})"
-    text = f"nmse {nmse}, RMSE {errors['rmse_deg']:.2f} deg"
-    if errors["correlation"] is not None:
-        text += f", correlation {errors['correlation']:.3f}"
-    return text

@@ -42,9 +42,7 @@ def draw_track(path: Path, name: str, results: Results) -> None:
 
     label = "steering angle, deg, left +"
     steering = figure.add_subplot(grid[1, 1], ylabel=label, xlabel="time, s")
-    angles_deg = {
-        curve: np.degrees(table[f"{curve}_rad"]) for curve in COLOURS if f"{curve}_rad" in table
-    }
+    angles_deg = {name: np.degrees(angle) for name, angle in results.angles_rad().items()}
     _draw_curves(steering, table["time_s"], angles_deg, np.degrees(table["measured_sigma_rad"]))
     # The legend is above the curves of the angles.
     steering.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, frameon=False)
@@ -102,7 +100,7 @@ def write_overlay(path: Path, source: Source, results: Results, wheelbase_m: flo
                 row = rows[frame.number]
                 image = resized(frame.image, camera.size).copy()
                 _draw_paths(image, camera, {name: path[:, row] for name, path in paths.items()})
-                for number, (text, colour) in enumerate(_legend(results, row)):
+                for number, (text, colour) in enumerate(_legend_lines(results, row)):
                     place = (10, 20 * (number + 1))
                     cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1)
                 file.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
@@ -112,8 +110,7 @@ def write_overlay(path: Path, source: Source, results: Results, wheelbase_m: flo
 def _held_paths(results: Results, wheelbase_m: float) -> dict[str, np.ndarray]:
     """Return the path of each angle, if it is held: name → curvature [N,F] in each of N steps."""
     paths = {}
-    for name in COLOURS:
-        angle_rad = results.table.get(f"{name}_rad", np.zeros(0))
+    for name, angle_rad in results.angles_rad().items():
         if np.isfinite(angle_rad).any():
             paths[name] = np.tile(np.tan(angle_rad) / wheelbase_m, (round(REACH_M / STEP_M), 1))
     return paths
@@ -133,7 +130,7 @@ def _draw_paths(image: np.ndarray, camera: Camera, paths: Mapping[str, np.ndarra
             cv2.polylines(image, sides, False, COLOURS[name], thickness, cv2.LINE_AA)
 
 
-def _legend(results: Results, row: int) -> Iterator[tuple[str, tuple[int, int, int]]]:
+def _legend_lines(results: Results, row: int) -> Iterator[tuple[str, tuple[int, int, int]]]:
     """Yield lines of text and their colours: time and speed, then the angle of each path."""
     table = results.table
     speed = f"{table['speed_mps'][row]:.1f} m/s" if table["valid"][row] else results.problems[row]
@@ -142,7 +139,6 @@ def _legend(results: Results, row: int) -> Iterator[tuple[str, tuple[int, int, i
         for name in results.paths:
             yield f"{name} path", COLOURS[name]
         return
-    for name, colour in COLOURS.items():
-        angle_rad = table.get(f"{name}_rad", np.full(row + 1, np.nan))[row]
-        if np.isfinite(angle_rad):
-            yield f"{name}: {np.degrees(angle_rad):+.1f} deg", colour
+    for name, angle_rad in results.angles_rad().items():
+        if np.isfinite(angle_rad[row]):
+            yield f"{name}: {np.degrees(angle_rad[row]):+.1f} deg", COLOURS[name]

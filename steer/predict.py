@@ -31,26 +31,26 @@ from steer.outcome import Results
 MAX_STAND_S = 5.0
 
 
-def reading(model: Trained) -> Reading:
+def reading_settings(model: Trained) -> Reading:
     """Return the settings for reading a source for a model. Damaged images are left out."""
     lidar = model.settings["graphs"]["source"] == "clouds/lidar"
     return Reading.model_validate(model.settings["ingest"] | {"on_damaged": "skip", "lidar": lidar})
 
 
-def perception(model: Trained) -> Perception:
+def perception_settings(model: Trained) -> Perception:
     """Return the settings of depth and classes of a model."""
     # Settings that are no longer part of the section were null.
     recorded = model.settings["perception"].items()
     return Perception.model_validate({k: v for k, v in recorded if v is not None})
 
 
-def prepare(model: Trained, source: Source) -> Source:
+def adapt_source(model: Trained, source: Source) -> Source:
     """Return a source with the model's camera height if its own is not known, and notes.
 
     Raises InputError if it lacks the scans that the model needs.
     """
     has_scans = source.files.scans and source.camera.T_cam_velo is not None
-    if reading(model).lidar and not has_scans:
+    if reading_settings(model).lidar and not has_scans:
         problem = f"model {model.name} needs LiDAR scans"
         raise InputError(problem, source.name, "Choose a model without them")
 
@@ -116,13 +116,13 @@ def _make_graphs(model: Trained, source: Source, work: Path) -> Path:
     if variant.kind != "image":
         images_or_points = work / "clouds.h5"
         kind = variant.source.removeprefix("clouds/")
-        settings = _clouds(model, source)
+        settings = _cloud_settings(model, source)
         clouds_drive(images_or_points, kind, ingest, work / PERCEPTION, settings)
     graphs_drive(graphs, images_or_points, work / MOTION, variant)
     return graphs
 
 
-def _clouds(model: Trained, source: Source) -> Clouds:
+def _cloud_settings(model: Trained, source: Source) -> Clouds:
     """Return the model's settings of clouds, with a larger depth limit for a longer lens."""
     settings = Clouds.model_validate(model.settings["clouds"])
     limit_m = depth_limit(source.camera)
@@ -131,7 +131,9 @@ def _clouds(model: Trained, source: Source) -> Clouds:
     return settings.model_copy(update={"max_depth_m": max(settings.max_depth_m, limit_m)})
 
 
-def differences(model: Trained, source: Source, encoder: Path, time_s: np.ndarray) -> Iterator[str]:
+def find_differences(
+    model: Trained, source: Source, encoder: Path, time_s: np.ndarray
+) -> Iterator[str]:
     """Yield doubts where a source or an encoder differs from those of the training."""
     if model.datasets == ["sample"] and source.drive.dataset != "sample":
         fitted = f"{model.name} was fitted to the rendered sample alone"

@@ -1,18 +1,16 @@
 """Show the points and the graph of frames in 3D: a page with Plotly."""
 
-import base64
 import html
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import plotly.graph_objects as go
 
 from pipeline.base.store import DriveReader
 from pipeline.camera import classes
-from pipeline.report.street_view import View, read_view, with_image
+from pipeline.report.street_view import View, read_view
 
 # Largest number of frames of a drive that are shown.
 FRAMES_SHOWN = 8
@@ -20,10 +18,6 @@ FRAMES_SHOWN = 8
 POINTS_SHOWN = 3_000
 # Largest number of edges that are drawn of a frame.
 EDGES_SHOWN = 4_000
-# Share of the width that a frame's image has beside its points, if there is one.
-IMAGE_WIDTH = 0.4
-# Quality of images in the page, from 0 to 100.
-JPEG_QUALITY = 90
 # Least and largest coordinates in metres that are shown: right, ahead, up.
 _LOWEST_M = np.array([-22, 0, -4])
 _HIGHEST_M = np.array([22, 50, 10])
@@ -50,23 +44,17 @@ _LAYOUT = {
 }
 
 
-def read_some(file: DriveReader, ingest: DriveReader | None = None) -> list[View]:
-    """Read at most FRAMES_SHOWN frames, which are evenly spread over a drive.
-
-    They have the images of `ingest`, the drive's file of that stage, unless it is None.
-    """
+def read_views(file: DriveReader) -> list[View]:
+    """Read at most FRAMES_SHOWN frames, which are evenly spread over a drive."""
     count = min(FRAMES_SHOWN, len(file.frame))
     rows = np.linspace(0, len(file.frame) - 1, count).astype(int)
-    views = [read_view(number, file) for number in file.frame[rows].tolist()]
-    if ingest is not None:
-        views = [with_image(view, ingest) for view in views]
-    return views
+    return [read_view(number, file) for number in file.frame[rows].tolist()]
 
 
 def write_page(path: Path, views: Sequence[View], title: str) -> None:
     """Write a page that shows frames in 3D."""
     text = html.escape(title)
-    page = in_space(views, text).to_html(
+    page = plot_frames(views, text).to_html(
         div_id="space",
         config={"responsive": True, "displayModeBar": False},
         default_height="min(95vh, 105vw)",
@@ -75,34 +63,27 @@ def write_page(path: Path, views: Sequence[View], title: str) -> None:
     path.write_text(page.replace("<head>", f"<head><title>{text}</title>", 1), encoding="utf-8")
 
 
-def in_space(views: Sequence[View], title: str) -> go.Figure:
+def plot_frames(views: Sequence[View], title: str) -> go.Figure:
     """Plot the points of frames by class, and their edges, with a slider that selects a frame.
 
     Points and edges outside of the axes are left out. If a frame has too many edges, those near the
-    car are shown. The image of a frame, if there is one, is beside its points. Below the title
-    stand the numbers of the frame's points and edges.
+    car are shown. Below the title stand the numbers of the frame's points and edges.
     """
     present = np.unique(np.concatenate([np.asarray(view.points_cls) for view in views])).tolist()
-    has_images = any(view.rgb is not None for view in views)
     frames = []
     for view in views:
-        points = _traces(view, present)
-        images = [_image(view)] if has_images else []
-        frame = go.Frame(name=str(view.frame), data=[*points, *images])
-        frame.layout.title = {"text": title, "subtitle": {"text": _counts(view, points)}}
+        traces = _draw_traces(view, present)
+        frame = go.Frame(name=str(view.frame), data=traces)
+        frame.layout.title = {"text": title, "subtitle": {"text": _count_shown(view, traces)}}
         frames.append(frame)
 
-    figure = go.Figure(frames[0].data, _LAYOUT | {"sliders": [_slider(frames)]}, frames)
+    figure = go.Figure(frames[0].data, _LAYOUT | {"sliders": [_make_slider(frames)]}, frames)
     figure.update_layout(title=frames[0].layout.title)
     figure.update_layout(title={"x": 0.01, "y": 1, "yanchor": "top", "pad": {"t": 12}})
-    if has_images:
-        figure.update_layout(scene_domain_x=[IMAGE_WIDTH, 1])
-        figure.update_xaxes(visible=False, domain=[0, IMAGE_WIDTH])
-        figure.update_yaxes(visible=False)
     return figure
 
 
-def _slider(frames: Sequence[go.Frame]) -> dict[str, Any]:
+def _make_slider(frames: Sequence[go.Frame]) -> dict[str, Any]:
     """Return a slider that has a step for each frame."""
     # A step shows its frame at once.
     now = {
@@ -120,17 +101,7 @@ def _slider(frames: Sequence[go.Frame]) -> dict[str, Any]:
     }
 
 
-def _image(view: View) -> go.Image:
-    """Return a trace of the frame's image, which is invisible if the frame has none."""
-    if view.rgb is None:
-        return go.Image(visible=False)
-    bgr = view.rgb[..., ::-1]
-    _, jpeg = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    text = base64.b64encode(jpeg.tobytes()).decode("ascii")
-    return go.Image(source=f"data:image/jpeg;base64,{text}", visible=True, hoverinfo="skip")
-
-
-def _counts(view: View, traces: Sequence[go.Scatter3d]) -> str:
+def _count_shown(view: View, traces: Sequence[go.Scatter3d]) -> str:
     """Return the numbers of the frame's points and edges, and how many of them the traces show."""
     shown = sum(len(trace.x) for trace in traces if trace.mode == "markers")
     aside_m, ahead_m, _ = _HIGHEST_M
@@ -143,7 +114,7 @@ def _counts(view: View, traces: Sequence[go.Scatter3d]) -> str:
     return text
 
 
-def _traces(view: View, present: Sequence[int]) -> list[go.Scatter3d]:
+def _draw_traces(view: View, present: Sequence[int]) -> list[go.Scatter3d]:
     """Return a trace for each class of `present`, and a trace for the edges, if any."""
     cls = np.asarray(view.points_cls)
     # Columns are right, ahead and up, as Plotly's z points up.

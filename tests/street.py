@@ -15,7 +15,7 @@ from pipeline.camera.geometry import CAMERA_HEIGHT_M, back_project, rays
 from pipeline.camera.images import to_units
 from pipeline.ingest import ingest_file
 from pipeline.ingest.drive import Drive
-from pipeline.ingest.packets import make_rows
+from pipeline.ingest.packets import make_packets
 from pipeline.ingest.settings import Reading
 
 SIZE = (32, 64)
@@ -154,7 +154,7 @@ def write_drive(
         frame.scan = scan(frame.depth_m) if lidar else None
         frame.image = frame.image if images else None
         frame.depth_m, frame.cls = (frame.depth_m, frame.cls) if dense else (None, None)
-    values = {"oxts": dict(enumerate(make_rows(frames, vf=8.0)))}
+    values = {"oxts": dict(enumerate(make_packets(frames, vf=8.0)))}
     source = Drive(camera, lambda: iter(recorded), values)
     ingest_file.write_drive(folder / f"{drive}.h5", source, drive, "kitti", settings)
 

@@ -28,9 +28,9 @@ def read_calibration(folder: Path, number: int) -> Camera:
     velo_path = folder / "calib_velo_to_cam.txt"
     with error_context(fix="Extract the date's calibration archive (…_calib.zip) again"):
         entries = read_entries(path)
-        P = matrix(entries, f"P_rect_{number:02d}", (3, 4), path)
+        P = parse_matrix(entries, f"P_rect_{number:02d}", (3, 4), path)
         K = P[:, :3]
-        size = matrix(entries, f"S_rect_{number:02d}", (2,), path)
+        size = parse_matrix(entries, f"S_rect_{number:02d}", (2,), path)
         width, height = np.rint(size).astype(int).tolist()
         camera = Camera(K, (height, width))
         check_pinhole(K, camera.size, f"{path}: P_rect_{number:02d}")
@@ -41,9 +41,9 @@ def read_calibration(folder: Path, number: int) -> Camera:
         height = f"camera_height_{number:02d}"
         horizon = f"horizon_{number:02d}"
         if height in entries:
-            camera = camera.at_height(float(matrix(entries, height, (1,), path)[0]))
+            camera = camera.at_height(float(parse_matrix(entries, height, (1,), path)[0]))
         if horizon in entries:
-            camera = replace(camera, horizon=float(matrix(entries, horizon, (1,), path)[0]))
+            camera = replace(camera, horizon=float(parse_matrix(entries, horizon, (1,), path)[0]))
         return camera
 
 
@@ -58,11 +58,11 @@ def _read_scanner(
     # camera. All three components of t count: with t_x alone, as in pykitti, depths are off by t_z,
     # which is 3 mm.
     shift = rigid(np.eye(3), np.linalg.solve(P[:, :3], P[:, 3]))
-    rectify = rigid(matrix(entries, "R_rect_00", (3, 3), path), np.zeros(3))
+    rectify = rigid(parse_matrix(entries, "R_rect_00", (3, 3), path), np.zeros(3))
 
     velo = read_entries(velo_path)
-    R = matrix(velo, "R", (3, 3), velo_path)
-    t = matrix(velo, "T", (3,), velo_path)
+    R = parse_matrix(velo, "R", (3, 3), velo_path)
+    t = parse_matrix(velo, "T", (3,), velo_path)
     return shift @ rectify @ rigid(R, t)
 
 
@@ -95,7 +95,7 @@ def read_entries(path: Path) -> dict[str, np.ndarray]:
         raise InputError(f"is not a calibration file ({error})", path) from error
 
 
-def matrix(
+def parse_matrix(
     entries: Mapping[str, np.ndarray], name: str, shape: tuple[int, ...], path: Path
 ) -> np.ndarray:
     """Return entry `name` of the file at `path` in this shape. Raises InputError."""

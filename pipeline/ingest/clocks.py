@@ -16,22 +16,6 @@ NOTED_S = 0.1
 # Difference in seconds, or change of this difference, above which an image and a packet of the same
 # number are not of the same frame.
 LIMIT_S = 0.25
-# Rate of packets in Hz above which they are not synchronised with images if they are more than
-# these. KITTI's unsynced packets have 100.
-UNSYNCED_HZ = 80.0
-
-
-def check_rate(oxts: Path, time_s: Sequence[float], images: int) -> None:
-    """Raise InputError if the packets at `time_s` [F] are too many for one per image.
-
-    `oxts` is the file with the times of the packets, and `images` the number of images or scans.
-    """
-    if len(time_s) <= 2 * images:
-        return
-    hz = 1 / float(np.median(np.diff(time_s)))
-    if hz > UNSYNCED_HZ:
-        problem = f"has {hz:.0f} packets a second, expected one per image: they are unsynced"
-        raise InputError(problem, oxts, "Extract the oxts folder of the synced archive")
 
 
 def compare_times(

@@ -1,5 +1,6 @@
 """Read columns of numbers from CSV files, and list their faults by column, line and cell."""
 
+import csv
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -14,6 +15,8 @@ LIMIT_RADPS = 3.0
 # Largest plausible angle of the front wheels in rad. The angles of a steering wheel, which are 15
 # times as large, exceed it in a tight bend.
 LIMIT_RAD = 1.2
+# Texts of a cell without a value.
+EMPTY = ("", "nan")
 
 
 def read_columns(
@@ -26,7 +29,7 @@ def read_columns(
     All columns but the first may have empty cells. The separator is a comma, a semicolon or a tab.
     Raises InputError, with the hint `expected`, for a missing column.
     """
-    cells, header = _read_cells(path, expected)
+    header, cells = _read_cells(path, expected)
     missing = [name for name in limits if name not in header]
     if missing:
         raise InputError(
@@ -41,60 +44,43 @@ def read_columns(
         words = cells[header.index(name)].rename(name)
         values = pd.to_numeric(words, errors="coerce").astype(float)
         table[name] = values
-        faults += fault(words[values.isna() & (words.notna() | needs_number)], "is not a number")
-        faults += fault(words[values.abs() > limit], f"is implausible (limit ±{limit:g})")
+        is_faulty = values.isna() & (needs_number | ~words.isin(EMPTY))
+        faults += list_fault(words[is_faulty], "is not a number")
+        faults += list_fault(words[values.abs() > limit], f"is implausible (limit ±{limit:g})")
         needs_number = False
 
     # With decimal commas, a line has more cells than line 1 has names.
     for place in cells.columns[len(header) :]:
-        nameless = cells[place].dropna().rename(f"cell {place + 1}")
-        faults += fault(nameless, "has no name in line 1")
+        nameless = cells.loc[~cells[place].isin(EMPTY), place].rename(f"cell {place + 1}")
+        faults += list_fault(nameless, "has no name in line 1")
     return table, faults
 
 
-def _read_cells(path: Path, expected: str) -> tuple[pd.DataFrame, list[str]]:
-    """Return the cells of a CSV file as text, by line and place, and the names in its first line.
+def _read_cells(path: Path, expected: str) -> tuple[list[str], pd.DataFrame]:
+    """Return the names in line 1 of a CSV file, and the cells of the other lines as text.
 
-    Lines without content are left out. Raises InputError.
+    The table is indexed by line, counted from 1. Lines without content are left out. Raises
+    InputError.
     """
-    # Excel's "Unicode text" and PowerShell's files are in UTF-16, which has zero bytes.
-    if b"\0" in path.read_bytes():
-        raise InputError(
-            "is in UTF-16",
-            path,
-            f"Save it as UTF-8: iconv -f UTF-16 -t UTF-8 {path.name} > utf8.csv",
-        )
     lines = path.read_text("utf-8-sig", errors="replace").splitlines() or [""]
-    if lines[0].startswith("sep="):
-        raise InputError(
-            "line 1 is Excel's separator, not the names of columns",
-            path,
-            f"Remove line 1: {lines[0]}",
-        )
-
     # The separator is the one that is most frequent in line 1. Other lines may have more cells.
     separator = max(",;\t", key=lines[0].count)
-    most_separators = max(line.count(separator) for line in lines)
+    reader = csv.reader(lines, delimiter=separator, skipinitialspace=True, strict=True)
+    rows = dict[int, list[str]]()
     try:
-        cells = pd.read_csv(
-            path,
-            sep=separator,
-            header=None,
-            names=range(1 + most_separators),
-            skip_blank_lines=False,
-            dtype=str,
-            encoding="utf-8-sig",
-            encoding_errors="replace",
-            skipinitialspace=True,
-        )
-    except ValueError as error:
+        for row in reader:
+            rows[reader.line_num] = [cell.strip() for cell in row]
+    except csv.Error as error:
         raise InputError(f"is not a CSV file ({error})", path, expected) from error
-    # Lines are counted from 1. Line 1 has the names.
-    header = cells.iloc[0].fillna("").str.strip().tolist()[: 1 + lines[0].count(separator)]
-    return cells.set_axis(cells.index + 1)[1:].dropna(how="all"), header
+
+    width = max(len(row) for row in rows.values())
+    header = rows.pop(1)
+    filled = {line: row + [""] * (width - len(row)) for line, row in rows.items() if any(row)}
+    cells = pd.DataFrame([*filled.values()], [*filled], range(width), dtype=str)
+    return header, cells
 
 
-def fault(cells: pd.Series, problem: str) -> list[str]:
+def list_fault(cells: pd.Series, problem: str) -> list[str]:
     """Return a list with one text about the faulty `cells` of a column, or an empty list.
 
     `cells` are indexed by line of the file. The text quotes the first.
@@ -109,10 +95,12 @@ def fault(cells: pd.Series, problem: str) -> list[str]:
 def check_increase(values: pd.Series, least_step: float) -> list[str]:
     """Return a fault of the `values` that exceed the value before by less than `least_step`."""
     values = values.dropna()
-    return fault(values[values.diff() < least_step], f"does not increase by {least_step:g} or more")
+    return list_fault(
+        values[values.diff() < least_step], f"does not increase by {least_step:g} or more"
+    )
 
 
-def refuse(faults: list[str], path: Path, fix: str) -> None:
+def refuse_faults(faults: list[str], path: Path, fix: str) -> None:
     """Raise InputError with all different `faults` of a file, if there are any."""
     if faults:
         raise InputError("; ".join(dict.fromkeys(faults)), path, fix)

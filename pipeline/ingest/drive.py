@@ -1,8 +1,8 @@
 """The interface of a dataset's file, ``pipeline/ingest/datasets/NAME.py``: two functions.
 
 - ``fingerprint(name, settings, root)`` returns a list of JSON-able facts that change with the
-  drive's files, for instance :func:`stamps`. Drives with longer lists are read first. Each run
-  calls it for each drive, so it should decode no images.
+  drive's files, for instance :func:`list_file_facts`. Each run calls it for each drive, so it
+  should decode no images.
 - ``open_drive(name, settings, root)`` returns a :class:`Drive`.
 
 `settings` is section ``ingest``. `root` is the folder data/raw, or data/sample for the rendered
@@ -40,12 +40,12 @@ class Drive:
     damaged: list[DamagedFile] = field(default_factory=list)
 
 
-def load(name: str) -> ModuleType:
+def load_dataset(name: str) -> ModuleType:
     """Return the module of a dataset's file; section ingest has checked that it exists."""
     return importlib.import_module(f"pipeline.ingest.datasets.{name}")
 
 
-def stamps(paths: Iterable[Path], folder: Path) -> list[Any]:
+def list_file_facts(paths: Iterable[Path], folder: Path) -> list[Any]:
     """Return the name relative to `folder`, the size and the times of each file.
 
     Hashing KITTI's 175 GB would take longer than ingesting them. The change time detects a file

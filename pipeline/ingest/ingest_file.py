@@ -17,8 +17,8 @@ from pipeline.base.store import DriveWriter
 from pipeline.camera.camera import Camera, Frame, camera_height, write_camera
 from pipeline.camera.classes import VOID
 from pipeline.camera.images import format_size, nearest, resized, to_units
-from pipeline.ingest.drive import Drive, load
-from pipeline.ingest.packets import recorded_motion
+from pipeline.ingest.drive import Drive, load_dataset
+from pipeline.ingest.packets import extract_motion
 from pipeline.ingest.settings import Ingest, Reading
 
 
@@ -76,7 +76,7 @@ def ingest_drive(
     path: Path, name: str, dataset: str, settings: Ingest, root: Path, reading: Reading
 ) -> Summary:
     """Write the file of drive `name` of a dataset below `root`, see pipeline/ingest/drive.py."""
-    drive = load(dataset).open_drive(name, settings, root)
+    drive = load_dataset(dataset).open_drive(name, settings, root)
     return write_drive(path, drive, name, dataset, reading)
 
 
@@ -184,7 +184,7 @@ def _put_values(
     file: DriveWriter, values: Mapping[str, Mapping[int, Any]], numbers: list[int]
 ) -> int:
     """Write the values of the frames with these numbers. Return the number of steering angles."""
-    motion = recorded_motion(values.get("oxts", {}))
+    motion = extract_motion(values.get("oxts", {}))
     values = {**motion, **values}
     has_steering = np.isin(numbers, [*values.get("steering_rad", ())])
     for key, (unit, missing) in VALUES.items():
@@ -217,7 +217,5 @@ def _check_size(frame: Frame, camera: Camera | None) -> None:
             continue
         problem = f"{kind} of frame {frame.number} has {format_size(pixels.shape)} pixels"
         expected = f"expected {format_size(camera.size)}, the size of Drive.camera"
-        fix = "Give the camera the size of the complete images, and K for this size"
-        if pixels.shape[:2] == camera.size[::-1]:
-            fix = f"Camera.size is (H, W), here ({pixels.shape[0]}, {pixels.shape[1]})"
+        fix = "Give the camera the size (H, W) of the complete images, and K for this size"
         raise InputError(f"{problem}, {expected}", fix=fix)

@@ -12,9 +12,9 @@ from pipeline.ingest.columns import (
     LIMIT_RAD,
     LIMIT_RADPS,
     check_increase,
-    fault,
+    list_fault,
     read_columns,
-    refuse,
+    refuse_faults,
 )
 
 # Columns of a packet by the inertial and GNSS system, in order.
@@ -79,7 +79,7 @@ VALUE_FILES = {
 }
 
 
-def make_rows(frames: int, **columns: np.ndarray | float) -> np.ndarray:
+def make_packets(frames: int, **columns: np.ndarray | float) -> np.ndarray:
     """Return packets, float64 [F,30], from named columns [F] or constants; other columns are 0."""
     rows = np.zeros((frames, len(COLUMNS)))
     for name, values in columns.items():
@@ -87,7 +87,7 @@ def make_rows(frames: int, **columns: np.ndarray | float) -> np.ndarray:
     return rows
 
 
-def interpolated(rows: np.ndarray) -> np.ndarray:
+def is_interpolated(rows: np.ndarray) -> np.ndarray:
     """Return which packets [F,30] KITTI interpolated, bool [F].
 
     In such a packet, the mode of position, velocity or orientation is -1. Labels from the
@@ -98,7 +98,7 @@ def interpolated(rows: np.ndarray) -> np.ndarray:
     return np.asarray((modes == -1).any(axis=1))
 
 
-def recorded_motion(packets: Mapping[int, np.ndarray]) -> dict[str, dict[int, float]]:
+def extract_motion(packets: Mapping[int, np.ndarray]) -> dict[str, dict[int, float]]:
     """Return name → frame number → value, for the names of MOTION.
 
     `packets` maps frame numbers to packets [30]. Values are in m/s and rad/s, left positive. They
@@ -106,7 +106,7 @@ def recorded_motion(packets: Mapping[int, np.ndarray]) -> dict[str, dict[int, fl
     """
     motion: dict[str, dict[int, float]] = {name: {} for name in MOTION}
     for number, row in packets.items():
-        is_measured = not interpolated(row[None])[0]
+        is_measured = not is_interpolated(row[None])[0]
         for name, column in MOTION.items():
             motion[name][number] = float(row[column]) if is_measured else np.nan
     return motion
@@ -130,7 +130,7 @@ def format_times(time_s: np.ndarray, date: str, start_s: float) -> bytes:
     return "".join(lines).encode("ascii")
 
 
-def read_row(path: Path) -> np.ndarray:
+def read_packet(path: Path) -> np.ndarray:
     """Return one packet, float64 [30] in the order of :data:`COLUMNS`. Raises DamagedFile."""
     words = path.read_text("ascii", errors="replace").split()
     if len(words) != len(COLUMNS):
@@ -169,11 +169,11 @@ def read_times(path: Path, frames: Sequence[int]) -> np.ndarray:
         )
     words = lines.loc[numbers]
     stamps = _to_stamps(words)
-    refuse(fault(words[stamps.isna()], "is not a date and time"), path, "Correct it")
+    refuse_faults(list_fault(words[stamps.isna()], "is not a date and time"), path, "Correct it")
     # Subtract in integer nanoseconds: a float64 resolves the seconds since 1970 only to 0.2
     # microseconds.
     time_s = (stamps - stamps.iloc[0]).astype("int64") / 1e9
-    refuse(check_increase(time_s, 1e-9), path, "Correct or remove it")
+    refuse_faults(check_increase(time_s, 1e-9), path, "Correct or remove it")
     return time_s.to_numpy()
 
 
@@ -214,7 +214,7 @@ def read_values(path: Path) -> dict[str, dict[int, float]]:
     limits = VALUE_FILES[path.name]
     expected = f"Expected CSV: frame (number of the image), {', '.join(limits)} (left +)"
     table, faults = read_columns(path, {"frame": np.inf, **limits}, expected)
-    refuse(faults + check_increase(table["frame"], 1), path, expected)
+    refuse_faults(faults + check_increase(table["frame"], 1), path, expected)
     by_frame = table.dropna().astype({"frame": int}).set_index("frame")
     return {name: by_frame[name].to_dict() for name in limits}
 

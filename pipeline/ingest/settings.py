@@ -29,13 +29,13 @@ class Drives(Section):
 
     @field_validator(*SPLITS, mode="before")
     @classmethod
-    def _expand(cls, names: object) -> object:
+    def _expand_ranges(cls, names: object) -> object:
         if not isinstance(names, list):
             return names
         return [drive for name in names for drive in _expand_range(name)]
 
     @model_validator(mode="after")
-    def _disjoint(self) -> Self:
+    def _check_disjoint(self) -> Self:
         names = self.train + self.val + self.test
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:

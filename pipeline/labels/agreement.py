@@ -6,7 +6,6 @@ named. A line begins with DOUBT if the numbers are not those of a healthy log.
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -58,7 +57,6 @@ class Follow(NamedTuple):
     lag_s: float  # positive if the log is late
     gain: float  # ratio of recorded to measured standard deviation
     offset: float  # recorded value at a measured value of 0
-    constant_s: float  # longest time for which the log stays constant while the car turns
     measured_rms: float  # root mean square of the measured values
 
 
@@ -83,28 +81,28 @@ def is_turning(yaw_rate_radps: np.ndarray, sigma_radps: np.ndarray) -> np.ndarra
     return np.abs(yaw_rate_radps) > TURNS_SIGMAS * sigma_radps  # false for NaN
 
 
-def follow(drives: Sequence[Pair]) -> Follow | None:
+def fit_log(drives: Sequence[Pair]) -> Follow | None:
     """Return how the recorded values of drives follow the measured ones.
 
     All drives have the same lag. It is the smallest of those with the strongest correlation. A lag
     other than 0 counts if LAG_FRAMES, and half of all compared frames, have both values at it. The
     result is None if no frame has both values.
     """
-    recorded = _at_lag(drives, 0.0)
-    measured = np.concatenate([pair.measured for pair in drives] or [recorded])
-    turns = np.concatenate([pair.turns for pair in drives] or [recorded])
+    recorded = _shift_logs(drives, 0.0)
+    measured = np.concatenate([pair.measured for pair in drives])
+    turns = np.concatenate([pair.turns for pair in drives])
     compared = np.isfinite(recorded) & np.isfinite(measured)
     frames = int(compared.sum())
     if not frames:
         return None
 
     best_s = 0.0
-    best = _fit(recorded, measured)
+    best = _fit_line(recorded, measured)
     for lag_s in LAGS_S[1:].tolist():
-        shifted = _at_lag(drives, lag_s)
+        shifted = _shift_logs(drives, lag_s)
         common = np.sum(np.isfinite(shifted) & np.isfinite(measured))
         if common >= max(LAG_FRAMES, frames / 2):
-            line = _fit(shifted, measured)
+            line = _fit_line(shifted, measured)
             if abs(line.correlation) > abs(best.correlation):
                 best_s = lag_s
                 best = line
@@ -116,24 +114,23 @@ def follow(drives: Sequence[Pair]) -> Follow | None:
         lag_s=best_s,
         gain=best.gain,
         offset=best.offset,
-        constant_s=max(_constant_s(pair) for pair in drives),
         measured_rms=math.sqrt(np.mean(measured[compared] ** 2)),
     )
 
 
-def _at_lag(drives: Sequence[Pair], lag_s: float) -> np.ndarray:
+def _shift_logs(drives: Sequence[Pair], lag_s: float) -> np.ndarray:
     """Return the recorded values [N] of all drives, for logs that are `lag_s` late.
 
     They are NaN beyond the ends of a log.
     """
-    values = [np.zeros(0)]
+    values = []
     for pair in drives:
         late_s = pair.time_s + lag_s
         values.append(np.interp(late_s, pair.time_s, pair.recorded, np.nan, np.nan))
     return np.concatenate(values)
 
 
-def _fit(recorded: np.ndarray, measured: np.ndarray) -> _Line:
+def _fit_line(recorded: np.ndarray, measured: np.ndarray) -> _Line:
     """Return the line through values [N], NaN where unknown. At least one frame has both."""
     compared = np.isfinite(recorded) & np.isfinite(measured)
     recorded = recorded[compared]
@@ -149,21 +146,10 @@ def _fit(recorded: np.ndarray, measured: np.ndarray) -> _Line:
     return _Line(correlation, gain, offset=mean_r - math.copysign(gain, correlation) * mean_m)
 
 
-def _constant_s(pair: Pair) -> float:
-    """Return the longest time between turning frames between which the log stays constant."""
-    longest_s = 0.0
-    changes = np.flatnonzero(np.diff(pair.recorded) != 0) + 1  # NaN differs from NaN
-    for first, end in pairwise([0, *changes, len(pair.recorded)]):
-        turning_s = pair.time_s[first:end][pair.turns[first:end]]
-        if len(turning_s) and np.isfinite(pair.recorded[first]):
-            longest_s = max(longest_s, float(np.ptp(turning_s)))
-    return longest_s
-
-
 def compare_speeds(drives: Sequence[Pair]) -> Speed | None:
     """Return how recorded speeds follow measured ones, or None if no frame moves by both."""
-    recorded = np.concatenate([np.zeros(0), *[pair.recorded for pair in drives]])
-    measured = np.concatenate([np.zeros(0), *[pair.measured for pair in drives]])
+    recorded = np.concatenate([pair.recorded for pair in drives])
+    measured = np.concatenate([pair.measured for pair in drives])
     # The comparisons are false for NaN.
     moves = (np.abs(recorded) >= -REVERSING_MPS) & (np.abs(measured) >= -REVERSING_MPS)
     if not moves.any():
@@ -182,8 +168,7 @@ def turns_line(name: str, unit: str, facts: Follow) -> str:
         lag += f" (the log is {late}: --offset {-facts.lag_s:+.2f})"
     text = (
         f"{name}: correlation {facts.correlation:.2f} with the measured one at a lag of {lag}; "
-        f"gain {facts.gain:.2f}, offset {facts.offset:z.3f} {unit}; constant for "
-        f"{facts.constant_s:.1f} s at most while the car turns; {facts.frames:,} frames, "
+        f"gain {facts.gain:.2f}, offset {facts.offset:z.3f} {unit}; {facts.frames:,} frames, "
         f"{facts.turning:,} of them turn"
     )
     follows = abs(facts.correlation) >= FOLLOWS

@@ -45,35 +45,36 @@ def path_ahead(
     curvature = np.zeros((len(frame), len(edges_m) - 1))
     valid = np.zeros(curvature.shape, bool)
     measured = np.isfinite(labels.speed_mps) & np.isfinite(labels.yaw_rate_radps)
-    usable = measured & (labels.speed_mps >= REVERSING_MPS)
+    is_forward = measured & (labels.speed_mps >= REVERSING_MPS)
 
-    # Cut the drive at missing frames, and before and after each frame that is not usable. A drive
-    # without frames is one empty part.
-    gaps = (np.diff(frame) != 1) | ~usable[1:] | ~usable[:-1]
+    # Cut the drive at missing frames, and before and after each frame that does not go forward. A
+    # drive without frames is one empty part.
+    gaps = (np.diff(frame) != 1) | ~is_forward[1:] | ~is_forward[:-1]
     starts = np.flatnonzero(gaps) + 1
     for first, end in pairwise([0, *starts, len(frame)]):
         rows = slice(first, end)
-        if first < end and usable[rows].all():
-            curvature[rows], valid[rows] = _without_gap(
-                time_s[rows], labels.at(rows), np.array(edges_m), max_stand_s
+        if first < end and is_forward[rows].all():
+            curvature[rows], valid[rows] = _drive_part(
+                time_s[rows], labels.select_rows(rows), np.array(edges_m), max_stand_s
             )
     return np.where(valid, curvature, 0.0), valid
 
 
-def _without_gap(
+def _drive_part(
     time_s: np.ndarray, labels: Labels, edges_m: np.ndarray, max_stand_s: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the curvatures and their validity as :func:`path_ahead` does, for usable frames.
+    """Return the curvatures and their validity as :func:`path_ahead` does.
 
-    The frames are consecutive. A curvature is not valid if they end before the far edge.
+    The frames are consecutive and go forward. A curvature is not valid if they end before the far
+    edge.
     """
     # A speed below 0 is noise of a standing car. It counts as 0, so that arc length never
     # decreases.
     speed_mps = np.maximum(labels.speed_mps, 0.0)
-    arc_m = _integral(speed_mps, time_s)
+    arc_m = _integrate_rate(speed_mps, time_s)
 
     # A car that does not move does not turn.
-    turned_rad = np.diff(_integral(labels.yaw_rate_radps, time_s))
+    turned_rad = np.diff(_integrate_rate(labels.yaw_rate_radps, time_s))
     turned_rad = np.where(np.diff(arc_m) > 0, turned_rad, 0.0)
     heading_rad = np.concatenate([[0.0], np.cumsum(turned_rad)])
 
@@ -84,12 +85,12 @@ def _without_gap(
     # The time for which the car stands before it reaches the far edge is the difference of two
     # times since the first frame.
     far_arc_m = edge_arc_m[:, 1:]
-    stood_s = _integral((speed_mps < STANDING_MPS).astype(float), time_s)
+    stood_s = _integrate_rate((speed_mps < STANDING_MPS).astype(float), time_s)
     stands_s = np.interp(far_arc_m, arc_m, stood_s) - stood_s[:, None]
     return curvature, (far_arc_m <= arc_m[-1]) & (stands_s <= max_stand_s)
 
 
-def _integral(values: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+def _integrate_rate(values: np.ndarray, time_s: np.ndarray) -> np.ndarray:
     """Return the integral of `values` [F] from the first frame to each, by the trapezoidal rule.
 
     SciPy has such a function, too, but importing SciPy takes a second.

@@ -35,15 +35,15 @@ class Labels(NamedTuple):
     speed_mps: np.ndarray
     yaw_rate_radps: np.ndarray
 
-    def at(self, rows: np.ndarray | slice) -> "Labels":
+    def select_rows(self, rows: np.ndarray | slice) -> "Labels":
         """Return the labels in some `rows`."""
         return Labels(*(values[rows] for values in self))
 
 
 def read_labels(file: DriveReader) -> Labels:
     """Return the labels in data/labels/<drive>.h5."""
-    valid = file["valid"].astype(bool)
-    return Labels(file["steering_rad"], valid, file["speed_mps"], file["yaw_rate_radps"])
+    columns = {name: file[name] for name in Labels._fields}
+    return Labels(**columns | {"valid": file["valid"].astype(bool)})
 
 
 def steering_angle(
@@ -69,7 +69,12 @@ def steering_labels(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, car: Car)
     is_known = np.isfinite(speed_mps)
     angle_rad = steering_angle(yaw_rate_radps, speed_mps, car.wheelbase_m)
     moves = is_known & (np.abs(speed_mps) >= car.min_speed_mps)
-    return Labels(np.where(is_known, angle_rad, 0.0), moves, speed_mps, yaw_rate_radps)
+    return Labels(
+        steering_rad=np.where(is_known, angle_rad, 0.0),
+        valid=moves,
+        speed_mps=speed_mps,
+        yaw_rate_radps=yaw_rate_radps,
+    )
 
 
 def hold_valid(values: np.ndarray, valid: np.ndarray, initial: float = 0.0) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Compare what drives recorded with what stage motion measured in their images."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,24 +47,22 @@ class Recorded(NamedTuple):
         )
 
 
-def compare(drives: Sequence[Recorded], names: Mapping[str, str]) -> dict[str, dict[str, Any]]:
+def compare_recorded(drives: Sequence[Recorded], name: str) -> dict[str, dict[str, Any]]:
     """Return quantity → facts about the recorded values of drives, and their ``line`` of text.
 
-    Quantities that no drive recorded are left out. `names` maps yaw_rate, angle and speed to the
-    names of their logs.
+    Quantities that no drive recorded are left out. `name` is that of the logs.
     """
     content: dict[str, dict[str, Any]] = {}
     for quantity, unit in (("yaw_rate", "rad/s"), ("angle", "rad")):
-        follow = agreement.follow([getattr(drive, quantity) for drive in drives])
+        follow = agreement.fit_log([getattr(drive, quantity) for drive in drives])
         if follow:
-            name = f"{quantity.replace('_', ' ')} of {names[quantity]}"
-            line = agreement.turns_line(name, unit, follow)
+            title = f"{quantity.replace('_', ' ')} of {name}"
+            line = agreement.turns_line(title, unit, follow)
             content[quantity] = {**follow._asdict(), "line": line}
 
     speed = agreement.compare_speeds([drive.speed for drive in drives])
     if speed:
         height_known = all(drive.height_known for drive in drives)
-        name = f"speed of {names['speed']}"
-        line = agreement.speed_line(name, speed, height_known=height_known)
+        line = agreement.speed_line(f"speed of {name}", speed, height_known=height_known)
         content["speed"] = {**speed._asdict(), "line": line}
     return content

@@ -1,17 +1,10 @@
 """Section ``labels``: steering angles, the path ahead, and their source."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
 from pipeline.base.params import Section
-
-# Earlier values of `source` → the settings that replace them.
-RENAMED = {
-    "recorded": "source: ingest",
-    "visual": "source: motion",
-    "wheel": "source: motion, or ingest if drives have a recorded speed, and angle: recorded",
-}
 
 # Distance between the axles of a car in metres.
 Wheelbase = Annotated[float, Field(ge=0.5, le=20)]
@@ -34,13 +27,6 @@ class Labels(Section):
     def are_measured(self) -> bool:
         """Whether labels follow from measured motion, which is then no input of their frame."""
         return self.source == "motion" and self.angle == "computed"
-
-    @field_validator("source", mode="before")
-    @classmethod
-    def _name_new_value(cls, source: Any) -> Any:
-        if source in RENAMED:
-            raise ValueError(f"{source} has been replaced by {RENAMED[source]}")
-        return source
 
     @field_validator("ahead_m")
     @classmethod

@@ -16,7 +16,7 @@ from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.labels.ahead import path_ahead
 from pipeline.labels.label import TURNING_RAD, Car, Labels, steering_labels
 from pipeline.labels.settings import Labels as Settings
-from pipeline.motion.rates import read_rates, stands
+from pipeline.motion.rates import is_standing, read_rates
 
 
 class Rates(NamedTuple):
@@ -112,7 +112,7 @@ def rates_of_motion(raw: DriveReader, path: Path, *, smooth: bool = True) -> Rat
         rates = read_rates(motion, smooth=smooth)
         speed_mps[rows] = rates.speed_mps
         yaw_rate_radps[rows] = rates.yaw_rate_radps
-        standing[rows] = stands(motion)
+        standing[rows] = is_standing(motion)
     return Rates(speed_mps, yaw_rate_radps, standing)
 
 
@@ -136,4 +136,9 @@ def recorded_angles(raw: DriveReader, rates: Rates | None, car: Car) -> Labels |
     steering_rad = raw["steering_rad"]
     yaw_rate_radps = speed_mps * np.tan(steering_rad) / car.wheelbase_m
     yaw_rate_radps = np.where(has_angle, yaw_rate_radps, np.nan)
-    return Labels(steering_rad, has_angle & moves, speed_mps, yaw_rate_radps)
+    return Labels(
+        steering_rad=steering_rad,
+        valid=has_angle & moves,
+        speed_mps=speed_mps,
+        yaw_rate_radps=yaw_rate_radps,
+    )

@@ -21,7 +21,7 @@ MAX_SCATTER = 0.08
 MAX_BACKWARDS = 0.5
 # Least number of moving frames about which there may be a doubt.
 MIN_MOVING = 10
-# Least number of frames with a road that tell the unit of depth.
+# Least number of frames with a road in a drive that tell the unit of depth.
 ROAD_FRAMES = 50
 
 
@@ -39,36 +39,30 @@ def facts_line(name: str, summaries: Sequence[Summary]) -> str:
 
     Counts are summed, and other values are medians over the drives.
     """
-    frames = sum(summary["frames"] for summary in summaries)
-    moving = sum(summary["moving"] for summary in summaries)
-    measured = sum(summary["valid"] for summary in summaries)
-    backwards = sum(summary["backwards"] for summary in summaries)
-    road_frames = sum(summary["road_frames"] for summary in summaries)
-    scatter = _median(summaries, "scatter")
+    counts = ("frames", "moving", "valid", "backwards", "road_frames")
+    values = ("road_height_m", "camera_height_m", "step_s", "step_m", "scatter", "scale_sigma")
+    total = {name: sum(summary[name] for summary in summaries) for name in counts}
+    median = dict.fromkeys(values, 0.0)
+    if summaries:
+        median = {name: float(np.median([s[name] for s in summaries])) for name in values}
 
-    height = f"known: {_median(summaries, 'camera_height_m'):.2f} m"
+    height = f"known: {median['camera_height_m']:.2f} m"
     if not all(summary["scaled"] for summary in summaries):
         height = "the scale is not known"
     text = (
-        f"motion of {name}: measured in {measured:,} of {moving:,} moving frames, backwards in "
-        f"{backwards:,}; a road in {road_frames:,} of {frames:,} frames, by depth "
-        f"{_median(summaries, 'road_height_m'):.2f} m below the camera ({height}); "
-        f"{_median(summaries, 'step_s'):.2f} s and {_median(summaries, 'step_m'):.2f} m per step; "
-        f"the speed scatters by {scatter:.1%} from frame to frame, and by "
-        f"{_median(summaries, 'scale_sigma'):.0%} from drive to drive"
+        f"motion of {name}: measured in {total['valid']:,} of {total['moving']:,} moving frames, "
+        f"backwards in {total['backwards']:,}; a road in {total['road_frames']:,} of "
+        f"{total['frames']:,} frames, by depth {median['road_height_m']:.2f} m below the camera "
+        f"({height}); {median['step_s']:.2f} s and {median['step_m']:.2f} m per step; the speed "
+        f"scatters by {median['scatter']:.1%} from frame to frame, and by "
+        f"{median['scale_sigma']:.0%} from drive to drive"
     )
     is_doubted = (
-        measured < MIN_MEASURED * moving
-        or scatter > MAX_SCATTER
-        or backwards > MAX_BACKWARDS * measured
+        total["valid"] < MIN_MEASURED * total["moving"]
+        or median["scatter"] > MAX_SCATTER
+        or total["backwards"] > MAX_BACKWARDS * total["valid"]
     )
-    return DOUBT + text if is_doubted and moving >= MIN_MOVING else text
-
-
-def _median(summaries: Sequence[Summary], name: str) -> float:
-    """Return the median of a value of summaries; 0 if there are none."""
-    values = [summary[name] for summary in summaries]
-    return float(np.median(values)) if values else 0.0
+    return DOUBT + text if is_doubted and total["moving"] >= MIN_MOVING else text
 
 
 def check_unit(summaries: Mapping[str, Summary]) -> None:
@@ -93,9 +87,6 @@ def _check_units(summaries: list[Summary], where: str) -> None:
     ratio = float(np.median(np.repeat(ratios, frames)))
     factor = min(summary["unit_error"] for summary in summaries)
     if not 1 / factor < ratio < factor:
-        raise InputError(
-            f"by depth, the road is {ratio:.2f} times as far below the camera as it is: depth in "
-            "other units?",
-            where,
-            "PNG files of backbone: precomputed have metres × 256. Or correct the height",
-        )
+        problem = f"by depth, the road is {ratio:.2f} times as far below the camera as it is"
+        fix = "PNG files of backbone: precomputed have metres × 256. Or correct the height"
+        raise InputError(f"{problem}: depth in other units?", where, fix)

@@ -10,13 +10,14 @@ from pipeline.base.errors import InputError
 from pipeline.camera.camera import Camera
 from pipeline.camera.geometry import project
 from pipeline.camera.images import Size
-from pipeline.motion.odometry import best_corners, corner_quality, track
+from pipeline.motion.odometry import measure_quality, pick_corners, track_corners
+from pipeline.motion.triangulation import pixel_rays
 
 # Width in pixels of the images that are tracked.
 WIDTH = 640
 # Width in pixels of the cells that give corners.
 CELL_PX = 24
-# Least quality of a corner, see :func:`pipeline.motion.odometry.corner_quality`.
+# Least quality of a corner, see :func:`pipeline.motion.odometry.measure_quality`.
 MIN_QUALITY = 2e-5
 # Least number of tracked corners of a pair of images.
 MIN_TRACKS = 60
@@ -75,7 +76,7 @@ class HorizonFinder:
         self._count = 0
         self.headings = list[_Heading]()
 
-    def add(self, image: np.ndarray) -> None:
+    def add_image(self, image: np.ndarray) -> None:
         """Take the next image RGB uint8 [H,W,3]. Pairs of the first 600 images are used."""
         place = self._count % PAIR_EVERY
         if self._count < PAIRS * PAIR_EVERY and place == 0:
@@ -87,12 +88,12 @@ class HorizonFinder:
                 self.headings.append(heading)
         self._count += 1
 
-    def row(self) -> float | None:
-        """Return :func:`horizon_row` of the images."""
-        return horizon_row(self.headings, self._camera)
+    def find_row(self) -> float | None:
+        """Return :func:`compute_horizon` of the images."""
+        return compute_horizon(self.headings, self._camera)
 
 
-def horizon_row(headings: Sequence[_Heading], camera: Camera) -> float | None:
+def compute_horizon(headings: Sequence[_Heading], camera: Camera) -> float | None:
     """Return the image row of the direction of travel; None if too few headings show one.
 
     It is the median over pairs of consecutive images. The row depends little on the focal length. A
@@ -103,7 +104,7 @@ def horizon_row(headings: Sequence[_Heading], camera: Camera) -> float | None:
     if len(headings) < MIN_PAIRS:
         return None
     row = float(np.median([heading.row for heading in headings]))
-    scale = camera.size[0] / _small_size(camera)[0]
+    scale = camera.size[0] / _shrink_size(camera)[0]
     return (row + 0.5) * scale - 0.5
 
 
@@ -131,9 +132,7 @@ def _find_heading(motion: _Motion) -> _Heading | None:
     focus = motion.K[:2, :2] @ [right / ahead, down / ahead] + motion.K[:2, 2]
 
     # The pixels as of a camera that does not turn.
-    homogeneous = np.column_stack([motion.uv_now, np.ones(len(motion.uv_now))])
-    rays = np.linalg.solve(motion.K, homogeneous.T)
-    uv_now = project((motion.rotation.T @ rays).T, motion.K)[0]
+    uv_now, _ = project(pixel_rays(motion.uv_now, motion.K) @ motion.rotation, motion.K)
 
     away = motion.uv - focus
     away_right, away_down = away.T
@@ -151,7 +150,7 @@ def _find_heading(motion: _Motion) -> _Heading | None:
     return _Heading(float(focus[1]), nearer_above)
 
 
-def _small_size(camera: Camera) -> Size:
+def _shrink_size(camera: Camera) -> Size:
     """Return the size of the images that are tracked."""
     height, width = camera.size
     return round(height * WIDTH / width), WIDTH
@@ -159,14 +158,14 @@ def _small_size(camera: Camera) -> Size:
 
 def _measure_motion(before: np.ndarray, now: np.ndarray, camera: Camera) -> _Motion | None:
     """Return the motion between two images RGB uint8 [H,W,3]; None if it cannot be measured."""
-    size = _small_size(camera)
-    grey_before = _small_grey(before, size)
-    grey_now = _small_grey(now, size)
+    size = _shrink_size(camera)
+    grey_before = _shrink_image(before, size)
+    grey_now = _shrink_image(now, size)
     K = camera.scaled(size).K
 
     # Follow corners from image to image.
-    uv = best_corners(corner_quality(grey_before), CELL_PX, MIN_QUALITY)
-    uv_now, tracked = track(grey_before, grey_now, uv, uv)
+    uv = pick_corners(measure_quality(grey_before), CELL_PX, MIN_QUALITY)
+    uv_now, tracked = track_corners(grey_before, grey_now, uv, uv)
     uv = uv[tracked].astype(np.float64)
     uv_now = uv_now[tracked].astype(np.float64)
     if len(uv) < MIN_TRACKS or np.median(np.abs(uv_now - uv).max(axis=1)) < MIN_FLOW_PX:
@@ -181,7 +180,7 @@ def _measure_motion(before: np.ndarray, now: np.ndarray, camera: Camera) -> _Mot
     return _Motion(rotation, translation[:, 0], K, uv[agree], uv_now[agree])
 
 
-def _small_grey(image: np.ndarray, size: Size) -> np.ndarray:
+def _shrink_image(image: np.ndarray, size: Size) -> np.ndarray:
     """Return a grey image of a size (H, W)."""
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     return cv2.resize(grey, size[::-1], interpolation=cv2.INTER_AREA)

@@ -17,7 +17,13 @@ from pipeline.motion.speed import (
     Speeds,
     filter_speeds,
 )
-from pipeline.motion.step import MEDIAN_DEVIATION, PROBLEMS, STANDSTILL, durations, rates
+from pipeline.motion.step import (
+    MEDIAN_DEVIATION,
+    PROBLEMS,
+    STANDSTILL,
+    average_durations,
+    compute_rates,
+)
 
 # Largest acceleration of a car in m/s², when it brakes.
 MAX_ACCELERATION_MPS2 = 12.0
@@ -74,10 +80,10 @@ def measure_drive(
         DriveFrames(ingest, perception) as frames,
         DriveWriter(path, stage="motion", drive=frames.drive, params=frames.params) as file,
     ):
-        duration_s = durations(frames.frame, frames.time_s)
+        duration_s = average_durations(frames.frame, frames.time_s)
         scale_sigma = KNOWN_HEIGHT_SIGMA if frames.camera.height_known else UNKNOWN_HEIGHT_SIGMA
         columns = _measure_steps(frames, duration_s, advance)
-        scatter = _scatter(columns["speed_mps"], _has_scale(columns))
+        scatter = _measure_scatter(columns["speed_mps"], _has_scale(columns))
         _remove_jumps(columns, frames.time_s)
         _add_estimates(columns, frames.time_s, duration_s, scale_sigma)
 
@@ -87,7 +93,7 @@ def measure_drive(
         for name, unit in UNITS.items():
             file.put(name, columns[name], unit)
 
-        summary = _summarise(columns, duration_s, frames.camera)
+        summary = _summarise_steps(columns, duration_s, frames.camera)
         summary["scatter"] = scatter
         summary["scale_sigma"] = scale_sigma
         # Factor above which depth must be in another unit; 0 if the height is unknown.
@@ -114,10 +120,10 @@ def _measure_steps(
 
     odometry = Odometry(frames.camera)
     for row, frame in enumerate(frames):
-        step = odometry.step(frame)
+        step = odometry.measure_step(frame)
         if step:
             # The fields of a step and its rates are columns of these names.
-            values = step._asdict() | rates(step.T_before_now, duration_s[row])._asdict()
+            values = step._asdict() | compute_rates(step.T_before_now, duration_s[row])._asdict()
             for name, value in values.items():
                 columns[name][row] = value
         columns["problem"][row] = PROBLEMS.index(odometry.problem)
@@ -157,11 +163,11 @@ def _add_estimates(
 
     valid = _is_measured(columns)
     speeds = Speeds(
-        time_s[valid],
-        columns["speed_mps"][valid],
-        columns["road_height_m"][valid] > 0,
-        columns["ratio"][valid],
-        columns["ratio_sigma"][valid],
+        time_s=time_s[valid],
+        speed_mps=columns["speed_mps"][valid],
+        road=columns["road_height_m"][valid] > 0,
+        ratio=columns["ratio"][valid],
+        ratio_sigma=columns["ratio_sigma"][valid],
     )
     filtered = filter_speeds(speeds)
     smooth = smooth_rates(speeds, columns["yaw_rate_radps"][valid])
@@ -192,7 +198,9 @@ def find_jumps(time_s: np.ndarray, speed_mps: np.ndarray, valid: np.ndarray) -> 
     return jumps
 
 
-def _summarise(columns: dict[str, np.ndarray], duration_s: np.ndarray, camera: Camera) -> Summary:
+def _summarise_steps(
+    columns: dict[str, np.ndarray], duration_s: np.ndarray, camera: Camera
+) -> Summary:
     """Return counts and medians of F frames.
 
     `columns`: name → [F]; `duration_s`: of steps [F].
@@ -206,25 +214,25 @@ def _summarise(columns: dict[str, np.ndarray], duration_s: np.ndarray, camera: C
         "valid": int(valid.sum()),
         "moving": int(moving.sum()),
         "backwards": int((columns["speed_mps"] < 0).sum()),
-        "step_s": _median(duration_s[moving]),
+        "step_s": _median_or_zero(duration_s[moving]),
         # Without a road, the scale of a step is unknown.
-        "step_m": _median(length_m[valid & road]),
+        "step_m": _median_or_zero(length_m[valid & road]),
         "road_frames": int(road.sum()),
-        "road_height_m": _median(columns["road_height_m"][road]),
+        "road_height_m": _median_or_zero(columns["road_height_m"][road]),
         "camera_height_m": camera.height_m,
         "scaled": int(camera.height_known),
     }
 
 
-def _scatter(speed_mps: np.ndarray, valid: np.ndarray) -> float:
+def _measure_scatter(speed_mps: np.ndarray, valid: np.ndarray) -> float:
     """Return the typical ratio of successive speeds, less 1; it is robust to few large ones."""
     both = valid[1:] & valid[:-1]
     magnitude_mps = np.maximum(np.abs(speed_mps), LEAST_MPS)
     changes = np.abs(np.diff(np.log(magnitude_mps)))[both]
-    return float(np.expm1(_median(changes) / MEDIAN_DEVIATION))
+    return float(np.expm1(_median_or_zero(changes) / MEDIAN_DEVIATION))
 
 
-def _median(values: np.ndarray) -> float:
+def _median_or_zero(values: np.ndarray) -> float:
     """Return the median of values [N]; 0 if there are none."""
     if not len(values):
         return 0.0

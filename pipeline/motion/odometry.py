@@ -9,7 +9,7 @@ from pipeline.camera import classes
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import project, transform
 from pipeline.camera.pinhole import depth_limit
-from pipeline.motion.pose import MIN_POINTS, estimate_pose
+from pipeline.motion.pose import MIN_POINTS, Matches, estimate_pose
 from pipeline.motion.road import Road
 from pipeline.motion.step import Step
 from pipeline.motion.still import Still
@@ -33,7 +33,7 @@ DEPTH_SIGMA = 0.5
 
 # Width in pixels of the cells that give PER_CELL corners each.
 CELL_PX = 24
-# Least quality of a corner, see :func:`corner_quality`.
+# Least quality of a corner, see :func:`measure_quality`.
 MIN_QUALITY = 1e-4
 # Width in pixels of the cells on the road, which has few corners.
 ROAD_CELL_PX = 16
@@ -90,7 +90,7 @@ class Odometry:
         self._T_before_now: np.ndarray | None = None
         self._tracks: Tracks | None = None
 
-    def step(self, frame: Frame) -> Step | None:
+    def measure_step(self, frame: Frame) -> Step | None:
         """Return the motion since the previous frame; None where it cannot be measured.
 
         Frames come in order.
@@ -100,8 +100,8 @@ class Odometry:
         previous = self._previous
         if previous is not None and frame.number == previous.number + 1:
             every = slice(None, None, self._enlarged)
-            self.still.add(previous.grey[every, every], grey[every, every], self.road.slope)
-            result = self._measure(previous, grey)
+            self.still.add_images(previous.grey[every, every], grey[every, every], self.road.slope)
+            result = self._measure_since(previous, grey)
 
         if isinstance(result, str):
             step = None
@@ -114,10 +114,10 @@ class Odometry:
             self._T_before_now = step.T_before_now
             self.road.add_step(step.T_before_now)
 
-        self._previous = self._lift(frame, grey)
+        self._previous = self._lift_corners(frame, grey)
         return step
 
-    def _measure(self, previous: _LiftedFrame, grey: np.ndarray) -> Step | str:
+    def _measure_since(self, previous: _LiftedFrame, grey: np.ndarray) -> Step | str:
         """Return the motion since the previous frame, or why it cannot be measured (PROBLEMS)."""
         uv_before = project(previous.xyz, self._K)[0]
 
@@ -125,20 +125,19 @@ class Odometry:
         T_previous = None
         if self._T_before_now is not None:
             T_previous = np.linalg.inv(self._T_before_now)
-        uv, tracked = self._follow(previous.grey, grey, uv_before, previous.xyz, T_previous)
+        uv, tracked = self._follow_points(previous.grey, grey, uv_before, previous.xyz, T_previous)
         column, row = np.rint(uv_before).astype(np.int64).T
         tracked &= ~self.still.mask[row, column]
-        xyz = previous.xyz[tracked]
-        depth_sigma = previous.depth_sigma[tracked]
         uv_before = uv_before[tracked]
         uv = uv[tracked]
+        matches = Matches(previous.xyz[tracked], previous.depth_sigma[tracked], uv)
         if len(uv) < MIN_POINTS:
             return "too few points can be tracked"
         if np.median(np.abs(uv - uv_before).max(axis=1)) < STANDSTILL_PX:
             return "the image does not move"
 
         # Rotation and direction come from the pixels, the length of the step from depth.
-        pose = estimate_pose(xyz, uv, self._K, depth_sigma, T_previous)
+        pose = estimate_pose(matches, self._K, T_previous)
         if pose is None:
             return "no common motion of the scene"
         T_before_now = np.linalg.inv(pose.T_now_before)
@@ -164,11 +163,11 @@ class Odometry:
         length_m = np.linalg.norm(self._T_before_now[:3, 3])
         xyz = pixel_rays(tracks.uv, self._K) * (tracks.depth_steps * length_m)[:, None]
         T_now_before = np.linalg.inv(T_before_now)
-        uv, tracked = self._follow(previous.grey, grey, tracks.uv, xyz, T_now_before)
+        uv, tracked = self._follow_points(previous.grey, grey, tracks.uv, xyz, T_now_before)
         seen = Tracks(*(column[tracked] for column in tracks))
         return compare_lengths(seen, uv[tracked], T_before_now, self._K)
 
-    def _follow(
+    def _follow_points(
         self,
         grey_before: np.ndarray,
         grey: np.ndarray,
@@ -184,27 +183,29 @@ class Odometry:
         if T_now_before is not None:
             uv_ahead, z = project(transform(T_now_before, xyz_before), self._K)
             uv_guess = np.where(z[:, None] > MIN_DEPTH_M, uv_ahead, uv_before)
-        uv, tracked = track(grey_before, grey, self._larger(uv_before), self._larger(uv_guess))
-        return self._smaller(uv), tracked
+        uv, tracked = track_corners(
+            grey_before, grey, self._to_enlarged(uv_before), self._to_enlarged(uv_guess)
+        )
+        return self._from_enlarged(uv), tracked
 
-    def _lift(self, frame: Frame, grey: np.ndarray) -> _LiftedFrame:
+    def _lift_corners(self, frame: Frame, grey: np.ndarray) -> _LiftedFrame:
         """Return a frame and its corners as points, their depth scaled to the camera's height."""
         depth_m = frame.depth_m.astype(np.float32)
-        quality = corner_quality(grey)
+        quality = measure_quality(grey)
         # A black image shows nothing, so its depth is imagined.
         shows_something = quality.max() > MIN_ROAD_QUALITY
         usable = self._has_depth(depth_m) & ~self.still.mask & shows_something
 
         # Trust depth over classes: road pixels are never traffic. In grey images, shaded road has
         # the class of cars.
-        road, scale = self.road.find(depth_m, usable, self.still.mask)
+        road, scale = self.road.find_road(depth_m, usable, self.still.mask)
         traffic = cv2.dilate(IS_TRAFFIC[frame.cls].astype(np.uint8), AROUND) > 0
         elsewhere = usable & ~road & ~traffic
 
         # Few corners of a road are good, but their depths are the best.
-        on_road = best_corners(quality * self._enlarge(road), ROAD_CELL_PX, MIN_ROAD_QUALITY)
-        beside = best_corners(quality * self._enlarge(elsewhere), CELL_PX, MIN_QUALITY)
-        uv = self._smaller(np.concatenate([on_road, beside]))
+        on_road = pick_corners(quality * self._enlarge_mask(road), ROAD_CELL_PX, MIN_ROAD_QUALITY)
+        beside = pick_corners(quality * self._enlarge_mask(elsewhere), CELL_PX, MIN_QUALITY)
+        uv = self._from_enlarged(np.concatenate([on_road, beside]))
 
         # Back-project the corners by their depth.
         column, row = np.rint(uv).astype(np.int64).T
@@ -227,16 +228,16 @@ class Odometry:
             grey = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
         return grey
 
-    def _enlarge(self, mask: np.ndarray) -> np.ndarray:
+    def _enlarge_mask(self, mask: np.ndarray) -> np.ndarray:
         """Return a mask [H,W] at the size of the enlarged images."""
         return mask.repeat(self._enlarged, axis=0).repeat(self._enlarged, axis=1)
 
     # As in Camera.scaled, the image's edge is fixed, not the centre of its first pixel.
-    def _larger(self, uv: np.ndarray) -> np.ndarray:
+    def _to_enlarged(self, uv: np.ndarray) -> np.ndarray:
         """Return pixels [N,2] of an image as pixels of its enlarged image, float32."""
         return ((uv + 0.5) * self._enlarged - 0.5).astype(np.float32)
 
-    def _smaller(self, uv: np.ndarray) -> np.ndarray:
+    def _from_enlarged(self, uv: np.ndarray) -> np.ndarray:
         """Return pixels [N,2] of an enlarged image as pixels of the image itself."""
         return (uv.astype(np.float64) + 0.5) / self._enlarged - 0.5
 
@@ -248,7 +249,7 @@ def _is_possible_for_a_car(T_before_now: np.ndarray) -> bool:
     return np.hypot(right, down) < max_sideways_m and abs(forward) < MAX_FORWARD_M
 
 
-def corner_quality(grey: np.ndarray) -> np.ndarray:
+def measure_quality(grey: np.ndarray) -> np.ndarray:
     """Return the quality of a corner at each pixel [H,W]; 0 but at its local maxima.
 
     It is the least eigenvalue of the structure tensor over 3 x 3 px, of intensities from 0 to 1.
@@ -257,7 +258,7 @@ def corner_quality(grey: np.ndarray) -> np.ndarray:
     return np.where(quality == cv2.dilate(quality, np.ones((5, 5), np.uint8)), quality, 0)
 
 
-def best_corners(quality: np.ndarray, cell_px: int, min_quality: float) -> np.ndarray:
+def pick_corners(quality: np.ndarray, cell_px: int, min_quality: float) -> np.ndarray:
     """Return the PER_CELL best corners of each cell, float32 [N,2] as (u, v).
 
     Cells are squares of `cell_px`. The `quality` [H,W] of corners is above `min_quality`.
@@ -277,7 +278,7 @@ def best_corners(quality: np.ndarray, cell_px: int, min_quality: float) -> np.nd
     return np.stack([u[chosen], v[chosen]], axis=-1).astype(np.float32)
 
 
-def track(
+def track_corners(
     before: np.ndarray, now: np.ndarray, uv: np.ndarray, uv_guess: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Track corners of image `before` to image `now`, both uint8 [H,W], and back.
@@ -288,8 +289,8 @@ def track(
     """
     if not len(uv):
         return uv, np.zeros(0, bool)
-    forth, forth_ok = _lucas_kanade(before, now, uv, uv_guess.copy())
-    back, back_ok = _lucas_kanade(now, before, forth, forth - (uv_guess - uv))
+    forth, forth_ok = _track_once(before, now, uv, uv_guess.copy())
+    back, back_ok = _track_once(now, before, forth, forth - (uv_guess - uv))
 
     height, width = now.shape
     inside = (forth >= 0).all(axis=1) & (forth[:, 0] < width) & (forth[:, 1] < height)
@@ -297,7 +298,7 @@ def track(
     return forth, forth_ok & back_ok & returned & inside
 
 
-def _lucas_kanade(
+def _track_once(
     before: np.ndarray, now: np.ndarray, uv: np.ndarray, uv_guess: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return positions [N,2] in `now` of corners `uv` [N,2], and whether they are found [N]."""

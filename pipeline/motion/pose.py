@@ -49,6 +49,14 @@ MIN_DEPTH_M = 0.3
 BEHIND = 1e4
 
 
+class Matches(NamedTuple):
+    """N points of the previous frame, and the pixels in which this frame shows them."""
+
+    xyz: np.ndarray  # [N,3] in metres, in the previous camera's frame
+    depth_sigma: np.ndarray  # relative standard deviations of their depths [N]
+    uv: np.ndarray  # pixels [N,2]
+
+
 class Pose(NamedTuple):
     """A refined motion, its robust cost, and how well N points agree with it."""
 
@@ -68,24 +76,18 @@ class _Linearised(NamedTuple):
 
 
 def estimate_pose(
-    xyz: np.ndarray,
-    uv: np.ndarray,
-    K: np.ndarray,
-    depth_sigma: np.ndarray,
-    T_previous: np.ndarray | None = None,
+    matches: Matches, K: np.ndarray, T_previous: np.ndarray | None = None
 ) -> Pose | None:
     """Return the motion that maps points to their pixels; None if too few agree with it.
 
-    Also None if the points do not constrain it. `xyz`: MIN_POINTS or more points [N,3] in metres in
-    the previous camera frame, with relative standard deviations `depth_sigma` [N] of their depths;
-    `uv`: their pixels in this frame [N,2]; `T_previous`: the T_now_before [4,4] of the previous
-    step, a second initial value.
+    Also None if the MIN_POINTS or more `matches` do not constrain it. `T_previous`: the
+    T_now_before [4,4] of the previous step, a second initial value.
     """
     best: Pose | None = None
-    for T_start in (_ransac(xyz, uv, K), T_previous):
+    for T_start in (_find_by_ransac(matches, K), T_previous):
         if T_start is None:
             continue
-        fit = _refine(T_start, xyz, uv, K, depth_sigma)
+        fit = _refine_motion(T_start, matches, K)
         if fit and (best is None or fit.cost < best.cost):
             best = fit
     if best is None:
@@ -94,7 +96,7 @@ def estimate_pose(
     least = MIN_INLIERS
     if T_previous is not None and _is_similar(best.T_now_before, T_previous):
         least = MIN_INLIERS_SIMILAR
-    if best.inliers.sum() < max(MIN_POINTS, least * len(xyz)):
+    if best.inliers.sum() < max(MIN_POINTS, least * len(matches.uv)):
         return None
     return best
 
@@ -106,31 +108,31 @@ def _is_similar(T: np.ndarray, T_previous: np.ndarray) -> bool:
     return bool(turned_rad < np.radians(SIMILAR_DEG) and moved_m < SIMILAR_M)
 
 
-def _ransac(xyz: np.ndarray, uv: np.ndarray, K: np.ndarray) -> np.ndarray | None:
-    """Return the motion [4,4] of most points; None if too few agree.
-
-    Arguments are those of :func:`estimate_pose`.
-    """
+def _find_by_ransac(matches: Matches, K: np.ndarray) -> np.ndarray | None:
+    """Return the motion [4,4] of most points; None if too few agree."""
     success, rotation, translation, inliers = cv2.solvePnPRansac(
-        xyz, uv, K, None, iterationsCount=RANSAC_ITERATIONS, reprojectionError=RANSAC_PX
+        matches.xyz,
+        matches.uv,
+        K,
+        None,
+        iterationsCount=RANSAC_ITERATIONS,
+        reprojectionError=RANSAC_PX,
     )
     if not success or inliers is None:
         return None
-    if len(inliers) < max(MIN_POINTS, MIN_RANSAC_INLIERS * len(xyz)):
+    if len(inliers) < max(MIN_POINTS, MIN_RANSAC_INLIERS * len(matches.uv)):
         return None
     return rigid(cv2.Rodrigues(rotation)[0], translation[:, 0])
 
 
-def _refine(
-    T: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray
-) -> Pose | None:
+def _refine_motion(T: np.ndarray, matches: Matches, K: np.ndarray) -> Pose | None:
     """Return the motion of least robust cost near `T` [4,4], by Gauss-Newton with Cauchy's weights.
 
     None if the points do not constrain it: all behind the camera, or all at one place.
     """
     T = T.copy()
     for _ in range(ITERATIONS):
-        points = _linearise(T, xyz, uv, K, depth_sigma)
+        points = _linearise_errors(T, matches, K)
         robust = points.weight / (1 + points.squared_distance / CAUCHY**2)[:, None, None]
 
         # The normal equations: (Σ JᵀWJ) change = −Σ JᵀW error.
@@ -145,24 +147,23 @@ def _refine(
         T[:3, :3] = cv2.Rodrigues(change[:3])[0] @ T[:3, :3]
         T[:3, 3] += change[3:]
 
-    points = _linearise(T, xyz, uv, K, depth_sigma)
+    points = _linearise_errors(T, matches, K)
     cost = float(np.log1p(points.squared_distance / CAUCHY**2).sum())
     inliers = points.squared_distance < INLIER_SIGMAS**2
     return Pose(T, cost, inliers, np.linalg.norm(points.error_px, axis=-1))
 
 
-def _linearise(
-    T: np.ndarray, xyz: np.ndarray, uv: np.ndarray, K: np.ndarray, depth_sigma: np.ndarray
-) -> _Linearised:
+def _linearise_errors(T: np.ndarray, matches: Matches, K: np.ndarray) -> _Linearised:
     """Return the points' errors at the motion `T` [4,4], and their derivatives by the motion."""
-    rotated = xyz @ T[:3, :3].T
+    rotated = matches.xyz @ T[:3, :3].T
     x, y, z = (rotated + T[:3, 3]).T
     behind = z < MIN_DEPTH_M
     z = np.where(behind, MIN_DEPTH_M, z)
 
     fx = K[0, 0]
     fy = K[1, 1]
-    error_px = np.stack([fx * x / z + K[0, 2], fy * y / z + K[1, 2]], axis=-1) - uv
+    error_px = np.stack([fx * x / z + K[0, 2], fy * y / z + K[1, 2]], axis=-1)
+    error_px -= matches.uv
 
     # By the point: rows for u and v, columns for x, y and z.
     zero = np.zeros_like(z)
@@ -176,7 +177,7 @@ def _linearise(
 
     # The covariance of a pixel is PIXEL_SIGMA² I + px_per_sigma px_per_sigmaᵀ: an error of depth
     # moves a point along its ray. The inverse is that of Sherman and Morrison.
-    px_per_sigma = depth_sigma[:, None] * np.einsum("nij,nj->ni", by_point, rotated)
+    px_per_sigma = matches.depth_sigma[:, None] * np.einsum("nij,nj->ni", by_point, rotated)
     total = PIXEL_SIGMA**2 + (px_per_sigma**2).sum(axis=1)
     shrink = px_per_sigma[:, :, None] * px_per_sigma[:, None, :] / total[:, None, None]
     weight = (np.eye(2) - shrink) / PIXEL_SIGMA**2

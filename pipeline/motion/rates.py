@@ -60,7 +60,7 @@ def smooth_rates(speeds: Speeds, yaw_rate_radps: np.ndarray) -> MeasuredRates:
 
     `yaw_rate_radps` [M] has the measured yaw rates of the steps of `speeds`.
     """
-    noise = noise_of(yaw_rate_radps) / YAW_NOISE_RADPS
+    noise = estimate_noise(yaw_rate_radps) / YAW_NOISE_RADPS
     sigma_s = YAW_SIGMA_S * float(np.clip(noise, 1, MORE_NOISE))
     yaw_mean_radps, yaw_error_radps = gaussian_mean(speeds.time_s, yaw_rate_radps, sigma_s)
 
@@ -73,7 +73,7 @@ def smooth_rates(speeds: Speeds, yaw_rate_radps: np.ndarray) -> MeasuredRates:
     return MeasuredRates(yaw_mean_radps, speed_mps, yaw_sigma_radps, speed_sigma)
 
 
-def noise_of(values: np.ndarray) -> float:
+def estimate_noise(values: np.ndarray) -> float:
     """Return the standard deviation of independent noise in values [M]; 0 of fewer than 3.
 
     It is that of their second differences, in which a steady change has no part.
@@ -84,7 +84,7 @@ def noise_of(values: np.ndarray) -> float:
     return float(np.median(np.abs(second)) / MEDIAN_DEVIATION / np.sqrt(6))
 
 
-def stands(motion: DriveReader) -> np.ndarray:
+def is_standing(motion: DriveReader) -> np.ndarray:
     """Return bool [F]: the motion of a frame is not measured because nothing moves."""
     return np.isin(motion["problem"], [PROBLEMS.index(text) for text in STANDSTILL])
 

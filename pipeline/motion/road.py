@@ -43,7 +43,7 @@ class Road:
     """Tracks the road in front of one drive's camera."""
 
     def __init__(self, camera: Camera) -> None:
-        """Where the camera's height is unknown, the factor of :meth:`find` is 1."""
+        """Where the camera's height is unknown, the factor of :meth:`find_road` is 1."""
         height, width = camera.size
         K = camera.K
         self._down = ((np.arange(height) - K[1, 2]) / K[1, 1])[:, None]
@@ -56,7 +56,7 @@ class Road:
         # Height of the camera in the last frame, over its road in uncorrected depth; 0: no road.
         self.frame_height_m = 0.0
 
-    def find(
+    def find_road(
         self, depth_m: np.ndarray, usable: np.ndarray, still: np.ndarray
     ) -> tuple[np.ndarray, float]:
         """Return the road mask bool [H,W] and the factor that corrects depth [H,W].
@@ -71,7 +71,7 @@ class Road:
 
         in_front = (below > 1 / PATCH_LENGTH) & (np.abs(self._right) < PATCH_HALF_WIDTH * below)
         patch = in_front & ~still
-        self.frame_height_m = _height_over_patch(height_m[usable & patch], int(patch.sum()))
+        self.frame_height_m = _measure_height(height_m[usable & patch], int(patch.sum()))
         if self.frame_height_m:
             self._heights_m.append(self.frame_height_m)
         if not self._heights_m:
@@ -97,7 +97,7 @@ class Road:
             self._ahead_m.append(abs(ahead_m))
 
 
-def _height_over_patch(height_m: np.ndarray, patch_pixels: int) -> float:
+def _measure_height(height_m: np.ndarray, patch_pixels: int) -> float:
     """Return the median of the heights [N] of a patch's usable points; 0 if they are no road.
 
     `patch_pixels` is the number of pixels of the patch.

@@ -88,14 +88,14 @@ class _Filtered(NamedTuple):
 
 def filter_speeds(speeds: Speeds) -> Estimate:
     """Return the speeds by this and earlier steps only."""
-    steps = _filter(speeds)
+    steps = _run_filter(speeds)
     states = [step.state for step in steps]
-    return _estimate(speeds, states, [step.covariance for step in steps])
+    return _read_states(speeds, states, [step.covariance for step in steps])
 
 
 def smooth_speeds(speeds: Speeds) -> Estimate:
     """Return the speeds by all steps, later ones included (Rauch, Tung and Striebel)."""
-    steps = _filter(speeds)
+    steps = _run_filter(speeds)
     states = [step.state for step in steps]
     covariances = [step.covariance for step in steps]
     for row in range(len(steps) - 2, -1, -1):
@@ -106,10 +106,10 @@ def smooth_speeds(speeds: Speeds) -> Estimate:
         states[row] = step.state + gain @ (states[row + 1] - after.predicted)
         change = covariances[row + 1] - after.predicted_covariance
         covariances[row] = step.covariance + gain @ change @ gain.T
-    return _estimate(speeds, states, covariances)
+    return _read_states(speeds, states, covariances)
 
 
-def _filter(speeds: Speeds) -> list[_Filtered]:
+def _run_filter(speeds: Speeds) -> list[_Filtered]:
     """Return the steps of the filter.
 
     The logarithm of a measured speed is that of the true one, plus sigma times a scale error of
@@ -152,18 +152,18 @@ def _filter(speeds: Speeds) -> list[_Filtered]:
             sigma /= trust
             log_ratio = math.log(speeds.ratio[row])
             difference = np.array([1.0, -1.0, 0.0, 0.0])
-            state, covariance = _correct(state, covariance, difference, log_ratio, sigma)
-        depth_spread.add(float(speeds.time_s[row]), measured, log_ratio, sigma)
+            state, covariance = _correct_state(state, covariance, difference, log_ratio, sigma)
+        depth_spread.add_step(float(speeds.time_s[row]), measured, log_ratio, sigma)
 
         # Correct by the length.
         scale_sigma = NO_SCALE * (ROAD_SCALE / NO_SCALE) ** trust
         by_depth = np.array([1.0, 0.0, scale_sigma, 1.0])
-        state, covariance = _correct(state, covariance, by_depth, measured, LEAST_NOISE)
+        state, covariance = _correct_state(state, covariance, by_depth, measured, LEAST_NOISE)
         steps.append(_Filtered(transition, predicted, predicted_covariance, state, covariance))
     return steps
 
 
-def _correct(
+def _correct_state(
     state: np.ndarray, covariance: np.ndarray, observation: np.ndarray, value: float, sigma: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return state and covariance after a measured value, `observation` times the state."""
@@ -190,7 +190,9 @@ class _DepthSpread:
         """The standard deviation of the logarithm of a length by depth, beside the scale."""
         return math.sqrt(max(self._squares / self._time_s, LEAST_NOISE**2))
 
-    def add(self, time_s: float, measured: float, log_ratio: float | None, sigma: float) -> None:
+    def add_step(
+        self, time_s: float, measured: float, log_ratio: float | None, sigma: float
+    ) -> None:
         """Add a step: the logarithm of its speed, and that of its ratio to the step before."""
         if log_ratio is None:
             self._offsets = []
@@ -211,7 +213,9 @@ class _DepthSpread:
             self._time_s += step_s
 
 
-def _estimate(speeds: Speeds, states: list[np.ndarray], covariances: list[np.ndarray]) -> Estimate:
+def _read_states(
+    speeds: Speeds, states: list[np.ndarray], covariances: list[np.ndarray]
+) -> Estimate:
     """Return the speeds by the states of the filter, with the signs of the measured ones."""
     if not states:
         return Estimate(np.zeros(0), np.zeros(0))

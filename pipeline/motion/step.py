@@ -50,7 +50,7 @@ class Rates(NamedTuple):
     speed_mps: float  # forward positive
 
 
-def rates(T_before_now: np.ndarray, duration_s: float) -> Rates:
+def compute_rates(T_before_now: np.ndarray, duration_s: float) -> Rates:
     """Return the rates of a step [4,4].
 
     As means over the step, they are half a frame old. KITTI's labels are too, since oxts' rates lag
@@ -68,7 +68,7 @@ def rates(T_before_now: np.ndarray, duration_s: float) -> Rates:
     return Rates(yaw_rate_radps, speed_mps)
 
 
-def durations(frame: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+def average_durations(frame: np.ndarray, time_s: np.ndarray) -> np.ndarray:
     """Return the seconds of the step to each frame [F], per frame number; NaN for the first.
 
     Frame numbers [F] have noisy times [F]. KITTI's times are those of the oxts packet nearest to an

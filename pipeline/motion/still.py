@@ -46,11 +46,11 @@ class Still:
         # Pixels in and near places where nothing moves.
         self.mask = np.zeros((height, width), bool)
 
-    def add(self, before: np.ndarray, now: np.ndarray, slope: float) -> None:
+    def add_images(self, before: np.ndarray, now: np.ndarray, slope: float) -> None:
         """Compare consecutive images uint8 [H,W]; `slope`: the road's metres down per metre."""
         grey = now[GRID, GRID].astype(np.float32)
         recorded = cv2.blur((grey - before[GRID, GRID]) ** 2, MEAN_OVER)
-        predicted = cv2.blur((grey - self._after_step(before, slope)) ** 2, MEAN_OVER)
+        predicted = cv2.blur((grey - self._predict_step(before, slope)) ** 2, MEAN_OVER)
 
         # While the car stands, nothing tells a bonnet from the street.
         clear = predicted > LEAST
@@ -64,13 +64,14 @@ class Still:
         self._predicted = KEEP * self._predicted + predicted
         still = (self._predicted > LEAST) & (self._recorded < STILL * self._predicted)
 
-        # Single points are chance. At the edge of a bonnet, the means include what moves beside it.
+        # An erosion removes single points, which are chance. The dilation is larger, since means at
+        # the edge of a bonnet include what moves beside it.
         places = cv2.erode(still.astype(np.uint8), SPECK)
         places = cv2.dilate(places, AROUND_STILL)
         size = self.mask.shape[::-1]
         self.mask = cv2.resize(places, size, interpolation=cv2.INTER_NEAREST) > 0
 
-    def _after_step(self, before: np.ndarray, slope: float) -> np.ndarray:
+    def _predict_step(self, before: np.ndarray, slope: float) -> np.ndarray:
         """Return the grid's grey levels after a STEP ahead if the image shows flat ground only."""
         focal = self._K[1, 1]
         focus_of_expansion = self._K[:2, 2] + [0, focal * slope]

@@ -47,7 +47,7 @@ class _Triangulated(NamedTuple):
     before: np.ndarray  # depths [N] in the frame before, in lengths of the step
     now: np.ndarray  # depths [N] in the frame now
     parallax_px: np.ndarray  # [N]
-    usable: np.ndarray  # bool [N]: in front of both cameras, with enough parallax
+    has_parallax: np.ndarray  # bool [N]: in front of both cameras, with enough parallax
 
 
 def pixel_rays(uv: np.ndarray, K: np.ndarray) -> np.ndarray:
@@ -59,8 +59,8 @@ def find_tracks(
     uv_before: np.ndarray, uv: np.ndarray, T_before_now: np.ndarray, K: np.ndarray
 ) -> Tracks:
     """Return the usable points among pixels [N,2] before and after a step [4,4]."""
-    points = _triangulate(uv_before, uv, T_before_now, K)
-    use = points.usable
+    points = _triangulate_points(uv_before, uv, T_before_now, K)
+    use = points.has_parallax
     return Tracks(uv[use], points.now[use], points.parallax_px[use])
 
 
@@ -71,8 +71,10 @@ def compare_lengths(
 
     `tracks`: N points of the step before; `uv`: their pixels [N,2] after this step [4,4].
     """
-    points = _triangulate(tracks.uv, uv, T_before_now, K)
-    use = points.usable & (_errors_px(points, tracks.uv, uv, T_before_now, K) < MAX_ERROR_PX)
+    points = _triangulate_points(tracks.uv, uv, T_before_now, K)
+    use = points.has_parallax & (
+        _measure_errors(points, tracks.uv, uv, T_before_now, K) < MAX_ERROR_PX
+    )
     if use.sum() < MIN_TRIPLES:
         return Ratio()
 
@@ -85,7 +87,7 @@ def compare_lengths(
     return Ratio(float(np.exp(middle)), float(np.hypot(RATIO_NOISE, POINTS_ALIKE * standard_error)))
 
 
-def _triangulate(
+def _triangulate_points(
     uv_before: np.ndarray, uv: np.ndarray, T_before_now: np.ndarray, K: np.ndarray
 ) -> _Triangulated:
     """Return where the rays of pixels [N,2] before and now are nearest to each other."""
@@ -104,11 +106,11 @@ def _triangulate(
 
     sine = np.sqrt(determinant / (aa * bb))
     parallax_px = sine * K[0, 0]
-    usable = (before > 0) & (now > 0) & (parallax_px > MIN_PARALLAX_PX)
-    return _Triangulated(before, now, parallax_px, usable)
+    has_parallax = (before > 0) & (now > 0) & (parallax_px > MIN_PARALLAX_PX)
+    return _Triangulated(before, now, parallax_px, has_parallax)
 
 
-def _errors_px(
+def _measure_errors(
     points: _Triangulated, uv_before: np.ndarray, uv: np.ndarray, T: np.ndarray, K: np.ndarray
 ) -> np.ndarray:
     """Return the distances [N] in pixels of points from where they are seen now.

@@ -7,7 +7,7 @@ from pipeline.ingest.packets import (
     GRAVITY_MPS2,
     format_packet,
     format_times,
-    make_rows,
+    make_packets,
 )
 from pipeline.sample.journey import Journey
 from pipeline.sample.route import IMU_HEIGHT_M, rotation
@@ -72,7 +72,7 @@ def oxts_rows(journey: Journey, latitude_deg: float, longitude_deg: float) -> np
     xy, heading_rad = route.at(motion.s_m)
     east_m, north_m = (xy - xy[0]).T
     parallel_radius_m = EARTH_RADIUS_M * np.cos(np.deg2rad(latitude_deg))
-    return make_rows(
+    return make_packets(
         frames,
         lat=latitude_deg + np.rad2deg(north_m / EARTH_RADIUS_M),
         lon=longitude_deg + np.rad2deg(east_m / parallel_radius_m),

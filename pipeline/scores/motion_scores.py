@@ -1,4 +1,4 @@
-"""Score measured motion, and steering angles, against what the drives recorded."""
+"""Score measured motion against recorded motion."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,51 +26,37 @@ class MotionErrors(NamedTuple):
 
 
 def score_motion(drives: list[str], ingest: Path, motion: Path, car: Car) -> dict[str, Any]:
-    """Return comparison → scores, for measured motion and recorded angles.
+    """Return the scores of the measured motion, as models get it, under the name ``visual``.
 
-    - ``visual`` compares the measured motion, as models get it, with recorded motion.
-    - ``wheel`` compares recorded steering angles with recorded motion.
-    - ``visual-wheel`` compares the measured motion with recorded steering angles.
-
-    A comparison is missing if no drive recorded its reference. `ingest` and `motion` are the
-    folders of these stages.
+    The reference is recorded motion. The result is empty if no drive recorded any. `ingest` and
+    `motion` are the folders of these stages.
     """
-    errors: dict[str, list[MotionErrors]] = {}
+    errors = []
     for drive in drives:
-        compared = _compare_drive(ingest / f"{drive}.h5", motion / f"{drive}.h5", car)
-        for name, errors_of_drive in compared.items():
-            errors.setdefault(name, []).append(errors_of_drive)
-    return {name: score(errors_of_drives) for name, errors_of_drives in errors.items()}
+        errors_of_drive = _compare_drive(ingest / f"{drive}.h5", motion / f"{drive}.h5", car)
+        if errors_of_drive:
+            errors.append(errors_of_drive)
+    scores = summarise_errors(errors)
+    return {"visual": scores} if scores else {}
 
 
-def _compare_drive(ingest: Path, motion: Path, car: Car) -> dict[str, MotionErrors]:
-    with DriveReader(ingest, stage="ingest") as raw:
-        measured_rates = source.rates_of_motion(raw, motion, smooth=False)
+def _compare_drive(ingest: Path, motion: Path, car: Car) -> MotionErrors | None:
+    """Return the errors in the frames of a file of stage motion; None without recorded motion."""
+    with (
+        DriveReader(ingest, stage="ingest") as raw,
+        DriveReader(motion, stage="motion") as file,
+    ):
         recorded_rates = source.recorded_rates(raw)
-        measured = steering_labels(measured_rates.yaw_rate_radps, measured_rates.speed_mps, car)
-        wheel = source.recorded_angles(raw, recorded_rates or measured_rates, car)
-        with DriveReader(motion, stage="motion") as file:
-            measured_rows = np.searchsorted(raw.frame, file.frame)
-        wheel_rows = np.zeros(0, int)
-        if wheel:
-            wheel_rows = np.flatnonzero(raw["has_steering"])
-            # A wheel records no speed, so these labels have the speed of another source, which must
-            # not be scored.
-            unknown = np.full(len(raw.frame), np.nan)
-            wheel = wheel._replace(speed_mps=unknown, yaw_rate_radps=unknown)
-
-    errors = {}
-    if recorded_rates:
-        true = steering_labels(recorded_rates.yaw_rate_radps, recorded_rates.speed_mps, car)
-        errors["visual"] = label_errors(measured.at(measured_rows), true.at(measured_rows))
-    if wheel:
-        errors["visual-wheel"] = label_errors(measured.at(measured_rows), wheel.at(measured_rows))
-    if recorded_rates and wheel:
-        errors["wheel"] = label_errors(wheel.at(wheel_rows), true.at(wheel_rows))
-    return errors
+        if recorded_rates is None:
+            return None
+        measured_rates = source.rates_of_motion(raw, motion, smooth=False)
+        rows = np.searchsorted(raw.frame, file.frame)
+    measured = steering_labels(measured_rates.yaw_rate_radps, measured_rates.speed_mps, car)
+    true = steering_labels(recorded_rates.yaw_rate_radps, recorded_rates.speed_mps, car)
+    return compare_labels(measured.select_rows(rows), true.select_rows(rows))
 
 
-def label_errors(measured: Labels, true: Labels) -> MotionErrors:
+def compare_labels(measured: Labels, true: Labels) -> MotionErrors:
     """Return the errors of measured labels against true labels of the same frames [F].
 
     A frame whose angle is not measured repeats the last measured angle.
@@ -82,15 +68,15 @@ def label_errors(measured: Labels, true: Labels) -> MotionErrors:
     angle_rad = hold_valid(measured.steering_rad, measured.valid, initial=np.nan)
     true_rad = np.where(true.valid & np.isfinite(angle_rad), true.steering_rad, np.nan)
     return MotionErrors(
-        measured.valid,
-        np.where(compared, yaw_rate_radps, np.nan),
-        speed_ratio,
-        angle_rad - true_rad,
-        true_rad,
+        measured=measured.valid,
+        yaw_rate_radps=np.where(compared, yaw_rate_radps, np.nan),
+        speed_ratio=speed_ratio,
+        angle_rad=angle_rad - true_rad,
+        true_angle_rad=true_rad,
     )
 
 
-def score(drives: Sequence[MotionErrors]) -> dict[str, Any] | None:
+def summarise_errors(drives: Sequence[MotionErrors]) -> dict[str, Any] | None:
     """Return the scores over all frames of `drives`, or None without frames.
 
     ``valid`` is the share of valid measured labels. ``judged`` is the number of frames in the nmse.
@@ -101,23 +87,23 @@ def score(drives: Sequence[MotionErrors]) -> dict[str, Any] | None:
     if not drives:
         return None
     errors = MotionErrors(*[np.concatenate(column) for column in zip(*drives, strict=True)])
-    yaw_degps = np.degrees(_finite(errors.yaw_rate_radps))
-    true_rad = _finite(errors.true_angle_rad)
+    yaw_degps = np.degrees(_drop_nan(errors.yaw_rate_radps))
+    true_rad = _drop_nan(errors.true_angle_rad)
     return {
         "drives": len(drives),
         "frames": len(errors.measured),
         "valid": float(errors.measured.mean()),
         "judged": len(true_rad),
         "yaw_rmse_degps": float(np.sqrt((yaw_degps**2).mean())) if len(yaw_degps) else None,
-        "yaw_median_degps": _median(np.abs(yaw_degps)),
-        "speed_ratio": _median(_finite(errors.speed_ratio)),
-        "nmse": nmse(true_rad, true_rad + _finite(errors.angle_rad)),
+        "yaw_median_degps": _median_or_none(np.abs(yaw_degps)),
+        "speed_ratio": _median_or_none(_drop_nan(errors.speed_ratio)),
+        "nmse": nmse(true_rad, true_rad + _drop_nan(errors.angle_rad)),
     }
 
 
-def _finite(values: np.ndarray) -> np.ndarray:
+def _drop_nan(values: np.ndarray) -> np.ndarray:
     return values[np.isfinite(values)]
 
 
-def _median(values: np.ndarray) -> float | None:
+def _median_or_none(values: np.ndarray) -> float | None:
     return float(np.median(values)) if len(values) else None

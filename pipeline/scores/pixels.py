@@ -29,7 +29,7 @@ EIGEN_ROWS = (0.3324324, 0.91351351)
 EIGEN_COLUMNS = (0.0359477, 0.96405229)
 
 
-def depth_errors(predicted_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray | None:
+def compute_depth_errors(predicted_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray | None:
     """Return the errors of an image's depth, DEPTH_ERRORS: [abs rel, RMSE in metres, δ1].
 
     Abs rel is the mean of |d - d*| / d*, where d is the predicted and d* the true depth. δ1 is the
@@ -38,7 +38,7 @@ def depth_errors(predicted_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray | N
     2014. The result is None if no pixel is scored. Both arguments are depths [H,W] in metres, of
     which 0 is unknown.
     """
-    valid = in_range(truth_m) & (predicted_m > 0)
+    valid = is_in_range(truth_m) & (predicted_m > 0)
     if not valid.any():
         return None
     truth = truth_m[valid].astype(np.float64)
@@ -48,12 +48,12 @@ def depth_errors(predicted_m: np.ndarray, truth_m: np.ndarray) -> np.ndarray | N
     return np.array([(error / truth).mean(), np.sqrt((error**2).mean()), (ratio < 1.25).mean()])
 
 
-def in_range(truth_m: np.ndarray) -> np.ndarray:
+def is_in_range(truth_m: np.ndarray) -> np.ndarray:
     """Return which true depths are scored, which are those from 1 to 80 m."""
     return (truth_m >= MIN_DEPTH_M) & (truth_m <= MAX_DEPTH_M)
 
 
-def eigen_crop(image: np.ndarray) -> np.ndarray:
+def crop_eigen(image: np.ndarray) -> np.ndarray:
     """Return KITTI's "Eigen crop" of an image [H,W].
 
     It reproduces the numbers of Eigen et al. 2014 and was found by Godard et al. 2017 (monodepth's
@@ -66,7 +66,7 @@ def eigen_crop(image: np.ndarray) -> np.ndarray:
     return image[int(top * height) : int(bottom * height), int(left * width) : int(right * width)]
 
 
-def confusion(predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
+def count_confusion(predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Return the confusion matrix, int64 [19,20].
 
     It has a row for each true class and a column for each predicted class, of which the last one is
@@ -120,12 +120,12 @@ class Scores:
 
     def add_depth(self, key: str, predicted_m: np.ndarray, truth_m: np.ndarray) -> None:
         """Add the errors of a frame's depth [H,W] to the sums of `key`, one of DEPTH_SCORES."""
-        predicted = eigen_crop(predicted_m)
-        truth = eigen_crop(truth_m)
-        known = in_range(truth)
+        predicted = crop_eigen(predicted_m)
+        truth = crop_eigen(truth_m)
+        known = is_in_range(truth)
         covered = known & (predicted > 0)
         frames = 1
-        errors = depth_errors(predicted, truth)
+        errors = compute_depth_errors(predicted, truth)
         if errors is None:
             frames = 0
             errors = np.zeros(len(DEPTH_ERRORS))
@@ -134,14 +134,14 @@ class Scores:
     def add_classes(self, predicted: np.ndarray, truth: np.ndarray) -> None:
         """Add the classes [H,W] of a frame."""
         self.sums["class_frames"] += 1
-        self.sums["confusion"] += confusion(predicted, truth)
+        self.sums["confusion"] += count_confusion(predicted, truth)
 
-    def add(self, sums: Mapping[str, Any]) -> None:
+    def add_sums(self, sums: Mapping[str, Any]) -> None:
         """Add the `sums` of another instance, arrays or lists."""
         for key, values in sums.items():
             self.sums[key] += values
 
-    def report(self) -> dict[str, Any]:
+    def to_report(self) -> dict[str, Any]:
         """Return the scores of depth, DEPTH_SCORES, and of classes.
 
         A score is None if no frame has its ground truth.

@@ -11,7 +11,7 @@ from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
 from pipeline.ingest.truth import read_truth
 from pipeline.labels.label import Car
-from pipeline.labels.recorded import Recorded, compare
+from pipeline.labels.recorded import Recorded, compare_recorded
 from pipeline.scores.motion_scores import score_motion
 from pipeline.scores.pixels import Scores
 
@@ -34,7 +34,7 @@ def score_drive(path: Path, *, ingest: Path, perception: Path, motion: Path, car
             truth = read_truth(source, camera, source.row_of(number))
             scores.add_frame(depth_m, cls, camera, truth)
     motion_scores = score_motion([ingest.stem], ingest.parent, motion.parent, car)
-    write_json(path, {**scores.report(), "motion": motion_scores})
+    write_json(path, {**scores.to_report(), "motion": motion_scores})
     sums = {key: values.tolist() for key, values in scores.sums.items()}
     return {"frames": len(perceived.frame), "sums": sums}
 
@@ -60,13 +60,13 @@ def score_splits(
         motion: folder of stage motion.
         car: parameters of the steering angle.
     """
-    content: dict[str, Any] = {"motion": {}, "train": Scores().report()}
+    content: dict[str, Any] = {"motion": {}, "train": Scores().to_report()}
     for split in ("val", "test"):
         scores = Scores()
         drives = drives_in(splits, split)
         for drive in drives:
-            scores.add(summaries[drive]["sums"])
-        content[split] = scores.report()
+            scores.add_sums(summaries[drive]["sums"])
+        content[split] = scores.to_report()
         for kind, motion_scores in score_motion(drives, ingest, motion, car).items():
             content["motion"].setdefault(kind, dict.fromkeys(SPLITS))[split] = motion_scores
 
@@ -78,6 +78,5 @@ def score_splits(
             DriveReader(motion / f"{drive}.h5", stage="motion") as measured,
         ):
             recorded.append(Recorded.read(raw, measured, car))
-    names = dict.fromkeys(("yaw_rate", "angle", "speed"), f"{len(drives)} drives")
-    content["recorded"] = compare(recorded, names)
+    content["recorded"] = compare_recorded(recorded, f"{len(drives)} drives")
     return content

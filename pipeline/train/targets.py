@@ -167,7 +167,7 @@ def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledD
         if (rows < 0).any():
             problem = f"no label for frame {file.frame[rows < 0][0]} of {graphs}"
             raise InputError(problem, labels, "Make both again: dvc repro")
-        driven = label.read_labels(truth).at(rows)
+        driven = label.read_labels(truth).select_rows(rows)
         measured = file.motion
         # Valid labels show that the car moved, so its motion could have been measured.
         if entry.motion != "none" and measured and not measured.valid.any() and driven.valid.any():

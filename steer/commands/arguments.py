@@ -43,7 +43,7 @@ def with_options(command: Callable[..., None]) -> Callable[..., None]:
     return command
 
 
-def run(
+def run_command(
     function: Callable[..., "Outcome"], source: list[Path], out: Path | None, **options: Any
 ) -> None:
     """Call a function of `steer.api` with a free folder. Print notes, files and doubts."""

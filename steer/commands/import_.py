@@ -54,10 +54,13 @@ def import_recordings(
 ) -> None:
     """Write drives and a preset; the module's docstring is the help text."""
     from footage.settings import Options
+    from pipeline.base.checkout import is_checkout
     from pipeline.base.params import from_python
     from steer import importing
 
-    importing.check_checkout(Path.cwd())
+    if not is_checkout():
+        fix = "Clone it: git clone …; then run make setup and .venv/bin/steer import there"
+        raise InputError("steer import needs a checkout of the project", fix=fix)
     shares = importing.read_shares(split)
     groups = [recording]
     if each:
@@ -74,5 +77,5 @@ def import_recordings(
         log_of = {kind: paths[number] for kind, paths in logs.items()}
         all_options.append(from_python(Options, {**options, **log_of}))
     name = name or re.sub("[^A-Za-z0-9_-]+", "-", recording[0].stem)
-    for line in importing.take(name, groups, all_options, shares):
+    for line in importing.write_import(name, groups, all_options, shares):
         print(line)

@@ -33,6 +33,6 @@ def measure(
     """Write the measured motion and print its quality; the module's docstring is the help text."""
     from steer import api
 
-    arguments.run(
+    arguments.run_command(
         api.measure, source, out, video=video, encoder=encoder, wheelbase_m=wheelbase, **options
     )

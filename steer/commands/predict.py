@@ -45,4 +45,6 @@ def predict(
             "has seen rendered streets only (nmse 1.22 on a real drive)"
         )
         raise InputError("no network for real streets is included", "--model", fix)
-    arguments.run(api.predict, source, out, video=video, model=model, encoder=encoder, **options)
+    arguments.run_command(
+        api.predict, source, out, video=video, model=model, encoder=encoder, **options
+    )

@@ -3,7 +3,6 @@
 import struct
 from collections.abc import Sequence
 from fractions import Fraction
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,6 @@ from footage.settings import Options
 from pipeline.camera.images import read_image
 from pipeline.ingest.datasets.kitti import KittiDrive
 from pipeline.ingest.packets import read_times
-from tests import street
 from tests.kitti_drive import SIZE, pictures, write_video
 
 
@@ -39,12 +37,12 @@ def read(folder: Path, number: int = 1) -> KittiDrive:
 
 def times_of(drive: KittiDrive) -> list[float]:
     """Return the times of the images of a drive since its first."""
-    return read_times(drive.image_times(2), [*drive.images(2)]).tolist()
+    return read_times(drive.image_times(2), [*drive.find_images(2)]).tolist()
 
 
 def images_of(drive: KittiDrive) -> np.ndarray:
     """Return the images of a drive, uint8 [F,H,W,3]."""
-    return np.stack([read_image(path) for path in drive.images(2).values()])
+    return np.stack([read_image(path) for path in drive.find_images(2).values()])
 
 
 def write_stream(
@@ -98,8 +96,3 @@ def matrix(a: float, b: float, c: float, d: float) -> bytes:
 def show(path: Path, *turn: float) -> None:
     """Write a video of upright images, which are shown as a display matrix turns them."""
     replace_in(write_video(path, pictures(2, SIZE[::-1])), matrix(1, 0, 0, 1), matrix(*turn))
-
-
-@cache
-def images_of_a_street() -> list[np.ndarray]:
-    return [street.view(pose)[0] for pose in street.arc(120, 0.1, 8.0)]

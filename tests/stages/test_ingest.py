@@ -1,9 +1,7 @@
 """Stage ingest on small drives in KITTI raw's layout, intact and damaged."""
 
 import shutil
-from collections.abc import Iterator
 from contextlib import nullcontext
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.base.errors import DamagedFile, InputError
+from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, read_index
 from pipeline.camera.camera import Camera, Frame
-from pipeline.camera.images import read_image
 from pipeline.ingest.calibration import CALIBRATION, RENDERED
 from pipeline.ingest.datasets import kitti
 from pipeline.ingest.drive import Drive
@@ -129,34 +126,6 @@ def test_damaged_files_are_listed_at_once_or_left_out(tmp_path, capsys):
         run(tmp_path, on_damaged="skip")
 
 
-def test_damaged_files_of_any_dataset_are_left_out(tmp_path):
-    paths = [tmp_path / f"{number}.png" for number in range(3)]
-    for path in paths:
-        write_png(path, np.zeros((*SIZE, 3), np.uint8))
-
-    def frames() -> Iterator[Frame]:
-        for number, path in enumerate(paths):
-            yield Frame(number, number / 10, image=partial(read_image, path))
-
-    def ingest_images(on_damaged: str) -> DriveReader:
-        camera = Camera(np.array([[50, 0, 31.3], [0, 50, 22.2], [0, 0, 1]]), SIZE)
-        drive = Drive(camera, frames)
-        reading = READING.model_copy(update={"on_damaged": on_damaged})
-        write_ingest(tmp_path / "drive.h5", drive, "drive", "mine", reading)
-        assert drive.notes == ["1 damaged files left out"]
-        return DriveReader(tmp_path / "drive.h5", stage="ingest")
-
-    write(paths[1], "")
-    with pytest.raises(DamagedFile, match=f"1 damaged files: {paths[1]}: .*on_damaged: skip"):
-        ingest_images("fail")
-    with ingest_images("skip") as file:
-        assert file["has_image"].tolist() == [1, 0, 1]
-    for path in paths:
-        write(path, "")
-    with pytest.raises(InputError, match=r"0\.png: all images of the drive are damaged"):
-        ingest_images("skip")
-
-
 @pytest.mark.parametrize(
     ("missing", "problem"),
     [
@@ -180,11 +149,6 @@ def test_plainly_incomplete_drives(tmp_path, missing, problem):
     ("size", "values", "problem"),
     [
         (
-            SIZE[::-1],
-            {},
-            r"image of frame 0 has 64 x 48 .*Camera\.size is \(H, W\), here \(48, 64\)",
-        ),
-        (
             (96, 128),
             {},
             r"image of frame 0 has 64 x 48 pixels, expected 128 x 96, the size of Drive\.camera",
@@ -201,31 +165,21 @@ def test_a_wrong_file_of_a_dataset(tmp_path, size, values, problem):
 
 
 @pytest.mark.parametrize(
-    ("place", "problem"),
-    [
-        (f"{DATE}/{DRIVE}_extract", "an unsynced drive. Download the synced archive"),
-        (f"{DATE}/{DRIVE}", f"move it to {DATE}/{DRIVE}_sync"),
-        (f"{DRIVE}_sync", f"move it to {DATE}/{DRIVE}_sync"),
-        (f"{DRIVE}_sync/{DATE}/{DRIVE}_sync", f"move it to {DATE}/{DRIVE}_sync"),
-        (f"{DRIVE}_sync.zip", "extract it in"),
-    ],
+    "place",
+    [f"{DATE}/{DRIVE}_extract", f"{DRIVE}_sync", f"other/{DATE}/{DRIVE}_sync", f"{DRIVE}_sync.zip"],
 )
-def test_a_drive_at_another_place_is_found(tmp_path, place, problem):
-    folder = write_drive(tmp_path / "drives")
-    path = tmp_path / "raw" / place
-    path.parent.mkdir(parents=True)
-    folder.rename(path)
-    with pytest.raises(InputError, match=f"is missing. Found {place}: {problem}"):
+def test_a_drive_at_another_place_is_found(tmp_path, place):
+    write(tmp_path / "raw" / place, "")
+    problem = f"is missing. Found {place}, expected {DATE}/{DRIVE}_sync of the extracted synced"
+    with pytest.raises(InputError, match=problem):
         kitti.find_drive(tmp_path / "raw", DRIVE)
 
 
 def test_a_drive_that_was_ingested_before_is_not_left_out(tmp_path, capsys):
     third = "2011_09_26_drive_0003"
     write_drive(tmp_path / "raw")
-    write_drive(tmp_path / "raw", "2011_09_26_drive_0004")
     run(tmp_path)
-    hint = "(it has 2011_09_26_drive_0004, which ingest.drives does not name)"
-    assert f"left out: {tmp_path / 'raw'} has no {third} {hint}" in capsys.readouterr().out
+    assert f"left out: {third}." in capsys.readouterr().out
 
     folder = write_drive(tmp_path / "raw", third)
     before = contents(tmp_path / "data/ingest")
@@ -236,9 +190,7 @@ def test_a_drive_that_was_ingested_before_is_not_left_out(tmp_path, capsys):
         run(tmp_path)
 
 
-@pytest.mark.parametrize(
-    "name", ["0000000001.tif", "0000000001.png.part", "frame_1.png", ".DS_Store"]
-)
+@pytest.mark.parametrize("name", ["0000000001.tif", ".DS_Store"])
 def test_a_folder_without_images_is_empty(tmp_path, name):
     """Half-extracted archives have empty folders. Files of another format or name are a fault."""
     folder = write_drive(tmp_path / "raw") / "image_02"
@@ -267,30 +219,3 @@ def test_drives_of_the_sample_are_those_that_were_rendered(tmp_path):
         assert len(file.frame) == 2
         assert file.params["dataset"] == "sample"
         assert "cls" in file
-
-    twice = write_drive(tmp_path / "raw", sample)
-    problem = rf"{twice}: stage sample renders .* data/sample/.*{sample}_sync"
-    with pytest.raises(InputError, match=problem):
-        ingest.main(tmp_path / "data", tmp_path / "raw", params)
-
-
-@pytest.mark.real
-def test_real_drives(real_kitti, tmp_path):
-    """Drive 0001 has 108 packets, one image and one scan. 0042 is grey and has no LiDAR."""
-    partly = "2011_09_26_drive_0001"
-    grey = "2011_10_03_drive_0042"
-    params = write_params(
-        tmp_path / "params.yaml", train=[partly], test=[grey], image_size=[96, 320]
-    )
-    ingest.main(tmp_path / "data", real_kitti, params)
-    with DriveReader(tmp_path / f"data/ingest/{partly}.h5", stage="ingest") as file:
-        np.testing.assert_array_equal(file.frame, np.arange(108))
-        assert np.flatnonzero(file["has_image"]).tolist() == [5]
-        assert np.flatnonzero(file["has_lidar"]).tolist() == [5]
-        assert file.datasets["lidar"].shape == (121_948, 4)
-        assert file["image"][5].std() > 30
-    with DriveReader(tmp_path / f"data/ingest/{grey}.h5", stage="ingest") as file:
-        assert file["has_image"].all()
-        assert file.datasets["image"].shape == (51, 96, 320, 3)
-        assert np.ptp(file["image"], axis=-1).max() == 0
-        assert np.diff(file.time_s) == pytest.approx(0.1037, abs=0.02)

@@ -33,7 +33,7 @@ def test_all_files_are_written_and_repeat(tmp_path):
         )
     scores = {split: Scores() for split in ("train", "val", "test")}
     scores["test"].add_depth("depth_dense", np.full((40, 50), 10.0), np.full((40, 50), 10.0))
-    reports = {split: score.report() for split, score in scores.items()}
+    reports = {split: score.to_report() for split, score in scores.items()}
     recorded = {"speed": {"line": "doubt: speed of 3"}, "angle": {"line": "angle of 2"}}
     store.write_json(
         tmp_path / "scores/metrics.json",

@@ -27,8 +27,8 @@ def test_drives_of_the_params(tmp_path):
     out = tmp_path / "sample"
     sample.main(out, params)
     raw = [find_drive(out, drive) for drive in DRIVES]
-    assert [len(drive.images(2)) for drive in raw] == [2, 2, 3]
-    focal = [drive.camera(2).K[0, 0] for drive in raw]
+    assert [len(drive.find_images(2)) for drive in raw] == [2, 2, 3]
+    focal = [drive.read_camera(2).K[0, 0] for drive in raw]
     assert focal[0] == focal[1] < focal[2]
     folders = sorted(path.name for path in out.glob("*/*_sync"))
     assert folders == [f"{drive}_sync" for drive in DRIVES]
@@ -38,7 +38,7 @@ def test_drives_of_the_params(tmp_path):
         for number, name in enumerate(DRIVES):
             drive = find_drive(out, name)
             has_truth = epochs > 0 or number == 2
-            assert len(drive.images(2)) == 1
+            assert len(drive.find_images(2)) == 1
             assert len(drive.scans) == lidar
             assert len(drive.truth_depth) == has_truth
             assert len(drive.truth_cls) == has_truth

@@ -1,9 +1,8 @@
-"""The command steer: quick help, errors as one line, and its verbs show, view and export."""
+"""The command steer: quick help, errors as one line, and its verbs show and view."""
 
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import cv2
 import pytest
@@ -13,7 +12,6 @@ from typer.testing import CliRunner
 from pipeline.base import checkpoint
 from pipeline.base.keys import ROOT
 from steer.app import app
-from tests import street
 from tests.artefacts import write_dataset
 
 HEAVY = (
@@ -71,7 +69,7 @@ def test_a_file_has_its_datasets_and_settings_and_a_checkpoint_everything_but_we
 
     trained = {
         "kind": "steering net",
-        "drives": [DRIVE, "2011_09_26_drive_0002", "2011_09_28_drive_0003"],
+        "drives": [f"2011_09_26_drive_{number:04d}" for number in range(1, 12)],
         "entry": {"window": 8},
         "net": {"weight": torch.zeros(2)},
     }
@@ -80,7 +78,7 @@ def test_a_file_has_its_datasets_and_settings_and_a_checkpoint_everything_but_we
     assert content["kind"] == "steering net"
     assert content["entry"] == {"window": 8}
     assert "net" not in content
-    assert content["drives"] == ["2011_09_26_drive_0001..0002", "2011_09_28_drive_0003"]
+    assert content["drives"] == "11: 2011_09_26_drive_0001 to 2011_09_26_drive_0011"
 
 
 def test_a_frame_is_printed_and_drawn(data):
@@ -89,54 +87,16 @@ def test_a_frame_is_printed_and_drawn(data):
     assert cv2.imread("a.png").std() > 5
 
 
-def test_help_has_an_example_per_line():
-    assert "\n  steer import monday.mp4 --fov 78\n" in run("import", "--help")
-
-
-def test_the_version_is_printed():
-    assert run("--version").startswith("steer 0.")
-
-
-def test_points_are_shown_in_a_page_that_opens(data, monkeypatch):
-    opened = list[str]()
-    browser = SimpleNamespace(basename="firefox", open=opened.append)
-    monkeypatch.setattr("webbrowser.get", lambda: browser)
+def test_points_are_shown_in_a_page(data):
+    path = data / f"graphs/semantic/{DRIVE}.h5"
     for out in (f"out/{DRIVE}.html", f"out/{DRIVE}-2.html"):
-        assert run("view", data / f"graphs/semantic/{DRIVE}.h5") == f"{out}\n"
+        assert run("view", path) == f"{out}\n"
     text = Path(out).read_text()
     assert '"name":"edges"' in text
-    assert opened[1] == Path(out).absolute().as_uri()
-    assert "has no points" in run("view", data / f"labels/{DRIVE}.h5", status=1)
-    browser.basename = "w3m"  # as over SSH
-    assert run("view", data / f"graphs/semantic/{DRIVE}.h5") == f"out/{DRIVE}-3.html\n"
-    assert len(opened) == 2
-
-
-def test_the_page_says_what_it_shows_beside_the_images_of_the_same_data_folder(data, monkeypatch):
-    monkeypatch.setattr("webbrowser.get", lambda: SimpleNamespace(basename="w3m"))
-    path = data / f"graphs/semantic/{DRIVE}.h5"
-    run("view", path, "--out", "without.html")
-    text = Path("without.html").read_text()
     assert f"<title>{DRIVE}, graphs/semantic: 5 of 5 frames</title>" in text
     edges = yaml.safe_load(show(path, "--frame", 4))["edges_kept"]
     counts = f"25 of 30 points, 85% of {edges} directed edges"
     assert f"frame 4, up to 50 m ahead and 22 m aside: {counts}" in text
-    jpeg = r"jpeg;base64,\u002f9j"  # plotly escapes slashes
-    assert jpeg not in text
-
-    street.write_drive(data / "ingest", DRIVE, 5)
-    run("view", path, "--out", "with.html")
-    # The image of the first frame is also shown before the slider is moved.
-    assert Path("with.html").read_text().count(jpeg) == 1 + 5
-
-
-def test_a_cloud_is_exported_and_described(data):
-    text = run("export", data / f"graphs/semantic/{DRIVE}.h5", "--frame", 2, "cloud.ply")
-    coordinates = "camera coordinates (x right, y down, z forward)"
-    start = f"cloud.ply: 30 points in metres, {coordinates}, class (Cityscapes trainId), no colour"
-    assert text.startswith(start)
-    assert text.count("\n") == 1
-    assert Path("cloud.ply").read_bytes().startswith(b"ply\n")
 
 
 @pytest.mark.parametrize(
@@ -144,13 +104,13 @@ def test_a_cloud_is_exported_and_described(data):
     [
         (["show", "nowhere.h5"], "nowhere.h5: "),
         (["show", "."], "expected a drive's file (.h5) or a checkpoint (.pt)"),
-        (["show", "GRAPHS", "--frame", 77], "has no frame 77"),
         (["show", "GRAPHS", "--frame", 1, "--out", "photo.png"], "photo.png: exists already"),
         (["show", "LABELS", "--frame", 1, "--out", "a.png"], "neither an image nor points"),
         (["export", "GRAPHS", "--frame", 77, "a.ply"], "has no frame 77"),
         (["export", "GRAPHS", "--frame", 1, "photo.png"], "expected the name of a PLY or PCD file"),
         (["export", "GRAPHS", "--frame", 1, "photo.ply"], "photo.ply: exists already"),
         (["export", "LABELS", "--frame", 1, "a.ply"], "has no points. Pass a file of point clouds"),
+        (["view", "LABELS"], "has no points"),
     ],
 )
 def test_wrong_input_is_one_line(data, arguments, message):

@@ -4,7 +4,6 @@ import json
 import re
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
 
 import av
 import numpy as np
@@ -13,7 +12,7 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
-from steer import api, chain
+from steer import api
 from steer.commands.measure import measure
 from tests import street
 from tests.flat_ground import write_encoder
@@ -51,8 +50,6 @@ def test_motion_is_measured_from_python(tmp_path, encoder):
     assert outcome.table["valid"].sum() == 29
     assert outcome.files == []
     assert outcome.doubts == []
-    assert any("measured in 29 of 29 moving frames" in note for note in outcome.notes)
-    assert outcome.notes[-1] == "frames without a measurement: no previous frame (1)"
     with pytest.raises(TypeError, match=r"'camera_height': did you mean camera_height_m"):
         api.measure(images, encoder=encoder, camera_height=1.4)
     with pytest.raises(InputError, match=r"fov: .*valid number \(got '65'\)"):
@@ -64,17 +61,11 @@ def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
     out = tmp_path / "out"
     images = write_folder(tmp_path / "images", drive(30))
     log = write_log(tmp_path / "can.csv", [10.0, 10.5, 11.0, 11.5, 12.0], 3.6 * SPEED)
-    problem = r"log is from 10\.0 to 12\.0 s, the images from 0\.0 to 2\.9 s"
-    with pytest.raises(InputError, match=problem):
-        measure([images], out=out, encoder=encoder, motion=log, **LENS)
     options = LENS | {"offset_s": -10, "distortion": "0,0,0,0"}
     measure([images], out=out, encoder=encoder, motion=log, **options)
     text = capsys.readouterr().out
-    assert "motion of images_drive_0001: measured in 29 of 29 moving frames" in text
     assert "speed_mps is known at 21 of 30 images" in text
     assert re.search(r"doubt: speed of the log: 3\.\d\d times the measured one; the sign", text)
-    turns = r"yaw rate of the log: correlation 0\.00 .*; 20 frames, 20 of them turn"
-    assert re.search(turns, text)
 
     rows = read_motion(out)
     assert rows["valid"].tolist() == [0] + 29 * [1]
@@ -89,9 +80,6 @@ def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
     assert quality["recorded"]["speed"]["ratio"] == pytest.approx(3.6, rel=0.1)
     assert quality["comparison"]["frames"] == 20
     assert quality["speed_sigma"] < 0.1
-    assert quality["step_s"] == pytest.approx(0.1)
-    assert quality["camera_height_m"] == CAMERA_HEIGHT_M
-    assert quality["K"][0][0] == 180
     with av.open(str(out / "overlay.mp4")) as file:
         assert sum(1 for _ in file.decode(video=0)) == 30
 
@@ -109,8 +97,8 @@ def snow() -> np.ndarray:
 
 @pytest.mark.parametrize(
     "images",
-    [lambda: noisy(drive(1)[0]), lambda: noisy(np.array(3)), snow],
-    ids=["standing", "night", "snow"],
+    [lambda: noisy(drive(1)[0]), snow],
+    ids=["standing", "snow"],
 )
 def test_input_without_motion_gets_no_numbers(tmp_path, encoder, images, capsys):
     folder = write_folder(tmp_path / "images", images())
@@ -119,25 +107,7 @@ def test_input_without_motion_gets_no_numbers(tmp_path, encoder, images, capsys)
     assert not rows["valid"].any()
     for name in ("speed_mps", "yaw_rate_radps", "measured_rad", "x_m", "points"):
         assert np.isnan(rows[name]).all()
-    text = capsys.readouterr().out
-    assert "motion of images_drive_0001: measured in 0 of" in text
-    assert "horizon: not found" in text
-
-
-def test_a_camera_that_looks_back_is_noticed(tmp_path, encoder, capsys):
-    images = write_folder(tmp_path / "images", drive(12)[::-1])
-    options = LENS | {"encoder": encoder, "video": False}
-    measure([images], out=tmp_path / "out", **options)
-    line = "doubt: motion of images_drive_0001: measured in 11 of 11 moving frames, backwards in 11"
-    assert line in capsys.readouterr().out
-
-    times_s = [number / 10 for number in range(12)]
-    log = write_log(tmp_path / "can.csv", times_s, -SPEED)
-    measure([images], out=tmp_path / "backwards", motion=log, **options)
-    assert "0 of 11 moving frames" in capsys.readouterr().out
-    write_log(log, times_s, SPEED)
-    measure([images], out=tmp_path / "forward", motion=log, **options)
-    assert "the sign differs in 11 of 11 moving frames" in capsys.readouterr().out
+    assert "horizon: not found" in capsys.readouterr().out
 
 
 def test_a_cut_is_not_a_motion(tmp_path, encoder):
@@ -149,14 +119,6 @@ def test_a_cut_is_not_a_motion(tmp_path, encoder):
     assert rows["valid"].tolist() == [0, *9 * [1], 0, *9 * [1]]
     assert yaw_rate[1:6] == pytest.approx(-YAW_RATE, abs=0.02)  # mirrored
     assert yaw_rate[15:] == pytest.approx(YAW_RATE, abs=0.02)
-
-
-def test_a_killed_run_leaves_nothing(tmp_path, encoder, monkeypatch):
-    images = write_folder(tmp_path / "images", drive(4))
-    monkeypatch.setattr(chain, "measure_drive", Mock(side_effect=KeyboardInterrupt))
-    with pytest.raises(KeyboardInterrupt):
-        measure([images], out=tmp_path / "results/out", encoder=encoder, **LENS)
-    assert [*(tmp_path / "results").iterdir()] == []
 
 
 def test_the_written_drive_is_a_source_with_the_same_numbers(tmp_path, encoder):
@@ -176,7 +138,6 @@ def test_the_written_drive_is_a_source_with_the_same_numbers(tmp_path, encoder):
 
 def test_unsuitable_inputs(tmp_path, encoder, monkeypatch):
     images = write_folder(tmp_path / "images", drive(4))
-    rotated = write_folder(tmp_path / "rotated", [np.rot90(view) for view in drive(2)])
     write(tmp_path / "kept/poses.txt", "mine")
     monkeypatch.chdir(tmp_path)
     for _ in range(2):
@@ -187,6 +148,4 @@ def test_unsuitable_inputs(tmp_path, encoder, monkeypatch):
         measure([images], encoder=tmp_path, **LENS)
     with pytest.raises(InputError, match=r"exists already and holds poses\.txt"):
         measure([images], encoder=encoder, out=tmp_path / "kept", **LENS)
-    with pytest.raises(InputError, match="taller than wide"):
-        measure([rotated], encoder=encoder, **LENS)
     assert [path.name for path in (tmp_path / "kept").iterdir()] == ["poses.txt"]

@@ -9,7 +9,7 @@ from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Frame
 from pipeline.ingest.drive import Drive
 from pipeline.ingest.ingest_file import write_drive
-from pipeline.ingest.packets import make_rows
+from pipeline.ingest.packets import make_packets
 from pipeline.labels.label import Car, Labels
 from steer import outcome, pictures, predict
 from steer.measure import READING
@@ -20,7 +20,17 @@ CAR = Car(2.7, 1.0)
 
 
 def results_of(table: dict[str, Any], driven: Labels, measured: Labels | None = None) -> Results:
-    return Results(table, [], driven, "the log", measured or driven, {}, {}, [], [])
+    return Results(
+        table=table,
+        problems=[],
+        driven=driven,
+        recorder="the log",
+        measured=measured or driven,
+        recorded={},
+        motion={},
+        notes=[],
+        doubts=[],
+    )
 
 
 def test_the_driven_track_begins_with_the_measured_one_and_ends_with_the_log():
@@ -49,7 +59,7 @@ def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path):
 
 
 # Angles at standstill, and of interpolated packets, are unknown.
-OXTS = make_rows(4, vf=np.array([10, 0.5, 10, 10]), wu=0.5, velmode=np.array([0, 4, 4, -1]))
+OXTS = make_packets(4, vf=np.array([10, 0.5, 10, 10]), wu=0.5, velmode=np.array([0, 4, 4, -1]))
 
 
 RATES = {
@@ -102,7 +112,7 @@ def test_comparison_by_its_definition():
     }
     labels = Labels(driven_rad, frame > -1, driven_rad, driven_rad)
     results = results_of(table, labels)
-    comparison = results.compare("predicted", 2)
+    comparison = results.compare_angles("predicted", 2)
     target = results.table["driven_rad"][5:]
     assert comparison["truth"] == "the log"
     assert comparison["frames"] == 6
@@ -112,24 +122,19 @@ def test_comparison_by_its_definition():
         assert comparison[name]["nmse"] == pytest.approx(error / (target**2).mean())
         assert comparison[name]["rmse_deg"] == pytest.approx(np.rad2deg(np.sqrt(error)))
     results.table["driven_rad"] = np.full(11, np.nan)
-    assert results.compare("predicted") is None
+    assert results.compare_angles("predicted") is None
 
 
-@pytest.mark.parametrize("recorded", [True, False])
-def test_the_taken_path_is_recorded_or_else_measured(recorded):
+@pytest.mark.parametrize(
+    ("recorded_mps", "name", "curvature_1pm"), [(10.0, "driven", 0.1), (np.nan, "measured", 0.05)]
+)
+def test_the_taken_path_is_recorded_or_else_measured(recorded_mps, name, curvature_1pm):
     """At 10 m/s, the log turns by 1 rad/s to the left, and the images by 0.5."""
-    frame = np.arange(8)
     known = np.ones(8, bool)
-    speed_mps = np.full(8, 10.0)
-    driven = Labels(np.zeros(8), known, speed_mps, np.full(8, 1.0))
-    if not recorded:
-        unknown = np.full(8, np.nan)
-        driven = Labels(np.zeros(8), ~known, unknown, unknown)
-    measured = Labels(np.zeros(8), known, speed_mps, np.full(8, 0.5))
-    table = {"frame": frame, "time_s": frame / 10}
+    driven = Labels(np.zeros(8), known, np.full(8, recorded_mps), np.full(8, 1.0))
+    measured = Labels(np.zeros(8), known, np.full(8, 10.0), np.full(8, 0.5))
+    table = {"frame": np.arange(8), "time_s": np.arange(8) / 10}
     paths = predict.taken_path(results_of(table, driven, measured), [0.0, 2.0, 5.0])
-    (name,) = paths
-    curvature_1pm = {"driven": 0.1, "measured": 0.05}[name]
-    assert name == ("driven" if recorded else "measured")
+    assert [*paths] == [name]
     np.testing.assert_allclose(paths[name][0], curvature_1pm)
     assert np.isnan(paths[name][-2:]).all(), "the drive ends"

@@ -1,8 +1,5 @@
-"""The page of steer view: points by class and edges in 3D, beside the image of the frame."""
+"""The page of steer view: points by class and edges in 3D."""
 
-import base64
-
-import cv2
 import numpy as np
 
 from pipeline.camera.classes import ROAD, VOID
@@ -16,10 +13,7 @@ def test_points_have_a_trace_per_class_and_edges_one_in_each_frame():
     cls = np.array([ROAD, ROAD, VOID, VOID])
     views = [View(7, xyz=xyz, points_cls=cls, edges=edges, edge_count=3)]
     views += [View(9, xyz=xyz[:1], points_cls=np.array([ROAD]), edges=edges[:0])]
-    figure = space.in_space(views, "a drive")
-    assert [step.label for step in figure.layout.sliders[0].steps] == [
-        frame.name for frame in figure.frames
-    ]
+    figure = space.plot_frames(views, "a drive")
     road, void, line = figure.data
     assert (road.name, road.marker.color, void.name) == ("road", "rgb(128, 64, 128)", "no class")
     assert {*zip(road.x, road.y, road.z, strict=True)} == {(1, 3, -2), (4, 6, -3)}
@@ -31,23 +25,3 @@ def test_points_have_a_trace_per_class_and_edges_one_in_each_frame():
     assert [len(trace.x) for trace in second.data] == [1, 0, 0]
     subtitle = first.layout.title.subtitle.text
     assert subtitle.endswith(": 3 of 4 points, 50% of 3 directed edges")
-    length_m = np.array([44, 50, 14])  # of the axes
-    ratio = figure.layout.scene.aspectratio
-    assert np.ptp([ratio.x, ratio.y, ratio.z] / length_m) < 1e-9
-
-
-def test_the_image_and_the_title_follow_the_slider():
-    point = np.array([[1.0, 0, 3]])
-    rgb = np.full((8, 16, 3), [250, 0, 0], np.uint8)
-    views = [View(7, rgb, xyz=point, points_cls=np.array([ROAD]))]
-    views += [View(9, xyz=point - 9, points_cls=np.array([ROAD]))]
-    figure = space.in_space(views, "a drive")
-    for frame, is_visible, count in zip(figure.frames, [True, False], [1, 0], strict=True):
-        title = frame.layout.title
-        assert title.text == "a drive"
-        assert title.subtitle.text.startswith(f"frame {frame.name}, ")
-        assert title.subtitle.text.endswith(f": {count} of 1 points")
-        assert frame.data[-1].visible == is_visible
-    jpeg = base64.b64decode(figure.data[-1].source.partition(",")[2])
-    shown = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR_RGB)
-    assert np.abs(shown.astype(int) - rgb).max() < 8

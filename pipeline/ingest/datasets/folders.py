@@ -13,7 +13,7 @@ import numpy as np
 
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import read_image
-from pipeline.ingest.drive import Drive, stamps
+from pipeline.ingest.drive import Drive, list_file_facts
 from pipeline.ingest.packets import STEERING, read_values
 from pipeline.ingest.settings import Ingest
 
@@ -25,12 +25,12 @@ HZ = 10.0
 
 def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
     """Return the names, sizes and times of the drive's files."""
-    return stamps([*_images(root / name), root / name / STEERING], root)
+    return list_file_facts([*_list_images(root / name), root / name / STEERING], root)
 
 
 def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
     """Return a drive, with steering angles."""
-    images = _images(root / name)
+    images = _list_images(root / name)
 
     def frames() -> Iterator[Frame]:
         for path in images:
@@ -40,5 +40,5 @@ def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
     return Drive(CAMERA, frames, read_values(root / name / STEERING))
 
 
-def _images(folder: Path) -> list[Path]:
+def _list_images(folder: Path) -> list[Path]:
     return sorted(folder.glob("*.png"))

@@ -8,8 +8,9 @@ drives of this layout with another name in place of the date. pykitti's ``raw`` 
 its sorted lists shift after a missing frame, and it needs all four cameras.
 """
 
+import os
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,10 +21,9 @@ from pipeline.base.errors import DamagedFile, InputError, closest
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import read_classes, read_depth, read_image
 from pipeline.ingest.calibration import CALIBRATION, RENDERED, read_calibration, read_entries
-from pipeline.ingest.clocks import check_rate, compare_times
-from pipeline.ingest.drive import Drive, stamps
-from pipeline.ingest.other_layouts import find_other_layout
-from pipeline.ingest.packets import VALUE_FILES, read_row, read_times, read_values
+from pipeline.ingest.clocks import compare_times
+from pipeline.ingest.drive import Drive, list_file_facts
+from pipeline.ingest.packets import VALUE_FILES, read_packet, read_times, read_values
 from pipeline.ingest.settings import DATE, Ingest, Reading
 
 # Elevation in degrees below which a complete scan has points. The lowest laser of the HDL-64E is
@@ -42,7 +42,7 @@ UNSYNCED = "_extract"
 def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
     """Return the names, sizes and times of a drive's files."""
     files = find_drive(root, name)
-    return stamps(files.paths(settings.cameras), files.calibration)
+    return list_file_facts(files.list_files(), files.calibration)
 
 
 def open_drive(name: str, settings: Ingest, root: Path) -> Drive:
@@ -59,21 +59,21 @@ class KittiDrive:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.calibration = folder.parent
-        self.oxts = _frames(folder / "oxts" / "data", ".txt")
-        self.scans = _frames(folder / "velodyne_points" / "data", ".bin")
+        self.oxts = _list_frames(folder / "oxts" / "data", ".txt")
+        self.scans = _list_frames(folder / "velodyne_points" / "data", ".bin")
         self.oxts_times = folder / "oxts" / "timestamps.txt"
         # KITTI itself lacks these folders. Stage sample writes them: dense depth and classes of
         # camera 2.
-        self.truth_depth = _frames(folder / "truth" / "depth", ".png")
-        self.truth_cls = _frames(folder / "truth" / "cls", ".png")
+        self.truth_depth = _list_frames(folder / "truth" / "depth", ".png")
+        self.truth_cls = _list_frames(folder / "truth" / "cls", ".png")
 
-    def images(self, camera: int) -> dict[int, Path]:
+    def find_images(self, camera: int) -> dict[int, Path]:
         """Return the images of a camera, as PNG or JPEG.
 
         Raises InputError if its folder has files but no images.
         """
         folder = self.folder / f"image_{camera:02d}" / "data"
-        images = _frames(folder, ".png", ".jpg", ".jpeg")
+        images = _list_frames(folder, ".png", ".jpg", ".jpeg")
         names = sorted(path.name for path in folder.glob("[!.]*"))
         if names and not images:
             raise InputError(
@@ -84,13 +84,13 @@ class KittiDrive:
             )
         return images
 
-    def camera_number(self, choices: Sequence[int]) -> int | None:
+    def choose_camera(self, choices: Sequence[int]) -> int | None:
         """Return the first camera of `choices` with images, else the first with a calibration.
 
         Returns None if no camera has either.
         """
         for number in choices:
-            if self.images(number):
+            if self.find_images(number):
                 return number
         path = self.calibration / CALIBRATION
         if path.is_file():
@@ -100,7 +100,7 @@ class KittiDrive:
                     return number
         return None
 
-    def camera(self, number: int) -> Camera:
+    def read_camera(self, number: int) -> Camera:
         """Return a calibrated camera. Raises InputError."""
         return read_calibration(self.calibration, number)
 
@@ -109,7 +109,7 @@ class KittiDrive:
         path = self.calibration / CALIBRATION
         return path.is_file() and path.read_text(errors="replace").startswith(f"{RENDERED}\n")
 
-    def logs(self) -> list[Path]:
+    def find_logs(self) -> list[Path]:
         """Return the files with values of logs."""
         paths = [self.folder / name for name in VALUE_FILES]
         return [path for path in paths if path.is_file()]
@@ -118,40 +118,20 @@ class KittiDrive:
         """Return the file with the times of a camera's images, which may be missing."""
         return self.folder / f"image_{camera:02d}" / "timestamps.txt"
 
-    def timeline(self, camera: int | None) -> tuple[list[int], Path]:
-        """Return the numbers of the frames with an oxts packet, and the file with their times.
-
-        In a drive without packets, the frames are those with an image of `camera`, and the times
-        are the camera's.
-        """
-        if camera is None or self.oxts:
-            return list(self.oxts), self.oxts_times
-        return list(self.images(camera)), self.image_times(camera)
-
-    def paths(self, cameras: Sequence[int]) -> list[Path]:
-        """Return all files that :func:`read_drive` reads of a drive with these `cameras`."""
-        camera = self.camera_number(cameras)
-        _, times = self.timeline(camera)
-        paths = list[Path]()
-        for files in (self.oxts, self.scans, self.truth_depth, self.truth_cls):
-            paths += files.values()
-        calibration = sorted(self.calibration.glob("calib_*.txt"))
-        optional = {times, *calibration, *self.logs()}
-        if camera is not None:
-            paths += self.images(camera).values()
-            optional.add(self.image_times(camera))
-        return paths + sorted(path for path in optional if path.is_file())
+    def list_files(self) -> list[Path]:
+        """Return all files of the drive and of its calibration."""
+        paths = list(self.calibration.glob("calib_*.txt"))
+        for folder, _, names in os.walk(self.folder, followlinks=True):
+            paths += [Path(folder, name) for name in names if not name.startswith(".")]
+        return sorted(paths)
 
 
 def open_folder(path: Path) -> KittiDrive:
     """Return the drive of a folder, which may be a link.
 
     The calibration is in the folder around the link, or in the folder around its target. Raises
-    InputError if `path` is itself a folder around drives, or has another layout.
+    InputError if `path` is itself a folder around drives.
     """
-    other_layout = find_other_layout(path)
-    if other_layout:
-        raise InputError("is not a drive of KITTI raw", path, other_layout)
     below = sorted(path.glob("*/image_0?")) + sorted(path.glob("*/*/image_0?"))
     if below:
         fix = f"Pass one of them: {below[0].parent}"
@@ -171,11 +151,11 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
     camera: Camera | None = None
     images: dict[int, Path] = {}
     notes = list[str]()
-    chosen = files.camera_number(settings.cameras)
-    if chosen is not None:
-        camera = files.camera(chosen)
-        images = files.images(chosen)
-        notes.append(f"camera {chosen}")
+    camera_number = files.choose_camera(settings.cameras)
+    if camera_number is not None:
+        camera = files.read_camera(camera_number)
+        images = files.find_images(camera_number)
+        notes.append(f"camera {camera_number}")
     if files.scans and settings.lidar and (camera is None or camera.T_cam_velo is None):
         problem = "drive has scans, but calib_cam_to_cam.txt or calib_velo_to_cam.txt is missing"
         fix = "Extract the date's calibration archive, or set ingest.lidar: false"
@@ -185,86 +165,72 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
     oxts = {}
     for number, path in files.oxts.items():
         try:
-            oxts[number] = read_row(path)
+            oxts[number] = read_packet(path)
         except DamagedFile as fault:
             damaged.append(fault)
     if damaged and not oxts and settings.on_damaged == "skip":
         problem = f"all packets of the drive are damaged: {damaged[0].problem}"
         raise InputError(problem, damaged[0].where)
     # A frame whose packet is damaged is left out.
-    all_times_s = _read_timeline(files, chosen)
+    all_times_s = _read_timeline(files, camera_number)
     time_s = {number: all_times_s[number] for number in oxts or all_times_s}
 
     values: dict[str, dict[int, Any]] = {}
     if oxts:
         values["oxts"] = oxts
     # Logs replace what packets say.
-    for path in files.logs():
+    for path in files.find_logs():
         values |= read_values(path)
     scans = files.scans if settings.lidar else {}
     without_frame = {*images, *scans} - {*all_times_s}
     if without_frame:
         notes.append(f"{len(without_frame)} images or scans without a frame")
-    if oxts and chosen is not None:
-        notes += _compare_times(files, chosen, all_times_s)
+    if oxts and images:
+        times = files.image_times(camera_number or 0)
+        if times.is_file():
+            notes += compare_times(files.oxts_times, list(all_times_s), times, list(images))
+        # Times do not show it if images were deleted and renumbered, and their times were not. The
+        # sample's packets go on after the last image.
+        last = max(images)
+        is_complete = len(images) == last + 1
+        if is_complete and max(files.oxts) > last and not files.is_rendered():
+            notes.append(
+                f"images end at frame {last}, packets at {max(files.oxts)}: if images were "
+                "renumbered, labels are wrong"
+            )
     size = camera.size if camera else None
 
     def frames() -> Iterator[Frame]:
         for number, seconds in time_s.items():
             frame = Frame(number, seconds)
-            frame.scan = _reader(read_scan, scans.get(number))
-            frame.image = _reader(read_image, images.get(number), size=size)
+            frame.scan = _bind_reader(read_scan, scans.get(number))
+            frame.image = _bind_reader(read_image, images.get(number), size=size)
             if camera:
-                frame.depth_m = _reader(read_depth, files.truth_depth.get(number), size=size)
-                frame.cls = _reader(read_classes, files.truth_cls.get(number), size=size)
+                frame.depth_m = _bind_reader(read_depth, files.truth_depth.get(number), size=size)
+                frame.cls = _bind_reader(read_classes, files.truth_cls.get(number), size=size)
             yield frame
 
     dataset = "sample" if files.is_rendered() else "kitti"
-    return Drive(camera, frames, values, notes, dataset, damaged)
+    return Drive(camera, frames, values=values, notes=notes, dataset=dataset, damaged=damaged)
 
 
 def _read_timeline(files: KittiDrive, camera: int | None) -> dict[int, float]:
     """Return frame number → time in seconds of all frames, also of those with damaged files."""
-    numbers, times = files.timeline(camera)
+    numbers = list(files.oxts)
+    times = files.oxts_times
+    if camera is not None and not numbers:
+        # Without packets, the frames are those with an image.
+        numbers = list(files.find_images(camera))
+        times = files.image_times(camera)
     folder = files.oxts_times.parent
     # A folder without packets is taken for an incomplete extraction.
     if not numbers or (not files.oxts and folder.is_dir()):
-        other_layout = find_other_layout(files.folder)
-        if other_layout:
-            raise InputError("is not a drive of KITTI raw", files.folder, other_layout)
         fix = "Extract it. Only with labels.source: motion, remove the empty folder"
         raise InputError("drive has no oxts packets", folder, fix)
     return dict(zip(numbers, read_times(times, numbers).tolist(), strict=True))
 
 
-def _compare_times(files: KittiDrive, camera: int, time_s: Mapping[int, float]) -> list[str]:
-    """Return notes on packets that do not fit a camera's images. Raises InputError.
-
-    `time_s` maps the frame numbers of the packets to their times.
-    """
-    packets = list(time_s)
-    images = list(files.images(camera))
-    if images or files.scans:
-        check_rate(files.oxts_times, list(time_s.values()), len(images) or len(files.scans))
-    if not images:
-        return []
-
-    notes = []
-    times = files.image_times(camera)
-    if times.is_file():
-        notes += compare_times(files.oxts_times, packets, times, images)
-    # Times do not show it if images were deleted and renumbered, and their times were not. The
-    # sample's packets go on after the last image.
-    is_complete = images == list(range(len(images)))
-    if is_complete and packets[-1] > images[-1] and not files.is_rendered():
-        notes.append(
-            f"images end at frame {images[-1]}, packets at {packets[-1]}: if images were "
-            "renumbered, labels are wrong"
-        )
-    return notes
-
-
-def _reader(
+def _bind_reader(
     read: Callable[..., np.ndarray], path: Path | None, **options: Any
 ) -> Callable[[], np.ndarray] | None:
     """Return a function that reads a file, or None if `path` is None."""
@@ -282,12 +248,10 @@ def find_drive(root: Path, name: str) -> KittiDrive:
             "pull labels graphs"
         )
         raise InputError("folder is missing", root, fix)
-    present = _drives(root)
+    present = _list_drives(root)
     if name not in present:
         problem = f"drive {name} of ingest.drives is missing"
-        elsewhere = _elsewhere(root, name)
-        if not elsewhere and not present:
-            elsewhere = find_other_layout(root)
+        elsewhere = _find_elsewhere(root, name)
         if elsewhere:
             raise InputError(problem, root, elsewhere)
         fix = "Extract it, or take it out of ingest.drives"
@@ -308,70 +272,41 @@ def _is_import(root: Path, name: str) -> bool:
     return not re.fullmatch(DATE, folder) or (root / folder / IMPORT).is_file()
 
 
-def leave_out(root: Path, settings: Ingest, required: Collection[str] = ()) -> list[str]:
+def find_missing(root: Path, settings: Ingest, required: Collection[str] = ()) -> list[str]:
     """Return which of KITTI's drives are missing below `root`, and print them.
 
-    The printed text also names drives below `root` that belong to no split. Raises InputError if
-    `root` has a drive with the name of a rendered drive. Raises it also if all drives are missing,
-    all drives of one split, one of the `required` drives, or a drive of an import.
+    Raises InputError if all drives are missing, all drives of one split, one of the `required`
+    drives, or a drive of an import.
     """
-    present = _drives(root)
+    if settings.source != "kitti":
+        return []
+    present = _list_drives(root)
     splits = settings.drives.splits()
-    for drive in present:
-        if settings.source == "sample" and drive in splits:
-            folder = f"{folder_of(drive)}/{drive}_sync"
-            raise InputError(
-                f"stage sample renders a drive of the same name, data/sample/{folder}",
-                root / folder,
-                "Rename this folder, or set ingest.source: kitti",
-            )
-
-    missing = []
-    if settings.source == "kitti":
-        missing = [drive for drive in splits if drive not in present]
-    splits_left = {splits[drive] for drive in splits if drive not in missing}
+    missing = [drive for drive in splits if drive not in present]
+    splits_left = {splits[drive] for drive in splits if drive in present}
     for drive in missing:
         is_needed = drive in required or splits[drive] not in splits_left
         if not present or is_needed or _is_import(root, drive):
             find_drive(root, drive)  # raises InputError
-        elsewhere = _elsewhere(root, drive)
-        if elsewhere:
-            print(f"left out: {drive}. {elsewhere}", flush=True)
-    if missing:
-        hint = ""
-        unnamed = [drive for drive in present if drive not in splits]
-        if unnamed:
-            hint = f" (it has {', '.join(unnamed[:5])}, which ingest.drives does not name)"
-        print(f"left out: {root} has no {', '.join(missing)}{hint}", flush=True)
+        print(f"left out: {drive}. {_find_elsewhere(root, drive)}".rstrip(), flush=True)
     return missing
 
 
-def _elsewhere(root: Path, name: str) -> str:
+def _find_elsewhere(root: Path, name: str) -> str:
     """Return the wrong place below `root` at which a drive was found, and what to do about it.
 
     The text is empty if the drive is not found.
     """
-    place = f"{folder_of(name)}/{name}_sync"
-    paths = [path for start in ("", "*/", "*/*/") for path in sorted(root.glob(f"{start}{name}*"))]
-    for path in paths:
-        # A folder that only contains the drive's folder is not the drive itself.
-        if path.suffix != ".zip" and not any(path.glob("*/data")):
-            continue
-        if path.stem.endswith(UNSYNCED):
+    for start in ("", "*/", "*/*/"):
+        for path in sorted(root.glob(f"{start}{name}*")):
+            found = f"Found {path.relative_to(root)}"
             return (
-                f"Found {path.relative_to(root)}: an unsynced drive. Download the synced archive, "
-                f"{name}_sync.zip"
+                f"{found}, expected {folder_of(name)}/{name}_sync of the extracted synced archive"
             )
-        if path.suffix == ".zip":
-            return f"Found {path.relative_to(root)}: extract it in {root}"
-        return (
-            f"Found {path.relative_to(root)}: move it to {place}, and its date's calib_*.txt to "
-            f"{folder_of(name)}/"
-        )
     return ""
 
 
-def _drives(root: Path) -> list[str]:
+def _list_drives(root: Path) -> list[str]:
     """Return the names of the drives below `root`."""
     names = []
     for folder in sorted(root.glob("*/*_drive_????_sync")):
@@ -417,7 +352,7 @@ def read_scan(path: Path) -> np.ndarray:
     return scan
 
 
-def _frames(folder: Path, *suffixes: str) -> dict[int, Path]:
+def _list_frames(folder: Path, *suffixes: str) -> dict[int, Path]:
     """Return frame number → file in a folder, ascending.
 
     If a frame has files in two formats, its file is that with the first of the `suffixes`.

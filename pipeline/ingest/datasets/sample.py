@@ -13,5 +13,5 @@ open_drive = kitti.open_drive
 def fingerprint(name: str, settings: Ingest, root: Path) -> list[Any]:
     """Return names and hashes of a drive's files, as each checkout has other file times."""
     folder = root / name[:10]
-    paths = kitti.find_drive(root, name).paths(settings.cameras)
+    paths = kitti.find_drive(root, name).list_files()
     return [[str(path.relative_to(folder)), file_hash(path)] for path in paths]

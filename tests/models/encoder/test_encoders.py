@@ -29,7 +29,7 @@ from pipeline.encoder.encoder_file import load_encoder, save_encoder
 from pipeline.encoder.settings import Encoder
 from pipeline.ingest.datasets.kitti import KittiDrive, read_scan
 from pipeline.perception.perceive import perceive
-from pipeline.scores.pixels import class_ious, confusion, depth_errors, eigen_crop
+from pipeline.scores.pixels import class_ious, compute_depth_errors, count_confusion, crop_eigen
 from tests.artefacts import Trap
 
 LABELS = ("road", "Tree", "sky", "zebra")
@@ -386,21 +386,21 @@ def street(real_weights) -> nn.Module:
 )
 def test_published_weights_give_metric_depth_of_real_streets(street, real_half, drive, most):
     raw = KittiDrive(real_half / drive[:10] / f"{drive}_sync")
-    number = raw.camera_number([2, 0])
-    camera = raw.camera(number)
+    number = raw.choose_camera([2, 0])
+    camera = raw.read_camera(number)
     scaled = camera.scaled(SIZE)
     errors = []
     ratios = []
     matrix = np.zeros((classes.COUNT, classes.COUNT + 1), int)
     for frame in list(raw.scans)[::10]:
-        image = resized(read_image(raw.images(number)[frame], camera.size), SIZE)
+        image = resized(read_image(raw.find_images(number)[frame], camera.size), SIZE)
         (depth,), (cls,) = perceive(street, image[None], scaled)
         truth = scan_depth(read_scan(raw.scans[frame]), scaled)
-        abs_rel, *_ = depth_errors(eigen_crop(depth), eigen_crop(truth))
+        abs_rel, *_ = compute_depth_errors(crop_eigen(depth), crop_eigen(truth))
         errors.append(abs_rel)
         ratios.append(np.median(truth[truth > 0] / depth[truth > 0]))
         _, (grey_cls,) = perceive(street, grey(image)[None], scaled)
-        matrix += confusion(grey_cls, cls)
+        matrix += count_confusion(grey_cls, cls)
     assert np.mean(errors) < most
     assert np.mean(ratios) == pytest.approx(1, abs=0.08)  # metres, without any scaling
     ious = class_ious(matrix)  # of grey against colour
@@ -426,5 +426,5 @@ def test_published_weights_give_classes_of_camvids_streets(street, real_camvid, 
         if not colour:
             image = grey(image)
         _, (cls,) = perceive(street, image[None], camera)
-        matrix += confusion(CAMVID[cls], np.where(label < 11, label, VOID))
+        matrix += count_confusion(CAMVID[cls], np.where(label < 11, label, VOID))
     assert class_ious(matrix)[:11].mean() > least

@@ -72,7 +72,7 @@ def test_paths_of_true_angles_follow_gnss(real_kitti, tmp_path):
 
 def off_the_track(raw: KittiDrive) -> np.ndarray:
     """Return how far the path of true angles ends beside GNSS, in metres per piece of 100 m."""
-    rows = np.array([packets.read_row(packet) for packet in raw.oxts.values()])
+    rows = np.array([packets.read_packet(packet) for packet in raw.oxts.values()])
     time_s = packets.read_times(raw.oxts_times, list(raw.oxts))
     columns = dict(zip(packets.COLUMNS, rows.T, strict=True))
     speed_mps = columns["vf"]

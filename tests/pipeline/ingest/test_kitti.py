@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from pipeline.base.errors import InputError
 from pipeline.base.keys import digest
@@ -53,7 +51,7 @@ def test_a_fingerprint_detects_a_file_that_was_extracted_again(tmp_path):
 def test_real_scan_lands_on_the_depth_benchmark(real_kitti):
     """KITTI's depth benchmark projected the same scan, after motion compensation: it is close."""
     drive = KittiDrive(real_kitti / DATE / "2011_09_26_drive_0001_sync")
-    camera = drive.camera(2)
+    camera = drive.read_camera(2)
     png = (
         real_kitti
         / "depth_benchmark/2011_09_26_drive_0001_sync_0000000005_velodyne_raw_image_02.png"
@@ -100,18 +98,6 @@ def test_projection_equals_kittis_formula(tmp_path):
     assert camera.size == (48, 64)
 
 
-@pytest.mark.real
-def test_real_calibration_agrees_with_pykitti(real_kitti):
-    import pykitti
-
-    reference = pykitti.raw(str(real_kitti), "2011_09_26", "0052").calib
-    camera = read_calibration(real_kitti / "2011_09_26", 2)
-    np.testing.assert_allclose(camera.K, reference.K_cam2, rtol=1e-12)
-    np.testing.assert_allclose(camera.T_cam_velo[:3, :3], reference.T_cam2_velo[:3, :3], atol=1e-12)
-    # pykitti leaves out P_rect's last column but for x: millimetres.
-    np.testing.assert_allclose(camera.T_cam_velo[:3, 3], reference.T_cam2_velo[:3, 3], atol=0.004)
-
-
 def test_columns_equal_pykittis():
     from pykitti.utils import OxtsPacket
 
@@ -124,66 +110,40 @@ def stamps(*seconds: float | str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("images", "times", "notes", "problem"),
+    ("times", "note", "problem"),
     [
-        (4, stamps(25.01, 25.11, 25.21, 25.31), [], ""),
-        (4, stamps(25.15, 25.25, 25.35, 25.45), ["packets are 0.15 s before the images"], ""),
-        (4, "\n" + stamps(25.01, "x", 25.21).replace("\n", "\r\n"), [], ""),
-        (4, stamps(25.0, 25.1), [], ""),
-        (4, "", ["times of images and packets cannot be compared (image_02)"], ""),
-        (2, stamps(25.0, 25.1, 25.2, 25.3), ["images end at frame 1, packets at 3: if images"], ""),
-        (4, stamps(25.3, 25.4, 25.5, 25.6), [], "oxts/timestamps.txt: packets are 0.30 s before"),
-        (4, stamps(24.8, 25.0, 25.2, 25.4), [], "0.05 s after .*, and drift by 0.30 s"),
-        # as in an unsynced drive
-        (1, None, [], "has 100 packets a second, expected one per image: they are unsynced"),
+        (stamps(25.01, 25.11, 25.21, 25.31), "", ""),
+        (stamps(25.15, 25.25, 25.35, 25.45), "packets are 0.15 s before the images", ""),
+        ("\n" + stamps(25.01, "x", 25.21).replace("\n", "\r\n"), "", ""),
+        ("", "times of images and packets cannot be compared (image_02)", ""),
+        (stamps(25.3, 25.4, 25.5, 25.6), "", "oxts/timestamps.txt: packets are 0.30 s before"),
+        (stamps(24.8, 25.0, 25.2, 25.4), "", "0.05 s after .*, and drift by 0.30 s"),
     ],
 )
-def test_times_of_images_and_packets(tmp_path, images, times, notes, problem):
+def test_times_of_images_and_packets(tmp_path, times, note, problem):
     folder = write_drive(tmp_path)
-    for number in range(images, 4):
-        (folder / f"image_02/data/{number:010d}.png").unlink()
-    if times is None:
-        write(folder / "oxts/timestamps.txt", stamps(*(f"{25 + i / 100:.2f}" for i in range(4))))
-    else:
-        write(folder / "image_02/timestamps.txt", times)
+    write(folder / "image_02/timestamps.txt", times)
     with pytest.raises(InputError, match=problem) if problem else nullcontext():
-        found = kitti.open_drive(DRIVE, READING, tmp_path).notes
-        assert found[0] == "camera 2"
-        for note, expected in zip(found[1:], notes, strict=True):
-            assert note.startswith(expected)
+        notes = kitti.open_drive(DRIVE, READING, tmp_path).notes
+        assert notes[0] == "camera 2"
+        assert len(notes) == 1 + bool(note)
+        assert notes[-1].startswith(note or "camera")
 
 
-@pytest.mark.parametrize(
-    ("drive", "folder", "other_file", "problem"),
-    [
-        (
-            "data_2d_raw/2013_05_28_drive_0000_sync",
-            "image_00/data_rect",
-            "image_00/timestamps.txt",
-            "images of KITTI-360",
-        ),
-        (f"{DATE}/{DRIVE}_sync", "image_00/data_rect", "other.txt", "images of KITTI-360"),
-        ("dataset/sequences/00", "image_2", "calib.txt", "images of the odometry benchmark"),
-    ],
-)
-def test_other_layouts(tmp_path, drive, folder, other_file, problem):
-    images = tmp_path / drive / folder
-    write(images / "0000000000.png", "")
-    write(tmp_path / drive / other_file, "")
-    with pytest.raises(InputError, match=f"Found {images}: {problem}"):
-        kitti.open_drive(DRIVE, READING, tmp_path)
-    with pytest.raises(InputError, match=f"is not a drive of KITTI raw. Found {images}: {problem}"):
-        kitti.open_folder(tmp_path / drive)
+def test_images_that_may_have_been_renumbered_are_noted(tmp_path):
+    folder = write_drive(tmp_path)
+    (folder / "image_02/data/0000000003.png").unlink()
+    notes = kitti.open_drive(DRIVE, READING, tmp_path).notes
+    assert notes[-1].startswith("images end at frame 2, packets at 3: if images were renumbered")
 
 
-@given(st.integers(0, 2**32 - 1))
-def test_packets_and_times_round_trip(tmp_path_factory, seed):
-    rng = np.random.default_rng(seed)
-    path = tmp_path_factory.mktemp("oxts") / "a.txt"
+def test_packets_and_times_round_trip(tmp_path):
+    rng = np.random.default_rng(0)
+    path = tmp_path / "a.txt"
     row = rng.uniform(-1, 1, 30)
     row[packets.COLUMNS.index("navstat") :] = [4, 9, 4, 4, 4]
     path.write_bytes(packets.format_packet(row))
-    np.testing.assert_allclose(packets.read_row(path), row, rtol=1e-12)
+    np.testing.assert_allclose(packets.read_packet(path), row, rtol=1e-12)
 
     time_s = np.cumsum(rng.integers(1, 10**10, 5)) / 1e9
     path.write_bytes(packets.format_times(time_s, "2027_03_31", 8 * 3600))
@@ -228,7 +188,6 @@ def read_angles(path: Path) -> object:
 SCAN = scan(np.random.default_rng(0), 640)
 # Reflectance from 0 to 255.
 BYTES = (SCAN * np.float32([1, 1, 1, 255])).tobytes()
-FIVE_COLUMNS = np.c_[SCAN, np.ones(640, "f4")].tobytes()
 PLAINLY_WRONG: list[tuple[Callable[[Path], object], str | bytes, str]] = [
     (read_scan, SCAN.tobytes()[:-7], "cut short at 10233 bytes"),
     (
@@ -237,10 +196,9 @@ PLAINLY_WRONG: list[tuple[Callable[[Path], object], str | bytes, str]] = [
         "cut short at -14.7 degrees .*LOWEST_DEG in pipeline/ingest/datasets/kitti.py",
     ),
     (read_scan, BYTES, r"reflectance is .*, expected 0 to 1\. Convert"),
-    (read_scan, FIVE_COLUMNS, "nuScenes has five columns"),
     (read_scan, (0 * SCAN).tobytes(), "no point"),
-    (packets.read_row, "", "got 0"),
-    (packets.read_row, "1.0 " * 22 + "nan " + "1.0 " * 7, "wu = nan"),
+    (packets.read_packet, "", "got 0"),
+    (packets.read_packet, "1.0 " * 22 + "nan " + "1.0 " * 7, "wu = nan"),
     (read_three, stamps(25.0, 25.1), "got 2"),
     (read_three, stamps(25.0, 25.2, 25.1), "time does not increase .*: 0.1 in line 3"),
     (

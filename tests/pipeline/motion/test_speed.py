@@ -2,15 +2,13 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from pipeline.camera.camera import Frame
 from pipeline.camera.geometry import project, transform
 from pipeline.motion.motion_file import find_jumps
 from pipeline.motion.odometry import Odometry
 from pipeline.motion.speed import TYPICAL_MPS, Speeds, filter_speeds, smooth_speeds
-from pipeline.motion.triangulation import RATIO_NOISE, Ratio, Tracks, compare_lengths, find_tracks
+from pipeline.motion.triangulation import RATIO_NOISE, Tracks, compare_lengths, find_tracks
 from tests import street
 from tests.street import pose
 
@@ -41,14 +39,6 @@ def braking() -> np.ndarray:
     return 6.75 + 5.25 * np.cos(TIME_S * np.pi / 6)
 
 
-def test_with_a_road_speed_is_that_of_the_images():
-    true_mps = braking()
-    estimate = filter_speeds(measured(true_mps))
-    error = np.log(estimate.speed_mps / true_mps)
-    assert np.sqrt((error**2).mean()) < 0.05
-    assert np.median(estimate.sigma) < 0.1
-
-
 def test_with_a_road_a_car_may_reverse_and_stand():
     estimate = filter_speeds(measured(np.array([-2.0] * 20 + [0.0] * 5)))
     assert estimate.speed_mps[10:20] == pytest.approx([-2.0] * 10, rel=0.05)
@@ -62,22 +52,6 @@ def test_without_a_road_the_scale_of_depth_is_not_believed():
     assert np.log(estimate.speed_mps).std() < 0.2 < error.std()
     assert np.median(estimate.sigma) > 0.25  # it admits the uncertainty
     assert np.median(estimate.speed_mps) == pytest.approx(TYPICAL_MPS, rel=0.4)
-
-
-@given(
-    st.lists(
-        st.tuples(st.floats(0.1, 40), st.booleans(), st.floats(0, 2)), min_size=2, max_size=20
-    ),
-    st.integers(1, 19),
-)
-def test_the_filter_is_causal(rows, known):
-    speed_mps, road, ratio = np.array(rows).T
-    sigma = np.full(len(rows), 0.01)
-    columns = (TIME_S[: len(rows)], speed_mps, road > 0, ratio, sigma)
-    complete = filter_speeds(Speeds(*columns))
-    start = filter_speeds(Speeds(*(column[:known] for column in columns)))
-    np.testing.assert_array_equal(complete.speed_mps[:known], start.speed_mps)
-    np.testing.assert_array_equal(complete.sigma[:known], start.sigma)
 
 
 @pytest.mark.parametrize(("spread", "gain"), [(0.03, 0.85), (0.08, 0.58)])
@@ -137,7 +111,7 @@ def test_the_ratio_of_two_steps_needs_no_depth_and_bears_outliers():
     assert noisy.sigma > RATIO_NOISE
 
     few = Tracks(*(column[:10] for column in tracks))
-    assert compare_lengths(few, uv[2][:10], step, K) == Ratio()
+    assert compare_lengths(few, uv[2][:10], step, K).value == 0
 
 
 def test_odometry_compares_each_step_with_the_one_before():
@@ -147,7 +121,7 @@ def test_odometry_compares_each_step_with_the_one_before():
     poses = [pose(0, 0, z) for z in np.concatenate([[0.0], np.cumsum(lengths_m)])]
     ratios = []
     for number, T in enumerate(poses):
-        step = odometry.step(Frame(number, number / 10, *street.view(T)))
+        step = odometry.measure_step(Frame(number, number / 10, *street.view(T)))
         ratios.append(step.ratio if step else 0.0)
     assert ratios[:2] == [0, 0]
     assert ratios[2:] == pytest.approx([1.0, 1.25, 1.0, 0.7], rel=0.03)

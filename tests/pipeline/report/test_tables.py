@@ -258,7 +258,7 @@ def test_perception_has_a_row_per_split_with_ground_truth():
     scores["test"].add_depth("depth_dense", truth, truth)
     outside_of_the_crop = np.where(np.arange(40)[:, None] < 2, truth, 0)
     scores["train"].add_depth("depth_dense", truth, outside_of_the_crop)
-    report = {split: score.report() for split, score in scores.items()} | {"motion": {}}
+    report = {split: score.to_report() for split, score in scores.items()} | {"motion": {}}
     (section,) = tables.perception(report)
     assert section.table.reset_index().to_numpy().tolist() == [  # no columns of flat ground
         ["val, lidar", "1", "100.0%", "0.200, 2.00, 1.000"],

@@ -173,7 +173,7 @@ def pixels_inside(uv: np.ndarray, border: float) -> np.ndarray:
 
 
 def test_scans_agree_with_dense_depth(drive):
-    camera = drive.camera(2)
+    camera = drive.read_camera(2)
     errors_m = []
     for frame in (0, FRAMES - 1):
         depth_m = to_metres(read_pixels(drive.truth_depth[frame]))
@@ -208,7 +208,7 @@ def test_static_world_moves_as_oxts_measures(drive):
     T_last_first = T_cam2_imu @ T_imu_last_first @ np.linalg.inv(T_cam2_imu)
 
     # Surfaces up to 40 m ahead that do not move.
-    camera = drive.camera(2)
+    camera = drive.read_camera(2)
     depth_m = to_metres(read_pixels(drive.truth_depth[0]))
     cls = read_pixels(drive.truth_cls[0])
     static = np.isin(cls, [classes.BUILDING, classes.ROAD, classes.SIDEWALK])

@@ -146,7 +146,7 @@ def stage_folder(
         code = Code.read(name, chosen)
         sections = read_sections(name, params, entry)
         for path in kept.glob("new-*"):
-            _remove(path)
+            remove(path)
         folder = StageFolder(code, kept / f"new-{uuid4().hex}", kept, set())
         folder.new.mkdir()
         yield folder
@@ -158,7 +158,7 @@ def stage_folder(
         write_json(folder.new / INDEX, index, sort_keys=False)
         _move(folder.new, out)
         for path in set(kept.iterdir()) - folder.used:
-            _remove(path)
+            remove(path)
 
 
 def _check_owner(out: Path, stage: str, index: Mapping[str, Any]) -> None:
@@ -182,18 +182,18 @@ def _move(new: Path, out: Path) -> None:
     """Move the content of `new` to `out`, and remove drives of earlier runs from there."""
     out.mkdir(parents=True, exist_ok=True)
     # Stages read no folder without an index, so it is removed first, and moved last.
-    _remove(out / INDEX)
+    remove(out / INDEX)
     paths = sorted(new.iterdir(), key=lambda path: path.name == INDEX)
 
     earlier = [*out.glob("*.h5"), *(out / path.name for path in paths)]
     for path in earlier:
-        _remove(path)
+        remove(path)
     for path in paths:
         with replacing(out / path.name) as unfinished:
             shutil.move(path, unfinished)
 
 
-def _remove(path: Path) -> None:
+def remove(path: Path) -> None:
     """Remove a file or a folder, if there is one."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)

@@ -26,7 +26,7 @@ SWIN = str(ROOT / "models/encoder/swin-t")
 
 def changed(where: str, value: Any) -> dict[str, Any]:
     """Return the content of params.yaml with preset table2, and one value changed or added."""
-    content = yaml.safe_load(preset.to_yaml(preset.merged("table2"), "a test"))
+    content = yaml.safe_load(preset.to_yaml(preset.merge_preset("table2"), "a test"))
     *path, key = where.split(".")
     reduce(dict.__getitem__, path, content)[key] = value
     return content
@@ -44,7 +44,7 @@ def test_the_projects_own_files_are_valid(name, tmp_path, monkeypatch, capsys):
     (tmp_path / "models").symlink_to(ROOT / "models")
     text = (ROOT / "params.yaml").read_text()
     if name:
-        text = preset.to_yaml(preset.merged(name), "a test")
+        text = preset.to_yaml(preset.merge_preset(name), "a test")
     run(tmp_path, yaml.safe_load(text))
     assert capsys.readouterr().out == ""
 

@@ -133,7 +133,7 @@ def test_the_encoder_of_streets_takes_published_files_and_names_their_terms(
 
 def test_the_samples_encoder_is_the_default_and_was_fitted_by_its_preset_on_other_roads(tmp_path):
     content = yaml.safe_load((ROOT / "params.yaml").read_text())
-    fitted = preset.Params.model_validate(preset.merged("encoder"))
+    fitted = preset.Params.model_validate(preset.merge_preset("encoder"))
     shipped = ROOT / content["encoder"]["weights"]
     assert shipped.stat().st_size <= 2_500_000
     made = config(shipped.parent)

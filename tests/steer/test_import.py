@@ -17,7 +17,7 @@ from pipeline.base.store import DriveReader
 from pipeline.check import preset
 from pipeline.ingest.datasets.kitti import IMPORT
 from stages import check, ingest
-from stages.preset import Params, imports_hash, merged
+from stages.preset import Params, hash_imports, merge_preset
 from steer.commands.import_ import import_recordings
 from tests.kitti_drive import SIZE, contents, pictures, write, write_video
 
@@ -47,7 +47,7 @@ def take(tmp_path, monkeypatch) -> Callable[..., dict[str, Any]]:
         if "wheel" in options:
             options.setdefault("steering_ratio", 10.0)
         import_recordings([*recordings], **{"name": name, "fov_deg": 80.0, **options})
-        return merged(str(tmp_path / f"presets/{name}.yaml"))
+        return merge_preset(str(tmp_path / f"presets/{name}"))
 
     return imported
 
@@ -114,13 +114,13 @@ def test_each_recording_is_a_drive_for_the_splits_in_turn(tmp_path, take, video,
 def test_an_import_is_repeated_and_nothing_else_is_replaced(tmp_path, take, video):
     raw = tmp_path / "data/raw"
     settings = Params.model_validate(take(video, motion=STEADY)).ingest
-    first_hash = imports_hash(settings, raw)
+    first_hash = hash_imports(settings, raw)
     first = contents(tmp_path / "data/raw/monday")
     write(tmp_path / "data/raw/monday/.DS_Store", "")
     take(video, camera_height_m=1.5)
     second = contents(tmp_path / "data/raw/monday")
     # By this hash, make NAME sees the other import.
-    assert first_hash != imports_hash(settings, raw) != ""
+    assert first_hash != hash_imports(settings, raw) != ""
     assert {*first} - {*second} == {
         f"monday_drive_000{number}_sync/motion.csv" for number in (1, 2, 3)
     }

@@ -1,6 +1,5 @@
-"""params.yaml: faults name file, key, value and what is expected, and presets keep its comments."""
+"""params.yaml: faults name file, key, value and what is expected."""
 
-import re
 from functools import partial, reduce
 from pathlib import Path
 from typing import Any
@@ -82,7 +81,7 @@ def test_faults_name_file_key_and_value(tmp_path, section, key, value, problem):
 
 
 def merge(path: Path) -> dict[str, Any]:
-    return preset.merged(str(path))
+    return preset.merge_preset(str(path.with_suffix("")))
 
 
 @pytest.mark.parametrize(
@@ -115,32 +114,9 @@ def test_invalid_names(tmp_path, name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_preset_is_written_as_its_merged_content_with_all_comments(name):
-    text = preset.to_yaml(preset.merged(name), "a test")
-    assert yaml.safe_load(text) == preset.merged(name)
-    _, *written = text.splitlines()  # below the stamp
-    original = preset.PARAMS.read_text()
-    comments = [line for line in written if line.lstrip().startswith("#")]
-    assert comments == re.findall(r"^ *#.*", original, re.MULTILINE)
-
-    # Comments at the end of a line stay, too, unless the preset replaces the section.
-    changes = params.read_yaml(preset.PRESETS / f"{name}.yaml")
-    replaced = {key for key, value in changes.items() if "*" in value}
-    section = ""
-    for line in original.splitlines():
-        key = f"{line.partition(':')[0]}:"
-        if line[:1].isalpha():
-            section = key.removesuffix(":")
-        _, _, comment = line.partition(" # ")
-        is_written = any(other.startswith(key) for other in written)
-        if comment and is_written and section not in replaced:
-            assert any(comment in other for other in written), line
-
-
-@pytest.mark.parametrize("name", NAMES)
 def test_a_row_and_its_control_differ_in_the_scene_only(name):
     """The row of NAME-blind is NAME."""
-    models = preset.Params.model_validate(preset.merged(name)).models
+    models = preset.Params.model_validate(preset.merge_preset(name)).models
     for key, entry in models.items():
         is_blind = entry.spatial == "blind"
         assert ("blind" in key) == is_blind, key
@@ -156,4 +132,6 @@ def test_a_star_removes_all_earlier_entries(tmp_path):
     model = "{input: semantic, spatial: gnn, temporal: lstm, semantics: 0.5}"
     path = tmp_path / "mine.yaml"
     path.write_text(f"models:\n  sa-gnn-ncp: {model}\n  '*': null\n")
-    assert preset.merged(str(path))["models"] == {"sa-gnn-ncp": yaml.safe_load(model)}
+    assert preset.merge_preset(str(path.with_suffix("")))["models"] == {
+        "sa-gnn-ncp": yaml.safe_load(model)
+    }

@@ -12,7 +12,7 @@ from models.encoder.unified_encoder import Architecture
 from pipeline.base import console, store
 from pipeline.base.errors import error_context
 from pipeline.base.outputs import StageFolder, stage_folder
-from pipeline.base.params import load
+from pipeline.base.params import load_section
 from pipeline.base.runner import Job, Summary, make_drives
 from pipeline.encoder import encoder_file
 from pipeline.encoder.create import create
@@ -31,8 +31,8 @@ def main(
 ) -> Path:
     """Write encoder.pt, config.json and curve.csv. Return the folder."""
     out = out or data / "encoder"
-    settings = load(Encoder, params)
-    size = load(Ingest, params).image_size
+    settings = load_section(Encoder, params)
+    size = load_section(Ingest, params).image_size
     config = settings.model_dump(mode="json", exclude_none=True, exclude={"weights_sha256"})
     curve: list[dict[str, float]] = []
     with stage_folder("encoder", out, params=params) as folder:

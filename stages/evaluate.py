@@ -11,7 +11,7 @@ import typer
 
 from pipeline.base import console, store
 from pipeline.base.outputs import stage_folder
-from pipeline.base.params import entry_name, load
+from pipeline.base.params import entry_name, load_section
 from pipeline.evaluate import statistics
 from pipeline.evaluate.error_table import common_frames, errors, records
 from pipeline.evaluate.predictions import model_facts, predict_cases, prediction_table
@@ -34,7 +34,7 @@ def main(
     Errors are means over the seeds, on the frames that this model predicts.
     """
     name = entry_name(name)
-    settings = load(Evaluate, params)
+    settings = load_section(Evaluate, params)
     train = data / "train" / name
     out = data / "evaluate" / name
     first = trained.load_model(train)

@@ -9,7 +9,7 @@ from pipeline.base import console, store
 from pipeline.base.executors import default_workers
 from pipeline.base.keys import file_hash
 from pipeline.base.outputs import stage_folder
-from pipeline.base.params import load
+from pipeline.base.params import load_section
 from pipeline.base.runner import file_jobs, make_drives
 from pipeline.encoder.encoder_file import FILE
 from pipeline.perception.perceive import perceive_drive, warnings
@@ -18,7 +18,7 @@ from pipeline.perception.settings import Perception
 
 def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     """Predict depth and classes of each image with the encoder. Return the output folder."""
-    settings = load(Perception, params)
+    settings = load_section(Perception, params)
     ingest = data / "ingest"
     encoder = data / "encoder"
     out = data / "perception"

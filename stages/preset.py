@@ -19,7 +19,7 @@ from pipeline.base import console
 from pipeline.base.checkout import CHECKOUT, CODE, revision
 from pipeline.base.errors import InputError
 from pipeline.base.keys import ROOT, code_files, digest, file_hash
-from pipeline.base.outputs import check_free, locked, remove
+from pipeline.base.outputs import check_free, hold_lock, remove_path
 from pipeline.base.params import parse, read_yaml
 from pipeline.base.store import write_json, write_text
 from pipeline.check.preset import PRESETS, check_name_is_free
@@ -65,7 +65,7 @@ def main(
         str(CHECKOUT): str(Path.cwd()),
     }
     run.parent.mkdir(exist_ok=True)
-    with locked(run, f"{run}.lock"):
+    with hold_lock(run, f"{run}.lock"):
         write_run(run, record, texts)
         run_dvc(run, stages or [])
         if not stages:
@@ -141,7 +141,7 @@ def write_run(run: Path, record: Mapping[str, Any], texts: Mapping[str, str]) ->
 
     write_json(run / RUN, {**record, "files": {}}, sort_keys=False)
     for name in names:
-        remove(run / name)
+        remove_path(run / name)
     for path in hash_files(Path(), CODE):
         (run / path).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(path, run / path)

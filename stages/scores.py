@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pipeline.base import console, store
 from pipeline.base.outputs import stage_folder
-from pipeline.base.params import load
+from pipeline.base.params import load_section
 from pipeline.base.runner import file_jobs, make_drives
 from pipeline.labels.label import Car
 from pipeline.labels.settings import Labels
@@ -19,7 +19,7 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     data/README.md explains the keys ``motion`` and ``recorded``. Angles and valid frames are
     defined as in the labels.
     """
-    labels = load(Labels, params)
+    labels = load_section(Labels, params)
     car = Car(labels.wheelbase_m, labels.min_speed_mps)
     out = data / "scores"
     inputs = {name: data / name for name in ("ingest", "perception", "motion")}

@@ -11,7 +11,7 @@ import typer
 from pipeline.base import console, store
 from pipeline.base.errors import error_context
 from pipeline.base.outputs import stage_folder
-from pipeline.base.params import SPLITS, entry_name, load, load_entry
+from pipeline.base.params import SPLITS, entry_name, load_entry, load_section
 from pipeline.train import runs
 from pipeline.train.entry import Entry
 from pipeline.train.fit_model import Model, fit_model
@@ -40,7 +40,7 @@ def main(
     """
     name = entry_name(name)
     out = out or data / "train"
-    settings = load(Train, params)
+    settings = load_section(Train, params)
     entry = load_entry(Entry, "models", name, params)
     if entry.learning_rate:
         settings = settings.model_copy(update={"learning_rate": entry.learning_rate})

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from pipeline.base.console import guarded, start
+from pipeline.base.console import guarded
 from pipeline.base.errors import InputError
 from steer.commands import import_, measure, predict
 from steer.commands.arguments import with_options
@@ -111,13 +111,13 @@ def view(
     """
     import webbrowser
 
-    from pipeline.base.outputs import claimed
+    from pipeline.base.outputs import find_free
     from steer import artefact
 
     if out and out.suffix != ".html":
         raise InputError("expected the name of an HTML file", "--out")
-    with claimed(out, path.stem, ".html") as page:
-        artefact.view(path, page)
+    page = find_free(out, path.stem, ".html")
+    artefact.view(path, page)
     print(page)
     # The exception means that there is no browser.
     with suppress(webbrowser.Error):
@@ -166,7 +166,7 @@ app.command("export", no_args_is_help=True)(guarded(export))
 
 def main() -> None:
     """Run the command `steer`."""
-    start(app, "steer")
+    app(prog_name="steer")
 
 
 if __name__ == "__main__":

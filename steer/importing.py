@@ -16,7 +16,7 @@ from footage.settings import Options
 from pipeline.base.checkout import is_checkout
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.keys import ROOT, WINDOWS_FILES, file_hash
-from pipeline.base.outputs import locked
+from pipeline.base.outputs import hold_lock
 from pipeline.base.params import SPLITS, check_name
 from pipeline.base.store import replacing, write_json, write_text
 from pipeline.camera.pinhole import depth_limit
@@ -57,7 +57,7 @@ def take(
 
     folder.parent.mkdir(parents=True, exist_ok=True)
     hidden = folder.with_name(f".{name}")
-    with locked(folder, f"{hidden}.lock"):
+    with hold_lock(folder, f"{hidden}.lock"):
         for leftover in folder.parent.glob(f"{hidden.name}.????????.tmp"):
             shutil.rmtree(leftover)
         check_replaceable(folder, preset, files)

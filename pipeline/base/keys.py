@@ -138,13 +138,13 @@ class Code(NamedTuple):
         `chosen` are the files of the networks or datasets that the settings name. Other modules in
         their folders do not belong to the code, unless dvc.yaml lists the module itself.
         """
-        return cls(stage, _select(LOADED, stage, chosen))
+        return cls(stage, _select_code(LOADED, stage, chosen))
 
     def hash(self, chosen: Collection[str] = ()) -> str:
         """Return a hash of the code; of those passed to :meth:`read`, only `chosen` ones count."""
         loaded = self.loaded
         if chosen:
-            loaded = _select(loaded, self.stage, chosen)
+            loaded = _select_code(loaded, self.stage, chosen)
         return digest(loaded)
 
     def check_unedited(self) -> None:
@@ -167,7 +167,7 @@ class Code(NamedTuple):
                 )
 
 
-def _select(loaded: Mapping[str, str], stage: str, chosen: Collection[str]) -> dict[str, str]:
+def _select_code(loaded: Mapping[str, str], stage: str, chosen: Collection[str]) -> dict[str, str]:
     """Return what belongs to a stage.
 
     A chosen module has the files with its name, mine.py and mine.yaml, and the folder mine; also

@@ -11,7 +11,7 @@ from pipeline.base import keys
 from pipeline.base.errors import InputError
 from pipeline.base.keys import Code
 from pipeline.base.outputs import stage_folder
-from pipeline.base.params import load
+from pipeline.base.params import load_section
 from pipeline.labels.settings import Labels
 from tests.kitti_drive import contents, write
 
@@ -139,7 +139,7 @@ def test_an_edit_while_a_stage_runs_is_found_at_its_end(checkout, file, before, 
     text = (checkout / file).read_text()
 
     def run(*change: Any) -> None:
-        load(Labels, params)
+        load_section(Labels, params)
         with stage_folder("labels", out, params=params) as folder:
             write(folder.kept / "finished", "")
             folder.used.add(folder.kept / "finished")

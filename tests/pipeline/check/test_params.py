@@ -35,7 +35,7 @@ def edited(tmp_path: Path, key: str, value: Any) -> Path:
 def test_a_range_names_all_its_drives(tmp_path):
     train = ["2026_01_04_drive_0008..0010", "2011_09_26_drive_0001"]
     drives = {"train": train, "test": ["2026_01_03_drive_0001..0001"]}
-    read = params.load(Ingest, edited(tmp_path, "ingest.drives", drives)).drives
+    read = params.load_section(Ingest, edited(tmp_path, "ingest.drives", drives)).drives
     assert read.train == [
         *(f"2026_01_04_drive_{number:04d}" for number in (8, 9, 10)),
         "2011_09_26_drive_0001",
@@ -76,8 +76,12 @@ def test_a_range_names_all_its_drives(tmp_path):
 def test_faults_name_file_key_and_value(tmp_path, section, key, value, problem):
     path = edited(tmp_path, key, value)
     with pytest.raises(InputError, match=problem) as raised:
-        params.load(section, path)
+        params.load_section(section, path)
     assert raised.value.where.startswith(str(path))
+
+
+def read_train(path: Path) -> Train:
+    return params.load_section(Train, path)
 
 
 def merge(path: Path) -> dict[str, Any]:
@@ -87,9 +91,17 @@ def merge(path: Path) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("read", "text", "problem"),
     [
-        (partial(params.load, Train), "train: 1\ntrain: 2\n", "invalid YAML.*duplicate key"),
-        (partial(params.load, Train), "trian: {}", r"no section 'train': did you mean trian\?"),
-        (partial(params.load, Train), "", "expected sections"),
+        (
+            partial(params.load_section, Train),
+            "train: 1\ntrain: 2\n",
+            "invalid YAML.*duplicate key",
+        ),
+        (
+            partial(params.load_section, Train),
+            "trian: {}",
+            r"no section 'train': did you mean trian\?",
+        ),
+        (read_train, "", "expected sections"),
         (
             partial(params.load_entry, Variant, "graphs", "a"),
             "graphs: {a: {cloud: lidar}}",

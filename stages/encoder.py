@@ -15,7 +15,7 @@ from pipeline.base.outputs import StageFolder, stage_folder
 from pipeline.base.params import load_section
 from pipeline.base.runner import Job, Summary, make_drives
 from pipeline.encoder import encoder_file
-from pipeline.encoder.create import create
+from pipeline.encoder.create import create_encoder
 from pipeline.encoder.fit import fit_drives
 from pipeline.encoder.settings import Encoder
 from pipeline.ingest.settings import Ingest
@@ -39,7 +39,7 @@ def main(
         # Layers without fitted weights start at random.
         torch.manual_seed(settings.seed)
         with error_context(params), error_context("encoder"):
-            architecture, model = create(settings)
+            architecture, model = create_encoder(settings)
 
         # A network that does not take images of this size fails here, before any drive is read.
         where = f"backbone {settings.backbone}, ingest.image_size {list(size)}"
@@ -48,7 +48,7 @@ def main(
                 encoder_file.check_size(model, size)
 
         if settings.epochs:
-            fitted = fit(folder, settings, architecture, model, data / "ingest")
+            fitted = fit_or_reuse(folder, settings, architecture, model, ingest=data / "ingest")
             curve = fitted["curve"]
             config |= fitted["config"]
             config["losses"] = {name: curve[-1][name] for name in LOSSES}
@@ -71,7 +71,7 @@ def main(
     return out
 
 
-def fit(
+def fit_or_reuse(
     folder: StageFolder,
     settings: Encoder,
     architecture: Architecture,

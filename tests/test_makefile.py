@@ -183,7 +183,7 @@ def test_other_files_of_an_encoder_under_the_same_name_change_its_settings(
     write(Path(file), "second")
     assert weights_hash(Encoder(**settings)) not in (None, first)
     with pytest.raises(InputError, match=r"hash of other weights\. Repeat make NAME"):
-        create.create(Encoder(**settings, weights_sha256=first))
+        create.create_encoder(Encoder(**settings, weights_sha256=first))
 
 
 @pytest.mark.slow

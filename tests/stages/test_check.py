@@ -21,7 +21,6 @@ PYG = {"input": "semantic", "spatial": "pyg", "temporal": "lstm", "semantics": 1
 GNN = PYG | {"spatial": "gnn"}
 FIT = {"epochs": 0, "frames": 1, "batch": 1, "learning_rate": 0.1, "seed": 0}
 PAIR = {"backbone": "pair", "depth": "a/b", "classes": "c/d", "focal_by_width": 0.6, **FIT}
-SWIN = str(ROOT / "models/encoder/swin-t")
 
 
 def changed(where: str, value: Any) -> dict[str, Any]:
@@ -175,11 +174,6 @@ def test_weights_are_looked_for_where_stage_encoder_will_run(tmp_path):
             "encoder",
             PAIR | {"depth": "some/where/else"},
             "depth: 'some/where/else' is not a folder with a config.json",
-        ),
-        (
-            "encoder",
-            PAIR | {"classes": SWIN},
-            "type swin have no map of classes. Families that work: segformer, up",
         ),
         ("model", {}, "model.*did you mean models"),
     ],

@@ -25,7 +25,7 @@ from footage.settings import Options
 from footage.video import CONVERT, Images, open_images
 from pipeline.base.errors import DamagedFile, InputError, error_context
 from pipeline.camera.camera import Camera
-from pipeline.camera.images import Size, format_size, resized
+from pipeline.camera.images import Size, format_size, resize_image
 from pipeline.ingest.calibration import write_calibration
 from pipeline.ingest.packets import VALUE_FILES, format_times, write_values
 from pipeline.motion.horizon import HorizonFinder, horizon_row
@@ -122,7 +122,7 @@ class Optics(NamedTuple):
         camera, rectify = open_lens(options, (height, width), images.path)
         if width > MAX_WIDTH:
             camera = camera.scaled((round(height * MAX_WIDTH / width), MAX_WIDTH))
-        return cls((height, width), rectify, camera, resized(rectify(image), camera.size))
+        return cls((height, width), rectify, camera, resize_image(rectify(image), camera.size))
 
     def to_frame(self, image: np.ndarray, path: Path) -> np.ndarray:
         """Return the rectified image of a file in the size of the camera. Raises InputError."""
@@ -131,7 +131,7 @@ class Optics(NamedTuple):
             expected = f"expected {format_size(self.size)}, as the first one"
             fix = "Import recordings of other sizes separately"
             raise InputError(f"{problem}, {expected}", path, fix)
-        return resized(self.rectify(image), self.camera.size)
+        return resize_image(self.rectify(image), self.camera.size)
 
 
 @dataclass

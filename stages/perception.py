@@ -12,7 +12,7 @@ from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load_section
 from pipeline.base.runner import file_jobs, make_drives
 from pipeline.encoder.encoder_file import FILE
-from pipeline.perception.perceive import perceive_drive, warnings
+from pipeline.perception.perceive import find_warnings, perceive_drive
 from pipeline.perception.settings import Perception
 
 
@@ -26,7 +26,7 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     with stage_folder("perception", out, splits, params=params) as folder:
         # This also reports a bad checkpoint, once instead of from each worker.
         files = [ingest / f"{drive}.h5" for drive in splits]
-        for line in warnings(encoder, settings.precision, files):
+        for line in find_warnings(encoder, settings.precision, files):
             print(line, flush=True)
 
         # Two processes keep a GPU busy: one reads and writes while the other encodes.

@@ -12,7 +12,7 @@ from footage.settings import Options
 from pipeline.base.store import replacing, write_json
 from pipeline.ingest.settings import Reading
 from pipeline.labels.label import Car
-from pipeline.perception.perceive import warnings
+from pipeline.perception.perceive import find_warnings
 from pipeline.perception.settings import Perception
 from pipeline.train.trained import Trained
 from steer import predict
@@ -61,7 +61,7 @@ def measure(
         run_chain(source, work, reading, perception, encoder)
 
         results = Results.read(source, work, car, smooth=model is None)
-        results.doubts += warnings(encoder, "float32", [work / INGEST])
+        results.doubts += find_warnings(encoder, "float32", [work / INGEST])
         comparison = results.compare("measured")
         if model:
             predict.add_prediction(model, source, work, results)

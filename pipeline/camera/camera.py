@@ -178,11 +178,11 @@ def scan_depth(scan: np.ndarray, camera: Camera) -> np.ndarray:
     """
     assert camera.T_cam_velo is not None
     xyz = transform(camera.T_cam_velo, scan[:, :3].astype(np.float64))
-    index, _, _ = visible(xyz, camera)
+    index, _, _ = find_visible(xyz, camera)
     return depth_image(xyz[index], camera.K, camera.size).astype(np.float32)
 
 
-def visible(xyz: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def find_visible(xyz: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the points of a scan that the camera sees: indices [M], pixels' rows and columns.
 
     `xyz` [N,3] holds the points in the camera frame. The scanner is above the camera and looks over

@@ -8,7 +8,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.keys import digest, file_hash
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, same_shape
-from pipeline.camera.images import format_size, nearest, read_classes, read_depth
+from pipeline.camera.images import format_size, read_classes, read_depth, resize_nearest
 
 # Names and formats of the expected files, for messages.
 LAYOUT = (
@@ -72,5 +72,5 @@ def _resize_to_camera(pixels: np.ndarray, camera: Camera, path: Path) -> np.ndar
                 expected = f"the images, {format_size(crop.image_size)}, or {expected}"
             problem = f"has {format_size(size)} pixels, expected the aspect ratio of {expected}"
             raise InputError(problem, path, "Write depth and classes of the complete images")
-        pixels = crop.pixels(nearest(pixels, crop.image_size))
-    return nearest(pixels, camera.size)
+        pixels = crop.pixels(resize_nearest(pixels, crop.image_size))
+    return resize_nearest(pixels, camera.size)

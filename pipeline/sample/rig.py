@@ -152,7 +152,7 @@ class ImageSensor:
     def __init__(self, rig: Rig) -> None:
         self._size = rig.size
         self._T_imu_cam = np.linalg.inv(rig.T_cam2_imu)
-        to_pixels = geometry.rays(rig.P_rect[2][:, :3], rig.size).reshape(-1, 3).T
+        to_pixels = geometry.camera_rays(rig.P_rect[2][:, :3], rig.size).reshape(-1, 3).T
         # Depth along the optical axis per metre of distance.
         self._z_per_m = (1 / np.linalg.norm(to_pixels, axis=0)).astype(np.float32)
         self._directions = (to_pixels * self._z_per_m).astype(np.float32)

@@ -5,7 +5,7 @@ import pytest
 
 from footage.lens import fisheye, pinhole, undistortion
 from pipeline.base.errors import InputError
-from pipeline.camera.geometry import rays
+from pipeline.camera.geometry import camera_rays
 
 
 def test_field_of_view_spans_the_edges():
@@ -14,7 +14,7 @@ def test_field_of_view_spans_the_edges():
     left = np.linalg.inv(K) @ [-0.5, 0, 1]
     right = np.linalg.inv(K) @ [639.5, 0, 1]
     assert np.rad2deg(np.arctan(right[0]) - np.arctan(left[0])) == pytest.approx(90)
-    middle = rays(K, (480, 640))[239:241, 319:321].mean(axis=(0, 1))
+    middle = camera_rays(K, (480, 640))[239:241, 319:321].mean(axis=(0, 1))
     np.testing.assert_allclose(middle, [0, 0, 1], atol=1e-12)
 
 

@@ -24,7 +24,7 @@ from models.encoder.unified_encoder import Architecture, build_network
 from pipeline.base.keys import ROOT
 from pipeline.camera import classes, geometry
 from pipeline.camera.camera import Camera, scan_depth
-from pipeline.camera.images import read_image, resized
+from pipeline.camera.images import read_image, resize_image
 from pipeline.encoder.create import create_encoder
 from pipeline.encoder.encoder_file import load_encoder, save_encoder
 from pipeline.encoder.settings import Encoder
@@ -333,7 +333,7 @@ def test_heads_equal_torchs_own_layers_and_rays_those_of_the_camera():
     torch.manual_seed(0)
     features = torch.randn(2, 8, 5, 7)
     rays = ray_slopes(K, (18, 27))
-    expected = geometry.rays(K[0].numpy(), (18, 27))[..., :2]
+    expected = geometry.camera_rays(K[0].numpy(), (18, 27))[..., :2]
     np.testing.assert_allclose(rays[0].permute(1, 2, 0), expected, atol=1e-6)
 
     layer = Pointwise(8, 3)
@@ -381,7 +381,7 @@ def test_published_weights_give_metric_depth_of_real_streets(street, real_half, 
     errors = []
     ratios = []
     for frame in list(raw.scans)[::10]:
-        image = resized(read_image(raw.images(number)[frame], camera.size), SIZE)
+        image = resize_image(read_image(raw.images(number)[frame], camera.size), SIZE)
         (depth,), _ = perceive(street, image[None], scaled)
         truth = scan_depth(read_scan(raw.scans[frame]), scaled)
         abs_rel, *_ = depth_errors(eigen_crop(depth), eigen_crop(truth))

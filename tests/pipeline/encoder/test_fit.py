@@ -10,7 +10,7 @@ import torch
 from models.encoder.unified_encoder import build_network
 from pipeline.base.errors import InputError
 from pipeline.camera import classes
-from pipeline.camera.geometry import rays
+from pipeline.camera.geometry import camera_rays
 from pipeline.encoder.create import create_encoder, download_file
 from pipeline.encoder.encoder_file import save_encoder
 from pipeline.encoder.examples import Example, Examples, augment_example, mirror_example
@@ -69,8 +69,8 @@ def test_mirroring_negates_the_rays_and_is_its_own_inverse():
     image, depth, cls = street.scene(3)
     example = Example(image, street.CAMERA, depth.astype(np.float32), cls)
     mirror = mirror_example(example)
-    x, y, _ = np.moveaxis(rays(street.K, street.SIZE), -1, 0)
-    mirror_x, mirror_y, _ = np.moveaxis(rays(mirror.camera.K, street.SIZE), -1, 0)
+    x, y, _ = np.moveaxis(camera_rays(street.K, street.SIZE), -1, 0)
+    mirror_x, mirror_y, _ = np.moveaxis(camera_rays(mirror.camera.K, street.SIZE), -1, 0)
     np.testing.assert_allclose(mirror_x, -x[:, ::-1], atol=1e-12)
     np.testing.assert_allclose(mirror_y, y)
     np.testing.assert_array_equal(mirror.depth_m, example.depth_m[:, ::-1])

@@ -97,7 +97,7 @@ def write_overlay(path: Path, source: Source, results: Results, wheelbase_m: flo
         stream.pix_fmt = "yuv420p"
         stream.options = {"preset": "veryfast"}
         for frame in source.drive.frames():
-            frame.read()
+            frame.read_fields()
             if frame.number in rows and frame.image is not None:
                 row = rows[frame.number]
                 image = resize_image(frame.image, camera.size).copy()

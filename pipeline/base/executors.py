@@ -147,7 +147,7 @@ def _start_worker() -> None:
 def _exit_with_parent() -> None:
     """Wait for the parent process to end, then end this process."""
     parent = multiprocessing.parent_process()
-    assert parent is not None
+    assert parent is not None, "called in a worker process only"
     parent.join()
     os._exit(1)
 

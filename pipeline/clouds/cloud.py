@@ -67,7 +67,7 @@ def lidar_cloud(scan: np.ndarray, camera: Camera, cls: np.ndarray | None) -> Clo
     the frame's image, or is None. Points that are outside of the image, hidden from the camera, or
     on the sky are void.
     """
-    assert camera.T_cam_velo is not None
+    assert camera.T_cam_velo is not None, "the camera belongs to a scanner"
     xyz = geometry.transform(camera.T_cam_velo, scan[:, :3].astype(np.float64))
     labels = np.full(len(xyz), classes.VOID, np.uint8)
     if cls is not None:

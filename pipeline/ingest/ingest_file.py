@@ -116,7 +116,7 @@ def write_drive(
         # Maps that the file has so far. It always has images.
         written = {"image"}
         for frame in drive.frames():
-            damaged = frame.read()
+            damaged = frame.read_fields()
             faults += damaged.values()
             first_fault = damaged | first_fault
             _check_size(frame, camera)

@@ -175,11 +175,9 @@ def run_passes(predict: Predict, batches: Generator[EncoderInput]) -> Generator[
         workers = min(threads, default_workers())
     use_one_thread()
     try:
-        with (
-            closing(batches),
-            closing(prefetch(predict, batches, workers, workers + 1, use_one_thread)) as results,
-        ):
-            yield from results
+        passes = prefetch(predict, batches, threads=workers, ahead=workers + 1, init=use_one_thread)
+        with closing(batches), closing(passes):
+            yield from passes
     finally:
         torch.set_num_threads(threads)
 

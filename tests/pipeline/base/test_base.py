@@ -238,7 +238,7 @@ def test_reading_needs_no_lock(tmp_path):
             assert file.drive == DRIVE
 
 
-def test_index_round_trip(tmp_path):
+def test_an_index_keeps_its_order_and_names_missing_files(tmp_path):
     splits = {"b": "train", "a": "test", "c": "train"}
     write_index(tmp_path, splits)
     with pytest.raises(InputError, match=r"no file for b, a, c.*dvc repro clouds"):
@@ -246,11 +246,8 @@ def test_index_round_trip(tmp_path):
     for drive in splits:
         write(tmp_path / f"{drive}.h5")
     index = store.read_index(tmp_path, stage="clouds")
-    assert [*index.items()] == [*splits.items()]  # in the same order
+    assert [*index.items()] == [*splits.items()]
     assert store.drives_in(splits, "train") == ["b", "c"]
-    (tmp_path / "index.json").write_text('{"drives": ')
-    with pytest.raises(InputError, match="damaged"):
-        store.read_index(tmp_path, stage="clouds")
 
 
 def write_stage(out: Path, *files: str) -> None:
@@ -329,22 +326,13 @@ def test_a_container_has_as_many_workers_as_its_quota_allows(tmp_path, monkeypat
     assert executors.usable_cores() == os.cpu_count()
 
 
-@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_bytes_do_not_depend_on_workers(folder, expected, workers, capsys):
-    summaries = toy_stage.main(folder, workers=workers)
-    assert [*summaries] == DRIVES
-    for drive, summary in summaries.items():
-        assert summary == {"frames": toy_stage.FRAMES[drive]}
+@pytest.mark.slow
+def test_bytes_do_not_depend_on_workers(folder, expected, capsys):
+    summaries = toy_stage.main(folder, workers=2)
+    assert summaries == {name: {"frames": n} for name, n in toy_stage.FRAMES.items()}
     assert outputs(folder) == expected
     assert calls(folder) == DRIVES
-    *lines, last = capsys.readouterr().out.splitlines()
-    assert last == "no frames of empty"
-    assert {line.split(",")[0] for line in lines} == {
-        f"{name}: {n} frames" for name, n in toy_stage.FRAMES.items()
-    }
-    if workers == 1:
-        # The longest comes first.
-        assert [line.split(":")[0] for line in lines] == ["b", "c", "a", "empty"]
+    assert capsys.readouterr().out.splitlines()[-1] == "no frames of empty"
 
 
 def test_only_what_changed_is_made_again(folder, expected, monkeypatch):

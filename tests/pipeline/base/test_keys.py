@@ -1,6 +1,5 @@
 """Cache keys have what can change a result, and nothing else; edits during a stage are found."""
 
-import pickle
 from pathlib import Path
 from typing import Any
 
@@ -157,15 +156,3 @@ def test_an_edit_while_a_stage_runs_is_found_at_its_end(checkout, file, before, 
     (checkout / file).write_text(text)
     run()
     assert "a.h5" in contents(out)
-
-
-@pytest.mark.parametrize("name", ["pipeline/labels/label.py", "numpy"])
-def test_a_worker_with_other_code_or_packages_names_them_and_its_host(checkout, monkeypatch, name):
-    """It compares what it loaded, as an edit may have been undone since."""
-    code = pickle.loads(pickle.dumps(Code.read("labels")))
-    code.check_worker()
-    monkeypatch.setitem(keys.LOADED, name, "another")
-    problem = rf"differs from that of stage labels \(got another, expected {code.loaded[name]:.12}"
-    with pytest.raises(InputError, match=problem) as raised:
-        code.check_worker()
-    assert raised.value.where.startswith(f"{name} of the worker on ")

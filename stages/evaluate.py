@@ -4,12 +4,11 @@ It writes data/evaluate/<model>/.
 """
 
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-import typer
 
 from pipeline.base import console, store
+from pipeline.base.console import EntryName
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import entry_name, load_section
 from pipeline.evaluate import statistics
@@ -18,14 +17,9 @@ from pipeline.evaluate.predictions import model_facts, predict_cases, prediction
 from pipeline.evaluate.settings import Evaluate
 from pipeline.train import runs, trained
 
-ModelName = Annotated[
-    str | None,
-    typer.Argument(metavar="MODEL", help="an entry of models in the params file; default: DVC's"),
-]
-
 
 def main(
-    name: ModelName = None,
+    name: EntryName = None,
     data: Path = Path("data"),
     params: Path = Path("params.yaml"),
 ) -> Path:

@@ -18,7 +18,7 @@ from ruamel.yaml import YAML
 from pipeline.base import console
 from pipeline.base.checkout import CHECKOUT, CODE, revision
 from pipeline.base.errors import InputError
-from pipeline.base.keys import ROOT, code_files, digest, file_hash
+from pipeline.base.keys import ROOT, digest, file_hash, list_files
 from pipeline.base.outputs import check_free, hold_lock, remove_path
 from pipeline.base.params import parse, read_yaml
 from pipeline.base.store import write_json, write_text
@@ -156,7 +156,7 @@ def hash_files(folder: Path, names: Iterable[str]) -> dict[str, str]:
     for name in names:
         paths = [folder / name]
         if paths[0].is_dir():
-            paths = code_files(paths[0])
+            paths = list_files(paths[0])
         for path in paths:
             if path.is_file():
                 hashes[path.relative_to(folder).as_posix()] = file_hash(path)

@@ -15,7 +15,7 @@ from footage.lens import numbers
 from footage.settings import Options
 from pipeline.base.checkout import is_checkout
 from pipeline.base.errors import InputError, error_context
-from pipeline.base.keys import ROOT, WINDOWS_FILES, file_hash
+from pipeline.base.keys import ROOT, file_hash, list_files
 from pipeline.base.outputs import hold_lock
 from pipeline.base.params import SPLITS, check_name
 from pipeline.base.store import replacing, write_json, write_text
@@ -105,7 +105,7 @@ def check_replaceable(folder: Path, preset: Path, recordings: Sequence[dict[str,
     """Raise InputError unless the folder and the preset are free, or an import of `recordings`."""
     if folder.is_file():
         raise InputError("is a file, expected a folder", folder, OTHER_NAME)
-    files = {path for path in folder.rglob("*") if path.is_file() and not _is_by_desktop(path)}
+    files = {*list_files(folder)}
     if not files:
         if preset.exists():
             raise InputError("exists already", preset, OTHER_NAME)
@@ -121,11 +121,6 @@ def check_replaceable(folder: Path, preset: Path, recordings: Sequence[dict[str,
         raise InputError(f"is an import of another recording, {names}", folder, OTHER_NAME)
     if preset.exists() and file_hash(preset) not in record["preset_sha256"]:
         raise InputError("was edited since the import", preset, OTHER_NAME)
-
-
-def _is_by_desktop(path: Path) -> bool:
-    """Return whether a file manager writes files of this name to a folder that a user opens."""
-    return path.name == ".DS_Store" or path.name.lower() in WINDOWS_FILES
 
 
 def read_shares(split: str) -> list[float]:

@@ -3,6 +3,7 @@
 import functools
 import sys
 from collections.abc import Callable, Sequence
+from typing import Annotated
 
 import typer
 
@@ -10,6 +11,11 @@ from pipeline.base.errors import InputError
 
 # Beginning of a line of facts whose numbers are not those of healthy data.
 DOUBT = "doubt: "
+# Argument of a stage with entries: a variant or a model.
+EntryName = Annotated[
+    str | None,
+    typer.Argument(metavar="NAME", help="an entry of the params file; default: DVC's"),
+]
 
 
 def run(*commands: Callable[..., object]) -> None:

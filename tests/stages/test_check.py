@@ -176,6 +176,14 @@ def test_weights_are_looked_for_where_stage_encoder_will_run(tmp_path):
             "depth: 'some/where/else' is not a folder with a config.json",
         ),
         ("model", {}, "model.*did you mean models"),
+        ("labels.min_speed_mps", "fast", r"labels.min_speed_mps: .*valid number.*got 'fast'."),
+        ("labels.wheelbase_m", 2700, "wheelbase_m: .*less than or equal to 20 .got 2700"),
+        ("ingest.drives.test", ["0001"], "expected a drive's name, such as 2011_09_26_drive_0052"),
+        ("ingest.drives.test", ["2026_01_04_drive_0010..0008"], "expected letters"),
+        ("train.learning_rate", True, "valid number"),
+        ("train.seeds", [0, 1, 0], r"train.seeds: expected each seed once .got \[0, 1, 0"),
+        # misspelt, so missing
+        ("clouds", {"max_point": 1, "max_depth_m": 80.0}, "did you mean max_points"),
     ],
 )
 def test_a_fault_is_one_line_with_its_key(tmp_path, where, value, message):

@@ -10,10 +10,8 @@ import yaml
 from models.steering.core import options
 from pipeline.base import params
 from pipeline.base.errors import InputError
-from pipeline.clouds.settings import Clouds
 from pipeline.graphs.settings import Variant
 from pipeline.ingest.settings import Ingest
-from pipeline.labels.settings import Labels
 from pipeline.train.settings import Train
 from stages import preset
 from tests.presets import NAMES
@@ -43,43 +41,6 @@ def test_a_range_names_all_its_drives(tmp_path):
     assert read.test == ["2026_01_03_drive_0001"]
 
 
-@pytest.mark.parametrize(
-    ("section", "key", "value", "problem"),
-    [
-        (
-            Labels,
-            "labels.min_speed_mps",
-            "fast",
-            r"labels.min_speed_mps: .*valid number.*got 'fast'.",
-        ),
-        (
-            Labels,
-            "labels.minspeed_mps",
-            1,
-            r"labels: unknown key 'minspeed_mps': did you mean min_speed_mps\?",
-        ),
-        (Labels, "labels.min_speed_mps", None, "min_speed_mps: Field required. Copy it"),
-        (
-            Ingest,
-            "ingest.drives.test",
-            ["0001"],
-            "expected a drive's name, such as 2011_09_26_drive_0052 .got '0001'",
-        ),
-        (Ingest, "ingest.drives.test", ["2026_01_04_drive_0010..0008"], "at most 100 letters"),
-        (Train, "train.learning_rate", True, "valid number"),
-        (Train, "train.seeds", [0, 1, 0], r"train.seeds: expected each seed once .got \[0, 1, 0"),
-        (Labels, "labels.wheelbase_m", 2700, "wheelbase_m: .*less than or equal to 20 .got 2700"),
-        # misspelt, so missing
-        (Clouds, "clouds", {"max_point": 1, "max_depth_m": 80.0}, "did you mean max_points"),
-    ],
-)
-def test_faults_name_file_key_and_value(tmp_path, section, key, value, problem):
-    path = edited(tmp_path, key, value)
-    with pytest.raises(InputError, match=problem) as raised:
-        params.load_section(section, path)
-    assert raised.value.where.startswith(str(path))
-
-
 def read_train(path: Path) -> Train:
     return params.load_section(Train, path)
 
@@ -91,16 +52,8 @@ def merge(path: Path) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("read", "text", "problem"),
     [
-        (
-            partial(params.load_section, Train),
-            "train: 1\ntrain: 2\n",
-            "invalid YAML.*duplicate key",
-        ),
-        (
-            partial(params.load_section, Train),
-            "trian: {}",
-            r"no section 'train': did you mean trian\?",
-        ),
+        (read_train, "train: 1\ntrain: 2\n", "invalid YAML.*duplicate key"),
+        (read_train, "trian: {}", r"no section 'train': did you mean trian\?"),
         (read_train, "", "expected sections"),
         (
             partial(params.load_entry, Variant, "graphs", "a"),
@@ -117,9 +70,9 @@ def test_a_faulty_file_is_named(tmp_path, read, text, problem):
         read(tmp_path / "mine.yaml")
 
 
-@pytest.mark.parametrize("name", ["", "..", "-a", "$(x)", "ä", "a\n", "x" * 300, 7])
+@pytest.mark.parametrize("name", ["", "..", "-a", "$(x)", "ä", "a\n", 7])
 def test_invalid_names(tmp_path, name):
-    with pytest.raises(InputError, match="expected at most 100 letters"):
+    with pytest.raises(InputError, match="expected letters"):
         params.load_entry(Variant, "graphs", name, edited(tmp_path, "graphs", {name: {}}))
 
 

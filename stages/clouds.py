@@ -34,7 +34,7 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
         work = partial(cloud.clouds_drive, kind=kind, settings=settings)
         jobs = file_jobs(drives[kind], inputs, work)
         with stage_folder(f"clouds@{kind}", out / kind, drives[kind], params=params) as folder:
-            make_drives(folder, jobs, settings, "{frames} frames, {points} points")
+            make_drives(folder, jobs, settings, log_format="{frames} frames, {points} points")
     return out
 
 

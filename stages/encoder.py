@@ -97,7 +97,7 @@ def fit_or_reuse(
         drives=drives,
     )
     job = Job("encoder", encoder_file.FILE, [start, *files], work)
-    summaries = make_drives(folder, [job], settings, "{frames} frames", workers=1)
+    summaries = make_drives(folder, [job], settings, log_format="{frames} frames", workers=1)
     return summaries["encoder"]
 
 

@@ -29,7 +29,7 @@ def main(
     if variant.kind != "image":
         log_format += ", {points} points{edges}"
     with stage_folder(f"graphs@{name}", out, splits, params=params) as folder:
-        make_drives(folder, jobs, variant, log_format)
+        make_drives(folder, jobs, variant, log_format=log_format)
     return out
 
 

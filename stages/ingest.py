@@ -51,11 +51,11 @@ def main(
                 reading=reading,
             )
             inputs = [digest([settings.source, fingerprint])]
-            jobs.append(Job(drive, f"{drive}.h5", inputs, work, (reader,)))
+            jobs.append(Job(drive, f"{drive}.h5", inputs, work, chosen=(reader,)))
 
         # Drives with the most files start first, so that all processes end at about the same time.
         jobs.sort(key=lambda job: sizes[job.drive], reverse=True)
-        make_drives(folder, jobs, reading, "{frames} frames{counts}")
+        make_drives(folder, jobs, reading, log_format="{frames} frames{counts}")
     return out
 
 

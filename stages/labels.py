@@ -28,7 +28,7 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
             "{frames} frames, {valid} valid, {turning} turning, {interpolated} interpolated"
         )
         # This process makes all labels, which takes less time than starting another one.
-        make_drives(folder, jobs, settings, log_format, workers=1)
+        make_drives(folder, jobs, settings, log_format=log_format, workers=1)
     return out
 
 

@@ -47,7 +47,7 @@ def main(out: Path = Path("data/sample"), params: Path = Path("params.yaml")) ->
 
     with stage_folder("sample", out, params=params) as folder:
         key = settings.model_dump(include={"image_size", "seed"})
-        make_drives(folder, jobs, key, "{frames} frames, {metres} m")
+        make_drives(folder, jobs, key, log_format="{frames} frames, {metres} m")
         for date in {job.drive[:10] for job in jobs}:
             write_calibration(make_rig(settings.image_size, date), folder.new / date)
     return out

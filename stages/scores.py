@@ -26,9 +26,9 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     splits = store.read_index(inputs["perception"], stage="perception")
 
     scored = [drive for drive, split in splits.items() if split != "train"]
-    jobs = file_jobs(scored, inputs, partial(score_drive, car=car), "{}/metrics.json")
+    jobs = file_jobs(scored, inputs, partial(score_drive, car=car), target="{}/metrics.json")
     with stage_folder("scores", out, params=params) as folder:
-        summaries = make_drives(folder, jobs, car._asdict(), "{frames} frames")
+        summaries = make_drives(folder, jobs, car._asdict(), log_format="{frames} frames")
         content = score_splits(splits, summaries, inputs["ingest"], inputs["motion"], car)
         store.write_json(folder.new / "metrics.json", content)
     for facts in content["recorded"].values():

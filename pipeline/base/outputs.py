@@ -112,7 +112,7 @@ def stage_folder(
         sections = read_sections(name, params, entry)
         for path in kept.glob("new-*"):
             remove_path(path)
-        folder = StageFolder(code, kept / f"new-{uuid4().hex}", kept, set())
+        folder = StageFolder(code, new=kept / f"new-{uuid4().hex}", kept=kept, used=set())
         folder.new.mkdir()
         yield folder
 

@@ -76,7 +76,7 @@ def load_section(section: type[S], path: Path) -> S:
     if key not in content:
         names = [str(name) for name in content]
         raise InputError(f"no section {key!r}: {closest(key, names)}", path, _COPY)
-    return parse(section, content[key], key, path)
+    return parse(section, content[key], where=key, path=path)
 
 
 def load_entry(kind: type[S], mapping: str, name: str, path: Path) -> S:
@@ -87,7 +87,7 @@ def load_entry(kind: type[S], mapping: str, name: str, path: Path) -> S:
     content = read_entries(mapping, path)
     if name not in content:
         raise InputError(f"{mapping} has no entry {name!r}: {closest(name, list(content))}", path)
-    return parse(kind, content[name], f"{mapping}.{name}", path)
+    return parse(kind, content[name], where=f"{mapping}.{name}", path=path)
 
 
 def entry_name(name: str | None) -> str:

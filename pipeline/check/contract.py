@@ -58,7 +58,7 @@ def _check_spatial(
     """Check the features of frames with many points, half as many, and none."""
     points = min(variant.points or 0, POINTS)
     counts = [points, points, points // 2, 0]
-    frames = make_frames(variant, counts, image_size, SEED)
+    frames = make_frames(variant, counts, image_size, seed=SEED)
 
     def join_batch(members: Sequence[Columns]) -> Batch:
         return from_arrays(join_frames(members, entry.network))

@@ -94,8 +94,8 @@ def clouds_drive(
             file.put("time_s", frames.time_s, unit="s")
             # These calls create the datasets, also in the file of a drive without frames. Dataset
             # "ptr", which is written at the end, has the rows where frames begin.
-            file.append("xyz", np.empty((0, 3), np.float32), "m", "ptr")
-            file.append("cls", np.empty(0, np.uint8), "trainId", "ptr")
+            file.append("xyz", np.empty((0, 3), np.float32), unit="m", pointer="ptr")
+            file.append("cls", np.empty(0, np.uint8), unit="trainId", pointer="ptr")
             for frame in frames:
                 if kind == "lidar":
                     cloud = lidar_cloud(frame.scan, frames.camera, frame.cls)

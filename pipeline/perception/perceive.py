@@ -207,7 +207,7 @@ def perceive_drive(
         batch_size = settings.batch
         if torch.cuda.is_available():
             batch_size = max(settings.batch, GPU_BATCH)
-        batches = read_batches(source, camera, rows, batch_size)
+        batches = read_batches(source, camera, rows, size=batch_size)
         with DriveWriter(path, stage="perception", drive=source.drive, params=params) as file:
             # The scale of depth is judged by the camera's height, so that must be known.
             file.attrs["unit_error"] = opened.unit_error if camera.height_known else np.inf

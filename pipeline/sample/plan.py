@@ -261,10 +261,11 @@ def _paint_markings(
     for junction_m in route.junctions_m:
         clear &= np.abs(s_m - junction_m) > 11
     dash = (s_m % 5) < 2.5  # 2.5 m on, 2.5 m off
-    _paint_line(paint, route, clear & dash, route.centre_m, origin)
+    _paint_line(paint, route, clear & dash, offset_m=route.centre_m, origin=origin)
     if rng.random() < 0.5:
         for side in SIDES:
-            _paint_line(paint, route, clear, route.edge_m(side) - side * 0.15, origin)
+            offset_m = route.edge_m(side) - side * 0.15
+            _paint_line(paint, route, clear, offset_m=offset_m, origin=origin)
 
 
 def _paint_band(

@@ -212,7 +212,15 @@ def _draw_road(rng: np.random.Generator, length_m: float, lane_m: float, first: 
     s_m = s_m - origin_m
     begin = round((origin_m - BEHIND_M) / STEP_M)
     part = slice(begin, np.searchsorted(s_m, length_m))
-    path = Route(s_m[part], xy[part], heading_rad[part], curvature_1pm[part], lane_m, (), ())
+    path = Route(
+        s_m[part],
+        xy[part],
+        heading_rad[part],
+        curvature_1pm[part],
+        lane_m=lane_m,
+        junctions_m=(),
+        arms=(),
+    )
 
     # Draw side roads at the manoeuvres that are at junctions.
     junctions_m = []

@@ -4,7 +4,6 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -306,11 +305,13 @@ def test_files_of_a_network_run_no_code(create, folder, tmp_path, file):
     assert not sprung.exists()
 
 
-def test_a_hub_out_of_reach_is_one_line(monkeypatch):
-    error = FileNotFoundError("cannot reach the hub\nPlease check your connection")
-    monkeypatch.setattr("huggingface_hub.snapshot_download", Mock(side_effect=error))
-    with pytest.raises(ValueError, match=r"^cannot load 'a/network': cannot reach the hub$"):
-        hugging_face.describe_network("a/network")
+def test_a_network_of_the_hub_names_its_revision(folder, monkeypatch):
+    revision = str(folder / "swin")
+    monkeypatch.setattr("huggingface_hub.snapshot_download", lambda *_, **options: revision)
+    path, description, sources = hugging_face.describe_network("a/network")
+    assert path == folder / "swin"
+    assert description["config"]["model_type"] == "swin"
+    assert sources == ["https://huggingface.co/a/network/tree/swin"]
 
 
 def test_depth_of_streets_grows_with_the_focal_length_and_classes_do_not():

@@ -141,10 +141,16 @@ def _make_result(task: Task) -> tuple[Summary, float]:
     Returns the summary, and the time in seconds. Raises InputError with the name of the drive.
     """
     start = time.perf_counter()
-    with error_context(task.drive), replacing(task.result.parent) as unfinished:
-        unfinished.mkdir()
-        summary = task.work(unfinished / task.result.name)
-        (unfinished / "summary.json").write_text(json.dumps(summary))
+    try:
+        with error_context(task.drive), replacing(task.result.parent) as unfinished:
+            unfinished.mkdir()
+            summary = task.work(unfinished / task.result.name)
+            (unfinished / "summary.json").write_text(json.dumps(summary))
+    except OSError:
+        # A worker of a cluster may just have finished this drive for an interrupted run.
+        if not task.result.exists():
+            raise
+        summary = json.loads((task.result.parent / "summary.json").read_text())
     return summary, time.perf_counter() - start
 
 

@@ -20,7 +20,7 @@ import hdf5plugin
 import numpy as np
 import pytest
 
-from pipeline.base import console, executors, keys, store
+from pipeline.base import console, executors, keys, runner, store
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.outputs import StageFolder, find_free, stage_folder
 from pipeline.base.store import DriveReader, DriveWriter, read_json
@@ -386,6 +386,21 @@ def test_an_error_a_dead_worker_and_a_full_disk_keep_finished_drives(
     assert "c" in repeated
     assert "b" not in repeated or kind == "die"
     assert outputs(folder) == expected
+
+
+def test_a_drive_that_another_worker_has_just_finished_is_taken(tmp_path):
+    """A worker of a cluster ends its drive after the run was interrupted, and repeated."""
+    finished = {"frames": 9}
+
+    def work(path: Path) -> dict[str, Any]:
+        write_text(path, "mine")
+        write_text(tmp_path / "kept/a.h5", "of the other worker")
+        write_text(tmp_path / "kept/summary.json", json.dumps(finished))
+        return {"frames": 1}
+
+    summary, _ = runner._make_result(runner.Task("a", tmp_path / "kept/a.h5", work))
+    assert summary == finished
+    assert (tmp_path / "kept/a.h5").read_text() == "of the other worker"
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from torch.profiler import profile
 from benchmarks.alternatives import DEVICE, ENTRY, FRAMES, Work, milliseconds, now_s, write_street
 from pipeline.base import console, store
 from pipeline.base.keys import ROOT
-from pipeline.base.params import load
+from pipeline.base.params import load_section
 from pipeline.camera.camera import Camera
 from pipeline.labels import label, source
 from pipeline.labels.settings import Labels
@@ -42,7 +42,7 @@ def measure_training(folder: Path) -> None:
     """Train sa-gnn-ncp of the demo on a street of random points, by the code of stage train."""
     drive = labelled_street(folder)
     drives = [drive] * DRIVES
-    settings = load(Train, PARAMS).model_copy(update={"epochs": 1})
+    settings = load_section(Train, PARAMS).model_copy(update={"epochs": 1})
     net = ENTRY.build("graph").to(DEVICE)
     fit = Fit(net, ENTRY, settings, 0, train=drives, val=[], files=Files([drive.graphs]))
 
@@ -69,7 +69,7 @@ def measure_training(folder: Path) -> None:
 def labelled_street(folder: Path) -> LabelledDrive:
     """Write a street of random points, and labels of its frames."""
     street = write_street(folder)
-    settings = load(Labels, PARAMS)
+    settings = load_section(Labels, PARAMS)
     numbers = np.arange(FRAMES)
     car = label.Car(settings.wheelbase_m, settings.min_speed_mps)
     labels = label.steering_labels(0.3 * np.sin(numbers / 5), np.full(FRAMES, 8.0), car)

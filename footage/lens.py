@@ -11,7 +11,7 @@ import numpy as np
 from footage.settings import Options
 from pipeline.base.errors import InputError, error_context
 from pipeline.camera.camera import Camera
-from pipeline.camera.images import Size, format_size, resized
+from pipeline.camera.images import Size, format_size, resize_image
 from pipeline.camera.pinhole import check_pinhole
 
 # A function that rectifies an image uint8 [H,W,3].
@@ -43,7 +43,7 @@ class Lens(NamedTuple):
             expected = f"expected {format_size(self.size)}, as the first one"
             fix = "Import recordings of other sizes separately"
             raise InputError(f"{problem}, {expected}", path, fix)
-        return resized(self.rectify(image), self.camera.size)
+        return resize_image(self.rectify(image), self.camera.size)
 
 
 def open_lens(options: Options, size: Size, path: Path) -> Lens:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pipeline.base import console, store
 from pipeline.base.outputs import stage_folder
-from pipeline.base.params import load
+from pipeline.base.params import load_section
 from pipeline.base.runner import file_jobs, make_drives
 from pipeline.clouds import cloud
 from pipeline.clouds.settings import Clouds
@@ -21,20 +21,20 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     Returns the output folder, which holds the folders pseudo and lidar. If ingest.lidar is false,
     lidar has no drives.
     """
-    settings = load(Clouds, params)
+    settings = load_section(Clouds, params)
     out = data / "clouds"
     inputs = {name: data / name for name in ("ingest", "perception")}
     splits = store.read_index(inputs["ingest"], stage="ingest")
 
     drives = {"pseudo": splits, "lidar": splits}
-    if not load(Ingest, params).lidar:
+    if not load_section(Ingest, params).lidar:
         drives["lidar"] = {}
 
     for kind in drives:
         work = partial(cloud.clouds_drive, kind=kind, settings=settings)
         jobs = file_jobs(drives[kind], inputs, work)
         with stage_folder(f"clouds@{kind}", out / kind, drives[kind], params=params) as folder:
-            make_drives(folder, jobs, settings, "{frames} frames, {points} points")
+            make_drives(folder, jobs, settings, log_format="{frames} frames, {points} points")
     return out
 
 

@@ -12,10 +12,10 @@ from models.encoder.unified_encoder import Architecture
 from pipeline.base import console, store
 from pipeline.base.errors import error_context
 from pipeline.base.outputs import StageFolder, stage_folder
-from pipeline.base.params import load
+from pipeline.base.params import load_section
 from pipeline.base.runner import Job, Summary, make_drives
 from pipeline.encoder import encoder_file
-from pipeline.encoder.create import create
+from pipeline.encoder.create import create_encoder
 from pipeline.encoder.fit import fit_drives
 from pipeline.encoder.settings import Encoder
 from pipeline.ingest.settings import Ingest
@@ -31,15 +31,15 @@ def main(
 ) -> Path:
     """Write encoder.pt, config.json and curve.csv. Return the folder."""
     out = out or data / "encoder"
-    settings = load(Encoder, params)
-    size = load(Ingest, params).image_size
+    settings = load_section(Encoder, params)
+    size = load_section(Ingest, params).image_size
     config = settings.model_dump(mode="json", exclude_none=True, exclude={"weights_sha256"})
     curve: list[dict[str, float]] = []
     with stage_folder("encoder", out, params=params) as folder:
         # Layers without fitted weights start at random.
         torch.manual_seed(settings.seed)
         with error_context(params), error_context("encoder"):
-            architecture, model = create(settings)
+            architecture, model = create_encoder(settings)
 
         # A network that does not take images of this size fails here, before any drive is read.
         where = f"backbone {settings.backbone}, ingest.image_size {list(size)}"
@@ -48,7 +48,7 @@ def main(
                 encoder_file.check_size(model, size)
 
         if settings.epochs:
-            fitted = fit(folder, settings, architecture, model, data / "ingest")
+            fitted = fit_or_reuse(folder, settings, architecture, model, ingest=data / "ingest")
             curve = fitted["curve"]
             config |= fitted["config"]
             config["losses"] = {name: curve[-1][name] for name in LOSSES}
@@ -71,7 +71,7 @@ def main(
     return out
 
 
-def fit(
+def fit_or_reuse(
     folder: StageFolder,
     settings: Encoder,
     architecture: Architecture,
@@ -97,7 +97,7 @@ def fit(
         drives=drives,
     )
     job = Job("encoder", encoder_file.FILE, [start, *files], work)
-    summaries = make_drives(folder, [job], settings, "{frames} frames", workers=1)
+    summaries = make_drives(folder, [job], settings, log_format="{frames} frames", workers=1)
     return summaries["encoder"]
 
 

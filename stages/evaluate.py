@@ -4,28 +4,22 @@ It writes data/evaluate/<model>/.
 """
 
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-import typer
 
 from pipeline.base import console, store
+from pipeline.base.console import EntryName
 from pipeline.base.outputs import stage_folder
-from pipeline.base.params import entry_name, load
+from pipeline.base.params import entry_name, load_section
 from pipeline.evaluate import statistics
 from pipeline.evaluate.error_table import common_frames, errors, records
 from pipeline.evaluate.predictions import model_facts, predict_cases, prediction_table
 from pipeline.evaluate.settings import Evaluate
 from pipeline.train import runs, trained
 
-ModelName = Annotated[
-    str | None,
-    typer.Argument(metavar="MODEL", help="an entry of models in the params file; default: DVC's"),
-]
-
 
 def main(
-    name: ModelName = None,
+    name: EntryName = None,
     data: Path = Path("data"),
     params: Path = Path("params.yaml"),
 ) -> Path:
@@ -34,7 +28,7 @@ def main(
     Errors are means over the seeds, on the frames that this model predicts.
     """
     name = entry_name(name)
-    settings = load(Evaluate, params)
+    settings = load_section(Evaluate, params)
     train = data / "train" / name
     out = data / "evaluate" / name
     first = trained.load_model(train)

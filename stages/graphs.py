@@ -2,25 +2,18 @@
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from pipeline.base import console, store
+from pipeline.base.console import EntryName
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import entry_name, load_entry
 from pipeline.base.runner import file_jobs, make_drives
 from pipeline.graphs.frame_graph import graphs_drive
 from pipeline.graphs.settings import Variant
 
-VariantName = Annotated[
-    str | None,
-    typer.Argument(metavar="VARIANT", help="an entry of graphs in the params file; default: DVC's"),
-]
-
 
 def main(
-    name: VariantName = None, data: Path = Path("data"), params: Path = Path("params.yaml")
+    name: EntryName = None, data: Path = Path("data"), params: Path = Path("params.yaml")
 ) -> Path:
     """Draw points of each cloud and connect them to a graph, or copy images. Return the folder."""
     name = entry_name(name)
@@ -36,7 +29,7 @@ def main(
     if variant.kind != "image":
         log_format += ", {points} points{edges}"
     with stage_folder(f"graphs@{name}", out, splits, params=params) as folder:
-        make_drives(folder, jobs, variant, log_format)
+        make_drives(folder, jobs, variant, log_format=log_format)
     return out
 
 

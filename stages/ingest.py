@@ -7,7 +7,7 @@ from pipeline.base import console, store
 from pipeline.base.checkout import in_checkout
 from pipeline.base.keys import digest
 from pipeline.base.outputs import stage_folder
-from pipeline.base.params import load
+from pipeline.base.params import load_section
 from pipeline.base.runner import Job, make_drives
 from pipeline.ingest import drive as datasets
 from pipeline.ingest.datasets import kitti
@@ -20,7 +20,7 @@ def main(
 ) -> Path:
     """Read images, scans, calibration, logs and ground truth of all drives. Return the folder."""
     raw = in_checkout(raw)
-    settings = load(Ingest, params)
+    settings = load_section(Ingest, params)
     out = data / "ingest"
 
     # Missing drives are left out. Drives that an earlier run has read must not be missing.
@@ -49,9 +49,9 @@ def main(
                 reading=reading,
             )
             inputs = [digest([settings.source, fingerprint])]
-            jobs.append(Job(drive, f"{drive}.h5", inputs, work, (reader,)))
+            jobs.append(Job(drive, f"{drive}.h5", inputs, work, chosen=(reader,)))
 
-        make_drives(folder, jobs, reading, "{frames} frames{counts}")
+        make_drives(folder, jobs, reading, log_format="{frames} frames{counts}")
     return out
 
 

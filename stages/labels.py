@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pipeline.base import console, store
 from pipeline.base.outputs import stage_folder
-from pipeline.base.params import load
+from pipeline.base.params import load_section
 from pipeline.base.runner import file_jobs, make_drives
 from pipeline.labels.settings import Labels
 from pipeline.labels.source import labels_drive
@@ -16,7 +16,7 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
 
     Returns the folder. data/motion is needed only if it is the source of the labels.
     """
-    settings = load(Labels, params)
+    settings = load_section(Labels, params)
     out = data / "labels"
     inputs = {"ingest": data / "ingest"}
     if settings.source == "motion":
@@ -28,7 +28,7 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
             "{frames} frames, {valid} valid, {turning} turning, {interpolated} interpolated"
         )
         # This process makes all labels, which takes less time than starting another one.
-        make_drives(folder, jobs, settings, log_format, workers=1)
+        make_drives(folder, jobs, settings, log_format=log_format, workers=1)
     return out
 
 

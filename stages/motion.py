@@ -19,7 +19,7 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     splits = store.read_index(inputs["perception"], stage="perception")
     jobs = file_jobs(splits, inputs, measure_drive)
     with stage_folder("motion", out, splits, params=params) as folder:
-        summaries = make_drives(folder, jobs, {}, "{frames} frames, {valid} measured")
+        summaries = make_drives(folder, jobs, {}, log_format="{frames} frames, {valid} measured")
         check_unit(summaries)
     for line in facts_lines(summaries):
         print(line)

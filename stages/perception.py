@@ -9,16 +9,16 @@ from pipeline.base import console, store
 from pipeline.base.executors import default_workers
 from pipeline.base.keys import file_hash
 from pipeline.base.outputs import stage_folder
-from pipeline.base.params import load
+from pipeline.base.params import load_section
 from pipeline.base.runner import file_jobs, make_drives
 from pipeline.encoder.encoder_file import FILE
-from pipeline.perception.perceive import perceive_drive, warnings
+from pipeline.perception.perceive import find_warnings, perceive_drive
 from pipeline.perception.settings import Perception
 
 
 def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     """Predict depth and classes of each image with the encoder. Return the output folder."""
-    settings = load(Perception, params)
+    settings = load_section(Perception, params)
     ingest = data / "ingest"
     encoder = data / "encoder"
     out = data / "perception"
@@ -26,7 +26,7 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     with stage_folder("perception", out, splits, params=params) as folder:
         # This also reports a bad checkpoint, once instead of from each worker.
         files = [ingest / f"{drive}.h5" for drive in splits]
-        for line in warnings(encoder, settings.precision, files):
+        for line in find_warnings(encoder, settings.precision, files):
             print(line, flush=True)
 
         # Two processes keep a GPU busy: one reads and writes while the other encodes.
@@ -36,7 +36,7 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
         work = partial(perceive_drive, encoder=encoder, settings=settings)
         jobs = file_jobs(splits, {"ingest": ingest}, work)
         key = settings.model_dump() | {"encoder": file_hash(encoder / FILE)}
-        make_drives(folder, jobs, key, "{frames} frames", workers)
+        make_drives(folder, jobs, key, log_format="{frames} frames", workers=workers)
     return out
 
 

@@ -9,7 +9,7 @@ import typer
 from pipeline.base import console, store
 from pipeline.base.console import split_doubts
 from pipeline.base.outputs import stage_folder
-from pipeline.base.params import entries, load
+from pipeline.base.params import load_section, read_entries
 from pipeline.evaluate.settings import Evaluate
 from pipeline.report import drawings, page, tables
 from pipeline.report.values import dvc_metrics, gather, load_tasks, to_json
@@ -29,7 +29,7 @@ def main(
     """
     out = out or data / "report"
     with stage_folder("report", out, params=params) as folder:
-        models = entries("models", params)
+        models = read_entries("models", params)
         evaluated = [name for name in models if (data / f"evaluate/{name}/metrics.json").is_file()]
         absent = [name for name in models if name not in evaluated]
         tasks = load_tasks({name: data / "evaluate" / name for name in evaluated})
@@ -37,7 +37,7 @@ def main(
         encoder = _read_json(data / "encoder/config.json", "encoder")
 
         # All values are computed here, once: tables, page and DVC's metrics show them.
-        values = gather(tasks, load(Evaluate, params))
+        values = gather(tasks, load_section(Evaluate, params))
         rows = to_json(values) | {"scores": scores}
         store.write_json(folder.new / "results.json", rows, sort_keys=False)
         store.write_json(folder.new / "metrics.json", dvc_metrics(values), sort_keys=False)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pipeline.base import console
 from pipeline.base.outputs import stage_folder
-from pipeline.base.params import load
+from pipeline.base.params import load_section
 from pipeline.base.runner import Job, make_drives
 from pipeline.encoder.settings import Encoder
 from pipeline.ingest.settings import Ingest
@@ -19,9 +19,9 @@ from pipeline.sample.settings import Sample
 
 def main(out: Path = Path("data/sample"), params: Path = Path("params.yaml")) -> Path:
     """Render the drives of section ingest that belong to the sample. Return the stage's folder."""
-    settings = load(Sample, params)
-    ingest = load(Ingest, params)
-    encoder = load(Encoder, params)
+    settings = load_section(Sample, params)
+    ingest = load_section(Ingest, params)
+    encoder = load_section(Encoder, params)
     scan_rays = settings.scan_rays if ingest.lidar else None
 
     jobs = []
@@ -47,7 +47,7 @@ def main(out: Path = Path("data/sample"), params: Path = Path("params.yaml")) ->
 
     with stage_folder("sample", out, params=params) as folder:
         key = settings.model_dump(include={"image_size", "seed"})
-        make_drives(folder, jobs, key, "{frames} frames, {metres} m")
+        make_drives(folder, jobs, key, log_format="{frames} frames, {metres} m")
         for date in {job.drive[:10] for job in jobs}:
             write_calibration(make_rig(settings.image_size, date), folder.new / date)
     return out

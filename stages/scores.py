@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pipeline.base import console, store
 from pipeline.base.outputs import stage_folder
-from pipeline.base.params import load
+from pipeline.base.params import load_section
 from pipeline.base.runner import file_jobs, make_drives
 from pipeline.labels.label import Car
 from pipeline.labels.settings import Labels
@@ -19,16 +19,16 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     data/README.md explains the keys ``motion`` and ``recorded``. Angles and valid frames are
     defined as in the labels.
     """
-    labels = load(Labels, params)
+    labels = load_section(Labels, params)
     car = Car(labels.wheelbase_m, labels.min_speed_mps)
     out = data / "scores"
     inputs = {name: data / name for name in ("ingest", "perception", "motion")}
     splits = store.read_index(inputs["perception"], stage="perception")
 
     scored = [drive for drive, split in splits.items() if split != "train"]
-    jobs = file_jobs(scored, inputs, partial(score_drive, car=car), "{}/metrics.json")
+    jobs = file_jobs(scored, inputs, partial(score_drive, car=car), target="{}/metrics.json")
     with stage_folder("scores", out, params=params) as folder:
-        summaries = make_drives(folder, jobs, car._asdict(), "{frames} frames")
+        summaries = make_drives(folder, jobs, car._asdict(), log_format="{frames} frames")
         content = score_splits(splits, summaries, inputs["ingest"], inputs["motion"], car)
         store.write_json(folder.new / "metrics.json", content)
     for facts in content["recorded"].values():

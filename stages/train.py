@@ -9,9 +9,10 @@ from typing import Annotated
 import typer
 
 from pipeline.base import console, store
+from pipeline.base.console import EntryName
 from pipeline.base.errors import error_context
 from pipeline.base.outputs import stage_folder
-from pipeline.base.params import SPLITS, entry_name, load, load_entry
+from pipeline.base.params import SPLITS, entry_name, load_entry, load_section
 from pipeline.train import runs
 from pipeline.train.entry import Entry
 from pipeline.train.fit_model import Model, fit_model
@@ -19,14 +20,9 @@ from pipeline.train.loss import Scale
 from pipeline.train.settings import Train
 from pipeline.train.targets import check_drives, rate_doubt, read_drive
 
-ModelName = Annotated[
-    str | None,
-    typer.Argument(metavar="MODEL", help="an entry of models in the params file; default: DVC's"),
-]
-
 
 def main(
-    name: ModelName = None,
+    name: EntryName = None,
     data: Path = Path("data"),
     out: Annotated[
         Path | None, typer.Option(help="parent of the model's folder; default: train in --data")
@@ -40,7 +36,7 @@ def main(
     """
     name = entry_name(name)
     out = out or data / "train"
-    settings = load(Train, params)
+    settings = load_section(Train, params)
     entry = load_entry(Entry, "models", name, params)
     if entry.learning_rate:
         settings = settings.model_copy(update={"learning_rate": entry.learning_rate})

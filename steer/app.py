@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from pipeline.base.console import guarded, start
+from pipeline.base.console import guarded
 from pipeline.base.errors import InputError
 from steer.commands import import_, measure, predict
 from steer.commands.arguments import with_options
@@ -105,13 +105,13 @@ def view(
     \b
     steer view data/graphs/semantic/2026_01_21_drive_0004.h5
     """
-    from pipeline.base.outputs import claimed
+    from pipeline.base.outputs import find_free
     from steer import artefact
 
     if out and out.suffix != ".html":
         raise InputError("expected the name of an HTML file", "--out")
-    with claimed(out, path.stem, ".html") as page:
-        artefact.write_view(path, page)
+    page = find_free(out, path.stem, ".html")
+    artefact.write_view(path, page)
     print(page)
 
 
@@ -155,7 +155,7 @@ app.command("export", no_args_is_help=True)(guarded(export))
 
 def main() -> None:
     """Run the command `steer`."""
-    start(app, "steer")
+    app(prog_name="steer")
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.outputs import check_free
 from pipeline.base.store import DriveReader, replacing
-from pipeline.camera.camera import read_camera, visible
+from pipeline.camera.camera import find_visible, read_camera
 from pipeline.camera.geometry import pixels_of, transform
 from pipeline.report import street_view
 from steer.artefact import open_drive, open_images
@@ -105,7 +105,7 @@ def _pick_colours(points: Points, number: int, ingest: DriveReader) -> np.ndarra
     if points.is_of_image:
         index, row, column = pixels_of(points.camera_xyz, camera.K, camera.size)
     else:
-        index, row, column = visible(points.camera_xyz, camera)
+        index, row, column = find_visible(points.camera_xyz, camera)
     rgb = np.zeros((len(points.xyz), 3), np.uint8)
     rgb[index] = image[row, column]
     return rgb

@@ -13,7 +13,7 @@ from pipeline.base.outputs import check_free
 from pipeline.base.store import replacing, write_json
 from pipeline.ingest.settings import Reading
 from pipeline.labels.label import Car
-from pipeline.perception.perceive import warnings
+from pipeline.perception.perceive import find_warnings
 from pipeline.perception.settings import Perception
 from pipeline.train.trained import Trained
 from steer import predict
@@ -66,7 +66,7 @@ def measure_source(
         run_chain(source, work, reading=reading, perception=perception, encoder=encoder)
 
         results = Results.read(source, work, car, smooth=model is None)
-        results.doubts += warnings(encoder, "float32", [work / INGEST])
+        results.doubts += find_warnings(encoder, "float32", [work / INGEST])
         comparison = results.compare_angles("measured")
         if model:
             predict.add_prediction(model, source, work, results)

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pipeline.camera.camera import Camera
-from pipeline.camera.images import resized
+from pipeline.camera.images import resize_image
 from pipeline.report.street_view import COLOURS, STEP_M, chart_colour, wheel_tracks
 from steer.chain import Source
 from steer.outcome import Results, integrate_motion
@@ -95,10 +95,10 @@ def write_overlay(path: Path, source: Source, results: Results, wheelbase_m: flo
         stream.pix_fmt = "yuv420p"
         stream.options = {"preset": "veryfast"}
         for frame in source.drive.frames():
-            frame.read()
+            frame.read_fields()
             if frame.number in rows and frame.image is not None:
                 row = rows[frame.number]
-                image = resized(frame.image, camera.size).copy()
+                image = resize_image(frame.image, camera.size).copy()
                 _draw_paths(image, camera, {name: path[:, row] for name, path in paths.items()})
                 for number, (text, colour) in enumerate(_legend_lines(results, row)):
                     place = (10, 20 * (number + 1))

@@ -125,7 +125,7 @@ def _draw_traces(view: View, present: Sequence[int]) -> list[go.Scatter3d]:
     for number in present:
         x, y, z = xyz[shown[cls[shown] == number]].T
         name = classes.NAMES[number] if number < classes.COUNT else "no class"
-        red, green, blue = classes.colourise(np.array(number)).tolist()
+        red, green, blue = classes.colour_classes(np.array(number)).tolist()
         marker = {"size": 2, "color": f"rgb({red}, {green}, {blue})"}
         traces.append(go.Scatter3d(x=x, y=y, z=z, name=name, mode="markers", marker=marker))
     if view.edges is not None:

@@ -209,24 +209,28 @@ def write_motion(
     problem[np.isin(frame, stands)] = PROBLEMS.index(STANDSTILL[0])
     T_before_now = np.tile(np.eye(4, dtype=np.float32), (len(rows), 1, 1))
     T_before_now[:, 2, 3] = speed / 10
+    columns = {
+        "frame": frame.astype(np.int32),
+        "time_s": frame * 10.0,
+        "speed_mps": speed,
+        "filtered_mps": speed,
+        "yaw_rate_radps": yaw_rate,
+        "valid": (speed != 0).astype(np.uint8),
+        "problem": problem.astype(np.uint8),
+        "road_height_m": np.full(len(rows), 1, np.float32),
+        "speed_sigma": np.full(len(rows), 0.05, np.float32),
+        "smooth_speed_mps": speed,
+        "smooth_yaw_rate_radps": yaw_rate,
+        "smooth_speed_sigma": np.full(len(rows), 0.05),
+        "smooth_yaw_sigma_radps": np.full(len(rows), 0.003),
+        "scale": np.full(len(rows), 1, np.float32),
+        "inliers": np.full(len(rows), 100, np.int32),
+        "residual": np.full(len(rows), 0.1, np.float32),
+        "T_before_now": T_before_now,
+    }
     with store.DriveWriter(folder / f"{drive}.h5", stage="motion", drive=drive, params={}) as file:
-        file.put("frame", frame.astype(np.int32))
-        file.put("time_s", frame * 10.0)
-        file.put("speed_mps", speed)
-        file.put("filtered_mps", speed)
-        file.put("yaw_rate_radps", yaw_rate)
-        file.put("valid", (speed != 0).astype(np.uint8))
-        file.put("problem", problem.astype(np.uint8))
-        file.put("road_height_m", np.full(len(rows), 1, np.float32))
-        file.put("speed_sigma", np.full(len(rows), 0.05, np.float32))
-        file.put("smooth_speed_mps", speed)
-        file.put("smooth_yaw_rate_radps", yaw_rate)
-        file.put("smooth_speed_sigma", np.full(len(rows), 0.05))
-        file.put("smooth_yaw_sigma_radps", np.full(len(rows), 0.003))
-        file.put("scale", np.full(len(rows), 1, np.float32))
-        file.put("inliers", np.full(len(rows), 100, np.int32))
-        file.put("residual", np.full(len(rows), 0.1, np.float32))
-        file.put("T_before_now", T_before_now)
+        for name, values in columns.items():
+            file.put(name, values)
         file.attrs["scaled"] = 1
 
 

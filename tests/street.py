@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.base import store
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, Frame
-from pipeline.camera.geometry import CAMERA_HEIGHT_M, back_project, rays
+from pipeline.camera.geometry import CAMERA_HEIGHT_M, back_project, camera_rays
 from pipeline.camera.images import to_units
 from pipeline.ingest import ingest_file
 from pipeline.ingest.drive import Drive
@@ -76,7 +76,7 @@ def _render(
     T_world_cam: np.ndarray, K: np.ndarray, size: tuple[int, int]
 ) -> tuple[np.ndarray, ...]:
     """Return brightness, depth, the number of the plane and whether it is sky, each [H,W]."""
-    direction = rays(K, size) @ T_world_cam[:3, :3].T  # of depth 1
+    direction = camera_rays(K, size) @ T_world_cam[:3, :3].T  # of depth 1
     origin = T_world_cam[:3, 3]
     with np.errstate(divide="ignore"):
         planes = [

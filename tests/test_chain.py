@@ -228,7 +228,7 @@ def test_the_first_and_the_last_row_of_preset_kitti_train(folder):
     run(folder, "python", "-m", "stages.sample", "--out", "data/raw")
     run(folder, "git", "checkout", "params.yaml")
     rows = ("cnn-ncp", "motion-10-blind")
-    kitti = preset.merged("kitti", folder / "params.yaml")
+    kitti = preset.merge_preset("kitti", folder / "params.yaml")
     kitti["ingest"] |= {"image_size": [96, 320], "drives": drives}
     kitti["encoder"] = params["encoder"]
     for name, variant in kitti["graphs"].items():

@@ -57,7 +57,7 @@ def test_kitti_small_runs_on_real_drives(real_half, real_weights, tmp_path, monk
     monkeypatch.setattr("pipeline.encoder.create.WEIGHTS", real_weights)
     for name in DRIVES.values():
         link_drive(real_half, tmp_path / "data/raw", name)
-    content = preset.merged("kitti-small")
+    content = preset.merge_preset("kitti-small")
     content["ingest"]["drives"] = {split: [name] for split, name in DRIVES.items()}
     content["train"]["epochs"] = 2
     Path("params.yaml").write_text(yaml.safe_dump(json.loads(json.dumps(content))))

@@ -47,10 +47,10 @@ class Backbone(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         first, *widths = WIDTHS
-        depth_conv = conv(first, first, 3, groups=first).append(nn.Hardswish())
-        separable = named(depth_conv=depth_conv, point_conv=conv(first, first))
-        halving = conv(3, first, 3, stride=2).append(nn.Hardswish())
-        self.input_stem = ops(halving, Residual(separable))
+        depth_conv = conv_norm(first, first, 3, groups=first).append(nn.Hardswish())
+        separable = name_layers(depth_conv=depth_conv, point_conv=conv_norm(first, first))
+        halving = conv_norm(3, first, 3, stride=2).append(nn.Hardswish())
+        self.input_stem = op_list(halving, Residual(separable))
 
         # The stages halve the map. The last two have attention, and convolutions with a bias
         # instead of a batch norm.
@@ -64,7 +64,7 @@ class Backbone(nn.Module):
             else:
                 blocks.append(Residual(bottleneck(width, width)))
             main = bottleneck(inputs, width, 2, bias=attention)
-            self.stages.append(ops(named(main=main), *blocks))
+            self.stages.append(op_list(name_layers(main=main), *blocks))
             inputs = width
 
     def forward(self, x: Tensor) -> list[Tensor]:
@@ -81,16 +81,16 @@ class Head(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         *_, fine, middle, coarse = WIDTHS
-        from_fine = conv(fine, DECODED)
+        from_fine = conv_norm(fine, DECODED)
         doubled = nn.Upsample(scale_factor=2, mode="bicubic")
-        from_middle = ops(conv(middle, DECODED), doubled)
+        from_middle = op_list(conv_norm(middle, DECODED), doubled)
         fourfold = nn.Upsample(scale_factor=4, mode="bicubic")
-        from_coarse = ops(conv(coarse, DECODED), fourfold)
+        from_coarse = op_list(conv_norm(coarse, DECODED), fourfold)
         self.input_ops = nn.ModuleList([from_coarse, from_middle, from_fine])
-        self.middle = ops(Residual(bottleneck(DECODED, DECODED)))
-        logits = named(conv=nn.Conv2d(4 * DECODED, classes.COUNT, 1))
-        wide = conv(DECODED, 4 * DECODED).append(nn.Hardswish())
-        self.output_ops = nn.ModuleList([ops(wide, logits)])
+        self.middle = op_list(Residual(bottleneck(DECODED, DECODED)))
+        logits = name_layers(conv=nn.Conv2d(4 * DECODED, classes.COUNT, 1))
+        wide = conv_norm(DECODED, 4 * DECODED).append(nn.Hardswish())
+        self.output_ops = nn.ModuleList([op_list(wide, logits)])
 
     def forward(self, maps: list[Tensor]) -> Tensor:
         x = sum(side(x) for side, x in zip(self.input_ops, reversed(maps), strict=True))
@@ -115,11 +115,11 @@ class LinearAttention(nn.Module):
     def __init__(self, width: int) -> None:
         super().__init__()
         inner = 3 * width
-        self.qkv = named(conv=nn.Conv2d(width, inner, 1, bias=False))
+        self.qkv = name_layers(conv=nn.Conv2d(width, inner, 1, bias=False))
         depthwise = nn.Conv2d(inner, inner, 5, padding=2, groups=inner, bias=False)
         grouped = nn.Conv2d(inner, inner, 1, groups=inner // HEAD_WIDTH, bias=False)
         self.aggreg = nn.ModuleList([nn.Sequential(depthwise, grouped)])
-        self.proj = conv(2 * width, width)
+        self.proj = conv_norm(2 * width, width)
 
     def forward(self, x: Tensor) -> Tensor:
         batch, _, height, width = x.shape
@@ -135,7 +135,7 @@ class LinearAttention(nn.Module):
         return self.proj(out.reshape(batch, -1, height, width).to(qkv.dtype))
 
 
-def conv(
+def conv_norm(
     inputs: int,
     outputs: int,
     size: int = 1,
@@ -147,29 +147,35 @@ def conv(
     """Return a convolution, followed by a batch norm unless the convolution has a bias."""
     layer = nn.Conv2d(inputs, outputs, size, stride, size // 2, groups=groups, bias=bias)
     if bias:
-        return named(conv=layer)
-    return named(conv=layer, norm=nn.BatchNorm2d(outputs))
+        return name_layers(conv=layer)
+    return name_layers(conv=layer, norm=nn.BatchNorm2d(outputs))
 
 
 def bottleneck(inputs: int, outputs: int, stride: int = 1, *, bias: bool = False) -> nn.Sequential:
     """Return an inverted bottleneck of 4 times the width of its inputs."""
     width = 4 * inputs
-    inverted = conv(inputs, width, bias=bias).append(nn.Hardswish())
-    depth = conv(width, width, 3, stride=stride, groups=width, bias=bias).append(nn.Hardswish())
-    return named(inverted_conv=inverted, depth_conv=depth, point_conv=conv(width, outputs))
+    inverted = conv_norm(inputs, width, bias=bias).append(nn.Hardswish())
+    depth = conv_norm(width, width, 3, stride=stride, groups=width, bias=bias).append(
+        nn.Hardswish()
+    )
+    return name_layers(
+        inverted_conv=inverted, depth_conv=depth, point_conv=conv_norm(width, outputs)
+    )
 
 
 def attention_block(width: int) -> nn.Sequential:
     """Return attention over the image, then a bottleneck, each with a skip connection."""
     context = Residual(LinearAttention(width))
-    return named(context_module=context, local_module=Residual(bottleneck(width, width, bias=True)))
+    return name_layers(
+        context_module=context, local_module=Residual(bottleneck(width, width, bias=True))
+    )
 
 
-def ops(*layers: nn.Module) -> nn.Sequential:
+def op_list(*layers: nn.Module) -> nn.Sequential:
     """Return the layers in sequence; the checkpoint names such a sequence op_list."""
-    return named(op_list=nn.Sequential(*layers))
+    return name_layers(op_list=nn.Sequential(*layers))
 
 
-def named(**layers: nn.Module) -> nn.Sequential:
+def name_layers(**layers: nn.Module) -> nn.Sequential:
     """Return the layers in sequence, with the names of the arguments."""
     return nn.Sequential(OrderedDict(layers))

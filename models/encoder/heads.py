@@ -15,7 +15,7 @@ MIN_DEPTH_M = 0.5
 MAX_DEPTH_M = 120.0
 
 
-def resized(x: Tensor, size: Sequence[int]) -> Tensor:
+def resize_map(x: Tensor, size: Sequence[int]) -> Tensor:
     """Interpolate a map [B,C,h,w] to `size` (H, W), in float32.
 
     The borders of both maps coincide. If the map shrinks, its pixels are averaged.

@@ -20,7 +20,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from models.encoder.heads import CellClasses, CellDepth, ray_slopes, resized, scaled_by_focal
+from models.encoder.heads import CellClasses, CellDepth, ray_slopes, resize_map, scaled_by_focal
 from pipeline.base.checkout import in_checkout
 from pipeline.base.errors import InputError
 from pipeline.camera.classes import COUNT, NAMES, ROAD
@@ -42,11 +42,6 @@ UNPUBLISHED = ("neck.fusion_stage.layers.0.residual_layer1.", "hidden_states_nor
 NO_DEPTH_M = {
     "depth_pro": "inverse until its post-processing",
     "prompt_depth_anything": "relative to a depth sensor's",
-}
-# Setting → the task as transformers names it, and types of networks that work, for a message.
-FAMILIES = {
-    "depth": ("DEPTH_ESTIMATION", "depth_anything, glpn, zoedepth"),
-    "classes": ("SEMANTIC_SEGMENTATION", "segformer, upernet, mobilevit, mobilenet_v2"),
 }
 # Cityscapes' class → classes of ADE20K that count as this class, in lower case. Classes with equal
 # names in both are not repeated.
@@ -135,7 +130,7 @@ def import_transformers() -> ModuleType:
 
 
 @contextmanager
-def loading(name: str | Path, action: str = "load") -> Iterator[None]:
+def as_input_error(name: str | Path, action: str = "load") -> Iterator[None]:
     """Turn exceptions of transformers, which have many types, into an InputError of one line."""
     try:
         yield
@@ -149,35 +144,23 @@ def loading(name: str | Path, action: str = "load") -> Iterator[None]:
         raise InputError(f"cannot {action} {str(name)!r}: {reason}") from error
 
 
-def check_network(name: str, key: str = "") -> None:
-    """Raise InputError if `name` cannot be a network for the setting `key`.
+def check_network(name: str) -> None:
+    """Raise InputError if `name` can be neither a folder nor a name on the hub.
 
-    If `name` can only be a folder, the folder must have a configuration. If `key` is depth or
-    classes, the type of network in the folder must have such an output. Names on the hub are not
-    looked up. Raises InputError, too, if the package transformers is missing.
+    If it can only be a folder, that must have a configuration. Names on the hub are not looked up.
+    Raises InputError, too, if the package transformers is missing.
     """
-    library = import_transformers()
+    import_transformers()
     path = Path(name)
-    config = in_checkout(path) / "config.json"
-    is_folder = path.is_absolute() or in_checkout(path).parent.is_dir() or len(path.parts) > 2
-    if is_folder and not config.is_file():
+    folder = in_checkout(path)
+    is_folder = path.is_absolute() or folder.parent.is_dir() or len(path.parts) > 2
+    if is_folder and not (folder / "config.json").is_file():
         raise InputError(
             f"{name!r} is not a folder with a config.json, nor a name of Hugging Face's hub"
         )
-    if key in FAMILIES and config.is_file():
-        task, suitable = FAMILIES[key]
-        with loading(name):
-            family = json.loads(config.read_text())["model_type"]
-        families = getattr(library.models.auto.modeling_auto, f"MODEL_FOR_{task}_MAPPING_NAMES")
-        if family not in families:
-            raise InputError(
-                f"networks of type {family} have no map of {key}",
-                name,
-                f"Families that work: {suitable}",
-            )
 
 
-def describe(name: str) -> tuple[Path, dict[str, Any], list[str]]:
+def describe_network(name: str) -> tuple[Path, dict[str, Any], list[str]]:
     """Return the folder of a network, its description, and its sources. Raises InputError.
 
     A network that is not a folder is downloaded from the hub. Its revision there is the source.
@@ -185,7 +168,7 @@ def describe(name: str) -> tuple[Path, dict[str, Any], list[str]]:
     check_network(name)
     folder = in_checkout(Path(name))
     sources = []
-    with loading(name):
+    with as_input_error(name):
         if not folder.is_dir():
             from huggingface_hub import snapshot_download
 
@@ -238,7 +221,7 @@ class Network(nn.Module):
             levels = [max(1, stages * level // LEVELS) for level in range(1, LEVELS + 1)]
             config.out_indices = sorted(set(levels))
 
-        with loading(folder or config.model_type):
+        with as_input_error(folder or config.model_type):
             self.network = getattr(library, auto).from_config(config, trust_remote_code=False)
             if folder:
                 self.network, report = type(self.network).from_pretrained(
@@ -263,26 +246,26 @@ class Network(nn.Module):
         normalised = (image.float() / 255 - mean) / std
         padding = (0, -width % self.multiple, 0, -height % self.multiple)
         padded = F.pad(normalised, padding)
-        with loading(self.network.config.model_type, "run"):
+        with as_input_error(self.network.config.model_type, "run"):
             return self.network(padded)
 
-    def padded(self, size: Sequence[int]) -> torch.Size:
+    def pad_size(self, size: Sequence[int]) -> torch.Size:
         """Return the size of an image of `size` (H, W) after padding."""
         return torch.Size(side + -side % self.multiple for side in size)
 
-    def enlarged(self, x: Tensor, size: Sequence[int]) -> Tensor:
+    def enlarge_map(self, x: Tensor, size: Sequence[int]) -> Tensor:
         """Interpolate a map [B,C,h,w] of the padded image, and crop it to the image: [B,C,H,W].
 
         `size` is (H, W) of the image.
         """
-        height, width = self.padded(size)
+        height, width = self.pad_size(size)
         h, w = x.shape[-2:]
         # The map must have the shape of the image. That of plain DPT has not: DPT takes 4 x 16
         # patches for a square of 8 x 8.
         if abs(h * width - w * height) > height + width:
             kind = self.network.config.model_type
             raise InputError(f"{kind!r} returns {h} x {w} pixels for {height} x {width}")
-        return resized(x, (height, width))[..., : size[0], : size[1]]
+        return resize_map(x, (height, width))[..., : size[0], : size[1]]
 
 
 class Pair(nn.Module):
@@ -304,9 +287,9 @@ class Pair(nn.Module):
     def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
         size = image.shape[-2:]
         depth = self.depth(image).predicted_depth[:, None]
-        depth = self.depth.enlarged(depth, size)[:, 0]
+        depth = self.depth.enlarge_map(depth, size)[:, 0]
         logits = self.cityscapes(self.classes(image).logits)
-        logits = self.classes.enlarged(logits, size)
+        logits = self.classes.enlarge_map(logits, size)
         return scaled_by_focal(depth, K, self.focal_by_width), logits
 
 
@@ -323,7 +306,7 @@ class HuggingFace(nn.Module):
     def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
         height, width = image.shape[-2:]
         maps = self.backbone(image).feature_maps
-        rays = ray_slopes(K, self.backbone.padded((height, width)))
+        rays = ray_slopes(K, self.backbone.pad_size((height, width)))
         depth = self.depth_head(maps, rays)
         logits = self.class_head(maps, rays)
         return depth[..., :height, :width], logits[..., :height, :width]
@@ -346,9 +329,9 @@ class Pyramid(nn.Module):
     def forward(self, maps: Sequence[Tensor], rays: Tensor) -> Tensor:
         """Return the head's output for maps of the image of `rays` [B,2,H,W]."""
         size = [side // STRIDE for side in rays.shape[-2:]]
-        sides = [resized(side(x), size) for side, x in zip(self.sides, maps, strict=True)]
+        sides = [resize_map(side(x), size) for side, x in zip(self.sides, maps, strict=True)]
         total = torch.stack(sides).sum(dim=0)
-        features = self.smooth(torch.cat([total, resized(rays, size)], dim=1))
+        features = self.smooth(torch.cat([total, resize_map(rays, size)], dim=1))
         return self.head(features, rays)
 
 
@@ -361,8 +344,8 @@ def create_pair(
     `depth_unit` is the unit of its output, if the network does not tell. Raises InputError if a
     network cannot be loaded, if depth is not in metres, or if no class is road.
     """
-    depth_folder, depth_network, depth_sources = describe(depth)
-    classes_folder, classes_network, classes_sources = describe(classes)
+    depth_folder, depth_network, depth_sources = describe_network(depth)
+    classes_folder, classes_network, classes_sources = describe_network(classes)
     architecture: dict[str, Any] = {
         "backbone": "pair",
         "depth": depth_network,
@@ -397,7 +380,7 @@ def create_pair(
 
 def create_backbone(model: str) -> tuple[dict[str, Any], nn.Module]:
     """Return description and network of a backbone with random heads. Raises InputError."""
-    folder, description, sources = describe(model)
+    folder, description, sources = describe_network(model)
     architecture = {"backbone": "hugging_face", "model": description, "sources": sources}
     published = any(folder.glob("*.safetensors")) or any(folder.glob("pytorch_model*.bin"))
     return architecture, HuggingFace(architecture, folder if published else None)

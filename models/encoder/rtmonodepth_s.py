@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from models.encoder.heads import resized, scaled_by_focal
+from models.encoder.heads import resize_map, scaled_by_focal
 
 # Size (H, W) of the network's training images in pixels. At other sizes, its depth is wrong.
 SIZE = (192, 640)
@@ -46,10 +46,10 @@ class RTMonoDepthS(nn.Module):
         self.decoder = Decoder()
 
     def forward(self, image: Tensor, K: Tensor) -> Tensor:
-        normalised = (resized(image, SIZE) - MEAN) / STD
+        normalised = (resize_map(image, SIZE) - MEAN) / STD
         nearness = self.decoder(self.encoder(normalised))
         inverse = 1 / FAR + (1 / NEAR - 1 / FAR) * nearness
-        inverse = resized(inverse, image.shape[-2:])[:, 0]
+        inverse = resize_map(inverse, image.shape[-2:])[:, 0]
         return scaled_by_focal(STEREO_M / inverse, K, KITTI_FOCAL)
 
 

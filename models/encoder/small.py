@@ -44,16 +44,16 @@ class UNet(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         a, b, c, d = WIDTHS
-        self.down1 = conv(3 + 2, a, stride=2)
-        self.down2 = nn.Sequential(conv(a, b, stride=2), Residual(b))
-        self.down3 = nn.Sequential(conv(b, c, stride=2), Residual(c))
-        self.down4 = nn.Sequential(conv(c, d, stride=2), Residual(d), Residual(d, dilation=2))
+        self.down1 = conv3x3(3 + 2, a, stride=2)
+        self.down2 = nn.Sequential(conv3x3(a, b, stride=2), Residual(b))
+        self.down3 = nn.Sequential(conv3x3(b, c, stride=2), Residual(c))
+        self.down4 = nn.Sequential(conv3x3(c, d, stride=2), Residual(d), Residual(d, dilation=2))
         self.side3 = Pointwise(d, c)
         self.side2 = Pointwise(c, b)
         self.side1 = Pointwise(b, a)
-        self.up3 = conv(c, c)
-        self.up2 = conv(b, b)
-        self.up1 = conv(a, self.channels)
+        self.up3 = conv3x3(c, c)
+        self.up2 = conv3x3(b, b)
+        self.up1 = conv3x3(a, self.channels)
 
     def forward(self, image: Tensor, rays: Tensor) -> Tensor:
         """Return features [B,channels,ceil(H/2),ceil(W/2)].
@@ -64,9 +64,9 @@ class UNet(nn.Module):
         x2 = self.down2(x1)  # [B,b,H/4,W/4]
         x3 = self.down3(x2)  # [B,c,H/8,W/8]
         x4 = self.down4(x3)  # [B,d,H/16,W/16]
-        y = self.up3(x3 + _resized(self.side3(x4), x3))
-        y = self.up2(x2 + _resized(self.side2(y), x2))
-        return self.up1(x1 + _resized(self.side1(y), x1))  # [B,channels,H/2,W/2]
+        y = self.up3(x3 + _repeat_pixels(self.side3(x4), x3))
+        y = self.up2(x2 + _repeat_pixels(self.side2(y), x2))
+        return self.up1(x1 + _repeat_pixels(self.side1(y), x1))  # [B,channels,H/2,W/2]
 
 
 class Residual(nn.Module):
@@ -74,18 +74,18 @@ class Residual(nn.Module):
 
     def __init__(self, channels: int, dilation: int = 1) -> None:
         super().__init__()
-        self.first = conv(channels, channels, dilation=dilation)
-        self.second = conv(channels, channels, dilation=dilation)[:-1]  # ReLU follows the sum
+        self.first = conv3x3(channels, channels, dilation=dilation)
+        self.second = conv3x3(channels, channels, dilation=dilation)[:-1]  # ReLU follows the sum
 
     def forward(self, x: Tensor) -> Tensor:
         return F.relu(x + self.second(self.first(x)))
 
 
-def conv(inputs: int, outputs: int, stride: int = 1, dilation: int = 1) -> nn.Sequential:
+def conv3x3(inputs: int, outputs: int, stride: int = 1, dilation: int = 1) -> nn.Sequential:
     """Return a 3x3 convolution, batch norm and ReLU; stride 2 halves the size, rounded up."""
     layer = nn.Conv2d(inputs, outputs, 3, stride, padding=dilation, dilation=dilation, bias=False)
     return nn.Sequential(layer, nn.BatchNorm2d(outputs), nn.ReLU(inplace=True))
 
 
-def _resized(x: Tensor, like: Tensor) -> Tensor:
+def _repeat_pixels(x: Tensor, like: Tensor) -> Tensor:
     return F.interpolate(x, size=like.shape[-2:], mode="nearest")

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from models.encoder.efficientvit import STRIDE, EfficientViT
-from models.encoder.heads import resized
+from models.encoder.heads import resize_map
 from models.encoder.rtmonodepth_s import RTMonoDepthS
 
 # Factor by which the sides of an image are enlarged before it is classified. Small images have too
@@ -54,8 +54,8 @@ class Street(nn.Module):
     def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
         rgb = image.float() / 255
         size = image.shape[-2:]
-        enlarged = resized(rgb, [STRIDE * math.ceil(ENLARGED * side / STRIDE) for side in size])
-        return self.depth(rgb, K), resized(self.classes(enlarged), size)
+        enlarged = resize_map(rgb, [STRIDE * math.ceil(ENLARGED * side / STRIDE) for side in size])
+        return self.depth(rgb, K), resize_map(self.classes(enlarged), size)
 
     def load_published(self, folder: Path) -> None:
         """Load the files of SOURCES below a folder."""

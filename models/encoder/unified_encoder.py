@@ -32,7 +32,7 @@ BUILD: dict[str, Callable[[Architecture], nn.Module]] = {
 }
 
 
-def build(architecture: Architecture) -> nn.Module:
+def build_network(architecture: Architecture) -> nn.Module:
     """Return the described encoder, with random weights.
 
     Raises InputError for an unknown backbone or a missing package.

@@ -1,9 +1,9 @@
 """Run functions as commands: Typer parses the arguments, and errors are printed as one line."""
 
 import functools
-import io
 import sys
 from collections.abc import Callable, Sequence
+from typing import Annotated
 
 import typer
 
@@ -11,6 +11,11 @@ from pipeline.base.errors import InputError
 
 # Beginning of a line of facts whose numbers are not those of healthy data.
 DOUBT = "doubt: "
+# Argument of a stage with entries: a variant or a model.
+EntryName = Annotated[
+    str | None,
+    typer.Argument(metavar="NAME", help="an entry of the params file; default: DVC's"),
+]
 
 
 def run(*commands: Callable[..., object]) -> None:
@@ -21,17 +26,7 @@ def run(*commands: Callable[..., object]) -> None:
     app = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     for command in commands:
         app.command()(guarded(command))
-    start(app)
-
-
-def start(app: typer.Typer, name: str | None = None) -> None:
-    """Run an app, whose name in its help is by default that of the script.
-
-    Characters that the terminal's encoding lacks are printed as escapes, as Python does in stderr.
-    """
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")
-    app(prog_name=name)
+    app()
 
 
 def guarded(main: Callable[..., object]) -> Callable[..., None]:
@@ -46,13 +41,13 @@ def guarded(main: Callable[..., object]) -> Callable[..., None]:
         try:
             main(*args, **options)
         except (InputError, OSError, KeyboardInterrupt) as error:
-            one_line = " ".join(_message(error).split())
+            one_line = " ".join(_describe_error(error).split())
             sys.exit(f"error: {one_line}")
 
     return command
 
 
-def _message(error: BaseException) -> str:
+def _describe_error(error: BaseException) -> str:
     """Return the text about an exception, which may have several lines."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror

@@ -49,6 +49,4 @@ def closest(name: str, options: Sequence[str]) -> str:
     similar = difflib.get_close_matches(name, options, n=3, cutoff=0.6)
     if similar:
         return f"did you mean {' or '.join(similar)}?"
-    if not options:
-        return "known: none"
-    return f"known: {', '.join(options)}"
+    return f"known: {', '.join(options) or 'none'}"

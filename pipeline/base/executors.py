@@ -15,7 +15,7 @@ from concurrent.futures import (
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from threading import Thread, Timer
+from threading import Thread
 from typing import Any, TypeVar
 
 from pipeline.base.errors import InputError
@@ -23,8 +23,6 @@ from pipeline.base.outputs import StageFolder
 
 # Environment variable with the address of a Dask scheduler.
 SCHEDULER = "STEER_SCHEDULER"
-# Seconds without a worker of a cluster after which a line says so.
-WAIT_S = 30
 # Environment variable with the number of worker processes.
 WORKERS = "STEER_WORKERS"
 # File with the CPU quota of a container: CPU time and period in microseconds, "200000 100000" for
@@ -93,9 +91,9 @@ def run_jobs(
         return
 
     threads = threads or max(1, default_workers() // count)
-    call = partial(_call, work, folder, 1 if on_cluster else threads)
+    call = partial(_call_in_worker, work, folder, 1 if on_cluster else threads)
     try:
-        with _executor(count, threads) as executor:
+        with _open_executor(count, threads) as executor:
             futures = {executor.submit(call, job): job for job in jobs}
             for future in as_completed(futures):
                 yield futures[future], future.result()
@@ -105,7 +103,7 @@ def run_jobs(
 
 
 @contextmanager
-def _executor(count: int, threads: int) -> Iterator[Executor]:
+def _open_executor(count: int, threads: int) -> Iterator[Executor]:
     """Yield `count` processes of this machine, or the workers of a Dask cluster.
 
     At the end, jobs that have not started are cancelled.
@@ -129,22 +127,15 @@ def _executor(count: int, threads: int) -> Iterator[Executor]:
         fix = "Start one: dask scheduler. Or install Dask: pip install '.[cluster]'"
         raise InputError(problem, SCHEDULER, fix) from error
     with client:
-        timer = Timer(WAIT_S, _say_if_idle, [client, address])
-        timer.start()
+        if not client.nthreads():
+            print(f"waiting for workers. Start one: dask worker {address} --nthreads 1", flush=True)
         cluster = client.get_executor(pure=False, retries=0)
         try:
             yield cluster
         except KilledWorker as error:
             raise BrokenExecutor from error
         finally:
-            timer.cancel()
             cluster.shutdown(wait=False)
-
-
-def _say_if_idle(client: Any, address: str) -> None:
-    """Print a line if a cluster has no workers, as jobs then wait for ever."""
-    if not client.nthreads():
-        print(f"waiting for workers. Start one: dask worker {address} --nthreads 1", flush=True)
 
 
 def _start_worker() -> None:
@@ -156,12 +147,12 @@ def _start_worker() -> None:
 def _exit_with_parent() -> None:
     """Wait for the parent process to end, then end this process."""
     parent = multiprocessing.parent_process()
-    assert parent is not None
+    assert parent is not None, "called in a worker process only"
     parent.join()
     os._exit(1)
 
 
-def _call(work: Callable[[J], Any], folder: StageFolder, threads: int, job: J) -> Any:
+def _call_in_worker(work: Callable[[J], Any], folder: StageFolder, threads: int, job: J) -> Any:
     """Call ``work(job)`` in a worker. Raises InputError if it has other code, or other data."""
     import cv2
 

@@ -43,8 +43,6 @@ NUMERIC = (
 )
 # Pattern of paths of files that Python, editors and file managers leave beside code.
 LEFTOVERS = re.compile(r"/\.|/__pycache__/|~$")
-# Files that Windows writes to a folder that a user opens.
-WINDOWS_FILES = ("thumbs.db", "desktop.ini")
 # Advice after an edit while a stage ran.
 UNDO = (
     "Undo the edit and repeat the command: finished work is taken in seconds. With the edit, it "
@@ -80,23 +78,15 @@ def file_hash(path: Path) -> str:
 
 
 def content_hash(path: Path) -> str:
-    """Return the SHA-256 of a file, or of the names and contents of the files in a folder.
-
-    Files that a file manager wrote to the folder do not count.
-    """
+    """Return the SHA-256 of a file, or of the names and contents of the files in a folder."""
     if path.is_dir():
-        files = [file for file in path.iterdir() if file.is_file()]
-        return digest({file.name: file_hash(file) for file in files if not is_by_desktop(file)})
+        files = list_files(path)
+        return digest({str(file.relative_to(path)): file_hash(file) for file in files})
     return file_hash(path)
 
 
-def is_by_desktop(path: Path) -> bool:
-    """Return whether a file manager wrote the file: a hidden file, or one of WINDOWS_FILES."""
-    return path.name.startswith(".") or path.name.lower() in WINDOWS_FILES
-
-
-def code_files(folder: Path) -> list[Path]:
-    """Return all files below a folder of code, without leftovers."""
+def list_files(folder: Path) -> list[Path]:
+    """Return all files below a folder, without leftovers."""
     files = []
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
@@ -109,7 +99,7 @@ def scan_code() -> dict[str, str]:
     """Return the SHA-256 of each file of code, by its path below ROOT, and versions of NUMERIC."""
     found = {}
     for package in PACKAGES:
-        for path in code_files(ROOT / package):
+        for path in list_files(ROOT / package):
             found[path.relative_to(ROOT).as_posix()] = file_hash(path)
     for package in NUMERIC:
         try:
@@ -138,13 +128,13 @@ class Code(NamedTuple):
         `chosen` are the files of the networks or datasets that the settings name. Other modules in
         their folders do not belong to the code, unless dvc.yaml lists the module itself.
         """
-        return cls(stage, _select(LOADED, stage, chosen))
+        return cls(stage, _select_code(LOADED, stage, chosen))
 
     def hash(self, chosen: Collection[str] = ()) -> str:
         """Return a hash of the code; of those passed to :meth:`read`, only `chosen` ones count."""
         loaded = self.loaded
         if chosen:
-            loaded = _select(loaded, self.stage, chosen)
+            loaded = _select_code(loaded, self.stage, chosen)
         return digest(loaded)
 
     def check_unedited(self) -> None:
@@ -167,7 +157,7 @@ class Code(NamedTuple):
                 )
 
 
-def _select(loaded: Mapping[str, str], stage: str, chosen: Collection[str]) -> dict[str, str]:
+def _select_code(loaded: Mapping[str, str], stage: str, chosen: Collection[str]) -> dict[str, str]:
     """Return what belongs to a stage.
 
     A chosen module has the files with its name, mine.py and mine.yaml, and the folder mine; also

@@ -19,7 +19,7 @@ from pydantic import BaseModel
 from pipeline.base.errors import error_context
 from pipeline.base.executors import default_workers, run_jobs
 from pipeline.base.keys import stage_key
-from pipeline.base.outputs import StageFolder, link
+from pipeline.base.outputs import StageFolder, link_or_copy
 from pipeline.base.store import replacing
 
 Summary = dict[str, Any]
@@ -94,7 +94,7 @@ def make_drives(
     # Drives with the most data start first, so that all processes end at about the same time.
     todo.sort(key=_input_bytes, reverse=True)
     tasks = [Task(job.drive, results[job.drive], job.work) for job in todo]
-    for task, (summary, seconds) in run_jobs(_make, tasks, folder, workers=workers):
+    for task, (summary, seconds) in run_jobs(_make_result, tasks, folder, workers=workers):
         files = [path for path in task.result.parent.rglob("*") if path.is_file()]
         megabytes = sum(file.stat().st_size for file in files) / 1e6
         text = f"{log_format.format_map(summary)}, {megabytes:.1f} MB, {seconds:.1f} s"
@@ -105,7 +105,7 @@ def make_drives(
     summaries = {}
     for job in jobs:
         result = results[job.drive]
-        _publish(result, folder.new / job.target)
+        _link_result(result, folder.new / job.target)
         summaries[job.drive] = json.loads((result.parent / "summary.json").read_text())
     empty = [drive for drive, summary in summaries.items() if summary.get("frames") == 0]
     if empty:
@@ -121,13 +121,13 @@ def _find_results(
     choices = {job.chosen for job in jobs}
     code = {chosen: folder.code.hash(chosen) for chosen in choices}
 
-    def find(job: Job) -> Path:
+    def find_result(job: Job) -> Path:
         key = stage_key(code[job.chosen], {"drive": job.drive, **settings}, job.inputs)
         return folder.kept / f"{job.drive}-{key}" / Path(job.target).name
 
     # Threads are enough, as hashing files releases Python's lock.
     with ThreadPoolExecutor(workers or default_workers()) as pool:
-        paths = pool.map(find, jobs)
+        paths = pool.map(find_result, jobs)
         return {job.drive: path for job, path in zip(jobs, paths, strict=True)}
 
 
@@ -135,7 +135,7 @@ def _input_bytes(job: Job) -> int:
     return sum(path.stat().st_size for path in job.inputs if isinstance(path, Path))
 
 
-def _make(task: Task) -> tuple[Summary, float]:
+def _make_result(task: Task) -> tuple[Summary, float]:
     """Make the result of a drive, and write its summary beside it.
 
     Returns the summary, and the time in seconds. Raises InputError with the name of the drive.
@@ -154,10 +154,10 @@ def _make(task: Task) -> tuple[Summary, float]:
     return summary, time.perf_counter() - start
 
 
-def _publish(result: Path, target: Path) -> None:
+def _link_result(result: Path, target: Path) -> None:
     """Link a kept file, or the files of a kept folder, to a place in the stage's folder."""
     target.parent.mkdir(parents=True, exist_ok=True)
     if result.is_dir():
-        shutil.copytree(result, target, copy_function=link)
+        shutil.copytree(result, target, copy_function=link_or_copy)
     else:
-        link(result, target)
+        link_or_copy(result, target)

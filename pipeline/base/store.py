@@ -2,11 +2,10 @@
 
 data/README.md describes their content. Files are deterministic: they are written once, in a fixed
 order, and contain no clock time, host or user. A file may come from a stranger, so
-:func:`_datasets` accepts only plain arrays of numbers. It may also be damaged: HDF5 checks its own
-structures, and Fletcher32 the values, so that a wrong bit is an error.
+:func:`_check_datasets` accepts only plain arrays of numbers. It may also be damaged: HDF5 checks
+its own structures, and Fletcher32 the values, so that a wrong bit is an error.
 """
 
-import errno
 import io
 import json
 import tempfile
@@ -44,8 +43,6 @@ _PIXELS = hdf5plugin.Blosc(cname="zstd", clevel=3, shuffle=hdf5plugin.Blosc.SHUF
 # Largest size in bytes of a text in an attribute. HDF5 has no checksum of a larger attribute if
 # there are many of them. The settings of a file have about 400 bytes.
 _MAX_TEXT_BYTES = 4000
-# Numbers of the errors of a file system without locks.
-NO_LOCKS = (errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS)
 # Size in bytes of the cache of chunks that h5py has for each dataset of an open file.
 _CACHE_BYTES = 1 << 20
 # Exceptions that h5py raises for damaged bytes.
@@ -122,7 +119,7 @@ class DriveWriter(ExitStack):
         """Write a complete dataset that has a row per frame."""
         # Only chunks have a checksum, and a chunk cannot be empty.
         chunks = array.shape if array.size else None
-        self._create(name, array, {"unit": unit}, chunks=chunks, fletcher32=array.size > 0)
+        self._create_dataset(name, array, {"unit": unit}, chunks=chunks, fletcher32=array.size > 0)
 
     def put_pointers(self, name: str, counts: Iterable[int], unit: str = "") -> None:
         """Write each frame's first row in a ragged dataset, then the number of rows: int64 [F+1].
@@ -147,13 +144,13 @@ class DriveWriter(ExitStack):
             attributes = {"unit": unit}
             if pointer:
                 attributes["pointer"] = pointer
-            self._create(name, rows[:0], attributes, fletcher32=True, **options)
+            self._create_dataset(name, rows[:0], attributes, fletcher32=True, **options)
         dataset = self._datasets[name]
         dataset.resize(len(dataset) + len(rows), axis=0)
         dataset[len(dataset) - len(rows) :] = rows
         self._sink.check(self.path)
 
-    def _create(
+    def _create_dataset(
         self, name: str, array: np.ndarray, attributes: Mapping[str, str], **options: Any
     ) -> None:
         """Create a dataset with `options` of h5py's create_dataset."""
@@ -181,31 +178,29 @@ class DriveReader(ExitStack):
         self.path = path
         self._stage = stage or "STAGE"
         if not path.is_file():
-            raise _fault("file is missing", path, self._stage)
+            raise _file_fault("file is missing", path, self._stage)
         try:
-            file = self.enter_context(_open(path))
-            self.attrs = {name: _decode(value) for name, value in file.attrs.items()}
-            self.datasets = _datasets(file)
+            # No lock is needed, as files appear only when they are complete. Some disks have none.
+            file = self.enter_context(h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES, locking=False))
+            self.attrs = {name: _decode_text(value) for name, value in file.attrs.items()}
+            self.datasets = _check_datasets(file)
             # Name of a dataset → its unit.
             self.units = _read_names(self.datasets, "unit")
             # Name of a ragged dataset → name of the dataset with the first row of each frame.
             self.pointers = _read_names(self.datasets, "pointer")
-        except BlockingIOError as error:
-            problem = "another process has it open for writing"
-            raise InputError(problem, path, "Close it there, then repeat") from error
         except _H5PY_ERRORS as error:
-            raise _fault(f"damaged ({error})", path, self._stage) from error
+            raise _file_fault(f"damaged ({error})", path, self._stage) from error
 
         self._check_layout(stage)
         self.drive = str(self.attrs.get("drive"))
         if path.with_name(INDEX).is_file() and self.drive != path.stem:
-            raise _fault(f"contains drive {self.drive}", path, self._stage)
+            raise _file_fault(f"contains drive {self.drive}", path, self._stage)
 
         try:
             # Section of params.yaml → its content.
             self.params: dict[str, Any] = dict(json.loads(self.attrs["params"]))
         except (LookupError, ValueError, TypeError) as error:
-            raise _fault(f"damaged in its settings ({error})", path, self._stage) from error
+            raise _file_fault(f"damaged in its settings ({error})", path, self._stage) from error
         # KITTI frame numbers, int32 [F], ascending.
         self.frame = self["frame"]
         # Seconds since the drive's first frame, float64 [F].
@@ -220,13 +215,13 @@ class DriveReader(ExitStack):
         written_by = str(self.attrs.get("stage"))
         if written_by not in stages:
             problem = f"expected a file of stage {', '.join(stages)}; got stage {written_by}"
-            raise _fault(problem, self.path, self._stage)
+            raise _file_fault(problem, self.path, self._stage)
         self._stage = written_by
         schemas = [str(schema) for schema in SCHEMAS[written_by]]
         schema = str(self.attrs.get("schema"))
         if schema not in schemas:
             problem = f"expected schema {' or '.join(schemas)}; got {schema}, of another revision"
-            raise _fault(problem, self.path, self._stage)
+            raise _file_fault(problem, self.path, self._stage)
 
     def row_of(self, number: int) -> int:
         """Return the row of the frame with this KITTI number.
@@ -256,7 +251,7 @@ class DriveReader(ExitStack):
             return self.datasets[name][index]
         except _H5PY_ERRORS as error:
             problem = f"damaged in dataset {name!r} ({error})"
-            raise _fault(problem, self.path, self._stage) from error
+            raise _file_fault(problem, self.path, self._stage) from error
 
     def rows_of(self, name: str, frame_row: int) -> np.ndarray:
         """Return one frame's rows of a ragged dataset; `frame_row` is its row in ``frame``."""
@@ -264,21 +259,7 @@ class DriveReader(ExitStack):
         return self.row(name, slice(start, stop))
 
 
-def _open(path: Path) -> h5py.File:
-    """Open a file for reading.
-
-    On a file system without locks it is opened without one, which is safe, as files appear only
-    when they are complete.
-    """
-    try:
-        return h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES)
-    except OSError as error:
-        if error.errno not in NO_LOCKS:
-            raise
-        return h5py.File(path, "r", rdcc_nbytes=_CACHE_BYTES, locking=False)
-
-
-def _datasets(file: h5py.File) -> dict[str, h5py.Dataset]:
+def _check_datasets(file: h5py.File) -> dict[str, h5py.Dataset]:
     """Return name → dataset of a file.
 
     Raises ValueError unless all datasets are arrays of numbers in the file itself. HDF5 would
@@ -315,18 +296,18 @@ def _write_attributes(target: h5py.File | h5py.Dataset, attributes: Mapping[str,
 def _read_names(datasets: Mapping[str, h5py.Dataset], attribute: str) -> dict[str, str]:
     """Return dataset → the text of its attribute, for the datasets that have the attribute."""
     return {
-        name: str(_decode(dataset.attrs[attribute]))
+        name: str(_decode_text(dataset.attrs[attribute]))
         for name, dataset in datasets.items()
         if attribute in dataset.attrs
     }
 
 
-def _decode(value: Any) -> Any:
+def _decode_text(value: Any) -> Any:
     """Return an attribute's value. h5py reads a text as bytes if its length is fixed."""
     return value.decode() if isinstance(value, bytes) else value
 
 
-def _fault(problem: str, path: Path, stage: str) -> InputError:
+def _file_fault(problem: str, path: Path, stage: str) -> InputError:
     """Return an exception about a file of a stage, with the commands that make or fetch it."""
     fix = f"Make it: dvc repro {stage}. Or fetch it: git pull, dvc pull {stage}"
     return InputError(problem, path, fix)
@@ -352,11 +333,11 @@ def write_text(path: Path, text: str) -> None:
 def read_json(path: Path, *, stage: str) -> dict[str, Any]:
     """Read a JSON object written by `stage`. Raises InputError if it is missing or invalid."""
     if not path.is_file():
-        raise _fault("file is missing", path, stage)
+        raise _file_fault("file is missing", path, stage)
     try:
         return dict(json.loads(path.read_text(encoding="utf-8")))
     except (ValueError, TypeError) as error:
-        raise _fault(f"damaged ({error})", path, stage) from error
+        raise _file_fault(f"damaged ({error})", path, stage) from error
 
 
 def read_index(folder: Path, *, stage: str) -> dict[str, str]:
@@ -367,7 +348,7 @@ def read_index(folder: Path, *, stage: str) -> dict[str, str]:
     drives: dict[str, str] = read_json(folder / INDEX, stage=stage).get("drives", {})
     missing = [drive for drive in drives if not (folder / f"{drive}.h5").is_file()]
     if missing:
-        raise _fault(f"no file for {', '.join(missing)} of index.json", folder, stage)
+        raise _file_fault(f"no file for {', '.join(missing)} of index.json", folder, stage)
     return drives
 
 

@@ -140,7 +140,7 @@ class Frame:
     cls: Any = None  # trainIds uint8 [H,W]
     scan: Any = None  # float32 [P,4] in the velodyne frame: x, y, z in metres, reflectance
 
-    def read(self) -> dict[str, DamagedFile]:
+    def read_fields(self) -> dict[str, DamagedFile]:
         """Replace the fields that are functions by what they read, None for a damaged file.
 
         Returns name of a field → exception for the damaged files.
@@ -176,13 +176,13 @@ def scan_depth(scan: np.ndarray, camera: Camera) -> np.ndarray:
 
     A pixel without a point has a depth of 0. `scan` [P,≥3] holds x, y, z in the velodyne frame.
     """
-    assert camera.T_cam_velo is not None
+    assert camera.T_cam_velo is not None, "the camera belongs to a scanner"
     xyz = transform(camera.T_cam_velo, scan[:, :3].astype(np.float64))
-    index, _, _ = visible(xyz, camera)
+    index, _, _ = find_visible(xyz, camera)
     return depth_image(xyz[index], camera.K, camera.size).astype(np.float32)
 
 
-def visible(xyz: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def find_visible(xyz: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the points of a scan that the camera sees: indices [M], pixels' rows and columns.
 
     `xyz` [N,3] holds the points in the camera frame. The scanner is above the camera and looks over

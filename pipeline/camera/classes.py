@@ -81,7 +81,7 @@ COLOURS = np.array(
 )
 
 
-def colourise(classes: np.ndarray) -> np.ndarray:
+def colour_classes(classes: np.ndarray) -> np.ndarray:
     """Return the RGB colours, uint8 [..., 3], of class numbers [...]. Void is black."""
     table = np.zeros((256, 3), np.uint8)
     table[:COUNT] = COLOURS

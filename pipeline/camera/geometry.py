@@ -16,7 +16,7 @@ SCANNER_HEIGHT_M = 1.73
 CAMERA_HEIGHT_M = 1.65
 
 
-def rays(K: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
+def camera_rays(K: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
     """Return K⁻¹[u,v,1]ᵀ for each pixel of an image, float64 [H,W,3].
 
     This is the direction of the pixel, of which the third component is 1. `size` is (H, W).
@@ -31,7 +31,7 @@ def back_project(depth_m: np.ndarray, K: np.ndarray) -> np.ndarray:
 
     `depth_m` [H,W] is the distance along the optical axis (z), in metres.
     """
-    return depth_m[..., None] * rays(K, depth_m.shape)
+    return depth_m[..., None] * camera_rays(K, depth_m.shape)
 
 
 def project(xyz: np.ndarray, K: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

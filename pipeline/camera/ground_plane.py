@@ -4,7 +4,7 @@ import numpy as np
 
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera
-from pipeline.camera.geometry import rays
+from pipeline.camera.geometry import camera_rays
 
 # Largest depth of the plane in metres. Pixels at the horizon and above it have this depth.
 MAX_DEPTH_M = 120.0
@@ -20,7 +20,7 @@ def ground_plane_depth(cls: np.ndarray, camera: Camera) -> np.ndarray:
     row if no pixel below it is ground.
     """
     height = cls.shape[0]
-    slope = rays(camera.K, (height, 1))[..., 1]  # y/z of each row, [H,1]
+    slope = camera_rays(camera.K, (height, 1))[..., 1]  # y/z of each row, [H,1]
     row_depth_m = camera.height_m * (1 / slope.clip(min=camera.height_m / MAX_DEPTH_M))
     plane_m = np.broadcast_to(row_depth_m, cls.shape)
 

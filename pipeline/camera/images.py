@@ -123,7 +123,7 @@ def _read_typed_pixels(
     return pixels
 
 
-def resized(image: np.ndarray, size: Size) -> np.ndarray:
+def resize_image(image: np.ndarray, size: Size) -> np.ndarray:
     """Resize an image uint8 [H,W,3] to `size` (H, W). `Camera.scaled` gives the new intrinsics."""
     height, width = image.shape[:2]
     if (height, width) == size:
@@ -135,7 +135,7 @@ def resized(image: np.ndarray, size: Size) -> np.ndarray:
     return cv2.resize(image, size[::-1], interpolation=interpolation)
 
 
-def nearest(pixels: np.ndarray, size: Size) -> np.ndarray:
+def resize_nearest(pixels: np.ndarray, size: Size) -> np.ndarray:
     """Resize depth or classes [H,W] by picking pixels.
 
     Pixels are not averaged, since the mean of two depths or classes lies on neither surface.
@@ -149,7 +149,7 @@ def read_pixels(path: Path) -> np.ndarray:
     """Decode a PNG or JPEG file to pixels, grey [H,W] or RGB [H,W,3], of type uint8 or uint16.
 
     The pixels of a JPEG file are always RGB uint8. Raises DamagedFile if the file is truncated,
-    altered or of another format, if it has transparent pixels, or if its EXIF data rotate it.
+    altered or of another format, or if its EXIF data rotate it.
     """
     content = path.read_bytes()
     if not content.startswith((_PNG, _JPEG)):
@@ -159,34 +159,18 @@ def read_pixels(path: Path) -> np.ndarray:
         problem = "EXIF orientation rotates or mirrors the image"
         raise DamagedFile(problem, path, "Apply it: mogrify -auto-orient FILE")
 
-    pixels = _decode(content, path)
-
-    # A fourth channel is opacity. A pixel is transparent if this is below its maximum.
-    alpha = pixels[..., 3:]
-    if pixels.ndim == 3 and np.invert(alpha, dtype=pixels.dtype).any():
-        fix = "Remove the transparency: mogrify -alpha off FILE"
-        raise DamagedFile("has transparent pixels", path, fix)
-    if pixels.ndim == 2:
-        return pixels
-    return cv2.cvtColor(pixels[..., :3], cv2.COLOR_BGR2RGB)
-
-
-def _decode(content: bytes, path: Path) -> np.ndarray:
-    """Return the pixels of a file's content as OpenCV decodes them, BGR; raise DamagedFile."""
     flags = cv2.IMREAD_UNCHANGED
     if content.startswith(_JPEG):
         flags = cv2.IMREAD_COLOR
-    # OpenCV would print that it cannot decode a file, which the exception says, too.
-    level = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         pixels = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
     except cv2.error as error:
         raise DamagedFile(f"cannot be decoded ({error.err})", path) from error
-    finally:
-        cv2.utils.logging.setLogLevel(level)
     if pixels is None:
         raise DamagedFile("cannot be decoded: the file is damaged or cut short", path)
-    return pixels
+    if pixels.ndim == 2:
+        return pixels
+    return cv2.cvtColor(pixels[..., :3], cv2.COLOR_BGR2RGB)  # without a fourth channel, opacity
 
 
 def write_png(path: Path, pixels: np.ndarray, *options: int) -> None:

@@ -49,4 +49,4 @@ def check_model(entry: Entry, settings: Params) -> None:
     outputs = len(quantity.columns)
     image_size = settings.ingest.image_size
     net = entry.build(variant.kind, image_size, outputs)
-    check_network(net, entry, variant, image_size, outputs)
+    check_network(net, entry, variant, image_size, outputs=outputs)

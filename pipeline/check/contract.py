@@ -5,15 +5,13 @@ network are those of models/steering/core/steering_net.py: a frame's features de
 alone, and not on the order of its points. BatchNorm, dropout, frozen parts and bfloat16 are right.
 """
 
-import sys
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from models.steering.core.batch import Batch, GraphBatch, from_arrays
+from models.steering.core.batch import Batch, from_arrays
 from models.steering.core.motion import SCALES
 from models.steering.core.recurrent import NOMINAL_STEP_S
 from models.steering.core.steering_net import SteeringNet
@@ -46,12 +44,7 @@ def check_network(
     the predicted quantity. torch's random state stays as it was. An exception of the network itself
     is raised as it is.
     """
-    # A compiled network runs without compilation, which would take a minute. Without one, the
-    # compiler has not been imported, and importing it would take seconds.
-    eager: AbstractContextManager[None] = nullcontext()
-    if "torch._dynamo" in sys.modules:
-        eager = torch.compiler.set_stance("force_eager")
-    with torch.random.fork_rng(devices=[]), eager:
+    with torch.random.fork_rng(devices=[]):
         torch.manual_seed(SEED)
         with error_context(f"spatial: {entry.spatial}"):
             _check_spatial(net, entry, variant, image_size)
@@ -65,38 +58,33 @@ def _check_spatial(
     """Check the features of frames with many points, half as many, and none."""
     points = min(variant.points or 0, POINTS)
     counts = [points, points, points // 2, 0]
-    frames = make_frames(variant, counts, image_size, SEED)
+    frames = make_frames(variant, counts, image_size, seed=SEED)
 
-    def join(members: Sequence[Columns]) -> Batch:
+    def join_batch(members: Sequence[Columns]) -> Batch:
         return from_arrays(join_frames(members, entry.network))
 
-    def run(numbers: Sequence[int]) -> Tensor:
-        batch = join([frames[row] for row in numbers])
-        output: Tensor = net.spatial(batch)
-        rows = len(batch.xyz) if isinstance(batch, GraphBatch) else 0
-        is_per_point = isinstance(output, Tensor) and list(output.shape[:1]) == [rows]
-        if is_per_point and rows != len(numbers):
-            problem = f"returns a row for each point, {list(output.shape)}"
-            fix = "Pool the points of each frame, for instance by mean_max_pool"
-            raise InputError(f"{problem}, expected {[len(numbers), entry.features]}", fix=fix)
+    def run_frames(numbers: Sequence[int]) -> Tensor:
+        output: Tensor = net.spatial(join_batch([frames[row] for row in numbers]))
         return output
 
     full = len(counts) - 1
-    together = _check_prediction(net.spatial, run, len(counts), full, [entry.features], "frame")
+    together = _check_prediction(
+        net.spatial, run_frames, count=len(counts), full=full, shape=[entry.features], item="frame"
+    )
     with torch.no_grad():
         if variant.kind == "graph":
             rng = np.random.default_rng(SEED)
-            shuffled = join([shuffle_points(frame, rng) for frame in frames[:full]])
+            shuffled = join_batch([shuffle_points(frame, rng) for frame in frames[:full]])
             problem = "the features depend on the order of the points"
             fix = "Pool by a sum, a mean or a maximum"
             _check_equal(net.spatial(shuffled), together[:full], problem, fix)
         if net.equivariant:
             # The features of a frame and of its mirror image, from two copies of the input.
-            mirrored = net.spatial(join(frames).mirrored())
-            from_one_copy = net._features(join(frames))[: len(frames)]
+            mirrored = net.spatial(join_batch(frames).mirrored())
+            from_one_copy = net._features(join_batch(frames))[: len(frames)]
             problem = "changes its input, from which equivariant: true makes the mirror image"
             _check_equal(from_one_copy, together - mirrored, problem, "Copy what it changes")
-    _check_training(net.spatial, run, len(counts), [entry.features])
+    _check_training(net.spatial, run_frames, count=len(counts), shape=[entry.features])
 
 
 def _check_temporal(net: SteeringNet, entry: Entry, outputs: int) -> None:
@@ -113,7 +101,7 @@ def _check_temporal(net: SteeringNet, entry: Entry, outputs: int) -> None:
     windows = first + torch.arange(entry.window)
     dt_s = NOMINAL_STEP_S * (0.5 + torch.rand(windows.shape))
 
-    def run(numbers: Sequence[int]) -> Tensor:
+    def run_windows(numbers: Sequence[int]) -> Tensor:
         # Frames are projected once for all windows that contain them, as in SteeringNet.
         used, rows = torch.unique(windows[list(numbers)], return_inverse=True)
         projected = net.temporal.project_inputs(features[used])
@@ -121,8 +109,10 @@ def _check_temporal(net: SteeringNet, entry: Entry, outputs: int) -> None:
         return output
 
     shape = [entry.window, outputs]
-    _check_prediction(net.temporal, run, WINDOWS, WINDOWS, shape, "window")
-    _check_training(net.temporal, run, WINDOWS, shape)
+    _check_prediction(
+        net.temporal, run_windows, count=WINDOWS, full=WINDOWS, shape=shape, item="window"
+    )
+    _check_training(net.temporal, run_windows, count=WINDOWS, shape=shape)
 
 
 def _check_prediction(
@@ -134,11 +124,6 @@ def _check_prediction(
     `full` of them may be alone in a batch. An `item` is a frame or a window. Returns the outputs
     for all items.
     """
-    for name, tensor in (*network.named_parameters(), *network.named_buffers()):
-        if nn.parameter.is_lazy(tensor):
-            problem = f"{name} has no size before the first batch"
-            raise InputError(problem, fix="Use a layer with sizes, such as Linear for LazyLinear")
-
     network.eval()
     with torch.no_grad():
         # Items alone come first: they may depend on a state that a batch of all items leaves.

@@ -33,20 +33,20 @@ def make_frames(
     frames = []
     for count in counts:
         if variant.kind == "image":
-            frames.append({"image": Column(_image(image_size, rng)[None], "RGB", "ptr")})
+            frames.append({"image": Column(_draw_image(image_size, rng)[None], "RGB", "ptr")})
         else:
-            frames.append(connect(_street(count, rng), variant, rng))
+            frames.append(connect(_draw_street(count, rng), variant, rng))
     return frames
 
 
-def _image(size: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
+def _draw_image(size: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
     """Return an image of random patches, uint8 [H,W,3]."""
     height, width = size
     patches = rng.integers(0, 256, (*PATCHES, 3), np.uint8)
     return cv2.resize(patches, (width, height), interpolation=cv2.INTER_LINEAR)
 
 
-def _street(points: int, rng: np.random.Generator) -> Cloud:
+def _draw_street(points: int, rng: np.random.Generator) -> Cloud:
     """Return the points that a camera sees of a road between two rows of houses or trees."""
     # Directions of random pixels, x / z and y / z.
     aside = rng.uniform(-0.8, 0.8, points)

@@ -15,7 +15,7 @@ import numpy as np
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
 from pipeline.camera import classes, geometry
-from pipeline.camera.camera import Camera, DriveFrames, visible
+from pipeline.camera.camera import Camera, DriveFrames, find_visible
 
 if TYPE_CHECKING:
     from pipeline.clouds.settings import Clouds
@@ -67,11 +67,11 @@ def lidar_cloud(scan: np.ndarray, camera: Camera, cls: np.ndarray | None) -> Clo
     the frame's image, or is None. Points that are outside of the image, hidden from the camera, or
     on the sky are void.
     """
-    assert camera.T_cam_velo is not None
+    assert camera.T_cam_velo is not None, "the camera belongs to a scanner"
     xyz = geometry.transform(camera.T_cam_velo, scan[:, :3].astype(np.float64))
     labels = np.full(len(xyz), classes.VOID, np.uint8)
     if cls is not None:
-        index, row, column = visible(xyz, camera)
+        index, row, column = find_visible(xyz, camera)
         labels[index] = cls[row, column]
         # The sky returns no laser pulse, so a point with this class is on the edge of an object.
         labels[labels == classes.SKY] = classes.VOID
@@ -94,8 +94,8 @@ def clouds_drive(
             file.put("time_s", frames.time_s, unit="s")
             # These calls create the datasets, also in the file of a drive without frames. Dataset
             # "ptr", which is written at the end, has the rows where frames begin.
-            file.append("xyz", np.empty((0, 3), np.float32), "m", "ptr")
-            file.append("cls", np.empty(0, np.uint8), "trainId", "ptr")
+            file.append("xyz", np.empty((0, 3), np.float32), unit="m", pointer="ptr")
+            file.append("cls", np.empty(0, np.uint8), unit="trainId", pointer="ptr")
             for frame in frames:
                 if kind == "lidar":
                     cloud = lidar_cloud(frame.scan, frames.camera, frame.cls)
@@ -158,13 +158,13 @@ def in_morton_order(cloud: Cloud) -> Cloud:
     cells = np.rint(cloud.xyz / RESOLUTION_M)
     numbers = np.clip(cells + 2**20, 0, 2**21 - 1).astype(np.uint64)
     x, y, z = numbers.T
-    code = _spread(x) | (_spread(y) << np.uint64(1)) | (_spread(z) << np.uint64(2))
+    code = _spread_bits(x) | (_spread_bits(y) << np.uint64(1)) | (_spread_bits(z) << np.uint64(2))
     order = np.argsort(code, kind="stable")
     xyz = (cells[order] * RESOLUTION_M).astype(np.float32)
     return Cloud(xyz, cloud.cls[order])
 
 
-def _spread(x: np.ndarray) -> np.ndarray:
+def _spread_bits(x: np.ndarray) -> np.ndarray:
     """Insert two zero bits between the 21 low bits of each number."""
     for shift, mask in (
         (32, 0x1F00000000FFFF),

@@ -1,13 +1,12 @@
 """Create the encoder of section ``encoder``, and load or download its weights."""
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 from torch import hub, nn
 
 from models.encoder import hugging_face, street
-from models.encoder.unified_encoder import Architecture, build
+from models.encoder.unified_encoder import Architecture, build_network
 from pipeline.base.checkout import in_checkout
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.keys import file_hash
@@ -17,7 +16,7 @@ from pipeline.encoder.settings import NEEDED, Encoder
 from pipeline.encoder.weights import WEIGHTS, find_weights, weights_hash
 
 
-def create(settings: Encoder) -> tuple[Architecture, nn.Module]:
+def create_encoder(settings: Encoder) -> tuple[Architecture, nn.Module]:
     """Return the encoder of section ``encoder``: its description and its network.
 
     Raises InputError if a file is missing, or is not the file that the section describes.
@@ -26,7 +25,7 @@ def create(settings: Encoder) -> tuple[Architecture, nn.Module]:
         if settings.weights_sha256 and settings.weights_sha256 != weights_hash(settings):
             raise InputError("weights_sha256 is the hash of other weights", fix="Repeat make NAME")
     if settings.weights is None or settings.backbone == "precomputed":
-        return CREATE[settings.backbone](settings)
+        return _build_encoder(settings)
     with error_context("weights"):
         architecture, model = load_encoder(find_weights(settings.weights))
         backbone = architecture["backbone"]
@@ -43,7 +42,7 @@ def create_street(weights: Path) -> tuple[Architecture, nn.Module]:
     their URLs and terms of use as ``sources``. Raises InputError if a download fails.
     """
     for path, (url, sha256, _) in street.SOURCES.items():
-        fetch(weights / path, url, sha256)
+        download_file(weights / path, url, sha256)
     model = street.Street()
     model.load_published(weights)
     sources = [f"{path}: {url} ({terms})" for path, (url, _, terms) in street.SOURCES.items()]
@@ -69,56 +68,45 @@ def check_encoder(settings: Encoder) -> None:
         value = getattr(settings, key)
         if isinstance(value, str):
             with error_context(key):
-                hugging_face.check_network(value, key)
+                hugging_face.check_network(value)
 
 
-def _create_small(settings: Encoder) -> tuple[Architecture, nn.Module]:
-    architecture = {"backbone": settings.backbone}
-    return architecture, build(architecture)
+def _build_encoder(settings: Encoder) -> tuple[Architecture, nn.Module]:
+    """Return description and network of a section that names no encoder.pt.
+
+    If published weights or files are loaded, the description has their `sources`, a text for each.
+    """
+    match settings.backbone:
+        case "street":
+            return create_street(in_checkout(WEIGHTS))
+        case "pair":
+            assert settings.depth, "checked by section encoder"
+            assert settings.classes, "checked by section encoder"
+            assert settings.focal_by_width, "checked by section encoder"
+            return hugging_face.create_pair(
+                settings.depth,
+                settings.classes,
+                focal_by_width=settings.focal_by_width,
+                depth_unit=settings.depth_unit,
+            )
+        case "hugging_face":
+            assert settings.model, "checked by section encoder"
+            return hugging_face.create_backbone(settings.model)
+        case "precomputed":
+            assert settings.weights, "checked by section encoder"
+            count, sha256 = precomputed.hash_images(in_checkout(settings.weights))
+            architecture = {
+                "backbone": "precomputed",
+                "folder": str(settings.weights),
+                "sha256": sha256,
+                "sources": [f"{count} PNG files in {settings.weights}"],
+            }
+            return architecture, nn.Module()
+        case backbone:
+            return {"backbone": backbone}, build_network({"backbone": backbone})
 
 
-def _create_street(settings: Encoder) -> tuple[Architecture, nn.Module]:
-    return create_street(in_checkout(WEIGHTS))
-
-
-def _create_pair(settings: Encoder) -> tuple[Architecture, nn.Module]:
-    assert settings.depth
-    assert settings.classes
-    assert settings.focal_by_width
-    return hugging_face.create_pair(
-        settings.depth, settings.classes, settings.focal_by_width, settings.depth_unit
-    )
-
-
-def _create_backbone(settings: Encoder) -> tuple[Architecture, nn.Module]:
-    assert settings.model
-    return hugging_face.create_backbone(settings.model)
-
-
-def _create_precomputed(settings: Encoder) -> tuple[Architecture, nn.Module]:
-    assert settings.weights
-    count, sha256 = precomputed.fingerprint(in_checkout(settings.weights))
-    architecture = {
-        "backbone": settings.backbone,
-        "folder": str(settings.weights),
-        "sha256": sha256,
-        "sources": [f"{count} PNG files in {settings.weights}"],
-    }
-    return architecture, nn.Module()
-
-
-# Backbone → function that returns description and network. If it loads published weights or files,
-# the description has their `sources`, a text for each.
-CREATE: dict[str, Callable[[Encoder], tuple[Architecture, nn.Module]]] = {
-    "small": _create_small,
-    "street": _create_street,
-    "pair": _create_pair,
-    "hugging_face": _create_backbone,
-    "precomputed": _create_precomputed,
-}
-
-
-def fetch(path: Path, url: str, sha256: str) -> None:
+def download_file(path: Path, url: str, sha256: str) -> None:
     """Download a file to `path`, unless it is there already.
 
     Raises InputError if the download fails, or if the file has another SHA-256.

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from models.encoder.unified_encoder import Architecture, build
+from models.encoder.unified_encoder import Architecture, build_network
 from pipeline.base import checkpoint
 from pipeline.camera.images import Size
 
@@ -34,7 +34,7 @@ def load_encoder(path: Path) -> tuple[Architecture, nn.Module]:
     The network is set to evaluation, and is on a GPU if the machine has one.
     """
     content = checkpoint.read(path, KIND)
-    model = build(content["architecture"])
+    model = build_network(content["architecture"])
     checkpoint.load_state(model, content["net"], path)
     # Weights in the memory order of the images make the network 1.6 times as fast on a CPU.
     model.to(memory_format=torch.channels_last)  # type: ignore[call-overload]

@@ -77,7 +77,7 @@ class Examples(ExitStack):
         return Example(file.row("image", row), camera, truth.depth_m, truth.cls)
 
 
-def mirrored(example: Example) -> Example:
+def mirror_example(example: Example) -> Example:
     """Return the mirror image of an example. The camera is mirrored, too."""
     return Example(
         example.image[:, ::-1],
@@ -87,13 +87,13 @@ def mirrored(example: Example) -> Example:
     )
 
 
-def augment(example: Example, rng: np.random.Generator) -> Example:
+def augment_example(example: Example, rng: np.random.Generator) -> Example:
     """Return the example or its mirror image, with random gain, contrast and gamma.
 
     The gain differs between colours. A share GREY of the images becomes grey.
     """
     if rng.random() < 0.5:
-        example = mirrored(example)
+        example = mirror_example(example)
     gain = rng.uniform(0.75, 1.3) * rng.uniform(0.9, 1.1, 3)
     contrast = rng.uniform(0.75, 1.3)
     gamma = rng.uniform(0.8, 1.25)

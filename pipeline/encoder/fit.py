@@ -17,7 +17,7 @@ from pipeline.base.loop import prefetch, warm_up_cosine
 from pipeline.base.runner import Summary
 from pipeline.camera import classes
 from pipeline.encoder.encoder_file import save_encoder
-from pipeline.encoder.examples import Examples, augment
+from pipeline.encoder.examples import Examples, augment_example
 from pipeline.encoder.settings import Encoder
 
 # Share of the steps in which the learning rate rises.
@@ -44,7 +44,7 @@ def fit_drives(
     """
     model.to("cuda" if torch.cuda.is_available() else "cpu")
     with Examples(ingest, drives, settings.frames) as examples:
-        curve = fit(model, examples, settings)
+        curve = fit_encoder(model, examples, settings)
         # The encoder's file lists the datasets it was fitted to. Weights at the start come with
         # theirs; if their file lists none, these are "unknown".
         datasets = {*examples.datasets, *architecture.get("datasets", [])}
@@ -57,7 +57,7 @@ def fit_drives(
         return {"frames": len(examples), "curve": curve, "config": config}
 
 
-def fit(model: nn.Module, examples: Examples, settings: Encoder) -> list[dict[str, float]]:
+def fit_encoder(model: nn.Module, examples: Examples, settings: Encoder) -> list[dict[str, float]]:
     """Fit an encoder in place. Return for each epoch a row of mean losses.
 
     Raises InputError if the loss is not finite.
@@ -73,7 +73,7 @@ def fit(model: nn.Module, examples: Examples, settings: Encoder) -> list[dict[st
         start = time.perf_counter()
         torch.manual_seed(settings.seed + epoch)
         rng = np.random.default_rng([settings.seed, epoch])
-        batches = _batches(examples, settings.batch, rng, device.type)
+        batches = _read_batches(examples, settings.batch, rng, device=device.type)
         title = f"epoch {epoch + 1}/{epochs}"
         bar = tqdm(batches, title, steps, unit="batch", leave=False, disable=None)
         # The sums of the losses are read once per epoch, so that no step waits for a GPU.
@@ -137,7 +137,7 @@ def depth_and_class_loss(
     return torch.stack([depth_loss, class_loss])
 
 
-def _batches(
+def _read_batches(
     examples: Examples, batch: int, rng: np.random.Generator, device: str
 ) -> Iterator[list[Tensor]]:
     """Return batches of augmented examples in random order.
@@ -149,7 +149,7 @@ def _batches(
     def read_batch(numbers: np.ndarray) -> list[Tensor]:
         rows = []
         for number in numbers.tolist():
-            example = augment(examples[number], rng)
+            example = augment_example(examples[number], rng)
             rows.append((example.image, example.camera.K, example.depth_m, example.cls))
         tensors = [torch.from_numpy(np.stack(column)) for column in zip(*rows, strict=True)]
         if device == "cuda":

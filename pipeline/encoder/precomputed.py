@@ -8,7 +8,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.keys import digest, file_hash
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, same_shape
-from pipeline.camera.images import format_size, nearest, read_classes, read_depth
+from pipeline.camera.images import format_size, read_classes, read_depth, resize_nearest
 
 # Names and formats of the expected files, for messages.
 LAYOUT = (
@@ -25,7 +25,7 @@ def find_images(folder: Path) -> list[Path]:
     return files
 
 
-def fingerprint(folder: Path) -> tuple[int, str]:
+def hash_images(folder: Path) -> tuple[int, str]:
     """Return the number of PNG files below a folder, and a hash of names and contents.
 
     Raises InputError if there are none.
@@ -48,8 +48,8 @@ def read_frame(
     for path in (depth_path, cls_path):
         if not path.is_file():
             raise InputError("file is missing", path, LAYOUT)
-    depth = _fit(read_depth(depth_path), camera, depth_path).astype(np.float32)
-    cls = _fit(read_classes(cls_path), camera, cls_path)
+    depth = _resize_to_camera(read_depth(depth_path), camera, depth_path).astype(np.float32)
+    cls = _resize_to_camera(read_classes(cls_path), camera, cls_path)
     unknown = np.setdiff1d(cls, [*range(classes.COUNT), classes.VOID])
     if unknown.size:
         problem = f"class {unknown[0]}, expected trainIds 0 to {classes.COUNT - 1}, or 255"
@@ -57,7 +57,7 @@ def read_frame(
     return depth, cls
 
 
-def _fit(pixels: np.ndarray, camera: Camera, path: Path) -> np.ndarray:
+def _resize_to_camera(pixels: np.ndarray, camera: Camera, path: Path) -> np.ndarray:
     """Return depth or classes [H,W] of the pixels of a camera's images.
 
     A file with the aspect ratio of these images is resized. A file with that of complete images is
@@ -72,5 +72,5 @@ def _fit(pixels: np.ndarray, camera: Camera, path: Path) -> np.ndarray:
                 expected = f"the images, {format_size(crop.image_size)}, or {expected}"
             problem = f"has {format_size(size)} pixels, expected the aspect ratio of {expected}"
             raise InputError(problem, path, "Write depth and classes of the complete images")
-        pixels = crop.pixels(nearest(pixels, crop.image_size))
-    return nearest(pixels, camera.size)
+        pixels = crop.pixels(resize_nearest(pixels, crop.image_size))
+    return resize_nearest(pixels, camera.size)

@@ -45,7 +45,7 @@ class Encoder(Section):
     seed: Seed
 
     @model_validator(mode="after")
-    def _complete(self) -> Self:
+    def _check_complete(self) -> Self:
         kind = f"backbone: {self.backbone}"
         if self.backbone == "precomputed" and not self.weights:
             raise ValueError(f"{kind} needs a folder of PNG files in weights, see docs/models.md")

@@ -19,7 +19,7 @@ def weights_hash(settings: Encoder) -> str | None:
     InputError if the weights are missing.
     """
     if settings.backbone == "precomputed" and settings.weights:
-        _, sha256 = precomputed.fingerprint(in_checkout(settings.weights))
+        _, sha256 = precomputed.hash_images(in_checkout(settings.weights))
         return sha256
     if settings.weights:
         return file_hash(find_weights(settings.weights))

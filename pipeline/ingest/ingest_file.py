@@ -16,7 +16,7 @@ from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
 from pipeline.camera.camera import Camera, Frame, camera_height, write_camera
 from pipeline.camera.classes import VOID
-from pipeline.camera.images import format_size, nearest, resized, to_units
+from pipeline.camera.images import format_size, resize_image, resize_nearest, to_units
 from pipeline.ingest.drive import Drive, load_dataset
 from pipeline.ingest.packets import extract_motion
 from pipeline.ingest.settings import Ingest, Reading
@@ -38,9 +38,9 @@ class _Value(NamedTuple):
 
 
 MAPS = {
-    "image": _Map("RGB", np.zeros(3, np.uint8), resized),
-    "depth": _Map("1/256 m, 0 = none", np.array(0, np.uint16), nearest),
-    "cls": _Map(f"trainId, {VOID} = void", np.array(VOID, np.uint8), nearest),
+    "image": _Map("RGB", np.zeros(3, np.uint8), resize_image),
+    "depth": _Map("1/256 m, 0 = none", np.array(0, np.uint16), resize_nearest),
+    "cls": _Map(f"trainId, {VOID} = void", np.array(VOID, np.uint8), resize_nearest),
 }
 # Recorded values by name. In a drive with oxts, each frame has a packet, so there is no has_oxts.
 VALUES = {
@@ -116,7 +116,7 @@ def write_drive(
         # Maps that the file has so far. It always has images.
         written = {"image"}
         for frame in drive.frames():
-            damaged = frame.read()
+            damaged = frame.read_fields()
             faults += damaged.values()
             first_fault = damaged | first_fault
             _check_size(frame, camera)

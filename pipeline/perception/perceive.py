@@ -75,7 +75,7 @@ def open_encoder(folder: Path, precision: str) -> OpenEncoder:
     return _open_file(folder, file_hash(folder / FILE), precision)
 
 
-def warnings(folder: Path, precision: str, ingest: Iterable[Path]) -> Iterator[str]:
+def find_warnings(folder: Path, precision: str, ingest: Iterable[Path]) -> Iterator[str]:
     """Yield a warning if an encoder that was fitted to the sample alone gets another dataset.
 
     `ingest` are the drives' files of stage ingest.
@@ -160,7 +160,7 @@ def perceive(
         return Perceived(torch.cat(depths).cpu().numpy(), cls.to(torch.uint8).cpu().numpy())
 
 
-def passes(predict: Predict, batches: Generator[EncoderInput]) -> Generator[Perceived]:
+def run_passes(predict: Predict, batches: Generator[EncoderInput]) -> Generator[Perceived]:
     """Yield ``predict(batch)`` for each batch, in order, and close `batches` at the end.
 
     Results are equal to the last bit for any number of cores. Splitting a sum among threads would
@@ -175,11 +175,9 @@ def passes(predict: Predict, batches: Generator[EncoderInput]) -> Generator[Perc
         workers = min(threads, default_workers())
     use_one_thread()
     try:
-        with (
-            closing(batches),
-            closing(prefetch(predict, batches, workers, workers + 1, use_one_thread)) as results,
-        ):
-            yield from results
+        passes = prefetch(predict, batches, threads=workers, ahead=workers + 1, init=use_one_thread)
+        with closing(batches), closing(passes):
+            yield from passes
     finally:
         torch.set_num_threads(threads)
 
@@ -209,7 +207,7 @@ def perceive_drive(
         batch_size = settings.batch
         if torch.cuda.is_available():
             batch_size = max(settings.batch, GPU_BATCH)
-        batches = read_batches(source, camera, rows, batch_size)
+        batches = read_batches(source, camera, rows, size=batch_size)
         with DriveWriter(path, stage="perception", drive=source.drive, params=params) as file:
             # The scale of depth is judged by the camera's height, so that must be known.
             file.attrs["unit_error"] = opened.unit_error if camera.height_known else np.inf
@@ -220,7 +218,7 @@ def perceive_drive(
             file.append("cls", np.empty((0, *camera.size), np.uint8), "Cityscapes trainId")
 
             # A thread reads images, other threads run the network, and this thread writes.
-            with closing(passes(opened.predict, batches)) as results:
+            with closing(run_passes(opened.predict, batches)) as results:
                 for depth_m, cls in results:
                     file.append("depth_m", to_units(np.where(cls == classes.SKY, 0, depth_m)))
                     file.append("cls", cls)

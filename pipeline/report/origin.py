@@ -18,7 +18,7 @@ RUN = "run.json"
 def read_run(folder: Path = ROOT) -> dict[str, Any]:
     """Return the description of a run in a copy of the code.
 
-    Its keys are preset, revision, started_s, settings (those of the preset), files and pending. A
+    Its keys are preset, revision, started_s, settings (those of the preset) and files. A
     checkout has no such file. Its description is only the revision.
     """
     path = folder / RUN

@@ -78,7 +78,7 @@ class View(NamedTuple):
                 DEPTH_SCALE.to_rgba(valid_m, bytes=True)
             )
         if self.cls is not None and (self.cls != classes.VOID).any():
-            images["classes"] = classes.colourise(self.cls)
+            images["classes"] = classes.colour_classes(self.cls)
         return images
 
 
@@ -138,7 +138,7 @@ def draw_points(panel: Axes, view: View) -> None:
 
     low_first = np.argsort(-xyz[:, 1], kind="stable")  # y points down
     x, _, z = xyz[low_first].T
-    colours = classes.colourise(cls[low_first]) / 255
+    colours = classes.colour_classes(cls[low_first]) / 255
     panel.scatter(x, z, s=size, c=colours, linewidths=0)
     panel.set(xlabel="x in m", ylabel="z in m", aspect="equal", xlim=X_SHOWN_M, ylim=Z_SHOWN_M)
 

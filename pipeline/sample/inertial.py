@@ -10,7 +10,7 @@ from pipeline.ingest.packets import (
     make_packets,
 )
 from pipeline.sample.journey import Journey
-from pipeline.sample.route import IMU_HEIGHT_M, rotation
+from pipeline.sample.route import IMU_HEIGHT_M, rotation_matrix
 
 # Altitude of the road in metres.
 ALTITUDE_M = 110.0
@@ -21,7 +21,7 @@ ALTITUDE_M = 110.0
 RATES_LATE_S = 0.06
 
 
-def record(journey: Journey, date: str, rng: np.random.Generator) -> tuple[list[bytes], bytes]:
+def record_oxts(journey: Journey, date: str, rng: np.random.Generator) -> tuple[list[bytes], bytes]:
     """Return the oxts files and timestamps.txt of a drive at a random place and time.
 
     Both include the frames after the drive.
@@ -29,7 +29,7 @@ def record(journey: Journey, date: str, rng: np.random.Generator) -> tuple[list[
     latitude_deg, longitude_deg = rng.uniform((48.9, 8.3), (49.1, 8.5))
     start_s = rng.uniform(8, 17) * 3600
     rows = oxts_rows(journey, latitude_deg, longitude_deg)
-    continued = journey.continued()
+    continued = journey.extend_after()
     after = oxts_rows(continued, latitude_deg, longitude_deg)[len(rows) :]
     packets = [format_packet(row) for row in [*rows, *after]]
     return packets, format_times(continued.motion.time_s, date, start_s)
@@ -48,8 +48,8 @@ def oxts_rows(journey: Journey, latitude_deg: float, longitude_deg: float) -> np
     frames = len(v)
 
     # The yaw rate follows from speed and curvature of the path. It is recorded late.
-    late_s_m = _late(motion.s_m, motion.time_s)
-    yaw_rate = _late(v, motion.time_s) * route.curvature(late_s_m)
+    late_s_m = _delay_rates(motion.s_m, motion.time_s)
+    yaw_rate = _delay_rates(v, motion.time_s) * route.curvature(late_s_m)
 
     # The accelerometer turns with the body, so gravity appears on all of its axes when that leans.
     forward = motion.acceleration_mps2
@@ -57,7 +57,7 @@ def oxts_rows(journey: Journey, latitude_deg: float, longitude_deg: float) -> np
     level = np.stack([forward, left, np.full(frames, GRAVITY_MPS2)], axis=-1)
     tilted = np.empty_like(level)
     for i in range(frames):
-        R = rotation(body.roll_rad[i], body.pitch_rad[i], 0.0)
+        R = rotation_matrix(body.roll_rad[i], body.pitch_rad[i], 0.0)
         tilted[i] = R.T @ level[i]
     ax, ay, az = tilted.T
 
@@ -66,10 +66,10 @@ def oxts_rows(journey: Journey, latitude_deg: float, longitude_deg: float) -> np
     if frames > 1:
         rates = np.gradient(body, motion.time_s, axis=1)
     roll_rate, pitch_rate, heave_rate = rates
-    roll_rate = _late(roll_rate, motion.time_s)
-    pitch_rate = _late(pitch_rate, motion.time_s)
+    roll_rate = _delay_rates(roll_rate, motion.time_s)
+    pitch_rate = _delay_rates(pitch_rate, motion.time_s)
 
-    xy, heading_rad = route.at(motion.s_m)
+    xy, heading_rad = route.place_at(motion.s_m)
     east_m, north_m = (xy - xy[0]).T
     parallel_radius_m = EARTH_RADIUS_M * np.cos(np.deg2rad(latitude_deg))
     return make_packets(
@@ -108,6 +108,6 @@ def oxts_rows(journey: Journey, latitude_deg: float, longitude_deg: float) -> np
     )
 
 
-def _late(values: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+def _delay_rates(values: np.ndarray, time_s: np.ndarray) -> np.ndarray:
     """Return the values [F] that held :data:`RATES_LATE_S` before each frame."""
     return np.interp(time_s - RATES_LATE_S, time_s, values)

@@ -6,7 +6,7 @@ import numpy as np
 
 from pipeline.camera.geometry import rigid
 from pipeline.sample.plan import Character
-from pipeline.sample.route import AHEAD_M, IMU_HEIGHT_M, STEP_M, Route, draw_route, rotation
+from pipeline.sample.route import AHEAD_M, IMU_HEIGHT_M, STEP_M, Route, draw_route, rotation_matrix
 
 # Time between two frames in seconds, as in KITTI's synchronised stream.
 PERIOD_S = 0.1036
@@ -67,17 +67,17 @@ class Journey(NamedTuple):
     after: Travel  # the motion in the FRAMES_AFTER frames after the drive
     body: Body
 
-    def continued(self) -> "Journey":
+    def extend_after(self) -> "Journey":
         """Return the journey with the frames `after`, in which the body keeps its last lean."""
         columns = [np.concatenate(pair) for pair in zip(self.motion, self.after, strict=True)]
         leans = [np.pad(lean, (0, FRAMES_AFTER), mode="edge") for lean in self.body]
         return Journey(self.route, Travel(*columns), self.after, Body(*leans))
 
-    def pose(self, frame: int) -> np.ndarray:
+    def pose_at(self, frame: int) -> np.ndarray:
         """Return the pose T_world_imu [4,4] in a frame."""
-        (x, y), heading_rad = self.route.at(self.motion.s_m[frame])
+        (x, y), heading_rad = self.route.place_at(self.motion.s_m[frame])
         body = self.body
-        R = rotation(body.roll_rad[frame], body.pitch_rad[frame], float(heading_rad))
+        R = rotation_matrix(body.roll_rad[frame], body.pitch_rad[frame], float(heading_rad))
         return rigid(R, [x, y, IMU_HEIGHT_M + body.heave_m[frame]])
 
 
@@ -96,8 +96,8 @@ def draw_journey(
     wait_s = rng.uniform(*_WAIT_S)
 
     after_s = time_s[-1] + PERIOD_S * np.arange(1, FRAMES_AFTER + 1)
-    motion = drive(route, speed_mps, time_s, wait_s)
-    after = drive(route, speed_mps, after_s, wait_s)
+    motion = drive_route(route, speed_mps, time_s, wait_s)
+    after = drive_route(route, speed_mps, after_s, wait_s)
     return Journey(route, motion, after, draw_body(route, motion, rng))
 
 
@@ -141,7 +141,7 @@ def draw_stop(rng: np.random.Generator, route: Route, before_m: float) -> float 
     return None
 
 
-def drive(route: Route, speed_mps: np.ndarray, times_s: np.ndarray, wait_s: float) -> Travel:
+def drive_route(route: Route, speed_mps: np.ndarray, times_s: np.ndarray, wait_s: float) -> Travel:
     """Drive along the route from s = 0 with the speeds [N] of its samples.
 
     Where the speed is 0, the ego waits for `wait_s`. Acceleration is constant between samples of
@@ -185,13 +185,14 @@ def draw_body(route: Route, motion: Travel, rng: np.random.Generator) -> Body:
     bumps_m = rng.uniform(*_BUMPS_M)
     sideways_mps2 = motion.speed_mps**2 * route.curvature(motion.s_m)
     return Body(
-        roll_rad=bumps_rad * roll + _LEAN_RAD_PER_MPS2 * _smooth(sideways_mps2),
-        pitch_rad=bumps_rad * pitch - _DIVE_RAD_PER_MPS2 * _smooth(motion.acceleration_mps2),
+        roll_rad=bumps_rad * roll + _LEAN_RAD_PER_MPS2 * _smooth_springs(sideways_mps2),
+        pitch_rad=bumps_rad * pitch
+        - _DIVE_RAD_PER_MPS2 * _smooth_springs(motion.acceleration_mps2),
         heave_m=bumps_m * heave,
     )
 
 
-def _smooth(acceleration: np.ndarray) -> np.ndarray:
+def _smooth_springs(acceleration: np.ndarray) -> np.ndarray:
     """Return for each frame the mean over the last _SPRING_FRAMES frames, [F]."""
     padded = np.pad(acceleration, (_SPRING_FRAMES - 1, 0), mode="edge")
     return np.convolve(padded, np.full(_SPRING_FRAMES, 1 / _SPRING_FRAMES), "valid")

@@ -6,7 +6,7 @@ import numpy as np
 
 from pipeline.camera import classes
 from pipeline.sample.plan import ASPHALT, BAY, GRASS, KERB_M, KERBSTONE, MARKING, PAVEMENT, STOREY_M
-from pipeline.sample.world import Hits, dot
+from pipeline.sample.world import Hits, dot_product
 
 # Side of a pattern's tile in cells. It is a power of two, so that _look_up can repeat the tile by a
 # bit mask.
@@ -87,7 +87,7 @@ def draw_ground_colours(rng: np.random.Generator) -> np.ndarray:
     return colours
 
 
-def shade(
+def shade_pixels(
     light: Light, hits: Hits, rays: np.ndarray, lit: np.ndarray, size: tuple[int, int]
 ) -> np.ndarray:
     """Return the image that `hits` of `rays` [6,N] make, RGB uint8 [H,W,3] with N = H·W.
@@ -100,16 +100,16 @@ def shade(
     points = rays[:3] + distance_m * rays[3:]
 
     # Surfaces reflect the sun and the sky. Faces that look upwards see more of the sky.
-    direct = np.maximum(dot(hits.normal, light.sun), 0) * lit
+    direct = np.maximum(dot_product(hits.normal, light.sun), 0) * lit
     from_sky = 0.75 + 0.25 * hits.normal[2]
-    colour = direct * _column(light.sun_colour) + from_sky * _column(light.ambient)  # [3,N]
+    colour = direct * _as_column(light.sun_colour) + from_sky * _as_column(light.ambient)  # [3,N]
     colour *= hits.colour
-    colour *= 1 + _pattern(light, hits, points)
+    colour *= 1 + _surface_pattern(light, hits, points)
 
     # With distance, surfaces fade to the colour of the horizon.
     haze = 1 - np.exp(-distance_m / np.float32(light.haze_m))
-    colour += haze * (_column(_HORIZON) - colour)
-    colour[:, sky] = _sky(light, rays[3:, sky])
+    colour += haze * (_as_column(_HORIZON) - colour)
+    colour[:, sky] = _sky_colour(light, rays[3:, sky])
 
     # The camera exposes the image, unevenly over its width and height.
     height, width = size
@@ -121,12 +121,12 @@ def shade(
     return np.ascontiguousarray(image.transpose(1, 2, 0))
 
 
-def _column(colour: np.ndarray) -> np.ndarray:
+def _as_column(colour: np.ndarray) -> np.ndarray:
     """Return a colour [3] as float32 [3,1]."""
     return colour.astype(np.float32)[:, None]
 
 
-def _pattern(light: Light, hits: Hits, points: np.ndarray) -> np.ndarray:
+def _surface_pattern(light: Light, hits: Hits, points: np.ndarray) -> np.ndarray:
     """Return the relative brightness of patterns [N]: grain, joints, windows, boards."""
     x, y, z = points
     normal_x, normal_y, normal_z = hits.normal
@@ -135,7 +135,7 @@ def _pattern(light: Light, hits: Hits, points: np.ndarray) -> np.ndarray:
     on_ground = hits.ground >= 0
     along = np.where(on_ground, x, _SHIFT * x + y * normal_x - x * normal_y)
     up = np.where(on_ground, y, z)
-    pattern = _grain(light, hits, along, up)
+    pattern = _grain_pattern(light, hits, along, up)
 
     # Pavement has joints of 7 cm between its slabs, every 0.8 m.
     slabs = np.flatnonzero(hits.ground == PAVEMENT)
@@ -143,7 +143,7 @@ def _pattern(light: Light, hits: Hits, points: np.ndarray) -> np.ndarray:
     pattern[slabs] -= 0.15 * joint
 
     wall = np.flatnonzero((hits.cls == classes.BUILDING) & (np.abs(normal_z) < 0.1))
-    pattern[wall] -= _windows(along[wall] - _SHIFT * x[wall], z[wall] - KERB_M)
+    pattern[wall] -= _window_pattern(along[wall] - _SHIFT * x[wall], z[wall] - KERB_M)
 
     # Wooden fences have gaps between their boards. They are told from barriers by their colours.
     red, _, blue = hits.colour
@@ -153,7 +153,7 @@ def _pattern(light: Light, hits: Hits, points: np.ndarray) -> np.ndarray:
     return np.maximum(pattern, np.float32(-0.9))
 
 
-def _grain(light: Light, hits: Hits, along: np.ndarray, up: np.ndarray) -> np.ndarray:
+def _grain_pattern(light: Light, hits: Hits, along: np.ndarray, up: np.ndarray) -> np.ndarray:
     """Return the relative brightness of grain and patches, [N]. The grain of leaves is coarser."""
     leaves = hits.cls == classes.VEGETATION
     contrast = np.full(len(along), 0.08, np.float32)
@@ -165,7 +165,7 @@ def _grain(light: Light, hits: Hits, along: np.ndarray, up: np.ndarray) -> np.nd
     return grain + patches
 
 
-def _windows(along: np.ndarray, up: np.ndarray) -> np.ndarray:
+def _window_pattern(along: np.ndarray, up: np.ndarray) -> np.ndarray:
     """Return by how much windows, and a band between storeys, are darker than a wall, [M]."""
     # Windows are 1.1 m wide, with 2.6 m from one to the next. They are 1.4 m high in each storey.
     storey_m = np.mod(up, STOREY_M)
@@ -174,14 +174,14 @@ def _windows(along: np.ndarray, up: np.ndarray) -> np.ndarray:
     return 0.65 * window + 0.12 * (storey_m < 0.2)
 
 
-def _sky(light: Light, direction: np.ndarray) -> np.ndarray:
+def _sky_colour(light: Light, direction: np.ndarray) -> np.ndarray:
     """Return the sky's colour [3,N] in `direction` [3,N]."""
     x, y, z = direction
     up = np.clip(z, 0.02, 1)
     blend = np.sqrt(np.clip(up * 1.6, 0, 1))
-    clear = _column(_HORIZON) * (1 - blend) + _column(light.zenith) * blend
+    clear = _as_column(_HORIZON) * (1 - blend) + _as_column(light.zenith) * blend
     cloud = _look_up(light.patches, x / up * 6, y / up * 6) * light.clouds
-    to_sun = np.clip(dot(direction, light.sun), 0, 1)
+    to_sun = np.clip(dot_product(direction, light.sun), 0, 1)
     glow = to_sun**16 * light.sun_colour.mean() * 0.3
     return (clear + cloud + glow).astype(np.float32)
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from pipeline.sample.route import LEFT, RIGHT, SIDES, STEP_M, Route, unit
+from pipeline.sample.route import LEFT, RIGHT, SIDES, STEP_M, Route, unit_vector
 
 # Side of a cell of the plan in metres.
 CELL_M = 0.1
@@ -130,7 +130,7 @@ class Plan(NamedTuple):
         """Extent of the plan along x and y, [2]."""
         return np.array(self.kind.shape[::-1]) * CELL_M
 
-    def cells(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def cells_at(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return rows and columns [...] of the cells at x, y [...], clipped to the border."""
         rows, columns = self.kind.shape
         left, bottom = self.origin
@@ -138,7 +138,7 @@ class Plan(NamedTuple):
         column = np.rint((x - left) / CELL_M).astype(np.int64).clip(0, columns - 1)
         return row, column
 
-    def kerbs(self) -> list[np.ndarray]:
+    def trace_kerbs(self) -> list[np.ndarray]:
         """Return the closed outlines of the roads, each [N,2] in metres."""
         road = (self.to_road_m <= 0).astype(np.uint8)
         outlines, _ = cv2.findContours(road, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
@@ -153,7 +153,7 @@ class Plan(NamedTuple):
 def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> Plan:
     """Paint the road, its arms, pavements, parking bays and markings."""
     # The plan covers the route and its arms, with a margin.
-    points = np.vstack([route.xy, *(arm.at(arm.length_m) for arm in route.arms)])
+    points = np.vstack([route.xy, *(arm.place_at(arm.length_m) for arm in route.arms)])
     origin = points.min(axis=0) - MARGIN_M
     width, height = np.ceil((points.max(axis=0) + MARGIN_M - origin) / CELL_M).astype(int)
 
@@ -163,12 +163,12 @@ def draw_plan(route: Route, rng: np.random.Generator, character: Character) -> P
     road = np.zeros((height, width), np.uint8)
     left = _outer_edge(route, bays, LEFT)
     right = _outer_edge(route, bays, RIGHT)
-    _paint_band(road, left, right, origin, 1)
+    _paint_band(road, left, right, origin, value=1)
     for arm in route.arms:
-        ends = arm.at(np.array([0.0, arm.length_m]))
-        to_left = arm.half_m * unit(arm.heading_rad + np.pi / 2)
-        _paint_band(road, ends + to_left, ends - to_left, origin, 1)
-    road = _close(road, CORNER_M)
+        ends = arm.place_at(np.array([0.0, arm.length_m]))
+        to_left = arm.half_m * unit_vector(arm.heading_rad + np.pi / 2)
+        _paint_band(road, ends + to_left, ends - to_left, origin, value=1)
+    road = _close_mask(road, CORNER_M)
 
     # Beside the road are kerbstones, then pavement, then grass.
     to_road_m = _distance_m(road)
@@ -227,11 +227,11 @@ def _draw_bays(
 def _outer_edge(route: Route, bays: dict[int, np.ndarray], side: int) -> np.ndarray:
     """Return the points of the kerb on a side, beyond the bays, at the painted samples [M,2]."""
     offset_m = route.edge_m(side) + side * bays[side][_PAINTED]
-    xy, _ = route.at(route.s_m[_PAINTED], offset_m)
+    xy, _ = route.place_at(route.s_m[_PAINTED], offset_m)
     return xy
 
 
-def _close(mask: np.ndarray, radius_m: float) -> np.ndarray:
+def _close_mask(mask: np.ndarray, radius_m: float) -> np.ndarray:
     """Round the corners between roads by morphological closing with a disc."""
     outside = (_distance_m(mask) > radius_m).astype(np.uint8)
     closed = _distance_m(outside) > radius_m
@@ -253,18 +253,19 @@ def _paint_markings(
     """Paint bays, a line between the lanes, and in some drives lines along the edges."""
     s_m = route.s_m[_PAINTED]
     for side in SIDES:
-        inner_edge, _ = route.at(s_m, route.edge_m(side))
-        _paint_band(paint, inner_edge, _outer_edge(route, bays, side), origin, BAY)
+        inner_edge, _ = route.place_at(s_m, route.edge_m(side))
+        _paint_band(paint, inner_edge, _outer_edge(route, bays, side), origin, value=BAY)
 
     # No lines cross a junction.
     clear = np.full(len(s_m), True)
     for junction_m in route.junctions_m:
         clear &= np.abs(s_m - junction_m) > 11
     dash = (s_m % 5) < 2.5  # 2.5 m on, 2.5 m off
-    _paint_line(paint, route, clear & dash, route.centre_m, origin)
+    _paint_line(paint, route, clear & dash, offset_m=route.centre_m, origin=origin)
     if rng.random() < 0.5:
         for side in SIDES:
-            _paint_line(paint, route, clear, route.edge_m(side) - side * 0.15, origin)
+            offset_m = route.edge_m(side) - side * 0.15
+            _paint_line(paint, route, clear, offset_m=offset_m, origin=origin)
 
 
 def _paint_band(
@@ -273,19 +274,19 @@ def _paint_band(
     """Fill the band between two lines [M,2] with `value`."""
     for i in range(len(left) - 1):
         quad = np.array([left[i], left[i + 1], right[i + 1], right[i]])
-        cv2.fillConvexPoly(canvas, _fixed(quad, origin), value, shift=4)
+        cv2.fillConvexPoly(canvas, _to_fixed_point(quad, origin), value, shift=4)
 
 
 def _paint_line(
     canvas: np.ndarray, route: Route, painted: np.ndarray, offset_m: float, origin: np.ndarray
 ) -> None:
     """Paint a line at `offset_m` from the path where it is `painted`, bool [M]."""
-    xy, _ = route.at(route.s_m[_PAINTED], offset_m)
-    points = _fixed(xy, origin).tolist()
+    xy, _ = route.place_at(route.s_m[_PAINTED], offset_m)
+    points = _to_fixed_point(xy, origin).tolist()
     for i in np.flatnonzero(painted[:-1]):
         cv2.line(canvas, points[i], points[i + 1], MARKING, 2, shift=4)
 
 
-def _fixed(xy: np.ndarray, origin: np.ndarray) -> np.ndarray:
+def _to_fixed_point(xy: np.ndarray, origin: np.ndarray) -> np.ndarray:
     """Convert world metres to OpenCV's fixed-point pixels with four fractional bits."""
     return np.rint((xy - origin) / CELL_M * 16).astype(np.int32)

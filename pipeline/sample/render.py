@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from pipeline.camera.images import to_units, write_png
-from pipeline.sample.inertial import record
+from pipeline.sample.inertial import record_oxts
 from pipeline.sample.journey import draw_journey
 from pipeline.sample.light import draw_ground_colours, draw_light
 from pipeline.sample.plan import QUARTERS, draw_character, draw_plan
@@ -41,7 +41,7 @@ def render_drive(
     date = drive[:10]
 
     # Lay out the street, and let the ego and other cars drive through it.
-    quarter, first = theme(drive)
+    quarter, first = choose_theme(drive)
     character = draw_character(rng, quarter)
     journey = draw_journey(rng, frames, character, first)
     plan = draw_plan(journey.route, rng, character)
@@ -51,7 +51,7 @@ def render_drive(
     traffic = draw_traffic(journey, rng)
 
     # Write what the inertial system records.
-    packets, timestamps = record(journey, date, rng)
+    packets, timestamps = record_oxts(journey, date, rng)
     oxts = _make_folder(path / "oxts", timestamps)
     for number, packet in enumerate(packets):
         (oxts / f"{number:010d}.txt").write_bytes(packet)
@@ -69,16 +69,16 @@ def render_drive(
         classes = path / "truth" / "cls"
         classes.mkdir()
     for number in range(frames):
-        world.set_traffic([car.at(number) for car in traffic if car.visible[number]])
-        pose = journey.pose(number)
-        rgb, depth_m, cls = camera.take(world, light, pose)
+        world.set_traffic([car.mesh_at(number) for car in traffic if car.visible[number]])
+        pose = journey.pose_at(number)
+        rgb, depth_m, cls = camera.take_image(world, light, pose)
         png = f"{number:010d}.png"
         write_png(images / png, rgb, *_UNFILTERED)
         if truth:
             write_png(depths / png, to_units(depth_m), *_FILTERED)
             write_png(classes / png, cls, *_UNFILTERED)
         if lidar:
-            scan = scanner.take(world, pose, random_of(drive, settings.seed, number))
+            scan = scanner.take_scan(world, pose, random_of(drive, settings.seed, number))
             (scans / f"{number:010d}.bin").write_bytes(scan.tobytes())
 
     s_m = journey.motion.s_m
@@ -93,7 +93,7 @@ def _make_folder(sensor: Path, timestamps: bytes) -> Path:
     return data
 
 
-def theme(drive: str) -> tuple[str, str]:
+def choose_theme(drive: str) -> tuple[str, str]:
     """Return the quarter and the first manoeuvre of a drive.
 
     Both depend on number and date, so that a few short drives cover all of them.

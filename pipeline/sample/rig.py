@@ -14,9 +14,9 @@ from pipeline.camera import classes, geometry
 from pipeline.camera.geometry import CAMERA_HEIGHT_M, SCANNER_HEIGHT_M, rigid
 from pipeline.camera.images import MAX_UNITS, to_metres
 from pipeline.ingest.calibration import CALIBRATION, write_entries
-from pipeline.sample.light import Light, shade
-from pipeline.sample.route import IMU_HEIGHT_M, rotation
-from pipeline.sample.world import World, dot
+from pipeline.sample.light import Light, shade_pixels
+from pipeline.sample.route import IMU_HEIGHT_M, rotation_matrix
+from pipeline.sample.world import World, dot_product
 
 # Camera → its offset in metres to the left of camera 0. Cameras 0 and 1 are grey, 2 and 3 are in
 # colour.
@@ -117,12 +117,12 @@ def make_rig(size: tuple[int, int], date: str) -> Rig:
         P_rect[camera] = np.column_stack([K, [f * left_m, 0.0, 0.0]])
 
     imu_to_velo = [-0.81, 0.30, IMU_HEIGHT_M - SCANNER_HEIGHT_M]
-    T_velo_imu = rigid(rotation(0.002, -0.0015, 0.001), imu_to_velo)
+    T_velo_imu = rigid(rotation_matrix(0.002, -0.0015, 0.001), imu_to_velo)
 
     # Rectified cameras point straight ahead, but for mounting errors of milliradians. The rotations
     # of the raw camera and of the scanner cancel.
-    R_rect = rotation(-0.004, 0.007, -0.009)
-    R_cam_velo = R_rect.T @ rotation(0.004, -0.002, 0.001) @ _FACING @ T_velo_imu[:3, :3].T
+    R_rect = rotation_matrix(-0.004, 0.007, -0.009)
+    R_cam_velo = R_rect.T @ rotation_matrix(0.004, -0.002, 0.001) @ _FACING @ T_velo_imu[:3, :3].T
     scanner_to_camera = [0.0, round(optics.height_m - SCANNER_HEIGHT_M, 3), -0.27]
     T_cam_velo = rigid(R_cam_velo, R_rect.T @ scanner_to_camera)
     return Rig(size, P_rect, R_rect, T_cam_velo, T_velo_imu)
@@ -152,29 +152,29 @@ class ImageSensor:
     def __init__(self, rig: Rig) -> None:
         self._size = rig.size
         self._T_imu_cam = np.linalg.inv(rig.T_cam2_imu)
-        to_pixels = geometry.rays(rig.P_rect[2][:, :3], rig.size).reshape(-1, 3).T
+        to_pixels = geometry.camera_rays(rig.P_rect[2][:, :3], rig.size).reshape(-1, 3).T
         # Depth along the optical axis per metre of distance.
         self._z_per_m = (1 / np.linalg.norm(to_pixels, axis=0)).astype(np.float32)
         self._directions = (to_pixels * self._z_per_m).astype(np.float32)
 
-    def take(
+    def take_image(
         self, world: World, light: Light, T_world_imu: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return RGB uint8 [H,W,3], depth [H,W] in metres, and classes uint8 [H,W].
 
         Depth is 0 in the sky and where it is too far to be stored.
         """
-        rays = _rays(T_world_imu @ self._T_imu_cam, self._directions)
-        hits = world.cast(rays)
+        rays = _place_rays(T_world_imu @ self._T_imu_cam, self._directions)
+        hits = world.cast_rays(rays)
 
         # Surfaces that face the sun may be in shadow. Rays to the sun start 1 cm above a surface,
         # since otherwise it would shade itself. The sky has no normal, and casts no rays.
-        facing = np.flatnonzero(dot(hits.normal, light.sun) > 0)
+        facing = np.flatnonzero(dot_product(hits.normal, light.sun) > 0)
         points = rays[:3, facing] + hits.distance_m[facing] * rays[3:, facing]
         points += np.float32(0.01) * hits.normal[:, facing]
         lit = np.zeros(rays.shape[1], bool)
-        lit[facing] = world.lit(points, light.sun)
-        image = shade(light, hits, rays, lit, self._size)
+        lit[facing] = world.find_lit(points, light.sun)
+        image = shade_pixels(light, hits, rays, lit, self._size)
 
         depth_m = hits.distance_m * self._z_per_m  # infinite for the sky
         depth_m = np.where(depth_m < FARTHEST_M, depth_m, 0)
@@ -195,10 +195,12 @@ class Scanner:
         z = np.broadcast_to(np.sin(elevation), x.shape)
         self._directions = np.stack([x, y, z]).reshape(3, -1).astype(np.float32)
 
-    def take(self, world: World, T_world_imu: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    def take_scan(
+        self, world: World, T_world_imu: np.ndarray, rng: np.random.Generator
+    ) -> np.ndarray:
         """Return a scan float32 [P,4]: x, y, z in the velodyne frame, and reflectance in 0..1."""
-        rays = _rays(T_world_imu @ self._T_imu_velo, self._directions)
-        hits = world.cast(rays)
+        rays = _place_rays(T_world_imu @ self._T_imu_velo, self._directions)
+        hits = world.cast_rays(rays)
         distance_m = hits.distance_m + rng.normal(0, RANGE_NOISE_M, rays.shape[1])
         gloss = rng.uniform(0.6, 1.0, rays.shape[1])
         reflectance = _REFLECTANCE[hits.cls] + 0.5 * hits.colour.mean(axis=0) * gloss
@@ -210,10 +212,10 @@ class Scanner:
         return np.stack([*xyz, reflectance[in_range]], axis=-1).astype(np.float32)
 
 
-def _rays(T_world_sensor: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def _place_rays(T_world_sensor: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Return the rays [6,N] of a sensor in the world; `directions` [3,N] are in its own frame."""
     rays = np.empty((6, directions.shape[1]), np.float32)
     rays[:3] = T_world_sensor[:3, 3:]
     rotation_rows = T_world_sensor[:3, :3].astype(np.float32)
-    rays[3:] = [dot(directions, row) for row in rotation_rows]
+    rays[3:] = [dot_product(directions, row) for row in rotation_rows]
     return rays

@@ -85,9 +85,9 @@ class Arm(NamedTuple):
     length_m: float
     half_m: float  # half its width
 
-    def at(self, distance_m: np.ndarray | float) -> np.ndarray:
+    def place_at(self, distance_m: np.ndarray | float) -> np.ndarray:
         """Return the points [..., 2] at `distance_m` [...] from the centre of the junction."""
-        return self.xy + np.asarray(distance_m)[..., None] * unit(self.heading_rad)
+        return self.xy + np.asarray(distance_m)[..., None] * unit_vector(self.heading_rad)
 
 
 class Route(NamedTuple):
@@ -112,7 +112,7 @@ class Route(NamedTuple):
         """Offset of the line between the lanes from the path (left is positive)."""
         return (self.edge_m(LEFT) + self.edge_m(RIGHT)) / 2
 
-    def at(
+    def place_at(
         self, s_m: np.ndarray | float, offset_m: np.ndarray | float = 0.0
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return points [..., 2] at `offset_m` to the left of the path, and headings [...]."""
@@ -129,12 +129,12 @@ class Route(NamedTuple):
         return np.interp(s_m, self.s_m, self.curvature_1pm)
 
 
-def unit(heading_rad: np.ndarray | float) -> np.ndarray:
+def unit_vector(heading_rad: np.ndarray | float) -> np.ndarray:
     """Return the unit vectors [..., 2] of headings [...]."""
     return np.stack([np.cos(heading_rad), np.sin(heading_rad)], axis=-1)
 
 
-def rotation(x: float, y: float, z: float) -> np.ndarray:
+def rotation_matrix(x: float, y: float, z: float) -> np.ndarray:
     """Return the rotation [3,3] about x, then y, then z, by angles in rad."""
     R = np.eye(3)
     for axis, angle in enumerate((x, y, z)):
@@ -151,7 +151,7 @@ def rotation(x: float, y: float, z: float) -> np.ndarray:
     return R
 
 
-def bend(angle_rad: float, radius_m: float, transition_m: float) -> list[Piece]:
+def bend_pieces(angle_rad: float, radius_m: float, transition_m: float) -> list[Piece]:
     """Return clothoid, arc and clothoid for a turn by `angle_rad` (left positive)."""
     # A clothoid turns half as much per metre as the arc, on average.
     turn_m = abs(angle_rad) * radius_m
@@ -164,7 +164,7 @@ def bend(angle_rad: float, radius_m: float, transition_m: float) -> list[Piece]:
     ]
 
 
-def trace(pieces: list[Piece]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def trace_path(pieces: list[Piece]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return s [N], xy [N,2], heading [N] and curvature [N] along `pieces`.
 
     The path starts at the origin, eastwards.
@@ -183,7 +183,7 @@ def trace(pieces: list[Piece]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
     # The heading is the integral of the curvature, places are the integral of the heading.
     turned = (curvature[1:] + curvature[:-1]) / 2 * STEP_M
     heading = np.concatenate([[0.0], np.cumsum(turned)])
-    steps = unit((heading[1:] + heading[:-1]) / 2) * STEP_M
+    steps = unit_vector((heading[1:] + heading[:-1]) / 2) * STEP_M
     xy = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
     return s_m, xy, heading, curvature
 
@@ -195,12 +195,12 @@ def draw_route(rng: np.random.Generator, length_m: float, lane_m: float, first: 
     this manoeuvre, since otherwise all short drives would begin with a straight.
     """
     while True:
-        route = _draw(rng, length_m, lane_m, first)
+        route = _draw_road(rng, length_m, lane_m, first)
         if _clear_of_itself(route):
             return route
 
 
-def _draw(rng: np.random.Generator, length_m: float, lane_m: float, first: str) -> Route:
+def _draw_road(rng: np.random.Generator, length_m: float, lane_m: float, first: str) -> Route:
     """Draw a road that may cross itself."""
     pieces, manoeuvres = _draw_pieces(rng, length_m, lane_m, first)
 
@@ -208,11 +208,19 @@ def _draw(rng: np.random.Generator, length_m: float, lane_m: float, first: str) 
     _, start_m, end_m = manoeuvres[0]
     origin_m = rng.uniform(start_m - 12.0, start_m + 0.6 * (end_m - start_m))
     origin_m = round(origin_m / STEP_M) * STEP_M
-    s_m, xy, heading_rad, curvature_1pm = trace(pieces)
+    s_m, xy, heading_rad, curvature_1pm = trace_path(pieces)
     s_m = s_m - origin_m
     begin = round((origin_m - BEHIND_M) / STEP_M)
     part = slice(begin, np.searchsorted(s_m, length_m))
-    path = Route(s_m[part], xy[part], heading_rad[part], curvature_1pm[part], lane_m, (), ())
+    path = Route(
+        s_m[part],
+        xy[part],
+        heading_rad[part],
+        curvature_1pm[part],
+        lane_m=lane_m,
+        junctions_m=(),
+        arms=(),
+    )
 
     # Draw side roads at the manoeuvres that are at junctions.
     junctions_m = []
@@ -235,20 +243,20 @@ def _draw_pieces(
     """Draw the pieces of a road, and the manoeuvres that they make."""
     pieces = [Piece(2 * BEHIND_M)]
     manoeuvres: list[Manoeuvre] = []
-    while _length(pieces) < 2 * BEHIND_M + length_m:
+    while _total_length(pieces) < 2 * BEHIND_M + length_m:
         cards = rng.permutation(DECK).tolist()
         if not manoeuvres:
             cards.remove(first)
             cards.insert(0, first)
         for card in cards:
-            start_m = _length(pieces)
+            start_m = _total_length(pieces)
             pieces += _draw_manoeuvre(card, lane_m, rng)
-            manoeuvres.append(Manoeuvre(card.rstrip("+-"), start_m, _length(pieces)))
+            manoeuvres.append(Manoeuvre(card.rstrip("+-"), start_m, _total_length(pieces)))
             pieces.append(Piece(rng.uniform(4, 20)))
     return pieces, manoeuvres
 
 
-def _length(pieces: list[Piece]) -> float:
+def _total_length(pieces: list[Piece]) -> float:
     """Return the length of the pieces in metres."""
     return sum(piece.length_m for piece in pieces)
 
@@ -264,7 +272,7 @@ def _draw_manoeuvre(card: str, lane_m: float, rng: np.random.Generator) -> list[
         radius_m += 0.6 * lane_m  # the turn crosses the other lane
     if card == "right" or card.endswith("-"):
         angle_rad = -angle_rad
-    return bend(angle_rad, radius_m, rng.uniform(*turn.transition_m))
+    return bend_pieces(angle_rad, radius_m, rng.uniform(*turn.transition_m))
 
 
 def _clear_of_itself(route: Route) -> bool:
@@ -279,7 +287,7 @@ def _clear_of_itself(route: Route) -> bool:
 
     for arm in route.arms:
         # The first metres of an arm are close to its own junction.
-        beyond_mouth = arm.at(np.arange(14, arm.length_m))
+        beyond_mouth = arm.place_at(np.arange(14, arm.length_m))
         distance_m = np.linalg.norm(beyond_mouth[:, None] - xy, axis=-1)
         if (distance_m < 8).any():
             return False
@@ -293,8 +301,8 @@ def _draw_arms(path: Route, manoeuvre: Manoeuvre, rng: np.random.Generator) -> l
     goes.
     """
     kind, start_m, end_m = manoeuvre
-    start, heading_in = path.at(start_m, path.centre_m)
-    end, heading_out = path.at(end_m, path.centre_m)
+    start, heading_in = path.place_at(start_m, path.centre_m)
+    end, heading_out = path.place_at(end_m, path.centre_m)
     length_m = rng.uniform(*_ARM_M)
     half_m = rng.uniform(*_ARM_HALF_M)
     if kind == "crossing":
@@ -304,8 +312,8 @@ def _draw_arms(path: Route, manoeuvre: Manoeuvre, rng: np.random.Generator) -> l
         headings = [[left], [right], [left, right]][rng.integers(3)]
     else:
         # The roads' centre lines intersect at the junction.
-        into = unit(heading_in)
-        out = unit(heading_out)
+        into = unit_vector(heading_in)
+        out = unit_vector(heading_out)
         to_centre_m, _ = np.linalg.solve(np.stack([into, -out], axis=1), end - start)
         centre = start + to_centre_m * into
         # A corner has no arm, a T-junction one of these two, and crossroads have both.

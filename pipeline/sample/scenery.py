@@ -8,7 +8,7 @@ import numpy as np
 from pipeline.camera import classes
 from pipeline.sample import shapes
 from pipeline.sample.plan import CELL_M, KERB_M, STOREY_M, Character, Plan
-from pipeline.sample.route import LEFT, SIDES, Arm, Route, unit
+from pipeline.sample.route import LEFT, SIDES, Arm, Route, unit_vector
 from pipeline.sample.shapes import Mesh, draw_colour
 
 # Range of the distances in metres between a junction's edge and the barrier of a closed arm.
@@ -48,7 +48,7 @@ class Ground:
         self.plan = plan
         self._taken: np.ndarray = np.zeros(plan.kind.shape, bool)
 
-    def claim(
+    def claim_place(
         self, xy: np.ndarray, outward_rad: float, size: tuple[float, float], clear_m: float
     ) -> bool:
         """Occupy a rectangle around `xy` if it is free and at least `clear_m` from roads.
@@ -57,8 +57,8 @@ class Ground:
         `outward_rad`. Returns whether it is occupied now.
         """
         length_m, depth_m = size
-        along = unit(outward_rad - np.pi / 2) * length_m / 2
-        away = unit(outward_rad) * depth_m / 2
+        along = unit_vector(outward_rad - np.pi / 2) * length_m / 2
+        away = unit_vector(outward_rad) * depth_m / 2
         corners = np.array(
             [xy + along + away, xy - along + away, xy - along - away, xy + along - away]
         )
@@ -89,34 +89,36 @@ class Frontage(NamedTuple):
     edge: np.ndarray  # [N,2], points of the road's edge
     outward_rad: np.ndarray  # [N], headings away from the road
 
-    def behind(self, sample: int, distance_m: float) -> np.ndarray:
+    def point_behind(self, sample: int, distance_m: float) -> np.ndarray:
         """Return the point [2] at `distance_m` behind a sample of the edge."""
-        return self.edge[sample] + distance_m * unit(self.outward_rad[sample])
+        return self.edge[sample] + distance_m * unit_vector(self.outward_rad[sample])
 
 
 def build_street(route: Route, plan: Plan, character: Character, rng: np.random.Generator) -> Mesh:
     """Return the mesh of all static objects, without the ground."""
-    parts = [shapes.wall(outline, KERB_M, _STONE, classes.SIDEWALK) for outline in plan.kerbs()]
-    parts.append(_horizon(plan, rng))
+    parts = []
+    for outline in plan.trace_kerbs():
+        parts.append(shapes.build_wall(outline, KERB_M, _STONE, classes.SIDEWALK))
+    parts.append(_build_woods(plan, rng))
     for arm in route.arms:
         if arm.closed:
-            parts += _barrier(arm, route.lane_m, rng)
+            parts += _build_barrier(arm, route.lane_m, rng)
     for side in SIDES:
-        parts += _parked_cars(side, route, plan, character, rng)
+        parts += _park_cars(side, route, plan, character, rng)
 
     # Houses claim their places first, since they need the most space.
     ground = Ground(plan)
-    sides = frontages(route, plan)
+    sides = find_frontages(route, plan)
     for frontage in sides:
-        parts += _houses(frontage, ground, character, rng)
+        parts += _build_houses(frontage, ground, character, rng)
     for frontage in sides:
-        parts += _lamp_posts(frontage, ground, rng)
-        parts += _hedges_and_trees(frontage, ground, character, rng)
-    parts += _backdrop(ground, character, rng)
-    return shapes.merge(parts)
+        parts += _build_lamp_posts(frontage, ground, rng)
+        parts += _build_gardens(frontage, ground, character, rng)
+    parts += _build_backdrop(ground, character, rng)
+    return shapes.merge_meshes(parts)
 
 
-def _horizon(plan: Plan, rng: np.random.Generator) -> Mesh:
+def _build_woods(plan: Plan, rng: np.random.Generator) -> Mesh:
     """Build a ring of woods around the plan, as a wall of 9 m with lumps and waves."""
     points = 160
     middle = plan.origin + plan.size_m / 2
@@ -124,24 +126,24 @@ def _horizon(plan: Plan, rng: np.random.Generator) -> Mesh:
     angle = np.arange(points) * 2 * np.pi / points
     lumps_m = 5 * rng.random(points)
     waves_m = 4 * np.sin(angle * 3 + rng.uniform(0, 6.28))
-    ring = middle + radius_m * unit(angle)
-    return shapes.wall(ring, 9 + lumps_m + waves_m, _WOODS, classes.VEGETATION)
+    ring = middle + radius_m * unit_vector(angle)
+    return shapes.build_wall(ring, 9 + lumps_m + waves_m, _WOODS, classes.VEGETATION)
 
 
-def _barrier(arm: Arm, lane_m: float, rng: np.random.Generator) -> list[Mesh]:
+def _build_barrier(arm: Arm, lane_m: float, rng: np.random.Generator) -> list[Mesh]:
     """Build a barrier across a closed arm, of red and white boards of 0.7 m."""
     # The edge of the junction is as far from its centre as a lane is wide, and 0.25 m.
-    middle = arm.at(lane_m + 0.25 + rng.uniform(*BARRIER_M))
-    to_left = unit(arm.heading_rad + np.pi / 2)
+    middle = arm.place_at(lane_m + 0.25 + rng.uniform(*BARRIER_M))
+    to_left = unit_vector(arm.heading_rad + np.pi / 2)
     boards = []
     for i, left_m in enumerate(np.arange(-arm.half_m + 0.35, arm.half_m, 0.7)):
         colour = _RED if i % 2 else _WHITE
-        board = shapes.box((0.12, 0.7, 1.15), colour, classes.FENCE)
-        boards.append(board.placed(middle + left_m * to_left, arm.heading_rad))
+        board = shapes.build_box((0.12, 0.7, 1.15), colour, classes.FENCE)
+        boards.append(board.moved_to(middle + left_m * to_left, arm.heading_rad))
     return boards
 
 
-def _houses(
+def _build_houses(
     frontage: Frontage, ground: Ground, character: Character, rng: np.random.Generator
 ) -> list[Mesh]:
     """Build a row of houses. If a house does not fit, the row continues two metres farther."""
@@ -158,8 +160,8 @@ def _houses(
         middle = min(i + int(length_m / 2 / _STEP_M), len(frontage.edge) - 1)
         outward_rad = frontage.outward_rad[middle]
         front_m = character.pavement_m + setback_m + rng.uniform(0, 0.8)
-        xy = frontage.behind(middle, front_m + depth_m / 2)
-        if not ground.claim(xy, outward_rad, (length_m, depth_m), clear_m):
+        xy = frontage.point_behind(middle, front_m + depth_m / 2)
+        if not ground.claim_place(xy, outward_rad, (length_m, depth_m), clear_m=clear_m):
             i += 4
             continue
 
@@ -169,8 +171,8 @@ def _houses(
         roof_m = 0.0 if storeys > 4 else rng.uniform(1.5, 3.5)
         height_m = STOREY_M * storeys + rng.uniform(0.2, 0.8)
         roof = draw_colour(rng, _ROOFS)
-        house = shapes.house((length_m, depth_m, height_m), colour, roof, roof_m)
-        houses.append(house.placed(xy, outward_rad - np.pi / 2, KERB_M))
+        house = shapes.build_house((length_m, depth_m, height_m), colour, roof, roof_m=roof_m)
+        houses.append(house.moved_to(xy, outward_rad - np.pi / 2, KERB_M))
 
         # Most neighbours stand in line, at the same setback.
         i += int((length_m + rng.uniform(*quarter.gap_m)) / _STEP_M) + 1
@@ -179,20 +181,20 @@ def _houses(
     return houses
 
 
-def _lamp_posts(frontage: Frontage, ground: Ground, rng: np.random.Generator) -> list[Mesh]:
+def _build_lamp_posts(frontage: Frontage, ground: Ground, rng: np.random.Generator) -> list[Mesh]:
     """Build lamp posts near the kerb, with distances of 19 to 28 m."""
     posts = []
     first = int(rng.integers(20))
     spacing = int(rng.integers(38, 56))
     for i in range(first, len(frontage.edge), spacing):
-        xy = frontage.behind(i, 0.75)
-        if ground.claim(xy, 0.0, (0.5, 0.5), 0.4):
-            post = shapes.lamp_post(rng.uniform(5.5, 7.5))
-            posts.append(post.placed(xy, frontage.outward_rad[i] + np.pi, KERB_M))
+        xy = frontage.point_behind(i, 0.75)
+        if ground.claim_place(xy, 0.0, (0.5, 0.5), clear_m=0.4):
+            post = shapes.build_lamp_post(rng.uniform(5.5, 7.5))
+            posts.append(post.moved_to(xy, frontage.outward_rad[i] + np.pi, KERB_M))
     return posts
 
 
-def _hedges_and_trees(
+def _build_gardens(
     frontage: Frontage, ground: Ground, character: Character, rng: np.random.Generator
 ) -> list[Mesh]:
     """Build hedges and fences behind the pavement, and trees."""
@@ -203,23 +205,23 @@ def _hedges_and_trees(
     for i in range(int(rng.integers(10)), len(frontage.edge), 9):
         outward_rad = frontage.outward_rad[i]
         if rng.random() < quarter.hedges:
-            xy = frontage.behind(i, pavement_m + 0.5)
-            if ground.claim(xy, outward_rad, (4.4, 0.7), pavement_m):
-                hedge = shapes.hedge(rng)
-                parts.append(hedge.placed(xy, outward_rad - np.pi / 2, KERB_M))
+            xy = frontage.point_behind(i, pavement_m + 0.5)
+            if ground.claim_place(xy, outward_rad, (4.4, 0.7), clear_m=pavement_m):
+                hedge = shapes.build_hedge(rng)
+                parts.append(hedge.moved_to(xy, outward_rad - np.pi / 2, KERB_M))
         if rng.random() < quarter.trees * 0.5:
             # Trees stand in the pavement or, where houses are 2 m or more behind it, in gardens.
             behind_m = pavement_m - 0.5
             if farthest_m >= 2:
                 behind_m = pavement_m + rng.uniform(1.5, 7)
-            xy = frontage.behind(i, behind_m)
-            if ground.claim(xy, 0.0, (1.2, 1.2), min(behind_m - 0.7, pavement_m)):
-                tree = shapes.tree(rng, height_m=rng.uniform(5, 9))
-                parts.append(tree.placed(xy, rng.uniform(0, 6.28), KERB_M))
+            xy = frontage.point_behind(i, behind_m)
+            if ground.claim_place(xy, 0.0, (1.2, 1.2), clear_m=min(behind_m - 0.7, pavement_m)):
+                tree = shapes.build_tree(rng, height_m=rng.uniform(5, 9))
+                parts.append(tree.moved_to(xy, rng.uniform(0, 6.28), KERB_M))
     return parts
 
 
-def _backdrop(ground: Ground, character: Character, rng: np.random.Generator) -> list[Mesh]:
+def _build_backdrop(ground: Ground, character: Character, rng: np.random.Generator) -> list[Mesh]:
     """Build trees and houses behind the first row, so that its gaps are not empty."""
     _, highest = character.quarter.storeys
     size_m = ground.plan.size_m
@@ -230,19 +232,19 @@ def _backdrop(ground: Ground, character: Character, rng: np.random.Generator) ->
         if rng.random() < 0.25:
             length_m = rng.uniform(8, 16)
             depth_m = rng.uniform(8, 12)
-            if ground.claim(xy, heading_rad, (length_m, depth_m), 16):
+            if ground.claim_place(xy, heading_rad, (length_m, depth_m), clear_m=16):
                 colour = draw_colour(rng, _WALLS)
                 height_m = STOREY_M * rng.integers(1, highest + 1) + 0.5
                 roof = draw_colour(rng, _ROOFS)
-                house = shapes.house((length_m, depth_m, height_m), colour, roof, 2.5)
-                parts.append(house.placed(xy, heading_rad, KERB_M))
-        elif ground.claim(xy, heading_rad, (3, 3), character.pavement_m + 6):
-            tree = shapes.tree(rng, height_m=rng.uniform(6, 12))
-            parts.append(tree.placed(xy, heading_rad, KERB_M))
+                house = shapes.build_house((length_m, depth_m, height_m), colour, roof, roof_m=2.5)
+                parts.append(house.moved_to(xy, heading_rad, KERB_M))
+        elif ground.claim_place(xy, heading_rad, (3, 3), clear_m=character.pavement_m + 6):
+            tree = shapes.build_tree(rng, height_m=rng.uniform(6, 12))
+            parts.append(tree.moved_to(xy, heading_rad, KERB_M))
     return parts
 
 
-def _parked_cars(
+def _park_cars(
     side: int, route: Route, plan: Plan, character: Character, rng: np.random.Generator
 ) -> list[Mesh]:
     """Build parked cars on a side of the route.
@@ -258,10 +260,10 @@ def _parked_cars(
         has_room = plan.bays[side][around].min() > 2.0 and plan.parking[around].all()
         if has_room and rng.random() < character.parked:
             offset_m = route.edge_m(side) + side * (1.0 + rng.uniform(-0.1, 0.1))
-            xy, heading_rad = route.at(s_m, offset_m)
+            xy, heading_rad = route.place_at(s_m, offset_m)
             if side == LEFT:
                 heading_rad = heading_rad + np.pi
-            car = shapes.car(rng).placed(xy, float(heading_rad))
+            car = shapes.build_car(rng).moved_to(xy, float(heading_rad))
             # The car must not stand on another stretch of the road: no point of the route is nearer
             # than the one beside the car.
             if np.linalg.norm(route.xy - xy, axis=1).min() > abs(offset_m) - 0.2:
@@ -270,24 +272,24 @@ def _parked_cars(
     return cars
 
 
-def frontages(route: Route, plan: Plan) -> list[Frontage]:
+def find_frontages(route: Route, plan: Plan) -> list[Frontage]:
     """Return both sides of the route and its arms, and the far ends of the arms."""
     s_m = np.arange(route.s_m[0], route.s_m[-1], _STEP_M)
     sides = []
     for side in SIDES:
         bay_m = np.interp(s_m, route.s_m, plan.bays[side])
-        edge, heading_rad = route.at(s_m, route.edge_m(side) + side * bay_m)
+        edge, heading_rad = route.place_at(s_m, route.edge_m(side) + side * bay_m)
         sides.append(Frontage(edge, heading_rad + side * np.pi / 2))
     for arm in route.arms:
         # The sides of an arm begin 6 m from the centre of the junction, outside of it, and end as
         # far behind the arm's end, so that no gap is seen beside the houses that close it.
-        along = arm.at(np.arange(6, arm.length_m + 6, _STEP_M))
+        along = arm.place_at(np.arange(6, arm.length_m + 6, _STEP_M))
         for side in SIDES:
             outward_rad = arm.heading_rad + side * np.pi / 2
-            edge = along + arm.half_m * unit(outward_rad)
+            edge = along + arm.half_m * unit_vector(outward_rad)
             sides.append(Frontage(edge, np.full(len(edge), outward_rad)))
         # Houses close the arm's far end.
         across_m = np.arange(-12, 12, _STEP_M)[:, None]
-        edge = arm.at(arm.length_m) + across_m * unit(arm.heading_rad + np.pi / 2)
+        edge = arm.place_at(arm.length_m) + across_m * unit_vector(arm.heading_rad + np.pi / 2)
         sides.append(Frontage(edge, np.full(len(edge), arm.heading_rad)))
     return sides

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.camera import classes
-from pipeline.sample.route import unit
+from pipeline.sample.route import unit_vector
 
 # Albedo of a surface, RGB [3] in 0..1.
 Colour = np.ndarray | tuple[float, float, float]
@@ -67,7 +67,7 @@ class Mesh(NamedTuple):
     colour: np.ndarray  # float32 [T,3] in 0..1
     cls: np.ndarray  # uint8 [T] trainId
 
-    def placed(
+    def moved_to(
         self, xy: np.ndarray | tuple[float, float], heading_rad: float = 0.0, z: float = 0.0
     ) -> "Mesh":
         """Return the mesh after a rotation about z and a translation."""
@@ -78,7 +78,7 @@ class Mesh(NamedTuple):
         return self._replace(vertices=vertices.astype(np.float32))
 
 
-def mesh(vertices: np.ndarray, triangles: np.ndarray, colour: Colour, cls: int) -> Mesh:
+def colour_mesh(vertices: np.ndarray, triangles: np.ndarray, colour: Colour, cls: int) -> Mesh:
     """Return a mesh of a single class. `colour` is that of all triangles, or [T,3]."""
     count = len(triangles)
     return Mesh(
@@ -89,7 +89,7 @@ def mesh(vertices: np.ndarray, triangles: np.ndarray, colour: Colour, cls: int) 
     )
 
 
-def merge(meshes: Sequence[Mesh]) -> Mesh:
+def merge_meshes(meshes: Sequence[Mesh]) -> Mesh:
     """Join meshes into a single mesh."""
     triangles = []
     first_vertex = 0
@@ -109,21 +109,21 @@ def draw_colour(rng: np.random.Generator, colours: np.ndarray) -> np.ndarray:
     return colours[rng.integers(len(colours))]
 
 
-def box(size: Size, colour: Colour, cls: int, taper: float = 1.0) -> Mesh:
+def build_box(size: Size, colour: Colour, cls: int, taper: float = 1.0) -> Mesh:
     """Build a box of `size` (x, y, z) on the origin. Its top is `taper` times its length."""
     corners = _BOX_CORNERS * size
     top = _BOX_CORNERS[:, 2] > 0
     corners[top, 0] *= taper
-    return mesh(corners, _BOX_FACES, colour, cls)
+    return colour_mesh(corners, _BOX_FACES, colour, cls)
 
 
-def house(size: Size, colour: Colour, roof: Colour, roof_m: float) -> Mesh:
+def build_house(size: Size, colour: Colour, roof: Colour, roof_m: float) -> Mesh:
     """Build a house with a gable roof of height `roof_m`; 0 is a flat roof.
 
     `size` is its length along the street, its depth, and the height of its walls.
     """
     length, depth, height = size
-    walls = box(size, colour, classes.BUILDING)
+    walls = build_box(size, colour, classes.BUILDING)
     if roof_m == 0:
         return walls
 
@@ -143,12 +143,12 @@ def house(size: Size, colour: Colour, roof: Colour, roof_m: float) -> Mesh:
     )
     slope_faces = np.array([[0, 1, 5], [0, 5, 4], [2, 3, 4], [2, 4, 5]])
     gable_faces = np.array([[1, 2, 5], [3, 0, 4]])
-    slopes = mesh(corners, slope_faces, roof, classes.BUILDING)
-    gables = mesh(corners, gable_faces, colour, classes.BUILDING)
-    return merge([walls, slopes, gables])
+    slopes = colour_mesh(corners, slope_faces, roof, classes.BUILDING)
+    gables = colour_mesh(corners, gable_faces, colour, classes.BUILDING)
+    return merge_meshes([walls, slopes, gables])
 
 
-def wall(outline: np.ndarray, height_m: float | np.ndarray, colour: Colour, cls: int) -> Mesh:
+def build_wall(outline: np.ndarray, height_m: float | np.ndarray, colour: Colour, cls: int) -> Mesh:
     """Build vertical faces along a closed outline [N,2]. `height_m` is a number, or [N]."""
     n = len(outline)
     bottom = np.column_stack([outline, np.zeros(n)])
@@ -157,17 +157,17 @@ def wall(outline: np.ndarray, height_m: float | np.ndarray, colour: Colour, cls:
     j = (i + 1) % n  # the next point
     lower = np.stack([i, j, j + n], axis=1)
     upper = np.stack([i, j + n, i + n], axis=1)
-    return mesh(np.concatenate([bottom, top]), np.concatenate([lower, upper]), colour, cls)
+    return colour_mesh(np.concatenate([bottom, top]), np.concatenate([lower, upper]), colour, cls)
 
 
-def cylinder(radius_m: float, height_m: float, colour: Colour, cls: int) -> Mesh:
+def build_cylinder(radius_m: float, height_m: float, colour: Colour, cls: int) -> Mesh:
     """Build an upright tube on the origin, open at both ends."""
-    circle = unit(np.arange(8) * 2 * np.pi / 8)
-    return wall(radius_m * circle, height_m, colour, cls)
+    circle = unit_vector(np.arange(8) * 2 * np.pi / 8)
+    return build_wall(radius_m * circle, height_m, colour, cls)
 
 
 @cache
-def _sphere() -> tuple[np.ndarray, np.ndarray]:
+def _unit_sphere() -> tuple[np.ndarray, np.ndarray]:
     """Return vertices and triangles of the unit sphere."""
     import open3d as o3d
 
@@ -180,39 +180,39 @@ def _draw_leaves(rng: np.random.Generator) -> np.ndarray:
     return draw_colour(rng, _LEAVES) * rng.uniform(0.8, 1.2)
 
 
-def hedge(rng: np.random.Generator) -> Mesh:
+def build_hedge(rng: np.random.Generator) -> Mesh:
     """Build a hedge or a wooden fence of 4.5 m, along x on the origin."""
     if rng.random() < 0.5:
         height_m = rng.uniform(0.9, 1.5)
-        return box((4.5, 0.7, height_m), _draw_leaves(rng), classes.VEGETATION)
+        return build_box((4.5, 0.7, height_m), _draw_leaves(rng), classes.VEGETATION)
     colour = _WOOD * rng.uniform(0.8, 1.2)
-    return box((4.5, 0.1, rng.uniform(1.0, 1.4)), colour, classes.FENCE)
+    return build_box((4.5, 0.1, rng.uniform(1.0, 1.4)), colour, classes.FENCE)
 
 
-def tree(rng: np.random.Generator, height_m: float) -> Mesh:
+def build_tree(rng: np.random.Generator, height_m: float) -> Mesh:
     """Build a trunk under a lumpy crown."""
     leaves = _draw_leaves(rng)
     trunk_m = height_m * rng.uniform(0.3, 0.42)
-    trunk = cylinder(0.035 * height_m, trunk_m * 1.2, _BARK, classes.VEGETATION)
+    trunk = build_cylinder(0.035 * height_m, trunk_m * 1.2, _BARK, classes.VEGETATION)
 
-    vertices, faces = _sphere()
+    vertices, faces = _unit_sphere()
     lumpy = vertices * (1 + rng.uniform(-0.17, 0.17, (len(vertices), 1)))
     wide_m = height_m * rng.uniform(0.22, 0.32)
     high_m = (height_m - trunk_m) / 2 * 1.1
     vertices = lumpy * [wide_m, wide_m, high_m] + [0, 0, trunk_m + high_m * 0.85]
     shade = rng.uniform(0.75, 1.2, (len(faces), 1))
-    crown = mesh(vertices, faces, leaves * shade, classes.VEGETATION)
-    return merge([crown, trunk])
+    crown = colour_mesh(vertices, faces, leaves * shade, classes.VEGETATION)
+    return merge_meshes([crown, trunk])
 
 
-def lamp_post(height_m: float) -> Mesh:
+def build_lamp_post(height_m: float) -> Mesh:
     """Build a post with an arm towards +x, where the road is."""
-    post = cylinder(0.19, height_m, _GREY, classes.POLE)
-    arm = box((1.6, 0.22, 0.18), _GREY, classes.POLE)
-    return merge([post, arm.placed((0.7, 0.0), z=height_m - 0.18)])
+    post = build_cylinder(0.19, height_m, _GREY, classes.POLE)
+    arm = build_box((1.6, 0.22, 0.18), _GREY, classes.POLE)
+    return merge_meshes([post, arm.moved_to((0.7, 0.0), z=height_m - 0.18)])
 
 
-def car(rng: np.random.Generator) -> Mesh:
+def build_car(rng: np.random.Generator) -> Mesh:
     """Build a car with a length of 3.9 to 4.7 m, which heads along +x, over the origin."""
     paint = draw_colour(rng, _PAINTS)
     length = rng.uniform(3.9, 4.7)
@@ -220,19 +220,21 @@ def car(rng: np.random.Generator) -> Mesh:
     roof = rng.uniform(1.42, 1.65) - 0.1
     waist = 0.9
     cabin_x = -0.06 * length
-    return merge(
+    return merge_meshes(
         [
-            _car_part((length, width, waist - 0.22), paint, 0.0, 0.22),
-            _car_part((0.62 * length, width - 0.12, roof - waist), _GLASS, cabin_x, waist, 0.68),
-            _car_part((0.44 * length, width - 0.14, 0.1), paint, cabin_x, roof),
-            _car_part((0.06, width - 0.1, 0.16), _REAR_LIGHT, -length / 2, 0.66),
-            _car_part((0.06, width - 0.1, 0.14), _HEADLIGHT, length / 2, 0.6),
-            _car_part((0.62, width + 0.02, 0.6), _TYRE, -0.3 * length, 0.0),
-            _car_part((0.62, width + 0.02, 0.6), _TYRE, 0.31 * length, 0.0),
+            _car_part((length, width, waist - 0.22), paint, x=0.0, z=0.22),
+            _car_part(
+                (0.62 * length, width - 0.12, roof - waist), _GLASS, x=cabin_x, z=waist, taper=0.68
+            ),
+            _car_part((0.44 * length, width - 0.14, 0.1), paint, x=cabin_x, z=roof),
+            _car_part((0.06, width - 0.1, 0.16), _REAR_LIGHT, x=-length / 2, z=0.66),
+            _car_part((0.06, width - 0.1, 0.14), _HEADLIGHT, x=length / 2, z=0.6),
+            _car_part((0.62, width + 0.02, 0.6), _TYRE, x=-0.3 * length, z=0.0),
+            _car_part((0.62, width + 0.02, 0.6), _TYRE, x=0.31 * length, z=0.0),
         ]
     )
 
 
 def _car_part(size: Size, colour: Colour, x: float, z: float, taper: float = 1.0) -> Mesh:
     """Build a box whose middle is at `x` along the car and whose foot is at `z`."""
-    return box(size, colour, classes.CAR, taper).placed((x, 0.0), z=z)
+    return build_box(size, colour, classes.CAR, taper).moved_to((x, 0.0), z=z)

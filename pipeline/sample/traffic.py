@@ -28,9 +28,9 @@ class Vehicle(NamedTuple):
     heading_rad: np.ndarray  # [F]
     visible: np.ndarray  # bool [F]
 
-    def at(self, frame: int) -> shapes.Mesh:
+    def mesh_at(self, frame: int) -> shapes.Mesh:
         """Return the car's mesh at a frame."""
-        return self.shape.placed(self.xy[frame], float(self.heading_rad[frame]))
+        return self.shape.moved_to(self.xy[frame], float(self.heading_rad[frame]))
 
 
 def draw_traffic(journey: Journey, rng: np.random.Generator) -> list[Vehicle]:
@@ -53,9 +53,9 @@ def _draw_oncoming(journey: Journey, rng: np.random.Generator) -> list[Vehicle]:
         s_m = start_m - speed_mps * motion.time_s
         on_road = (s_m > route.s_m[0] + 4) & (s_m < route.s_m[-1] - 4)
         if on_road.any():
-            xy, heading_rad = route.at(s_m, route.centre_m + route.lane_m / 2)
+            xy, heading_rad = route.place_at(s_m, route.centre_m + route.lane_m / 2)
             xy[~on_road] = route.xy[0] - 1e4  # out of sight
-            car = shapes.car(rng)
+            car = shapes.build_car(rng)
             vehicles.append(Vehicle(car, xy, heading_rad + np.pi, _in_sight(xy, journey)))
         start_m += rng.uniform(40, 110)
     return vehicles
@@ -72,8 +72,8 @@ def _draw_lead(journey: Journey, rng: np.random.Generator) -> Vehicle:
     end_mps = max(float(motion.speed_mps[-1]), 4.0)
     beyond_m = motion.s_m[-1] + (time_s - motion.time_s[-1]) * end_mps
     s_m = np.where(np.isnan(as_ego_m), beyond_m, as_ego_m) + 6.0
-    xy, heading_rad = route.at(s_m, route.centre_m - route.lane_m / 2)
-    return Vehicle(shapes.car(rng), xy, heading_rad, _in_sight(xy, journey))
+    xy, heading_rad = route.place_at(s_m, route.centre_m - route.lane_m / 2)
+    return Vehicle(shapes.build_car(rng), xy, heading_rad, _in_sight(xy, journey))
 
 
 def _in_sight(xy: np.ndarray, journey: Journey) -> np.ndarray:
@@ -82,7 +82,7 @@ def _in_sight(xy: np.ndarray, journey: Journey) -> np.ndarray:
     In narrow streets, a vehicle might touch the ego. Then it is hidden for the entire encounter, so
     that it neither appears nor vanishes in view of the camera.
     """
-    ego_xy, heading_rad = journey.route.at(journey.motion.s_m)
+    ego_xy, heading_rad = journey.route.place_at(journey.motion.s_m)
     offset = xy - ego_xy
     in_sight = np.linalg.norm(offset, axis=1) < SIGHT_M
 

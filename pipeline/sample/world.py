@@ -60,7 +60,7 @@ class World:
         colours = np.concatenate([self._colours, *(mesh.colour for mesh in meshes)])
         self._surface_colour = colours.T.copy()
 
-    def cast(self, rays: np.ndarray) -> Hits:
+    def cast_rays(self, rays: np.ndarray) -> Hits:
         """Return the first hits of `rays` [6,N]."""
         count = rays.shape[1]
         distance_m = np.full(count, np.inf, np.float32)
@@ -70,8 +70,8 @@ class World:
         # A layer replaces the hits of earlier layers if it is nearer.
         first_surface = _SKY + 1
         for layer in self._layers:
-            candidates = layer.near(rays)
-            layer_distance_m, triangle, facing = layer.cast(rays[:, candidates])
+            candidates = layer.find_candidates(rays)
+            layer_distance_m, triangle, facing = layer.cast_rays(rays[:, candidates])
             nearer = layer_distance_m < distance_m[candidates]
             ray = candidates[nearer]
             distance_m[ray] = layer_distance_m[nearer]
@@ -88,14 +88,14 @@ class World:
         colour = self._surface_colour.take(surface, axis=1)
         return Hits(distance_m, cls, colour, normal, ground)
 
-    def lit(self, points: np.ndarray, sun: np.ndarray) -> np.ndarray:
+    def find_lit(self, points: np.ndarray, sun: np.ndarray) -> np.ndarray:
         """Return whether `points` [3,N] see the sun in direction `sun` [3], bool [N]."""
         rays = np.empty((6, points.shape[1]), np.float32)
         rays[:3] = points
         rays[3:] = sun[:, None]
         lit = np.ones(points.shape[1], bool)
         for layer in self._layers:
-            lit[layer.blocks(rays)] = False
+            lit[layer.find_blocked(rays)] = False
         return lit
 
     def _cast_ground(self, rays: np.ndarray, distance_m: np.ndarray) -> np.ndarray:
@@ -115,7 +115,7 @@ class World:
             t = t[hit]
             level_x = x.take(ray) + t * dx.take(ray)
             level_y = y.take(ray) + t * dy.take(ray)
-            level_kind = self.plan.kind[self.plan.cells(level_x, level_y)]
+            level_kind = self.plan.kind[self.plan.cells_at(level_x, level_y)]
 
             # A ray that is above a road at the height of the kerb continues down to the road.
             ends = np.full(len(ray), True)
@@ -139,39 +139,39 @@ class _Layer:
         self.mesh = mesh
         # A single thread builds the scene, since Embree's parallel build may differ between runs.
         self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
-        self._scene.add_triangles(_tensor(mesh.vertices), _tensor(mesh.triangles))
+        self._scene.add_triangles(_to_tensor(mesh.vertices), _to_tensor(mesh.triangles))
         self._middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
         from_middle_m = np.linalg.norm(mesh.vertices - self._middle, axis=1)
         self._radius_m = float(from_middle_m.max()) + 0.01
 
-    def cast(self, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def cast_rays(self, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return for each ray the distance, the triangle and the normal [3,N] of its first hit.
 
         The distance is infinite if the ray hits nothing. Normals are on the viewer's side.
         """
-        hits = self._scene.cast_rays(_tensor(rays.T))
+        hits = self._scene.cast_rays(_to_tensor(rays.T))
         distance_m = hits["t_hit"].numpy()
         triangle = hits["primitive_ids"].numpy().astype(np.int64)
         normal = np.ascontiguousarray(hits["primitive_normals"].numpy().T)
-        normal *= np.where(dot(normal, rays[3:]) > 0, np.float32(-1), np.float32(1))
+        normal *= np.where(dot_product(normal, rays[3:]) > 0, np.float32(-1), np.float32(1))
         return distance_m, triangle, normal
 
-    def blocks(self, rays: np.ndarray) -> np.ndarray:
+    def find_blocked(self, rays: np.ndarray) -> np.ndarray:
         """Return the indices of the rays that hit the mesh."""
-        candidates = self.near(rays)
-        tensor = _tensor(rays[:, candidates].T)
+        candidates = self.find_candidates(rays)
+        tensor = _to_tensor(rays[:, candidates].T)
         hit = self._scene.test_occlusions(tensor, 0.02, _SHADOW_M).numpy()
         return candidates[hit]
 
-    def near(self, rays: np.ndarray) -> np.ndarray:
+    def find_candidates(self, rays: np.ndarray) -> np.ndarray:
         """Return the indices of the rays whose line intersects the mesh's bounding sphere."""
         to_middle = self._middle[:, None] - rays[:3]
-        ahead_m = dot(to_middle, rays[3:])
-        aside_m2 = dot(to_middle, to_middle) - ahead_m**2
+        ahead_m = dot_product(to_middle, rays[3:])
+        aside_m2 = dot_product(to_middle, to_middle) - ahead_m**2
         return np.flatnonzero((aside_m2 < self._radius_m**2) & (ahead_m > -self._radius_m))
 
 
-def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def dot_product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return the scalar products [...] of vectors [3, ...].
 
     Unlike a product by BLAS, the result does not depend on the number of threads.
@@ -179,7 +179,7 @@ def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _tensor(array: np.ndarray) -> Any:
+def _to_tensor(array: np.ndarray) -> Any:
     """Return an Open3D tensor; Open3D has no types."""
     import open3d as o3d
 

@@ -21,12 +21,11 @@ PYG = {"input": "semantic", "spatial": "pyg", "temporal": "lstm", "semantics": 1
 GNN = PYG | {"spatial": "gnn"}
 FIT = {"epochs": 0, "frames": 1, "batch": 1, "learning_rate": 0.1, "seed": 0}
 PAIR = {"backbone": "pair", "depth": "a/b", "classes": "c/d", "focal_by_width": 0.6, **FIT}
-SWIN = str(ROOT / "models/encoder/swin-t")
 
 
 def changed(where: str, value: Any) -> dict[str, Any]:
     """Return the content of params.yaml with preset table2, and one value changed or added."""
-    content = yaml.safe_load(preset.to_yaml(preset.merged("table2"), "a test"))
+    content = yaml.safe_load(preset.to_yaml(preset.merge_preset("table2"), "a test"))
     *path, key = where.split(".")
     reduce(dict.__getitem__, path, content)[key] = value
     return content
@@ -44,7 +43,7 @@ def test_the_projects_own_files_are_valid(name, tmp_path, monkeypatch, capsys):
     (tmp_path / "models").symlink_to(ROOT / "models")
     text = (ROOT / "params.yaml").read_text()
     if name:
-        text = preset.to_yaml(preset.merged(name), "a test")
+        text = preset.to_yaml(preset.merge_preset(name), "a test")
     run(tmp_path, yaml.safe_load(text))
     assert capsys.readouterr().out == ""
 
@@ -176,12 +175,15 @@ def test_weights_are_looked_for_where_stage_encoder_will_run(tmp_path):
             PAIR | {"depth": "some/where/else"},
             "depth: 'some/where/else' is not a folder with a config.json",
         ),
-        (
-            "encoder",
-            PAIR | {"classes": SWIN},
-            "type swin have no map of classes. Families that work: segformer, up",
-        ),
         ("model", {}, "model.*did you mean models"),
+        ("labels.min_speed_mps", "fast", r"labels.min_speed_mps: .*valid number.*got 'fast'."),
+        ("labels.wheelbase_m", 2700, "wheelbase_m: .*less than or equal to 20 .got 2700"),
+        ("ingest.drives.test", ["0001"], "expected a drive's name, such as 2011_09_26_drive_0052"),
+        ("ingest.drives.test", ["2026_01_04_drive_0010..0008"], "expected letters"),
+        ("train.learning_rate", True, "valid number"),
+        ("train.seeds", [0, 1, 0], r"train.seeds: expected each seed once .got \[0, 1, 0"),
+        # misspelt, so missing
+        ("clouds", {"max_point": 1, "max_depth_m": 80.0}, "did you mean max_points"),
     ],
 )
 def test_a_fault_is_one_line_with_its_key(tmp_path, where, value, message):

@@ -4,7 +4,6 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -16,15 +15,16 @@ from torch import nn
 
 from models.encoder import hugging_face
 from models.encoder.efficientvit import HEAD_WIDTH, LinearAttention
+from models.encoder.heads import CellClasses, Pointwise, ray_slopes
 from models.encoder.hugging_face import CityscapesLogits
 from models.encoder.rtmonodepth_s import SIZE
 from models.encoder.street import Street
-from models.encoder.unified_encoder import Architecture, build
+from models.encoder.unified_encoder import Architecture, build_network
 from pipeline.base.keys import ROOT
-from pipeline.camera import classes
+from pipeline.camera import classes, geometry
 from pipeline.camera.camera import Camera, scan_depth
-from pipeline.camera.images import read_image, resized
-from pipeline.encoder.create import create as create_encoder
+from pipeline.camera.images import read_image, resize_image
+from pipeline.encoder.create import create_encoder
 from pipeline.encoder.encoder_file import load_encoder, save_encoder
 from pipeline.encoder.settings import Encoder
 from pipeline.ingest.datasets.kitti import KittiDrive, read_scan
@@ -75,18 +75,6 @@ def write_networks(folder: Path) -> Path:
     content = config.to_diff_dict() | {"depth_estimation_type": "metric"}
     config = transformers.PromptDepthAnythingConfig(**content)
     networks["prompt"] = transformers.PromptDepthAnythingForDepthEstimation(config)
-    vit = {"model_type": "dinov2", **DINOV2, "image_size": 32, "patch_size": 8}
-    config = transformers.DepthProConfig(
-        fusion_hidden_size=8,
-        patch_size=32,
-        scaled_images_feature_dims=[8] * 3,
-        intermediate_feature_dims=[8] * 2,
-        intermediate_hook_ids=[1, 0],
-        image_model_config=vit,
-        patch_model_config=vit,
-        fov_model_config=vit,
-    )
-    networks["depth_pro"] = transformers.DepthProForDepthEstimation(config)
     config = transformers.DPTConfig(
         **VIT, **fusion, backbone_out_indices=[0, 1, 2, 3], use_auxiliary_head=False
     )
@@ -156,19 +144,16 @@ def padded(
 
 
 @pytest.mark.parametrize("size", [(64, 96), (37, 63)])
-@pytest.mark.parametrize(
-    "kind", ["small", "street", "pair", "hugging_face", "hugging_face on dinov2"]
-)
+@pytest.mark.parametrize("kind", ["small", "street", "pair", "swin", "dinov2"])
 @torch.no_grad()
 def test_each_pixel_has_depth_and_classes_whatever_the_batch(create, kind, size):
-    kind, _, model = kind.partition(" on ")
     torch.manual_seed(0)
     if kind in ("small", "street"):
-        network = build({"backbone": kind}).eval()
-    elif model:
-        _, network = create(kind, model=model)
+        network = build_network({"backbone": kind}).eval()
+    elif kind == "pair":
+        _, network = create("pair")
     else:
-        _, network = create(kind)
+        _, network = create("hugging_face", model=kind)
     images = image(size, 2)
     depth, logits = network(images, K.expand(2, 3, 3))
     assert depth.shape == (2, *size)
@@ -257,18 +242,15 @@ def test_a_folder_without_weights_is_a_random_backbone_but_no_pair(create, folde
 @pytest.mark.parametrize(
     ("label", "name"),
     [
-        *((name, name) for name in classes.NAMES),  # Cityscapes
+        ("Traffic Sign", "traffic sign"),  # Cityscapes
         # ADE20K
         ("tree", "vegetation"),
         ("minibike", "motorcycle"),
         ("windowpane", "building"),
         ("bed ", "void"),
-        # Mapillary
-        ("Lane Marking - General", "road"),
-        ("Traffic Sign (Front)", "traffic sign"),
+        ("Lane Marking - General", "road"),  # Mapillary
         ("Bridge", "void"),
         ("LABEL_0", "void"),
-        ("non-road", "void"),
         ("car-door", "void"),
     ],
 )
@@ -282,14 +264,12 @@ def test_labels_of_three_data_sets_are_cityscapes_classes_or_void(label, name):
     [
         ("pair", {"depth": "relative"}, "depth of '.*relative' is relative"),
         ("pair", {"depth": "glpn"}, "glpn' has an unknown unit.*depth_unit: metric"),
-        ("pair", {"depth": "depth_pro"}, "depth of '.*depth_pro' is inverse"),
         ("pair", {"depth": "prompt"}, "depth of '.*prompt' is relative to a depth sensor"),
         (
             "pair",
             {"classes": "unnamed"},
             "no class of '.*unnamed' is road: LABEL_0, LABEL_1, .*LABEL_4, …",
         ),
-        ("pair", {"depth": "classes"}, "cannot load '.*classes'.*SegformerConfig"),
         (
             "pair",
             {"classes": "headless"},
@@ -305,37 +285,33 @@ def test_a_wrong_network_is_one_line(create, kind, names, message):
     assert "\n" not in str(raised.value)
 
 
-@pytest.mark.parametrize(
-    ("kind", "names", "file"),
-    [
-        ("hugging_face", {"model": "trap"}, "trap/pytorch_model.bin"),
-        ("hugging_face", {"model": "trap"}, "trap/trap.py"),
-    ],
-)
-def test_files_of_a_network_run_no_code(create, folder, tmp_path, kind, names, file):
+@pytest.mark.parametrize("file", ["pytorch_model.bin", "trap.py"])
+def test_files_of_a_network_run_no_code(create, folder, tmp_path, file):
     trap = folder / "trap"
     sprung = tmp_path / "sprung"
     shutil.rmtree(trap, ignore_errors=True)
     shutil.copytree(folder / "swin", trap, ignore=shutil.ignore_patterns("*.safetensors"))
     if file.endswith(".py"):
-        (folder / file).write_text(f"import pathlib\npathlib.Path({str(sprung)!r}).touch()")
+        (trap / file).write_text(f"import pathlib\npathlib.Path({str(sprung)!r}).touch()")
         config = {
             "model_type": "trap",
             "auto_map": {"AutoConfig": "trap.Trap", "AutoBackbone": "trap.Trap"},
         }
         (trap / "config.json").write_text(json.dumps(config))
     else:
-        torch.save({"state_dict": Trap(sprung)}, folder / file)
+        torch.save({"state_dict": Trap(sprung)}, trap / file)
     with pytest.raises(ValueError, match="cannot load"):
-        create(kind, **names)
+        create("hugging_face", model="trap")
     assert not sprung.exists()
 
 
-def test_a_hub_out_of_reach_is_one_line(monkeypatch):
-    error = FileNotFoundError("cannot reach the hub\nPlease check your connection")
-    monkeypatch.setattr("huggingface_hub.snapshot_download", Mock(side_effect=error))
-    with pytest.raises(ValueError, match=r"^cannot load 'a/network': cannot reach the hub$"):
-        hugging_face.describe("a/network")
+def test_a_network_of_the_hub_names_its_revision(folder, monkeypatch):
+    revision = str(folder / "swin")
+    monkeypatch.setattr("huggingface_hub.snapshot_download", lambda *_, **options: revision)
+    path, description, sources = hugging_face.describe_network("a/network")
+    assert path == folder / "swin"
+    assert description["config"]["model_type"] == "swin"
+    assert sources == ["https://huggingface.co/a/network/tree/swin"]
 
 
 def test_depth_of_streets_grows_with_the_focal_length_and_classes_do_not():
@@ -348,6 +324,21 @@ def test_depth_of_streets_grows_with_the_focal_length_and_classes_do_not():
         longer_depth, longer_logits = model(image((41, 75)), longer)
     torch.testing.assert_close(longer_depth, 1.5 * depth)
     torch.testing.assert_close(longer_logits, logits)
+
+
+@torch.no_grad()
+def test_heads_equal_torchs_own_layers_and_rays_those_of_the_camera():
+    torch.manual_seed(0)
+    features = torch.randn(2, 8, 5, 7)
+    rays = ray_slopes(K, (18, 27))
+    expected = geometry.camera_rays(K[0].numpy(), (18, 27))[..., :2]
+    np.testing.assert_allclose(rays[0].permute(1, 2, 0), expected, atol=1e-6)
+
+    layer = Pointwise(8, 3)
+    torch.testing.assert_close(layer(features), F.conv2d(features, layer.weight, layer.bias))
+    head = CellClasses(8, stride=4)
+    cells = F.pixel_shuffle(head.layer(features), 4)
+    torch.testing.assert_close(head(features, rays), cells[..., :18, :27])
 
 
 def test_linear_attention_is_a_mean_of_values_weighted_by_products_of_keys_and_queries():
@@ -366,10 +357,6 @@ def test_linear_attention_is_a_mean_of_values_weighted_by_products_of_keys_and_q
         shares = weights / weights.sum(dim=1, keepdim=True)
         expected = torch.einsum("bcn,bnm->bcm", v, shares)
         torch.testing.assert_close(output, expected, rtol=1e-4, atol=1e-5)
-
-
-def grey(image: np.ndarray) -> np.ndarray:
-    return np.repeat(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[..., None], 3, axis=-1)
 
 
 @pytest.fixture(scope="module")
@@ -391,21 +378,15 @@ def test_published_weights_give_metric_depth_of_real_streets(street, real_half, 
     scaled = camera.scaled(SIZE)
     errors = []
     ratios = []
-    matrix = np.zeros((classes.COUNT, classes.COUNT + 1), int)
     for frame in list(raw.scans)[::10]:
-        image = resized(read_image(raw.find_images(number)[frame], camera.size), SIZE)
-        (depth,), (cls,) = perceive(street, image[None], scaled)
+        image = resize_image(read_image(raw.images(number)[frame], camera.size), SIZE)
+        (depth,), _ = perceive(street, image[None], scaled)
         truth = scan_depth(read_scan(raw.scans[frame]), scaled)
         abs_rel, *_ = compute_depth_errors(crop_eigen(depth), crop_eigen(truth))
         errors.append(abs_rel)
         ratios.append(np.median(truth[truth > 0] / depth[truth > 0]))
-        _, (grey_cls,) = perceive(street, grey(image)[None], scaled)
-        matrix += count_confusion(grey_cls, cls)
     assert np.mean(errors) < most
     assert np.mean(ratios) == pytest.approx(1, abs=0.08)  # metres, without any scaling
-    ious = class_ious(matrix)  # of grey against colour
-    common = [classes.ROAD, classes.SIDEWALK, classes.BUILDING, classes.VEGETATION]
-    assert (ious[common] > [0.9, 0.8, 0.88, 0.78]).all()
 
 
 # CamVid's label (0 sky, 1 building, 2 pole, 3 road, 4 pavement, 5 tree, 6 sign, 7 fence, 8 car, 9
@@ -424,7 +405,8 @@ def test_published_weights_give_classes_of_camvids_streets(street, real_camvid, 
         label = cv2.imread(str(real_camvid / f"labels/{path.stem}.png"), cv2.IMREAD_UNCHANGED)
         image = read_image(path, camera.size)
         if not colour:
-            image = grey(image)
+            grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+            image = np.repeat(grey[..., None], 3, axis=-1)
         _, (cls,) = perceive(street, image[None], camera)
         matrix += count_confusion(CAMVID[cls], np.where(label < 11, label, VOID))
     assert class_ious(matrix)[:11].mean() > least

@@ -1,6 +1,5 @@
 """Cache keys have what can change a result, and nothing else; edits during a stage are found."""
 
-import pickle
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ from pipeline.base import keys
 from pipeline.base.errors import InputError
 from pipeline.base.keys import Code
 from pipeline.base.outputs import stage_folder
-from pipeline.base.params import load
+from pipeline.base.params import load_section
 from pipeline.labels.settings import Labels
 from tests.kitti_drive import contents, write
 
@@ -139,7 +138,7 @@ def test_an_edit_while_a_stage_runs_is_found_at_its_end(checkout, file, before, 
     text = (checkout / file).read_text()
 
     def run(*change: Any) -> None:
-        load(Labels, params)
+        load_section(Labels, params)
         with stage_folder("labels", out, params=params) as folder:
             write(folder.kept / "finished", "")
             folder.used.add(folder.kept / "finished")
@@ -157,15 +156,3 @@ def test_an_edit_while_a_stage_runs_is_found_at_its_end(checkout, file, before, 
     (checkout / file).write_text(text)
     run()
     assert "a.h5" in contents(out)
-
-
-@pytest.mark.parametrize("name", ["pipeline/labels/label.py", "numpy"])
-def test_a_worker_with_other_code_or_packages_names_them_and_its_host(checkout, monkeypatch, name):
-    """It compares what it loaded, as an edit may have been undone since."""
-    code = pickle.loads(pickle.dumps(Code.read("labels")))
-    code.check_worker()
-    monkeypatch.setitem(keys.LOADED, name, "another")
-    problem = rf"differs from that of stage labels \(got another, expected {code.loaded[name]:.12}"
-    with pytest.raises(InputError, match=problem) as raised:
-        code.check_worker()
-    assert raised.value.where.startswith(f"{name} of the worker on ")

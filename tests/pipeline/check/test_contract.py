@@ -93,26 +93,17 @@ def dropout(net: Net, batch: GraphBatch, y: Tensor) -> Tensor:
 
 
 FAULTS: list[tuple[Callable[..., Tensor], str]] = [
-    (per_point, r"a row for each point, \[60, 8\], expected \[1, 8\]. Pool the points of each"),
-    (
-        lambda net, batch, y: torch.cat([y, y], 1),
-        r"the shape \[1, 16\] in prediction, expected \[1, 8",
-    ),
-    (lambda net, batch, y: y.mean(1), r"the shape \[1\] in prediction, expected \[1, 8\]"),
+    (per_point, r"the shape \[60, 8\] in prediction, expected \[1, 8\]"),
+    (lambda net, batch, y: (y, y), r"returns tuple, expected a tensor \[1, 8\]"),
     (lambda net, batch, y: y.double(), "torch.float64 in prediction, expected torch.float32"),
     (lambda net, batch, y: y.detach(), "no weight gets a gradient. Look for detach"),
-    (
-        lambda net, batch, y: y / 0 if net.training else y,
-        "NaN or infinity in training. .* a frame may have no points",
-    ),
+    (lambda net, batch, y: y / 0 if net.training else y, "NaN or infinity in training"),
     (plain_mean, "NaN or infinity in prediction"),
     (above_median, "NaN or infinity in prediction"),
     (counts_calls, "other values for the same frames when it is called again"),
     (dropout, "other values for the same frames when it is called again"),
     (lambda net, batch, y: y - y.mean(0), "for a frame depends on the other frames of its batch"),
     (first_point, "depend on the order of the points"),
-    (lambda net, batch, y: (y, y), r"returns tuple, expected a tensor \[1, 8\]"),
-    (lambda net, batch, y: y.mean(), r"the shape \[\] in prediction"),
 ]
 RIGHT: list[Callable[..., Tensor] | None] = [
     None,
@@ -161,22 +152,9 @@ def test_frames_of_few_points_are_no_fault(points):
     check_network(net, model, variant, IMAGE_SIZE, outputs=1)
 
 
-def test_a_layer_without_sizes_and_a_changed_input_are_refused():
-    net = Net(None)
-    net.read_out = nn.LazyLinear(FEATURES)
-    with pytest.raises(InputError, match=r"read_out\.weight has no size before the first batch"):
-        check(net)
-    net = Net(None)
-    net.norm = nn.LazyBatchNorm1d(affine=False)
-    with pytest.raises(InputError, match=r"norm\.running_mean has no size before"):
-        check(net)
+def test_a_changed_input_is_refused_if_the_mirror_image_is_made_from_it():
     with pytest.raises(InputError, match="changes its input, from which equivariant: true makes"):
         check(Net(moves_points), equivariant=True)
-
-
-def test_a_compiled_network_runs_without_compilation():
-    net = torch.compile(Net(None), backend=pytest.fail)  # type: ignore[call-overload]
-    check(net)
 
 
 class Cell(RecurrentCell):

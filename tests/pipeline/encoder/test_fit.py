@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from models.encoder.unified_encoder import build
+from models.encoder.unified_encoder import build_network
 from pipeline.base.errors import InputError
 from pipeline.camera import classes
-from pipeline.camera.geometry import rays
-from pipeline.encoder.create import create, fetch
+from pipeline.camera.geometry import camera_rays
+from pipeline.encoder.create import create_encoder, download_file
 from pipeline.encoder.encoder_file import save_encoder
-from pipeline.encoder.examples import Example, Examples, mirrored
+from pipeline.encoder.examples import Example, Examples, augment_example, mirror_example
 from pipeline.encoder.fit import depth_and_class_loss
 from pipeline.encoder.settings import Encoder
 from tests import street
@@ -32,22 +32,22 @@ def test_a_file_is_downloaded_once_and_verified(tmp_path, monkeypatch):
     sha256 = hashlib.sha256(b"some weights").hexdigest()
     path = Path("weights/a/net.pth")
     with pytest.raises(InputError, match="cannot download file:"):
-        fetch(path, url, "0" * 64)
+        download_file(path, url, "0" * 64)
     assert list(path.parent.iterdir()) == []
-    fetch(path, url, sha256)
+    download_file(path, url, sha256)
     Path("published.pth").unlink()
-    fetch(path, url, sha256)
+    download_file(path, url, sha256)
     assert [path.name for path in path.parent.iterdir()] == ["net.pth"]
     path.write_bytes(b"other")
     with pytest.raises(InputError, match=f"SHA-256 is .*, expected {sha256}"):
-        fetch(path, url, sha256)
+        download_file(path, url, sha256)
 
 
 def test_an_encoder_of_another_kind_is_refused(tmp_path):
-    save_encoder(tmp_path, SMALL, build(SMALL).state_dict())
+    save_encoder(tmp_path, SMALL, build_network(SMALL).state_dict())
     fit = {"epochs": 0, "frames": 1, "batch": 1, "learning_rate": 0.1, "seed": 0}
     with pytest.raises(InputError, match="backbone is 'small', expected 'street'"):
-        create(Encoder(backbone="street", weights=tmp_path / "encoder.pt", **fit))
+        create_encoder(Encoder(backbone="street", weights=tmp_path / "encoder.pt", **fit))
 
 
 def test_frames_with_an_image_and_a_target_are_chosen(tmp_path):
@@ -68,16 +68,37 @@ def test_frames_with_an_image_and_a_target_are_chosen(tmp_path):
 def test_mirroring_negates_the_rays_and_is_its_own_inverse():
     image, depth, cls = street.scene(3)
     example = Example(image, street.CAMERA, depth.astype(np.float32), cls)
-    mirror = mirrored(example)
-    x, y, _ = np.moveaxis(rays(street.K, street.SIZE), -1, 0)
-    mirror_x, mirror_y, _ = np.moveaxis(rays(mirror.camera.K, street.SIZE), -1, 0)
+    mirror = mirror_example(example)
+    x, y, _ = np.moveaxis(camera_rays(street.K, street.SIZE), -1, 0)
+    mirror_x, mirror_y, _ = np.moveaxis(camera_rays(mirror.camera.K, street.SIZE), -1, 0)
     np.testing.assert_allclose(mirror_x, -x[:, ::-1], atol=1e-12)
     np.testing.assert_allclose(mirror_y, y)
     np.testing.assert_array_equal(mirror.depth_m, example.depth_m[:, ::-1])
-    back = mirrored(mirror)
+    back = mirror_example(mirror)
     np.testing.assert_allclose(back.camera.K, street.K)
     for name in ("image", "depth_m", "cls"):
         np.testing.assert_array_equal(getattr(back, name), getattr(example, name))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_augmentation_changes_colours_and_mirrors_but_moves_no_target(seed):
+    """Equal seeds give equal images; darker pixels stay darker."""
+    image, depth, cls = street.scene(3)
+    example = Example(image, street.CAMERA, depth.astype(np.float32), cls)
+    changed = augment_example(example, np.random.default_rng(seed))
+    again = augment_example(example, np.random.default_rng(seed))
+    np.testing.assert_array_equal(changed.image, again.image)
+
+    plain = example
+    if not np.array_equal(changed.cls, cls):
+        plain = mirror_example(example)
+    np.testing.assert_array_equal(changed.cls, plain.cls)
+    np.testing.assert_array_equal(changed.depth_m, plain.depth_m)
+    np.testing.assert_allclose(changed.camera.K, plain.camera.K)
+    grey = np.ptp(changed.image, axis=-1).max() == 0
+    for before, after in zip(plain.image.T, changed.image.T, strict=True):
+        darkest_first = np.argsort(before, axis=None, kind="stable")
+        assert grey or (np.diff(after.ravel()[darkest_first].astype(int)) >= 0).all()
 
 
 def test_the_loss_ignores_unknown_pixels_and_matches_hand_values():

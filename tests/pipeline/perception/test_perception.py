@@ -8,7 +8,7 @@ from pipeline.base import store
 from pipeline.camera import classes
 from pipeline.camera.camera import read_camera
 from pipeline.ingest.truth import read_truth
-from pipeline.perception.perceive import passes
+from pipeline.perception.perceive import run_passes
 from tests import street
 
 DENSE = "2026_01_01_drive_0001"
@@ -27,7 +27,7 @@ def test_passes_give_the_same_bits_for_any_number_of_threads(monkeypatch):
     for threads in (1, 5):
         torch.set_num_threads(threads)
         batches = (matrix for matrix in matrices)
-        results.append(np.stack([*passes(forward, batches)]))
+        results.append(np.stack([*run_passes(forward, batches)]))
         assert torch.get_num_threads() == threads
     torch.set_num_threads(before)
     np.testing.assert_array_equal(*results)

@@ -36,7 +36,7 @@ def test_tasks_and_rows_are_sorted_with_baselines_last(tmp_path):
 @pytest.mark.parametrize("name", ["kitti", "table2"])
 def test_networks_of_the_presets_are_the_papers(name):
     published = set()
-    for model, settings in preset.merged(name)["models"].items():
+    for model, settings in preset.merge_preset(name)["models"].items():
         entry = Entry.model_validate(settings)
         if paper.is_network(model, entry.model_dump()):
             published.add(model)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.keys import ROOT
-from pipeline.base.params import load
+from pipeline.base.params import load_section
 from pipeline.camera import classes, geometry
 from pipeline.camera.images import read_pixels, to_metres
 from pipeline.ingest.datasets.kitti import KittiDrive, read_scan
@@ -17,16 +17,35 @@ from pipeline.ingest.packets import COLUMNS
 from pipeline.ingest.settings import Ingest
 from pipeline.labels.label import steering_angle
 from pipeline.sample import journey as journeys
+from pipeline.sample import shapes
 from pipeline.sample.inertial import RATES_LATE_S, oxts_rows
-from pipeline.sample.journey import Journey, draw_body, draw_journey, frame_times, speed_profile
+from pipeline.sample.journey import (
+    ACCELERATE_MPS2,
+    BRAKE_MPS2,
+    Journey,
+    draw_body,
+    draw_journey,
+    frame_times,
+    speed_profile,
+)
 from pipeline.sample.light import draw_ground_colours
 from pipeline.sample.plan import draw_character, draw_plan
-from pipeline.sample.render import random_of, render_drive, theme
+from pipeline.sample.render import choose_theme, random_of, render_drive
 from pipeline.sample.rig import make_rig, write_calibration
-from pipeline.sample.route import AHEAD_M, DECK, IMU_LEFT_M, STEP_M, draw_route, rotation, unit
+from pipeline.sample.route import (
+    AHEAD_M,
+    DECK,
+    IMU_LEFT_M,
+    STEP_M,
+    draw_route,
+    rotation_matrix,
+    unit_vector,
+)
 from pipeline.sample.scenery import build_street
 from pipeline.sample.settings import Sample
-from pipeline.sample.world import World
+from pipeline.sample.traffic import draw_traffic
+from pipeline.sample.world import World, _Layer
+from tests.kitti_drive import contents
 
 
 @pytest.mark.parametrize(("seed", "first"), [*enumerate(DECK)])
@@ -51,8 +70,17 @@ def journey(request) -> Journey:
     time_s = frame_times(rng, 200)
     route = draw_route(rng, 9.0 * time_s[-1] + AHEAD_M, 3.5, "left")
     speed_mps = speed_profile(route, 9.0, 3.0, stop_m)
-    travel = journeys.drive(route, speed_mps, time_s, 2.0)
+    travel = journeys.drive_route(route, speed_mps, time_s, 2.0)
     return Journey(route, travel, travel, draw_body(route, travel, rng))
+
+
+def test_the_ego_keeps_the_limits_of_its_driver(journey):
+    motion = journey.motion
+    assert (np.diff(motion.s_m) >= 0).all()
+    assert motion.acceleration_mps2.min() >= -BRAKE_MPS2 - 1e-9
+    assert motion.acceleration_mps2.max() <= ACCELERATE_MPS2 + 1e-9
+    sideways_mps2 = motion.speed_mps**2 * np.abs(journey.route.curvature(motion.s_m))
+    assert sideways_mps2.max() < 3.0 * 1.05  # between samples of the route it may be a bit more
 
 
 def oxts_columns(journey: Journey) -> dict[str, np.ndarray]:
@@ -67,7 +95,7 @@ def test_speed_and_yaw_in_oxts_integrate_to_the_track(journey):
     arc_m = (speed_mps[1:] + speed_mps[:-1]) / 2 * np.diff(journey.motion.time_s)
     chord_m = arc_m * np.sinc(np.diff(yaw) / 2 / np.pi)
     heading_rad = (yaw[1:] + yaw[:-1]) / 2
-    track = np.cumsum(chord_m[:, None] * unit(heading_rad), axis=0)
+    track = np.cumsum(chord_m[:, None] * unit_vector(heading_rad), axis=0)
 
     # Second route: KITTI's own Mercator projection.
     scale_m = np.cos(np.deg2rad(oxts["lat"][0])) * 6378137.0
@@ -103,7 +131,7 @@ def optics(date: str) -> tuple[float, ...]:
 
 
 def test_the_dates_of_test_drives_have_other_cameras_within_the_range_of_the_training_dates():
-    drives = load(Ingest, ROOT / "params.yaml").drives
+    drives = load_section(Ingest, ROOT / "params.yaml").drives
     train = {optics(drive[:10]) for drive in drives.train}
     val = {optics(drive[:10]) for drive in drives.val}
     test_dates = {drive[:10] for drive in drives.test}
@@ -125,7 +153,7 @@ def test_ego_touches_nothing(drive):
     The drives are in a tight right turn and in a narrow street.
     """
     rng = random_of(drive, seed=0)
-    quarter, first = theme(drive)
+    quarter, first = choose_theme(drive)
     character = draw_character(rng, quarter)
     journey = draw_journey(rng, 60, character, first)
     plan = draw_plan(journey.route, rng, character)
@@ -133,12 +161,12 @@ def test_ego_touches_nothing(drive):
     world = World(plan, street, draw_ground_colours(rng))
 
     # Points of the outline are relative to the centre of the rear axle.
-    xy, heading_rad = journey.route.at(journey.motion.s_m)
-    ahead = unit(heading_rad)
-    left = unit(heading_rad + np.pi / 2)
+    xy, heading_rad = journey.route.place_at(journey.motion.s_m)
+    ahead = unit_vector(heading_rad)
+    left = unit_vector(heading_rad + np.pi / 2)
     for ahead_m, left_m in product((-0.8, 1.3, 3.5), (-0.85, 0.0, 0.85)):
         places = xy + ahead_m * ahead + (left_m - IMU_LEFT_M) * left
-        assert (plan.to_road_m[plan.cells(*places.T)] == 0).all()
+        assert (plan.to_road_m[plan.cells_at(*places.T)] == 0).all()
         steps = np.diff(places, axis=0)
         length_m = np.linalg.norm(steps, axis=1)
         rays = np.zeros((6, len(steps)), np.float32)
@@ -146,7 +174,44 @@ def test_ego_touches_nothing(drive):
         rays[3:5] = (steps / length_m[:, None]).T
         for height_m in (0.4, 1.5):
             rays[2] = height_m
-            assert (world.cast(rays).distance_m > length_m).all()
+            assert (world.cast_rays(rays).distance_m > length_m).all()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_visible_cars_do_not_touch_the_ego(seed):
+    """In the narrow streets of these drives, many are hidden."""
+    rng = np.random.default_rng(seed)
+    journey = draw_journey(rng, 150, draw_character(rng, "narrow"), "sweep+")
+    ego_xy, heading_rad = journey.route.place_at(journey.motion.s_m)
+    middle = ego_xy + 1.3 * unit_vector(heading_rad) - 0.3 * unit_vector(heading_rad + np.pi / 2)
+    cars = draw_traffic(journey, rng)
+    assert cars
+    for car in cars:
+        apart_m = np.linalg.norm(car.xy - middle, axis=1)
+        assert (apart_m[car.visible] > 2.3).all()
+        # A car appears and vanishes only far away, at the latest at the end of the road.
+        appears = np.diff(car.visible.astype(int), prepend=int(car.visible[0])) != 0
+        assert (apart_m[appears] > 45).all()
+
+
+def test_rays_hit_the_sides_of_a_box_and_none_is_left_out():
+    """Rays that miss the bounding sphere of a mesh are not cast at it."""
+    rng = np.random.default_rng(0)
+    box = shapes.build_box((4.0, 2.0, 1.5), (0.5, 0.5, 0.5), classes.CAR)
+    layer = _Layer(box.moved_to((3.0, 1.0), heading_rad=0.7))
+    rays = rng.normal(size=(6, 4000)).astype(np.float32)
+    rays[:3] *= 6
+    rays[3:] /= np.linalg.norm(rays[3:], axis=0)
+    distance_m, _, _ = layer.cast_rays(rays)
+    hit = np.flatnonzero(np.isfinite(distance_m))
+    assert len(hit) > 50
+    assert np.isin(hit, layer.find_candidates(rays)).all()
+
+    # In the frame of the box, the points of the hits are on its sides.
+    points = (rays[:3] + distance_m * rays[3:])[:, hit] - [[3.0], [1.0], [0.0]]
+    places = rotation_matrix(0, 0, 0.7).T @ points
+    beyond_m = np.abs(places - [[0], [0], [0.75]]) - [[2.0], [1.0], [0.75]]
+    np.testing.assert_allclose(beyond_m.max(axis=0), 0, atol=1e-4)
 
 
 NAME = "2026_01_01_drive_0001"
@@ -161,6 +226,20 @@ def drive(tmp_path_factory) -> KittiDrive:
     render_drive(path, NAME, settings, frames=FRAMES, lidar=True, truth=True)
     write_calibration(make_rig(SIZE, NAME[:10]), path.parent)
     return KittiDrive(path)
+
+
+def test_a_drive_is_determined_by_its_name_and_the_seed(drive, tmp_path):
+    """Its images are the same without scans, as those of each frame have their own noise."""
+    settings = Sample.model_construct(image_size=SIZE, seed=0, scan_rays=(32, 200))
+    render_drive(tmp_path, NAME, settings, frames=FRAMES, lidar=False, truth=False)
+    again = contents(tmp_path)
+    expected = contents(drive.folder)
+    assert again == {name: expected[name] for name in again}
+    assert len(again) == FRAMES + FRAMES + 45 + 2  # images, packets and their timestamps
+    settings = settings.model_copy(update={"seed": 1})
+    render_drive(tmp_path / "b", NAME, settings, frames=1, lidar=False, truth=False)
+    other = contents(tmp_path / "b")
+    assert other["oxts/data/0000000000.txt"] != expected["oxts/data/0000000000.txt"]
 
 
 def pixels_inside(uv: np.ndarray, border: float) -> np.ndarray:
@@ -200,7 +279,7 @@ def test_static_world_moves_as_oxts_measures(drive):
         parallel_radius_m = 6378137 * np.cos(np.deg2rad(first["lat"]))
         east_m = np.deg2rad(oxts["lon"] - first["lon"]) * parallel_radius_m
         north_m = np.deg2rad(oxts["lat"] - first["lat"]) * 6378137
-        R = rotation(oxts["roll"], oxts["pitch"], oxts["yaw"])
+        R = rotation_matrix(oxts["roll"], oxts["pitch"], oxts["yaw"])
         return geometry.rigid(R, (east_m, north_m, oxts["alt"]))
 
     T_cam2_imu = make_rig(SIZE, NAME[:10]).T_cam2_imu

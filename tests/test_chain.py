@@ -278,7 +278,7 @@ def test_a_second_machine_trains_the_same_network_on_the_firsts_graphs(folder, t
 
 
 def test_a_second_machine_reads_shared_clouds_and_makes_other_graphs(folder, tmp_path, monkeypatch):
-    """By the commands and the code of data/README.md."""
+    """By the commands of docs/running.md and the code of data/README.md."""
     second = tmp_path / "second"
     push = "dvc push clouds motion labels"
     pull = "dvc pull clouds motion labels"

@@ -1,5 +1,6 @@
 """A small model on small graphs: its params.yaml, stages train and evaluate, a user's network."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -12,6 +13,7 @@ from models.steering.core.batch import FrameKind, GraphBatch
 from models.steering.core.features import NODE_FEATURES, mean_max_pool, node_features
 from models.steering.core.options import NetworkOptions, Sizes
 from pipeline.train.entry import Entry
+from pipeline.train.targets import LabelledDrive, read_drive
 from stages import evaluate, train
 
 PARAMS = Path(__file__).resolve().parents[1] / "params.yaml"
@@ -23,6 +25,7 @@ SPLITS = {
     "2026_01_03_drive_0001": "test",
 }
 TEST = "2026_01_03_drive_0001"
+MODEL = {"input": "semantic", "spatial": "gnn", "temporal": "ncp"}
 # Edges of the ranges of the path ahead.
 EDGES_M = [0, 5, 10, 20]
 # Options of the spatial networks that do not have the layers of a graph network.
@@ -65,15 +68,7 @@ def write_params(folder: Path, model: dict[str, object] | None = None, **setting
     `model` changes its entry, `settings` section train.
     """
     content = yaml.safe_load(PARAMS.read_text())
-    entry = {
-        "input": "semantic",
-        "spatial": "gnn",
-        "temporal": "ncp",
-        "window": 4,
-        "features": 8,
-        "equivariant": True,
-    }
-    entry |= model or {}
+    entry = MODEL | {"window": 4, "features": 8, "equivariant": True} | (model or {})
     layers = {"layers": [16, 16], "semantics": 1.0}
     content["models"] = {"net": OPTIONS.get(str(entry["spatial"]), layers) | entry}
     content["train"] |= {"epochs": 3, "learning_rate": 0.01, **settings}
@@ -81,9 +76,15 @@ def write_params(folder: Path, model: dict[str, object] | None = None, **setting
 
 
 def entry(**changes: object) -> Entry:
-    return Entry.model_validate(
-        {"input": "semantic", "spatial": "gnn", "temporal": "ncp", "semantics": 1.0} | changes
-    )
+    return Entry.model_validate(MODEL | {"semantics": 1.0} | changes)
+
+
+def read_drives(folder: Path, names: Iterable[str], **changes: object) -> list[LabelledDrive]:
+    """Read drives of :func:`tests.artefacts.write_dataset` for a model with `changes`."""
+    model = entry(**changes)
+    graphs = folder / "graphs/semantic"
+    labels = folder / "labels"
+    return [read_drive(graphs, labels, name, model) for name in names]
 
 
 def run_train(folder: Path) -> Path:

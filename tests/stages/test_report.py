@@ -3,7 +3,6 @@
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from pipeline.base import store
@@ -31,14 +30,10 @@ def test_all_files_are_written_and_repeat(tmp_path):
         curve.write_text(
             "epoch,learning_rate,train_loss,val_nmse\n1,0.003,0.70,0.6\n2,0.001,0.5,\n"
         )
-    scores = {split: Scores() for split in ("train", "val", "test")}
-    scores["test"].add_depth("depth_dense", np.full((40, 50), 10.0), np.full((40, 50), 10.0))
-    reports = {split: score.to_report() for split, score in scores.items()}
     recorded = {"speed": {"line": "doubt: speed of 3"}, "angle": {"line": "angle of 2"}}
-    store.write_json(
-        tmp_path / "scores/metrics.json",
-        reports | {"motion": {}, "recorded": recorded},
-    )
+    splits = {split: Scores().to_report() for split in ("train", "val", "test")}
+    scores = {**splits, "motion": {}, "recorded": recorded}
+    store.write_json(tmp_path / "scores/metrics.json", scores)
     store.write_json(tmp_path / "encoder/config.json", {"sources": ["b0.pt: its URL (its terms)"]})
     made = []
     for _ in range(2):
@@ -46,34 +41,19 @@ def test_all_files_are_written_and_repeat(tmp_path):
         files = [path for path in (tmp_path / "report").rglob("*") if path.is_file()]
         made.append({path.name: path.read_bytes() for path in files})
     assert made[0] == made[1]
-    start = (
-        "How well does a network predict the path ahead? Network `scene` has an error (nmse) of "
-    )
-    assert " ".join(text.split()).startswith(f"{start}0.20 on 2 drives")
-    places = [
-        text.index("No result here: absent."),
-        text.index("## Results: steering angle"),
-        text.index("## Depth"),
-    ]
-    assert places == sorted(places)
+    assert "## Results: steering angle" in text
+    sentence = "Network `scene` has an error (nmse) of 0.20 on 2 drives"
+    assert sentence in " ".join(text.split())
     metrics = json.loads(made[0]["metrics.json"])
     assert next(iter(metrics)) == "path-0/scene"
     assert metrics["angle-0/sa-gnn-ncp"]["nmse"] == pytest.approx(0.2)
-    assert metrics["path-0/0-5 m/scene"]["nmse"] == pytest.approx(0.2)
-    assert json.loads(made[0]["results.json"])["scores"]["test"]["depth_dense"]["frames"] == 1
+    assert json.loads(made[0]["results.json"])["scores"]["recorded"] == recorded
 
     # This machine has neither images nor clouds.
-    page = made[0]["index.html"].decode()
     assert {name for name in made[0] if name.endswith((".png", ".jpg"))} == {
         *["errors-path-0.png", "errors-angle-0.png", "time-path-0.png", "time-angle-0.png"],
         *["drift-angle-0.png", "learning.png"],
     }
-    for part in (
-        "No result here: absent.",
-        "<p>doubt: speed of 3</p>",
-        "angle of 2",
-        "b0.pt: its URL (its terms)",
-        "<summary>Learning curves</summary>",
-    ):
+    page = made[0]["index.html"].decode()
+    for part in ("No result here: absent.", "<p>doubt: speed of 3</p>", "angle of 2", "b0.pt: its"):
         assert part in page
-    assert "<summary>From image to graph</summary>" not in page

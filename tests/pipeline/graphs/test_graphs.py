@@ -58,18 +58,15 @@ def test_a_hub_of_more_than_255_neighbours_is_refused():
 
 def write_schema_7(path: Path, clouds: Sequence[Cloud]) -> None:
     """Write clouds as before schema 8, with texts of variable length and without checksums."""
-    attributes = {"schema": 7, "stage": "clouds", "drive": path.stem}
     counts = [len(cloud.xyz) for cloud in clouds]
-    columns = {
-        "xyz": np.concatenate([cloud.xyz for cloud in clouds]),
-        "cls": np.concatenate([cloud.cls for cloud in clouds]),
-    }
     with h5py.File(path, "w", libver="v110") as file:
-        file.attrs.update(attributes | {"params": json.dumps({"clouds": {"seed": 3}})})
+        file.attrs.update({"schema": 7, "stage": "clouds", "drive": path.stem})
+        file.attrs["params"] = json.dumps({"clouds": {"seed": 3}})
         file["frame"] = np.arange(len(clouds), dtype=np.int32)
         file["time_s"] = np.arange(len(clouds)) / 10
         file["ptr"] = np.cumsum([0, *counts])
-        for name, rows in columns.items():
+        for name in ("xyz", "cls"):
+            rows = np.concatenate([getattr(cloud, name) for cloud in clouds])
             file.create_dataset(name, data=rows, chunks=rows.shape, **hdf5plugin.Blosc())
             file[name].attrs["pointer"] = "ptr"
         for dataset in file.values():
@@ -77,20 +74,13 @@ def write_schema_7(path: Path, clouds: Sequence[Cloud]) -> None:
 
 
 def test_clouds_of_schema_7_still_make_graphs(tmp_path):
-    path = tmp_path / "clouds" / "drive.h5"
-    path.parent.mkdir()
+    path = tmp_path / "drive.h5"
+    motion = tmp_path / "motion/drive.h5"
     clouds = [Cloud(*artefacts.points(100, seed)) for seed in range(3)]
     write_schema_7(path, clouds)
-    write_motion(tmp_path, "drive", dict.fromkeys(range(3), (8.0, 0.1)))
-    with DriveReader(path, stage="clouds") as file:
-        assert file.params == {"clouds": {"seed": 3}}
-        assert file.units["xyz"] == "m"
-        for row, cloud in enumerate(clouds):
-            np.testing.assert_array_equal(file.rows_of("xyz", row), cloud.xyz)
-            np.testing.assert_array_equal(file.rows_of("cls", row), cloud.cls)
-
+    write_motion(motion.parent, "drive", dict.fromkeys(range(3), (8.0, 0.1)))
     variant = Variant(source="clouds/pseudo", points=100, k=6)
-    frame_graph.graphs_drive(tmp_path / "graphs.h5", path, tmp_path / "drive.h5", variant)
+    frame_graph.graphs_drive(tmp_path / "graphs.h5", path, motion, variant)
     with graph_file.open_graphs(tmp_path / "graphs.h5") as graphs:
         assert graphs.params["clouds"] == {"seed": 3}
         for row, cloud in enumerate(clouds):
@@ -116,15 +106,6 @@ def test_motion_is_matched_by_frame_number(tmp_path):
     assert yaw_rate == pytest.approx([0, 0.5, 0])
 
 
-def test_the_summary_has_the_share_of_the_edges_that_pruning_kept(tmp_path):
-    pruned = artefacts.write_graphs(tmp_path / "a.h5", np.zeros(4), np.arange(4), 50)
-    with graph_file.open_graphs(tmp_path / "a.h5") as graphs:
-        share = graphs.counts["edges_kept"].sum() / graphs.counts["edges_knn"].sum()
-    assert pruned["edges"] == f", {share:.0%} of the edges kept"
-    points = artefacts.write_graphs(tmp_path / "b.h5", np.zeros(4), np.arange(4), 50, "points")
-    assert points["edges"] == ""
-
-
 @pytest.mark.parametrize("kind", [*artefacts.VARIANTS, "image"])
 def test_a_batch_is_its_frames_with_shifted_numbers(tmp_path, kind):
     path = tmp_path / "drive.h5"
@@ -132,16 +113,13 @@ def test_a_batch_is_its_frames_with_shifted_numbers(tmp_path, kind):
     spans = [(2, 6), (8, 9), (0, 3)]
     rows = [2, 3, 4, 5, 8, 0, 1, 2]
 
-    def read_frame(file: DriveReader, row: int) -> dict[str, np.ndarray]:
+    def read_frame(row: int) -> dict[str, np.ndarray]:
         return {name: file.rows_of(name, row) for name in file.pointers}
 
     with graph_file.open_graphs(path) as graphs, DriveReader(path, stage="graphs") as file:
-        assert graphs.contents.kind == ("image" if kind == "image" else "graph")
         batch = artefacts.collate(*((graphs, *span) for span in spans))
-        pieces = artefacts.collate(*((graphs, row, row + 1) for row in rows))
-        expected = concatenated([read_frame(file, row) for row in rows])
-    assert batch.keys() == pieces.keys() == expected.keys()
+        expected = concatenated([read_frame(row) for row in rows])
+    assert batch.keys() == expected.keys()
     for name, array in expected.items():
         np.testing.assert_array_equal(batch[name], array)
-        np.testing.assert_array_equal(pieces[name], array)
         assert batch[name].dtype == (np.int32 if name == "indices" else array.dtype)

@@ -78,17 +78,3 @@ def join(frames: list[Arrays], device: str = "cpu", options: NetworkOptions | No
 def batch(counts: list[int], kind: str = "graph", options: NetworkOptions | None = None) -> Batch:
     """Return a batch of frames with these numbers of points."""
     return join([FRAME[kind](count, seed) for seed, count in enumerate(counts)], "cpu", options)
-
-
-def permuted(frame: Arrays, seed: int = 0) -> Arrays:
-    """Return the same frame with its points in another order."""
-    if "image" in frame:
-        return frame
-    rng = np.random.default_rng(seed)
-    order = rng.permutation(len(frame["xyz"]))
-    place = np.argsort(order)  # new row of each point
-    result = {"xyz": frame["xyz"][order], "cls": frame["cls"][order]}
-    neighbours = np.split(frame["indices"], np.cumsum(frame["degree"])[:-1])
-    result["degree"] = frame["degree"][order]
-    result["indices"] = np.concatenate([place[neighbours[node]] for node in order])
-    return result

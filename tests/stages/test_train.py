@@ -23,10 +23,10 @@ def load(path: Path) -> dict[str, object]:
     return torch.load(path, weights_only=True, map_location="cpu")
 
 
-def nmse(folder: Path, split: str = "test") -> float:
+def nmse(folder: Path) -> float:
     """Evaluate the model, and return its nmse."""
     metrics = json.loads((run_evaluate(folder) / "metrics.json").read_text())
-    return metrics[split]["net"]["nmse"]
+    return metrics["test"]["net"]["nmse"]
 
 
 def test_a_trained_model_follows_the_bend_and_knows_its_settings(folder):
@@ -39,7 +39,6 @@ def test_a_trained_model_follows_the_bend_and_knows_its_settings(folder):
     assert best["settings"] == artefacts.GRAPHS | {"labels": labels}
     curve = pd.read_csv(trained / "curve.csv")
     assert [*curve] == ["epoch", "learning_rate", "train_loss", "val_nmse"]
-    assert best["epoch"] == 1 + curve["val_nmse"].rolling(3, min_periods=1).mean().argmin()
 
 
 @pytest.mark.parametrize(
@@ -87,14 +86,10 @@ def test_only_a_training_loads_the_weights_of_a_network(folder, monkeypatch):
     started.assert_called_once()
 
 
-@pytest.mark.parametrize(
-    "moved", [{"2026_01_01_drive_0003": "val"}, {"2026_01_02_drive_0001": "train"}]
-)
-def test_training_starts_anew_where_a_drive_moves_between_training_and_validation(
-    folder, capsys, moved
-):
+def test_training_starts_anew_where_a_drive_moves_from_validation_to_training(folder, capsys):
     write_params(folder, epochs=1)
     run_train(folder)
+    moved = {"2026_01_02_drive_0001": "train"}
     artefacts.write_index(folder / "graphs/semantic", SPLITS | moved)
     run_train(folder)
     assert "continues" not in capsys.readouterr().out
@@ -109,15 +104,6 @@ def test_the_averaged_network_has_the_statistics_of_the_trained_one(folder, monk
     equal = {name for name in net if torch.equal(average[name], net[name])}
     statistics = {"running_mean", "running_var", "num_batches_tracked"}
     assert {f"spatial.0.{name}" for name in statistics} <= equal < {*average}
-
-
-@pytest.mark.slow
-def test_drives_of_another_frame_rate_are_named(folder, capsys):
-    with h5py.File(folder / f"graphs/semantic/{TEST}.h5", "a") as file:
-        file["time_s"][:] *= 2
-    write_params(folder, epochs=1)
-    run_train(folder)
-    assert f"training drives have 10.0 frames/s, but {TEST} 5.0" in capsys.readouterr().out
 
 
 def test_seeds_in_parallel_processes_equal_those_trained_alone(folder, monkeypatch):
@@ -173,33 +159,30 @@ def test_other_networks_and_inputs(tmp_path, kind, entry, epochs, share):
     assert nmse(tmp_path) < 0.85
 
 
+PATH = {"predict": "path"}
+
+
 @pytest.mark.parametrize(
-    ("frames", "points", "edges_m", "scale", "entry", "problem"),
+    ("dataset", "entry", "problem"),
     [
-        (60, 20, [], 1.0, {"predict": "path"}, r"labels/2026.*needs labels.ahead_m.*repro labels"),
-        (
-            5,
-            20,
-            EDGES_M,
-            1.0,
-            {"predict": "path"},
-            "no window of 4 consecutive frames ends at a known path ahead in",
-        ),
-        (20, 20, EDGES_M, 1.0, {"predict": "path"}, "no frame has a known path ahead 10-20 m in"),
-        (20, 20, [], 0.0, {}, f"every known steering angle of {TEST} is 0"),
-        (20, 20, [], 1.0, {"motion": "visual"}, "motion is not measured in any frame"),
-        (20, 0, [], 1.0, {}, "0 points in all frames of .*, raise clouds.max_depth_m"),
+        ({}, PATH, r"labels/2026.*needs labels.ahead_m.*repro labels"),
+        ({"frames": 5, "ahead_m": EDGES_M}, PATH, "no window of 4 consecutive .* known path ahead"),
+        ({"frames": 20, "ahead_m": EDGES_M}, PATH, "no frame has a known path ahead 10-20 m in"),
+        ({}, {}, f"every known steering angle of {TEST} is 0"),
+        ({}, {"motion": "visual"}, "motion is not measured in any frame"),
+        ({"points": 0}, {}, "0 points in all frames of .*, raise clouds.max_depth_m"),
     ],
 )
-def test_drives_that_teach_nothing_are_refused(
-    tmp_path, frames, points, edges_m, scale, entry, problem
-):
-    artefacts.write_dataset(tmp_path, SPLITS, frames=frames, points=points, ahead_m=edges_m)
+def test_drives_that_teach_nothing_are_refused(tmp_path, dataset, entry, problem):
+    """The test drive is straight, and motion is not measured."""
+    dataset = {"frames": 60, "points": 20} | dataset
+    artefacts.write_dataset(tmp_path, SPLITS, **dataset)
+    unmeasured = np.zeros(dataset["frames"], bool)
     for drive in SPLITS:
         graphs = tmp_path / f"graphs/semantic/{drive}.h5"
-        artefacts.add_motion(graphs, np.zeros(frames), valid=np.zeros(frames, bool))
+        artefacts.add_motion(graphs, np.zeros(len(unmeasured)), unmeasured)
     with h5py.File(tmp_path / f"labels/{TEST}.h5", "a") as file:
-        file["steering_rad"][:] *= scale
+        file["steering_rad"][:] = 0
     write_params(tmp_path, entry, epochs=1)
     with pytest.raises(InputError, match=problem) as raised:
         run_train(tmp_path)

@@ -17,27 +17,14 @@ from dvc.repo import Repo
 from dvc.utils.serialize import modify_yaml
 
 from pipeline.base.keys import ROOT
-from stages import preset
 from tests.kitti_drive import contents
 from tests.test_docs import code_block
 
 pytestmark = pytest.mark.slow
 MODEL = "sa-gnn-ncp"
 NETWORK = [f"train@{MODEL}", f"evaluate@{MODEL}"]
-STAGES = (
-    "sample",
-    "ingest",
-    "labels",
-    "encoder",
-    "perception",
-    "motion",
-    "scores",
-    "clouds",
-    "graphs",
-    "train",
-    "evaluate",
-    "report",
-)
+STAGES = ("sample", "ingest", "labels", "encoder", "perception", "motion", "scores", "clouds")
+STAGES += ("graphs", "train", "evaluate", "report")
 
 
 def run(folder: Path, *command: str, fails: bool = False) -> str:
@@ -123,9 +110,7 @@ def test_every_stage_runs_once_in_order_and_the_table_has_its_numbers(chain):
 
     table = (chain / "data/report/table.md").read_text()
     metrics = json.loads((chain / f"data/evaluate/{MODEL}/metrics.json").read_text())
-    nmse = metrics["test"][MODEL]["nmse"]
-    rows = [row for row in table.splitlines() if row.startswith(f"| {MODEL}")]
-    assert any(f"{nmse:.3f}" in row for row in rows)
+    assert f"{metrics['test'][MODEL]['nmse']:.3f}" in table
     scores = json.loads((chain / "data/scores/metrics.json").read_text())
     assert f"{scores['test']['classes']['pixel_accuracy']:.3f}" in table
 
@@ -135,7 +120,6 @@ def test_the_python_lines_of_the_readme_give_the_numbers_of_evaluate(chain, monk
     drive = "2026_01_03_drive_0001"
     names = dict[str, Any]()
     snippet = code_block("trained.load_model(").removeprefix("python\n")
-    assert len([line for line in snippet.splitlines() if line]) <= 6
     exec(re.sub(r"\d{4}_\d\d_\d\d_drive_\d{4}", drive, snippet), names)
     table = pd.read_csv(f"data/evaluate/{MODEL}/predictions.csv")
     expected = table[table["drive"] == drive]["predicted_steering_rad"]
@@ -151,10 +135,7 @@ def test_an_edit_reruns_what_dvc_yaml_promises(folder, monkeypatch):
         with Repo() as repo:
             return set(repo.status())
 
-    # Files that Python and an editor leave.
-    (folder / "pipeline/train/__pycache__").mkdir(exist_ok=True)
-    (folder / "pipeline/train/__pycache__/fit.cpython-311.pyc").write_text("# an edit")
-    (folder / "stages/labels.py~").write_text("# an edit")
+    (folder / "stages/labels.py~").write_text("a copy that an editor leaves")
     assert reruns() == set()
 
     for name, stages in (("gnn", {"check", *NETWORK}), ("pyg", {"check"})):
@@ -169,25 +150,15 @@ def test_an_edit_reruns_what_dvc_yaml_promises(folder, monkeypatch):
     assert reruns() == {"check", NETWORK[0]}
 
 
-def check_refused(output: str, *parts: str) -> None:
-    errors = [line for line in output.splitlines() if line.startswith("error: ")]
-    assert len(errors) == 1, errors
-    assert all(part in errors[0] for part in parts), errors
-    assert "Traceback" not in output
-
-
-def test_faults_are_one_line_and_leave_all_outputs(chain, folder):
-    params = (folder / "params.yaml").read_text()
-    (folder / "params.yaml").write_text(params.replace("input: semantic", "input: semantc"))
-    check_refused(run(folder, "dvc", "repro", fails=True), f"models.{MODEL}: input", "semantc")
-    (folder / "params.yaml").write_text(params)
-
+def test_a_fault_is_one_line_and_leaves_all_outputs(chain, folder):
     drive = folder / "data/sample/2026_01_01/2026_01_01_drive_0001_sync"
     scan = sorted((drive / "velodyne_points/data").iterdir())[3]
     content = scan.read_bytes()
     scan.write_bytes(content[:-7])
     output = run(folder, "dvc", "repro", "ingest", "--single-item", fails=True)
-    check_refused(output, "drive_0001_sync/velodyne_points", scan.name)
+    (error,) = [line for line in output.splitlines() if line.startswith("error: ")]
+    assert scan.name in error
+    assert "Traceback" not in output
     scan.write_bytes(content)
     assert outputs(folder) == outputs(chain)
 
@@ -214,60 +185,36 @@ def test_a_new_drive_costs_one_drive_per_stage(folder):
     assert sorted(kept) == [("1", "1"), ("2", "3"), *[("4", "5")] * (len(ran) - 1)]
 
 
-def test_the_first_and_the_last_row_of_preset_kitti_train(folder):
-    """On three drives in KITTI's layout, with fewer points and epochs."""
-    shutil.copyfile(ROOT / "params.yaml", folder / "params.yaml")
-    commit(folder)
-    params = yaml.safe_load((folder / "params.yaml").read_text())
-    drives = {
-        "train": ["2026_01_01_drive_0001"],
-        "val": ["2026_01_01_drive_0002"],
-        "test": ["2026_01_03_drive_0001"],
-    }
-    edit_params(folder, ingest=params["ingest"] | {"drives": drives, "lidar": True})
-    run(folder, "python", "-m", "stages.sample", "--out", "data/raw")
-    run(folder, "git", "checkout", "params.yaml")
-    rows = ("cnn-ncp", "motion-10-blind")
-    kitti = preset.merge_preset("kitti", folder / "params.yaml")
-    kitti["ingest"] |= {"image_size": [96, 320], "drives": drives}
-    kitti["encoder"] = params["encoder"]
-    for name, variant in kitti["graphs"].items():
-        if name != "image":
-            variant["points"] = 400
-    kitti["models"] = {name: kitti["models"][name] for name in rows}
-    kitti["train"] |= {"epochs": 2}
-    edit_params(folder, **kitti)
-    run(folder, "dvc", "repro")
-    for name in rows:
-        metrics = json.loads((folder / f"data/evaluate/{name}/metrics.json").read_text())
-        assert np.isfinite(metrics["test"][name]["nmse"])
-
-
 def test_a_network_is_added_by_a_file_and_trained_alone(folder):
     network = code_block("class Height(nn.Module)").removeprefix("python\n")
     (folder / "models/steering/spatial/height.py").write_text(network)
     models = yaml.safe_load((folder / "params.yaml").read_text())["models"]
-    mine = {
+    models["mine"] = {
         "input": "semantic",
         "spatial": "height",
         "temporal": "lstm",
-        "window": 4,
         "semantics": 1.0,
     }
-    edit_params(folder, models=models | {"mine": mine})
+    edit_params(folder, models=models)
     ran = stages_run(run(folder, "dvc", "repro", "train@mine", "evaluate@mine"))
     assert ran == ["train@mine", "evaluate@mine"]
 
 
-def test_a_second_machine_trains_the_same_network_on_the_firsts_graphs(folder, tmp_path):
-    second = tmp_path / "second"
+@pytest.fixture
+def second(folder, tmp_path) -> Path:
+    """Return the folder of a second machine. The first one, `folder`, gets a remote."""
+    run(folder, "dvc", "remote", "add", "-d", "lab", str(tmp_path / "lab"))
+    return tmp_path / "second"
+
+
+def test_a_second_machine_trains_the_same_network_on_the_firsts_graphs(folder, second):
     content = yaml.safe_load((folder / "dvc.lock").read_text())
     for name in (*NETWORK, "report"):  # all but the model is shared
         del content["stages"][name]
     (folder / "dvc.lock").write_text(yaml.safe_dump(content))
-    run(folder, "sh", "-c", f"dvc remote add -d lab {tmp_path}/folder && dvc push")
+    run(folder, "dvc", "push")
     commit(folder)
-    run(tmp_path, "git", "clone", "-q", str(folder), str(second))
+    run(folder, "git", "clone", "-q", ".", str(second))
     command = f"dvc repro --pull --downstream train@{MODEL}"
     assert code_block(command)
     assert stages_run(run(second, *command.split())) == [*NETWORK, "report"]
@@ -277,22 +224,20 @@ def test_a_second_machine_trains_the_same_network_on_the_firsts_graphs(folder, t
     assert (second / best).read_bytes() == (folder / best).read_bytes()
 
 
-def test_a_second_machine_reads_shared_clouds_and_makes_other_graphs(folder, tmp_path, monkeypatch):
+def test_a_second_machine_reads_shared_clouds_and_makes_other_graphs(folder, second, monkeypatch):
     """By the commands of docs/running.md and the code of data/README.md."""
-    second = tmp_path / "second"
     push = "dvc push clouds motion labels"
     pull = "dvc pull clouds motion labels"
     make = "dvc repro --single-item graphs@dense"
     assert push in code_block("dvc remote add")
     assert pull in code_block(make)
-    run(folder, "dvc", "remote", "add", "-d", "lab", str(tmp_path / "lab"))
     run(folder, *push.split())
     commit(folder)
-    run(tmp_path, "git", "clone", "-q", str(folder), str(second))
+    run(folder, "git", "clone", "-q", ".", str(second))
     run(second, *pull.split())
     graphs = yaml.safe_load((second / "params.yaml").read_text())["graphs"]
-    dense = {"source": "clouds/pseudo", "points": 50, "k": 10}
-    edit_params(second, graphs=graphs | {"dense": dense})
+    graphs["dense"] = {"source": "clouds/pseudo", "points": 50, "k": 10}
+    edit_params(second, graphs=graphs)
     assert stages_run(run(second, *make.split())) == ["graphs@dense"]
 
     drives = json.loads((second / "data/clouds/pseudo/index.json").read_text())["drives"]

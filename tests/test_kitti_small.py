@@ -1,6 +1,7 @@
 """Preset kitti-small from raw drives to the report, on three real drives with a few images each."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -31,23 +32,9 @@ DRIVES = {
 IMAGES = 16  # of each drive
 
 
-def link_drive(half: Path, raw: Path, name: str) -> None:
-    """Link a drive and its calibration, with the first images only."""
-    date = name[:10]
-    (raw / date).mkdir(parents=True, exist_ok=True)
-    for file in (half / date).glob("calib_*.txt"):
-        (raw / date / file.name).unlink(missing_ok=True)
-        (raw / date / file.name).symlink_to(file)
-    for part in (half / date / f"{name}_sync").iterdir():
-        copy = raw / date / f"{name}_sync" / part.name
-        copy.mkdir(parents=True)
-        for content in part.iterdir():
-            if part.name.startswith("image") and content.is_dir():
-                (copy / content.name).mkdir()
-                for image in sorted(content.iterdir())[:IMAGES]:
-                    (copy / content.name / image.name).symlink_to(image)
-            else:
-                (copy / content.name).symlink_to(content)
+def later_images(_: str, names: list[str]) -> list[str]:
+    """Return the images of a folder that are not copied."""
+    return sorted(name for name in names if name.endswith(".png"))[IMAGES:]
 
 
 @pytest.mark.slow
@@ -56,7 +43,11 @@ def test_kitti_small_runs_on_real_drives(real_half, real_weights, tmp_path, monk
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("pipeline.encoder.create.WEIGHTS", real_weights)
     for name in DRIVES.values():
-        link_drive(real_half, tmp_path / "data/raw", name)
+        date = Path(name[:10])
+        drive = date / f"{name}_sync"
+        shutil.copytree(real_half / drive, Path("data/raw") / drive, ignore=later_images)
+        for file in (real_half / date).glob("calib_*.txt"):
+            shutil.copy(file, Path("data/raw") / date)
     content = preset.merge_preset("kitti-small")
     content["ingest"]["drives"] = {split: [name] for split, name in DRIVES.items()}
     content["train"]["epochs"] = 2
@@ -69,4 +60,5 @@ def test_kitti_small_runs_on_real_drives(real_half, real_weights, tmp_path, monk
         evaluate.main(model)
     report.main()
     results = json.loads(Path("data/report/results.json").read_text())
-    assert all(np.isfinite(results[f"angle-0/{model}"]["nmse"]) for model in content["models"])
+    for model in content["models"]:
+        assert np.isfinite(results[f"angle-0/{model}"]["nmse"])

@@ -92,6 +92,23 @@ def test_gcn_equals_pyg(monkeypatch, layers, block):
         assert ours.weight.grad.abs().max() > 0.01
 
 
+def test_the_gcn_computes_mirror_images_with_fewer_products():
+    """Outputs, and the gradients of all weights."""
+    batch = frames.batch([20, 0, 1, 11])
+    net, _ = build("gnn")
+    upstream = torch.randn(2, 4, 8).double()
+    gradients = []
+    outputs = []
+    for pair in (net.with_mirrored(batch), [net(batch), net(batch.mirrored())]):
+        outputs.append(torch.stack([*pair]))
+        (outputs[-1] * upstream).sum().backward()
+        gradients.append([parameter.grad.clone() for parameter in net.parameters()])
+        net.zero_grad()
+    torch.testing.assert_close(*outputs, **TOLERANCE)
+    torch.testing.assert_close(*gradients, **TOLERANCE)
+    assert (outputs[0][0] - outputs[0][1]).abs().max() > 0.01
+
+
 def plain_mlp(layers: nn.Sequential, row: Tensor) -> Tensor:
     """Reference MLP of Linear, LayerNorm, ReLU on one row."""
     for linear, norm, _ in zip(layers[::3], layers[1::3], layers[2::3], strict=True):

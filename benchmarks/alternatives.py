@@ -31,9 +31,9 @@ from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.clouds.cloud import Cloud
 from pipeline.graphs import frame_graph, graph_file
 from pipeline.graphs.settings import Variant
-from pipeline.report.origin import origin
+from pipeline.report.origin import describe_origin
 from pipeline.train.entry import Entry
-from pipeline.train.frames import join, number_rows
+from pipeline.train.frames import join_frames, number_rows
 
 DEVICE = "cuda" if torch.cuda.is_available() else "cpu"
 
@@ -81,7 +81,9 @@ Work = Callable[[], int]
 def networks() -> None:
     """Print the times of this project and of the alternatives as a Markdown table."""
     torch.set_num_threads(1)
-    print(f"{origin()['machine']}\n\n| ms | ours | alternative | ratio |\n|---|--:|--:|--:|")
+    print(
+        f"{describe_origin()['machine']}\n\n| ms | ours | alternative | ratio |\n|---|--:|--:|--:|"
+    )
     with TemporaryDirectory() as folder:
         street = write_street(Path(folder))
         compare_gcn(street)
@@ -253,14 +255,14 @@ def write_street(folder: Path) -> Path:
     params = {"graphs": VARIANT.model_dump()}
     with store.DriveWriter(path, stage="graphs", drive=path.stem, params=params) as file:
         empty = frame_graph.empty_frame(VARIANT)
-        graph_file.write(file, numbers, numbers * 0.1, graphs, empty)
+        graph_file.write_frames(file, numbers, numbers * 0.1, graphs, empty)
     return path
 
 
 def read_graphs(street: Path, frames: int) -> GraphBatch:
     """Return the first frames of a graph file as a batch for a graph network."""
     with graph_file.open_graphs(street) as file:
-        arrays = number_rows(join([(file, 0, frames)]))
+        arrays = number_rows(join_frames([(file, 0, frames)]))
         batch = from_arrays(arrays, DEVICE)
     assert isinstance(batch, GraphBatch)
     return batch
@@ -311,7 +313,7 @@ def udacity(motion: Path, csv: Path, leaderboard: Path) -> None:
         name = str(column).removesuffix("_rad")
         results[name] = {"value": rmse_rad}
         print(f"| {name} | {rmse_rad:.4f} |")
-    content = {"preset": "udacity", **origin(), "results": results}
+    content = {"preset": "udacity", **describe_origin(), "results": results}
     store.write_json(Path("out/udacity.json"), content, sort_keys=False)
 
 

@@ -50,7 +50,7 @@ def measure_training(folder: Path) -> None:
     step_ends_s: list[float] = []
     hook = fit.optimiser.register_step_post_hook(lambda *_: step_ends_s.append(now_s()))
     start_s = now_s()
-    fit.run(folder / "state.pt", "benchmark")
+    fit.train_network(folder / "state.pt", "benchmark")
     hook.remove()
     print_value("start of a training to its first step, s", step_ends_s[0] - start_s)
 
@@ -58,8 +58,8 @@ def measure_training(folder: Path) -> None:
     reader = Reader(drives, ENTRY.window, fit.files)
 
     def train_epoch() -> int:
-        fit._train(reader, 2)
-        return len(fit._plan(2))
+        fit._train_epoch(reader, 2)
+        return len(fit._plan_epoch(2))
 
     print_value("step, ms", milliseconds(train_epoch))
     if DEVICE == "cuda":

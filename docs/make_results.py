@@ -20,7 +20,7 @@ import typer
 from pipeline.base import console, store
 from pipeline.base.errors import InputError
 from pipeline.report import tables
-from pipeline.report.origin import origin
+from pipeline.report.origin import describe_origin
 from pipeline.report.values import from_json
 
 # Key → values of a row, as in results.json.
@@ -30,7 +30,7 @@ DOCS = Path(__file__).parent
 RUNS = DOCS / "results"
 PAGES = (DOCS.parent / "README.md", DOCS / "results.md")
 # Name of a table in a page → function that makes it.
-TABLES = {"claims": tables.claims, "results": tables.results}
+TABLES = {"claims": tables.claims_table, "results": tables.results_table}
 # A table in a page. The comment before it has RUN TASK NAME: COLUMN; COLUMN.
 TABLE = re.compile(r"(<!-- table: (\S+) (\S+) (\w+): ([^\n]*) -->\n).*?(\n<!-- end -->)", re.DOTALL)
 # A value in a page: a number, the interval of a difference in brackets, and a comment with RUN/KEY
@@ -53,7 +53,7 @@ def collect(
     """
     run = store.read_json(source, stage="report")
     if "results" not in run:
-        run = {"preset": name, **origin(), "results": run}
+        run = {"preset": name, **describe_origin(), "results": run}
     run["results"].pop("scores", None)
     if not re.fullmatch("[0-9a-f]+", run["revision"]):
         problem = f"its code is not committed (revision {run['revision']})"
@@ -90,14 +90,14 @@ def pages(runs: dict[str, Rows]) -> dict[Path, str]:
         places = DEMO_PLACES if run == "demo" else PLACES[column]
         if " - " in key:
             bounds = tables.bounds_text(row, f"+.{places}f")
-            return f"{tables.text(row['nmse'], f'+.{places}f')} ({bounds}){comment}"
+            return f"{tables.value_text(row['nmse'], f'+.{places}f')} ({bounds}){comment}"
         return f"{row[column]:.{places}f}{comment}"
 
     def table(match: re.Match[str]) -> str:
         start, run, task, name, columns, end = match.groups()
         full = TABLES[name](from_json(runs[run]), task).table.reset_index()
         heads = columns.split("; ")
-        return start + tables.markdown(full[heads].set_index(heads[0])) + end
+        return start + tables.to_markdown(full[heads].set_index(heads[0])) + end
 
     texts = {page: page.read_text(encoding="utf-8") for page in PAGES}
     return {page: VALUE.sub(value, TABLE.sub(table, text)) for page, text in texts.items()}

@@ -83,4 +83,4 @@ print(title)
 # Draw the last image with its depth, classes and graph.
 pairs = graph_file.edge_pairs(pruned.degree, pruned.indices)
 view = street_view.View(7, images[7], depth_m, cls, xyz, point_cls, pairs, pruned.edges_kept)
-street_view.save(street_view.sheet(title, view), Path("out/one_image.png"))
+street_view.save_figure(street_view.draw_sheet(title, view), Path("out/one_image.png"))

@@ -15,7 +15,7 @@ from pipeline.base import store
 from pipeline.train.entry import Entry
 from pipeline.train.loss import Scale
 from pipeline.train.targets import LabelledDrive, read_drive
-from pipeline.train.windows import Reader, spans
+from pipeline.train.windows import Reader, split_spans
 
 # Frames of a window. The network predicts the steering of the last one.
 WINDOW = 8
@@ -48,7 +48,7 @@ def main(
     reader = Reader(training, WINDOW)
     rng = np.random.default_rng(0)
     for epoch in range(epochs):
-        all_spans = spans(training, WINDOW, WINDOWS_PER_SPAN, rng)
+        all_spans = split_spans(training, WINDOW, WINDOWS_PER_SPAN, rng)
         rng.shuffle(all_spans)
         losses = []
         for start in range(0, len(all_spans), SPANS_PER_STEP):
@@ -81,7 +81,7 @@ def validate(network: SteeringNet, drives: list[LabelledDrive], scale: Scale) ->
     network.eval()
     reader = Reader(drives, WINDOW)
     errors_rad = []
-    for span in spans(drives, WINDOW, windows=32):
+    for span in split_spans(drives, WINDOW, windows=32):
         batch = reader[[span]]
         output = network(*network.inputs(batch))
 

@@ -12,7 +12,7 @@ from pipeline.base.console import EntryName
 from pipeline.base.outputs import stage_folder
 from pipeline.base.params import entry_name, load_section
 from pipeline.evaluate import statistics
-from pipeline.evaluate.error_table import common_frames, errors, records
+from pipeline.evaluate.error_table import common_frames, error_table, to_records
 from pipeline.evaluate.predictions import model_facts, predict_cases, prediction_table
 from pipeline.evaluate.settings import Evaluate
 from pipeline.train import runs, trained
@@ -33,7 +33,9 @@ def main(
     out = data / "evaluate" / name
     first = trained.load_model(train)
     with stage_folder(f"evaluate@{name}", out, params=params, chosen=first.entry.files) as folder:
-        models = {run.seed: trained.load_model(run.folder) for run in runs.runs(train, first.seeds)}
+        models = {
+            run.seed: trained.load_model(run.folder) for run in runs.list_runs(train, first.seeds)
+        }
         cases = predict_cases(models, data / "graphs" / first.entry.input, data / "labels")
         result = model_facts(name, first, cases)
         tables = {}
@@ -42,10 +44,10 @@ def main(
             if drives:
                 tables[split] = prediction_table(name, first.seeds, drives)
                 predictions = common_frames({name: tables[split]}, drives[0].drive.quantity)
-                result[split] = records(errors(predictions, [name], settings))
+                result[split] = to_records(error_table(predictions, [name], settings))
 
         nmse = result["train"][name]["seeds"] if result["train"] else []
-        stuck = statistics.untrained(np.array(nmse, float))
+        stuck = statistics.find_untrained(np.array(nmse, float))
         result["untrained"] = [first.seeds[number] for number in stuck]
         for number in stuck:
             print(

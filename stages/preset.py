@@ -28,7 +28,7 @@ from pipeline.encoder.settings import Encoder
 from pipeline.encoder.weights import weights_hash
 from pipeline.ingest.datasets.kitti import IMPORT
 from pipeline.ingest.settings import Ingest
-from pipeline.report.origin import RUN, duration, origin, read_run
+from pipeline.report.origin import RUN, describe_origin, format_duration, read_run
 
 # File of settings into which presets are merged.
 PARAMS = ROOT / "params.yaml"
@@ -182,13 +182,13 @@ def run_dvc(run: Path, stages: list[str]) -> None:
 def publish_report(run: Path, report: Path, name: str) -> None:
     """Copy the page, the table and the results of a run to files NAME.*, and print the table."""
     source = run / "data/report"
-    facts = origin(run)
+    facts = describe_origin(run)
     results = json.loads((source / "results.json").read_text(encoding="utf-8"))
     write_json(report / f"{name}.json", facts | {"results": results}, sort_keys=False)
     shutil.copyfile(source / "index.html", report / f"{name}.html")
     shutil.copyfile(source / "table.md", report / f"{name}.md")
 
-    facts["time"] = f"{duration(read_run(run))} of the last make"
+    facts["time"] = f"{format_duration(read_run(run))} of the last make"
     print((source / "table.md").read_text(encoding="utf-8"))
     print(", ".join(f"{key} {value}" for key, value in facts.items()))
     print(f"Open data/report/{name}.html in a browser.")

@@ -12,7 +12,7 @@ from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load_section, read_entries
 from pipeline.evaluate.settings import Evaluate
 from pipeline.report import drawings, page, tables
-from pipeline.report.values import dvc_metrics, gather, load_tasks, to_json
+from pipeline.report.values import dvc_metrics, gather_values, load_tasks, to_json
 
 
 def main(
@@ -37,19 +37,19 @@ def main(
         encoder = _read_json(data / "encoder/config.json", "encoder")
 
         # All values are computed here, once: tables, page and DVC's metrics show them.
-        values = gather(tasks, load_section(Evaluate, params))
+        values = gather_values(tasks, load_section(Evaluate, params))
         rows = to_json(values) | {"scores": scores}
         store.write_json(folder.new / "results.json", rows, sort_keys=False)
         store.write_json(folder.new / "metrics.json", dvc_metrics(values), sort_keys=False)
 
-        sentences = tables.sentences(values, absent)
+        sentences = tables.write_sentences(values, absent)
         text = "\n\n".join(fill(sentence, 110) for sentence in sentences)
-        sections = [tables.results(values, task.name) for task in tasks]
-        sections += [tables.claims(values, task.name) for task in tasks]
-        sections += [tables.differences(values, task.name) for task in tasks]
-        sections += [tables.models(tasks), *tables.perception(scores)]
+        sections = [tables.results_table(values, task.name) for task in tasks]
+        sections += [tables.claims_table(values, task.name) for task in tasks]
+        sections += [tables.differences_table(values, task.name) for task in tasks]
+        sections += [tables.models_table(tasks), *tables.perception_tables(scores)]
         parts = [section.markdown() for section in sections if section.table.size]
-        table = "\n\n".join([text, *parts, tables.definitions()])
+        table = "\n\n".join([text, *parts, tables.write_definitions()])
         store.write_text(folder.new / "table.md", table.lstrip())
 
         figures = folder.new / "figures"
@@ -57,8 +57,8 @@ def main(
         bend = None
         for task in tasks[:1]:
             bend = drawings.draw_bend(figures, task, values.loc[task.name], data)
-        details = page.details(figures, values, tasks, data)
-        details["Depth, classes and motion"] = [*tables.perception(scores)]
+        details = page.list_details(figures, values, tasks, data)
+        details["Depth, classes and motion"] = [*tables.perception_tables(scores)]
         lines = [facts["line"] for facts in scores.get("recorded", {}).values()]
         notes, doubts = split_doubts(lines)
         details["Notes"] = [*encoder.get("sources", []), *notes]
@@ -67,10 +67,10 @@ def main(
             sentences=sentences,
             doubts=[*doubts, *tables.few_turns(values)],
             picture=bend,
-            results=page.results(figures, values, tasks),
+            results=page.list_results(figures, values, tasks),
             details=details,
         )
-        page.write(folder.new / "index.html", content)
+        page.write_page(folder.new / "index.html", content)
     print(text, f"Tables: {out.absolute()}/table.md. Page: {out.absolute()}/index.html", sep="\n")
     return out
 

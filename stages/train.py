@@ -69,7 +69,7 @@ def main(
                 flush=True,
             )
 
-        todo = runs.runs(folder.new, settings.seeds)
+        todo = runs.list_runs(folder.new, settings.seeds)
         model = Model(name, where, entry, settings, splits, drives)
         states = fit_model(model, todo, folder)
         folder.used.update(states)

@@ -71,7 +71,7 @@ def show_frame(path: Path, number: int, out: Path | None = None) -> Content:
             if view.xyz is not None and images is not None:
                 view = street_view.with_image(view, images)
             title = f"{Path(*path.parts[-3:])}, frame {number}"
-            street_view.save(street_view.sheet(title, view), out)
+            street_view.save_figure(street_view.draw_sheet(title, view), out)
         return numbers
 
 

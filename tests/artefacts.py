@@ -19,7 +19,7 @@ from pipeline.ingest.settings import Reading
 from pipeline.labels import label, source
 from pipeline.labels.settings import Labels
 from pipeline.motion.step import PROBLEMS, STANDSTILL
-from pipeline.train.frames import join, number_rows
+from pipeline.train.frames import join_frames, number_rows
 
 WHEELBASE_M = 2.7
 GRAPHS = {"graphs": {"k": 6, "keep_inter_class": 0.2}}
@@ -118,9 +118,9 @@ def write_graphs(
         curvatures_1pm = np.tan(steering_rad) / WHEELBASE_M
         for curvature_1pm, count in zip(curvatures_1pm, counts, strict=True):
             cloud = bend(curvature_1pm, count, rng)
-            frames.append(frame_graph.connect(cloud, variant, rng))
+            frames.append(frame_graph.connect_points(cloud, variant, rng))
     with store.DriveWriter(path, stage="graphs", drive=path.stem, params=GRAPHS) as file:
-        return graph_file.write(file, frame, frame * 0.1, frames, empty)
+        return graph_file.write_frames(file, frame, frame * 0.1, frames, empty)
 
 
 def add_motion(path: Path, steering_rad: np.ndarray, valid: np.ndarray | None = None) -> None:
@@ -140,7 +140,7 @@ def add_motion(path: Path, steering_rad: np.ndarray, valid: np.ndarray | None = 
 
 def collate(*spans: tuple[graph_file.Graphs, int, int]) -> dict[str, np.ndarray]:
     """Return the frames [start, stop) of graph files as one batch."""
-    return {name: rows.numpy() for name, rows in number_rows(join(spans)).items()}
+    return {name: rows.numpy() for name, rows in number_rows(join_frames(spans)).items()}
 
 
 def write_index(folder: Path, splits: dict[str, str]) -> None:

@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 from models.steering.core.options import NetworkOptions
 from pipeline.camera import classes
 from pipeline.clouds.cloud import Cloud
-from pipeline.graphs.frame_graph import connect
+from pipeline.graphs.frame_graph import connect_points
 from pipeline.graphs.graph_file import Arrays, Column, Columns
 from pipeline.graphs.settings import Variant
 
@@ -35,7 +35,7 @@ def make_frames(
         if variant.kind == "image":
             frames.append({"image": Column(_draw_image(image_size, rng)[None], "RGB", "ptr")})
         else:
-            frames.append(connect(_draw_street(count, rng), variant, rng))
+            frames.append(connect_points(_draw_street(count, rng), variant, rng))
     return frames
 
 

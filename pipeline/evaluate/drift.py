@@ -6,7 +6,7 @@ import pandas as pd
 from pipeline.labels.label import Car
 
 
-def path(
+def integrate_path(
     steering_rad: np.ndarray, speed_mps: np.ndarray, time_s: np.ndarray, wheelbase_m: float
 ) -> np.ndarray:
     """Return the car's positions [F,2] in metres, x ahead and y to the left of its start.
@@ -30,7 +30,7 @@ def path(
     return np.concatenate([np.zeros((1, 2)), np.cumsum(steps_m, axis=0)])
 
 
-def ways(drive: np.ndarray, known: np.ndarray) -> list[np.ndarray]:
+def find_ways(drive: np.ndarray, known: np.ndarray) -> list[np.ndarray]:
     """Return the rows of each way: consecutive frames of a drive that are known.
 
     `drive` [N] is the number of each frame's drive, and `known`, bool [N], tells whether the frame
@@ -42,7 +42,7 @@ def ways(drive: np.ndarray, known: np.ndarray) -> list[np.ndarray]:
     return [way for way in pieces if len(way) > 1]
 
 
-def drift(
+def measure_drift(
     true_rad: np.ndarray,
     predicted_rad: np.ndarray,
     drive: np.ndarray,
@@ -64,11 +64,11 @@ def drift(
     """
     error_m = 0.0
     length_m = 0.0
-    for rows in ways(drive, np.isfinite(true_rad) & np.isfinite(predicted_rad)):
+    for rows in find_ways(drive, np.isfinite(true_rad) & np.isfinite(predicted_rad)):
         speed_mps = frames["speed_mps"].to_numpy()[rows]
         time_s = frames["time_s"].to_numpy()[rows]
-        true = path(true_rad[rows], speed_mps, time_s, car.wheelbase_m)
-        predicted = path(predicted_rad[rows], speed_mps, time_s, car.wheelbase_m)
+        true = integrate_path(true_rad[rows], speed_mps, time_s, car.wheelbase_m)
+        predicted = integrate_path(predicted_rad[rows], speed_mps, time_s, car.wheelbase_m)
         error_m += float(np.linalg.norm(predicted[-1] - true[-1]))
         length_m += float(np.linalg.norm(np.diff(true, axis=0), axis=1).sum())
     return 100 * error_m / length_m if length_m else None

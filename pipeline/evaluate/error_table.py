@@ -14,7 +14,7 @@ import pandas as pd
 
 from pipeline.base.errors import InputError
 from pipeline.evaluate import statistics
-from pipeline.evaluate.drift import drift
+from pipeline.evaluate.drift import measure_drift
 from pipeline.evaluate.own_metrics import METRICS
 from pipeline.evaluate.settings import BASELINES, NO_LEARNING, Evaluate
 from pipeline.train.quantity import Quantity
@@ -87,18 +87,20 @@ def common_frames(tables: Mapping[str, pd.DataFrame], quantity: Quantity) -> Pre
     return Predictions(quantity, frames.reset_index()[columns], truth, predicted)
 
 
-def errors(predictions: Predictions, methods: Sequence[str], settings: Evaluate) -> pd.DataFrame:
+def error_table(
+    predictions: Predictions, methods: Sequence[str], settings: Evaluate
+) -> pd.DataFrame:
     """Return the errors of methods, with the index (range, method)."""
     rows = {}
     for label, columns in predictions.ranges.items():
         for method in methods:
-            rows[label, method] = _errors(predictions, method, columns, settings)
+            rows[label, method] = _method_errors(predictions, method, columns, settings)
     for method in methods:
-        rows["", method]["drift"] = _drift(predictions, method)
+        rows["", method]["drift"] = _mean_drift(predictions, method)
     return pd.DataFrame.from_dict(rows, orient="index", dtype=object)
 
 
-def differences(predictions: Predictions, settings: Evaluate) -> pd.DataFrame:
+def compare_methods(predictions: Predictions, settings: Evaluate) -> pd.DataFrame:
     """Return the paired differences in nmse of models, with the index (range, "MODEL - RIVAL").
 
     A rival is another model, or a baseline that does not get the truth.
@@ -109,12 +111,12 @@ def differences(predictions: Predictions, settings: Evaluate) -> pd.DataFrame:
         for model in predictions.models:
             for rival in rivals:
                 if model != rival:
-                    row = _difference(predictions, model, rival, columns, settings)
+                    row = _compare_pair(predictions, model, rival, columns, settings)
                     rows[label, f"{model} - {rival}"] = row
     return pd.DataFrame.from_dict(rows, orient="index", dtype=object)
 
 
-def _errors(
+def _method_errors(
     predictions: Predictions, method: str, columns: Sequence[int], settings: Evaluate
 ) -> dict[str, Any]:
     """Return the errors of a method over some columns together, as means over the seeds."""
@@ -123,7 +125,10 @@ def _errors(
     error = predictions.predicted[method] - predictions.truth  # [S,N,R]
     square = error[..., columns] ** 2
     counted = np.isfinite(truth).any(axis=1)
-    low, high = statistics.interval(square, truth, predictions.drive, settings) or (None, None)
+    low, high = statistics.bootstrap_interval(square, truth, predictions.drive, settings) or (
+        None,
+        None,
+    )
 
     # The number that is shown of an error in these columns, if there is none in the others.
     alone = np.zeros_like(error)
@@ -144,11 +149,11 @@ def _errors(
         row["mse"] = float(square[:, counted].mean()) if len(values) else None
         predicted = predictions.predicted[method][:, counted, columns[0]]
         for name in METRICS:
-            row[name] = _metric(name, values, predicted, quantity, columns[0])
+            row[name] = _compute_metric(name, values, predicted, quantity, columns[0])
     return row
 
 
-def _metric(
+def _compute_metric(
     name: str, truth: np.ndarray, predicted: np.ndarray, quantity: Quantity, column: int
 ) -> float | None:
     """Return the value of one of METRICS, or None without frames."""
@@ -160,7 +165,7 @@ def _metric(
     return None if value is None else float(value)
 
 
-def _drift(predictions: Predictions, method: str) -> float | None:
+def _mean_drift(predictions: Predictions, method: str) -> float | None:
     """Return the drift of a method, as the mean over its seeds.
 
     It is None for a quantity ahead of the car, since only angles at the frame itself make a path
@@ -174,36 +179,36 @@ def _drift(predictions: Predictions, method: str) -> float | None:
     for seed in predictions.predicted[method]:
         angle_rad = quantity.angle_rad(seed)
         drive = predictions.drive
-        value = drift(true_rad, angle_rad, drive, predictions.frames, quantity.car)
+        value = measure_drift(true_rad, angle_rad, drive, predictions.frames, quantity.car)
         if value is not None:
             values.append(value)
     return float(np.mean(values)) if values else None
 
 
-def _difference(
+def _compare_pair(
     predictions: Predictions, model: str, rival: str, columns: Sequence[int], settings: Evaluate
 ) -> dict[str, Any]:
     """Return the paired difference in nmse of a model from its rival, with a verdict."""
     truth = predictions.truth[:, columns]
     square = (predictions.predicted[model][..., columns] - truth) ** 2
     other = (predictions.predicted[rival][..., columns] - truth) ** 2
-    bounds = statistics.interval(square, truth, predictions.drive, settings, other)
+    bounds = statistics.bootstrap_interval(square, truth, predictions.drive, settings, other)
     low, high = bounds or (None, None)
 
     # A baseline has no seeds.
     seeds = len(square) if rival in BASELINES else min(len(square), len(other))
-    part = statistics.parts(predictions.drive, settings.bootstrap_block_frames)
+    part = statistics.number_parts(predictions.drive, settings.bootstrap_block_frames)
     drives = len(np.unique(part[np.isfinite(truth).any(axis=1)]))
     mean = square.mean(axis=0, keepdims=True) - other.mean(axis=0)
     return {
         "nmse": statistics.nmse_of(mean, truth),
         "low": low,
         "high": high,
-        "verdict": statistics.verdict(bounds, seeds, drives),
+        "verdict": statistics.judge_difference(bounds, seeds, drives),
     }
 
 
-def records(table: pd.DataFrame) -> dict[str, dict[str, Any]]:
+def to_records(table: pd.DataFrame) -> dict[str, dict[str, Any]]:
     """Return key → values of a row, for JSON. A key joins the names of the row's index by "/".
 
     Names that are empty and values that are missing are left out.

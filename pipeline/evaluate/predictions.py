@@ -38,7 +38,7 @@ class Case:
     predictions: Sequence[np.ndarray]  # [S], each [G,R]
     scale: Scale
 
-    def baselines(self) -> dict[str, np.ndarray]:
+    def predict_baselines(self) -> dict[str, np.ndarray]:
         """Return the values [G,R] of predictors that do not use the scene.
 
         - train_mean is the mean of the training targets.
@@ -92,7 +92,7 @@ def predict_cases(
 
         # All seeds share the frames, which are loaded once.
         files = Files([drive.graphs])
-        files.load(first.net.device)
+        files.load_frames(first.net.device)
         with open_graphs(drive.graphs) as graphs:
             predictions = [model.predict(graphs, files) for model in models.values()]
         cases[split].append(Case(drive, predictions, first.scale))
@@ -119,7 +119,7 @@ def prediction_table(name: str, seeds: Sequence[int], cases: Sequence[Case]) -> 
                 "speed_mps": drive.driven.speed_mps,
             }
             values = {"true": drive.target, "predicted": case.predictions[number]}
-            values |= case.baselines()
+            values |= case.predict_baselines()
             for column, target in enumerate(drive.quantity.columns):
                 for kind, columns_of_kind in values.items():
                     table[f"{kind}_{target}"] = columns_of_kind[:, column]

@@ -33,7 +33,7 @@ def nmse_of(error: np.ndarray, truth: np.ndarray) -> float | None:
     return float((np.nansum(error.mean(axis=0), axis=0)[bends] / zero_error[bends]).mean())
 
 
-def interval(
+def bootstrap_interval(
     error: np.ndarray,
     truth: np.ndarray,
     drive: np.ndarray,
@@ -42,7 +42,7 @@ def interval(
 ) -> list[float] | None:
     """Return the 95 % interval of Σ error / Σ truth² over other roads and seeds, from a bootstrap.
 
-    The :func:`parts` of drives are drawn with replacement, and so are the seeds of each model,
+    The :func:`number_parts` of drives are drawn with replacement, and so are the seeds of each model,
     independently of the parts. The variance of n drawn values is too small by a factor of
     (n - 1) / n. So deviations from the mean are multiplied by √(n / (n - 1)), for seeds as for
     parts. With one seed, the interval does not include the spread of other seeds. The result is
@@ -66,7 +66,7 @@ def interval(
     counted = np.isfinite(squares).all(axis=0)  # [N,R]
     for values in models:
         counted &= np.isfinite(values).all(axis=0)
-    part = parts(drive, settings.bootstrap_block_frames)
+    part = number_parts(drive, settings.bootstrap_block_frames)
     zero_error = sums_by_part(squares, counted, part)[0]  # [D,R]
     errors = [sums_by_part(values, counted, part) for values in models]  # each [S,D,R]
 
@@ -81,7 +81,7 @@ def interval(
     # the second model, if given.
     rng = np.random.default_rng(settings.seed)
     samples = settings.bootstrap_samples
-    drawn_parts = draw(len(zero_error), samples, rng)
+    drawn_parts = draw_counts(len(zero_error), samples, rng)
     drawn = drawn_error(errors[0], drawn_parts, draw_seeds(len(errors[0]), samples, rng))
     mean = mean_nmse(errors[0], zero_error)
     if len(errors) > 1:
@@ -96,7 +96,7 @@ def interval(
     percentiles = np.nanpercentile(drawn_nmse.mean(axis=1), [2.5, 97.5])
 
     # An error is never below 0, but a difference can be.
-    low, high = (mean + widened(len(zero_error)) * (percentiles - mean)).tolist()
+    low, high = (mean + widening_factor(len(zero_error)) * (percentiles - mean)).tolist()
     if other is None:
         return [max(low, 0.0), max(high, 0.0)]
     return [low, high]
@@ -116,7 +116,7 @@ def sums_by_part(values: np.ndarray, counted: np.ndarray, part: np.ndarray) -> n
     return np.add.reduceat(np.where(counted, values, 0.0)[:, rows], first, axis=1)
 
 
-def draw(count: int, samples: int, rng: np.random.Generator) -> np.ndarray:
+def draw_counts(count: int, samples: int, rng: np.random.Generator) -> np.ndarray:
     """Draw `count` times from `count` items with replacement, and repeat this `samples` times.
 
     Returns how often each item is drawn, [samples,count].
@@ -127,12 +127,12 @@ def draw(count: int, samples: int, rng: np.random.Generator) -> np.ndarray:
 def draw_seeds(count: int, samples: int, rng: np.random.Generator) -> np.ndarray:
     """Draw seeds, and return the weight of each seed in a mean over them, [samples,count].
 
-    The deviations of the weights from 1 are multiplied by the factor that :func:`widened` returns.
+    The deviations of the weights from 1 are multiplied by the factor that :func:`widening_factor` returns.
     """
-    return 1 + widened(count) * (draw(count, samples, rng) - 1)
+    return 1 + widening_factor(count) * (draw_counts(count, samples, rng) - 1)
 
 
-def widened(count: int) -> float:
+def widening_factor(count: int) -> float:
     """Return the factor by which deviations of a mean over `count` drawn items are too small."""
     return math.sqrt(count / max(count - 1, 1))
 
@@ -156,7 +156,7 @@ def mean_nmse(errors: np.ndarray, zero_error: np.ndarray) -> float:
     return float((errors.mean(axis=0).sum(axis=0) / zero_error.sum(axis=0)).mean())
 
 
-def parts(drive: np.ndarray, block_frames: int) -> np.ndarray:
+def number_parts(drive: np.ndarray, block_frames: int) -> np.ndarray:
     """Return the number [N] of each frame's part, by the number [N] of its drive.
 
     A short drive is one part. A drive of at least two blocks of `block_frames` frames is cut into
@@ -169,11 +169,11 @@ def parts(drive: np.ndarray, block_frames: int) -> np.ndarray:
     return np.repeat(np.arange(len(lengths)), lengths)
 
 
-def verdict(bounds: Sequence[float] | None, seeds: int, drives: int) -> str:
+def judge_difference(bounds: Sequence[float] | None, seeds: int, drives: int) -> str:
     """Return what the interval of a paired difference shows about the first of two methods.
 
-    `bounds` is the :func:`interval`, `seeds` the number of seeds of the model that has fewer, and
-    `drives` the number of :func:`parts` of drives.
+    `bounds` is the :func:`bootstrap_interval`, `seeds` the number of seeds of the model that has fewer, and
+    `drives` the number of :func:`number_parts` of drives.
     """
     if seeds < 2:
         return "too few seeds (train.seeds)"
@@ -186,7 +186,7 @@ def verdict(bounds: Sequence[float] | None, seeds: int, drives: int) -> str:
     return "no difference shown"
 
 
-def untrained(nmse: np.ndarray) -> list[int]:
+def find_untrained(nmse: np.ndarray) -> list[int]:
     """Return the rows of the seeds that failed to train, by their nmse [S] on the training drives.
 
     A seed failed if its nmse is above 0.9, or above both 0.5 and twice the median of all seeds.
@@ -211,7 +211,7 @@ def bounds_text(row: Mapping[str, Any], form: str) -> str:
 
 
 def interval_text(bounds: Sequence[float] | None, form: str = ".3f") -> str:
-    """Return the bounds of an :func:`interval` as text, or the reason if it is None."""
+    """Return the bounds of an :func:`bootstrap_interval` as text, or the reason if it is None."""
     if bounds is None:
         return "too short for an interval"
     low, high = bounds

@@ -39,7 +39,7 @@ def graphs_drive(path: Path, source: Path, motion: Path, variant: Variant) -> Su
         params = measured.params | content.params | settings
         numbers = content.frame[rows]
         with DriveWriter(path, stage="graphs", drive=content.drive, params=params) as file:
-            counts = graph_file.write(file, numbers, content.time_s[rows], frames, empty)
+            counts = graph_file.write_frames(file, numbers, content.time_s[rows], frames, empty)
             graph_file.put_motion(file, numbers, measured)
     return counts
 
@@ -67,10 +67,10 @@ def build_frame(cloud: Cloud, variant: Variant, drive: str, number: int) -> Colu
     assert variant.points
     rng = frame_rng(variant.seed, drive, number)
     drawn = draw_points(cloud, variant.crop_m, variant.points, rng)
-    return connect(drawn, variant, rng)
+    return connect_points(drawn, variant, rng)
 
 
-def connect(cloud: Cloud, variant: Variant, rng: np.random.Generator) -> Columns:
+def connect_points(cloud: Cloud, variant: Variant, rng: np.random.Generator) -> Columns:
     """Return the columns of a frame: its points, and their kNN graph, which may have no edges."""
     assert variant.points
     xyz, cls = cloud
@@ -89,5 +89,5 @@ def connect(cloud: Cloud, variant: Variant, rng: np.random.Generator) -> Columns
 def empty_frame(variant: Variant) -> Columns:
     """Return the columns of a frame without points, for a variant of points."""
     cloud = Cloud(np.empty((0, 3), np.float32), np.empty(0, np.uint8))
-    columns = connect(cloud, variant, np.random.default_rng(0))
+    columns = connect_points(cloud, variant, np.random.default_rng(0))
     return {name: column._replace(rows=column.rows[:0]) for name, column in columns.items()}

@@ -66,7 +66,7 @@ class MeasuredMotion(NamedTuple):
     valid: np.ndarray  # uint8 [G]
 
 
-def write(
+def write_frames(
     file: store.DriveWriter,
     frame: np.ndarray,
     time_s: np.ndarray,
@@ -125,13 +125,13 @@ def put_motion(file: store.DriveWriter, frame: np.ndarray, motion: store.DriveRe
 class Graphs(store.DriveReader):
     """An open graph file with G frames.
 
-    Pointers are read once. Columns are read for each access, or once if :meth:`keep` is called.
+    Pointers are read once. Columns are read for each access, or once if :meth:`keep_columns` is called.
     Ragged columns are those whose number of rows varies by frame, and so have a pointer.
     """
 
     kept: Mapping[str, Any] = {}  # ragged columns in memory
 
-    def keep(self, convert: Callable[[np.ndarray], Any]) -> None:
+    def keep_columns(self, convert: Callable[[np.ndarray], Any]) -> None:
         """Read the ragged columns into memory, where they are kept as ``convert(column)``."""
         self.kept = {name: convert(self[name]) for name in self.pointers}
 

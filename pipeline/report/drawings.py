@@ -22,7 +22,14 @@ from pipeline.evaluate import drift
 from pipeline.evaluate.settings import BASELINES
 from pipeline.report import street_view
 from pipeline.report.street_view import COLOURS, WIDTH, chart_colour
-from pipeline.report.values import Task, methods, ranges, ranking, title_of, without_scene
+from pipeline.report.values import (
+    Task,
+    list_methods,
+    list_ranges,
+    rank_models,
+    title_of,
+    without_scene,
+)
 
 # Colours of models that have none in COLOURS. They repeat if there are more models.
 OTHERS = ("#8a5fbf", "#7a6a53", "#c2185b", "#455a64")
@@ -46,21 +53,21 @@ class Picture(NamedTuple):
         return f"data:image/{kind};base64,{content}"
 
 
-def kinds(table: pd.DataFrame) -> dict[str, str]:
+def curve_kinds(table: pd.DataFrame) -> dict[str, str]:
     """Return kind of a curve → model, for the best model and the best one without the scene."""
-    models = {"predicted": ranking(table)[0]}
+    models = {"predicted": rank_models(table)[0]}
     blind = without_scene(table)
     if blind and blind != models["predicted"]:
         models["without the scene"] = blind
     return models
 
 
-def colours(table: pd.DataFrame) -> dict[str, Any]:
+def choose_colours(table: pd.DataFrame) -> dict[str, Any]:
     """Return method → its colour in all charts of a task."""
-    kind_of = {model: kind for kind, model in kinds(table).items()}
+    kind_of = {model: kind for kind, model in curve_kinds(table).items()}
     others = cycle(OTHERS)
     chosen: dict[str, Any] = {}
-    for name in methods(table):
+    for name in list_methods(table):
         kind = kind_of.get(name, name)
         if kind in COLOURS:
             chosen[name] = chart_colour(kind)
@@ -69,13 +76,13 @@ def colours(table: pd.DataFrame) -> dict[str, Any]:
     return chosen
 
 
-def _panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
+def _draw_panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
     """Return a figure of some panels below each other, of a height in inches each."""
     figure = Figure(figsize=(WIDTH, height * count), layout="constrained")
     return figure, figure.subplots(count, squeeze=False)[:, 0].tolist()
 
 
-def _title(panel: Axes, title: str) -> None:
+def _set_title(panel: Axes, title: str) -> None:
     """Set the title of a panel, with a legend below it, where no curve is."""
     panel.set_title(title, loc="left", pad=26)
     if panel.lines:
@@ -93,10 +100,10 @@ def _title(panel: Axes, title: str) -> None:
 def draw_errors(folder: Path, task: str, table: pd.DataFrame) -> Picture:
     """Draw the nmse of models and baselines with its 95 % interval, a line for each value."""
     # The dotted line is the baseline zero, and persistence gets the truth.
-    names = [name for name in methods(table) if name not in ("zero", "persistence")]
-    labels = list(dict.fromkeys(["", *ranges(table)]))
-    figure, (panel,) = _panels(1, 0.7 + 0.24 * len(labels) * (len(names) + 1))
-    colour_of = colours(table)
+    names = [name for name in list_methods(table) if name not in ("zero", "persistence")]
+    labels = list(dict.fromkeys(["", *list_ranges(table)]))
+    figure, (panel,) = _draw_panels(1, 0.7 + 0.24 * len(labels) * (len(names) + 1))
+    colour_of = choose_colours(table)
     heads: list[str] = []
     for label in labels:
         if len(labels) > 1:
@@ -113,7 +120,7 @@ def draw_errors(folder: Path, task: str, table: pd.DataFrame) -> Picture:
     panel.tick_params(axis="y", length=0)
     panel.spines[["left", "right", "top"]].set_visible(False)
     path = folder / f"errors-{task}.png"
-    street_view.save(figure, path)
+    street_view.save_figure(figure, path)
     caption = f"The error of the {title_of(task)} on the test drives, with its 95 % interval. An "
     return Picture(path, caption + "arrow marks what is beyond the edge.")
 
@@ -140,9 +147,9 @@ def draw_learning(folder: Path, values: pd.DataFrame, train: Path) -> Picture | 
     if not any(train.rglob("curve.csv")):
         return None
     tasks = values.index.unique("task")
-    figure, panels = _panels(len(tasks), 2.6)
+    figure, panels = _draw_panels(len(tasks), 2.6)
     for panel, task in zip(panels, tasks, strict=True):
-        for model, colour in colours(values.loc[task]).items():
+        for model, colour in choose_colours(values.loc[task]).items():
             name = model
             for file in sorted((train / model).rglob("curve.csv")):
                 curve = pd.read_csv(file)
@@ -152,22 +159,22 @@ def draw_learning(folder: Path, values: pd.DataFrame, train: Path) -> Picture | 
                 panel.plot(curve["epoch"], curve[column], style, color=colour, label=name)
                 name = ""  # further seeds are not in the legend
         panel.set_ylim(bottom=0)
-        _title(panel, title_of(task))
+        _set_title(panel, title_of(task))
     panels[-1].set_xlabel("epoch")
     path = folder / "learning.png"
-    street_view.save(figure, path)
+    street_view.save_figure(figure, path)
     caption = "Each line is a seed: nmse on the validation drives; dotted, without these, the "
     return Picture(path, caption + "training loss.")
 
 
-def curves(task: Task, table: pd.DataFrame) -> dict[str, np.ndarray]:
+def curve_values(task: Task, table: pd.DataFrame) -> dict[str, np.ndarray]:
     """Return kind of a curve → values [N,R], those of a model's first seed."""
     predictions = task.predictions
     values = {"driven": predictions.truth}
     # Odometry is of the present, and far off for what lies ahead.
     if "odometry" in predictions.predicted and not predictions.quantity.is_ahead:
         values["odometry"] = predictions.predicted["odometry"][0]
-    for kind, model in kinds(table).items():
+    for kind, model in curve_kinds(table).items():
         values[kind] = predictions.predicted[model][0]
     return values
 
@@ -178,7 +185,7 @@ def shown_values(task: Task, table: pd.DataFrame) -> pd.DataFrame:
     A further column, cost, is the squared error of the best model's first seed.
     """
     shown = task.predictions.frames.copy()
-    for kind, values in curves(task, table).items():
+    for kind, values in curve_values(task, table).items():
         shown[kind] = task.predictions.quantity.shown(values)
     shown["cost"] = (shown["predicted"] - shown["driven"]) ** 2
     return shown
@@ -200,21 +207,25 @@ def draw_over_time(folder: Path, task: Task, table: pd.DataFrame) -> Picture | N
     drives = typical_drives(shown)
     if not drives:
         return None
-    figure, panels = _panels(len(drives), 2.6)
-    limit = 1.05 * shown[shown["drive"].isin(drives)][[*curves(task, table)]].abs().max().max()
+    figure, panels = _draw_panels(len(drives), 2.6)
+    limit = (
+        1.05 * shown[shown["drive"].isin(drives)][[*curve_values(task, table)]].abs().max().max()
+    )
     for panel, (drive, rank) in zip(panels, drives.items(), strict=True):
         rows = shown[shown["drive"] == drive]
-        for kind in curves(task, table):
+        for kind in curve_values(task, table):
             time_s = rows["time_s"] - rows["time_s"].iloc[0]
             panel.plot(time_s, rows[kind], color=chart_colour(kind), label=kind)
         panel.axhline(0, color=GREY, linewidth=0.8)
         panel.set(ylim=(-limit or -1, limit or 1), ylabel=quantity.axis_title())
-        _title(panel, f"{rank} drive, {drive}")
+        _set_title(panel, f"{rank} drive, {drive}")
     panels[-1].set_xlabel("time in s")
     path = folder / f"time-{task.name}.png"
-    street_view.save(figure, path)
+    street_view.save_figure(figure, path)
     caption = f"The {quantity.shown_title} over time, in the drives of median and largest error of "
-    return Picture(path, caption + f"`{kinds(table)['predicted']}`, whose first seed is shown.")
+    return Picture(
+        path, caption + f"`{curve_kinds(table)['predicted']}`, whose first seed is shown."
+    )
 
 
 def draw_drift(folder: Path, task: Task, table: pd.DataFrame) -> Picture | None:
@@ -225,27 +236,27 @@ def draw_drift(folder: Path, task: Task, table: pd.DataFrame) -> Picture | None:
     predictions = task.predictions
     quantity = predictions.quantity
     angles_rad = {}
-    for kind, values in curves(task, table).items():
+    for kind, values in curve_values(task, table).items():
         angles_rad[kind] = quantity.angle_rad(values)
     known = np.isfinite([*angles_rad.values()]).all(axis=0)
     drives = typical_drives(shown_values(task, table))
     if quantity.horizon or not known.any():
         return None
 
-    figure, panels = _panels(len(drives), 3.2)
+    figure, panels = _draw_panels(len(drives), 3.2)
     for panel, (drive, rank) in zip(panels, drives.items(), strict=True):
         of_drive = known & (predictions.frames["drive"] == drive).to_numpy()
-        for way in drift.ways(predictions.drive, of_drive)[:1]:
+        for way in drift.find_ways(predictions.drive, of_drive)[:1]:
             rows = predictions.frames.iloc[way]
             motion = rows["speed_mps"].to_numpy(), rows["time_s"].to_numpy()
             for kind, angle_rad in angles_rad.items():
-                x_m, y_m = drift.path(angle_rad[way], *motion, quantity.car.wheelbase_m).T
+                x_m, y_m = drift.integrate_path(angle_rad[way], *motion, quantity.car.wheelbase_m).T
                 panel.plot(-y_m, x_m, color=chart_colour(kind), label=kind)
         panel.set(xlabel="to the right, m", ylabel="ahead, m", aspect="equal")
         panel.set_adjustable("datalim")
-        _title(panel, f"{rank} drive, {drive}")
+        _set_title(panel, f"{rank} drive, {drive}")
     path = folder / f"drift-{task.name}.png"
-    street_view.save(figure, path)
+    street_view.save_figure(figure, path)
     caption = "The first labelled way of each drive from above, by labelled and by predicted "
     caption += "angles, all with the measured speed. Drift is the distance of their ends."
     return Picture(path, caption)
@@ -288,16 +299,16 @@ def draw_bend(folder: Path, task: Task, table: pd.DataFrame, data: Path) -> Pict
 
     is_bend = (shown["drive"] == bend["drive"]) & (shown["frame"] == bend["frame"])
     paths = {}
-    for kind, values in curves(task, table).items():
+    for kind, values in curve_values(task, table).items():
         (curvature_1pm,) = quantity.curvature(values[is_bend])
         paths[kind] = street_view.path_steps(curvature_1pm, quantity.edges_m)
     height, width = image.shape[:2]
     figure = Figure(figsize=(WIDTH, WIDTH * height / width))
     street_view.draw_paths_in_image(figure.add_axes((0, 0, 1, 1)), image, camera, paths)
     path = folder / "bend.jpg"
-    street_view.save(figure, path)
+    street_view.save_figure(figure, path)
 
-    models = kinds(table)
+    models = curve_kinds(table)
     driven = f"the path of the driven {quantity.title}"
     if quantity.is_ahead:
         driven = f"the path that the car drove in the next {quantity.edges_m[-1]:g} m"
@@ -316,7 +327,7 @@ def draw_chain(folder: Path, task: Task, table: pd.DataFrame, data: Path) -> Pic
     The graph is that of the best model that sees points. `data` is the folder of all stages.
     """
     with_points = []
-    for name in ranking(table):
+    for name in rank_models(table):
         source = task.models[name]["variant"].get("source", "")
         if table.loc[("", name), "scene"] and source.startswith("clouds"):
             with_points.append(name)
@@ -345,7 +356,7 @@ def draw_chain(folder: Path, task: Task, table: pd.DataFrame, data: Path) -> Pic
         view = street_view.read_view(bend["frame"], *opened.values())
 
     path = folder / "chain.jpg"
-    street_view.save(street_view.sheet("", view, graph), path)
+    street_view.save_figure(street_view.draw_sheet("", view, graph), path)
     caption = f"From image to graph (Figure 1 of the paper): frame {bend['frame']} of "
     caption += f"{bend['drive']}. `{with_points[0]}` gets the graph, of this frame and of the "
     return Picture(path, f"{caption}{entry['window'] - 1} before.")

@@ -27,7 +27,7 @@ def read_run(folder: Path = ROOT) -> dict[str, Any]:
     return {"revision": revision(folder)}
 
 
-def origin(folder: Path = ROOT) -> dict[str, str]:
+def describe_origin(folder: Path = ROOT) -> dict[str, str]:
     """Return the origin of results, which is kept with them.
 
     `folder` is a checkout or a copy of the code.
@@ -44,6 +44,6 @@ def origin(folder: Path = ROOT) -> dict[str, str]:
     return made
 
 
-def duration(run: dict[str, Any]) -> str:
+def format_duration(run: dict[str, Any]) -> str:
     """Return the time since the start of a run."""
     return f"{(time.time() - run['started_s']) / 60:.1f} min"

@@ -14,7 +14,7 @@ from markupsafe import Markup, escape
 from pipeline.evaluate.own_metrics import METRICS
 from pipeline.report import drawings, tables
 from pipeline.report.drawings import Picture
-from pipeline.report.origin import duration, origin, read_run
+from pipeline.report.origin import describe_origin, format_duration, read_run
 from pipeline.report.tables import Section
 from pipeline.report.values import Task, title_of
 
@@ -33,25 +33,25 @@ class Page:
     details: dict[str, Content]  # title → content that is folded
 
 
-def results(folder: Path, values: pd.DataFrame, tasks: Sequence[Task]) -> Content:
+def list_results(folder: Path, values: pd.DataFrame, tasks: Sequence[Task]) -> Content:
     """Return a table and a chart of the errors of each task, and the paper's claims."""
     content: list[str | Section | Picture | None] = []
     for task in tasks:
-        section = tables.results(values, task.name, page=True)
-        section = section._replace(table=section.table.filter(regex=_errors()))
+        section = tables.results_table(values, task.name, page=True)
+        section = section._replace(table=section.table.filter(regex=_match_errors()))
         content += [section, drawings.draw_errors(folder, task.name, values.loc[task.name])]
-        claims = tables.claims(values, task.name)
+        claims = tables.claims_table(values, task.name)
         if claims.table.size:
             content.append(claims)
     return content
 
 
-def _errors() -> str:
+def _match_errors() -> str:
     """Return a regular expression for the columns of errors in tables of results."""
     return f"^({'|'.join(['nmse', 'MAE', *METRICS])})"
 
 
-def details(
+def list_details(
     folder: Path, values: pd.DataFrame, tasks: Sequence[Task], data: Path
 ) -> dict[str, Content]:
     """Return what is folded: title → tables and pictures, which are written to `folder`.
@@ -62,10 +62,10 @@ def details(
     for task in tasks:
         table = values.loc[task.name]
         title = title_of(task.name)
-        section = tables.results(values, task.name, page=True)
-        others = section.table.columns[~section.table.columns.str.match(_errors())]
+        section = tables.results_table(values, task.name, page=True)
+        others = section.table.columns[~section.table.columns.str.match(_match_errors())]
         content[f"Differences and sizes: {title}"] = [
-            tables.differences(values, task.name, page=True),
+            tables.differences_table(values, task.name, page=True),
             Section("Sizes", section.table[others]),
         ]
         content[f"Test drives: {title}"] = [
@@ -76,23 +76,23 @@ def details(
         chain = drawings.draw_chain(folder, task, values.loc[task.name], data)
         content["From image to graph"] = [chain]
         content["Learning curves"] = [drawings.draw_learning(folder, values, data / "train")]
-        content["Models"] = [tables.models(tasks)]
+        content["Models"] = [tables.models_table(tasks)]
     return content
 
 
-def write(path: Path, page: Page) -> None:
+def write_page(path: Path, page: Page) -> None:
     """Write a page, which ends with the origin of its results."""
     run = read_run()
-    made = origin()
+    made = describe_origin()
     if "started_s" in run:
-        made["duration"] = duration(run)
+        made["duration"] = format_duration(run)
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
     )
-    environment.filters["marked"] = marked
+    environment.filters["marked"] = mark_names
     html = environment.get_template("page.html.j2").render(
         page=page,
         made=made,
@@ -110,7 +110,7 @@ def next_step(run: dict[str, Any]) -> str:
     return "add a network to models in params.yaml, and run dvc repro (README, Add yours)"
 
 
-def marked(text: str) -> Markup:
+def mark_names(text: str) -> Markup:
     """Return a text as HTML, with names marked and what follows a line break in small letters."""
     html = str(escape(text))
     html = re.sub("`(.+?)`", r"<code>\1</code>", html)

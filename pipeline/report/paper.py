@@ -82,7 +82,7 @@ def is_network(name: str, entry: Mapping[str, Any]) -> bool:
     return all(entry.get(key, value) == value for key, value in expected.items())
 
 
-def ratio(claim: Claim) -> float | None:
+def mse_ratio(claim: Claim) -> float | None:
     """Return the ratio of the test MSE of a claim's networks in the paper, if it has both."""
     model_mse = NETWORKS[claim.model].test_mse
     rival_mse = NETWORKS[claim.rival].test_mse

@@ -155,7 +155,7 @@ def draw_paths_in_image(
             panel.plot(*wheel.T, color=chart_colour(kind), linewidth=1.5)
 
 
-def sheet(title: str, view: View, graph: View | None = None) -> Figure:
+def draw_sheet(title: str, view: View, graph: View | None = None) -> Figure:
     """Draw the images of a frame, and below them its points and its `graph` from above."""
     images = view.images()
     points = [part for part in (view, graph) if part is not None and part.xyz is not None]
@@ -186,7 +186,7 @@ def sheet(title: str, view: View, graph: View | None = None) -> Figure:
     return figure
 
 
-def save(figure: Figure, path: Path, dpi: int = 160) -> None:
+def save_figure(figure: Figure, path: Path, dpi: int = 160) -> None:
     """Write `figure` to a PNG or JPEG file in one step.
 
     The file names no version of a program, so that the same figure gives the same bytes.

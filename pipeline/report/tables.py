@@ -15,12 +15,12 @@ from pipeline.report import paper
 from pipeline.report.values import (
     Task,
     best_baseline,
-    difference,
     is_validated,
-    methods,
+    list_methods,
+    list_ranges,
     quantity_of,
-    ranges,
-    ranking,
+    rank_models,
+    read_difference,
     title_of,
     without_scene,
 )
@@ -82,10 +82,10 @@ class Section(NamedTuple):
     def markdown(self) -> str:
         """Return title, table and note in Markdown."""
         note = f"\n\n{fill(self.note, 110)}" if self.note else ""
-        return f"## {self.title}\n\n{markdown(self.table)}{note}"
+        return f"## {self.title}\n\n{to_markdown(self.table)}{note}"
 
 
-def markdown(table: pd.DataFrame) -> str:
+def to_markdown(table: pd.DataFrame) -> str:
     """Return a table in Markdown, with the index left- and the columns right-aligned."""
     table = table.reset_index()
     lines = [table.columns.tolist(), *table.to_numpy().tolist()]
@@ -102,7 +102,7 @@ def markdown(table: pd.DataFrame) -> str:
     return "\n".join(rows)
 
 
-def text(value: Any, form: str = "") -> str:
+def value_text(value: Any, form: str = "") -> str:
     """Return a value as text with a typographic minus, or NONE if it is missing."""
     return NONE if pd.isna(value) else format(value, form).replace("-", "−")
 
@@ -112,7 +112,7 @@ def bounds_text(row: Mapping[str, Any] | pd.Series, form: str) -> str:
     return statistics.bounds_text(row, form).replace("-", "−")
 
 
-def _table(rows: Mapping[str, Mapping[str, str]], name: str) -> pd.DataFrame:
+def _table_of(rows: Mapping[str, Mapping[str, str]], name: str) -> pd.DataFrame:
     """Return a table of rows, without columns that have no value. `name` is that of its index."""
     table = pd.DataFrame.from_dict(rows, orient="index").fillna(NONE).rename_axis(name)
     return table.loc[:, (table != NONE).any()]
@@ -121,7 +121,7 @@ def _table(rows: Mapping[str, Mapping[str, str]], name: str) -> pd.DataFrame:
 # Sentences
 
 
-def sentences(values: pd.DataFrame, absent: Sequence[str] = ()) -> list[str]:
+def write_sentences(values: pd.DataFrame, absent: Sequence[str] = ()) -> list[str]:
     """Return sentences on the results: the question with its answer, the verdict, and more.
 
     Names of models are between backticks, and those of baselines between asterisks. `absent` are
@@ -131,7 +131,7 @@ def sentences(values: pd.DataFrame, absent: Sequence[str] = ()) -> list[str]:
     for task in values.index.unique("task"):
         table = values.loc[task]
         if not lines:
-            lines += _finding(table, task)
+            lines += _describe_best(table, task)
         lines += useless_models(table).values()
     if absent:
         lines.append(
@@ -141,25 +141,26 @@ def sentences(values: pd.DataFrame, absent: Sequence[str] = ()) -> list[str]:
     return lines
 
 
-def _finding(table: pd.DataFrame, task: str) -> list[str]:
+def _describe_best(table: pd.DataFrame, task: str) -> list[str]:
     """Return sentences on the best model, or none if the test drives have no bend."""
-    name = ranking(table)[0]
+    name = rank_models(table)[0]
     row = table.loc[("", name)]
     if pd.isna(row["nmse"]):
         return []
     quantity = quantity_of(task)
     blind = without_scene(table)
     baseline = best_baseline(table)
-    baseline_nmse = text(table.loc[("", baseline), "nmse"], ".2f")
+    baseline_nmse = value_text(table.loc[("", baseline), "nmse"], ".2f")
 
     # The headline compares with a network that lacks the scene, if there is one.
     drives = "1 drive" if row["drives"] == 1 else f"{row['drives']} drives"
-    nmse = f"an error (nmse) of {text(row['nmse'], '.2f')} on {drives} that it was not trained on"
+    nmse = f"an error (nmse) of {value_text(row['nmse'], '.2f')} on {drives} that it was not "
+    nmse += "trained on"
     if blind and row["scene"]:
         rival = f"`{blind}`"
         question = f"Does the scene help to predict the {title_of(task)}?"
         answer = f"Network `{name}` sees the scene and has {nmse}. Network {rival} does not see it "
-        answer += f"and has {text(table.loc[('', blind), 'nmse'], '.2f')}."
+        answer += f"and has {value_text(table.loc[('', blind), 'nmse'], '.2f')}."
     else:
         rival = f"*{baseline}*"
         question = f"How well does a network predict the {title_of(task)}?"
@@ -167,33 +168,35 @@ def _finding(table: pd.DataFrame, task: str) -> list[str]:
         answer += f"({NO_LEARNING[baseline]}) has {baseline_nmse}."
 
     choice = "validation error" if is_validated(table) else "test error (there is no validation)"
-    labels = [label for label in ranges(table) if label]
+    labels = [label for label in list_ranges(table) if label]
     means = f", here as the mean over the ranges {', '.join(labels)}" if labels else ""
-    explained = [f"*{name}*: {NO_LEARNING[name]}" for name in methods(table) if name in NO_LEARNING]
+    explained = [
+        f"*{name}*: {NO_LEARNING[name]}" for name in list_methods(table) if name in NO_LEARNING
+    ]
     return [
         f"{question} {answer} 0 is perfect, and 1 is as bad as always predicting zero.",
-        f"Verdict on `{name}` against {rival}: {_verdict(table, name, rival.strip('`*'))}.",
+        f"Verdict on `{name}` against {rival}: {_verdict_text(table, name, rival.strip('`*'))}.",
         f"nmse is the squared error relative to that of always predicting zero{means}. The 95 % "
         f"interval of that of `{name}` is {bounds_text(row, '.2f')}. `{name}` has the least "
         f"{choice} of the networks. Its mean absolute error of the {quantity.shown_title} is "
         f"{quantity.text(row['mae'])}.",
         f"Predictions without a network: {'; '.join(explained)}. The best of them is *{baseline}*, "
         f"with an nmse of {baseline_nmse}. Verdict on `{name}` against it: "
-        f"{_verdict(table, name, baseline)}.",
+        f"{_verdict_text(table, name, baseline)}.",
     ]
 
 
-def _verdict(table: pd.DataFrame, name: str, rival: str) -> str:
+def _verdict_text(table: pd.DataFrame, name: str, rival: str) -> str:
     """Return the verdict on a model against a rival, with the difference in nmse."""
-    row = difference(table, name, rival)
-    value = text(row["nmse"], "+.2f")
+    row = read_difference(table, name, rival)
+    value = value_text(row["nmse"], "+.2f")
     return f"{row['verdict']} (difference {value}, 95 % interval {bounds_text(row, '+.2f')})"
 
 
 def useless_models(table: pd.DataFrame) -> dict[str, str]:
     """Return model → a sentence, for each model of a task that has learned nothing."""
     lines = {}
-    for name in ranking(table):
+    for name in rank_models(table):
         row = table.loc[("", name)]
         if not pd.isna(row["nmse"]) and row["nmse"] > USELESS:
             lines[name] = (
@@ -215,36 +218,36 @@ def few_turns(values: pd.DataFrame) -> list[str]:
 # Tables of steering. A table of the page has two digits, and an interval below its value.
 
 
-def results(values: pd.DataFrame, task: str, *, page: bool = False) -> Section:
+def results_table(values: pd.DataFrame, task: str, *, page: bool = False) -> Section:
     """Return the errors of models and baselines.
 
     If the models can judge a claim of the paper, the paper's errors stand beside them.
     """
     table = values.loc[task]
     quantity = quantity_of(task)
-    labels = list(dict.fromkeys(["", *ranges(table)]))
-    chosen = ranking(table)[0]
-    with_paper = claims(values, task).table.size > 0
+    labels = list(dict.fromkeys(["", *list_ranges(table)]))
+    chosen = rank_models(table)[0]
+    with_paper = claims_table(values, task).table.size > 0
     useless = useless_models(table)
     notes = [f"✓ has the least {'validation' if is_validated(table) else 'test'} error."]
     rows = {}
-    for name in methods(table):
+    for name in list_methods(table):
         row = table.loc[("", name)]
         cells = {}
         if with_paper:
             published = paper.NETWORKS[name] if row["paper"] is True else None
-            cells["paper: train MSE"] = text(published and published.train_mse, ".3f")
-            cells["paper: test MSE"] = text(published and published.test_mse, ".3f")
-            cells["MSE, rad²"] = text(row["mse"], "#.3g")
+            cells["paper: train MSE"] = value_text(published and published.train_mse, ".3f")
+            cells["paper: test MSE"] = value_text(published and published.test_mse, ".3f")
+            cells["MSE, rad²"] = value_text(row["mse"], "#.3g")
         for label in labels:
             of_range = table.loc[(label, name)]
             cells[f"nmse {label}".strip()] = _nmse_cell(of_range, page=page)
             for metric in METRICS:
-                cells[f"{metric} {label}".strip()] = text(of_range[metric], ".3f")
-        cells[f"MAE {quantity.shown_unit}"] = text(row["mae"], quantity.shown_format)
-        cells["drift"] = text(row["drift"], ".1f")
-        cells["parameters"] = text(row["parameters"], ",d")
-        cells["edges"] = text(row["edges"], ",.0f")
+                cells[f"{metric} {label}".strip()] = value_text(of_range[metric], ".3f")
+        cells[f"MAE {quantity.shown_unit}"] = value_text(row["mae"], quantity.shown_format)
+        cells["drift"] = value_text(row["drift"], ".1f")
+        cells["parameters"] = value_text(row["parameters"], ",d")
+        cells["edges"] = value_text(row["edges"], ",.0f")
 
         marks = " ✓" if name == chosen else ""
         stuck = row["untrained"]
@@ -254,15 +257,15 @@ def results(values: pd.DataFrame, task: str, *, page: bool = False) -> Section:
         if name in useless:
             marks += " ‡"
             notes.append(f"‡ {useless[name]}")
-        rows[_label(name, page=page) + marks] = cells
+        rows[_first_cell(name, page=page) + marks] = cells
     frames = [
-        f"{label} {table.loc[(label, chosen), 'frames']:,}".strip() for label in ranges(table)
+        f"{label} {table.loc[(label, chosen), 'frames']:,}".strip() for label in list_ranges(table)
     ]
     notes.append(f"Test frames that every model of the table predicts: {', '.join(frames)}.")
-    return Section(f"Results: {title_of(task)}", _table(rows, "model"), " ".join(notes))
+    return Section(f"Results: {title_of(task)}", _table_of(rows, "model"), " ".join(notes))
 
 
-def _label(name: str, *, page: bool) -> str:
+def _first_cell(name: str, *, page: bool) -> str:
     """Return the name of a model or baseline as the first cell of its row."""
     if name in BASELINES:
         return f"*{name}*"
@@ -273,24 +276,24 @@ def _nmse_cell(row: pd.Series, *, page: bool) -> str:
     """Return the text of an nmse, with the interval of a model's."""
     _, name = row.name
     if name in BASELINES or pd.isna(row["nmse"]):
-        return text(row["nmse"], ".2f" if page else ".3f")
+        return value_text(row["nmse"], ".2f" if page else ".3f")
     if page:
-        return f"{text(row['nmse'], '.2f')}\n{bounds_text(row, '.2f')}"
+        return f"{value_text(row['nmse'], '.2f')}\n{bounds_text(row, '.2f')}"
     return statistics.nmse_text(row)
 
 
-def differences(values: pd.DataFrame, task: str, *, page: bool = False) -> Section:
+def differences_table(values: pd.DataFrame, task: str, *, page: bool = False) -> Section:
     """Return the differences of the best model from the best baseline and the other models."""
     table = values.loc[task]
-    best, *others = ranking(table)
+    best, *others = rank_models(table)
     rows = {}
     for rival in (best_baseline(table), *others):
         cells = {}
-        for label in ranges(table):
-            row = difference(table, best, rival, label)
+        for label in list_ranges(table):
+            row = read_difference(table, best, rival, label)
             cells[label or "nmse"] = difference_text(row, page=page)
-        rows[f"{_label(best, page=page)} − {_label(rival, page=page)}"] = cells
-    return Section(f"Differences: {title_of(task)}", _table(rows, "models"))
+        rows[f"{_first_cell(best, page=page)} − {_first_cell(rival, page=page)}"] = cells
+    return Section(f"Differences: {title_of(task)}", _table_of(rows, "models"))
 
 
 def difference_text(row: pd.Series, *, page: bool = False) -> str:
@@ -298,46 +301,46 @@ def difference_text(row: pd.Series, *, page: bool = False) -> str:
     if pd.isna(row["nmse"]):
         return NONE
     form = "+.2f" if page else "+.3f"
-    value = text(row["nmse"], form)
+    value = value_text(row["nmse"], form)
     bounds = bounds_text(row, form)
     if page:
         return f"{value} {row['verdict']}\n{bounds}"
     return f"{value} ({bounds}) {row['verdict']}"
 
 
-def claims(values: pd.DataFrame, task: str) -> Section:
+def claims_table(values: pd.DataFrame, task: str) -> Section:
     """Return the paper's claims on networks that the values have, with verdicts."""
     table = values.loc[task]
     form = quantity_of(task).shown_format
-    papers = [name for name in ranking(table) if table.loc[("", name), "paper"] is True]
+    papers = [name for name in rank_models(table) if table.loc[("", name), "paper"] is True]
     rows = {}
     for claim in paper.CLAIMS:
         if claim.model not in papers or claim.rival not in papers:
             continue
         first = table.loc[("", claim.model)]
         second = table.loc[("", claim.rival)]
-        row = difference(table, claim.model, claim.rival)
+        row = read_difference(table, claim.model, claim.rival)
         # A claim that both errors are equally large is refuted by a difference of either sign.
         verdicts = {"better": "reversed" if claim.comparable else "confirmed", "worse": "reversed"}
         rows[claim.text] = {
             "verdict": verdicts.get(row["verdict"], row["verdict"]),
             "networks": f"{claim.model}, {claim.rival}",
-            "nmse": f"{text(first['nmse'], '.3f')}, {text(second['nmse'], '.3f')}",
-            "mean error, °": f"{text(first['mae'], form)}, {text(second['mae'], form)}",
-            "MSE ratio: paper": text(paper.ratio(claim), ".2f"),
-            "here": text(first["nmse"] / second["nmse"] if second["nmse"] else None, ".2f"),
-            "difference in nmse": f"{text(row['nmse'], '+.3f')} ({bounds_text(row, '+.3f')})",
+            "nmse": ", ".join(value_text(model["nmse"], ".3f") for model in (first, second)),
+            "mean error, °": ", ".join(value_text(model["mae"], form) for model in (first, second)),
+            "MSE ratio: paper": value_text(paper.mse_ratio(claim), ".2f"),
+            "here": value_text(first["nmse"] / second["nmse"] if second["nmse"] else None, ".2f"),
+            "difference in nmse": f"{value_text(row['nmse'], '+.3f')} ({bounds_text(row, '+.3f')})",
         }
-    return Section("The paper's claims", _table(rows, "the paper's claim"))
+    return Section("The paper's claims", _table_of(rows, "the paper's claim"))
 
 
-def models(tasks: Sequence[Task]) -> Section:
+def models_table(tasks: Sequence[Task]) -> Section:
     """Return the inputs and settings of all models."""
     rows = {}
     for task in tasks:
         for name, content in task.models.items():
             rows[name] = _model_cells(content)
-    return Section("Models", _table(rows, "model"))
+    return Section("Models", _table_of(rows, "model"))
 
 
 def _model_cells(content: Mapping[str, Any]) -> dict[str, str]:
@@ -346,22 +349,22 @@ def _model_cells(content: Mapping[str, Any]) -> dict[str, str]:
     cells = {"input": entry["input"]}
     if entry["spatial"] != "blind":
         unpruned = content["edges_per_frame_unpruned"]
-        cells["points"] = text(content["points_per_frame"], ",.0f")
-        cells["edges"] = text(unpruned, ",.0f")
-        cells["pruned"] = text(
+        cells["points"] = value_text(content["points_per_frame"], ",.0f")
+        cells["edges"] = value_text(unpruned, ",.0f")
+        cells["pruned"] = value_text(
             1 - content["edges_per_frame"] / unpruned if unpruned else None, ".0%"
         )
     for part, option in {"spatial": "layer", "temporal": "cell"}.items():
         cells[part] = f"{entry[part]} ({entry[option]})" if option in entry else entry[part]
     for setting in ("semantics", "window", "equivariant", "motion"):
-        cells[setting] = text(entry.get(setting))
+        cells[setting] = value_text(entry.get(setting))
     return cells
 
 
 # Tables of perception
 
 
-def perception(scores: Mapping[str, Any]) -> list[Section]:
+def perception_tables(scores: Mapping[str, Any]) -> list[Section]:
     """Return the tables of depth, classes and motion, without those that have no rows."""
     if not scores:
         return []
@@ -384,19 +387,19 @@ def perception(scores: Mapping[str, Any]) -> list[Section]:
                 "frames": str(row["frames"]),
                 "measured": f"{row['valid']:.1%}",
                 "compared": str(row["judged"]),
-                "yaw rate RMSE deg/s": text(row["yaw_rmse_degps"], ".3f"),
-                "median": text(row["yaw_median_degps"], ".3f"),
-                "speed ratio": text(row["speed_ratio"], ".3f"),
-                "steering nmse": text(row["nmse"], ".4f"),
+                "yaw rate RMSE deg/s": value_text(row["yaw_rmse_degps"], ".3f"),
+                "median": value_text(row["yaw_median_degps"], ".3f"),
+                "speed ratio": value_text(row["speed_ratio"], ".3f"),
+                "steering nmse": value_text(row["nmse"], ".4f"),
             }
     sections = [
-        Section("Depth", _table(_depth_rows(scores), "split, truth"), _DEPTH),
+        Section("Depth", _table_of(_depth_rows(scores), "split, truth"), _DEPTH),
         Section(
             "Classes",
-            _table(classes, "split"),
+            _table_of(classes, "split"),
             "Over the classes that occur in the ground truth.",
         ),
-        Section("Motion", _table(motion, "motion, split"), _MOTION),
+        Section("Motion", _table_of(motion, "motion, split"), _MOTION),
     ]
     return [section for section in sections if section.table.size]
 
@@ -416,7 +419,7 @@ def _depth_rows(scores: Mapping[str, Any]) -> dict[str, dict[str, str]]:
     return rows
 
 
-def definitions() -> str:
+def write_definitions() -> str:
     """Return the DEFINITIONS in Markdown."""
     lines = "## Definitions\n\n"
     for word, meaning in DEFINITIONS.items():

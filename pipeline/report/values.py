@@ -23,9 +23,9 @@ from pipeline.base import store
 from pipeline.evaluate.error_table import (
     Predictions,
     common_frames,
-    differences,
-    errors,
-    records,
+    compare_methods,
+    error_table,
+    to_records,
 )
 from pipeline.evaluate.own_metrics import METRICS
 from pipeline.evaluate.settings import BASELINES, NO_LEARNING, Evaluate
@@ -101,22 +101,22 @@ def load_tasks(folders: Mapping[str, Path]) -> list[Task]:
     return tasks
 
 
-def gather(tasks: Sequence[Task], settings: Evaluate) -> pd.DataFrame:
+def gather_values(tasks: Sequence[Task], settings: Evaluate) -> pd.DataFrame:
     """Return the table of values of some tasks."""
     rows = {}
     for task in tasks:
         methods = [*task.predictions.predicted]
-        table = errors(task.predictions, methods, settings)
-        facts = {("", model): _facts(content) for model, content in task.models.items()}
+        table = error_table(task.predictions, methods, settings)
+        facts = {("", model): _model_facts(content) for model, content in task.models.items()}
         table = table.join(pd.DataFrame.from_dict(facts, orient="index", dtype=object))
-        rows[task.name] = pd.concat([table, differences(task.predictions, settings)])
+        rows[task.name] = pd.concat([table, compare_methods(task.predictions, settings)])
     values = (
         pd.concat(rows) if rows else pd.DataFrame(index=pd.MultiIndex.from_tuples([], names=INDEX))
     )
-    return _complete(values)
+    return _add_columns(values)
 
 
-def _complete(values: pd.DataFrame) -> pd.DataFrame:
+def _add_columns(values: pd.DataFrame) -> pd.DataFrame:
     """Return values with all columns and the names of the index."""
     values = values.reindex(columns=[*ERRORS, *FACTS, *METRICS])
     return values.rename_axis(INDEX)
@@ -127,7 +127,7 @@ def _is_papers(content: Mapping[str, Any]) -> bool:
     return paper.is_network(content["model"], content["entry"])
 
 
-def _facts(content: Mapping[str, Any]) -> dict[str, Any]:
+def _model_facts(content: Mapping[str, Any]) -> dict[str, Any]:
     """Return the FACTS of a model, from its metrics.json."""
     name = content["model"]
     gets_scene = content["entry"]["spatial"] != "blind"
@@ -145,7 +145,7 @@ def _facts(content: Mapping[str, Any]) -> dict[str, Any]:
 
 def to_json(values: pd.DataFrame) -> dict[str, Any]:
     """Return the rows of values as those of results.json, with numbers of five digits."""
-    text = json.dumps(records(values))
+    text = json.dumps(to_records(values))
     return json.loads(text, parse_float=lambda number: float(f"{float(number):.5g}"))
 
 
@@ -156,13 +156,13 @@ def from_json(rows: Mapping[str, Any]) -> pd.DataFrame:
         *task, row = key.split("/")
         index.append((*task, *[""] * (2 - len(task)), row))
     table = pd.DataFrame([*rows.values()], pd.MultiIndex.from_tuples(index), dtype=object)
-    return _complete(table)
+    return _add_columns(table)
 
 
 def dvc_metrics(values: pd.DataFrame) -> dict[str, Any]:
     """Return key → errors of models and baselines, as ``dvc metrics show`` prints them."""
     is_error = values["verdict"].isna()
-    return records(values.loc[is_error, ["nmse", "mae", *METRICS]])
+    return to_records(values.loc[is_error, ["nmse", "mae", *METRICS]])
 
 
 # The values of one task, with the index (range, row).
@@ -180,49 +180,49 @@ def title_of(task: str) -> str:
     return quantity_of(task).title_at(int(horizon))
 
 
-def ranges(table: pd.DataFrame) -> list[str]:
+def list_ranges(table: pd.DataFrame) -> list[str]:
     """Return the names of the ranges, or the empty name of a quantity without ranges."""
     return [name for name in table.index.unique("range") if name] or [""]
 
 
-def models(table: pd.DataFrame) -> list[str]:
+def list_models(table: pd.DataFrame) -> list[str]:
     """Return the models."""
     rows = table.loc[""]
     names = rows.index[rows["verdict"].isna()]
     return [name for name in names if name not in BASELINES]
 
 
-def methods(table: pd.DataFrame) -> list[str]:
+def list_methods(table: pd.DataFrame) -> list[str]:
     """Return the models, and the baselines after them."""
-    return models(table) + [name for name in BASELINES if ("", name) in table.index]
+    return list_models(table) + [name for name in BASELINES if ("", name) in table.index]
 
 
 def is_validated(table: pd.DataFrame) -> bool:
     """Return whether all models have a validation error."""
-    return bool(table.loc[""].loc[models(table), "validation"].notna().all())
+    return bool(table.loc[""].loc[list_models(table), "validation"].notna().all())
 
 
-def ranking(table: pd.DataFrame) -> list[str]:
+def rank_models(table: pd.DataFrame) -> list[str]:
     """Return models by validation error, or by test error if a model has no validation error."""
     column = "validation" if is_validated(table) else "nmse"
-    order = table.loc[""].loc[models(table), column].astype(float)
+    order = table.loc[""].loc[list_models(table), column].astype(float)
     return order.sort_values(kind="stable").index.tolist()
 
 
 def without_scene(table: pd.DataFrame) -> str | None:
     """Return the best model that does not get the scene, if there is one."""
     # Published values before 2026-11-28 do not say so: all their models get it.
-    blind = [name for name in ranking(table) if not table.loc[("", name), "scene"]]
+    blind = [name for name in rank_models(table) if not table.loc[("", name), "scene"]]
     return blind[0] if blind else None
 
 
 def best_baseline(table: pd.DataFrame) -> str:
     """Return the baseline with the least nmse among those that do not get the truth."""
-    names = [name for name in NO_LEARNING if name in methods(table)]
+    names = [name for name in NO_LEARNING if name in list_methods(table)]
     nmse = table.loc[""].loc[names, "nmse"].astype(float)
     return str(nmse.fillna(math.inf).idxmin())
 
 
-def difference(table: pd.DataFrame, name: str, rival: str, label: str = "") -> pd.Series:
+def read_difference(table: pd.DataFrame, name: str, rival: str, label: str = "") -> pd.Series:
     """Return the paired difference of a model from another model or a baseline."""
     return table.loc[(label, f"{name} - {rival}")]

@@ -94,7 +94,7 @@ class Fit:
         # A row per epoch: epoch, learning_rate, train_loss, val_nmse (NaN without validation).
         self.curve: list[dict[str, float]] = []
 
-    def run(self, state: Path, title: str) -> None:
+    def train_network(self, state: Path, title: str) -> None:
         """Train until the last epoch, or until validation stops improving.
 
         Results are `best`, the weights of the selected epoch, `curve` and `scale`. After each epoch
@@ -102,17 +102,17 @@ class Fit:
         """
         epochs = self.settings.epochs
         if state.is_file():
-            self._resume(state, title)
+            self._resume_training(state, title)
         train = windows.Reader(self.train, self.entry.window, self.files)
         val = windows.Reader(self.val, self.entry.window, self.files)
-        if self._unfinished():
-            self.files.load(self.net.device, self._peak)
+        if self._is_unfinished():
+            self.files.load_frames(self.net.device, self._measure_peak)
 
         before = len(self.curve)
         started = time.perf_counter()
-        while self._unfinished():
+        while self._is_unfinished():
             epoch = len(self.curve) + 1
-            loss, rate = self._train(train, epoch)
+            loss, rate = self._train_epoch(train, epoch)
             if not math.isfinite(loss):
                 problem = f"loss of epoch {epoch} is {loss}"
                 fix = "Lower train.learning_rate or clip_norm, or look for a division by 0"
@@ -128,7 +128,7 @@ class Fit:
             selected = selected_epoch(self.curve) == epoch
             if selected:
                 self.best = copy_weights(self.average)
-            self._save(state)
+            self._save_state(state)
 
             text = f"{title}: {epoch} of {epochs} epochs, loss {loss:.4f}"
             if self.val:
@@ -145,13 +145,13 @@ class Fit:
             after = f"{done - chosen} epochs after the least validation error, epoch {chosen}"
             print(f"{title}: stopped {after}", flush=True)
 
-    def _unfinished(self) -> bool:
+    def _is_unfinished(self) -> bool:
         """Return whether epochs remain, and validation has improved in the last `patience`."""
         done = len(self.curve)
         waited = done - selected_epoch(self.curve)
         return done < self.settings.epochs and waited < self.settings.patience
 
-    def _resume(self, state: Path, title: str) -> None:
+    def _resume_training(self, state: Path, title: str) -> None:
         """Continue from the file of an earlier run. Raises InputError if it is damaged."""
         with error_context(fix=f"Delete {state} to start again"):
             content = checkpoint.read(state, STATE)
@@ -160,22 +160,24 @@ class Fit:
         self.best = content["best"]
         self.curve = content["curve"]
         text = "kept from an earlier run"
-        if self._unfinished():
+        if self._is_unfinished():
             text = f"continues after epoch {len(self.curve)} of {self.settings.epochs}"
         print(f"{title}: {text}", flush=True)
 
-    def _save(self, state: Path) -> None:
-        """Write the file that :meth:`_resume` reads."""
+    def _save_state(self, state: Path) -> None:
+        """Write the file that :meth:`_resume_training` reads."""
         parts = {name: getattr(self, name).state_dict() for name in PARTS}
         checkpoint.write(state, {"kind": STATE, **parts, "best": self.best, "curve": self.curve})
 
-    def _plan(self, epoch: int) -> list[list[windows.Span]]:
+    def _plan_epoch(self, epoch: int) -> list[list[windows.Span]]:
         """Return the spans of each step of an epoch."""
         # All random numbers of an epoch derive from its number, so a resumed run equals an
         # uninterrupted one.
         rng = np.random.default_rng([self.seed, epoch])
         spans = []
-        for span in windows.spans(self.train, self.entry.window, self.settings.span_windows, rng):
+        for span in windows.split_spans(
+            self.train, self.entry.window, self.settings.span_windows, rng
+        ):
             first_end = span.start + self.entry.window - 1
             if self.train[span.drive].has_target(first_end, span.stop):
                 spans.append(span)
@@ -200,22 +202,22 @@ class Fit:
         groups = np.array_split(np.array(augmented, dtype=object), steps)
         return [group.tolist() for group in groups]
 
-    def _train(self, reader: windows.Reader, epoch: int) -> tuple[float, float]:
+    def _train_epoch(self, reader: windows.Reader, epoch: int) -> tuple[float, float]:
         """Train for one epoch; return the mean loss and the last learning rate."""
         net = self.net
         net.train()
-        steps = self._plan(epoch)
+        steps = self._plan_epoch(epoch)
         # Random numbers of the network, such as those of dropout, derive from the epoch, too.
         torch.manual_seed(int(np.random.SeedSequence([self.seed, epoch]).generate_state(1)[0]))
         errors = []
         weights = []
-        for step, batch in enumerate(reader.batches(steps, net.device)):
+        for step, batch in enumerate(reader.read_batches(steps, net.device)):
             progress = (epoch - 1 + step / len(steps)) / self.settings.epochs
             learning_rate = self.settings.learning_rate * warm_up_cosine(progress, WARM_UP)
             for group in self.optimiser.param_groups:
                 group["lr"] = learning_rate
 
-            error, weight = self._error(net, batch)
+            error, weight = self._batch_error(net, batch)
             self.optimiser.zero_grad(set_to_none=True)
             (error / weight).backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(net.parameters(), self.settings.clip_norm)
@@ -229,7 +231,7 @@ class Fit:
         error_sum, weight_sum = sums.tolist()
         return error_sum / weight_sum, learning_rate
 
-    def _error(self, net: SteeringNet, batch: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+    def _batch_error(self, net: SteeringNet, batch: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         """Return the weighted sum of a batch's errors, and the sum of the weights."""
         residual, weight = step_targets(batch, self._gain, self._std, self.entry.alpha)
         output = net(*net.inputs(batch))
@@ -249,30 +251,30 @@ class Fit:
         torch._foreach_lerp_([*self.average.parameters()], [*self.net.parameters()], weight)
         torch._foreach_copy_([*self.average.buffers()], [*self.net.buffers()])
 
-    def _peak(self) -> int:
+    def _measure_peak(self) -> int:
         """Return the bytes that the largest step and the largest validation batch need on a GPU."""
         torch.cuda.empty_cache()
         reader = windows.Reader([*self.train, *self.val], self.entry.window, self.files)
         net = copy.deepcopy(self.net)
         before = torch.cuda.memory_reserved()
         # Find the largest step of an epoch, and the largest batch of a validation.
-        step = max(self._plan(1), key=_frames)
-        tested = windows.spans(reader.timelines, self.entry.window, trained.WINDOWS)
-        largest = max(([span] for span in tested), key=_frames)
+        step = max(self._plan_epoch(1), key=_count_frames)
+        tested = windows.split_spans(reader.timelines, self.entry.window, trained.WINDOWS)
+        largest = max(([span] for span in tested), key=_count_frames)
 
         torch.cuda.reset_peak_memory_stats()
         # Two steps are made, since the error and the graph of a step stay in memory until the next
         # step has its own.
-        batches = reader.batches([step, step, largest], net.device)
+        batches = reader.read_batches([step, step, largest], net.device)
         for arrays, trains in zip(batches, (True, True, False), strict=True):
             with torch.set_grad_enabled(trains):
-                error, weight = self._error(net.train(trains), arrays)
+                error, weight = self._batch_error(net.train(trains), arrays)
             if trains:
                 (error / weight).backward()  # type: ignore[no-untyped-call]
         return torch.cuda.max_memory_reserved() - before
 
 
-def _frames(group: Sequence[windows.Span]) -> int:
+def _count_frames(group: Sequence[windows.Span]) -> int:
     """Return the number of frames of a group of spans."""
     return sum(span.stop - span.start for span in group)
 

@@ -68,7 +68,7 @@ def fit_run(model: Model, run: runs.Run, files: Files, code: str, kept: Path) ->
     train = model.usable_drives("train")
     val = model.usable_drives("val")
     with error_context(where=model.where):
-        net = _build(entry, train[0], run.seed)
+        net = _build_network(entry, train[0], run.seed)
 
     # The state of an earlier run can be continued if it had the same code, inputs and files.
     inputs = {
@@ -82,7 +82,7 @@ def fit_run(model: Model, run: runs.Run, files: Files, code: str, kept: Path) ->
     state = kept / f"{stage_key(code, inputs, paths)}.pt"
 
     fit = Fit(net, entry, model.settings, run.seed, train, val, files)
-    fit.run(state, f"{model.name} seed {run.seed}")
+    fit.train_network(state, f"{model.name} seed {run.seed}")
 
     intervals_s = np.concatenate([np.diff(drive.time_s) for drive in train])
     best = {
@@ -105,7 +105,7 @@ def fit_run(model: Model, run: runs.Run, files: Files, code: str, kept: Path) ->
     return state
 
 
-def _build(entry: Entry, drive: LabelledDrive, seed: int) -> SteeringNet:
+def _build_network(entry: Entry, drive: LabelledDrive, seed: int) -> SteeringNet:
     """Build a network for the frames and columns of a drive. Raises InputError.
 
     The settings of torch make sure that two runs with the same seed have the same results.

@@ -37,9 +37,9 @@ class Files:
     """
 
     def __init__(self, paths: Iterable[Path] = (), place: Place | None = None) -> None:
-        """Store the paths of the files that :meth:`load` reads into memory.
+        """Store the paths of the files that :meth:`load_frames` reads into memory.
 
-        If `place` is None, :meth:`load` chooses it.
+        If `place` is None, :meth:`load_frames` chooses it.
         """
         self.paths = [*dict.fromkeys(paths)]
         self.place = place
@@ -55,7 +55,7 @@ class Files:
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_opened": {}, "_prepared": {}}
 
-    def prepared(
+    def read_prepared(
         self, path: Path, network: NetworkOptions, device: torch.device
     ) -> np.ndarray | None:
         """Return what a network prepares of the G frames of a file, [G, ...], or None.
@@ -64,10 +64,10 @@ class Files:
         """
         key = (path, repr(network))
         if key not in self._prepared:
-            self._prepared[key] = prepare(self[path], network, device)
+            self._prepared[key] = prepare_frames(self[path], network, device)
         return self._prepared[key]
 
-    def load(self, device: torch.device, peak: Callable[[], int] | None = None) -> None:
+    def load_frames(self, device: torch.device, peak: Callable[[], int] | None = None) -> None:
         """Read the files into memory, unless they have been read already.
 
         If the network is on a CPU, frames stay on disk, because computing takes longer than
@@ -75,15 +75,15 @@ class Files:
         `peak` is None, frames are not kept on the GPU.
         """
         if self.place is None:
-            self.place = self._choose(peak) if device.type == "cuda" else "disk"
+            self.place = self._choose_place(peak) if device.type == "cuda" else "disk"
         if self.place == "disk":
             return
         memory = device if self.place == "GPU" else torch.device("cpu")
         for path in tqdm(self.paths, "load", unit=" drives", leave=False, disable=None):
             if not self[path].kept:
-                self[path].keep(lambda rows: as_tensor(rows).to(memory))
+                self[path].keep_columns(lambda rows: as_tensor(rows).to(memory))
 
-    def _choose(self, peak: Callable[[], int] | None) -> Place:
+    def _choose_place(self, peak: Callable[[], int] | None) -> Place:
         """Return the place for the frames of a training on a GPU."""
         size = sum(self[path].size for path in self.paths)
         ram = free_ram()
@@ -104,7 +104,9 @@ class Files:
         return place
 
 
-def prepare(file: Graphs, network: NetworkOptions, device: torch.device) -> np.ndarray | None:
+def prepare_frames(
+    file: Graphs, network: NetworkOptions, device: torch.device
+) -> np.ndarray | None:
     """Compute what a network prepares of the frames of a file, block by block."""
     if "xyz" not in file.pointers or not len(file.frame):
         return None
@@ -140,7 +142,9 @@ def free_ram() -> int:
     return free // max(1, gpus)
 
 
-def join(spans: Sequence[tuple[Graphs, int, int]], *, pin: bool = False) -> dict[str, Tensor]:
+def join_frames(
+    spans: Sequence[tuple[Graphs, int, int]], *, pin: bool = False
+) -> dict[str, Tensor]:
     """Read the frames [start, stop) of each file as one batch of B frames.
 
     All files have the same columns and are kept in the same place. The batch has each column, with
@@ -160,11 +164,11 @@ def join(spans: Sequence[tuple[Graphs, int, int]], *, pin: bool = False) -> dict
         for file, start, stop in spans:
             rows = slice(file.starts[pointer][start], file.starts[pointer][stop])
             pieces.append(as_tensor(file.row(name, rows)))
-        batch[name] = _concatenated(pieces, pin)
+        batch[name] = _concatenate_rows(pieces, pin)
     return batch
 
 
-def _concatenated(pieces: list[Tensor], pin: bool) -> Tensor:
+def _concatenate_rows(pieces: list[Tensor], pin: bool) -> Tensor:
     """Concatenate tensors; those on the CPU into pinned memory if `pin`."""
     if pieces[0].is_cuda:
         return torch.cat(pieces)
@@ -182,7 +186,7 @@ def _concatenated(pieces: list[Tensor], pin: bool) -> Tensor:
 def number_rows(batch: dict[str, Tensor]) -> dict[str, Tensor]:
     """Change `indices`, which count within a frame, to int32 that count within the batch."""
     if "indices" in batch:
-        batch["indices"] = _unsigned(batch["indices"])
+        batch["indices"] = _to_unsigned(batch["indices"])
         first_rows = batch["ptr"][:-1]
         for numbers, first in by_frame(batch["indices"], first_rows, batch["indices_ptr"]):
             numbers += first
@@ -211,7 +215,7 @@ def as_tensor(rows: np.ndarray | Tensor) -> Tensor:
     """Return rows as a tensor.
 
     Unsigned numbers of several bytes, for which torch lacks operators, become signed numbers with
-    the same bits. :func:`_unsigned` converts them back.
+    the same bits. :func:`_to_unsigned` converts them back.
     """
     if isinstance(rows, Tensor):
         return rows
@@ -220,7 +224,7 @@ def as_tensor(rows: np.ndarray | Tensor) -> Tensor:
     return torch.from_numpy(rows)
 
 
-def _unsigned(rows: Tensor) -> Tensor:
+def _to_unsigned(rows: Tensor) -> Tensor:
     """Return a copy of unsigned numbers that :func:`as_tensor` made signed, as int32."""
     if not rows.is_cuda:
         return torch.from_numpy(rows.numpy().view(f"u{rows.itemsize}").astype(np.int32))

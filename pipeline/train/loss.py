@@ -47,14 +47,14 @@ class Scale:
                 raise InputError(f"{problem} in {names}", drives[0].labels.parent, fix)
 
         base = np.concatenate([drive.base for drive in drives])
-        gain = _regress(base, y) if quantity.is_ahead else np.ones(y.shape[1])
+        gain = _fit_gain(base, y) if quantity.is_ahead else np.ones(y.shape[1])
         std = np.nanstd(y - gain * base, axis=0)
         std = np.maximum(std, 1e-6)  # std is 0 on a straight road
 
         odometry_gain = None
         measured = [drive.odometry for drive in drives if drive.odometry is not None]
         if len(measured) == len(drives):
-            odometry_gain = _regress(np.concatenate(measured), y)
+            odometry_gain = _fit_gain(np.concatenate(measured), y)
         return cls(quantity.columns, gain, std, np.nanmean(y, axis=0), odometry_gain)
 
     @classmethod
@@ -88,7 +88,7 @@ def mean_nmse(drives: Sequence[LabelledDrive], predictions: Sequence[np.ndarray]
     return float(np.mean(values)) if values else np.nan
 
 
-def _regress(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _fit_gain(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return the regression coefficients [R] of y [N,R] on x [N,R], without offset.
 
     They are 0 where x is 0.

@@ -14,7 +14,7 @@ class Run(NamedTuple):
     folder: Path
 
 
-def runs(model: Path, seeds: Sequence[int]) -> list[Run]:
+def list_runs(model: Path, seeds: Sequence[int]) -> list[Run]:
     """Return the runs of a model.
 
     The first seed has the folder `model`, the others subfolders of it.

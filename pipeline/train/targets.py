@@ -222,14 +222,14 @@ def window_values(
     if isinstance(timeline, LabelledDrive):
         values["target"] = timeline.target[ends].astype(np.float32)
         if factor != 1:
-            _rescale(values, factor, timeline.quantity)
+            _rescale_world(values, factor, timeline.quantity)
     if hidden:
         for name in ("motion", "base"):
             values[name] = np.zeros_like(values[name])
     return values
 
 
-def _rescale(values: Arrays, factor: float, quantity: Quantity) -> None:
+def _rescale_world(values: Arrays, factor: float, quantity: Quantity) -> None:
     """Scale motion, base and target to a world that is `factor` times as large.
 
     The yaw rate does not change.

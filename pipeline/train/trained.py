@@ -101,7 +101,7 @@ def load_model(folder: str | Path, device: torch.device | str | None = None) -> 
         content = checkpoint.read(path, KIND)
         try:
             with error_context(path):
-                fields = _parse(content)
+                fields = _parse_checkpoint(content)
         except InputError:
             raise
         except (AttributeError, LookupError, TypeError, ValueError) as error:
@@ -143,7 +143,7 @@ def _print_once(text: str) -> None:
     print(text, flush=True)
 
 
-def _parse(content: dict[str, Any]) -> dict[str, Any]:
+def _parse_checkpoint(content: dict[str, Any]) -> dict[str, Any]:
     """Return the fields of Trained, all except `net`, from the content of a checkpoint."""
     entry = Entry.model_validate(_without_removed(content["entry"]))
     fields = {name: content[name] for name in ("name", "seeds", "settings", "drives", "fps")}
@@ -169,12 +169,12 @@ def predict_drives(net: SteeringNet, reader: windows.Reader, scale: Scale) -> li
     A prediction is NaN if no window ends at the frame. Raises InputError if the network returns NaN
     or infinity for a window.
     """
-    spans = windows.spans(reader.timelines, reader.window, WINDOWS)
+    spans = windows.split_spans(reader.timelines, reader.window, WINDOWS)
     groups = [[span] for span in spans]
     outputs = []
     net.eval()
     with torch.inference_mode():
-        for batch in reader.batches(groups, net.device):
+        for batch in reader.read_batches(groups, net.device):
             outputs.append(net(*net.inputs(batch)))
 
     # Outputs are read after the loop, so that the loop does not wait for the GPU.

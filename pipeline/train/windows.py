@@ -30,7 +30,7 @@ from torch import Tensor
 
 from pipeline.base.loop import prefetch
 from pipeline.graphs.graph_file import Arrays, Graphs
-from pipeline.train.frames import Files, by_frame, join, number_rows
+from pipeline.train.frames import Files, by_frame, join_frames, number_rows
 from pipeline.train.targets import Timeline, window_values
 
 
@@ -50,7 +50,7 @@ class Span:
     hidden: bool = False
 
 
-def spans(
+def split_spans(
     timelines: Sequence[Timeline], window: int, windows: int, rng: np.random.Generator | None = None
 ) -> list[Span]:
     """Split all stretches into spans of at most `windows` windows of `window` frames.
@@ -110,7 +110,7 @@ class Reader:
         self.window = window
         self.files = files or Files()
 
-    def batches(
+    def read_batches(
         self, groups: Iterable[Sequence[Span]], device: torch.device
     ) -> Iterator[dict[str, Tensor]]:
         """Return an iterator over the groups' batches, in order, on the device of a network.
@@ -122,19 +122,19 @@ class Reader:
         # Frames that are on the GPU already need no thread.
         if device.type == "cpu" and self.files.place != "RAM":
             return prefetch(self.__getitem__, groups)
-        join_group = partial(self._join, device=device)
+        join_group = partial(self._join_spans, device=device)
         if self.files.place == "GPU":
             batches: Iterator[JoinedBatch] = map(join_group, groups)
         else:
             batches = prefetch(join_group, groups)
-        return (self._finish(joined, device) for joined in batches)
+        return (self._finish_batch(joined, device) for joined in batches)
 
     def __getitem__(self, group: Sequence[Span]) -> dict[str, Tensor]:
         """Read a group of spans as one batch on the CPU."""
         cpu = torch.device("cpu")
-        return self._finish(self._join(group, cpu), cpu)
+        return self._finish_batch(self._join_spans(group, cpu), cpu)
 
-    def _join(self, group: Sequence[Span], device: torch.device) -> JoinedBatch:
+    def _join_spans(self, group: Sequence[Span], device: torch.device) -> JoinedBatch:
         """Read a group of spans. For a GPU, arrays that are not on it are in pinned memory."""
         pin = device.type == "cuda"
         parts = [self._read_span(span, device) for span in group]
@@ -146,7 +146,7 @@ class Reader:
             part.arrays["windows"] += frames
             frames += len(part.factor)
 
-        batch = join([part.graphs for part in parts], pin=pin)
+        batch = join_frames([part.graphs for part in parts], pin=pin)
         for name in parts[0].arrays:
             array = np.concatenate([part.arrays[name] for part in parts])
             batch[name] = torch.from_numpy(array)
@@ -170,13 +170,13 @@ class Reader:
         # Points can be scaled. An image cannot: it is the same in a larger world.
         larger = span.factor if "xyz" in file.pointers else 1.0
         arrays |= window_values(timeline, rows, ends, larger, span.hidden)
-        prepared = self.files.prepared(timeline.graphs, timeline.network, device)
+        prepared = self.files.read_prepared(timeline.graphs, timeline.network, device)
         if prepared is not None:
             arrays["prepared"] = prepared[span.start : span.stop]
         factor = np.full(len(rows), larger, np.float32)
         return BatchPart((file, span.start, span.stop), factor, arrays)
 
-    def _finish(self, joined: JoinedBatch, device: torch.device) -> dict[str, Tensor]:
+    def _finish_batch(self, joined: JoinedBatch, device: torch.device) -> dict[str, Tensor]:
         """Copy a batch to a device, number its rows there, and scale its points."""
         batch = joined.arrays
         for name, values in batch.items():

@@ -71,7 +71,7 @@ def test_resumed_training_writes_the_same_bytes(folder, monkeypatch, capsys, ent
 
     # With its networks kept, as when test drives are added, nothing is trained.
     with monkeypatch.context() as patch:
-        patch.setattr(Fit, "_train", None)
+        patch.setattr(Fit, "_train_epoch", None)
         assert contents(run_train(folder)) == complete
 
 

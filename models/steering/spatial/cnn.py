@@ -42,13 +42,13 @@ class SteeringCNN(nn.Module):
         nn.init.uniform_(self.weight, -bound, bound)
 
     def forward(self, batch: ImageBatch) -> Tensor:
-        pixels = standardise(batch.image, self.bias.dtype)
+        pixels = standardise_images(batch.image, self.bias.dtype)
         maps = self.convolutions(pixels).flatten(2)  # [B,8,hw]
         features = torch.einsum("bmp,mpf->bmf", maps, self.weight) + self.bias
         return features.flatten(1)
 
 
-def standardise(image: Tensor, dtype: torch.dtype) -> Tensor:
+def standardise_images(image: Tensor, dtype: torch.dtype) -> Tensor:
     """Scale each image to mean 0 and deviation 1 over its pixels and channels.
 
     The shapes are uint8 [B,H,W,3] → [B,3,H,W]. A uniform image becomes 0.

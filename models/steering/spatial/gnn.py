@@ -41,9 +41,9 @@ class GCNLayer(nn.Module):
 
         `adjacency` is the matrix [N,N] of :func:`normalised_adjacency`.
         """
-        return self.project(propagate(adjacency, x), self.weight)
+        return self.project_features(propagate(adjacency, x), self.weight)
 
-    def project(self, propagated: Tensor, weight: Tensor) -> Tensor:
+    def project_features(self, propagated: Tensor, weight: Tensor) -> Tensor:
         """Return ReLU(ÂH W + b) of a product ÂH [N, inputs], with `weight` as W."""
         # In place, since each pass over [N, outputs] takes longer than the arithmetic.
         return (propagated @ weight).add_(self.bias).relu_()
@@ -95,7 +95,7 @@ class GCN(nn.Module):
             adjacency = normalised_adjacency(block.degree, block.indices, dtype)
             propagated = propagate(adjacency, x)
             for weight, blocks in zip(weights, pooled, strict=True):
-                x = first.project(propagated, weight)
+                x = first.project_features(propagated, weight)
                 for layer in others:
                     x = layer(adjacency, x)
                 blocks.append(mean_max_pool(x, block.ptr))

@@ -24,7 +24,7 @@ Radius = Annotated[float, Field(gt=0)]
 Radii = Annotated[tuple[Radius, ...], Field(min_length=1, max_length=8, strict=False)]
 
 
-def mlp(*widths: int) -> nn.Sequential:
+def build_mlp(*widths: int) -> nn.Sequential:
     """Return layers of Linear, LayerNorm and ReLU; the authors' code has BatchNorm instead."""
     layers: list[nn.Module] = []
     for before, after in pairwise(widths):
@@ -40,7 +40,7 @@ class SetAbstraction(nn.Module):
 
     def __init__(self, inputs: int, widths: list[int]) -> None:
         super().__init__()
-        self.mlp = mlp(3 + inputs, *widths)
+        self.mlp = build_mlp(3 + inputs, *widths)
 
     def forward(self, xyz: Tensor, f: Tensor, centres: Tensor, neighbours: Tensor) -> Tensor:
         """Return the features [M, widths[-1]] of the centres.
@@ -196,8 +196,8 @@ class PointNet2(nn.Module):
 
         # The complete frame is one set around the camera.
         widths = channels[levels:]
-        self.whole = mlp(3 + inputs, *widths)
-        self.head = mlp(*reversed(widths))
+        self.whole = build_mlp(3 + inputs, *widths)
+        self.head = build_mlp(*reversed(widths))
         self.read_out = nn.Linear(widths[0], features)
 
     def forward(self, batch: GraphBatch) -> Tensor:
@@ -208,7 +208,9 @@ class PointNet2(nn.Module):
         first = batch.ptr[occupied].to(xyz.device, non_blocking=True)
         occupied = occupied.to(xyz.device, non_blocking=True)
 
-        for layer, level in zip(self.levels, self.groups(batch.prepared[occupied]), strict=True):
+        for layer, level in zip(
+            self.levels, self.split_groups(batch.prepared[occupied]), strict=True
+        ):
             rows = level + first[:, None, None]  # [B,M,1+n]
             centres = rows[:, :, 0].flatten()
             f = layer(xyz, f, centres, rows[:, :, 1:].flatten(0, 1))  # [BM,width]
@@ -219,7 +221,7 @@ class PointNet2(nn.Module):
         maximum = h.new_zeros(batch.frames, h.shape[1]).index_copy(0, occupied, highest)
         return self.read_out(self.head(maximum))
 
-    def groups(self, prepared: Tensor) -> list[Tensor]:
+    def split_groups(self, prepared: Tensor) -> list[Tensor]:
         """Return the groups [B,M,1+n] of each level from those of :meth:`Options.prepare`."""
         levels = list(zip(self.options.centres, self.options.neighbours, strict=True))
         parts = torch.split(prepared, [m * (1 + n) for m, n in levels], dim=1)

@@ -379,7 +379,7 @@ def test_published_weights_give_metric_depth_of_real_streets(street, real_half, 
     errors = []
     ratios = []
     for frame in list(raw.scans)[::10]:
-        image = resize_image(read_image(raw.images(number)[frame], camera.size), SIZE)
+        image = resize_image(read_image(raw.find_images(number)[frame], camera.size), SIZE)
         (depth,), _ = perceive(street, image[None], scaled)
         truth = scan_depth(read_scan(raw.scans[frame]), scaled)
         abs_rel, *_ = compute_depth_errors(crop_eigen(depth), crop_eigen(truth))

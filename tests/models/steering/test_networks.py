@@ -191,7 +191,7 @@ def test_groups_are_those_of_plain_loops(radius_m):
         clouds.append(points[torch.randperm(len(points), generator=rng)[:count]])
     ptr = torch.tensor([0, *(len(cloud) for cloud in clouds)]).cumsum(0)
     net = pointnet2.PointNet2(4, options)
-    first, _ = net.groups(options.prepare(torch.cat(clouds), ptr))
+    first, _ = net.split_groups(options.prepare(torch.cat(clouds), ptr))
     for cloud, level in zip(clouds, first, strict=True):
         if not len(cloud):
             continue
@@ -201,7 +201,7 @@ def test_groups_are_those_of_plain_loops(radius_m):
 
         turn = torch.randperm(len(cloud), generator=rng)
         mirrored = cloud[turn] * torch.tensor([-1, 1, 1])
-        same, _ = net.groups(options.prepare(mirrored, torch.tensor([0, len(cloud)])))
+        same, _ = net.split_groups(options.prepare(mirrored, torch.tensor([0, len(cloud)])))
         assert torch.equal(turn[same[0]], level.long())
 
 

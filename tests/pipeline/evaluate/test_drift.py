@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pipeline.evaluate.drift import drift, path, ways
+from pipeline.evaluate.drift import find_ways, integrate_path, measure_drift
 from pipeline.ingest import packets
 from pipeline.ingest.datasets.kitti import KittiDrive
 from pipeline.labels import label
@@ -19,7 +19,9 @@ def off(predicted_rad: float, unlabelled: int | None = None) -> float | None:
     """Return the drift of a constant angle on a straight road."""
     true_rad = np.where(np.arange(STEPS) == unlabelled, np.nan, 0.0)
     drive = np.zeros(STEPS, int)
-    return drift(true_rad, np.full(STEPS, predicted_rad), drive, FRAMES, label.Car(2.7, 1.0))
+    return measure_drift(
+        true_rad, np.full(STEPS, predicted_rad), drive, FRAMES, label.Car(2.7, 1.0)
+    )
 
 
 def test_ways_end_with_their_drive_and_where_a_label_or_a_prediction_is_missing():
@@ -27,9 +29,9 @@ def test_ways_end_with_their_drive_and_where_a_label_or_a_prediction_is_missing(
     known[:7] = False
     known[[20, 50, 99]] = False
     drive = np.arange(STEPS) // 60
-    pieces = [(rows[0], rows[-1]) for rows in ways(drive, known)]
+    pieces = [(rows[0], rows[-1]) for rows in find_ways(drive, known)]
     assert pieces == [(7, 19), (21, 49), (51, 59), (60, 98)]
-    assert ways(drive, np.zeros(STEPS, bool)) == []
+    assert find_ways(drive, np.zeros(STEPS, bool)) == []
 
 
 def test_drift_is_the_final_distance_per_100_m():
@@ -45,7 +47,7 @@ def test_a_step_uses_speed_and_angle_of_its_end():
     speed_mps = np.array([9.0, 2.0, 4.0])
     angles_rad = np.array([9.0, 0.0, 0.1])
     time_s = np.array([0.0, 0.5, 1.0])
-    positions_m = path(angles_rad, speed_mps, time_s, wheelbase_m=2.7)
+    positions_m = integrate_path(angles_rad, speed_mps, time_s, wheelbase_m=2.7)
     halfway_rad = 2.0 / 2.7 * np.tan(0.1) / 2
     end = [1 + 2 * np.cos(halfway_rad), 2 * np.sin(halfway_rad)]
     np.testing.assert_allclose(positions_m, [[0, 0], [1, 0], end])
@@ -93,7 +95,7 @@ def off_the_track(raw: KittiDrive) -> np.ndarray:
             break
         piece = slice(first, last + 1)
         angle_rad = labels.steering_rad[piece]
-        path_m = path(angle_rad, speed_mps[piece], time_s[piece], wheelbase_m=2.7)
+        path_m = integrate_path(angle_rad, speed_mps[piece], time_s[piece], wheelbase_m=2.7)
         end_m = np.exp(1j * columns["yaw"][first]) * complex(*path_m[-1])
         error_m = abs(end_m - (gnss_m[last] - gnss_m[first]))
         errors_m.append(100 * error_m / (driven_m[last] - driven_m[first]))

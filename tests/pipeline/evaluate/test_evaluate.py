@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.evaluate import statistics
-from pipeline.evaluate.error_table import Predictions, common_frames, errors
+from pipeline.evaluate.error_table import Predictions, common_frames, error_table
 from pipeline.evaluate.own_metrics import METRICS
 from pipeline.evaluate.predictions import Case, prediction_table
 from pipeline.evaluate.settings import Evaluate
@@ -50,7 +50,7 @@ def test_invalid_and_early_frames_do_not_count(folder):
         cases.append(case(drive, predicted))
     test[0].target[10:15] = np.nan
     predictions = common_frames({"net": prediction_table("net", [0], cases)}, test[0].quantity)
-    row = errors(predictions, ["net"], settings(block=5, samples=100)).loc[("", "net")]
+    row = error_table(predictions, ["net"], settings(block=5, samples=100)).loc[("", "net")]
     assert row["frames"] == 2 * (30 - 3) - 5
     assert row["drives"] == 2
     assert row["mse"] == pytest.approx(0.01**2)
@@ -63,7 +63,7 @@ def by_hand(truth: np.ndarray, predicted: np.ndarray) -> pd.Series:
     frame = np.arange(len(truth))
     frames = pd.DataFrame({"drive": "a", "frame": frame, "time_s": frame / 10, "speed_mps": 8.0})
     predictions = Predictions(quantity, frames, truth[:, None], {"net": predicted[None, :, None]})
-    return errors(predictions, ["net"], settings(50, 200)).loc[("", "net")]
+    return error_table(predictions, ["net"], settings(50, 200)).loc[("", "net")]
 
 
 def test_errors_by_hand():
@@ -94,7 +94,7 @@ def test_odometry_needs_motion_in_all_frames_and_other_labels(folder, monkeypatc
 
     def baselines(horizon: int, number: int = 0) -> dict[str, np.ndarray]:
         drive = read(folder, horizon)[number]
-        return case(drive, np.zeros((30, 1)), mean=0.05).baselines()
+        return case(drive, np.zeros((30, 1)), mean=0.05).predict_baselines()
 
     assert list(baselines(5)) == without
     first, second = read(folder)
@@ -125,7 +125,7 @@ def test_odometry_needs_motion_in_all_frames_and_other_labels(folder, monkeypatc
     ],
 )
 def test_seeds_that_did_not_train(nmse, untrained):
-    assert statistics.untrained(np.array(nmse)) == untrained
+    assert statistics.find_untrained(np.array(nmse)) == untrained
 
 
 def interval(
@@ -139,7 +139,7 @@ def interval(
     """Return the interval for errors [N] or [S,N] in rad."""
     squared = np.atleast_2d(error) ** 2
     rival = None if other is None else np.atleast_2d(other) ** 2
-    return statistics.interval(squared, steering, drive, settings(block, samples), rival)
+    return statistics.bootstrap_interval(squared, steering, drive, settings(block, samples), rival)
 
 
 @pytest.mark.parametrize(("drives", "frames"), [(20, 30), (1, 3000)])
@@ -164,14 +164,14 @@ def test_intervals_of_paired_differences_are_as_wide_as_the_errors(drives, frame
         true = rng.normal(size=len(drive))
         first = squared_error(true, 0.146)
         second = squared_error(true, 0.124)
-        low, high = statistics.interval(first, true, drive, settings(100, 300), second)
+        low, high = statistics.bootstrap_interval(first, true, drive, settings(100, 300), second)
         errors.append(1.96 * (low + high - 2 * (0.146 - 0.124)) / (high - low))
     # Over 12 seeds: 0.97 ± 0.07 for twenty drives, 1.02 ± 0.04 for one.
     assert 0.7 < np.std(errors) < 1.3
 
 
 def test_drives_of_two_or_more_blocks_are_cut_into_equal_parts():
-    part = statistics.parts(np.repeat([4, 7, 2, 3], [5, 9, 10, 27]), 5)
+    part = statistics.number_parts(np.repeat([4, 7, 2, 3], [5, 9, 10, 27]), 5)
     assert np.bincount(part).tolist() == [5, 9, 5, 5, 6, 6, 5, 5, 5]
 
 
@@ -236,5 +236,5 @@ def test_the_difference_of_two_models_has_a_narrower_interval():
     errors = first[..., None] ** 2 * columns
     others = second[..., None] ** 2 * columns
     truth = np.stack([steering] * 3, axis=-1)
-    paired = statistics.interval(errors, truth, drive, settings(50, 500), others)
+    paired = statistics.bootstrap_interval(errors, truth, drive, settings(50, 500), others)
     assert paired == pytest.approx([2 * low, 2 * high])

@@ -36,7 +36,7 @@ def test_constant_steering_drives_a_circle(radius, speed):
     frames = 2001
     time_s = np.linspace(0, 2 * np.pi * radius / speed, frames)
     angle = np.full(frames, np.arctan(L / radius))
-    xy = drift.path(angle, np.full(frames, speed), time_s, wheelbase_m=L)
+    xy = drift.integrate_path(angle, np.full(frames, speed), time_s, wheelbase_m=L)
     np.testing.assert_allclose(xy[[-1, frames // 2]], [[0, 0], [0, 2 * radius]], atol=1e-4 * radius)
 
 

@@ -9,7 +9,7 @@ import pandas as pd
 
 from pipeline.base import store
 from pipeline.evaluate.settings import Evaluate
-from pipeline.report.values import Task, gather, load_tasks
+from pipeline.report.values import Task, gather_values, load_tasks
 
 SETTINGS = Evaluate(bootstrap_samples=50, bootstrap_block_frames=5, seed=0)
 DRIVES = ("2026_01_03_drive_0002", "2026_01_03_drive_0003")
@@ -108,7 +108,7 @@ def write_model(data: Path, content: dict[str, Any], table: pd.DataFrame | None 
 def load(data: Path, *models: str) -> tuple[list[Task], pd.DataFrame]:
     """Return the tasks of models below data/evaluate, and their values."""
     tasks = load_tasks({model: data / "evaluate" / model for model in models})
-    return tasks, gather(tasks, SETTINGS)
+    return tasks, gather_values(tasks, SETTINGS)
 
 
 def compare(data: Path, *contents: dict[str, Any]) -> pd.DataFrame:

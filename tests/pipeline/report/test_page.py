@@ -27,7 +27,7 @@ def test_the_page_is_complete_self_contained_and_runs_no_script_of_a_name(tmp_pa
         results=[Section("Results", table, "A note.")],
         details={"Folded": ["A paragraph."], "Nothing": [None]},
     )
-    page.write(tmp_path / "index.html", content)
+    page.write_page(tmp_path / "index.html", content)
 
     text = (tmp_path / "index.html").read_text(encoding="utf-8")
     parts = ["<code>net</code> against <em>zero</em>.", "data:image/jpeg;base64,", "The path."]

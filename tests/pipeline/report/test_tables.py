@@ -24,11 +24,11 @@ def test_tasks_and_rows_are_sorted_with_baselines_last(tmp_path):
     titles = [values.title_of(task) for task in table.index.unique("task")]
     assert titles == ["path ahead", "steering angle", "steering angle, 10 frames ahead"]
     angle = table.loc["angle-0"]
-    assert values.methods(angle) == [
+    assert values.list_methods(angle) == [
         *["gnn-lstm", "do-gnn-ncp", "ours"],
         *["zero", "train_mean", "odometry", "persistence"],
     ]
-    assert values.ranges(table.loc["path-0"]) == ["0-5 m", "5-10 m"]
+    assert values.list_ranges(table.loc["path-0"]) == ["0-5 m", "5-10 m"]
 
 
 @pytest.mark.parametrize("name", ["kitti", "table2"])
@@ -80,13 +80,13 @@ def test_all_rows_are_compared_on_common_frames_with_one_zero(tmp_path):
     examples.write_model(tmp_path, metrics("long", 0.5, window=8) | {"seeds": [0, 1]}, long)
     _, all_values = examples.load(tmp_path, "long", "short")
     angle = all_values.loc["angle-0"]
-    assert values.ranking(angle) == ["short", "long"]
+    assert values.rank_models(angle) == ["short", "long"]
     nmse = angle.loc[""]["nmse"].astype(float)
     unknown = (7**2 + 8**2) / sum(np.delete(np.arange(7, 30), 13) ** 2)
     expected = {"short": 0.3, "long": 0.5, "zero": 1.0, "odometry": 0.5 * (1 + unknown)}
     assert nmse[[*expected]].tolist() == pytest.approx([*expected.values()])
-    assert set(angle.loc[""].loc[values.methods(angle), "frames"]) == {2 * 22}
-    difference = values.difference(angle, "short", "long")
+    assert set(angle.loc[""].loc[values.list_methods(angle), "frames"]) == {2 * 22}
+    difference = values.read_difference(angle, "short", "long")
     assert difference[["nmse", "low", "high"]].tolist() == pytest.approx([-0.2] * 3)
 
 
@@ -95,10 +95,10 @@ def test_models_without_common_frames_or_on_straight_roads_have_no_difference(tm
     for model, drive in zip(("scene", "blind"), examples.DRIVES, strict=True):
         examples.write_model(tmp_path, metrics(model), table[table["drive"] == drive])
     _, apart = examples.load(tmp_path, "scene", "blind")
-    assert tables.differences(apart, "angle-0").table.empty
-    assert tables.sentences(apart) == []
-    assert tables.sentences(compare(tmp_path, metrics("straight", None))) == []
-    assert tables.sentences(compare(tmp_path)) == []
+    assert tables.differences_table(apart, "angle-0").table.empty
+    assert tables.write_sentences(apart) == []
+    assert tables.write_sentences(compare(tmp_path, metrics("straight", None))) == []
+    assert tables.write_sentences(compare(tmp_path)) == []
 
 
 def test_the_first_table_fits_a_terminal(tmp_path):
@@ -109,16 +109,16 @@ def test_the_first_table_fits_a_terminal(tmp_path):
     examples.write_model(tmp_path, content, pd.concat(seeds))
     examples.write_model(tmp_path, metrics("dead", 0.96, horizon=10))
     _, all_values = examples.load(tmp_path, "pointnet2-lstm", "dead")
-    section = tables.results(all_values, "angle-10")
+    section = tables.results_table(all_values, "angle-10")
     assert max(map(len, section.markdown().splitlines())) <= 110
     assert section.table.index[:2].tolist() == ["pointnet2-lstm ✓ †", "dead ‡"]
-    *_, useless = tables.sentences(all_values)
+    *_, useless = tables.write_sentences(all_values)
     assert useless.startswith("`dead` learned nothing")
     assert f"† 1 of 2 seeds of pointnet2-lstm failed to train. ‡ {useless}" in section.note
     row = section.table.loc["pointnet2-lstm ✓ †"]
     assert row["nmse"] == "0.250 ± 0.071 (0.175 to 0.325)"
     assert row[["parameters", "edges"]].tolist() == ["1,408,259", "5,160"]
-    page = tables.results(all_values, "angle-10", page=True).table
+    page = tables.results_table(all_values, "angle-10", page=True).table
     assert page.loc["`pointnet2-lstm` ✓ †", "nmse"] == "0.25\n0.18 to 0.32"
 
 
@@ -136,7 +136,7 @@ def test_the_papers_claims_have_verdicts(tmp_path):
         metrics("do-gnn-ncp", **lidar),
     ]
     table = compare(tmp_path, *(model | {"seeds": [0, 1]} for model in models))
-    claims = tables.claims(table, "angle-0").table
+    claims = tables.claims_table(table, "angle-0").table
     assert claims[["networks", "here", "verdict"]].to_numpy().tolist() == [
         ["gnn-ncp, pointnet2-ncp", "0.25", "confirmed"],
         ["sa-gnn-ncp, lambda-0", "1.00", "no difference shown"],
@@ -144,26 +144,26 @@ def test_the_papers_claims_have_verdicts(tmp_path):
         ["gnn-ncp, gnn-lstm", "0.50", "reversed"],
     ]
     assert claims["MSE ratio: paper"].iloc[0] == "0.55"
-    errors = tables.results(table, "angle-0").table["paper: test MSE"]
+    errors = tables.results_table(table, "angle-0").table["paper: test MSE"]
     assert errors["gnn-ncp ✓"] == "0.132"
     assert errors["keep-100"] == tables.NONE
 
     no_claim = compare(tmp_path, metrics("sa-gnn-ncp"), metrics("mine", spatial="pyg"))
-    assert "paper: test MSE" not in tables.results(no_claim, "angle-0").table
+    assert "paper: test MSE" not in tables.results_table(no_claim, "angle-0").table
 
 
 def test_the_best_model_is_compared_with_the_best_baseline_and_the_other_models(tmp_path):
     path = {"predict": "path", "baselines": {"odometry": 0.4}}
     blind = metrics("path-blind", 0.5, predict="path", spatial="blind")
     table = compare(tmp_path, blind, metrics("path", 0.2, **path))
-    differences = tables.differences(table, "path-0").table
+    differences = tables.differences_table(table, "path-0").table
     assert differences.index.tolist() == ["path − *odometry*", "path − path-blind"]
     expected = "−0.300 (−0.300 to −0.300) too few seeds (train.seeds)"
     assert differences["5-10 m"].iloc[1] == expected
-    results = tables.results(table, "path-0").table
+    results = tables.results_table(table, "path-0").table
     assert results.loc["path ✓", "nmse 0-5 m"] == "0.200 (0.200 to 0.200)"
     assert results.loc["*odometry*", "nmse 5-10 m"] == "0.400"
-    headline, line, *_ = tables.sentences(table)
+    headline, line, *_ = tables.write_sentences(table)
     assert "Network `path-blind` does not see it and has 0.50." in headline
     assert line.startswith("Verdict on `path` against `path-blind`: too few seeds")
 
@@ -193,12 +193,12 @@ def test_the_best_validated_model_has_a_verdict(
     def verdict_of(seeds: list[int]) -> str:
         models = [model | {"seeds": seeds} for model in (other, net)]
         table = compare(tmp_path, *models).loc[f"{predict}-0"]
-        assert values.ranking(table)[0] == "net"
+        assert values.rank_models(table)[0] == "net"
         assert values.best_baseline(table) == rival
         driven_rad = 0.01 * metres * np.delete(np.arange(7, 30), 13).mean()
         mae_deg = np.rad2deg(driven_rad * np.sqrt(nmse).mean())
         assert table.loc[("", "net"), "mae"] == pytest.approx(mae_deg)
-        return values.difference(table, "net", rival)["verdict"]
+        return values.read_difference(table, "net", rival)["verdict"]
 
     assert verdict_of([0]) == "too few seeds (train.seeds)"
     assert verdict_of([0, 1]) == verdict
@@ -219,7 +219,7 @@ def test_perception_has_a_row_per_split_with_ground_truth():
     scores["val"].add_depth("depth_lidar", 1.2 * truth, truth)
     scores["test"].add_depth("depth_dense", truth, truth)
     report = {split: score.to_report() for split, score in scores.items()} | {"motion": {}}
-    (section,) = tables.perception(report)
+    (section,) = tables.perception_tables(report)
     assert section.table.reset_index().to_numpy().tolist() == [  # no columns of flat ground
         ["val, lidar", "1", "100.0%", "0.200, 2.00, 1.000"],
         ["test, dense", "1", "100.0%", "0.000, 0.00, 1.000"],

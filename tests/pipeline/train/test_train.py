@@ -55,7 +55,7 @@ def test_spans_cover_each_window_of_consecutive_frames_once(folder):
     drives = read(folder)
     for seed in (None, *range(20)):
         rng = np.random.default_rng(seed) if seed is not None else None
-        spans = windows.spans(drives, 8, 5, rng)
+        spans = windows.split_spans(drives, 8, 5, rng)
         ends = [(span.drive, row) for span in spans for row in range(span.start + 7, span.stop)]
         assert sorted(ends) == [(number, row) for number in range(2) for row in range(7, 23)]
         assert all(span.stop - span.start - 7 <= 5 for span in spans)
@@ -163,11 +163,11 @@ def test_batches_are_the_same_wherever_frames_are_kept(tmp_path, device, kind, p
         row = start + 1
         groups.append([windows.Span(1, row, row + 9, 1.1), windows.Span(1, 2 * row, 2 * row + 9)])
     files = frames.Files((drive.graphs for drive in drives), place)
-    files.load(torch.device(device))
+    files.load_frames(torch.device(device))
     assert all(bool(files[drive.graphs].kept) == (place != "disk") for drive in drives)
     reader = windows.Reader(drives, 4, files)
     for _ in range(2):
-        batches = reader.batches(groups, torch.device(device))
+        batches = reader.read_batches(groups, torch.device(device))
         for group, batch in zip(groups, batches, strict=True):
             expected = batch_of(drives, *group, window=4)
             assert batch.keys() == expected.keys()
@@ -186,9 +186,9 @@ def test_frames_are_kept_where_they_fit_beside_a_step(folder, monkeypatch, card,
     monkeypatch.setattr(torch.cuda, "empty_cache", lambda: None)
     monkeypatch.setattr(frames, "free_ram", lambda: ram)
     files = frames.Files(drive.graphs for drive in read(folder))
-    assert files._choose(lambda: 180_000) == place
+    assert files._choose_place(lambda: 180_000) == place
 
-    assert files._choose(None) == ("RAM" if ram > 10 else "disk")
+    assert files._choose_place(None) == ("RAM" if ram > 10 else "disk")
 
 
 def test_free_memory_is_a_containers_and_shared_among_gpus(tmp_path, monkeypatch):
@@ -220,7 +220,7 @@ def test_motion_is_hidden_from_half_of_the_spans_beside_a_scene_ahead(
     model = entry(spatial=spatial, temporal="lstm", window=4, motion=motion, horizon=ahead)
     settings = Train(**SETTINGS | {"span_windows": 1})
     fitting = fit.Fit(model.build("graph"), model, settings, 0, read(folder, horizon=ahead), [])
-    share = np.mean([span.hidden for group in fitting._plan(epoch=1) for span in group])
+    share = np.mean([span.hidden for group in fitting._plan_epoch(epoch=1) for span in group])
     assert share == (pytest.approx(0.5, abs=0.2) if hides else 0)
 
 

@@ -42,8 +42,8 @@ def bootstrap_interval(
 ) -> list[float] | None:
     """Return the 95 % interval of Σ error / Σ truth² over other roads and seeds, from a bootstrap.
 
-    The :func:`number_parts` of drives are drawn with replacement, and so are the seeds of each model,
-    independently of the parts. The variance of n drawn values is too small by a factor of
+    Parts of drives (:func:`number_parts`) are drawn with replacement, and so are the seeds of each
+    model, independently of the parts. The variance of n drawn values is too small by a factor of
     (n - 1) / n. So deviations from the mean are multiplied by √(n / (n - 1)), for seeds as for
     parts. With one seed, the interval does not include the spread of other seeds. The result is
     None with fewer than two parts, or if every true value is 0.
@@ -127,7 +127,7 @@ def draw_counts(count: int, samples: int, rng: np.random.Generator) -> np.ndarra
 def draw_seeds(count: int, samples: int, rng: np.random.Generator) -> np.ndarray:
     """Draw seeds, and return the weight of each seed in a mean over them, [samples,count].
 
-    The deviations of the weights from 1 are multiplied by the factor that :func:`widening_factor` returns.
+    The deviations of the weights from 1 are multiplied by the :func:`widening_factor`.
     """
     return 1 + widening_factor(count) * (draw_counts(count, samples, rng) - 1)
 
@@ -172,8 +172,8 @@ def number_parts(drive: np.ndarray, block_frames: int) -> np.ndarray:
 def judge_difference(bounds: Sequence[float] | None, seeds: int, drives: int) -> str:
     """Return what the interval of a paired difference shows about the first of two methods.
 
-    `bounds` is the :func:`bootstrap_interval`, `seeds` the number of seeds of the model that has fewer, and
-    `drives` the number of :func:`number_parts` of drives.
+    `bounds` is the :func:`bootstrap_interval`, `seeds` the number of seeds of the model that has
+    fewer, and `drives` the number of parts of drives.
     """
     if seeds < 2:
         return "too few seeds (train.seeds)"

@@ -125,7 +125,7 @@ def put_motion(file: store.DriveWriter, frame: np.ndarray, motion: store.DriveRe
 class Graphs(store.DriveReader):
     """An open graph file with G frames.
 
-    Pointers are read once. Columns are read for each access, or once if :meth:`keep_columns` is called.
+    Pointers are read once. Columns are read for each access, or once after :meth:`keep_columns`.
     Ragged columns are those whose number of rows varies by frame, and so have a pointer.
     """
 

@@ -8,8 +8,8 @@ from pipeline.base.keys import PACKAGES, ROOT
 
 # Files and folders of the checkout, other than settings, that a run in runs/NAME needs.
 CODE = (*PACKAGES, "dvc.yaml", ".dvcignore", "data/.gitignore")
-# File in runs/NAME with the path of the checkout, which has data/raw and weights. It is not a link,
-# as `runs` may be on a disk that has no links.
+# File in runs/NAME, the working folder of a run, with the path of the checkout. Only the checkout
+# has data/raw and weights. The file is not a link, as `runs` may be on a disk that has no links.
 CHECKOUT = Path("checkout")
 
 
@@ -32,7 +32,7 @@ def revision(checkout: Path = ROOT) -> str:
     """Return the short hash of the commit, with "-dirty" if code or settings differ from it.
 
     The checkout may be a folder of a larger repository. The hash is empty if git is not installed,
-    or no repository has the checkout's files, as those of an installed wheel.
+    or if the files are in no repository, for instance those of an installed wheel.
     """
     if not shutil.which("git") or not _git(checkout, "ls-files", "dvc.yaml"):
         return ""
@@ -40,7 +40,7 @@ def revision(checkout: Path = ROOT) -> str:
     watched = (*CODE, "footage", "steer", "presets", "params.yaml")
     status = _git(checkout, "status", "--porcelain", "--", *watched)
     for line in status.splitlines():
-        # A new preset, such as one by steer import, does not count: the page of its run shows it.
+        # A new preset, such as one by steer import, does not count: the report of its run shows it.
         if not (line.startswith("??") and "presets/" in line):
             return f"{commit}-dirty"
     return commit

@@ -29,8 +29,8 @@ BELOW_HORIZON = 0.0115
 # Half the width in radians of the window in which a nearer point hides others. It is 0.23 degrees,
 # about the distance between two rings of KITTI's scanner.
 OCCLUDER_RAD = 0.004
-# Ratio of the depth of a hidden point to that of the point that hides it, which is exceeded. On
-# flat ground, neighbouring rings differ by a quarter in distance only beyond 60 m.
+# A point is hidden if its depth exceeds that of a point before it by more than this factor. On flat
+# ground, neighbouring rings differ by a quarter in distance only beyond 60 m.
 OCCLUDED_RATIO = 1.25
 
 
@@ -92,8 +92,8 @@ class Camera:
 
         An image that is too high is cropped around a row that is BELOW_HORIZON below the horizon,
         or around the principal point if the horizon is unknown. An image that is too wide is
-        cropped around the principal point. The crop is moved as far as it would leave the image. If
-        the aspect ratios differ by at most SAME_SHAPE, the crop is the complete image.
+        cropped around the principal point. A crop that would reach beyond the image is moved into
+        it. If the aspect ratios differ by at most SAME_SHAPE, the crop is the complete image.
         """
         height, width = self.size
         rows = slice(0, height)
@@ -251,8 +251,8 @@ class DriveFrames(ExitStack):
         self.drive = self._ingest.drive
         self.params = self._perception.params
         self.camera = read_camera(self._ingest)
-        # Factor between the camera's known height and its height by depth, above which depth must
-        # be in another unit.
+        # Largest plausible factor between the camera's known height and its height by depth. Depth
+        # beyond it is in another unit.
         self.unit_error = float(self._perception.attrs.get("unit_error", np.inf))
 
     def __iter__(self) -> Iterator[Frame]:

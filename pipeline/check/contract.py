@@ -2,7 +2,8 @@
 
 A network that breaks a rule often trains, and its errors look like results. The rules of a spatial
 network are those of models/steering/core/steering_net.py: a frame's features depend on the frame
-alone, and not on the order of its points. BatchNorm, dropout, frozen parts and bfloat16 are right.
+alone, and not on the order of its points. BatchNorm, dropout, frozen parts and bfloat16 are
+allowed.
 """
 
 from collections.abc import Callable, Sequence
@@ -67,19 +68,26 @@ def _check_spatial(
         output: Tensor = net.spatial(join_batch([frames[row] for row in numbers]))
         return output
 
-    full = len(counts) - 1
+    # The last frame, without points, comes only together with others.
+    occupied = len(counts) - 1
     together = _check_prediction(
-        net.spatial, run_frames, count=len(counts), full=full, shape=[entry.features], item="frame"
+        net.spatial,
+        run_frames,
+        count=len(counts),
+        lone=occupied,
+        shape=[entry.features],
+        item="frame",
     )
     with torch.no_grad():
         if variant.kind == "graph":
             rng = np.random.default_rng(SEED)
-            shuffled = join_batch([shuffle_points(frame, rng) for frame in frames[:full]])
+            shuffled = join_batch([shuffle_points(frame, rng) for frame in frames[:occupied]])
             problem = "the features depend on the order of the points"
             fix = "Pool by a sum, a mean or a maximum"
-            _check_equal(net.spatial(shuffled), together[:full], problem, fix)
+            _check_equal(net.spatial(shuffled), together[:occupied], problem, fix)
         if net.equivariant:
-            # The features of a frame and of its mirror image, from two copies of the input.
+            # An equivariant network subtracts the features of the mirror image from those of the
+            # frame. Both have one copy of the input there, and two here.
             mirrored = net.spatial(join_batch(frames).mirrored())
             from_one_copy = net._features(join_batch(frames))[: len(frames)]
             problem = "changes its input, from which equivariant: true makes the mirror image"
@@ -110,24 +118,24 @@ def _check_temporal(net: SteeringNet, entry: Entry, outputs: int) -> None:
 
     shape = [entry.window, outputs]
     _check_prediction(
-        net.temporal, run_windows, count=WINDOWS, full=WINDOWS, shape=shape, item="window"
+        net.temporal, run_windows, count=WINDOWS, lone=WINDOWS, shape=shape, item="window"
     )
     _check_training(net.temporal, run_windows, count=WINDOWS, shape=shape)
 
 
 def _check_prediction(
-    network: nn.Module, run: Run, count: int, full: int, shape: Sequence[int], item: str
+    network: nn.Module, run: Run, count: int, lone: int, shape: Sequence[int], item: str
 ) -> Tensor:
     """Check the outputs for each item alone, for a batch of items, and for the same batch again.
 
     `run` returns outputs, each of `shape`, for some of `count` items by their numbers. The first
-    `full` of them may be alone in a batch. An `item` is a frame or a window. Returns the outputs
-    for all items.
+    `lone` of them are also run alone. An `item` is a frame or a window. Returns the outputs for all
+    items.
     """
     network.eval()
     with torch.no_grad():
-        # Items alone come first: they may depend on a state that a batch of all items leaves.
-        alone = [run([number]) for number in range(full)]
+        # Items alone come first. If the batch left a state in the network, they would differ.
+        alone = [run([number]) for number in range(lone)]
         for output in alone:
             _check_output(output, [1, *shape], "in prediction")
         together = run(range(count))
@@ -138,8 +146,8 @@ def _check_prediction(
 
         problem = f"what it returns for a {item} depends on the other {item}s of its batch"
         fix = f"Compute it from the {item} alone, without a state of earlier calls"
-        for output in (torch.cat(alone), run(range(full))):
-            _check_equal(output, together[:full], problem, fix)
+        for output in (torch.cat(alone), run(range(lone))):
+            _check_equal(output, together[:lone], problem, fix)
     return together
 
 

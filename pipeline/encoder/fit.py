@@ -45,8 +45,8 @@ def fit_drives(
     model.to("cuda" if torch.cuda.is_available() else "cpu")
     with Examples(ingest, drives, settings.frames) as examples:
         curve = fit_encoder(model, examples, settings)
-        # The encoder's file lists the datasets it was fitted to. Weights at the start come with
-        # theirs; if their file lists none, these are "unknown".
+        # The encoder's file lists the datasets it was fitted to, before and now. If the file of the
+        # first weights lists none, the earlier ones are "unknown".
         datasets = {*examples.datasets, *architecture.get("datasets", [])}
         if settings.weights and "datasets" not in architecture:
             datasets.add("unknown")

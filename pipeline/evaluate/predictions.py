@@ -135,19 +135,19 @@ def model_facts(name: str, first: Trained, cases: Mapping[str, Sequence[Case]]) 
     drives = {}
     for split, split_cases in cases.items():
         drives[split] = [case.drive for case in split_cases]
-    listed = {}
+    usable = {}
     for split, of_split in drives.items():
-        listed[split] = [drive.name for drive in of_split if drive.has_window(first.entry.window)]
+        usable[split] = [drive.name for drive in of_split if drive.has_window(first.entry.window)]
     tested = drives["test"]
     facts = {
         "model": name,
         "entry": first.entry.model_dump(mode="json"),
         "seeds": first.seeds,
-        "drives": listed,
+        "drives": usable,
         "turning_frames": turning_frames(drives["train"]),
         "parameters": sum(weights.numel() for weights in first.net.parameters()),
         "labels": tested[0].settings["labels"],
-        "variant": tested[-1].settings.get("graphs", {}),
+        "variant": tested[0].settings.get("graphs", {}),
     }
     for key, count in SIZES.items():
         counts = [drive.counts[count] for drive in tested if count in drive.counts]
@@ -159,7 +159,7 @@ def model_facts(name: str, first: Trained, cases: Mapping[str, Sequence[Case]]) 
 
 
 def turning_frames(drives: Sequence[LabelledDrive]) -> int:
-    """Return the number of frames that turn by their target, in any range of its path."""
+    """Return the number of frames whose target turns, in any of its columns."""
     frames = 0
     for drive in drives:
         quantity = drive.quantity

@@ -84,9 +84,9 @@ def _check_units(summaries: list[Summary], where: str) -> None:
     if sum(frames) < ROAD_FRAMES:
         return
     ratios = [summary["road_height_m"] / summary["camera_height_m"] for summary in summaries]
-    ratio = float(np.median(np.repeat(ratios, frames)))
+    ratio = float(np.median(np.repeat(ratios, frames)))  # each frame counts once
     factor = min(summary["unit_error"] for summary in summaries)
     if not 1 / factor < ratio < factor:
-        problem = f"by depth, the road is {ratio:.2f} times as far below the camera as it is"
-        fix = "PNG files of backbone: precomputed have metres × 256. Or correct the height"
+        problem = f"by depth, the road is {ratio:.2f} times the camera's height below it"
+        fix = "PNG files of precomputed depth have metres × 256. Or correct the camera's height"
         raise InputError(f"{problem}: depth in other units?", where, fix)

@@ -8,12 +8,13 @@ from pipeline.base.store import DriveReader
 from pipeline.motion.speed import Speeds, smooth_speeds
 from pipeline.motion.step import MEDIAN_DEVIATION, PROBLEMS, STANDSTILL
 
-# Standard deviation in seconds of the Gaussian for yaw rates with a noise of YAW_NOISE_RADPS: a
-# driver turns the wheel in a second. Noisier ones need a longer one.
+# Width (standard deviation) in seconds of the Gaussian that smooths yaw rates with a noise of
+# YAW_NOISE_RADPS. It is short beside the second in which a driver turns the wheel. Noisier yaw
+# rates have a wider Gaussian.
 YAW_SIGMA_S = 0.1
-# Largest factor of YAW_SIGMA_S. The yaw rates of Udacity's lens of 17 degrees have 3.5 times the
-# noise; with 2, its angle is as good as with 2.5.
-MORE_NOISE = 2.0
+# Largest factor on YAW_SIGMA_S. The yaw rates of Udacity's lens of 17 degrees have 3.5 times the
+# noise, and a factor above 2 did not improve their angle.
+MAX_WIDENING = 2.0
 # Standard deviation in seconds of the Gaussian that tells whether the car goes ahead.
 DIRECTION_S = 0.5
 # Reach of a Gaussian on both sides, in its standard deviations.
@@ -39,7 +40,8 @@ class MeasuredRates(NamedTuple):
 def read_rates(motion: DriveReader, *, smooth: bool) -> MeasuredRates:
     """Return the rates of the F frames in a file of stage motion.
 
-    They are smoothed by later steps, too, or else the causal ones that models get.
+    With `smooth`, they are smoothed by earlier and later steps. Otherwise they are those that
+    models get: yaw rates of single steps, and speeds filtered by earlier steps.
     """
     valid = motion["valid"] > 0
     if smooth:
@@ -61,7 +63,7 @@ def smooth_rates(speeds: Speeds, yaw_rate_radps: np.ndarray) -> MeasuredRates:
     `yaw_rate_radps` [M] has the measured yaw rates of the steps of `speeds`.
     """
     noise = estimate_noise(yaw_rate_radps) / YAW_NOISE_RADPS
-    sigma_s = YAW_SIGMA_S * float(np.clip(noise, 1, MORE_NOISE))
+    sigma_s = YAW_SIGMA_S * float(np.clip(noise, 1, MAX_WIDENING))
     yaw_mean_radps, yaw_error_radps = gaussian_mean(speeds.time_s, yaw_rate_radps, sigma_s)
 
     # A single step that is measured backwards is an error.
@@ -74,13 +76,14 @@ def smooth_rates(speeds: Speeds, yaw_rate_radps: np.ndarray) -> MeasuredRates:
 
 
 def estimate_noise(values: np.ndarray) -> float:
-    """Return the standard deviation of independent noise in values [M]; 0 of fewer than 3.
+    """Return the standard deviation of independent noise in values [M], 0 if M < 3.
 
     It is that of their second differences, in which a steady change has no part.
     """
     if len(values) < 3:
         return 0.0
     second = np.diff(values.astype(np.float64), n=2)
+    # Its variance is 1² + 2² + 1² = 6 times that of the values.
     return float(np.median(np.abs(second)) / MEDIAN_DEVIATION / np.sqrt(6))
 
 

@@ -13,28 +13,29 @@ MEAN_OVER = (5, 5)
 SPECK = np.ones((3, 3), np.uint8)
 # Size of the area around a still point, in points of the grid, that is left out with it.
 AROUND_STILL = np.ones((7, 7), np.uint8)
-# Length in camera heights of the step for which changes are predicted: a short way of a car from
-# image to image.
+# Length in camera heights of the step ahead for which changes are predicted. A car that moves goes
+# farther from image to image.
 STEP = 0.1
-# Share of the sums that remains at the next image.
-KEEP = 0.9
-# Least predicted change in squared grey levels. Smaller ones are noise.
-LEAST = 400.0
+# Factor on the sums at each image.
+DECAY = 0.9
+# Least predicted change in squared grey levels, 20². Smaller ones are noise.
+LEAST_CHANGE = 400.0
 # Largest ratio of recorded to predicted changes where nothing moves.
 STILL = 0.2
 # Quantile of the ratios of an image's recorded changes to the predicted ones that tells whether the
 # car moves.
-QUANTILE = 0.75
-# Least value of this quantile if the car moves. On flat ground, a step of STEP has 1, and what is
-# nearer than the ground has more.
-MOVES = 0.9
+RATIO_QUANTILE = 0.75
+# Least value of this quantile if the car moves. The ratio is 1 on flat ground after a step of STEP,
+# and larger for what is nearer than the ground.
+LEAST_RATIO = 0.9
 
 
 class Still:
     """Sums squared changes from image to image, as recorded and as predicted for a STEP ahead.
 
-    No pixel below the horizon shows anything farther than the ground. So when the car moves, it
-    changes at least as much as the ground there would, unless it shows a part of the car, or text.
+    No pixel below the horizon shows anything farther than the ground. So when the car moves, a
+    pixel changes at least as much as if it showed ground, unless it shows a part of the car, or
+    text.
     """
 
     def __init__(self, camera: Camera) -> None:
@@ -52,17 +53,17 @@ class Still:
         recorded = cv2.blur((grey - before[GRID, GRID]) ** 2, MEAN_OVER)
         predicted = cv2.blur((grey - self._predict_step(before, slope)) ** 2, MEAN_OVER)
 
-        # While the car stands, nothing tells a bonnet from the street.
-        clear = predicted > LEAST
-        if not clear.any():
+        is_clear = predicted > LEAST_CHANGE
+        if not is_clear.any():
             return
-        ratios = recorded[clear] / predicted[clear]
-        if np.quantile(ratios, QUANTILE) <= MOVES:
+        ratios = recorded[is_clear] / predicted[is_clear]
+        # While the car stands, nothing tells a bonnet from the street.
+        if np.quantile(ratios, RATIO_QUANTILE) <= LEAST_RATIO:
             return
 
-        self._recorded = KEEP * self._recorded + recorded
-        self._predicted = KEEP * self._predicted + predicted
-        still = (self._predicted > LEAST) & (self._recorded < STILL * self._predicted)
+        self._recorded = DECAY * self._recorded + recorded
+        self._predicted = DECAY * self._predicted + predicted
+        still = (self._predicted > LEAST_CHANGE) & (self._recorded < STILL * self._predicted)
 
         # An erosion removes single points, which are chance. The dilation is larger, since means at
         # the edge of a bonnet include what moves beside it.
@@ -77,7 +78,9 @@ class Still:
         focus_of_expansion = self._K[:2, 2] + [0, focal * slope]
         from_focus = self._uv - focus_of_expansion[:, None, None]
 
-        # Share of its distance by which the ground at a pixel comes nearer.
+        # Share of its distance by which the ground at a pixel comes nearer: ground in direction v
+        # is focal / v camera heights away. What is now at a distance from the focus of expansion
+        # was at that distance / (1 + nearer) before.
         nearer = STEP * np.maximum(from_focus[1] / focal, 0)
         u, v = (self._uv - from_focus * nearer / (1 + nearer)).astype(np.float32)
         return cv2.remap(before, u, v, cv2.INTER_LINEAR)

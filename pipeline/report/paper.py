@@ -14,13 +14,13 @@ class Network(NamedTuple):
     spatial: str
     temporal: str
     window: int
-    semantics: float
+    semantics: float  # λ of eq. 7
     train_mse: float | None = None
     test_mse: float | None = None
 
 
-# Name of a model → network, in the order of the paper's Table 2. The last two are no networks of
-# the paper, but sa-gnn-ncp with λ = 0 in eq. 7, and with all edges.
+# Name of a model → network, in the order of the paper's Table 2. The last two are not in the paper:
+# sa-gnn-ncp with all edges (variant depth is semantic without pruning), and with λ = 0.
 NETWORKS = {
     "cnn-ncp": Network("image", "cnn", "ncp", 16, 0, 0.108, 0.2676),
     "gnn-lstm": Network("lidar-50k", "gnn", "lstm", 8, 0, 0.033, 0.130),
@@ -34,7 +34,7 @@ NETWORKS = {
 }
 # Settings that all networks have. Settings that are not listed may differ, since the paper
 # gives no learning rates and not all widths. It prints its NCP as eq. 4 but cites the paper of the
-# LTC cell, so both cells count.
+# LTC cell, so an NCP may have either cell.
 _COMMON = {
     "equivariant": False,
     "motion": "none",
@@ -74,7 +74,7 @@ def is_network(name: str, entry: Mapping[str, Any]) -> bool:
         return False
     # The first five fields are settings. Settings that a model lacks are not compared. Only the
     # paper's CNN weights frames (alpha).
-    expected = _COMMON | dict(zip(network._fields[:5], network, strict=False))
+    expected = _COMMON | dict(list(network._asdict().items())[:5])
     if network.spatial != "cnn":
         expected["alpha"] = 0
     if network.spatial != "pointnet2":

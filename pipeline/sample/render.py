@@ -101,6 +101,7 @@ def choose_theme(drive: str) -> tuple[str, str]:
     day = int(drive[8:10])
     number = int(drive[-4:])
     quarters = [*QUARTERS]
+    # Different factors of the day pair each quarter with all manoeuvres.
     return quarters[(number - 2 * day) % len(quarters)], DECK[(number - day) % len(DECK)]
 
 

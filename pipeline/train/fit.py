@@ -18,7 +18,7 @@ from pipeline.base.loop import warm_up_cosine
 from pipeline.train import trained, windows
 from pipeline.train.entry import Entry
 from pipeline.train.frames import Files
-from pipeline.train.loss import Scale, mean_nmse, step_targets, weighted_loss
+from pipeline.train.loss import Scale, batch_targets, mean_nmse, weighted_loss
 from pipeline.train.settings import Train
 from pipeline.train.targets import LabelledDrive
 
@@ -233,7 +233,7 @@ class Fit:
 
     def _batch_error(self, net: SteeringNet, batch: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         """Return the weighted sum of a batch's errors, and the sum of the weights."""
-        residual, weight = step_targets(batch, self._gain, self._std, self.entry.alpha)
+        residual, weight = batch_targets(batch, self._gain, self._std, self.entry.alpha)
         output = net(*net.inputs(batch))
         robust = self.train[0].quantity.is_robust
         error = weighted_loss(output, residual, weight, robust=robust)

@@ -18,8 +18,8 @@ class Scale:
     """y = gain · base + std · output, in each of R columns.
 
     y is the predicted value. base is the measured value of the window's last frame, or 0 if the
-    model's entry says so. gain is 1, or for a quantity that lies ahead of the car the regression
-    coefficient of y on base. std is the standard deviation of y - gain · base.
+    model's entry says so. gain is 1. For a quantity that lies ahead of the car, it is the
+    regression coefficient of y on base. std is the standard deviation of y - gain · base.
     So an output of 0 means the best prediction from base alone. `mean`, the mean of y, and
     `odometry_gain`, the regression coefficient of y on odometry, serve baselines. All arrays are
     float64 [R].
@@ -62,8 +62,9 @@ class Scale:
         """Return the scale that has this :attr:`content`. Raises TypeError or ValueError."""
         fields: dict[str, Any] = {}
         for name, value in content.items():
-            fields[name] = None if value is None else np.array(value)
-        return cls(**fields | {"names": content["names"]})
+            is_array = name != "names" and value is not None
+            fields[name] = np.array(value) if is_array else value
+        return cls(**fields)
 
     @property
     def content(self) -> dict[str, Any]:
@@ -100,7 +101,7 @@ def _fit_gain(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.divide((x * y).sum(axis=0), square, out=np.zeros_like(square), where=square > 0)
 
 
-def step_targets(
+def batch_targets(
     batch: Mapping[str, Tensor], gain: Tensor, std: Tensor, alpha: float
 ) -> tuple[Tensor, Tensor]:
     """Return the outputs that the network should have, and their weights, both [W,R].
@@ -120,8 +121,8 @@ def weighted_loss(predicted: Tensor, target: Tensor, weight: Tensor, robust: boo
     """Return Σ w (ŷ - y)² over windows and columns [W,R].
 
     Divided by Σ w, this sum is paper eq. 9. With `robust` the sum is Σ w Huber(ŷ - y), which is
-    linear beyond one standard deviation. Raises ValueError for two shapes, which torch would
-    broadcast.
+    linear beyond one standard deviation. Raises ValueError if the shapes differ, as torch would
+    broadcast them.
     """
     if predicted.shape != target.shape:
         shapes = f"{list(predicted.shape)}, the targets {list(target.shape)}"

@@ -346,7 +346,7 @@ def test_targets_of_a_step_are_standardised_and_weighted_and_decode_undoes_it():
     gain = torch.from_numpy(scale.gain)
     std = torch.from_numpy(scale.std)
     batch = {"target": target, "base": base}
-    residual, weight = loss.step_targets(batch, gain, std, alpha=2.0)
+    residual, weight = loss.batch_targets(batch, gain, std, alpha=2.0)
     assert residual[:, 0].tolist() == pytest.approx([0.75, -1.5, 0.0])
     assert weight[:, 0].tolist() == pytest.approx([np.exp(0.4), np.exp(0.6), 0.0])
     decoded = Scale.parse(scale.content).decode(residual.numpy(), base.numpy())

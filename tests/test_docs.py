@@ -48,8 +48,8 @@ PLACEHOLDERS = {
     "models/steering/spatial/NAME.py",
     "pipeline/train/quantities/curvature.py",
     "presets/NAME.yaml",
+    "presets/monday.yaml",
 }
-PLACEHOLDERS |= {f"presets/{name}.yaml" for name in ("monday", "more", "NAME")}
 # Options of DVC and git.
 OTHERS = {
     "--ours",

@@ -58,7 +58,7 @@ for depth_m, cls in zip(depths_m, class_maps, strict=True):
     edges = graph.undirected(neighbours)
     pruned = graph.prune(edges, point_cls, keep_inter_class=0.2, rng=rng)
 
-    # Six features of the position, and one for each of 19 classes, describe a point (eq. 7).
+    # Six features of the position, such as its bearing, and one for each of 19 classes (eq. 7).
     x = node_features(torch.from_numpy(xyz), torch.from_numpy(point_cls), semantics=1.0)  # [P,25]
 
     # Graph convolutions mix the features of connected points (eq. 3).

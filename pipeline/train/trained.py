@@ -111,7 +111,7 @@ def load_model(folder: str | Path, device: torch.device | str | None = None) -> 
         contents = fields["contents"]._asdict()
         net = fields["entry"].build(**contents, outputs=len(fields["scale"].names))
         checkpoint.load_state(net, content["net"], path)
-    # Older checkpoints have no hashes.
+    # Included networks have no hashes of code: a test compares their outputs.
     if "code" in content:
         _print_edits(fields["name"], fields["entry"], content["code"])
     if device is None:

@@ -51,7 +51,7 @@ udacity: street        ## compare with the teams of Udacity's Challenge 2; UDACI
 test: setup            ## run all tests, with coverage
 	OMP_NUM_THREADS=1 pytest -n "$$(nproc 2>/dev/null || getconf _NPROCESSORS_ONLN)" --dist loadfile --no-loadscope-reorder --cov --cov-report=term:skip-covered --cov-fail-under=92
 
-bench: setup           ## measure this project beside its alternatives, then its training and perception
+bench: setup           ## measure this project beside its alternatives, then its training
 	python -m benchmarks.alternatives networks
 	python -m benchmarks.card
 

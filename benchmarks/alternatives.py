@@ -26,9 +26,7 @@ from models.steering.core.features import mean_max_pool, node_features
 from models.steering.core.wiring import ncp
 from models.steering.spatial import gnn, pyg
 from pipeline.base import console, store
-from pipeline.camera.classes import BUILDING, ROAD
-from pipeline.camera.geometry import CAMERA_HEIGHT_M
-from pipeline.clouds.cloud import Cloud
+from pipeline.check import street_frames
 from pipeline.graphs import frame_graph, graph_file
 from pipeline.graphs.settings import Variant
 from pipeline.report.origin import describe_origin
@@ -234,21 +232,13 @@ def now_s() -> float:
 
 
 def write_street(folder: Path) -> Path:
-    """Write a graph file of random points on a road and on walls on both sides of the road."""
+    """Write a graph file of a random street. Frames have different points."""
     path = folder / "street.h5"
     rng = np.random.default_rng(0)
     assert VARIANT.points
     graphs = []
     for number in range(FRAMES):
-        # Camera axes in metres: x to the right, y down, z ahead.
-        lowest = [-8, -6, 4]
-        highest = [8, CAMERA_HEIGHT_M, 60]
-        xyz = rng.uniform(lowest, highest, (VARIANT.points, 3)).astype(np.float32)
-        wall = rng.random(len(xyz)) < 0.5
-        xyz[wall, 0] = np.copysign(8, xyz[wall, 0])
-        xyz[~wall, 1] = CAMERA_HEIGHT_M
-        cls = np.where(wall, BUILDING, ROAD).astype(np.uint8)
-        cloud = Cloud(xyz, cls)
+        cloud = street_frames.draw_street(VARIANT.points, rng)
         graphs.append(frame_graph.build_frame(cloud, VARIANT, path.stem, number))
 
     numbers = np.arange(FRAMES)

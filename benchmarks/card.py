@@ -1,4 +1,4 @@
-"""Measure the speed of stages train and perception on this machine, and how long a GPU waits."""
+"""Measure the speed of stage train on this machine, and how long a GPU waits."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,10 +11,8 @@ from benchmarks.alternatives import DEVICE, ENTRY, FRAMES, Work, milliseconds, n
 from pipeline.base import console, store
 from pipeline.base.keys import ROOT
 from pipeline.base.params import load_section
-from pipeline.camera.camera import Camera
 from pipeline.labels import label, source
 from pipeline.labels.settings import Labels
-from pipeline.perception.perceive import GPU_BATCH, EncoderInput, open_encoder
 from pipeline.train.fit import Fit
 from pipeline.train.frames import Files
 from pipeline.train.settings import Train
@@ -26,16 +24,12 @@ PARAMS = ROOT / "params.yaml"
 # Number of drives of the training. All of them have the frames of the same street.
 DRIVES = 7
 
-# Height and width of the images in pixels, on which the encoder of the sample was trained.
-IMAGE_SIZE = (96, 320)
-
 
 def main() -> None:
-    """Print how long a training step and an image take."""
+    """Print how long a training takes to its first step, and a step."""
     torch.set_num_threads(1)
     with TemporaryDirectory() as folder:
         measure_training(Path(folder))
-    measure_perception()
 
 
 def measure_training(folder: Path) -> None:
@@ -103,21 +97,6 @@ def profile_training(train_epoch: Work) -> None:
     # This value includes waits at the end of the epoch, of this measurement and of the profiler.
     print_value("synchronisations per step", waits / steps)
     print_value("peak memory, GiB", torch.cuda.max_memory_allocated() / 2**30)
-
-
-def measure_perception() -> None:
-    """Measure the encoder of the sample on black images, by the code of stage perception."""
-    encoder = open_encoder(ROOT / "models/encoder/sample", "auto")
-    camera = Camera(np.eye(3), IMAGE_SIZE)
-    images = np.zeros((GPU_BATCH, *IMAGE_SIZE, 3), np.uint8)
-    batch = EncoderInput("black", np.arange(GPU_BATCH), images, camera)
-
-    def perceive_batch() -> int:
-        encoder.predict(batch)
-        return GPU_BATCH
-
-    perceive_batch()
-    print_value("perception, ms/image", milliseconds(perceive_batch))
 
 
 def print_value(what: str, value: float) -> None:

@@ -35,7 +35,7 @@ def make_frames(
         if variant.kind == "image":
             frames.append({"image": Column(_draw_image(image_size, rng)[None], "RGB", "ptr")})
         else:
-            frames.append(connect_points(_draw_street(count, rng), variant, rng))
+            frames.append(connect_points(draw_street(count, rng), variant, rng))
     return frames
 
 
@@ -46,7 +46,7 @@ def _draw_image(size: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
     return cv2.resize(patches, (width, height), interpolation=cv2.INTER_LINEAR)
 
 
-def _draw_street(points: int, rng: np.random.Generator) -> Cloud:
+def draw_street(points: int, rng: np.random.Generator) -> Cloud:
     """Return the points that a camera sees of a road between two rows of houses or trees."""
     # Directions of random pixels, x / z and y / z.
     aside = rng.uniform(-0.8, 0.8, points)

@@ -106,7 +106,7 @@ class Fit:
         train = windows.Reader(self.train, self.entry.window, self.files)
         val = windows.Reader(self.val, self.entry.window, self.files)
         if self._is_unfinished():
-            self.files.load_frames(self.net.device, self._measure_peak)
+            self.files.load_frames(self.net.device)
 
         before = len(self.curve)
         started = time.perf_counter()
@@ -250,33 +250,6 @@ class Fit:
         weight = 1.0 if first else 1 - self.settings.average
         torch._foreach_lerp_([*self.average.parameters()], [*self.net.parameters()], weight)
         torch._foreach_copy_([*self.average.buffers()], [*self.net.buffers()])
-
-    def _measure_peak(self) -> int:
-        """Return the bytes that the largest step and the largest validation batch need on a GPU."""
-        torch.cuda.empty_cache()
-        reader = windows.Reader([*self.train, *self.val], self.entry.window, self.files)
-        net = copy.deepcopy(self.net)
-        before = torch.cuda.memory_reserved()
-        # Find the largest step of an epoch, and the largest batch of a validation.
-        step = max(self._plan_epoch(1), key=_count_frames)
-        tested = windows.split_spans(reader.timelines, self.entry.window, trained.WINDOWS)
-        largest = max(([span] for span in tested), key=_count_frames)
-
-        torch.cuda.reset_peak_memory_stats()
-        # Two steps are made, since the error and the graph of a step stay in memory until the next
-        # step has its own.
-        batches = reader.read_batches([step, step, largest], net.device)
-        for arrays, trains in zip(batches, (True, True, False), strict=True):
-            with torch.set_grad_enabled(trains):
-                error, weight = self._batch_error(net.train(trains), arrays)
-            if trains:
-                (error / weight).backward()  # type: ignore[no-untyped-call]
-        return torch.cuda.max_memory_reserved() - before
-
-
-def _count_frames(group: Sequence[windows.Span]) -> int:
-    """Return the number of frames of a group of spans."""
-    return sum(span.stop - span.start for span in group)
 
 
 def copy_weights(net: nn.Module) -> dict[str, Tensor]:

@@ -1,11 +1,10 @@
-"""Read frames of graph files as batches of tensors, and keep frames in memory."""
+"""Read frames of graph files as batches of tensors, and keep frames on a GPU."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-import psutil
 import torch
 from torch import Tensor
 from tqdm import tqdm
@@ -13,20 +12,11 @@ from tqdm import tqdm
 from models.steering.core.options import NetworkOptions
 from pipeline.graphs.graph_file import Graphs, open_graphs
 
-# Where frames are kept: in the memory of the GPU, in RAM, or nowhere but in the files.
-Place = Literal["GPU", "RAM", "disk"]
-# Factor on the memory that a step was measured to need. The measurement lacks the optimiser's
-# state, and gaps between tensors take memory, too.
-RESERVE = 1.1
-# Share of the free RAM that frames may take; the rest is for batches.
-SPARE = 0.8
+# Largest share of a GPU's free memory that frames take. The rest is for the steps of a training.
+SHARE = 0.5
 # Largest number of points of the frames that a network prepares at once, if they are several. On a
 # CPU, they fit into its cache.
 BLOCKS = {"cpu": 2**16, "cuda": 2**19}
-# Folder with the limits of a container's memory.
-CGROUP = Path("/sys/fs/cgroup")
-# Folder with an entry for each GPU of the machine.
-GPUS = Path("/proc/driver/nvidia/gpus")
 
 
 class Files:
@@ -36,13 +26,13 @@ class Files:
     open files.
     """
 
-    def __init__(self, paths: Iterable[Path] = (), place: Place | None = None) -> None:
-        """Store the paths of the files that :meth:`load_frames` reads into memory.
+    def __init__(self, paths: Iterable[Path] = (), in_memory: bool | None = None) -> None:
+        """Store the paths of the files that :meth:`load_frames` reads into the memory of a device.
 
-        If `place` is None, :meth:`load_frames` chooses it.
+        If `in_memory` is None, :meth:`load_frames` decides whether it reads them.
         """
         self.paths = [*dict.fromkeys(paths)]
-        self.place = place
+        self.in_memory = in_memory
         self._opened: dict[Path, Graphs] = {}
         # A file, and the options of a network as text → what the network prepares of its frames.
         self._prepared: dict[tuple[Path, str], np.ndarray | None] = {}
@@ -67,41 +57,29 @@ class Files:
             self._prepared[key] = prepare_frames(self[path], network, device)
         return self._prepared[key]
 
-    def load_frames(self, device: torch.device, peak: Callable[[], int] | None = None) -> None:
-        """Read the files into memory, unless they have been read already.
+    def load_frames(self, device: torch.device) -> None:
+        """Read the files into the memory of a GPU, unless they have been read already.
 
-        If the network is on a CPU, frames stay on disk, because computing takes longer than
-        reading. `peak` returns the bytes that a step needs on the GPU in addition to the frames. If
-        `peak` is None, frames are not kept on the GPU.
+        Files that do not fit stay on disk, from where a thread reads ahead. For a CPU, all files
+        stay there, because computing takes longer than reading.
         """
-        if self.place is None:
-            self.place = self._choose_place(peak) if device.type == "cuda" else "disk"
-        if self.place == "disk":
+        if self.in_memory is None:
+            self.in_memory = device.type == "cuda" and self._fit_gpu()
+        if not self.in_memory:
             return
-        memory = device if self.place == "GPU" else torch.device("cpu")
         for path in tqdm(self.paths, "load", unit=" drives", leave=False, disable=None):
             if not self[path].kept:
-                self[path].keep_columns(lambda rows: as_tensor(rows).to(memory))
+                self[path].keep_columns(lambda rows: as_tensor(rows).to(device))
 
-    def _choose_place(self, peak: Callable[[], int] | None) -> Place:
-        """Return the place for the frames of a training on a GPU."""
+    def _fit_gpu(self) -> bool:
+        """Return whether the files fit into their share of the GPU's free memory."""
         size = sum(self[path].size for path in self.paths)
-        ram = free_ram()
-        place: Place = "RAM" if size <= SPARE * ram else "disk"
-        if peak is None:
-            return place
-
-        step = int(RESERVE * peak())
-        torch.cuda.empty_cache()
-        card, _ = torch.cuda.mem_get_info()
-        if size + step <= card:
-            place = "GPU"
-        free = f"{card / 1e9:.1f} GB are free on the GPU, {ram / 1e9:.1f} in RAM"
-        print(
-            f"{size / 1e9:.1f} GB of frames: {place}; {free}, a step takes {step / 1e9:.1f}",
-            flush=True,
-        )
-        return place
+        free, _ = torch.cuda.mem_get_info()
+        if size <= SHARE * free:
+            return True
+        sizes = f"{size / 1e9:.1f} GB of frames, {free / 1e9:.1f} GB free on the GPU"
+        print(f"{sizes}: frames stay on disk", flush=True)
+        return False
 
 
 def prepare_frames(
@@ -122,24 +100,6 @@ def prepare_frames(
             return None
         blocks.append(block.cpu().numpy())
     return np.concatenate(blocks)
-
-
-def free_ram() -> int:
-    """Return the bytes of RAM that this process may use.
-
-    The free memory of the machine, or of its container, is divided by the number of GPUs, since
-    each GPU may have a process.
-    """
-    free = int(psutil.virtual_memory().available)
-    limit = CGROUP / "memory.max"
-    if limit.is_file() and limit.read_text().strip() != "max":
-        used = int((CGROUP / "memory.current").read_text())
-        lines = (CGROUP / "memory.stat").read_text().splitlines()
-        # The container's usage includes this cache of files, which is freed when needed.
-        cached = dict(line.split() for line in lines)["inactive_file"]
-        free = min(free, int(limit.read_text()) - used + int(cached))
-    gpus = len([*GPUS.glob("*")])
-    return free // max(1, gpus)
 
 
 def join_frames(

@@ -100,7 +100,7 @@ class Reader:
     """Reads groups of spans as batches, which have targets if the timelines are LabelledDrives.
 
     A thread reads ahead. This is enough on a CPU, where computing takes longer than reading. For a
-    GPU, `files` may keep frames in memory.
+    GPU, `files` may keep frames on it.
     """
 
     def __init__(
@@ -120,12 +120,11 @@ class Reader:
         # For a CPU, a thread makes complete batches ahead. For a GPU, that thread only joins frames
         # in pinned memory; the caller's thread copies them and finishes the batch on the GPU.
         # Frames that are on the GPU already need no thread.
-        if device.type == "cpu" and self.files.place != "RAM":
+        if device.type == "cpu":
             return prefetch(self.__getitem__, groups)
         join_group = partial(self._join_spans, device=device)
-        if self.files.place == "GPU":
-            batches: Iterator[JoinedBatch] = map(join_group, groups)
-        else:
+        batches: Iterator[JoinedBatch] = map(join_group, groups)
+        if not self.files.in_memory:
             batches = prefetch(join_group, groups)
         return (self._finish_batch(joined, device) for joined in batches)
 

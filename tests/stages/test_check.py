@@ -143,13 +143,8 @@ def test_weights_are_looked_for_where_stage_encoder_will_run(tmp_path):
         ),
         (
             MODEL,
-            PYG | {"layer": "TAGConv", "layer_options": {"K": 0}},
-            "TAGConv {'K': 0}: edges have no effect",
-        ),
-        (
-            MODEL,
             PYG | {"layer": "SAGEConv", "layer_options": {"aggr": "lstm"}},
-            "depends on the order of points",
+            "depends on the other frames of its batch",
         ),
         (
             f"{MODEL}.wiring",

@@ -38,8 +38,7 @@ class PyG(nn.Module):
     Most layers store a row per edge, which takes memory: training on the demo takes 3.3 GB with
     GATv2Conv, 0.8 GB with spatial: gnn. On a GPU, sums over neighbours have no fixed order in these
     layers, so two runs differ by rounding. Raises InputError if PyTorch Geometric is missing or has
-    no such layer. Raises it, too, if the layer refuses its options, needs more than
-    `x, edge_index`, or has outputs that :func:`output_width` refuses.
+    no such layer, or if the layer refuses its options or needs more than `x, edge_index`.
     """
 
     def __init__(self, features: int, options: Options) -> None:
@@ -55,7 +54,7 @@ class PyG(nn.Module):
         try:
             for outputs in options.layers:
                 self.layers.append(build_layer(layer, width, outputs, options.layer_options))
-                width = output_width(self.layers[-1], width, outputs)
+                width = output_width(self.layers[-1], width)
         except Exception as error:  # a layer may raise any type
             raise InputError(
                 str(error) or repr(error), f"layer {options.layer} {options.layer_options}"
@@ -82,47 +81,17 @@ def build_layer(
     return layer(in_channels=inputs, out_channels=outputs, **options)
 
 
-def output_width(layer: nn.Module, inputs: int, outputs: int) -> int:
-    """Return the channels of a layer's output, from a run on small graphs of 8 points.
+def output_width(layer: nn.Module, inputs: int) -> int:
+    """Return the channels of a layer's output, from a run on two connected points.
 
-    The run also gives a LazyLinear its weights. Raises ValueError unless the output is
-    [N, outputs], or [N, k outputs] with k attention heads. The output of a frame must depend on its
-    edges, and neither on the order of its points nor on other frames.
+    The run also gives a LazyLinear its weights.
     """
-    # The first graph is a path through three points; the other points have no edges. The second is
-    # a star around the first point.
-    path = torch.zeros(8, 8)
-    path[0, 1] = 1
-    path[1, 2] = 1
-    star = torch.zeros(8, 8)
-    star[0, 1:] = 1
-    x = torch.arange(8 * inputs).view(8, inputs).sin()
-
-    # A batch has the path as its first frame. The second frame is the star with its points in
-    # reverse order.
-    batch_x = torch.cat([x, x.flip(0)])
-    batch = torch.block_diag(path, star.flip(0, 1))  # type: ignore[no-untyped-call]
-
+    edge_index = torch.tensor([[1, 0], [0, 1]])
     layer.eval()
     with torch.no_grad():
-        path_output = layer(x, _edge_index(path))
-        star_output = layer(x, _edge_index(star))
-        batch_output = layer(batch_x, _edge_index(batch))
+        output: Tensor = layer(torch.zeros(2, inputs), edge_index)
     layer.train()
-
-    shape = list(path_output.shape)
-    if len(shape) != 2 or shape[0] != 8 or shape[1] % outputs:
-        raise ValueError(f"its output is {shape} for 8 points, expected [8, {outputs}]")
-    if torch.allclose(path_output, star_output, 1e-4, 1e-5):
-        raise ValueError("edges have no effect on its output")
-    if not torch.allclose(batch_output, torch.cat([path_output, star_output.flip(0)]), 1e-4, 1e-5):
-        raise ValueError("its output depends on the order of points or on other frames of a batch")
-    return shape[1]
-
-
-def _edge_index(links: Tensor) -> Tensor:
-    """Return the edges [2,E] of a matrix of links [N,N], in both directions."""
-    return (links + links.T).nonzero().T.flip(0)
+    return output.shape[1]
 
 
 def layer_class(name: str) -> type[nn.Module]:

@@ -146,13 +146,10 @@ def test_motion_and_base_of_a_batch(folder):
     assert (hidden["target"] == batch["target"]).all()
 
 
-@pytest.mark.parametrize("place", ["disk", "RAM", "GPU"])
+@pytest.mark.parametrize("in_memory", [False, True])
 @pytest.mark.parametrize("kind", [*artefacts.VARIANTS, "image"])
-def test_batches_are_the_same_wherever_frames_are_kept(tmp_path, device, kind, place):
-    """On a CPU that takes the GPU's way, too.
-
-    A drive that is scaled stays as it is for the next batch.
-    """
+def test_batches_are_the_same_wherever_frames_are_kept(tmp_path, device, kind, in_memory):
+    """A drive that is scaled stays as it is for the next batch."""
     artefacts.write_dataset(tmp_path, DRIVES, frames=23, points=40, kind=kind)
     drives = read(tmp_path)
     if kind == "points":  # frames are prepared, too
@@ -162,9 +159,9 @@ def test_batches_are_the_same_wherever_frames_are_kept(tmp_path, device, kind, p
         groups.append([windows.Span(0, start, start + 9, 1.1)])
         row = start + 1
         groups.append([windows.Span(1, row, row + 9, 1.1), windows.Span(1, 2 * row, 2 * row + 9)])
-    files = frames.Files((drive.graphs for drive in drives), place)
+    files = frames.Files((drive.graphs for drive in drives), in_memory)
     files.load_frames(torch.device(device))
-    assert all(bool(files[drive.graphs].kept) == (place != "disk") for drive in drives)
+    assert all(bool(files[drive.graphs].kept) == in_memory for drive in drives)
     reader = windows.Reader(drives, 4, files)
     for _ in range(2):
         batches = reader.read_batches(groups, torch.device(device))
@@ -177,32 +174,12 @@ def test_batches_are_the_same_wherever_frames_are_kept(tmp_path, device, kind, p
     assert not pickle.loads(pickle.dumps(files))[drives[0].graphs].kept
 
 
-@pytest.mark.parametrize(
-    ("card", "ram", "place"),
-    [(9e5, 0, "GPU"), (2e5, 9e5, "RAM"), (9e5, 9e5, "GPU"), (2e5, 10, "disk")],
-)
-def test_frames_are_kept_where_they_fit_beside_a_step(folder, monkeypatch, card, ram, place):
-    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda: (card, 1e6))
-    monkeypatch.setattr(torch.cuda, "empty_cache", lambda: None)
-    monkeypatch.setattr(frames, "free_ram", lambda: ram)
-    files = frames.Files(drive.graphs for drive in read(folder))
-    assert files._choose_place(lambda: 180_000) == place
-
-    assert files._choose_place(None) == ("RAM" if ram > 10 else "disk")
-
-
-def test_free_memory_is_a_containers_and_shared_among_gpus(tmp_path, monkeypatch):
-    monkeypatch.setattr(frames, "CGROUP", tmp_path)
-    monkeypatch.setattr(frames, "GPUS", tmp_path / "gpus")
-    (tmp_path / "memory.max").write_text("max\n")
-    assert frames.free_ram() > 1e8
-    (tmp_path / "memory.max").write_text("5000\n")
-    (tmp_path / "memory.current").write_text("2500\n")
-    (tmp_path / "memory.stat").write_text("anon 9\ninactive_file 500\n")
-    assert frames.free_ram() == 3000
-    (tmp_path / "gpus/0").mkdir(parents=True)
-    (tmp_path / "gpus/1").mkdir()
-    assert frames.free_ram() == 1500
+@pytest.mark.parametrize(("free", "fits"), [(1e6, True), (1e3, False)])
+def test_frames_are_kept_on_a_gpu_where_half_of_its_memory_holds_them(
+    folder, monkeypatch, free, fits
+):
+    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda: (free, 1e7))
+    assert frames.Files(drive.graphs for drive in read(folder))._fit_gpu() == fits
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,6 @@ from matplotlib.figure import Figure
 
 from pipeline.base import store
 from pipeline.camera.camera import read_camera
-from pipeline.evaluate import drift
 from pipeline.evaluate.settings import BASELINES
 from pipeline.report import street_view
 from pipeline.report.street_view import COLOURS, WIDTH, chart_colour
@@ -226,40 +225,6 @@ def draw_over_time(folder: Path, task: Task, table: pd.DataFrame) -> Picture | N
     return Picture(
         path, caption + f"`{curve_kinds(table)['predicted']}`, whose first seed is shown."
     )
-
-
-def draw_drift(folder: Path, task: Task, table: pd.DataFrame) -> Picture | None:
-    """Draw the paths of labelled and of predicted angles from above, for the typical drives.
-
-    Nothing is drawn for a quantity ahead of the car, whose values make no such path.
-    """
-    predictions = task.predictions
-    quantity = predictions.quantity
-    angles_rad = {}
-    for kind, values in curve_values(task, table).items():
-        angles_rad[kind] = quantity.angle_rad(values)
-    known = np.isfinite([*angles_rad.values()]).all(axis=0)
-    drives = typical_drives(shown_values(task, table))
-    if quantity.horizon or not known.any():
-        return None
-
-    figure, panels = _draw_panels(len(drives), 3.2)
-    for panel, (drive, rank) in zip(panels, drives.items(), strict=True):
-        of_drive = known & (predictions.frames["drive"] == drive).to_numpy()
-        for way in drift.find_ways(predictions.drive, of_drive)[:1]:
-            rows = predictions.frames.iloc[way]
-            motion = rows["speed_mps"].to_numpy(), rows["time_s"].to_numpy()
-            for kind, angle_rad in angles_rad.items():
-                x_m, y_m = drift.integrate_path(angle_rad[way], *motion, quantity.car.wheelbase_m).T
-                panel.plot(-y_m, x_m, color=chart_colour(kind), label=kind)
-        panel.set(xlabel="to the right, m", ylabel="ahead, m", aspect="equal")
-        panel.set_adjustable("datalim")
-        _set_title(panel, f"{rank} drive, {drive}")
-    path = folder / f"drift-{task.name}.png"
-    street_view.save_figure(figure, path)
-    caption = "The first labelled way of each drive from above, by labelled and by predicted "
-    caption += "angles, all with the measured speed. Drift is the distance of their ends."
-    return Picture(path, caption)
 
 
 def median_bend(shown: pd.DataFrame) -> pd.Series:

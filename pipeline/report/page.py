@@ -68,10 +68,7 @@ def list_details(
             tables.differences_table(values, task.name, page=True),
             Section("Sizes", section.table[others]),
         ]
-        content[f"Test drives: {title}"] = [
-            drawings.draw_over_time(folder, task, table),
-            drawings.draw_drift(folder, task, table),
-        ]
+        content[f"Test drives: {title}"] = [drawings.draw_over_time(folder, task, table)]
     for task in tasks[:1]:
         chain = drawings.draw_chain(folder, task, values.loc[task.name], data)
         content["From image to graph"] = [chain]

@@ -1,4 +1,4 @@
-"""Pictures of a frame, of errors, and of paths in an image and from above."""
+"""Pictures of a frame, of charts, and of paths in an image."""
 
 import h5py
 import numpy as np

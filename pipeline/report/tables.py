@@ -27,8 +27,6 @@ from pipeline.report.values import (
 
 # Text of a cell without a value.
 NONE = "–"
-# nmse on the test drives above which a model has learned nothing.
-USELESS = 0.95
 # Number of turning frames in the training drives below which models cannot be told apart.
 LEAST_TURNING = 20
 # Words that the tables use → their meanings.
@@ -129,10 +127,9 @@ def write_sentences(values: pd.DataFrame, absent: Sequence[str] = ()) -> list[st
     """
     lines: list[str] = []
     for task in values.index.unique("task"):
-        table = values.loc[task]
-        if not lines:
-            lines += _describe_best(table, task)
-        lines += useless_models(table).values()
+        lines = _describe_best(values.loc[task], task)
+        if lines:
+            break
     if absent:
         lines.append(
             f"No result here: {', '.join(absent)}. To fetch those of another machine: dvc pull "
@@ -193,19 +190,6 @@ def _verdict_text(table: pd.DataFrame, name: str, rival: str) -> str:
     return f"{row['verdict']} (difference {value}, 95 % interval {bounds_text(row, '+.2f')})"
 
 
-def useless_models(table: pd.DataFrame) -> dict[str, str]:
-    """Return model → a sentence, for each model of a task that has learned nothing."""
-    lines = {}
-    for name in rank_models(table):
-        row = table.loc[("", name)]
-        if not pd.isna(row["nmse"]) and row["nmse"] > USELESS:
-            lines[name] = (
-                f"`{name}` learned nothing (test nmse above {USELESS}); its training drives have "
-                f"{row['turning_frames']:,} turning frames (radius below 135 m)."
-            )
-    return lines
-
-
 def few_turns(values: pd.DataFrame) -> list[str]:
     """Return a list of a doubt if the training drives have too few bends, or an empty list."""
     least = values["turning_frames"].min()
@@ -228,7 +212,6 @@ def results_table(values: pd.DataFrame, task: str, *, page: bool = False) -> Sec
     labels = list(dict.fromkeys(["", *list_ranges(table)]))
     chosen = rank_models(table)[0]
     with_paper = claims_table(values, task).table.size > 0
-    useless = useless_models(table)
     notes = [f"✓ has the least {'validation' if is_validated(table) else 'test'} error."]
     rows = {}
     for name in list_methods(table):
@@ -254,9 +237,6 @@ def results_table(values: pd.DataFrame, task: str, *, page: bool = False) -> Sec
         if isinstance(stuck, list) and stuck:
             marks += " †"
             notes.append(f"† {len(stuck)} of {len(row['seeds'])} seeds of {name} failed to train.")
-        if name in useless:
-            marks += " ‡"
-            notes.append(f"‡ {useless[name]}")
         rows[_first_cell(name, page=page) + marks] = cells
     frames = [
         f"{label} {table.loc[(label, chosen), 'frames']:,}".strip() for label in list_ranges(table)

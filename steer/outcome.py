@@ -27,7 +27,7 @@ from steer.chain import INGEST, MOTION, Source
 # Longest gap in seconds over which the track continues with the last measured motion.
 BRIDGED_S = 1.0
 # Formats of columns in a CSV file; other columns have ".6f".
-FORMATS = {"frame": ".0f", "valid": ".0f", "points": ".0f", "residual": ".3f", "driven_rad": ".9f"}
+FORMATS = {"frame": ".0f", "valid": ".0f", "driven_rad": ".9f"}
 
 
 class Outcome(NamedTuple):
@@ -67,9 +67,7 @@ class Results:
     def read(cls, source: Source, work: Path, car: Car, *, smooth: bool) -> "Results":
         """Return the measured motion that :func:`steer.chain.run_chain` wrote to `work`.
 
-        Columns are frame, time_s, driven_rad, valid, those of :func:`read_course`, points and
-        residual. ``points`` is the number of points that agree with the motion, and ``residual``
-        their median error in pixels.
+        Columns are frame, time_s, driven_rad, valid, and those of :func:`read_course`.
         """
         recorder = "the log"
         if source.files.oxts and not source.files.find_logs():
@@ -85,15 +83,12 @@ class Results:
             recorded = compare_recorded([Recorded.read(raw, motion, car)], recorder)
 
             labels = (driven or _unknown_labels(len(raw.frame))).select_rows(rows)
-            valid = motion["valid"]
             table = {
                 "frame": motion.frame,
                 "time_s": motion.time_s,
                 "driven_rad": np.where(labels.valid, labels.steering_rad, np.nan),
-                "valid": valid,
+                "valid": motion["valid"],
                 **read_course(motion, car, smooth=smooth),
-                "points": np.where(valid, motion["inliers"], np.nan),
-                "residual": np.where(valid, motion["residual"], np.nan),
             }
             problems = [PROBLEMS[code] for code in motion["problem"]]
             attrs = dict(motion.attrs)

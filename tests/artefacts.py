@@ -223,9 +223,6 @@ def write_motion(
         "smooth_yaw_rate_radps": yaw_rate,
         "smooth_speed_sigma": np.full(len(rows), 0.05),
         "smooth_yaw_sigma_radps": np.full(len(rows), 0.003),
-        "scale": np.full(len(rows), 1, np.float32),
-        "inliers": np.full(len(rows), 100, np.int32),
-        "residual": np.full(len(rows), 0.1, np.float32),
         "T_before_now": T_before_now,
     }
     with store.DriveWriter(folder / f"{drive}.h5", stage="motion", drive=drive, params={}) as file:

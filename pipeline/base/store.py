@@ -25,7 +25,7 @@ from pipeline.base.errors import InputError
 SCHEMAS = {
     "ingest": [8],
     "perception": [8],
-    "motion": [9],
+    "motion": [10],
     "labels": [8],
     # Clouds of version 7 differ only in their texts, of variable length, and lack Fletcher32.
     "clouds": [7, 8],

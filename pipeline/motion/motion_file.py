@@ -42,9 +42,6 @@ _CODES = ", ".join(f"{code} = {text}" for code, text in enumerate(PROBLEMS) if c
 UNITS = {
     "yaw_rate_radps": "rad/s, left positive",
     "speed_mps": "m/s, forward positive",
-    "inliers": "",
-    "residual": "px",
-    "scale": "depth was multiplied by it",
     "ratio": "speed relative to that of the step before, by triangulation, 0 = unknown",
     "ratio_sigma": "standard deviation of the logarithm of ratio",
     "T_before_now": "m",
@@ -113,9 +110,7 @@ def _measure_steps(
     for name in UNITS:
         dtype = np.float64 if name.startswith("smooth_") else np.float32
         columns[name] = np.zeros(len(duration_s), dtype)
-    columns["inliers"] = np.zeros(len(duration_s), np.int32)
     columns["problem"] = np.zeros(len(duration_s), np.uint8)
-    columns["scale"] = np.ones(len(duration_s), np.float32)
     columns["T_before_now"] = np.tile(np.eye(4, dtype=np.float32), (len(duration_s), 1, 1))
 
     odometry = Odometry(frames.camera)

@@ -70,7 +70,6 @@ class _LiftedFrame(NamedTuple):
     grey: np.ndarray  # uint8 [H,W], enlarged if it is small
     xyz: np.ndarray  # [N,3] in metres
     depth_sigma: np.ndarray  # relative standard deviations of the depths [N]
-    scale: float  # factor that was applied to depth
 
 
 class Odometry:
@@ -147,9 +146,7 @@ class Odometry:
             return "a motion that is not a car's"
         ratio = self._compare_lengths(previous, grey, T_before_now)
         self._tracks = find_tracks(uv_before[pose.inliers], uv[pose.inliers], T_before_now, self._K)
-        residual_px = float(np.median(pose.error_px[pose.inliers]))
-        inliers = int(pose.inliers.sum())
-        return Step(T_before_now, inliers, residual_px, previous.scale, *ratio)
+        return Step(T_before_now, *ratio)
 
     def _compare_lengths(
         self, previous: _LiftedFrame, grey: np.ndarray, T_before_now: np.ndarray
@@ -211,7 +208,7 @@ class Odometry:
         column, row = np.rint(uv).astype(np.int64).T
         xyz = pixel_rays(uv, self._K) * (depth_m[row, column] * scale)[:, None]
         depth_sigma = np.where(road[row, column], ROAD_SIGMA, DEPTH_SIGMA)
-        return _LiftedFrame(frame.number, grey, xyz, depth_sigma, scale)
+        return _LiftedFrame(frame.number, grey, xyz, depth_sigma)
 
     def _has_depth(self, depth_m: np.ndarray) -> np.ndarray:
         """Return a mask of pixels with a depth in range that is that of their neighbours, too."""

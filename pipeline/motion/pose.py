@@ -58,12 +58,11 @@ class Matches(NamedTuple):
 
 
 class Pose(NamedTuple):
-    """A refined motion, its robust cost, and how well N points agree with it."""
+    """A refined motion, its robust cost, and which of N points agree with it."""
 
     T_now_before: np.ndarray  # [4,4]
     cost: float
     inliers: np.ndarray  # bool [N]
-    error_px: np.ndarray  # reprojection errors [N]
 
 
 class _Linearised(NamedTuple):
@@ -149,8 +148,7 @@ def _refine_motion(T: np.ndarray, matches: Matches, K: np.ndarray) -> Pose | Non
 
     points = _linearise_errors(T, matches, K)
     cost = float(np.log1p(points.squared_distance / CAUCHY**2).sum())
-    inliers = points.squared_distance < INLIER_SIGMAS**2
-    return Pose(T, cost, inliers, np.linalg.norm(points.error_px, axis=-1))
+    return Pose(T, cost, inliers=points.squared_distance < INLIER_SIGMAS**2)
 
 
 def _linearise_errors(T: np.ndarray, matches: Matches, K: np.ndarray) -> _Linearised:

@@ -34,9 +34,6 @@ class Step(NamedTuple):
     """A measured step."""
 
     T_before_now: np.ndarray  # [4,4]
-    inliers: int
-    residual: float  # px
-    scale: float = 1.0  # factor that was applied to depth
     # Length relative to that of the step before, and the standard deviation of its logarithm; 0 if
     # it is unknown.
     ratio: float = 0.0

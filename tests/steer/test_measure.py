@@ -105,7 +105,7 @@ def test_input_without_motion_gets_no_numbers(tmp_path, encoder, images, capsys)
     measure([folder], out=tmp_path / "out", encoder=encoder, video=False, **LENS)
     rows = read_motion(tmp_path / "out")
     assert not rows["valid"].any()
-    for name in ("speed_mps", "yaw_rate_radps", "measured_rad", "x_m", "points"):
+    for name in ("speed_mps", "yaw_rate_radps", "measured_rad", "x_m"):
         assert np.isnan(rows[name]).all()
     assert "horizon: not found" in capsys.readouterr().out
 

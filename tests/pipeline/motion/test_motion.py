@@ -150,10 +150,6 @@ def test_known_motion_is_measured(yaw_rate, speed):
     # Over textures of 8 seeds, errors have a deviation of 0.0017 rad/s, and of 0.03 m/s or 0.5 %.
     assert yaw_rates(steps) == constant(yaw_rate, abs=0.007)
     assert speeds(steps) == constant(speed, rel=0.02, abs=0.12)
-    for measured_step in steps[1:]:
-        assert measured_step.inliers > 100
-        assert measured_step.residual < 0.4
-        assert measured_step.scale == pytest.approx(1, abs=0.02)
 
 
 def test_motion_is_measured_since_the_frame_before_by_number():
@@ -171,14 +167,10 @@ def test_a_wrong_scale_is_corrected_by_the_camera_height(road):
         frame.depth_m = 0.7 * frame.depth_m
         frame.cls = np.where(frame.cls == classes.ROAD, road, frame.cls)
 
-    steps = measured(frames)
-    assert speeds(steps) == constant(6.0, rel=0.03)
-    assert [corrected.scale for corrected in steps[1:]] == constant(1 / 0.7, rel=0.02)
-
+    assert speeds(measured(frames)) == constant(6.0, rel=0.03)
     without_height = measured(frames, street.WIDE)
     assert speeds(without_height) == constant(0.7 * 6.0, rel=0.03)
     assert yaw_rates(without_height) == constant(0.2, abs=0.01)
-    assert [uncorrected.scale for uncorrected in without_height[1:]] == [1.0] * 3
 
 
 @pytest.mark.parametrize("reflection", [0.0, 0.4])

@@ -65,8 +65,8 @@ _DEPTH = (
 # Note of the table of motion.
 _MOTION = (
     "Motion since the previous frame, measured from images, compared with the recorded motion "
-    "(oxts or a log) at or above labels.min_speed_mps. wheel: recorded angles; …-wheel: compared "
-    "with these. nmse: of the steering angle from the last measurement."
+    "(oxts or a log) at or above labels.min_speed_mps. nmse: of the steering angle from the last "
+    "measurement."
 )
 
 
@@ -359,10 +359,9 @@ def perception_tables(scores: Mapping[str, Any]) -> list[Section]:
                 "mean IoU": f"{row['mean_iou']:.3f}",
                 "classes": str(len(row["iou"])),
             }
-    for (kind, splits), split in product(scores["motion"].items(), SPLITS):
-        row = splits[split]
+        row = scores["motion"][split]
         if row:
-            motion[f"{kind}, {split}"] = {
+            motion[split] = {
                 "drives": str(row["drives"]),
                 "frames": str(row["frames"]),
                 "measured": f"{row['valid']:.1%}",
@@ -379,7 +378,7 @@ def perception_tables(scores: Mapping[str, Any]) -> list[Section]:
             _table_of(classes, "split"),
             "Over the classes that occur in the ground truth.",
         ),
-        Section("Motion", _table_of(motion, "motion, split"), _MOTION),
+        Section("Motion", _table_of(motion, "split"), _MOTION),
     ]
     return [section for section in sections if section.table.size]
 

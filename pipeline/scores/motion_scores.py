@@ -25,19 +25,20 @@ class MotionErrors(NamedTuple):
     true_angle_rad: np.ndarray
 
 
-def score_motion(drives: list[str], ingest: Path, motion: Path, car: Car) -> dict[str, Any]:
-    """Return the scores of the measured motion, as models get it, under the name ``visual``.
+def score_motion(
+    drives: Sequence[str], ingest: Path, motion: Path, car: Car
+) -> dict[str, Any] | None:
+    """Return the scores of the measured motion, as models get it, against recorded motion.
 
-    The reference is recorded motion. The result is empty if no drive recorded any. `ingest` and
-    `motion` are the folders of these stages.
+    The result is None if no drive recorded any. `ingest` and `motion` are the folders of these
+    stages.
     """
     errors = []
     for drive in drives:
         errors_of_drive = _compare_drive(ingest / f"{drive}.h5", motion / f"{drive}.h5", car)
         if errors_of_drive:
             errors.append(errors_of_drive)
-    scores = summarise_errors(errors)
-    return {"visual": scores} if scores else {}
+    return summarise_errors(errors)
 
 
 def _compare_drive(ingest: Path, motion: Path, car: Car) -> MotionErrors | None:

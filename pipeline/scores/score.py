@@ -1,4 +1,4 @@
-"""Score the perceived images and the measured motion of a drive, and of the drives of a split."""
+"""Score the perceived images of a drive, and perceived images and measured motion of a split."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,11 +16,11 @@ from pipeline.scores.motion_scores import score_motion
 from pipeline.scores.pixels import Scores
 
 
-def score_drive(path: Path, *, ingest: Path, perception: Path, motion: Path, car: Car) -> Summary:
+def score_drive(path: Path, *, ingest: Path, perception: Path) -> Summary:
     """Write the scores of a drive, DRIVE/metrics.json, and return the sums of its errors.
 
-    The sums are those of :class:`Scores`, so they can be added to those of other drives. `ingest`,
-    `perception` and `motion` are the drive's files of these stages.
+    The sums are those of :class:`Scores`, so they can be added to those of other drives. `ingest`
+    and `perception` are the drive's files of these stages.
     """
     scores = Scores()
     with (
@@ -33,8 +33,7 @@ def score_drive(path: Path, *, ingest: Path, perception: Path, motion: Path, car
             cls = perceived.row("cls", row)
             truth = read_truth(source, camera, source.row_of(number))
             scores.add_frame(depth_m, cls, camera, truth)
-    motion_scores = score_motion([ingest.stem], ingest.parent, motion.parent, car)
-    write_json(path, {**scores.to_report(), "motion": motion_scores})
+    write_json(path, scores.to_report())
     sums = {key: values.tolist() for key, values in scores.sums.items()}
     return {"frames": len(perceived.frame), "sums": sums}
 
@@ -60,15 +59,14 @@ def score_splits(
         motion: folder of stage motion.
         car: parameters of the steering angle.
     """
-    content: dict[str, Any] = {"motion": {}, "train": Scores().to_report()}
+    content: dict[str, Any] = {"motion": dict.fromkeys(SPLITS), "train": Scores().to_report()}
     for split in ("val", "test"):
         scores = Scores()
         drives = drives_in(splits, split)
         for drive in drives:
             scores.add_sums(summaries[drive]["sums"])
         content[split] = scores.to_report()
-        for kind, motion_scores in score_motion(drives, ingest, motion, car).items():
-            content["motion"].setdefault(kind, dict.fromkeys(SPLITS))[split] = motion_scores
+        content["motion"][split] = score_motion(drives, ingest, motion, car)
 
     drives = drives_in(splits, "train", "val") or [*splits]
     recorded = []

@@ -32,7 +32,8 @@ def test_all_files_are_written_and_repeat(tmp_path):
         )
     recorded = {"speed": {"line": "doubt: speed of 3"}, "angle": {"line": "angle of 2"}}
     splits = {split: Scores().to_report() for split in ("train", "val", "test")}
-    scores = {**splits, "motion": {}, "recorded": recorded}
+    motion = dict.fromkeys(splits)
+    scores = {**splits, "motion": motion, "recorded": recorded}
     store.write_json(tmp_path / "scores/metrics.json", scores)
     store.write_json(tmp_path / "encoder/config.json", {"sources": ["b0.pt: its URL (its terms)"]})
     made = []

@@ -216,7 +216,8 @@ def test_perception_has_a_row_per_split_with_ground_truth():
     truth = np.full((40, 50), 10.0)
     scores["val"].add_depth("depth_lidar", 1.2 * truth, truth)
     scores["test"].add_depth("depth_dense", truth, truth)
-    report = {split: score.to_report() for split, score in scores.items()} | {"motion": {}}
+    report = {split: score.to_report() for split, score in scores.items()}
+    report["motion"] = dict.fromkeys(scores)
     (section,) = tables.perception_tables(report)
     assert section.table.reset_index().to_numpy().tolist() == [  # no columns of flat ground
         ["val, lidar", "1", "100.0%", "0.200, 2.00, 1.000"],

@@ -24,11 +24,8 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     splits = store.read_index(inputs["ingest"], stage="ingest")
     with stage_folder("labels", out, splits, params=params) as folder:
         jobs = file_jobs(splits, inputs, partial(labels_drive, settings=settings))
-        log_format = (
-            "{frames} frames, {valid} valid, {turning} turning, {interpolated} interpolated"
-        )
         # This process makes all labels, which takes less time than starting another one.
-        make_drives(folder, jobs, settings, log_format=log_format, workers=1)
+        make_drives(folder, jobs, settings, log_format="{frames} frames, {valid} valid", workers=1)
     return out
 
 

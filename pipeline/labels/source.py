@@ -14,7 +14,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.labels.ahead import path_ahead
-from pipeline.labels.label import TURNING_RAD, Car, Labels, steering_labels
+from pipeline.labels.label import Car, Labels, steering_labels
 from pipeline.labels.settings import Labels as Settings
 from pipeline.motion.rates import is_standing, read_rates
 
@@ -49,22 +49,11 @@ def labels_drive(
             problem = f"drive has no recorded angles ({needed})"
             raise InputError(problem, raw.path, "Set labels.angle: computed")
 
-        interpolated = np.zeros(len(raw.frame), bool)
-        if motion is None and "oxts" in raw:
-            # Stage ingest leaves the speed unknown where KITTI interpolated the packet.
-            interpolated = np.isnan(raw["speed_mps"])
-
     params = {"labels": settings.model_dump()}
     with DriveWriter(path, stage="labels", drive=raw.drive, params=params) as file:
         file.attrs["measured"] = int(settings.are_measured)
         write_labels(file, raw.frame, raw.time_s, labels, settings)
-    turning = labels.valid & (np.abs(labels.steering_rad) > TURNING_RAD)
-    return {
-        "frames": len(raw.frame),
-        "valid": int(labels.valid.sum()),
-        "turning": int(turning.sum()),
-        "interpolated": int(interpolated.sum()),
-    }
+    return {"frames": len(raw.frame), "valid": int(labels.valid.sum())}
 
 
 def write_labels(

@@ -41,7 +41,7 @@ def test_labels_of_two_drives(tmp_path, capsys):
     np.testing.assert_allclose(left["curvature_1pm"], np.tan(expected) / 2.7, atol=1e-15)
     np.testing.assert_array_equal(left.frame, [5, 6, 7, 8])
     assert read_index(tmp_path / "labels", stage="labels") == DRIVES
-    assert "4 frames, 3 valid, 2 turning" in capsys.readouterr().out
+    assert "4 frames, 3 valid" in capsys.readouterr().out
 
 
 @pytest.fixture
@@ -75,7 +75,7 @@ def test_measured_and_recorded_labels_are_valid_unless_the_car_is_slow_or_stands
 
 
 @pytest.mark.parametrize("mode", ["posmode", "velmode", "orimode"])
-def test_an_interpolated_packet_is_no_target_and_ends_the_path_ahead(tmp_path, capsys, mode):
+def test_an_interpolated_packet_is_no_target_and_ends_the_path_ahead(tmp_path, mode):
     """A path of 5 m is that of five frames. A recorded angle does not need the packet."""
     frame = np.arange(30)
     interpolated_at_20 = {mode: np.where(frame == 20, -1.0, 4.0)}
@@ -86,15 +86,13 @@ def test_an_interpolated_packet_is_no_target_and_ends_the_path_ahead(tmp_path, c
     write_index(tmp_path / "ingest", DRIVES)
 
     curvatures_1pm = {"computed": 0.2 / 11, "recorded": np.tan(0.1) / 2.7}
-    for source, angle, valid, interpolated_frames in (
-        ("ingest", "computed", frame != 20, 1),
-        ("ingest", "recorded", frame >= 0, 1),
-        ("motion", "computed", frame >= 0, 0),
+    for source, angle, valid in (
+        ("ingest", "computed", frame != 20),
+        ("ingest", "recorded", frame >= 0),
+        ("motion", "computed", frame >= 0),
     ):
         file, _ = run(tmp_path, source=source, angle=angle, ahead_m=[0, 5])
         np.testing.assert_array_equal(file["valid"], valid)
-        counts = f"{valid.sum()} valid, {valid.sum()} turning, {interpolated_frames} interpolated"
-        assert counts in capsys.readouterr().out
         if source == "ingest":
             has_path = file["ahead_valid"]
             assert np.flatnonzero(has_path).tolist() == [*range(15), *range(21, 25)]

@@ -47,7 +47,7 @@ def main(
         sections = [tables.results_table(values, task.name) for task in tasks]
         sections += [tables.claims_table(values, task.name) for task in tasks]
         sections += [tables.differences_table(values, task.name) for task in tasks]
-        sections += [tables.models_table(tasks), *tables.perception_tables(scores)]
+        sections += [tables.models_table(tasks), *tables.scores_tables(scores)]
         parts = [section.markdown() for section in sections if section.table.size]
         table = "\n\n".join([text, *parts, tables.write_definitions()])
         store.write_text(folder.new / "table.md", table.lstrip())
@@ -58,7 +58,7 @@ def main(
         for task in tasks[:1]:
             bend = drawings.draw_bend(figures, task, values.loc[task.name], data)
         details = page.list_details(figures, values, tasks, data)
-        details["Depth, classes and motion"] = [*tables.perception_tables(scores)]
+        details["Depth, classes and motion"] = tables.scores_tables(scores)
         lines = [facts["line"] for facts in scores.get("recorded", {}).values()]
         notes, doubts = split_doubts(lines)
         details["Notes"] = [*encoder.get("sources", []), *notes]

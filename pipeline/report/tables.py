@@ -1,7 +1,6 @@
 """Write the values of results.json as tables of text, and as sentences."""
 
 from collections.abc import Mapping, Sequence
-from itertools import product
 from textwrap import fill
 from typing import Any, NamedTuple
 
@@ -54,20 +53,15 @@ DEFINITIONS = {
         "nmse and mean absolute error of both networks; MSE of the first relative to the second's, "
         "in the paper's Table 2 and here; the verdict is by the paired difference in nmse."
     ),
+    "scores": (
+        "means over frames of the errors of the encoder's depth, from 1 to 80 m in KITTI's Eigen "
+        "crop. Only pixels with a predicted depth count, and coverage is their share. "
+        "ground_plane_… is a level road on the same pixels, which an encoder that has learned "
+        "depth beats. mean_iou is over the classes in the truth. motion is measured in images and "
+        "compared with recorded motion: valid is the measured share of the frames, judged the "
+        "number of frames in the nmse, which is that of the last measured steering angle."
+    ),
 }
-# Note of the table of depth.
-_DEPTH = (
-    "Each depth as abs rel, RMSE in metres, δ1, from 1 to 80 m, in Eigen's crop, the usual one of "
-    "KITTI: means over frames. Only pixels with a predicted depth count; coverage is their share. "
-    "flat ground: a level road below the camera, with the encoder's classes, on the same pixels; "
-    "an encoder that does not beat it has learned no depth."
-)
-# Note of the table of motion.
-_MOTION = (
-    "Motion since the previous frame, measured from images, compared with the recorded motion "
-    "(oxts or a log) at or above labels.min_speed_mps. nmse: of the steering angle from the last "
-    "measurement."
-)
 
 
 class Section(NamedTuple):
@@ -341,61 +335,29 @@ def _model_cells(content: Mapping[str, Any]) -> dict[str, str]:
     return cells
 
 
-# Tables of perception
+# Tables of scores
 
 
-def perception_tables(scores: Mapping[str, Any]) -> list[Section]:
-    """Return the tables of depth, classes and motion, without those that have no rows."""
+def scores_tables(scores: Mapping[str, Any]) -> list[Section]:
+    """Return a table of each part of scores/metrics.json that has values, with a row per split."""
     if not scores:
         return []
-    classes = {}
-    motion = {}
-    for split in SPLITS:
-        row = scores[split]["classes"]
-        if row:
-            classes[split] = {
-                "frames": str(row["frames"]),
-                "pixel accuracy": f"{row['pixel_accuracy']:.3f}",
-                "mean IoU": f"{row['mean_iou']:.3f}",
-                "classes": str(len(row["iou"])),
-            }
-        row = scores["motion"][split]
-        if row:
-            motion[split] = {
-                "drives": str(row["drives"]),
-                "frames": str(row["frames"]),
-                "measured": f"{row['valid']:.1%}",
-                "compared": str(row["judged"]),
-                "yaw rate RMSE deg/s": value_text(row["yaw_rmse_degps"], ".3f"),
-                "median": value_text(row["yaw_median_degps"], ".3f"),
-                "speed ratio": value_text(row["speed_ratio"], ".3f"),
-                "steering nmse": value_text(row["nmse"], ".4f"),
-            }
-    sections = [
-        Section("Depth", _table_of(_depth_rows(scores), "split, truth"), _DEPTH),
-        Section(
-            "Classes",
-            _table_of(classes, "split"),
-            "Over the classes that occur in the ground truth.",
-        ),
-        Section("Motion", _table_of(motion, "split"), _MOTION),
-    ]
-    return [section for section in sections if section.table.size]
+    parts = {split: scores[split] | {"motion": scores["motion"][split]} for split in SPLITS}
+    sections = []
+    for part in parts["test"]:
+        rows = {split: _score_cells(parts[split][part]) for split in SPLITS if parts[split][part]}
+        if rows:
+            sections.append(Section(f"Scores: {part}", _table_of(rows, "split")))
+    return sections
 
 
-def _depth_rows(scores: Mapping[str, Any]) -> dict[str, dict[str, str]]:
-    rows = {}
-    for split, truth in product(SPLITS, ("lidar", "dense")):
-        depth = scores[split][f"depth_{truth}"]
-        if not depth:
-            continue
-        row = {"frames": str(depth["frames"]), "coverage": f"{depth['coverage']:.1%}"}
-        for head, source in {"encoder": "depth", "flat ground": "ground_plane"}.items():
-            errors = scores[split][f"{source}_{truth}"]
-            if errors:
-                row[head] = "{abs_rel:.3f}, {rmse_m:.2f}, {delta1:.3f}".format_map(errors)
-        rows[f"{split}, {truth}"] = row
-    return rows
+def _score_cells(values: Mapping[str, Any]) -> dict[str, str]:
+    """Return the cells of the numbers of a part."""
+    cells = {}
+    for key, value in values.items():
+        if not isinstance(value, dict):
+            cells[key] = value_text(value, "" if isinstance(value, int) else ".3g")
+    return cells
 
 
 def write_definitions() -> str:

@@ -211,15 +211,29 @@ def test_few_turning_frames_are_doubted(tmp_path):
     assert tables.few_turns(compare(tmp_path, metrics("net") | {"turning_frames": 20})) == []
 
 
-def test_perception_has_a_row_per_split_with_ground_truth():
+def test_scores_have_a_table_per_part_and_a_row_per_split():
     scores = {split: Scores() for split in ("train", "val", "test")}
     truth = np.full((40, 50), 10.0)
     scores["val"].add_depth("depth_lidar", 1.2 * truth, truth)
-    scores["test"].add_depth("depth_dense", truth, truth)
+    scores["test"].add_depth("depth_lidar", truth, truth)
+    scores["test"].add_classes(np.array([3, 4]), np.array([3, 3]))
     report = {split: score.to_report() for split, score in scores.items()}
-    report["motion"] = dict.fromkeys(scores)
-    (section,) = tables.perception_tables(report)
-    assert section.table.reset_index().to_numpy().tolist() == [  # no columns of flat ground
-        ["val, lidar", "1", "100.0%", "0.200, 2.00, 1.000"],
-        ["test, dense", "1", "100.0%", "0.000, 0.00, 1.000"],
+    motion = {"drives": 20, "nmse": None, "speed_ratio": 0.99457, "yaw_rmse_degps": 0.27210444}
+    report["motion"] = {"train": None, "val": None, "test": motion}
+    sections = tables.scores_tables(report)
+    assert [section.title.split()[1] for section in sections] == [
+        "depth_lidar",
+        "classes",
+        "motion",
+    ]
+    rows = [section.table.reset_index().to_dict("records") for section in sections]
+    assert rows == [
+        [
+            {"split": "val", "frames": "1", "abs_rel": "0.2", "rmse_m": "2", "delta1": "1"}
+            | {"coverage": "1"},
+            {"split": "test", "frames": "1", "abs_rel": "0", "rmse_m": "0", "delta1": "1"}
+            | {"coverage": "1"},
+        ],
+        [{"split": "test", "frames": "1", "mean_iou": "0.5", "pixel_accuracy": "0.5"}],
+        [{"split": "test", "drives": "20", "speed_ratio": "0.995", "yaw_rmse_degps": "0.272"}],
     ]

@@ -198,7 +198,7 @@ def write_recorded(
 def write_motion(
     folder: Path, drive: str, rows: dict[int, tuple[float, float]], stands: Sequence[int] = ()
 ) -> None:
-    """Write measured motion: frame number → speed and yaw rate.
+    """Write the columns of measured motion that are read: frame number → speed and yaw rate.
 
     In frames with 0, 0 it is not measured; in frames of `stands`, because nothing moves. Frames are
     10 s apart. Smooth values equal the causal ones.
@@ -207,23 +207,18 @@ def write_motion(
     speed, yaw_rate = np.array(list(rows.values()), np.float32).reshape(-1, 2).T
     problem = np.where(speed == 0, PROBLEMS.index("no common motion of the scene"), 0)
     problem[np.isin(frame, stands)] = PROBLEMS.index(STANDSTILL[0])
-    T_before_now = np.tile(np.eye(4, dtype=np.float32), (len(rows), 1, 1))
-    T_before_now[:, 2, 3] = speed / 10
     columns = {
         "frame": frame.astype(np.int32),
         "time_s": frame * 10.0,
-        "speed_mps": speed,
         "filtered_mps": speed,
         "yaw_rate_radps": yaw_rate,
         "valid": (speed != 0).astype(np.uint8),
         "problem": problem.astype(np.uint8),
-        "road_height_m": np.full(len(rows), 1, np.float32),
         "speed_sigma": np.full(len(rows), 0.05, np.float32),
         "smooth_speed_mps": speed,
         "smooth_yaw_rate_radps": yaw_rate,
         "smooth_speed_sigma": np.full(len(rows), 0.05),
         "smooth_yaw_sigma_radps": np.full(len(rows), 0.003),
-        "T_before_now": T_before_now,
     }
     with store.DriveWriter(folder / f"{drive}.h5", stage="motion", drive=drive, params={}) as file:
         for name, values in columns.items():

@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.base import console
-from pipeline.evaluate import drift
 from pipeline.labels import agreement, ahead, label
 from pipeline.labels.agreement import Pair
 from pipeline.labels.label import Labels
@@ -28,16 +27,6 @@ def test_a_left_bend_is_positive_with_the_bicycles_radius_and_in_reverse_too(rad
     speeds = np.array([1, 1, -1]) * speed
     tangents = np.tan(label.steering_angle(yaw_rates, speeds, L))
     np.testing.assert_allclose(tangents, np.array([1, -1, 1]) * L / radius)
-
-
-@given(radius=st.floats(8, 100), speed=SPEED)
-def test_constant_steering_drives_a_circle(radius, speed):
-    """After a full circle the car is back; halfway it is 2R to the left of its start."""
-    frames = 2001
-    time_s = np.linspace(0, 2 * np.pi * radius / speed, frames)
-    angle = np.full(frames, np.arctan(L / radius))
-    xy = drift.integrate_path(angle, np.full(frames, speed), time_s, wheelbase_m=L)
-    np.testing.assert_allclose(xy[[-1, frames // 2]], [[0, 0], [0, 2 * radius]], atol=1e-4 * radius)
 
 
 def test_measured_angle_repeats_where_motion_is_unusable():

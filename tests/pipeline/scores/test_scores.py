@@ -78,7 +78,7 @@ def test_scores_add_up_over_drives_through_json():
     assert set(Scores().to_report().values()) == {None}
 
 
-DRIVE = "2027_03_31_drive_0001"
+DRIVES = ["2027_03_31_drive_0001", "2027_03_31_drive_0002"]
 FRAMES = 20
 SPEED_MPS = 10.0
 YAW_RATE_RADPS = 0.2
@@ -114,19 +114,18 @@ def test_scores_use_measured_frames_above_the_minimum_speed():
     assert summarise_errors([]) is None
 
 
-@pytest.mark.parametrize("with_oxts", [False, True])
-def test_only_recorded_motion_is_a_reference(tmp_path, with_oxts):
-    """The measured speed is 10 % too high."""
-    oxts = make_packets(FRAMES, vf=SPEED_MPS, wu=YAW_RATE_RADPS) if with_oxts else None
+def test_only_recorded_motion_is_a_reference(tmp_path):
+    """The measured speed is 10 % too high, and the second drive recorded angles only."""
+    packets = make_packets(FRAMES, vf=SPEED_MPS, wu=YAW_RATE_RADPS)
     angles = dict.fromkeys(range(FRAMES), 0.1)
-    write_recorded(tmp_path / f"ingest/{DRIVE}.h5", np.arange(FRAMES), oxts, angles)
     motion = dict.fromkeys(range(FRAMES), (1.1 * SPEED_MPS, YAW_RATE_RADPS))
-    write_motion(tmp_path / "motion", DRIVE, motion)
+    for drive, oxts in zip(DRIVES, (packets, None), strict=True):
+        write_recorded(tmp_path / f"ingest/{drive}.h5", np.arange(FRAMES), oxts, angles)
+        write_motion(tmp_path / "motion", drive, motion)
 
-    scores = score_motion([DRIVE], tmp_path / "ingest", tmp_path / "motion", CAR)
-    if not with_oxts:
-        assert scores is None
-        return
+    scores = score_motion(DRIVES, tmp_path / "ingest", tmp_path / "motion", CAR)
+    assert scores["drives"] == 1
     assert scores["judged"] == FRAMES
     assert 0 < scores["nmse"] < 0.1
     assert scores["speed_ratio"] == pytest.approx(1.1)
+    assert score_motion(DRIVES[1:], tmp_path / "ingest", tmp_path / "motion", CAR) is None

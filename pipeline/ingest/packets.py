@@ -64,8 +64,6 @@ _LIMITS = np.full(len(COLUMNS), np.inf)
 _LIMITS[COLUMNS.index("vf")] = LIMIT_MPS
 _LIMITS[COLUMNS.index("vl")] = LIMIT_MPS
 _LIMITS[COLUMNS.index("wu")] = LIMIT_RADPS
-# Acceleration of gravity in m/s².
-GRAVITY_MPS2 = 9.81
 # Radius of the earth at the equator in metres.
 EARTH_RADIUS_M = 6378137.0
 # File of recorded speeds and yaw rates in a drive's folder, which KITTI itself lacks.

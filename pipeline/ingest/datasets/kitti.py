@@ -9,22 +9,21 @@ its sorted lists shift after a missing frame, and it needs all four cameras.
 """
 
 import os
-import re
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.base.errors import DamagedFile, InputError, closest
+from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import read_classes, read_depth, read_image
 from pipeline.ingest.calibration import CALIBRATION, RENDERED, read_calibration, read_entries
 from pipeline.ingest.clocks import compare_times
 from pipeline.ingest.drive import Drive, list_file_facts
 from pipeline.ingest.packets import VALUE_FILES, read_packet, read_times, read_values
-from pipeline.ingest.settings import DATE, Ingest, Reading
+from pipeline.ingest.settings import Ingest, Reading
 
 # Elevation in degrees below which a complete scan has points. The lowest laser of the HDL-64E is
 # directed 24.8 degrees down and hits the road 4 m away; complete scans of KITTI reach below -23.6
@@ -242,78 +241,29 @@ def find_drive(root: Path, name: str) -> KittiDrive:
 
     Raises InputError if it is missing.
     """
-    if not root.is_dir():
-        fix = (
-            f"KITTI: ln -s /path/to/kitti {root}. Sample: dvc repro sample. Only training? dvc "
-            "pull labels graphs"
-        )
-        raise InputError("folder is missing", root, fix)
-    present = _list_drives(root)
-    if name not in present:
-        problem = f"drive {name} of ingest.drives is missing"
-        elsewhere = _find_elsewhere(root, name)
-        if elsewhere:
-            raise InputError(problem, root, elsewhere)
-        fix = "Extract it, or take it out of ingest.drives"
-        if _is_import(root, name):
-            fix = "Repeat steer import, or take it out of ingest.drives"
-        raise InputError(f"{problem} ({closest(name, present)})", root, fix)
-    return KittiDrive(root / folder_of(name) / f"{name}_sync")
+    check_drives(root, [name])
+    return KittiDrive(_drive_folder(root, name))
 
 
-def folder_of(name: str) -> str:
-    """Return the name of the folder of a drive and its calibration: NAME of NAME_drive_0001."""
-    return name.rpartition("_drive_")[0]
+def check_drives(root: Path, names: Iterable[str]) -> None:
+    """Raise InputError if drives are missing below `root`."""
+    missing = [name for name in names if not _drive_folder(root, name).is_dir()]
+    if not missing:
+        return
+    first, *others = missing
+    problem = "drive is missing"
+    if others:
+        problem += f", and so are {', '.join(others)}"
+    fix = (
+        "Extract or import it, or take it out of ingest.drives. KITTI: ln -s /path/to/kitti "
+        f"{root}. Sample: dvc repro sample. Only training? dvc pull labels graphs"
+    )
+    raise InputError(problem, _drive_folder(root, first), fix)
 
 
-def _is_import(root: Path, name: str) -> bool:
-    """Return whether a drive was imported, as its name has no date, or a file beside it says."""
-    folder = folder_of(name)
-    return not re.fullmatch(DATE, folder) or (root / folder / IMPORT).is_file()
-
-
-def find_missing(root: Path, settings: Ingest, required: Collection[str] = ()) -> list[str]:
-    """Return which of KITTI's drives are missing below `root`, and print them.
-
-    Raises InputError if all drives are missing, all drives of one split, one of the `required`
-    drives, or a drive of an import.
-    """
-    if settings.source != "kitti":
-        return []
-    present = _list_drives(root)
-    splits = settings.drives.splits()
-    missing = [drive for drive in splits if drive not in present]
-    splits_left = {splits[drive] for drive in splits if drive in present}
-    for drive in missing:
-        is_needed = drive in required or splits[drive] not in splits_left
-        if not present or is_needed or _is_import(root, drive):
-            find_drive(root, drive)  # raises InputError
-        print(f"left out: {drive}. {_find_elsewhere(root, drive)}".rstrip(), flush=True)
-    return missing
-
-
-def _find_elsewhere(root: Path, name: str) -> str:
-    """Return the wrong place below `root` at which a drive was found, and what to do about it.
-
-    The text is empty if the drive is not found.
-    """
-    for start in ("", "*/", "*/*/"):
-        for path in sorted(root.glob(f"{start}{name}*")):
-            found = f"Found {path.relative_to(root)}"
-            return (
-                f"{found}, expected {folder_of(name)}/{name}_sync of the extracted synced archive"
-            )
-    return ""
-
-
-def _list_drives(root: Path) -> list[str]:
-    """Return the names of the drives below `root`."""
-    names = []
-    for folder in sorted(root.glob("*/*_drive_????_sync")):
-        name = folder.name.removesuffix("_sync")
-        if folder.parent.name == folder_of(name):
-            names.append(name)
-    return names
+def _drive_folder(root: Path, name: str) -> Path:
+    """Return the folder of drive NAME_drive_0001, which is in folder NAME with its calibration."""
+    return root / name.rpartition("_drive_")[0] / f"{name}_sync"
 
 
 def read_scan(path: Path) -> np.ndarray:

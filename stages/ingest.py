@@ -45,7 +45,7 @@ def main(
                 reading=reading,
             )
             inputs = [digest([settings.source, fingerprint])]
-            jobs.append(Job(drive, f"{drive}.h5", inputs, work, chosen=(reader,)))
+            jobs.append(Job(drive, f"{drive}.h5", inputs, work))
 
         make_drives(folder, jobs, reading, log_format="{frames} frames{counts}")
     return out

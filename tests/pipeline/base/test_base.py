@@ -348,7 +348,7 @@ def test_only_what_changed_is_made_again(folder, expected, monkeypatch):
     ]:
         shutil.rmtree(folder / "data/toy", ignore_errors=True)
         (folder / "input/b").write_bytes(input_b)
-        monkeypatch.setattr(keys.Code, "hash", lambda self, own, code=code: code)
+        monkeypatch.setattr(keys.Code, "hash", lambda self, code=code: code)
         toy_stage.main(folder, k=k, workers=1, drives=drives)
         assert calls(folder) == made
     assert outputs(folder) == expected

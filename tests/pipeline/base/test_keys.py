@@ -34,9 +34,7 @@ INGEST = {"kitti", "sample", "folders"}
 
 def all_keys() -> dict[str, str]:
     keys.LOADED = keys.scan_code()
-    return {
-        title: Code.read(stage, chosen).hash(chosen) for title, (stage, chosen) in RESULTS.items()
-    }
+    return {title: Code.read(stage, chosen).hash() for title, (stage, chosen) in RESULTS.items()}
 
 
 def changed_keys(before: dict[str, str]) -> set[str]:

@@ -126,6 +126,7 @@ def test_damaged_files_are_listed_at_once_or_left_out(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("missing", "problem"),
     [
+        ("../calib_cam_to_cam.txt", "calib_cam_to_cam.txt: file is missing. Extract the date's"),
         ("../calib_velo_to_cam.txt", "drive has scans"),
         ("oxts/data", "no oxts packets"),
         ("oxts/timestamps.txt", "file is missing"),

@@ -19,7 +19,7 @@ import numpy as np
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import read_classes, read_depth, read_image
-from pipeline.ingest.calibration import CALIBRATION, RENDERED, read_calibration, read_entries
+from pipeline.ingest.calibration import CALIBRATION, RENDERED, read_calibration
 from pipeline.ingest.clocks import compare_times
 from pipeline.ingest.drive import Drive, list_file_facts
 from pipeline.ingest.packets import VALUE_FILES, read_packet, read_times, read_values
@@ -83,21 +83,12 @@ class KittiDrive:
             )
         return images
 
-    def choose_camera(self, choices: Sequence[int]) -> int | None:
-        """Return the first camera of `choices` with images, else the first with a calibration.
-
-        Returns None if no camera has either.
-        """
+    def choose_camera(self, choices: Sequence[int]) -> int:
+        """Return the first camera of `choices` with images, or the first if none has images."""
         for number in choices:
             if self.find_images(number):
                 return number
-        path = self.calibration / CALIBRATION
-        if path.is_file():
-            entries = read_entries(path)
-            for number in choices:
-                if f"P_rect_{number:02d}" in entries:
-                    return number
-        return None
+        return choices[0]
 
     def read_camera(self, number: int) -> Camera:
         """Return a calibrated camera. Raises InputError."""
@@ -105,8 +96,8 @@ class KittiDrive:
 
     def is_rendered(self) -> bool:
         """Return whether stage sample rendered the drive, as its calibration says."""
-        path = self.calibration / CALIBRATION
-        return path.is_file() and path.read_text(errors="replace").startswith(f"{RENDERED}\n")
+        text = (self.calibration / CALIBRATION).read_text(errors="replace")
+        return text.startswith(f"{RENDERED}\n")
 
     def find_logs(self) -> list[Path]:
         """Return the files with values of logs."""
@@ -147,16 +138,12 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
     Raises InputError if packets, times or the calibration are missing, if all packets are damaged
     and ``ingest.on_damaged`` is skip, or if the times of packets and images do not fit.
     """
-    camera: Camera | None = None
-    images: dict[int, Path] = {}
-    notes = list[str]()
     camera_number = files.choose_camera(settings.cameras)
-    if camera_number is not None:
-        camera = files.read_camera(camera_number)
-        images = files.find_images(camera_number)
-        notes.append(f"camera {camera_number}")
-    if files.scans and settings.lidar and (camera is None or camera.T_cam_velo is None):
-        problem = "drive has scans, but calib_cam_to_cam.txt or calib_velo_to_cam.txt is missing"
+    camera = files.read_camera(camera_number)
+    images = files.find_images(camera_number)
+    notes = [f"camera {camera_number}"]
+    if files.scans and settings.lidar and camera.T_cam_velo is None:
+        problem = "drive has scans, but calib_velo_to_cam.txt is missing"
         fix = "Extract the date's calibration archive, or set ingest.lidar: false"
         raise InputError(problem, files.calibration, fix)
 
@@ -185,7 +172,7 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
     if without_frame:
         notes.append(f"{len(without_frame)} images or scans without a frame")
     if oxts and images:
-        times = files.image_times(camera_number or 0)
+        times = files.image_times(camera_number)
         if times.is_file():
             notes += compare_times(files.oxts_times, list(all_times_s), times, list(images))
         # Times do not show it if images were deleted and renumbered, and their times were not. The
@@ -197,27 +184,27 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
                 f"images end at frame {last}, packets at {max(files.oxts)}: if images were "
                 "renumbered, labels are wrong"
             )
-    size = camera.size if camera else None
 
     def frames() -> Iterator[Frame]:
         for number, seconds in time_s.items():
             frame = Frame(number, seconds)
             frame.scan = _bind_reader(read_scan, scans.get(number))
-            frame.image = _bind_reader(read_image, images.get(number), size=size)
-            if camera:
-                frame.depth_m = _bind_reader(read_depth, files.truth_depth.get(number), size=size)
-                frame.cls = _bind_reader(read_classes, files.truth_cls.get(number), size=size)
+            frame.image = _bind_reader(read_image, images.get(number), size=camera.size)
+            frame.depth_m = _bind_reader(
+                read_depth, files.truth_depth.get(number), size=camera.size
+            )
+            frame.cls = _bind_reader(read_classes, files.truth_cls.get(number), size=camera.size)
             yield frame
 
     dataset = "sample" if files.is_rendered() else "kitti"
     return Drive(camera, frames, values=values, notes=notes, dataset=dataset, damaged=damaged)
 
 
-def _read_timeline(files: KittiDrive, camera: int | None) -> dict[int, float]:
+def _read_timeline(files: KittiDrive, camera: int) -> dict[int, float]:
     """Return frame number → time in seconds of all frames, also of those with damaged files."""
     numbers = list(files.oxts)
     times = files.oxts_times
-    if camera is not None and not numbers:
+    if not numbers:
         # Without packets, the frames are those with an image.
         numbers = list(files.find_images(camera))
         times = files.image_times(camera)

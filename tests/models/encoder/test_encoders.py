@@ -72,8 +72,6 @@ def write_networks(folder: Path) -> Path:
             **fusion,
         )
         networks[name] = transformers.DepthAnythingForDepthEstimation(config)
-    config = transformers.GLPNConfig(**SEGFORMER, decoder_hidden_size=16)
-    networks["glpn"] = transformers.GLPNForDepthEstimation(config)
 
     # Networks of classes.
     segformer = {**SEGFORMER, "decoder_hidden_size": 16}
@@ -239,7 +237,7 @@ def test_a_folder_without_weights_is_a_random_backbone_but_no_pair(create, folde
     ("kind", "names", "message"),
     [
         ("pair", {"depth": "relative"}, "^depth: is no metric Depth Anything .got .*'relative'"),
-        ("pair", {"depth": "glpn"}, "^depth: is no metric Depth Anything .got 'glpn'"),
+        ("pair", {"depth": "classes"}, "^depth: is no metric Depth Anything .got 'segformer'"),
         ("pair", {"classes": "reversed"}, "^classes: has other classes .*got 19: bicycle, motorc"),
         (
             "pair",
@@ -247,7 +245,6 @@ def test_a_folder_without_weights_is_a_random_backbone_but_no_pair(create, folde
             r"headless': its weights lack decode_head\.\S+, \d+ tensors in all",
         ),
         ("pair", {"depth": "nowhere"}, "nowhere' is not a folder with a config.json"),
-        ("hugging_face", {"model": "."}, "not a folder with a config.json"),
     ],
 )
 def test_a_wrong_network_is_one_line(create, kind, names, message):

@@ -61,15 +61,13 @@ def edit(path: Path, before: str, after: str) -> None:
         ("pipeline/labels/label.py", {"labels", "gnn", "cnn", "report"}),
         ("pipeline/labels/helper/__init__.py", {"labels"}),
         ("pipeline/sample/world.py", set()),
-        # Data files.
-        ("models/encoder/words.txt", {"perception"}),
+        # A data file.
         ("pipeline/report/page.html.j2", {"report"}),
         # A dataset. The sample is read by kitti.py, so dvc.yaml lists that by name.
         (f"{DATASETS}/kitti.py", INGEST),
         (f"{DATASETS}/sample.py", {"sample"}),
         (f"{DATASETS}/sample.yaml", {"sample"}),
         (f"{DATASETS}/mine.py", set()),
-        (f"{DATASETS}/mine.yaml", set()),
         # A network, with a folder and weights of its own, and another network.
         ("models/steering/core/features.py", {"gnn", "cnn"}),
         (f"{SPATIAL}/gnn.py", {"gnn"}),

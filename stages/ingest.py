@@ -3,7 +3,7 @@
 from functools import partial
 from pathlib import Path
 
-from pipeline.base import console, store
+from pipeline.base import console
 from pipeline.base.checkout import in_checkout
 from pipeline.base.keys import digest
 from pipeline.base.outputs import stage_folder
@@ -23,14 +23,10 @@ def main(
     settings = load_section(Ingest, params)
     out = data / "ingest"
 
-    # Missing drives are left out. Drives that an earlier run has read must not be missing.
-    earlier: dict[str, str] = {}
-    if (out / store.INDEX).is_file():
-        earlier = store.read_index(out, stage="ingest")
-    missing = kitti.find_missing(raw, settings, required=earlier)
     splits = settings.drives.splits()
-    for drive in missing:
-        del splits[drive]
+    # The names of all missing drives are one message.
+    if settings.source == "kitti":
+        kitti.check_drives(raw, splits)
 
     # Of the code of all datasets, a drive depends only on that of its own.
     reader = f"pipeline/ingest/datasets/{settings.source}.py"
@@ -49,7 +45,7 @@ def main(
                 reading=reading,
             )
             inputs = [digest([settings.source, fingerprint])]
-            jobs.append(Job(drive, f"{drive}.h5", inputs, work, chosen=(reader,)))
+            jobs.append(Job(drive, f"{drive}.h5", inputs, work))
 
         make_drives(folder, jobs, reading, log_format="{frames} frames{counts}")
     return out

@@ -39,7 +39,6 @@ class Source:
     @property
     def camera(self) -> Camera:
         """The camera of complete images."""
-        assert self.drive.camera, "a source has images, and so a camera"
         return self.drive.camera
 
     @property

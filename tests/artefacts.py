@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 from pipeline.base import store
-from pipeline.camera.camera import Frame
+from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.classes import BUILDING, ROAD
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.graphs import frame_graph, graph_file
@@ -191,7 +191,8 @@ def write_recorded(
         values["oxts"] = dict(zip(frame.tolist(), oxts, strict=True))
     settings = Reading(image_size=(32, 32), cameras=[2], lidar=True, on_damaged="fail")
     frames = [Frame(number, row / 10) for row, number in enumerate(frame.tolist())]
-    drive = Drive(None, lambda: iter(frames), values)
+    camera = Camera(np.array([[32.0, 0, 15.5], [0, 32, 15.5], [0, 0, 1]]), settings.image_size)
+    drive = Drive(camera, lambda: iter(frames), values)
     write_drive(path, drive, path.stem, "kitti", settings)
 
 

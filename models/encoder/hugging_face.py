@@ -23,7 +23,7 @@ from torch import Tensor, nn
 from models.encoder.heads import CellClasses, CellDepth, ray_slopes, resize_map, scaled_by_focal
 from pipeline.base.checkout import in_checkout
 from pipeline.base.errors import InputError
-from pipeline.camera.classes import COUNT, NAMES, ROAD
+from pipeline.camera.classes import COUNT, NAMES
 
 # Normalisation of images in most networks.
 IMAGENET = {"image_mean": [0.485, 0.456, 0.406], "image_std": [0.229, 0.224, 0.225]}
@@ -35,84 +35,10 @@ STRIDE = 4
 LEVELS = 4
 # Number of channels of this map.
 WIDTH = 64
-# Beginnings of the names of weights that published files may lack: a unit of DPT that its forward
-# pass does not use, and norms that a fit trains.
-UNPUBLISHED = ("neck.fusion_stage.layers.0.residual_layer1.", "hidden_states_norms.")
-# Type of network whose depth is not in metres → what its depth is, for a message.
-NO_DEPTH_M = {
-    "depth_pro": "inverse until its post-processing",
-    "prompt_depth_anything": "relative to a depth sensor's",
-}
-# Cityscapes' class → classes of ADE20K that count as this class, in lower case. Classes with equal
-# names in both are not repeated.
-ADE20K = {
-    "road": "runway, dirt track",
-    "sidewalk": "floor, path",
-    "building": "windowpane, door, house, column, skyscraper, grandstand, stairs, screen door, "
-    "stairway, blind, hovel, tower, awning, booth, canopy, step, trade name",
-    "fence": "railing, bannister",
-    "pole": "streetlight",
-    "traffic sign": "signboard",
-    "vegetation": "tree, plant, flower, palm",
-    "terrain": "grass, earth, mountain, field, rock, sand, hill, land",
-    "car": "van",
-    "motorcycle": "minibike",
-}
-# Cityscapes' class → classes of Mapillary Vistas that count as this class, in the same way.
-VISTAS = {
-    "road": "bike lane, crosswalk - plain, service lane, lane marking - crosswalk, "
-    "lane marking - general, catch basin, manhole, pothole",
-    "sidewalk": "curb, curb cut, pedestrian area",
-    "fence": "barrier",
-    "pole": "street light, utility pole",
-    "traffic sign": "traffic sign (front)",
-    "rider": "bicyclist, motorcyclist, other rider",
-    "train": "on rails",
-}
-
-
-def _class_numbers() -> dict[str, int]:
-    """Return name → trainId. Other names count as void, also bridges, as in Cityscapes."""
-    numbers = {name: number for number, name in enumerate(NAMES)}
-    for synonyms in (ADE20K, VISTAS):
-        for name, labels in synonyms.items():
-            numbers |= dict.fromkeys(labels.split(", "), NAMES.index(name))
-    return numbers
-
-
-# Name of a class in Cityscapes, ADE20K or Mapillary Vistas, in lower case → trainId.
-NUMBERS = _class_numbers()
-
-
-def class_number(label: str) -> int:
-    """Return the trainId of a name in Cityscapes, ADE20K or Mapillary Vistas, or COUNT for void."""
-    return NUMBERS.get(label.strip().lower(), COUNT)
-
-
-class CityscapesLogits(nn.Module):
-    """Converts logits of other classes [B,C,h,w] to Cityscapes' classes and void [B,20,h,w].
-
-    The members of a class of Cityscapes are the other classes that count as it.
-    """
-
-    members: Tensor
-
-    def __init__(self, labels: Sequence[str]) -> None:
-        super().__init__()
-        self.void = [label for label in labels if class_number(label) == COUNT]
-        numbers = torch.tensor([class_number(label) for label in labels])
-        members = F.one_hot(numbers, COUNT + 1).float().T[..., None, None]  # [20,C,1,1]
-        self.register_buffer("members", members, persistent=False)
-
-    def forward(self, logits: Tensor) -> Tensor:
-        """Add the probabilities of the members of each class.
-
-        A class without members gets a small probability: it is not predicted, but its loss is
-        finite.
-        """
-        with torch.autocast(logits.device.type, enabled=False):
-            probabilities = F.conv2d(logits.float().softmax(dim=1), self.members)
-            return probabilities.clamp(min=1e-6).log()
+# Beginning of the names of weights that published files may lack: norms that a fit trains.
+UNPUBLISHED = "hidden_states_norms."
+# Least probability of a class. Its logarithm is finite, so it can be interpolated.
+LEAST_PROBABILITY = 1e-6
 
 
 def import_transformers() -> ModuleType:
@@ -258,18 +184,14 @@ class Network(nn.Module):
 
         `size` is (H, W) of the image.
         """
-        height, width = self.pad_size(size)
-        h, w = x.shape[-2:]
-        # The map must have the shape of the image. That of plain DPT has not: DPT takes 4 x 16
-        # patches for a square of 8 x 8.
-        if abs(h * width - w * height) > height + width:
-            kind = self.network.config.model_type
-            raise InputError(f"{kind!r} returns {h} x {w} pixels for {height} x {width}")
-        return resize_map(x, (height, width))[..., : size[0], : size[1]]
+        return resize_map(x, self.pad_size(size))[..., : size[0], : size[1]]
 
 
 class Pair(nn.Module):
-    """An encoder of two networks, the first for depth, the second for classes."""
+    """An encoder of two networks: a metric Depth Anything, and a segmenter of Cityscapes' classes.
+
+    Raises InputError for other networks.
+    """
 
     def __init__(
         self,
@@ -278,19 +200,40 @@ class Pair(nn.Module):
         classes: Path | None = None,
     ) -> None:
         super().__init__()
+        _check_pair(architecture["depth"]["config"], architecture["classes"]["config"])
         self.depth = Network("AutoModelForDepthEstimation", architecture["depth"], depth)
         self.classes = Network("AutoModelForSemanticSegmentation", architecture["classes"], classes)
-        labels = sorted(self.classes.network.config.id2label.items())
-        self.cityscapes = CityscapesLogits([name for _, name in labels])
         self.focal_by_width = architecture["focal_by_width"]
 
     def forward(self, image: Tensor, K: Tensor) -> tuple[Tensor, Tensor]:
         size = image.shape[-2:]
         depth = self.depth(image).predicted_depth[:, None]
         depth = self.depth.enlarge_map(depth, size)[:, 0]
-        logits = self.cityscapes(self.classes(image).logits)
+        probabilities = self.classes(image).logits.float().softmax(dim=1)
+        logits = probabilities.clamp(min=LEAST_PROBABILITY).log()
         logits = self.classes.enlarge_map(logits, size)
         return scaled_by_focal(depth, K, self.focal_by_width), logits
+
+
+def _check_pair(depth: Mapping[str, Any], classes: Mapping[str, Any]) -> None:
+    """Raise InputError unless depth is in metres and the classes are those of Cityscapes.
+
+    `depth` and `classes` are the configurations of the two networks.
+    """
+    kind = depth["model_type"]
+    estimate = depth.get("depth_estimation_type")
+    if kind != "depth_anything" or estimate != "metric":
+        problem = f"is no metric Depth Anything (got {kind!r}, depth_estimation_type {estimate!r})"
+        raise InputError(problem, "depth", "Name one, such as that of docs/models.md")
+
+    labels = classes.get("id2label", {})
+    names = [labels[number].lower() for number in sorted(labels, key=int)]
+    if names != [*NAMES]:
+        got = f"{len(names)}: {', '.join(names[:3])}, …"
+        expected = f"{COUNT}: {', '.join(NAMES[:3])}, …"
+        problem = f"has other classes than Cityscapes (got {got}; expected {expected})"
+        fix = "Name another network, or the classes by id2label in its config.json"
+        raise InputError(problem, "classes", fix)
 
 
 class HuggingFace(nn.Module):
@@ -336,13 +279,12 @@ class Pyramid(nn.Module):
 
 
 def create_pair(
-    depth: str, classes: str, focal_by_width: float, depth_unit: str | None
+    depth: str, classes: str, focal_by_width: float
 ) -> tuple[dict[str, Any], nn.Module]:
     """Return description and network of a pair, from the networks named `depth` and `classes`.
 
     `focal_by_width` is the focal length of the training images of `depth`, divided by their width.
-    `depth_unit` is the unit of its output, if the network does not tell. Raises InputError if a
-    network cannot be loaded, if depth is not in metres, or if no class is road.
+    Raises InputError if a network cannot be loaded, or is no network of a pair.
     """
     depth_folder, depth_network, depth_sources = describe_network(depth)
     classes_folder, classes_network, classes_sources = describe_network(classes)
@@ -353,29 +295,7 @@ def create_pair(
         "focal_by_width": focal_by_width,
         "sources": depth_sources + classes_sources,
     }
-    network = Pair(architecture, depth_folder, classes_folder)
-
-    # The configurations of some networks tell the unit of depth. For others, the user must set it.
-    config = depth_network["config"]
-    family = config["model_type"]
-    unit = NO_DEPTH_M.get(family) or config.get("depth_estimation_type") or depth_unit
-    if unit != "metric":
-        problem = "has an unknown unit. If it is metres, not 1/metres, set depth_unit: metric"
-        if unit:
-            problem = f"is {unit}"
-        raise InputError(f"the depth of {depth!r} {problem}")
-
-    if not network.cityscapes.members[ROAD].any():
-        names = [*network.classes.network.config.id2label.values()]
-        raise InputError(
-            f"no class of {classes!r} is road: {', '.join(names[:5])}, … Name them by id2label in "
-            "config.json"
-        )
-
-    max_depth = config.get("max_depth") or "none"
-    void = ", ".join(network.cityscapes.void) or "none"
-    print(f"encoder: max_depth: {max_depth}; classes that are void: {void}", flush=True)
-    return architecture, network
+    return architecture, Pair(architecture, depth_folder, classes_folder)
 
 
 def create_backbone(model: str) -> tuple[dict[str, Any], nn.Module]:

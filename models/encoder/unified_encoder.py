@@ -5,7 +5,7 @@ An encoder is a module ``forward(image, K) -> (depth, logits)``:
 - image: RGB uint8 [B,3,H,W].
 - K: pinhole intrinsics [B,3,3] at this image size.
 - depth: [B,H,W], metres along the optical axis.
-- logits: [B,19,H,W] for Cityscapes' classes, or [B,20,H,W] with void as the last.
+- logits: [B,19,H,W] for Cityscapes' classes.
 """
 
 from collections.abc import Callable, Mapping

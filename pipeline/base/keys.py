@@ -130,12 +130,9 @@ class Code(NamedTuple):
         """
         return cls(stage, _select_code(LOADED, stage, chosen))
 
-    def hash(self, chosen: Collection[str] = ()) -> str:
-        """Return a hash of the code; of those passed to :meth:`read`, only `chosen` ones count."""
-        loaded = self.loaded
-        if chosen:
-            loaded = _select_code(loaded, self.stage, chosen)
-        return digest(loaded)
+    def hash(self) -> str:
+        """Return a hash of the code."""
+        return digest(self.loaded)
 
     def check_unedited(self) -> None:
         """Raise InputError if a file or a package was changed since this process loaded it."""

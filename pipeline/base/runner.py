@@ -36,8 +36,6 @@ class Job(NamedTuple):
     inputs: Sequence[Path | str]
     # Picklable function that writes the file or folder to a path and returns a JSON-able summary.
     work: Callable[[Path], Summary]
-    # Code of the networks or datasets that this drive uses, see :meth:`Code.read`.
-    chosen: tuple[str, ...] = ()
 
 
 class Task(NamedTuple):
@@ -117,12 +115,10 @@ def _find_results(
     folder: StageFolder, jobs: Sequence[Job], settings: Mapping[str, Any], workers: int | None
 ) -> dict[str, Path]:
     """Return drive → path of its result, which exists if an earlier run made it with this key."""
-    # Most jobs choose the same files, so each choice is hashed once.
-    choices = {job.chosen for job in jobs}
-    code = {chosen: folder.code.hash(chosen) for chosen in choices}
+    code = folder.code.hash()
 
     def find_result(job: Job) -> Path:
-        key = stage_key(code[job.chosen], {"drive": job.drive, **settings}, job.inputs)
+        key = stage_key(code, {"drive": job.drive, **settings}, job.inputs)
         return folder.kept / f"{job.drive}-{key}" / Path(job.target).name
 
     # Threads are enough, as hashing files releases Python's lock.

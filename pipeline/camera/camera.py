@@ -41,7 +41,7 @@ class Camera:
     Its frame is x right, y down, z forward, and has its origin in the projection centre.
     """
 
-    K: Any  # intrinsics [3,3] in pixels, for images of `size`; None without images and scans
+    K: np.ndarray  # intrinsics [3,3] in pixels, for images of `size`
     size: Size  # (H, W)
     height_m: float = CAMERA_HEIGHT_M  # height over the road
     T_cam_velo: np.ndarray | None = None  # [4,4]; None without a LiDAR
@@ -215,15 +215,16 @@ def write_camera(file: DriveWriter, camera: Camera) -> None:
 
 
 def read_camera(file: DriveReader) -> Camera:
-    """Return the camera of an ingest file, whose K is None if the file has no images and scans."""
+    """Return the camera of an ingest file."""
     height, width = file.datasets["image"].shape[1:3]
-    calibration = {name: file[name] for name in ("K", "T_cam_velo") if name in file}
-    T_cam_velo = calibration.get("T_cam_velo")
+    T_cam_velo = None
+    if "T_cam_velo" in file:
+        T_cam_velo = file["T_cam_velo"]
     crop = None
     if "crop" in file:
         (top, bottom, full_height), (left, right, full_width) = file["crop"].tolist()
         crop = Crop(slice(top, bottom), slice(left, right), (full_height, full_width))
-    camera = Camera(calibration.get("K"), (height, width), T_cam_velo=T_cam_velo, crop=crop)
+    camera = Camera(file["K"], (height, width), T_cam_velo=T_cam_velo, crop=crop)
     return camera.at_height(file.params.get("camera_height_m") or camera_height(T_cam_velo))
 
 

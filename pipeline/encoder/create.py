@@ -84,10 +84,7 @@ def _build_encoder(settings: Encoder) -> tuple[Architecture, nn.Module]:
             assert settings.classes, "checked by section encoder"
             assert settings.focal_by_width, "checked by section encoder"
             return hugging_face.create_pair(
-                settings.depth,
-                settings.classes,
-                focal_by_width=settings.focal_by_width,
-                depth_unit=settings.depth_unit,
+                settings.depth, settings.classes, focal_by_width=settings.focal_by_width
             )
         case "hugging_face":
             assert settings.model, "checked by section encoder"

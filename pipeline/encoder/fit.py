@@ -118,7 +118,7 @@ def depth_and_class_loss(
 
     Args:
         depth_m: predicted depth [B,H,W] in metres.
-        logits: [B,19,H,W], or [B,20,H,W] with void.
+        logits: [B,19,H,W].
         true_depth_m: [B,H,W] in metres, 0 where unknown.
         true_cls: trainIds int64 [B,H,W], 255 where unknown.
     """

@@ -31,8 +31,6 @@ class Encoder(Section):
     classes: Hub | None = None
     # Network of the backbone `hugging_face`.
     model: Hub | None = None
-    # Unit of the depth of `pair`, if the network does not tell; metric: metres.
-    depth_unit: Literal["metric"] | None = None
     # Focal length of the training images of `depth`, divided by their width.
     focal_by_width: Positive | None = None
     # Number of epochs of the fit; 0: no fit.

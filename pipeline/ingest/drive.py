@@ -24,8 +24,8 @@ from pipeline.camera.camera import Camera, Frame
 class Drive:
     """One drive of a dataset."""
 
-    # The camera of the complete, rectified images. None if there are neither images nor scans.
-    camera: Camera | None
+    # The camera of the complete, rectified images, also if the drive has scans alone.
+    camera: Camera
     # Frames in ascending numbers. Images, depth and classes have the camera's size. If a field of a
     # frame is a function that reads it, the setting on_damaged applies to damaged files.
     frames: Callable[[], Iterator[Frame]]

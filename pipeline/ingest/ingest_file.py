@@ -99,13 +99,13 @@ def write_drive(
     _check_names(drive.values)
     camera = drive.camera
     size = settings.image_size
-    crop = camera.crop_to(size) if camera else None
+    crop = camera.crop_to(size)
     params: dict[str, Any] = {
         "dataset": drive.dataset or dataset,
         "ingest": settings.model_dump(mode="json"),
     }
     # A height that was passed, and does not follow from the calibration, is a setting of the drive.
-    if camera and camera.height_known and camera.height_m != camera_height(camera.T_cam_velo):
+    if camera.height_known and camera.height_m != camera_height(camera.T_cam_velo):
         params["camera_height_m"] = camera.height_m
 
     rows = list[_Row]()
@@ -130,7 +130,7 @@ def write_drive(
                     written.add(key)
                     for _ in rows:
                         file.append(key, content[None], unit)
-                if pixels is not None and crop:
+                if pixels is not None:
                     content = resize(crop.pixels(pixels), size)
                 if key in written:
                     file.append(key, content[None], unit)
@@ -152,8 +152,7 @@ def write_drive(
         file.put("frame", np.array(numbers, np.int32))
         file.put("time_s", np.array([row.time_s for row in rows]), "s")
         steered = _put_values(file, drive.values, numbers)
-        if camera and crop:
-            write_camera(file, camera.cropped(crop).scaled(size))
+        write_camera(file, camera.cropped(crop).scaled(size))
         file.put_pointers("lidar_ptr", [row.points for row in rows], "rows of lidar")
         counts = {}
         for key, field in HAS.items():
@@ -205,13 +204,11 @@ def _check_names(values: Mapping[str, Any]) -> None:
             raise InputError(problem)
 
 
-def _check_size(frame: Frame, camera: Camera | None) -> None:
+def _check_size(frame: Frame, camera: Camera) -> None:
     """Raise InputError if pixels of a frame have another size than the camera.
 
     The crop around the horizon is computed for the camera's size.
     """
-    if camera is None:
-        return
     for kind, pixels in (("image", frame.image), ("depth_m", frame.depth_m), ("cls", frame.cls)):
         if pixels is None or pixels.shape[:2] == camera.size:
             continue

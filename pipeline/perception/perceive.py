@@ -154,10 +154,8 @@ def perceive(
             depth, logits = model(batch, intrinsics.expand(len(batch), 3, 3))
             depths.append(depth.float())
             class_maps.append(logits.argmax(dim=1))
-        cls = torch.cat(class_maps)
-        # Some networks predict void, too, as the class after the others.
-        cls.masked_fill_(cls == classes.COUNT, classes.VOID)
-        return Perceived(torch.cat(depths).cpu().numpy(), cls.to(torch.uint8).cpu().numpy())
+        cls = torch.cat(class_maps).to(torch.uint8)
+        return Perceived(torch.cat(depths).cpu().numpy(), cls.cpu().numpy())
 
 
 def run_passes(predict: Predict, batches: Generator[EncoderInput]) -> Generator[Perceived]:

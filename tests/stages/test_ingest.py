@@ -13,7 +13,6 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, read_index
 from pipeline.camera.camera import Camera, Frame
 from pipeline.ingest.calibration import CALIBRATION, RENDERED
-from pipeline.ingest.datasets import kitti
 from pipeline.ingest.drive import Drive
 from pipeline.ingest.ingest_file import write_drive as write_ingest
 from pipeline.ingest.packets import COLUMNS
@@ -35,10 +34,8 @@ NEW = (36, 48)
 
 
 def run(tmp_path: Path, **settings: Any) -> DriveReader:
-    """Ingest DRIVE and OTHER below ``raw``, which lacks a third drive; open the file of DRIVE."""
-    params = write_params(
-        tmp_path / "params.yaml", train=[DRIVE, "2011_09_26_drive_0003"], test=[OTHER], **settings
-    )
+    """Ingest DRIVE and OTHER below ``raw``; open the file of DRIVE."""
+    params = write_params(tmp_path / "params.yaml", train=[DRIVE], test=[OTHER], **settings)
     if not (tmp_path / "raw" / DATE / f"{OTHER}_sync").exists():
         write_drive(tmp_path / "raw", OTHER, seed=1)
     folder = ingest.main(tmp_path / "data", tmp_path / "raw", params)
@@ -129,6 +126,7 @@ def test_damaged_files_are_listed_at_once_or_left_out(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("missing", "problem"),
     [
+        ("../calib_cam_to_cam.txt", "calib_cam_to_cam.txt: file is missing. Extract the date's"),
         ("../calib_velo_to_cam.txt", "drive has scans"),
         ("oxts/data", "no oxts packets"),
         ("oxts/timestamps.txt", "file is missing"),
@@ -164,30 +162,14 @@ def test_a_wrong_file_of_a_dataset(tmp_path, size, values, problem):
         write_ingest(tmp_path / "drive.h5", drive, "drive", "mine", READING)
 
 
-@pytest.mark.parametrize(
-    "place",
-    [f"{DATE}/{DRIVE}_extract", f"{DRIVE}_sync", f"other/{DATE}/{DRIVE}_sync", f"{DRIVE}_sync.zip"],
-)
-def test_a_drive_at_another_place_is_found(tmp_path, place):
-    write(tmp_path / "raw" / place, "")
-    problem = f"is missing. Found {place}, expected {DATE}/{DRIVE}_sync of the extracted synced"
-    with pytest.raises(InputError, match=problem):
-        kitti.find_drive(tmp_path / "raw", DRIVE)
-
-
-def test_a_drive_that_was_ingested_before_is_not_left_out(tmp_path, capsys):
-    third = "2011_09_26_drive_0003"
+def test_missing_drives_are_named_before_any_drive_is_read(tmp_path):
+    missing = "2011_09_26_drive_0003"
     write_drive(tmp_path / "raw")
-    run(tmp_path)
-    assert f"left out: {third}." in capsys.readouterr().out
-
-    folder = write_drive(tmp_path / "raw", third)
-    before = contents(tmp_path / "data/ingest")
-    run(tmp_path)
-    assert contents(tmp_path / "data/ingest") != before
-    shutil.rmtree(folder)
-    with pytest.raises(InputError, match=f"drive {third} of ingest.drives is missing"):
-        run(tmp_path)
+    params = write_params(tmp_path / "params.yaml", train=[DRIVE, missing], test=[OTHER])
+    problem = f"raw/{DATE}/{missing}_sync: drive is missing, and so are {OTHER}. Extract"
+    with pytest.raises(InputError, match=problem):
+        ingest.main(tmp_path / "data", tmp_path / "raw", params)
+    assert not (tmp_path / "data").exists()
 
 
 @pytest.mark.parametrize("name", ["0000000001.tif", ".DS_Store"])

@@ -14,6 +14,7 @@ from pipeline.labels.label import Car, Labels
 from steer import outcome, pictures, predict
 from steer.measure import READING
 from steer.outcome import Results, read_course
+from tests import street
 from tests.artefacts import write_motion
 
 CAR = Car(2.7, 1.0)
@@ -84,7 +85,7 @@ RATES = {
 )
 def test_the_driven_angle_is_what_the_drive_recorded(tmp_path, values, expected_rad):
     frames = [Frame(number, number / 10) for number in range(4)]
-    drive = Drive(None, lambda: iter(frames), values)
+    drive = Drive(street.CAMERA, lambda: iter(frames), values)
     write_drive(tmp_path / "a.h5", drive, "a", "kitti", READING)
     with DriveReader(tmp_path / "a.h5", stage="ingest") as raw:
         driven = outcome._read_driven(raw, CAR)

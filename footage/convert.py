@@ -1,4 +1,4 @@
-"""Convert recordings, once, to drives in KITTI raw's layout.
+"""Convert a recording, once, to drives in KITTI raw's layout.
 
 A recording is a video, several that follow each other, or a folder of images, with logs of the car.
 Its drives are ``NAME/NAME_drive_0001_sync`` and so on, with the files ``image_02/data/%010d.jpg``,
@@ -145,15 +145,15 @@ def _join_times(files: Sequence[Images]) -> np.ndarray:
 def convert(
     folder: Path,
     name: str,
-    recordings: Sequence[Recording],
+    recording: Recording,
     options: Options,
     *,
     shares: Sequence[float] = (100.0,),
     hz: float = USUAL_HZ,
 ) -> Converted:
-    """Write the drives of recordings of one camera, and their calibration, to the new `folder`.
+    """Write the drives of a recording, and their calibration, to the new `folder`.
 
-    Each recording is cut into parts with `shares` of its time, in %, and each part is a drive. Of
+    The recording is cut into parts with `shares` of its time, in %, and each part is a drive. Of
     the images, every n-th is written, so that about `hz` a second remain.
 
     Raises InputError if images have several sizes, the lens does not fit, a part is too short, a
@@ -161,26 +161,23 @@ def convert(
     images are missing at the end, or times do not increase.
     """
     folder.mkdir(parents=True)
-    parts_of = [_divide_parts(recording, shares, hz) for recording in recordings]
-    files = [file for recording in recordings for file in recording.files]
-    lens = open_lens(options, files[0].read_size(), files[0].path)
-    finders = {file.path: HorizonFinder(lens.camera) for file in files}
+    parts = _divide_parts(recording, shares, hz)
+    first = recording.files[0]
+    lens = open_lens(options, first.read_size(), first.path)
+    finders = {file.path: HorizonFinder(lens.camera) for file in recording.files}
 
-    drives = list[Drive]()
-    notes = list[str]()
-    frames = sum(int((parts >= 0).sum()) for parts in parts_of)
+    numbers = range(1, len(shares) + 1)
+    drives = [Drive(folder / f"{name}_drive_{number:04d}_sync") for number in numbers]
+    is_written = parts >= 0
+    frames = int(is_written.sum())
     with tqdm(total=frames, desc="convert", unit=" images", disable=None) as bar:
-        for recording, parts in zip(recordings, parts_of, strict=True):
-            numbers = range(len(drives) + 1, len(drives) + 1 + len(shares))
-            new = [Drive(folder / f"{name}_drive_{number:04d}_sync") for number in numbers]
-            for path, place, image in recording.read_images(parts >= 0):
-                frame = lens.to_frame(image, path)
-                drive = new[parts[place]]
-                drive.write_image(frame, recording.times_s[place], png=options.png)
-                finders[path].add_image(frame)
-                bar.update()
-            notes += _write_values(recording, new)
-            drives += new
+        for path, place, image in recording.read_images(is_written):
+            frame = lens.to_frame(image, path)
+            drive = drives[parts[place]]
+            drive.write_image(frame, recording.times_s[place], png=options.png)
+            finders[path].add_image(frame)
+            bar.update()
+    notes = _write_values(recording, drives)
 
     horizon, note = _find_horizon(finders, lens.camera)
     camera = replace(lens.camera, horizon=horizon).at_height(options.camera_height_m)
@@ -189,7 +186,7 @@ def convert(
         "version": version("semantic-steering"),
         "options": options.model_dump(mode="json", by_alias=True, exclude_defaults=True),
     }
-    frame_hz = 1 / (recordings[0].step_s * recordings[0].find_stride(hz))
+    frame_hz = 1 / (recording.step_s * recording.find_stride(hz))
     return Converted(drives, camera, hz=frame_hz, notes=[*notes, note], record=record)
 
 

@@ -143,7 +143,7 @@ def export(
 COMMANDS = {
     "predict": (predict, with_options(predict.predict)),
     "measure": (measure, with_options(measure.measure)),
-    "import": (import_, with_options(import_.import_recordings)),
+    "import": (import_, with_options(import_.import_recording)),
 }
 for name, (module, command) in COMMANDS.items():
     app.command(name, no_args_is_help=True, help=module.__doc__)(guarded(command))

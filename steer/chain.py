@@ -75,7 +75,7 @@ def open_source(
 
     recording = open_recording(paths, options)
     name = re.sub("[^A-Za-z0-9_-]+", "-", paths[0].stem)
-    converted = convert(folder, name, [recording], options, hz=hz)
+    converted = convert(folder, name, recording, options, hz=hz)
     write_json(folder / kitti.IMPORT, converted.record, sort_keys=False)
     source = _open_files(paths[0], kitti.KittiDrive(converted.drives[0].folder), reading)
     source.drive.notes[:0] = converted.notes

@@ -25,7 +25,7 @@ from pipeline.base.errors import InputError, error_context
 from pipeline.camera.camera import Camera
 from pipeline.ingest.calibration import write_calibration
 from pipeline.ingest.packets import VALUE_FILES, format_times, write_values
-from pipeline.motion.horizon import HorizonFinder, compute_horizon
+from pipeline.motion.horizon import HeadingFinder, compute_horizon
 
 # Frames per second that odometry and networks need. With 60 and 120, steps are so short that errors
 # of tracking count, and the angle is worse.
@@ -164,7 +164,7 @@ def convert(
     parts = _divide_parts(recording, shares, hz)
     first = recording.files[0]
     lens = open_lens(options, first.read_size(), first.path)
-    finders = {file.path: HorizonFinder(lens.camera) for file in recording.files}
+    finders = {file.path: HeadingFinder(lens.camera) for file in recording.files}
 
     numbers = range(1, len(shares) + 1)
     drives = [Drive(folder / f"{name}_drive_{number:04d}_sync") for number in numbers]
@@ -179,7 +179,15 @@ def convert(
             bar.update()
     notes = _write_values(recording, drives)
 
-    horizon, note = _find_horizon(finders, lens.camera)
+    headings = [heading for finder in finders.values() for heading in finder.headings]
+    with error_context(first.path):
+        horizon = compute_horizon(headings, lens.camera)
+    if horizon is None:
+        notes.append(
+            "horizon: not found, since too few images show a drive; assuming a level camera"
+        )
+    else:
+        notes.append(f"horizon: row {horizon:.0f} of {lens.camera.size[0]}")
     camera = replace(lens.camera, horizon=horizon).at_height(options.camera_height_m)
     write_calibration(folder, camera)
     record = {
@@ -187,7 +195,7 @@ def convert(
         "options": options.model_dump(mode="json", by_alias=True, exclude_defaults=True),
     }
     frame_hz = 1 / (recording.step_s * recording.find_stride(hz))
-    return Converted(drives, camera, hz=frame_hz, notes=[*notes, note], record=record)
+    return Converted(drives, camera, hz=frame_hz, notes=notes, record=record)
 
 
 def _divide_parts(recording: Recording, shares: Sequence[float], hz: float) -> np.ndarray:
@@ -240,32 +248,6 @@ def _write_values(recording: Recording, drives: Sequence[Drive]) -> list[str]:
         known = f"{name} is known at {len(column):,} of {len(table):,} images"
         notes.append(f"{known}: {column.min():z.3f} to {column.max():z.3f}")
     return notes
-
-
-def _find_horizon(
-    finders: Mapping[Path, HorizonFinder], camera: Camera
-) -> tuple[float | None, str]:
-    """Return the row of the horizon of all files, and a note on it.
-
-    The row is None if too few images show a drive. Raises InputError if images are upside down.
-    """
-    rows = []
-    for path, finder in finders.items():
-        with error_context(path):
-            row = finder.find_row()
-        rows.append(f"{path.name}: {'not found' if row is None else f'{row:.0f}'}")
-    row = compute_horizon(
-        [heading for finder in finders.values() for heading in finder.headings], camera
-    )
-    if row is None:
-        return (
-            None,
-            "horizon: not found, since too few images show a drive; assuming a level camera",
-        )
-    note = f"horizon: row {row:.0f} of {camera.size[0]}"
-    if len(rows) > 1:
-        note += f" ({', '.join(rows)}; if they differ, import the files separately)"
-    return row, note
 
 
 def describe_file(path: Path) -> dict[str, Any]:

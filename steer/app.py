@@ -58,33 +58,18 @@ def show(
         Path,
         typer.Argument(metavar="FILE", help="a drive's .h5 file of any stage, or a checkpoint"),
     ],
-    frame: Annotated[
-        int | None, typer.Option(min=0, help="print the numbers of this frame")
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="PNG", help="draw the frame's images and points, too")
-    ] = None,
 ) -> None:
-    """Print a file's attributes, datasets and settings, or one of its frames.
+    """Print a file's attributes, datasets and settings.
 
     \b
     steer show data/graphs/semantic/2026_01_21_drive_0004.h5
-    steer show data/graphs/semantic/2026_01_21_drive_0004.h5 --frame 20 --out frame.png
     steer show data/train/sa-gnn-ncp/best.pt
     """
     import yaml
 
-    from pipeline.base.outputs import check_free
     from steer import artefact
 
-    if out and (frame is None or out.suffix != ".png"):
-        raise InputError("expected --frame and the name of a PNG file", "--out")
-    if out:
-        check_free(out)
-    if frame is None:
-        content = artefact.describe_file(path)
-    else:
-        content = artefact.show_frame(path, frame, out)
+    content = artefact.describe_file(path)
     text = yaml.safe_dump(
         content, sort_keys=False, default_flow_style=None, allow_unicode=True, width=110
     )

@@ -13,7 +13,7 @@ from pipeline.base.store import DriveReader, replacing
 from pipeline.camera.camera import find_visible, read_camera
 from pipeline.camera.geometry import pixels_of, transform
 from pipeline.report import street_view
-from steer.artefact import open_drive, open_images
+from steer.artefact import open_drive
 
 # Suffixes of the formats that are written.
 SUFFIXES = (".ply", ".pcd")
@@ -48,7 +48,7 @@ def export_points(path: Path, number: int, out: Path) -> str:
         row = file.row_of(number)
         if "xyz" in file:
             points = _read_cloud(file, row)
-            images = open_images(file)
+            images = _open_images(file)
         elif "T_cam_velo" in file:
             points = _read_scan(file, row)
             images = file
@@ -90,6 +90,19 @@ def _read_scan(file: DriveReader, row: int) -> Points:
     about = "velodyne coordinates (x forward, y left, z up), intensity (reflectance, 0 to 1)"
     camera_xyz = transform(file["T_cam_velo"], xyz)
     return Points(xyz, {"intensity": scan[:, 3:]}, about, camera_xyz, is_of_image=False)
+
+
+def _open_images(file: DriveReader) -> DriveReader | None:
+    """Open the drive's file of stage ingest in the same data folder; None if it is not there.
+
+    `file` is in data/clouds/KIND or data/graphs/VARIANT. Both files are closed together.
+    """
+    # The folder is resolved without the file, which DVC may have linked to its cache.
+    data = file.path.parent.resolve().parent.parent
+    ingest = data / "ingest" / file.path.name
+    if not ingest.is_file():
+        return None
+    return file.enter_context(DriveReader(ingest, stage="ingest"))
 
 
 def _pick_colours(points: Points, number: int, ingest: DriveReader) -> np.ndarray | None:

@@ -81,14 +81,20 @@ def view(
         Path,
         typer.Argument(metavar="FILE", help="a drive's .h5 file of data/clouds or data/graphs"),
     ],
+    frame: Annotated[
+        int | None, typer.Option(min=0, help="number of the frame; default: the middle one")
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="HTML", help="new file; default: out/DRIVE.html")
     ] = None,
 ) -> None:
-    """Write some frames of a point cloud or graph in 3D as a page, to open in a browser.
+    """Write a frame of a point cloud or graph in 3D as a page, to open in a browser.
+
+    Points far from the car are left out. Of many points and edges, only some are shown.
 
     \b
     steer view data/graphs/semantic/2026_01_21_drive_0004.h5
+    steer view data/graphs/semantic/2026_01_21_drive_0004.h5 --frame 7 --out graph.html
     """
     from pipeline.base.outputs import find_free
     from steer import artefact
@@ -96,7 +102,7 @@ def view(
     if out and out.suffix != ".html":
         raise InputError("expected the name of an HTML file", "--out")
     page = find_free(out, path.stem, ".html")
-    artefact.write_view(path, page)
+    artefact.write_view(path, frame, page)
     print(page)
 
 

@@ -50,19 +50,26 @@ def _describe_dataset(file: DriveReader, name: str) -> list[str]:
     return texts
 
 
-def write_view(path: Path, out: Path) -> None:
-    """Write a page with some frames of a file in 3D. Raises InputError if it has no points."""
+def write_view(path: Path, number: int | None, out: Path) -> None:
+    """Write a page with the points and edges of a frame of a file in 3D.
+
+    If `number` is None, it is the frame in the middle of the file. Raises InputError if the file
+    has no points, or lacks the frame.
+    """
+    from pipeline.report.street_view import read_view
     from steer import space
 
     with open_drive(path) as file:
         if "xyz" not in file or not len(file["xyz"]):
             fix = "Pass a file of point clouds, or of graphs of points"
             raise InputError("has no points", path, fix)
-        views = space.read_views(file)
+        if number is None:
+            number = int(file.frame[len(file.frame) // 2])
+        view = read_view(number, file)
         kind = f"{file.attrs['stage']}/{path.absolute().parent.name}"
-        title = f"{file.drive}, {kind}: {len(views)} of {len(file.frame)} frames"
+        title = f"{file.drive}, {kind}, frame {number}: {len(np.asarray(view.xyz)):,} points"
     with replacing(out) as unfinished:
-        space.write_page(unfinished, views, title)
+        space.write_page(unfinished, view, title)
 
 
 def open_drive(path: Path) -> DriveReader:

@@ -10,7 +10,6 @@ from typer.testing import CliRunner
 
 from pipeline.base import checkpoint
 from pipeline.base.keys import ROOT
-from pipeline.base.store import DriveReader
 from steer.app import app
 from tests.artefacts import write_dataset
 
@@ -77,17 +76,13 @@ def test_a_file_has_its_datasets_and_settings_and_a_checkpoint_everything_but_we
     assert content["drives"] == "11: 2011_09_26_drive_0001 to 2011_09_26_drive_0011"
 
 
-def test_points_are_shown_in_a_page(data):
+def test_a_frame_is_shown_in_a_page(data):
     path = data / f"graphs/semantic/{DRIVE}.h5"
-    for out in (f"out/{DRIVE}.html", f"out/{DRIVE}-2.html"):
-        assert run("view", path) == f"{out}\n"
-    text = Path(out).read_text()
-    assert '"name":"edges"' in text
-    assert f"<title>{DRIVE}, graphs/semantic: 5 of 5 frames</title>" in text
-    with DriveReader(path, stage="graphs") as file:
-        edges = file["edges_kept"][4]
-    counts = f"25 of 30 points, 85% of {edges} directed edges"
-    assert f"frame 4, up to 50 m ahead and 22 m aside: {counts}" in text
+    for out, number, frame in ((f"out/{DRIVE}.html", 2, []), ("a.html", 4, ["--frame", 4])):
+        assert run("view", path, "--out", out, *frame) == f"{out}\n"
+        text = Path(out).read_text()
+        assert '"name":"edges"' in text
+        assert f"<title>{DRIVE}, graphs/semantic, frame {number}: 30 points</title>" in text
 
 
 @pytest.mark.parametrize(
@@ -100,6 +95,7 @@ def test_points_are_shown_in_a_page(data):
         (["export", "GRAPHS", "--frame", 1, "photo.ply"], "photo.ply: exists already"),
         (["export", "LABELS", "--frame", 1, "a.ply"], "has no points. Pass a file of point clouds"),
         (["view", "LABELS"], "has no points"),
+        (["view", "GRAPHS", "--frame", 77], "has no frame 77"),
     ],
 )
 def test_wrong_input_is_one_line(data, arguments, message):

@@ -109,18 +109,15 @@ def view(
 def export(
     path: Annotated[
         Path,
-        typer.Argument(
-            metavar="FILE",
-            help="a drive's .h5 file of data/clouds or data/graphs, or of data/ingest with scans",
-        ),
+        typer.Argument(metavar="FILE", help="a drive's .h5 file of data/clouds or data/graphs"),
     ],
     out: Annotated[Path, typer.Argument(metavar="CLOUD", help="new .ply or .pcd file")],
     frame: Annotated[int, typer.Option(min=0, help="number of the frame")],
 ) -> None:
     """Write the points of a frame as PLY or PCD, which Open3D, CloudCompare and others read.
 
-    Each point has x, y and z in metres, its class or reflectance, and the colour of its pixel if
-    the frame's image is in data/ingest.
+    Each point has x, y and z in metres, its class, and the colour of its pixel if the frame's image
+    is in data/ingest.
 
     \b
     steer export data/clouds/pseudo/2026_01_21_drive_0004.h5 --frame 7 cloud.ply

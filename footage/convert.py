@@ -1,4 +1,4 @@
-"""Convert recordings, once, to drives in KITTI raw's layout.
+"""Convert a recording, once, to drives in KITTI raw's layout.
 
 A recording is a video, several that follow each other, or a folder of images, with logs of the car.
 Its drives are ``NAME/NAME_drive_0001_sync`` and so on, with the files ``image_02/data/%010d.jpg``,
@@ -25,7 +25,7 @@ from pipeline.base.errors import InputError, error_context
 from pipeline.camera.camera import Camera
 from pipeline.ingest.calibration import write_calibration
 from pipeline.ingest.packets import VALUE_FILES, format_times, write_values
-from pipeline.motion.horizon import HorizonFinder, compute_horizon
+from pipeline.motion.horizon import HeadingFinder, compute_horizon
 
 # Frames per second that odometry and networks need. With 60 and 120, steps are so short that errors
 # of tracking count, and the angle is worse.
@@ -145,15 +145,15 @@ def _join_times(files: Sequence[Images]) -> np.ndarray:
 def convert(
     folder: Path,
     name: str,
-    recordings: Sequence[Recording],
+    recording: Recording,
     options: Options,
     *,
     shares: Sequence[float] = (100.0,),
     hz: float = USUAL_HZ,
 ) -> Converted:
-    """Write the drives of recordings of one camera, and their calibration, to the new `folder`.
+    """Write the drives of a recording, and their calibration, to the new `folder`.
 
-    Each recording is cut into parts with `shares` of its time, in %, and each part is a drive. Of
+    The recording is cut into parts with `shares` of its time, in %, and each part is a drive. Of
     the images, every n-th is written, so that about `hz` a second remain.
 
     Raises InputError if images have several sizes, the lens does not fit, a part is too short, a
@@ -161,36 +161,41 @@ def convert(
     images are missing at the end, or times do not increase.
     """
     folder.mkdir(parents=True)
-    parts_of = [_divide_parts(recording, shares, hz) for recording in recordings]
-    files = [file for recording in recordings for file in recording.files]
-    lens = open_lens(options, files[0].read_size(), files[0].path)
-    finders = {file.path: HorizonFinder(lens.camera) for file in files}
+    parts = _divide_parts(recording, shares, hz)
+    first = recording.files[0]
+    lens = open_lens(options, first.read_size(), first.path)
+    finders = {file.path: HeadingFinder(lens.camera) for file in recording.files}
 
-    drives = list[Drive]()
-    notes = list[str]()
-    frames = sum(int((parts >= 0).sum()) for parts in parts_of)
+    numbers = range(1, len(shares) + 1)
+    drives = [Drive(folder / f"{name}_drive_{number:04d}_sync") for number in numbers]
+    is_written = parts >= 0
+    frames = int(is_written.sum())
     with tqdm(total=frames, desc="convert", unit=" images", disable=None) as bar:
-        for recording, parts in zip(recordings, parts_of, strict=True):
-            numbers = range(len(drives) + 1, len(drives) + 1 + len(shares))
-            new = [Drive(folder / f"{name}_drive_{number:04d}_sync") for number in numbers]
-            for path, place, image in recording.read_images(parts >= 0):
-                frame = lens.to_frame(image, path)
-                drive = new[parts[place]]
-                drive.write_image(frame, recording.times_s[place], png=options.png)
-                finders[path].add_image(frame)
-                bar.update()
-            notes += _write_values(recording, new)
-            drives += new
+        for path, place, image in recording.read_images(is_written):
+            frame = lens.to_frame(image, path)
+            drive = drives[parts[place]]
+            drive.write_image(frame, recording.times_s[place], png=options.png)
+            finders[path].add_image(frame)
+            bar.update()
+    notes = _write_values(recording, drives)
 
-    horizon, note = _find_horizon(finders, lens.camera)
+    headings = [heading for finder in finders.values() for heading in finder.headings]
+    with error_context(first.path):
+        horizon = compute_horizon(headings, lens.camera)
+    if horizon is None:
+        notes.append(
+            "horizon: not found, since too few images show a drive; assuming a level camera"
+        )
+    else:
+        notes.append(f"horizon: row {horizon:.0f} of {lens.camera.size[0]}")
     camera = replace(lens.camera, horizon=horizon).at_height(options.camera_height_m)
     write_calibration(folder, camera)
     record = {
         "version": version("semantic-steering"),
         "options": options.model_dump(mode="json", by_alias=True, exclude_defaults=True),
     }
-    frame_hz = 1 / (recordings[0].step_s * recordings[0].find_stride(hz))
-    return Converted(drives, camera, hz=frame_hz, notes=[*notes, note], record=record)
+    frame_hz = 1 / (recording.step_s * recording.find_stride(hz))
+    return Converted(drives, camera, hz=frame_hz, notes=notes, record=record)
 
 
 def _divide_parts(recording: Recording, shares: Sequence[float], hz: float) -> np.ndarray:
@@ -243,32 +248,6 @@ def _write_values(recording: Recording, drives: Sequence[Drive]) -> list[str]:
         known = f"{name} is known at {len(column):,} of {len(table):,} images"
         notes.append(f"{known}: {column.min():z.3f} to {column.max():z.3f}")
     return notes
-
-
-def _find_horizon(
-    finders: Mapping[Path, HorizonFinder], camera: Camera
-) -> tuple[float | None, str]:
-    """Return the row of the horizon of all files, and a note on it.
-
-    The row is None if too few images show a drive. Raises InputError if images are upside down.
-    """
-    rows = []
-    for path, finder in finders.items():
-        with error_context(path):
-            row = finder.find_row()
-        rows.append(f"{path.name}: {'not found' if row is None else f'{row:.0f}'}")
-    row = compute_horizon(
-        [heading for finder in finders.values() for heading in finder.headings], camera
-    )
-    if row is None:
-        return (
-            None,
-            "horizon: not found, since too few images show a drive; assuming a level camera",
-        )
-    note = f"horizon: row {row:.0f} of {camera.size[0]}"
-    if len(rows) > 1:
-        note += f" ({', '.join(rows)}; if they differ, import the files separately)"
-    return row, note
 
 
 def describe_file(path: Path) -> dict[str, Any]:

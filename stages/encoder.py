@@ -2,11 +2,9 @@
 
 from functools import partial
 from pathlib import Path
-from typing import Annotated
 
 import pandas as pd
 import torch
-import typer
 
 from models.encoder.unified_encoder import Architecture
 from pipeline.base import console, store
@@ -24,13 +22,9 @@ from pipeline.ingest.settings import Ingest
 LOSSES = ("loss", "depth", "classes")
 
 
-def main(
-    data: Path = Path("data"),
-    out: Annotated[Path | None, typer.Option(help="default: encoder in --data")] = None,
-    params: Path = Path("params.yaml"),
-) -> Path:
+def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     """Write encoder.pt, config.json and curve.csv. Return the folder."""
-    out = out or data / "encoder"
+    out = data / "encoder"
     settings = load_section(Encoder, params)
     size = load_section(Ingest, params).image_size
     config = settings.model_dump(mode="json", exclude_none=True, exclude={"weights_sha256"})

@@ -2,9 +2,7 @@
 
 from pathlib import Path
 from textwrap import fill
-from typing import Annotated, Any
-
-import typer
+from typing import Any
 
 from pipeline.base import console, store
 from pipeline.base.console import split_doubts
@@ -15,19 +13,13 @@ from pipeline.report import drawings, page, tables
 from pipeline.report.values import dvc_metrics, gather_values, load_tasks, to_json
 
 
-def main(
-    data: Annotated[Path, typer.Option(help="folder with the folders of all stages")] = Path(
-        "data"
-    ),
-    out: Annotated[Path | None, typer.Option(help="default: report in --data")] = None,
-    params: Path = Path("params.yaml"),
-) -> Path:
+def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
     """Write the page with its pictures, the tables, and the file of DVC's metrics.
 
     The report also names the models of the params file that are not evaluated on this machine.
     Returns the folder.
     """
-    out = out or data / "report"
+    out = data / "report"
     with stage_folder("report", out, params=params) as folder:
         models = read_entries("models", params)
         evaluated = [name for name in models if (data / f"evaluate/{name}/metrics.json").is_file()]

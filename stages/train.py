@@ -4,9 +4,6 @@ They are in data/train/<model>/.
 """
 
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from pipeline.base import console, store
 from pipeline.base.console import EntryName
@@ -22,12 +19,7 @@ from pipeline.train.targets import check_drives, rate_doubt, read_drive
 
 
 def main(
-    name: EntryName = None,
-    data: Path = Path("data"),
-    out: Annotated[
-        Path | None, typer.Option(help="parent of the model's folder; default: train in --data")
-    ] = None,
-    params: Path = Path("params.yaml"),
+    name: EntryName = None, data: Path = Path("data"), params: Path = Path("params.yaml")
 ) -> Path:
     """Train the model, stop early when the validation error stops falling, and keep the best epoch.
 
@@ -35,13 +27,13 @@ def main(
     On a GPU, they are trained one after the other. Returns the model's folder.
     """
     name = entry_name(name)
-    out = out or data / "train"
+    out = data / "train" / name
     settings = load_section(Train, params)
     entry = load_entry(Entry, "models", name, params)
     if entry.learning_rate:
         settings = settings.model_copy(update={"learning_rate": entry.learning_rate})
     graphs = data / "graphs" / entry.input
-    with stage_folder(f"train@{name}", out / name, params=params, chosen=entry.files) as folder:
+    with stage_folder(f"train@{name}", out, params=params, chosen=entry.files) as folder:
         splits = store.read_index(graphs, stage="graphs")
         where = f"{params}: models.{name}"
         with error_context(where=where):
@@ -76,7 +68,7 @@ def main(
         # Networks of other code and settings stay for later runs, too, as they are small and costly
         # to train.
         folder.used.update(folder.kept.glob("*.pt"))
-    return out / name
+    return out
 
 
 if __name__ == "__main__":

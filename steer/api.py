@@ -1,4 +1,4 @@
-"""Use the commands `steer measure`, `steer predict` and `steer export` from Python.
+"""Use the commands `steer measure` and `steer predict` from Python.
 
 from steer.api import measure
 
@@ -17,7 +17,6 @@ from pipeline.base.keys import ROOT
 from pipeline.base.params import from_python
 from pipeline.encoder.encoder_file import FILE
 from pipeline.train.trained import load_model
-from steer import export as exporting
 from steer import measure as measuring
 from steer.outcome import Outcome
 from steer.street_encoder import encoder_folder
@@ -72,13 +71,12 @@ def predict(
 ) -> Outcome:
     """Predict the steering angle of each frame with a trained model.
 
-    `model` is the model's folder, or runs/NAME. `encoder` is the folder of its encoder; if it is
-    None, it is data/encoder beside the model's data/train. `options` and `out` are
-    those of :func:`measure`, with steering.csv instead of motion.csv. Raises InputError for input
-    that cannot be used.
+    `model` is the model's folder. `encoder` is the folder of its encoder; if it is None, it is
+    data/encoder beside the model's data/train. `options` and `out` are those of :func:`measure`,
+    with steering.csv instead of motion.csv. Raises InputError for input that cannot be used.
     """
     given = from_python(Options, options)
-    folder = _find_model(here_or_included(Path(model)))
+    folder = here_or_included(Path(model))
     trained = load_model(folder)
     if encoder is None:
         encoder = _find_encoder(folder)
@@ -90,14 +88,6 @@ def predict(
         model=trained,
         video=video,
     )
-
-
-def export(file: PathLike, frame: int, out: PathLike) -> str:
-    """Write the points of a frame to `out`, a new PLY or PCD file, and return what it holds.
-
-    `file` is a drive's file of clouds, graphs or scans, see :func:`steer.export.export_points`.
-    """
-    return exporting.export_points(Path(file), frame, Path(out))
 
 
 def here_or_included(path: Path) -> Path:
@@ -116,20 +106,6 @@ def _list_paths(source: Paths) -> list[Path]:
     if isinstance(source, Path | str):
         return [Path(source)]
     return [Path(path) for path in source]
-
-
-def _find_model(model: Path) -> Path:
-    """Return the folder of a model: that of the only model if `model` is runs/NAME, else `model`.
-
-    Raises InputError if runs/NAME has several models.
-    """
-    networks = sorted(path.parent for path in (model / "data/train").glob("*/best.pt"))
-    if not networks:
-        return model
-    if len(networks) > 1:
-        names = ", ".join(str(network) for network in networks)
-        raise InputError("has several models", model, f"Pass one as --model: {names}")
-    return networks[0]
 
 
 def _find_encoder(model: Path) -> Path:

@@ -58,33 +58,18 @@ def show(
         Path,
         typer.Argument(metavar="FILE", help="a drive's .h5 file of any stage, or a checkpoint"),
     ],
-    frame: Annotated[
-        int | None, typer.Option(min=0, help="print the numbers of this frame")
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="PNG", help="draw the frame's images and points, too")
-    ] = None,
 ) -> None:
-    """Print a file's attributes, datasets and settings, or one of its frames.
+    """Print a file's attributes, datasets and settings.
 
     \b
     steer show data/graphs/semantic/2026_01_21_drive_0004.h5
-    steer show data/graphs/semantic/2026_01_21_drive_0004.h5 --frame 20 --out frame.png
     steer show data/train/sa-gnn-ncp/best.pt
     """
     import yaml
 
-    from pipeline.base.outputs import check_free
     from steer import artefact
 
-    if out and (frame is None or out.suffix != ".png"):
-        raise InputError("expected --frame and the name of a PNG file", "--out")
-    if out:
-        check_free(out)
-    if frame is None:
-        content = artefact.describe_file(path)
-    else:
-        content = artefact.show_frame(path, frame, out)
+    content = artefact.describe_file(path)
     text = yaml.safe_dump(
         content, sort_keys=False, default_flow_style=None, allow_unicode=True, width=110
     )
@@ -96,14 +81,20 @@ def view(
         Path,
         typer.Argument(metavar="FILE", help="a drive's .h5 file of data/clouds or data/graphs"),
     ],
+    frame: Annotated[
+        int | None, typer.Option(min=0, help="number of the frame; default: the middle one")
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="HTML", help="new file; default: out/DRIVE.html")
     ] = None,
 ) -> None:
-    """Write some frames of a point cloud or graph in 3D as a page, to open in a browser.
+    """Write a frame of a point cloud or graph in 3D as a page, to open in a browser.
+
+    Points far from the car are left out. Of many points and edges, only some are shown.
 
     \b
     steer view data/graphs/semantic/2026_01_21_drive_0004.h5
+    steer view data/graphs/semantic/2026_01_21_drive_0004.h5 --frame 7 --out graph.html
     """
     from pipeline.base.outputs import find_free
     from steer import artefact
@@ -111,25 +102,22 @@ def view(
     if out and out.suffix != ".html":
         raise InputError("expected the name of an HTML file", "--out")
     page = find_free(out, path.stem, ".html")
-    artefact.write_view(path, page)
+    artefact.write_view(path, frame, page)
     print(page)
 
 
 def export(
     path: Annotated[
         Path,
-        typer.Argument(
-            metavar="FILE",
-            help="a drive's .h5 file of data/clouds or data/graphs, or of data/ingest with scans",
-        ),
+        typer.Argument(metavar="FILE", help="a drive's .h5 file of data/clouds or data/graphs"),
     ],
     out: Annotated[Path, typer.Argument(metavar="CLOUD", help="new .ply or .pcd file")],
     frame: Annotated[int, typer.Option(min=0, help="number of the frame")],
 ) -> None:
     """Write the points of a frame as PLY or PCD, which Open3D, CloudCompare and others read.
 
-    Each point has x, y and z in metres, its class or reflectance, and the colour of its pixel if
-    the frame's image is in data/ingest.
+    Each point has x, y and z in metres, its class, and the colour of its pixel if the frame's image
+    is in data/ingest.
 
     \b
     steer export data/clouds/pseudo/2026_01_21_drive_0004.h5 --frame 7 cloud.ply
@@ -143,7 +131,7 @@ def export(
 COMMANDS = {
     "predict": (predict, with_options(predict.predict)),
     "measure": (measure, with_options(measure.measure)),
-    "import": (import_, with_options(import_.import_recordings)),
+    "import": (import_, with_options(import_.import_recording)),
 }
 for name, (module, command) in COMMANDS.items():
     app.command(name, no_args_is_help=True, help=module.__doc__)(guarded(command))

@@ -1,4 +1,4 @@
-"""Show one file of a stage: its content, one of its frames, or its points in 3D."""
+"""Show one file of a stage: its content, or its points in 3D."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -8,7 +8,6 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, replacing
-from pipeline.report import street_view
 
 Content = dict[str, Any]
 # Largest number of values in a list of a checkpoint that are all shown.
@@ -51,43 +50,26 @@ def _describe_dataset(file: DriveReader, name: str) -> list[str]:
     return texts
 
 
-def show_frame(path: Path, number: int, out: Path | None = None) -> Content:
-    """Return dataset → value of a frame, and draw the frame to `out`, unless that is None.
+def write_view(path: Path, number: int | None, out: Path) -> None:
+    """Write a page with the points and edges of a frame of a file in 3D.
 
-    Only datasets with a single number per frame are returned. Points are drawn with the frame's
-    image, if that is in the same data folder. Raises InputError if the frame is missing, or has
-    nothing to draw.
+    If `number` is None, it is the frame in the middle of the file. Raises InputError if the file
+    has no points, or lacks the frame.
     """
-    with open_drive(path) as file:
-        row = file.row_of(number)
-        names = [name for name, data in file.datasets.items() if data.shape == file.frame.shape]
-        numbers = {name: file.row(name, row).item() for name in sorted(names)}
-        if out:
-            view = street_view.read_view(number, file)
-            if not view.images() and view.xyz is None:
-                problem = f"frame {number} has neither an image nor points"
-                raise InputError(problem, path, "Leave out --out")
-            images = open_images(file)
-            if view.xyz is not None and images is not None:
-                view = street_view.with_image(view, images)
-            title = f"{Path(*path.parts[-3:])}, frame {number}"
-            street_view.save_figure(street_view.draw_sheet(title, view), out)
-        return numbers
-
-
-def write_view(path: Path, out: Path) -> None:
-    """Write a page with some frames of a file in 3D. Raises InputError if it has no points."""
+    from pipeline.report.street_view import read_view
     from steer import space
 
     with open_drive(path) as file:
         if "xyz" not in file or not len(file["xyz"]):
             fix = "Pass a file of point clouds, or of graphs of points"
             raise InputError("has no points", path, fix)
-        views = space.read_views(file)
+        if number is None:
+            number = int(file.frame[len(file.frame) // 2])
+        view = read_view(number, file)
         kind = f"{file.attrs['stage']}/{path.absolute().parent.name}"
-        title = f"{file.drive}, {kind}: {len(views)} of {len(file.frame)} frames"
+        title = f"{file.drive}, {kind}, frame {number}: {len(np.asarray(view.xyz)):,} points"
     with replacing(out) as unfinished:
-        space.write_page(unfinished, views, title)
+        space.write_page(unfinished, view, title)
 
 
 def open_drive(path: Path) -> DriveReader:
@@ -96,19 +78,6 @@ def open_drive(path: Path) -> DriveReader:
         problem = "expected a drive's file (.h5) or a checkpoint (.pt)"
         raise InputError(problem, path, "Pass one from a folder in data/")
     return DriveReader(path, stage=None)
-
-
-def open_images(file: DriveReader) -> DriveReader | None:
-    """Open the drive's file of stage ingest in the same data folder; None if it is not there.
-
-    `file` is in data/clouds/KIND or data/graphs/VARIANT. Both files are closed together.
-    """
-    # The folder is resolved without the file, which DVC may have linked to its cache.
-    data = file.path.parent.resolve().parent.parent
-    ingest = data / "ingest" / file.path.name
-    if not ingest.is_file():
-        return None
-    return file.enter_context(DriveReader(ingest, stage="ingest"))
 
 
 def _without_tensors(content: Mapping[str, Any]) -> Content:

@@ -10,6 +10,7 @@ from tqdm import tqdm
 from footage.convert import USUAL_HZ, convert, open_recording
 from footage.settings import Options
 from pipeline.base.errors import InputError
+from pipeline.base.runner import Summary
 from pipeline.base.store import write_json
 from pipeline.camera.camera import Camera
 from pipeline.ingest.datasets import kitti
@@ -74,7 +75,7 @@ def open_source(
 
     recording = open_recording(paths, options)
     name = re.sub("[^A-Za-z0-9_-]+", "-", paths[0].stem)
-    converted = convert(folder, name, [recording], options, hz=hz)
+    converted = convert(folder, name, recording, options, hz=hz)
     write_json(folder / kitti.IMPORT, converted.record, sort_keys=False)
     source = _open_files(paths[0], kitti.KittiDrive(converted.drives[0].folder), reading)
     source.drive.notes[:0] = converted.notes
@@ -101,10 +102,11 @@ def _open_files(path: Path, files: kitti.KittiDrive, reading: Reading) -> Source
 
 def run_chain(
     source: Source, work: Path, *, reading: Reading, perception: Perception, encoder: Path
-) -> None:
+) -> Summary:
     """Write ingest.h5, perception.h5 and motion.h5 of a source to the folder `work`.
 
-    `encoder` is the folder of an encoder. Raises InputError if no frame can be read.
+    `encoder` is the folder of an encoder. Returns the summary of the motion, see
+    :func:`pipeline.motion.motion_file.measure_drive`. Raises InputError if no frame can be read.
     """
     ingest = work / INGEST
     perceived = work / PERCEPTION
@@ -123,3 +125,4 @@ def run_chain(
         bar.set_description("motion")
         summary = measure_drive(work / MOTION, ingest, perceived, advance=bar.update)
     check_unit({source.name: summary})
+    return summary

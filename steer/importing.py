@@ -1,4 +1,4 @@
-"""Import recordings: convert them to drives in data/raw/NAME, and write presets/NAME.yaml."""
+"""Import a recording: convert it to drives in data/raw/NAME, and write presets/NAME.yaml."""
 
 import hashlib
 import json
@@ -28,33 +28,28 @@ OTHER_NAME = "Move it away, or pass another --name"
 
 
 def write_import(
-    name: str,
-    groups: Sequence[Sequence[Path]],
-    options: Sequence[Options],
-    shares: Sequence[float],
+    name: str, paths: Sequence[Path], options: Options, shares: Sequence[float]
 ) -> list[str]:
-    """Write the drives and the preset `name` of recordings, and return lines for the user.
+    """Write the drives and the preset `name` of a recording, and return lines for the user.
 
-    Each of the `groups` has the files of a recording, and each recording its `options`, which
-    differ in the logs only. Raises InputError for faulty files, and if the import would replace
-    anything but an import of the same recordings.
+    `paths` are the files of the recording, and `shares` those of its time for SPLITS, in %. Raises
+    InputError for faulty files, and if the import would replace anything but an import of the same
+    recording.
     """
     with error_context("--name"):
         check_name(name)
     presets.check_name_is_free(name)
     preset = presets.PRESETS / f"{name}.yaml"
     folder = presets.PRESETS.parent / "data/raw" / name
-    files = [describe_file(path) for paths in groups for path in paths]
+    files = [describe_file(path) for path in paths]
     check_replaceable(folder, preset, files)
 
     # Faults of all files and logs are found before the first image is decoded.
-    recordings = []
-    for paths, its_options in zip(groups, options, strict=True):
-        recordings.append(open_recording(paths, its_options))
+    recording = open_recording(paths, options)
 
     with replacing(folder) as new:
-        converted = convert(new, name, recordings, options[0], shares=shares)
-        text = _preset_text(name, converted, options[0])
+        converted = convert(new, name, recording, options, shares=shares)
+        text = _preset_text(name, converted, options)
         record = {
             **converted.record,
             "recordings": files,
@@ -68,16 +63,16 @@ def write_import(
     write_text(preset, text)
 
     lines = []
-    for split, drives in _split_drives(converted).items():
-        lines += [f"{drive.folder.name}: {len(drive.times_s)} images, {split}" for drive in drives]
+    for split, drive in zip(SPLITS, converted.drives, strict=True):
+        lines.append(f"{drive.folder.name}: {len(drive.times_s)} images, {split}")
     lines += converted.notes
     if not converted.camera.height_known:
         lines.append("the speed's scale is not known: pass --camera-height METRES")
     return [*lines, f"next: make street && make {name}"]
 
 
-def check_replaceable(folder: Path, preset: Path, recordings: Sequence[dict[str, Any]]) -> None:
-    """Raise InputError unless the folder and the preset are free, or an import of `recordings`."""
+def check_replaceable(folder: Path, preset: Path, files: Sequence[dict[str, Any]]) -> None:
+    """Raise InputError unless the folder and the preset are free, or an import of `files`."""
     if not (folder / IMPORT).is_file():
         check_free(folder)
         check_free(preset)
@@ -88,7 +83,7 @@ def check_replaceable(folder: Path, preset: Path, recordings: Sequence[dict[str,
     others = [path for path in folder.rglob("[!.]*") if path.is_file() and path not in written]
     if others:
         raise InputError("is not by the import", min(others), OTHER_NAME)
-    if record["recordings"] != recordings:
+    if record["recordings"] != files:
         names = ", ".join(file["name"] for file in record["recordings"])
         raise InputError(f"is an import of another recording, {names}", folder, OTHER_NAME)
     if preset.exists() and file_hash(preset) != record["preset_sha256"]:
@@ -104,33 +99,12 @@ def read_shares(split: str) -> list[float]:
     return shares
 
 
-def divide_logs(logs: Sequence[Path] | None, option: str, count: int) -> Sequence[Path | None]:
-    """Return the log of each of `count` recordings. Raises InputError for another number."""
-    if not logs:
-        return [None] * count
-    if len(logs) != count:
-        problem = f"expected {count}, one per recording (got {len(logs)})"
-        raise InputError(problem, option, "With --each, each path is a recording")
-    return logs
-
-
-def _split_drives(converted: Converted) -> dict[str, list[Any]]:
-    """Return split → drives, which are in turn for training, validation and test.
-
-    If there are two drives, the second is for test.
-    """
-    drives = converted.drives
-    if len(drives) == 2:
-        return {"train": drives[:1], "val": [], "test": drives[1:]}
-    return {split: drives[place :: len(SPLITS)] for place, split in enumerate(SPLITS)}
-
-
 def _preset_text(name: str, converted: Converted, options: Options) -> str:
     """Return a preset with drives, and with models with and without measured motion as input."""
     settings = yaml.safe_load(TEMPLATE.read_text(encoding="utf-8"))
     names = {}
-    for split, drives in _split_drives(converted).items():
-        names[split] = [drive.folder.name.removesuffix("_sync") for drive in drives]
+    for split, drive in zip(SPLITS, converted.drives, strict=True):
+        names[split] = [drive.folder.name.removesuffix("_sync")]
     settings["ingest"]["drives"] = names
     settings["clouds"]["max_depth_m"] = float(round(depth_limit(converted.camera)))
 

@@ -63,9 +63,9 @@ def measure_source(
         )
         if model:
             source = predict.adapt_source(model, source)
-        run_chain(source, work, reading=reading, perception=perception, encoder=encoder)
+        facts = run_chain(source, work, reading=reading, perception=perception, encoder=encoder)
 
-        results = Results.read(source, work, car, smooth=model is None)
+        results = Results.read(source, work, facts, car, smooth=model is None)
         results.doubts += find_warnings(encoder, "float32", [work / INGEST])
         comparison = results.compare_angles("measured")
         if model:

@@ -15,6 +15,7 @@ from pipeline.base.checkout import revision
 from pipeline.base.console import split_doubts
 from pipeline.base.keys import ROOT
 from pipeline.base.metrics import nmse, rmse
+from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader
 from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
 from pipeline.labels.recorded import Recorded, compare_recorded
@@ -55,8 +56,8 @@ class Results:
     measured: Labels
     # Quantity → facts about the recorded values beside the measured ones.
     recorded: dict[str, dict[str, Any]]
-    # Attributes of the file of stage motion.
-    motion: dict[str, Any]
+    # Summary of the motion, of which the line of facts is made.
+    facts: Summary
     # Lines for the user.
     notes: list[str]
     doubts: list[str]
@@ -64,10 +65,13 @@ class Results:
     paths: dict[str, np.ndarray] = field(default_factory=dict)
 
     @classmethod
-    def read(cls, source: Source, work: Path, car: Car, *, smooth: bool) -> "Results":
+    def read(
+        cls, source: Source, work: Path, facts: Summary, car: Car, *, smooth: bool
+    ) -> "Results":
         """Return the measured motion that :func:`steer.chain.run_chain` wrote to `work`.
 
-        Columns are frame, time_s, driven_rad, valid, and those of :func:`read_course`.
+        `facts` is what it returned. Columns are frame, time_s, driven_rad, valid, and those of
+        :func:`read_course`.
         """
         recorder = "the log"
         if source.files.oxts and not source.files.find_logs():
@@ -91,9 +95,9 @@ class Results:
                 **read_course(motion, car, smooth=smooth),
             }
             problems = [PROBLEMS[code] for code in motion["problem"]]
-            attrs = dict(motion.attrs)
 
-        lines = [facts_line(source.name, [attrs]), *[fact["line"] for fact in recorded.values()]]
+        lines = [facts_line(source.name, [facts])]
+        lines += [comparison["line"] for comparison in recorded.values()]
         notes, doubts = split_doubts(lines)
         counts = Counter(problem for problem in problems if problem).most_common()
         if counts:
@@ -106,7 +110,7 @@ class Results:
             recorder=recorder if driven else "",
             measured=measured_labels.select_rows(rows),
             recorded=recorded,
-            motion=attrs,
+            facts=facts,
             notes=[*source.drive.notes, *notes],
             doubts=doubts,
         )
@@ -132,51 +136,42 @@ class Results:
         """
         frame = self.table["frame"]
         driven_rad = pd.Series(self.table["driven_rad"], frame)
-        target_rad = driven_rad.reindex(frame + horizon).to_numpy(copy=True)
+        target_rad = driven_rad.reindex(frame + horizon).to_numpy()
         used = np.isfinite(target_rad) & np.isfinite(self.table[f"{column}_rad"])
         if not used.any():
             return None
-        target_rad[~used] = np.nan
 
         # Measured angles are a baseline on all of these frames: where none is measured, the last
         # one is repeated. Before the first, the baseline is 0.
         held_rad = pd.Series(self.table["measured_rad"]).ffill().fillna(0.0).to_numpy()
-        angles = {"measured": held_rad, "zero": np.zeros(len(frame))}
+        angles = {"measured": held_rad}
         if column == "predicted":
             angles = {column: self.table["predicted_rad"], **angles}
 
-        errors = {name: _compute_errors(target_rad, angle) for name, angle in angles.items()}
+        errors = {}
+        for name, angle_rad in angles.items():
+            errors[name] = {
+                "nmse": nmse(target_rad[used], angle_rad[used]),
+                "rmse_deg": math.degrees(rmse(target_rad[used], angle_rad[used])),
+            }
         return {"truth": self.recorder, "frames": int(used.sum()), "horizon": horizon, **errors}
 
     def describe_quality(self, source: Source, comparison: dict[str, Any] | None) -> dict[str, Any]:
         """Return the content of quality.json. Unknown values are None."""
         camera = source.camera
-        facts = self.motion
-        is_valid = self.table["valid"] > 0
+        speed_sigma = self.table["speed_sigma"][self.table["valid"] > 0]
         return {
             "version": version("semantic-steering"),
             "revision": revision(ROOT) or None,
             "source": str(source.path),
-            "step_s": _median_or_none(np.diff(self.table["time_s"])),
             "K": camera.K.round(3).tolist(),
-            "camera_height_m": camera.height_m if camera.height_known else None,
             "horizon": camera.horizon,
-            "measured_frames": facts["valid"] / max(facts["moving"], 1),
-            "road_frames": facts["road_frames"] / facts["frames"],
-            # Height in metres of the camera over the road, as the encoder's depth shows it.
-            "road_height_m": facts["road_height_m"] or None,
-            # Relative scatter of successive speeds, and standard deviation of the drive's scale.
-            "scatter": facts["scatter"],
-            "scale_sigma": facts["scale_sigma"],
-            "speed_sigma": _median_or_none(self.table["speed_sigma"][is_valid]),
+            **self.facts,
+            "speed_sigma": float(np.median(speed_sigma)) if len(speed_sigma) else None,
             "recorded": self.recorded,
             "comparison": comparison,
             "doubts": self.doubts,
         }
-
-
-def _median_or_none(values: np.ndarray) -> float | None:
-    return float(np.median(values)) if len(values) else None
 
 
 def _read_driven(ingest: DriveReader, car: Car) -> Labels | None:
@@ -269,29 +264,10 @@ def comparison_lines(comparison: Mapping[str, Any] | None) -> Iterator[str]:
     if comparison["horizon"]:
         line += f", {comparison['horizon']} frames ahead"
     yield f"{line}:"
-    for name in ("predicted", "measured", "zero"):
+    for name in ("predicted", "measured"):
         if name in comparison:
             errors = comparison[name]
-            texts = [f"RMSE {errors['rmse_deg']:.2f} deg"]
-            for key in ("nmse", "correlation"):
-                if errors[key] is not None:
-                    texts.append(f"{key} {errors[key]:.3f}")
-            yield f"  {name}: {', '.join(texts)}"
-
-
-def _compute_errors(target_rad: np.ndarray, angle_rad: np.ndarray) -> dict[str, Any]:
-    """Return nmse, rmse_deg and correlation of angles [N]; None if undefined.
-
-    Frames whose target is NaN do not count.
-    """
-    counted = np.isfinite(target_rad)
-    target_rad = target_rad[counted]
-    angle_rad = angle_rad[counted]
-    correlation = None
-    if np.ptp(target_rad) > 0 and np.ptp(angle_rad) > 0:
-        correlation = float(np.corrcoef(target_rad, angle_rad)[0, 1])
-    return {
-        "nmse": nmse(target_rad, angle_rad),
-        "rmse_deg": math.degrees(rmse(target_rad, angle_rad)),
-        "correlation": correlation,
-    }
+            text = f"  {name}: RMSE {errors['rmse_deg']:.2f} deg"
+            if errors["nmse"] is not None:
+                text += f", nmse {errors['nmse']:.3f}"
+            yield text

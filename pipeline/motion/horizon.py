@@ -67,8 +67,8 @@ class _Heading(NamedTuple):
     nearer_above: bool | None  # whether points above it are nearer than those below; None: unknown
 
 
-class HorizonFinder:
-    """Find the horizon of consecutive images of a car's camera, which are added one by one."""
+class HeadingFinder:
+    """Find the headings of consecutive images of a car's camera, which are added one by one."""
 
     def __init__(self, camera: Camera) -> None:
         self._camera = camera
@@ -87,10 +87,6 @@ class HorizonFinder:
             if heading:
                 self.headings.append(heading)
         self._count += 1
-
-    def find_row(self) -> float | None:
-        """Return :func:`compute_horizon` of the images."""
-        return compute_horizon(self.headings, self._camera)
 
 
 def compute_horizon(headings: Sequence[_Heading], camera: Camera) -> float | None:

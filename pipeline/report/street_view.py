@@ -110,14 +110,6 @@ def read_view(number: int, *files: DriveReader) -> View:
     return View(number, **values)
 
 
-def with_image(view: View, ingest: DriveReader) -> View:
-    """Return a view with the frame's image in a file of stage ingest, if it has one.
-
-    Raises InputError if the file lacks the frame.
-    """
-    return view._replace(rgb=read_view(view.frame, ingest).rgb)
-
-
 def draw_points(panel: Axes, view: View) -> None:
     """Draw the points of a frame from above in the colours of their classes, and their edges.
 

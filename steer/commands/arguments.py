@@ -23,22 +23,18 @@ Video = Annotated[bool, typer.Option(help="write overlay.mp4")]
 
 
 def with_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command with the options of a recording in place of the parameter ``**options``.
-
-    An option that the command declares itself stays as it is.
-    """
+    """Return a command with the options of a recording in place of the parameter ``**options``."""
     signature = inspect.signature(command)
     *parameters, _ = signature.parameters.values()  # without **options
     for name, field in Options.model_fields.items():
-        if name not in signature.parameters:
-            flag = f"--{(field.alias or name).replace('_', '-')}"
-            metavar = field.examples[0] if field.examples else None
-            option = typer.Option(flag, help=field.description, metavar=metavar)
-            annotation: Any = Annotated[field.annotation, option]
-            kind = inspect.Parameter.KEYWORD_ONLY
-            parameters.append(
-                inspect.Parameter(name, kind, default=field.default, annotation=annotation)
-            )
+        flag = f"--{(field.alias or name).replace('_', '-')}"
+        metavar = field.examples[0] if field.examples else None
+        option = typer.Option(flag, help=field.description, metavar=metavar)
+        annotation: Any = Annotated[field.annotation, option]
+        kind = inspect.Parameter.KEYWORD_ONLY
+        parameters.append(
+            inspect.Parameter(name, kind, default=field.default, annotation=annotation)
+        )
     command.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
     return command
 

@@ -22,9 +22,7 @@ from steer.commands import arguments
 
 def predict(
     source: arguments.SourcePath,
-    model: Annotated[
-        Path | None, typer.Option(help="folder of a trained model, or runs/NAME")
-    ] = None,
+    model: Annotated[Path | None, typer.Option(help="folder of a trained model")] = None,
     out: arguments.Out = None,
     video: arguments.Video = True,
     encoder: Annotated[

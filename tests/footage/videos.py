@@ -19,14 +19,12 @@ from tests.kitti_drive import SIZE, pictures, write_video
 
 
 def convert(
-    folder: Path, *recordings: Path | list[Path], shares: Sequence[float] = (100.0,), **options: Any
+    folder: Path, recording: Path | list[Path], shares: Sequence[float] = (100.0,), **options: Any
 ) -> Converted:
-    """Convert recordings of a lens of 80 degrees to drives "monday" in a folder."""
+    """Convert a recording of a lens of 80 degrees to drives "monday" in a folder."""
     given = Options(**{"fov": 80.0, "png": True, **options})
-    opened = [
-        conversion.open_recording(paths if isinstance(paths, list) else [paths], given)
-        for paths in recordings
-    ]
+    paths = recording if isinstance(recording, list) else [recording]
+    opened = conversion.open_recording(paths, given)
     return conversion.convert(folder, "monday", opened, given, shares=shares)
 
 

@@ -1,6 +1,7 @@
 """Files of points for other programs, as Open3D reads them."""
 
 import errno
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from tests.pipeline.base.test_base import files_up_to
 
 DRIVE = "2011_09_26_drive_0001"
 FRAME = 2
-KINDS = ("clouds/pseudo", "clouds/lidar", "graphs/semantic", "ingest")
+KINDS = ("clouds/pseudo", "clouds/lidar", "graphs/semantic")
 
 
 @pytest.fixture(scope="module")
@@ -38,33 +39,20 @@ def data(tmp_path_factory) -> Path:
 @pytest.mark.parametrize("kind", KINDS)
 def test_points_keep_their_values_and_get_the_colour_of_their_pixel(data, tmp_path, kind, suffix):
     out = tmp_path / f"cloud.{suffix}"
-    about = export_points(data / kind / f"{DRIVE}.h5", FRAME, out)
+    export_points(data / kind / f"{DRIVE}.h5", FRAME, out)
     read = o3d.t.io.read_point_cloud(str(out)).point
     exported = {name: values.numpy() for name, values in read.items()}
     xyz = exported.pop("positions")
     rgb = exported.pop("colors")
 
-    # Coordinates and attributes are those of the file, in its frame.
+    # Coordinates and classes are those of the file.
     with DriveReader(data / kind / f"{DRIVE}.h5", stage=None) as file:
-        if kind == "ingest":
-            scan = file.rows_of("lidar", FRAME)
-            expected = {"intensity": scan[:, 3:]}
-            stored_xyz = scan[:, :3]
-            T_cam_velo = street.T_CAM_VELO
-            frame = "velodyne coordinates (x forward, y left, z up)"
-        else:
-            expected = {"class": file.rows_of("cls", FRAME)[:, None]}
-            stored_xyz = file.rows_of("xyz", FRAME)
-            T_cam_velo = np.eye(4)
-            frame = "camera coordinates (x right, y down, z forward)"
-    np.testing.assert_array_equal(xyz, stored_xyz)
-    np.testing.assert_equal(exported, expected)
-    assert f"{len(xyz):,} points in metres, {frame}" in about
+        np.testing.assert_array_equal(xyz, file.rows_of("xyz", FRAME))
+        np.testing.assert_equal(exported, {"class": file.rows_of("cls", FRAME)[:, None]})
 
     # A point that the camera sees has the colour of its pixel, and others are black.
     image, *_ = street.scene(FRAME)
-    camera_xyz = xyz @ T_cam_velo[:3, :3].T + T_cam_velo[:3, 3]
-    u, v = np.rint((camera_xyz @ street.K.T)[:, :2].T / camera_xyz[:, 2]).astype(int)
+    u, v = np.rint((xyz @ street.K.T)[:, :2].T / xyz[:, 2]).astype(int)
     height, width = street.SIZE
     in_image = (u >= 0) & (u < width) & (v >= 0) & (v < height)
     has_colour = rgb.any(axis=1)
@@ -74,12 +62,14 @@ def test_points_keep_their_values_and_get_the_colour_of_their_pixel(data, tmp_pa
     np.testing.assert_array_equal(rgb[has_colour], image[v[has_colour], u[has_colour]])
 
 
-def test_without_an_image_points_have_no_colour(tmp_path):
-    street.write_drive(tmp_path / "ingest", DRIVE, 3, images=False, lidar=True)
+def test_without_an_image_points_have_no_colour(data, tmp_path):
+    cloud = tmp_path / f"clouds/lidar/{DRIVE}.h5"
+    cloud.parent.mkdir(parents=True)
+    shutil.copy(data / f"clouds/lidar/{DRIVE}.h5", cloud)
     out = tmp_path / "cloud.pcd"
-    about = export_points(tmp_path / f"ingest/{DRIVE}.h5", 1, out)
+    about = export_points(cloud, FRAME, out)
     assert about.endswith("no colour, as there is no image in data/ingest")
-    assert {*o3d.t.io.read_point_cloud(str(out)).point} == {"positions", "intensity"}
+    assert {*o3d.t.io.read_point_cloud(str(out)).point} == {"positions", "class"}
 
 
 @pytest.mark.parametrize("suffix", ["ply", "pcd"])

@@ -17,7 +17,7 @@ from pipeline.check import preset
 from pipeline.ingest.datasets.kitti import IMPORT
 from stages import check, ingest
 from stages.preset import Params, hash_imports, merge_preset
-from steer.commands.import_ import import_recordings
+from steer.commands.import_ import import_recording
 from tests.kitti_drive import SIZE, contents, pictures, write, write_video
 
 FRAMES = 200
@@ -28,24 +28,20 @@ WHEEL = "time_s,wheel_rad\n" + "".join(f"{half / 2},1.0\n" for half in range(-2,
 
 @pytest.fixture
 def take(tmp_path, monkeypatch) -> Callable[..., dict[str, Any]]:
-    """Return a function that imports recordings to an empty presets/ and returns the preset.
+    """Return a function that imports a recording to an empty presets/ and returns the preset.
 
-    The field of view is 80 degrees. Logs are given as text, one or a list.
+    The field of view is 80 degrees. Logs are given as text.
     """
     (tmp_path / "presets").mkdir()
     monkeypatch.setattr(preset, "PRESETS", tmp_path / "presets")
 
-    def imported(*recordings: Path, name: str = "monday", **options: Any) -> dict[str, Any]:
+    def imported(recording: Path, name: str = "monday", **options: Any) -> dict[str, Any]:
         for log in {"motion", "wheel"} & {*options}:
-            texts = options[log]
-            if isinstance(texts, str):
-                texts = [texts]
-            options[log] = [tmp_path / f"{log}-{number}.txt" for number in range(len(texts))]
-            for file, text in zip(options[log], texts, strict=True):
-                file.write_text(text)
+            write(tmp_path / f"{log}.txt", options[log])
+            options[log] = tmp_path / f"{log}.txt"
         if "wheel" in options:
             options.setdefault("steering_ratio", 10.0)
-        import_recordings([*recordings], **{"name": name, "fov_deg": 80.0, **options})
+        import_recording([recording], **{"name": name, "fov_deg": 80.0, **options})
         return merge_preset(str(tmp_path / f"presets/{name}"))
 
     return imported
@@ -125,16 +121,6 @@ def test_the_preset_is_one_that_check_accepts_and_ingest_reads(
                 np.testing.assert_allclose(file["steering_rad"], 0.1)
 
 
-def test_each_recording_is_a_drive_for_the_splits_in_turn(tmp_path, take, video, capsys):
-    content = take(*[video] * 4, each=True, motion=[STEADY] * 4)
-    numbers = {"train": [1, 4], "val": [2], "test": [3]}
-    names = {split: [f"monday_drive_{n:04d}" for n in places] for split, places in numbers.items()}
-    assert content["ingest"]["drives"] == names
-    text = capsys.readouterr().out
-    assert "monday_drive_0004_sync: 200 images, train" in text
-    assert "the speed's scale is not known: pass --camera-height" in text
-
-
 def test_a_full_disk_leaves_nothing_half(tmp_path, take, video, monkeypatch):
     error = OSError(28, "No space left on device")
     monkeypatch.setattr(convert, "write_calibration", Mock(side_effect=error))
@@ -150,19 +136,13 @@ PLAINLY_WRONG = [
     ({"name": "index"}, "index: is the name of a file that stage report writes"),
     ({"motion": HEAD + "19.5,5,0\n19.9,5,0\n"}, "0001_sync has no image with a known speed_mps"),
     ({"split": "60,20,30"}, "with the sum 100"),
-    ({"each": True}, "--each needs two recordings"),
-    ({"wheel": [WHEEL] * 2}, "--wheel: expected 1, one per recording"),
-    (
-        {"motion": [STEADY, "time_s,speed\n"], "each": True, "more": lambda video: [video]},
-        "motion-1.txt: has no column speed_mps",
-    ),
+    ({"motion": "time_s,speed\n"}, "motion.txt: has no column speed_mps"),
 ]
 
 
 @pytest.mark.parametrize(("options", "problem"), PLAINLY_WRONG)
 def test_plainly_wrong_imports_write_nothing(tmp_path, take, video, options, problem):
-    more = options.pop("more", lambda video: [])(video)
     with pytest.raises(InputError, match=problem):
-        take(video, *more, **options)
+        take(video, **options)
     assert [name for name in contents(tmp_path) if name.startswith("presets")] == []
     assert not (tmp_path / "data/raw/monday").exists()

@@ -28,7 +28,7 @@ def results_of(table: dict[str, Any], driven: Labels, measured: Labels | None = 
         recorder="the log",
         measured=measured or driven,
         recorded={},
-        motion={},
+        facts={},
         notes=[],
         doubts=[],
     )
@@ -118,7 +118,7 @@ def test_comparison_by_its_definition():
     assert comparison["truth"] == "the log"
     assert comparison["frames"] == 6
     assert comparison["horizon"] == 2
-    for name, angle in (("predicted", 0.05), ("measured", 0.2), ("zero", 0.0)):
+    for name, angle in (("predicted", 0.05), ("measured", 0.2)):
         error = ((angle - target) ** 2).mean()
         assert comparison[name]["nmse"] == pytest.approx(error / (target**2).mean())
         assert comparison[name]["rmse_deg"] == pytest.approx(np.rad2deg(np.sqrt(error)))

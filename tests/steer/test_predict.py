@@ -119,10 +119,6 @@ def test_a_prediction_for_a_training_drive_is_doubted(folder, capsys):
     ("options", "problem"),
     [
         ({}, r"--model: no network for real streets is included\. Measure"),
-        (
-            {"model": Path()},
-            r"\.: has several models\. Pass one as --model: data/train/path, ",
-        ),
         ({"model": Path("data/train/scan")}, r"data/train/scan: no trained model"),
         ({"model": Path("data/train/scans"), "fov_deg": 80.0}, "has its own calibration"),
     ],

@@ -291,11 +291,11 @@ def test_a_black_image_shows_no_road():
 
 def test_images_upside_down_are_refused():
     images = [street.view(pose)[0] for pose in street.arc(60, 0.0, 8.0)]
-    upright = horizon.HorizonFinder(street.WIDE)
-    upside_down = horizon.HorizonFinder(street.WIDE)
+    upright = horizon.HeadingFinder(street.WIDE)
+    upside_down = horizon.HeadingFinder(street.WIDE)
     for image in images * 2:
         upright.add_image(image)
         upside_down.add_image(image[::-1, ::-1].copy())
-    assert upright.find_row() is not None
+    assert horizon.compute_horizon(upright.headings, street.WIDE) is not None
     with pytest.raises(InputError, match="images are upside down"):
-        upside_down.find_row()
+        horizon.compute_horizon(upside_down.headings, street.WIDE)

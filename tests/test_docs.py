@@ -50,8 +50,9 @@ PLACEHOLDERS = {
     "presets/NAME.yaml",
     "presets/monday.yaml",
 }
-# Options of DVC and git.
+# Options of DVC, git, and of all stages.
 OTHERS = {
+    "--data",
     "--ours",
     "--theirs",
     "--force",

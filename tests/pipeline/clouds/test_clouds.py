@@ -29,6 +29,8 @@ def test_pseudo_cloud_has_a_point_per_valid_pixel():
 
     void = np.full((20, 40), classes.VOID, np.uint8)
     assert len(cloud.pseudo_cloud(depth, void, K, max_depth_m=80.0).xyz) == 20 * 40 - 2
+    limits = cloud.solid_pixels(np.array([[80.0, 80.1]]), np.zeros((1, 2)), max_depth_m=80.0)
+    assert limits.tolist() == [[True, False]]
 
 
 def test_lidar_points_take_the_class_of_their_pixel():

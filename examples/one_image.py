@@ -31,7 +31,7 @@ K = np.array([[172.9, 0, 154.4], [0, 172.9, 44.95], [0, 0, 1]])
 _, encoder = encoder_file.load_encoder(Path("models/encoder/sample/encoder.pt"))
 model = trained.load_model("models/steering/sample", device="cpu")
 gcn = model.net.spatial
-standardise = model.net.scale
+standardise = model.net.scale  # of features; model.scale below is that of the angle
 ncp = model.net.temporal
 
 # A window of eight images [8,H,W,3], and the depth in metres and the class of each of their pixels.
@@ -68,11 +68,12 @@ for depth_m, cls in zip(depths_m, class_maps, strict=True):
     for layer in gcn.layers:
         x = layer(adjacency, x)
 
-    # The mean and the maximum over all points describe the image.
+    # The mean and the maximum over all points, which are rows 0 to len(x), describe the image.
     pooled = mean_max_pool(x, torch.tensor([0, len(x)]))
     features.append(gcn.read_out(pooled))  # [1,32]
 
-# The network over time reads the features of the window, and its last output is the angle.
+# The network over time reads the features of the window, and its last output is the angle. It is
+# added to a base of 0, as no motion is measured here. The renderer's car steered by 17.1°.
 inputs = ncp.project_inputs(standardise(torch.cat(features)))
 outputs = ncp(inputs[None], torch.full((1, 8), NOMINAL_STEP_S))  # [1,8,1]
 angle_rad = model.scale.decode(outputs[:, -1].numpy(), base=np.zeros(1))
@@ -82,5 +83,14 @@ print(title)
 
 # Draw the last image with its depth, classes and graph.
 pairs = graph_file.edge_pairs(pruned.degree, pruned.indices)
-view = street_view.View(7, images[7], depth_m, cls, xyz, point_cls, pairs, pruned.edges_kept)
+view = street_view.View(
+    frame=7,
+    rgb=images[7],
+    depth_m=depth_m,
+    cls=cls,
+    xyz=xyz,
+    points_cls=point_cls,
+    edges=pairs,
+    edge_count=pruned.edges_kept,
+)
 street_view.save_figure(street_view.draw_sheet(title, view), Path("out/one_image.png"))

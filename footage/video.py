@@ -50,11 +50,11 @@ _OPTIONS = {
 # Advice for a file that cannot be decoded.
 CONVERT = "Copy the file again, or convert it: ffmpeg -i {name} -c:v libx264 converted.mp4"
 # Largest deviation from 1 of a pixel's width over its height at which the pixel counts as square.
-SQUARE = 0.01
-# Least share of the duration in its header that a complete file has.
-INEXACT = 0.99
-# Longest duration in seconds of a last image whose duration the file does not store.
-LAST_S = 0.2
+SQUARE_TOLERANCE = 0.01
+# Least share of the duration in its header that a complete file has. The last image does not count.
+LEAST_SHARE = 0.99
+# Longest duration in seconds of a last image. Files need not store it.
+LAST_IMAGE_S = 0.2
 
 
 @dataclass(frozen=True)
@@ -85,17 +85,18 @@ class Images:
 
         before = -1
         for number, frame in enumerate(_decode_frames(self.path)):
-            place = number
+            place: int | None = number
             if self.places:
-                # FFmpeg may decode images that an edit list hides. They have no place.
-                place = self.places.get(cast(int, frame.pts), self.count)
+                place = self.places.get(cast(int, frame.pts))
+            if place is None:  # FFmpeg may decode images that an edit list hides
+                continue
             if place <= before:
                 fix = CONVERT.format(name=self.path.name)
                 raise DamagedFile(f"times do not increase at image {number}", self.path, fix)
-            if place < self.count:
-                before = place
-                if wanted[place]:
-                    yield place, _rotate_upright(frame, self.path)
+            before = place
+            # A file without times may have more images than packets.
+            if place < self.count and wanted[place]:
+                yield place, _rotate_upright(frame, self.path)
 
     def read_size(self) -> Size:
         """Return the size of the first image. Raises DamagedFile if there is none."""
@@ -114,7 +115,7 @@ def open_images(path: Path) -> Images:
         return Images(path, files=files, count=len(files))
 
     with _open_container(path) as (container, stream):
-        shape = float(stream.sample_aspect_ratio or 1)
+        pixel_aspect = float(stream.sample_aspect_ratio or 1)
         unit_s = float(stream.time_base or 1)
         has_times = container.format.name not in _WITHOUT_TIMES
         # An edit list may hide packets.
@@ -122,11 +123,13 @@ def open_images(path: Path) -> Images:
             packet for packet in container.demux(stream) if packet.size and not packet.is_discard
         ]
         stamps = [packet.pts for packet in shown if packet.pts is not None]
-    if abs(shape - 1) > SQUARE:
+    if abs(pixel_aspect - 1) > SQUARE_TOLERANCE:
         fix = f"Scale it: ffmpeg -i {path.name} -vf scale=iw*sar:ih,setsar=1 square.mp4"
-        raise InputError(f"pixels are not square ({shape:.3f} times as wide as high)", path, fix)
+        problem = f"pixels are not square ({pixel_aspect:.3f} times as wide as high)"
+        raise InputError(problem, path, fix)
 
-    if not has_times or len(stamps) < max(2, len(shown)):
+    # Times are used if all images have one. A single time says nothing.
+    if not has_times or len(stamps) < len(shown) or len(shown) < 2:
         return Images(path, count=len(shown))
     in_order = sorted(set(stamps))
     times_s = (np.array(in_order) - in_order[0]) * unit_s
@@ -155,11 +158,12 @@ def _image_files(folder: Path) -> list[Path]:
 def check_numbers(files: Sequence[Path]) -> None:
     """Raise InputError if the last numbers in the names of images do not rise evenly.
 
-    An image may be missing, or the images be those of two cameras.
+    An image may be missing, or the images be those of two cameras. Names without numbers are not
+    judged.
     """
-    numbers = [re.findall(r"\d+", path.stem)[-1:] for path in files]
-    steps = np.diff([int(*number) for number in numbers if number])
-    for step, before, after in zip(steps, files[:-1], files[1:], strict=False):
+    numbered = [path for path in files if re.search(r"\d", path.stem)]
+    steps = np.diff([int(re.findall(r"\d+", path.stem)[-1]) for path in numbered])
+    for step, before, after in zip(steps, numbered[:-1], numbered[1:], strict=True):
         if step != steps[0] or step <= 0:
             raise InputError(
                 f"numbers in the names do not rise evenly: {after.name} follows {before.name}",
@@ -178,6 +182,7 @@ def _decode_frames(path: Path) -> Iterator[av.VideoFrame]:
         stream.thread_type = "AUTO"
         packets = 0
         started = False
+        # The end of all streams, as the duration in the header is that of the longest.
         end_s = 0.0
         for packet in container.demux():
             # A packet that is cut short, as the last one may be, does not count.
@@ -198,7 +203,7 @@ def _decode_frames(path: Path) -> Iterator[av.VideoFrame]:
 
         total_s = (container.duration or 0) / av.time_base
         has_duration = container.format.name.split(",")[0] in _WITH_DURATION
-        if has_duration and end_s < INEXACT * total_s - LAST_S:
+        if has_duration and end_s < LEAST_SHARE * total_s - LAST_IMAGE_S:
             raise DamagedFile(f"ends after {end_s:.1f} of {total_s:.1f} s", path, fix)
 
 
@@ -206,7 +211,7 @@ def _decode_frames(path: Path) -> Iterator[av.VideoFrame]:
 def _open_container(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
     """Yield an open file and its video stream, the default one if there are several.
 
-    Raises DamagedFile, also if FFmpeg fails in the block.
+    Raises DamagedFile, also if FFmpeg fails in the caller's `with` block.
     """
     # FFmpeg gets an open file, as it would interpret some names as addresses or patterns.
     with path.open("rb") as file:
@@ -239,7 +244,8 @@ def _rotate_upright(frame: av.VideoFrame, path: Path) -> np.ndarray:
     image = frame.to_ndarray(format="rgb24")
     display = cast(Any, frame.side_data.get("DISPLAYMATRIX"))
     if display is not None:
-        # Rotations have a = d and b = -c. By multiples of 90 degrees, a or b is 0.
+        # The matrix has the rows (a, b, u), (c, d, v) and (x, y, w). Rotations have a = d and
+        # b = -c, and those by multiples of 90 degrees have a = 0 or b = 0.
         a, b, _, c, d, *_ = np.frombuffer(display, np.int32).tolist()
         if (a, b) != (d, -c) or (a and b):
             raise InputError(

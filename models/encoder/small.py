@@ -10,7 +10,7 @@ from models.encoder.heads import CellClasses, CellDepth, Pointwise, ray_slopes
 MEAN = 0.45
 # Standard deviation of these values.
 STD = 0.25
-# Number of pixels per feature, along each side, of the map that both heads read.
+# Stride in pixels of the map that both heads read.
 STRIDE = 2
 # Channels at 1/2, 1/4, 1/8 and 1/16 of the image.
 WIDTHS = (16, 32, 64, 96)
@@ -36,9 +36,10 @@ class Small(nn.Module):
 class UNet(nn.Module):
     """Convolutions that halve the map four times, then double it three times, with skips.
 
-    A feature depends on most of the image.
+    The receptive field of a feature is most of the image.
     """
 
+    # Channels of the result, twice those of the first map, since both heads read them.
     channels = 2 * WIDTHS[0]
 
     def __init__(self) -> None:
@@ -48,6 +49,7 @@ class UNet(nn.Module):
         self.down2 = nn.Sequential(conv3x3(a, b, stride=2), Residual(b))
         self.down3 = nn.Sequential(conv3x3(b, c, stride=2), Residual(c))
         self.down4 = nn.Sequential(conv3x3(c, d, stride=2), Residual(d), Residual(d, dilation=2))
+        # 1x1 convolutions from the channels of a smaller map to those of the next larger one.
         self.side3 = Pointwise(d, c)
         self.side2 = Pointwise(c, b)
         self.side1 = Pointwise(b, a)

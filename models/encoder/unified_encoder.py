@@ -1,4 +1,4 @@
-"""Encoders: networks for metric depth and Cityscapes classes of an image (paper §3.2).
+"""Unified encoders: networks for both metric depth and Cityscapes classes (paper §3.2).
 
 An encoder is a module ``forward(image, K) -> (depth, logits)``:
 
@@ -27,7 +27,7 @@ BUILD: dict[str, Callable[[Architecture], nn.Module]] = {
     "street": lambda architecture: Street(),
     "pair": Pair,
     "hugging_face": HuggingFace,
-    # Depth and classes are read from files, so there is no network.
+    # Depth and classes are read from files, so this network is never called.
     "precomputed": lambda architecture: nn.Module(),
 }
 

@@ -54,7 +54,7 @@ class Crop(NamedTuple):
         """Return the size (H, W) of the crop."""
         return self.rows.stop - self.rows.start, self.columns.stop - self.columns.start
 
-    def pixels(self, image: np.ndarray) -> np.ndarray:
+    def cut_out(self, image: np.ndarray) -> np.ndarray:
         """Return the used pixels of an image [H,W,…]."""
         return np.ascontiguousarray(image[self.rows, self.columns])
 

@@ -58,10 +58,11 @@ def read_frame(
 
 
 def _resize_to_camera(pixels: np.ndarray, camera: Camera, path: Path) -> np.ndarray:
-    """Return depth or classes [H,W] of the pixels of a camera's images.
+    """Return a map of depth or classes at the size of a camera's images.
 
-    A file with the aspect ratio of these images is resized. A file with that of complete images is
-    cropped as stage ingest crops them, and then resized. Raises InputError for another one.
+    The camera is that of ingested images. A map with their aspect ratio is resized. A map with that
+    of complete images is first cropped as stage ingest crops these. Raises InputError for another
+    one.
     """
     size = pixels.shape[:2]
     crop = camera.crop
@@ -72,5 +73,5 @@ def _resize_to_camera(pixels: np.ndarray, camera: Camera, path: Path) -> np.ndar
                 expected = f"the images, {format_size(crop.image_size)}, or {expected}"
             problem = f"has {format_size(size)} pixels, expected the aspect ratio of {expected}"
             raise InputError(problem, path, "Write depth and classes of the complete images")
-        pixels = crop.pixels(resize_nearest(pixels, crop.image_size))
+        pixels = crop.cut_out(resize_nearest(pixels, crop.image_size))
     return resize_nearest(pixels, camera.size)

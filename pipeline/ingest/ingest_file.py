@@ -131,7 +131,7 @@ def write_drive(
                     for _ in rows:
                         file.append(key, content[None], unit)
                 if pixels is not None:
-                    content = resize(crop.pixels(pixels), size)
+                    content = resize(crop.cut_out(pixels), size)
                 if key in written:
                     file.append(key, content[None], unit)
 

@@ -31,23 +31,26 @@ LEAST_TURNING = 20
 # Words that the tables use → their meanings.
 DEFINITIONS = {
     "nmse": (
-        "MSE / MSE of always predicting zero: 0 is perfect, 1 is useless; ± one standard deviation "
-        "between seeds; in parentheses or below it, the 95 % interval for other roads and seeds "
-        "(bootstrap; with one seed, for other roads only). Without a range, the mean over ranges."
+        "MSE / MSE of always predicting zero: 0 is perfect, 1 is useless. Without a range, it is "
+        "the mean over the ranges. After ± stands the standard deviation between seeds. In "
+        "parentheses or below stands the 95 % interval, bootstrapped over roads and seeds."
     ),
     "MAE": "mean absolute error, with its unit.",
     "drift": (
-        "distance between the path by predicted angles and that by labels at the end of each "
-        "labelled way, both with the measured speed, m per 100 m (Figure 5 of the paper)."
+        "how far the path that follows from the predicted angles ends from that of the labelled "
+        "angles, m per 100 m of way (Figure 5 of the paper). Both have the measured speed."
     ),
     "edges": "directed kNN edges per frame after pruning, of networks that get them.",
-    "paper": "MSE in the paper's Table 2. Its unit cannot be rad² of this label (docs/paper.md).",
+    "paper": (
+        "MSE in the paper's Table 2. It is too large for rad² of this label (docs/paper.md), so "
+        "only ratios can be compared."
+    ),
     **{name: f"a baseline: {meaning}." for name, meaning in NO_LEARNING.items()},
     "persistence": "a baseline: the last true value, which no model gets.",
     "differences": (
         "paired differences in nmse, mean over the seeds, with their 95 % intervals: below 0, the "
-        "first is better. With one seed, the interval is of these networks only, which is too few "
-        "to compare methods: add some to train.seeds. Fewer than ten drives are too few, too."
+        "first is better. One seed is too few to compare methods: add some to train.seeds. Fewer "
+        "than ten drives are too few, too."
     ),
     "claims": (
         "nmse and mean absolute error of both networks; MSE of the first relative to the second's, "
@@ -57,9 +60,10 @@ DEFINITIONS = {
         "means over frames of the errors of the encoder's depth, from 1 to 80 m in KITTI's Eigen "
         "crop. Only pixels with a predicted depth count, and coverage is their share. "
         "ground_plane_… is a level road on the same pixels, which an encoder that has learned "
-        "depth beats. mean_iou is over the classes in the truth. motion is measured in images and "
-        "compared with recorded motion: valid is the measured share of the frames, judged the "
-        "number of frames in the nmse, which is that of the last measured steering angle."
+        "depth beats. mean_iou is over the classes in the truth. motion is measured in images, and "
+        "compared with recorded motion. valid is the share of the frames that are measured. nmse "
+        "is that of the steering angle, over `judged` frames. A frame that is not measured has the "
+        "angle of the frame before."
     ),
 }
 
@@ -185,7 +189,7 @@ def _verdict_text(table: pd.DataFrame, name: str, rival: str) -> str:
 
 
 def few_turns(values: pd.DataFrame) -> list[str]:
-    """Return a list of a doubt if the training drives have too few bends, or an empty list."""
+    """Return doubts: one if the training drives have too few bends, otherwise none."""
     least = values["turning_frames"].min()
     if pd.isna(least) or least >= LEAST_TURNING:
         return []
@@ -193,7 +197,8 @@ def few_turns(values: pd.DataFrame) -> list[str]:
     return [f"{problem}, too few to tell models apart"]
 
 
-# Tables of steering. A table of the page has two digits, and an interval below its value.
+# Tables of steering. With `page`, they are those of index.html: two digits, and an interval below
+# its value. Values of all ranges together have the range "".
 
 
 def results_table(values: pd.DataFrame, task: str, *, page: bool = False) -> Section:
@@ -294,7 +299,7 @@ def claims_table(values: pd.DataFrame, task: str) -> Section:
         first = table.loc[("", claim.model)]
         second = table.loc[("", claim.rival)]
         row = read_difference(table, claim.model, claim.rival)
-        # A claim that both errors are equally large is refuted by a difference of either sign.
+        # A claim that both errors are equally large is reversed by a difference of either sign.
         verdicts = {"better": "reversed" if claim.comparable else "confirmed", "worse": "reversed"}
         rows[claim.text] = {
             "verdict": verdicts.get(row["verdict"], row["verdict"]),

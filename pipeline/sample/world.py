@@ -13,13 +13,17 @@ from pipeline.camera import classes
 from pipeline.sample.plan import ASPHALT, BAY, GRASS, KERB_M, KERBSTONE, MARKING, PAVEMENT, Plan
 from pipeline.sample.shapes import Mesh
 
-# Distance in metres beyond which the ground is not rendered, but the sky.
+# Distance in metres up to which the ground is rendered; beyond it is the sky.
 FAR_M = 500.0
 # Length in metres of the longest shadow.
 _SHADOW_M = 150.0
 
-# Number of the sky in the numbering of surfaces, in which it follows the kinds of ground.
+# Number of a surface: 0 to 5 are the kinds of ground, 6 is the sky, and then come all triangles.
 _SKY = 6
+# Nearest distance in metres of a triangle that shades a point: the point may be on one itself.
+_NEAREST_SHADE_M = 0.02
+# Margin in metres of bounding spheres, for rounding.
+_MARGIN_M = 0.01
 # Class of each kind of ground and of the sky.
 _CLASSES = np.zeros(_SKY + 1, np.uint8)
 _CLASSES[GRASS] = classes.TERRAIN
@@ -71,12 +75,12 @@ class World:
         first_surface = _SKY + 1
         for layer in self._layers:
             candidates = layer.find_candidates(rays)
-            layer_distance_m, triangle, facing = layer.cast_rays(rays[:, candidates])
+            layer_distance_m, triangle, layer_normal = layer.cast_rays(rays[:, candidates])
             nearer = layer_distance_m < distance_m[candidates]
             ray = candidates[nearer]
             distance_m[ray] = layer_distance_m[nearer]
             surface[ray] = first_surface + triangle[nearer]
-            normal[:, ray] = facing[:, nearer]
+            normal[:, ray] = layer_normal[:, nearer]
             first_surface += len(layer.mesh.cls)
 
         # The ground replaces hits behind it, too. Its normal points upwards.
@@ -142,7 +146,7 @@ class _Layer:
         self._scene.add_triangles(_to_tensor(mesh.vertices), _to_tensor(mesh.triangles))
         self._middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
         from_middle_m = np.linalg.norm(mesh.vertices - self._middle, axis=1)
-        self._radius_m = float(from_middle_m.max()) + 0.01
+        self._radius_m = float(from_middle_m.max()) + _MARGIN_M
 
     def cast_rays(self, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return for each ray the distance, the triangle and the normal [3,N] of its first hit.
@@ -160,11 +164,11 @@ class _Layer:
         """Return the indices of the rays that hit the mesh."""
         candidates = self.find_candidates(rays)
         tensor = _to_tensor(rays[:, candidates].T)
-        hit = self._scene.test_occlusions(tensor, 0.02, _SHADOW_M).numpy()
+        hit = self._scene.test_occlusions(tensor, _NEAREST_SHADE_M, _SHADOW_M).numpy()
         return candidates[hit]
 
     def find_candidates(self, rays: np.ndarray) -> np.ndarray:
-        """Return the indices of the rays whose line intersects the mesh's bounding sphere."""
+        """Return the indices of the rays that meet the mesh's bounding sphere."""
         to_middle = self._middle[:, None] - rays[:3]
         ahead_m = dot_product(to_middle, rays[3:])
         aside_m2 = dot_product(to_middle, to_middle) - ahead_m**2

@@ -17,11 +17,14 @@ from pipeline.train.targets import LabelledDrive
 class Scale:
     """y = gain · base + std · output, in each of R columns.
 
-    y is the predicted value. base is the measured value of the window's last frame, or 0 if the
-    model's entry says so. gain is 1. For a quantity that lies ahead of the car, it is the
-    regression coefficient of y on base. std is the standard deviation of y - gain · base.
-    So an output of 0 means the best prediction from base alone. `mean`, the mean of y, and
-    `odometry_gain`, the regression coefficient of y on odometry, serve baselines. All arrays are
+    - y is the predicted value.
+    - base is the measured value of the window's last frame, or 0 for a model without motion or with
+      `base: none`.
+    - gain is the regression coefficient of y on base if the quantity lies ahead of the car, or 1.
+    - std is the standard deviation of y - gain · base.
+
+    So an output of 0 means the best prediction from base alone. Two fields serve baselines: `mean`
+    is that of y, and `odometry_gain` the regression coefficient of y on odometry. All arrays are
     float64 [R].
     """
 
@@ -68,11 +71,12 @@ class Scale:
 
     @property
     def content(self) -> dict[str, Any]:
-        """The fields as lists."""
-        return {name: np.array(value).tolist() for name, value in vars(self).items()}
+        """The fields, with arrays as lists."""
+        fields = vars(self).items()
+        return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in fields}
 
     def decode(self, output: np.ndarray, base: np.ndarray) -> np.ndarray:
-        """Return the predictions [G,R] of outputs [G,R] for base [G,R]."""
+        """Return the predictions of outputs for base, each [...,R]."""
         return np.asarray(self.gain * base + self.std * output)
 
 

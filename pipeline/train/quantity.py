@@ -45,7 +45,7 @@ class Quantity(ABC):
     is_odd: ClassVar[bool] = True
     # Whether the loss is linear beyond one standard deviation, see loss.weighted_loss.
     is_robust: ClassVar[bool] = False
-    # Keys of a model's entry that do not apply.
+    # Keys of a model's entry that have no meaning for the quantity, and are refused with it.
     excluded_keys: ClassVar[Sequence[str]] = ()
 
     # Names of the columns, with their unit. They are in predictions.csv and in checkpoints.

@@ -1,12 +1,12 @@
 """Import your own recording: make its drives, and a preset that trains on its first part.
 
-The recording is converted once, to drives in KITTI's layout in data/raw/NAME: 60 %, 20 % and 20 %
-of the time, less 2 s between them, for training, validation and test. presets/NAME.yaml has the
-settings of `make NAME`, which runs the chain. After an edit of a log, repeat the import.
+The recording is converted once, to drives in KITTI's layout in data/raw/NAME: the first 60 % of its
+time for training, the next 20 % for validation, the last for test, with gaps of 2 s. Then `make
+NAME` runs the chain with the settings of presets/NAME.yaml.
 
-Times count from the first image. Values of --motion and --wheel are interpolated at the images'
-times. Without --motion, labels come from the angles of --wheel. Without both, they are measured in
-the images.
+Logs of the car are --motion and --wheel. Their times count from the first image, and their values
+are interpolated at the images' times. Without --motion, labels come from the angles of --wheel.
+Without both, they are measured in the images. After an edit of a log, repeat the import.
 
 \b
 steer import monday.mp4 --fov 78
@@ -32,7 +32,10 @@ def import_recording(
     ] = "60,20,20",
     **options: Any,
 ) -> None:
-    """Write drives and a preset; the module's docstring is the help text."""
+    """Write drives and a preset; the module's docstring is the help text.
+
+    arguments.with_options adds the options of a recording, such as --fov and --motion.
+    """
     from footage.settings import Options
     from pipeline.base.checkout import is_checkout
     from pipeline.base.params import from_python

@@ -43,20 +43,21 @@ class Target(Quantity):
     def rescale(self, values: np.ndarray, factor: float) -> np.ndarray:
         """Return the path ahead [W,R] in a larger world.
 
-        A range of that world is 1 / factor as long in the world of the labels. So it overlaps
-        several of their ranges, whose curvature counts as constant within each. It is unknown where
-        one of these is unknown, or where the labels end.
+        Each range of that world covers 1 / factor of its length in the world of the labels, where
+        it overlaps one or several ranges. Curvature counts as constant within each of these. The
+        result is unknown where one of these is unknown, or where the labels end.
         """
         edges_m = np.array(self.edges_m, np.float32)
         near = edges_m[:-1]
         far = edges_m[1:]
 
-        # Share of each range of the labels in each range of the larger world, [R,R].
+        # Share of each range of the labels (axis 1) in each range of the larger world (axis 0).
         starts = np.maximum(near[:, None] / factor, near)
         ends = np.minimum(far[:, None] / factor, far)
         share = np.maximum(ends - starts, 0) * factor / (far - near)[:, None]
 
-        # The shares of a range sum to 1, but for rounding, if all of it is known.
+        # Sum over the ranges of the labels, [W,R,R] → [W,R]. The shares of a range sum to 1, but
+        # for rounding, if all of it is known.
         is_known = (share * np.isfinite(values)[:, None]).sum(axis=2) > 1 - 1e-4
         scaled = (share * np.nan_to_num(values)[:, None]).sum(axis=2) / factor
         return np.where(is_known, scaled, np.nan).astype(values.dtype)

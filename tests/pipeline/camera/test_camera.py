@@ -64,7 +64,7 @@ def test_scaled_and_cropped_cameras_project_to_the_moved_position(height, width,
     corner = [crop.columns.start, crop.rows.start]
     np.testing.assert_allclose(cropped_uv, uv - corner, atol=1e-9)
     assert cropped.horizon == 17.0 - crop.rows.start
-    assert cropped.size == crop.pixels(np.zeros(SIZE)).shape
+    assert cropped.size == crop.cut_out(np.zeros(SIZE)).shape
     aspect = crop.size[0] / crop.size[1]
     assert aspect == pytest.approx(height / width, rel=0.04 + 1 / min(crop.size))
 

@@ -13,7 +13,7 @@ MAX_LOG_TAU = 20.0
 
 
 class Eq4(RecurrentCell):
-    """Neurons with states h [W,U] and input-dependent time constants (paper eq. 4):
+    """U neurons with states h [W,U] and input-dependent time constants (paper eq. 4):
 
         τ_i ḣ_i = -h_i + Σ_j w_ij σ(h_j) + Σ_k w_ik x_k + b_i,   τ_i = exp(θ_iᵀ x),   y_i = σ(h_i).
 
@@ -27,8 +27,8 @@ class Eq4(RecurrentCell):
 
     which is exact in leak and input, of second order in the recurrent sum, and stable for every dt
     and τ, since N is bounded. With 6 steps per frame, outputs of a new cell differ from the exact
-    solution by at most 3 % of their spread. The outputs are the y of the motor neurons, scaled and
-    shifted, since y is in (0,1).
+    solution by at most 3 % of their spread. The outputs are the y of the motor neurons, which are
+    the first of the U. Since y is in (0,1), it is scaled and shifted, at first to ±OUTPUT_SCALE.
     """
 
     def __init__(self, wiring: Wiring, unfolds: int = 6) -> None:

@@ -85,11 +85,12 @@ class Images:
 
         before = -1
         for number, frame in enumerate(_decode_frames(self.path)):
-            place: int | None = number
+            place = number
             if self.places:
-                place = self.places.get(cast(int, frame.pts))
-            if place is None:  # FFmpeg may decode images that an edit list hides
-                continue
+                stamp = cast(int, frame.pts)
+                if stamp not in self.places:  # FFmpeg may decode images that an edit list hides
+                    continue
+                place = self.places[stamp]
             if place <= before:
                 fix = CONVERT.format(name=self.path.name)
                 raise DamagedFile(f"times do not increase at image {number}", self.path, fix)

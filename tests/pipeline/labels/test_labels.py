@@ -38,6 +38,15 @@ def test_measured_angle_repeats_where_motion_is_unusable():
     assert angle == pytest.approx([np.nan, left, left, left, reverse], nan_ok=True)
 
 
+def test_unknown_and_slow_motion_give_no_valid_label():
+    """The angle is 0 where the motion is unknown. The least speed itself is fast enough."""
+    speed = np.array([np.nan, 0.9, 1.0, -1.0])
+    labels = label.steering_labels(np.array([np.nan, 0.1, 0.1, 0.1]), speed, CAR)
+    assert labels.valid.tolist() == [False, False, True, True]
+    assert labels.steering_rad[0] == 0
+    assert labels.steering_rad[2] == pytest.approx(np.arctan(L * 0.1))
+
+
 def circle(distance_m: np.ndarray) -> np.ndarray:
     return np.full_like(distance_m, 0.02)
 

@@ -179,9 +179,13 @@ def convert(
             bar.update()
     notes = _write_values(recording, drives)
 
-    headings = [heading for finder in finders.values() for heading in finder.headings]
-    with error_context(first.path):
-        horizon = compute_horizon(headings, lens.camera)
+    # The files have one horizon. Each alone must not be upside down.
+    headings = []
+    for path, finder in finders.items():
+        with error_context(path):
+            compute_horizon(finder.headings, lens.camera)
+        headings += finder.headings
+    horizon = compute_horizon(headings, lens.camera)
     if horizon is None:
         notes.append(
             "horizon: not found, since too few images show a drive; assuming a level camera"

@@ -160,13 +160,19 @@ class Results:
         """Return the content of quality.json. Unknown values are None."""
         camera = source.camera
         speed_sigma = self.table["speed_sigma"][self.table["valid"] > 0]
+        # Lengths that were not measured are 0, and a height that is not known is assumed.
+        facts = dict(self.facts)
+        for name in ("step_m", "road_height_m"):
+            facts[name] = facts[name] or None
+        if not facts["scaled"]:
+            facts["camera_height_m"] = None
         return {
             "version": version("semantic-steering"),
             "revision": revision(ROOT) or None,
             "source": str(source.path),
             "K": camera.K.round(3).tolist(),
             "horizon": camera.horizon,
-            **self.facts,
+            **facts,
             "speed_sigma": float(np.median(speed_sigma)) if len(speed_sigma) else None,
             "recorded": self.recorded,
             "comparison": comparison,

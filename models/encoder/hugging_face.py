@@ -184,7 +184,14 @@ class Network(nn.Module):
 
         `size` is (H, W) of the image.
         """
-        return resize_map(x, self.pad_size(size))[..., : size[0], : size[1]]
+        height, width = self.pad_size(size)
+        h, w = x.shape[-2:]
+        # The map must have the shape of the image. That of plain DPT has not: DPT takes 4 x 16
+        # patches for a square of 8 x 8.
+        if abs(h * width - w * height) > height + width:
+            kind = self.network.config.model_type
+            raise InputError(f"{kind!r} returns {h} x {w} pixels for {height} x {width}")
+        return resize_map(x, (height, width))[..., : size[0], : size[1]]
 
 
 class Pair(nn.Module):

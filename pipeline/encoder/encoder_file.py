@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from models.encoder.unified_encoder import Architecture, build_network
 from pipeline.base import checkpoint
+from pipeline.camera.classes import COUNT
 from pipeline.camera.images import Size
 
 # Name of an encoder's file.
@@ -56,9 +57,9 @@ def check_size(model: nn.Module, size: Size) -> None:
         depth, logits = model.eval()(image, K)
     depth_m = depth.float().cpu().numpy()
     depth_size = depth_m.shape[1:]
-    class_size = tuple(logits.shape[2:])
+    logits_shape = tuple(logits.shape[1:])
     least = depth_m.min()
     most = depth_m.max()
     has_depth = 0 <= least <= most < np.inf and most > 0
-    if not has_depth or depth_size != size or class_size != size:
-        raise ValueError(f"depth {depth_size} is {least:.3g} to {most:.3g}, classes {class_size}")
+    if not has_depth or depth_size != size or logits_shape != (COUNT, *size):
+        raise ValueError(f"depth {depth_size} is {least:.3g} to {most:.3g}, logits {logits_shape}")

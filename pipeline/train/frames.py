@@ -74,6 +74,7 @@ class Files:
     def _fit_gpu(self) -> bool:
         """Return whether the files fit into their share of the GPU's free memory."""
         size = sum(self[path].size for path in self.paths)
+        torch.cuda.empty_cache()
         free, _ = torch.cuda.mem_get_info()
         if size <= SHARE * free:
             return True

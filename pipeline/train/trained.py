@@ -91,7 +91,11 @@ def load_model(folder: str | Path, device: torch.device | str | None = None) -> 
     """
     path = Path(folder) / "best.pt"
     if not path.is_file():
-        models = [*path.parent.glob("*/best.pt"), *path.parent.parent.glob("*/best.pt")]
+        models = [
+            *path.parent.glob("*/best.pt"),
+            *path.parent.glob("data/train/*/best.pt"),
+            *path.parent.parent.glob("*/best.pt"),
+        ]
         names = ", ".join(sorted(str(best.parent) for best in models))
         fix = f"Trained models near it: {names or 'none'}. To train one: dvc repro train@MODEL"
         raise InputError("no trained model, best.pt is missing", folder, fix)
@@ -111,7 +115,7 @@ def load_model(folder: str | Path, device: torch.device | str | None = None) -> 
         contents = fields["contents"]._asdict()
         net = fields["entry"].build(**contents, outputs=len(fields["scale"].names))
         checkpoint.load_state(net, content["net"], path)
-    # Included networks have no hashes of code: a test compares their outputs.
+    # Older checkpoints have no hashes.
     if "code" in content:
         _print_edits(fields["name"], fields["entry"], content["code"])
     if device is None:

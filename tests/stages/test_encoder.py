@@ -80,16 +80,20 @@ def test_a_network_that_does_not_take_images_of_ingest_is_one_line_before_any_dr
         "classes": str(tmp_path / "dpt"),
         "focal_by_width": 0.5,
     }
-    where = re.escape("params.yaml: backbone pair, ingest.image_size [96, 320]: ")
-    with pytest.raises(InputError, match=f"{where}cannot run 'dpt': .+"):
-        run(tmp_path / "no-drives", size=(96, 320), **pair)
+    problems = {(96, 320): "cannot run 'dpt': .+", (64, 256): "'dpt' returns 128 x 128 .*"}
+    for size, problem in problems.items():
+        where = re.escape(f"params.yaml: backbone pair, ingest.image_size {[*size]}: ")
+        with pytest.raises(InputError, match=f"{where}{problem}$"):
+            run(tmp_path / "no-drives", size=size, **pair)
 
 
-@pytest.mark.parametrize("depth", [float("nan"), -1.0, 0.0])
-def test_depth_of_no_pixel_is_a_fault_of_the_network(depth):
+@pytest.mark.parametrize(("depth", "count"), [(float("nan"), 19), (-1.0, 19), (0.0, 19), (9.0, 20)])
+def test_depth_of_no_pixel_and_another_number_of_classes_are_faults_of_the_network(depth, count):
     model = torch.nn.Linear(1, 1)
-    model.forward = lambda image, K: (torch.full((1, 32, 64), depth), torch.zeros(1, 19, 32, 64))
-    with pytest.raises(ValueError, match=r"^depth \(32, 64\) is .*, classes \(32, 64\)$"):
+    outputs = torch.full((1, 32, 64), depth), torch.zeros(1, count, 32, 64)
+    model.forward = lambda image, K: outputs
+    message = rf"^depth \(32, 64\) is .*, logits \({count}, 32, 64\)$"
+    with pytest.raises(ValueError, match=message):
         encoder_file.check_size(model, (32, 64))
 
 

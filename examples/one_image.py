@@ -31,7 +31,7 @@ K = np.array([[172.9, 0, 154.4], [0, 172.9, 44.95], [0, 0, 1]])
 _, encoder = encoder_file.load_encoder(Path("models/encoder/sample/encoder.pt"))
 model = trained.load_model("models/steering/sample", device="cpu")
 gcn = model.net.spatial
-standardise = model.net.scale  # of features; model.scale below is that of the angle
+standardise = model.net.scale  # features; model.scale, below, is the scale of the angle
 ncp = model.net.temporal
 
 # A window of eight images [8,H,W,3], and the depth in metres and the class of each of their pixels.

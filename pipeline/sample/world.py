@@ -20,7 +20,7 @@ _SHADOW_M = 150.0
 
 # Number of a surface: 0 to 5 are the kinds of ground, 6 is the sky, and then come all triangles.
 _SKY = 6
-# Nearest distance in metres of a triangle that shades a point: the point may be on one itself.
+# Least distance in metres of a triangle that shades a point. The point's own surface is nearer.
 _NEAREST_SHADE_M = 0.02
 # Margin in metres of bounding spheres, for rounding.
 _MARGIN_M = 0.01

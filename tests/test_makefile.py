@@ -12,9 +12,11 @@ import pytest
 import yaml
 from filelock import FileLock
 
-from pipeline.base.checkout import in_checkout, revision
+from pipeline.jobs.revision import revision
+
+from pipeline.base.checkout import ROOT, in_checkout
 from pipeline.base.errors import InputError
-from pipeline.base.keys import ROOT, file_hash
+from pipeline.base.hashes import file_hash
 from pipeline.encoder import create
 from pipeline.encoder.settings import Encoder
 from pipeline.encoder.weights import weights_hash

@@ -36,8 +36,8 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
         if torch.cuda.is_available():
             workers = min(2, default_workers())
         # A user may set STEER_WORKERS to limit the memory that is used.
-        most = default_workers()
-        work = partial(perceive_drive, encoder=encoder, settings=settings, max_passes=most)
+        passes = default_workers()
+        work = partial(perceive_drive, encoder=encoder, settings=settings, max_passes=passes)
         jobs = file_jobs(splits, {"ingest": ingest}, work)
         key = settings.model_dump() | {"encoder": file_hash(encoder / FILE)}
         make_drives(folder, jobs, key, log_format="{frames} frames", workers=workers)

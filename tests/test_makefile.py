@@ -88,7 +88,8 @@ def test_a_preset_runs_in_a_copy_of_the_code(checkout):
 
     run = checkout / "runs/kitti"
     assert yaml.safe_load((run / "params.yaml").read_text()) == preset.merge_preset("kitti")
-    for copied in ("dvc.yaml", ".dvcignore", "data/.gitignore", "pipeline/labels/label.py"):
+    code = ("pipeline/labels/label.py", "pipeline/jobs/runner.py")
+    for copied in ("dvc.yaml", ".dvcignore", "data/.gitignore", *code):
         assert (run / copied).read_bytes() == (ROOT / copied).read_bytes()
     assert (run / "checkout").read_text() == str(checkout)
     settings = json.loads((run / "run.json").read_text())["settings"]

@@ -20,16 +20,18 @@ from ncps.wirings import NCP
 from torch import Tensor, nn
 from torch_geometric.nn.conv.gcn_conv import gcn_norm
 
+from pipeline.jobs import console
+from pipeline.jobs.origin import describe_origin
+
 from models.steering.core.batch import GraphBatch, from_arrays
 from models.steering.core.cell.ltc import LTC
 from models.steering.core.features import mean_max_pool, node_features
 from models.steering.core.wiring import ncp
 from models.steering.spatial import gnn, pyg
-from pipeline.base import console, store
+from pipeline.base import store
 from pipeline.check import street_frames
 from pipeline.graphs import frame_graph, graph_file
 from pipeline.graphs.settings import Variant
-from pipeline.report.origin import describe_origin
 from pipeline.train.entry import Entry
 from pipeline.train.frames import join_frames, number_rows
 

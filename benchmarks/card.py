@@ -7,9 +7,11 @@ import numpy as np
 import torch
 from torch.profiler import profile
 
+from pipeline.jobs import console
+
 from benchmarks.alternatives import DEVICE, ENTRY, FRAMES, Work, milliseconds, now_s, write_street
-from pipeline.base import console, store
-from pipeline.base.keys import ROOT
+from pipeline.base import store
+from pipeline.base.checkout import ROOT
 from pipeline.base.params import load_section
 from pipeline.labels import label, source
 from pipeline.labels.settings import Labels

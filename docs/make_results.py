@@ -17,10 +17,12 @@ from typing import Annotated, Any
 
 import typer
 
-from pipeline.base import console, store
+from pipeline.jobs import console
+from pipeline.jobs.origin import describe_origin
+
+from pipeline.base import store
 from pipeline.base.errors import InputError
 from pipeline.report import tables
-from pipeline.report.origin import describe_origin
 from pipeline.report.values import from_json
 
 # Key → values of a row, as in results.json.

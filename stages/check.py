@@ -6,7 +6,8 @@ It reads no weights and has no outputs.
 from pathlib import Path
 from typing import Any
 
-from pipeline.base import console
+from pipeline.jobs import console
+
 from pipeline.base.errors import error_context
 from pipeline.base.params import parse, read_yaml
 from pipeline.check.check_model import check_model

@@ -6,10 +6,12 @@ It writes data/clouds/pseudo/<drive>.h5 and data/clouds/lidar/<drive>.h5.
 from functools import partial
 from pathlib import Path
 
-from pipeline.base import console, store
-from pipeline.base.outputs import stage_folder
+from pipeline.jobs import console
+from pipeline.jobs.outputs import stage_folder
+from pipeline.jobs.runner import file_jobs, make_drives
+
+from pipeline.base import store
 from pipeline.base.params import load_section
-from pipeline.base.runner import file_jobs, make_drives
 from pipeline.clouds import cloud
 from pipeline.clouds.settings import Clouds
 from pipeline.ingest.settings import Ingest

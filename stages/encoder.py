@@ -6,12 +6,15 @@ from pathlib import Path
 import pandas as pd
 import torch
 
+from pipeline.jobs import console
+from pipeline.jobs.outputs import StageFolder, stage_folder
+from pipeline.jobs.runner import Job, make_drives
+
 from models.encoder.unified_encoder import Architecture
-from pipeline.base import console, store
+from pipeline.base import store
 from pipeline.base.errors import error_context
-from pipeline.base.outputs import StageFolder, stage_folder
 from pipeline.base.params import load_section
-from pipeline.base.runner import Job, Summary, make_drives
+from pipeline.base.summary import Summary
 from pipeline.encoder import encoder_file
 from pipeline.encoder.create import create_encoder
 from pipeline.encoder.fit import fit_drives

@@ -7,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base import console, store
-from pipeline.base.console import EntryName
-from pipeline.base.outputs import stage_folder
+from pipeline.jobs import console
+from pipeline.jobs.console import EntryName
+from pipeline.jobs.outputs import stage_folder
+
+from pipeline.base import store
 from pipeline.base.params import entry_name, load_section
 from pipeline.evaluate import statistics
 from pipeline.evaluate.error_table import common_frames, error_table, to_records

@@ -3,11 +3,13 @@
 from functools import partial
 from pathlib import Path
 
-from pipeline.base import console, store
-from pipeline.base.console import EntryName
-from pipeline.base.outputs import stage_folder
+from pipeline.jobs import console
+from pipeline.jobs.console import EntryName
+from pipeline.jobs.outputs import stage_folder
+from pipeline.jobs.runner import file_jobs, make_drives
+
+from pipeline.base import store
 from pipeline.base.params import entry_name, load_entry
-from pipeline.base.runner import file_jobs, make_drives
 from pipeline.graphs.frame_graph import graphs_drive
 from pipeline.graphs.settings import Variant
 

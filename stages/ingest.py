@@ -3,12 +3,13 @@
 from functools import partial
 from pathlib import Path
 
-from pipeline.base import console
+from pipeline.jobs import console
+from pipeline.jobs.outputs import stage_folder
+from pipeline.jobs.runner import Job, make_drives
+
 from pipeline.base.checkout import in_checkout
-from pipeline.base.keys import digest
-from pipeline.base.outputs import stage_folder
+from pipeline.base.hashes import digest
 from pipeline.base.params import load_section
-from pipeline.base.runner import Job, make_drives
 from pipeline.ingest import drive as datasets
 from pipeline.ingest.datasets import kitti
 from pipeline.ingest.ingest_file import ingest_drive

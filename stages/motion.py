@@ -2,9 +2,11 @@
 
 from pathlib import Path
 
-from pipeline.base import console, store
-from pipeline.base.outputs import stage_folder
-from pipeline.base.runner import file_jobs, make_drives
+from pipeline.jobs import console
+from pipeline.jobs.outputs import stage_folder
+from pipeline.jobs.runner import file_jobs, make_drives
+
+from pipeline.base import store
 from pipeline.motion.facts import check_unit, facts_lines
 from pipeline.motion.motion_file import measure_drive
 

@@ -5,12 +5,14 @@ from pathlib import Path
 
 import torch
 
-from pipeline.base import console, store
-from pipeline.base.executors import default_workers
-from pipeline.base.keys import file_hash
-from pipeline.base.outputs import stage_folder
+from pipeline.jobs import console
+from pipeline.jobs.executors import default_workers
+from pipeline.jobs.outputs import stage_folder
+from pipeline.jobs.runner import file_jobs, make_drives
+
+from pipeline.base import store
+from pipeline.base.hashes import file_hash
 from pipeline.base.params import load_section
-from pipeline.base.runner import file_jobs, make_drives
 from pipeline.encoder.encoder_file import FILE
 from pipeline.perception.perceive import find_warnings, perceive_drive
 from pipeline.perception.settings import Perception
@@ -33,7 +35,9 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
         workers = None
         if torch.cuda.is_available():
             workers = min(2, default_workers())
-        work = partial(perceive_drive, encoder=encoder, settings=settings)
+        # A user may set STEER_WORKERS to limit the memory that is used.
+        passes = default_workers()
+        work = partial(perceive_drive, encoder=encoder, settings=settings, max_passes=passes)
         jobs = file_jobs(splits, {"ingest": ingest}, work)
         key = settings.model_dump() | {"encoder": file_hash(encoder / FILE)}
         make_drives(folder, jobs, key, log_format="{frames} frames", workers=workers)

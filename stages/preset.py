@@ -15,11 +15,14 @@ from typing import Annotated, Any
 import typer
 from ruamel.yaml import YAML
 
-from pipeline.base import console
-from pipeline.base.checkout import CHECKOUT, CODE, revision
+from pipeline.jobs import console
+from pipeline.jobs.origin import RUN, describe_origin, format_duration, read_run
+from pipeline.jobs.outputs import check_free, hold_lock, remove_path
+from pipeline.jobs.revision import CODE, revision
+
+from pipeline.base.checkout import CHECKOUT, ROOT
 from pipeline.base.errors import InputError
-from pipeline.base.keys import ROOT, digest, file_hash, list_files
-from pipeline.base.outputs import check_free, hold_lock, remove_path
+from pipeline.base.hashes import digest, file_hash, list_files
 from pipeline.base.params import parse, read_yaml
 from pipeline.base.store import write_json, write_text
 from pipeline.check.preset import PRESETS, check_name_is_free
@@ -28,7 +31,6 @@ from pipeline.encoder.settings import Encoder
 from pipeline.encoder.weights import weights_hash
 from pipeline.ingest.datasets.kitti import IMPORT
 from pipeline.ingest.settings import Ingest
-from pipeline.report.origin import RUN, describe_origin, format_duration, read_run
 
 # File of settings into which presets are merged.
 PARAMS = ROOT / "params.yaml"

@@ -4,10 +4,13 @@ from pathlib import Path
 from textwrap import fill
 from typing import Any
 
-from pipeline.base import console, store
-from pipeline.base.console import split_doubts
-from pipeline.base.outputs import stage_folder
+from pipeline.jobs import console
+from pipeline.jobs.origin import describe_origin, format_duration, read_run
+from pipeline.jobs.outputs import stage_folder
+
+from pipeline.base import store
 from pipeline.base.params import load_section, read_entries
+from pipeline.base.summary import split_doubts
 from pipeline.evaluate.settings import Evaluate
 from pipeline.report import drawings, page, tables
 from pipeline.report.values import dvc_metrics, gather_values, load_tasks, to_json
@@ -55,12 +58,18 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
         notes, doubts = split_doubts(lines)
         details["Notes"] = [*encoder.get("sources", []), *notes]
         details["Definitions"] = [f"{word}: {text}" for word, text in tables.DEFINITIONS.items()]
+        run = read_run()
+        origin = describe_origin()
+        if "started_s" in run:
+            origin["duration"] = format_duration(run)
         content = page.Page(
             sentences=sentences,
             doubts=[*doubts, *tables.few_turns(values)],
             picture=bend,
             results=page.list_results(figures, values, tasks),
             details=details,
+            origin=origin,
+            settings=run.get("settings", {}),
         )
         page.write_page(folder.new / "index.html", content)
     print(text, f"Tables: {out.absolute()}/table.md. Page: {out.absolute()}/index.html", sep="\n")

@@ -6,10 +6,11 @@ The sample is a procedural world in KITTI raw's layout.
 from functools import partial
 from pathlib import Path
 
-from pipeline.base import console
-from pipeline.base.outputs import stage_folder
+from pipeline.jobs import console
+from pipeline.jobs.outputs import stage_folder
+from pipeline.jobs.runner import Job, make_drives
+
 from pipeline.base.params import load_section
-from pipeline.base.runner import Job, make_drives
 from pipeline.encoder.settings import Encoder
 from pipeline.ingest.settings import Ingest
 from pipeline.sample.render import render_drive

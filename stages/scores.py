@@ -2,10 +2,12 @@
 
 from pathlib import Path
 
-from pipeline.base import console, store
-from pipeline.base.outputs import stage_folder
+from pipeline.jobs import console
+from pipeline.jobs.outputs import stage_folder
+from pipeline.jobs.runner import file_jobs, make_drives
+
+from pipeline.base import store
 from pipeline.base.params import load_section
-from pipeline.base.runner import file_jobs, make_drives
 from pipeline.labels.label import Car
 from pipeline.labels.settings import Labels
 from pipeline.scores.score import score_drive, score_splits

@@ -3,16 +3,26 @@
 They are in data/train/<model>/.
 """
 
+import os
+from functools import partial
 from pathlib import Path
 
-from pipeline.base import console, store
-from pipeline.base.console import EntryName
+import torch
+
+from pipeline.jobs import console
+from pipeline.jobs.console import EntryName
+from pipeline.jobs.executors import SCHEDULER, run_jobs
+from pipeline.jobs.keys import stage_key
+from pipeline.jobs.outputs import StageFolder, stage_folder
+
+from pipeline.base import store
 from pipeline.base.errors import error_context
-from pipeline.base.outputs import stage_folder
+from pipeline.base.hashes import file_hash
 from pipeline.base.params import SPLITS, entry_name, load_entry, load_section
 from pipeline.train import runs
 from pipeline.train.entry import Entry
-from pipeline.train.fit_model import Model, fit_model
+from pipeline.train.fit_model import Model, Task, fit_run
+from pipeline.train.frames import Files
 from pipeline.train.loss import Scale
 from pipeline.train.settings import Train
 from pipeline.train.targets import check_drives, rate_doubt, read_drive
@@ -61,14 +71,35 @@ def main(
                 flush=True,
             )
 
-        todo = runs.list_runs(folder.new, settings.seeds)
+        # On CPUs and on a cluster, networks are trained in parallel. On a GPU of this machine, they
+        # are trained one after the other, and share the frames in its memory.
+        workers = None
+        if torch.cuda.is_available() and SCHEDULER not in os.environ:
+            workers = 1
         model = Model(name, where, entry, settings, splits, drives)
-        states = fit_model(model, todo, folder)
-        folder.used.update(states)
-        # Networks of other code and settings stay for later runs, too, as they are small and costly
-        # to train.
+        names = store.drives_in(splits, "train", "val")
+        work = partial(fit_run, model, Files(drives[name].graphs for name in names))
+        tasks = list_tasks(model, folder)
+        for _ in run_jobs(work, tasks, folder, workers=workers, threads=1):
+            pass
+        # The states of networks of other code and settings stay for later runs, too, as they are
+        # small and costly to train.
         folder.used.update(folder.kept.glob("*.pt"))
     return out
+
+
+def list_tasks(model: Model, folder: StageFolder) -> list[Task]:
+    """Return the networks to train, one per seed.
+
+    The state of an earlier run is continued if it had the same code, inputs and files.
+    """
+    code = folder.code.hash()
+    files = [file_hash(path) for path in model.input_files()]
+    tasks = []
+    for run in runs.list_runs(folder.new, model.settings.seeds):
+        key = stage_key(code, model.inputs(run.seed), files)
+        tasks.append(Task(run, folder.kept / f"{key}.pt"))
+    return tasks
 
 
 if __name__ == "__main__":

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from footage.settings import Options
+from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError
-from pipeline.base.keys import ROOT
 from pipeline.base.params import from_python
 from pipeline.encoder.encoder_file import FILE
 from pipeline.train.trained import load_model

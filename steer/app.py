@@ -9,7 +9,8 @@ from typing import Annotated
 
 import typer
 
-from pipeline.base.console import guarded
+from pipeline.jobs.console import guarded
+
 from pipeline.base.errors import InputError
 from steer.commands import import_, measure, predict
 from steer.commands.arguments import with_options
@@ -25,8 +26,9 @@ app = typer.Typer(
 def _print_version(requested: bool) -> None:
     """Print the version and exit, if --version is given."""
     if requested:
-        from pipeline.base.checkout import revision
-        from pipeline.base.keys import ROOT
+        from pipeline.jobs.revision import revision
+
+        from pipeline.base.checkout import ROOT
 
         # An installed wheel has no revision.
         print(f"steer {version('semantic-steering')} {revision(ROOT)}".rstrip())
@@ -96,7 +98,8 @@ def view(
     steer view data/graphs/semantic/2026_01_21_drive_0004.h5
     steer view data/graphs/semantic/2026_01_21_drive_0004.h5 --frame 7 --out graph.html
     """
-    from pipeline.base.outputs import find_free
+    from pipeline.jobs.outputs import find_free
+
     from steer import artefact
 
     if out and out.suffix != ".html":

@@ -7,11 +7,13 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from pipeline.jobs.executors import default_workers
+
 from footage.convert import USUAL_HZ, convert, open_recording
 from footage.settings import Options
 from pipeline.base.errors import InputError
-from pipeline.base.runner import Summary
 from pipeline.base.store import write_json
+from pipeline.base.summary import Summary
 from pipeline.camera.camera import Camera
 from pipeline.ingest.datasets import kitti
 from pipeline.ingest.drive import Drive
@@ -117,7 +119,14 @@ def run_chain(
         # Damaged frames, and frames without an image, are left out of the next file.
         bar.reset(summary["frames"])
         bar.set_description("perception")
-        summary = perceive_drive(perceived, ingest, encoder, perception, advance=bar.update)
+        summary = perceive_drive(
+            perceived,
+            ingest,
+            encoder,
+            perception,
+            max_passes=default_workers(),
+            advance=bar.update,
+        )
         if not summary["frames"]:
             raise InputError("no frame could be read", source.path, "; ".join(source.drive.notes))
 

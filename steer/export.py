@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.jobs.outputs import check_free
+
 from pipeline.base.errors import InputError
-from pipeline.base.outputs import check_free
 from pipeline.base.store import DriveReader, replacing
 from pipeline.camera.camera import find_visible, read_camera
 from pipeline.camera.geometry import pixels_of

@@ -9,12 +9,13 @@ from typing import Any
 
 import yaml
 
+from pipeline.jobs.outputs import check_free
+
 from footage.convert import Converted, convert, describe_file, open_recording
 from footage.lens import parse_numbers
 from footage.settings import Options
 from pipeline.base.errors import InputError, error_context
-from pipeline.base.keys import file_hash
-from pipeline.base.outputs import check_free
+from pipeline.base.hashes import file_hash
 from pipeline.base.params import SPLITS, check_name
 from pipeline.base.store import replacing, write_json, write_text
 from pipeline.camera.pinhole import depth_limit

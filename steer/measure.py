@@ -7,9 +7,10 @@ from tempfile import TemporaryDirectory
 
 import pandas as pd
 
+from pipeline.jobs.outputs import check_free
+
 from footage.convert import USUAL_HZ
 from footage.settings import Options
-from pipeline.base.outputs import check_free
 from pipeline.base.store import replacing, write_json
 from pipeline.ingest.settings import Reading
 from pipeline.labels.label import Car

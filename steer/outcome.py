@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from pipeline.base.checkout import revision
-from pipeline.base.console import split_doubts
-from pipeline.base.keys import ROOT
+from pipeline.jobs.revision import revision
+
+from pipeline.base.checkout import ROOT
 from pipeline.base.metrics import nmse, rmse
-from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader
+from pipeline.base.summary import Summary, split_doubts
 from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
 from pipeline.labels.recorded import Recorded, compare_recorded
 from pipeline.labels.source import rates_of_motion, recorded_angles, recorded_rates

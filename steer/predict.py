@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from pipeline.base.errors import InputError
-from pipeline.base.keys import file_hash
+from pipeline.base.hashes import file_hash
 from pipeline.base.params import RATE_TOLERANCE
 from pipeline.camera.pinhole import MAX_DEPTH_M, depth_limit
 from pipeline.clouds.cloud import clouds_drive

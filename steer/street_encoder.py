@@ -5,8 +5,7 @@ from pathlib import Path
 
 from platformdirs import user_cache_path
 
-from pipeline.base.checkout import is_checkout
-from pipeline.base.keys import ROOT
+from pipeline.base.checkout import ROOT, is_checkout
 from pipeline.encoder.create import create_street
 from pipeline.encoder.encoder_file import save_encoder
 from pipeline.encoder.weights import WEIGHTS

@@ -38,7 +38,7 @@ def _real(name: str) -> Callable[[], Path]:
 @pytest.fixture
 def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Return a copy of the code, which cache keys read instead of the project's."""
-    from pipeline.base import keys
+    from pipeline.jobs import keys
 
     folder = tmp_path / "checkout"
     for name in keys.PACKAGES:

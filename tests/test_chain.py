@@ -16,7 +16,7 @@ import yaml
 from dvc.repo import Repo
 from dvc.utils.serialize import modify_yaml
 
-from pipeline.base.keys import ROOT
+from pipeline.base.checkout import ROOT
 from tests.kitti_drive import contents
 from tests.test_docs import code_block
 
@@ -138,8 +138,12 @@ def test_an_edit_reruns_what_dvc_yaml_promises(folder, monkeypatch):
     (folder / "stages/labels.py~").write_text("a copy that an editor leaves")
     assert reruns() == set()
 
-    for name, stages in (("gnn", {"check", *NETWORK}), ("pyg", {"check"})):
-        path = folder / f"models/steering/spatial/{name}.py"
+    for name, stages in (
+        ("models/steering/spatial/gnn.py", {"check", *NETWORK}),
+        ("models/steering/spatial/pyg.py", {"check"}),
+        ("pipeline/jobs/runner.py", {"check"}),
+    ):
+        path = folder / name
         text = path.read_text()
         path.write_text(f"{text}\n# an edit\n")
         assert reruns() == stages, name

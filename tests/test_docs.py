@@ -17,8 +17,8 @@ import yaml
 
 from docs import make_results
 from pipeline.base import store
+from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError
-from pipeline.base.keys import ROOT
 from pipeline.base.store import DriveReader
 from pipeline.evaluate.own_metrics import METRICS
 from pipeline.graphs.settings import Variant

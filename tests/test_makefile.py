@@ -12,9 +12,11 @@ import pytest
 import yaml
 from filelock import FileLock
 
-from pipeline.base.checkout import in_checkout, revision
+from pipeline.jobs.revision import revision
+
+from pipeline.base.checkout import ROOT, in_checkout
 from pipeline.base.errors import InputError
-from pipeline.base.keys import ROOT, file_hash
+from pipeline.base.hashes import file_hash
 from pipeline.encoder import create
 from pipeline.encoder.settings import Encoder
 from pipeline.encoder.weights import weights_hash
@@ -86,7 +88,8 @@ def test_a_preset_runs_in_a_copy_of_the_code(checkout):
 
     run = checkout / "runs/kitti"
     assert yaml.safe_load((run / "params.yaml").read_text()) == preset.merge_preset("kitti")
-    for copied in ("dvc.yaml", ".dvcignore", "data/.gitignore", "pipeline/labels/label.py"):
+    code = ("pipeline/labels/label.py", "pipeline/jobs/runner.py")
+    for copied in ("dvc.yaml", ".dvcignore", "data/.gitignore", *code):
         assert (run / copied).read_bytes() == (ROOT / copied).read_bytes()
     assert (run / "checkout").read_text() == str(checkout)
     settings = json.loads((run / "run.json").read_text())["settings"]

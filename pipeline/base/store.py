@@ -340,6 +340,11 @@ def read_json(path: Path, *, stage: str) -> dict[str, Any]:
         raise _file_fault(f"damaged ({error})", path, stage) from error
 
 
+def write_index(folder: Path, drives: Mapping[str, str]) -> None:
+    """Write the index of a stage's folder: drive → split, in this order."""
+    write_json(folder / INDEX, {"drives": dict(drives)}, sort_keys=False)
+
+
 def read_index(folder: Path, *, stage: str) -> dict[str, str]:
     """Return drive → split of a stage's folder, in the order of its index.
 

@@ -1,7 +1,7 @@
 """Find faults of a model's entry: look for its inputs, and run its network on small frames."""
 
+from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError, closest
-from pipeline.base.keys import ROOT
 from pipeline.check.contract import check_network
 from pipeline.check.settings import Params
 from pipeline.train import runs

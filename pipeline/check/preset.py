@@ -3,8 +3,8 @@
 import re
 from pathlib import Path
 
+from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError
-from pipeline.base.keys import ROOT
 from pipeline.base.params import read_yaml
 
 # Folder of the presets.

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
+from pipeline.base.summary import Summary
 from pipeline.camera import classes, geometry
 from pipeline.camera.camera import Camera, DriveFrames, find_visible
 

@@ -9,7 +9,7 @@ from models.encoder import hugging_face, street
 from models.encoder.unified_encoder import Architecture, build_network
 from pipeline.base.checkout import in_checkout
 from pipeline.base.errors import InputError, error_context
-from pipeline.base.keys import file_hash
+from pipeline.base.hashes import file_hash
 from pipeline.encoder import precomputed
 from pipeline.encoder.encoder_file import load_encoder
 from pipeline.encoder.settings import NEEDED, Encoder

@@ -14,7 +14,7 @@ from tqdm import tqdm
 from models.encoder.unified_encoder import Architecture
 from pipeline.base.errors import InputError
 from pipeline.base.loop import prefetch, warm_up_cosine
-from pipeline.base.runner import Summary
+from pipeline.base.summary import Summary
 from pipeline.camera import classes
 from pipeline.encoder.encoder_file import save_encoder
 from pipeline.encoder.examples import Examples, augment_example

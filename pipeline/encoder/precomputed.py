@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import InputError
-from pipeline.base.keys import digest, file_hash
+from pipeline.base.hashes import digest, file_hash
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, same_shape
 from pipeline.camera.images import format_size, read_classes, read_depth, resize_nearest

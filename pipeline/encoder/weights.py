@@ -4,7 +4,7 @@ from pathlib import Path
 
 from pipeline.base.checkout import in_checkout
 from pipeline.base.errors import InputError
-from pipeline.base.keys import content_hash, digest, file_hash
+from pipeline.base.hashes import content_hash, digest, file_hash
 from pipeline.encoder import precomputed
 from pipeline.encoder.settings import Encoder
 

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader, DriveWriter
+from pipeline.base.summary import Summary
 from pipeline.clouds.cloud import Cloud, draw_points, frame_rng
 from pipeline.graphs import graph, graph_file
 from pipeline.graphs.graph_file import Column, Columns

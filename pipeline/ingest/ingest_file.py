@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError, closest
-from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
+from pipeline.base.summary import Summary
 from pipeline.camera.camera import Camera, Frame, camera_height, write_camera
 from pipeline.camera.classes import VOID
 from pipeline.camera.images import format_size, resize_image, resize_nearest, to_units

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.base.console import DOUBT
+from pipeline.base.summary import DOUBT
 from pipeline.labels.label import REVERSING_MPS
 
 # Least measured yaw rate of a turning frame, in standard deviations of this yaw rate.

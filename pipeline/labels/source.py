@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pipeline.base.errors import InputError
-from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader, DriveWriter
+from pipeline.base.summary import Summary
 from pipeline.labels.ahead import path_ahead
 from pipeline.labels.label import Car, Labels, steering_labels
 from pipeline.labels.settings import Labels as Settings

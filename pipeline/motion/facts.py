@@ -8,9 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from pipeline.base.console import DOUBT
 from pipeline.base.errors import InputError
-from pipeline.base.runner import Summary
+from pipeline.base.summary import DOUBT, Summary
 
 # Least share of the moving frames that are measured. Recordings by day have 1.
 MIN_MEASURED = 0.9

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.runner import Summary
 from pipeline.base.store import DriveWriter
+from pipeline.base.summary import Summary
 from pipeline.camera.camera import Camera, DriveFrames
 from pipeline.motion.odometry import Odometry
 from pipeline.motion.rates import smooth_rates

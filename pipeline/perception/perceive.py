@@ -15,11 +15,10 @@ from torch import nn
 
 from pipeline.base.checkout import in_checkout
 from pipeline.base.errors import error_context
-from pipeline.base.executors import default_workers
-from pipeline.base.keys import file_hash
+from pipeline.base.hashes import file_hash
 from pipeline.base.loop import prefetch
-from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader, DriveWriter
+from pipeline.base.summary import Summary
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, read_camera
 from pipeline.camera.images import DEPTH_UNITS_PER_M, to_units
@@ -158,19 +157,21 @@ def perceive(
         return Perceived(torch.cat(depths).cpu().numpy(), cls.cpu().numpy())
 
 
-def run_passes(predict: Predict, batches: Generator[EncoderInput]) -> Generator[Perceived]:
+def run_passes(
+    predict: Predict, batches: Generator[EncoderInput], max_passes: int | None = None
+) -> Generator[Perceived]:
     """Yield ``predict(batch)`` for each batch, in order, and close `batches` at the end.
 
     Results are equal to the last bit for any number of cores. Splitting a sum among threads would
     change its last bits, so each forward pass on a CPU uses one thread, and several passes run at
-    the same time. A GPU runs one pass at a time.
+    the same time: as many as torch has threads, and at most `max_passes`, which limits the memory
+    that is used. A GPU runs one pass at a time.
     """
     threads = torch.get_num_threads()
     use_one_thread = partial(torch.set_num_threads, 1)
     workers = 1
     if not torch.cuda.is_available():
-        # A user may set STEER_WORKERS to limit the memory that is used.
-        workers = min(threads, default_workers())
+        workers = min(threads, max_passes or threads)
     use_one_thread()
     try:
         passes = prefetch(predict, batches, threads=workers, ahead=workers + 1, init=use_one_thread)
@@ -186,13 +187,14 @@ def perceive_drive(
     encoder: Path,
     settings: Perception,
     *,
+    max_passes: int | None = None,
     advance: Callable[[int], object] | None = None,
 ) -> Summary:
     """Predict depth and classes of each image of a drive, and write them to a file.
 
     `path` is ``data/perception/<drive>.h5``, `ingest` the drive's file of that stage, and `encoder`
-    the folder of the encoder. `advance` is called with the number of frames that were written since
-    its last call.
+    the folder of the encoder. `max_passes` is an argument of :func:`run_passes`. `advance` is
+    called with the number of frames that were written since its last call.
     """
     opened = open_encoder(encoder, settings.precision)
     with DriveReader(ingest, stage="ingest") as source:
@@ -216,7 +218,7 @@ def perceive_drive(
             file.append("cls", np.empty((0, *camera.size), np.uint8), "Cityscapes trainId")
 
             # A thread reads images, other threads run the network, and this thread writes.
-            with closing(run_passes(opened.predict, batches)) as results:
+            with closing(run_passes(opened.predict, batches, max_passes)) as results:
                 for depth_m, cls in results:
                     file.append("depth_m", to_units(np.where(cls == classes.SKY, 0, depth_m)))
                     file.append("cls", cls)

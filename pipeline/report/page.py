@@ -1,7 +1,7 @@
 """Write the page: one HTML file that needs no other file and no network, from page.html.j2."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,6 @@ from markupsafe import Markup, escape
 from pipeline.evaluate.own_metrics import METRICS
 from pipeline.report import drawings, tables
 from pipeline.report.drawings import Picture
-from pipeline.report.origin import describe_origin, format_duration, read_run
 from pipeline.report.tables import Section
 from pipeline.report.values import Task, title_of
 
@@ -31,6 +30,8 @@ class Page:
     picture: Picture | None  # what stands below the verdict
     results: Content
     details: dict[str, Content]  # title → content that is folded
+    origin: Mapping[str, str]  # revision, date, machine; preset and duration if a preset runs
+    settings: Mapping[str, Any]  # those of the preset, if one runs
 
 
 def list_results(folder: Path, values: pd.DataFrame, tasks: Sequence[Task]) -> Content:
@@ -79,10 +80,6 @@ def list_details(
 
 def write_page(path: Path, page: Page) -> None:
     """Write a page, which ends with the origin of its results."""
-    run = read_run()
-    made = describe_origin()
-    if "started_s" in run:
-        made["duration"] = format_duration(run)
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
@@ -92,18 +89,16 @@ def write_page(path: Path, page: Page) -> None:
     environment.filters["marked"] = mark_names
     html = environment.get_template("page.html.j2").render(
         page=page,
-        made=made,
-        settings=yaml.safe_dump(run.get("settings", {}), allow_unicode=True, sort_keys=False),
-        next=next_step(run),
+        settings=yaml.safe_dump(dict(page.settings), allow_unicode=True, sort_keys=False),
+        next=next_step(page.origin.get("preset")),
     )
     path.write_text(html, encoding="utf-8")
 
 
-def next_step(run: dict[str, Any]) -> str:
-    """Return what a reader of a run's page may do next."""
-    if "preset" in run:
-        name = run["preset"]
-        return f"edit presets/{name}.yaml, and run make {name}, which trains only what changed"
+def next_step(preset: str | None) -> str:
+    """Return what a reader of the page may do next."""
+    if preset:
+        return f"edit presets/{preset}.yaml, and run make {preset}, which trains only what changed"
     return "add a network to models in params.yaml, and run dvc repro (README, Add yours)"
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.params import SPLITS
-from pipeline.base.runner import Summary
 from pipeline.base.store import DriveReader, drives_in, write_json
+from pipeline.base.summary import Summary
 from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
 from pipeline.ingest.truth import read_truth

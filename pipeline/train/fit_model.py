@@ -1,10 +1,9 @@
 """Fit the networks of a model, one per seed."""
 
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -13,9 +12,6 @@ import torch
 from models.steering.core.steering_net import SteeringNet
 from pipeline.base import checkpoint, store
 from pipeline.base.errors import error_context
-from pipeline.base.executors import SCHEDULER, run_jobs
-from pipeline.base.keys import stage_key
-from pipeline.base.outputs import StageFolder
 from pipeline.train import runs, trained
 from pipeline.train.entry import Entry
 from pipeline.train.fit import Fit, selected_epoch
@@ -40,49 +36,44 @@ class Model:
         drives = [self.drives[name] for name in store.drives_in(self.splits, split)]
         return [drive for drive in drives if drive.has_window(self.entry.window)]
 
+    def inputs(self, seed: int) -> dict[str, Any]:
+        """Return what determines the network of a seed, besides code and files."""
+        return {
+            "entry": self.entry.seeded(seed).model_dump(mode="json"),
+            "train": self.settings.model_dump(exclude={"seeds"}),
+            "seed": seed,
+            "drives": [drive.name for drive in self.usable_drives("train")],
+            "val": [drive.name for drive in self.usable_drives("val")],
+        }
 
-def fit_model(model: Model, todo: Sequence[runs.Run], folder: StageFolder) -> list[Path]:
-    """Train the networks of a model; return the files of their states.
-
-    On CPUs and on a cluster the networks are trained in parallel, each in a process. On a GPU of
-    this machine they are trained one after the other.
-    """
-    names = store.drives_in(model.splits, "train", "val")
-    files = Files(model.drives[name].graphs for name in names)
-    job = partial(fit_run, model, files=files, code=folder.code.hash(), kept=folder.kept)
-
-    workers = None
-    if torch.cuda.is_available() and SCHEDULER not in os.environ:
-        workers = 1
-    return [state for _, state in run_jobs(job, todo, folder, workers=workers, threads=1)]
+    def input_files(self) -> list[Path]:
+        """Return the files of graphs and labels that the networks are trained with."""
+        drives = self.usable_drives("train") + self.usable_drives("val")
+        return [path for drive in drives for path in (drive.graphs, drive.labels)]
 
 
-def fit_run(model: Model, run: runs.Run, files: Files, code: str, kept: Path) -> Path:
+class Task(NamedTuple):
+    """A network to train."""
+
+    run: runs.Run
+    # File with the state of the training, from which an interrupted one continues.
+    state: Path
+
+
+def fit_run(model: Model, files: Files, task: Task) -> None:
     """Train a network of a model, and write best.pt and curve.csv. Raises InputError.
 
-    The training continues from the state of an earlier run if there is one. `code` is the hash of
-    the stage's code, `kept` the folder in which states are kept between runs. Returns the file of
-    the state.
+    `files` are the graph files of the model's drives.
     """
+    run = task.run
     entry = model.entry.seeded(run.seed)
     train = model.usable_drives("train")
     val = model.usable_drives("val")
     with error_context(where=model.where):
         net = _build_network(entry, train[0], run.seed)
 
-    # The state of an earlier run can be continued if it had the same code, inputs and files.
-    inputs = {
-        "entry": entry.model_dump(mode="json"),
-        "train": model.settings.model_dump(exclude={"seeds"}),
-        "seed": run.seed,
-        "drives": [drive.name for drive in train],
-        "val": [drive.name for drive in val],
-    }
-    paths = [path for drive in train + val for path in (drive.graphs, drive.labels)]
-    state = kept / f"{stage_key(code, inputs, paths)}.pt"
-
     fit = Fit(net, entry, model.settings, run.seed, train, val, files)
-    fit.train_network(state, f"{model.name} seed {run.seed}")
+    fit.train_network(task.state, f"{model.name} seed {run.seed}")
 
     intervals_s = np.concatenate([np.diff(drive.time_s) for drive in train])
     best = {
@@ -93,7 +84,7 @@ def fit_run(model: Model, run: runs.Run, files: Files, code: str, kept: Path) ->
         "settings": train[0].settings,
         "datasets": sorted({drive.settings.get("dataset", "unknown") for drive in train}),
         "fps": float(1 / np.median(intervals_s)),
-        **inputs,
+        **model.inputs(run.seed),
         "scale": fit.scale.content,
         "code": trained.code_hashes(entry),
         "epoch": selected_epoch(fit.curve),
@@ -102,7 +93,6 @@ def fit_run(model: Model, run: runs.Run, files: Files, code: str, kept: Path) ->
     checkpoint.write(run.folder / "best.pt", best)
     curve = pd.DataFrame(fit.curve)
     curve.to_csv(run.folder / "curve.csv", index=False, float_format="%.6g", lineterminator="\n")
-    return state
 
 
 def _build_network(entry: Entry, drive: LabelledDrive, seed: int) -> SteeringNet:

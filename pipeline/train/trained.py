@@ -11,8 +11,9 @@ import torch
 
 from models.steering.core.steering_net import SteeringNet
 from pipeline.base import checkpoint
+from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError, error_context
-from pipeline.base.keys import ROOT, file_hash
+from pipeline.base.hashes import file_hash
 from pipeline.graphs.graph_file import Contents, Graphs
 from pipeline.train import windows
 from pipeline.train.entry import Entry

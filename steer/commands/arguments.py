@@ -43,7 +43,7 @@ def run_command(
     function: Callable[..., "Outcome"], source: list[Path], out: Path | None, **options: Any
 ) -> None:
     """Call a function of `steer.api` with a free folder. Print notes, files and doubts."""
-    from pipeline.base.outputs import find_free
+    from pipeline.jobs.outputs import find_free
 
     folder = find_free(out, source[0].resolve().stem.removesuffix("_sync"))
     outcome = function(source, out=folder, **options)

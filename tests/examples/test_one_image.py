@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from models.steering.core.batch import from_arrays
-from pipeline.base.keys import ROOT
+from pipeline.base.checkout import ROOT
 
 
 @pytest.mark.slow

@@ -11,8 +11,8 @@ import torch
 import yaml
 
 from models.encoder.street import SOURCES
+from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError
-from pipeline.base.keys import ROOT
 from pipeline.encoder import encoder_file
 from stages import preset
 from stages.encoder import main

@@ -8,8 +8,8 @@ import pytest
 import yaml
 
 from pipeline.base import store
+from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError
-from pipeline.base.keys import ROOT
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, Frame, read_camera
 from pipeline.encoder.encoder_file import save_encoder

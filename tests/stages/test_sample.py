@@ -4,7 +4,8 @@ from pathlib import Path
 
 import yaml
 
-from pipeline.base import keys
+from pipeline.jobs import keys
+
 from pipeline.ingest.datasets.kitti import find_drive
 from stages import sample
 

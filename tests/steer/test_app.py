@@ -9,7 +9,7 @@ import yaml
 from typer.testing import CliRunner
 
 from pipeline.base import checkpoint
-from pipeline.base.keys import ROOT
+from pipeline.base.checkout import ROOT
 from steer.app import app
 from tests.artefacts import write_dataset
 

@@ -14,7 +14,7 @@ from zipfile import ZipFile
 import pandas as pd
 import pytest
 
-from pipeline.base.keys import ROOT
+from pipeline.base.checkout import ROOT
 
 pytestmark = pytest.mark.slow
 
@@ -93,7 +93,7 @@ def test_the_wheel_has_the_code_of_steer_alone(wheel, scripts):
     folders = {name.partition("/")[0] for name in ZipFile(wheel).namelist()}
     metadata = f"{wheel.name.removesuffix('-py3-none-any.whl')}.dist-info"
     assert folders == {"footage", "models", "pipeline", "steer", metadata}
-    command = [scripts / "python", "-c", "from pipeline.base.keys import ROOT; print(ROOT)"]
+    command = [scripts / "python", "-c", "from pipeline.base.checkout import ROOT; print(ROOT)"]
     done = subprocess.run(command, cwd="/", env=ENVIRONMENT, capture_output=True, text=True)
     assert Path(done.stdout.strip()).is_relative_to(scripts.parent)
 

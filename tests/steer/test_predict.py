@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 import yaml
 
+from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError
-from pipeline.base.keys import ROOT
 from pipeline.graphs.graph_file import open_graphs
 from pipeline.train.trained import load_model
 from stages import clouds, encoder, graphs, ingest, labels, motion, perception, sample, train

@@ -6,8 +6,8 @@ import pytest
 from typer.testing import CliRunner
 
 from models.encoder.street import SOURCES
+from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError
-from pipeline.base.keys import ROOT
 from pipeline.encoder.encoder_file import load_encoder
 from steer import api, street_encoder
 from steer.app import app

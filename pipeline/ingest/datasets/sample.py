@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from pipeline.base.keys import file_hash
+from pipeline.base.hashes import file_hash
 from pipeline.ingest.datasets import kitti
 from pipeline.ingest.settings import Ingest
 

@@ -19,7 +19,7 @@ from models.encoder.heads import CellClasses, Pointwise, ray_slopes
 from models.encoder.rtmonodepth_s import SIZE
 from models.encoder.street import Street
 from models.encoder.unified_encoder import Architecture, build_network
-from pipeline.base.keys import ROOT
+from pipeline.base.checkout import ROOT
 from pipeline.camera import classes, geometry
 from pipeline.camera.camera import Camera, scan_depth
 from pipeline.camera.images import read_image, resize_image

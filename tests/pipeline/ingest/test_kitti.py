@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.base.keys import digest
+from pipeline.base.hashes import digest
 from pipeline.camera.geometry import depth_image, project, transform
 from pipeline.camera.images import read_pixels
 from pipeline.ingest import packets

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.base import console
+from pipeline.base import summary
 from pipeline.labels import agreement, ahead, label
 from pipeline.labels.agreement import Pair
 from pipeline.labels.label import Labels
@@ -194,7 +194,7 @@ def test_a_straight_drive_or_no_frame_is_no_doubt():
     straight = Pair(WINDING_S[:300], noise[0], noise[1], np.zeros(300, bool))
     facts = agreement.fit_log([straight])
     assert facts
-    assert not agreement.turns_line("angle", "rad", facts).startswith(console.DOUBT)
+    assert not agreement.turns_line("angle", "rad", facts).startswith(summary.DOUBT)
     unknown = straight._replace(recorded=np.full(300, np.nan))
     assert agreement.fit_log([unknown]) is None
     assert agreement.compare_speeds([unknown]) is None
@@ -221,7 +221,7 @@ def test_speeds_have_a_ratio_and_a_sign(
     facts = agreement.compare_speeds([pair])
     assert facts == agreement.Speed(290, pytest.approx(ratio), contradicted)
     line = agreement.speed_line("speed", facts, height_known=height_known)
-    assert line.startswith(console.DOUBT) == is_doubtful
+    assert line.startswith(summary.DOUBT) == is_doubtful
 
 
 @given(st.lists(st.floats(0.05, 3.0), min_size=1, max_size=30), st.integers(0, 2**32 - 1))

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.base.keys import ROOT
+from pipeline.base.checkout import ROOT
 from pipeline.base.params import load_section
 from pipeline.camera import classes, geometry
 from pipeline.camera.images import read_pixels, to_metres

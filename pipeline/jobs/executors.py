@@ -18,8 +18,9 @@ from pathlib import Path
 from threading import Thread
 from typing import Any, TypeVar
 
+from pipeline.jobs.outputs import StageFolder
+
 from pipeline.base.errors import InputError
-from pipeline.base.outputs import StageFolder
 
 # Environment variable with the address of a Dask scheduler.
 SCHEDULER = "STEER_SCHEDULER"

@@ -7,8 +7,9 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from pipeline.base.checkout import revision
-from pipeline.base.keys import ROOT
+from pipeline.jobs.revision import revision
+
+from pipeline.base.checkout import ROOT
 
 # Name of the file in which ``make NAME`` describes a run when it starts it. The file is in the
 # folder runs/NAME, which holds a copy of the code.

@@ -9,24 +9,25 @@ A key (:func:`stage_key`) hashes
 - inputs: the bytes of files, or strings such as a fingerprint of files
 
 So results are made again after the edit of a comment. A key has no hidden files, number of
-processes, path or machine.
+processes, path or machine, and nothing of this folder (JOBS).
 """
 
-import hashlib
 import importlib.metadata
-import json
-import re
 import socket
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError
+from pipeline.base.hashes import digest, file_hash, list_files
 from pipeline.base.params import read_yaml
 
-ROOT = Path(__file__).resolve().parents[2]
 # Packages whose files are code of stages.
 PACKAGES = ("pipeline", "models", "stages")
+# Folder of code that only runs stages and prints. It can change no number and no file's content, so
+# dvc.yaml lists it for stage check alone, and no key has it.
+JOBS = "pipeline/jobs/"
 # Installed packages whose versions can change numbers, or the bytes of files.
 NUMERIC = (
     "av",
@@ -41,8 +42,6 @@ NUMERIC = (
     "torch-geometric",
     "transformers",
 )
-# Pattern of paths of files that Python, editors and file managers leave beside code.
-LEFTOVERS = re.compile(r"/\.|/__pycache__/|~$")
 # Advice after an edit while a stage ran.
 UNDO = (
     "Undo the edit and repeat the command: finished work is taken in seconds. With the edit, it "
@@ -63,38 +62,6 @@ def stage_key(code: str, settings: Mapping[str, Any], inputs: Sequence[Path | st
     return digest([settings, code, items])[:32]
 
 
-def digest(content: Any) -> str:
-    """Return the SHA-256 of JSON-able content as hex."""
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
-def file_hash(path: Path) -> str:
-    """Return the SHA-256 of a file as hex. Raises InputError if it is missing."""
-    if not path.is_file():
-        fix = "Make it: dvc repro. Or fetch it from another machine: dvc pull"
-        raise InputError("file is missing", path, fix)
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def content_hash(path: Path) -> str:
-    """Return the SHA-256 of a file, or of the names and contents of the files in a folder."""
-    if path.is_dir():
-        files = list_files(path)
-        return digest({str(file.relative_to(path)): file_hash(file) for file in files})
-    return file_hash(path)
-
-
-def list_files(folder: Path) -> list[Path]:
-    """Return all files below a folder, without leftovers."""
-    files = []
-    for path in sorted(folder.rglob("*")):
-        name = path.relative_to(folder).as_posix()
-        if path.is_file() and not LEFTOVERS.search(f"/{name}"):
-            files.append(path)
-    return files
-
-
 def scan_code() -> dict[str, str]:
     """Return the SHA-256 of each file of code, by its path below ROOT, and versions of NUMERIC."""
     found = {}
@@ -110,7 +77,7 @@ def scan_code() -> dict[str, str]:
 
 
 # Code and packages as this process loads them: each stage imports this module before other packages
-# of the project.
+# of the project (isort's sections in pyproject.toml).
 LOADED = scan_code()
 
 
@@ -120,6 +87,8 @@ class Code(NamedTuple):
     stage: str
     # File → SHA-256, and package → version.
     loaded: Mapping[str, str]
+    # File of JOBS → SHA-256. It is compared with that of workers, and is in no key.
+    jobs: Mapping[str, str]
 
     @classmethod
     def read(cls, stage: str, chosen: Collection[str] = ()) -> "Code":
@@ -128,7 +97,8 @@ class Code(NamedTuple):
         `chosen` are the files of the networks or datasets that the settings name. Other modules in
         their folders do not belong to the code, unless dvc.yaml lists the module itself.
         """
-        return cls(stage, _select_code(LOADED, stage, chosen))
+        jobs = {name: value for name, value in LOADED.items() if name.startswith(JOBS)}
+        return cls(stage, _select_code(LOADED, stage, chosen), jobs)
 
     def hash(self) -> str:
         """Return a hash of the code."""
@@ -143,7 +113,7 @@ class Code(NamedTuple):
 
     def check_worker(self) -> None:
         """Raise InputError if this process, a worker, loaded other code or packages."""
-        for name, value in self.loaded.items():
+        for name, value in {**self.loaded, **self.jobs}.items():
             loaded = LOADED.get(name, "none")
             if loaded != value:
                 raise InputError(

@@ -15,11 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.base import console, keys, store
+from pipeline.jobs import console, keys
+from pipeline.jobs.outputs import stage_folder
+from pipeline.jobs.runner import Job, make_drives
+
+from pipeline.base import store
+from pipeline.base.checkout import ROOT
 from pipeline.base.errors import DamagedFile
-from pipeline.base.keys import ROOT
-from pipeline.base.outputs import stage_folder
-from pipeline.base.runner import Job, make_drives
 from tests.kitti_drive import contents
 
 FRAMES = {"a": 3, "b": 6, "c": 5, "empty": 0}
@@ -69,9 +71,9 @@ def main(
     return summaries
 
 
-def pretend(version: str) -> None:
-    """Let this process have loaded another version of a package."""
-    keys.LOADED["numpy"] = version
+def pretend(name: str, value: str) -> None:
+    """Let this process have loaded another file of code, or another version of a package."""
+    keys.LOADED[name] = value
 
 
 def prepare(folder: Path) -> Path:
@@ -108,7 +110,7 @@ def trouble(folder: Path, **drives: str) -> None:
 def start(folder: Path) -> "subprocess.Popen[str]":
     """Start the stage with two workers in a session of its own."""
     return subprocess.Popen(
-        [sys.executable, "-m", "tests.pipeline.base.toy_stage", str(folder)],
+        [sys.executable, "-m", "tests.pipeline.jobs.toy_stage", str(folder)],
         cwd=ROOT,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         start_new_session=True,

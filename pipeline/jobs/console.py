@@ -2,15 +2,13 @@
 
 import functools
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
 
 from pipeline.base.errors import InputError
 
-# Beginning of a line of facts whose numbers are not those of healthy data.
-DOUBT = "doubt: "
 # Argument of a stage with entries: a variant or a model.
 EntryName = Annotated[
     str | None,
@@ -54,10 +52,3 @@ def _describe_error(error: BaseException) -> str:
     if isinstance(error, KeyboardInterrupt):
         return "interrupted. Repeat the command to continue: complete files are kept"
     return str(error)
-
-
-def split_doubts(lines: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return the lines without a doubt, and the doubts without the word."""
-    notes = [line for line in lines if not line.startswith(DOUBT)]
-    doubts = [line.removeprefix(DOUBT) for line in lines if line.startswith(DOUBT)]
-    return notes, doubts

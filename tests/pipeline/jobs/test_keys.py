@@ -6,10 +6,11 @@ from typing import Any
 import pytest
 import yaml
 
-from pipeline.base import keys
+from pipeline.jobs import keys
+from pipeline.jobs.keys import Code
+from pipeline.jobs.outputs import stage_folder
+
 from pipeline.base.errors import InputError
-from pipeline.base.keys import Code
-from pipeline.base.outputs import stage_folder
 from pipeline.base.params import load_section
 from pipeline.labels.settings import Labels
 from tests.kitti_drive import contents, write
@@ -29,6 +30,7 @@ RESULTS = {
     "report": ("report", ()),
 }
 ALL = set(RESULTS)
+JOBS = sorted((keys.ROOT / keys.JOBS).glob("*.py"))
 INGEST = {"kitti", "sample", "folders"}
 
 
@@ -57,7 +59,7 @@ def edit(path: Path, before: str, after: str) -> None:
     ("file", "changed"),
     [
         ("pipeline/ingest/ingest_file.py", INGEST),
-        ("pipeline/base/runner.py", ALL),
+        ("pipeline/base/store.py", ALL),
         ("pipeline/labels/label.py", {"labels", "gnn", "cnn", "report"}),
         ("pipeline/labels/helper/__init__.py", {"labels"}),
         ("pipeline/sample/world.py", set()),
@@ -78,9 +80,11 @@ def edit(path: Path, before: str, after: str) -> None:
         ("models/steering/weights/mine.pt", set()),
         (f"{SPATIAL}/mine.py", set()),
         # What Python, editors and file managers leave.
-        ("pipeline/base/runner.py~", set()),
+        ("pipeline/base/store.py~", set()),
         ("pipeline/base/.DS_Store", set()),
-        ("pipeline/base/__pycache__/runner.cpython-311.pyc", set()),
+        ("pipeline/base/__pycache__/store.cpython-311.pyc", set()),
+        # Files that only run stages and print.
+        *((f"pipeline/jobs/{path.name}", set()) for path in JOBS),
     ],
 )
 def test_a_key_has_the_files_that_can_change_the_result(checkout, file, changed):
@@ -118,6 +122,7 @@ PARAMS = {"labels": {"wheelbase_m": 2.7, "min_speed_mps": 1.0}, "train": {"epoch
             "label.py: was edited while stage labels ran. Undo",
         ),
         ("pipeline/sample/world.py", "", "LIMIT = 1\n", ""),
+        ("pipeline/jobs/runner.py", "", "# a comment\n", ""),
         (
             "params.yaml",
             "2.7",

@@ -1,7 +1,7 @@
 """Make drives in parallel, and keep them for later runs.
 
 A finished drive is a folder ``data/.drives/STAGE/DRIVE-KEY`` with its result and summary.json. The
-key (:mod:`pipeline.base.keys`) hashes everything that determines the drive, so a run makes only
+key (:mod:`pipeline.jobs.keys`) hashes everything that determines the drive, so a run makes only
 drives whose inputs, settings or code have changed.
 """
 
@@ -16,13 +16,13 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel
 
-from pipeline.base.errors import error_context
-from pipeline.base.executors import default_workers, run_jobs
-from pipeline.base.keys import stage_key
-from pipeline.base.outputs import StageFolder, link_or_copy
-from pipeline.base.store import replacing
+from pipeline.jobs.executors import default_workers, run_jobs
+from pipeline.jobs.keys import stage_key
+from pipeline.jobs.outputs import StageFolder, link_or_copy
 
-Summary = dict[str, Any]
+from pipeline.base.errors import error_context
+from pipeline.base.store import replacing
+from pipeline.base.summary import Summary
 
 
 class Job(NamedTuple):

@@ -11,9 +11,10 @@ from uuid import uuid4
 
 from filelock import FileLock, Timeout
 
+from pipeline.jobs.keys import UNDO, Code, read_sections
+
 from pipeline.base.errors import InputError
-from pipeline.base.keys import UNDO, Code, read_sections
-from pipeline.base.store import INDEX, replacing, write_json
+from pipeline.base.store import INDEX, replacing, write_index
 
 # Advice for an output folder that is not free.
 _FIX = "Choose another name for the output, or move it away"
@@ -120,7 +121,7 @@ def stage_folder(
         for key, content in read_sections(name, params, entry).items():
             if content != sections[key]:
                 raise InputError(f"{key} was edited while stage {stage} ran", params or "", UNDO)
-        write_json(folder.new / INDEX, {"drives": dict(drives)}, sort_keys=False)
+        write_index(folder.new, drives)
         _move_files(folder.new, out)
         for path in set(kept.iterdir()) - folder.used:
             remove_path(path)

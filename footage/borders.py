@@ -7,7 +7,7 @@ from pipeline.camera.images import Crop
 from pipeline.motion.horizon import MIN_QUALITY
 from pipeline.motion.odometry import measure_quality
 
-# Number of images between two that are compared.
+# Number of images from one that is compared to the next.
 EVERY = 10
 # Largest number of compared images: those of a minute at 10 images a second.
 IMAGES = 60

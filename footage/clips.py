@@ -93,7 +93,7 @@ def find_gaps(clips: Sequence[Clip]) -> list[str]:
         what = f"{length_s:.0f} s are missing between {before} and {after}"
         if length_s < 0:
             what = f"{after} begins {-length_s:.0f} s before the end of {before}"
-        more = f" ({len(gaps) - 1} more places)" if len(gaps) > 1 else ""
+        more = f" (and {len(gaps) - 1} more)" if len(gaps) > 1 else ""
         doubts.append(
             f"{DOUBT}by {source}, {what}{more}, but each file is taken to begin one image after "
             "the one before. Pass --times FILE, the seconds of each image"

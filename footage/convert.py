@@ -144,8 +144,10 @@ def _join_times(files: Sequence[Images]) -> np.ndarray:
     begin_s = 0.0
     for file in files:
         if file.times_s is None:
-            times = f"{file.time_count} time" if file.time_count else "no times"
-            problem = f"{file.count} images, {times}"
+            problem = "images have no times"
+            if file.time_count:
+                word = "time" if file.time_count == 1 else "times"
+                problem = f"{file.count} images, {file.time_count} {word}"
             raise InputError(problem, file.path, "Pass --fps N, or --times FILE")
         times_s.append(begin_s + file.times_s)
         begin_s += file.times_s[-1] + np.median(np.diff(file.times_s))

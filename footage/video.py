@@ -52,6 +52,8 @@ _OPTIONS = {
 CONVERT = "Copy the file again, or convert it: ffmpeg -i {name} -c:v libx264 converted.mp4"
 # Largest deviation from 1 of a pixel's width over its height at which the pixel counts as square.
 SQUARE_TOLERANCE = 0.01
+# Least share of a video's images with a time of their own, at which its times are used.
+LEAST_TIMED = 0.5
 # Least share of the duration in its header that a complete file has. The last image does not count.
 LEAST_SHARE = 0.99
 # Longest duration in seconds of a last image. Files need not store it.
@@ -69,9 +71,9 @@ class Images:
     files: Sequence[Path] = ()
     # Time stamp of an image in a video → its place; empty if the file has no times.
     places: Mapping[int, int] = field(default_factory=dict)
-    # Seconds since the first image [count], or None if the file has no times, or only one.
+    # Seconds since the first image [count], or None if too few of them have a time.
     times_s: np.ndarray | None = None
-    # Number of different times, which is 0 or 1 if times_s is None.
+    # Number of different times in the file.
     time_count: int = 0
     # The tag creation_time of a video.
     created: datetime | None = None
@@ -135,11 +137,11 @@ def open_images(path: Path) -> Images:
         problem = f"pixels are not square ({pixel_aspect:.3f} times as wide as high)"
         raise InputError(problem, path, fix)
 
-    # Times are used if all images have one. A single time says nothing.
+    # Times are used if all images have one, and most of them their own.
     if not has_times or len(stamps) < len(shown):
         return Images(path, count=len(shown), created=created)
     in_order = sorted(set(stamps))
-    if len(in_order) < 2:
+    if len(in_order) < max(2, LEAST_TIMED * len(shown)):
         return Images(path, count=len(shown), time_count=len(in_order), created=created)
     times_s = (np.array(in_order) - in_order[0]) * unit_s
     places = {stamp: place for place, stamp in enumerate(in_order)}

@@ -55,11 +55,11 @@ def compare_recorded(drives: Sequence[Recorded], name: str) -> dict[str, dict[st
     Quantities that no drive recorded are left out. `name` is that of the logs.
     """
     content: dict[str, dict[str, Any]] = {}
+    one_clock = all(drive.one_clock for drive in drives)
     for quantity, unit in (("yaw_rate", "rad/s"), ("angle", "rad")):
         follow = agreement.fit_log([getattr(drive, quantity) for drive in drives])
         if follow:
             title = f"{quantity.replace('_', ' ')} of {name}"
-            one_clock = all(drive.one_clock for drive in drives)
             line = agreement.turns_line(title, unit, follow, advise_offset=one_clock)
             content[quantity] = {**follow._asdict(), "line": line}
 

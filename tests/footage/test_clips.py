@@ -68,7 +68,7 @@ UNNAMED = ["a.mp4", "b.mp4", "c.mp4"]
             ["by the file's name, 60 s are missing between 20260101_100000.mp4 and 20260101_1002"],
         ),
         (ONE_A_MINUTE[::2], (), 60, ["60 s are missing"]),
-        (UNNAMED, (0, 63, 126), 60, ["3 s are missing between a.mp4 and b.mp4 (1 more places)"]),
+        (UNNAMED, (0, 63, 126), 60, ["3 s are missing between a.mp4 and b.mp4 (and 1 more)"]),
         (UNNAMED, (0, 57, 117), 60, ["by creation_time, b.mp4 begins 3 s before the end of a.mp4"]),
         (ONE_A_MINUTE[1::-1], (), 60, ["20260101_100000.mp4 begins 120 s before the end of"]),
         (ONE_A_MINUTE[::2], (0, 60), 60, ["by the file's name, 60 s"]),

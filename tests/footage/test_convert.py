@@ -44,9 +44,11 @@ def test_times_are_those_of_a_file_or_of_a_video(tmp_path):
     times.write_text("1500000005\n1500000006\n1500000007.5\n")
     convert(tmp_path / "file", stream, times=times)
     assert times_of(read(tmp_path / "file")) == [0, 1, 2.5]
-    stopped = write_streams(tmp_path / "stopped.mkv", STOPPED)
-    convert(tmp_path / "stopped", stopped, fps=10)
-    np.testing.assert_allclose(times_of(read(tmp_path / "stopped")), np.arange(12) / 10, atol=1e-8)
+    for name, images in (("stopped", STOPPED), ("slow", SLOW)):
+        path = write_streams(tmp_path / f"{name}.mkv", images)
+        convert(tmp_path / name, path, fps=10)
+        expected_s = np.arange(len(images["images"])) / 10
+        np.testing.assert_allclose(times_of(read(tmp_path / name)), expected_s, atol=1e-8)
 
     times.write_text("5\n6\n")
     with pytest.raises(InputError, match=r"has 3 images, but 2 times"):
@@ -119,6 +121,8 @@ def test_a_distorted_image_is_rectified_and_a_large_one_made_smaller(tmp_path):
 
 # Images whose times are all 0, since Matroska rounds to a millisecond.
 STOPPED = {"images": pictures(12), "codec": "mpeg4", "fps": 60000}
+# Images with the times 0 to 2 ms.
+SLOW = STOPPED | {"images": pictures(120)}
 
 
 def cut(path: Path) -> None:
@@ -158,6 +162,7 @@ PLAINLY_WRONG: list[tuple[str, Callable[[Path], object], str]] = [
     # FFmpeg assumes 25 frames per second.
     ("raw.h264", lambda path: write_stream(path), "no times. Pass --fps"),
     ("stopped.mkv", lambda path: write_streams(path, STOPPED), "12 images, 1 time. Pass --fps N"),
+    ("slow.mkv", lambda path: write_streams(path, SLOW), "120 images, 3 times. Pass --fps N"),
     ("cut.mp4", cut, r"of 4\.0 s"),
     ("cut.mkv", cut, r"of 4\.0 s"),
     ("repeated.ts", repeated, "do not increase"),

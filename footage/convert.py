@@ -17,7 +17,9 @@ import numpy as np
 import pandas as pd
 from tqdm import tqdm
 
-from footage.lens import open_lens
+from footage.borders import BorderFinder
+from footage.clips import describe_clips, find_gaps, list_clips
+from footage.lens import border_doubt, open_lens
 from footage.log import Log, read_logs, read_times
 from footage.settings import Options
 from footage.video import Images, check_numbers, open_images
@@ -94,6 +96,7 @@ class Converted(NamedTuple):
     camera: Camera
     # Frames per second.
     hz: float
+    # Lines for the user, of which those of doubts begin with DOUBT.
     notes: list[str]
     # Content of import.json.
     record: dict[str, Any]
@@ -102,14 +105,21 @@ class Converted(NamedTuple):
 def open_recording(paths: Sequence[Path], options: Options) -> Recording:
     """Open a video, several that follow each other, or a folder of images, without decoding them.
 
-    Raises InputError if files are missing or have no times, or a log is faulty or of another time.
+    Raises InputError if files are missing, have no times or are passed twice, or a log is faulty or
+    of another time.
     """
     if options.fps and options.times:
         problem = "expected one source of the images' times, got two"
         raise InputError(problem, fix="Pass --fps or --times")
     logs = read_logs(options)
+    targets = [path.resolve() for path in paths]
+    for path, target in zip(paths, targets, strict=True):
+        if targets.count(target) > 1:
+            raise InputError("is passed twice", path, "Pass each file once")
     files = [open_images(path) for path in paths]
     count = sum(file.count for file in files)
+    if count < 2:
+        raise InputError("has fewer than 2 images", paths[0])
     if options.times:
         times_s = read_times(options.times)
         if len(times_s) != count:
@@ -120,10 +130,8 @@ def open_recording(paths: Sequence[Path], options: Options) -> Recording:
         times_s = np.arange(count) / options.fps
     else:
         times_s = _join_times(files)
-    if count < 2:
-        raise InputError("has fewer than 2 images", paths[0])
     for log in logs.values():
-        log.check_overlap(times_s[0], times_s[-1])
+        log.check_overlap(times_s[0], times_s[-1], files=len(files))
     return Recording(files, times_s, logs)
 
 
@@ -136,7 +144,11 @@ def _join_times(files: Sequence[Images]) -> np.ndarray:
     begin_s = 0.0
     for file in files:
         if file.times_s is None:
-            raise InputError("images have no times", file.path, "Pass --fps N, or --times FILE")
+            problem = "images have no times"
+            if file.time_count:
+                word = "time" if file.time_count == 1 else "times"
+                problem = f"{file.count} images, {file.time_count} {word}"
+            raise InputError(problem, file.path, "Pass --fps N, or --times FILE")
         times_s.append(begin_s + file.times_s)
         begin_s += file.times_s[-1] + np.median(np.diff(file.times_s))
     return np.concatenate(times_s)
@@ -165,6 +177,7 @@ def convert(
     first = recording.files[0]
     lens = open_lens(options, first.read_size(), first.path)
     finders = {file.path: HeadingFinder(lens.camera) for file in recording.files}
+    borders = BorderFinder()
 
     numbers = range(1, len(shares) + 1)
     drives = [Drive(folder / f"{name}_drive_{number:04d}_sync") for number in numbers]
@@ -176,8 +189,17 @@ def convert(
             drive = drives[parts[place]]
             drive.write_image(frame, recording.times_s[place], png=options.png)
             finders[path].add_image(frame)
+            borders.add_image(image)
             bar.update()
-    notes = _write_values(recording, drives)
+
+    clips = list_clips(recording.files, recording.times_s)
+    notes = describe_clips(clips)
+    if not options.times:
+        notes += find_gaps(clips)
+    notes += _write_values(recording, drives)
+    crop = borders.find_crop()
+    if crop:
+        notes.append(border_doubt(options, crop))
 
     # The files have one horizon. Each alone must not be upside down.
     headings = []
@@ -197,6 +219,7 @@ def convert(
     record = {
         "version": version("semantic-steering"),
         "options": options.model_dump(mode="json", by_alias=True, exclude_defaults=True),
+        "recordings": [describe_file(file.path) for file in recording.files],
     }
     frame_hz = 1 / (recording.step_s * recording.find_stride(hz))
     return Converted(drives, camera, hz=frame_hz, notes=notes, record=record)

@@ -9,9 +9,10 @@ import cv2
 import numpy as np
 
 from footage.settings import Options
+from pipeline.base.console import DOUBT
 from pipeline.base.errors import InputError, error_context
 from pipeline.camera.camera import Camera
-from pipeline.camera.images import Size, format_size, resize_image
+from pipeline.camera.images import Crop, Size, format_size, resize_image
 from pipeline.camera.pinhole import check_pinhole
 
 # A function that rectifies an image uint8 [H,W,3].
@@ -78,10 +79,7 @@ def _open_model(options: Options, size: Size, path: Path) -> tuple[Camera, Recti
     if options.fisheye:
         return _open_fisheye(options, size, options.fisheye)
 
-    if options.fov_deg is not None:
-        camera = _centred_camera(size, math.tan(math.radians(options.fov_deg) / 2))
-    else:
-        camera = _parse_K(size, options.K or "")
+    camera = _read_intrinsics(options, size)
     covered_deg = 2 * math.degrees(math.atan(size[1] / 2 / camera.K[0, 0]))
     if covered_deg > MAX_FOV_DEG:
         problem = f"images cover {covered_deg:.0f}°, more than {MAX_FOV_DEG}°: a fisheye lens?"
@@ -90,6 +88,37 @@ def _open_model(options: Options, size: Size, path: Path) -> tuple[Camera, Recti
     if options.distortion:
         return camera, _undistort_images(camera, options.distortion)
     return camera, lambda image: image
+
+
+def _read_intrinsics(options: Options, size: Size) -> Camera:
+    """Return a camera with the intrinsics of images of `size` as they are recorded."""
+    if options.fov_deg is None:
+        return _parse_K(size, options.K or "")
+    theta = math.radians(options.fov_deg) / 2
+    if not options.fisheye:
+        return _centred_camera(size, math.tan(theta))
+    factor = 1 + float(_parse_fisheye(options.fisheye) @ theta ** np.array([2, 4, 6, 8]))
+    return _centred_camera(size, theta * factor)
+
+
+def border_doubt(options: Options, crop: Crop) -> str:
+    """Return a doubt about images with borders around a `crop`, and the options without them.
+
+    A field of view is taken for that of the picture between the borders, which the lens made.
+    """
+    if options.K:
+        K = _read_intrinsics(options, crop.image_size).cropped(crop).K
+    else:
+        K = _read_intrinsics(options, crop.size).K
+    height, width = crop.size
+    left = crop.columns.start
+    top = crop.rows.start
+    intrinsics = f"{K[0, 0]:.1f},{K[1, 1]:.1f},{K[0, 2]:.1f},{K[1, 2]:.1f}"
+    return (
+        f"{DOUBT}images have borders that never change, around a picture of "
+        f"{format_size(crop.size)} pixels, as no lens makes them: crop them, ffmpeg -i in.mp4 -vf "
+        f"crop={width}:{height}:{left}:{top} out.mp4, and pass --K {intrinsics}"
+    )
 
 
 def _centred_camera(size: Size, half_width: float) -> Camera:
@@ -117,13 +146,8 @@ def _open_fisheye(options: Options, size: Size, text: str) -> tuple[Camera, Rect
     axis is seen θ (1 + k1 θ² + k2 θ⁴ + k3 θ⁶ + k4 θ⁸) focal lengths from the principal point. With
     zeros, the lens is equidistant.
     """
-    coefficients = np.array(parse_numbers(text, (4,), "--fisheye 0,0,0,0"))
-    if options.fov_deg is not None:
-        theta = math.radians(options.fov_deg) / 2
-        factor = 1 + float(coefficients @ theta ** np.array([2, 4, 6, 8]))
-        lens = _centred_camera(size, theta * factor)
-    else:
-        lens = _parse_K(size, options.K or "")
+    coefficients = _parse_fisheye(text)
+    lens = _read_intrinsics(options, size)
 
     # The rectified image reaches as far to both sides as the lens sees on its narrower side, but
     # covers at most RECTIFIED_FOV_DEG.
@@ -138,6 +162,11 @@ def _open_fisheye(options: Options, size: Size, text: str) -> tuple[Camera, Rect
         lens.K, coefficients, np.eye(3), camera.K, size[::-1], cv2.CV_16SC2
     )
     return camera, _remap_images(maps)
+
+
+def _parse_fisheye(text: str) -> np.ndarray:
+    """Return the coefficients [4] of the option --fisheye. Raises InputError."""
+    return np.array(parse_numbers(text, (4,), "--fisheye 0,0,0,0"))
 
 
 def _undistort_images(camera: Camera, text: str) -> Rectify:

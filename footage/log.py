@@ -62,16 +62,22 @@ class Log(NamedTuple):
         is_known &= time_s <= self.time_s[-1] + ROUNDING_S
         return np.where(is_known, np.interp(time_s, self.time_s, self.values), np.nan)
 
-    def check_overlap(self, first_s: float, last_s: float) -> None:
-        """Raise InputError if the log ends before the first image, or begins after the last."""
+    def check_overlap(self, first_s: float, last_s: float, files: int = 1) -> None:
+        """Raise InputError if the log ends before the first image, or begins after the last.
+
+        If the images are in several `files`, which may have gaps, no offset is advised.
+        """
         begin_s, end_s = self.time_s[[0, -1]]
         if begin_s > last_s or end_s < first_s:
             offset = f"--offset {round(first_s - begin_s, 3):.13g}, added to an earlier one"
+            fix = f"If both begin together, pass {offset}"
+            if files > 1:
+                fix = "Pass --times FILE, the seconds of each image by the clock of the log"
             raise InputError(
                 f"log is from {begin_s:.1f} to {end_s:.1f} s, the images from {first_s:.1f} to "
                 f"{last_s:.1f} s",
                 self.name,
-                f"If both begin together, pass {offset}",
+                fix,
             )
 
 

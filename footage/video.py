@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import Any, cast
 
@@ -51,6 +52,8 @@ _OPTIONS = {
 CONVERT = "Copy the file again, or convert it: ffmpeg -i {name} -c:v libx264 converted.mp4"
 # Largest deviation from 1 of a pixel's width over its height at which the pixel counts as square.
 SQUARE_TOLERANCE = 0.01
+# Least share of a video's images with a time of their own, at which its times are used.
+LEAST_TIMED = 0.5
 # Least share of the duration in its header that a complete file has. The last image does not count.
 LEAST_SHARE = 0.99
 # Longest duration in seconds of a last image. Files need not store it.
@@ -68,8 +71,12 @@ class Images:
     files: Sequence[Path] = ()
     # Time stamp of an image in a video → its place; empty if the file has no times.
     places: Mapping[int, int] = field(default_factory=dict)
-    # Seconds since the first image [count], or None if the file has no times.
+    # Seconds since the first image [count], or None if too few of them have a time.
     times_s: np.ndarray | None = None
+    # Number of different times in the file.
+    time_count: int = 0
+    # The tag creation_time of a video.
+    created: datetime | None = None
 
     def read_images(self, wanted: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
         """Yield the place and the pixels, RGB [H,W,3], of the images that are `wanted`, bool [N].
@@ -124,18 +131,36 @@ def open_images(path: Path) -> Images:
             packet for packet in container.demux(stream) if packet.size and not packet.is_discard
         ]
         stamps = [packet.pts for packet in shown if packet.pts is not None]
+        created = _read_date({**stream.metadata, **container.metadata})
     if abs(pixel_aspect - 1) > SQUARE_TOLERANCE:
         fix = f"Scale it: ffmpeg -i {path.name} -vf scale=iw*sar:ih,setsar=1 square.mp4"
         problem = f"pixels are not square ({pixel_aspect:.3f} times as wide as high)"
         raise InputError(problem, path, fix)
 
-    # Times are used if all images have one. A single time says nothing.
-    if not has_times or len(stamps) < len(shown) or len(shown) < 2:
-        return Images(path, count=len(shown))
+    # Times are used if all images have one, and most of them their own.
+    if not has_times or len(stamps) < len(shown):
+        return Images(path, count=len(shown), created=created)
     in_order = sorted(set(stamps))
+    if len(in_order) < max(2, LEAST_TIMED * len(shown)):
+        return Images(path, count=len(shown), time_count=len(in_order), created=created)
     times_s = (np.array(in_order) - in_order[0]) * unit_s
     places = {stamp: place for place, stamp in enumerate(in_order)}
-    return Images(path, count=len(places), places=places, times_s=times_s)
+    return Images(
+        path,
+        count=len(places),
+        places=places,
+        times_s=times_s,
+        time_count=len(places),
+        created=created,
+    )
+
+
+def _read_date(tags: Mapping[str, str]) -> datetime | None:
+    """Return the date and time of a video's tag creation_time without its time zone, if known."""
+    try:
+        return datetime.fromisoformat(tags.get("creation_time", "")).replace(tzinfo=None)
+    except ValueError:
+        return None
 
 
 def _image_files(folder: Path) -> list[Path]:

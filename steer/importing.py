@@ -53,7 +53,6 @@ def write_import(
         text = _preset_text(name, converted, options)
         record = {
             **converted.record,
-            "recordings": files,
             "files": sorted(str(path.relative_to(new)) for path in new.rglob("*.*")),
             "preset_sha256": hashlib.sha256(text.encode()).hexdigest(),
         }

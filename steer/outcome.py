@@ -98,7 +98,7 @@ class Results:
 
         lines = [facts_line(source.name, [facts])]
         lines += [comparison["line"] for comparison in recorded.values()]
-        notes, doubts = split_doubts(lines)
+        notes, doubts = split_doubts([*source.drive.notes, *lines])
         counts = Counter(problem for problem in problems if problem).most_common()
         if counts:
             reasons = ", ".join(f"{problem} ({count})" for problem, count in counts)
@@ -111,7 +111,7 @@ class Results:
             measured=measured_labels.select_rows(rows),
             recorded=recorded,
             facts=facts,
-            notes=[*source.drive.notes, *notes],
+            notes=notes,
             doubts=doubts,
         )
 

@@ -96,7 +96,7 @@ def read_depth(path: Path, size: Size | None = None) -> np.ndarray:
 
     Raises the same exceptions as :func:`read_image`.
     """
-    return to_metres(_read_typed_pixels(path, size, np.uint16, axes=2))
+    return to_metres(_read_typed_pixels(path, size, np.uint16, grey=True))
 
 
 def read_classes(path: Path, size: Size | None = None) -> np.ndarray:
@@ -104,12 +104,13 @@ def read_classes(path: Path, size: Size | None = None) -> np.ndarray:
 
     Raises the same exceptions as :func:`read_image`.
     """
-    return _read_typed_pixels(path, size, np.uint8, axes=2)
+    return _read_typed_pixels(path, size, np.uint8, grey=True)
 
 
 def _read_typed_pixels(
-    path: Path, size: Size | None, dtype: type, axes: int | None = None
+    path: Path, size: Size | None, dtype: type, *, grey: bool = False
 ) -> np.ndarray:
+    """Return the pixels of a file, [H,W] if `grey`. Raise InputError for others."""
     pixels = read_pixels(path)
     if size and pixels.shape[:2] != size:
         actual = format_size(pixels.shape)
@@ -117,7 +118,11 @@ def _read_typed_pixels(
         problem = f"image has {actual} pixels (expected {expected}, as its calibration)"
         fix = "Use the synced and rectified archives, and the calibration of the same date"
         raise InputError(problem, path, fix)
-    if pixels.dtype != dtype or (axes and pixels.ndim != axes):
+    if grey and pixels.ndim == 3:
+        # OpenCV decodes a palette to its colours.
+        problem = "has 3 channels: save it as one, without a palette"
+        raise InputError(problem, path)
+    if pixels.dtype != dtype:
         problem = f"expected {np.dtype(dtype)} pixels, got {pixels.dtype} with shape {pixels.shape}"
         raise InputError(problem, path)
     return pixels

@@ -15,8 +15,8 @@ LIMIT_RADPS = 3.0
 # Largest plausible angle of the front wheels in rad. The angles of a steering wheel, which are 15
 # times as large, exceed it in a tight bend.
 LIMIT_RAD = 1.2
-# Texts of a cell without a value.
-EMPTY = ("", "nan")
+# Texts of a cell without a value, in small letters.
+EMPTY = ("", "nan", "na", "null", "none")
 
 
 def read_columns(
@@ -44,16 +44,21 @@ def read_columns(
         words = cells[header.index(name)].rename(name)
         values = pd.to_numeric(words, errors="coerce").astype(float)
         table[name] = values
-        is_faulty = values.isna() & (needs_number | ~words.isin(EMPTY))
+        is_faulty = values.isna() & (needs_number | ~_is_empty(words))
         faults += list_fault(words[is_faulty], "is not a number")
         faults += list_fault(words[values.abs() > limit], f"is implausible (limit ±{limit:g})")
         needs_number = False
 
     # With decimal commas, a line has more cells than line 1 has names.
     for place in cells.columns[len(header) :]:
-        nameless = cells.loc[~cells[place].isin(EMPTY), place].rename(f"cell {place + 1}")
+        nameless = cells.loc[~_is_empty(cells[place]), place].rename(f"cell {place + 1}")
         faults += list_fault(nameless, "has no name in line 1")
     return table, faults
+
+
+def _is_empty(words: pd.Series) -> pd.Series:
+    """Return which cells have no value, bool [N]."""
+    return words.str.lower().isin(EMPTY)
 
 
 def _read_cells(path: Path, expected: str) -> tuple[list[str], pd.DataFrame]:

@@ -36,6 +36,8 @@ class Drive:
     notes: list[str] = field(default_factory=list)
     # Name of the dataset, if it differs from the name of the dataset's file.
     dataset: str = ""
+    # Number of video files or folders of images from which it was imported.
+    recordings: int = 1
     # Damaged files of the values, which are left out.
     damaged: list[DamagedFile] = field(default_factory=list)
 

@@ -107,6 +107,9 @@ def write_drive(
     # A height that was passed, and does not follow from the calibration, is a setting of the drive.
     if camera.height_known and camera.height_m != camera_height(camera.T_cam_velo):
         params["camera_height_m"] = camera.height_m
+    # Between files, time may be missing, so that no log has one offset to all.
+    if drive.recordings > 1:
+        params["recordings"] = drive.recordings
 
     rows = list[_Row]()
     faults = [*drive.damaged]

@@ -160,12 +160,13 @@ def compare_speeds(drives: Sequence[Pair]) -> Speed | None:
     return Speed(len(recorded), ratio, int(np.sum(recorded * measured < 0)))
 
 
-def turns_line(name: str, unit: str, facts: Follow) -> str:
+def turns_line(name: str, unit: str, facts: Follow, *, advise_offset: bool = True) -> str:
     """Return the line about yaw rates or angles. `name` is the quantity and its log."""
     lag = f"{facts.lag_s:+.2f} s"
     if facts.lag_s:
         late = "late" if facts.lag_s > 0 else "early"
-        lag += f" (the log is {late}: --offset {-facts.lag_s:+.2f})"
+        advice = f": --offset {-facts.lag_s:+.2f}" if advise_offset else ""
+        lag += f" (the log is {late}{advice})"
     text = (
         f"{name}: correlation {facts.correlation:.2f} with the measured one at a lag of {lag}; "
         f"gain {facts.gain:.2f}, offset {facts.offset:z.3f} {unit}; {facts.frames:,} frames, "

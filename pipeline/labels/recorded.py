@@ -19,6 +19,7 @@ class Recorded(NamedTuple):
     angle: Pair  # rad, of the front wheels
     speed: Pair  # m/s
     height_known: bool  # whether the height of the camera over the road is known
+    one_clock: bool  # whether all images are of one file, so that a log has one offset
 
     @classmethod
     def read(cls, raw: DriveReader, motion: DriveReader, car: Car) -> "Recorded":
@@ -44,6 +45,7 @@ class Recorded(NamedTuple):
             angle=Pair(motion.time_s, angle_rad, measured_rad, turns),
             speed=Pair(motion.time_s, speed_mps, measured.speed_mps, turns),
             height_known=bool(motion.attrs["scaled"]),
+            one_clock="recordings" not in raw.params,
         )
 
 
@@ -53,11 +55,12 @@ def compare_recorded(drives: Sequence[Recorded], name: str) -> dict[str, dict[st
     Quantities that no drive recorded are left out. `name` is that of the logs.
     """
     content: dict[str, dict[str, Any]] = {}
+    one_clock = all(drive.one_clock for drive in drives)
     for quantity, unit in (("yaw_rate", "rad/s"), ("angle", "rad")):
         follow = agreement.fit_log([getattr(drive, quantity) for drive in drives])
         if follow:
             title = f"{quantity.replace('_', ' ')} of {name}"
-            line = agreement.turns_line(title, unit, follow)
+            line = agreement.turns_line(title, unit, follow, advise_offset=one_clock)
             content[quantity] = {**follow._asdict(), "line": line}
 
     speed = agreement.compare_speeds([drive.speed for drive in drives])

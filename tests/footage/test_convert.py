@@ -44,6 +44,12 @@ def test_times_are_those_of_a_file_or_of_a_video(tmp_path):
     times.write_text("1500000005\n1500000006\n1500000007.5\n")
     convert(tmp_path / "file", stream, times=times)
     assert times_of(read(tmp_path / "file")) == [0, 1, 2.5]
+    for name, images in (("stopped", STOPPED), ("slow", SLOW)):
+        path = write_streams(tmp_path / f"{name}.mkv", images)
+        convert(tmp_path / name, path, fps=10)
+        expected_s = np.arange(len(images["images"])) / 10
+        np.testing.assert_allclose(times_of(read(tmp_path / name)), expected_s, atol=1e-8)
+
     times.write_text("5\n6\n")
     with pytest.raises(InputError, match=r"has 3 images, but 2 times"):
         convert(tmp_path / "fewer", stream, times=times)
@@ -54,7 +60,10 @@ def test_files_follow_each_other_and_images_are_in_natural_order(tmp_path):
     paths = []
     for name, rows in (("b", slice(10)), ("a", slice(10, 18)), ("c", slice(18, 30))):
         paths.append(write_video(tmp_path / f"{name}.mp4", images[rows]))
-    convert(tmp_path / "joined", paths)
+    joined = convert(tmp_path / "joined", paths)
+    assert joined.notes[1] == "a.mp4: 8 images, 0.8 s, taken to begin at 1.0 s"
+    with pytest.raises(InputError, match=r"b\.mp4: is passed twice"):
+        convert(tmp_path / "twice", [*paths, tmp_path / "folder/../b.mp4"])
     np.testing.assert_allclose(times_of(read(tmp_path / "joined")), np.arange(30) / 10, atol=1e-3)
     assert np.abs(images_of(read(tmp_path / "joined")).astype(float) - images).mean() < 4
 
@@ -110,6 +119,12 @@ def test_a_distorted_image_is_rectified_and_a_large_one_made_smaller(tmp_path):
     assert read_calibration(tmp_path / "drives", 2).K[0, 0] == pytest.approx(621)
 
 
+# Images whose times are all 0, since Matroska rounds to a millisecond.
+STOPPED = {"images": pictures(12), "codec": "mpeg4", "fps": 60000}
+# Images with the times 0 to 2 ms.
+SLOW = STOPPED | {"images": pictures(120)}
+
+
 def cut(path: Path) -> None:
     """Write a video with its header at the start, and cut its end off."""
     write_stream(path, 40, "mpeg4", movflags="faststart")
@@ -146,6 +161,8 @@ PLAINLY_WRONG: list[tuple[str, Callable[[Path], object], str]] = [
     ("avchd.mp4", lambda path: write_stream(path, codec="mpeg4", shape=2), "not square"),
     # FFmpeg assumes 25 frames per second.
     ("raw.h264", lambda path: write_stream(path), "no times. Pass --fps"),
+    ("stopped.mkv", lambda path: write_streams(path, STOPPED), "12 images, 1 time. Pass --fps N"),
+    ("slow.mkv", lambda path: write_streams(path, SLOW), "120 images, 3 times. Pass --fps N"),
     ("cut.mp4", cut, r"of 4\.0 s"),
     ("cut.mkv", cut, r"of 4\.0 s"),
     ("repeated.ts", repeated, "do not increase"),

@@ -25,6 +25,7 @@ def write_log(tmp_path: Path, text: str) -> Path:
     [
         HEAD + "1,5,0.1\n1.5,6,-0.2\n",
         HEAD + "1,5,0.1,\n1.5,6,-0.2, ,\n",  # empty fields are no values
+        HEAD + "1,5,0.1\n1.2,NaN,None\n1.3,NA,null\n1.4,nan,\n1.5,6,-0.2,None\n",
         'yaw_rate_radps, note, time_s, speed_mps\n0.1, "a, b", 1, 5\n-0.2,, 1.5, 6\n\n',
         "\ufeffspeed_mps;time_s;yaw_rate_radps\r\n5;1;0.1\r\n6;1.5;-0.2\r\n",
     ],
@@ -63,6 +64,7 @@ def read_log(path: Path, text: str) -> object:
             "'x' in line 2; speed.*999.*line 3; yaw.*'9' in line 4; time.*1.0 in",
         ),
         (HEAD + '"0,5,0\n', "is not a CSV file"),
+        (HEAD + "NaN,5,0\n1,N,0\n", "time_s is not a number: 'NaN' in line 2; speed_mps is.*'N'"),
         (WHEEL + "1,0\n1.1,45\n", "wheel_rad is implausible .*: '45' in line 3"),
         ("sep=;\n" + WHEEL, r"has no column time_s, wheel_rad \(got sep=, \)"),
         (WHEEL, "wheel_rad has fewer than 2 values"),
@@ -113,5 +115,9 @@ def test_a_log_of_another_time_is_refused_before_images_are_decoded(tmp_path, mo
         problem = rf"the images from 0.0 to 2.9 s\. .*pass --offset {expected},"
         with pytest.raises(InputError, match=problem):
             convert.open_recording([path], Options(motion=motion, offset=offset_s))
+    # Files may have gaps, so no offset fits all of them.
+    other = write_stream(tmp_path / "b.mkv")
+    with pytest.raises(InputError, match=r"to 5\.9 s\. Pass --times FILE"):
+        convert.open_recording([path, other], Options(motion=motion))
     for offset_s in (-7201.8, -7197.2):
         convert.open_recording([path], Options(motion=motion, offset=offset_s))

@@ -11,9 +11,13 @@ import pandas as pd
 import pytest
 
 from pipeline.base.errors import InputError
+from pipeline.base.store import DriveReader
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
+from pipeline.ingest.datasets import kitti
+from pipeline.ingest.ingest_file import write_drive
 from steer import api
 from steer.commands.measure import measure
+from steer.measure import READING
 from tests import street
 from tests.flat_ground import write_encoder
 from tests.kitti_drive import write, write_folder
@@ -82,6 +86,24 @@ def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
     assert quality["speed_sigma"] < 0.1
     with av.open(str(out / "overlay.mp4")) as file:
         assert sum(1 for _ in file.decode(video=0)) == 30
+
+
+def test_gaps_between_files_are_doubted_and_remembered(tmp_path, encoder):
+    names = ("20260101_100000", "20260101_100100")
+    images = [write_folder(tmp_path / name, drive(4)) for name in names]
+    outcome = api.measure(images, encoder=encoder, out=tmp_path / "out", **LENS)
+    assert outcome.notes[0].startswith(f"{names[0]}: 4 images, 0.4 s, taken to begin at 0.0 s")
+    gap = "by the file's name, 60 s are missing between 20260101_100000 and 20260101_100100"
+    assert sum(doubt.startswith(gap) for doubt in outcome.doubts) == 1
+
+    # A drive that was made of several files says so, since a log then has no single offset.
+    for folder, count in ((tmp_path / "out/drive", 2), (tmp_path / "one/drive", 1)):
+        if count == 1:
+            api.measure(images[:1], encoder=encoder, out=folder.parent, **LENS)
+        source = kitti.open_folder(folder / f"{names[0]}_drive_0001_sync")
+        write_drive(tmp_path / f"{count}.h5", kitti.read_drive(source, READING), "a", "k", READING)
+        with DriveReader(tmp_path / f"{count}.h5", stage="ingest") as file:
+            assert file.params.get("recordings", 1) == count
 
 
 def noisy(image: np.ndarray) -> np.ndarray:

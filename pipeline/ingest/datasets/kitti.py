@@ -8,6 +8,7 @@ drives of this layout with another name in place of the date. pykitti's ``raw`` 
 its sorted lists shift after a missing frame, and it needs all four cameras.
 """
 
+import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
@@ -104,6 +105,14 @@ class KittiDrive:
         paths = [self.folder / name for name in VALUE_FILES]
         return [path for path in paths if path.is_file()]
 
+    def count_recordings(self) -> int:
+        """Return the number of files from which the drive was imported; 1 for other drives."""
+        path = self.calibration / IMPORT
+        if not path.is_file():
+            return 1
+        record = json.loads(path.read_text(encoding="utf-8"))
+        return max(len(record.get("recordings", [])), 1)
+
     def image_times(self, camera: int) -> Path:
         """Return the file with the times of a camera's images, which may be missing."""
         return self.folder / f"image_{camera:02d}" / "timestamps.txt"
@@ -197,7 +206,15 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
             yield frame
 
     dataset = "sample" if files.is_rendered() else "kitti"
-    return Drive(camera, frames, values=values, notes=notes, dataset=dataset, damaged=damaged)
+    return Drive(
+        camera,
+        frames,
+        values=values,
+        notes=notes,
+        dataset=dataset,
+        recordings=files.count_recordings(),
+        damaged=damaged,
+    )
 
 
 def _read_timeline(files: KittiDrive, camera: int) -> dict[int, float]:

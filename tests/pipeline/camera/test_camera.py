@@ -1,17 +1,20 @@
 """Test the pinhole camera forward and back, and cropped and resized with its images."""
 
+import struct
+import zlib
+
 import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.base.errors import DamagedFile
+from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera import classes
 from pipeline.camera.camera import BELOW_HORIZON, Camera, scan_depth
 from pipeline.camera.geometry import back_project, camera_rays, depth_image, project
 from pipeline.camera.ground_plane import ground_plane_depth
-from pipeline.camera.images import read_pixels, resize_image, resize_nearest
+from pipeline.camera.images import read_classes, read_pixels, resize_image, resize_nearest
 from tests import street
 
 K = np.array([[70.0, 0, 31.4], [0, 72.0, 20.7], [0, 0, 1]])
@@ -118,6 +121,31 @@ def test_plainly_wrong_images(tmp_path, content, problem):
     (tmp_path / "a").write_bytes(content)
     with pytest.raises(DamagedFile, match=problem):
         read_pixels(tmp_path / "a")
+
+
+def palette_png(numbers: np.ndarray) -> bytes:
+    """Return the content of a PNG file of numbers [H,W], each with a colour."""
+    height, width = numbers.shape
+    rows = b"".join(b"\0" + row.tobytes() for row in numbers)
+    content = b"\x89PNG\r\n\x1a\n"
+    for kind, data in (
+        (b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0)),
+        (b"PLTE", NOISE.tobytes()[:768]),
+        (b"IDAT", zlib.compress(rows)),
+        (b"IEND", b""),
+    ):
+        checksum = struct.pack(">I", zlib.crc32(kind + data))
+        content += struct.pack(">I", len(data)) + kind + data + checksum
+    return content
+
+
+@pytest.mark.parametrize("content", [palette_png(NOISE[..., 0] % 19), png(NOISE)])
+def test_class_numbers_have_one_channel(tmp_path, content):
+    """The colours of a palette are not its numbers."""
+    (tmp_path / "a.png").write_bytes(content)
+    assert read_pixels(tmp_path / "a.png").shape == NOISE.shape
+    with pytest.raises(InputError, match=r"a\.png: has 3 channels: save it as one"):
+        read_classes(tmp_path / "a.png")
 
 
 def test_ground_is_a_plane_and_objects_have_the_depth_of_their_foot():

@@ -186,6 +186,8 @@ def test_a_log_is_described_by_numbers_and_at_most_one_doubt(recorded, expected,
     assert facts.frames == 594
     line = agreement.turns_line("yaw rate of log.csv", "rad/s", facts)
     assert line.startswith("doubt: yaw rate of log.csv: corr") == is_doubtful
+    assert ("--offset" in line) == (facts.lag_s != 0)
+    assert "--offset" not in agreement.turns_line("yaw rate", "", facts, advise_offset=False)
 
 
 def test_a_straight_drive_or_no_frame_is_no_doubt():

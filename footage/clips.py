@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from footage.video import Images
-from pipeline.base.console import DOUBT
+from pipeline.base.summary import DOUBT
 
 # Longest gap or overlap in seconds between two files that is no doubt, as dates have whole seconds.
 LONGEST_GAP_S = 2.0

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from footage.settings import Options
-from pipeline.base.console import DOUBT
 from pipeline.base.errors import InputError, error_context
+from pipeline.base.summary import DOUBT
 from pipeline.camera.camera import Camera
 from pipeline.camera.images import Crop, Size, format_size, resize_image
 from pipeline.camera.pinhole import check_pinhole

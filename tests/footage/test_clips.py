@@ -9,7 +9,7 @@ import pytest
 
 from footage.clips import describe_clips, find_gaps, list_clips, parse_date
 from footage.video import Images
-from pipeline.base.console import DOUBT
+from pipeline.base.summary import DOUBT
 
 
 @pytest.mark.parametrize(

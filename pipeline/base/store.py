@@ -6,6 +6,7 @@ order, and contain no clock time, host or user. A file may come from a stranger,
 its own structures, and Fletcher32 the values, so that a wrong bit is an error.
 """
 
+import errno
 import io
 import json
 import tempfile
@@ -45,6 +46,8 @@ _PIXELS = hdf5plugin.Blosc(cname="zstd", clevel=3, shuffle=hdf5plugin.Blosc.SHUF
 _MAX_TEXT_BYTES = 4000
 # Size in bytes of the cache of chunks that h5py has for each dataset of an open file.
 _CACHE_BYTES = 1 << 20
+# Numbers of the errors for a full disk: no space, an exhausted quota, and a file beyond a limit.
+_FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 # Exceptions that h5py raises for damaged bytes.
 _H5PY_ERRORS = (OSError, RuntimeError, LookupError, ValueError, TypeError)
 
@@ -55,15 +58,20 @@ def replacing(path: Path) -> Iterator[Path]:
 
     The block creates a file or a folder there. A folder replaces only an empty folder. The unique
     temporary path is ``.NAME.????????.tmp/NAME``: its suffix still gives the format, and a glob for
-    ``*.h5`` does not match it.
+    ``*.h5`` does not match it. Exceptions of a full disk get `path`, as many name no file.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     # The path is in a temporary folder, as a file by mkstemp is unreadable for other users.
     prefix = f".{path.name}."
-    with tempfile.TemporaryDirectory(".tmp", prefix, path.parent) as folder:
-        tmp = Path(folder) / path.name
-        yield tmp
-        tmp.replace(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(".tmp", prefix, path.parent) as folder:
+            tmp = Path(folder) / path.name
+            yield tmp
+            tmp.replace(path)
+    except OSError as error:
+        if error.errno in _FULL_DISK:
+            error.filename = str(path)
+        raise
 
 
 class Sink(io.FileIO):
@@ -322,12 +330,7 @@ def write_json(path: Path, content: Any, *, sort_keys: bool = True) -> None:
 def write_text(path: Path, text: str) -> None:
     """Write a text in one step. A hard link to the earlier file, as in DVC's cache, stays as is."""
     with replacing(path) as tmp:
-        try:
-            tmp.write_text(text, encoding="utf-8")
-        # The exception of a full disk does not name the file.
-        except OSError as error:
-            error.filename = str(path)
-            raise
+        tmp.write_text(text, encoding="utf-8")
 
 
 def read_json(path: Path, *, stage: str) -> dict[str, Any]:

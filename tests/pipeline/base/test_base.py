@@ -22,7 +22,7 @@ import pytest
 
 from pipeline.base import console, executors, keys, runner, store
 from pipeline.base.errors import InputError
-from pipeline.base.outputs import StageFolder, find_free, stage_folder
+from pipeline.base.outputs import StageFolder, find_free, free_folder, stage_folder
 from pipeline.base.store import DriveReader, DriveWriter, read_json
 from tests import artefacts
 from tests.artefacts import write_index
@@ -294,7 +294,13 @@ def test_a_command_takes_the_first_free_folder(tmp_path, monkeypatch, existing, 
     monkeypatch.chdir(tmp_path)
     for name in existing:
         write_text(Path("out") / name, "foreign")
-    assert find_free(None, "ride") == Path("out") / expected
+    assert find_free(None, "ride", "") == Path("out") / expected
+    with free_folder(None, "ride") as folder, free_folder(None, "ride") as second:
+        assert folder == Path("out") / expected
+        assert second not in (folder, *folder.parent.glob("ride")), "two commands at once"
+        write_text(second / "motion.csv", "result")
+    assert not folder.exists()
+    assert [path.name for path in second.iterdir()] == ["motion.csv"]
 
 
 @pytest.fixture
@@ -361,6 +367,14 @@ def test_an_error_and_a_dead_worker_keep_finished_drives(folder, expected, kind,
     assert "c" in repeated
     assert "b" not in repeated or kind == "die"
     assert outputs(folder) == expected
+
+
+@pytest.mark.slow
+def test_an_edit_before_a_process_of_the_stage_starts_is_named(folder, monkeypatch):
+    monkeypatch.setitem(keys.LOADED, "numpy", "before the edit")
+    with pytest.raises(InputError, match="numpy: was edited while stage labels ran"):
+        toy_stage.main(folder, workers=2)
+    assert calls(folder) == []
 
 
 def test_a_drive_that_another_worker_has_just_finished_is_taken(tmp_path):

@@ -21,7 +21,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.keys import ROOT, digest, file_hash, list_files
 from pipeline.base.outputs import check_free, hold_lock, remove_path
 from pipeline.base.params import parse, read_yaml
-from pipeline.base.store import replacing, write_json, write_text
+from pipeline.base.store import naming_full_disk, replacing, write_json, write_text
 from pipeline.check.preset import PRESETS, check_name_is_free
 from pipeline.check.settings import Params
 from pipeline.encoder.settings import Encoder
@@ -66,7 +66,8 @@ def main(
     }
     run.parent.mkdir(exist_ok=True)
     with hold_lock(run, f"{run}.lock"):
-        write_run(run, record, texts)
+        with naming_full_disk(run):
+            write_run(run, record, texts)
         run_dvc(run, stages or [])
         if not stages:
             publish_report(run, Path("data/report"), name)

@@ -14,7 +14,7 @@ from filelock import FileLock, Timeout
 
 from pipeline.base.errors import InputError
 from pipeline.base.keys import UNDO, Code, read_sections, scan_code
-from pipeline.base.store import INDEX, replacing, write_json
+from pipeline.base.store import INDEX, naming_full_disk, replacing, write_json
 
 # Advice for an output folder that is not free.
 _FIX = "Choose another name for the output, or move it away"
@@ -136,7 +136,7 @@ def stage_folder(
         kept = out.parent.with_name(".drives") / f"{out.parent.name}-{out.name}"
     kept.mkdir(parents=True, exist_ok=True)
 
-    with hold_lock(out, f"{kept}.lock"):
+    with hold_lock(out, f"{kept}.lock"), naming_full_disk(out):
         # DVC has removed the stage's own files; those of others may lie beside them.
         if "DVC_STAGE" not in os.environ and not (out / INDEX).is_file():
             check_free(out)

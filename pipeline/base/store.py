@@ -58,16 +58,22 @@ def replacing(path: Path) -> Iterator[Path]:
 
     The block creates a file or a folder there. A folder replaces only an empty folder. The unique
     temporary path is ``.NAME.????????.tmp/NAME``: its suffix still gives the format, and a glob for
-    ``*.h5`` does not match it. Exceptions of a full disk get `path`, as many name no file.
+    ``*.h5`` does not match it.
     """
+    path.parent.mkdir(parents=True, exist_ok=True)
     # The path is in a temporary folder, as a file by mkstemp is unreadable for other users.
     prefix = f".{path.name}."
+    with naming_full_disk(path), tempfile.TemporaryDirectory(".tmp", prefix, path.parent) as folder:
+        tmp = Path(folder) / path.name
+        yield tmp
+        tmp.replace(path)
+
+
+@contextmanager
+def naming_full_disk(path: Path) -> Iterator[None]:
+    """Add `path` to an exception of a full disk, which names no file, or a temporary one."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(".tmp", prefix, path.parent) as folder:
-            tmp = Path(folder) / path.name
-            yield tmp
-            tmp.replace(path)
+        yield
     except OSError as error:
         if error.errno in _FULL_DISK:
             error.filename = str(path)

@@ -34,6 +34,9 @@ help:                  ## list the targets
 $(PRESETS): setup
 	@python -m stages.preset "$@"
 
+.DEFAULT:  # of another name
+	@echo "error: $@: no such preset or target. Presets: $(PRESETS). Targets: make help" >&2; exit 1
+
 encoder: setup         ## fit the sample's encoder, models/encoder/sample, on roads that no other settings name: 15 min
 	@python -m stages.preset encoder encoder
 	@mkdir -p models/encoder/sample && cp runs/encoder/data/encoder/encoder.pt runs/encoder/data/encoder/config.json models/encoder/sample

@@ -24,7 +24,7 @@ from pipeline.base.checkout import CHECKOUT, ROOT
 from pipeline.base.errors import InputError
 from pipeline.base.hashes import digest, file_hash, list_files
 from pipeline.base.params import parse, read_yaml
-from pipeline.base.store import write_json, write_text
+from pipeline.base.store import naming_full_disk, replacing, write_json, write_text
 from pipeline.check.preset import PRESETS, check_name_is_free
 from pipeline.check.settings import Params
 from pipeline.encoder.settings import Encoder
@@ -68,7 +68,8 @@ def main(
     }
     run.parent.mkdir(exist_ok=True)
     with hold_lock(run, f"{run}.lock"):
-        write_run(run, record, texts)
+        with naming_full_disk(run):
+            write_run(run, record, texts)
         run_dvc(run, stages or [])
         if not stages:
             publish_report(run, Path("data/report"), name)
@@ -79,9 +80,13 @@ def merge_preset(name: str, params: Path = PARAMS) -> dict[str, Any]:
 
     Mappings are merged key by key. Any other value replaces the old one. null removes a key, so
     that its default applies. ``"*": null`` in a mapping removes all of its earlier keys, so that,
-    for instance, all models are replaced. Raises InputError if the file or the preset is invalid.
+    for instance, all models are replaced. Raises InputError if the file or the preset is invalid,
+    or there is no such preset.
     """
     preset = PRESETS / f"{name}.yaml"
+    if not preset.is_file():
+        known = ", ".join(sorted(path.stem for path in PRESETS.glob("*.yaml")))
+        raise InputError(f"no preset {name!r}", PRESETS, f"Known: {known}")
     content = read_yaml(params)
     parse(Params, content, path=params)
     _apply_changes(content, read_yaml(preset))
@@ -186,9 +191,11 @@ def publish_report(run: Path, report: Path, name: str) -> None:
     source = run / "data/report"
     facts = describe_origin(run)
     results = json.loads((source / "results.json").read_text(encoding="utf-8"))
-    write_json(report / f"{name}.json", facts | {"results": results}, sort_keys=False)
-    shutil.copyfile(source / "index.html", report / f"{name}.html")
-    shutil.copyfile(source / "table.md", report / f"{name}.md")
+    # No file is replaced before all are written.
+    with replacing(report / f"{name}.html") as page, replacing(report / f"{name}.md") as table:
+        shutil.copyfile(source / "index.html", page)
+        shutil.copyfile(source / "table.md", table)
+        write_json(report / f"{name}.json", facts | {"results": results}, sort_keys=False)
 
     facts["time"] = f"{format_duration(read_run(run))} of the last make"
     print((source / "table.md").read_text(encoding="utf-8"))

@@ -7,9 +7,12 @@ drive.table  # pandas, a row per frame
 drive.notes, drive.doubts  # for the user
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import torch
 
 from footage.settings import Options
 from pipeline.base.checkout import ROOT
@@ -26,6 +29,22 @@ PathLike = Path | str
 Paths = PathLike | Sequence[PathLike]
 
 
+@contextmanager
+def _own_torch_state() -> Iterator[None]:
+    """Use torch's usual type of numbers, and restore the caller's type and random state after it.
+
+    Networks get random weights before those of their file.
+    """
+    dtype = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float32)
+    try:
+        with torch.random.fork_rng(devices=[]):
+            yield
+    finally:
+        torch.set_default_dtype(dtype)
+
+
+@_own_torch_state()
 def measure(
     source: Paths,
     *,
@@ -60,6 +79,7 @@ def measure(
     )
 
 
+@_own_torch_state()
 def predict(
     source: Paths,
     model: PathLike,

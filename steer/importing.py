@@ -54,6 +54,9 @@ def write_import(
         record = {
             **converted.record,
             "files": sorted(str(path.relative_to(new)) for path in new.rglob("*.*")),
+            "csv_sha256": {
+                str(path.relative_to(new)): file_hash(path) for path in sorted(new.rglob("*.csv"))
+            },
             "preset_sha256": hashlib.sha256(text.encode()).hexdigest(),
         }
         write_json(new / IMPORT, record, sort_keys=False)
@@ -86,8 +89,14 @@ def check_replaceable(folder: Path, preset: Path, files: Sequence[dict[str, Any]
     if record["recordings"] != files:
         names = ", ".join(file["name"] for file in record["recordings"])
         raise InputError(f"is an import of another recording, {names}", folder, OTHER_NAME)
-    if preset.exists() and file_hash(preset) != record["preset_sha256"]:
-        raise InputError("was edited since the import", preset, OTHER_NAME)
+
+    # Values and settings that a user edited are kept. Imports by older versions lack the hashes of
+    # the values.
+    hashes = {folder / name: sha256 for name, sha256 in record.get("csv_sha256", {}).items()}
+    hashes[preset] = record["preset_sha256"]
+    for path, sha256 in hashes.items():
+        if path.exists() and file_hash(path) != sha256:
+            raise InputError("was edited since the import", path, OTHER_NAME)
 
 
 def read_shares(split: str) -> list[float]:

@@ -63,6 +63,9 @@ OTHERS = {
     "--allow-missing",
     "--nthreads",
     "--nworkers",
+    "--bind",
+    "--local",
+    "--relink",
 }
 
 

@@ -21,7 +21,8 @@ from pipeline.encoder import create
 from pipeline.encoder.settings import Encoder
 from pipeline.encoder.weights import weights_hash
 from stages import preset
-from tests.kitti_drive import write
+from tests.kitti_drive import contents, write
+from tests.pipeline.base.test_base import files_up_to
 
 DVC = """#!/bin/sh
 echo "$@" >> {log}
@@ -106,6 +107,7 @@ def test_a_preset_runs_in_a_copy_of_the_code(checkout):
     (checkout / "stages/labels.py").rename(checkout / "stages/broken.py")
     (report / "kitti.md").unlink()
     assert make(checkout, "kitti").returncode != 0
+    assert "kiti: no such preset or target. Presets: k" in make(checkout, "kiti").stderr
     assert not (report / "kitti.md").exists()
     (checkout / "stages/broken.py").rename(checkout / "stages/repaired.py")
     assert make(checkout, "kitti").returncode == 0
@@ -131,6 +133,7 @@ REFUSED = [
         "runs/roads/params.yaml: was edited",
     ),
     ("demo", {"presets/demo.yaml": "train: {}"}, "demo: is a target of make"),
+    ("kiti", {}, "no preset 'kiti'. Known: encoder, kitti, "),
     ("mine", {"presets/mine.yaml": "encoder: {weights: no.pt}"}, "no.pt: file is missing"),
 ]
 
@@ -149,6 +152,26 @@ def test_a_run_that_would_replace_other_files_or_mix_settings_is_refused(
     for file, text in files.items():
         assert Path(file).read_text() == text
     assert not Path("calls").exists()
+
+
+def test_a_report_replaces_the_last_one_completely_or_not_at_all(tmp_path):
+    run = tmp_path / "run"
+    report = tmp_path / "report"
+    write(run / "run.json", '{"revision": "abc", "started_s": 0}')
+    write(run / "data/report/results.json", "{}")
+    write(run / "data/report/index.html", "<h1>first</h1>")
+    write(run / "data/report/table.md", "first")
+    preset.publish_report(run, report, "kitti")
+    first = contents(report)
+    assert {*first} == {"kitti.html", "kitti.md", "kitti.json"}
+
+    for page, table, results in ((9000, 9, 9), (9, 9000, 9), (9, 9, 9000)):
+        write(run / "data/report/index.html", "<" * page)
+        write(run / "data/report/table.md", "|" * table)
+        write(run / "data/report/results.json", json.dumps("9" * results))
+        with pytest.raises(OSError, match="report/kitti"), files_up_to(5000):
+            preset.publish_report(run, report, "kitti")
+        assert contents(report) == first
 
 
 def test_a_run_takes_weights_from_its_checkout(tmp_path, monkeypatch):

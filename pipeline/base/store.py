@@ -6,6 +6,7 @@ order, and contain no clock time, host or user. A file may come from a stranger,
 its own structures, and Fletcher32 the values, so that a wrong bit is an error.
 """
 
+import errno
 import io
 import json
 import tempfile
@@ -45,6 +46,8 @@ _PIXELS = hdf5plugin.Blosc(cname="zstd", clevel=3, shuffle=hdf5plugin.Blosc.SHUF
 _MAX_TEXT_BYTES = 4000
 # Size in bytes of the cache of chunks that h5py has for each dataset of an open file.
 _CACHE_BYTES = 1 << 20
+# Numbers of the errors for a full disk: no space, an exhausted quota, and a file beyond a limit.
+_FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 # Exceptions that h5py raises for damaged bytes.
 _H5PY_ERRORS = (OSError, RuntimeError, LookupError, ValueError, TypeError)
 
@@ -60,10 +63,21 @@ def replacing(path: Path) -> Iterator[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     # The path is in a temporary folder, as a file by mkstemp is unreadable for other users.
     prefix = f".{path.name}."
-    with tempfile.TemporaryDirectory(".tmp", prefix, path.parent) as folder:
+    with naming_full_disk(path), tempfile.TemporaryDirectory(".tmp", prefix, path.parent) as folder:
         tmp = Path(folder) / path.name
         yield tmp
         tmp.replace(path)
+
+
+@contextmanager
+def naming_full_disk(path: Path) -> Iterator[None]:
+    """Add `path` to an exception of a full disk, which names no file, or a temporary one."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in _FULL_DISK:
+            error.filename = str(path)
+        raise
 
 
 class Sink(io.FileIO):
@@ -322,12 +336,7 @@ def write_json(path: Path, content: Any, *, sort_keys: bool = True) -> None:
 def write_text(path: Path, text: str) -> None:
     """Write a text in one step. A hard link to the earlier file, as in DVC's cache, stays as is."""
     with replacing(path) as tmp:
-        try:
-            tmp.write_text(text, encoding="utf-8")
-        # The exception of a full disk does not name the file.
-        except OSError as error:
-            error.filename = str(path)
-            raise
+        tmp.write_text(text, encoding="utf-8")
 
 
 def read_json(path: Path, *, stage: str) -> dict[str, Any]:

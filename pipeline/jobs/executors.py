@@ -18,6 +18,7 @@ from pathlib import Path
 from threading import Thread
 from typing import Any, TypeVar
 
+from pipeline.jobs.keys import LOADED, scan_code
 from pipeline.jobs.outputs import StageFolder
 
 from pipeline.base.errors import InputError
@@ -92,13 +93,15 @@ def run_jobs(
         return
 
     threads = threads or max(1, default_workers() // count)
-    call = partial(_call_in_worker, work, folder, 1 if on_cluster else threads)
+    call = partial(_call_in_worker, work, folder, 1 if on_cluster else threads, on_cluster)
     try:
         with _open_executor(count, threads) as executor:
             futures = {executor.submit(call, job): job for job in jobs}
             for future in as_completed(futures):
                 yield futures[future], future.result()
     except (BrokenExecutor, CancelledError) as error:
+        # After an edit, a process may fail to load the work.
+        folder.code.check_unedited(scan_code())
         fix = f"Use fewer workers ({WORKERS}=1) or repeat the command: finished drives are kept"
         raise InputError("a worker process died (out of memory?)", fix=fix) from error
 
@@ -153,11 +156,17 @@ def _exit_with_parent() -> None:
     os._exit(1)
 
 
-def _call_in_worker(work: Callable[[J], Any], folder: StageFolder, threads: int, job: J) -> Any:
+def _call_in_worker(
+    work: Callable[[J], Any], folder: StageFolder, threads: int, on_cluster: bool, job: J
+) -> Any:
     """Call ``work(job)`` in a worker. Raises InputError if it has other code, or other data."""
     import cv2
 
-    folder.code.check_worker()
+    if on_cluster:
+        folder.code.check_worker()
+    else:
+        # This process has loaded the code after the stage.
+        folder.code.check_unedited(LOADED)
     if not folder.new.is_dir():
         where = f"{folder.new.parent} of the worker on {socket.gethostname()}"
         fix = "Start the worker in a folder whose data is the same as here"

@@ -104,15 +104,17 @@ class Code(NamedTuple):
         """Return a hash of the code."""
         return digest(self.loaded)
 
-    def check_unedited(self) -> None:
-        """Raise InputError if a file or a package was changed since this process loaded it."""
-        now = scan_code()
+    def check_unedited(self, now: Mapping[str, str]) -> None:
+        """Raise InputError if a file or a package was changed since the stage loaded it.
+
+        `now` is a later :func:`scan_code`.
+        """
         for name, value in self.loaded.items():
             if now.get(name) != value:
                 raise InputError(f"was edited while stage {self.stage} ran", name, UNDO)
 
     def check_worker(self) -> None:
-        """Raise InputError if this process, a worker, loaded other code or packages."""
+        """Raise InputError if this process, a cluster's worker, loaded other code or packages."""
         for name, value in {**self.loaded, **self.jobs}.items():
             loaded = LOADED.get(name, "none")
             if loaded != value:

@@ -3,7 +3,8 @@
 import os
 import shutil
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from itertools import count
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -11,10 +12,10 @@ from uuid import uuid4
 
 from filelock import FileLock, Timeout
 
-from pipeline.jobs.keys import UNDO, Code, read_sections
+from pipeline.jobs.keys import UNDO, Code, read_sections, scan_code
 
 from pipeline.base.errors import InputError
-from pipeline.base.store import INDEX, replacing, write_index
+from pipeline.base.store import INDEX, naming_full_disk, replacing, write_index
 
 # Advice for an output folder that is not free.
 _FIX = "Choose another name for the output, or move it away"
@@ -29,21 +30,52 @@ def check_free(path: Path) -> None:
         raise InputError("exists already", path, _FIX)
 
 
-def find_free(out: Path | None, stem: str, suffix: str = "") -> Path:
-    """Return `out`, or for None the first path of out/STEM, out/STEM-2, … that does not exist.
+def find_free(out: Path | None, stem: str, suffix: str) -> Path:
+    """Return the file `out`, or for None the first of the default paths that does not exist.
 
-    `suffix` is the suffix of a file, for instance .html, or empty for a folder. Raises InputError
-    unless `out` is free.
+    `suffix` is that of the file, for instance .html. Raises InputError unless `out` is free.
     """
     if out is not None:
         check_free(out)
         return out
-    path = Path("out", f"{stem}{suffix}")
-    number = 1
-    while path.exists():
-        number += 1
-        path = Path("out", f"{stem}-{number}{suffix}")
-    return path
+    return next(path for path in _default_paths(stem, suffix) if not path.exists())
+
+
+@contextmanager
+def free_folder(out: Path | None, stem: str) -> Iterator[Path]:
+    """Yield the folder `out`, or for None the first of the default paths that does not exist.
+
+    The latter is made at once, so that a command that runs at the same time takes the next path. It
+    is removed if the block fails and leaves it empty. Raises InputError unless `out` is free.
+    """
+    if out is not None:
+        check_free(out)
+        yield out
+        return
+    Path("out").mkdir(exist_ok=True)
+    folder = next(path for path in _default_paths(stem) if _make_folder(path))
+    try:
+        yield folder
+    finally:
+        # A folder with results is not empty, so it stays.
+        with suppress(OSError):
+            folder.rmdir()
+
+
+def _default_paths(stem: str, suffix: str = "") -> Iterator[Path]:
+    """Yield out/STEM, out/STEM-2, out/STEM-3, …, each with the suffix."""
+    yield Path("out", f"{stem}{suffix}")
+    for number in count(2):
+        yield Path("out", f"{stem}-{number}{suffix}")
+
+
+def _make_folder(path: Path) -> bool:
+    """Make a folder, and return whether nothing else had the path."""
+    try:
+        path.mkdir()
+    except FileExistsError:
+        return False
+    return True
 
 
 class StageFolder(NamedTuple):
@@ -105,7 +137,7 @@ def stage_folder(
         kept = out.parent.with_name(".drives") / f"{out.parent.name}-{out.name}"
     kept.mkdir(parents=True, exist_ok=True)
 
-    with hold_lock(out, f"{kept}.lock"):
+    with hold_lock(out, f"{kept}.lock"), naming_full_disk(out):
         # DVC has removed the stage's own files; those of others may lie beside them.
         if "DVC_STAGE" not in os.environ and not (out / INDEX).is_file():
             check_free(out)
@@ -117,7 +149,7 @@ def stage_folder(
         folder.new.mkdir()
         yield folder
 
-        code.check_unedited()
+        code.check_unedited(scan_code())
         for key, content in read_sections(name, params, entry).items():
             if content != sections[key]:
                 raise InputError(f"{key} was edited while stage {stage} ran", params or "", UNDO)

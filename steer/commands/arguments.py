@@ -43,10 +43,10 @@ def run_command(
     function: Callable[..., "Outcome"], source: list[Path], out: Path | None, **options: Any
 ) -> None:
     """Call a function of `steer.api` with a free folder. Print notes, files and doubts."""
-    from pipeline.jobs.outputs import find_free
+    from pipeline.jobs.outputs import free_folder
 
-    folder = find_free(out, source[0].resolve().stem.removesuffix("_sync"))
-    outcome = function(source, out=folder, **options)
+    with free_folder(out, source[0].resolve().stem.removesuffix("_sync")) as folder:
+        outcome = function(source, out=folder, **options)
     files = ", ".join(str(path) for path in outcome.files)
     print(*outcome.notes, files, sep="\n")
     for text in outcome.doubts:

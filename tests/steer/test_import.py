@@ -76,6 +76,12 @@ def test_an_import_is_repeated_and_nothing_else_is_replaced(tmp_path, take, vide
     with pytest.raises(InputError, match=r"monday.yaml: was edited since the import"):
         take(video)
     preset_path.write_text(second)
+    values = raw / "monday/monday_drive_0002_sync/motion.csv"
+    logged = values.read_text()
+    values.write_text(f"{logged}99,5,0\n")
+    with pytest.raises(InputError, match=r"0002_sync/motion.csv: was edited since the import"):
+        take(video)
+    values.write_text(logged)
     write(raw / "monday/notes.txt", "mine")
     with pytest.raises(InputError, match=r"notes.txt: is not by the import"):
         take(video)
@@ -124,7 +130,7 @@ def test_the_preset_is_one_that_check_accepts_and_ingest_reads(
 def test_a_full_disk_leaves_nothing_half(tmp_path, take, video, monkeypatch):
     error = OSError(28, "No space left on device")
     monkeypatch.setattr(convert, "write_calibration", Mock(side_effect=error))
-    with pytest.raises(OSError, match="No space"):
+    with pytest.raises(OSError, match=r"No space left on device: '.*/data/raw/monday'"):
         take(video)
     assert [*(tmp_path / "data/raw").iterdir()] == [*(tmp_path / "presets").iterdir()] == []
 

@@ -171,3 +171,6 @@ def test_unsuitable_inputs(tmp_path, encoder, monkeypatch):
     with pytest.raises(InputError, match=r"exists already and holds poses\.txt"):
         measure([images], encoder=encoder, out=tmp_path / "kept", **LENS)
     assert [path.name for path in (tmp_path / "kept").iterdir()] == ["poses.txt"]
+    with pytest.raises(InputError, match="fewer than 2 images"):
+        measure([write_folder(tmp_path / "single", drive(1))], encoder=encoder, **LENS)
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"images", "images-2"}

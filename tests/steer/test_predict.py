@@ -1,18 +1,22 @@
 """steer predict: its numbers equal those of stage evaluate; other sources and gaps."""
 
+import random
 import shutil
 from contextlib import chdir
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pandas as pd
 import pytest
+import torch
 import yaml
 
 from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError
 from pipeline.graphs.graph_file import open_graphs
+from pipeline.perception import perceive
 from pipeline.train.trained import load_model
 from stages import clouds, encoder, graphs, ingest, labels, motion, perception, sample, train
 from steer import api
@@ -86,6 +90,12 @@ def drive(folder: Path) -> Path:
     return folder / f"data/sample/{TEST[:10]}/{TEST}_sync"
 
 
+def random_state() -> list[Any]:
+    """Return the state of the random numbers of Python, NumPy and torch."""
+    numpy_state = np.random.get_state(legacy=False)  # noqa: NPY002
+    return [random.getstate(), str(numpy_state), torch.get_rng_state().tolist()]
+
+
 def read_table(out: Path) -> pd.DataFrame:
     return pd.read_csv(out / "steering.csv")
 
@@ -153,9 +163,22 @@ def test_a_folder_of_images(folder, tmp_path, capsys):
     assert video.get(cv2.CAP_PROP_FRAME_HEIGHT) == 216
 
 
-def test_the_model_of_the_checkout_predicts_an_angle():
+def test_the_model_of_the_checkout_predicts_an_angle_for_any_state_of_the_caller():
     lens = {"K": "172.9,172.9,154.4,44.95", "fps": 10.0}
-    outcome = api.predict(ROOT / "examples/street", ROOT / "models/steering/sample", **lens)
+    tables = []
+    for dtype in (torch.float64, torch.float32):
+        perceive._open_file.cache_clear()
+        torch.set_default_dtype(dtype)
+        try:
+            before = random_state()
+            outcome = api.predict(ROOT / "examples/street", ROOT / "models/steering/sample", **lens)
+            assert random_state() == before
+            assert torch.get_default_dtype() == dtype
+        finally:
+            torch.set_default_dtype(torch.float32)
+        tables.append(outcome.table)
+        torch.rand(1)
+    pd.testing.assert_frame_equal(*tables, check_exact=True)
     angle_rad = outcome.table["predicted_rad"].iloc[-1]
     assert np.degrees(angle_rad) == pytest.approx(17.1, abs=3)
 

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from pipeline.jobs import console, executors, keys, runner
-from pipeline.jobs.outputs import StageFolder, find_free, stage_folder
+from pipeline.jobs.outputs import StageFolder, find_free, free_folder, stage_folder
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import read_json
@@ -38,6 +38,9 @@ def test_a_stage_replaces_its_files_and_drives_that_are_no_more(tmp_path):
     with pytest.raises(ZeroDivisionError), stage_folder("labels", out) as folder:  # noqa: PT012
         write_text(folder.new / "b.h5", "half")
         raise ZeroDivisionError
+    # As pandas and matplotlib raise it, without a path.
+    with pytest.raises(OSError, match=str(out)), stage_folder("labels", out):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     with (
         stage_folder("labels", out),
         pytest.raises(InputError, match="another process"),
@@ -68,7 +71,13 @@ def test_a_command_takes_the_first_free_folder(tmp_path, monkeypatch, existing, 
     monkeypatch.chdir(tmp_path)
     for name in existing:
         write_text(Path("out") / name, "foreign")
-    assert find_free(None, "ride") == Path("out") / expected
+    assert find_free(None, "ride", "") == Path("out") / expected
+    with free_folder(None, "ride") as folder, free_folder(None, "ride") as second:
+        assert folder == Path("out") / expected
+        assert second != folder, "of two commands at once"
+        write_text(second / "motion.csv", "result")
+    assert not folder.exists()
+    assert [path.name for path in second.iterdir()] == ["motion.csv"]
 
 
 @pytest.fixture
@@ -135,6 +144,14 @@ def test_an_error_and_a_dead_worker_keep_finished_drives(folder, expected, kind,
     assert "c" in repeated
     assert "b" not in repeated or kind == "die"
     assert outputs(folder) == expected
+
+
+@pytest.mark.slow
+def test_an_edit_before_a_process_of_the_stage_starts_is_named(folder, monkeypatch):
+    monkeypatch.setitem(keys.LOADED, "numpy", "before the edit")
+    with pytest.raises(InputError, match="numpy: was edited while stage labels ran"):
+        toy_stage.main(folder, workers=2)
+    assert calls(folder) == []
 
 
 def test_a_drive_that_another_worker_has_just_finished_is_taken(tmp_path):

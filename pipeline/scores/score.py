@@ -11,9 +11,9 @@ from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
 from pipeline.ingest.truth import read_truth
 from pipeline.labels.label import Car
-from pipeline.labels.recorded import Recorded, compare_recorded
 from pipeline.scores.motion_scores import score_motion
 from pipeline.scores.pixels import Scores
+from pipeline.scores.recorded import Recorded, compare_recorded
 
 
 def score_drive(path: Path, *, ingest: Path, perception: Path) -> Summary:

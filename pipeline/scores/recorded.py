@@ -6,10 +6,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pipeline.base.store import DriveReader
-from pipeline.labels import agreement
-from pipeline.labels.agreement import Pair
 from pipeline.labels.label import Car, steering_labels
 from pipeline.motion.rates import read_rates
+from pipeline.scores import agreement
+from pipeline.scores.agreement import Pair
 
 
 class Recorded(NamedTuple):

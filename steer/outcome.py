@@ -18,11 +18,11 @@ from pipeline.base.metrics import nmse, rmse
 from pipeline.base.store import DriveReader
 from pipeline.base.summary import Summary, split_doubts
 from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
-from pipeline.labels.recorded import Recorded, compare_recorded
 from pipeline.labels.source import rates_of_motion, recorded_angles, recorded_rates
 from pipeline.motion import rates
 from pipeline.motion.facts import facts_line
 from pipeline.motion.step import PROBLEMS
+from pipeline.scores.recorded import Recorded, compare_recorded
 from steer.chain import INGEST, MOTION, Source
 
 # Longest gap in seconds over which the track continues with the last measured motion.

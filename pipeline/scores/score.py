@@ -11,9 +11,9 @@ from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
 from pipeline.ingest.truth import read_truth
 from pipeline.labels.label import Car
-from pipeline.labels.recorded import Recorded, compare_recorded
 from pipeline.scores.motion_scores import score_motion
 from pipeline.scores.pixels import Scores
+from pipeline.scores.recorded import Facts, Recorded, compare_drives
 
 
 def score_drive(path: Path, *, ingest: Path, perception: Path) -> Summary:
@@ -48,9 +48,8 @@ def score_splits(
     """Return the scores of the validation and test drives, and facts about recorded motion.
 
     Scores of training drives are None, since these drives are not scored. Recorded motion is
-    compared with measured motion in the training and validation drives, since a lag that is fitted
-    to test drives would align their truth with odometry. If a run has no other drives, all are
-    compared.
+    compared with measured motion in the training and validation drives. The lines of test drives
+    are their own and advise no offset, which would align their truth with odometry.
 
     Args:
         splits: drive → split, for all drives.
@@ -68,13 +67,25 @@ def score_splits(
         content[split] = scores.to_report()
         content["motion"][split] = score_motion(drives, ingest, motion, car)
 
-    drives = drives_in(splits, "train", "val") or [*splits]
-    recorded = []
-    for drive in drives:
-        with (
-            DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
-            DriveReader(motion / f"{drive}.h5", stage="motion") as measured,
-        ):
-            recorded.append(Recorded.read(raw, measured, car))
-    content["recorded"] = compare_recorded(recorded, f"{len(drives)} drives")
+    content["recorded"] = _compare_logs(splits, ingest, motion, car)
+    return content
+
+
+def _compare_logs(splits: Mapping[str, str], ingest: Path, motion: Path, car: Car) -> Facts:
+    """Return facts about the logs of training and validation drives, then of test drives."""
+    content: Facts = {}
+    groups = {
+        "training and validation drives": drives_in(splits, "train", "val"),
+        "test drives": drives_in(splits, "test"),
+    }
+    for name, drives in groups.items():
+        recorded = {}
+        for drive in drives:
+            with (
+                DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
+                DriveReader(motion / f"{drive}.h5", stage="motion") as measured,
+            ):
+                recorded[drive] = Recorded.read(raw, measured, car)
+        if recorded:
+            content |= compare_drives(recorded, name, advise=name != "test drives")
     return content

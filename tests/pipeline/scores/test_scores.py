@@ -13,6 +13,7 @@ from pipeline.labels import label
 from pipeline.labels.label import Car, Labels
 from pipeline.scores.motion_scores import compare_labels, score_motion, summarise_errors
 from pipeline.scores.pixels import Scores, compute_depth_errors, crop_eigen
+from pipeline.scores.score import score_splits
 from tests import street
 from tests.artefacts import write_motion, write_recorded
 
@@ -129,3 +130,30 @@ def test_only_recorded_motion_is_a_reference(tmp_path):
     assert 0 < scores["nmse"] < 0.1
     assert scores["speed_ratio"] == pytest.approx(1.1)
     assert score_motion(DRIVES[1:], tmp_path / "ingest", tmp_path / "motion", CAR) is None
+
+
+def test_logs_of_test_drives_have_lines_of_their_own_which_advise_no_offset(tmp_path):
+    """Both logs are a frame late. Frames of measured motion are 10 s apart."""
+    count = 100
+    yaw_rate = np.random.default_rng(0).normal(0, 0.3, count)
+    motion = {row: (SPEED_MPS, value) for row, value in enumerate(yaw_rate)}
+    packets = make_packets(count, vf=SPEED_MPS, wu=np.roll(yaw_rate, 1))
+    for drive in DRIVES:
+        write_recorded(tmp_path / f"ingest/{drive}.h5", np.arange(count), packets)
+        write_motion(tmp_path / "motion", drive, motion)
+
+    sums = {key: values.tolist() for key, values in Scores().sums.items()}
+    splits = dict(zip(DRIVES, ("train", "test"), strict=True))
+    content = score_splits(
+        splits, {DRIVES[1]: {"sums": sums}}, tmp_path / "ingest", tmp_path / "motion", CAR
+    )
+    recorded = content["recorded"]
+    late = "correlation 1.00 with the measured one at a lag of +10.00 s (the log is late"
+    assert f"{late}: --offset -10.00)" in recorded[f"yaw_rate of {DRIVES[0]}"]["line"]
+    assert (
+        f"{late}: --offset -10.00)"
+        in (recorded["yaw_rate of training and validation drives"]["line"])
+    )
+    assert f"{late})" in recorded[f"yaw_rate of {DRIVES[1]}"]["line"]
+    assert f"{late})" in recorded["yaw_rate of test drives"]["line"]
+    assert recorded["speed of test drives"]["ratio"] == pytest.approx(1)

@@ -26,10 +26,15 @@ LAG_FRAMES = 60
 FOLLOWS = 0.8
 # Number of turning frames from which a log has to follow.
 TURNING_FRAMES = 100
-# Largest gain of a healthy log. Its inverse is the smallest one.
-GAIN = 2.0
-# Largest lag in seconds of a healthy log. A steering wheel leads the yaw rate by up to 0.3 s.
-LATE_S = 0.5
+# Least correlation of a log, even if fewer frames turn.
+RESEMBLES = 0.5
+# Number of turning frames from which a log has to have this correlation.
+FEW_TURNING_FRAMES = 40
+# Largest gain of a healthy log. Its inverse is the smallest one. A simulator's steering from -1 to
+# 1, read as an angle in rad, has 1.72.
+GAIN = 1.4
+# Least lag in seconds of a doubtful log. A steering wheel leads the yaw rate by up to 0.3 s.
+LATE_S = 0.35
 # Largest offset of a healthy log, relative to the root mean square of the measured values.
 OFFSET = 0.5
 # Largest ratio of recorded to measured speed of a healthy log. Its inverse is the smallest one.
@@ -40,12 +45,45 @@ CONTRADICTED = 0.02
 
 
 class Pair(NamedTuple):
-    """A quantity of a drive's frames [F], recorded and measured; NaN where unknown."""
+    """Yaw rates or angles of a drive's frames [F], recorded and measured; NaN where unknown."""
 
     time_s: np.ndarray
     recorded: np.ndarray
     measured: np.ndarray
     turns: np.ndarray  # bool, whether the car turns by the measured yaw rate
+
+    def constant_s(self) -> float:
+        """Return for how many seconds the recorded value is constant at most while the car turns.
+
+        In a stretch of equal values, only steps between two turning frames count.
+        """
+        step_s = np.diff(self.time_s)
+        turns = self.turns[1:] & self.turns[:-1]
+        stretches = _constant_stretches(self.recorded)
+        seconds = [step_s[rows[:-1]][turns[rows[:-1]]].sum() for rows in stretches]
+        return float(max(seconds, default=0.0))
+
+
+class SpeedPair(NamedTuple):
+    """Speeds in m/s of a drive's frames [F], recorded and measured; NaN where unknown."""
+
+    time_s: np.ndarray
+    recorded: np.ndarray
+    measured: np.ndarray
+    sigma: np.ndarray  # standard deviation of the measured speed
+
+    def constant_s(self) -> float:
+        """Return for how many seconds the recorded value is constant at most while speed changes.
+
+        The speed changes in a stretch of equal values if the measured one changes by more than the
+        median of its standard deviation there.
+        """
+        seconds = [0.0]
+        for rows in _constant_stretches(self.recorded):
+            rows = rows[np.isfinite(self.measured[rows])]
+            if len(rows) > 1 and np.ptp(self.measured[rows]) > np.median(self.sigma[rows]):
+                seconds.append(float(self.time_s[rows[-1]] - self.time_s[rows[0]]))
+        return max(seconds)
 
 
 class Follow(NamedTuple):
@@ -58,14 +96,16 @@ class Follow(NamedTuple):
     gain: float  # ratio of recorded to measured standard deviation
     offset: float  # recorded value at a measured value of 0
     measured_rms: float  # root mean square of the measured values
+    constant_s: float  # longest time for which a recorded value is constant while the car turns
 
 
 class Speed(NamedTuple):
-    """How recorded speeds follow measured ones, in frames that move by both."""
+    """How recorded speeds follow measured ones, in frames that move by the measured one."""
 
     frames: int
     ratio: float  # ratio of the median magnitudes, recorded to measured
     contradicted_frames: int  # number of frames in which the signs differ
+    constant_s: float  # longest time for which a recorded value is constant while speed changes
 
 
 class _Line(NamedTuple):
@@ -98,7 +138,9 @@ def fit_log(drives: Sequence[Pair]) -> Follow | None:
 
     best_s = 0.0
     best = _fit_line(recorded, measured)
-    for lag_s in LAGS_S[1:].tolist():
+    # Not more frames have both values at a lag than are measured.
+    lags_s = LAGS_S[1:].tolist() if np.isfinite(measured).sum() >= LAG_FRAMES else []
+    for lag_s in lags_s:
         shifted = _shift_logs(drives, lag_s)
         common = np.sum(np.isfinite(shifted) & np.isfinite(measured))
         if common >= max(LAG_FRAMES, frames / 2):
@@ -115,6 +157,7 @@ def fit_log(drives: Sequence[Pair]) -> Follow | None:
         gain=best.gain,
         offset=best.offset,
         measured_rms=math.sqrt(np.mean(measured[compared] ** 2)),
+        constant_s=max(pair.constant_s() for pair in drives),
     )
 
 
@@ -146,40 +189,60 @@ def _fit_line(recorded: np.ndarray, measured: np.ndarray) -> _Line:
     return _Line(correlation, gain, offset=mean_r - math.copysign(gain, correlation) * mean_m)
 
 
-def compare_speeds(drives: Sequence[Pair]) -> Speed | None:
-    """Return how recorded speeds follow measured ones, or None if no frame moves by both."""
+def _constant_stretches(recorded: np.ndarray) -> list[np.ndarray]:
+    """Return the rows of each stretch of equal values [F]. NaN equals nothing."""
+    changes = np.flatnonzero(recorded[1:] != recorded[:-1]) + 1
+    return np.split(np.arange(len(recorded)), changes)
+
+
+def compare_speeds(drives: Sequence[SpeedPair]) -> Speed | None:
+    """Return how recorded speeds follow measured ones.
+
+    The result is None if no frame with a recorded speed moves by the measured one.
+    """
     recorded = np.concatenate([pair.recorded for pair in drives])
     measured = np.concatenate([pair.measured for pair in drives])
-    # The comparisons are false for NaN.
-    moves = (np.abs(recorded) >= -REVERSING_MPS) & (np.abs(measured) >= -REVERSING_MPS)
+    # The comparison is false for NaN.
+    moves = np.isfinite(recorded) & (np.abs(measured) >= -REVERSING_MPS)
     if not moves.any():
         return None
     recorded = recorded[moves]
     measured = measured[moves]
-    ratio = float(np.median(np.abs(recorded)) / np.median(np.abs(measured)))
-    return Speed(len(recorded), ratio, int(np.sum(recorded * measured < 0)))
+    return Speed(
+        frames=len(recorded),
+        ratio=float(np.median(np.abs(recorded)) / np.median(np.abs(measured))),
+        contradicted_frames=int(np.sum(recorded * measured < 0)),
+        constant_s=max(pair.constant_s() for pair in drives),
+    )
 
 
-def turns_line(name: str, unit: str, facts: Follow, *, advise_offset: bool = True) -> str:
-    """Return the line about yaw rates or angles. `name` is the quantity and its log."""
+def turns_line(name: str, unit: str, facts: Follow, *, advise: bool) -> str:
+    """Return the line about yaw rates or angles. `name` is the quantity and its log.
+
+    With `advise`, it has the offset that takes the lag away.
+    """
     lag = f"{facts.lag_s:+.2f} s"
     if facts.lag_s:
         late = "late" if facts.lag_s > 0 else "early"
-        advice = f": --offset {-facts.lag_s:+.2f}" if advise_offset else ""
-        lag += f" (the log is {late}{advice})"
+        option = f": --offset {-facts.lag_s:+.2f}" if advise else ""
+        lag += f" (the log is {late}{option})"
     text = (
         f"{name}: correlation {facts.correlation:.2f} with the measured one at a lag of {lag}; "
         f"gain {facts.gain:.2f}, offset {facts.offset:z.3f} {unit}; {facts.frames:,} frames, "
-        f"{facts.turning:,} of them turn"
+        f"{facts.turning:,} of them turn; constant for at most {facts.constant_s:.1f} s while the "
+        "car turns"
     )
     follows = abs(facts.correlation) >= FOLLOWS
     is_unlike = (
         facts.correlation < 0
         or not 1 / GAIN <= facts.gain <= GAIN
-        or abs(facts.lag_s) > LATE_S
+        or abs(facts.lag_s) >= LATE_S
         or abs(facts.offset) > OFFSET * facts.measured_rms
     )
-    if (follows and is_unlike) or (not follows and facts.turning >= TURNING_FRAMES):
+    is_another = (facts.correlation < FOLLOWS and facts.turning >= TURNING_FRAMES) or (
+        facts.correlation < RESEMBLES and facts.turning >= FEW_TURNING_FRAMES
+    )
+    if (follows and is_unlike) or is_another:
         return DOUBT + text
     return text
 
@@ -189,7 +252,8 @@ def speed_line(name: str, facts: Speed, *, height_known: bool) -> str:
     share = facts.contradicted_frames / facts.frames
     text = (
         f"{name}: {facts.ratio:.2f} times the measured one; the sign differs in "
-        f"{facts.contradicted_frames:,} of {facts.frames:,} moving frames"
+        f"{facts.contradicted_frames:,} of {facts.frames:,} moving frames; constant for at most "
+        f"{facts.constant_s:.1f} s while the measured one changes"
     )
     if not height_known:
         text += "; the scale is not known"

@@ -9,7 +9,7 @@ from pipeline.base import summary
 from pipeline.motion.rates import YAW_NOISE_RADPS
 from pipeline.scores import agreement
 from pipeline.scores.agreement import Pair, SpeedPair
-from pipeline.scores.recorded import Recorded, compare_drives
+from pipeline.scores.recorded import Recorded, compare_drives, compare_recorded
 
 WINDING_S = np.arange(0, 60, 0.1)
 
@@ -155,6 +155,7 @@ def recorded_drive(
         angle=Pair(time_s, np.full(frames, np.nan), yaw_rate, turns),
         speed=SpeedPair(time_s, speed_gain * speed_mps, speed_mps, 0.05 * speed_mps),
         height_known=True,
+        one_clock=True,
     )
 
 
@@ -182,3 +183,11 @@ def test_a_wrong_log_among_many_is_doubted_by_the_name_of_its_drive():
     # Without short drives, the line does not mention them.
     recorded = compare_drives({"drive_0": recorded_drive(30)}, "test drives", advise=False)
     assert recorded["speed of test drives"]["line"].endswith("while the measured one changes")
+
+
+def test_several_files_have_no_common_offset():
+    late = recorded_drive(300)
+    late = late._replace(yaw_rate=late.yaw_rate._replace(recorded=winding(WINDING_S[:300] - 0.5)))
+    for one_clock in (True, False):
+        facts = compare_recorded([late._replace(one_clock=one_clock)], "log.csv")
+        assert ("--offset -0.5" in facts["yaw_rate"]["line"]) == one_clock

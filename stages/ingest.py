@@ -8,9 +8,11 @@ from pipeline.jobs.outputs import stage_folder
 from pipeline.jobs.runner import Job, make_drives
 
 from pipeline.base.checkout import in_checkout
+from pipeline.base.errors import error_context
 from pipeline.base.hashes import digest
 from pipeline.base.params import load_section
 from pipeline.ingest import drive as datasets
+from pipeline.ingest import validate
 from pipeline.ingest.datasets import kitti
 from pipeline.ingest.ingest_file import ingest_drive
 from pipeline.ingest.settings import Ingest, Reading
@@ -33,10 +35,13 @@ def main(
     reader = f"pipeline/ingest/datasets/{settings.source}.py"
     root = data / "sample" if settings.source == "sample" else raw
     reading = Reading(**settings.model_dump(include=set(Reading.model_fields)))
+    dataset = datasets.load_dataset(settings.source)
     with stage_folder("ingest", out, splits, params=params, chosen=[reader]) as folder:
         jobs = []
         for drive in splits:
-            fingerprint = datasets.load_dataset(settings.source).fingerprint(drive, settings, root)
+            facts = dataset.fingerprint(drive, settings, root)
+            with error_context(drive):
+                validate.check_fingerprint(facts)
             work = partial(
                 ingest_drive,
                 name=drive,
@@ -45,10 +50,14 @@ def main(
                 root=root,
                 reading=reading,
             )
-            inputs = [digest([settings.source, fingerprint])]
+            inputs = [digest([settings.source, facts])]
             jobs.append(Job(drive, f"{drive}.h5", inputs, work))
 
-        make_drives(folder, jobs, reading, log_format="{frames} frames{counts}")
+        summaries = make_drives(folder, jobs, reading, log_format="{frames} frames{counts}")
+        steps_s = {drive: summary["step_s"] for drive, summary in summaries.items()}
+        doubt = validate.rate_doubt(steps_s, settings.drives.train)
+        if doubt:
+            print(doubt, flush=True)
     return out
 
 

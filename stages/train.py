@@ -25,7 +25,7 @@ from pipeline.train.fit_model import Model, Task, fit_run
 from pipeline.train.frames import Files
 from pipeline.train.loss import Scale
 from pipeline.train.settings import Train
-from pipeline.train.targets import check_drives, rate_doubt, read_drive
+from pipeline.train.targets import check_drives, read_drive
 
 
 def main(
@@ -62,9 +62,6 @@ def main(
                 check_drives(members, entry.window)
         train_drives = store.drives_in(splits, "train")
         Scale.from_drives([drives[drive] for drive in train_drives])
-        doubt = rate_doubt(drives, train_drives)
-        if doubt:
-            print(f"{name}: {doubt}", flush=True)
         if not store.drives_in(splits, "val"):
             print(
                 f"{name}: no validation drives, so no early stopping: keeps the last epoch",

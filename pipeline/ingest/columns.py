@@ -85,16 +85,17 @@ def _read_cells(path: Path, expected: str) -> tuple[list[str], pd.DataFrame]:
     return header, cells
 
 
-def list_fault(cells: pd.Series, problem: str) -> list[str]:
+def list_fault(cells: pd.Series, problem: str, place: str = "line") -> list[str]:
     """Return a list with one text about the faulty `cells` of a column, or an empty list.
 
-    `cells` are indexed by line of the file. The text quotes the first.
+    `cells` are indexed by `place`, which is a line of the file or a frame. The text quotes the
+    first.
     """
     if cells.empty:
         return []
-    line, cell = next(cells.items())
+    index, cell = next(cells.items())
     more = f" and {len(cells) - 1} more" if len(cells) > 1 else ""
-    return [f"{cells.name} {problem}: {cell!r:.40} in line {line}{more}"]
+    return [f"{cells.name} {problem}: {cell!r:.40} in {place} {index}{more}"]
 
 
 def check_increase(values: pd.Series, least_step: float) -> list[str]:

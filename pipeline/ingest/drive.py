@@ -6,7 +6,7 @@
 - ``open_drive(name, settings, root)`` returns a :class:`Drive`.
 
 `settings` is section ``ingest``. `root` is the folder data/raw, or data/sample for the rendered
-sample.
+sample. pipeline/ingest/validate.py checks what the functions return.
 """
 
 import importlib
@@ -14,10 +14,30 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
-from pipeline.base.errors import DamagedFile
+import numpy as np
+
+from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.camera import Camera, Frame
+from pipeline.ingest.columns import LIMIT_MPS, LIMIT_RAD, LIMIT_RADPS
+
+
+class Value(NamedTuple):
+    """A recorded value of each frame."""
+
+    unit: str
+    limit: float  # largest plausible magnitude
+
+
+# Recorded values by name. In a drive with oxts, limits are those of the motion in the packets.
+VALUES = {
+    "oxts": Value("as KITTI's oxts/dataformat.txt", np.inf),
+    "steering_rad": Value("rad, left positive", LIMIT_RAD),
+    "speed_mps": Value("m/s, forward positive", LIMIT_MPS),
+    "left_mps": Value("m/s, left positive", LIMIT_MPS),
+    "yaw_rate_radps": Value("rad/s, left positive", LIMIT_RADPS),
+}
 
 
 @dataclass
@@ -26,11 +46,13 @@ class Drive:
 
     # The camera of the complete, rectified images, also if the drive has scans alone.
     camera: Camera
-    # Frames in ascending numbers. Images, depth and classes have the camera's size. If a field of a
-    # frame is a function that reads it, the setting on_damaged applies to damaged files.
+    # Frames in ascending numbers and times in seconds, which may begin anywhere. Images, depth and
+    # classes have the camera's size. If a field of a frame is a function that reads it, the setting
+    # on_damaged applies to damaged files.
     frames: Callable[[], Iterator[Frame]]
-    # Recorded values: name → frame number → value. A drive may have steering_rad, and either
-    # speed_mps and yaw_rate_radps or oxts packets [30]. See ingest_file.VALUES for the units.
+    # Recorded values: name → frame number → value, which is NaN or None if it is unknown. A drive
+    # may have steering_rad, and either speed_mps and yaw_rate_radps or oxts packets [30]. See
+    # VALUES for the units.
     values: Mapping[str, Mapping[int, Any]] = field(default_factory=dict)
     # Notes for the user. They are complete after write_drive.
     notes: list[str] = field(default_factory=list)
@@ -43,8 +65,16 @@ class Drive:
 
 
 def load_dataset(name: str) -> ModuleType:
-    """Return the module of a dataset's file; section ingest has checked that it exists."""
-    return importlib.import_module(f"pipeline.ingest.datasets.{name}")
+    """Return the module of a dataset's file; section ingest has checked that it exists.
+
+    Raises InputError if it lacks a function of the interface.
+    """
+    module = importlib.import_module(f"pipeline.ingest.datasets.{name}")
+    for function in ("fingerprint", "open_drive"):
+        if not callable(getattr(module, function, None)):
+            path = f"pipeline/ingest/datasets/{name}.py"
+            raise InputError(f"has no function {function}", path, "Add it: see folders.py")
+    return module
 
 
 def list_file_facts(paths: Iterable[Path], folder: Path) -> list[Any]:

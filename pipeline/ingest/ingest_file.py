@@ -11,14 +11,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pipeline.base.errors import DamagedFile, InputError, closest
+from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.store import DriveWriter
 from pipeline.base.summary import Summary
-from pipeline.camera.camera import Camera, Frame, camera_height, write_camera
+from pipeline.camera.camera import camera_height, write_camera
 from pipeline.camera.classes import VOID
-from pipeline.camera.images import format_size, resize_image, resize_nearest, to_units
-from pipeline.ingest.drive import Drive, load_dataset
-from pipeline.ingest.packets import extract_motion
+from pipeline.camera.images import resize_image, resize_nearest, to_units
+from pipeline.ingest import validate
+from pipeline.ingest.drive import VALUES, Drive, load_dataset
+from pipeline.ingest.packets import COLUMNS
 from pipeline.ingest.settings import Ingest, Reading
 
 
@@ -30,25 +31,10 @@ class _Map(NamedTuple):
     resize: Callable[..., np.ndarray]
 
 
-class _Value(NamedTuple):
-    """How to store a dataset that has a value, or a packet of values, for each frame."""
-
-    unit: str
-    missing: float  # fill value of a frame
-
-
 MAPS = {
     "image": _Map("RGB", np.zeros(3, np.uint8), resize_image),
     "depth": _Map("1/256 m, 0 = none", np.array(0, np.uint16), resize_nearest),
     "cls": _Map(f"trainId, {VOID} = void", np.array(VOID, np.uint8), resize_nearest),
-}
-# Recorded values by name. In a drive with oxts, each frame has a packet, so there is no has_oxts.
-VALUES = {
-    "oxts": _Value("as KITTI's oxts/dataformat.txt", np.nan),
-    "steering_rad": _Value("rad, left positive", 0.0),
-    "speed_mps": _Value("m/s, forward positive", np.nan),
-    "left_mps": _Value("m/s, left positive", np.nan),
-    "yaw_rate_radps": _Value("rad/s, left positive", np.nan),
 }
 # Name of the data that a frame may lack → its field of Frame. For each name, the file has a dataset
 # has_<name>.
@@ -91,12 +77,13 @@ def write_drive(
     """Write a drive of `dataset`, with images cropped around the horizon and resized.
 
     `advance` is called with the number of frames that were written since its last call. Returns the
-    numbers of frames, images, scans and so on, and ``counts``, a text about them. Raises InputError
-    if the drive has no frames, pixels of another size than the camera's, or values with an unknown
-    name. After the last frame, raises a DamagedFile that lists all damaged files or, if
-    ``ingest.on_damaged`` is skip, InputError if all files of a kind are damaged.
+    numbers of frames, images, scans and so on, the median step ``step_s`` between frames, and
+    ``counts``, a text about them. Raises InputError if the drive has no frames or is not valid, see
+    pipeline/ingest/validate.py. After the last frame, raises a DamagedFile that lists all damaged
+    files or, if ``ingest.on_damaged`` is skip, InputError if all files of a kind are damaged.
     """
-    _check_names(drive.values)
+    validate.check_drive(drive)
+    values = validate.check_values(drive.values)
     camera = drive.camera
     size = settings.image_size
     crop = camera.crop_to(size)
@@ -118,11 +105,11 @@ def write_drive(
     with DriveWriter(path, stage="ingest", drive=name, params=params) as file:
         # Maps that the file has so far. It always has images.
         written = {"image"}
-        for frame in drive.frames():
+        for frame in validate.check_frames(drive.frames()):
             damaged = frame.read_fields()
             faults += damaged.values()
             first_fault = damaged | first_fault
-            _check_size(frame, camera)
+            validate.check_fields(frame, camera)
             depth = None if frame.depth_m is None else to_units(frame.depth_m)
             maps = {"image": frame.image, "depth": depth, "cls": frame.cls}
             for key, pixels in maps.items():
@@ -143,7 +130,7 @@ def write_drive(
 
             has = {key: pixels is not None for key, pixels in maps.items()}
             has["lidar"] = len(scan) > 0
-            rows.append(_Row(frame.number, frame.time_s, len(scan), has))
+            rows.append(_Row(int(frame.number), float(frame.time_s), len(scan), has))
             if advance:
                 advance(1)
         if faults and settings.on_damaged != "skip":
@@ -151,10 +138,15 @@ def write_drive(
         if not rows:
             raise InputError("drive has no frames", name)
 
-        numbers = [row.number for row in rows]
-        file.put("frame", np.array(numbers, np.int32))
-        file.put("time_s", np.array([row.time_s for row in rows]), "s")
-        steered = _put_values(file, drive.values, numbers)
+        number = np.array([row.number for row in rows], np.int32)
+        time_s = np.array([row.time_s for row in rows])
+        time_s -= time_s[0]
+        step_s = validate.check_steps(time_s)
+        notes = validate.note_gaps(number, time_s)
+        notes += validate.note_unmatched(values, drive.values, number.tolist())
+        file.put("frame", number)
+        file.put("time_s", time_s, "s")
+        steered = _put_values(file, values, number.tolist())
         write_camera(file, camera.cropped(crop).scaled(size))
         file.put_pointers("lidar_ptr", [row.points for row in rows], "rows of lidar")
         counts = {}
@@ -167,12 +159,13 @@ def write_drive(
                 problem = f"all {COUNTS[key]} of the drive are damaged: {fault.problem}"
                 raise InputError(problem, fault.where)
     counts["steering"] = steered
+    drive.notes += notes
     if faults:
         drive.notes.append(f"{len(faults)} damaged files left out")
 
     texts = [f"{counts[key]} {text}" for key, text in COUNTS.items() if counts[key]]
     text = "".join(f", {text}" for text in texts + drive.notes)
-    return {"frames": len(rows), **counts, "counts": text}
+    return {"frames": len(rows), **counts, "step_s": step_s, "counts": text}
 
 
 def _list_damage(faults: list[DamagedFile]) -> DamagedFile:
@@ -186,36 +179,18 @@ def _put_values(
     file: DriveWriter, values: Mapping[str, Mapping[int, Any]], numbers: list[int]
 ) -> int:
     """Write the values of the frames with these numbers. Return the number of steering angles."""
-    motion = extract_motion(values.get("oxts", {}))
-    values = {**motion, **values}
-    has_steering = np.isin(numbers, [*values.get("steering_rad", ())])
-    for key, (unit, missing) in VALUES.items():
-        by_number = values.get(key)
-        if by_number:
-            column = np.array([by_number.get(number, missing) for number in numbers])
-            file.put(key, column, unit)
-            if key == "steering_rad":
-                file.put("has_steering", has_steering.astype(np.uint8))
-    return int(has_steering.sum())
-
-
-def _check_names(values: Mapping[str, Any]) -> None:
-    """Raise InputError for values with an unknown name, which would not be written."""
-    for name in values:
-        if name not in VALUES:
-            problem = f"Drive.values has the unknown name {name}: {closest(name, [*VALUES])}"
-            raise InputError(problem)
-
-
-def _check_size(frame: Frame, camera: Camera) -> None:
-    """Raise InputError if pixels of a frame have another size than the camera.
-
-    The crop around the horizon is computed for the camera's size.
-    """
-    for kind, pixels in (("image", frame.image), ("depth_m", frame.depth_m), ("cls", frame.cls)):
-        if pixels is None or pixels.shape[:2] == camera.size:
+    steered = 0
+    for name, (unit, _) in VALUES.items():
+        by_number = values.get(name)
+        if not by_number:
             continue
-        problem = f"{kind} of frame {frame.number} has {format_size(pixels.shape)} pixels"
-        expected = f"expected {format_size(camera.size)}, the size of Drive.camera"
-        fix = "Give the camera the size (H, W) of the complete images, and K for this size"
-        raise InputError(f"{problem}, {expected}", fix=fix)
+        unknown = np.full(len(COLUMNS), np.nan) if name == "oxts" else np.nan
+        column = np.array([by_number.get(number, unknown) for number in numbers])
+        if name != "steering_rad":
+            file.put(name, column, unit)
+            continue
+        is_known = np.isfinite(column)
+        file.put(name, np.where(is_known, column, 0.0), unit)
+        file.put("has_steering", is_known.astype(np.uint8))
+        steered = int(is_known.sum())
+    return steered

@@ -212,7 +212,9 @@ def read_values(path: Path) -> dict[str, dict[int, float]]:
     limits = VALUE_FILES[path.name]
     expected = f"Expected CSV: frame (number of the image), {', '.join(limits)} (left +)"
     table, faults = read_columns(path, {"frame": np.inf, **limits}, expected)
-    refuse_faults(faults + check_increase(table["frame"], 1), path, expected)
+    frame = table["frame"]
+    faults += list_fault(frame[frame % 1 > 0], "is not a whole number")
+    refuse_faults(faults + check_increase(frame, 1), path, expected)
     by_frame = table.dropna().astype({"frame": int}).set_index("frame")
     return {name: by_frame[name].to_dict() for name in limits}
 

@@ -16,7 +16,6 @@ from models.steering.core.motion import ANGLE, SPEED
 from models.steering.core.options import NetworkOptions
 from models.steering.core.recurrent import NOMINAL_STEP_S
 from pipeline.base.errors import InputError, error_context
-from pipeline.base.params import RATE_TOLERANCE
 from pipeline.base.store import DriveReader
 from pipeline.graphs.graph_file import Arrays, Contents, Graphs, open_graphs
 from pipeline.labels import label
@@ -135,20 +134,6 @@ def check_drives(drives: Sequence[LabelledDrive], window: int) -> None:
     if not any(np.nan_to_num(drive.target).any() for drive in drives):
         problem = f"every known {first.quantity.title} of {names} is 0"
         raise InputError(problem, first.labels.parent, "Add drives with bends")
-
-
-def rate_doubt(drives: Drives, train: Sequence[str]) -> str | None:
-    """Return a doubt if `drives` have other frame rates than the drives `train`, or None."""
-    hz = {}
-    for name, drive in drives.items():
-        if len(drive.time_s) > 1:
-            hz[name] = 1 / np.median(np.diff(drive.time_s))
-    usual_hz = np.median([hz[name] for name in train if name in hz])
-    unusual = [name for name in hz if abs(hz[name] / usual_hz - 1) > RATE_TOLERANCE]
-    if not unusual:
-        return None
-    rates = ", ".join(f"{name} {hz[name]:.1f}" for name in unusual)
-    return f"training drives have {usual_hz:.1f} frames/s, but {rates}"
 
 
 def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledDrive:

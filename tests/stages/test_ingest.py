@@ -11,16 +11,14 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, read_index
-from pipeline.camera.camera import Camera, Frame
+from pipeline.camera.camera import Camera
 from pipeline.ingest.calibration import CALIBRATION, RENDERED
-from pipeline.ingest.drive import Drive
-from pipeline.ingest.ingest_file import write_drive as write_ingest
 from pipeline.ingest.packets import COLUMNS
 from stages import ingest
-from steer.measure import READING
 from tests.kitti_drive import (
     DATE,
     DRIVE,
+    LINES,
     SIZE,
     contents,
     write,
@@ -143,23 +141,16 @@ def test_plainly_incomplete_drives(tmp_path, missing, problem):
         run(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("size", "values", "problem"),
-    [
-        (
-            (96, 128),
-            {},
-            r"image of frame 0 has 64 x 48 pixels, expected 128 x 96, the size of Drive\.camera",
-        ),
-        (SIZE, {"speed_mp": {0: 1.0}}, r"unknown name speed_mp: did you mean speed_mps\?"),
-    ],
-)
-def test_a_wrong_file_of_a_dataset(tmp_path, size, values, problem):
-    camera = Camera(np.array([[50, 0, 31.3], [0, 50, 22.2], [0, 0, 1]]), size)
-    frames = [Frame(0, 0.0, np.zeros((*SIZE, 3), np.uint8))]
-    drive = Drive(camera, lambda: iter(frames), values)
-    with pytest.raises(InputError, match=problem):
-        write_ingest(tmp_path / "drive.h5", drive, "drive", "mine", READING)
+def test_another_frame_rate_than_in_training_is_printed(tmp_path, capsys):
+    write_drive(tmp_path / "raw")
+    run(tmp_path)
+    assert "doubt" not in capsys.readouterr().out
+    stamps = [f"2011-09-26 13:02:{25 + i / 5:06.3f}\n" for i in range(LINES)]
+    write(tmp_path / f"raw/{DATE}/{OTHER}_sync/oxts/timestamps.txt", "".join(stamps))
+    for _ in range(2):  # The second run keeps all drives.
+        run(tmp_path)
+        doubt = f"doubt: the usual rate is 10.0 frames/s, but {OTHER} 5.0\n"
+        assert capsys.readouterr().out.endswith(doubt)
 
 
 def test_missing_drives_are_named_before_any_drive_is_read(tmp_path):

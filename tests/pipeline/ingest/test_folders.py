@@ -1,7 +1,11 @@
 """The example of a dataset of one's own, through stage ingest."""
 
-import numpy as np
+from pathlib import Path
 
+import numpy as np
+import pytest
+
+from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
 from pipeline.ingest.datasets.folders import CAMERA
 from stages import ingest
@@ -21,3 +25,10 @@ def test_frames_and_angles_of_a_drive(tmp_path):
         np.testing.assert_allclose(file.time_s, [0, 0.1, 0.2])
         assert file["has_image"].all()
         assert file.params["dataset"] == "folders"
+
+
+def test_a_fingerprint_that_json_cannot_store(tmp_path, monkeypatch):
+    monkeypatch.setattr("pipeline.ingest.datasets.folders.fingerprint", lambda *_: [Path("a")])
+    params = write_params(tmp_path / "params.yaml", ["hills"], ["town"], source="folders")
+    with pytest.raises(InputError, match=r"hills: fingerprint is not JSON-able .*Path"):
+        ingest.main(tmp_path / "data", tmp_path / "raw", params)

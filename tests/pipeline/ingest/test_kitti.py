@@ -213,6 +213,7 @@ PLAINLY_WRONG: list[tuple[Callable[[Path], object], str | bytes, str]] = [
         "frame,steering_rad\n3,2.5\n",
         "steering_rad is implausible .*: '2.5' in line 2",
     ),
+    (read_angles, "frame,steering_rad\n0.5,0\n", "frame is not a whole number: 0.5 in line 2"),
 ]
 
 

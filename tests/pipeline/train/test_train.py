@@ -24,7 +24,7 @@ from pipeline.train import fit, frames, loss, runs, trained, windows
 from pipeline.train.loss import Scale
 from pipeline.train.quantities.path import Target
 from pipeline.train.settings import Train
-from pipeline.train.targets import LabelledDrive, Timeline, rate_doubt
+from pipeline.train.targets import LabelledDrive, Timeline
 from tests import artefacts, small_model
 from tests.kitti_drive import write
 from tests.small_model import entry
@@ -66,13 +66,6 @@ def test_a_missing_frame_ends_a_stretch(folder):
     gaps = replace(drive, frame=np.array([3, 4, 5, 9, 10, 12]))
     assert gaps.stretches == [(0, 3), (3, 5), (5, 6)]
     assert replace(drive, frame=np.empty(0, int)).stretches == []
-
-
-def test_another_frame_rate_than_in_training_is_doubted(folder):
-    drive = read(folder)[0]
-    slow = replace(drive, time_s=2 * drive.time_s)
-    assert rate_doubt({"a": drive, "b": drive}, ["a"]) is None
-    assert rate_doubt({"a": drive, "b": slow}, ["a"]).endswith("10.0 frames/s, but b 5.0")
 
 
 def test_batch_of_two_spans_equals_single_frames(folder):

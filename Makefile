@@ -20,7 +20,7 @@ PRESETS := $(filter-out encoder,$(patsubst presets/%.yaml,%,$(wildcard presets/*
 demo: setup            ## run the complete chain on the embedded sample and print its table
 	@git rev-parse 2>/dev/null || if [ -e .git ] && command -v git >/dev/null; then git rev-parse; else \
 	dvc config --local core.no_scm true; fi  # GitHub's ZIP, or a container without git
-	dvc repro check labels graphs
+	dvc repro check labels motion graphs
 	@mkdir -p .dvc/tmp && rm -f .dvc/tmp/train@*  # errors, shown after all models have ended; xargs stops at DVC's 255
 	@dvc stage list --name-only | grep '^train@' | xargs -n 1 -P 2 sh -c \
 	'dvc --wait-for-lock repro --single-item $$0 2>.dvc/tmp/$$0 || exit 1' || { cat .dvc/tmp/train@* >&2; exit 1; }

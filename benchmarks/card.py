@@ -73,7 +73,8 @@ def labelled_street(folder: Path) -> LabelledDrive:
     path = folder / "labels" / street.name
     with store.DriveWriter(path, stage="labels", drive=street.stem, params=params) as file:
         source.write_labels(file, numbers, numbers * 0.1, labels, settings)
-    return read_drive(folder, path.parent, street.stem, ENTRY)
+    motion = folder / "motion"  # not read, as the network has motion: none
+    return read_drive(folder, path.parent, motion, street.stem, ENTRY)
 
 
 def profile_training(train_epoch: Work) -> None:

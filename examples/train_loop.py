@@ -72,7 +72,8 @@ def read_split(data: Path, split: str, entry: Entry) -> list[LabelledDrive]:
     """Read the drives of a split. Their graphs stay on disk."""
     labels = data / "labels"
     drives = store.drives_in(store.read_index(labels, stage="labels"), split)
-    return [read_drive(data / "graphs" / entry.input, labels, drive, entry) for drive in drives]
+    graphs = data / "graphs" / entry.input
+    return [read_drive(graphs, labels, data / "motion", drive, entry) for drive in drives]
 
 
 @torch.no_grad()

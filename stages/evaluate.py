@@ -38,7 +38,8 @@ def main(
         models = {
             run.seed: trained.load_model(run.folder) for run in runs.list_runs(train, first.seeds)
         }
-        cases = predict_cases(models, data / "graphs" / first.entry.input, data / "labels")
+        graphs = data / "graphs" / first.entry.input
+        cases = predict_cases(models, graphs, data / "labels", data / "motion")
         result = model_facts(name, first, cases)
         tables = {}
         for split, drives in cases.items():

@@ -25,8 +25,7 @@ def main(
     stage, _, _ = variant.source.partition("/")
     splits = store.read_index(source, stage=stage)
 
-    inputs = {"source": source, "motion": data / "motion"}
-    jobs = file_jobs(splits, inputs, partial(graphs_drive, variant=variant))
+    jobs = file_jobs(splits, {"source": source}, partial(graphs_drive, variant=variant))
     log_format = "{frames} frames"
     if variant.kind != "image":
         log_format += ", {points} points{edges}"

@@ -52,7 +52,7 @@ def main(
         drives = {}
         for split in SPLITS:
             for drive in store.drives_in(splits, split):
-                drives[drive] = read_drive(graphs, data / "labels", drive, entry)
+                drives[drive] = read_drive(graphs, data / "labels", data / "motion", drive, entry)
 
         # Raise InputError for drives from which nothing can be learned before the first network is
         # trained. Scale is made only for its checks.

@@ -21,6 +21,7 @@ from pipeline.graphs.frame_graph import graphs_drive
 from pipeline.graphs.settings import Variant
 from pipeline.ingest.settings import Reading
 from pipeline.labels.ahead import path_ahead
+from pipeline.motion.format import open_motion
 from pipeline.perception.settings import Perception
 from pipeline.report.street_view import path_steps
 from pipeline.train.trained import Trained
@@ -39,8 +40,9 @@ def reading_settings(model: Trained) -> Reading:
 
 def perception_settings(model: Trained) -> Perception:
     """Return the settings of depth and classes of a model."""
+    # A model of images without motion, which depend on no encoder, has no such settings.
+    recorded = model.settings.get("perception", {"batch": 4}).items()
     # Settings that are no longer part of the section were null.
-    recorded = model.settings["perception"].items()
     return Perception.model_validate({k: v for k, v in recorded if v is not None})
 
 
@@ -73,8 +75,11 @@ def add_prediction(model: Trained, source: Source, work: Path, results: Results)
     ahead of the car, the path that the car took is added, too.
     """
     # Frames with a scan but without an image have a graph, but no motion, and are left out.
-    with graph_file.open_graphs(_make_graphs(model, source, work)) as graphs:
-        by_frame = pd.DataFrame(model.predict(graphs), graphs.frame)
+    with (
+        graph_file.open_graphs(_make_graphs(model, source, work)) as graphs,
+        open_motion(work / MOTION) as motion,
+    ):
+        by_frame = pd.DataFrame(model.predict(graphs, motion), graphs.frame)
     values = by_frame.reindex(results.table["frame"]).to_numpy()
 
     quantity = model.quantity
@@ -118,7 +123,7 @@ def _make_graphs(model: Trained, source: Source, work: Path) -> Path:
         kind = variant.source.removeprefix("clouds/")
         settings = _cloud_settings(model, source)
         clouds_drive(images_or_points, kind, ingest, work / PERCEPTION, settings)
-    graphs_drive(graphs, images_or_points, work / MOTION, variant)
+    graphs_drive(graphs, images_or_points, variant)
     return graphs
 
 
@@ -147,5 +152,6 @@ def find_differences(
     if source.name in model.drives:
         yield f"{model.name} was trained on {source.name}: on other streets its error is larger"
 
-    if file_hash(encoder / FILE) != model.settings["encoder"]["sha256"]:
+    fitted_with = model.settings.get("encoder")
+    if fitted_with and file_hash(encoder / FILE) != fitted_with["sha256"]:
         yield f"{model.name} was fitted to depth and classes of another encoder than {encoder}"

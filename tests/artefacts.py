@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
 from pipeline.base import store
@@ -123,8 +122,8 @@ def write_graphs(
         return graph_file.write_frames(file, frame, frame * 0.1, frames, empty)
 
 
-def add_motion(path: Path, steering_rad: np.ndarray, valid: np.ndarray | None = None) -> None:
-    """Add to a graphs file the motion of a car that steers `steering_rad` [G] at 8 m/s.
+def write_steered(path: Path, steering_rad: np.ndarray, valid: np.ndarray | None = None) -> None:
+    """Write the motion file of a car that steers `steering_rad` [F] at 8 m/s in frames 0 to F - 1.
 
     It is 0 in frames that are not `valid`.
     """
@@ -132,10 +131,8 @@ def add_motion(path: Path, steering_rad: np.ndarray, valid: np.ndarray | None = 
         valid = np.ones(len(steering_rad), bool)
     speed_mps = np.where(valid, 8.0, 0.0)
     yaw_rate_radps = speed_mps * np.tan(steering_rad) / WHEELBASE_M
-    with h5py.File(path, "a") as file:
-        file["motion_yaw_rate_radps"] = yaw_rate_radps.astype(np.float32)
-        file["motion_speed_mps"] = speed_mps.astype(np.float32)
-        file["motion_valid"] = valid.astype(np.uint8)
+    rows = enumerate(zip(speed_mps, yaw_rate_radps, strict=True))
+    write_motion(path.parent, path.stem, dict(rows))
 
 
 def collate(*spans: tuple[graph_file.Graphs, int, int]) -> dict[str, np.ndarray]:
@@ -157,9 +154,9 @@ def write_dataset(
     ahead_m: Sequence[float] = (),
     motion: bool = False,
 ) -> None:
-    """Write ``root/graphs/semantic`` and ``root/labels``: drives of bends both ways.
+    """Write graphs/semantic, labels and motion in `root`: drives of bends both ways.
 
-    `motion` is measured from the second frame on.
+    With `motion`, it is measured from the second frame on, otherwise in no frame.
     """
     rng = np.random.default_rng(0)
     frame = np.arange(frames)
@@ -170,8 +167,7 @@ def write_dataset(
         graphs = root / f"graphs/semantic/{drive}.h5"
         write_graphs(graphs, steering_rad, frame, points, kind, rng)
         write_labels(root / f"labels/{drive}.h5", steering_rad, frame, ahead_m=ahead_m)
-        if motion:
-            add_motion(graphs, steering_rad, frame > 0)
+        write_steered(root / f"motion/{drive}.h5", steering_rad, motion & (frame > 0))
     write_index(root / "graphs" / "semantic", splits)
     write_index(root / "labels", splits)
 

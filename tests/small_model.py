@@ -84,7 +84,7 @@ def read_drives(folder: Path, names: Iterable[str], **changes: object) -> list[L
     model = entry(**changes)
     graphs = folder / "graphs/semantic"
     labels = folder / "labels"
-    return [read_drive(graphs, labels, name, model) for name in names]
+    return [read_drive(graphs, labels, folder / "motion", name, model) for name in names]
 
 
 def run_train(folder: Path) -> Path:

@@ -30,7 +30,8 @@ SCHEMAS = {
     "labels": [8],
     # Clouds of version 7 differ only in their texts, of variable length, and lack Fletcher32.
     "clouds": [7, 8],
-    "graphs": [8],
+    # Graphs of version 8 also have the measured motion, which is not read from there any more.
+    "graphs": [8, 9],
 }
 # Name of the file in a stage's folder that lists its drives.
 INDEX = "index.json"

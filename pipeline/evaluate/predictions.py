@@ -14,11 +14,13 @@ import torch
 
 from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS
-from pipeline.base.store import read_index
+from pipeline.base.store import drives_in, read_index
 from pipeline.graphs.graph_file import open_graphs
 from pipeline.labels import label
+from pipeline.motion.format import open_motion, read_causal
+from pipeline.train.entry import Entry
 from pipeline.train.frames import Files
-from pipeline.train.loss import Scale
+from pipeline.train.loss import Scale, fit_gain
 from pipeline.train.targets import LabelledDrive, read_drive
 from pipeline.train.trained import Trained
 
@@ -37,6 +39,9 @@ class Case:
     drive: LabelledDrive
     predictions: Sequence[np.ndarray]  # [S], each [G,R]
     scale: Scale
+    odometry: np.ndarray | None  # see :func:`read_odometry`
+    # Regression coefficients [R] of the targets on odometry in the training drives.
+    odometry_gain: np.ndarray | None
 
     def predict_baselines(self) -> dict[str, np.ndarray]:
         """Return the values [G,R] of predictors that do not use the scene.
@@ -59,31 +64,52 @@ class Case:
                 # of the previous frame.
                 last = np.concatenate([np.zeros_like(last[:1]), last[:-1]])
             values["persistence"] = last
-        if drive.odometry is not None:
-            values["odometry"] = drive.odometry
-            if self.scale.odometry_gain is not None:
-                measured = np.nan_to_num(drive.odometry)
-                if not np.isfinite(drive.odometry).any():
+        if self.odometry is not None:
+            values["odometry"] = self.odometry
+            if self.odometry_gain is not None:
+                measured = np.nan_to_num(self.odometry)
+                if not np.isfinite(self.odometry).any():
                     measured[:] = np.nan
-                values["regression"] = self.scale.odometry_gain * measured
+                values["regression"] = self.odometry_gain * measured
         return {name: np.broadcast_to(value, drive.target.shape) for name, value in values.items()}
 
 
+def read_odometry(drive: LabelledDrive, entry: Entry) -> np.ndarray | None:
+    """Return the measured values of a drive for a model's entry, [G,R].
+
+    A frame that was not measured has the values of the last measured frame before it, or NaN if
+    there is none. Returns None if the targets are of the same frames and from the same measurement,
+    which they cannot judge.
+    """
+    if drive.are_measured and not entry.predicts_ahead:
+        return None
+    with open_motion(drive.motion_file) as motion:
+        measured = read_causal(motion, drive.name, drive.frame)
+    angle_rad = label.measured_angle(*measured, drive.quantity.car)
+    return drive.quantity.measured(angle_rad)
+
+
 def predict_cases(
-    models: Mapping[int, Trained], variant: Path, labels: Path
+    models: Mapping[int, Trained], variant: Path, labels: Path, motion: Path
 ) -> dict[str, list[Case]]:
     """Return split → drives with their predictions.
 
-    `models` is seed → network. `variant` and `labels` are the folders of the graphs and of the
-    labels. Raises InputError if the labels have other columns than the networks.
+    `models` is seed → network. `variant`, `labels` and `motion` are the folders of the graphs, the
+    labels and the measured motion. Raises InputError if the labels have other columns than the
+    networks.
     """
     splits = read_index(variant, stage="graphs")
     first = next(iter(models.values()))
+    drives = {name: read_drive(variant, labels, motion, name, first.entry) for name in splits}
+    odometry = {name: read_odometry(drive, first.entry) for name, drive in drives.items()}
+    training = [drives[name] for name in drives_in(splits, "train")]
+    usable = [drive for drive in training if drive.has_window(first.entry.window)]
+    odometry_gain = _fit_odometry(usable, odometry)
     if first.net.device.type == "cpu":
         torch.set_num_threads(1)  # as in training: sums of more threads differ
     cases: dict[str, list[Case]] = {split: [] for split in SPLITS}
     for name, split in splits.items():
-        drive = read_drive(variant, labels, name, first.entry)
+        drive = drives[name]
         columns = drive.quantity.columns
         if columns != first.scale.names:
             problem = f"the labels have {', '.join(columns)}"
@@ -93,10 +119,30 @@ def predict_cases(
         # All seeds share the frames, which are loaded once.
         files = Files([drive.graphs])
         files.load_frames(first.net.device)
-        with open_graphs(drive.graphs) as graphs:
-            predictions = [model.predict(graphs, files) for model in models.values()]
-        cases[split].append(Case(drive, predictions, first.scale))
+        with open_graphs(drive.graphs) as graphs, open_motion(drive.motion_file) as measured:
+            predictions = [model.predict(graphs, measured, files) for model in models.values()]
+        case = Case(drive, predictions, first.scale, odometry[name], odometry_gain)
+        cases[split].append(case)
     return cases
+
+
+def _fit_odometry(
+    drives: Sequence[LabelledDrive], odometry: Mapping[str, np.ndarray | None]
+) -> np.ndarray | None:
+    """Return the regression coefficients [R] of the targets of drives on their odometry.
+
+    `odometry` is name of a drive → :func:`read_odometry`. Returns None without drives, or if one of
+    them has no odometry.
+    """
+    measured = []
+    for drive in drives:
+        values = odometry[drive.name]
+        if values is None:
+            return None
+        measured.append(values)
+    if not measured:
+        return None
+    return fit_gain(np.concatenate(measured), np.concatenate([drive.target for drive in drives]))
 
 
 def prediction_table(name: str, seeds: Sequence[int], cases: Sequence[Case]) -> pd.DataFrame:

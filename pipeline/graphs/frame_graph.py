@@ -16,16 +16,12 @@ from pipeline.graphs.graph_file import Column, Columns
 from pipeline.graphs.settings import Variant
 
 
-def graphs_drive(path: Path, source: Path, motion: Path, variant: Variant) -> Summary:
-    """Write the frames of a drive in a variant, and their measured motion, to a new file.
+def graphs_drive(path: Path, source: Path, variant: Variant) -> Summary:
+    """Write the frames of a drive in a variant to a new file.
 
     `source` is the drive's file of stage clouds, or of stage ingest if the variant has images.
-    `motion` is the drive's file of stage motion.
     """
-    with (
-        DriveReader(source, stage=variant.source.split("/")[0]) as content,
-        DriveReader(motion, stage="motion") as measured,
-    ):
+    with DriveReader(source, stage=variant.source.split("/")[0]) as content:
         if variant.kind == "image":
             rows = np.flatnonzero(content["has_image"])
             frames = _image_frames(content, rows)
@@ -35,12 +31,10 @@ def graphs_drive(path: Path, source: Path, motion: Path, variant: Variant) -> Su
             frames = _point_frames(content, variant)
             empty = empty_frame(variant)
 
-        settings = {"graphs": variant.model_dump(exclude_unset=True)}
-        params = measured.params | content.params | settings
+        params = content.params | {"graphs": variant.model_dump(exclude_unset=True)}
         numbers = content.frame[rows]
         with DriveWriter(path, stage="graphs", drive=content.drive, params=params) as file:
             counts = graph_file.write_frames(file, numbers, content.time_s[rows], frames, empty)
-            graph_file.put_motion(file, numbers, measured)
     return counts
 
 

@@ -22,14 +22,6 @@ from pipeline.base import store
 
 Arrays = dict[str, np.ndarray]
 
-# Datasets of measured motion → the dataset of the motion file from which they are copied, and their
-# unit. They are in the order of the fields of MeasuredMotion.
-MOTION = {
-    "motion_yaw_rate_radps": ("yaw_rate_radps", "rad/s, left positive"),
-    "motion_speed_mps": ("filtered_mps", "m/s, forward positive"),
-    "motion_valid": ("valid", ""),
-}
-
 
 class Column(NamedTuple):
     """One array of a frame."""
@@ -53,17 +45,6 @@ class Contents(NamedTuple):
         if self.kind == "image":
             text += f" of {self.image_size} (H, W) pixels"
         return text
-
-
-class MeasuredMotion(NamedTuple):
-    """The car's motion since the previous frame, left and forward positive.
-
-    Motion that is not valid is 0.
-    """
-
-    yaw_rate_radps: np.ndarray  # float32 [G]
-    speed_mps: np.ndarray  # float32 [G]
-    valid: np.ndarray  # uint8 [G]
 
 
 def write_frames(
@@ -109,19 +90,6 @@ def write_frames(
     return summary
 
 
-def put_motion(file: store.DriveWriter, frame: np.ndarray, motion: store.DriveReader) -> None:
-    """Write the measured motion of frames, given by their numbers [F].
-
-    Frames that are missing in the motion file have a motion of 0 that is not valid.
-    """
-    _, rows, motion_rows = np.intersect1d(frame, motion.frame, return_indices=True)
-    for name, (source, unit) in MOTION.items():
-        measured = motion[source]
-        column = np.zeros(len(frame), measured.dtype)
-        column[rows] = measured[motion_rows]
-        file.put(name, column, unit)
-
-
 class Graphs(store.DriveReader):
     """An open graph file with G frames.
 
@@ -165,13 +133,6 @@ class Graphs(store.DriveReader):
             if name in self:
                 counts[name] = self[name]
         return counts
-
-    @cached_property
-    def motion(self) -> MeasuredMotion | None:
-        """Return the measured motion of all frames, or None if the file has none."""
-        if "motion_valid" not in self:
-            return None
-        return MeasuredMotion(*[self[name] for name in MOTION])
 
     @cached_property
     def starts(self) -> Arrays:

@@ -47,9 +47,17 @@ class Model:
         }
 
     def input_files(self) -> list[Path]:
-        """Return the files of graphs and labels that the networks are trained with."""
-        drives = self.usable_drives("train") + self.usable_drives("val")
-        return [path for drive in drives for path in (drive.graphs, drive.labels)]
+        """Return the files that the networks are trained with: graphs, labels and motion.
+
+        Motion is one of them only if it is an input, so that other networks are kept after an edit
+        of stage motion.
+        """
+        paths = []
+        for drive in self.usable_drives("train") + self.usable_drives("val"):
+            paths += [drive.graphs, drive.labels]
+            if self.entry.motion != "none":
+                paths.append(drive.motion_file)
+        return paths
 
 
 class Task(NamedTuple):

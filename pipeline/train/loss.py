@@ -23,16 +23,14 @@ class Scale:
     - gain is the regression coefficient of y on base if the quantity lies ahead of the car, or 1.
     - std is the standard deviation of y - gain · base.
 
-    So an output of 0 means the best prediction from base alone. Two fields serve baselines: `mean`
-    is that of y, and `odometry_gain` the regression coefficient of y on odometry. All arrays are
-    float64 [R].
+    So an output of 0 means the best prediction from base alone. `mean` is that of y, and serves a
+    baseline. All arrays are float64 [R].
     """
 
     names: list[str]  # Quantity.columns
     gain: np.ndarray
     std: np.ndarray
     mean: np.ndarray
-    odometry_gain: np.ndarray | None = None
 
     @classmethod
     def from_drives(cls, drives: Sequence[LabelledDrive]) -> "Scale":
@@ -50,24 +48,20 @@ class Scale:
                 raise InputError(f"{problem} in {names}", drives[0].labels.parent, fix)
 
         base = np.concatenate([drive.base for drive in drives])
-        gain = _fit_gain(base, y) if quantity.is_ahead else np.ones(y.shape[1])
+        gain = fit_gain(base, y) if quantity.is_ahead else np.ones(y.shape[1])
         std = np.nanstd(y - gain * base, axis=0)
         std = np.maximum(std, 1e-6)  # std is 0 on a straight road
-
-        odometry_gain = None
-        measured = [drive.odometry for drive in drives if drive.odometry is not None]
-        if len(measured) == len(drives):
-            odometry_gain = _fit_gain(np.concatenate(measured), y)
-        return cls(quantity.columns, gain, std, np.nanmean(y, axis=0), odometry_gain)
+        return cls(quantity.columns, gain, std, np.nanmean(y, axis=0))
 
     @classmethod
     def parse(cls, content: dict[str, Any]) -> "Scale":
-        """Return the scale that has this :attr:`content`. Raises TypeError or ValueError."""
-        fields: dict[str, Any] = {}
-        for name, value in content.items():
-            is_array = name != "names" and value is not None
-            fields[name] = np.array(value) if is_array else value
-        return cls(**fields)
+        """Return the scale that has this :attr:`content`. Raises TypeError or ValueError.
+
+        Older checkpoints also have ``odometry_gain``, which stage evaluate fits now.
+        """
+        fields = {name: value for name, value in content.items() if name != "odometry_gain"}
+        arrays = {name: np.array(value) for name, value in fields.items() if name != "names"}
+        return cls(**fields | arrays)
 
     @property
     def content(self) -> dict[str, Any]:
@@ -93,7 +87,7 @@ def mean_nmse(drives: Sequence[LabelledDrive], predictions: Sequence[np.ndarray]
     return float(np.mean(values)) if values else np.nan
 
 
-def _fit_gain(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def fit_gain(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return the regression coefficients [R] of y [N,R] on x [N,R], without offset.
 
     They are 0 where x is 0.

@@ -4,6 +4,7 @@ Letters: G frames of a graph file, W windows, R columns of the quantity that a n
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -12,13 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from models.steering.core.motion import ANGLE, SPEED
+from models.steering.core.motion import ANGLE, SPEED, VALID
 from models.steering.core.options import NetworkOptions
 from models.steering.core.recurrent import NOMINAL_STEP_S
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.store import DriveReader
 from pipeline.graphs.graph_file import Arrays, Contents, Graphs, open_graphs
 from pipeline.labels import label
+from pipeline.motion.format import open_motion, read_causal
 from pipeline.train.entry import Entry
 from pipeline.train.quantity import Quantity, load_quantity, scale_radius
 
@@ -37,19 +39,21 @@ class Timeline:
     network: NetworkOptions  # options of the spatial network, which may prepare frames
 
     @classmethod
-    def read(cls, graphs: Graphs, quantity: Quantity, entry: Entry) -> "Timeline":
-        """Read the times of an open graph file, and the measured motion if the model needs it.
+    def read(
+        cls, graphs: Graphs, motion_file: DriveReader | None, quantity: Quantity, entry: Entry
+    ) -> "Timeline":
+        """Read the times of a graph file, and the measured motion if the model needs it.
 
-        `quantity` is what the model predicts. Raises InputError if motion is missing.
+        Both files are open. `quantity` is what the model predicts. Raises InputError if the model
+        needs motion and `motion_file` is None, or is of another drive.
         """
         base = np.zeros((len(graphs.frame), len(quantity.columns)))
         motion = None
         if entry.motion != "none":
-            measured = graphs.motion
-            if measured is None:
-                raise InputError(
-                    "no measured motion", graphs.path, "Make it again: dvc repro graphs"
-                )
+            if motion_file is None:
+                fix = "Pass the drive's file of stage motion, too"
+                raise InputError("the model needs measured motion", graphs.path, fix)
+            measured = read_causal(motion_file, graphs.drive, graphs.frame)
             angle_rad = label.measured_angle(*measured, quantity.car)
             columns = [np.nan_to_num(angle_rad), *measured]
             motion = np.stack(columns, axis=1).astype(np.float32)
@@ -79,17 +83,16 @@ class LabelledDrive(Timeline):
 
     name: str
     labels: Path
-    settings: dict[str, Any]  # section → settings that made graphs and labels
+    motion_file: Path
+    # Section → settings that made graphs, labels, and the motion if it is an input.
+    settings: dict[str, Any]
     contents: Contents  # kind and sizes of the graphs
     counts: Arrays  # numbers of points and edges per frame
     quantity: Quantity
     target: np.ndarray  # float64 [G,R], NaN without a valid label
     present: np.ndarray  # float64 [G,R], true values of the frames themselves
     driven: label.Labels  # labels of the frames themselves
-    # Measured values [G,R]. A frame that was not measured has the values of the last measured frame
-    # before it, or NaN if there is none. The field is None if the file has no motion, or if the
-    # targets are of the same frames and from the same measurement.
-    odometry: np.ndarray | None
+    are_measured: bool  # whether labels follow from measured motion
 
     def has_target(self, start: int, stop: int) -> bool:
         """Return whether a row of [start, stop) has a target."""
@@ -136,14 +139,24 @@ def check_drives(drives: Sequence[LabelledDrive], window: int) -> None:
         raise InputError(problem, first.labels.parent, "Add drives with bends")
 
 
-def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledDrive:
-    """Read a drive for a model from the folders `graphs` and `labels`. Raises InputError.
+def read_drive(graphs: Path, labels: Path, motion: Path, name: str, entry: Entry) -> LabelledDrive:
+    """Read a drive for a model from the folders `graphs`, `labels` and `motion`.
 
-    The graphs themselves stay on disk.
+    The graphs themselves stay on disk. Motion is read only if the model needs it. Raises
+    InputError.
     """
     graphs = graphs / f"{name}.h5"
     labels = labels / f"{name}.h5"
-    with open_graphs(graphs) as file, DriveReader(labels, stage="labels") as truth:
+    motion = motion / f"{name}.h5"
+    with ExitStack() as files:
+        file = files.enter_context(open_graphs(graphs))
+        truth = files.enter_context(DriveReader(labels, stage="labels"))
+        measured = None
+        settings = file.params | truth.params
+        if entry.motion != "none":
+            measured = files.enter_context(open_motion(motion))
+            settings = measured.params | settings
+
         # For each frame of the graphs, find the row of its label, and the row of the label
         # `horizon` frames later. The row is -1 if there is no such label.
         row_of = {number: row for row, number in enumerate(truth.frame.tolist())}
@@ -153,34 +166,30 @@ def read_drive(graphs: Path, labels: Path, name: str, entry: Entry) -> LabelledD
             problem = f"no label for frame {file.frame[rows < 0][0]} of {graphs}"
             raise InputError(problem, labels, "Make both again: dvc repro")
         driven = label.read_labels(truth).select_rows(rows)
-        measured = file.motion
-        # Valid labels show that the car moved, so its motion could have been measured.
-        if entry.motion != "none" and measured and not measured.valid.any() and driven.valid.any():
-            fix = f"Remove {name} from ingest.drives, or set motion: none"
-            raise InputError("motion is not measured in any frame (it needs images)", graphs, fix)
-
         # Row -1, which stands for a missing label, is an additional row of NaN.
         with error_context(labels):
             quantity = load_quantity(entry.predict)(truth.params["labels"], entry.horizon)
         values = np.pad(_read_values(truth, quantity), ((0, 1), (0, 0)), constant_values=np.nan)
 
-        # Labels that are from the same measurement cannot judge it, unless they lie ahead of it.
-        odometry = None
-        if measured and (entry.predicts_ahead or not truth.attrs.get("measured", 0)):
-            angle_rad = label.measured_angle(*measured, quantity.car)
-            odometry = quantity.measured(angle_rad)
+        timeline = Timeline.read(file, measured, quantity, entry)
+        is_measured = timeline.motion is None or bool(timeline.motion[:, VALID].any())
+        # Valid labels show that the car moved, so its motion could have been measured.
+        if not is_measured and driven.valid.any():
+            fix = f"Remove {name} from ingest.drives, or set motion: none"
+            raise InputError("motion is not measured in any frame (it needs images)", motion, fix)
         return LabelledDrive(
-            **vars(Timeline.read(file, quantity, entry)),
+            **vars(timeline),
             name=name,
             labels=labels,
-            settings=file.params | truth.params,
+            motion_file=motion,
+            settings=settings,
             contents=file.contents,
             counts=file.counts,
             quantity=quantity,
             target=values[target_rows],
             present=values[rows],
             driven=driven,
-            odometry=odometry,
+            are_measured=bool(truth.attrs.get("measured", 0)),
         )
 
 

@@ -14,6 +14,7 @@ from pipeline.base import checkpoint
 from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError, error_context
 from pipeline.base.hashes import file_hash
+from pipeline.base.store import DriveReader
 from pipeline.graphs.graph_file import Contents, Graphs
 from pipeline.train import windows
 from pipeline.train.entry import Entry
@@ -50,7 +51,7 @@ class Trained(NamedTuple):
     # Kind and sizes of the graphs that it was trained on.
     contents: Contents
     scale: Scale
-    # Section → settings that made graphs and labels of its training drives.
+    # Section → settings that made the files of its training drives.
     settings: dict[str, Any]
     # Names of its training drives.
     drives: list[str]
@@ -65,20 +66,23 @@ class Trained(NamedTuple):
         """The quantity that the network predicts."""
         return load_quantity(self.entry.predict)(self.settings["labels"], self.entry.horizon)
 
-    def predict(self, graphs: Graphs, files: Files | None = None) -> np.ndarray:
+    def predict(
+        self, graphs: Graphs, motion: DriveReader | None = None, files: Files | None = None
+    ) -> np.ndarray:
         """Return the predictions for the G frames of a file, float64 [G,R].
 
+        `motion` is the drive's open motion file, which is read only if the network needs it.
         The columns are `scale.names`. The prediction for frame t uses the frames up to t, and is
         the quantity at frame t + `entry.horizon`. It is NaN if too few frames precede frame t in
-        the drive, or since a gap, to fill a window. `files` may hold files that are open already.
-        Raises InputError if the file has another kind of frames than the network was trained on,
-        lacks the motion that the network needs, or if an output is not finite.
+        the drive, or since a gap, to fill a window. `files` may hold graph files that are open
+        already. Raises InputError if the graphs have another kind of frames than the network was
+        trained on, the motion that the network needs is missing, or an output is not finite.
         """
         if graphs.contents != self.contents:
             problem = f"model {self.name} expects {self.contents}, got {graphs.contents}"
             fix = f"Use graphs of input: {self.entry.input}, or train the model again"
             raise InputError(problem, graphs.path, fix)
-        timeline = Timeline.read(graphs, self.quantity, self.entry)
+        timeline = Timeline.read(graphs, motion, self.quantity, self.entry)
         reader = windows.Reader([timeline], self.entry.window, files)
         with error_context(f"model {self.name}: {graphs.path}"):
             return predict_drives(self.net, reader, self.scale)[0]

@@ -60,6 +60,21 @@ def test_errors_are_means_over_seeds_and_files_repeat(folder, predicted):
     assert metrics["turning_frames"] == turns.any(axis=1).sum()
 
 
+def test_the_factor_of_the_regression_is_fitted_on_training_drives(folder):
+    """Motion of the training drives is half of what they steer."""
+    for drive in [drive for drive, split in SPLITS.items() if split == "train"]:
+        with h5py.File(folder / f"labels/{drive}.h5") as labels:
+            steering_rad = labels["steering_rad"][:]
+        artefacts.write_steered(folder / f"motion/{drive}.h5", steering_rad / 2)
+    write_params(folder, epochs=1)
+    run_train(folder)
+    table = pd.read_csv(run_evaluate(folder) / "predictions.csv")
+    table = table[table["frame"] > 0]  # motion is measured in all frames but the first
+    regression = table["regression_steering_rad"]
+    assert np.abs(regression).max() > 0.1
+    np.testing.assert_allclose(regression, 2 * table["odometry_steering_rad"], atol=1e-4)
+
+
 def test_drives_without_a_window_are_not_listed(folder):
     for drive, frames in zip(SPLITS, (0, 3), strict=False):
         artefacts.write_graphs(

@@ -75,6 +75,18 @@ def test_resumed_training_writes_the_same_bytes(folder, monkeypatch, capsys, ent
         assert contents(run_train(folder)) == complete
 
 
+@pytest.mark.parametrize("motion", ["none", "visual"])
+def test_other_motion_trains_only_networks_that_get_it(folder, capsys, motion):
+    write_params(folder, {"motion": motion}, epochs=1, seeds=[0])
+    run_train(folder)
+    capsys.readouterr()
+    for drive in SPLITS:
+        artefacts.write_steered(folder / f"motion/{drive}.h5", np.linspace(0.1, 0.2, 60))
+    run_train(folder)
+    is_kept = "net seed 0: kept from an earlier run" in capsys.readouterr().out
+    assert is_kept == (motion == "none")
+
+
 def test_only_a_training_loads_the_weights_of_a_network(folder, monkeypatch):
     """A trained checkpoint needs no other file."""
     small_model.add_users_network(monkeypatch)
@@ -177,10 +189,6 @@ def test_drives_that_teach_nothing_are_refused(tmp_path, dataset, entry, problem
     """The test drive is straight, and motion is not measured."""
     dataset = {"frames": 60, "points": 20} | dataset
     artefacts.write_dataset(tmp_path, SPLITS, **dataset)
-    unmeasured = np.zeros(dataset["frames"], bool)
-    for drive in SPLITS:
-        graphs = tmp_path / f"graphs/semantic/{drive}.h5"
-        artefacts.add_motion(graphs, np.zeros(len(unmeasured)), unmeasured)
     with h5py.File(tmp_path / f"labels/{TEST}.h5", "a") as file:
         file["steering_rad"][:] = 0
     write_params(tmp_path, entry, epochs=1)

@@ -16,6 +16,7 @@ import yaml
 from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError
 from pipeline.graphs.graph_file import open_graphs
+from pipeline.motion.format import open_motion
 from pipeline.perception import perceive
 from pipeline.train.trained import load_model
 from stages import clouds, encoder, graphs, ingest, labels, motion, perception, sample, train
@@ -107,8 +108,11 @@ def test_predictions_equal_those_of_the_stages(folder, tmp_path, model):
     path = folder / f"data/train/{model}"
     predict([drive(folder)], model=path, out=tmp_path / "out", video=video)
     rows = read_table(tmp_path / "out")
-    with open_graphs(folder / f"data/graphs/{MODELS[model]['input']}/{TEST}.h5") as graphs:
-        expected = load_model(path, "cpu").predict(graphs)
+    with (
+        open_graphs(folder / f"data/graphs/{MODELS[model]['input']}/{TEST}.h5") as graphs,
+        open_motion(folder / f"data/motion/{TEST}.h5") as measured,
+    ):
+        expected = load_model(path, "cpu").predict(graphs, measured)
         assert rows["frame"].tolist() == graphs.frame.tolist()
     names = ["predicted_rad"]
     if model == "path":

@@ -260,7 +260,7 @@ def check_drives(root: Path, names: Iterable[str]) -> None:
         problem += f", and so are {', '.join(others)}"
     fix = (
         "Extract or import it, or take it out of ingest.drives. KITTI: ln -s /path/to/kitti "
-        f"{root}. Sample: dvc repro sample. Only training? dvc pull labels graphs"
+        f"{root}. Sample: dvc repro sample. Only training? dvc pull graphs motion labels"
     )
     raise InputError(problem, _drive_folder(root, first), fix)
 

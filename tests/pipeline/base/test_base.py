@@ -156,7 +156,7 @@ def in_folder_of_stage(path: Path) -> None:
         ("clouds", Path.unlink, "missing"),
         ("clouds", in_folder_of_stage, f"contains drive {DRIVE}"),
         ("clouds", partial(edit_attributes, schema=3), "expected schema 7 or 8; got 3"),
-        ("graphs", partial(edit_attributes, stage="graphs", schema=7), "expected schema 8; got 7"),
+        ("graphs", partial(edit_attributes, stage="graphs", schema=7), "expected schema 8 or 9"),
         ("clouds", partial(edit_attributes, params="{"), "damaged in its settings"),
         ("clouds", cut_short, "damaged"),
     ],

@@ -13,12 +13,11 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from pipeline.base.errors import InputError
-from pipeline.base.store import DriveReader, DriveWriter
+from pipeline.base.store import DriveReader
 from pipeline.clouds.cloud import Cloud
 from pipeline.graphs import frame_graph, graph, graph_file
 from pipeline.graphs.settings import Variant
 from tests import artefacts
-from tests.artefacts import write_motion
 from tests.models.steering.frames import concatenated
 
 
@@ -75,35 +74,16 @@ def write_schema_7(path: Path, clouds: Sequence[Cloud]) -> None:
 
 def test_clouds_of_schema_7_still_make_graphs(tmp_path):
     path = tmp_path / "drive.h5"
-    motion = tmp_path / "motion/drive.h5"
     clouds = [Cloud(*artefacts.points(100, seed)) for seed in range(3)]
     write_schema_7(path, clouds)
-    write_motion(motion.parent, "drive", dict.fromkeys(range(3), (8.0, 0.1)))
     variant = Variant(source="clouds/pseudo", points=100, k=6)
-    frame_graph.graphs_drive(tmp_path / "graphs.h5", path, motion, variant)
+    frame_graph.graphs_drive(tmp_path / "graphs.h5", path, variant)
     with graph_file.open_graphs(tmp_path / "graphs.h5") as graphs:
         assert graphs.params["clouds"] == {"seed": 3}
         for row, cloud in enumerate(clouds):
             expected = frame_graph.build_frame(cloud, variant, "drive", row)
             for name in ("xyz", "degree", "indices"):
                 np.testing.assert_array_equal(graphs.rows_of(name, row), expected[name].rows)
-
-
-def test_motion_is_matched_by_frame_number(tmp_path):
-    write_motion(tmp_path, "drive", {3: (3, 0.3), 5: (5, 0.5), 9: (0, 0), 11: (11, 1.1)})
-    with (
-        DriveReader(tmp_path / "drive.h5", stage="motion") as motion,
-        DriveWriter(tmp_path / "a.h5", stage="graphs", drive="drive", params={}) as writer,
-    ):
-        writer.put("frame", np.array([4, 5, 9], np.int32))
-        writer.put("time_s", np.array([0.4, 0.5, 0.9]))
-        graph_file.put_motion(writer, np.array([4, 5, 9]), motion)
-    with graph_file.open_graphs(tmp_path / "a.h5") as graphs:
-        yaw_rate, speed, valid = graphs.motion
-    assert speed.tolist() == [0, 5, 0]
-    assert valid.tolist() == [0, 1, 0]
-    assert valid.dtype == np.uint8
-    assert yaw_rate == pytest.approx([0, 0.5, 0])
 
 
 @pytest.mark.parametrize("kind", [*artefacts.VARIANTS, "image"])

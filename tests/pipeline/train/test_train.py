@@ -104,19 +104,16 @@ def test_target_is_the_label_horizon_frames_ahead_by_frame_number(folder):
 def test_motion_and_base_of_a_batch(folder):
     """Motion is not measured in frames 0 and 5.
 
-    The angle is held there; odometry is unknown before the first measurement. Hidden motion is that
-    of frames without measurement, and has no base.
+    The angle is held there. Hidden motion is that of frames without measurement, and has no base.
     """
     measured = ~np.isin(np.arange(23), [0, 5])
     for drive in read(folder):
-        artefacts.add_motion(drive.graphs, drive.target[:, 0], measured)
+        artefacts.write_steered(drive.motion_file, drive.target[:, 0], measured)
     drives = read(folder, motion="visual")
     held = drives[0].target[:, 0].copy()
     held[0] = 0
     held[5] = held[4]
     assert drives[0].base[:, 0] == pytest.approx(held, abs=1e-6)
-    odometry = np.r_[np.nan, held[1:]]
-    assert drives[0].odometry[:, 0] == pytest.approx(odometry, abs=1e-6, nan_ok=True)
 
     group = [windows.Span(1, 3, 14), windows.Span(0, 0, 9)]
     batch = batch_of(drives, *group)
@@ -288,11 +285,11 @@ def test_items_come_in_order_and_a_bounded_number_ahead_of_their_use(threads):
 
 @pytest.mark.parametrize("reading", [{"horizon": 5}, {"predict": "path"}])
 def test_scale_is_the_regression_and_spread_of_the_residual(tmp_path, reading):
-    """The gain of odometry is the regression's for a path; an angle's is 1."""
+    """The gain is the regression's for a path; an angle's is 1."""
     artefacts.write_dataset(tmp_path, DRIVES, frames=40, points=12, ahead_m=[0, 5, 10])
     for name, factor in zip(NAMES, (0.2, -0.3), strict=True):
         steering_rad = factor * np.sin(np.arange(40) / 5)
-        artefacts.add_motion(tmp_path / f"graphs/semantic/{name}.h5", steering_rad)
+        artefacts.write_steered(tmp_path / f"motion/{name}.h5", steering_rad)
     drives = read(tmp_path, motion="visual", **reading)
     scale = Scale.from_drives(drives)
     truth = np.concatenate([drive.target for drive in drives])
@@ -303,7 +300,6 @@ def test_scale_is_the_regression_and_spread_of_the_residual(tmp_path, reading):
         x = base[known, number]
         y = truth[known, number]
         (best,), *_ = np.linalg.lstsq(x[:, None], y, rcond=None)
-        assert scale.odometry_gain[number] == pytest.approx(best)
         assert scale.gain[number] == (pytest.approx(best) if "predict" in reading else 1)
         assert scale.std[number] == pytest.approx(np.std(y - scale.gain[number] * x))
         assert scale.mean[number] == pytest.approx(y.mean())
@@ -365,7 +361,7 @@ def test_shared_frames_equal_naive_windows_and_gaps_are_nan(tmp_path):
     model = trained.load_model(str(write_model(tmp_path / "net")), "cpu")
     with open_graphs(tmp_path / "drive.h5") as graphs:
         steering_rad = model.predict(graphs)[:, 0]
-        timeline = Timeline.read(graphs, model.quantity, model.entry)
+        timeline = Timeline.read(graphs, None, model.quantity, model.entry)
         for row, number in enumerate(numbers):
             before = numbers[max(0, row - WINDOW + 1) : row + 1]
             if len(before) < WINDOW or number - before[0] >= WINDOW:

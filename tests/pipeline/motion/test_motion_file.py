@@ -1,5 +1,8 @@
 """Files of measured motion: what the speed is after images are lost."""
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -8,6 +11,7 @@ from pipeline.camera.camera import Frame
 from pipeline.ingest.drive import Drive
 from pipeline.ingest.ingest_file import write_drive
 from pipeline.ingest.settings import Reading
+from pipeline.motion import motion_file
 from pipeline.motion.motion_file import measure_drive, time_contradiction
 from pipeline.perception.perceive import perceive_drive
 from pipeline.perception.settings import Perception
@@ -26,17 +30,23 @@ def images() -> list[np.ndarray]:
     return [street.view(pose)[0] for pose in street.arc(36, 0.1, SPEED_MPS)]
 
 
-@pytest.mark.parametrize("lost", [1, 3, 10])
-def test_lost_images_do_not_change_the_speed_after_them(tmp_path, monkeypatch, images, lost):
-    """A recorder writes a constant rate, so times do not tell what is missing."""
-    encoder = write_encoder(tmp_path / "encoder", monkeypatch)
-    kept = images[:LOST] + images[LOST + lost :]
-    frames = [Frame(number, number / 10, image) for number, image in enumerate(kept)]
-    ingest = tmp_path / "ingest.h5"
-    perception = tmp_path / "perception.h5"
+def write_files(folder: Path, encoder: Path, images: list[np.ndarray]) -> tuple[Path, Path]:
+    """Write the files of stages ingest and perception of a drive with a constant rate."""
+    frames = [Frame(number, number / 10, image) for number, image in enumerate(images)]
+    ingest = folder / "ingest.h5"
+    perception = folder / "perception.h5"
     write_drive(ingest, Drive(street.WIDE, lambda: iter(frames)), "drive", "kitti", READING)
     perceive_drive(perception, ingest, encoder, Perception(batch=4))
-    summary = measure_drive(tmp_path / "motion.h5", ingest, perception)
+    return ingest, perception
+
+
+@pytest.mark.parametrize("lost", [1, 3, 10])
+def test_lost_images_do_not_change_the_speed_after_them(tmp_path, monkeypatch, images, lost):
+    """Times with a constant rate do not tell what is missing."""
+    encoder = write_encoder(tmp_path / "encoder", monkeypatch)
+    files = write_files(tmp_path, encoder, images[:LOST] + images[LOST + lost :])
+    summary = measure_drive(tmp_path / "motion.h5", *files)
+    assert summary["moving_road_frames"] == summary["moving"] == 36 - lost - 1
     assert summary["contradiction_s"] == 0
 
     with DriveReader(tmp_path / "motion.h5", stage="motion") as motion:
@@ -44,6 +54,21 @@ def test_lost_images_do_not_change_the_speed_after_them(tmp_path, monkeypatch, i
         for name in ("filtered_mps", "smooth_speed_mps"):
             speed_mps = motion[name][LOST + 1 :]
             assert speed_mps == pytest.approx(SPEED_MPS, rel=0.1), name
+
+
+@pytest.mark.parametrize("name", ["filter_speeds", "smooth_rates"])
+def test_a_contradiction_of_either_speed_is_in_the_summary(tmp_path, monkeypatch, images, name):
+    encoder = write_encoder(tmp_path / "encoder", monkeypatch)
+    files = write_files(tmp_path, encoder, images[:8])
+    estimate = getattr(motion_file, name)
+
+    def halve(*arguments: Any) -> Any:
+        result = estimate(*arguments)
+        return result._replace(speed_mps=result.speed_mps / 2)
+
+    monkeypatch.setattr(motion_file, name, halve)
+    summary = measure_drive(tmp_path / "motion.h5", *files)
+    assert summary["contradiction_s"] == pytest.approx(0.7)
 
 
 @pytest.mark.parametrize(

@@ -23,11 +23,11 @@ MAX_BACKWARDS = 0.5
 # Least share of the moving frames with a road. Without a road, nothing but typical speeds tells the
 # speed.
 MIN_ROAD = 0.5
-# Smallest ratio of the road's distance below the camera, by depth, to the camera's known height.
+# Smallest ratio of the camera's height by depth to its known height. Drives have 0.87 to 1.06.
 MIN_HEIGHT_RATIO = 0.7
 # Largest ratio of the two.
 MAX_HEIGHT_RATIO = 1.4
-# Time in seconds of a doubted contradiction between the speed and depth.
+# Time in seconds for which a speed that is doubted contradicts depth.
 CONTRADICTION_S = 1.0
 # Least number of moving frames about which there may be a doubt.
 MIN_MOVING = 10
@@ -45,7 +45,7 @@ def facts_lines(summaries: Mapping[str, Summary]) -> Iterator[str]:
 
 
 def facts_line(name: str, summaries: Sequence[Summary]) -> str:
-    """Return how the motion of drives was measured. It begins with DOUBT if too little was.
+    """Return how the motion of drives was measured. It begins with DOUBT if that is doubtful.
 
     Counts are summed, and other values are medians over the drives that know them.
     """

@@ -159,8 +159,8 @@ def _add_estimates(
     before_s = np.append(np.nan, duration_s[:-1])
     columns["ratio"] *= np.nan_to_num(before_s / duration_s).astype(np.float32)
 
-    # A ratio counts only if both steps are measured. After lost images, the step over the gap is
-    # several steps long and was removed.
+    # A ratio counts only between two neighbouring steps that are measured. After lost images, the
+    # step over the gap is removed, since it is several steps long.
     valid = _is_measured(columns)
     columns["ratio"][~valid] = 0
     columns["ratio"][1:][~valid[:-1]] = 0

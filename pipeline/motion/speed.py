@@ -50,8 +50,9 @@ LEAST_NOISE = 0.01
 # road.
 LEAST_TRUST = 0.25
 
-# Largest distance of a ratio from the state by all lengths so far, in standard deviations of both,
-# with which it is used.
+# Largest distance of a ratio from the lengths by depth, in standard deviations of both, with which
+# it is used. On 76 drives of the sample, the largest of 2,875 is 2.8; on KITTI drives 0005, 0039,
+# 0042, 0052, 0095 and odometry 09, the largest of 1,595 is 2.4.
 GATE = 4.0
 
 # Entries of the filter's state: the logarithm of the speed over TYPICAL_MPS, that one step before,
@@ -61,7 +62,7 @@ _BEFORE = 1
 _SCALE = 2
 _DEPTH = 3
 # A ratio is the difference of the first two.
-BY_RATIO = np.array([1.0, -1.0, 0.0, 0.0])
+_BY_RATIO = np.array([1.0, -1.0, 0.0, 0.0])
 
 
 class Speeds(NamedTuple):
@@ -164,10 +165,10 @@ def _run_filter(speeds: Speeds) -> list[_Filtered]:
             log_ratio = math.log(speeds.ratio[row])
             # The error of depth lasts, but may also change at once by its spread.
             both_sigma = math.hypot(sigma, depth_spread.sigma)
-            if _is_outlier(state, covariance, BY_RATIO, log_ratio, both_sigma):
+            if _is_outlier(state, covariance, _BY_RATIO, log_ratio, both_sigma):
                 log_ratio = None
             else:
-                state, covariance = _correct_state(state, covariance, BY_RATIO, log_ratio, sigma)
+                state, covariance = _correct_state(state, covariance, _BY_RATIO, log_ratio, sigma)
         depth_spread.add_step(float(speeds.time_s[row]), measured, log_ratio, sigma)
         steps.append(_Filtered(transition, predicted, predicted_covariance, state, covariance))
     return steps

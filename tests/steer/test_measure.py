@@ -129,6 +129,9 @@ def test_input_without_motion_gets_no_numbers(tmp_path, encoder, images, capsys)
     assert not rows["valid"].any()
     for name in ("speed_mps", "yaw_rate_radps", "measured_rad", "x_m"):
         assert np.isnan(rows[name]).all()
+    quality = json.loads((tmp_path / "out/quality.json").read_text())
+    assert quality["step_m"] is None
+    assert quality["scatter"] is None
     assert "horizon: not found" in capsys.readouterr().out
 
 

@@ -85,6 +85,16 @@ def test_ratios_reduce_the_errors_of_depth_and_sigma_tells_what_is_left(spread, 
         assert 0.55 < np.sqrt(np.mean(values)) < 1.3
 
 
+def test_a_ratio_that_contradicts_depth_is_not_used():
+    """After lost images, a ratio may be that to a step of another length."""
+    ratio = np.append(0, np.ones(99))
+    for wrong in (0.25, 0.5, 0.8, 1.25, 2.0, 4.0):
+        ratio[50] = wrong
+        speeds = measured(np.full(100, 8.0), ratio=ratio)
+        for estimate in (filter_speeds(speeds), smooth_speeds(speeds)):
+            assert estimate.speed_mps[40:] == pytest.approx(8.0, rel=0.02), wrong
+
+
 def steps(*lengths_m: float) -> list[np.ndarray]:
     """Return the poses of a camera that moves ahead, and a little to the right, by lengths."""
     places_m = np.concatenate([[0.0], np.cumsum(lengths_m)])

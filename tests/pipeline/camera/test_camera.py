@@ -68,6 +68,9 @@ def test_scaled_and_cropped_cameras_project_to_the_moved_position(height, width,
     aspect = crop.size[0] / crop.size[1]
     assert aspect == pytest.approx(height / width, rel=0.04 + 1 / min(crop.size))
 
+    mirrored_uv, _ = project(xyz * [-1, 1, 1], camera.mirrored().K)
+    np.testing.assert_allclose(mirrored_uv, [SIZE[1] - 1, 0] + uv * [-1, 1], atol=1e-9)
+
 
 @pytest.mark.parametrize("horizon", [None, 12.0, 30.0, 500.0])
 def test_crops_lie_around_the_horizon_or_the_principal_point(horizon):

@@ -30,6 +30,9 @@ MAX_HEIGHT_RATIO = 1.4
 CONTRADICTION_S = 1.0
 # Least number of moving frames about which there may be a doubt.
 MIN_MOVING = 10
+# Least number of moving frames that are not measured, for a doubt: a second of most recordings. A
+# healthy rendered drive of 40 frames has seven.
+MIN_UNMEASURED = 10
 # Least number of frames with a road in a drive that tell the unit of depth.
 ROAD_FRAMES = 50
 
@@ -73,8 +76,10 @@ def facts_line(name: str, summaries: Sequence[Summary]) -> str:
         f"{_format(median['scale_sigma'], '.0%')} from drive to drive; "
         f"it contradicts depth for {contradiction_s:.1f} s"
     )
+    unmeasured = total["moving"] - total["valid"]
+    is_unmeasured = unmeasured >= MIN_UNMEASURED and total["valid"] < MIN_MEASURED * total["moving"]
     is_doubted = (
-        total["valid"] < MIN_MEASURED * total["moving"]
+        is_unmeasured
         or median["scatter"] > MAX_SCATTER
         or total["backwards"] > MAX_BACKWARDS * total["valid"]
         or total["moving_road_frames"] < MIN_ROAD * total["moving"]

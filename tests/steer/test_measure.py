@@ -56,8 +56,15 @@ def test_motion_is_measured_from_python(tmp_path, encoder):
     assert outcome.doubts == []
     with pytest.raises(TypeError, match=r"'camera_height': did you mean camera_height_m"):
         api.measure(images, encoder=encoder, camera_height=1.4)
-    with pytest.raises(InputError, match=r"fov: .*valid number \(got '65'\)"):
-        api.measure(images, encoder=encoder, fov_deg="65")
+    for option, value, problem in (
+        ("fov_deg", "65", r"^fov: .*valid number \(got '65'\)"),
+        ("wheelbase_m", 2700, r"^wheelbase: .* less than or equal to 20 \(got 2700\)"),
+        ("wheelbase_m", -2.7, r"^wheelbase: .* greater than or equal to 0.5 \(got -2.7\)"),
+        ("wheelbase_m", 0, r"^wheelbase: .* greater than or equal to 0.5 \(got 0\)"),
+        ("wheelbase_m", np.nan, r"^wheelbase: .* finite number \(got nan\)"),
+    ):
+        with pytest.raises(InputError, match=problem):
+            api.measure(images, encoder=encoder, **{option: value})
 
 
 def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
@@ -169,6 +176,8 @@ def test_unsuitable_inputs(tmp_path, encoder, monkeypatch):
         measure([images], encoder=encoder, video=False, **LENS)
     for name in ("images", "images-2"):
         assert len(read_motion(tmp_path / f"out/{name}")["frame"]) == 4
+    with pytest.raises(InputError, match=r"^wheelbase: .* \(got 2700.0\)"):
+        measure([images], wheelbase=2700.0)
     with pytest.raises(InputError, match="no encoder"):
         measure([images], encoder=tmp_path, **LENS)
     with pytest.raises(InputError, match=r"exists already and holds poses\.txt"):

@@ -112,6 +112,8 @@ def test_odometry_needs_motion_in_all_frames_and_other_labels(folder, monkeypatc
     assert all(np.isnan(baselines(5, 1)[name]).all() for name in measured)
     present = measured if source == "oxts" else []
     assert list(baselines(0)) == [*without, *present]
+    # At horizon 0, the frame's own truth is the target.
+    np.testing.assert_allclose(baselines(0)["persistence"], np.r_[[[0]], first.target[:-1]])
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,9 @@ from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import project, transform
 from pipeline.motion import horizon, step
 from pipeline.motion.facts import check_unit, facts_line, facts_lines
-from pipeline.motion.odometry import Odometry
+from pipeline.motion.odometry import Odometry, pick_corners
 from pipeline.motion.pose import Matches, estimate_pose
+from pipeline.motion.rates import estimate_noise
 from pipeline.motion.still import Still
 from tests import street
 from tests.street import pose
@@ -75,6 +76,24 @@ def test_the_last_motion_is_a_start_where_most_depths_are_wrong():
     # Of 200 seeds, the motion is found with all, or with 65 alone: here with 13 ± 3 of 40.
     assert found["started"] == 40
     assert found["alone"] < 25
+
+
+def test_each_cell_has_its_two_best_corners():
+    """Cells at the right edge, too, and no cell shares its corners with another row's."""
+    quality = np.random.default_rng(0).random((50, 70))
+    expected = set()
+    for top in range(0, 50, 20):
+        for left in range(0, 70, 20):
+            cell = quality[top : top + 20, left : left + 20]
+            rows, columns = np.unravel_index(np.argsort(cell, axis=None)[-2:], cell.shape)
+            expected |= {*zip((left + columns).tolist(), (top + rows).tolist(), strict=True)}
+    picked = pick_corners(quality, cell_px=20, min_quality=0.1)
+    assert sorted(map(tuple, picked.tolist())) == sorted(expected)
+
+
+def test_noise_of_values_is_that_beside_a_steady_change():
+    values = 2.0 * np.arange(20_000) + np.random.default_rng(0).normal(0, 0.3, 20_000)
+    assert estimate_noise(values) == pytest.approx(0.3, rel=0.05)
 
 
 @pytest.mark.parametrize("ahead_m", [0.0, 1.5])
@@ -264,6 +283,7 @@ def test_facts_are_sums_and_medians_of_drives():
         ({"backwards": 49}, False),
         ({"backwards": 50}, True),
         ({"frames": 9, "moving": 9, "valid": 0}, False),
+        ({"frames": 40, "moving": 39, "valid": 32, "moving_road_frames": 39}, False),
         ({"moving_road_frames": 50}, False),
         ({"moving_road_frames": 49}, True),
         ({"road_height_m": 1.65 * 0.71}, False),

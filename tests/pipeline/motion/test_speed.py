@@ -43,6 +43,8 @@ def test_with_a_road_a_car_may_reverse_and_stand():
     estimate = filter_speeds(measured(np.array([-2.0] * 20 + [0.0] * 5)))
     assert estimate.speed_mps[10:20] == pytest.approx([-2.0] * 10, rel=0.05)
     assert (estimate.speed_mps[20:] == 0).all()
+    # The error of depth's scale, and that of a length by depth.
+    assert estimate.sigma[15] == pytest.approx(np.hypot(0.025, 0.04), rel=0.1)
 
 
 def test_without_a_road_the_scale_of_depth_is_not_believed():
@@ -50,7 +52,7 @@ def test_without_a_road_the_scale_of_depth_is_not_believed():
     error = slow_noise(np.random.default_rng(0), 0.6, 0.96)
     estimate = filter_speeds(measured(14.0 * np.exp(error), road=False))
     assert np.log(estimate.speed_mps).std() < 0.2 < error.std()
-    assert np.median(estimate.sigma) > 0.25  # it admits the uncertainty
+    assert np.median(estimate.sigma) == pytest.approx(0.4, abs=0.05)  # that of the speed in a drive
     assert np.median(estimate.speed_mps) == pytest.approx(TYPICAL_MPS, rel=0.4)
 
 

@@ -42,7 +42,8 @@ COLUMNS = [
 ]
 # Columns that stage report adds to the rows of models → what they are.
 FACTS = {
-    "lead": "the range whose error leads, if it is not the nmse over all columns",
+    "ends": "labels of the errors in the quantity's own measure, if it has any",
+    "lead": "the label of the error that leads, if it is not the nmse over all columns",
     "validation": "the error that leads, on the validation drives",
     "scene": "whether the model gets the scene",
     "paper": "whether the model is that of the paper's name",
@@ -151,17 +152,17 @@ def error_table(
 ) -> pd.DataFrame:
     """Return the errors of methods, with the index (label, method)."""
     check_metrics()
+    errors = {method: frame_errors(predictions, method) for method in methods}
     rows = {}
-    for method in methods:
-        for label, errors in frame_errors(predictions, method).items():
-            row = _error_row(predictions, label, errors, settings)
+    for label in [*predictions.quantity.ends, *predictions.ranges]:
+        for method in methods:
+            row = _error_row(predictions, label, errors[method][label], settings)
             if label in predictions.ranges:
-                row |= _column_errors(predictions, method, label, errors)
+                row |= _column_errors(predictions, method, label, errors[method][label])
             rows[label, method] = row
+    for method in methods:
         rows["", method]["drift"] = _mean_drift(predictions, method)
-    labels = [*predictions.quantity.ends, *predictions.ranges]
-    keys = [(label, method) for label in labels for method in methods]
-    return pd.DataFrame.from_dict({key: rows[key] for key in keys}, orient="index", dtype=object)
+    return pd.DataFrame.from_dict(rows, orient="index", dtype=object)
 
 
 def compare_methods(predictions: Predictions, settings: Evaluate) -> pd.DataFrame:

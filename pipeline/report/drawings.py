@@ -29,7 +29,6 @@ from pipeline.report.values import (
     list_methods,
     list_ranges,
     measure_of,
-    quantity_of,
     rank_models,
     title_of,
     without_scene,
@@ -108,7 +107,7 @@ def draw_errors(folder: Path, task: str, table: pd.DataFrame) -> Picture:
     # The dotted line is the baseline zero, and persistence gets the truth.
     names = [name for name in list_methods(table) if name not in ("zero", "persistence")]
     labels = list_ends(table) or list(dict.fromkeys(["", *list_ranges(table)]))
-    measure = measure_of(table.loc[(labels[0], "zero")], quantity_of(task))
+    measure = measure_of(table, task, labels[0])
     zero = lead_errors(table)["zero"]
     limit = CHART_LIMIT * (zero if zero > 0 else 1)
     figure, (panel,) = _draw_panels(1, 0.7 + 0.24 * len(labels) * (len(names) + 1))

@@ -173,7 +173,7 @@ def _describe_best(table: pd.DataFrame, task: str) -> list[str]:
     if statistics.value_of(row) is None:
         return []
     quantity = quantity_of(task)
-    measure = measure_of(row, quantity)
+    measure = measure_of(table, task, label)
     blind = without_scene(table)
     baseline = best_baseline(table)
     baseline_error = error_text(rows.loc[baseline], measure)
@@ -359,16 +359,15 @@ def _differences(
 ) -> Section:
     """Return the differences of the best model from the best baseline and the other models."""
     table = values.loc[task]
-    quantity = quantity_of(task)
     best, *others = rank_models(table)
     rows = {}
     for rival in (best_baseline(table), *others):
         cells = {}
         for label in labels:
             row = read_difference(table, best, rival, label)
-            unit = measure_of(row, quantity).unit
-            head = f"{label}, {unit}" if unit else label or "nmse"
-            cells[head] = _difference_cell(row, measure_of(row, quantity), page=page)
+            measure = measure_of(table, task, label)
+            head = f"{label}, {measure.unit}" if measure.unit else label or measure.title
+            cells[head] = _difference_cell(row, measure, page=page)
         rows[f"{_first_cell(best, page=page)} − {_first_cell(rival, page=page)}"] = cells
     return Section(f"{title}: {title_of(task)}", _table_of(rows, "models"))
 

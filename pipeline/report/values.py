@@ -89,8 +89,10 @@ def gather_values(tasks: Sequence[Task], settings: Evaluate) -> pd.DataFrame:
     for task in tasks:
         methods = [*task.predictions.predicted]
         table = error_table(task.predictions, methods, settings)
-        lead = task.predictions.quantity.lead
-        facts = {("", model): _model_facts(content, lead) for model, content in task.models.items()}
+        quantity = task.predictions.quantity
+        facts = {}
+        for model, content in task.models.items():
+            facts["", model] = _model_facts(content, quantity)
         table = table.join(pd.DataFrame.from_dict(facts, orient="index", dtype=object))
         rows[task.name] = pd.concat([table, compare_methods(task.predictions, settings)])
     values = (
@@ -110,13 +112,14 @@ def _is_papers(content: Mapping[str, Any]) -> bool:
     return paper.is_network(content["model"], content["entry"])
 
 
-def _model_facts(content: Mapping[str, Any], lead: str) -> dict[str, Any]:
-    """Return the FACTS of a model, from its metrics.json. `lead` is the label that leads."""
+def _model_facts(content: Mapping[str, Any], quantity: Quantity) -> dict[str, Any]:
+    """Return the FACTS of a model that predicts a quantity, from its metrics.json."""
     name = content["model"]
     gets_scene = content["entry"]["spatial"] != "blind"
-    key = f"{lead}/{name}" if lead else name
+    key = f"{quantity.lead}/{name}" if quantity.lead else name
     return {
-        "lead": lead or None,
+        "ends": quantity.ends or None,
+        "lead": quantity.lead or None,
         "validation": statistics.value_of(content["val"][key]) if content["val"] else None,
         "scene": gets_scene,
         "paper": _is_papers(content),
@@ -170,9 +173,12 @@ def title_of(task: str) -> str:
 
 
 def list_ends(table: pd.DataFrame) -> list[str]:
-    """Return the labels of the errors in the quantity's own measure."""
-    has_error = table["error"].notna()
-    return table.index[has_error].unique("range").tolist()
+    """Return the labels of the errors in the quantity's own measure, if it has any.
+
+    Published values before 2026-11-29 have none.
+    """
+    ends = table["ends"].dropna()
+    return [] if ends.empty else ends.iloc[0]
 
 
 def list_ranges(table: pd.DataFrame) -> list[str]:
@@ -198,10 +204,7 @@ def is_validated(table: pd.DataFrame) -> bool:
 
 
 def lead_label(table: pd.DataFrame) -> str:
-    """Return the label of the error that leads. It is empty if nmse leads.
-
-    Published values before 2026-11-29 do not say so: nmse led.
-    """
+    """Return the label of the error that leads. It is empty if nmse leads."""
     labels = table["lead"].dropna()
     return "" if labels.empty else str(labels.iloc[0])
 
@@ -212,9 +215,9 @@ def lead_errors(table: pd.DataFrame) -> pd.Series:
     return rows["error"].astype(float).fillna(rows["nmse"].astype(float))
 
 
-def measure_of(row: pd.Series, quantity: type[Quantity]) -> Measure:
-    """Return how the error of a row is stated."""
-    return NMSE if pd.isna(row["error"]) else quantity.measure
+def measure_of(table: pd.DataFrame, task: str, label: str) -> Measure:
+    """Return how the errors of a label are stated."""
+    return quantity_of(task).measure if label in list_ends(table) else NMSE
 
 
 def rank_models(table: pd.DataFrame) -> list[str]:

@@ -127,7 +127,8 @@ def draw_errors(folder: Path, task: str, table: pd.DataFrame) -> Picture:
             lines = [len(heads) - len(names) - 0.5, len(heads) - 0.5]
             panel.plot([zero, zero], lines, color=GREY, linewidth=1, linestyle=":")
     panel.set(xlim=(0, limit), ylim=(len(heads), -0.7))
-    panel.set_xlabel(f"{measure.title} {measure.unit}".strip() + "; dotted: always zero")
+    unit = f" in {measure.unit}" if measure.unit else ""
+    panel.set_xlabel(f"{measure.title}{unit}; dotted: always zero")
     panel.set_yticks(range(len(heads)), heads)
     panel.tick_params(axis="y", length=0)
     panel.spines[["left", "right", "top"]].set_visible(False)

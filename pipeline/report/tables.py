@@ -320,7 +320,8 @@ def _name_worst(table: pd.DataFrame, name: str) -> list[str]:
     if pd.isna(row["worst_share"]) or row["worst_share"] <= LARGE_SHARE:
         return []
     error = f"the error {lead_label(table)}".strip()
-    return [f"{row['worst_drive']} has {row['worst_share']:.0%} of {error} of {name}."]
+    percent = f"{100 * row['worst_share']:.0f} %"
+    return [f"{row['worst_drive']} has {percent} of {error} of {name}."]
 
 
 def _count_frames(table: pd.DataFrame, name: str, labels: Sequence[str]) -> str:

@@ -181,7 +181,7 @@ def test_the_best_model_is_compared_with_the_best_baseline_and_the_other_models(
     section = tables.results_table(table, "path-0")
     assert section.table.loc["path ✓", "error at 5 m, m"].startswith(f"{error_m['path']:.2f} (")
     assert section.table.loc["*odometry*", "error at 5 m, m"] == f"{error_m['odometry']:.2f}"
-    assert f"{examples.DRIVES[0]} has 50% of the error at 5 m of path." in section.note
+    assert f"{examples.DRIVES[0]} has 50 % of the error at 5 m of path." in section.note
     assert section.note.endswith("at 5 m 44, at 10 m 44.")
 
     by_range, in_nmse = tables.nmse_tables(table, "path-0")

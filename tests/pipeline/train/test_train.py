@@ -23,7 +23,7 @@ from pipeline.base.errors import InputError
 from pipeline.graphs.graph_file import Arrays, open_graphs
 from pipeline.train import fit, frames, loss, runs, trained, windows
 from pipeline.train.loss import Scale
-from pipeline.train.quantities.path import Target
+from pipeline.train.quantities.path import Target, end_points
 from pipeline.train.settings import Train
 from pipeline.train.targets import LabelledDrive, Timeline
 from tests import artefacts, small_model
@@ -230,6 +230,31 @@ def test_a_world_twice_as_large_has_bends_of_twice_the_radius(tmp_path, predicte
             large = np.tan(large)
             small = np.tan(small)
         assert large == pytest.approx(small / [2, 2, 2, 1, 1], rel=1e-5)
+
+
+@pytest.mark.parametrize("edges_m", [[0, 5, 10, 20, 30], [4, 8], [2, 2.5, 40]])
+def test_the_ends_of_a_path_are_those_of_fine_integration(edges_m):
+    """A path of arcs, a straight among them, which begins at the first edge."""
+    curvature = np.array([0.15, 0.0, -0.3, 0.02])[: len(edges_m) - 1]
+    step_m = 1e-3
+    arc_m = np.arange(edges_m[0], edges_m[-1] - step_m / 2, step_m) + step_m / 2
+    steps = curvature[np.searchsorted(edges_m, arc_m) - 1] * step_m
+    heading_rad = np.cumsum(steps) - steps / 2
+    course = np.cumsum(np.stack([np.cos(heading_rad), np.sin(heading_rad)], 1) * step_m, axis=0)
+    far = np.round((np.array(edges_m[1:]) - edges_m[0]) / step_m).astype(int) - 1
+    points = end_points(np.stack([curvature, -curvature]), edges_m)
+    np.testing.assert_allclose(points[0], course[far], atol=1e-5)
+    np.testing.assert_allclose(points[1], course[far] * [1, -1], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("edges_m", "lead"),
+    [([0, 5, 10, 20, 30], "at 20 m"), ([0, 5, 10], "at 5 m"), ([4, 8], "at 8 m")],
+)
+def test_the_end_before_the_last_leads(edges_m, lead):
+    quantity = Target({"wheelbase_m": 2.7, "min_speed_mps": 1.0, "ahead_m": edges_m})
+    assert quantity.lead == lead
+    assert quantity.ends == [f"at {far} m" for far in edges_m[1:]]
 
 
 @given(

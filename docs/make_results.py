@@ -6,7 +6,7 @@
 
 A value stands before a comment with its key, as in 0.064<!-- roads/angle-0/sa-gnn-ncp -->. This
 value is an nmse. For another column, its name follows the key, as in
-1.44<!-- roads/angle-0/sa-gnn-ncp:mae -->. A table of the report is written between a comment
+1.73<!-- demo/path-0/at 20 m/path:error -->. A table of the report is written between a comment
 with its run, task, name and columns, and the comment <!-- end -->.
 """
 
@@ -39,10 +39,7 @@ TABLE = re.compile(r"(<!-- table: (\S+) (\S+) (\w+): ([^\n]*) -->\n).*?(\n<!-- e
 # or RUN/KEY:COLUMN.
 VALUE = re.compile(r"[−+]?\d+\.\d+(?: \([^()]*\))?(<!-- (\w+)/([^:>]+?)(?::(\w+))? -->)")
 # Column → decimal places of its values.
-PLACES = {"nmse": 3, "mae": 2}
-# Decimal places of the demo's values, which every reader computes again: the third depends on the
-# processor.
-DEMO_PLACES = 2
+PLACES = {"nmse": 3, "error": 2, "mae": 2}
 
 
 def collect(
@@ -56,7 +53,8 @@ def collect(
     run = store.read_json(source, stage="report")
     if "results" not in run:
         run = {"preset": name, **describe_origin(), "results": run}
-    run["results"].pop("scores", None)
+    for key in ("frames", "scores"):
+        run["results"].pop(key, None)
     if not re.fullmatch("[0-9a-f]+", run["revision"]):
         problem = f"its code is not committed (revision {run['revision']})"
         raise InputError(problem, source, "Commit the code and repeat the run")
@@ -89,11 +87,11 @@ def pages(runs: dict[str, Rows]) -> dict[Path, str]:
         comment, run, key, column = match.groups()
         column = column or "nmse"
         row = runs[run][key]
-        places = DEMO_PLACES if run == "demo" else PLACES[column]
+        form = f"z.{PLACES[column]}f"
         if " - " in key:
-            bounds = tables.bounds_text(row, f"+.{places}f")
-            return f"{tables.value_text(row['nmse'], f'+.{places}f')} ({bounds}){comment}"
-        return f"{row[column]:.{places}f}{comment}"
+            bounds = tables.bounds_text(row, f"+{form}")
+            return f"{tables.value_text(row[column], f'+{form}')} ({bounds}){comment}"
+        return f"{row[column]:{form}}{comment}"
 
     def table(match: re.Match[str]) -> str:
         start, run, task, name, columns, end = match.groups()

@@ -10,18 +10,19 @@ from pipeline.jobs import console
 
 from pipeline.base.errors import error_context
 from pipeline.base.params import parse, read_yaml
-from pipeline.check.check_model import check_model
+from pipeline.check.check_model import check_model, check_network_folders
 from pipeline.check.settings import Params
 from pipeline.encoder import create
 
 
 def main(params: Path = Path("params.yaml")) -> Path:
-    """Validate all sections, and build each steering network once. Return `params`.
+    """Validate all sections, and run each model's quantity and network once. Return `params`.
 
     The encoder's files have to exist, unless dvc.lock lists an encoder of these settings.
     """
     content = read_yaml(params)
     settings = parse(Params, content, path=params)
+    check_network_folders()
     has_encoder = is_locked(params.with_name("dvc.lock"), content["encoder"])
     with error_context(params):
         if not has_encoder:

@@ -27,7 +27,8 @@ def main(
 ) -> Path:
     """Write metrics.json and, for the test drives, predictions.csv. Return the model's folder.
 
-    Errors are means over the seeds, on the frames that this model predicts.
+    Errors are means over the seeds, in the frames that this model predicts. Stage report has those
+    in the frames that all models predict.
     """
     name = entry_name(name)
     settings = load_section(Evaluate, params)
@@ -42,12 +43,14 @@ def main(
         cases = predict_cases(models, graphs, data / "labels", data / "motion")
         result = model_facts(name, first, cases)
         tables = {}
+        quantity = cases["test"][0].drive.quantity
         for split, drives in cases.items():
             result[split] = None
             if drives:
                 tables[split] = prediction_table(name, first.seeds, drives)
-                predictions = common_frames({name: tables[split]}, drives[0].drive.quantity)
+                predictions = common_frames({name: tables[split]}, quantity)
                 result[split] = to_records(error_table(predictions, [name], settings))
+        result["frames"] = predictions.frames_text
 
         nmse = result["train"][name]["seeds"] if result["train"] else []
         stuck = statistics.find_untrained(np.array(nmse, float))
@@ -61,9 +64,10 @@ def main(
         store.write_json(folder.new / "metrics.json", result, sort_keys=False)
         text = tables["test"].to_csv(index=False, lineterminator="\n", float_format="%.9f")
         store.write_text(folder.new / "predictions.csv", text)
-    for key, row in result["test"].items():
-        text = statistics.nmse_text(row)
-        print(f"{key}: test nmse {text}, on the {row['frames']} frames that it predicts itself")
+    row = result["test"][f"{quantity.lead}/{name}" if quantity.lead else name]
+    title = f"{quantity.measure.title} {quantity.lead}".strip()
+    text = f"{statistics.error_text(row, quantity.measure)} {quantity.measure.unit}".strip()
+    print(f"{name}: test {title} {text}, on the {row['frames']} frames that it predicts itself")
     return out
 
 

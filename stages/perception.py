@@ -40,7 +40,7 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
         work = partial(perceive_drive, encoder=encoder, settings=settings, max_passes=passes)
         jobs = file_jobs(splits, {"ingest": ingest}, work)
         key = settings.model_dump() | {"encoder": file_hash(encoder / FILE)}
-        make_drives(folder, jobs, key, log_format="{frames} frames", workers=workers)
+        make_drives(folder, jobs, key, log_format="{frames} frames{facts}", workers=workers)
     return out
 
 

@@ -13,7 +13,7 @@ from pipeline.base.params import load_section, read_entries
 from pipeline.base.summary import split_doubts
 from pipeline.evaluate.settings import Evaluate
 from pipeline.report import drawings, page, tables
-from pipeline.report.values import dvc_metrics, gather_values, load_tasks, to_json
+from pipeline.report.values import dvc_metrics, frames_of, gather_values, load_tasks, to_json
 
 
 def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
@@ -33,7 +33,7 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
 
         # All values are computed here, once: tables, page and DVC's metrics show them.
         values = gather_values(tasks, load_section(Evaluate, params))
-        rows = to_json(values) | {"scores": scores}
+        rows = to_json(values) | {"frames": frames_of(tasks), "scores": scores}
         store.write_json(folder.new / "results.json", rows, sort_keys=False)
         store.write_json(folder.new / "metrics.json", dvc_metrics(values), sort_keys=False)
 
@@ -42,6 +42,8 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
         sections = [tables.results_table(values, task.name) for task in tasks]
         sections += [tables.claims_table(values, task.name) for task in tasks]
         sections += [tables.differences_table(values, task.name) for task in tasks]
+        for task in tasks:
+            sections += tables.nmse_tables(values, task.name)
         sections += [tables.models_table(tasks), *tables.scores_tables(scores)]
         parts = [section.markdown() for section in sections if section.table.size]
         table = "\n\n".join([text, *parts, tables.write_definitions()])

@@ -38,10 +38,8 @@ def main(
     """
     name = entry_name(name)
     out = data / "train" / name
-    settings = load_section(Train, params)
     entry = load_entry(Entry, "models", name, params)
-    if entry.learning_rate:
-        settings = settings.model_copy(update={"learning_rate": entry.learning_rate})
+    settings = entry.override(load_section(Train, params))
     graphs = data / "graphs" / entry.input
     with stage_folder(f"train@{name}", out, params=params, chosen=entry.files) as folder:
         splits = store.read_index(graphs, stage="graphs")

@@ -63,6 +63,7 @@ def measure(
     for input that cannot be used.
     """
     given = from_python(Options, options)
+    car = from_python(measuring.CarOptions, {"wheelbase_m": wheelbase_m})
     folder = encoder_folder()
     if encoder is not None:
         folder = here_or_included(Path(encoder))
@@ -74,7 +75,7 @@ def measure(
         given,
         out=None if out is None else Path(out),
         encoder=folder,
-        wheelbase_m=wheelbase_m,
+        wheelbase_m=car.wheelbase_m,
         video=video,
     )
 

@@ -6,14 +6,17 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pandas as pd
+from pydantic import Field
 
 from pipeline.jobs.outputs import check_free
 
 from footage.convert import USUAL_HZ
 from footage.settings import Options
+from pipeline.base.params import Section
 from pipeline.base.store import replacing, write_json
 from pipeline.ingest.settings import Reading
 from pipeline.labels.label import Car
+from pipeline.labels.settings import Wheelbase
 from pipeline.perception.perceive import find_warnings
 from pipeline.perception.settings import Perception
 from pipeline.train.trained import Trained
@@ -25,6 +28,12 @@ from steer.pictures import draw_track, write_overlay
 # Settings for reading a source. Images get the size with which the encoder was trained. The first
 # of these cameras that has images is read.
 READING = Reading(image_size=(192, 640), cameras=[2, 0, 3, 1], lidar=False, on_damaged="skip")
+
+
+class CarOptions(Section):
+    """Options of the car, with the limits of section labels and the option's name as alias."""
+
+    wheelbase_m: Wheelbase = Field(default=2.7, alias="wheelbase")
 
 
 def measure_source(

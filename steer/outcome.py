@@ -160,9 +160,9 @@ class Results:
         """Return the content of quality.json. Unknown values are None."""
         camera = source.camera
         speed_sigma = self.table["speed_sigma"][self.table["valid"] > 0]
-        # Lengths that were not measured are 0, and a height that is not known is assumed.
+        # Medians of nothing are 0, and a height that is not known is assumed.
         facts = dict(self.facts)
-        for name in ("step_m", "road_height_m"):
+        for name in ("step_s", "step_m", "road_height_m", "scatter"):
             facts[name] = facts[name] or None
         if not facts["scaled"]:
             facts["camera_height_m"] = None

@@ -1,27 +1,42 @@
-"""Find faults of a model's entry: look for its inputs, and run its network on small frames."""
+"""Find faults of a model's entry: look for its inputs, and run its quantity and its network."""
 
 from pipeline.base.checkout import ROOT
-from pipeline.base.errors import InputError, closest
+from pipeline.base.errors import InputError, closest, error_context
+from pipeline.base.hashes import list_files
+from pipeline.check.check_quantity import check_quantity
 from pipeline.check.contract import check_network
 from pipeline.check.settings import Params
 from pipeline.train import runs
 from pipeline.train.entry import Entry
 from pipeline.train.quantity import load_quantity
 
+# Folder of the networks.
+STEERING = "models/steering"
 
-def check_files(entry: Entry) -> None:
-    """Raise InputError if a network has files whose changes DVC would not notice."""
-    for name in entry.networks:
-        module = ROOT / name
-        for path in [*module.parent.glob(f"{module.stem}.*"), module.with_suffix("")]:
-            if path.exists() and path != module:
-                fix = "Move it to models/steering/weights, see docs/models.md"
-                raise InputError("DVC would not notice its changes", path.relative_to(ROOT), fix)
+
+def check_network_folders() -> None:
+    """Raise InputError if the folders of networks have files whose changes DVC would not notice.
+
+    DVC watches the module of each network, and the folder of weights.
+    """
+    for part in ("spatial", "temporal"):
+        folder = ROOT / STEERING / part
+        for path in list_files(folder):
+            name = path.relative_to(folder)
+            if path.parent == folder and path.suffix == ".py":
+                continue
+            network, _, _ = name.parts[0].partition(".")
+            watched = f"{STEERING}/weights/{name}"
+            if not (folder / f"{network}.py").is_file():
+                watched = (
+                    f"{STEERING}/weights/NETWORK/{name}, where NETWORK is the one that reads it"
+                )
+            problem = "DVC would not notice its changes"
+            raise InputError(problem, path.relative_to(ROOT), f"Move it to {watched}")
 
 
 def check_model(entry: Entry, settings: Params) -> None:
-    """Check that a model's inputs are available, and its network. Raises InputError."""
-    check_files(entry)
+    """Check a model's inputs, its quantity and its network. Raises InputError."""
     if entry.input not in settings.graphs:
         options = closest(entry.input, [*settings.graphs])
         raise InputError(f"unknown variant {entry.input!r}: {options}", "input")
@@ -46,6 +61,8 @@ def check_model(entry: Entry, settings: Params) -> None:
         problem = f"spatial = {entry.spatial!r} reads edges, but graphs.{entry.input} has none"
         raise InputError(problem, fix=f"Set graphs.{entry.input}.k, for instance to 6")
     runs.check_splits(settings.ingest.drives.splits())
+    with error_context(f"predict: {entry.predict}"):
+        check_quantity(quantity, settings.labels)
     outputs = len(quantity.columns)
     image_size = settings.ingest.image_size
     net = entry.build(variant.kind, image_size, outputs)

@@ -132,6 +132,12 @@ def _check_prediction(
     `lone` of them are also run alone. An `item` is a frame or a window. Returns the outputs for all
     items.
     """
+    # A training copies the weights and gives them to the optimiser before the first batch.
+    for name, tensor in (*network.named_parameters(), *network.named_buffers()):
+        if nn.parameter.is_lazy(tensor):
+            problem = f"{name} has no size before the first batch"
+            raise InputError(problem, fix="Use a layer with sizes, such as Linear for LazyLinear")
+
     network.eval()
     with torch.no_grad():
         # Items alone come first. If the batch left a state in the network, they would differ.

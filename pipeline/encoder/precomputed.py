@@ -35,6 +35,32 @@ def hash_images(folder: Path) -> tuple[int, str]:
     return len(files), digest(hashes)
 
 
+def describe_sizes(folder: Path, drive: str, frame: int, camera: Camera) -> str:
+    """Return the sizes of a frame's files, and what :func:`read_frame` takes them for.
+
+    Only the aspect ratio tells: a file of a complete image that was squeezed to the size of
+    ingested images is taken for one of these.
+    """
+    depth_path, cls_path = _frame_paths(folder, drive, frame)
+    texts = []
+    for pixels in (read_depth(depth_path), read_classes(cls_path)):
+        height, width = pixels.shape[:2]
+        kind = "as ingested"
+        if not same_shape((height, width), camera.size):
+            kind = "complete images, cropped as by stage ingest"
+        texts.append(f"{kind}: {width} × {height}")
+    depth_text, cls_text = texts
+    if depth_text == cls_text:
+        return depth_text
+    return f"depth {depth_text}, classes {cls_text}"
+
+
+def _frame_paths(folder: Path, drive: str, frame: int) -> tuple[Path, Path]:
+    """Return the files with a frame's depth and classes."""
+    name = f"{frame:010d}.png"
+    return folder / drive / "depth" / name, folder / drive / "cls" / name
+
+
 def read_frame(
     folder: Path, drive: str, frame: int, camera: Camera
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -43,8 +69,7 @@ def read_frame(
     Depth is float32 [H,W] in metres, 0 where unknown; classes are trainIds uint8 [H,W], 255 for
     void. H and W are the size of `camera`. Raises InputError.
     """
-    depth_path = folder / drive / "depth" / f"{frame:010d}.png"
-    cls_path = folder / drive / "cls" / f"{frame:010d}.png"
+    depth_path, cls_path = _frame_paths(folder, drive, frame)
     for path in (depth_path, cls_path):
         if not path.is_file():
             raise InputError("file is missing", path, LAYOUT)

@@ -1,12 +1,14 @@
 """Compute the errors of predictions, and the differences between two methods, as tables.
 
-A method is a model or a baseline. Letters: S seeds of a model, N frames, R columns of the predicted
-quantity.
+A method is a model or a baseline. All numbers of a table are made of :func:`frame_errors`, which
+chooses the frames that count. Letters: S seeds of a model, N frames, R columns of the predicted
+quantity, C columns of an error.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -17,7 +19,39 @@ from pipeline.evaluate import statistics
 from pipeline.evaluate.drift import measure_drift
 from pipeline.evaluate.own_metrics import METRICS
 from pipeline.evaluate.settings import BASELINES, NO_LEARNING, Evaluate
+from pipeline.evaluate.statistics import FrameErrors
 from pipeline.train.quantity import Quantity
+
+# Columns of a table of errors or differences, without METRICS. A row has an nmse, or an error in
+# the quantity's own measure.
+COLUMNS = [
+    "error",
+    "nmse",
+    "low",
+    "high",
+    "seeds",
+    "mae",
+    "unit",
+    "mse",
+    "frames",
+    "drives",
+    "worst_drive",
+    "worst_share",
+    "drift",
+    "verdict",
+]
+# Columns that stage report adds to the rows of models → what they are.
+FACTS = {
+    "ends": "labels of the errors in the quantity's own measure, if it has any",
+    "lead": "the label of the error that leads, if it is not the nmse over all columns",
+    "validation": "the error that leads, on the validation drives",
+    "scene": "whether the model gets the scene",
+    "paper": "whether the model is that of the paper's name",
+    "parameters": "number of weights",
+    "edges": "directed kNN edges per frame after pruning, if the model reads any",
+    "turning_frames": "frames of the training drives that turn",
+    "untrained": "seeds that failed to train",
+}
 
 
 @dataclass(frozen=True)
@@ -39,6 +73,13 @@ class Predictions:
         """The number [N] of each frame's drive."""
         number, _ = self.frames["drive"].factorize()
         return number
+
+    @property
+    def frames_text(self) -> str:
+        """Which frames count, in words."""
+        if len(self.models) == 1:
+            return f"frames that {self.models[0]} predicts"
+        return f"frames that each of {', '.join(self.models)} predicts"
 
     @property
     def ranges(self) -> dict[str, list[int]]:
@@ -87,69 +128,119 @@ def common_frames(tables: Mapping[str, pd.DataFrame], quantity: Quantity) -> Pre
     return Predictions(quantity, frames.reset_index()[columns], truth, predicted)
 
 
+def frame_errors(predictions: Predictions, method: str) -> dict[str, FrameErrors]:
+    """Return label → errors of a method in the frames that count.
+
+    A label is one of the quantity's ends, with errors in its own measure, or a range, with those of
+    the nmse. The range without a name has a column for each range.
+    """
+    predicted = predictions.predicted[method]
+    truth = predictions.truth
+    errors = {}
+    distance = predictions.quantity.errors(predicted, truth)  # [S,N,E]
+    for number, label in enumerate(predictions.quantity.ends):
+        of_end = distance[..., [number]]
+        errors[label] = statistics.count_frames(of_end, np.ones(of_end.shape[1:]))
+    square = (predicted - truth) ** 2
+    for label, columns in predictions.ranges.items():
+        errors[label] = statistics.count_frames(square[..., columns], truth[:, columns] ** 2)
+    return errors
+
+
 def error_table(
     predictions: Predictions, methods: Sequence[str], settings: Evaluate
 ) -> pd.DataFrame:
-    """Return the errors of methods, with the index (range, method)."""
+    """Return the errors of methods, with the index (label, method)."""
+    check_metrics()
+    errors = {method: frame_errors(predictions, method) for method in methods}
     rows = {}
-    for label, columns in predictions.ranges.items():
+    for label in [*predictions.quantity.ends, *predictions.ranges]:
         for method in methods:
-            rows[label, method] = _method_errors(predictions, method, columns, settings)
+            row = _error_row(predictions, label, errors[method][label], settings)
+            if label in predictions.ranges:
+                row |= _column_errors(predictions, method, label, errors[method][label])
+            rows[label, method] = row
     for method in methods:
         rows["", method]["drift"] = _mean_drift(predictions, method)
     return pd.DataFrame.from_dict(rows, orient="index", dtype=object)
 
 
 def compare_methods(predictions: Predictions, settings: Evaluate) -> pd.DataFrame:
-    """Return the paired differences in nmse of models, with the index (range, "MODEL - RIVAL").
+    """Return the paired differences of models, with the index (label, "MODEL - RIVAL").
 
-    A rival is another model, or a baseline that does not get the truth.
+    A rival is another model, or a baseline that does not get the truth. Two models have one
+    interval, whichever is named first.
     """
-    rivals = predictions.models + [name for name in NO_LEARNING if name in predictions.predicted]
+    models = sorted(predictions.models)
+    baselines = [name for name in NO_LEARNING if name in predictions.predicted]
+    pairs = [*combinations(models, 2)]
+    pairs += [(model, baseline) for model in models for baseline in baselines]
+    errors = {name: frame_errors(predictions, name) for name in [*models, *baselines]}
     rows = {}
-    for label, columns in predictions.ranges.items():
-        for model in predictions.models:
-            for rival in rivals:
-                if model != rival:
-                    row = _compare_pair(predictions, model, rival, columns, settings)
-                    rows[label, f"{model} - {rival}"] = row
+    for label in [*predictions.quantity.ends, *predictions.ranges]:
+        of_label = {name: errors_of_method[label] for name, errors_of_method in errors.items()}
+        for model, rival in pairs:
+            row = _compare_pair(predictions, label, model, rival, of_label, settings)
+            rows[label, f"{model} - {rival}"] = row
+            if rival in models:
+                rows[label, f"{rival} - {model}"] = _turn_round(row)
     return pd.DataFrame.from_dict(rows, orient="index", dtype=object)
 
 
-def _method_errors(
-    predictions: Predictions, method: str, columns: Sequence[int], settings: Evaluate
-) -> dict[str, Any]:
-    """Return the errors of a method over some columns together, as means over the seeds."""
-    quantity = predictions.quantity
-    truth = predictions.truth[:, columns]
-    error = predictions.predicted[method] - predictions.truth  # [S,N,R]
-    square = error[..., columns] ** 2
-    counted = np.isfinite(truth).any(axis=1)
-    low, high = statistics.bootstrap_interval(square, truth, predictions.drive, settings) or (
-        None,
-        None,
-    )
+def check_metrics() -> None:
+    """Raise InputError if one of METRICS has the name of another column."""
+    for name in METRICS:
+        if name in (*COLUMNS, *FACTS, "model"):
+            problem = f"metric {name} has the name of a column of the tables"
+            raise InputError(problem, "pipeline/evaluate/own_metrics.py", "Rename it")
 
-    # The number that is shown of an error in these columns, if there is none in the others.
-    alone = np.zeros_like(error)
-    alone[..., columns] = error[..., columns]
-    shown = np.abs(quantity.shown(alone))
-    row = {
-        "nmse": statistics.nmse_of(square, truth),
+
+def _error_row(
+    predictions: Predictions, label: str, errors: FrameErrors, settings: Evaluate
+) -> dict[str, Any]:
+    """Return the error of a method with its interval, as the mean over the seeds."""
+    counted = errors.counted.any(axis=1)
+    bounds = statistics.bootstrap_interval(errors, predictions.drive, settings)
+    low, high = bounds or (None, None)
+    seeds = [errors._replace(error=seed[None]) for seed in errors.error]
+    row: dict[str, Any] = {
+        _value_column(predictions, label): statistics.mean_error(errors),
         "low": low,
         "high": high,
-        "seeds": [statistics.nmse_of(seed[None], truth) for seed in square],
-        "mae": float(np.nanmean(shown)) if np.isfinite(shown).any() else None,
-        "unit": quantity.shown_unit,
+        "seeds": [statistics.mean_error(seed) for seed in seeds],
+        "unit": predictions.quantity.measure.unit if label in predictions.quantity.ends else None,
         "frames": int(counted.sum()),
         "drives": predictions.frames["drive"][counted].nunique(),
     }
+    worst = statistics.find_worst(errors, predictions.drive)
+    if worst is not None:
+        number, row["worst_share"] = worst
+        row["worst_drive"] = predictions.frames["drive"].unique()[number]
+    return row
+
+
+def _column_errors(
+    predictions: Predictions, method: str, label: str, errors: FrameErrors
+) -> dict[str, Any]:
+    """Return further errors of a method in the columns of a range, with their unit."""
+    quantity = predictions.quantity
+    columns = predictions.ranges[label]
+    counted = errors.counted.all(axis=1)
+    predicted = predictions.predicted[method][:, counted]
+    truth = predictions.truth[counted]
+
+    # The number that is shown of an error in these columns, if there is none in the others.
+    alone = np.zeros_like(predicted)
+    alone[..., columns] = (predicted - truth)[..., columns]
+    shown = np.abs(quantity.shown(alone))
+    row = {"mae": float(shown.mean()) if counted.any() else None, "unit": quantity.shown_unit}
     if len(columns) == 1:
-        values = truth[counted, 0]
-        row["mse"] = float(square[:, counted].mean()) if len(values) else None
-        predicted = predictions.predicted[method][:, counted, columns[0]]
+        row["mse"] = float(errors.error[:, counted].mean()) if counted.any() else None
+        values = truth[:, columns[0]]
         for name in METRICS:
-            row[name] = _compute_metric(name, values, predicted, quantity, columns[0])
+            row[name] = _compute_metric(
+                name, values, predicted[..., columns[0]], quantity, columns[0]
+            )
     return row
 
 
@@ -185,27 +276,52 @@ def _mean_drift(predictions: Predictions, method: str) -> float | None:
     return float(np.mean(values)) if values else None
 
 
-def _compare_pair(
-    predictions: Predictions, model: str, rival: str, columns: Sequence[int], settings: Evaluate
-) -> dict[str, Any]:
-    """Return the paired difference in nmse of a model from its rival, with a verdict."""
-    truth = predictions.truth[:, columns]
-    square = (predictions.predicted[model][..., columns] - truth) ** 2
-    other = (predictions.predicted[rival][..., columns] - truth) ** 2
-    bounds = statistics.bootstrap_interval(square, truth, predictions.drive, settings, other)
-    low, high = bounds or (None, None)
+def _value_column(predictions: Predictions, label: str) -> str:
+    """Return the column of the errors of a label."""
+    return "error" if label in predictions.quantity.ends else "nmse"
 
-    # A baseline has no seeds.
-    seeds = len(square) if rival in BASELINES else min(len(square), len(other))
-    part = statistics.number_parts(predictions.drive, settings.bootstrap_block_frames)
-    drives = len(np.unique(part[np.isfinite(truth).any(axis=1)]))
-    mean = square.mean(axis=0, keepdims=True) - other.mean(axis=0)
-    return {
-        "nmse": statistics.nmse_of(mean, truth),
-        "low": low,
-        "high": high,
-        "verdict": statistics.judge_difference(bounds, seeds, drives),
-    }
+
+def _compare_pair(
+    predictions: Predictions,
+    label: str,
+    model: str,
+    rival: str,
+    errors: Mapping[str, FrameErrors],
+    settings: Evaluate,
+) -> dict[str, Any]:
+    """Return the paired difference of a model from its rival, with a verdict if its label leads.
+
+    `errors` is method → errors of the label.
+    """
+    first = errors[model]
+    second = errors[rival]
+    bounds = statistics.bootstrap_interval(first, predictions.drive, settings, second)
+    low, high = bounds or (None, None)
+    mean = first.error.mean(axis=0, keepdims=True) - second.error.mean(axis=0)
+    difference = statistics.mean_error(first._replace(error=mean))
+    column = _value_column(predictions, label)
+    row: dict[str, Any] = {column: difference, "low": low, "high": high}
+    quantity = predictions.quantity
+    if label == quantity.lead:
+        # A baseline has no seeds.
+        seeds = len(first.error)
+        if rival not in BASELINES:
+            seeds = min(seeds, len(second.error))
+        part = statistics.number_parts(predictions.drive, settings.bootstrap_block_frames)
+        drives = len(np.unique(part[first.counted.any(axis=1)]))
+        digits = quantity.measure.digits
+        row["verdict"] = statistics.judge_difference(bounds, seeds, drives, digits)
+    return row
+
+
+def _turn_round(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the difference of B from A, from a row with that of A from B."""
+    opposite = {column: -value for column, value in row.items() if isinstance(value, float)}
+    turned = {**row, **opposite, "low": opposite.get("high"), "high": opposite.get("low")}
+    if "verdict" in row:
+        verdicts = {"better": "worse", "worse": "better"}
+        turned["verdict"] = verdicts.get(row["verdict"], row["verdict"])
+    return turned
 
 
 def to_records(table: pd.DataFrame) -> dict[str, dict[str, Any]]:

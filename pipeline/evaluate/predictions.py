@@ -47,8 +47,9 @@ class Case:
         """Return the values [G,R] of predictors that do not use the scene.
 
         - train_mean is the mean of the training targets.
-        - persistence is the last true value before the target frame. No model gets it as an input.
-          A quantity ahead of the car has none, since its truth is in the future.
+        - persistence is the last true value up to the last input frame, or up to the frame before
+          it if that is the target frame (horizon 0). Before the first true value, it is 0. No model
+          gets it as an input. A quantity ahead of the car has none: its truth is in the future.
         - odometry is the value that is measured at the last input frame. It is NaN before the first
           measurement.
         - regression is odometry times its regression coefficient on the training drives. Before the

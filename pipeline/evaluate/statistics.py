@@ -1,111 +1,140 @@
 """Compute errors of predictions and their confidence intervals.
 
-Values are in rad or 1/m. Letters: N frames, S seeds of a model, R columns (the steering angle, or
-ranges of the path ahead), D parts of drives, B draws of the bootstrap. Predictions are [N], or
-[S,N] for S seeds, over which errors are averaged.
+Letters: N frames, S seeds of a model, C columns of errors, D parts of drives, B draws of the
+bootstrap.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from pipeline.evaluate.settings import Evaluate
+from pipeline.train.quantity import Measure
 
 # Least number of independent parts of drives for a verdict on two methods.
 LEAST_DRIVES = 10
 
 
-def nmse_of(error: np.ndarray, truth: np.ndarray) -> float | None:
-    """Return Σ error / Σ truth², as the mean over seeds and columns.
+class FrameErrors(NamedTuple):
+    """Errors of a method in each frame, in time order.
 
-    `error` [S,N,R] holds squared errors, NaN for frames that do not count, and `truth` [N,R] true
-    values. Columns whose true values are all 0 do not count. The result is None if no column
-    counts.
+    The error of the method is Σ error / Σ weight over frames, as the mean over seeds and columns.
     """
-    # The error of always predicting zero.
-    zero_error = np.nansum(truth**2, axis=0)
-    bends = zero_error > 0
-    if not bends.any():
+
+    error: np.ndarray  # [S,N,C], NaN in frames that do not count
+    weight: np.ndarray  # [N,C], NaN in frames that do not count
+
+    @property
+    def counted(self) -> np.ndarray:
+        """Whether a frame counts in a column, bool [N,C]."""
+        return np.isfinite(self.weight)
+
+
+def count_frames(error: np.ndarray, weight: np.ndarray) -> FrameErrors:
+    """Return errors [S,N,C] and weights [N,C] in the frames that have both, with every seed."""
+    counted = np.isfinite(error).all(axis=0) & np.isfinite(weight)
+    return FrameErrors(np.where(counted, error, np.nan), np.where(counted, weight, np.nan))
+
+
+def mean_error(errors: FrameErrors) -> float | None:
+    """Return Σ error / Σ weight, or None if no column has a weight."""
+    shares = contributions(errors)
+    return None if shares is None else float(shares.sum())
+
+
+def contributions(errors: FrameErrors) -> np.ndarray | None:
+    """Return the part [N] that each frame has in the :func:`mean_error`.
+
+    Columns whose weights are all 0 do not count. The result is None if no column counts.
+    """
+    weight = np.nansum(errors.weight, axis=0)
+    has_weight = weight > 0
+    if not has_weight.any():
         return None
-    return float((np.nansum(error.mean(axis=0), axis=0)[bends] / zero_error[bends]).mean())
+    error = np.nan_to_num(errors.error.mean(axis=0))[:, has_weight]
+    return (error / weight[has_weight]).mean(axis=1)
+
+
+def find_worst(errors: FrameErrors, drive: np.ndarray) -> tuple[int, float] | None:
+    """Return the drive with the largest share of the :func:`mean_error`, and that share.
+
+    `drive` [N] is the number of each frame's drive. The result is None without an error.
+    """
+    shares = contributions(errors)
+    if shares is None or not shares.sum() > 0:
+        return None
+    by_drive = np.bincount(drive, shares)
+    return int(by_drive.argmax()), float(by_drive.max() / shares.sum())
 
 
 def bootstrap_interval(
-    error: np.ndarray,
-    truth: np.ndarray,
+    errors: FrameErrors,
     drive: np.ndarray,
     settings: Evaluate,
-    other: np.ndarray | None = None,
+    other: FrameErrors | None = None,
 ) -> list[float] | None:
-    """Return the 95 % interval of Σ error / Σ truth² over other roads and seeds, from a bootstrap.
+    """Return the 95 % interval of Σ error / Σ weight over other roads and seeds, from a bootstrap.
 
     Parts of drives (:func:`number_parts`) are drawn with replacement, and so are the seeds of each
     model, independently of the parts. The variance of n drawn values is too small by a factor of
     (n - 1) / n. So deviations from the mean are multiplied by √(n / (n - 1)), for seeds as for
     parts. With one seed, the interval does not include the spread of other seeds. The result is
-    None with fewer than two parts, or if every true value is 0.
+    None with fewer than two parts, or if every weight is 0.
 
     Args:
-        error: squared errors [S,N] of S seeds, for all frames in time order, NaN for frames that do
-            not count. They are [S,N,R] for the interval of the mean over R columns.
-        truth: true values [N] or [N,R].
+        errors: errors of a model.
         drive: number [N] of each frame's drive.
         settings: number of draws, frames of a part, and seed of the draws.
-        other: squared errors of a second model. With them, the interval is that of the paired
-            difference, which is narrower if both models err on the same roads.
+        other: errors of a second model, with the same weights. With them, the interval is that of
+            the paired difference, which is narrower if both models err on the same roads.
     """
-    # Sum the squared errors of the models, and of always predicting zero, over the frames of each
-    # part that count.
-    squares = (truth**2).reshape(1, len(truth), -1)  # [1,N,R]
-    models = [error.reshape(*error.shape[:2], -1)]
-    if other is not None:
-        models.append(other.reshape(*other.shape[:2], -1))
-    counted = np.isfinite(squares).all(axis=0)  # [N,R]
-    for values in models:
-        counted &= np.isfinite(values).all(axis=0)
+    # Sum errors and weights over the frames of each part that count.
+    models = [errors] if other is None else [errors, other]
+    counted = np.all([model.counted for model in models], axis=0)  # [N,C]
     part = number_parts(drive, settings.bootstrap_block_frames)
-    zero_error = sums_by_part(squares, counted, part)[0]  # [D,R]
-    errors = [sums_by_part(values, counted, part) for values in models]  # each [S,D,R]
+    weight = sums_by_part(errors.weight[None], counted, part)[0]  # [D,C]
+    sums = [sums_by_part(model.error, counted, part) for model in models]  # each [S,D,C]
 
-    # A column whose true values are all 0 has no nmse.
-    bends = zero_error.any(axis=0)
-    if len(zero_error) < 2 or not bends.any():
+    # A column whose weights are all 0 has no error.
+    has_weight = weight.any(axis=0)
+    if len(weight) < 2 or not has_weight.any():
         return None
-    zero_error = zero_error[:, bends]
-    errors = [values[..., bends] for values in errors]
+    weight = weight[:, has_weight]
+    sums = [values[..., has_weight] for values in sums]
 
-    # Compute the error of the first model on drawn parts and with drawn seeds, and subtract that of
-    # the second model, if given.
+    # Sum the errors of the first model over drawn parts and drawn seeds, and subtract those of the
+    # second model, if given.
     rng = np.random.default_rng(settings.seed)
     samples = settings.bootstrap_samples
-    drawn_parts = draw_counts(len(zero_error), samples, rng)
-    drawn = drawn_error(errors[0], drawn_parts, draw_seeds(len(errors[0]), samples, rng))
-    mean = mean_nmse(errors[0], zero_error)
-    if len(errors) > 1:
-        drawn -= drawn_error(errors[1], drawn_parts, draw_seeds(len(errors[1]), samples, rng))
-        mean -= mean_nmse(errors[1], zero_error)
+    drawn_parts = draw_counts(len(weight), samples, rng)
+    drawn = drawn_error(sums[0], drawn_parts, draw_seeds(len(sums[0]), samples, rng))
+    total = sums[0].mean(axis=0).sum(axis=0)  # [C]
+    if len(sums) > 1:
+        drawn -= drawn_error(sums[1], drawn_parts, draw_seeds(len(sums[1]), samples, rng))
+        total -= sums[1].mean(axis=0).sum(axis=0)
+    mean = (total / weight.sum(axis=0)).mean()
 
-    # Divide by the error of always predicting zero on the drawn parts. The result is NaN for a draw
-    # whose true values are all 0.
-    drawn_zero = np.einsum("bd,dr->br", drawn_parts, zero_error)
-    drawn_nmse = np.full_like(drawn, np.nan)
-    np.divide(drawn, drawn_zero, out=drawn_nmse, where=drawn_zero > 0)
-    percentiles = np.nanpercentile(drawn_nmse.mean(axis=1), [2.5, 97.5])
+    # Divide by the weights of the drawn parts. The result is NaN for a draw whose weights are all
+    # 0.
+    drawn_weight = np.einsum("bd,dc->bc", drawn_parts, weight)
+    drawn_mean = np.full_like(drawn, np.nan)
+    np.divide(drawn, drawn_weight, out=drawn_mean, where=drawn_weight > 0)
+    percentiles = np.nanpercentile(drawn_mean.mean(axis=1), [2.5, 97.5])
 
     # An error is never below 0, but a difference can be.
-    low, high = (mean + widening_factor(len(zero_error)) * (percentiles - mean)).tolist()
+    low, high = (mean + widening_factor(len(weight)) * (percentiles - mean)).tolist()
     if other is None:
         return [max(low, 0.0), max(high, 0.0)]
     return [low, high]
 
 
 def sums_by_part(values: np.ndarray, counted: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Return the sums [S,D,R] of `values` [S,N,R] over the frames of each part.
+    """Return the sums [S,D,C] of `values` [S,N,C] over the frames of each part.
 
-    `counted`, bool [N,R], tells which values count, and `part` [N] is the number of each frame's
+    `counted`, bool [N,C], tells which values count, and `part` [N] is the number of each frame's
     part, ascending. Parts in which no value counts are left out.
     """
     rows = counted.any(axis=1)
@@ -138,22 +167,13 @@ def widening_factor(count: int) -> float:
 
 
 def drawn_error(errors: np.ndarray, drawn_parts: np.ndarray, seeds: np.ndarray) -> np.ndarray:
-    """Return the error [B,R] of each draw of parts and seeds.
+    """Return the sum of errors [B,C] of each draw of parts and seeds.
 
-    `errors` [S,D,R] are sums over the frames of each part, `drawn_parts` [B,D] tells how often a
+    `errors` [S,D,C] are sums over the frames of each part, `drawn_parts` [B,D] tells how often a
     part is drawn, and `seeds` [B,S] are the weights of the seeds.
     """
     by_seed = np.einsum("bd,sdr->bsr", drawn_parts, errors)
     return np.einsum("bs,bsr->br", seeds, by_seed) / len(errors)
-
-
-def mean_nmse(errors: np.ndarray, zero_error: np.ndarray) -> float:
-    """Return the nmse over all parts, as the mean over seeds and columns.
-
-    `errors` [S,D,R] are the sums of a model's squared errors by part, and `zero_error` [D,R] those
-    of always predicting zero.
-    """
-    return float((errors.mean(axis=0).sum(axis=0) / zero_error.sum(axis=0)).mean())
 
 
 def number_parts(drive: np.ndarray, block_frames: int) -> np.ndarray:
@@ -169,19 +189,20 @@ def number_parts(drive: np.ndarray, block_frames: int) -> np.ndarray:
     return np.repeat(np.arange(len(lengths)), lengths)
 
 
-def judge_difference(bounds: Sequence[float] | None, seeds: int, drives: int) -> str:
+def judge_difference(bounds: Sequence[float] | None, seeds: int, drives: int, digits: int) -> str:
     """Return what the interval of a paired difference shows about the first of two methods.
 
     `bounds` is the :func:`bootstrap_interval`, `seeds` the number of seeds of the model that has
-    fewer, and `drives` the number of parts of drives.
+    fewer, and `drives` the number of parts of drives. `digits` are the decimal places of the bounds
+    in tables: a bound that is 0 there excludes nothing.
     """
     if seeds < 2:
         return "too few seeds (train.seeds)"
     if drives < LEAST_DRIVES:
         return "too few drives"
-    if bounds is not None and bounds[1] < 0:
+    if bounds is not None and round(bounds[1], digits) < 0:
         return "better"
-    if bounds is not None and bounds[0] > 0:
+    if bounds is not None and round(bounds[0], digits) > 0:
         return "worse"
     return "no difference shown"
 
@@ -194,25 +215,27 @@ def find_untrained(nmse: np.ndarray) -> list[int]:
     return np.flatnonzero((nmse > 0.9) | (nmse > 0.5) & (nmse > 2 * np.median(nmse))).tolist()
 
 
-def nmse_text(row: Mapping[str, Any], digits: int = 3) -> str:
-    """Return the nmse of a row of errors, with its deviation over seeds and its interval."""
-    if pd.isna(row.get("nmse")):
+def error_text(row: Mapping[str, Any], measure: Measure) -> str:
+    """Return the error of a row with its deviation over seeds and its interval, without a unit."""
+    value = value_of(row)
+    if value is None:
         return "unknown"
-    text = f"{row['nmse']:.{digits}f}"
+    text = format(value, measure.form)
     if len(row["seeds"]) > 1:
-        text += f" ± {np.std(row['seeds'], ddof=1):.{digits}f}"
-    return f"{text} ({bounds_text(row, f'.{digits}f')})"
+        text += f" ± {format(np.std(row['seeds'], ddof=1), measure.form)}"
+    return f"{text} ({bounds_text(row, measure.form)})"
+
+
+def value_of(row: Mapping[str, Any]) -> float | None:
+    """Return the error of a row, which is in column nmse or error."""
+    for column in ("nmse", "error"):
+        if not pd.isna(row.get(column)):
+            return float(row[column])
+    return None
 
 
 def bounds_text(row: Mapping[str, Any], form: str) -> str:
     """Return the interval of a row of errors or differences as text."""
-    bounds = None if pd.isna(row.get("low")) else [row["low"], row["high"]]
-    return interval_text(bounds, form)
-
-
-def interval_text(bounds: Sequence[float] | None, form: str = ".3f") -> str:
-    """Return the bounds of an :func:`bootstrap_interval` as text, or the reason if it is None."""
-    if bounds is None:
+    if pd.isna(row.get("low")):
         return "too short for an interval"
-    low, high = bounds
-    return f"{low:{form}} to {high:{form}}"
+    return f"{row['low']:{form}} to {row['high']:{form}}"

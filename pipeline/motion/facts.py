@@ -4,7 +4,8 @@ Both follow from the summaries of :func:`pipeline.motion.motion_file.measure_dri
 attributes of its files. No cause is named: docs/measure.md has a table that reads the line.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -18,8 +19,20 @@ MAX_SCATTER = 0.08
 # Largest share of the measured frames that go backwards. Where a camera looks back, angles have the
 # wrong sign.
 MAX_BACKWARDS = 0.5
+# Least share of the moving frames with a road. Without a road, nothing but typical speeds tells the
+# speed.
+MIN_ROAD = 0.5
+# Smallest ratio of the camera's height by depth to its known height. Drives have 0.87 to 1.06.
+MIN_HEIGHT_RATIO = 0.7
+# Largest ratio of the two.
+MAX_HEIGHT_RATIO = 1.4
+# Time in seconds for which a speed that is doubted contradicts depth.
+CONTRADICTION_S = 1.0
 # Least number of moving frames about which there may be a doubt.
 MIN_MOVING = 10
+# Least number of moving frames that are not measured, for a doubt: a second of most recordings. A
+# healthy rendered drive of 40 frames has seven.
+MIN_UNMEASURED = 10
 # Least number of frames with a road in a drive that tell the unit of depth.
 ROAD_FRAMES = 50
 
@@ -34,34 +47,60 @@ def facts_lines(summaries: Mapping[str, Summary]) -> Iterator[str]:
 
 
 def facts_line(name: str, summaries: Sequence[Summary]) -> str:
-    """Return how the motion of drives was measured. It begins with DOUBT if too little was.
+    """Return how the motion of drives was measured. It begins with DOUBT if that is doubtful.
 
-    Counts are summed, and other values are medians over the drives.
+    Counts are summed, and other values are medians over the drives that know them.
     """
-    counts = ("frames", "moving", "valid", "backwards", "road_frames")
+    counts = ("moving", "valid", "backwards", "moving_road_frames")
     values = ("road_height_m", "camera_height_m", "step_s", "step_m", "scatter", "scale_sigma")
     total = {name: sum(summary[name] for summary in summaries) for name in counts}
-    median = dict.fromkeys(values, 0.0)
+    median = {name: _median_of_known(summary[name] for summary in summaries) for name in values}
+    contradiction_s = 0.0
     if summaries:
-        median = {name: float(np.median([s[name] for s in summaries])) for name in values}
+        contradiction_s = float(np.median([summary["contradiction_s"] for summary in summaries]))
 
-    height = f"known: {median['camera_height_m']:.2f} m"
-    if not all(summary["scaled"] for summary in summaries):
+    height = f"known: {_format(median['camera_height_m'], '.2f')} m"
+    height_ratio = math.nan
+    if all(summary["scaled"] for summary in summaries):
+        ratios = [summary["road_height_m"] / summary["camera_height_m"] for summary in summaries]
+        height_ratio = _median_of_known(ratios)
+    else:
         height = "the scale is not known"
+
     text = (
         f"motion of {name}: measured in {total['valid']:,} of {total['moving']:,} moving frames, "
-        f"backwards in {total['backwards']:,}; a road in {total['road_frames']:,} of "
-        f"{total['frames']:,} frames, by depth {median['road_height_m']:.2f} m below the camera "
-        f"({height}); {median['step_s']:.2f} s and {median['step_m']:.2f} m per step; the speed "
-        f"scatters by {median['scatter']:.1%} from frame to frame, and by "
-        f"{median['scale_sigma']:.0%} from drive to drive"
+        f"backwards in {total['backwards']:,}; a road in {total['moving_road_frames']:,} of them, "
+        f"by depth {_format(median['road_height_m'], '.2f')} m below the camera ({height}); "
+        f"{_format(median['step_s'], '.2f')} s and {_format(median['step_m'], '.2f')} m per step; "
+        f"the speed scatters by {_format(median['scatter'], '.1%')} from frame to frame, and by "
+        f"{_format(median['scale_sigma'], '.0%')} from drive to drive; "
+        f"it contradicts depth for {contradiction_s:.1f} s"
     )
+    unmeasured = total["moving"] - total["valid"]
+    is_unmeasured = unmeasured >= MIN_UNMEASURED and total["valid"] < MIN_MEASURED * total["moving"]
     is_doubted = (
-        total["valid"] < MIN_MEASURED * total["moving"]
+        is_unmeasured
         or median["scatter"] > MAX_SCATTER
         or total["backwards"] > MAX_BACKWARDS * total["valid"]
+        or total["moving_road_frames"] < MIN_ROAD * total["moving"]
+        or height_ratio < MIN_HEIGHT_RATIO
+        or height_ratio > MAX_HEIGHT_RATIO
+        or contradiction_s >= CONTRADICTION_S
     )
     return DOUBT + text if is_doubted and total["moving"] >= MIN_MOVING else text
+
+
+def _median_of_known(values: Iterable[float]) -> float:
+    """Return the median of the values that are not 0, which stands for unknown; else NaN."""
+    known = [value for value in values if value]
+    if not known:
+        return math.nan
+    return float(np.median(known))
+
+
+def _format(value: float, form: str) -> str:
+    """Return a value as text; an en dash if it is NaN."""
+    return "–" if math.isnan(value) else f"{value:{form}}"
 
 
 def check_unit(summaries: Mapping[str, Summary]) -> None:

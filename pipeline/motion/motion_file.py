@@ -1,5 +1,6 @@
 """Measure the motion of a drive: data/motion/<drive>.h5."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -31,6 +32,8 @@ MAX_ACCELERATION_MPS2 = 12.0
 MAX_ERROR = 0.25
 # Time in seconds after which a speed says nothing about the present one.
 FORGET_S = 1.0
+# Factor between an estimated speed and the one by depth above which they contradict each other.
+CONTRADICTION = 1.5
 # Code of a step that no car makes.
 NOT_A_CARS = PROBLEMS.index("a motion that is not a car's")
 # Problems of frames that are not measured though the car may move.
@@ -156,7 +159,12 @@ def _add_estimates(
     before_s = np.append(np.nan, duration_s[:-1])
     columns["ratio"] *= np.nan_to_num(before_s / duration_s).astype(np.float32)
 
+    # A ratio counts only between two neighbouring steps that are measured. After lost images, the
+    # step over the gap is removed, since it is several steps long.
     valid = _is_measured(columns)
+    columns["ratio"][~valid] = 0
+    columns["ratio"][1:][~valid[:-1]] = 0
+
     speeds = Speeds(
         time_s=time_s[valid],
         speed_mps=columns["speed_mps"][valid],
@@ -203,6 +211,10 @@ def _summarise_steps(
     valid = _is_measured(columns)
     moving = valid | np.isin(columns["problem"], LOST)
     road = columns["road_height_m"] > 0
+    contradictions_s = [
+        time_contradiction(columns[name], columns["speed_mps"], _has_scale(columns), duration_s)
+        for name in ("filtered_mps", "smooth_speed_mps")
+    ]
     length_m = np.linalg.norm(columns["T_before_now"][:, :3, 3], axis=1)
     return {
         "frames": len(valid),
@@ -213,10 +225,30 @@ def _summarise_steps(
         # Without a road, the scale of a step is unknown.
         "step_m": _median_or_zero(length_m[valid & road]),
         "road_frames": int(road.sum()),
+        "moving_road_frames": int((moving & road).sum()),
         "road_height_m": _median_or_zero(columns["road_height_m"][road]),
         "camera_height_m": camera.height_m,
         "scaled": int(camera.height_known),
+        "contradiction_s": max(contradictions_s),
     }
+
+
+def time_contradiction(
+    estimated_mps: np.ndarray, speed_mps: np.ndarray, valid: np.ndarray, duration_s: np.ndarray
+) -> float:
+    """Return the longest time in seconds over which estimated speeds contradict those by depth.
+
+    All are [F]. Only frames that are `valid` count: others neither add to the time nor end it.
+    """
+    estimated = np.log(np.maximum(np.abs(estimated_mps), LEAST_MPS))
+    by_depth = np.log(np.maximum(np.abs(speed_mps), LEAST_MPS))
+    contradicts = np.abs(estimated - by_depth) > math.log(CONTRADICTION)
+    longest_s = 0.0
+    current_s = 0.0
+    for row in np.flatnonzero(valid):
+        current_s = current_s + float(duration_s[row]) if contradicts[row] else 0.0
+        longest_s = max(longest_s, current_s)
+    return longest_s
 
 
 def _measure_scatter(speed_mps: np.ndarray, valid: np.ndarray) -> float:

@@ -36,10 +36,10 @@ LAG_S = 1.0
 # Time in seconds of the drive that weighs as much as DEPTH_SPREAD.
 KNOWN_S = 5.0
 # Relative standard deviation of the scale of a drive's speeds, if the camera's height over the road
-# is known: 0.039 is the root mean square of the mean errors of eight drives (-0.019 on KITTI drive
-# 0005, -0.013 on 0039, -0.022 on 0042, -0.092 on 0052, -0.012 on 0095, -0.043 on odometry 03,
-# -0.026 on 09, +0.006 on the sample).
-KNOWN_HEIGHT_SIGMA = 0.04
+# is known: the root mean square of the logarithms of 1.069, 1.031, 1.119 and 1.054, the mean ratios
+# of measured to recorded speeds of four drives on which odometry was not tuned. On the eight drives
+# on which it was, the root mean square is 0.039. docs/measure.md has all twelve.
+KNOWN_HEIGHT_SIGMA = 0.07
 # Relative standard deviation of this scale if the camera's height is unknown.
 UNKNOWN_HEIGHT_SIGMA = 0.2
 # Least speed in m/s whose logarithm is taken.
@@ -50,12 +50,19 @@ LEAST_NOISE = 0.01
 # road.
 LEAST_TRUST = 0.25
 
+# Largest distance of a ratio from the lengths by depth, in standard deviations of both, with which
+# it is used. On 76 drives of the sample, the largest of 2,875 is 2.8; on the seven drives of KITTI
+# in docs/measure.md that were tuned on, the largest of 2,394 is 2.4.
+GATE = 4.0
+
 # Entries of the filter's state: the logarithm of the speed over TYPICAL_MPS, that one step before,
 # the scale's error in standard deviations, and the error of depth that lasts for DEPTH_S.
 _SPEED = 0
 _BEFORE = 1
 _SCALE = 2
 _DEPTH = 3
+# A ratio is the difference of the first two.
+_BY_RATIO = np.array([1.0, -1.0, 0.0, 0.0])
 
 
 class Speeds(NamedTuple):
@@ -144,21 +151,25 @@ def _run_filter(speeds: Speeds) -> list[_Filtered]:
         state = predicted
         covariance = predicted_covariance
 
-        # Correct by the ratio to the step before.
+        # Correct by the length.
         measured = math.log(max(abs(speeds.speed_mps[row]), LEAST_MPS) / TYPICAL_MPS)
+        scale_sigma = NO_SCALE * (ROAD_SCALE / NO_SCALE) ** trust
+        by_depth = np.array([1.0, 0.0, scale_sigma, 1.0])
+        state, covariance = _correct_state(state, covariance, by_depth, measured, LEAST_NOISE)
+
+        # Correct by the ratio to the step before, unless the lengths contradict it.
         log_ratio = None
         sigma = float(speeds.ratio_sigma[row])
         if row and speeds.ratio[row] > 0 and trust > LEAST_TRUST:
             sigma /= trust
             log_ratio = math.log(speeds.ratio[row])
-            difference = np.array([1.0, -1.0, 0.0, 0.0])
-            state, covariance = _correct_state(state, covariance, difference, log_ratio, sigma)
+            # The error of depth lasts, but may also change at once by its spread.
+            both_sigma = math.hypot(sigma, depth_spread.sigma)
+            if _is_outlier(state, covariance, _BY_RATIO, log_ratio, both_sigma):
+                log_ratio = None
+            else:
+                state, covariance = _correct_state(state, covariance, _BY_RATIO, log_ratio, sigma)
         depth_spread.add_step(float(speeds.time_s[row]), measured, log_ratio, sigma)
-
-        # Correct by the length.
-        scale_sigma = NO_SCALE * (ROAD_SCALE / NO_SCALE) ** trust
-        by_depth = np.array([1.0, 0.0, scale_sigma, 1.0])
-        state, covariance = _correct_state(state, covariance, by_depth, measured, LEAST_NOISE)
         steps.append(_Filtered(transition, predicted, predicted_covariance, state, covariance))
     return steps
 
@@ -171,6 +182,14 @@ def _correct_state(
     gain = covariance @ observation / variance
     corrected = state + gain * (value - observation @ state)
     return corrected, covariance - np.outer(gain, observation @ covariance)
+
+
+def _is_outlier(
+    state: np.ndarray, covariance: np.ndarray, observation: np.ndarray, value: float, sigma: float
+) -> bool:
+    """Return whether a measured value is farther from the state than GATE standard deviations."""
+    variance = observation @ covariance @ observation + sigma**2
+    return abs(value - observation @ state) > GATE * math.sqrt(variance)
 
 
 class _DepthSpread:

@@ -26,6 +26,8 @@ from pipeline.encoder import precomputed
 from pipeline.encoder.encoder_file import FILE, load_encoder
 from pipeline.perception.settings import Perception
 
+# Number of classes whose shares of the pixels are printed, the largest ones.
+SHARES = 5
 # Least number of images in a forward pass on a GPU. A CPU computes them one by one.
 GPU_BATCH = 32
 # Error of the scale of depth, as a factor, above which precomputed depth must be in another unit.
@@ -64,6 +66,8 @@ class OpenEncoder(NamedTuple):
     # Error of the scale of depth, as a factor, above which depth must be in another unit. It is
     # infinite for random weights, whose depth has no scale.
     unit_error: float
+    # Folder of precomputed files, if the encoder is one.
+    files: Path | None = None
 
 
 def open_encoder(folder: Path, precision: str) -> OpenEncoder:
@@ -99,7 +103,8 @@ def _open_file(folder: Path, sha256: str, precision: str) -> OpenEncoder:
     datasets = architecture.get("datasets")
     if architecture["backbone"] == "precomputed":
         files = in_checkout(Path(architecture["folder"]))
-        return OpenEncoder(partial(_read_precomputed, files), datasets, FILES_UNIT_ERROR)
+        read_files = partial(_read_precomputed, files)
+        return OpenEncoder(read_files, datasets, FILES_UNIT_ERROR, files)
 
     def predict(batch: EncoderInput) -> Perceived:
         return perceive(network, batch.images, batch.camera, precision)
@@ -194,7 +199,8 @@ def perceive_drive(
 
     `path` is ``data/perception/<drive>.h5``, `ingest` the drive's file of that stage, and `encoder`
     the folder of the encoder. `max_passes` is an argument of :func:`run_passes`. `advance` is
-    called with the number of frames that were written since its last call.
+    called with the number of frames that were written since its last call. The summary has the
+    number of frames, and facts as text: the size of what was read, and the shares of the classes.
     """
     opened = open_encoder(encoder, settings.precision)
     with DriveReader(ingest, stage="ingest") as source:
@@ -216,15 +222,44 @@ def perceive_drive(
             units = np.empty((0, *camera.size), np.uint16)
             file.append("depth_m", units, f"1/{DEPTH_UNITS_PER_M} m, 0 = none")
             file.append("cls", np.empty((0, *camera.size), np.uint8), "Cityscapes trainId")
+            # Number of pixels by class.
+            pixels = np.zeros(classes.VOID + 1, np.int64)
 
             # A thread reads images, other threads run the network, and this thread writes.
             with closing(run_passes(opened.predict, batches, max_passes)) as results:
                 for depth_m, cls in results:
                     file.append("depth_m", to_units(np.where(cls == classes.SKY, 0, depth_m)))
                     file.append("cls", cls)
+                    pixels += np.bincount(cls.ravel(), minlength=len(pixels))
                     if advance:
                         advance(len(cls))
-    return {"frames": len(rows)}
+        # Files of a drive have the size of those of its first frame.
+        facts = ""
+        if len(rows):
+            height, width = camera.size
+            size = f"as ingested: {width} × {height}"
+            if opened.files:
+                frame = int(source.frame[rows[0]])
+                size = precomputed.describe_sizes(opened.files, source.drive, frame, camera)
+            facts = f", {size}, {class_shares(pixels)}"
+    return {"frames": len(rows), "facts": facts}
+
+
+def class_shares(pixels: np.ndarray) -> str:
+    """Return the shares of the most frequent classes as text.
+
+    `pixels` [256] are the numbers of pixels by trainId.
+    """
+    names = {classes.VOID: "void", **dict(enumerate(classes.NAMES))}
+    texts = []
+    for number in np.argsort(-pixels, kind="stable")[:SHARES].tolist():
+        if pixels[number]:
+            # Files of precomputed classes may have other numbers than trainIds.
+            name = names.get(number, f"class {number}")
+            texts.append(f"{name} {100 * pixels[number] / pixels.sum():.0f} %")
+    if np.count_nonzero(pixels) > SHARES:
+        texts.append("…")
+    return ", ".join(texts)
 
 
 def read_batches(

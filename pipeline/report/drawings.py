@@ -18,23 +18,29 @@ from matplotlib.figure import Figure
 
 from pipeline.base import store
 from pipeline.camera.camera import read_camera
+from pipeline.evaluate import statistics
 from pipeline.evaluate.settings import BASELINES
 from pipeline.report import street_view
 from pipeline.report.street_view import COLOURS, WIDTH, chart_colour
 from pipeline.report.values import (
     Task,
+    lead_errors,
+    list_ends,
     list_methods,
     list_ranges,
+    measure_of,
     rank_models,
     title_of,
     without_scene,
 )
+from pipeline.train.quantity import Measure
 
 # Colours of models that have none in COLOURS. They repeat if there are more models.
 OTHERS = ("#8a5fbf", "#7a6a53", "#c2185b", "#455a64")
 # Colour of baselines that have none in COLOURS.
 GREY = "#7f8790"
-# nmse at which the chart of errors ends: larger values stand at its edge, as a number.
+# Error at which the chart of errors ends, relative to that of always predicting zero: larger values
+# stand at its edge, as a number.
 CHART_LIMIT = 1.5
 
 
@@ -97,10 +103,13 @@ def _set_title(panel: Axes, title: str) -> None:
 
 
 def draw_errors(folder: Path, task: str, table: pd.DataFrame) -> Picture:
-    """Draw the nmse of models and baselines with its 95 % interval, a line for each value."""
+    """Draw the errors of models and baselines with their 95 % intervals, a line for each value."""
     # The dotted line is the baseline zero, and persistence gets the truth.
     names = [name for name in list_methods(table) if name not in ("zero", "persistence")]
-    labels = list(dict.fromkeys(["", *list_ranges(table)]))
+    labels = list_ends(table) or list(dict.fromkeys(["", *list_ranges(table)]))
+    measure = measure_of(table, task, labels[0])
+    zero = lead_errors(table)["zero"]
+    limit = CHART_LIMIT * (zero if zero > 0 else 1)
     figure, (panel,) = _draw_panels(1, 0.7 + 0.24 * len(labels) * (len(names) + 1))
     colour_of = choose_colours(table)
     heads: list[str] = []
@@ -110,31 +119,42 @@ def draw_errors(folder: Path, task: str, table: pd.DataFrame) -> Picture:
             panel.text(0.02, len(heads), title, va="center", fontweight="bold")
         heads.append("")
         for name in names:
-            _draw_interval(panel, len(heads), table.loc[(label, name)], colour_of[name])
+            row = table.loc[(label, name)]
+            _draw_interval(panel, len(heads), row, measure, limit, colour_of[name])
             heads.append(name)
-    panel.axvline(1, color=GREY, linewidth=1, linestyle=":")
-    panel.set(xlim=(0, CHART_LIMIT), ylim=(len(heads), -0.7))
-    panel.set_xlabel("nmse: 0 is perfect, 1 is always zero")
+        zero = statistics.value_of(table.loc[(label, "zero")])
+        if zero is not None and zero < limit:
+            lines = [len(heads) - len(names) - 0.5, len(heads) - 0.5]
+            panel.plot([zero, zero], lines, color=GREY, linewidth=1, linestyle=":")
+    panel.set(xlim=(0, limit), ylim=(len(heads), -0.7))
+    unit = f" in {measure.unit}" if measure.unit else ""
+    panel.set_xlabel(f"{measure.title}{unit}; dotted: always zero")
     panel.set_yticks(range(len(heads)), heads)
     panel.tick_params(axis="y", length=0)
     panel.spines[["left", "right", "top"]].set_visible(False)
     path = folder / f"errors-{task}.png"
     street_view.save_figure(figure, path)
-    caption = f"The error of the {title_of(task)} on the test drives, with its 95 % interval. An "
+    caption = f"The {measure.title} of the {title_of(task)} on the test drives, with its 95 % "
+    caption += "interval. An "
     return Picture(path, caption + "arrow marks what is beyond the edge.")
 
 
-def _draw_interval(panel: Axes, line: int, row: pd.Series, colour: Any) -> None:
+def _draw_interval(
+    panel: Axes, line: int, row: pd.Series, measure: Measure, limit: float, colour: Any
+) -> None:
     """Draw a value with its interval on a line, and write the value beside the chart."""
-    if pd.isna(row["nmse"]):
+    value = statistics.value_of(row)
+    if value is None:
         return
-    panel.text(1.03 * CHART_LIMIT, line, f"{row['nmse']:.2f}", va="center")
+    panel.text(1.03 * limit, line, format(value, measure.form), va="center")
+    farthest = value
     if not pd.isna(row["low"]):
         panel.plot([row["low"], row["high"]], [line, line], color=colour, linewidth=2)
-    if row["nmse"] <= CHART_LIMIT:
-        panel.plot(row["nmse"], line, "o", color=colour, clip_on=False)
-    if max(row[["nmse", "high"]].dropna()) > CHART_LIMIT:
-        panel.plot(CHART_LIMIT, line, ">", color=colour, clip_on=False)
+        farthest = max(value, row["high"])
+    if value <= limit:
+        panel.plot(value, line, "o", color=colour, clip_on=False)
+    if farthest > limit:
+        panel.plot(limit, line, ">", color=colour, clip_on=False)
 
 
 def draw_learning(folder: Path, values: pd.DataFrame, train: Path) -> Picture | None:

@@ -49,7 +49,7 @@ def list_results(folder: Path, values: pd.DataFrame, tasks: Sequence[Task]) -> C
 
 def _match_errors() -> str:
     """Return a regular expression for the columns of errors in tables of results."""
-    return f"^({'|'.join(['nmse', 'MAE', *METRICS])})"
+    return f"^({'|'.join(['error', 'nmse', 'MAE', *METRICS])})"
 
 
 def list_details(
@@ -65,6 +65,7 @@ def list_details(
         title = title_of(task.name)
         section = tables.results_table(values, task.name, page=True)
         others = section.table.columns[~section.table.columns.str.match(_match_errors())]
+        content[f"nmse by range: {title}"] = tables.nmse_tables(values, task.name, page=True)
         content[f"Differences and sizes: {title}"] = [
             tables.differences_table(values, task.name, page=True),
             Section("Sizes", section.table[others]),

@@ -15,25 +15,40 @@ from pipeline.report.values import (
     Task,
     best_baseline,
     is_validated,
+    lead_label,
+    list_ends,
     list_methods,
     list_ranges,
+    measure_of,
     quantity_of,
     rank_models,
     read_difference,
     title_of,
     without_scene,
 )
+from pipeline.train.quantity import NMSE, Measure, Quantity
 
 # Text of a cell without a value.
 NONE = "–"
+# Share of the error that leads above which a drive is named.
+LARGE_SHARE = 0.25
 # Number of turning frames in the training drives below which models cannot be told apart.
 LEAST_TURNING = 20
 # Words that the tables use → their meanings.
 DEFINITIONS = {
+    "error at an end": (
+        "the distance between the predicted and the driven path after that length of path, both "
+        "with the mean curvature of each range; the mean over frames, so that slow stretches count "
+        "more per metre. It resembles the final displacement error (FDE) of other work, but "
+        "compares at equal lengths instead of equal times."
+    ),
     "nmse": (
         "MSE / MSE of always predicting zero: 0 is perfect, 1 is useless. Without a range, it is "
-        "the mean over the ranges. After ± stands the standard deviation between seeds. In "
-        "parentheses or below stands the 95 % interval, bootstrapped over roads and seeds."
+        "the mean over the ranges."
+    ),
+    "intervals": (
+        "after ± stands the standard deviation between seeds. In parentheses or below stands the "
+        "95 % interval, bootstrapped over roads and seeds."
     ),
     "MAE": "mean absolute error, with its unit.",
     "drift": (
@@ -48,9 +63,10 @@ DEFINITIONS = {
     **{name: f"a baseline: {meaning}." for name, meaning in NO_LEARNING.items()},
     "persistence": "a baseline: the last true value, which no model gets.",
     "differences": (
-        "paired differences in nmse, mean over the seeds, with their 95 % intervals: below 0, the "
-        "first is better. One seed is too few to compare methods: add some to train.seeds. Fewer "
-        "than ten drives are too few, too."
+        "paired differences of errors, mean over the seeds, with their 95 % intervals: below 0, "
+        "the first is better. A verdict is read from the printed bounds, of one error only. One "
+        "seed is too few to compare methods: add some to train.seeds. Fewer than ten drives are "
+        "too few, too."
     ),
     "claims": (
         "nmse and mean absolute error of both networks; MSE of the first relative to the second's, "
@@ -108,6 +124,18 @@ def bounds_text(row: Mapping[str, Any] | pd.Series, form: str) -> str:
     return statistics.bounds_text(row, form).replace("-", "−")
 
 
+def error_text(row: pd.Series, measure: Measure, form: str = "") -> str:
+    """Return the error of a row with its unit."""
+    value = value_text(statistics.value_of(row), form or measure.form)
+    return f"{value} {measure.unit}".strip()
+
+
+def interval_text(row: pd.Series, measure: Measure, form: str = "") -> str:
+    """Return the interval of a row with its unit."""
+    unit = "" if pd.isna(row["low"]) else measure.unit
+    return f"{bounds_text(row, form or measure.form)} {unit}".strip()
+
+
 def _table_of(rows: Mapping[str, Mapping[str, str]], name: str) -> pd.DataFrame:
     """Return a table of rows, without columns that have no value. `name` is that of its index."""
     table = pd.DataFrame.from_dict(rows, orient="index").fillna(NONE).rename_axis(name)
@@ -137,55 +165,62 @@ def write_sentences(values: pd.DataFrame, absent: Sequence[str] = ()) -> list[st
 
 
 def _describe_best(table: pd.DataFrame, task: str) -> list[str]:
-    """Return sentences on the best model, or none if the test drives have no bend."""
+    """Return sentences on the best model, or none if it has no error: the test has no bend."""
     name = rank_models(table)[0]
-    row = table.loc[("", name)]
-    if pd.isna(row["nmse"]):
+    label = lead_label(table)
+    rows = table.loc[label]
+    row = rows.loc[name]
+    if statistics.value_of(row) is None:
         return []
     quantity = quantity_of(task)
+    measure = measure_of(table, task, label)
     blind = without_scene(table)
     baseline = best_baseline(table)
-    baseline_nmse = value_text(table.loc[("", baseline), "nmse"], ".2f")
+    baseline_error = error_text(rows.loc[baseline], measure)
 
     # The headline compares with a network that lacks the scene, if there is one.
     drives = "1 drive" if row["drives"] == 1 else f"{row['drives']} drives"
-    nmse = f"an error (nmse) of {value_text(row['nmse'], '.2f')} on {drives} that it was not "
-    nmse += "trained on"
-    if blind and row["scene"]:
+    title = f"{measure.title} {label}".strip()
+    error = f"an error ({title}) of {error_text(row, measure)} on {drives} that it was not trained "
+    error += "on"
+    if blind and table.loc[("", name), "scene"]:
         rival = f"`{blind}`"
         question = f"Does the scene help to predict the {title_of(task)}?"
-        answer = f"Network `{name}` sees the scene and has {nmse}. Network {rival} does not see it "
-        answer += f"and has {value_text(table.loc[('', blind), 'nmse'], '.2f')}."
+        answer = f"Network `{name}` sees the scene and has {error}. Network {rival} does not see "
+        answer += f"it and has {error_text(rows.loc[blind], measure)}."
     else:
         rival = f"*{baseline}*"
         question = f"How well does a network predict the {title_of(task)}?"
-        answer = f"Network `{name}` has {nmse}. Without a network, {rival} "
-        answer += f"({NO_LEARNING[baseline]}) has {baseline_nmse}."
+        answer = f"Network `{name}` has {error}. Without a network, {rival} "
+        answer += f"({NO_LEARNING[baseline]}) has {baseline_error}."
 
     choice = "validation error" if is_validated(table) else "test error (there is no validation)"
-    labels = [label for label in list_ranges(table) if label]
-    means = f", here as the mean over the ranges {', '.join(labels)}" if labels else ""
+    meaning = measure.meaning
+    ranges = [] if label else list_ranges(table)
+    if len(ranges) > 1:
+        meaning += f" Here it is the mean over the ranges {', '.join(ranges)}."
+    mae = quantity.text(table.loc[("", name), "mae"])
     explained = [
         f"*{name}*: {NO_LEARNING[name]}" for name in list_methods(table) if name in NO_LEARNING
     ]
     return [
-        f"{question} {answer} 0 is perfect, and 1 is as bad as always predicting zero.",
-        f"Verdict on `{name}` against {rival}: {_verdict_text(table, name, rival.strip('`*'))}.",
-        f"nmse is the squared error relative to that of always predicting zero{means}. The 95 % "
-        f"interval of that of `{name}` is {bounds_text(row, '.2f')}. `{name}` has the least "
-        f"{choice} of the networks. Its mean absolute error of the {quantity.shown_title} is "
-        f"{quantity.text(row['mae'])}.",
+        f"{question} {answer} {meaning}",
+        f"Verdict on `{name}` against {rival}: {_verdict_text(table, name, rival, measure)}.",
+        f"The 95 % interval of the error of `{name}` is {interval_text(row, measure)}. `{name}` "
+        f"has the least {choice} of the networks. Its mean absolute error of the "
+        f"{quantity.shown_title} is {mae}.",
         f"Predictions without a network: {'; '.join(explained)}. The best of them is *{baseline}*, "
-        f"with an nmse of {baseline_nmse}. Verdict on `{name}` against it: "
-        f"{_verdict_text(table, name, baseline)}.",
+        f"with an error of {baseline_error}. Verdict on `{name}` against it: "
+        f"{_verdict_text(table, name, baseline, measure)}.",
     ]
 
 
-def _verdict_text(table: pd.DataFrame, name: str, rival: str) -> str:
-    """Return the verdict on a model against a rival, with the difference in nmse."""
-    row = read_difference(table, name, rival)
-    value = value_text(row["nmse"], "+.2f")
-    return f"{row['verdict']} (difference {value}, 95 % interval {bounds_text(row, '+.2f')})"
+def _verdict_text(table: pd.DataFrame, name: str, rival: str, measure: Measure) -> str:
+    """Return the verdict on a model against a rival, with the difference of their errors."""
+    row = read_difference(table, name, rival.strip("`*"))
+    difference = error_text(row, measure, measure.signed_form)
+    bounds = interval_text(row, measure, measure.signed_form)
+    return f"{row['verdict']} (difference {difference}, 95 % interval {bounds})"
 
 
 def few_turns(values: pd.DataFrame) -> list[str]:
@@ -197,18 +232,16 @@ def few_turns(values: pd.DataFrame) -> list[str]:
     return [f"{problem}, too few to tell models apart"]
 
 
-# Tables of steering. With `page`, they are those of index.html: two digits, and an interval below
-# its value. Values of all ranges together have the range "".
+# Tables of steering. With `page`, they are those of index.html, which have an interval below its
+# value. Values of all ranges together have the range "".
 
 
 def results_table(values: pd.DataFrame, task: str, *, page: bool = False) -> Section:
-    """Return the errors of models and baselines.
+    """Return the errors of models and baselines: those at each end, or nmse if there are no ends.
 
     If the models can judge a claim of the paper, the paper's errors stand beside them.
     """
     table = values.loc[task]
-    quantity = quantity_of(task)
-    labels = list(dict.fromkeys(["", *list_ranges(table)]))
     chosen = rank_models(table)[0]
     with_paper = claims_table(values, task).table.size > 0
     notes = [f"✓ has the least {'validation' if is_validated(table) else 'test'} error."]
@@ -221,12 +254,10 @@ def results_table(values: pd.DataFrame, task: str, *, page: bool = False) -> Sec
             cells["paper: train MSE"] = value_text(published and published.train_mse, ".3f")
             cells["paper: test MSE"] = value_text(published and published.test_mse, ".3f")
             cells["MSE, rad²"] = value_text(row["mse"], "#.3g")
-        for label in labels:
-            of_range = table.loc[(label, name)]
-            cells[f"nmse {label}".strip()] = _nmse_cell(of_range, page=page)
-            for metric in METRICS:
-                cells[f"{metric} {label}".strip()] = value_text(of_range[metric], ".3f")
-        cells[f"MAE {quantity.shown_unit}"] = value_text(row["mae"], quantity.shown_format)
+        if list_ends(table):
+            cells |= _end_cells(table, name, quantity_of(task), page=page)
+        else:
+            cells |= _nmse_cells(table, name, quantity_of(task), page=page)
         cells["drift"] = value_text(row["drift"], ".1f")
         cells["parameters"] = value_text(row["parameters"], ",d")
         cells["edges"] = value_text(row["edges"], ",.0f")
@@ -237,11 +268,66 @@ def results_table(values: pd.DataFrame, task: str, *, page: bool = False) -> Sec
             marks += " †"
             notes.append(f"† {len(stuck)} of {len(row['seeds'])} seeds of {name} failed to train.")
         rows[_first_cell(name, page=page) + marks] = cells
-    frames = [
-        f"{label} {table.loc[(label, chosen), 'frames']:,}".strip() for label in list_ranges(table)
-    ]
-    notes.append(f"Test frames that every model of the table predicts: {', '.join(frames)}.")
+    notes += _name_worst(table, chosen)
+    notes.append(_count_frames(table, chosen, list_ends(table) or list_ranges(table)))
     return Section(f"Results: {title_of(task)}", _table_of(rows, "model"), " ".join(notes))
+
+
+def nmse_tables(values: pd.DataFrame, task: str, *, page: bool = False) -> list[Section]:
+    """Return the nmse by range and its differences, or none if :func:`results_table` has them."""
+    table = values.loc[task]
+    if not list_ends(table):
+        return []
+    rows = {}
+    for name in list_methods(table):
+        cells = _nmse_cells(table, name, quantity_of(task), page=page)
+        rows[_first_cell(name, page=page)] = cells
+    note = _count_frames(table, rank_models(table)[0], list_ranges(table))
+    errors = Section(f"nmse by range: {title_of(task)}", _table_of(rows, "model"), note)
+    return [errors, _differences(values, task, "Differences in nmse", list_ranges(table), page)]
+
+
+def _end_cells(
+    table: pd.DataFrame, name: str, quantity: type[Quantity], *, page: bool
+) -> dict[str, str]:
+    """Return the errors of a method at each end."""
+    cells = {}
+    for label in list_ends(table):
+        cells[f"error {label}, {quantity.measure.unit}"] = _error_cell(
+            table.loc[(label, name)], quantity.measure, page=page
+        )
+    return cells
+
+
+def _nmse_cells(
+    table: pd.DataFrame, name: str, quantity: type[Quantity], *, page: bool
+) -> dict[str, str]:
+    """Return the nmse of a method by range, its mean absolute error, and its METRICS."""
+    cells = {}
+    for label in dict.fromkeys(["", *list_ranges(table)]):
+        row = table.loc[(label, name)]
+        cells[f"nmse {label}".strip()] = _error_cell(row, NMSE, page=page)
+        for metric in METRICS:
+            cells[f"{metric} {label}".strip()] = value_text(row[metric], ".3f")
+    mae = table.loc[("", name), "mae"]
+    cells[f"MAE {quantity.shown_unit}"] = value_text(mae, quantity.shown_format)
+    return cells
+
+
+def _name_worst(table: pd.DataFrame, name: str) -> list[str]:
+    """Return a sentence on the drive that makes a large share of a model's error, or none."""
+    row = table.loc[(lead_label(table), name)]
+    if pd.isna(row["worst_share"]) or row["worst_share"] <= LARGE_SHARE:
+        return []
+    error = f"the error {lead_label(table)}".strip()
+    percent = f"{100 * row['worst_share']:.0f} %"
+    return [f"{row['worst_drive']} has {percent} of {error} of {name}."]
+
+
+def _count_frames(table: pd.DataFrame, name: str, labels: Sequence[str]) -> str:
+    """Return a sentence on the frames that count for each of some labels."""
+    frames = [f"{label} {table.loc[(label, name), 'frames']:,}".strip() for label in labels]
+    return f"Test frames that every model of the table predicts: {', '.join(frames)}."
 
 
 def _first_cell(name: str, *, page: bool) -> str:
@@ -251,40 +337,51 @@ def _first_cell(name: str, *, page: bool) -> str:
     return f"`{name}`" if page else name
 
 
-def _nmse_cell(row: pd.Series, *, page: bool) -> str:
-    """Return the text of an nmse, with the interval of a model's."""
+def _error_cell(row: pd.Series, measure: Measure, *, page: bool) -> str:
+    """Return the text of an error, with the interval of a model's."""
     _, name = row.name
-    if name in BASELINES or pd.isna(row["nmse"]):
-        return value_text(row["nmse"], ".2f" if page else ".3f")
+    value = value_text(statistics.value_of(row), measure.form)
+    if name in BASELINES or value == NONE:
+        return value
     if page:
-        return f"{value_text(row['nmse'], '.2f')}\n{bounds_text(row, '.2f')}"
-    return statistics.nmse_text(row)
+        return f"{value}\n{bounds_text(row, measure.form)}"
+    return statistics.error_text(row, measure)
 
 
 def differences_table(values: pd.DataFrame, task: str, *, page: bool = False) -> Section:
+    """Return the differences of the errors at each end, or in nmse if there are no ends."""
+    table = values.loc[task]
+    labels = list_ends(table) or list_ranges(table)
+    return _differences(values, task, "Differences", labels, page)
+
+
+def _differences(
+    values: pd.DataFrame, task: str, title: str, labels: Sequence[str], page: bool
+) -> Section:
     """Return the differences of the best model from the best baseline and the other models."""
     table = values.loc[task]
     best, *others = rank_models(table)
     rows = {}
     for rival in (best_baseline(table), *others):
         cells = {}
-        for label in list_ranges(table):
+        for label in labels:
             row = read_difference(table, best, rival, label)
-            cells[label or "nmse"] = difference_text(row, page=page)
+            measure = measure_of(table, task, label)
+            head = f"{label}, {measure.unit}" if measure.unit else label or measure.title
+            cells[head] = _difference_cell(row, measure, page=page)
         rows[f"{_first_cell(best, page=page)} − {_first_cell(rival, page=page)}"] = cells
-    return Section(f"Differences: {title_of(task)}", _table_of(rows, "models"))
+    return Section(f"{title}: {title_of(task)}", _table_of(rows, "models"))
 
 
-def difference_text(row: pd.Series, *, page: bool = False) -> str:
-    """Return the text of a paired difference in nmse, with its interval and verdict."""
-    if pd.isna(row["nmse"]):
+def _difference_cell(row: pd.Series, measure: Measure, *, page: bool) -> str:
+    """Return the text of a paired difference, with its interval, and its verdict if it has one."""
+    value = statistics.value_of(row)
+    if value is None:
         return NONE
-    form = "+.2f" if page else "+.3f"
-    value = value_text(row["nmse"], form)
-    bounds = bounds_text(row, form)
-    if page:
-        return f"{value} {row['verdict']}\n{bounds}"
-    return f"{value} ({bounds}) {row['verdict']}"
+    text = value_text(value, measure.signed_form)
+    bounds = bounds_text(row, measure.signed_form)
+    verdict = "" if pd.isna(row["verdict"]) else f" {row['verdict']}"
+    return f"{text}{verdict}\n{bounds}" if page else f"{text} ({bounds}){verdict}"
 
 
 def claims_table(values: pd.DataFrame, task: str) -> Section:

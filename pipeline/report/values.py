@@ -1,10 +1,13 @@
 """Gather the results of all models in one table, of which results.json, tables and pages are made.
 
-The table of values has a row per error and per paired difference in nmse. Its index is:
+The table of values has a row per error and per paired difference of errors. Its index is:
 
 - task: what is predicted and how many frames ahead, for instance path-0 or angle-10.
-- range: a range of the path, for instance 10-20 m. The range without a name is all of them.
-- row: a model, a baseline, or "A - B", the difference of A from B, which has a verdict.
+- range: a range of the path, for instance 10-20 m, whose rows have an nmse. The range without a
+  name is all of them. Or an end of the path, for instance at 20 m, whose rows have an error in the
+  measure of the quantity.
+- row: a model, a baseline, or "A - B", the difference of A from B. Those of the error that leads
+  have a verdict.
 
 Its columns are those of :mod:`pipeline.evaluate.error_table`. Rows of models without a range have
 FACTS, too. A key of results.json joins the names of the index, for instance path-0/10-20 m/path.
@@ -20,7 +23,10 @@ from typing import Any
 import pandas as pd
 
 from pipeline.base import store
+from pipeline.evaluate import statistics
 from pipeline.evaluate.error_table import (
+    COLUMNS,
+    FACTS,
     Predictions,
     common_frames,
     compare_methods,
@@ -30,34 +36,10 @@ from pipeline.evaluate.error_table import (
 from pipeline.evaluate.own_metrics import METRICS
 from pipeline.evaluate.settings import BASELINES, NO_LEARNING, Evaluate
 from pipeline.report import paper
-from pipeline.train.quantity import Quantity, load_quantity
+from pipeline.train.quantity import NMSE, Measure, Quantity, load_quantity
 
 # Names of the index.
 INDEX = ["task", "range", "row"]
-# Columns of the rows, without METRICS.
-ERRORS = [
-    "nmse",
-    "low",
-    "high",
-    "seeds",
-    "mae",
-    "unit",
-    "mse",
-    "frames",
-    "drives",
-    "drift",
-    "verdict",
-]
-# Columns of the models' rows → what they are.
-FACTS = {
-    "validation": "nmse on the validation drives, as the mean over ranges and seeds",
-    "scene": "whether the model gets the scene",
-    "paper": "whether the model is that of the paper's name",
-    "parameters": "number of weights",
-    "edges": "directed kNN edges per frame after pruning, if the model reads any",
-    "turning_frames": "frames of the training drives that turn",
-    "untrained": "seeds that failed to train",
-}
 
 
 @dataclass(frozen=True)
@@ -107,7 +89,10 @@ def gather_values(tasks: Sequence[Task], settings: Evaluate) -> pd.DataFrame:
     for task in tasks:
         methods = [*task.predictions.predicted]
         table = error_table(task.predictions, methods, settings)
-        facts = {("", model): _model_facts(content) for model, content in task.models.items()}
+        quantity = task.predictions.quantity
+        facts = {}
+        for model, content in task.models.items():
+            facts["", model] = _model_facts(content, quantity)
         table = table.join(pd.DataFrame.from_dict(facts, orient="index", dtype=object))
         rows[task.name] = pd.concat([table, compare_methods(task.predictions, settings)])
     values = (
@@ -118,7 +103,7 @@ def gather_values(tasks: Sequence[Task], settings: Evaluate) -> pd.DataFrame:
 
 def _add_columns(values: pd.DataFrame) -> pd.DataFrame:
     """Return values with all columns and the names of the index."""
-    values = values.reindex(columns=[*ERRORS, *FACTS, *METRICS])
+    values = values.reindex(columns=[*COLUMNS, *FACTS, *METRICS])
     return values.rename_axis(INDEX)
 
 
@@ -127,13 +112,15 @@ def _is_papers(content: Mapping[str, Any]) -> bool:
     return paper.is_network(content["model"], content["entry"])
 
 
-def _model_facts(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the FACTS of a model, from its metrics.json."""
+def _model_facts(content: Mapping[str, Any], quantity: Quantity) -> dict[str, Any]:
+    """Return the FACTS of a model that predicts a quantity, from its metrics.json."""
     name = content["model"]
     gets_scene = content["entry"]["spatial"] != "blind"
-    validation = content["val"][name] if content["val"] else {}
+    key = f"{quantity.lead}/{name}" if quantity.lead else name
     return {
-        "validation": validation.get("nmse"),
+        "ends": quantity.ends or None,
+        "lead": quantity.lead or None,
+        "validation": statistics.value_of(content["val"][key]) if content["val"] else None,
         "scene": gets_scene,
         "paper": _is_papers(content),
         "parameters": content["parameters"],
@@ -162,7 +149,12 @@ def from_json(rows: Mapping[str, Any]) -> pd.DataFrame:
 def dvc_metrics(values: pd.DataFrame) -> dict[str, Any]:
     """Return key → errors of models and baselines, as ``dvc metrics show`` prints them."""
     is_error = values["verdict"].isna()
-    return to_records(values.loc[is_error, ["nmse", "mae", *METRICS]])
+    return to_records(values.loc[is_error, ["error", "nmse", "mae", *METRICS]])
+
+
+def frames_of(tasks: Sequence[Task]) -> dict[str, str]:
+    """Return task → the frames that count, in words."""
+    return {task.name: task.predictions.frames_text for task in tasks}
 
 
 # The values of one task, with the index (range, row).
@@ -180,16 +172,25 @@ def title_of(task: str) -> str:
     return quantity_of(task).title_at(int(horizon))
 
 
+def list_ends(table: pd.DataFrame) -> list[str]:
+    """Return the labels of the errors in the quantity's own measure, if it has any.
+
+    Published values before 2026-11-29 have none.
+    """
+    ends = table["ends"].dropna()
+    return [] if ends.empty else ends.iloc[0]
+
+
 def list_ranges(table: pd.DataFrame) -> list[str]:
     """Return the names of the ranges, or the empty name of a quantity without ranges."""
-    return [name for name in table.index.unique("range") if name] or [""]
+    labels = table.index.unique("range")
+    return [label for label in labels if label and label not in list_ends(table)] or [""]
 
 
 def list_models(table: pd.DataFrame) -> list[str]:
     """Return the models."""
-    rows = table.loc[""]
-    names = rows.index[rows["verdict"].isna()]
-    return [name for name in names if name not in BASELINES]
+    names = table.loc[""].index
+    return [name for name in names if " - " not in name and name not in BASELINES]
 
 
 def list_methods(table: pd.DataFrame) -> list[str]:
@@ -202,10 +203,29 @@ def is_validated(table: pd.DataFrame) -> bool:
     return bool(table.loc[""].loc[list_models(table), "validation"].notna().all())
 
 
+def lead_label(table: pd.DataFrame) -> str:
+    """Return the label of the error that leads. It is empty if nmse leads."""
+    labels = table["lead"].dropna()
+    return "" if labels.empty else str(labels.iloc[0])
+
+
+def lead_errors(table: pd.DataFrame) -> pd.Series:
+    """Return method or pair → the error that leads."""
+    rows = table.loc[lead_label(table)]
+    return rows["error"].astype(float).fillna(rows["nmse"].astype(float))
+
+
+def measure_of(table: pd.DataFrame, task: str, label: str) -> Measure:
+    """Return how the errors of a label are stated."""
+    return quantity_of(task).measure if label in list_ends(table) else NMSE
+
+
 def rank_models(table: pd.DataFrame) -> list[str]:
     """Return models by validation error, or by test error if a model has no validation error."""
-    column = "validation" if is_validated(table) else "nmse"
-    order = table.loc[""].loc[list_models(table), column].astype(float)
+    order = lead_errors(table)
+    if is_validated(table):
+        order = table.loc[""]["validation"].astype(float)
+    order = order[list_models(table)]
     return order.sort_values(kind="stable").index.tolist()
 
 
@@ -217,12 +237,18 @@ def without_scene(table: pd.DataFrame) -> str | None:
 
 
 def best_baseline(table: pd.DataFrame) -> str:
-    """Return the baseline with the least nmse among those that do not get the truth."""
+    """Return the baseline with the least error among those that do not get the truth."""
     names = [name for name in NO_LEARNING if name in list_methods(table)]
-    nmse = table.loc[""].loc[names, "nmse"].astype(float)
-    return str(nmse.fillna(math.inf).idxmin())
+    return str(lead_errors(table)[names].fillna(math.inf).idxmin())
 
 
-def read_difference(table: pd.DataFrame, name: str, rival: str, label: str = "") -> pd.Series:
-    """Return the paired difference of a model from another model or a baseline."""
+def read_difference(
+    table: pd.DataFrame, name: str, rival: str, label: str | None = None
+) -> pd.Series:
+    """Return the paired difference of a model from another, or from a baseline.
+
+    `label` is the one that leads, if it is not given.
+    """
+    if label is None:
+        label = lead_label(table)
     return table.loc[(label, f"{name} - {rival}")]

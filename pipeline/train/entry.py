@@ -6,9 +6,12 @@ from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from models.steering.core import options, steering_net
 from pipeline.base.errors import InputError, closest
-from pipeline.base.params import Rate, Section, parse
+from pipeline.base.params import Count, Rate, Section, parse
 from pipeline.train.quantity import load_quantity, quantity_file
+from pipeline.train.settings import Train
 
+# Keys of section train that an entry overrides.
+OVERRIDES = ("learning_rate", "epochs", "span_windows", "batch_spans")
 # Kind of frames → its name in messages.
 FRAMES = {"graph": "points", "image": "images"}
 
@@ -29,8 +32,11 @@ class Entry(Section):
     window: Annotated[int, Field(ge=1, le=256)] = 8
     # Whether the output is odd under left-right mirroring.
     equivariant: bool = False
-    # Overrides train.learning_rate.
+    # These override the keys of section train.
     learning_rate: Rate | None = None
+    epochs: Count | None = None
+    span_windows: Count | None = None
+    batch_spans: Count | None = None
     # Exponent per rad of the weight exp(alpha |steering|), eq. 9.
     alpha: Annotated[float, Field(ge=0, le=100)] = 0.0
     # Number of features per frame, between the two networks.
@@ -107,6 +113,11 @@ class Entry(Section):
     def files(self) -> list[str]:
         """The files that the entry names: those of the networks and of the quantity."""
         return [*self.networks, quantity_file(self.predict)]
+
+    def override(self, settings: Train) -> Train:
+        """Return the settings of the entry's training."""
+        given = {key: getattr(self, key) for key in OVERRIDES if getattr(self, key) is not None}
+        return settings.model_copy(update=given)
 
     def seeded(self, seed: int) -> Self:
         """Return the entry with `seed` for the wiring of an NCP, unless it has one."""

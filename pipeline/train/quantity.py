@@ -3,14 +3,14 @@
 `predict: NAME` in params.yaml stands for this file, which is listed nowhere else. It has one class,
 Target(Quantity). docs/models.md has an example.
 
-Letters: F frames of a drive, W windows, R columns of a quantity.
+Letters: F frames of a drive, W windows, R columns of a quantity, E ends of a path.
 """
 
 import importlib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -22,6 +22,34 @@ from pipeline.labels.label import Car
 NAMES = sorted(path.stem for path in (Path(__file__).parent / "quantities").glob("[!_]*.py"))
 # Length in metres of the path that is drawn for a value of the present.
 HELD_M = 20.0
+
+
+class Measure(NamedTuple):
+    """How an error is stated in tables and sentences."""
+
+    title: str
+    unit: str  # empty if it has none
+    digits: int  # decimal places, which tables show and verdicts are read from
+    meaning: str  # a sentence
+
+    @property
+    def form(self) -> str:
+        """The format of a value. A value that is rounded to 0 has no minus (z)."""
+        return f"z.{self.digits}f"
+
+    @property
+    def signed_form(self) -> str:
+        """The format of a difference."""
+        return f"+{self.form}"
+
+
+NMSE = Measure(
+    "nmse",
+    "",
+    3,
+    "nmse is the squared error relative to that of always predicting zero: 0 is perfect, and 1 is "
+    "as bad as always predicting zero.",
+)
 
 
 class Quantity(ABC):
@@ -37,6 +65,8 @@ class Quantity(ABC):
     shown_title: ClassVar[str]
     shown_unit: ClassVar[str]
     shown_format: ClassVar[str] = ".3g"
+    # How the error that leads tables, headline and verdict is stated. By default, nmse leads.
+    measure: ClassVar[Measure] = NMSE
 
     # Whether the values lie ahead of the car, also with a horizon of 0. Then the measured motion
     # does not determine them, and the truth of the frame before is not known to the car.
@@ -54,6 +84,10 @@ class Quantity(ABC):
     ranges: list[str]
     # Edges in metres of the ranges in which :meth:`curvature` is constant.
     edges_m: list[float]
+    # Names of the errors that :meth:`errors` returns, none if the quantity has only an nmse, and
+    # the name of the one that leads; it is empty if nmse leads.
+    ends: list[str]
+    lead: str
 
     def __init__(self, labels: Mapping[str, Any], horizon: int = 0) -> None:
         """Store the settings.
@@ -66,6 +100,8 @@ class Quantity(ABC):
         self.horizon = horizon
         self.ranges = [""]
         self.edges_m = [0.0, HELD_M]
+        self.ends = []
+        self.lead = ""
 
     @abstractmethod
     def read(self, labels: DriveReader) -> np.ndarray:
@@ -92,6 +128,14 @@ class Quantity(ABC):
         Charts show it, and its mean absolute error stands in tables. It is linear in the values.
         """
         return values[..., 0]
+
+    def errors(self, predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
+        """Return the errors [..., N, E] of predictions [..., N, R] of true values [N, R].
+
+        They are in the unit of `measure`, one for each of `ends`, and NaN where a value that an
+        error needs is unknown.
+        """
+        return np.zeros((*predicted.shape[:-1], 0))
 
     @abstractmethod
     def curvature(self, values: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from models.steering.core import options
 from models.steering.spatial import blind
 from pipeline.base.errors import InputError
 from pipeline.check import check_model
+from pipeline.train.quantities import angle
 from stages import check, preset
 from tests.presets import NAMES
 
@@ -187,17 +188,39 @@ def test_a_fault_is_one_line_with_its_key(tmp_path, where, value, message):
     assert "\n" not in str(raised.value)
 
 
-@pytest.mark.parametrize("file", ["gnn.pt", "gnn/layers.py"])
-def test_files_beside_a_network_that_dvc_would_not_watch_are_refused(tmp_path, monkeypatch, file):
-    path = tmp_path / "models/steering/spatial" / file
-    path.parent.mkdir(parents=True)
-    path.touch()
-    monkeypatch.setattr(check_model, "ROOT", tmp_path)
-    problem = (
-        r"spatial/gnn.*: DVC would not notice its changes\. Move it to models/steering/weights"
-    )
+def test_a_faulty_quantity_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(angle.Target, "measured", lambda self, angle_rad: angle_rad)
+    problem = r"params.yaml: models\.[\w-]+: predict: angle: measured returns the shape"
     with pytest.raises(InputError, match=problem):
         run(tmp_path, yaml.safe_load((ROOT / "params.yaml").read_text()))
+
+
+@pytest.mark.parametrize(
+    ("file", "watched"),
+    [
+        ("spatial/gnn.json", "gnn.json"),
+        ("temporal/lstm/layers.py", "lstm/layers.py"),
+        ("spatial/table.npy", "NETWORK/table.npy, where NETWORK is the one that reads it"),
+        ("spatial/gnn.py~", None),
+        ("spatial/__pycache__/gnn.pyc", None),
+    ],
+)
+def test_files_beside_a_network_that_dvc_would_not_watch_are_refused(
+    tmp_path, monkeypatch, file, watched
+):
+    folder = tmp_path / "models/steering"
+    for path in (folder / "spatial/gnn.py", folder / "temporal/lstm.py", folder / file):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    monkeypatch.setattr(check_model, "ROOT", tmp_path)
+    content = yaml.safe_load((ROOT / "params.yaml").read_text())
+    if watched is None:
+        run(tmp_path, content)
+        return
+    with pytest.raises(InputError) as raised:
+        run(tmp_path, content)
+    problem = "DVC would not notice its changes. Move it to models/steering/weights/"
+    assert str(raised.value) == f"models/steering/{file}: {problem}{watched}"
 
 
 @pytest.mark.parametrize(

@@ -49,7 +49,9 @@ def test_errors_are_means_over_seeds_and_files_repeat(folder, predicted):
 
     metrics = read_metrics(evaluated)
     ranges = {"angle": ["net"], "path": ["0-5 m/net", "5-10 m/net", "10-20 m/net"]}[predicted]
-    assert {*metrics["test"]} == {"net", *ranges}
+    ends = {"angle": [], "path": ["at 5 m/net", "at 10 m/net", "at 20 m/net"]}[predicted]
+    assert {*metrics["test"]} == {"net", *ranges, *ends}
+    assert metrics["frames"] == "frames that net predicts"
     assert "low" not in metrics["test"]["net"]  # one drive, shorter than two blocks
     mse = [metrics["test"][name]["mse"] for name in ranges]
     np.testing.assert_allclose(mse, np.mean(errors, axis=0), rtol=1e-3)

@@ -13,7 +13,7 @@ from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, Frame, read_camera
 from pipeline.encoder.encoder_file import save_encoder
-from pipeline.encoder.precomputed import read_frame
+from pipeline.encoder.precomputed import describe_sizes, read_frame
 from pipeline.ingest.drive import Drive
 from pipeline.ingest.ingest_file import write_drive
 from pipeline.ingest.settings import Reading
@@ -87,7 +87,13 @@ def test_precomputed_files_are_matched_by_frame_number(tmp_path, capsys):
     architecture = {"backbone": "precomputed", "folder": str(tmp_path / "made")}
     save_encoder(tmp_path / "encoder", architecture, {})
     content = run(tmp_path)
-    assert "warning" not in capsys.readouterr().out
+    output = capsys.readouterr().out
+    assert "warning" not in output
+    shares = [100 * np.mean(np.stack(truth_cls)[[0, 1, 3, 4]] == number) for number in range(19)]
+    road = f"road {shares[classes.ROAD]:.0f} %"
+    height, width = street.SIZE
+    assert f"{FULL}: 4 frames, as ingested: {width} × {height}, " in output
+    assert f", {road}, " in output
     frames = [0, 1, 3, 4]
     assert content["frame"].tolist() == frames
     np.testing.assert_array_equal(content["cls"], [truth_cls[frame] for frame in frames])
@@ -122,7 +128,12 @@ def test_precomputed_files_get_the_crop_of_the_image(tmp_path, columns, factor):
         write_png(tmp_path / f"{FULL}/cls/0000000000.png", (made // 20).astype(np.uint8))
         return read_frame(tmp_path, FULL, 0, camera)
 
-    depth_m, cls = write_and_read(column[:, columns].repeat(factor, axis=0).repeat(factor, axis=1))
+    made = column[:, columns].repeat(factor, axis=0).repeat(factor, axis=1)
+    depth_m, cls = write_and_read(made)
+    is_complete = columns == slice(0, 200)
+    kind = "complete images, cropped as by stage ingest" if is_complete else "as ingested"
+    text = f"{kind}: {made.shape[1]} × {made.shape[0]}"
+    assert describe_sizes(tmp_path, FULL, 0, camera) == text
     assert np.abs(depth_m - pixels).max() <= 1
     assert np.abs(20 * cls + 10 - pixels).max() <= 11
     with pytest.raises(InputError, match="has 100 x 40 pixels, expected the aspect ratio of the i"):

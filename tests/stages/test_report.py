@@ -43,12 +43,16 @@ def test_all_files_are_written_and_repeat(tmp_path):
         made.append({path.name: path.read_bytes() for path in files})
     assert made[0] == made[1]
     assert "## Results: steering angle" in text
-    sentence = "Network `scene` has an error (nmse) of 0.20 on 2 drives"
-    assert sentence in " ".join(text.split())
+    assert "## nmse by range: path ahead" in text
     metrics = json.loads(made[0]["metrics.json"])
-    assert next(iter(metrics)) == "path-0/scene"
+    assert next(iter(metrics)) == "path-0/at 5 m/scene"
+    error_m = metrics["path-0/at 5 m/scene"]["error"]
+    sentence = f"Network `scene` has an error (displacement at 5 m) of {error_m:.2f} m on 2 drives"
+    assert sentence in " ".join(text.split())
     assert metrics["angle-0/sa-gnn-ncp"]["nmse"] == pytest.approx(0.2)
-    assert json.loads(made[0]["results.json"])["scores"]["recorded"] == recorded
+    results = json.loads(made[0]["results.json"])
+    assert results["scores"]["recorded"] == recorded
+    assert results["frames"]["path-0"] == "frames that scene predicts"
 
     # This machine has neither images nor clouds.
     pictures = {name for name in made[0] if name.endswith((".png", ".jpg"))}

@@ -41,6 +41,14 @@ def test_a_trained_model_follows_the_bend_and_knows_its_settings(folder):
     assert [*curve] == ["epoch", "learning_rate", "train_loss", "val_nmse"]
 
 
+def test_keys_of_a_model_override_those_of_all(folder):
+    own = {"epochs": 1, "learning_rate": 0.002, "span_windows": 3, "batch_spans": 5}
+    write_params(folder, own)
+    best = load(run_train(folder) / "best.pt")
+    assert best["train"].items() >= own.items()
+    assert best["epoch"] == 1
+
+
 @pytest.mark.parametrize(
     "entry", [{}, {"predict": "path"}, {"spatial": "users"}], ids=["angle", "path", "users"]
 )

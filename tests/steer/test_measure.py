@@ -56,8 +56,15 @@ def test_motion_is_measured_from_python(tmp_path, encoder):
     assert outcome.doubts == []
     with pytest.raises(TypeError, match=r"'camera_height': did you mean camera_height_m"):
         api.measure(images, encoder=encoder, camera_height=1.4)
-    with pytest.raises(InputError, match=r"fov: .*valid number \(got '65'\)"):
-        api.measure(images, encoder=encoder, fov_deg="65")
+    for option, value, problem in (
+        ("fov_deg", "65", r"^fov: .*valid number \(got '65'\)"),
+        ("wheelbase_m", 2700, r"^wheelbase: .* less than or equal to 20 \(got 2700\)"),
+        ("wheelbase_m", -2.7, r"^wheelbase: .* greater than or equal to 0.5 \(got -2.7\)"),
+        ("wheelbase_m", 0, r"^wheelbase: .* greater than or equal to 0.5 \(got 0\)"),
+        ("wheelbase_m", np.nan, r"^wheelbase: .* finite number \(got nan\)"),
+    ):
+        with pytest.raises(InputError, match=problem):
+            api.measure(images, encoder=encoder, **{option: value})
 
 
 def test_known_motion_is_measured_and_drawn(tmp_path, encoder, capsys):
@@ -129,6 +136,9 @@ def test_input_without_motion_gets_no_numbers(tmp_path, encoder, images, capsys)
     assert not rows["valid"].any()
     for name in ("speed_mps", "yaw_rate_radps", "measured_rad", "x_m"):
         assert np.isnan(rows[name]).all()
+    quality = json.loads((tmp_path / "out/quality.json").read_text())
+    assert quality["step_m"] is None
+    assert quality["scatter"] is None
     assert "horizon: not found" in capsys.readouterr().out
 
 
@@ -166,6 +176,8 @@ def test_unsuitable_inputs(tmp_path, encoder, monkeypatch):
         measure([images], encoder=encoder, video=False, **LENS)
     for name in ("images", "images-2"):
         assert len(read_motion(tmp_path / f"out/{name}")["frame"]) == 4
+    with pytest.raises(InputError, match=r"^wheelbase: .* \(got 2700.0\)"):
+        measure([images], wheelbase=2700.0)
     with pytest.raises(InputError, match="no encoder"):
         measure([images], encoder=tmp_path, **LENS)
     with pytest.raises(InputError, match=r"exists already and holds poses\.txt"):

@@ -1,6 +1,6 @@
 """The path ahead: the mean curvature of the way that the car drives afterwards, by range."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
-from pipeline.train.quantity import Quantity
+from pipeline.train.quantity import Measure, Quantity
 
 
 class Target(Quantity):
@@ -19,6 +19,13 @@ class Target(Quantity):
     shown_title = "turn of the path ahead"
     shown_unit = "deg"
     shown_format = ".2f"
+    measure = Measure(
+        "displacement",
+        "m",
+        2,
+        "The displacement is the mean distance between the predicted and the driven path after "
+        "that length of path.",
+    )
     is_ahead = True
     # The path at a junction is the driver's choice, and squared errors there would dominate.
     is_robust = True
@@ -32,6 +39,10 @@ class Target(Quantity):
             raise InputError("predict: path needs labels.ahead_m (got [])", fix=fix)
         self.ranges = [f"{near:g}-{far:g} m" for near, far in pairwise(self.edges_m)]
         self.columns = [f"path_{near:g}-{far:g}m_1pm" for near, far in pairwise(self.edges_m)]
+
+        # The end before the last leads: at the last one, errors are largest and least certain.
+        self.ends = [f"at {far:g} m" for far in self.edges_m[1:]]
+        self.lead = self.ends[-2:][0]
 
     def read(self, labels: DriveReader) -> np.ndarray:
         return np.where(labels["ahead_valid"], labels["ahead_1pm"], np.nan)
@@ -69,5 +80,27 @@ class Target(Quantity):
         """Return the turn in all ranges together, in degrees."""
         return np.rad2deg((values * np.diff(self.edges_m)).sum(axis=-1))
 
+    def errors(self, predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
+        """Return the distance in metres between both paths at the far end of each range."""
+        offset_m = end_points(predicted, self.edges_m) - end_points(truth, self.edges_m)
+        return np.linalg.norm(offset_m, axis=-1)
+
     def curvature(self, values: np.ndarray) -> np.ndarray:
         return values
+
+
+def end_points(curvature_1pm: np.ndarray, edges_m: Sequence[float]) -> np.ndarray:
+    """Return the positions [..., R, 2] at the far end of each range of a path, in metres.
+
+    The path begins at the near edge of the first range, at [0, 0], heading along the first axis;
+    the second axis points to the left. Each range is an arc of its curvature [..., R]. `edges_m`
+    has the edges [R+1] of the ranges. Positions beyond a range whose curvature is NaN are NaN.
+    """
+    length_m = np.diff(edges_m)
+    turn_rad = curvature_1pm * length_m
+
+    # The chord of an arc has the heading of its middle. np.sinc(x) is sin(πx) / (πx), and 1 at 0.
+    chord_m = length_m * np.sinc(turn_rad / (2 * np.pi))
+    heading_rad = np.cumsum(turn_rad, axis=-1) - turn_rad / 2
+    chords = np.stack([chord_m * np.cos(heading_rad), chord_m * np.sin(heading_rad)], axis=-1)
+    return np.cumsum(chords, axis=-2)

@@ -15,6 +15,7 @@ from pipeline.camera.camera import BELOW_HORIZON, Camera, scan_depth
 from pipeline.camera.geometry import back_project, camera_rays, depth_image, project
 from pipeline.camera.ground_plane import ground_plane_depth
 from pipeline.camera.images import read_classes, read_pixels, resize_image, resize_nearest
+from pipeline.camera.pinhole import MAX_DEPTH_M, WIDE, depth_limit
 from tests import street
 
 K = np.array([[70.0, 0, 31.4], [0, 72.0, 20.7], [0, 0, 1]])
@@ -70,6 +71,17 @@ def test_scaled_and_cropped_cameras_project_to_the_moved_position(height, width,
     assert cropped.size == crop.cut_out(np.zeros(SIZE)).shape
     aspect = crop.size[0] / crop.size[1]
     assert aspect == pytest.approx(height / width, rel=0.04 + 1 / min(crop.size))
+
+    mirrored_uv, _ = project(xyz * [-1, 1, 1], camera.mirrored().K)
+    np.testing.assert_allclose(mirrored_uv, [SIZE[1] - 1, 0] + uv * [-1, 1], atol=1e-9)
+
+
+def test_depth_reaches_farther_through_a_long_lens():
+    limits_m = []
+    for factor in (0.5, 1.0, 3.0):
+        K = np.diag([factor * WIDE * SIZE[1], 50.0, 1.0])
+        limits_m.append(depth_limit(Camera(K, SIZE)))
+    assert limits_m == pytest.approx([MAX_DEPTH_M, MAX_DEPTH_M, 3 * MAX_DEPTH_M])
 
 
 @pytest.mark.parametrize("horizon", [None, 12.0, 30.0, 500.0])

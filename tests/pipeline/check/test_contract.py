@@ -156,6 +156,20 @@ def test_frames_of_few_points_are_no_fault(points):
     check_network(net, model, variant, IMAGE_SIZE, outputs=1)
 
 
+@pytest.mark.parametrize(
+    ("layer", "lazy", "tensor"),
+    [
+        ("read_out", nn.LazyLinear(FEATURES), "weight"),
+        ("norm", nn.LazyBatchNorm1d(affine=False), "running_mean"),
+    ],
+)
+def test_a_layer_without_sizes_is_refused(layer, lazy, tensor):
+    net = Net(None)
+    setattr(net, layer, lazy)
+    with pytest.raises(InputError, match=rf"{layer}\.{tensor} has no size before .* LazyLinear"):
+        check(net)
+
+
 def test_a_changed_input_is_refused_if_the_mirror_image_is_made_from_it():
     with pytest.raises(InputError, match="changes its input, from which equivariant: true makes"):
         check(Net(moves_points), equivariant=True)

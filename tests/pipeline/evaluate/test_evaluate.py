@@ -8,7 +8,13 @@ import pytest
 
 from pipeline.base.errors import InputError
 from pipeline.evaluate import statistics
-from pipeline.evaluate.error_table import Predictions, common_frames, error_table
+from pipeline.evaluate.error_table import (
+    Predictions,
+    common_frames,
+    compare_methods,
+    error_table,
+    frame_errors,
+)
 from pipeline.evaluate.own_metrics import METRICS
 from pipeline.evaluate.predictions import Case, prediction_table, read_odometry
 from pipeline.evaluate.settings import Evaluate
@@ -78,10 +84,95 @@ def test_errors_by_hand():
     assert [row["nmse"], row["low"], row["high"]] == [1.0, 1.0, 1.0]
 
 
-def test_a_metric_that_returns_no_number_is_named(monkeypatch):
-    monkeypatch.setitem(METRICS, "worst", lambda *_: float("nan"))
-    with pytest.raises(InputError, match="metric worst returned nan"):
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("worst", float("nan"), "metric worst returned nan"),
+        ("nmse", 0.5, "metric nmse has the name of a column"),
+        ("parameters", 0.5, "metric parameters has the name of a column"),
+    ],
+)
+def test_a_metric_without_a_number_or_a_name_of_its_own_is_refused(
+    monkeypatch, name, value, message
+):
+    monkeypatch.setitem(METRICS, name, lambda *_: value)
+    with pytest.raises(InputError, match=message):
         by_hand(np.ones(3), np.ones(3))
+
+
+def ahead(truth_1pm: np.ndarray, **predicted_1pm: np.ndarray) -> Predictions:
+    """Return predictions [S,N,2] of a path [N,2] in 0 to 5 and 5 to 10 m, in drives of 2 frames."""
+    quantity = load_quantity("path")({**artefacts.LABELS["labels"], "ahead_m": [0, 5, 10]})
+    frame = np.arange(len(truth_1pm))
+    drive = [f"drive {number // 2}" for number in frame]
+    frames = pd.DataFrame({"drive": drive, "frame": frame, "time_s": 0.0, "speed_mps": 8.0})
+    return Predictions(quantity, frames, truth_1pm, predicted_1pm)
+
+
+def test_a_frame_counts_at_an_end_if_all_ranges_up_to_it_are_known():
+    """The true path is straight. At 5 m, an arc of 0.2/m has turned by 1 rad."""
+    truth = np.array([[0, 0], [0, np.nan], [np.nan, 0], [0, 0]])
+    predicted = np.array([[0.2, 0.0], [0.2, 0.0], [0.2, 0.0], [0.0, 0.2]])
+    predictions = ahead(truth, net=np.stack([predicted, 0 * predicted]))
+    arc_m = np.hypot(5 * np.sin(1) - 5, 5 * (1 - np.cos(1)))
+    straight_m = np.hypot(5 * np.sin(1) + 5 * np.cos(1) - 10, 5 * (1 - np.cos(1)) + 5 * np.sin(1))
+    errors = frame_errors(predictions, "net")
+    np.testing.assert_allclose(errors["at 5 m"].error[0, :, 0], [arc_m, arc_m, np.nan, 0])
+    np.testing.assert_allclose(
+        errors["at 10 m"].error[0, :, 0], [straight_m, np.nan, np.nan, arc_m]
+    )
+    np.testing.assert_allclose(errors["5-10 m"].error[0, :, 0], [0, np.nan, 0, 0.04])
+
+    table = error_table(predictions, ["net"], settings(2, 50))
+    near = table.loc[("at 5 m", "net")]
+    far = table.loc[("at 10 m", "net")]
+    assert [near["frames"], far["frames"]] == [3, 2]
+    assert near["seeds"] == pytest.approx([2 * arc_m / 3, 0])
+    assert [near["error"], far["error"]] == pytest.approx([arc_m / 3, (straight_m + arc_m) / 4])
+    assert [near["worst_drive"], near["worst_share"]] == ["drive 0", 1]
+    assert far["worst_share"] == pytest.approx(straight_m / (straight_m + arc_m))
+    assert pd.isna(far["nmse"])
+    assert pd.isna(table.loc[("5-10 m", "net"), "error"])
+
+
+def test_a_pair_has_one_interval_and_only_the_error_that_leads_has_a_verdict():
+    rng = np.random.default_rng(0)
+    truth = rng.normal(0, 0.05, (40, 2))
+    good = truth + rng.normal(0, 0.01, (2, 40, 2))
+    bad = truth + rng.normal(0, 0.03, (3, 40, 2))
+    zero = np.zeros((1, 40, 2))
+    table = compare_methods(ahead(truth, net=good, a=bad, zero=zero), settings(2, 300))
+    for label in ("at 5 m", "at 10 m", "", "0-5 m", "5-10 m"):
+        one = table.loc[(label, "net - a")]
+        other = table.loc[(label, "a - net")]
+        value = "error" if label.startswith("at") else "nmse"
+        assert one[value] == -other[value]
+        assert [one["low"], one["high"]] == [-other["high"], -other["low"]]
+        assert one["low"] < one[value] < one["high"]
+        assert not np.isnan(table.loc[(label, "net - zero"), "low"])
+    verdicts = table["verdict"].dropna()
+    assert verdicts.to_dict() == {
+        ("at 5 m", "a - net"): "worse",
+        ("at 5 m", "net - a"): "better",
+        ("at 5 m", "net - zero"): "better",
+        ("at 5 m", "a - zero"): "better",
+    }
+
+
+@pytest.mark.parametrize(
+    ("bounds", "digits", "verdict"),
+    [
+        ((-0.3, -0.006), 2, "better"),
+        ((-0.3, -0.004), 2, "no difference shown"),
+        ((-0.3, -0.004), 3, "better"),
+        ((0.004, 0.3), 2, "no difference shown"),
+        ((0.006, 0.3), 2, "worse"),
+        (None, 2, "no difference shown"),
+    ],
+)
+def test_a_bound_that_is_printed_as_0_excludes_nothing(bounds, digits, verdict):
+    assert statistics.judge_difference(bounds, 2, 10, digits) == verdict
+    assert statistics.bounds_text({"low": -0.004, "high": 0.3}, "+z.2f") == "+0.00 to +0.30"
 
 
 @pytest.mark.parametrize("source", ["oxts", "visual"])
@@ -110,6 +201,8 @@ def test_odometry_needs_measured_frames_and_other_labels(folder, monkeypatch, so
     assert all(np.isnan(baselines(5, 1)[name]).all() for name in measured)
     present = measured if source == "oxts" else []
     assert list(baselines(0)) == [*without, *present]
+    # At horizon 0, the frame's own truth is the target.
+    np.testing.assert_allclose(baselines(0)["persistence"], np.r_[[[0]], first.target[:-1]])
 
 
 @pytest.mark.parametrize(
@@ -134,10 +227,17 @@ def interval(
     samples: int,
     other: np.ndarray | None = None,
 ) -> list[float] | None:
-    """Return the interval for errors [N] or [S,N] in rad."""
-    squared = np.atleast_2d(error) ** 2
-    rival = None if other is None else np.atleast_2d(other) ** 2
-    return statistics.bootstrap_interval(squared, steering, drive, settings(block, samples), rival)
+    """Return the interval of the nmse for errors [N] or [S,N] in rad."""
+    first = squared_errors(np.atleast_2d(error) ** 2, steering)
+    second = None if other is None else squared_errors(np.atleast_2d(other) ** 2, steering)
+    return statistics.bootstrap_interval(first, drive, settings(block, samples), second)
+
+
+def squared_errors(square: np.ndarray, truth: np.ndarray) -> statistics.FrameErrors:
+    """Return squared errors [S,N] or [S,N,C] of true values [N] or [N,C], for their nmse."""
+    count = len(truth)
+    square = square.reshape(len(square), count, -1)
+    return statistics.count_frames(square, truth.reshape(count, -1) ** 2)
 
 
 @pytest.mark.parametrize(("drives", "frames"), [(20, 30), (1, 3000)])
@@ -160,9 +260,9 @@ def test_intervals_of_paired_differences_are_as_wide_as_the_errors(drives, frame
     errors = []  # in standard deviations, of which an interval has 1.96 on each side
     for _ in range(180):
         true = rng.normal(size=len(drive))
-        first = squared_error(true, 0.146)
-        second = squared_error(true, 0.124)
-        low, high = statistics.bootstrap_interval(first, true, drive, settings(100, 300), second)
+        first = squared_errors(squared_error(true, 0.146), true)
+        second = squared_errors(squared_error(true, 0.124), true)
+        low, high = statistics.bootstrap_interval(first, drive, settings(100, 300), second)
         errors.append(1.96 * (low + high - 2 * (0.146 - 0.124)) / (high - low))
     # Over 12 seeds: 0.97 ± 0.07 for twenty drives, 1.02 ± 0.04 for one.
     assert 0.7 < np.std(errors) < 1.3
@@ -231,8 +331,8 @@ def test_the_difference_of_two_models_has_a_narrower_interval():
 
     # Three columns are drawn together.
     columns = np.array([1, 2, 3])
-    errors = first[..., None] ** 2 * columns
-    others = second[..., None] ** 2 * columns
     truth = np.stack([steering] * 3, axis=-1)
-    paired = statistics.bootstrap_interval(errors, truth, drive, settings(50, 500), others)
+    errors = squared_errors(first[..., None] ** 2 * columns, truth)
+    others = squared_errors(second[..., None] ** 2 * columns, truth)
+    paired = statistics.bootstrap_interval(errors, drive, settings(50, 500), others)
     assert paired == pytest.approx([2 * low, 2 * high])

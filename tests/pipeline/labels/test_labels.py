@@ -53,7 +53,7 @@ def drive(
 ) -> tuple[np.ndarray, Labels, np.ndarray]:
     """Return times, labels and distances of a drive with `speed`(t) and `curvature`(distance)."""
     fine_s = np.arange(0, seconds, 1e-4)
-    distance = np.cumsum(speed(fine_s)) * 1e-4
+    distance = np.cumsum(np.maximum(speed(fine_s), 0)) * 1e-4
     time_s = np.arange(0, seconds - 1e-3, 0.1)
     distance_m = np.interp(time_s, fine_s, distance)
     speed_mps = speed(time_s)
@@ -96,15 +96,20 @@ def test_the_path_ahead_is_the_mean_curvature_of_each_range(speed, curvature, in
     assert (valid != driven).sum() < len(EDGES_M)
 
 
-def stop(t: np.ndarray) -> np.ndarray:
-    """Brake to a stand from second 3 to 7, where sensors have noise of either sign, and go on."""
+def stop(t: np.ndarray, noise: Function) -> np.ndarray:
+    """Brake to a stand from second 3 to 7, where speeds are the noise of a sensor, and go on."""
     speed = np.interp(t, [0, 1, 3, 7, 9], [8.0, 8, 0, 0, 8])
-    return np.where((t >= 3) & (t <= 7), 0.1 * np.sin(20 * t), speed)
+    return np.where((t >= 3) & (t <= 7), noise(t), speed)
 
 
-def test_a_stop_on_the_way_neither_turns_nor_moves_the_car_and_a_long_one_is_no_label():
+@pytest.mark.parametrize(
+    "noise",
+    [lambda t: 0.1 * np.sin(20 * t), lambda t: np.full_like(t, -0.15)],
+    ids=["either sign", "as in KITTI"],
+)
+def test_a_stop_on_the_way_neither_turns_nor_moves_the_car_and_a_long_one_is_no_label(noise):
     """Only the ranges that end beyond it are affected, and frames in its last seconds are not."""
-    time_s, labels, distance_m = drive(stop, seconds=16)
+    time_s, labels, distance_m = drive(lambda t: stop(t, noise), seconds=16)
     labels.yaw_rate_radps[(time_s >= 3) & (time_s <= 7)] = 0.003
     curvature, valid = compute(time_s, labels)
     assert valid[:50].all()

@@ -13,8 +13,9 @@ from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import project, transform
 from pipeline.motion import horizon, step
 from pipeline.motion.facts import check_unit, facts_line, facts_lines
-from pipeline.motion.odometry import Odometry
+from pipeline.motion.odometry import Odometry, pick_corners
 from pipeline.motion.pose import Matches, estimate_pose
+from pipeline.motion.rates import estimate_noise
 from pipeline.motion.still import Still
 from tests import street
 from tests.street import pose
@@ -75,6 +76,24 @@ def test_the_last_motion_is_a_start_where_most_depths_are_wrong():
     # Of 200 seeds, the motion is found with all, or with 65 alone: here with 13 ± 3 of 40.
     assert found["started"] == 40
     assert found["alone"] < 25
+
+
+def test_each_cell_has_its_two_best_corners():
+    """Cells at the right edge, too, and no cell shares its corners with another row's."""
+    quality = np.random.default_rng(0).random((50, 70))
+    expected = set()
+    for top in range(0, 50, 20):
+        for left in range(0, 70, 20):
+            cell = quality[top : top + 20, left : left + 20]
+            rows, columns = np.unravel_index(np.argsort(cell, axis=None)[-2:], cell.shape)
+            expected |= {*zip((left + columns).tolist(), (top + rows).tolist(), strict=True)}
+    picked = pick_corners(quality, cell_px=20, min_quality=0.1)
+    assert sorted(map(tuple, picked.tolist())) == sorted(expected)
+
+
+def test_noise_of_values_is_that_beside_a_steady_change():
+    values = 2.0 * np.arange(20_000) + np.random.default_rng(0).normal(0, 0.3, 20_000)
+    assert estimate_noise(values) == pytest.approx(0.3, rel=0.05)
 
 
 @pytest.mark.parametrize("ahead_m", [0.0, 1.5])
@@ -230,20 +249,30 @@ HEALTHY = {
     "step_s": 0.104,
     "step_m": 0.9,
     "scatter": 0.03,
-    "scale_sigma": 0.04,
+    "scale_sigma": 0.07,
     "road_frames": 99,
+    "moving_road_frames": 98,
     "road_height_m": 1.62,
     "camera_height_m": 1.65,
     "scaled": 1,
     "unit_error": 1.8,
+    "contradiction_s": 0.0,
 }
+# The same of a drive in which nothing moves and no road is seen.
+STANDING = HEALTHY | dict.fromkeys(["valid", "moving", "moving_road_frames", "road_frames"], 0)
+STANDING |= dict.fromkeys(["step_s", "step_m", "scatter", "road_height_m"], 0.0)
 
 
 def test_facts_are_sums_and_medians_of_drives():
     (line,) = facts_lines({"1": HEALTHY, "2": HEALTHY | {"road_height_m": 1.66}})
     assert "measured in 196 of 198 moving frames" in line
-    assert "by depth 1.64 m below the camera (known: 1.65 m)" in line
+    assert "a road in 196 of them, by depth 1.64 m below the camera (known: 1.65 m)" in line
     assert "(the scale is not known)" in facts_line("1", [HEALTHY | {"scaled": 0}])
+
+    # Unknown values are printed as such, and have no part in a median.
+    assert "by depth – m below" in facts_line("standing", [STANDING])
+    assert "; – s and – m per step; the speed scatters by – " in facts_line("1", [STANDING])
+    assert "; 0.10 s and 0.90 m per step;" in facts_line("1", [STANDING, STANDING, HEALTHY])
 
 
 @pytest.mark.parametrize(
@@ -254,9 +283,19 @@ def test_facts_are_sums_and_medians_of_drives():
         ({"backwards": 49}, False),
         ({"backwards": 50}, True),
         ({"frames": 9, "moving": 9, "valid": 0}, False),
+        ({"frames": 40, "moving": 39, "valid": 32, "moving_road_frames": 39}, False),
+        ({"moving_road_frames": 50}, False),
+        ({"moving_road_frames": 49}, True),
+        ({"road_height_m": 1.65 * 0.71}, False),
+        ({"road_height_m": 1.65 * 0.69}, True),
+        ({"road_height_m": 1.65 * 1.39}, False),
+        ({"road_height_m": 1.65 * 1.41}, True),
+        ({"road_height_m": 1.65 * 1.41, "scaled": 0}, False),
+        ({"contradiction_s": 0.9}, False),
+        ({"contradiction_s": 1.0}, True),
     ],
 )
-def test_a_drive_is_doubted_if_little_is_measured(changes, doubted):
+def test_a_drive_is_doubted_if_its_motion_is_not_well_measured(changes, doubted):
     *doubts, line = facts_lines({"healthy": HEALTHY, "other": HEALTHY | changes})
     assert [doubt.split(":")[:2] for doubt in doubts] == [["doubt", " motion of other"]] * doubted
     assert line.startswith("motion of all drives")

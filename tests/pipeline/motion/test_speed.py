@@ -43,6 +43,8 @@ def test_with_a_road_a_car_may_reverse_and_stand():
     estimate = filter_speeds(measured(np.array([-2.0] * 20 + [0.0] * 5)))
     assert estimate.speed_mps[10:20] == pytest.approx([-2.0] * 10, rel=0.05)
     assert (estimate.speed_mps[20:] == 0).all()
+    # The error of depth's scale, and that of a length by depth.
+    assert estimate.sigma[15] == pytest.approx(np.hypot(0.025, 0.04), rel=0.1)
 
 
 def test_without_a_road_the_scale_of_depth_is_not_believed():
@@ -50,7 +52,7 @@ def test_without_a_road_the_scale_of_depth_is_not_believed():
     error = slow_noise(np.random.default_rng(0), 0.6, 0.96)
     estimate = filter_speeds(measured(14.0 * np.exp(error), road=False))
     assert np.log(estimate.speed_mps).std() < 0.2 < error.std()
-    assert np.median(estimate.sigma) > 0.25  # it admits the uncertainty
+    assert np.median(estimate.sigma) == pytest.approx(0.4, abs=0.05)  # that of the speed in a drive
     assert np.median(estimate.speed_mps) == pytest.approx(TYPICAL_MPS, rel=0.4)
 
 
@@ -83,6 +85,16 @@ def test_ratios_reduce_the_errors_of_depth_and_sigma_tells_what_is_left(spread, 
     assert smoothed < 0.95 * filtered
     for values in in_sigmas.values():
         assert 0.55 < np.sqrt(np.mean(values)) < 1.3
+
+
+def test_a_ratio_that_contradicts_depth_is_not_used():
+    """After lost images, a ratio may be that to a step of another length."""
+    ratio = np.append(0, np.ones(99))
+    for wrong in (0.25, 0.5, 0.8, 1.25, 2.0, 4.0):
+        ratio[50] = wrong
+        speeds = measured(np.full(100, 8.0), ratio=ratio)
+        for estimate in (filter_speeds(speeds), smooth_speeds(speeds)):
+            assert estimate.speed_mps[40:] == pytest.approx(8.0, rel=0.02), wrong
 
 
 def steps(*lengths_m: float) -> list[np.ndarray]:

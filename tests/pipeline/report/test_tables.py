@@ -29,6 +29,9 @@ def test_tasks_and_rows_are_sorted_with_baselines_last(tmp_path):
         *["zero", "train_mean", "odometry", "persistence"],
     ]
     assert values.list_ranges(table.loc["path-0"]) == ["0-5 m", "5-10 m"]
+    assert values.list_ends(table.loc["path-0"]) == ["at 5 m", "at 10 m"]
+    assert values.list_ranges(angle) == [""]
+    assert values.list_ends(angle) == []
 
 
 @pytest.mark.parametrize("name", ["kitti", "table2"])
@@ -52,16 +55,22 @@ def test_a_network_with_the_papers_name_and_other_settings_is_not_the_papers():
 
 
 def test_values_have_errors_differences_and_validation_and_are_read_again(tmp_path):
-    scene = metrics("path", [0.2, 0.4], predict="path") | {"val": {"path": {"nmse": 0.123456}}}
+    validation = {"path": {"nmse": 0.9}, "at 5 m/path": {"error": 0.123456}}
+    scene = metrics("path", [0.2, 0.4], predict="path") | {"val": validation}
     blind = metrics("path-blind", 0.9, predict="path", spatial="blind")
     table = compare(tmp_path, scene, blind)
     rows = values.to_json(table)
     far = {"nmse": 0.3, "unit": "deg", "frames": 44, "drives": 2, "seeds": [0.3]}
     assert far.items() <= rows["path-0/5-10 m/path"].items()
     assert rows["path-0/5-10 m/path - path-blind"]["nmse"] == -0.6
-    mean = {"validation": 0.12346, "parameters": 9259, "edges": 5160.0}
+    mean = {"lead": "at 5 m", "validation": 0.12346, "parameters": 9259, "edges": 5160.0}
     assert mean.items() <= rows["path-0/path"].items()
+    end = {"unit": "m", "frames": 44, "drives": 2, "worst_drive": examples.DRIVES[1]}
+    assert end.items() <= rows["path-0/at 5 m/path"].items()
+    assert "verdict" in rows["path-0/at 5 m/path - path-blind"]
+    assert "verdict" not in rows["path-0/path - path-blind"]
     assert values.dvc_metrics(table)["path-0/5-10 m/path"].keys() == {"nmse", "mae"}
+    assert values.dvc_metrics(table)["path-0/at 5 m/path"].keys() == {"error"}
     assert values.to_json(values.from_json(rows)) == rows
 
 
@@ -110,6 +119,7 @@ def test_the_first_table_fits_a_terminal(tmp_path):
     examples.write_model(tmp_path, metrics("other", 0.96, horizon=10))
     _, all_values = examples.load(tmp_path, "pointnet2-lstm", "other")
     section = tables.results_table(all_values, "angle-10")
+    assert tables.nmse_tables(all_values, "angle-10") == []
     assert max(map(len, section.markdown().splitlines())) <= 110
     assert section.table.index[:2].tolist() == ["pointnet2-lstm ✓ †", "other"]
     assert "† 1 of 2 seeds of pointnet2-lstm failed to train." in section.note
@@ -117,7 +127,7 @@ def test_the_first_table_fits_a_terminal(tmp_path):
     assert row["nmse"] == "0.250 ± 0.071 (0.175 to 0.325)"
     assert row[["parameters", "edges"]].tolist() == ["1,408,259", "5,160"]
     page = tables.results_table(all_values, "angle-10", page=True).table
-    assert page.loc["`pointnet2-lstm` ✓ †", "nmse"] == "0.25\n0.18 to 0.32"
+    assert page.loc["`pointnet2-lstm` ✓ †", "nmse"] == "0.250\n0.175 to 0.325"
 
 
 def test_the_papers_claims_have_verdicts(tmp_path):
@@ -154,22 +164,62 @@ def test_the_best_model_is_compared_with_the_best_baseline_and_the_other_models(
     path = {"predict": "path", "baselines": {"odometry": 0.4}}
     blind = metrics("path-blind", 0.5, predict="path", spatial="blind")
     table = compare(tmp_path, blind, metrics("path", 0.2, **path))
+    # Ends of arcs of 5 m, of the true curvature and of those of the three methods.
+    curvature = 0.01 * np.delete(np.arange(7, 30), 13) * (1 + np.sqrt([[0], [0.2], [0.5], [0.4]]))
+    ends_m = 1j * (1 - np.exp(5j * curvature)) / curvature
+    error_m = dict(
+        zip(("path", "blind", "odometry"), abs(ends_m[1:] - ends_m[0]).mean(axis=1), strict=True)
+    )
+    difference = f"{error_m['path'] - error_m['blind']:+.2f}".replace("-", "−")
+
     differences = tables.differences_table(table, "path-0").table
     assert differences.index.tolist() == ["path − *odometry*", "path − path-blind"]
-    expected = "−0.300 (−0.300 to −0.300) too few seeds (train.seeds)"
-    assert differences["5-10 m"].iloc[1] == expected
+    cell = differences["at 5 m, m"].iloc[1]
+    assert cell.startswith(difference)
+    assert cell.endswith("too few seeds (train.seeds)")
+    assert differences["at 10 m, m"].iloc[1].endswith(")")  # only one error has a verdict
+    section = tables.results_table(table, "path-0")
+    assert section.table.loc["path ✓", "error at 5 m, m"].startswith(f"{error_m['path']:.2f} (")
+    assert section.table.loc["*odometry*", "error at 5 m, m"] == f"{error_m['odometry']:.2f}"
+    assert f"{examples.DRIVES[0]} has 50 % of the error at 5 m of path." in section.note
+    assert section.note.endswith("at 5 m 44, at 10 m 44.")
+
+    by_range, in_nmse = tables.nmse_tables(table, "path-0")
+    assert by_range.table.loc["path", "nmse 0-5 m"] == "0.200 (0.200 to 0.200)"
+    assert by_range.table.loc["*odometry*", "nmse 5-10 m"] == "0.400"
+    assert in_nmse.table["5-10 m"].iloc[1] == "−0.300 (−0.300 to −0.300)"
+    headline, line, *_ = tables.write_sentences(table)
+    assert f"does not see it and has {error_m['blind']:.2f} m." in headline
+    assert line.startswith("Verdict on `path` against `path-blind`: too few seeds")
+    assert f"(difference {difference} m, 95 % interval" in line
+
+
+def test_published_values_without_ends_show_their_nmse(tmp_path):
+    """Those of before 2026-11-29 have a verdict in each row."""
+    blind = metrics("path-blind", 0.5, predict="path", spatial="blind")
+    table = compare(tmp_path, blind, metrics("path", 0.2, predict="path"))
+    rows = values.to_json(table)
+    old = {}
+    for key, row in rows.items():
+        row.pop("lead", None)
+        row.pop("ends", None)
+        if "/at " not in key:
+            old[key] = row | ({"verdict": "better"} if " - " in key else {})
+    table = values.from_json(old)
+    assert values.rank_models(table.loc["path-0"]) == ["path", "path-blind"]
     results = tables.results_table(table, "path-0").table
     assert results.loc["path ✓", "nmse 0-5 m"] == "0.200 (0.200 to 0.200)"
-    assert results.loc["*odometry*", "nmse 5-10 m"] == "0.400"
+    assert tables.nmse_tables(table, "path-0") == []
     headline, line, *_ = tables.write_sentences(table)
-    assert "Network `path-blind` does not see it and has 0.50." in headline
-    assert line.startswith("Verdict on `path` against `path-blind`: too few seeds")
+    assert "an error (nmse) of 0.200 on 2 drives" in headline
+    assert "the mean over the ranges 0-5 m, 5-10 m." in headline
+    assert line.endswith("better (difference −0.300, 95 % interval −0.300 to −0.300).")
 
 
 @pytest.mark.parametrize(
     ("nmse", "baselines", "rival", "verdict"),
     [
-        (0.2, {}, "zero", "better"),
+        (0.2, {"train_mean": 2.0}, "zero", "better"),
         (0.2, {"odometry": 0.6, "regression": 0.4, "persistence": 0.01}, "regression", "better"),
         ([0.1, 0.4], {"odometry": 0.3}, "odometry", "no difference shown"),
         (0.6, {"odometry": 0.05}, "odometry", "worse"),
@@ -185,8 +235,11 @@ def test_the_best_validated_model_has_a_verdict(
     """
     other = metrics("other", 0.01, baselines, predict=predict)
     net = metrics("net", nmse, baselines, predict=predict)
-    other["val"] = {"other": {"nmse": 0.4}}
-    net["val"] = {"net": {"nmse": 0.3}}
+    for content, error in ((other, 0.4), (net, 0.3)):
+        name = content["model"]
+        content["val"] = {name: {"nmse": error}}
+        if predict == "path":
+            content["val"] = {name: {"nmse": 1 - error}, f"at 5 m/{name}": {"error": error}}
 
     def verdict_of(seeds: list[int]) -> str:
         models = [model | {"seeds": seeds} for model in (other, net)]

@@ -1,5 +1,6 @@
 """Windows and targets, batches and augmentation, scale and loss, checkpoints, predictions, runs."""
 
+import copy
 import pickle
 import threading
 import time
@@ -22,7 +23,7 @@ from pipeline.base.errors import InputError
 from pipeline.graphs.graph_file import Arrays, open_graphs
 from pipeline.train import fit, frames, loss, runs, trained, windows
 from pipeline.train.loss import Scale
-from pipeline.train.quantities.path import Target
+from pipeline.train.quantities.path import Target, end_points
 from pipeline.train.settings import Train
 from pipeline.train.targets import LabelledDrive, Timeline
 from tests import artefacts, small_model
@@ -228,6 +229,31 @@ def test_a_world_twice_as_large_has_bends_of_twice_the_radius(tmp_path, predicte
         assert large == pytest.approx(small / [2, 2, 2, 1, 1], rel=1e-5)
 
 
+@pytest.mark.parametrize("edges_m", [[0, 5, 10, 20, 30], [4, 8], [2, 2.5, 40]])
+def test_the_ends_of_a_path_are_those_of_fine_integration(edges_m):
+    """A path of arcs, a straight among them, which begins at the first edge."""
+    curvature = np.array([0.15, 0.0, -0.3, 0.02])[: len(edges_m) - 1]
+    step_m = 1e-3
+    arc_m = np.arange(edges_m[0], edges_m[-1] - step_m / 2, step_m) + step_m / 2
+    steps = curvature[np.searchsorted(edges_m, arc_m) - 1] * step_m
+    heading_rad = np.cumsum(steps) - steps / 2
+    course = np.cumsum(np.stack([np.cos(heading_rad), np.sin(heading_rad)], 1) * step_m, axis=0)
+    far = np.round((np.array(edges_m[1:]) - edges_m[0]) / step_m).astype(int) - 1
+    points = end_points(np.stack([curvature, -curvature]), edges_m)
+    np.testing.assert_allclose(points[0], course[far], atol=1e-5)
+    np.testing.assert_allclose(points[1], course[far] * [1, -1], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("edges_m", "lead"),
+    [([0, 5, 10, 20, 30], "at 20 m"), ([0, 5, 10], "at 5 m"), ([4, 8], "at 8 m")],
+)
+def test_the_end_before_the_last_leads(edges_m, lead):
+    quantity = Target({"wheelbase_m": 2.7, "min_speed_mps": 1.0, "ahead_m": edges_m})
+    assert quantity.lead == lead
+    assert quantity.ends == [f"at {far} m" for far in edges_m[1:]]
+
+
 @given(
     st.floats(0.5, 2.0), st.lists(st.floats(-0.2, 0.2), min_size=3, max_size=3), st.integers(0, 3)
 )
@@ -420,6 +446,60 @@ def test_weights_that_are_not_finite_are_refused():
 def test_a_split_without_training_drives_is_refused():
     with pytest.raises(InputError, match="no training drives"):
         runs.check_splits({"x": "test"})
+
+
+def test_three_steps_are_those_of_adamw_with_warm_up_and_an_average_of_the_weights(folder):
+    """The optimiser is written out. Vectors have no weight decay."""
+    model = entry(spatial="gnn", temporal="lstm", features=8, layers=[8])
+    change = {"epochs": 2, "learning_rate": 0.002, "weight_decay": 9.0, "average": 0.9}
+    change |= {"span_windows": 6, "batch_spans": 3, "clip_norm": 0.5}
+    settings = Train(**SETTINGS | change)
+    torch.manual_seed(0)
+    net = model.build("graph").train()
+    # The mean of features is subtracted, so the gradient of this offset would be of rounding alone.
+    net.spatial.read_out.bias.requires_grad_(False)
+    fitting = fit.Fit(copy.deepcopy(net), model, settings, 0, read(folder), [])
+    net.scale.momentum = fitting.net.scale.momentum
+    trained_weights = [weights for weights in net.parameters() if weights.requires_grad]
+    reader = windows.Reader(fitting.train, model.window)
+    fitting._train_epoch(reader, epoch=1)
+
+    groups = fitting._plan_epoch(epoch=1)
+    assert len(groups) == 3
+    average = [torch.zeros_like(weights) for weights in trained_weights]
+    mean = [torch.zeros_like(weights) for weights in trained_weights]
+    square = [torch.zeros_like(weights) for weights in trained_weights]
+    for step, batch in enumerate(reader.read_batches(groups, net.device)):
+        output = net(*net.inputs(batch))
+        target = batch["target"] / fitting.scale.std.item()
+        (output - target).square().mean().backward()
+
+        # The rate rises over 5 % of the training, then falls as half a cosine.
+        progress = step / 3 / 2
+        factor = 0.05 if step == 0 else (1 + np.cos(np.pi * (progress - 0.05) / 0.95)) / 2
+        rate = 0.002 * factor
+        norm = (
+            torch.stack([weights.grad.square().sum() for weights in trained_weights]).sum().sqrt()
+        )
+        clip = min(1.0, 0.5 / norm.item())
+        kept = 0.9 if step else 0.0
+        for number, weights in enumerate(trained_weights):
+            gradient = weights.grad * clip
+            mean[number] = 0.9 * mean[number] + 0.1 * gradient
+            square[number] = 0.999 * square[number] + 0.001 * gradient**2
+            first = mean[number] / (1 - 0.9 ** (step + 1))
+            second = square[number] / (1 - 0.999 ** (step + 1))
+            decay = 9.0 * weights.data if weights.ndim > 1 else 0.0
+            weights.data -= rate * (first / (second.sqrt() + 1e-8) + decay)
+            average[number] = kept * average[number] + (1 - kept) * weights.data
+            weights.grad = None
+
+    for fitted, expected in (
+        (fitting.net, trained_weights),
+        (fitting.average, average),
+    ):
+        values = [weights for weights in fitted.parameters() if weights.requires_grad]
+        torch.testing.assert_close(values, expected, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,60 @@
+"""The contract of quantities: faults are named, and right ones pass, whatever the labels have."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.base.errors import InputError
+from pipeline.check.check_quantity import check_quantity
+from pipeline.labels.settings import Labels
+from pipeline.train import quantity
+from pipeline.train.quantities import angle
+
+CAR = {"wheelbase_m": 2.7, "min_speed_mps": 1.0}
+EDGES_M = [0.0, 5.0, 10.0, 200.0]
+
+
+def check(target: type[quantity.Quantity], **settings: Any) -> None:
+    labels = Labels(**CAR | settings)
+    check_quantity(target(labels.model_dump()), labels)
+
+
+@pytest.mark.parametrize("source", ["ingest", "motion"])
+@pytest.mark.parametrize("name", quantity.NAMES)
+def test_our_own_quantities_keep_the_contract(name, source):
+    for ahead_m in (EDGES_M, [3.0, 7.0]):
+        check(quantity.load_quantity(name), ahead_m=ahead_m, source=source)
+
+
+@pytest.mark.parametrize(
+    ("method", "change", "message"),
+    [
+        ("read", lambda q, labels: labels["roll_rad"][:, None], r"read: no dataset 'roll_rad' .it"),
+        ("read", lambda q, labels: labels["ahead_1pm"], "read: no dataset 'ahead_1pm'.*Set what"),
+        (
+            "read",
+            lambda q, labels: labels["steering_rad"],
+            r"read returns the shape \[600\], expected \[600, 1\]\. See docs",
+        ),
+        ("read", lambda q, labels: labels["speed_mps"][:, None] + np.inf, "read returns infinity"),
+        ("measured", lambda q, angle_rad: angle_rad, r"measured returns the shape \[600\]"),
+        ("measured", lambda q, angle_rad: np.exp(1e4 + angle_rad)[:, None], "returns infinity"),
+        ("rescale", lambda q, values, factor: values[:, 0], r"rescale.* the shape \[600\], expec"),
+        ("rescale_measured", lambda q, values, factor: 1, r"rescale_measured.* the shape \[\], ex"),
+        (
+            "rescale",
+            lambda q, values, factor: np.nan_to_num(values),
+            "rescale returns numbers where all values are unknown. Return NaN",
+        ),
+        ("rescale", lambda q, values, factor: 2 * values, "by a factor of 1 returns other values"),
+        ("shown", lambda q, values: values[:, 0], r"shown returns the shape \[1, 1\], expected"),
+        ("curvature", lambda q, values: values[:, 0], r"curvature returns the shape \[600\], exp"),
+    ],
+)
+def test_a_faulty_quantity_is_one_line(method, change: Callable[..., Any], message):
+    target = type("Target", (angle.Target,), {method: change})
+    with np.errstate(over="ignore"), pytest.raises(InputError, match=message) as raised:
+        check(target)
+    assert "\n" not in str(raised.value)

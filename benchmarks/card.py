@@ -10,10 +10,10 @@ from torch.profiler import profile
 from pipeline.jobs import console
 
 from benchmarks.alternatives import DEVICE, ENTRY, FRAMES, Work, milliseconds, now_s, write_street
-from pipeline.base import store
 from pipeline.base.checkout import ROOT
 from pipeline.base.params import load_section
 from pipeline.labels import label, source
+from pipeline.labels.label_file import create_labels
 from pipeline.labels.settings import Labels
 from pipeline.train.fit import Fit
 from pipeline.train.frames import Files
@@ -71,7 +71,7 @@ def labelled_street(folder: Path) -> LabelledDrive:
     labels = label.steering_labels(0.3 * np.sin(numbers / 5), np.full(FRAMES, 8.0), car)
     params = {"labels": settings.model_dump()}
     path = folder / "labels" / street.name
-    with store.DriveWriter(path, stage="labels", drive=street.stem, params=params) as file:
+    with create_labels(path, drive=street.stem, params=params) as file:
         source.write_labels(file, numbers, numbers * 0.1, labels, settings)
     motion = folder / "motion"  # not read, as the network has motion: none
     return read_drive(folder, path.parent, motion, street.stem, ENTRY)

@@ -14,8 +14,8 @@ from pipeline.base.params import load_section
 from pipeline.ingest import drive as datasets
 from pipeline.ingest import validate
 from pipeline.ingest.datasets import kitti
-from pipeline.ingest.ingest_file import ingest_drive
 from pipeline.ingest.settings import Ingest, Reading
+from pipeline.ingest.write import ingest_drive
 
 
 def main(

@@ -8,7 +8,7 @@ from pipeline.jobs.runner import file_jobs, make_drives
 
 from pipeline.base import store
 from pipeline.motion.facts import check_unit, facts_lines
-from pipeline.motion.motion_file import measure_drive
+from pipeline.motion.measure import measure_drive
 
 
 def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:

@@ -8,8 +8,16 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, replacing
+from pipeline.clouds import cloud_file
+from pipeline.graphs import graph_file
+from pipeline.ingest import ingest_file
+from pipeline.labels import label_file
+from pipeline.motion import motion_file
+from pipeline.perception import perception_file
 
 Content = dict[str, Any]
+# Modules that describe the files of the stages.
+FORMATS = (ingest_file, perception_file, motion_file, label_file, cloud_file, graph_file)
 # Largest number of values in a list of a checkpoint that are all shown.
 LONGEST_LIST = 10
 
@@ -77,7 +85,7 @@ def open_drive(path: Path) -> DriveReader:
     if path.is_dir() or path.suffix != ".h5":
         problem = "expected a drive's file (.h5) or a checkpoint (.pt)"
         raise InputError(problem, path, "Pass one from a folder in data/")
-    return DriveReader(path, stage=None)
+    return DriveReader(path, {file.STAGE: file.VERSIONS for file in FORMATS})
 
 
 def _without_tensors(content: Mapping[str, Any]) -> Content:

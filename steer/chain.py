@@ -17,10 +17,10 @@ from pipeline.base.summary import Summary
 from pipeline.camera.camera import Camera
 from pipeline.ingest.datasets import kitti
 from pipeline.ingest.drive import Drive
-from pipeline.ingest.ingest_file import write_drive
 from pipeline.ingest.settings import Reading
+from pipeline.ingest.write import write_drive
 from pipeline.motion.facts import check_unit
-from pipeline.motion.motion_file import measure_drive
+from pipeline.motion.measure import measure_drive
 from pipeline.perception.perceive import perceive_drive
 from pipeline.perception.settings import Perception
 
@@ -108,7 +108,7 @@ def run_chain(
     """Write ingest.h5, perception.h5 and motion.h5 of a source to the folder `work`.
 
     `encoder` is the folder of an encoder. Returns the summary of the motion, see
-    :func:`pipeline.motion.motion_file.measure_drive`. Raises InputError if no frame can be read.
+    :func:`pipeline.motion.measure.measure_drive`. Raises InputError if no frame can be read.
     """
     ingest = work / INGEST
     perceived = work / PERCEPTION

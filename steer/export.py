@@ -11,8 +11,10 @@ from pipeline.jobs.outputs import check_free
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, replacing
-from pipeline.camera.camera import find_visible, read_camera
+from pipeline.camera.camera import find_visible
 from pipeline.camera.geometry import pixels_of
+from pipeline.ingest.ingest_file import open_ingest
+from pipeline.ingest.stored_camera import read_camera
 from pipeline.report import street_view
 from steer.artefact import open_drive
 
@@ -64,7 +66,7 @@ def _open_images(file: DriveReader) -> DriveReader | None:
     ingest = data / "ingest" / file.path.name
     if not ingest.is_file():
         return None
-    return file.enter_context(DriveReader(ingest, stage="ingest"))
+    return file.enter_context(open_ingest(ingest))
 
 
 def _pick_colours(file: DriveReader, number: int, xyz: np.ndarray) -> np.ndarray | None:

@@ -17,11 +17,12 @@ from pipeline.base.checkout import ROOT
 from pipeline.base.metrics import nmse, rmse
 from pipeline.base.store import DriveReader
 from pipeline.base.summary import Summary, split_doubts
-from pipeline.labels.label import Car, Labels, steering_angle, steering_labels
+from pipeline.ingest.ingest_file import open_ingest
+from pipeline.labels.label import Car, steering_angle, steering_labels
+from pipeline.labels.label_file import Labels
 from pipeline.labels.source import rates_of_motion, recorded_angles, recorded_rates
-from pipeline.motion import rates
 from pipeline.motion.facts import facts_line
-from pipeline.motion.step import PROBLEMS
+from pipeline.motion.motion_file import PROBLEMS, is_standing, open_motion, read_rates
 from pipeline.scores.recorded import Recorded, compare_recorded
 from steer.chain import INGEST, MOTION, Source
 
@@ -77,8 +78,8 @@ class Results:
         if source.files.oxts and not source.files.find_logs():
             recorder = "oxts"
         with (
-            DriveReader(work / MOTION, stage="motion") as motion,
-            DriveReader(work / INGEST, stage="ingest") as raw,
+            open_motion(work / MOTION) as motion,
+            open_ingest(work / INGEST) as raw,
         ):
             rows = np.searchsorted(raw.frame, motion.frame)
             driven = _read_driven(raw, car)
@@ -212,7 +213,7 @@ def read_course(motion: DriveReader, car: Car, *, smooth: bool) -> dict[str, np.
     ``measured_sigma_rad`` is that of the angle. Curvature and angle are also NaN below the minimum
     speed. If `smooth` is true, rates depend on later frames, too.
     """
-    yaw_rate, speed_mps, yaw_sigma, speed_sigma = rates.read_rates(motion, smooth=smooth)
+    yaw_rate, speed_mps, yaw_sigma, speed_sigma = read_rates(motion, smooth=smooth)
 
     # Curvature and angle follow from the bicycle model, which needs a moving car.
     is_fast = np.abs(np.nan_to_num(speed_mps)) >= car.min_speed_mps
@@ -227,7 +228,7 @@ def read_course(motion: DriveReader, car: Car, *, smooth: bool) -> dict[str, np.
     valid = motion["valid"].astype(bool)
     steps = pd.DataFrame({"time_s": time_s, "speed_mps": speed_mps, "yaw_rate_radps": yaw_rate})
     held = steps[valid].reindex(steps.index, method="ffill")
-    standing = steps[rates.is_standing(motion)].reindex(steps.index, method="ffill")
+    standing = steps[is_standing(motion)].reindex(steps.index, method="ffill")
     is_recent = time_s - held["time_s"] <= BRIDGED_S
     moves = is_recent & ~(standing["time_s"] > held["time_s"])
     held = held.where(moves, 0.0)

@@ -21,7 +21,7 @@ from pipeline.graphs.frame_graph import graphs_drive
 from pipeline.graphs.settings import Variant
 from pipeline.ingest.settings import Reading
 from pipeline.labels.ahead import path_ahead
-from pipeline.motion.format import open_motion
+from pipeline.motion.motion_file import open_motion
 from pipeline.perception.settings import Perception
 from pipeline.report.street_view import path_steps
 from pipeline.train.trained import Trained

@@ -13,11 +13,12 @@ from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.graphs import frame_graph, graph_file
 from pipeline.graphs.settings import Variant
 from pipeline.ingest.drive import Drive
-from pipeline.ingest.ingest_file import write_drive
 from pipeline.ingest.settings import Reading
-from pipeline.labels import label, source
+from pipeline.ingest.write import write_drive
+from pipeline.labels import label_file, source
+from pipeline.labels.label_file import create_labels
 from pipeline.labels.settings import Labels
-from pipeline.motion.step import PROBLEMS, STANDSTILL
+from pipeline.motion.motion_file import PROBLEMS, STANDSTILL, create_motion
 from pipeline.train.frames import join_frames, number_rows
 
 WHEELBASE_M = 2.7
@@ -70,12 +71,12 @@ def write_labels(
         valid = np.ones(len(frame), bool)
     speed_mps = np.full(len(frame), 8.0)
     yaw_rate_radps = speed_mps * np.tan(steering_rad) / WHEELBASE_M
-    labels = label.Labels(steering_rad, valid, speed_mps, yaw_rate_radps)
+    labels = label_file.Labels(steering_rad, valid, speed_mps, yaw_rate_radps)
     settings: dict[str, Any] = dict(LABELS["labels"])
     if ahead_m:
         settings["ahead_m"] = [*ahead_m]
     params = {"labels": settings}
-    with store.DriveWriter(path, stage="labels", drive=path.stem, params=params) as file:
+    with create_labels(path, drive=path.stem, params=params) as file:
         file.attrs |= MEASURED
         source.write_labels(file, frame, frame * 0.1, labels, Labels(**settings))
 
@@ -118,7 +119,7 @@ def write_graphs(
         for curvature_1pm, count in zip(curvatures_1pm, counts, strict=True):
             cloud = bend(curvature_1pm, count, rng)
             frames.append(frame_graph.connect_points(cloud, variant, rng))
-    with store.DriveWriter(path, stage="graphs", drive=path.stem, params=GRAPHS) as file:
+    with graph_file.create_graphs(path, drive=path.stem, params=GRAPHS) as file:
         return graph_file.write_frames(file, frame, frame * 0.1, frames, empty)
 
 
@@ -217,7 +218,7 @@ def write_motion(
         "smooth_speed_sigma": np.full(len(rows), 0.05),
         "smooth_yaw_sigma_radps": np.full(len(rows), 0.003),
     }
-    with store.DriveWriter(folder / f"{drive}.h5", stage="motion", drive=drive, params={}) as file:
+    with create_motion(folder / f"{drive}.h5", drive=drive, params={}) as file:
         for name, values in columns.items():
             file.put(name, values)
         file.attrs["scaled"] = 1

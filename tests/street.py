@@ -8,15 +8,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from pipeline.base import store
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import CAMERA_HEIGHT_M, back_project, camera_rays
 from pipeline.camera.images import to_units
-from pipeline.ingest import ingest_file
+from pipeline.ingest import write
 from pipeline.ingest.drive import Drive
+from pipeline.ingest.ingest_file import open_ingest
 from pipeline.ingest.packets import make_packets
 from pipeline.ingest.settings import Reading
+from pipeline.perception.perception_file import create_perception
 
 SIZE = (32, 64)
 K = np.array([[40.0, 0.0, 31.0], [0.0, 40.0, 12.0], [0.0, 0.0, 1.0]])
@@ -156,7 +157,7 @@ def write_drive(
         frame.depth_m, frame.cls = (frame.depth_m, frame.cls) if dense else (None, None)
     values = {"oxts": dict(enumerate(make_packets(frames, vf=8.0)))}
     source = Drive(camera, lambda: iter(recorded), values)
-    ingest_file.write_drive(folder / f"{drive}.h5", source, drive, "kitti", settings)
+    write.write_drive(folder / f"{drive}.h5", source, drive, "kitti", settings)
 
 
 def write_perception(folder: Path, ingest: Path, drive: str) -> None:
@@ -165,10 +166,8 @@ def write_perception(folder: Path, ingest: Path, drive: str) -> None:
     """
     params = {"perception": {"batch": 4}}
     with (
-        store.DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
-        store.DriveWriter(
-            folder / f"{drive}.h5", stage="perception", drive=drive, params=params
-        ) as file,
+        open_ingest(ingest / f"{drive}.h5") as raw,
+        create_perception(folder / f"{drive}.h5", drive=drive, params=params) as file,
     ):
         rows = np.flatnonzero(raw["has_image"])
         scenes = [scene(row) for row in rows]

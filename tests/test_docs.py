@@ -19,9 +19,9 @@ from docs import make_results
 from pipeline.base import store
 from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError
-from pipeline.base.store import DriveReader
 from pipeline.evaluate.own_metrics import METRICS
 from pipeline.graphs.settings import Variant
+from pipeline.labels.label_file import open_labels
 from pipeline.report import tables
 from pipeline.train import quantity
 from stages import preset, report
@@ -202,7 +202,7 @@ def test_the_quantity_of_the_documentation_is_trained_evaluated_and_shown(tmp_pa
     table = pd.read_csv(tmp_path / "evaluate/net/predictions.csv")
     of_seed = table[table["seed"] == 0]
     angle_rad = np.arctan(of_seed["true_curvature_1pm"] * artefacts.WHEELBASE_M)
-    with DriveReader(tmp_path / f"labels/{small_model.TEST}.h5", stage="labels") as labels:
+    with open_labels(tmp_path / f"labels/{small_model.TEST}.h5") as labels:
         np.testing.assert_allclose(angle_rad, labels["steering_rad"], atol=1e-6)
 
     report.main(tmp_path, params=tmp_path / "params.yaml")

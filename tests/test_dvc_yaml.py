@@ -86,6 +86,32 @@ def test_what_a_stage_imports_is_covered(name):
 
 
 @pytest.mark.parametrize(
+    ("path", "stages"),
+    [
+        (
+            "pipeline/ingest/stored_camera.py",
+            "ingest encoder perception motion scores clouds graphs report",
+        ),
+        ("pipeline/perception/drive_frames.py", "motion clouds graphs"),
+        ("pipeline/perception/perceive.py", "perception"),
+        ("pipeline/motion/speed.py", "motion"),
+        ("pipeline/motion/motion_file.py", "motion labels scores train evaluate"),
+        ("pipeline/labels/label_file.py", "labels scores train evaluate report"),
+        ("pipeline/labels/source.py", "labels scores"),
+        ("pipeline/clouds/cloud_file.py", "clouds graphs report"),
+        ("pipeline/graphs/graph_file.py", "graphs train evaluate report"),
+        ("pipeline/evaluate/predictions.py", "evaluate report"),
+    ],
+)
+def test_an_edit_is_seen_by_the_stages_that_it_concerns(path, stages):
+    """A new version of a layout, for instance, by the stages that write and read such files."""
+    expected = {"check", *stages.split()}
+    assert {name for name in STAGES if Path(path) in _covered(name)} == expected
+    for name in STAGES:
+        assert (path in keys.Code.read(name).loaded) == (name in expected), name
+
+
+@pytest.mark.parametrize(
     ("folder", "stages"),
     [
         ("models/steering/spatial", ["train", "evaluate"]),

@@ -12,10 +12,10 @@ from pipeline.graphs.frame_graph import graphs_drive
 from pipeline.graphs.graph_file import open_graphs
 from pipeline.graphs.settings import Variant
 from pipeline.ingest.drive import Drive
-from pipeline.ingest.ingest_file import write_drive
 from pipeline.ingest.settings import Reading
-from pipeline.motion.format import open_motion
-from pipeline.motion.motion_file import measure_drive
+from pipeline.ingest.write import write_drive
+from pipeline.motion.measure import measure_drive
+from pipeline.motion.motion_file import open_motion
 from pipeline.perception.perceive import perceive_drive
 from pipeline.perception.settings import Perception
 from pipeline.train.quantity import load_quantity

@@ -1,6 +1,7 @@
 """Read and write the HDF5 files and indexes that stages exchange.
 
-data/README.md describes their content. Files are deterministic: they are written once, in a fixed
+The package of a stage has a file that describes their content, for instance
+pipeline/labels/label_file.py. Files are deterministic: they are written once, in a fixed
 order, and contain no clock time, host or user. A file may come from a stranger, so
 :func:`_check_datasets` accepts only plain arrays of numbers. It may also be damaged: HDF5 checks
 its own structures, and Fletcher32 the values, so that a wrong bit is an error.
@@ -10,7 +11,7 @@ import errno
 import io
 import json
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Self
@@ -21,18 +22,6 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 
-# Stage → versions of its files' layout that are read. The last of them is written. A stage whose
-# datasets change gets another version, and the other stages keep theirs.
-SCHEMAS = {
-    "ingest": [8],
-    "perception": [8],
-    "motion": [10],
-    "labels": [8],
-    # Clouds of version 7 differ only in their texts, of variable length, and lack Fletcher32.
-    "clouds": [7, 8],
-    # Graphs of version 8 also have the measured motion, which is not read from there any more.
-    "graphs": [8, 9],
-}
 # Name of the file in a stage's folder that lists its drives.
 INDEX = "index.json"
 # Number of rows in a chunk of points, or of other short rows.
@@ -119,12 +108,17 @@ class Sink(io.FileIO):
 class DriveWriter(ExitStack):
     """Write one drive's file. The file appears if the block of this context manager succeeds."""
 
-    def __init__(self, path: Path, *, stage: str, drive: str, params: Mapping[str, Any]) -> None:
-        """`params` maps sections of params.yaml to their content, which is JSON-able."""
+    def __init__(
+        self, path: Path, *, stage: str, version: int, drive: str, params: Mapping[str, Any]
+    ) -> None:
+        """Store what is written at the end: attributes, and `params` as one of them.
+
+        `version` is that of the layout of the stage's files. `params` maps sections of params.yaml
+        to their content, which is JSON-able.
+        """
         super().__init__()
         self.path = path
-        schema = SCHEMAS[stage][-1]
-        self.attrs: dict[str, Any] = {"schema": schema, "stage": stage, "drive": drive}
+        self.attrs: dict[str, Any] = {"schema": version, "stage": stage, "drive": drive}
         self.attrs["params"] = json.dumps(params, sort_keys=True)
         # Datasets stay open until the end. HDF5 writes chunks when a dataset is closed, so the
         # order of the bytes depends on when that is.
@@ -185,13 +179,14 @@ class DriveWriter(ExitStack):
 class DriveReader(ExitStack):
     """Read one drive's file. The reader is a context manager.
 
-    Raises InputError unless it is a valid file by `stage`, or by any stage if `stage` is None.
+    Raises InputError unless it is a valid file, by a stage and of a version that are read.
     """
 
-    def __init__(self, path: Path, *, stage: str | None) -> None:
+    def __init__(self, path: Path, versions: Mapping[str, Sequence[int]]) -> None:
+        """Open the file. `versions` is stage → versions of its files' layout that are read."""
         super().__init__()
         self.path = path
-        self._stage = stage or "STAGE"
+        self._stage = next(iter(versions)) if len(versions) == 1 else "STAGE"
         if not path.is_file():
             raise _file_fault("file is missing", path, self._stage)
         try:
@@ -206,7 +201,7 @@ class DriveReader(ExitStack):
         except _H5PY_ERRORS as error:
             raise _file_fault(f"damaged ({error})", path, self._stage) from error
 
-        self._check_layout(stage)
+        self._check_layout(versions)
         self.drive = str(self.attrs.get("drive"))
         if path.with_name(INDEX).is_file() and self.drive != path.stem:
             raise _file_fault(f"contains drive {self.drive}", path, self._stage)
@@ -221,18 +216,17 @@ class DriveReader(ExitStack):
         # Seconds since the drive's first frame, float64 [F].
         self.time_s = self["time_s"]
 
-    def _check_layout(self, stage: str | None) -> None:
-        """Raise InputError unless `stage`, or any stage if it is None, wrote a layout that is read.
+    def _check_layout(self, versions: Mapping[str, Sequence[int]]) -> None:
+        """Raise InputError unless a stage of `versions` wrote a layout that is read.
 
         Fixes then name the stage that wrote the file.
         """
-        stages = [stage] if stage else [*SCHEMAS]
         written_by = str(self.attrs.get("stage"))
-        if written_by not in stages:
-            problem = f"expected a file of stage {', '.join(stages)}; got stage {written_by}"
+        if written_by not in versions:
+            problem = f"expected a file of stage {', '.join(versions)}; got stage {written_by}"
             raise _file_fault(problem, self.path, self._stage)
         self._stage = written_by
-        schemas = [str(schema) for schema in SCHEMAS[written_by]]
+        schemas = [str(schema) for schema in versions[written_by]]
         schema = str(self.attrs.get("schema"))
         if schema not in schemas:
             problem = f"expected schema {' or '.join(schemas)}; got {schema}, of another revision"

@@ -1,16 +1,12 @@
-"""Describe the pinhole camera of a drive or a video, and read the frames that it records."""
+"""Describe the pinhole camera of a drive or a video, and the frames that it records."""
 
-from collections.abc import Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
 from pipeline.base.errors import DamagedFile
-from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.camera.geometry import (
     CAMERA_HEIGHT_M,
     SCANNER_HEIGHT_M,
@@ -18,7 +14,7 @@ from pipeline.camera.geometry import (
     pixels_of,
     transform,
 )
-from pipeline.camera.images import Crop, Size, to_metres
+from pipeline.camera.images import Crop, Size
 
 # Largest relative difference between two aspect ratios that count as equal, so that an image is
 # resized and not cropped. KITTI's image sizes differ by 0.01.
@@ -201,75 +197,3 @@ def find_visible(xyz: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarra
 
     in_front = xyz[index, 2] / OCCLUDED_RATIO <= nearest_m[row, column]
     return index[in_front], row[in_front], column[in_front]
-
-
-def write_camera(file: DriveWriter, camera: Camera) -> None:
-    """Write a camera's intrinsics to an ingest file, and crop and T_cam_velo if it has them."""
-    file.put("K", camera.K, "pixels")
-    if camera.crop:
-        ranges = zip((camera.crop.rows, camera.crop.columns), camera.crop.image_size, strict=True)
-        crop = [[used.start, used.stop, length] for used, length in ranges]
-        file.put("crop", np.array(crop, np.int32), "pixels")
-    if camera.T_cam_velo is not None:
-        file.put("T_cam_velo", camera.T_cam_velo, "m")
-
-
-def read_camera(file: DriveReader) -> Camera:
-    """Return the camera of an ingest file."""
-    height, width = file.datasets["image"].shape[1:3]
-    T_cam_velo = None
-    if "T_cam_velo" in file:
-        T_cam_velo = file["T_cam_velo"]
-    crop = None
-    if "crop" in file:
-        (top, bottom, full_height), (left, right, full_width) = file["crop"].tolist()
-        crop = Crop(slice(top, bottom), slice(left, right), (full_height, full_width))
-    camera = Camera(file["K"], (height, width), T_cam_velo=T_cam_velo, crop=crop)
-    return camera.at_height(file.params.get("camera_height_m") or camera_height(T_cam_velo))
-
-
-class DriveFrames(ExitStack):
-    """The frames of a drive that have an image, or with `scans` those that have a scan.
-
-    This is a context manager that opens the drive's files of stages ingest and perception. Frames
-    of both files are matched by their numbers.
-    """
-
-    def __init__(self, ingest: Path, perception: Path, *, scans: bool = False) -> None:
-        super().__init__()
-        self._ingest = self.enter_context(DriveReader(ingest, stage="ingest"))
-        self._perception = self.enter_context(DriveReader(perception, stage="perception"))
-        self._scans = scans
-
-        # Stage ingest lists the frames with a scan, stage perception those with an image.
-        self.frame = self._perception.frame  # KITTI frame numbers, int32 [F]
-        self.time_s = self._perception.time_s  # float64 [F]
-        if scans:
-            rows = np.flatnonzero(self._ingest["has_lidar"])
-            self.frame = self._ingest.frame[rows]
-            self.time_s = self._ingest.time_s[rows]
-
-        self.drive = self._ingest.drive
-        self.params = self._perception.params
-        self.camera = read_camera(self._ingest)
-        # Largest plausible factor between the camera's known height and its height by depth. Depth
-        # beyond it is in another unit.
-        self.unit_error = float(self._perception.attrs.get("unit_error", np.inf))
-
-    def __iter__(self) -> Iterator[Frame]:
-        """Yield frames with image, depth and classes, or with a scan and classes of its image.
-
-        A frame with a scan may lack an image, and so classes.
-        """
-        image_row = {number: row for row, number in enumerate(self._perception.frame.tolist())}
-        for number, time_s in zip(self.frame.tolist(), self.time_s.tolist(), strict=True):
-            frame = Frame(number, time_s)
-            ingest_row = self._ingest.row_of(number)
-            if number in image_row:
-                frame.cls = self._perception.row("cls", image_row[number])
-            if self._scans:
-                frame.scan = self._ingest.rows_of("lidar", ingest_row)
-            else:
-                frame.image = self._ingest.row("image", ingest_row)
-                frame.depth_m = to_metres(self._perception.row("depth_m", image_row[number]))
-            yield frame

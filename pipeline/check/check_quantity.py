@@ -11,8 +11,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from pipeline.base.errors import InputError
-from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.labels.label import Car, steering_labels
+from pipeline.labels.label_file import create_labels, open_labels
 from pipeline.labels.settings import Labels
 from pipeline.labels.source import write_labels
 from pipeline.train.quantity import Quantity
@@ -74,7 +74,7 @@ def _write_drive(path: Path, settings: Labels) -> np.ndarray:
     car = Car(settings.wheelbase_m, settings.min_speed_mps)
     labels = steering_labels(yaw_rate_radps, speed_mps, car)
     params = {"labels": settings.model_dump()}
-    with DriveWriter(path, stage="labels", drive=path.stem, params=params) as file:
+    with create_labels(path, drive=path.stem, params=params) as file:
         file.attrs["measured"] = int(settings.are_measured)
         write_labels(file, np.arange(FRAMES), time_s, labels, settings)
     return labels.steering_rad
@@ -82,7 +82,7 @@ def _write_drive(path: Path, settings: Labels) -> np.ndarray:
 
 def _read_values(quantity: Quantity, path: Path) -> np.ndarray:
     """Return what the quantity reads from a file of labels. Raises InputError if it lacks some."""
-    with DriveReader(path, stage="labels") as labels:
+    with open_labels(path) as labels:
         try:
             return quantity.read(labels)
         except InputError as error:

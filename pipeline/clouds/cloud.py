@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from pipeline.base.store import DriveWriter
 from pipeline.base.summary import Summary
 from pipeline.camera import classes, geometry
-from pipeline.camera.camera import Camera, DriveFrames, find_visible
+from pipeline.camera.camera import Camera, find_visible
+from pipeline.clouds.cloud_file import create_clouds
+from pipeline.perception.drive_frames import DriveFrames
 
 if TYPE_CHECKING:
     from pipeline.clouds.settings import Clouds
@@ -89,7 +90,7 @@ def clouds_drive(
     counts = []
     with DriveFrames(ingest, perception, scans=kind == "lidar") as frames:
         params = frames.params | {"clouds": settings.model_dump()}
-        with DriveWriter(path, stage="clouds", drive=frames.drive, params=params) as file:
+        with create_clouds(path, drive=frames.drive, params=params) as file:
             file.put("frame", frames.frame)
             file.put("time_s", frames.time_s, unit="s")
             # These calls create the datasets, also in the file of a drive without frames. Dataset

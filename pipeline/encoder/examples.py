@@ -10,7 +10,9 @@ import numpy as np
 
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader
-from pipeline.camera.camera import Camera, read_camera
+from pipeline.camera.camera import Camera
+from pipeline.ingest.ingest_file import open_ingest
+from pipeline.ingest.stored_camera import read_camera
 from pipeline.ingest.truth import read_truth
 
 # Weights by which the colours R, G, B add up to grey, from ITU-R BT.601.
@@ -45,7 +47,7 @@ class Examples(ExitStack):
         any_classes = False
         rows: list[tuple[DriveReader, Camera, int]] = []
         for name in drives:
-            file = self.enter_context(DriveReader(ingest / f"{name}.h5", stage="ingest"))
+            file = self.enter_context(open_ingest(ingest / f"{name}.h5"))
             camera = read_camera(file)  # the fit does not use its height
             image = file["has_image"].astype(bool)
             depth = image & (file["has_depth"] | file["has_lidar"]).astype(bool)

@@ -17,7 +17,7 @@ from pipeline.base.params import SPLITS
 from pipeline.base.store import drives_in, read_index
 from pipeline.graphs.graph_file import open_graphs
 from pipeline.labels import label
-from pipeline.motion.format import open_motion, read_causal
+from pipeline.motion.motion_file import open_motion, read_causal
 from pipeline.train.entry import Entry
 from pipeline.train.frames import Files
 from pipeline.train.loss import Scale, fit_gain

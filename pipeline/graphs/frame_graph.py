@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.store import DriveReader, DriveWriter
+from pipeline.base.store import DriveReader
 from pipeline.base.summary import Summary
 from pipeline.clouds.cloud import Cloud, draw_points, frame_rng
+from pipeline.clouds.cloud_file import open_clouds
 from pipeline.graphs import graph, graph_file
 from pipeline.graphs.graph_file import Column, Columns
 from pipeline.graphs.settings import Variant
+from pipeline.ingest.ingest_file import open_ingest
 
 
 def graphs_drive(path: Path, source: Path, variant: Variant) -> Summary:
@@ -21,7 +23,8 @@ def graphs_drive(path: Path, source: Path, variant: Variant) -> Summary:
 
     `source` is the drive's file of stage clouds, or of stage ingest if the variant has images.
     """
-    with DriveReader(source, stage=variant.source.split("/")[0]) as content:
+    open_source = open_ingest if variant.kind == "image" else open_clouds
+    with open_source(source) as content:
         if variant.kind == "image":
             rows = np.flatnonzero(content["has_image"])
             frames = _image_frames(content, rows)
@@ -33,7 +36,7 @@ def graphs_drive(path: Path, source: Path, variant: Variant) -> Summary:
 
         params = content.params | {"graphs": variant.model_dump(exclude_unset=True)}
         numbers = content.frame[rows]
-        with DriveWriter(path, stage="graphs", drive=content.drive, params=params) as file:
+        with graph_file.create_graphs(path, drive=content.drive, params=params) as file:
             counts = graph_file.write_frames(file, numbers, content.time_s[rows], frames, empty)
     return counts
 

@@ -20,6 +20,25 @@ import numpy as np
 
 from pipeline.base import store
 
+STAGE = "graphs"
+# Versions of the layout that are read. The last one is written. Graphs of version 8 also have the
+# measured motion, which is read from files of stage motion now.
+VERSIONS = [8, 9]
+# Dataset → its unit. The docstring says which datasets a kind of frames has.
+UNITS = {
+    "frame": "",
+    "time_s": "s",
+    "xyz": "m",
+    "cls": "trainId",
+    "degree": "neighbours",
+    "indices": "node",
+    "edges_knn": "directed edges",
+    "edges_kept": "directed edges",
+    "image": "RGB",
+    "ptr": "row",
+    "indices_ptr": "row",
+}
+
 Arrays = dict[str, np.ndarray]
 
 
@@ -140,12 +159,17 @@ class Graphs(store.DriveReader):
         return {pointer: self[pointer] for pointer in dict.fromkeys(self.pointers.values())}
 
 
+def create_graphs(path: Path, *, drive: str, params: Mapping[str, Any]) -> store.DriveWriter:
+    """Return the writer of a graph file."""
+    return store.DriveWriter(path, stage=STAGE, version=VERSIONS[-1], drive=drive, params=params)
+
+
 def open_graphs(path: str | Path) -> Graphs:
     """Open a graph file, which is a context manager.
 
     Raises InputError if the file is missing, damaged or of another stage.
     """
-    return Graphs(Path(path), stage="graphs")
+    return Graphs(Path(path), {STAGE: VERSIONS})
 
 
 def edge_pairs(degree: np.ndarray, indices: np.ndarray) -> np.ndarray:

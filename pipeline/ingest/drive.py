@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -22,21 +22,15 @@ from pipeline.base.errors import DamagedFile, InputError
 from pipeline.camera.camera import Camera, Frame
 from pipeline.ingest.columns import LIMIT_MPS, LIMIT_RAD, LIMIT_RADPS
 
-
-class Value(NamedTuple):
-    """A recorded value of each frame."""
-
-    unit: str
-    limit: float  # largest plausible magnitude
-
-
-# Recorded values by name. In a drive with oxts, limits are those of the motion in the packets.
-VALUES = {
-    "oxts": Value("as KITTI's oxts/dataformat.txt", np.inf),
-    "steering_rad": Value("rad, left positive", LIMIT_RAD),
-    "speed_mps": Value("m/s, forward positive", LIMIT_MPS),
-    "left_mps": Value("m/s, left positive", LIMIT_MPS),
-    "yaw_rate_radps": Value("rad/s, left positive", LIMIT_RADPS),
+# Recorded value of each frame → its largest plausible magnitude, in the unit that
+# pipeline/ingest/ingest_file.py has for it. In a drive with oxts, limits are those of the motion in
+# the packets.
+LIMITS = {
+    "oxts": np.inf,
+    "steering_rad": LIMIT_RAD,
+    "speed_mps": LIMIT_MPS,
+    "left_mps": LIMIT_MPS,
+    "yaw_rate_radps": LIMIT_RADPS,
 }
 
 
@@ -51,8 +45,8 @@ class Drive:
     # on_damaged applies to damaged files.
     frames: Callable[[], Iterator[Frame]]
     # Recorded values: name → frame number → value, which is NaN or None if it is unknown. A drive
-    # may have steering_rad, and either speed_mps and yaw_rate_radps or oxts packets [30]. See
-    # VALUES for the units.
+    # may have steering_rad, and either speed_mps and yaw_rate_radps or oxts packets [30]. Units
+    # are those of pipeline/ingest/ingest_file.py.
     values: Mapping[str, Mapping[int, Any]] = field(default_factory=dict)
     # Notes for the user. They are complete after write_drive.
     notes: list[str] = field(default_factory=list)

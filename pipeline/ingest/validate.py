@@ -23,7 +23,7 @@ from pipeline.camera.classes import COUNT, VOID
 from pipeline.camera.images import DEPTH_UNITS_PER_M, MAX_UNITS, format_size
 from pipeline.camera.pinhole import check_pinhole
 from pipeline.ingest.columns import list_fault
-from pipeline.ingest.drive import VALUES, Drive
+from pipeline.ingest.drive import LIMITS, Drive
 from pipeline.ingest.packets import COLUMNS, extract_motion
 
 # Least plausible median step between frames in seconds.
@@ -97,8 +97,8 @@ def check_values(values: Mapping[str, Any]) -> dict[str, dict[int, Any]]:
     numbers = dict[str, dict[int, Any]]()
     faults = list[str]()
     for name, by_number in values.items():
-        if name not in VALUES:
-            problem = f"Drive.values has the unknown name {name}: {closest(name, [*VALUES])}"
+        if name not in LIMITS:
+            problem = f"Drive.values has the unknown name {name}: {closest(name, [*LIMITS])}"
             raise InputError(problem)
         _check_type(by_number, Mapping, f"Drive.values[{name!r}]")
         keys = [key for key in by_number if not _is_int(key)]
@@ -110,7 +110,7 @@ def check_values(values: Mapping[str, Any]) -> dict[str, dict[int, Any]]:
         faults += list_fault(wrong, f"is not {expected}", "frame")
 
     numbers = extract_motion(numbers.get("oxts", {})) | numbers
-    for name, (_, limit) in VALUES.items():
+    for name, limit in LIMITS.items():
         if name == "oxts":
             continue
         column = pd.Series(numbers.get(name, {}), name=name, dtype=float)

@@ -8,7 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from pipeline.labels.label import REVERSING_MPS, Labels
+from pipeline.labels.label import REVERSING_MPS
+from pipeline.labels.label_file import Labels
 
 # Speed in m/s below which the car stands. At standstill, KITTI's measured speed reaches 0.15.
 STANDING_MPS = 0.2

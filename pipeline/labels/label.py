@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.base.store import DriveReader
+from pipeline.labels.label_file import Labels
 
 # Forward speed in m/s below which the car rolls backwards. At standstill, KITTI's recorded speed
 # dips to -0.15.
@@ -22,28 +22,6 @@ class Car(NamedTuple):
 
     wheelbase_m: float
     min_speed_mps: float
-
-
-class Labels(NamedTuple):
-    """Labels of a drive's frames [F].
-
-    An unknown speed or yaw rate is NaN here, and 0 in a file.
-    """
-
-    steering_rad: np.ndarray  # float64, left positive; 0 where unknown
-    valid: np.ndarray  # bool
-    speed_mps: np.ndarray
-    yaw_rate_radps: np.ndarray
-
-    def select_rows(self, rows: np.ndarray | slice) -> "Labels":
-        """Return the labels in some `rows`."""
-        return Labels(*(values[rows] for values in self))
-
-
-def read_labels(file: DriveReader) -> Labels:
-    """Return the labels in data/labels/<drive>.h5."""
-    columns = {name: file[name] for name in Labels._fields}
-    return Labels(**columns | {"valid": file["valid"].astype(bool)})
 
 
 def steering_angle(

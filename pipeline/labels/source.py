@@ -13,10 +13,12 @@ import numpy as np
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, DriveWriter
 from pipeline.base.summary import Summary
+from pipeline.ingest.ingest_file import open_ingest
 from pipeline.labels.ahead import path_ahead
-from pipeline.labels.label import Car, Labels, steering_labels
+from pipeline.labels.label import Car, steering_labels
+from pipeline.labels.label_file import UNITS, Labels, create_labels
 from pipeline.labels.settings import Labels as Settings
-from pipeline.motion.rates import is_standing, read_rates
+from pipeline.motion.motion_file import is_standing, open_motion, read_rates
 
 
 class Rates(NamedTuple):
@@ -36,7 +38,7 @@ def labels_drive(
     source. Raises InputError if the drive lacks the source or a recorded angle.
     """
     car = Car(settings.wheelbase_m, settings.min_speed_mps)
-    with DriveReader(ingest, stage="ingest") as raw:
+    with open_ingest(ingest) as raw:
         rates = recorded_rates(raw) if motion is None else rates_of_motion(raw, motion)
         if rates is None:
             problem = "drive has no recorded speed and yaw rate"
@@ -50,7 +52,7 @@ def labels_drive(
             raise InputError(problem, raw.path, "Set labels.angle: computed")
 
     params = {"labels": settings.model_dump()}
-    with DriveWriter(path, stage="labels", drive=raw.drive, params=params) as file:
+    with create_labels(path, drive=raw.drive, params=params) as file:
         file.attrs["measured"] = int(settings.are_measured)
         write_labels(file, raw.frame, raw.time_s, labels, settings)
     return {"frames": len(raw.frame), "valid": int(labels.valid.sum())}
@@ -63,18 +65,21 @@ def write_labels(
 
     Unknown speeds and yaw rates are written as 0.
     """
-    file.put("frame", np.asarray(frame, np.int32))
-    file.put("time_s", time_s, "s")
-    file.put("steering_rad", labels.steering_rad, "rad, left positive")
-    file.put("valid", labels.valid.astype(np.uint8))
-    file.put("speed_mps", np.nan_to_num(labels.speed_mps), "m/s")
-    file.put("yaw_rate_radps", np.nan_to_num(labels.yaw_rate_radps), "rad/s, left positive")
-    curvature_1pm = np.tan(labels.steering_rad) / settings.wheelbase_m
-    file.put("curvature_1pm", curvature_1pm, "1/m, left positive")
+    columns = {
+        "frame": np.asarray(frame, np.int32),
+        "time_s": time_s,
+        "steering_rad": labels.steering_rad,
+        "valid": labels.valid.astype(np.uint8),
+        "speed_mps": np.nan_to_num(labels.speed_mps),
+        "yaw_rate_radps": np.nan_to_num(labels.yaw_rate_radps),
+        "curvature_1pm": np.tan(labels.steering_rad) / settings.wheelbase_m,
+    }
     if settings.ahead_m:
         ahead_1pm, valid = path_ahead(frame, time_s, labels, settings.ahead_m, settings.max_stand_s)
-        file.put("ahead_1pm", ahead_1pm, "1/m, left positive")
-        file.put("ahead_valid", valid.astype(np.uint8))
+        columns["ahead_1pm"] = ahead_1pm
+        columns["ahead_valid"] = valid.astype(np.uint8)
+    for name, values in columns.items():
+        file.put(name, values, UNITS[name])
 
 
 def recorded_rates(raw: DriveReader) -> Rates | None:
@@ -96,7 +101,7 @@ def rates_of_motion(raw: DriveReader, path: Path, *, smooth: bool = True) -> Rat
     speed_mps = np.full(len(raw.frame), np.nan)
     yaw_rate_radps = np.full(len(raw.frame), np.nan)
     standing = np.zeros(len(raw.frame), bool)
-    with DriveReader(path, stage="motion") as motion:
+    with open_motion(path) as motion:
         rows = np.searchsorted(raw.frame, motion.frame)
         rates = read_rates(motion, smooth=smooth)
         speed_mps[rows] = rates.speed_mps

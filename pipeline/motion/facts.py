@@ -1,6 +1,6 @@
 """State how motion was measured: a line of facts about drives, and a check of the unit of depth.
 
-Both follow from the summaries of :func:`pipeline.motion.motion_file.measure_drive`, which are also
+Both follow from the summaries of :func:`pipeline.motion.measure.measure_drive`, which are also
 attributes of its files. No cause is named: docs/measure.md has a table that reads the line.
 """
 

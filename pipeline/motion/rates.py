@@ -1,12 +1,10 @@
-"""Smooth the rates of measured motion, and read them: causal for models, or smooth for labels."""
-
-from typing import NamedTuple
+"""Smooth the rates of measured motion by earlier and later steps."""
 
 import numpy as np
 
-from pipeline.base.store import DriveReader
+from pipeline.motion.motion_file import YAW_NOISE_RADPS, MeasuredRates
 from pipeline.motion.speed import Speeds, smooth_speeds
-from pipeline.motion.step import MEDIAN_DEVIATION, PROBLEMS, STANDSTILL
+from pipeline.motion.step import MEDIAN_DEVIATION
 
 # Width (standard deviation) in seconds of the Gaussian that smooths yaw rates with a noise of
 # YAW_NOISE_RADPS. It is short beside the second in which a driver turns the wheel. Noisier yaw
@@ -21,40 +19,9 @@ DIRECTION_S = 0.5
 REACH = 2.0
 # Time in seconds before and after a frame in which the noise of values is estimated.
 NOISE_S = 1.0
-# Least standard deviation of a yaw rate in rad/s: on KITTI odometry 03, its error is 0.2 deg/s.
-YAW_NOISE_RADPS = 0.003
 # Median of the absolute difference of two independent values of a normal distribution, in standard
 # deviations.
 MEDIAN_DIFFERENCE = 0.954
-
-
-class MeasuredRates(NamedTuple):
-    """Rates and their standard deviations, each [F]; NaN where not measured."""
-
-    yaw_rate_radps: np.ndarray  # left positive
-    speed_mps: np.ndarray  # forward positive
-    yaw_sigma_radps: np.ndarray
-    speed_sigma: np.ndarray  # relative
-
-
-def read_rates(motion: DriveReader, *, smooth: bool) -> MeasuredRates:
-    """Return the rates of the F frames in a file of stage motion.
-
-    With `smooth`, they are smoothed by earlier and later steps. Otherwise they are those that
-    models get: yaw rates of single steps, and speeds filtered by earlier steps.
-    """
-    valid = motion["valid"] > 0
-    if smooth:
-        columns = [motion[f"smooth_{name}"] for name in MeasuredRates._fields]
-    else:
-        yaw_sigma_radps = np.full(len(valid), YAW_NOISE_RADPS)
-        columns = [
-            motion["yaw_rate_radps"],
-            motion["filtered_mps"],
-            yaw_sigma_radps,
-            motion["speed_sigma"],
-        ]
-    return MeasuredRates(*[np.where(valid, column.astype(float), np.nan) for column in columns])
 
 
 def smooth_rates(speeds: Speeds, yaw_rate_radps: np.ndarray) -> MeasuredRates:
@@ -85,11 +52,6 @@ def estimate_noise(values: np.ndarray) -> float:
     second = np.diff(values.astype(np.float64), n=2)
     # Its variance is 1² + 2² + 1² = 6 times that of the values.
     return float(np.median(np.abs(second)) / MEDIAN_DEVIATION / np.sqrt(6))
-
-
-def is_standing(motion: DriveReader) -> np.ndarray:
-    """Return bool [F]: the motion of a frame is not measured because nothing moves."""
-    return np.isin(motion["problem"], [PROBLEMS.index(text) for text in STANDSTILL])
 
 
 def gaussian_mean(

@@ -12,17 +12,6 @@ import numpy as np
 
 # Median of the absolute deviation of a normal distribution, in standard deviations.
 MEDIAN_DEVIATION = 0.6745
-STANDSTILL = ("the image does not move", "the camera stands")
-PROBLEMS = (
-    "",
-    "no previous frame",
-    *STANDSTILL,
-    "too few points can be tracked",
-    "no common motion of the scene",
-    "a motion that is not a car's",
-)
-"""Reasons why a step is not measured; the first means that it is."""
-
 # Number of steps that are averaged for a duration, the current one included.
 RECENT = 20
 # Largest ratio of durations that are averaged. Steps of 2 and 3 frames of a faster video differ by

@@ -17,13 +17,16 @@ from pipeline.base.checkout import in_checkout
 from pipeline.base.errors import error_context
 from pipeline.base.hashes import file_hash
 from pipeline.base.loop import prefetch
-from pipeline.base.store import DriveReader, DriveWriter
+from pipeline.base.store import DriveReader
 from pipeline.base.summary import Summary
 from pipeline.camera import classes
-from pipeline.camera.camera import Camera, read_camera
-from pipeline.camera.images import DEPTH_UNITS_PER_M, to_units
+from pipeline.camera.camera import Camera
+from pipeline.camera.images import to_units
 from pipeline.encoder import precomputed
 from pipeline.encoder.encoder_file import FILE, load_encoder
+from pipeline.ingest.ingest_file import open_ingest
+from pipeline.ingest.stored_camera import read_camera
+from pipeline.perception.perception_file import UNITS, create_perception
 from pipeline.perception.settings import Perception
 
 # Number of classes whose shares of the pixels are printed, the largest ones.
@@ -86,7 +89,7 @@ def find_warnings(folder: Path, precision: str, ingest: Iterable[Path]) -> Itera
     if open_encoder(folder, precision).datasets != ["sample"]:
         return
     for path in ingest:
-        with DriveReader(path, stage="ingest") as file:
+        with open_ingest(path) as file:
             if file.params.get("dataset", "sample") != "sample":
                 fix = "Use the encoder that steer street makes, "
                 fix += "and ingest.image_size: [192, 640]"
@@ -203,7 +206,7 @@ def perceive_drive(
     number of frames, and facts as text: the size of what was read, and the shares of the classes.
     """
     opened = open_encoder(encoder, settings.precision)
-    with DriveReader(ingest, stage="ingest") as source:
+    with open_ingest(ingest) as source:
         params = source.params | {
             "encoder": {"sha256": file_hash(encoder / FILE)},
             "perception": settings.model_dump(),
@@ -214,14 +217,13 @@ def perceive_drive(
         if torch.cuda.is_available():
             batch_size = max(settings.batch, GPU_BATCH)
         batches = read_batches(source, camera, rows, size=batch_size)
-        with DriveWriter(path, stage="perception", drive=source.drive, params=params) as file:
+        with create_perception(path, drive=source.drive, params=params) as file:
             # The scale of depth is judged by the camera's height, so that must be known.
             file.attrs["unit_error"] = opened.unit_error if camera.height_known else np.inf
             file.put("frame", source.frame[rows])
-            file.put("time_s", source.time_s[rows], "s")
-            units = np.empty((0, *camera.size), np.uint16)
-            file.append("depth_m", units, f"1/{DEPTH_UNITS_PER_M} m, 0 = none")
-            file.append("cls", np.empty((0, *camera.size), np.uint8), "Cityscapes trainId")
+            file.put("time_s", source.time_s[rows], UNITS["time_s"])
+            file.append("depth_m", np.empty((0, *camera.size), np.uint16), UNITS["depth_m"])
+            file.append("cls", np.empty((0, *camera.size), np.uint8), UNITS["cls"])
             # Number of pixels by class.
             pixels = np.zeros(classes.VOID + 1, np.int64)
 

@@ -16,10 +16,14 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pipeline.base import store
-from pipeline.camera.camera import read_camera
+from pipeline.base.store import DriveReader
+from pipeline.clouds.cloud_file import open_clouds
 from pipeline.evaluate import statistics
 from pipeline.evaluate.settings import BASELINES
+from pipeline.graphs.graph_file import open_graphs
+from pipeline.ingest.ingest_file import open_ingest
+from pipeline.ingest.stored_camera import read_camera
+from pipeline.perception.perception_file import open_perception
 from pipeline.report import street_view
 from pipeline.report.street_view import COLOURS, WIDTH, chart_colour
 from pipeline.report.values import (
@@ -276,7 +280,7 @@ def draw_bend(folder: Path, task: Task, table: pd.DataFrame, data: Path) -> Pict
     file = data / f"ingest/{bend['drive']}.h5"
     if not file.is_file():
         return None
-    with store.DriveReader(file, stage="ingest") as images:
+    with open_ingest(file) as images:
         image = street_view.read_view(bend["frame"], images).rgb
         camera = read_camera(images)
     if image is None:
@@ -332,9 +336,11 @@ def draw_chain(folder: Path, task: Task, table: pd.DataFrame, data: Path) -> Pic
     if not all(file.is_file() for file in files.values()):
         return None
     with ExitStack() as stack:
-        opened = {}
-        for stage, file in files.items():
-            opened[stage] = stack.enter_context(store.DriveReader(file, stage=stage))
+        opened = dict[str, DriveReader]()
+        opened["ingest"] = stack.enter_context(open_ingest(files["ingest"]))
+        opened["perception"] = stack.enter_context(open_perception(files["perception"]))
+        opened["clouds"] = stack.enter_context(open_clouds(files["clouds"]))
+        opened["graphs"] = stack.enter_context(open_graphs(files["graphs"]))
         if not all(bend["frame"] in file.frame for file in opened.values()):
             return None
         graph = street_view.read_view(bend["frame"], opened.pop("graphs"))

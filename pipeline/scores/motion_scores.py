@@ -7,9 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pipeline.base.metrics import nmse
-from pipeline.base.store import DriveReader
+from pipeline.ingest.ingest_file import open_ingest
 from pipeline.labels import source
-from pipeline.labels.label import Car, Labels, hold_valid, steering_labels
+from pipeline.labels.label import Car, hold_valid, steering_labels
+from pipeline.labels.label_file import Labels
+from pipeline.motion.motion_file import open_motion
 
 
 class MotionErrors(NamedTuple):
@@ -44,8 +46,8 @@ def score_motion(
 def _compare_drive(ingest: Path, motion: Path, car: Car) -> MotionErrors | None:
     """Return the errors in the frames of a file of stage motion; None without recorded motion."""
     with (
-        DriveReader(ingest, stage="ingest") as raw,
-        DriveReader(motion, stage="motion") as file,
+        open_ingest(ingest) as raw,
+        open_motion(motion) as file,
     ):
         recorded_rates = source.recorded_rates(raw)
         if recorded_rates is None:

@@ -8,7 +8,7 @@ import numpy as np
 from pipeline.base.store import DriveReader
 from pipeline.base.summary import DOUBT
 from pipeline.labels.label import Car, steering_labels
-from pipeline.motion.rates import read_rates
+from pipeline.motion.motion_file import read_rates
 from pipeline.scores import agreement
 from pipeline.scores.agreement import Pair, SpeedPair
 

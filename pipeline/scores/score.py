@@ -5,12 +5,15 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.params import SPLITS
-from pipeline.base.store import DriveReader, drives_in, write_json
+from pipeline.base.store import drives_in, write_json
 from pipeline.base.summary import Summary
-from pipeline.camera.camera import read_camera
 from pipeline.camera.images import to_metres
+from pipeline.ingest.ingest_file import open_ingest
+from pipeline.ingest.stored_camera import read_camera
 from pipeline.ingest.truth import read_truth
 from pipeline.labels.label import Car
+from pipeline.motion.motion_file import open_motion
+from pipeline.perception.perception_file import open_perception
 from pipeline.scores.motion_scores import score_motion
 from pipeline.scores.pixels import Scores
 from pipeline.scores.recorded import Facts, Recorded, compare_drives
@@ -24,8 +27,8 @@ def score_drive(path: Path, *, ingest: Path, perception: Path) -> Summary:
     """
     scores = Scores()
     with (
-        DriveReader(ingest, stage="ingest") as source,
-        DriveReader(perception, stage="perception") as perceived,
+        open_ingest(ingest) as source,
+        open_perception(perception) as perceived,
     ):
         camera = read_camera(source)
         for row, number in enumerate(perceived.frame):
@@ -82,8 +85,8 @@ def _compare_logs(splits: Mapping[str, str], ingest: Path, motion: Path, car: Ca
         recorded = {}
         for drive in drives:
             with (
-                DriveReader(ingest / f"{drive}.h5", stage="ingest") as raw,
-                DriveReader(motion / f"{drive}.h5", stage="motion") as measured,
+                open_ingest(ingest / f"{drive}.h5") as raw,
+                open_motion(motion / f"{drive}.h5") as measured,
             ):
                 recorded[drive] = Recorded.read(raw, measured, car)
         if recorded:

@@ -20,7 +20,8 @@ from pipeline.base.errors import InputError, error_context
 from pipeline.base.store import DriveReader
 from pipeline.graphs.graph_file import Arrays, Contents, Graphs, open_graphs
 from pipeline.labels import label
-from pipeline.motion.format import open_motion, read_causal
+from pipeline.labels.label_file import Labels, open_labels, read_labels
+from pipeline.motion.motion_file import open_motion, read_causal
 from pipeline.train.entry import Entry
 from pipeline.train.quantity import Quantity, load_quantity, scale_radius
 
@@ -91,7 +92,7 @@ class LabelledDrive(Timeline):
     quantity: Quantity
     target: np.ndarray  # float64 [G,R], NaN without a valid label
     present: np.ndarray  # float64 [G,R], true values of the frames themselves
-    driven: label.Labels  # labels of the frames themselves
+    driven: Labels  # labels of the frames themselves
     are_measured: bool  # whether labels follow from measured motion
 
     def has_target(self, start: int, stop: int) -> bool:
@@ -150,7 +151,7 @@ def read_drive(graphs: Path, labels: Path, motion: Path, name: str, entry: Entry
     motion = motion / f"{name}.h5"
     with ExitStack() as files:
         file = files.enter_context(open_graphs(graphs))
-        truth = files.enter_context(DriveReader(labels, stage="labels"))
+        truth = files.enter_context(open_labels(labels))
         measured = None
         settings = file.params | truth.params
         if entry.motion != "none":
@@ -165,7 +166,7 @@ def read_drive(graphs: Path, labels: Path, motion: Path, name: str, entry: Entry
         if (rows < 0).any():
             problem = f"no label for frame {file.frame[rows < 0][0]} of {graphs}"
             raise InputError(problem, labels, "Make both again: dvc repro")
-        driven = label.read_labels(truth).select_rows(rows)
+        driven = read_labels(truth).select_rows(rows)
         # Row -1, which stands for a missing label, is an additional row of NaN.
         with error_context(labels):
             quantity = load_quantity(entry.predict)(truth.params["labels"], entry.horizon)

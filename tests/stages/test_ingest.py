@@ -13,6 +13,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, read_index
 from pipeline.camera.camera import Camera
 from pipeline.ingest.calibration import CALIBRATION, RENDERED
+from pipeline.ingest.ingest_file import open_ingest
 from pipeline.ingest.packets import COLUMNS
 from stages import ingest
 from tests.kitti_drive import (
@@ -37,7 +38,7 @@ def run(tmp_path: Path, **settings: Any) -> DriveReader:
     if not (tmp_path / "raw" / DATE / f"{OTHER}_sync").exists():
         write_drive(tmp_path / "raw", OTHER, seed=1)
     folder = ingest.main(tmp_path / "data", tmp_path / "raw", params)
-    return DriveReader(folder / f"{DRIVE}.h5", stage="ingest")
+    return open_ingest(folder / f"{DRIVE}.h5")
 
 
 def test_rows_go_by_frame_number(tmp_path):
@@ -188,7 +189,7 @@ def test_drives_of_the_sample_are_those_that_were_rendered(tmp_path):
     params = write_params(tmp_path / "params.yaml", train=[sample], test=[tested], source="sample")
     ingest.main(tmp_path / "data", tmp_path / "raw", params)
     assert read_index(tmp_path / "data/ingest", stage="ingest") == {sample: "train", tested: "test"}
-    with DriveReader(tmp_path / f"data/ingest/{sample}.h5", stage="ingest") as file:
+    with open_ingest(tmp_path / f"data/ingest/{sample}.h5") as file:
         assert len(file.frame) == 2
         assert file.params["dataset"] == "sample"
         assert "cls" in file

@@ -9,6 +9,7 @@ import pytest
 from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, read_index
 from pipeline.ingest.packets import make_packets
+from pipeline.labels.label_file import open_labels
 from stages import labels
 from tests.artefacts import write_index, write_motion, write_recorded
 from tests.kitti_drive import write_params
@@ -28,7 +29,7 @@ def write_ingest(folder: Path, speed: list[float], yaw_rate: list[float]) -> Non
 def run(tmp_path: Path, **settings: Any) -> list[DriveReader]:
     params = write_params(tmp_path / "params.yaml", train=[FIRST], test=[SECOND], labels=settings)
     assert labels.main(tmp_path, params) == tmp_path / "labels"
-    return [DriveReader(tmp_path / f"labels/{drive}.h5", stage="labels") for drive in DRIVES]
+    return [open_labels(tmp_path / f"labels/{drive}.h5") for drive in DRIVES]
 
 
 def test_labels_of_two_drives(tmp_path, capsys):

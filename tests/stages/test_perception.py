@@ -11,14 +11,17 @@ from pipeline.base import store
 from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError
 from pipeline.camera import classes
-from pipeline.camera.camera import Camera, Frame, read_camera
+from pipeline.camera.camera import Camera, Frame
 from pipeline.encoder.encoder_file import save_encoder
 from pipeline.encoder.precomputed import describe_sizes, read_frame
 from pipeline.ingest.drive import Drive
-from pipeline.ingest.ingest_file import write_drive
+from pipeline.ingest.ingest_file import open_ingest
 from pipeline.ingest.settings import Reading
-from pipeline.motion.motion_file import measure_drive
+from pipeline.ingest.stored_camera import read_camera
+from pipeline.ingest.write import write_drive
+from pipeline.motion.measure import measure_drive
 from stages import clouds, perception
+from steer.artefact import open_drive
 from tests import street
 from tests.artefacts import write_index
 from tests.kitti_drive import write_png
@@ -31,8 +34,8 @@ SPLITS = {
 FULL, BLIND, CAMERA = SPLITS
 
 
-def read_drive(folder: Path, drive: str, stage: str = "clouds") -> dict[str, np.ndarray]:
-    with store.DriveReader(folder / f"{drive}.h5", stage=stage) as file:
+def read_drive(folder: Path, drive: str) -> dict[str, np.ndarray]:
+    with open_drive(folder / f"{drive}.h5") as file:
         return {name: file[name] for name in file.datasets}
 
 
@@ -68,7 +71,7 @@ def test_drives_without_images_or_lidar_have_clouds_of_what_they_have(tmp_path):
 def run(root: Path) -> dict[str, np.ndarray]:
     params = root / "params.yaml"
     params.write_text(yaml.safe_dump({"perception": {"batch": 3}}))
-    return read_drive(perception.main(root, params), FULL, "perception")
+    return read_drive(perception.main(root, params), FULL)
 
 
 def test_precomputed_files_are_matched_by_frame_number(tmp_path, capsys):
@@ -119,7 +122,7 @@ def test_precomputed_files_get_the_crop_of_the_image(tmp_path, columns, factor):
     drive = Drive(camera, lambda: iter([Frame(0, 0.0, image)]))
     settings = Reading(image_size=(32, 64), cameras=[2], lidar=False, on_damaged="fail")
     write_drive(tmp_path / "ingest.h5", drive, FULL, "kitti", settings)
-    with store.DriveReader(tmp_path / "ingest.h5", stage="ingest") as file:
+    with open_ingest(tmp_path / "ingest.h5") as file:
         pixels = file["image"][0, ..., 0].astype(float)
         camera = read_camera(file)
 

@@ -8,9 +8,9 @@ import numpy as np
 import open3d as o3d
 import pytest
 
-from pipeline.base.store import DriveReader
 from pipeline.clouds.cloud import clouds_drive
 from pipeline.clouds.settings import Clouds
+from steer.artefact import open_drive
 from steer.export import export_points
 from tests import artefacts, street
 from tests.pipeline.base.test_base import files_up_to
@@ -46,7 +46,7 @@ def test_points_keep_their_values_and_get_the_colour_of_their_pixel(data, tmp_pa
     rgb = exported.pop("colors")
 
     # Coordinates and classes are those of the file.
-    with DriveReader(data / kind / f"{DRIVE}.h5", stage=None) as file:
+    with open_drive(data / kind / f"{DRIVE}.h5") as file:
         np.testing.assert_array_equal(xyz, file.rows_of("xyz", FRAME))
         np.testing.assert_equal(exported, {"class": file.rows_of("cls", FRAME)[:, None]})
 

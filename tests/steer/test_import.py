@@ -12,9 +12,9 @@ import yaml
 
 from footage import convert
 from pipeline.base.errors import InputError
-from pipeline.base.store import DriveReader
 from pipeline.check import preset
 from pipeline.ingest.datasets.kitti import IMPORT
+from pipeline.ingest.ingest_file import open_ingest
 from stages import check, ingest
 from stages.preset import Params, hash_imports, merge_preset
 from steer.commands.import_ import import_recording
@@ -118,7 +118,7 @@ def test_the_preset_is_one_that_check_accepts_and_ingest_reads(
     Path("params.yaml").write_text(yaml.safe_dump(json.loads(json.dumps(content))))
     out = ingest.main()
     for drive, frames in zip(drives, (100, 20, 40), strict=True):
-        with DriveReader(out / f"{drive}.h5", stage="ingest") as file:
+        with open_ingest(out / f"{drive}.h5") as file:
             assert len(file.frame) == frames
             assert file.params["camera_height_m"] == 1.4
             assert ("speed_mps" in file) == ("motion" in options)

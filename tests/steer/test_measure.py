@@ -11,10 +11,10 @@ import pandas as pd
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.base.store import DriveReader
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.ingest.datasets import kitti
-from pipeline.ingest.ingest_file import write_drive
+from pipeline.ingest.ingest_file import open_ingest
+from pipeline.ingest.write import write_drive
 from steer import api
 from steer.commands.measure import measure
 from steer.measure import READING
@@ -109,7 +109,7 @@ def test_gaps_between_files_are_doubted_and_remembered(tmp_path, encoder):
             api.measure(images[:1], encoder=encoder, out=folder.parent, **LENS)
         source = kitti.open_folder(folder / f"{names[0]}_drive_0001_sync")
         write_drive(tmp_path / f"{count}.h5", kitti.read_drive(source, READING), "a", "k", READING)
-        with DriveReader(tmp_path / f"{count}.h5", stage="ingest") as file:
+        with open_ingest(tmp_path / f"{count}.h5") as file:
             assert file.params.get("recordings", 1) == count
 
 

@@ -5,12 +5,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Frame
 from pipeline.ingest.drive import Drive
-from pipeline.ingest.ingest_file import write_drive
+from pipeline.ingest.ingest_file import open_ingest
 from pipeline.ingest.packets import make_packets
-from pipeline.labels.label import Car, Labels
+from pipeline.ingest.write import write_drive
+from pipeline.labels.label import Car
+from pipeline.labels.label_file import Labels
+from pipeline.motion.motion_file import open_motion
 from steer import outcome, pictures, predict
 from steer.measure import READING
 from steer.outcome import Results, read_course
@@ -48,7 +50,7 @@ def test_the_course_integrates_rates_and_stops_with_the_car(tmp_path):
     """Frames are 10 s apart: a gap of one frame ends the motion."""
     rows = {0: (0, 0), 1: (8.0, 0.02), 2: (8.0, 0.02), 3: (0, 0), 4: (0.5, 0.0)}
     write_motion(tmp_path, "drive", rows)
-    with DriveReader(tmp_path / "drive.h5", stage="motion") as motion:
+    with open_motion(tmp_path / "drive.h5") as motion:
         causal = read_course(motion, CAR, smooth=False)
     assert np.isnan(causal["speed_mps"]).tolist() == [True, False, False, True, False]
     assert causal["measured_rad"][1:3] == pytest.approx(np.arctan(2.7 * 0.02 / 8.0))
@@ -87,7 +89,7 @@ def test_the_driven_angle_is_what_the_drive_recorded(tmp_path, values, expected_
     frames = [Frame(number, number / 10) for number in range(4)]
     drive = Drive(street.CAMERA, lambda: iter(frames), values)
     write_drive(tmp_path / "a.h5", drive, "a", "kitti", READING)
-    with DriveReader(tmp_path / "a.h5", stage="ingest") as raw:
+    with open_ingest(tmp_path / "a.h5") as raw:
         driven = outcome._read_driven(raw, CAR)
     if driven is None:
         assert expected_rad is None

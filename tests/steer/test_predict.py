@@ -16,7 +16,7 @@ import yaml
 from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError
 from pipeline.graphs.graph_file import open_graphs
-from pipeline.motion.format import open_motion
+from pipeline.motion.motion_file import open_motion
 from pipeline.perception import perceive
 from pipeline.train.trained import load_model
 from stages import clouds, encoder, graphs, ingest, labels, motion, perception, sample, train

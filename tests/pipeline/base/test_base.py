@@ -17,7 +17,12 @@ import pytest
 
 from pipeline.base import hashes, store
 from pipeline.base.errors import InputError
-from pipeline.base.store import DriveReader, DriveWriter
+from pipeline.clouds.cloud_file import create_clouds, open_clouds
+from pipeline.graphs.graph_file import open_graphs
+from pipeline.ingest.ingest_file import create_ingest, open_ingest
+from pipeline.labels.label_file import create_labels
+from pipeline.perception.perception_file import create_perception
+from steer.artefact import FORMATS, open_drive
 from tests import artefacts
 from tests.artefacts import write_index
 from tests.kitti_drive import contents
@@ -31,7 +36,7 @@ XYZ = [np.random.default_rng(count).normal(size=(count, 3)).astype(np.float32) f
 
 
 def write(path: Path) -> Path:
-    with DriveWriter(path, stage="clouds", drive=DRIVE, params={"clouds": {"seed": 0}}) as file:
+    with create_clouds(path, drive=DRIVE, params={"clouds": {"seed": 0}}) as file:
         file.attrs["split"] = "train"
         file.put("frame", np.array([0, 2, 3], np.int32))
         file.put("time_s", np.array([0.0, 0.2, 0.3]), "s")
@@ -46,7 +51,7 @@ def write(path: Path) -> Path:
 
 
 def test_round_trip(tmp_path):
-    with DriveReader(write(tmp_path / "a.h5"), stage="clouds") as file:
+    with open_clouds(write(tmp_path / "a.h5")) as file:
         assert file.drive == DRIVE
         assert file.attrs["split"] == "train"
         assert file.params == {"clouds": {"seed": 0}}
@@ -72,7 +77,7 @@ def test_two_writes_are_byte_identical_and_an_error_changes_nothing(tmp_path):
     assert write(tmp_path / "b.h5").read_bytes() == before
     with (  # noqa: PT012
         pytest.raises(ZeroDivisionError),
-        DriveWriter(path, stage="labels", drive=DRIVE, params={}) as file,
+        create_labels(path, drive=DRIVE, params={}) as file,
     ):
         file.put("frame", np.arange(1000))
         raise ZeroDivisionError
@@ -97,7 +102,7 @@ def test_a_full_disk_is_reported_instead_of_its_consequences(tmp_path):
         with (  # noqa: PT012
             pytest.raises(OSError, match=str(tmp_path / "a.h5")) as error,
             files_up_to(size),
-            DriveWriter(tmp_path / "a.h5", stage="ingest", drive=DRIVE, params={}) as file,
+            create_ingest(tmp_path / "a.h5", drive=DRIVE, params={}) as file,
         ):
             for _ in range(100):
                 file.append("lidar", rng.random((100, 4), np.float32))
@@ -132,7 +137,7 @@ def test_a_file_from_elsewhere_opens_no_other_file_and_runs_no_filter_of_others(
         change(file, write(tmp_path / "elsewhere.h5"))
     problem = "'image' (is a link|has external storage or a filter)"
     with pytest.raises(InputError, match=problem) as raised:
-        DriveReader(path, stage="clouds")
+        open_clouds(path)
     assert raised.value.where == str(path)
 
 
@@ -150,24 +155,25 @@ def in_folder_of_stage(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("stage", "change", "problem"),
+    ("open_file", "change", "problem"),
     [
-        ("ingest", None, "expected a file of stage ingest; got stage clouds"),
-        ("clouds", Path.unlink, "missing"),
-        ("clouds", in_folder_of_stage, f"contains drive {DRIVE}"),
-        ("clouds", partial(edit_attributes, schema=3), "expected schema 7 or 8; got 3"),
-        ("graphs", partial(edit_attributes, stage="graphs", schema=7), "expected schema 8 or 9"),
-        ("clouds", partial(edit_attributes, params="{"), "damaged in its settings"),
-        ("clouds", cut_short, "damaged"),
+        (open_ingest, None, "expected a file of stage ingest; got stage clouds"),
+        (open_clouds, Path.unlink, "missing"),
+        (open_clouds, in_folder_of_stage, f"contains drive {DRIVE}"),
+        (open_clouds, partial(edit_attributes, schema=3), "expected schema 7 or 8; got 3"),
+        (open_graphs, partial(edit_attributes, stage="graphs", schema=7), "expected schema 8 or 9"),
+        (open_clouds, partial(edit_attributes, params="{"), "damaged in its settings"),
+        (open_clouds, cut_short, "damaged"),
     ],
 )
-def test_files_of_other_stages_schemas_and_drives_are_refused(tmp_path, stage, change, problem):
+def test_files_of_other_stages_schemas_and_drives_are_refused(tmp_path, open_file, change, problem):
     path = write(tmp_path / "a.h5")
     if change:
         change(path)
     with pytest.raises(InputError, match=problem) as raised:
-        DriveReader(path, stage=stage)
+        open_file(path)
     assert raised.value.where == str(path)
+    stage = open_file.__name__.removeprefix("open_")
     assert f"dvc repro {stage}" in raised.value.fix
 
 
@@ -181,7 +187,7 @@ def write_each_stage(folder: Path) -> None:
     artefacts.write_labels(folder / "labels.h5", angles_rad, frame)
     artefacts.write_graphs(folder / "graphs.h5", angles_rad, frame, points=50)
     path = folder / "perception.h5"
-    with DriveWriter(path, stage="perception", drive="drive", params={"batch": 4}) as file:
+    with create_perception(path, drive="drive", params={"batch": 4}) as file:
         # HDF5 keeps more than eight attributes in another structure.
         for number in range(20):
             file.attrs[f"count_{number}"] = number
@@ -191,7 +197,7 @@ def write_each_stage(folder: Path) -> None:
 
 def read(path: Path) -> dict[str, Any]:
     """Return all values, texts and settings of a file."""
-    with DriveReader(path, stage=None) as file:
+    with open_drive(path) as file:
         content = {name: (file[name].tobytes(), file.units[name]) for name in file.datasets}
         names = {"pointers": file.pointers}
         return content | file.attrs | names | {"params": file.params}
@@ -202,7 +208,7 @@ def test_a_wrong_bit_in_a_file_is_never_another_value(tmp_path):
     rng = np.random.default_rng(0)
     write_each_stage(tmp_path)
     paths = sorted(tmp_path.iterdir())
-    assert [path.stem for path in paths] == sorted(store.SCHEMAS)
+    assert [path.stem for path in paths] == sorted(file.STAGE for file in FORMATS)
     for path in paths:
         content = path.read_bytes()
         expected = read(path)
@@ -226,7 +232,7 @@ def test_reading_needs_no_lock(tmp_path):
     path = write(tmp_path / "a.h5")
     with path.open() as descriptor:
         fcntl.flock(descriptor, fcntl.LOCK_EX)
-        with DriveReader(path, stage="clouds") as file:
+        with open_clouds(path) as file:
             assert file.drive == DRIVE
 
 

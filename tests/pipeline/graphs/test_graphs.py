@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from pipeline.base.errors import InputError
-from pipeline.base.store import DriveReader
 from pipeline.clouds.cloud import Cloud
 from pipeline.graphs import frame_graph, graph, graph_file
+from pipeline.graphs.graph_file import open_graphs
 from pipeline.graphs.settings import Variant
 from tests import artefacts
 from tests.models.steering.frames import concatenated
@@ -96,7 +96,7 @@ def test_a_batch_is_its_frames_with_shifted_numbers(tmp_path, kind):
     def read_frame(row: int) -> dict[str, np.ndarray]:
         return {name: file.rows_of(name, row) for name in file.pointers}
 
-    with graph_file.open_graphs(path) as graphs, DriveReader(path, stage="graphs") as file:
+    with graph_file.open_graphs(path) as graphs, open_graphs(path) as file:
         batch = artefacts.collate(*((graphs, *span) for span in spans))
         expected = concatenated([read_frame(row) for row in rows])
     assert batch.keys() == expected.keys()

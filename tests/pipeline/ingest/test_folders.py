@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.base.store import DriveReader
 from pipeline.ingest.datasets.folders import CAMERA
+from pipeline.ingest.ingest_file import open_ingest
 from stages import ingest
 from tests.kitti_drive import pictures, write, write_params, write_png
 
@@ -19,7 +19,7 @@ def test_frames_and_angles_of_a_drive(tmp_path):
         write(tmp_path / f"raw/{name}/steering.csv", "frame,steering_rad\n0,0.1\n1,\n2,-0.05\n")
     params = write_params(tmp_path / "params.yaml", ["hills"], ["town"], source="folders")
     out = ingest.main(tmp_path / "data", tmp_path / "raw", params)
-    with DriveReader(out / "hills.h5", stage="ingest") as file:
+    with open_ingest(out / "hills.h5") as file:
         np.testing.assert_allclose(file["steering_rad"], [0.1, 0, -0.05])
         assert file["has_steering"].tolist() == [1, 0, 1]
         np.testing.assert_allclose(file.time_s, [0, 0.1, 0.2])

@@ -9,12 +9,12 @@ import pandas as pd
 import pytest
 
 from pipeline.base.errors import InputError
-from pipeline.base.store import DriveReader
 from pipeline.camera.camera import Camera, Frame
 from pipeline.ingest import validate
 from pipeline.ingest.drive import Drive, load_dataset
-from pipeline.ingest.ingest_file import write_drive
+from pipeline.ingest.ingest_file import open_ingest
 from pipeline.ingest.packets import COLUMNS, make_packets
+from pipeline.ingest.write import write_drive
 from steer.measure import READING
 from tests import street
 from tests.kitti_drive import SIZE
@@ -86,7 +86,7 @@ def test_healthy_drives(tmp_path, drive, notes):
     """Times begin at 0, and unknown angles are never valid."""
     write_drive(tmp_path / "a.h5", drive, "a", "mine", READING)
     assert drive.notes == notes
-    with DriveReader(tmp_path / "a.h5", stage="ingest") as file:
+    with open_ingest(tmp_path / "a.h5") as file:
         assert file.frame.tolist() == [*ANGLES]
         np.testing.assert_allclose(file.time_s, np.arange(F) / 10, atol=1e-6)
         is_known = np.array([not notes or number != 2 for number in ANGLES])
@@ -124,7 +124,7 @@ def test_a_frame_without_a_packet(tmp_path):
     drive = make_drive(values={"oxts": packets})
     write_drive(tmp_path / "a.h5", drive, "a", "mine", READING)
     assert drive.notes == ["oxts: values without a frame: 0, frames without a value: 2"]
-    with DriveReader(tmp_path / "a.h5", stage="ingest") as file:
+    with open_ingest(tmp_path / "a.h5") as file:
         is_known = np.array([1, 1, 0, 0, 1, 1], bool)
         assert file["oxts"].shape == (F, len(COLUMNS))
         np.testing.assert_array_equal(np.isfinite(file["oxts"]).all(axis=1), is_known)
@@ -136,7 +136,7 @@ def test_unknown_depth_is_no_depth(tmp_path):
     depth_m[:, :32] = np.nan
     drive = make_drive(depth_m=depth_m)
     write_drive(tmp_path / "a.h5", drive, "a", "mine", READING)
-    with DriveReader(tmp_path / "a.h5", stage="ingest") as file:
+    with open_ingest(tmp_path / "a.h5") as file:
         left, right = np.split(file["depth"], 2, axis=2)
         assert not left.any()
         assert (right == 20 * 256).all()

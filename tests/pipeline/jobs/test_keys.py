@@ -58,7 +58,7 @@ def edit(path: Path, before: str, after: str) -> None:
 @pytest.mark.parametrize(
     ("file", "changed"),
     [
-        ("pipeline/ingest/ingest_file.py", INGEST),
+        ("pipeline/ingest/write.py", INGEST),
         ("pipeline/base/store.py", ALL),
         ("pipeline/labels/label.py", {"labels", "gnn", "cnn", "report"}),
         ("pipeline/labels/helper/__init__.py", {"labels"}),

@@ -19,9 +19,9 @@ from pipeline.jobs import console, keys
 from pipeline.jobs.outputs import stage_folder
 from pipeline.jobs.runner import Job, make_drives
 
-from pipeline.base import store
 from pipeline.base.checkout import ROOT
 from pipeline.base.errors import DamagedFile
+from pipeline.labels.label_file import create_labels
 from tests.kitti_drive import contents
 
 FRAMES = {"a": 3, "b": 6, "c": 5, "empty": 0}
@@ -32,7 +32,7 @@ def work(drive: str, folder: Path, k: int, path: Path) -> dict[str, Any]:
     with (folder / "calls").open("a") as calls:
         calls.write(f"{drive} {os.getpid()}\n")
     rng = np.random.default_rng(len(drive))
-    with store.DriveWriter(path, stage="labels", drive=drive, params={"k": k}) as file:
+    with create_labels(path, drive=drive, params={"k": k}) as file:
         file.put("frame", np.arange(FRAMES[drive], dtype=np.int32))
         for frame in range(FRAMES[drive]):
             if frame == 2:

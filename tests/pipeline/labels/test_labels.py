@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.labels import ahead, label
-from pipeline.labels.label import Labels
+from pipeline.labels.label_file import Labels
 from pipeline.motion.rates import REACH, YAW_SIGMA_S, gaussian_mean
 
 L = 2.7

@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.camera.camera import Frame
 from pipeline.camera.geometry import project, transform
-from pipeline.motion.motion_file import find_jumps
+from pipeline.motion.measure import find_jumps
 from pipeline.motion.odometry import Odometry
 from pipeline.motion.speed import TYPICAL_MPS, Speeds, filter_speeds, smooth_speeds
 from pipeline.motion.triangulation import RATIO_NOISE, Tracks, compare_lengths, find_tracks

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from pipeline.base import store
 from pipeline.camera import classes
-from pipeline.camera.camera import read_camera
+from pipeline.ingest.ingest_file import open_ingest
+from pipeline.ingest.stored_camera import read_camera
 from pipeline.ingest.truth import read_truth
 from pipeline.perception.perceive import run_passes
 from tests import street
@@ -37,7 +37,7 @@ def test_passes_give_the_same_bits_for_any_number_of_threads(monkeypatch):
 def test_dense_truth_precedes_lidar_which_is_sparse_and_has_no_classes(tmp_path, dense):
     street.write_drive(tmp_path, DENSE, 2, dense=dense, lidar=True)
     _, depth, cls = street.scene(1)
-    with store.DriveReader(tmp_path / f"{DENSE}.h5", stage="ingest") as file:
+    with open_ingest(tmp_path / f"{DENSE}.h5") as file:
         truth = read_truth(file, read_camera(file), 1)
     if dense:
         assert truth.depth_source == "dense"

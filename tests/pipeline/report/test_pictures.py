@@ -5,11 +5,13 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from pipeline.base.store import DriveReader
-from pipeline.camera.camera import Camera, read_camera
+from pipeline.camera.camera import Camera
 from pipeline.camera.classes import VOID
 from pipeline.clouds.cloud import clouds_drive
 from pipeline.clouds.settings import Clouds
+from pipeline.ingest.ingest_file import open_ingest
+from pipeline.ingest.stored_camera import read_camera
+from pipeline.perception.perception_file import open_perception
 from pipeline.report import drawings
 from pipeline.report.street_view import (
     HALF_TRACK_M,
@@ -34,8 +36,8 @@ def test_a_later_file_replaces_what_an_earlier_one_has(tmp_path):
     street.write_perception(tmp_path / "perception", tmp_path / "ingest", DRIVE)
     image, depth_m, cls = street.scene(2)
     with (
-        DriveReader(tmp_path / f"ingest/{DRIVE}.h5", stage="ingest") as raw,
-        DriveReader(tmp_path / f"perception/{DRIVE}.h5", stage="perception") as perceived,
+        open_ingest(tmp_path / f"ingest/{DRIVE}.h5") as raw,
+        open_perception(tmp_path / f"perception/{DRIVE}.h5") as perceived,
     ):
         view = read_view(2, raw, perceived)
     np.testing.assert_array_equal(view.rgb, image)
@@ -102,7 +104,7 @@ def test_the_picture_of_a_bend_shows_the_paths_with_and_without_the_scene(tmp_pa
         table = examples.predictions(nmse[model], [*content["test"]]).query("drive == @DRIVE")
         examples.write_model(tmp_path, content, table)
     (task,), values = examples.load(tmp_path, *nmse)
-    with DriveReader(tmp_path / f"ingest/{DRIVE}.h5", stage="ingest") as images:
+    with open_ingest(tmp_path / f"ingest/{DRIVE}.h5") as images:
         camera = read_camera(images)
 
     def plot(_: Axes, x: np.ndarray, y: np.ndarray, **style: object) -> None:

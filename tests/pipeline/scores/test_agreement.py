@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.base import summary
-from pipeline.motion.rates import YAW_NOISE_RADPS
+from pipeline.motion.motion_file import YAW_NOISE_RADPS
 from pipeline.scores import agreement
 from pipeline.scores.agreement import Pair, SpeedPair
 from pipeline.scores.recorded import Recorded, compare_drives, compare_recorded

@@ -10,7 +10,8 @@ from pipeline.camera.ground_plane import ground_plane_depth
 from pipeline.ingest.packets import make_packets
 from pipeline.ingest.truth import Truth
 from pipeline.labels import label
-from pipeline.labels.label import Car, Labels
+from pipeline.labels.label import Car
+from pipeline.labels.label_file import Labels
 from pipeline.scores.motion_scores import compare_labels, score_motion, summarise_errors
 from pipeline.scores.pixels import Scores, compute_depth_errors, crop_eigen
 from pipeline.scores.score import score_splits

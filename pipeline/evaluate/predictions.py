@@ -1,4 +1,4 @@
-"""Predict the drives of all splits with a model, as tables of predictions.
+"""Predict drives of all splits with a model, as tables of predictions.
 
 Letters: S seeds of a model, G frames of a drive, R columns of the predicted quantity.
 """
@@ -22,6 +22,8 @@ from pipeline.train.loss import Scale
 from pipeline.train.targets import LabelledDrive, read_drive
 from pipeline.train.trained import Trained
 
+# Number of training drives that are predicted. Their errors tell whether a seed failed to train.
+TRAIN_DRIVES = 8
 # Key of metrics.json → name of a count per frame in graph files, of which the key has the mean.
 SIZES = {
     "points_per_frame": "points",
@@ -70,33 +72,44 @@ class Case:
         return {name: np.broadcast_to(value, drive.target.shape) for name, value in values.items()}
 
 
-def predict_cases(
-    models: Mapping[int, Trained], variant: Path, labels: Path
-) -> dict[str, list[Case]]:
-    """Return split → drives with their predictions.
+def read_drives(first: Trained, variant: Path, labels: Path) -> dict[str, list[LabelledDrive]]:
+    """Return split → drives of a model, of which `first` is a network.
 
-    `models` is seed → network. `variant` and `labels` are the folders of the graphs and of the
-    labels. Raises InputError if the labels have other columns than the networks.
+    `variant` and `labels` are the folders of the graphs and of the labels. Raises InputError if the
+    labels have other columns than the network.
     """
-    splits = read_index(variant, stage="graphs")
-    first = next(iter(models.values()))
-    if first.net.device.type == "cpu":
-        torch.set_num_threads(1)  # as in training: sums of more threads differ
-    cases: dict[str, list[Case]] = {split: [] for split in SPLITS}
-    for name, split in splits.items():
+    drives: dict[str, list[LabelledDrive]] = {split: [] for split in SPLITS}
+    for name, split in read_index(variant, stage="graphs").items():
         drive = read_drive(variant, labels, name, first.entry)
         columns = drive.quantity.columns
         if columns != first.scale.names:
             problem = f"the labels have {', '.join(columns)}"
             problem += f", the trained model predicts {', '.join(first.scale.names)}"
             raise InputError(problem, drive.labels, f"Train it again: dvc repro train@{first.name}")
+        drives[split].append(drive)
+    return drives
 
+
+def choose_training(drives: Sequence[LabelledDrive], window: int) -> list[LabelledDrive]:
+    """Return TRAIN_DRIVES of the training drives, evenly spread over those that have a window."""
+    usable = [drive for drive in drives if drive.has_window(window)]
+    rows = np.linspace(0, len(usable) - 1, min(TRAIN_DRIVES, len(usable)))
+    return [usable[row] for row in rows.round().astype(int)]
+
+
+def predict_cases(models: Mapping[int, Trained], drives: Sequence[LabelledDrive]) -> list[Case]:
+    """Return drives with their predictions. `models` is seed → network."""
+    first = next(iter(models.values()))
+    if first.net.device.type == "cpu":
+        torch.set_num_threads(1)  # as in training: sums of more threads differ
+    cases = []
+    for drive in drives:
         # All seeds share the frames, which are loaded once.
         files = Files([drive.graphs])
         files.load_frames(first.net.device)
         with open_graphs(drive.graphs) as graphs:
             predictions = [model.predict(graphs, files) for model in models.values()]
-        cases[split].append(Case(drive, predictions, first.scale))
+        cases.append(Case(drive, predictions, first.scale))
     return cases
 
 
@@ -128,14 +141,13 @@ def prediction_table(name: str, seeds: Sequence[int], cases: Sequence[Case]) -> 
     return pd.concat(tables)
 
 
-def model_facts(name: str, first: Trained, cases: Mapping[str, Sequence[Case]]) -> dict[str, Any]:
+def model_facts(
+    name: str, first: Trained, drives: Mapping[str, Sequence[LabelledDrive]]
+) -> dict[str, Any]:
     """Return what metrics.json says of a model beside its errors (data/README.md describes it).
 
-    `first` is the network of the model's first seed, and `cases` is split → predicted drives.
+    `first` is the network of the model's first seed, and `drives` is split → drives.
     """
-    drives = {}
-    for split, split_cases in cases.items():
-        drives[split] = [case.drive for case in split_cases]
     usable = {}
     for split, of_split in drives.items():
         usable[split] = [drive.name for drive in of_split if drive.has_window(first.entry.window)]

@@ -6,12 +6,14 @@
 
 A value stands before a comment with its key, as in 0.064<!-- roads/angle-0/sa-gnn-ncp -->. This
 value is an nmse. For another column, its name follows the key, as in
-1.73<!-- demo/path-0/at 20 m/path:error -->. A table of the report is written between a comment
-with its run, task, name and columns, and the comment <!-- end -->.
+1.73<!-- demo/path-0/at 20 m/path:error -->. Revision, date and machine of a run stand in brackets
+before a comment with its name alone. A table of the report is written between a comment with its
+run, task, name and columns, and the comment <!-- end -->.
 """
 
 import json
 import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -21,7 +23,9 @@ from pipeline.jobs import console
 from pipeline.jobs.origin import describe_origin
 
 from pipeline.base import store
+from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError
+from pipeline.base.params import read_yaml
 from pipeline.report import tables
 from pipeline.report.values import from_json
 
@@ -38,6 +42,8 @@ TABLE = re.compile(r"(<!-- table: (\S+) (\S+) (\w+): ([^\n]*) -->\n).*?(\n<!-- e
 # A value in a page: a number, the interval of a difference in brackets, and a comment with RUN/KEY
 # or RUN/KEY:COLUMN.
 VALUE = re.compile(r"[−+]?\d+\.\d+(?: \([^()]*\))?(<!-- (\w+)/([^:>]+?)(?::(\w+))? -->)")
+# The origin of a run in a page: brackets, and a comment with RUN.
+ORIGIN = re.compile(r"\([^()]*\)(<!-- (\w+) -->)")
 # Column → decimal places of its values.
 PLACES = {"nmse": 3, "error": 2, "mae": 2}
 
@@ -47,12 +53,13 @@ def collect(
 ) -> None:
     """Copy the results of a run to docs/results/NAME.json, and render the pages.
 
-    `source` is data/report/PRESET.json, or results.json of the checkout. Raises InputError if it is
-    not the result of committed code.
+    `source` is data/report/PRESET.json, or results.json of the checkout, whose params.yaml is then
+    copied, too. Raises InputError if it is not the result of committed code.
     """
     run = store.read_json(source, stage="report")
     if "results" not in run:
-        run = {"preset": name, **describe_origin(), "results": run}
+        settings = read_yaml(ROOT / "params.yaml")
+        run = {"preset": name, **describe_origin(), "settings": settings, "results": run}
     for key in ("frames", "scores"):
         run["results"].pop(key, None)
     if not re.fullmatch("[0-9a-f]+", run["revision"]):
@@ -67,26 +74,33 @@ def collect(
 
 def render() -> None:
     """Write values and tables into the pages."""
-    for page, content in pages(read_results()).items():
+    for page, content in pages(read_runs()).items():
         store.write_text(page, content)
 
 
-def read_results() -> dict[str, Rows]:
-    """Return preset → rows of its runs. If runs have the same key, the later run counts."""
+def read_runs() -> list[dict[str, Any]]:
+    """Return the runs from the earliest to the latest, each with its preset, origin and results."""
     runs = [json.loads(path.read_text(encoding="utf-8")) for path in RUNS.glob("*.json")]
-    presets: dict[str, Rows] = {}
-    for run in sorted(runs, key=lambda run: str(run["date"])):
-        presets.setdefault(run["preset"], {}).update(run["results"])
-    return presets
+    return sorted(runs, key=lambda run: str(run["date"]))
 
 
-def pages(runs: dict[str, Rows]) -> dict[Path, str]:
-    """Return the path and the text of each page, with values and tables of `runs`."""
+def pages(runs: Sequence[Mapping[str, Any]]) -> dict[Path, str]:
+    """Return the path and the text of each page, with values and tables of `runs`.
+
+    If runs have the same key, the later run counts.
+    """
+    rows: dict[str, Rows] = {}
+    origins = {}
+    for run in runs:
+        rows.setdefault(run["preset"], {}).update(run["results"])
+        origins[run["preset"]] = ", ".join(
+            str(run[key]) for key in ("revision", "date", "machine") if key in run
+        )
 
     def value(match: re.Match[str]) -> str:
         comment, run, key, column = match.groups()
         column = column or "nmse"
-        row = runs[run][key]
+        row = rows[run][key]
         form = f"z.{PLACES[column]}f"
         if " - " in key:
             bounds = tables.bounds_text(row, f"+{form}")
@@ -95,12 +109,19 @@ def pages(runs: dict[str, Rows]) -> dict[Path, str]:
 
     def table(match: re.Match[str]) -> str:
         start, run, task, name, columns, end = match.groups()
-        full = TABLES[name](from_json(runs[run]), task).table.reset_index()
+        full = TABLES[name](from_json(rows[run]), task).table.reset_index()
         heads = columns.split("; ")
         return start + tables.to_markdown(full[heads].set_index(heads[0])) + end
 
-    texts = {page: page.read_text(encoding="utf-8") for page in PAGES}
-    return {page: VALUE.sub(value, TABLE.sub(table, text)) for page, text in texts.items()}
+    def origin(match: re.Match[str]) -> str:
+        comment, run = match.groups()
+        return f"({origins[run]}){comment}"
+
+    texts = {}
+    for page in PAGES:
+        text = TABLE.sub(table, page.read_text(encoding="utf-8"))
+        texts[page] = ORIGIN.sub(origin, VALUE.sub(value, text))
+    return texts
 
 
 if __name__ == "__main__":

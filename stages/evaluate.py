@@ -15,7 +15,14 @@ from pipeline.base import store
 from pipeline.base.params import entry_name, load_section
 from pipeline.evaluate import statistics
 from pipeline.evaluate.error_table import common_frames, error_table, to_records
-from pipeline.evaluate.predictions import model_facts, predict_cases, prediction_table
+from pipeline.evaluate.predictions import (
+    choose_training,
+    fit_odometry,
+    model_facts,
+    predict_cases,
+    prediction_table,
+    read_drives,
+)
 from pipeline.evaluate.settings import Evaluate
 from pipeline.train import runs, trained
 
@@ -40,14 +47,18 @@ def main(
             run.seed: trained.load_model(run.folder) for run in runs.list_runs(train, first.seeds)
         }
         graphs = data / "graphs" / first.entry.input
-        cases = predict_cases(models, graphs, data / "labels", data / "motion")
-        result = model_facts(name, first, cases)
+        drives = read_drives(first, graphs, data / "labels", data / "motion")
+        result = model_facts(name, first, drives)
+        odometry_gain = fit_odometry(drives["train"], first.entry)
         tables = {}
-        quantity = cases["test"][0].drive.quantity
-        for split, drives in cases.items():
+        quantity = drives["test"][0].quantity
+        # Of the training drives, a few show whether a seed failed to train.
+        predicted = drives | {"train": choose_training(drives["train"], first.entry.window)}
+        for split, drives_of_split in predicted.items():
             result[split] = None
-            if drives:
-                tables[split] = prediction_table(name, first.seeds, drives)
+            if drives_of_split:
+                cases = predict_cases(models, drives_of_split, odometry_gain)
+                tables[split] = prediction_table(name, first.seeds, cases)
                 predictions = common_frames({name: tables[split]}, quantity)
                 result[split] = to_records(error_table(predictions, [name], settings))
         result["frames"] = predictions.frames_text
@@ -58,7 +69,7 @@ def main(
         for number in stuck:
             print(
                 f"{name}: seed {first.seeds[number]} failed to train: nmse {nmse[number]:.3f} on "
-                "its own training drives",
+                "training drives",
                 flush=True,
             )
         store.write_json(folder.new / "metrics.json", result, sort_keys=False)

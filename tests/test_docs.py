@@ -19,6 +19,7 @@ from docs import make_results
 from pipeline.base import store
 from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError
+from pipeline.base.params import read_yaml
 from pipeline.evaluate.own_metrics import METRICS
 from pipeline.graphs.settings import Variant
 from pipeline.labels.label_file import open_labels
@@ -109,8 +110,14 @@ def test_version_and_date_of_the_release_agree():
 
 
 def test_figures_and_tables_are_those_of_the_runs():
-    pages = make_results.pages(make_results.read_results())
+    pages = make_results.pages(make_results.read_runs())
     assert [page.name for page, text in pages.items() if text != page.read_text()] == []
+
+
+def test_the_demo_was_run_with_the_present_settings():
+    """After a change of params.yaml: run the demo again, and collect its results."""
+    demo = [run for run in make_results.read_runs() if run["preset"] == "demo"]
+    assert [run["settings"] for run in demo] == [read_yaml(ROOT / "params.yaml")]
 
 
 def test_a_run_is_collected_if_its_code_was_committed(tmp_path, monkeypatch):
@@ -120,7 +127,7 @@ def test_a_run_is_collected_if_its_code_was_committed(tmp_path, monkeypatch):
     new = tmp_path / "new"
     store.write_json(new, run | {"revision": "abc1234"})
     make_results.collect(new)
-    assert make_results.read_results()["mine"] == {"a": {}}
+    assert make_results.read_runs() == [run | {"revision": "abc1234"}]
     store.write_json(new, run | {"revision": "abc1234-dirty"})
     with pytest.raises(InputError, match="abc1234-dirty"):
         make_results.collect(new)

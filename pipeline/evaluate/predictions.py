@@ -1,4 +1,4 @@
-"""Predict the drives of all splits with a model, as tables of predictions.
+"""Predict drives of all splits with a model, as tables of predictions.
 
 Letters: S seeds of a model, G frames of a drive, R columns of the predicted quantity.
 """
@@ -14,7 +14,7 @@ import torch
 
 from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS
-from pipeline.base.store import drives_in, read_index
+from pipeline.base.store import read_index
 from pipeline.graphs.graph_file import open_graphs
 from pipeline.labels import label
 from pipeline.motion.motion_file import open_motion, read_causal
@@ -24,6 +24,8 @@ from pipeline.train.loss import Scale, fit_gain
 from pipeline.train.targets import LabelledDrive, read_drive
 from pipeline.train.trained import Trained
 
+# Number of training drives that are predicted. Their errors tell whether a seed failed to train.
+TRAIN_DRIVES = 8
 # Key of metrics.json → name of a count per frame in graph files, of which the key has the mean.
 SIZES = {
     "points_per_frame": "points",
@@ -90,60 +92,76 @@ def read_odometry(drive: LabelledDrive, entry: Entry) -> np.ndarray | None:
     return drive.quantity.measured(angle_rad)
 
 
-def predict_cases(
-    models: Mapping[int, Trained], variant: Path, labels: Path, motion: Path
-) -> dict[str, list[Case]]:
-    """Return split → drives with their predictions.
+def read_drives(
+    first: Trained, variant: Path, labels: Path, motion: Path
+) -> dict[str, list[LabelledDrive]]:
+    """Return split → drives of a model, of which `first` is a network.
 
-    `models` is seed → network. `variant`, `labels` and `motion` are the folders of the graphs, the
-    labels and the measured motion. Raises InputError if the labels have other columns than the
-    networks.
+    `variant`, `labels` and `motion` are the folders of the graphs, the labels and the measured
+    motion. Raises InputError if the labels have other columns than the network.
     """
-    splits = read_index(variant, stage="graphs")
-    first = next(iter(models.values()))
-    drives = {name: read_drive(variant, labels, motion, name, first.entry) for name in splits}
-    odometry = {name: read_odometry(drive, first.entry) for name, drive in drives.items()}
-    training = [drives[name] for name in drives_in(splits, "train")]
-    usable = [drive for drive in training if drive.has_window(first.entry.window)]
-    odometry_gain = _fit_odometry(usable, odometry)
-    if first.net.device.type == "cpu":
-        torch.set_num_threads(1)  # as in training: sums of more threads differ
-    cases: dict[str, list[Case]] = {split: [] for split in SPLITS}
-    for name, split in splits.items():
-        drive = drives[name]
+    drives: dict[str, list[LabelledDrive]] = {split: [] for split in SPLITS}
+    for name, split in read_index(variant, stage="graphs").items():
+        drive = read_drive(variant, labels, motion, name, first.entry)
         columns = drive.quantity.columns
         if columns != first.scale.names:
             problem = f"the labels have {', '.join(columns)}"
             problem += f", the trained model predicts {', '.join(first.scale.names)}"
             raise InputError(problem, drive.labels, f"Train it again: dvc repro train@{first.name}")
+        drives[split].append(drive)
+    return drives
 
+
+def choose_training(drives: Sequence[LabelledDrive], window: int) -> list[LabelledDrive]:
+    """Return TRAIN_DRIVES of the training drives, evenly spread over those that have a window."""
+    usable = [drive for drive in drives if drive.has_window(window)]
+    rows = np.linspace(0, len(usable) - 1, min(TRAIN_DRIVES, len(usable)))
+    return [usable[row] for row in rows.round().astype(int)]
+
+
+def fit_odometry(drives: Sequence[LabelledDrive], entry: Entry) -> np.ndarray | None:
+    """Return the regression coefficients [R] of targets on odometry in the training drives.
+
+    Drives without a window, with which no network was trained, are left out. Returns None if no
+    drive is left, or if :func:`read_odometry` returns None.
+    """
+    odometry = []
+    targets = []
+    for drive in drives:
+        if not drive.has_window(entry.window):
+            continue
+        measured = read_odometry(drive, entry)
+        if measured is None:
+            return None
+        odometry.append(measured)
+        targets.append(drive.target)
+    if not odometry:
+        return None
+    return fit_gain(np.concatenate(odometry), np.concatenate(targets))
+
+
+def predict_cases(
+    models: Mapping[int, Trained],
+    drives: Sequence[LabelledDrive],
+    odometry_gain: np.ndarray | None,
+) -> list[Case]:
+    """Return drives with their predictions.
+
+    `models` is seed → network. `odometry_gain` is that of :func:`fit_odometry`.
+    """
+    first = next(iter(models.values()))
+    if first.net.device.type == "cpu":
+        torch.set_num_threads(1)  # as in training: sums of more threads differ
+    cases = []
+    for drive in drives:
         # All seeds share the frames, which are loaded once.
         files = Files([drive.graphs])
         files.load_frames(first.net.device)
         with open_graphs(drive.graphs) as graphs, open_motion(drive.motion_file) as measured:
             predictions = [model.predict(graphs, measured, files) for model in models.values()]
-        case = Case(drive, predictions, first.scale, odometry[name], odometry_gain)
-        cases[split].append(case)
+        odometry = read_odometry(drive, first.entry)
+        cases.append(Case(drive, predictions, first.scale, odometry, odometry_gain))
     return cases
-
-
-def _fit_odometry(
-    drives: Sequence[LabelledDrive], odometry: Mapping[str, np.ndarray | None]
-) -> np.ndarray | None:
-    """Return the regression coefficients [R] of the targets of drives on their odometry.
-
-    `odometry` is name of a drive → :func:`read_odometry`. Returns None without drives, or if one of
-    them has no odometry.
-    """
-    measured = []
-    for drive in drives:
-        values = odometry[drive.name]
-        if values is None:
-            return None
-        measured.append(values)
-    if not measured:
-        return None
-    return fit_gain(np.concatenate(measured), np.concatenate([drive.target for drive in drives]))
 
 
 def prediction_table(name: str, seeds: Sequence[int], cases: Sequence[Case]) -> pd.DataFrame:
@@ -174,14 +192,13 @@ def prediction_table(name: str, seeds: Sequence[int], cases: Sequence[Case]) -> 
     return pd.concat(tables)
 
 
-def model_facts(name: str, first: Trained, cases: Mapping[str, Sequence[Case]]) -> dict[str, Any]:
+def model_facts(
+    name: str, first: Trained, drives: Mapping[str, Sequence[LabelledDrive]]
+) -> dict[str, Any]:
     """Return what metrics.json says of a model beside its errors (data/README.md describes it).
 
-    `first` is the network of the model's first seed, and `cases` is split → predicted drives.
+    `first` is the network of the model's first seed, and `drives` is split → drives.
     """
-    drives = {}
-    for split, split_cases in cases.items():
-        drives[split] = [case.drive for case in split_cases]
     usable = {}
     for split, of_split in drives.items():
         usable[split] = [drive.name for drive in of_split if drive.has_window(first.entry.window)]

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.store import DriveReader, DriveWriter
+from pipeline.base.store import Column, DriveReader, DriveWriter
 from pipeline.base.summary import Summary
-from pipeline.clouds.cloud import Cloud, draw_points, frame_rng
+from pipeline.clouds.cloud import Cloud, frame_rng
+from pipeline.clouds.columns import POINTER
 from pipeline.graphs import graph, graph_file
-from pipeline.graphs.graph_file import Column, Columns
+from pipeline.graphs.graph_file import Columns
 from pipeline.graphs.settings import Variant
 
 
@@ -33,7 +34,7 @@ def graphs_drive(path: Path, source: Path, motion: Path, variant: Variant) -> Su
         else:
             rows = np.arange(len(content.frame))
             frames = _point_frames(content, variant)
-            empty = empty_frame(variant)
+            empty = empty_frame(Cloud.read(content, variant.columns, slice(0)), variant)
 
         settings = {"graphs": variant.model_dump(exclude_unset=True)}
         params = measured.params | content.params | settings
@@ -54,8 +55,9 @@ def _image_columns(images: np.ndarray) -> Columns:
 
 
 def _point_frames(content: DriveReader, variant: Variant) -> Iterator[Columns]:
+    starts = content[POINTER].tolist()
     for row, number in enumerate(content.frame.tolist()):
-        cloud = Cloud(content.rows_of("xyz", row), content.rows_of("cls", row))
+        cloud = Cloud.read(content, variant.columns, slice(starts[row], starts[row + 1]))
         yield build_frame(cloud, variant, content.drive, number)
 
 
@@ -66,28 +68,26 @@ def build_frame(cloud: Cloud, variant: Variant, drive: str, number: int) -> Colu
     """
     assert variant.points
     rng = frame_rng(variant.seed, drive, number)
-    drawn = draw_points(cloud, variant.crop_m, variant.points, rng)
+    drawn = cloud.crop(variant.crop_m).draw(variant.points, rng)
     return connect_points(drawn, variant, rng)
 
 
 def connect_points(cloud: Cloud, variant: Variant, rng: np.random.Generator) -> Columns:
     """Return the columns of a frame: its points, and their kNN graph, which may have no edges."""
     assert variant.points
-    xyz, cls = cloud
-    columns = {"xyz": Column(xyz, "m", "ptr"), "cls": Column(cls, "trainId", "ptr")}
+    columns = dict(cloud.columns)
     row_type = np.uint16 if variant.points <= 65_535 else np.uint32
 
-    edges = graph.undirected(graph.nearest_neighbours(xyz, variant.k))
-    pruned = graph.prune(edges, cls, variant.keep_inter_class, rng)
-    columns["degree"] = Column(pruned.degree, "neighbours", "ptr")
+    edges = graph.undirected(graph.nearest_neighbours(cloud.xyz, variant.k))
+    pruned = graph.prune(edges, cloud.cls, variant.keep_inter_class, rng)
+    columns["degree"] = Column(pruned.degree, "neighbours", POINTER)
     columns["indices"] = Column(pruned.indices.astype(row_type), "node", "indices_ptr")
     columns["edges_knn"] = Column(np.array([pruned.edges_knn], np.int32), "directed edges")
     columns["edges_kept"] = Column(np.array([pruned.edges_kept], np.int32), "directed edges")
     return columns
 
 
-def empty_frame(variant: Variant) -> Columns:
-    """Return the columns of a frame without points, for a variant of points."""
-    cloud = Cloud(np.empty((0, 3), np.float32), np.empty(0, np.uint8))
+def empty_frame(cloud: Cloud, variant: Variant) -> Columns:
+    """Return the columns of a frame without points in a variant. `cloud` has none, too."""
     columns = connect_points(cloud, variant, np.random.default_rng(0))
     return {name: column._replace(rows=column.rows[:0]) for name, column in columns.items()}

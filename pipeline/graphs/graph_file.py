@@ -7,6 +7,7 @@ The file is the input of the networks. A frame is a dict of columns, which depen
   neighbours, indices [sum(degree)].
 - A frame of kind image has the column image, uint8 [1,H,W,3].
 
+A frame of points also has the further columns of the variant, see pipeline/clouds/columns.py.
 A column names the array in which the file keeps the first row of each frame. The row numbers in
 indices count within a frame.
 """
@@ -19,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pipeline.base import store
+from pipeline.base.store import Column
 
 Arrays = dict[str, np.ndarray]
 
@@ -29,14 +31,6 @@ MOTION = {
     "motion_speed_mps": ("filtered_mps", "m/s, forward positive"),
     "motion_valid": ("valid", ""),
 }
-
-
-class Column(NamedTuple):
-    """One array of a frame."""
-
-    rows: np.ndarray
-    unit: str
-    pointer: str = ""  # name of the array of first rows; empty if each frame has one row
 
 
 Columns = dict[str, Column]

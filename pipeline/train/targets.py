@@ -40,8 +40,14 @@ class Timeline:
     def read(cls, graphs: Graphs, quantity: Quantity, entry: Entry) -> "Timeline":
         """Read the times of an open graph file, and the measured motion if the model needs it.
 
-        `quantity` is what the model predicts. Raises InputError if motion is missing.
+        `quantity` is what the model predicts. Raises InputError if motion, or a column that its
+        network reads, is missing.
         """
+        for name in entry.network.reads_columns:
+            if name not in graphs.signs:
+                problem = f"has no column {name!r}, which spatial: {entry.spatial} reads"
+                fix = f"Add it to columns of graphs.{entry.input}, and make them again: dvc repro"
+                raise InputError(problem, graphs.path, fix)
         base = np.zeros((len(graphs.frame), len(quantity.columns)))
         motion = None
         if entry.motion != "none":

@@ -246,7 +246,7 @@ def write_street(folder: Path) -> Path:
     numbers = np.arange(FRAMES)
     params = {"graphs": VARIANT.model_dump()}
     with graph_file.create_graphs(path, drive=path.stem, params=params) as file:
-        empty = frame_graph.empty_frame(VARIANT)
+        empty = frame_graph.empty_frame(cloud.at(np.arange(0)), VARIANT)
         graph_file.write_frames(file, numbers, numbers * 0.1, graphs, empty)
     return path
 

@@ -33,10 +33,11 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
         drives["lidar"] = {}
 
     for kind in drives:
-        work = partial(cloud.clouds_drive, kind=kind, settings=settings)
+        chosen = settings.of_source(kind)
+        work = partial(cloud.clouds_drive, kind=kind, settings=chosen)
         jobs = file_jobs(drives[kind], inputs, work)
         with stage_folder(f"clouds@{kind}", out / kind, drives[kind], params=params) as folder:
-            make_drives(folder, jobs, settings, log_format="{frames} frames, {points} points")
+            make_drives(folder, jobs, chosen, log_format="{frames} frames, {points} points")
     return out
 
 

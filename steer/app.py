@@ -119,8 +119,8 @@ def export(
 ) -> None:
     """Write the points of a frame as PLY or PCD, which Open3D, CloudCompare and others read.
 
-    Each point has x, y and z in metres, its class, and the colour of its pixel if the frame's image
-    is in data/ingest.
+    Each point has x, y and z in metres, its class, the further columns of the file, and the colour
+    of its pixel if the frame's image is in data/ingest.
 
     \b
     steer export data/clouds/pseudo/2026_01_21_drive_0004.h5 --frame 7 cloud.ply

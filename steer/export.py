@@ -47,6 +47,9 @@ def export_points(path: Path, number: int, out: Path) -> str:
         about += "class (Cityscapes trainId)"
         # Name of an attribute in Open3D → its values [P,n].
         attributes = {"positions": xyz, "class": file.rows_of("cls", row)[:, None]}
+        for name in file.signs:
+            about += f", {name}"
+            attributes |= _name_attributes(name, file.rows_of(name, row))
         if rgb is None:
             about += ", no colour, as there is no image in data/ingest"
         else:
@@ -93,6 +96,17 @@ def _pick_colours(file: DriveReader, number: int, xyz: np.ndarray) -> np.ndarray
     rgb = np.zeros((len(xyz), 3), np.uint8)
     rgb[index] = image[row, column]
     return rgb
+
+
+def _name_attributes(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the attributes of a column [P,C] in a file: its components, but normals as they are.
+
+    Both formats know normals. Of other attributes, a PCD file has only those with one component.
+    """
+    components = values.shape[1]
+    if components == 1 or (name == "normals" and components == 3):
+        return {name: values}
+    return {f"{name}_{number}": values[:, [number]] for number in range(components)}
 
 
 def _write_points(attributes: Mapping[str, np.ndarray], out: Path) -> None:

@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 
 from pipeline.base import store
+from pipeline.base.store import Column
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.classes import BUILDING, ROAD
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
+from pipeline.clouds.cloud import Cloud
 from pipeline.graphs import frame_graph, graph_file
 from pipeline.graphs.settings import Variant
 from pipeline.ingest.drive import Drive
@@ -26,6 +28,7 @@ GRAPHS = {"graphs": {"k": 6, "keep_inter_class": 0.2}}
 VARIANTS: dict[str, dict[str, Any]] = {
     "graph": {"k": 6, "keep_inter_class": 0.2},
     "points": {},
+    "columns": {"k": 4},
 }
 # Attributes of files of labels.
 MEASURED = {"measured": 0}
@@ -54,6 +57,22 @@ def bend(
     xyz = np.stack([x, y, z], axis=1).astype(np.float32)
     cls = np.where(wall, BUILDING, ROAD).astype(np.uint8)
     return xyz, cls
+
+
+def as_cloud(xyz: np.ndarray, cls: np.ndarray, kind: str) -> Cloud:
+    """Return a cloud of points [P,3] and classes [P].
+
+    With kind columns, it has a further column in metres, and one that is not scaled or mirrored.
+    """
+    if kind != "columns":
+        return Cloud.from_arrays(xyz, cls)
+    offset_m = np.stack([2 * xyz[:, 0], xyz[:, 1]], axis=1)
+    colour = np.stack([np.arange(len(xyz))] * 3, axis=1)
+    further = {
+        "offset_m": Column(offset_m.astype(np.float32), "m", "ptr", (-1, 1)),
+        "colour": Column(colour.astype(np.uint8), "RGB", "ptr", (1, 1, 1)),
+    }
+    return Cloud.from_arrays(xyz, cls, further)
 
 
 def write_labels(
@@ -99,8 +118,8 @@ def write_graphs(
 ) -> dict[str, int | str]:
     """Write a drive's graphs file whose frames [F] show roads that bend as `steering_rad` says.
 
-    `kind`: of VARIANTS, or image, which has no `points`. Clouds of kind points differ in size.
-    Returns the summary of the drive.
+    `kind`: of VARIANTS, or image, which has no `points`. Clouds of kind points differ in size;
+    those of kind columns have further columns. Returns the summary of the drive.
     """
     rng = rng or np.random.default_rng(0)
     frames = []
@@ -111,13 +130,15 @@ def write_graphs(
     else:
         # A variant has at least one point, although clouds may be empty.
         variant = Variant(source="clouds/pseudo", points=max(points, 1), **VARIANTS[kind])
-        empty = frame_graph.empty_frame(variant)
+        empty = frame_graph.empty_frame(
+            as_cloud(np.empty((0, 3), np.float32), np.empty(0, np.uint8), kind), variant
+        )
         counts = [points] * len(frame)
         if kind == "points":
             counts = [points - 2 * (row % 3) for row in range(len(frame) - 1)] + [7]
         curvatures_1pm = np.tan(steering_rad) / WHEELBASE_M
         for curvature_1pm, count in zip(curvatures_1pm, counts, strict=True):
-            cloud = bend(curvature_1pm, count, rng)
+            cloud = as_cloud(*bend(curvature_1pm, count, rng), kind)
             frames.append(frame_graph.connect_points(cloud, variant, rng))
     with graph_file.create_graphs(path, drive=path.stem, params=GRAPHS) as file:
         return graph_file.write_frames(file, frame, frame * 0.1, frames, empty)

@@ -33,6 +33,7 @@ OPTIONS: dict[str, dict[str, object]] = {
     "cnn": {},
     "pointnet2": {"semantics": 1.0},
     "users": {},
+    "surface": {"semantics": 1.0},
 }
 
 
@@ -52,14 +53,19 @@ class UsersOptions(NetworkOptions):
         )
 
 
-def add_users_network(patch: pytest.MonkeyPatch) -> None:
-    """Add `spatial: users`, as a file users.py would."""
+def add_network(patch: pytest.MonkeyPatch, spatial: str, network: type[NetworkOptions]) -> None:
+    """Add a spatial network, as a file of its name would."""
     load_options = options.load_options
 
     def load(part: Any, name: str) -> type[NetworkOptions]:
-        return UsersOptions if name == "users" else load_options(part, name)
+        return network if name == spatial else load_options(part, name)
 
     patch.setattr(options, "load_options", load)
+
+
+def add_users_network(patch: pytest.MonkeyPatch) -> None:
+    """Add `spatial: users`, as a file users.py would."""
+    add_network(patch, "users", UsersOptions)
 
 
 def write_params(folder: Path, model: dict[str, object] | None = None, **settings: object) -> None:

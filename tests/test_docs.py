@@ -8,6 +8,7 @@ import sys
 import tomllib
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,18 +17,25 @@ import typer
 import yaml
 
 from docs import make_results
+from models.steering.core.batch import GraphBatch, from_arrays
 from pipeline.base import store
 from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError
 from pipeline.base.params import read_yaml
+from pipeline.camera.camera import Camera, Frame
+from pipeline.camera.geometry import CAMERA_HEIGHT_M
+from pipeline.clouds import columns
+from pipeline.clouds.cloud import Cloud
 from pipeline.evaluate.own_metrics import METRICS
+from pipeline.graphs.graph_file import open_graphs
 from pipeline.graphs.settings import Variant
 from pipeline.labels.label_file import open_labels
 from pipeline.report import tables
-from pipeline.train import quantity
-from stages import preset, report
+from pipeline.train import quantity, trained
+from stages import check, clouds, graphs, preset, report
 from steer.app import app
-from tests import artefacts, small_model
+from steer.export import export_points
+from tests import artefacts, small_model, street
 from tests.pipeline.report import examples
 
 PAGES = [ROOT / "README.md", ROOT / "data/README.md"] + [
@@ -47,6 +55,7 @@ SECTIONS = {
 PLACEHOLDERS = {
     "models/steering/spatial/height.py",
     "models/steering/spatial/NAME.py",
+    "models/steering/spatial/surface.py",
     "pipeline/train/quantities/curvature.py",
     "presets/NAME.yaml",
     "presets/monday.yaml",
@@ -218,6 +227,91 @@ def test_the_quantity_of_the_documentation_is_trained_evaluated_and_shown(tmp_pa
     assert {"curvature-0/net", "curvature-0/odometry", "curvature-0/persistence"} <= {*rows}
     error_1pm = (table["predicted_curvature_1pm"] - table["true_curvature_1pm"]).abs().mean()
     assert rows["curvature-0/net"]["mae"] == pytest.approx(error_1pm, rel=1e-4)
+
+
+def test_the_column_of_the_documentation_goes_from_the_points_into_a_network(tmp_path, monkeypatch):
+    """Normals of a street of planes; stage check, clouds, graphs, training and export have them."""
+    for source in columns.SOURCES.values():
+        monkeypatch.setitem(source, "normals", None)  # so that it is removed afterwards
+    exec(code_block("def normals").removeprefix("python\n"), {**vars(columns)})
+    network: dict[str, Any] = {}
+    exec(code_block("class Surface").removeprefix("python\n"), network)
+    small_model.add_network(monkeypatch, "surface", network["Options"])
+
+    # The settings of the page, with small sizes.
+    chosen = yaml.safe_load(code_block("columns: [normals] ").removeprefix("yaml\n"))
+    model = chosen["models"]["surface"]
+    small_model.write_params(tmp_path, model, epochs=1, seeds=[0])
+    path = tmp_path / "params.yaml"
+    params = yaml.safe_load(path.read_text())
+    params["clouds"] |= chosen["clouds"] | {"max_points": 700}
+    params["graphs"] |= chosen["graphs"]
+    params["graphs"]["surfaces"]["points"] = 200
+    path.write_text(yaml.safe_dump(params))
+    check.main(path)
+
+    # Drives of a road between two walls, whose true depth is known.
+    drives = tmp_path / "ingest"
+    for drive in small_model.SPLITS:
+        street.write_drive(drives, drive, 6)
+        street.write_perception(tmp_path / "perception", drives, drive)
+        artefacts.write_motion(tmp_path / "motion", drive, dict.fromkeys(range(6), (8.0, 0.1)))
+        artefacts.write_labels(tmp_path / f"labels/{drive}.h5", np.full(6, 0.1), np.arange(6))
+    artefacts.write_index(drives, small_model.SPLITS)
+    artefacts.write_index(tmp_path / "labels", small_model.SPLITS)
+    clouds.main(tmp_path, path)
+    graphs.main("surfaces", tmp_path, path)
+
+    # The road looks up, and the walls look to each other.
+    graph = tmp_path / f"graphs/surfaces/{small_model.TEST}.h5"
+    with open_graphs(graph) as file:
+        assert file.signs == {"normals": (-1, 1, 1)}
+        assert file.units["normals"] == "unit vector"
+        cloud = Cloud.read(file, ["normals"], slice(None))
+        batch = from_arrays(artefacts.collate((file, 0, 6)))
+    x, y, z = cloud.xyz.T
+    near = z < 20
+    surfaces = {
+        (0, -1, 0): near & (np.abs(y - CAMERA_HEIGHT_M) < 0.01),
+        (1, 0, 0): near & (np.abs(x + street.HALF_WIDTH_M) < 0.01),
+        (-1, 0, 0): near & (np.abs(x - street.HALF_WIDTH_M) < 0.01),
+    }
+    for normal, points in surfaces.items():
+        assert points.sum() > 20
+        found = np.median(cloud.columns["normals"].rows[points], axis=0)
+        assert found == pytest.approx(normal, abs=0.1)
+
+    # The mirror image of the points has the mirrored normals.
+    mirror = np.array([-1, 1, 1])
+    camera = Camera(street.K, street.SIZE)
+    points = columns.Points(cloud.xyz * mirror, cloud.cls, Frame(0, 0.0), camera, None)
+    again = columns.compute_columns("pseudo", ["normals"], points)["normals"].rows * mirror
+    points = points._replace(xyz=cloud.xyz)
+    expected = columns.compute_columns("pseudo", ["normals"], points)["normals"].rows
+    assert (np.abs(again - expected).max(axis=1) < 1e-3).mean() > 0.99
+    assert isinstance(batch, GraphBatch)
+    for name in ("xyz", "normals"):
+        mirrored = batch.mirrored().columns[name].numpy()
+        np.testing.assert_array_equal(mirrored, batch.columns[name].numpy() * mirror)
+
+    small_model.run_train(tmp_path)
+    trained_model = trained.load_model(tmp_path / "train/net", "cpu")
+    with open_graphs(graph) as file:
+        assert np.isfinite(trained_model.predict(file)[4:]).all()
+    export_points(graph, 2, tmp_path / "cloud.ply")
+    assert b"property float nx" in (tmp_path / "cloud.ply").read_bytes()
+
+    # A variant without normals is refused by check and by the network.
+    params["models"]["net"]["input"] = "semantic"
+    path.write_text(yaml.safe_dump(params))
+    with pytest.raises(InputError, match=r"models.net: spatial = 'surface' reads column 'normals'"):
+        check.main(path)
+    artefacts.write_graphs(tmp_path / "without.h5", np.full(6, 0.1), np.arange(6), 20)
+    with (
+        open_graphs(tmp_path / "without.h5") as file,
+        pytest.raises(InputError, match="has no column 'normals', which spatial: surface reads"),
+    ):
+        trained_model.predict(file)
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import h5py
 import hdf5plugin
@@ -31,6 +31,10 @@ _CHUNK_ROWS = 32768
 _POINTS = hdf5plugin.Blosc(cname="lz4", shuffle=hdf5plugin.Blosc.BITSHUFFLE)
 # Compression of images.
 _PIXELS = hdf5plugin.Blosc(cname="zstd", clevel=3, shuffle=hdf5plugin.Blosc.SHUFFLE)
+# Types of a dataset with MIRROR_SIGNS.
+COLUMN_TYPES = ("float32", "uint8")
+# Attribute of a dataset [P,C] with C factors, 1 or -1, that give its rows in the mirror image.
+MIRROR_SIGNS = "mirror_signs"
 # Largest size in bytes of a text in an attribute. HDF5 has no checksum of a larger attribute if
 # there are many of them. The settings of a file have about 400 bytes.
 _MAX_TEXT_BYTES = 4000
@@ -40,6 +44,18 @@ _CACHE_BYTES = 1 << 20
 _FULL_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 # Exceptions that h5py raises for damaged bytes.
 _H5PY_ERRORS = (OSError, RuntimeError, LookupError, ValueError, TypeError)
+
+
+class Column(NamedTuple):
+    """Rows of a dataset, and its attributes."""
+
+    rows: np.ndarray
+    unit: str
+    # Name of the dataset with the first row of each frame. It is empty if each frame has one row.
+    pointer: str = ""
+    # Factors of the C components of a row in the mirror image, 1 or -1. They are empty for datasets
+    # whose mirror image the code knows.
+    signs: tuple[int, ...] = ()
 
 
 @contextmanager
@@ -137,11 +153,17 @@ class DriveWriter(ExitStack):
         """
         self.put(name, np.cumsum([0, *counts], dtype=np.int64), unit)
 
-    def append(self, name: str, rows: np.ndarray, unit: str = "", pointer: str = "") -> None:
+    def append(
+        self,
+        name: str,
+        rows: np.ndarray,
+        unit: str = "",
+        pointer: str = "",
+        signs: tuple[int, ...] = (),
+    ) -> None:
         """Add `rows` [n, ...] at the end of dataset `name`, which the first call creates.
 
-        `pointer` names the dataset with each frame's first row, see :meth:`put_pointers`. If it is
-        empty, the dataset has one row per frame.
+        The arguments are those of a :class:`Column`; for its pointer, see :meth:`put_pointers`.
         """
         if name not in self._datasets:
             # An image is one chunk, so that frames can be read one by one; points share chunks.
@@ -150,9 +172,11 @@ class DriveWriter(ExitStack):
             compression = _PIXELS if is_image else _POINTS
             shape = rows.shape[1:]
             options = {"maxshape": (None, *shape), "chunks": (chunk_rows, *shape), **compression}
-            attributes = {"unit": unit}
+            attributes: dict[str, Any] = {"unit": unit}
             if pointer:
                 attributes["pointer"] = pointer
+            if signs:
+                attributes[MIRROR_SIGNS] = np.array(signs, np.int8)
             self._create_dataset(name, rows[:0], attributes, fletcher32=True, **options)
         dataset = self._datasets[name]
         dataset.resize(len(dataset) + len(rows), axis=0)
@@ -160,7 +184,7 @@ class DriveWriter(ExitStack):
         self._sink.check(self.path)
 
     def _create_dataset(
-        self, name: str, array: np.ndarray, attributes: Mapping[str, str], **options: Any
+        self, name: str, array: np.ndarray, attributes: Mapping[str, Any], **options: Any
     ) -> None:
         """Create a dataset with `options` of h5py's create_dataset."""
         dataset = self._file.create_dataset(name, data=array, **options)
@@ -198,6 +222,8 @@ class DriveReader(ExitStack):
             self.units = _read_names(self.datasets, "unit")
             # Name of a ragged dataset → name of the dataset with the first row of each frame.
             self.pointers = _read_names(self.datasets, "pointer")
+            # Name of a dataset → factors of its components in the mirror image.
+            self.signs = _read_signs(self.datasets)
         except _H5PY_ERRORS as error:
             raise _file_fault(f"damaged ({error})", path, self._stage) from error
 
@@ -309,6 +335,24 @@ def _read_names(datasets: Mapping[str, h5py.Dataset], attribute: str) -> dict[st
         for name, dataset in datasets.items()
         if attribute in dataset.attrs
     }
+
+
+def _read_signs(datasets: Mapping[str, h5py.Dataset]) -> dict[str, tuple[int, ...]]:
+    """Return dataset → its MIRROR_SIGNS, for the datasets that have them.
+
+    Raises ValueError unless each component has a factor of 1 or -1, and the dataset one of
+    COLUMN_TYPES.
+    """
+    signs = {}
+    for name, dataset in datasets.items():
+        if MIRROR_SIGNS not in dataset.attrs:
+            continue
+        signs[name] = tuple(dataset.attrs[MIRROR_SIGNS].tolist())
+        is_complete = dataset.shape[1:] == (len(signs[name]),)
+        if not is_complete or {*signs[name]} - {1, -1} or dataset.dtype.name not in COLUMN_TYPES:
+            types = " or ".join(COLUMN_TYPES)
+            raise ValueError(f"{name!r}: expected {types} [P,C], and C signs of 1 or -1")
+    return signs
 
 
 def _decode_text(value: Any) -> Any:

@@ -6,6 +6,7 @@ from pipeline.base.hashes import list_files
 from pipeline.check.check_quantity import check_quantity
 from pipeline.check.contract import check_network
 from pipeline.check.settings import Params
+from pipeline.graphs.settings import Variant
 from pipeline.train import runs
 from pipeline.train.entry import Entry
 from pipeline.train.quantity import load_quantity
@@ -57,6 +58,7 @@ def check_model(entry: Entry, settings: Params) -> None:
 
     if variant.source == "clouds/lidar" and not settings.ingest.lidar:
         raise InputError(f"input = {entry.input!r} needs scans, but ingest.lidar is false")
+    _check_columns(entry, variant, settings)
     if entry.network.reads_edges and not variant.k and variant.kind == "graph":
         problem = f"spatial = {entry.spatial!r} reads edges, but graphs.{entry.input} has none"
         raise InputError(problem, fix=f"Set graphs.{entry.input}.k, for instance to 6")
@@ -67,3 +69,15 @@ def check_model(entry: Entry, settings: Params) -> None:
     image_size = settings.ingest.image_size
     net = entry.build(variant.kind, image_size, outputs)
     check_network(net, entry, variant, image_size, outputs=outputs)
+
+
+def _check_columns(entry: Entry, variant: Variant, settings: Params) -> None:
+    """Check that a variant has the columns that the network reads, and the clouds its columns."""
+    for name in entry.network.reads_columns:
+        if name not in variant.columns:
+            problem = f"spatial = {entry.spatial!r} reads column {name!r}, but graphs.{entry.input}"
+            raise InputError(f"{problem} lacks it", fix=f"Add it to graphs.{entry.input}.columns")
+    for name in variant.columns:
+        if name not in settings.clouds.columns:
+            problem = f"graphs.{entry.input} has column {name!r}, but the clouds lack it"
+            raise InputError(problem, fix="Add it to clouds.columns")

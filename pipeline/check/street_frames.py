@@ -7,14 +7,16 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-import torch
 from scipy.sparse import csr_array
 
+from models.steering.core.batch import SIGNS, GraphBatch, from_arrays
 from models.steering.core.options import NetworkOptions
+from pipeline.base.store import Column
 from pipeline.camera import classes
 from pipeline.clouds.cloud import Cloud
+from pipeline.clouds.columns import POINTER, SOURCES
 from pipeline.graphs.frame_graph import connect_points
-from pipeline.graphs.graph_file import Arrays, Column, Columns
+from pipeline.graphs.graph_file import Arrays, Columns
 from pipeline.graphs.settings import Variant
 
 # Height in metres of the camera above the road.
@@ -35,7 +37,9 @@ def make_frames(
         if variant.kind == "image":
             frames.append({"image": Column(_draw_image(image_size, rng)[None], "RGB", "ptr")})
         else:
-            frames.append(connect_points(draw_street(count, rng), variant, rng))
+            street = draw_street(count, rng)
+            further = _draw_columns(variant, count, rng)
+            frames.append(connect_points(Cloud({**street.columns, **further}), variant, rng))
     return frames
 
 
@@ -44,6 +48,19 @@ def _draw_image(size: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
     height, width = size
     patches = rng.integers(0, 256, (*PATCHES, 3), np.uint8)
     return cv2.resize(patches, (width, height), interpolation=cv2.INTER_LINEAR)
+
+
+def _draw_columns(variant: Variant, points: int, rng: np.random.Generator) -> Columns:
+    """Return the further columns of a variant with random values: 0 to 1, or -1 to 1 with signs."""
+    columns = {}
+    for name in variant.columns:
+        further = SOURCES[variant.source.removeprefix("clouds/")][name]
+        lowest = np.minimum(further.signs, 0)
+        values = rng.uniform(lowest, 1, (points, len(further.signs)))
+        if further.type == "uint8":
+            values *= 255
+        columns[name] = further.with_rows(values)
+    return columns
 
 
 def draw_street(points: int, rng: np.random.Generator) -> Cloud:
@@ -61,7 +78,7 @@ def draw_street(points: int, rng: np.random.Generator) -> Cloud:
 
     left, right = rng.choice([classes.BUILDING, classes.VEGETATION], 2)
     cls = np.where(road_m < row_m, classes.ROAD, np.where(aside < 0, left, right))
-    return Cloud(xyz.astype(np.float32), cls.astype(np.uint8))
+    return Cloud.from_arrays(xyz.astype(np.float32), cls.astype(np.uint8))
 
 
 def join_frames(frames: Sequence[Columns], network: NetworkOptions) -> Arrays:
@@ -73,11 +90,15 @@ def join_frames(frames: Sequence[Columns], network: NetworkOptions) -> Arrays:
         rows = [frame[name].rows for frame in frames]
         batch[column.pointer] = np.cumsum([0, *(len(part) for part in rows)])
         batch[name] = np.concatenate(rows)
+        if column.signs:
+            batch[name + SIGNS] = np.array(column.signs, np.float32)
     if "indices" in batch:
         first_rows = np.repeat(batch["ptr"][:-1], np.diff(batch["indices_ptr"]))
         batch["indices"] = batch["indices"].astype(np.int32) + first_rows.astype(np.int32)
     if "xyz" in batch:
-        prepared = network.prepare(torch.from_numpy(batch["xyz"]), torch.from_numpy(batch["ptr"]))
+        points = from_arrays(batch)
+        assert isinstance(points, GraphBatch)
+        prepared = network.prepare(points)
         if prepared is not None:
             batch["prepared"] = prepared.numpy()
     return batch
@@ -93,7 +114,8 @@ def shuffle_points(frame: Columns, rng: np.random.Generator) -> Columns:
     shuffled = links[order][:, order].sorted_indices()
 
     result = dict(frame)
-    for name in ("xyz", "cls", "degree"):
-        result[name] = frame[name]._replace(rows=frame[name].rows[order])
+    for name, column in frame.items():
+        if column.pointer == POINTER:
+            result[name] = column._replace(rows=column.rows[order])
     result["indices"] = frame["indices"]._replace(rows=shuffled.indices)
     return result

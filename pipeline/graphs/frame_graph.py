@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.store import DriveReader
+from pipeline.base.store import Column, DriveReader
 from pipeline.base.summary import Summary
-from pipeline.clouds.cloud import Cloud, draw_points, frame_rng
+from pipeline.clouds.cloud import Cloud, frame_rng
 from pipeline.clouds.cloud_file import open_clouds
+from pipeline.clouds.columns import POINTER
 from pipeline.graphs import graph, graph_file
-from pipeline.graphs.graph_file import Column, Columns
+from pipeline.graphs.graph_file import UNITS, Columns
 from pipeline.graphs.settings import Variant
 from pipeline.ingest.ingest_file import open_ingest
 
@@ -32,7 +33,7 @@ def graphs_drive(path: Path, source: Path, variant: Variant) -> Summary:
         else:
             rows = np.arange(len(content.frame))
             frames = _point_frames(content, variant)
-            empty = empty_frame(variant)
+            empty = empty_frame(Cloud.read(content, variant.columns, slice(0)), variant)
 
         params = content.params | {"graphs": variant.model_dump(exclude_unset=True)}
         numbers = content.frame[rows]
@@ -47,12 +48,13 @@ def _image_frames(content: DriveReader, rows: np.ndarray) -> Iterator[Columns]:
 
 
 def _image_columns(images: np.ndarray) -> Columns:
-    return {"image": Column(images, "RGB", "ptr")}
+    return {"image": Column(images, UNITS["image"], "ptr")}
 
 
 def _point_frames(content: DriveReader, variant: Variant) -> Iterator[Columns]:
+    starts = content[POINTER].tolist()
     for row, number in enumerate(content.frame.tolist()):
-        cloud = Cloud(content.rows_of("xyz", row), content.rows_of("cls", row))
+        cloud = Cloud.read(content, variant.columns, slice(starts[row], starts[row + 1]))
         yield build_frame(cloud, variant, content.drive, number)
 
 
@@ -63,28 +65,29 @@ def build_frame(cloud: Cloud, variant: Variant, drive: str, number: int) -> Colu
     """
     assert variant.points
     rng = frame_rng(variant.seed, drive, number)
-    drawn = draw_points(cloud, variant.crop_m, variant.points, rng)
+    drawn = cloud.crop(variant.crop_m).draw(variant.points, rng)
     return connect_points(drawn, variant, rng)
 
 
 def connect_points(cloud: Cloud, variant: Variant, rng: np.random.Generator) -> Columns:
     """Return the columns of a frame: its points, and their kNN graph, which may have no edges."""
     assert variant.points
-    xyz, cls = cloud
-    columns = {"xyz": Column(xyz, "m", "ptr"), "cls": Column(cls, "trainId", "ptr")}
+    columns = dict(cloud.columns)
     row_type = np.uint16 if variant.points <= 65_535 else np.uint32
 
-    edges = graph.undirected(graph.nearest_neighbours(xyz, variant.k))
-    pruned = graph.prune(edges, cls, variant.keep_inter_class, rng)
-    columns["degree"] = Column(pruned.degree, "neighbours", "ptr")
-    columns["indices"] = Column(pruned.indices.astype(row_type), "node", "indices_ptr")
-    columns["edges_knn"] = Column(np.array([pruned.edges_knn], np.int32), "directed edges")
-    columns["edges_kept"] = Column(np.array([pruned.edges_kept], np.int32), "directed edges")
+    edges = graph.undirected(graph.nearest_neighbours(cloud.xyz, variant.k))
+    pruned = graph.prune(edges, cloud.cls, variant.keep_inter_class, rng)
+    columns["degree"] = Column(pruned.degree, UNITS["degree"], POINTER)
+    indices = pruned.indices.astype(row_type)
+    columns["indices"] = Column(indices, UNITS["indices"], "indices_ptr")
+    edges_knn = np.array([pruned.edges_knn], np.int32)
+    columns["edges_knn"] = Column(edges_knn, UNITS["edges_knn"])
+    edges_kept = np.array([pruned.edges_kept], np.int32)
+    columns["edges_kept"] = Column(edges_kept, UNITS["edges_kept"])
     return columns
 
 
-def empty_frame(variant: Variant) -> Columns:
-    """Return the columns of a frame without points, for a variant of points."""
-    cloud = Cloud(np.empty((0, 3), np.float32), np.empty(0, np.uint8))
+def empty_frame(cloud: Cloud, variant: Variant) -> Columns:
+    """Return the columns of a frame without points in a variant. `cloud` has none, too."""
     columns = connect_points(cloud, variant, np.random.default_rng(0))
     return {name: column._replace(rows=column.rows[:0]) for name, column in columns.items()}

@@ -7,6 +7,7 @@ The file is the input of the networks. A frame is a dict of columns, which depen
   neighbours, indices [sum(degree)].
 - A frame of kind image has the column image, uint8 [1,H,W,3].
 
+A frame of points also has the further columns of the variant, see pipeline/clouds/columns.py.
 A column names the array in which the file keeps the first row of each frame. The row numbers in
 indices count within a frame.
 """
@@ -19,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pipeline.base import store
+from pipeline.base.store import Column
 
 STAGE = "graphs"
 # Versions of the layout that are read. The last one is written. Graphs of version 8 also have the
@@ -40,14 +42,6 @@ UNITS = {
 }
 
 Arrays = dict[str, np.ndarray]
-
-
-class Column(NamedTuple):
-    """One array of a frame."""
-
-    rows: np.ndarray
-    unit: str
-    pointer: str = ""  # name of the array of first rows; empty if each frame has one row
 
 
 Columns = dict[str, Column]
@@ -80,7 +74,7 @@ def write_frames(
     file of a drive without frames.
     """
     file.put("frame", np.asarray(frame, np.int32))
-    file.put("time_s", time_s, unit="s")
+    file.put("time_s", time_s, UNITS["time_s"])
     for name, column in empty.items():
         file.append(name, *column)
     counts: dict[str, list[int]] = {
@@ -99,7 +93,7 @@ def write_frames(
         for pointer in counts:
             counts[pointer].append(rows[pointer])
     for pointer, counts_of_frames in counts.items():
-        file.put_pointers(pointer, counts_of_frames, unit="row")
+        file.put_pointers(pointer, counts_of_frames, UNITS[pointer])
 
     summary: dict[str, int | str] = {"frames": len(frame), "edges": ""}
     if "xyz" in empty:

@@ -4,10 +4,13 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from pipeline.base.params import Count, Section, Seed
+from pipeline.base.errors import closest
+from pipeline.base.params import Count, Seed
+from pipeline.clouds.columns import SOURCES
+from pipeline.clouds.settings import WithColumns
 
 
-class Variant(Section):
+class Variant(WithColumns):
     """One entry of ``graphs``: an input of the networks, computed from ``data/<source>``."""
 
     source: Literal["clouds/pseudo", "clouds/lidar", "ingest"]
@@ -35,6 +38,12 @@ class Variant(Section):
                 raise ValueError(f"{key} does not apply to images (source: ingest): remove it")
         elif self.points is None:
             raise ValueError("points is missing: the number of points of a frame")
+        else:
+            known = SOURCES[self.source.removeprefix("clouds/")]
+            for name in self.columns:
+                if name not in known:
+                    problem = f"{self.source} has no column {name!r}: {closest(name, [*known])}"
+                    raise ValueError(problem)
         if self.crop_m:
             left, near, right, far = self.crop_m
             if not (left < right and near < far):

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from models.steering.core.batch import SIGNS, GraphBatch, from_arrays
 from models.steering.core.options import NetworkOptions
 from pipeline.graphs.graph_file import Graphs, open_graphs
 
@@ -87,16 +88,18 @@ def prepare_frames(
     file: Graphs, network: NetworkOptions, device: torch.device
 ) -> np.ndarray | None:
     """Compute what a network prepares of the frames of a file, block by block."""
-    if "xyz" not in file.pointers or not len(file.frame):
+    # Most networks keep the method of NetworkOptions, for which no frame need be read.
+    prepares = type(network).prepare is not NetworkOptions.prepare
+    if "xyz" not in file.pointers or not len(file.frame) or not prepares:
         return None
-    starts = file.starts["ptr"]
-    points = int(np.diff(starts).max(initial=1))
+    points = int(np.diff(file.starts["ptr"]).max(initial=1))
     frames = max(1, BLOCKS[device.type] // max(1, points))
     blocks = []
     for first in range(0, len(file.frame), frames):
-        ptr = starts[first : first + frames + 1]
-        xyz = as_tensor(file.row("xyz", slice(ptr[0], ptr[-1]))).to(device)
-        block = network.prepare(xyz, torch.from_numpy(ptr - ptr[0]))
+        stop = min(first + frames, len(file.frame))
+        batch = from_arrays(number_rows(join_frames([(file, first, stop)])), device)
+        assert isinstance(batch, GraphBatch)
+        block = network.prepare(batch)
         if block is None:
             return None
         blocks.append(block.cpu().numpy())
@@ -110,10 +113,10 @@ def join_frames(
 
     All files have the same columns and are kept in the same place. The batch has each column, with
     the rows of a frame after those of the frame before. It has each pointer, too: the first row of
-    each frame and the end of the last, int64 [B+1] on the CPU. Numbers of rows count within a
-    frame, as in the files, until :func:`number_rows` changes them. With `pin`, columns on the CPU
-    are in pinned memory, so that copies to a GPU are asynchronous. torch keeps that memory until
-    they end.
+    each frame and the end of the last, int64 [B+1] on the CPU, and the signs of further columns.
+    Numbers of rows count within a frame, as in the files, until :func:`number_rows` changes them.
+    With `pin`, columns on the CPU are in pinned memory, so that copies to a GPU are asynchronous.
+    torch keeps that memory until they end.
     """
     first, _, _ = spans[0]
     batch = {}
@@ -126,6 +129,8 @@ def join_frames(
             rows = slice(file.starts[pointer][start], file.starts[pointer][stop])
             pieces.append(as_tensor(file.row(name, rows)))
         batch[name] = _concatenate_rows(pieces, pin)
+    for name, signs in first.signs.items():
+        batch[name + SIGNS] = torch.tensor(signs, dtype=torch.float32)
     return batch
 
 

@@ -45,9 +45,15 @@ class Timeline:
     ) -> "Timeline":
         """Read the times of a graph file, and the measured motion if the model needs it.
 
-        Both files are open. `quantity` is what the model predicts. Raises InputError if the model
-        needs motion and `motion_file` is None, or is of another drive.
+        Both files are open. `quantity` is what the model predicts. Raises InputError if a column
+        that the network reads is missing, or if the model needs motion and `motion_file` is None or
+        of another drive.
         """
+        for name in entry.network.reads_columns:
+            if name not in graphs.signs:
+                problem = f"has no column {name!r}, which spatial: {entry.spatial} reads"
+                fix = f"Add it to columns of graphs.{entry.input}, and make them again: dvc repro"
+                raise InputError(problem, graphs.path, fix)
         base = np.zeros((len(graphs.frame), len(quantity.columns)))
         motion = None
         if entry.motion != "none":

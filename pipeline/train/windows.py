@@ -16,6 +16,7 @@ windows of T frames these arrays:
   models/steering/core/motion.py. Only models with motion have it.
 - target float32 [W,R]: the R columns of targets.py, NaN if unknown. Only labelled drives have it.
 - prepared [B, ...]: what the network prepares of each frame, if it does, before points are scaled.
+- COLUMN_signs float32 [C]: factors of a further column of the points in the mirror image.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -28,6 +29,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from models.steering.core.batch import ON_CPU
 from pipeline.base.loop import prefetch
 from pipeline.graphs.graph_file import Arrays, Graphs
 from pipeline.train.frames import Files, by_frame, join_frames, number_rows
@@ -94,6 +96,8 @@ class JoinedBatch(NamedTuple):
     arrays: dict[str, Tensor]
     # Factor on the lengths of each frame [B].
     factor: Tensor
+    # Column in metres, such as xyz → its pointer.
+    lengths: dict[str, str]
 
 
 class Reader:
@@ -115,7 +119,7 @@ class Reader:
     ) -> Iterator[dict[str, Tensor]]:
         """Return an iterator over the groups' batches, in order, on the device of a network.
 
-        Pointers stay on the CPU.
+        Pointers and signs stay on the CPU.
         """
         # For a CPU, a thread makes complete batches ahead. For a GPU, that thread only joins frames
         # in pinned memory; the caller's thread copies them and finishes the batch on the GPU.
@@ -155,7 +159,12 @@ class Reader:
                     batch[name] = values.pin_memory()
 
         factor = np.concatenate([part.factor for part in parts])
-        return JoinedBatch(batch, torch.from_numpy(factor))
+        file, _, _ = parts[0].graphs
+        lengths = {}
+        for name, pointer in file.pointers.items():
+            if name == "xyz" or file.units.get(name) == "m":
+                lengths[name] = pointer
+        return JoinedBatch(batch, torch.from_numpy(factor), lengths)
 
     def _read_span(self, span: Span, device: torch.device) -> BatchPart:
         """Read all arrays of a span but the graphs."""
@@ -176,14 +185,14 @@ class Reader:
         return BatchPart((file, span.start, span.stop), factor, arrays)
 
     def _finish_batch(self, joined: JoinedBatch, device: torch.device) -> dict[str, Tensor]:
-        """Copy a batch to a device, number its rows there, and scale its points."""
+        """Copy a batch to a device, number its rows there, and scale what is in metres."""
         batch = joined.arrays
         for name, values in batch.items():
-            if not name.endswith("ptr"):
-                # A copy to the CPU is waited for, since numpy reads it next. Pointers stay there.
+            if not name.endswith(ON_CPU):
+                # A copy to the CPU is waited for, since numpy reads it next.
                 batch[name] = values.to(device, non_blocking=device.type == "cuda")
         number_rows(batch)
-        if "xyz" in batch:
-            for points, factor in by_frame(batch["xyz"], joined.factor, batch["ptr"]):
-                points *= factor
+        for name, pointer in joined.lengths.items():
+            for values, factor in by_frame(batch[name], joined.factor, batch[pointer]):
+                values *= factor
         return batch

@@ -96,6 +96,15 @@ def test_weights_are_looked_for_where_stage_encoder_will_run(tmp_path):
             False,
             "models.gnn-lstm: input = 'lidar-50k' needs scans, but ingest.lidar is false",
         ),
+        ("clouds.columns", ["intensty"], "clouds.columns: unknown column 'intensty': did you mean"),
+        ("clouds.columns", ["intensity", "intensity"], "clouds.columns: names a column twice"),
+        ("graphs.semantic.columns", ["intensity"], "clouds/pseudo has no column 'intensity'"),
+        ("graphs.image.columns", ["intensity"], "graphs.image: columns does not apply to images"),
+        (
+            "graphs.lidar.columns",
+            ["intensity"],
+            "graphs.lidar has column 'intensity', but the clouds lack it. Add it to clouds.columns",
+        ),
         (f"{MODEL}.input", "image", "spatial.*gnn.*images"),
         ("models.cnn-ncp.input", "semantic", "spatial.*cnn.*expects images"),
         (

@@ -12,6 +12,7 @@ from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError
 from pipeline.camera import classes
 from pipeline.camera.camera import Camera, Frame
+from pipeline.clouds.cloud_file import open_clouds
 from pipeline.encoder.encoder_file import save_encoder
 from pipeline.encoder.precomputed import describe_sizes, read_frame
 from pipeline.ingest.drive import Drive
@@ -43,6 +44,7 @@ def test_drives_without_images_or_lidar_have_clouds_of_what_they_have(tmp_path):
     """A drive without images has no classes in its scans, one without LiDAR has no frames."""
     params = yaml.safe_load((ROOT / "params.yaml").read_text())
     params["ingest"]["lidar"] = True
+    params["clouds"]["columns"] = ["intensity"]
     (tmp_path / "params.yaml").write_text(yaml.safe_dump(params))
     street.write_drive(tmp_path / "ingest", FULL, 4, lidar=True)
     street.write_drive(tmp_path / "ingest", BLIND, 3, lidar=True, images=False, dense=False)
@@ -60,7 +62,15 @@ def test_drives_without_images_or_lidar_have_clouds_of_what_they_have(tmp_path):
     blind = read_drive(tmp_path / "clouds/lidar", BLIND)
     assert len(blind["xyz"]) > 0
     assert (blind["cls"] == classes.VOID).all()
-    assert len(read_drive(tmp_path / "clouds/lidar", CAMERA)["frame"]) == 0
+    camera = read_drive(tmp_path / "clouds/lidar", CAMERA)
+    assert len(camera["frame"]) == 0
+
+    # Scans have an intensity, and files of images are as without the setting.
+    assert full["intensity"].tolist() == [[0.5]] * len(full["xyz"])
+    assert camera["intensity"].shape == (0, 1)
+    with open_clouds(tmp_path / f"clouds/pseudo/{FULL}.h5") as file:
+        assert "intensity" not in file
+        assert "columns" not in file.params["clouds"]
 
     params["ingest"]["lidar"] = False
     (tmp_path / "params.yaml").write_text(yaml.safe_dump(params))

@@ -17,7 +17,15 @@ from tests.pipeline.base.test_base import files_up_to
 
 DRIVE = "2011_09_26_drive_0001"
 FRAME = 2
-KINDS = ("clouds/pseudo", "clouds/lidar", "graphs/semantic")
+# Kind of files → its further columns → names of their components.
+FURTHER: dict[str, dict[str, list[str]]] = {
+    "clouds/pseudo": {},
+    "clouds/lidar": {"intensity": ["intensity"]},
+    "graphs/semantic": {
+        "offset_m": ["offset_m_0", "offset_m_1"],
+        "colour": ["colour_0", "colour_1", "colour_2"],
+    },
+}
 
 
 @pytest.fixture(scope="module")
@@ -27,16 +35,18 @@ def data(tmp_path_factory) -> Path:
     ingest = data / f"ingest/{DRIVE}.h5"
     street.write_drive(ingest.parent, DRIVE, 4, lidar=True)
     street.write_perception(data / "perception", ingest.parent, DRIVE)
-    settings = Clouds(max_points=2048, max_depth_m=80.0, seed=0)
+    settings = Clouds(max_points=2048, max_depth_m=80.0, seed=0, columns=["intensity"])
     for kind in ("pseudo", "lidar"):
         path = data / f"clouds/{kind}/{DRIVE}.h5"
-        clouds_drive(path, kind, ingest, data / f"perception/{DRIVE}.h5", settings)
-    artefacts.write_graphs(data / f"graphs/semantic/{DRIVE}.h5", np.zeros(4), np.arange(4), 80)
+        perception = data / f"perception/{DRIVE}.h5"
+        clouds_drive(path, kind, ingest, perception, settings.of_source(kind))
+    graphs = data / f"graphs/semantic/{DRIVE}.h5"
+    artefacts.write_graphs(graphs, np.zeros(4), np.arange(4), 80, kind="columns")
     return data
 
 
 @pytest.mark.parametrize("suffix", ["ply", "pcd"])
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", FURTHER)
 def test_points_keep_their_values_and_get_the_colour_of_their_pixel(data, tmp_path, kind, suffix):
     out = tmp_path / f"cloud.{suffix}"
     export_points(data / kind / f"{DRIVE}.h5", FRAME, out)
@@ -45,10 +55,15 @@ def test_points_keep_their_values_and_get_the_colour_of_their_pixel(data, tmp_pa
     xyz = exported.pop("positions")
     rgb = exported.pop("colors")
 
-    # Coordinates and classes are those of the file.
+    # Coordinates, classes and each component of the further columns are those of the file.
     with open_drive(data / kind / f"{DRIVE}.h5") as file:
         np.testing.assert_array_equal(xyz, file.rows_of("xyz", FRAME))
-        np.testing.assert_equal(exported, {"class": file.rows_of("cls", FRAME)[:, None]})
+        expected = {"class": file.rows_of("cls", FRAME)[:, None]}
+        for name, components in FURTHER[kind].items():
+            values = file.rows_of(name, FRAME)
+            expected |= {key: values[:, [column]] for column, key in enumerate(components)}
+        assert file.signs.keys() == FURTHER[kind].keys()
+        np.testing.assert_equal(exported, expected)
 
     # A point that the camera sees has the colour of its pixel, and others are black.
     image, *_ = street.scene(FRAME)
@@ -69,7 +84,7 @@ def test_without_an_image_points_have_no_colour(data, tmp_path):
     out = tmp_path / "cloud.pcd"
     about = export_points(cloud, FRAME, out)
     assert about.endswith("no colour, as there is no image in data/ingest")
-    assert {*o3d.t.io.read_point_cloud(str(out)).point} == {"positions", "class"}
+    assert {*o3d.t.io.read_point_cloud(str(out)).point} == {"positions", "class", "intensity"}
 
 
 @pytest.mark.parametrize("suffix", ["ply", "pcd"])

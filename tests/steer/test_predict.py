@@ -56,7 +56,13 @@ MODELS = {
 }
 VARIANTS = {
     "semantic": {"source": "clouds/pseudo", "points": 200, "k": 4, "keep_inter_class": 0.2},
-    "lidar": {"source": "clouds/lidar", "points": 200, "k": 4, "crop_m": [-15, -10, 15, 30]},
+    "lidar": {
+        "source": "clouds/lidar",
+        "points": 200,
+        "k": 4,
+        "crop_m": [-15, -10, 15, 30],
+        "columns": ["intensity"],
+    },
     "image": {"source": "ingest"},
 }
 
@@ -70,7 +76,7 @@ def folder(tmp_path_factory) -> Path:
     drives = {"train": ["2026_01_01_drive_0001"], "val": ["2026_01_02_drive_0002"], "test": [TEST]}
     params["ingest"] |= {"image_size": [96, 320], "lidar": True, "drives": drives}
     params["encoder"]["weights"] = str(ROOT / params["encoder"]["weights"])
-    params["clouds"] |= {"max_points": 2000}
+    params["clouds"] |= {"max_points": 2000, "columns": ["intensity"]}
     params["graphs"] = VARIANTS
     params["models"] = MODELS
     params["labels"] |= {"ahead_m": [0, 2, 4]}

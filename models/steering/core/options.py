@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import BaseModel, ConfigDict, Field
 from torch import Tensor, nn
 
-from models.steering.core.batch import FrameKind
+from models.steering.core.batch import FrameKind, GraphBatch
 from pipeline.base.errors import InputError
 
 # Number of neurons or channels.
@@ -44,6 +44,8 @@ class NetworkOptions(OptionGroup):
     sees_frames: ClassVar[bool] = True
     # Whether the network reads the edges of a graph.
     reads_edges: ClassVar[bool] = False
+    # Further columns of the points that the network reads, from GraphBatch.columns.
+    reads_columns: ClassVar[tuple[str, ...]] = ()
 
     def build(self, sizes: Sizes) -> nn.Module:
         """Build the network with new weights from torch's random state.
@@ -58,13 +60,13 @@ class NetworkOptions(OptionGroup):
         Their files are in models/steering/weights, under the name of the network.
         """
 
-    def prepare(self, xyz: Tensor, ptr: Tensor) -> Tensor | None:
+    def prepare(self, batch: GraphBatch) -> Tensor | None:
         """Return what the network needs of each frame beside its points, [B, ...], or None.
 
         It reaches the network as ``GraphBatch.prepared``. The reader calls this method once per
         frame, before points are scaled or mirrored. What it returns for a frame must depend on
         this frame alone, and be valid for its mirror image, too. If it holds row numbers, they
-        count within the frame. `xyz` [N,3] and `ptr` [B+1] are those of a GraphBatch.
+        count within the frame.
         """
         return None
 

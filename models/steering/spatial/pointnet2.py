@@ -75,20 +75,22 @@ class Options(NetworkOptions):
     def build(self, sizes: Sizes) -> nn.Module:
         return PointNet2(sizes.features, self)
 
-    def prepare(self, xyz: Tensor, ptr: Tensor) -> Tensor:
+    def prepare(self, batch: GraphBatch) -> Tensor:
         """Return the groups of all levels of each frame, int32 [B, sum(centres (1 + neighbours))].
 
         The groups of a level are those of :func:`group_points`, among the centres of the level
         before. A frame without points has zeros, which :class:`PointNet2` does not read.
         """
-        counts = ptr.diff().to(xyz.device)
+        xyz = batch.xyz
+        counts = batch.ptr.diff().to(xyz.device)
         occupied = counts.nonzero().squeeze(1)
         numbers = sum(m * (1 + n) for m, n in zip(self.centres, self.neighbours, strict=True))
         groups = torch.zeros(len(counts), numbers, dtype=torch.int32, device=xyz.device)
         if not len(occupied):
             return groups
 
-        frames = [frame for frame in torch.split(xyz.float(), ptr.diff().tolist()) if len(frame)]
+        parts = torch.split(xyz.float(), batch.ptr.diff().tolist())
+        frames = [frame for frame in parts if len(frame)]
         points = nn.utils.rnn.pad_sequence(frames, batch_first=True)  # [B,P,3]
         counts = counts[occupied]
         levels = []

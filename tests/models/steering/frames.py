@@ -3,9 +3,8 @@
 from typing import Any
 
 import numpy as np
-import torch
 
-from models.steering.core.batch import Batch, from_arrays
+from models.steering.core.batch import Batch, GraphBatch, from_arrays
 from models.steering.core.options import NetworkOptions
 from pipeline.graphs.graph_file import Arrays
 
@@ -69,7 +68,9 @@ def join(frames: list[Arrays], device: str = "cpu", options: NetworkOptions | No
     """Return frames as a batch, with what a network of these options prepares of each frame."""
     arrays: dict[str, Any] = concatenated(frames)
     if options and "xyz" in arrays:
-        prepared = options.prepare(torch.tensor(arrays["xyz"]), torch.tensor(arrays["ptr"]))
+        points = from_arrays(arrays)
+        assert isinstance(points, GraphBatch)
+        prepared = options.prepare(points)
         if prepared is not None:
             arrays["prepared"] = prepared
     return from_arrays(arrays, device)

@@ -4,12 +4,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from models.steering.core.batch import Batch, GraphBatch, ImageBatch
+from models.steering.core.batch import Batch, GraphBatch, ImageBatch, from_arrays
 from models.steering.core.features import GEOMETRY, node_features
 from models.steering.core.options import Sizes, load_options
 from models.steering.spatial import gnn, pointnet2, pyg
@@ -51,6 +52,26 @@ def build(name: str) -> tuple[Any, Any]:
         if parameter.ndim == 1:  # biases, which start as 0
             torch.nn.init.normal_(parameter, std=0.3)
     return net, options
+
+
+def test_blocks_and_mirror_images_have_all_columns():
+    arrays = frames.concatenated([frames.graph(count, count) for count in (20, 0, 7)])
+    wind = np.random.default_rng(0).normal(size=(27, 2)).astype(np.float32)
+    batch = from_arrays({**arrays, "wind": wind, "wind_signs": np.float32([1, -1])})
+    assert isinstance(batch, GraphBatch)
+    blocks = [*batch.blocks(10)]
+    assert [block.frames for block in blocks] == [1, 2]
+    for name in ("xyz", "cls", "degree", "wind"):
+        parts = [block.columns[name] for block in blocks]
+        np.testing.assert_array_equal(torch.cat(parts), arrays.get(name, wind))
+
+    signs = {"xyz": [-1, 1, 1], "wind": [1, -1]}
+    for part in (batch, *blocks):
+        mirrored = part.mirrored().columns
+        assert mirrored.keys() == part.columns.keys()
+        for name, values in part.columns.items():
+            expected = values * torch.tensor(signs.get(name, 1))
+            np.testing.assert_array_equal(mirrored[name], expected)
 
 
 @each_network
@@ -189,9 +210,14 @@ def test_groups_are_those_of_plain_loops(radius_m):
         side = torch.randint(0, 2, (len(grid), 1), generator=rng) * 2 - 1
         points = torch.cat([grid[:, :1] * side, grid[:, 1:]], dim=1) / 4
         clouds.append(points[torch.randperm(len(points), generator=rng)[:count]])
-    ptr = torch.tensor([0, *(len(cloud) for cloud in clouds)]).cumsum(0)
     net = pointnet2.PointNet2(4, options)
-    first, _ = net.split_groups(options.prepare(torch.cat(clouds), ptr))
+
+    def groups(*clouds: Tensor) -> Tensor:
+        ptr = torch.tensor([0, *(len(cloud) for cloud in clouds)]).cumsum(0)
+        batch = GraphBatch({"xyz": torch.cat(clouds)}, ptr, indices=torch.empty(0))
+        return net.split_groups(options.prepare(batch))[0]
+
+    first = groups(*clouds)
     for cloud, level in zip(clouds, first, strict=True):
         if not len(cloud):
             continue
@@ -201,7 +227,7 @@ def test_groups_are_those_of_plain_loops(radius_m):
 
         turn = torch.randperm(len(cloud), generator=rng)
         mirrored = cloud[turn] * torch.tensor([-1, 1, 1])
-        same, _ = net.split_groups(options.prepare(mirrored, torch.tensor([0, len(cloud)])))
+        same = groups(mirrored)
         assert torch.equal(turn[same[0]], level.long())
 
 

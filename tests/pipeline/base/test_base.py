@@ -4,7 +4,7 @@ import errno
 import fcntl
 import json
 import resource
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -146,6 +146,11 @@ def edit_attributes(path: Path, **attributes: Any) -> None:
         file.attrs.update(attributes)
 
 
+def add_signs(path: Path, signs: Sequence[int]) -> None:
+    with h5py.File(path, "r+") as file:
+        file["xyz"].attrs["mirror_signs"] = np.array(signs)
+
+
 def cut_short(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:1000])
 
@@ -163,6 +168,12 @@ def in_folder_of_stage(path: Path) -> None:
         (open_clouds, partial(edit_attributes, schema=3), "expected schema 7 or 8; got 3"),
         (open_graphs, partial(edit_attributes, stage="graphs", schema=7), "expected schema 8 or 9"),
         (open_clouds, partial(edit_attributes, params="{"), "damaged in its settings"),
+        (open_clouds, partial(add_signs, signs=[-1, 1]), "'xyz': expected .* C signs of 1 or -1"),
+        (
+            open_clouds,
+            partial(add_signs, signs=[-1, 0, 1]),
+            "'xyz': expected .* C signs of 1 or -1",
+        ),
         (open_clouds, cut_short, "damaged"),
     ],
 )

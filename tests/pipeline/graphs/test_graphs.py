@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from pipeline.base.errors import InputError
 from pipeline.clouds.cloud import Cloud
+from pipeline.clouds.columns import SOURCES, FurtherColumn, check_column
 from pipeline.graphs import frame_graph, graph, graph_file
 from pipeline.graphs.graph_file import open_graphs
 from pipeline.graphs.settings import Variant
@@ -57,7 +58,7 @@ def test_a_hub_of_more_than_255_neighbours_is_refused():
 
 def write_schema_7(path: Path, clouds: Sequence[Cloud]) -> None:
     """Write clouds as before schema 8, with texts of variable length and without checksums."""
-    counts = [len(cloud.xyz) for cloud in clouds]
+    counts = [len(cloud) for cloud in clouds]
     with h5py.File(path, "w", libver="v110") as file:
         file.attrs.update({"schema": 7, "stage": "clouds", "drive": path.stem})
         file.attrs["params"] = json.dumps({"clouds": {"seed": 3}})
@@ -74,7 +75,7 @@ def write_schema_7(path: Path, clouds: Sequence[Cloud]) -> None:
 
 def test_clouds_of_schema_7_still_make_graphs(tmp_path):
     path = tmp_path / "drive.h5"
-    clouds = [Cloud(*artefacts.points(100, seed)) for seed in range(3)]
+    clouds = [Cloud.from_arrays(*artefacts.points(100, seed)) for seed in range(3)]
     write_schema_7(path, clouds)
     variant = Variant(source="clouds/pseudo", points=100, k=6)
     frame_graph.graphs_drive(tmp_path / "graphs.h5", path, variant)
@@ -85,9 +86,15 @@ def test_clouds_of_schema_7_still_make_graphs(tmp_path):
             for name in ("xyz", "degree", "indices"):
                 np.testing.assert_array_equal(graphs.rows_of(name, row), expected[name].rows)
 
+    other = Variant(source="clouds/lidar", points=100, columns=["intensity"])
+    problem = r"has no column 'intensity' \(it has none\). Add it to clouds.columns, and make"
+    with pytest.raises(InputError, match=problem):
+        frame_graph.graphs_drive(tmp_path / "graphs.h5", path, other)
+
 
 @pytest.mark.parametrize("kind", [*artefacts.VARIANTS, "image"])
-def test_a_batch_is_its_frames_with_shifted_numbers(tmp_path, kind):
+def test_a_batch_is_its_frames_with_shifted_numbers(tmp_path, monkeypatch, kind):
+    """Its arrays have the signs of further columns, which take no name of another array."""
     path = tmp_path / "drive.h5"
     artefacts.write_graphs(path, np.linspace(-0.1, 0.1, 9), np.arange(9), 50, kind)
     spans = [(2, 6), (8, 9), (0, 3)]
@@ -99,7 +106,14 @@ def test_a_batch_is_its_frames_with_shifted_numbers(tmp_path, kind):
     with graph_file.open_graphs(path) as graphs, open_graphs(path) as file:
         batch = artefacts.collate(*((graphs, *span) for span in spans))
         expected = concatenated([read_frame(row) for row in rows])
+        signs = {f"{name}_signs": np.float32(values) for name, values in file.signs.items()}
+    assert {*signs} == ({"offset_m_signs", "colour_signs"} if kind == "columns" else set())
+    expected |= signs
     assert batch.keys() == expected.keys()
+    for name in batch.keys() - {"offset_m", "colour"}:
+        monkeypatch.setitem(SOURCES["pseudo"], name, FurtherColumn(np.array, (1,), ""))
+        with pytest.raises(InputError, match=f"cannot have the name '{name}'"):
+            check_column(name)
     for name, array in expected.items():
         np.testing.assert_array_equal(batch[name], array)
         assert batch[name].dtype == (np.int32 if name == "indices" else array.dtype)

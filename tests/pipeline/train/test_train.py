@@ -213,6 +213,9 @@ def test_a_world_twice_as_large_has_bends_of_twice_the_radius(tmp_path, predicte
         return
     factor = np.where(np.arange(len(batch["xyz"])) < batch["ptr"][10], 2, 1)[:, None]
     assert (scaled["xyz"] == batch["xyz"] * factor).all()
+    if kind == "columns":
+        assert (scaled["offset_m"] == batch["offset_m"] * factor).all()
+        assert (scaled["colour"] == batch["colour"]).all()
     if kind == "points":
         assert (scaled["prepared"] == batch["prepared"]).all()
 

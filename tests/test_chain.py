@@ -142,6 +142,12 @@ def test_an_edit_reruns_what_dvc_yaml_promises(folder, monkeypatch):
         ("models/steering/spatial/gnn.py", {"check", *NETWORK}),
         ("models/steering/spatial/pyg.py", {"check"}),
         ("pipeline/jobs/runner.py", {"check"}),
+        ("pipeline/motion/speed.py", {"check", "motion"}),
+        (
+            "pipeline/clouds/cloud_file.py",
+            {"check", "clouds", "graphs@semantic", "graphs@lidar", "report"},
+        ),
+        ("pipeline/labels/label_file.py", {"check", "labels", "scores", *NETWORK, "report"}),
     ):
         path = folder / name
         text = path.read_text()

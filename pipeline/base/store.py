@@ -1,10 +1,10 @@
 """Read and write the HDF5 files and indexes that stages exchange.
 
-The package of a stage has a file that describes their content, for instance
-pipeline/labels/label_file.py. Files are deterministic: they are written once, in a fixed
-order, and contain no clock time, host or user. A file may come from a stranger, so
-:func:`_check_datasets` accepts only plain arrays of numbers. It may also be damaged: HDF5 checks
-its own structures, and Fletcher32 the values, so that a wrong bit is an error.
+A file of each stage's package describes their content, for instance pipeline/labels/label_file.py.
+Files are deterministic: they are written once, in a fixed order, and contain no clock time, host or
+user. A file may come from a stranger, so :func:`_check_datasets` accepts only plain arrays of
+numbers. It may also be damaged: HDF5 checks its own structures, and Fletcher32 the values, so that
+a wrong bit is an error.
 """
 
 import errno

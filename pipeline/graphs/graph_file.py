@@ -42,8 +42,6 @@ UNITS = {
 }
 
 Arrays = dict[str, np.ndarray]
-
-
 Columns = dict[str, Column]
 
 

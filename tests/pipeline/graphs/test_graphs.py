@@ -92,6 +92,25 @@ def test_clouds_of_schema_7_still_make_graphs(tmp_path):
         frame_graph.graphs_drive(tmp_path / "graphs.h5", path, other)
 
 
+def test_graphs_of_schema_8_are_still_read(tmp_path):
+    """They also have the measured motion."""
+    batches = []
+    for name in ("new", "old"):
+        path = tmp_path / f"{name}.h5"
+        artefacts.write_graphs(path, np.linspace(-0.1, 0.1, 9), np.arange(9), 50)
+        if name == "old":
+            with h5py.File(path, "r+") as file:
+                file.attrs["schema"] = 8
+                for column in ("yaw_rate_radps", "speed_mps", "valid"):
+                    file[f"motion_{column}"] = np.ones(9, np.float32)
+        with open_graphs(path) as graphs:
+            batches.append(artefacts.collate((graphs, 2, 7)))
+    new, old = batches
+    assert new.keys() == old.keys()
+    for name, values in new.items():
+        np.testing.assert_array_equal(values, old[name])
+
+
 @pytest.mark.parametrize("kind", [*artefacts.VARIANTS, "image"])
 def test_a_batch_is_its_frames_with_shifted_numbers(tmp_path, monkeypatch, kind):
     """Its arrays have the signs of further columns, which take no name of another array."""

@@ -126,6 +126,10 @@ def test_motion_and_base_of_a_batch(folder):
     without_base = batch_of(read(folder, motion="visual", base="none"), *group)
     assert (without_base["motion"] == batch["motion"]).all()
     assert not without_base["base"].any()
+    entry = small_model.entry(motion="visual")
+    problem = r"the model needs measured motion\. Pass the drive's file"
+    with open_graphs(drives[0].graphs) as graphs, pytest.raises(InputError, match=problem):
+        Timeline.read(graphs, None, drives[0].quantity, entry)
     plain = batch_of(read(folder), *group)
     assert "motion" not in plain
     assert not plain["base"].any()

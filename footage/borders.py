@@ -46,8 +46,8 @@ class BorderFinder:
     def find_crop(self) -> Crop | None:
         """Return what the borders leave of the images, in even numbers; None without borders.
 
-        A border is a row or column at the edge, and those beside it, that is the same in all
-        compared images and holds no corner. A crop cuts at two opposite edges.
+        A border is a strip of rows or columns at an edge that are the same in all compared images
+        and hold no corner. A crop cuts two opposite edges.
         """
         if self._compared < LEAST_IMAGES:
             return None

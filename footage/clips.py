@@ -51,21 +51,21 @@ def list_clips(files: Sequence[Images], times_s: np.ndarray) -> list[Clip]:
     clips = []
     start = 0
     for file in files:
-        own_s = times_s[start : start + file.count]
+        clip_s = times_s[start : start + file.count]
         start += file.count
         dates = {TAG: file.created, NAME: parse_date(file.path.name)}
-        known = {source: date for source, date in dates.items() if date}
+        known_dates = {source: date for source, date in dates.items() if date}
         # The last image lasts until the next file begins.
-        end_s = float(own_s[-1]) + step_s
-        clips.append(Clip(file.path.name, file.count, float(own_s[0]), end_s, known))
+        end_s = float(clip_s[-1]) + step_s
+        clips.append(Clip(file.path.name, file.count, float(clip_s[0]), end_s, known_dates))
     return clips
 
 
 def parse_date(name: str) -> datetime | None:
     """Return the date and time in the name of a file, such as 20260131_235959.mp4."""
-    found = _DATE.search(name)
+    match = _DATE.search(name)
     try:
-        return datetime.strptime("".join(found.groups()), "%Y%m%d%H%M%S") if found else None
+        return datetime.strptime("".join(match.groups()), "%Y%m%d%H%M%S") if match else None
     except ValueError:
         return None
 

@@ -52,7 +52,7 @@ def main(
         odometry_gain = fit_odometry(drives["train"], first.entry)
         tables = {}
         quantity = drives["test"][0].quantity
-        # Of the training drives, a few show whether a seed failed to train.
+        # Eight training drives show whether a seed failed to train.
         predicted = drives | {"train": choose_training(drives["train"], first.entry.window)}
         for split, drives_of_split in predicted.items():
             result[split] = None

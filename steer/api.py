@@ -30,7 +30,7 @@ Paths = PathLike | Sequence[PathLike]
 
 
 @contextmanager
-def _own_torch_state() -> Iterator[None]:
+def _usual_torch_state() -> Iterator[None]:
     """Use torch's usual type of numbers, and restore the caller's type and random state after it.
 
     Networks get random weights before those of their file.
@@ -44,7 +44,7 @@ def _own_torch_state() -> Iterator[None]:
         torch.set_default_dtype(dtype)
 
 
-@_own_torch_state()
+@_usual_torch_state()
 def measure(
     source: Paths,
     *,
@@ -80,7 +80,7 @@ def measure(
     )
 
 
-@_own_torch_state()
+@_usual_torch_state()
 def predict(
     source: Paths,
     model: PathLike,

@@ -120,7 +120,7 @@ def _read_typed_pixels(
         raise InputError(problem, path, fix)
     if grey and pixels.ndim == 3:
         # OpenCV decodes a palette to its colours.
-        problem = "has 3 channels: save it as one, without a palette"
+        problem = "is in colour: save it as one channel, without a palette"
         raise InputError(problem, path)
     if pixels.dtype != dtype:
         problem = f"expected {np.dtype(dtype)} pixels, got {pixels.dtype} with shape {pixels.shape}"

@@ -15,7 +15,7 @@ from pipeline.labels.label import Car, steering_labels
 from pipeline.labels.label_file import create_labels, open_labels
 from pipeline.labels.settings import Labels
 from pipeline.labels.source import write_labels
-from pipeline.train.quantity import Quantity
+from pipeline.train.quantity import NMSE, Quantity
 
 # Number of frames of the drive.
 FRAMES = 600
@@ -53,6 +53,8 @@ def check_quantity(quantity: Quantity, settings: Labels) -> None:
 
     # Errors are those of the values of all seeds together, [S,F,R].
     _to_array(quantity.shown(truth[None]), "shown", (1, FRAMES))
+    _check_lead(quantity)
+    _to_array(quantity.errors(truth[None], truth), "errors", (1, FRAMES, len(quantity.ends)))
     ranges = len(quantity.edges_m) - 1
     _to_array(quantity.curvature(truth), "curvature", (FRAMES, ranges))
 
@@ -106,6 +108,15 @@ def _check_scaling(quantity: Quantity, truth: np.ndarray, measured: np.ndarray) 
     limit = ROUNDING * np.nanmax(np.abs(truth), initial=0.0)
     if not np.allclose(same, truth, rtol=0, atol=limit, equal_nan=True):
         raise InputError("rescale by a factor of 1 returns other values")
+
+
+def _check_lead(quantity: Quantity) -> None:
+    """Raise InputError unless the error that leads is one of those that have the measure."""
+    has_own_error = quantity.measure is not NMSE
+    if has_own_error != bool(quantity.ends) or quantity.lead not in (quantity.ends or [""]):
+        problem = f"lead is {quantity.lead!r}, ends are {[*quantity.ends]}"
+        fix = "Set measure, ends and lead, which is one of ends, or none of the three"
+        raise InputError(problem, fix=fix)
 
 
 def _to_array(values: np.ndarray, method: str, shape: tuple[int, ...]) -> np.ndarray:

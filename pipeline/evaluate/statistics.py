@@ -172,8 +172,8 @@ def drawn_error(errors: np.ndarray, drawn_parts: np.ndarray, seeds: np.ndarray) 
     `errors` [S,D,C] are sums over the frames of each part, `drawn_parts` [B,D] tells how often a
     part is drawn, and `seeds` [B,S] are the weights of the seeds.
     """
-    by_seed = np.einsum("bd,sdr->bsr", drawn_parts, errors)
-    return np.einsum("bs,bsr->br", seeds, by_seed) / len(errors)
+    by_seed = np.einsum("bd,sdc->bsc", drawn_parts, errors)
+    return np.einsum("bs,bsc->bc", seeds, by_seed) / len(errors)
 
 
 def number_parts(drive: np.ndarray, block_frames: int) -> np.ndarray:

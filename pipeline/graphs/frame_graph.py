@@ -48,7 +48,7 @@ def _image_frames(content: DriveReader, rows: np.ndarray) -> Iterator[Columns]:
 
 
 def _image_columns(images: np.ndarray) -> Columns:
-    return {"image": Column(images, UNITS["image"], "ptr")}
+    return {"image": Column(images, UNITS["image"], POINTER)}
 
 
 def _point_frames(content: DriveReader, variant: Variant) -> Iterator[Columns]:

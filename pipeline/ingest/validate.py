@@ -138,7 +138,7 @@ def _to_numbers(name: str, by_number: Mapping[int, Any]) -> tuple[dict[int, Any]
 
 
 def _to_float(value: Any) -> float | None:
-    """Return a number as a float, NaN if it is unknown, or None for what is no number."""
+    """Return a number as a float. Return NaN if it is unknown, and None if it is not a number."""
     if value is None or value is pd.NA:
         return float("nan")
     return float(value) if _is_real(value) else None
@@ -231,6 +231,8 @@ def _check_pixels(pixels: Any, kind: _Pixels, title: str, camera: Camera) -> Non
 
 def _check_depth(depth_m: np.ndarray, title: str) -> np.ndarray:
     """Return depth [H,W] with 0 where it is NaN. Raise InputError for depth that is no distance."""
+    # Files store multiples of 1/256 m, up to 256 m: float16 has neither.
+    depth_m = depth_m.astype(np.float32, copy=False)
     unknown = np.isnan(depth_m)
     if unknown.any():
         depth_m = np.where(unknown, 0, depth_m)

@@ -88,7 +88,9 @@ def _compare_logs(splits: Mapping[str, str], ingest: Path, motion: Path, car: Ca
                 open_ingest(ingest / f"{drive}.h5") as raw,
                 open_motion(motion / f"{drive}.h5") as measured,
             ):
-                recorded[drive] = Recorded.read(raw, measured, car)
+                # A drive without images has no measured motion.
+                if len(measured.frame):
+                    recorded[drive] = Recorded.read(raw, measured, car)
         if recorded:
             content |= compare_drives(recorded, name, advise=name != "test drives")
     return content

@@ -86,8 +86,8 @@ class Quantity(ABC):
     edges_m: list[float]
     # Names of the errors that :meth:`errors` returns, none if the quantity has only an nmse, and
     # the name of the one that leads; it is empty if nmse leads.
-    ends: list[str]
-    lead: str
+    ends: Sequence[str] = ()
+    lead: str = ""
 
     def __init__(self, labels: Mapping[str, Any], horizon: int = 0) -> None:
         """Store the settings.
@@ -100,8 +100,6 @@ class Quantity(ABC):
         self.horizon = horizon
         self.ranges = [""]
         self.edges_m = [0.0, HELD_M]
-        self.ends = []
-        self.lead = ""
 
     @abstractmethod
     def read(self, labels: DriveReader) -> np.ndarray:

@@ -110,8 +110,11 @@ class KittiDrive:
         path = self.calibration / IMPORT
         if not path.is_file():
             return 1
-        record = json.loads(path.read_text(encoding="utf-8"))
-        return max(len(record.get("recordings", [])), 1)
+        try:
+            return len(json.loads(path.read_text(encoding="utf-8"))["recordings"])
+        except (LookupError, TypeError, ValueError) as error:
+            fix = "Import the recording again: steer import"
+            raise InputError(f"not the record of an import ({error!r})", path, fix) from error
 
     def image_times(self, camera: int) -> Path:
         """Return the file with the times of a camera's images, which may be missing."""
@@ -119,7 +122,7 @@ class KittiDrive:
 
     def list_files(self) -> list[Path]:
         """Return all files of the drive and of its calibration."""
-        paths = list(self.calibration.glob("calib_*.txt"))
+        paths = [*self.calibration.glob("calib_*.txt"), *self.calibration.glob(IMPORT)]
         for folder, _, names in os.walk(self.folder, followlinks=True):
             paths += [Path(folder, name) for name in names if not name.startswith(".")]
         return sorted(paths)

@@ -156,7 +156,7 @@ def test_class_numbers_have_one_channel(tmp_path, content):
     """The colours of a palette are not its numbers."""
     (tmp_path / "a.png").write_bytes(content)
     assert read_pixels(tmp_path / "a.png").shape == NOISE.shape
-    with pytest.raises(InputError, match=r"a\.png: has 3 channels: save it as one"):
+    with pytest.raises(InputError, match=r"a\.png: is in colour: save it as one channel"):
         read_classes(tmp_path / "a.png")
 
 

@@ -1,6 +1,5 @@
 """The contract of quantities: faults are named, and right ones pass, whatever the labels have."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -51,9 +50,12 @@ def test_our_own_quantities_keep_the_contract(name, source):
         ("rescale", lambda q, values, factor: 2 * values, "by a factor of 1 returns other values"),
         ("shown", lambda q, values: values[:, 0], r"shown returns the shape \[1, 1\], expected"),
         ("curvature", lambda q, values: values[:, 0], r"curvature returns the shape \[600\], exp"),
+        ("errors", lambda q, predicted, truth: truth, r"errors returns the shape \[600, 1\]"),
+        ("lead", "at 20 m", r"lead is 'at 20 m', ends are \[\]. Set measure, ends and lead"),
+        ("measure", quantity.NMSE._replace(unit="m"), r"lead is '', ends are \[\]"),
     ],
 )
-def test_a_faulty_quantity_is_one_line(method, change: Callable[..., Any], message):
+def test_a_faulty_quantity_is_one_line(method, change: Any, message):
     target = type("Target", (angle.Target,), {method: change})
     with np.errstate(over="ignore"), pytest.raises(InputError, match=message) as raised:
         check(target)

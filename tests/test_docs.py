@@ -21,11 +21,12 @@ from models.steering.core.batch import GraphBatch, from_arrays
 from pipeline.base import store
 from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError
-from pipeline.base.params import read_yaml
+from pipeline.base.params import parse, read_yaml
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.clouds import columns
 from pipeline.clouds.cloud import Cloud
+from pipeline.check.settings import Params
 from pipeline.evaluate.own_metrics import METRICS
 from pipeline.graphs.graph_file import open_graphs
 from pipeline.graphs.settings import Variant
@@ -126,7 +127,8 @@ def test_figures_and_tables_are_those_of_the_runs():
 def test_the_demo_was_run_with_the_present_settings():
     """After a change of params.yaml: run the demo again, and collect its results."""
     demo = [run for run in make_results.read_runs() if run["preset"] == "demo"]
-    assert [run["settings"] for run in demo] == [read_yaml(ROOT / "params.yaml")]
+    present = parse(Params, read_yaml(ROOT / "params.yaml"))
+    assert [parse(Params, run["settings"]) for run in demo] == [present]
 
 
 def test_a_run_is_collected_if_its_code_was_committed(tmp_path, monkeypatch):

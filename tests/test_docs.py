@@ -24,9 +24,9 @@ from pipeline.base.errors import InputError
 from pipeline.base.params import parse, read_yaml
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
+from pipeline.check.settings import Params
 from pipeline.clouds import columns
 from pipeline.clouds.cloud import Cloud
-from pipeline.check.settings import Params
 from pipeline.evaluate.own_metrics import METRICS
 from pipeline.graphs.graph_file import open_graphs
 from pipeline.graphs.settings import Variant

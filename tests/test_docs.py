@@ -2,22 +2,23 @@
 that exists.
 """
 
-import json
 import re
 import sys
 import tomllib
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pandas as pd
 import pytest
 import typer
 import yaml
+from pydantic import Field
 
-from docs import make_results
+from docs import make_results, make_settings
 from models.steering.core.batch import GraphBatch, from_arrays
+from models.steering.core.options import NetworkOptions
 from pipeline.base import store
 from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError
@@ -29,7 +30,6 @@ from pipeline.clouds import columns
 from pipeline.clouds.cloud import Cloud
 from pipeline.evaluate.own_metrics import METRICS
 from pipeline.graphs.graph_file import open_graphs
-from pipeline.graphs.settings import Variant
 from pipeline.labels.label_file import open_labels
 from pipeline.report import tables
 from pipeline.train import quantity, trained
@@ -189,18 +189,34 @@ def test_names_exist(page):
     assert {*re.findall(r"(?<!\S)--[a-zA-Z][\w-]*", code)} <= options
 
 
-def test_the_keys_of_graphs_have_the_defaults_of_the_settings():
-    _, _, text = (ROOT / "docs/models.md").read_text().partition("\n## Graphs\n")
-    section, _, _ = text.partition("\n## ")
-    rows = [line.split(" | ") for line in section.splitlines() if line.startswith("| `")]
-    documented = {key.strip("| `"): default for key, default, _ in rows}
+def test_tables_of_settings_are_those_of_the_code():
+    """After a change of a key, a default, a network or a quantity: python -m docs.make_settings."""
+    pages = make_settings.pages()
+    assert [page.name for page, text in pages.items() if text != page.read_text()] == []
+    names = [name for text in pages.values() for _, name, _ in make_settings.TABLE.findall(text)]
+    assert sorted(names) == sorted([*Params.model_fields, "networks"])
 
-    expected = {}
-    for name, field in Variant.model_fields.items():
-        expected[name] = "required"
-        if not field.is_required() and name != "points":  # images have no points
-            expected[name] = f"`{json.dumps(field.default)}`".replace('"', "")
-    assert documented == expected
+
+def test_a_row_has_the_limits_of_its_field_and_needs_a_description():
+    class Group(NetworkOptions):
+        share: Annotated[float, Field(gt=0, le=1)] = Field(description="a share")
+
+    class Options(NetworkOptions):
+        layers: tuple[Literal[3, 5], ...] = Field(default=(3,), max_length=4, description="a | b")
+        group: Group = Group(share=0.5)
+        seed: Annotated[int, Field(ge=0)] | None = Field(default=None, description="a seed")
+        width: int = 64
+
+    schema = Options.model_json_schema()
+    keys = make_settings.describe_keys(schema, schema, {"group": {"share": 1.0}})
+    rows = [next(keys) for _ in range(3)]
+    assert make_settings.to_markdown(("key",), rows).splitlines()[2:] == [
+        r"| `layers` | `[3]` | list of 0 to 4: `3`, `5` | a \| b |",
+        "| `group.share` | `1.0` | number > 0 and ≤ 1 | a share |",
+        "| `seed` | `null` | integer ≥ 0, `null` | a seed |",
+    ]
+    with pytest.raises(InputError, match="width has no description"):
+        next(keys)
 
 
 def test_the_quantity_of_the_documentation_is_trained_evaluated_and_shown(tmp_path, monkeypatch):

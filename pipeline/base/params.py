@@ -27,7 +27,6 @@ def check_name(name: Any) -> str:
 
 Name = Annotated[str, BeforeValidator(check_name)]
 Positive = Annotated[float, Field(gt=0)]
-Rate = Annotated[float, Field(gt=0, description="learning rate")]
 Count = Annotated[int, Field(ge=1)]
 Seed = Annotated[int, Field(ge=0)]
 _Side = Annotated[int, Field(ge=32, le=4096)]

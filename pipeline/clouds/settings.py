@@ -17,14 +17,20 @@ def _check_names(names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
-# Names of further columns, of any source. Not strict, as a strict tuple takes no YAML list.
-ColumnNames = Annotated[tuple[str, ...], Field(strict=False), AfterValidator(_check_names)]
+_KNOWN = sorted({name for columns in SOURCES.values() for name in columns})
+# Name of a further column, of any source.
+_ColumnName = Annotated[str, Field(json_schema_extra={"enum": [*_KNOWN]})]
+# Not strict, as a strict tuple takes no YAML list.
+ColumnNames = Annotated[tuple[_ColumnName, ...], Field(strict=False), AfterValidator(_check_names)]
 
 
 class WithColumns(Section):
     """A section that chooses further columns of points."""
 
-    columns: ColumnNames = ()
+    columns: ColumnNames = Field(
+        default=(),
+        description="further columns of each point. A variant has those of `clouds` that it names",
+    )
 
     @model_serializer(mode="wrap")
     def _leave_out_none(self, serialise: Callable[[Any], dict[str, Any]]) -> dict[str, Any]:
@@ -36,9 +42,15 @@ class WithColumns(Section):
 
 
 class Clouds(WithColumns):
-    max_points: Count
-    max_depth_m: Positive
-    seed: Seed
+    max_points: Count = Field(
+        description="largest number of points of a frame, drawn at random. The paper's clouds have "
+        "43,000 and more"
+    )
+    max_depth_m: Positive = Field(
+        description="depth in metres beyond which a pixel gives no point, since monocular depth is "
+        "useless there"
+    )
+    seed: Seed = Field(description="seed of the draws")
 
     def of_source(self, source: str) -> Self:
         """Return the settings with those columns that a source of clouds has."""

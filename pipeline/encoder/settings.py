@@ -5,10 +5,11 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from pipeline.base.params import Count, Positive, Rate, Section, Seed
+from pipeline.base.params import Count, Positive, Section, Seed
 
 FilePath = Annotated[Path, Field(strict=False)]
-Hub = Annotated[str, Field(min_length=1, description="a name on the hub, or a folder")]
+# Name of a network on Hugging Face's hub, or its folder.
+Hub = Annotated[str, Field(min_length=1)]
 # Backbone → keys that must be set for it, unless `weights` is set.
 NEEDED = {
     "pair": ("depth", "classes", "focal_by_width"),
@@ -19,28 +20,46 @@ FITTED = {"small", "hugging_face"}
 
 
 class Encoder(Section):
-    # Kind of network, see docs/models.md. For `precomputed`, files take the place of a network.
-    backbone: Literal["small", "street", "pair", "hugging_face", "precomputed"]
-    # An encoder.pt, or for `precomputed` a folder of PNG files.
-    weights: FilePath | None = None
-    # SHA-256 of the weights. make NAME writes it, so that DVC notices another file.
-    weights_sha256: str | None = None
-    # Network for depth of the backbone `pair`.
-    depth: Hub | None = None
-    # Network for classes of the backbone `pair`.
-    classes: Hub | None = None
-    # Network of the backbone `hugging_face`.
-    model: Hub | None = None
-    # Focal length of the training images of `depth`, divided by their width.
-    focal_by_width: Positive | None = None
-    # Number of epochs of the fit; 0: no fit.
-    epochs: Annotated[int, Field(ge=0)]
-    # Number of training frames, spread evenly over the training drives.
-    frames: Count
-    # Number of frames in a step of the fit.
-    batch: Count
-    learning_rate: Rate
-    seed: Seed
+    backbone: Literal["small", "street", "pair", "hugging_face", "precomputed"] = Field(
+        description="network for depth and classes. For `precomputed`, files take its place"
+    )
+    weights: FilePath | None = Field(
+        default=None,
+        description="an `encoder.pt` of this project, or the folder of `precomputed`. `null` is "
+        "random weights, or the published ones of the backbone",
+    )
+    weights_sha256: str | None = Field(
+        default=None,
+        description="SHA-256 of the weights. `make NAME` writes it, so that DVC notices another "
+        "file",
+    )
+    depth: Hub | None = Field(
+        default=None,
+        description="of `pair`: network for depth, a name on Hugging Face's hub or a folder",
+    )
+    classes: Hub | None = Field(
+        default=None,
+        description="of `pair`: network for classes, a name on Hugging Face's hub or a folder",
+    )
+    model: Hub | None = Field(
+        default=None,
+        description="of `hugging_face`: backbone, a name on Hugging Face's hub or a folder",
+    )
+    focal_by_width: Positive | None = Field(
+        default=None,
+        description="of `pair`: focal length / image width of the depth network's training camera",
+    )
+    epochs: int = Field(
+        ge=0,
+        description="epochs of the fit, of `small` and `hugging_face` only. With 0 the weights "
+        "stay as they are",
+    )
+    frames: Count = Field(description="frames of the fit, spread evenly over the training drives")
+    batch: Count = Field(description="frames in a step of the fit")
+    learning_rate: Positive = Field(
+        description="largest learning rate of the fit. It rises at first, then falls"
+    )
+    seed: Seed = Field(description="seed of new weights, and of the order of the frames")
 
     @model_validator(mode="after")
     def _check_complete(self) -> Self:

@@ -1,7 +1,5 @@
 """Section ``evaluate``: how the intervals of a model's errors are computed."""
 
-from typing import Annotated
-
 from pydantic import Field
 
 from pipeline.base.params import Count, Section, Seed
@@ -18,9 +16,9 @@ BASELINES = (*NO_LEARNING, "persistence")
 
 
 class Evaluate(Section):
-    # Number of draws of the bootstrap.
-    bootstrap_samples: Annotated[int, Field(ge=1, le=100_000)]
-    # A long drive is cut into parts, which have at least this number of frames each.
-    bootstrap_block_frames: Count
-    # Seed of the draws.
-    seed: Seed
+    bootstrap_samples: int = Field(ge=1, le=100_000, description="draws of the bootstrap")
+    bootstrap_block_frames: Count = Field(
+        description="frames of a block. A drive of two or more blocks is cut into parts of at "
+        "least this length, which count as drives. At 10 Hz, 200 frames are 20 s"
+    )
+    seed: Seed = Field(description="seed of the draws")

@@ -1,6 +1,6 @@
 """Section ``graphs``: the input variants of the steering networks."""
 
-from typing import Annotated, Literal, Self
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -13,17 +13,35 @@ from pipeline.clouds.settings import WithColumns
 class Variant(WithColumns):
     """One entry of ``graphs``: an input of the networks, computed from ``data/<source>``."""
 
-    source: Literal["clouds/pseudo", "clouds/lidar", "ingest"]
-    # Number of points of a frame. Images have none, and no other keys.
-    points: Count | None = None
-    # Number of nearest neighbours of a point. With 0, points have no edges.
-    k: Annotated[int, Field(ge=0, le=32)] = 0
-    # Share of the edges between points of different classes that pruning keeps.
-    keep_inter_class: Annotated[float, Field(ge=0, le=1)] = 1.0
-    # Limits in metres of x (left, right) and z (near, far) in the camera's frame, in the order
-    # [left, near, right, far].
-    crop_m: Annotated[tuple[float, float, float, float] | None, Field(strict=False)] = None
-    seed: Seed = 0
+    source: Literal["clouds/pseudo", "clouds/lidar", "ingest"] = Field(
+        description="points of images (`clouds/pseudo`) or of scans (`clouds/lidar`). `ingest` is "
+        "images, which have no other keys"
+    )
+    points: Count | None = Field(
+        default=None,
+        description="points of a frame, drawn at random from the cloud, or fewer if it has fewer. "
+        "Required, except for images. The paper's Table 1 has 43,000 to 50,000",
+    )
+    k: int = Field(
+        default=0,
+        ge=0,
+        le=32,
+        description="nearest neighbours of a point. With 0, points have no edges",
+    )
+    keep_inter_class: float = Field(
+        default=1.0,
+        ge=0,
+        le=1,
+        description="share of the edges between points of different classes that pruning keeps. "
+        "The paper's network has 0.2, and 1 is no pruning",
+    )
+    crop_m: tuple[float, float, float, float] | None = Field(
+        default=None,
+        strict=False,
+        description="limits [left, near, right, far] in metres, with x to the right and z ahead. "
+        "`null` is the complete cloud",
+    )
+    seed: Seed = Field(default=0, description="seed of all draws")
 
     @property
     def kind(self) -> str:

@@ -18,14 +18,17 @@ NAMES = {"kitti": r".+_drive_\d{4}", "sample": rf"{DATE}_drive_\d{{4}}"}
 
 
 class Drives(Section):
-    """Drives of each split.
+    """Drives of each split."""
 
-    2026_01_01_drive_0001..0009 stands for the nine drives 1 to 9 of a date.
-    """
-
-    train: list[Name] = []
-    val: list[Name] = []
-    test: list[Name] = Field(min_length=1)
+    train: list[Name] = Field(
+        default=[],
+        description="training drives. 2026_01_01_drive_0001..0009 is the drives 1 to 9 of a date",
+    )
+    val: list[Name] = Field(
+        default=[],
+        description="validation drives, which choose the epoch. Without any, it is the last one",
+    )
+    test: list[Name] = Field(min_length=1, description="test drives, on which nothing is chosen")
 
     @field_validator(*SPLITS, mode="before")
     @classmethod
@@ -62,19 +65,35 @@ def _expand_range(name: object) -> list[object]:
 class Reading(Section):
     """The settings by which each drive is read, whatever its split."""
 
-    image_size: ImageSize
-    cameras: list[Annotated[int, Field(ge=0, le=3)]] = Field(min_length=1)
-    lidar: bool
-    on_damaged: Literal["fail", "skip"]
+    image_size: ImageSize = Field(
+        description="[height, width] of the resized images in pixels. The paper's CNN has "
+        "[192, 640]"
+    )
+    cameras: list[Annotated[int, Field(ge=0, le=3)]] = Field(
+        min_length=1,
+        description="KITTI's numbers of cameras, of which the first that a drive has is read. 0 is "
+        "left grey, 1 right grey, 2 left colour, 3 right colour",
+    )
+    lidar: bool = Field(description="whether scans are read, for variants with `clouds/lidar`")
+    on_damaged: Literal["fail", "skip"] = Field(
+        description="what a damaged file of a frame does: `fail` stops the stage, `skip` leaves "
+        "the file out and counts it"
+    )
 
 
 class Ingest(Reading):
     """Section ``ingest``."""
 
-    source: str  # name of the dataset
+    source: str = Field(
+        json_schema_extra={"enum": [*DATASETS]},
+        description="dataset, a file of `pipeline/ingest/datasets/`",
+    )
     drives: Drives
-    # Hash of the imports that the drives are of. make NAME writes it, so that DVC sees another one.
-    imports_sha256: str | None = None
+    imports_sha256: str | None = Field(
+        default=None,
+        description="hash of the imports that the drives are of. `make NAME` writes it, so that "
+        "DVC notices another one",
+    )
 
     @model_validator(mode="after")
     def _check_source(self) -> Self:

@@ -2,11 +2,17 @@
 
 from typing import Literal
 
+from pydantic import Field
+
 from pipeline.base.params import Count, Section
 
 
 class Perception(Section):
-    # Number of images in a forward pass. On a GPU, it may be larger.
-    batch: Count
-    # Precision of products: float32, or auto for bfloat16 on a GPU that supports it.
-    precision: Literal["auto", "float32"] = "auto"
+    batch: Count = Field(
+        description="images in a forward pass. A GPU takes 32 or more, a CPU one by one"
+    )
+    precision: Literal["auto", "float32"] = Field(
+        default="auto",
+        description="precision of matrix products. `auto` is bfloat16 on a GPU that supports it, "
+        "else float32",
+    )

@@ -1,13 +1,13 @@
 """Section ``models``, which has an entry for each model."""
 
-from typing import Annotated, Any, Literal, Self
+from typing import Any, Literal, Self
 
 from pydantic import ConfigDict, Field, field_validator, model_validator
 
 from models.steering.core import options, steering_net
 from pipeline.base.errors import InputError, closest
-from pipeline.base.params import Count, Rate, Section, parse
-from pipeline.train.quantity import load_quantity, quantity_file
+from pipeline.base.params import Count, Positive, Section, parse
+from pipeline.train.quantity import NAMES, load_quantity, quantity_file
 from pipeline.train.settings import Train
 
 # Keys of section train that an entry overrides.
@@ -25,31 +25,63 @@ class Entry(Section):
 
     model_config = ConfigDict(extra="allow")
     # These three have no defaults, because dvc.yaml reads them from params.yaml.
-    input: str
-    spatial: str
-    temporal: str
-    # Number of frames in a window.
-    window: Annotated[int, Field(ge=1, le=256)] = 8
-    # Whether the output is odd under left-right mirroring.
-    equivariant: bool = False
-    # These override the keys of section train.
-    learning_rate: Rate | None = None
-    epochs: Count | None = None
-    span_windows: Count | None = None
-    batch_spans: Count | None = None
-    # Exponent per rad of the weight exp(alpha |steering|), eq. 9.
-    alpha: Annotated[float, Field(ge=0, le=100)] = 0.0
-    # Number of features per frame, between the two networks.
-    features: Annotated[int, Field(ge=1, le=1024)] = 32
-    # Quantity that the network predicts, a file of pipeline/train/quantities.
-    predict: str = "angle"
-    # Frames between the last input frame and the frame of the predicted quantity.
-    horizon: Annotated[int, Field(ge=0, le=10_000)] = 0
-    # Motion that the network gets beside the frames: none, or motion measured from images.
-    motion: Literal["none", "visual"] = "none"
-    # Value to which the network's output is added. `motion`: the measured angle of the window's
-    # last frame, or for a path the curvature that a regression predicts from it. `none`: 0.
-    base: Literal["motion", "none"] = "motion"
+    input: str = Field(description="an entry of `graphs`")
+    spatial: str = Field(
+        json_schema_extra={"enum": [*options.network_names("spatial")]},
+        description="network of a frame, a file of `models/steering/spatial/`. `gnn` and `pyg` (a "
+        "layer of PyTorch Geometric) read graphs, `pointnet2` their points only, `cnn` images. "
+        "`blind` ignores the scene",
+    )
+    temporal: str = Field(
+        json_schema_extra={"enum": [*options.network_names("temporal")]},
+        description="network of a window, a file of `models/steering/temporal/`. `ncp` is a neural "
+        "circuit policy",
+    )
+    window: int = Field(default=8, ge=1, le=256, description="frames per prediction")
+    equivariant: bool = Field(
+        default=False,
+        description="whether a mirrored scene gives exactly the opposite angle or path",
+    )
+    learning_rate: Positive | None = Field(
+        default=None, description="overrides `train.learning_rate`"
+    )
+    epochs: Count | None = Field(default=None, description="overrides `train.epochs`")
+    span_windows: Count | None = Field(default=None, description="overrides `train.span_windows`")
+    batch_spans: Count | None = Field(default=None, description="overrides `train.batch_spans`")
+    alpha: float = Field(
+        default=0.0,
+        ge=0,
+        le=100,
+        description="α of the loss (eq. 9) per rad: a frame has the weight exp(α |angle|)",
+    )
+    features: int = Field(
+        default=32, ge=1, le=1024, description="features per frame, between the two networks"
+    )
+    predict: str = Field(
+        default="angle",
+        json_schema_extra={"enum": [*NAMES]},
+        description="quantity, a file of `pipeline/train/quantities/`. `path` is the mean "
+        "curvature of the way that the car drives afterwards, one output per range of "
+        "`labels.ahead_m`",
+    )
+    horizon: int = Field(
+        default=0,
+        ge=0,
+        le=10_000,
+        description="frames between the last input frame and the predicted value. At 10 Hz, 10 is "
+        "one second ahead",
+    )
+    motion: Literal["none", "visual"] = Field(
+        default="none",
+        description="with `visual`, the measured angle, yaw rate and filtered speed of the car are "
+        "inputs, too",
+    )
+    base: Literal["motion", "none"] = Field(
+        default="motion",
+        description="what the output is added to. `motion` is the measured angle of the last input "
+        "frame, or for a path the curvature that a regression predicts from it (0 with `motion: "
+        "none`). `none`, 0, is for drives whose measured speed is uncertain",
+    )
 
     @field_validator("predict")
     @classmethod

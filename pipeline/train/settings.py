@@ -1,33 +1,44 @@
 """Section ``train``: fitting a model."""
 
-from typing import Annotated
-
 from pydantic import Field, field_validator
 
-from pipeline.base.params import Count, Positive, Rate, Section, Seed
+from pipeline.base.params import Count, Positive, Section, Seed
 
 
 class Train(Section):
-    # Largest number of epochs.
-    epochs: Count
-    # Number of epochs without a better validation error after which training stops.
-    patience: Count
-    # A model has a network for each seed.
-    seeds: list[Seed] = Field(min_length=1)
-    # Largest learning rate; it rises at first, then falls.
-    learning_rate: Rate
-    # Weight decay of AdamW, for matrices only.
-    weight_decay: Annotated[float, Field(ge=0, le=100)]
-    # Largest norm of the gradient; a larger gradient is scaled to it.
-    clip_norm: Positive
-    # Number of consecutive windows in a span, which share the embeddings of their frames.
-    span_windows: Count
-    # Number of spans in an optimiser step.
-    batch_spans: Count
-    # Largest random factor by which the scene of a span, and its bends, are scaled; 1: off.
-    rescale: Annotated[float, Field(ge=1, le=2)]
-    # Decay of the moving average of the weights, per step; 0: off.
-    average: Annotated[float, Field(ge=0, lt=1)]
+    epochs: Count = Field(description="largest number of epochs")
+    patience: Count = Field(
+        description="epochs without a lower validation error after which training stops. Without "
+        "validation drives, it has no effect"
+    )
+    seeds: list[Seed] = Field(
+        min_length=1, description="one network of each model is trained per seed"
+    )
+    learning_rate: Positive = Field(
+        description="largest learning rate. It rises at first, then falls"
+    )
+    weight_decay: float = Field(
+        ge=0, le=100, description="weight decay of AdamW, for matrices only"
+    )
+    clip_norm: Positive = Field(
+        description="largest norm of the gradient. A larger gradient is scaled to it"
+    )
+    span_windows: Count = Field(
+        description="consecutive windows in a span, which share the embeddings of their frames"
+    )
+    batch_spans: Count = Field(description="spans in an optimiser step, of about as many drives")
+    rescale: float = Field(
+        ge=1,
+        le=2,
+        description="largest random factor by which the scene of a span, and its bends, are "
+        "scaled. 1 is no scaling",
+    )
+    average: float = Field(
+        ge=0,
+        lt=1,
+        description="decay per step of the exponential moving average of the weights, which are "
+        "validated and saved. 0 is no average",
+    )
 
     @field_validator("seeds")
     @classmethod

@@ -16,7 +16,12 @@ Count = Annotated[int, Field(ge=1, le=1024)]
 # Channels after each layer.
 Widths = Annotated[tuple[Count, ...], Field(min_length=1, max_length=32, strict=False)]
 Semantics = Annotated[
-    float, Field(ge=0, le=1, description="weight of the classes, paper eq. 7; 0: geometry alone")
+    float,
+    Field(
+        ge=0,
+        le=1,
+        description="weight of the classes in the node features, λ of eq. 7. 0 is geometry alone",
+    ),
 ]
 
 
@@ -71,11 +76,16 @@ class NetworkOptions(OptionGroup):
         return None
 
 
+def network_names(part: Literal["spatial", "temporal"]) -> list[str]:
+    """Return the names of the networks, each a file of models/steering/<part>."""
+    folder = Path(__file__).parents[1] / part
+    return sorted(file.stem for file in folder.glob("[!_]*.py"))
+
+
 def load_options(part: Literal["spatial", "temporal"], name: str) -> type[NetworkOptions]:
     """Return the class `Options` of a network's file. Raises InputError if there is no file."""
     path = f"models/steering/{part}/{name}.py"
-    folder = Path(__file__).parents[1] / part
-    names = sorted(file.stem for file in folder.glob("[!_]*.py"))
+    names = network_names(part)
     if name not in names:
         raise InputError(f"{part} = {name!r}: there is no {path} (known: {', '.join(names)})")
     try:

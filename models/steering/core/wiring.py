@@ -25,13 +25,23 @@ class Wiring(NamedTuple):
 class Layout(OptionGroup):
     """Option `wiring`: neurons per layer, synapses per neuron, and the seed that chooses them."""
 
-    inter: Count = 12
-    command: Count = 6
-    sensory_fanout: Count = 6
-    inter_fanout: Count = 4
-    recurrent_command_synapses: Annotated[int, Field(ge=0)] = 6
-    motor_fanin: Count = 6
-    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None  # null: the training run's seed
+    inter: Count = Field(default=12, description="inter neurons")
+    command: Count = Field(default=6, description="command neurons")
+    sensory_fanout: Count = Field(
+        default=6, description="inter neurons that each feature feeds, at most `inter`"
+    )
+    inter_fanout: Count = Field(
+        default=4, description="command neurons that each inter neuron feeds, at most `command`"
+    )
+    recurrent_command_synapses: int = Field(
+        default=6, ge=0, description="synapses among command neurons, at most `command`²"
+    )
+    motor_fanin: Count = Field(
+        default=6, description="command neurons that feed each motor neuron, at most `command`"
+    )
+    seed: Annotated[int, Field(ge=0, lt=2**63)] | None = Field(
+        default=None, description="seed of the wiring. `null` is the seed of the training"
+    )
 
 
 def ncp(inputs: int, layout: Layout = Layout(), motor: int = 1) -> Wiring:

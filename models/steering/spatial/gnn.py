@@ -5,6 +5,7 @@ from itertools import pairwise
 from typing import Any
 
 import torch
+from pydantic import Field
 from torch import Tensor, nn
 
 from models.steering.core.batch import GraphBatch
@@ -20,7 +21,7 @@ from models.steering.core.options import NetworkOptions, Semantics, Sizes, Width
 class Options(NetworkOptions):
     kind = "graph"
     reads_edges = True
-    layers: Widths = (32, 32, 64)  # channels after each layer
+    layers: Widths = Field(default=(32, 32, 64), description="channels after each layer")
     semantics: Semantics
 
     def build(self, sizes: Sizes) -> nn.Module:

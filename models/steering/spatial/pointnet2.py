@@ -58,12 +58,23 @@ class SetAbstraction(nn.Module):
 
 class Options(NetworkOptions):
     kind = "graph"
-    width: Annotated[float, Field(gt=0, le=4)] = 0.25  # factor on the paper's numbers of channels
-    # The following have a value for each level. The published radii, 0.2 and 0.4, are for objects
-    # in a unit sphere, but a street extends about 40 m.
-    centres: Counts = (128, 32)  # centres of a frame; the published network has 512 and 128
-    radius_m: Radii = (3.0, 6.0)  # radius of the ball around a centre
-    neighbours: Counts = (16, 16)  # points of a ball; the published network has 32 and 64
+    width: float = Field(
+        default=0.25, gt=0, le=4, description="factor on the published numbers of channels"
+    )
+    centres: Counts = Field(
+        default=(128, 32),
+        description="centres of a frame, for each level. The published network has [512, 128]",
+    )
+    # The published radii, 0.2 and 0.4, are for objects in a unit sphere, but a street extends about
+    # 40 m.
+    radius_m: Radii = Field(
+        default=(3.0, 6.0),
+        description="radius in metres of the ball around a centre, for each level",
+    )
+    neighbours: Counts = Field(
+        default=(16, 16),
+        description="points of a ball, for each level. The published network has [32, 64]",
+    )
     semantics: Semantics
 
     @model_validator(mode="after")

@@ -4,7 +4,7 @@ Any layer that takes `x, edge_index` is possible.
 """
 
 from inspect import signature
-from typing import Annotated, Any
+from typing import Any
 
 import torch
 from pydantic import Field
@@ -19,13 +19,16 @@ from pipeline.base.errors import InputError, closest
 class Options(NetworkOptions):
     kind = "graph"
     reads_edges = True
-    layer: Annotated[
-        str, Field(description="a layer of torch_geometric.nn, for instance GATv2Conv")
-    ]
-    # Keyword arguments of the layer.
-    layer_options: dict[str, Any] = {}
-    # Channels of each layer; attention heads multiply them.
-    layers: Widths = (32, 32, 64)
+    layer: str = Field(
+        description="a layer of torch_geometric.nn that takes `x, edge_index`, for instance "
+        "GATv2Conv"
+    )
+    layer_options: dict[str, Any] = Field(
+        default={}, description="arguments of the layer, of GATv2Conv for instance `{heads: 4}`"
+    )
+    layers: Widths = Field(
+        default=(32, 32, 64), description="channels of each layer, which attention heads multiply"
+    )
     semantics: Semantics
 
     def build(self, sizes: Sizes) -> nn.Module:

@@ -1,6 +1,7 @@
 """Long short-term memory (Hochreiter and Schmidhuber 1997)."""
 
 import torch
+from pydantic import Field
 from torch import Tensor, nn
 
 from models.steering.core.options import Count, NetworkOptions, Sizes
@@ -8,7 +9,7 @@ from models.steering.core.recurrent import RecurrentCell
 
 
 class Options(NetworkOptions):
-    units: Count = 32
+    units: Count = Field(default=32, description="units of the cell")
 
     def build(self, sizes: Sizes) -> RecurrentCell:
         return LSTM(sizes.features, self, sizes.outputs)

@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from typing import Literal
 
+from pydantic import Field
+
 from models.steering.core.cell.eq4 import Eq4
 from models.steering.core.cell.ltc import LTC
 from models.steering.core.options import NetworkOptions, Sizes
@@ -14,7 +16,11 @@ CELLS: dict[str, Callable[[Wiring], RecurrentCell]] = {"ltc": LTC, "eq4": Eq4}
 
 
 class Options(NetworkOptions):
-    cell: Literal["ltc", "eq4"] = "ltc"  # eq4 is the paper's equation 4 as printed
+    cell: Literal["ltc", "eq4"] = Field(
+        default="ltc",
+        description="equation of the neurons: `ltc` is the liquid time constant of ncps, `eq4` the "
+        "paper's equation 4 as printed",
+    )
     wiring: Layout = Layout()
 
     def build(self, sizes: Sizes) -> RecurrentCell:

@@ -61,8 +61,9 @@ def _describe_dataset(file: DriveReader, name: str) -> list[str]:
 def write_view(path: Path, number: int | None, out: Path) -> None:
     """Write a page with the points and edges of a frame of a file in 3D.
 
-    If `number` is None, it is the frame in the middle of the file. Raises InputError if the file
-    has no points, or lacks the frame.
+    The page has the frame's image, too, if it is in the same data folder. If `number` is None, it
+    is the frame in the middle of the file. Raises InputError if the file has no points, or lacks
+    the frame.
     """
     from pipeline.report.street_view import read_view
     from steer import space
@@ -74,8 +75,11 @@ def write_view(path: Path, number: int | None, out: Path) -> None:
         if number is None:
             number = int(file.frame[len(file.frame) // 2])
         view = read_view(number, file)
+        images = open_images(file)
+        if images is not None:
+            view = view._replace(rgb=read_view(number, images).rgb)
         kind = f"{file.attrs['stage']}/{path.absolute().parent.name}"
-        title = f"{file.drive}, {kind}, frame {number}: {len(np.asarray(view.xyz)):,} points"
+        title = f"{file.drive}, {kind}, frame {number}"
     with replacing(out) as unfinished:
         space.write_page(unfinished, view, title)
 
@@ -86,6 +90,19 @@ def open_drive(path: Path) -> DriveReader:
         problem = "expected a drive's file (.h5) or a checkpoint (.pt)"
         raise InputError(problem, path, "Pass one from a folder in data/")
     return DriveReader(path, {file.STAGE: file.VERSIONS for file in FORMATS})
+
+
+def open_images(file: DriveReader) -> DriveReader | None:
+    """Open the drive's file of stage ingest in the same data folder; None if it is not there.
+
+    `file` is in data/clouds/KIND or data/graphs/VARIANT. Both files are closed together.
+    """
+    # The folder is resolved without the file, which DVC may have linked to its cache.
+    data = file.path.parent.resolve().parent.parent
+    ingest = data / "ingest" / file.path.name
+    if not ingest.is_file():
+        return None
+    return file.enter_context(ingest_file.open_ingest(ingest))
 
 
 def _without_tensors(content: Mapping[str, Any]) -> Content:

@@ -13,10 +13,9 @@ from pipeline.base.errors import InputError
 from pipeline.base.store import DriveReader, replacing
 from pipeline.camera.camera import find_visible
 from pipeline.camera.geometry import pixels_of
-from pipeline.ingest.ingest_file import open_ingest
 from pipeline.ingest.stored_camera import read_camera
 from pipeline.report import street_view
-from steer.artefact import open_drive
+from steer.artefact import open_drive, open_images
 
 # Suffixes of the formats that are written.
 SUFFIXES = (".ply", ".pcd")
@@ -59,25 +58,12 @@ def export_points(path: Path, number: int, out: Path) -> str:
     return about
 
 
-def _open_images(file: DriveReader) -> DriveReader | None:
-    """Open the drive's file of stage ingest in the same data folder; None if it is not there.
-
-    `file` is in data/clouds/KIND or data/graphs/VARIANT. Both files are closed together.
-    """
-    # The folder is resolved without the file, which DVC may have linked to its cache.
-    data = file.path.parent.resolve().parent.parent
-    ingest = data / "ingest" / file.path.name
-    if not ingest.is_file():
-        return None
-    return file.enter_context(open_ingest(ingest))
-
-
 def _pick_colours(file: DriveReader, number: int, xyz: np.ndarray) -> np.ndarray | None:
     """Return the colours, uint8 [P,3], of the points of a frame in its image.
 
     Points outside of the image, or hidden by others, are black. Returns None if there is no image.
     """
-    ingest = _open_images(file)
+    ingest = open_images(file)
     if ingest is None:
         return None
     image = street_view.read_view(number, ingest).rgb

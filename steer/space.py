@@ -1,8 +1,10 @@
 """Show the points and the graph of a frame in 3D: a page with Plotly."""
 
+import base64
 import html
 from pathlib import Path
 
+import cv2
 import numpy as np
 import plotly.graph_objects as go
 
@@ -18,7 +20,6 @@ _LOWEST_M = np.array([-22, 0, -4])
 _HIGHEST_M = np.array([22, 50, 10])
 _LAYOUT = {
     "template": "none",
-    "title": {"x": 0.01, "y": 1, "yanchor": "top", "pad": {"t": 12}},
     "showlegend": True,
     "legend": {
         "orientation": "h",
@@ -26,7 +27,7 @@ _LAYOUT = {
         "y": 1.02,
         "yanchor": "bottom",
     },
-    "margin": {"l": 0, "r": 0, "t": 110, "b": 0},
+    "margin": {"l": 0, "r": 0, "t": 90, "b": 0},
     "scene": {
         "xaxis": {"title": "right, m", "range": [_LOWEST_M[0], _HIGHEST_M[0]]},
         "yaxis": {"title": "ahead, m", "range": [_LOWEST_M[1], _HIGHEST_M[1]]},
@@ -40,26 +41,64 @@ _LAYOUT = {
 }
 
 
+# The image and the points are side by side where both fit, otherwise one above the other.
+_PAGE = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width">
+<title>{title}</title>
+<style>
+body {{ margin: 12px; font: 15px/1.5 sans-serif; }}
+h1 {{ margin: 0; font-size: 17px; overflow-wrap: anywhere; }}
+main {{ display: flex; flex-wrap: wrap; gap: 12px; align-items: flex-start; }}
+img {{ flex: 1 1 320px; min-width: 0; max-width: 640px; }}
+main > div {{ flex: 3 1 360px; min-width: 0; }}
+</style>
+</head>
+<body>
+<h1>{title}</h1>
+<p>{count}</p>
+<main>{image}{plot}</main>
+</body>
+</html>
+"""
+
+
 def write_page(path: Path, view: View, title: str) -> None:
-    """Write a page that shows a frame in 3D."""
-    text = html.escape(title)
-    page = plot_frame(view, text).to_html(
+    """Write a page that shows a frame in 3D, beside its image if the view has one."""
+    figure = plot_frame(view)
+    count = 0
+    for trace in figure.data:
+        if trace.mode == "markers":
+            count += len(trace.x)
+    image = ""
+    if view.rgb is not None:
+        _, png = cv2.imencode(".png", cv2.cvtColor(view.rgb, cv2.COLOR_RGB2BGR))
+        encoded = base64.b64encode(png).decode()
+        image = f'<img alt="the image of the frame" src="data:image/png;base64,{encoded}">'
+    plot = figure.to_html(
         div_id="space",
+        full_html=False,
         config={"responsive": True, "displayModeBar": False},
-        default_height="min(95vh, 105vw)",
+        default_height="min(85vh, 110vw)",
     )
-    path.write_text(page.replace("<head>", f"<head><title>{text}</title>", 1), encoding="utf-8")
+    page = _PAGE.format(
+        title=html.escape(title),
+        count=f"{count:,} of {len(np.asarray(view.xyz)):,} points are shown.",
+        image=image,
+        plot=plot,
+    )
+    path.write_text(page, encoding="utf-8")
 
 
-def plot_frame(view: View, title: str) -> go.Figure:
+def plot_frame(view: View) -> go.Figure:
     """Plot the points of a frame by class, and its edges.
 
-    Points and edges outside of the axes are left out. If a frame has too many edges, those near the
-    car are shown.
+    Points and edges outside of the axes are left out. If a frame has too many points, some are
+    drawn at random. If it has too many edges, those near the car are shown.
     """
-    figure = go.Figure(_draw_traces(view), _LAYOUT)
-    figure.update_layout(title_text=title)
-    return figure
+    return go.Figure(_draw_traces(view), _LAYOUT)
 
 
 def _draw_traces(view: View) -> list[go.Scatter3d]:

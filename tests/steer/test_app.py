@@ -82,7 +82,8 @@ def test_a_frame_is_shown_in_a_page(data):
         assert run("view", path, "--out", out, *frame) == f"{out}\n"
         text = Path(out).read_text()
         assert '"name":"edges"' in text
-        assert f"<title>{DRIVE}, graphs/semantic, frame {number}: 30 points</title>" in text
+        assert f"<title>{DRIVE}, graphs/semantic, frame {number}</title>" in text
+        assert "of 30 points are shown." in text
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ def test_points_have_a_trace_per_class_and_edges_one():
     edges = np.array([[1, 2], [2, 3]])
     cls = np.array([ROAD, ROAD, VOID, VOID])
     view = View(7, xyz=xyz, points_cls=cls, edges=edges)
-    road, void, line = space.plot_frame(view, "a drive").data
+    road, void, line = space.plot_frame(view).data
     assert (road.name, road.marker.color, void.name) == ("road", "rgb(128, 64, 128)", "no class")
     assert {*zip(road.x, road.y, road.z, strict=True)} == {(1, 3, -2), (4, 6, -3)}
     assert (*void.x, *void.y, *void.z) == (7, 9, -1)

@@ -153,7 +153,9 @@ def read_drive(files: KittiDrive, settings: Reading) -> Drive:
     camera_number = files.choose_camera(settings.cameras)
     camera = files.read_camera(camera_number)
     images = files.find_images(camera_number)
-    notes = [f"camera {camera_number}"]
+    notes = []
+    if camera_number != settings.cameras[0]:
+        notes.append(f"camera {camera_number}, as camera {settings.cameras[0]} has no images")
     if files.scans and settings.lidar and camera.T_cam_velo is None:
         problem = "drive has scans, but calib_velo_to_cam.txt is missing"
         fix = "Extract the date's calibration archive, or set ingest.lidar: false"

@@ -4,6 +4,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 from tqdm import tqdm
 
@@ -23,6 +24,7 @@ from pipeline.motion.facts import check_unit
 from pipeline.motion.measure import measure_drive
 from pipeline.perception.perceive import perceive_drive
 from pipeline.perception.settings import Perception
+from steer.measured import measured_key, take_measured
 
 # Names of the files that :func:`run_chain` writes.
 INGEST = "ingest.h5"
@@ -102,19 +104,42 @@ def _open_files(path: Path, files: kitti.KittiDrive, reading: Reading) -> Source
     return Source(path, files, kitti.read_drive(files, reading))
 
 
+class Measured(NamedTuple):
+    """What :func:`run_chain` measured."""
+
+    # Summary of the motion, see :func:`pipeline.motion.measure.measure_drive`.
+    facts: Summary
+    # Cache key of depth, classes and motion.
+    key: str
+
+
 def run_chain(
-    source: Source, work: Path, *, reading: Reading, perception: Perception, encoder: Path
-) -> Summary:
+    source: Source,
+    work: Path,
+    *,
+    reading: Reading,
+    perception: Perception,
+    encoder: Path,
+    earlier: Path | None = None,
+) -> Measured:
     """Write ingest.h5, perception.h5 and motion.h5 of a source to the folder `work`.
 
-    `encoder` is the folder of an encoder. Returns the summary of the motion, see
-    :func:`pipeline.motion.measure.measure_drive`. Raises InputError if no frame can be read.
+    `encoder` is the folder of an encoder. If `earlier`, an output folder of `steer measure`, has
+    depth, classes and motion of the same images, code and settings, these are taken. Raises
+    InputError if no frame can be read.
     """
     ingest = work / INGEST
     perceived = work / PERCEPTION
+    # Further cameras of the settings are not read, and change no key.
+    reading = reading.model_copy(update={"cameras": [source.files.choose_camera(reading.cameras)]})
     with tqdm(unit=" frames", disable=None) as bar:
         bar.set_description("ingest")
         summary = write_drive(ingest, source.drive, source.name, "kitti", reading, bar.update)
+
+        key = measured_key(ingest, perception, encoder)
+        facts = take_measured(earlier, work, key) if earlier else None
+        if facts is not None:
+            return Measured(facts, key)
 
         # Damaged frames, and frames without an image, are left out of the next file.
         bar.reset(summary["frames"])
@@ -132,6 +157,6 @@ def run_chain(
 
         bar.reset(summary["frames"])
         bar.set_description("motion")
-        summary = measure_drive(work / MOTION, ingest, perceived, advance=bar.update)
-    check_unit({source.name: summary})
-    return summary
+        facts = measure_drive(work / MOTION, ingest, perceived, advance=bar.update)
+    check_unit({source.name: facts})
+    return Measured(facts, key)

@@ -22,6 +22,7 @@ from pipeline.perception.settings import Perception
 from pipeline.train.trained import Trained
 from steer import predict
 from steer.chain import INGEST, open_source, run_chain
+from steer.measured import find_drive, keep_measured
 from steer.outcome import Outcome, Results, comparison_lines
 from steer.pictures import draw_track, write_overlay
 
@@ -67,15 +68,27 @@ def measure_source(
         hz = model.fps
         car = model.quantity.car
 
+    # An output folder of `steer measure` stands for its drive.
+    earlier = paths[0] if len(paths) == 1 else None
+    if earlier:
+        paths = [find_drive(earlier)]
+
     with _open_folders(out) as (results_folder, work):
         source = open_source(
             paths, reading=reading, options=options, folder=results_folder / "drive", hz=hz
         )
         if model:
             source = predict.adapt_source(model, source)
-        facts = run_chain(source, work, reading=reading, perception=perception, encoder=encoder)
+        measured = run_chain(
+            source,
+            work,
+            reading=reading,
+            perception=perception,
+            encoder=encoder,
+            earlier=earlier,
+        )
 
-        results = Results.read(source, work, facts, car, smooth=model is None)
+        results = Results.read(source, work, measured.facts, car, smooth=model is None)
         results.doubts += find_warnings(encoder, "float32", [work / INGEST])
         comparison = results.compare_angles("measured")
         if model:
@@ -93,6 +106,9 @@ def measure_source(
             write_json(
                 results_folder / "quality.json", results.describe_quality(source, comparison)
             )
+            if model is None:
+                folder = source.files.folder
+                keep_measured(results_folder, work, measured.key, measured.facts, folder)
             if video:
                 write_overlay(results_folder / "overlay.mp4", source, results, car.wheelbase_m)
     files = sorted(out.iterdir()) if out else []

@@ -13,6 +13,7 @@ import pytest
 import torch
 import yaml
 
+from pipeline.base import checkpoint
 from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError
 from pipeline.graphs.graph_file import open_graphs
@@ -20,7 +21,7 @@ from pipeline.motion.motion_file import open_motion
 from pipeline.perception import perceive
 from pipeline.train.trained import load_model
 from stages import clouds, encoder, graphs, ingest, labels, motion, perception, sample, train
-from steer import api
+from steer import api, chain, measure
 from steer.commands.predict import predict
 
 pytestmark = pytest.mark.slow
@@ -133,6 +134,38 @@ def test_a_prediction_for_a_training_drive_is_doubted(folder, capsys):
     outcome = api.predict(source, folder / "data/train/path")
     doubt = "path was trained on 2026_01_01_drive_0001: on other streets its error is larger"
     assert doubt in outcome.doubts
+
+
+def test_a_measured_folder_is_not_measured_again(folder, tmp_path, monkeypatch):
+    """The drive and its measurements are found in the folder, unless the encoder is another one."""
+    encoder = folder / "data/encoder"
+    reading = measure.READING.model_copy(update={"image_size": (96, 320)})
+    monkeypatch.setattr(measure, "READING", reading)
+    images = drive(folder) / "image_02/data"
+    options = {"encoder": encoder, "fov_deg": 81.0, "fps": 10.0, "camera_height_m": 1.65}
+    expected = api.measure(images, out=tmp_path / "out", **options).table
+
+    frames = []
+    passed = perceive.perceive_drive
+
+    def count_frames(*arguments: Any, **named: Any) -> Any:
+        summary = passed(*arguments, **named)
+        frames.append(summary["frames"])
+        return summary
+
+    monkeypatch.setattr(chain, "perceive_drive", count_frames)
+    moved = (tmp_path / "out").rename(tmp_path / "moved")
+    predicted = api.predict(moved, folder / "data/train/points", encoder=encoder)
+    assert frames == []
+    pd.testing.assert_series_equal(predicted.table["valid"], expected["valid"])
+    assert predicted.table["predicted_rad"].notna().sum() >= 9
+
+    other = shutil.copytree(encoder, tmp_path / "encoder")
+    content = checkpoint.load(other / "encoder.pt")
+    checkpoint.write(other / "encoder.pt", content | {"note": "another file"})
+    again = api.predict(moved, folder / "data/train/points", encoder=other)
+    assert frames == [12]
+    pd.testing.assert_frame_equal(again.table, predicted.table)
 
 
 @pytest.mark.parametrize(

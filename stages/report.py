@@ -13,11 +13,12 @@ from pipeline.base.params import load_section, read_entries
 from pipeline.base.summary import split_doubts
 from pipeline.evaluate.settings import Evaluate
 from pipeline.report import drawings, page, tables
+from pipeline.report.curves import gather_curves
 from pipeline.report.values import dvc_metrics, frames_of, gather_values, load_tasks, to_json
 
 
 def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
-    """Write the page with its pictures, the tables, and the file of DVC's metrics.
+    """Write the page with its pictures, the tables, and the files of DVC's metrics and plots.
 
     The report also names the models of the params file that are not evaluated on this machine.
     Returns the folder.
@@ -35,7 +36,12 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
         values = gather_values(tasks, load_section(Evaluate, params))
         rows = to_json(values) | {"frames": frames_of(tasks), "scores": scores}
         store.write_json(folder.new / "results.json", rows, sort_keys=False)
-        store.write_json(folder.new / "metrics.json", dvc_metrics(values), sort_keys=False)
+        (folder.new / "metrics").mkdir()
+        for metric, numbers in dvc_metrics(values).items():
+            store.write_json(folder.new / f"metrics/{metric}.json", numbers, sort_keys=False)
+        curves = gather_curves(tasks, data / "train")
+        curves_csv = curves.to_csv(index=False, lineterminator="\n")
+        store.write_text(folder.new / "curves.csv", curves_csv)
 
         sentences = tables.write_sentences(values, absent)
         text = "\n\n".join(fill(sentence, 110) for sentence in sentences)

@@ -14,6 +14,7 @@ from pipeline.jobs.console import EntryName
 from pipeline.jobs.executors import SCHEDULER, run_jobs
 from pipeline.jobs.keys import stage_key
 from pipeline.jobs.outputs import StageFolder, stage_folder
+from pipeline.jobs.progress import Progress
 
 from pipeline.base import store
 from pipeline.base.errors import error_context
@@ -74,7 +75,7 @@ def main(
         model = Model(name, where, entry, settings, splits, drives)
         names = store.drives_in(splits, "train", "val")
         work = partial(fit_run, model, Files(drives[name].graphs for name in names))
-        tasks = list_tasks(model, folder)
+        tasks = list_tasks(model, folder, workers)
         for _ in run_jobs(work, tasks, folder, workers=workers, threads=1):
             pass
         # The states of networks of other code and settings stay for later runs, too, as they are
@@ -83,17 +84,22 @@ def main(
     return out
 
 
-def list_tasks(model: Model, folder: StageFolder) -> list[Task]:
+def list_tasks(model: Model, folder: StageFolder, workers: int | None) -> list[Task]:
     """Return the networks to train, one per seed.
 
-    The state of an earlier run is continued if it had the same code, inputs and files.
+    The state of an earlier run is continued if it had the same code, inputs and files. `workers` is
+    an argument of :func:`run_jobs`.
     """
     code = folder.code.hash()
     files = [file_hash(path) for path in model.input_files()]
     tasks = []
     for run in runs.list_runs(folder.new, model.settings.seeds):
         key = stage_key(code, model.inputs(run.seed), files)
-        tasks.append(Task(run, folder.kept / f"{key}.pt"))
+        # Of networks that are trained in parallel, only the first has a bar on a terminal.
+        title = f"{model.name} seed {run.seed}"
+        has_bar = workers == 1 or not tasks
+        progress = Progress(title, model.settings.epochs, has_bar)
+        tasks.append(Task(run, folder.kept / f"{key}.pt", title, progress.watch_steps))
     return tasks
 
 

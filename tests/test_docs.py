@@ -241,10 +241,12 @@ def test_the_quantity_of_the_documentation_is_trained_evaluated_and_shown(tmp_pa
 
     report.main(tmp_path, params=tmp_path / "params.yaml")
     assert re.search(r"\| +MAE 1/m \|", (tmp_path / "report/table.md").read_text())
-    rows = store.read_json(tmp_path / "report/metrics.json", stage="report")
+    rows = store.read_json(tmp_path / "report/results.json", stage="report")
     assert {"curvature-0/net", "curvature-0/odometry", "curvature-0/persistence"} <= {*rows}
     error_1pm = (table["predicted_curvature_1pm"] - table["true_curvature_1pm"]).abs().mean()
     assert rows["curvature-0/net"]["mae"] == pytest.approx(error_1pm, rel=1e-4)
+    shown = store.read_json(tmp_path / "report/metrics/error.json", stage="report")
+    assert shown == {"net": rows["curvature-0/net"]["nmse"]}
 
 
 def test_the_column_of_the_documentation_goes_from_the_points_into_a_network(tmp_path, monkeypatch):

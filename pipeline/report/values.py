@@ -146,10 +146,26 @@ def from_json(rows: Mapping[str, Any]) -> pd.DataFrame:
     return _add_columns(table)
 
 
-def dvc_metrics(values: pd.DataFrame) -> dict[str, Any]:
-    """Return key → errors of models and baselines, as ``dvc metrics show`` prints them."""
-    is_error = [" - " not in row for _, _, row in values.index]
-    return to_records(values.loc[is_error, ["error", "nmse", "mae", *METRICS]])
+def dvc_metrics(values: pd.DataFrame) -> dict[str, dict[str, float]]:
+    """Return metric → model → its number, as ``dvc metrics show`` prints them: a row per metric.
+
+    The metric `error` is the one that leads. Metrics of METRICS are those of all frames, or of a
+    path the range that ends where this error is.
+    """
+    rows: dict[str, dict[str, float]] = {name: {} for name in ("error", *METRICS)}
+    for task in values.index.unique("task"):
+        table = values.loc[task]
+        ends = list_ends(table)
+        label = lead_label(table)
+        part = list_ranges(table)[ends.index(label)] if label else ""
+        for model in rank_models(table):
+            numbers = {"error": lead_errors(table)[model]}
+            for name in METRICS:
+                numbers[name] = table.loc[(part, model), name]
+            for name, number in numbers.items():
+                if not pd.isna(number):
+                    rows[name][model] = float(f"{number:.5g}")
+    return rows
 
 
 def frames_of(tasks: Sequence[Task]) -> dict[str, str]:

@@ -3,7 +3,7 @@
 import copy
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -35,6 +35,9 @@ SMOOTHING = 3
 # second ahead was 0.264 and 0.179 with motion always (seeds 0 and 1), 0.087 with 0.3 of the spans
 # hidden (seed 0), and 0.077 and 0.100 with half of them: docs/history.md.
 MOTION_DROPOUT = 0.5
+# Function that yields the batches of an epoch, given its number and its number of steps, and says
+# how many are done.
+Watch = Callable[[Iterable[dict[str, Tensor]], int, int], Iterable[dict[str, Tensor]]]
 
 
 def selected_epoch(curve: Sequence[Mapping[str, float]]) -> int:
@@ -69,6 +72,7 @@ class Fit:
     train: Sequence[LabelledDrive]
     val: Sequence[LabelledDrive]
     files: Files = field(default_factory=Files)
+    watch: Watch | None = None
 
     def __post_init__(self) -> None:
         self.scale = Scale.from_drives(self.train)
@@ -209,9 +213,12 @@ class Fit:
         steps = self._plan_epoch(epoch)
         # Random numbers of the network, such as those of dropout, derive from the epoch, too.
         torch.manual_seed(int(np.random.SeedSequence([self.seed, epoch]).generate_state(1)[0]))
+        batches: Iterable[dict[str, Tensor]] = reader.read_batches(steps, net.device)
+        if self.watch:
+            batches = self.watch(batches, epoch, len(steps))
         errors = []
         weights = []
-        for step, batch in enumerate(reader.read_batches(steps, net.device)):
+        for step, batch in enumerate(batches):
             progress = (epoch - 1 + step / len(steps)) / self.settings.epochs
             learning_rate = self.settings.learning_rate * warm_up_cosine(progress, WARM_UP)
             for group in self.optimiser.param_groups:

@@ -14,7 +14,7 @@ from pipeline.base import checkpoint, store
 from pipeline.base.errors import error_context
 from pipeline.train import runs, trained
 from pipeline.train.entry import Entry
-from pipeline.train.fit import Fit, selected_epoch
+from pipeline.train.fit import Fit, Watch, selected_epoch
 from pipeline.train.frames import Files
 from pipeline.train.settings import Train
 from pipeline.train.targets import Drives, LabelledDrive
@@ -66,6 +66,10 @@ class Task(NamedTuple):
     run: runs.Run
     # File with the state of the training, from which an interrupted one continues.
     state: Path
+    # Name for the log.
+    title: str
+    # Says how far an epoch is.
+    watch: Watch
 
 
 def fit_run(model: Model, files: Files, task: Task) -> None:
@@ -80,8 +84,8 @@ def fit_run(model: Model, files: Files, task: Task) -> None:
     with error_context(where=model.where):
         net = _build_network(entry, train[0], run.seed)
 
-    fit = Fit(net, entry, model.settings, run.seed, train, val, files)
-    fit.train_network(task.state, f"{model.name} seed {run.seed}")
+    fit = Fit(net, entry, model.settings, run.seed, train, val, files, task.watch)
+    fit.train_network(task.state, task.title)
 
     intervals_s = np.concatenate([np.diff(drive.time_s) for drive in train])
     best = {

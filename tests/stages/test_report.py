@@ -19,10 +19,22 @@ def run(folder: Path, *models: str) -> str:
     return (folder / "report/table.md").read_text()
 
 
+def test_a_machine_that_only_evaluated_gets_a_page(tmp_path):
+    """Without the folders of other stages, there are no scores, no images and no curves."""
+    examples.write_model(tmp_path, examples.metrics("mine"))
+    assert "## Results: steering angle" in run(tmp_path, "mine", "sa-gnn-ncp")
+    report_folder = tmp_path / "report"
+    assert "No result here: sa-gnn-ncp." in (report_folder / "index.html").read_text()
+    pictures = {path.name for path in (report_folder / "figures").iterdir()}
+    assert pictures == {"errors-angle-0.png", "time-angle-0.png"}
+    assert len((report_folder / "curves.csv").read_text().splitlines()) == 1
+
+
 def test_all_files_are_written_and_repeat(tmp_path):
     assert run(tmp_path, "absent").startswith("No result here: absent.")
     assert (tmp_path / "report/figures").is_dir()
-    examples.write_model(tmp_path, examples.metrics("sa-gnn-ncp"))
+    content = examples.metrics("sa-gnn-ncp") | {"seeds": [0, 1]}
+    examples.write_model(tmp_path, content)
     examples.write_model(tmp_path, examples.metrics("scene", predict="path"))
     for folder in ("", "seed-1/"):
         curve = tmp_path / f"train/sa-gnn-ncp/{folder}curve.csv"
@@ -44,12 +56,16 @@ def test_all_files_are_written_and_repeat(tmp_path):
     assert made[0] == made[1]
     assert "## Results: steering angle" in text
     assert "## nmse by range: path ahead" in text
-    metrics = json.loads(made[0]["metrics.json"])
-    assert next(iter(metrics)) == "path-0/at 5 m/scene"
-    error_m = metrics["path-0/at 5 m/scene"]["error"]
+    errors = json.loads(made[0]["error.json"])
+    assert [*errors] == ["scene", "sa-gnn-ncp"]
+    error_m = errors["scene"]
     sentence = f"Network `scene` has an error (displacement at 5 m) of {error_m:.2f} m on 2 drives"
     assert sentence in " ".join(text.split())
-    assert metrics["angle-0/sa-gnn-ncp"]["nmse"] == pytest.approx(0.2)
+    assert errors["sa-gnn-ncp"] == pytest.approx(0.2)
+    curves = "model,seed,epoch,learning_rate,train_loss,val_nmse\n"
+    curves += "sa-gnn-ncp,0,1,0.003,0.70,0.6\nsa-gnn-ncp,0,2,0.001,0.5,\n"
+    curves += "sa-gnn-ncp,1,1,0.003,0.70,0.6\nsa-gnn-ncp,1,2,0.001,0.5,\n"
+    assert made[0]["curves.csv"].decode() == curves
     results = json.loads(made[0]["results.json"])
     assert results["scores"]["recorded"] == recorded
     assert results["frames"]["path-0"] == "frames that scene predicts"

@@ -46,7 +46,7 @@ def describe_file(path: Path) -> Content:
 
 
 def _describe_dataset(file: DriveReader, name: str) -> list[str]:
-    """Return texts about a dataset: type and shape, unit, name of its pointers, size on disk."""
+    """Return texts about a dataset: type and shape, unit, pointers, size on disk, meaning."""
     dataset = file.datasets[name]
     shape = " × ".join(str(size) for size in dataset.shape)
     texts = [f"{dataset.dtype} {shape}"]
@@ -55,6 +55,8 @@ def _describe_dataset(file: DriveReader, name: str) -> list[str]:
     if name in file.pointers:
         texts.append(f"rows of a frame: {file.pointers[name]}")
     texts.append(f"{dataset.id.get_storage_size()} bytes")
+    if name in file.meanings:
+        texts.append(file.meanings[name])
     return texts
 
 

@@ -287,6 +287,7 @@ def test_the_column_of_the_documentation_goes_from_the_points_into_a_network(tmp
     with open_graphs(graph) as file:
         assert file.signs == {"normals": (-1, 1, 1)}
         assert file.units["normals"] == "unit vector"
+        assert file.meanings["normals"] == "normal of the surface, towards the camera"
         cloud = Cloud.read(file, ["normals"], slice(None))
         batch = from_arrays(artefacts.collate((file, 0, 6)))
     x, y, z = cloud.xyz.T

@@ -11,6 +11,7 @@ import pytest
 
 from pipeline.base.checkout import ROOT
 from pipeline.base.store import DriveReader
+from pipeline.camera import classes
 from pipeline.graphs.frame_graph import graphs_drive
 from pipeline.graphs.settings import Variant
 from steer.artefact import FORMATS, open_drive
@@ -19,6 +20,8 @@ from tests.flat_ground import write_encoder
 from tests.test_dvc_yaml import _with_imports
 from tests.test_no_future import write_files
 
+# Formats whose files describe their datasets.
+DESCRIBED = [module for module in FORMATS if hasattr(module, "DESCRIBED")]
 # Datasets that the table of each file describes.
 COMMON = {"frame", "time_s"}
 
@@ -29,6 +32,7 @@ class Row(NamedTuple):
     types: set[str]  # NumPy's names
     ndim: int
     unit: str
+    meaning: str
 
 
 def documented(stage: str) -> dict[str, Row]:
@@ -37,10 +41,12 @@ def documented(stage: str) -> dict[str, Row]:
     table, _, _ = text.partition("\n\n")
     rows = {}
     for line in table.splitlines()[2:]:
-        names, described, unit, _ = [cell.strip() for cell in line.strip("|").split(" |", 3)]
+        cells = [cell.strip() for cell in line.removesuffix("|").strip("|").split(" |", 3)]
+        names, described, unit, meaning = cells
         types, _, shape = described.partition(" [")
         for name in re.findall("`([^`]+)`", names):
-            rows[name] = Row({*types.split(" or ")}, len(shape.split(",")), unit)
+            ndim = len(shape.split(","))
+            rows[name] = Row({*types.split(" or ")}, ndim, unit, meaning.replace("`", ""))
     return rows
 
 
@@ -54,8 +60,17 @@ def test_tables_of_the_data_card_have_the_datasets_and_units_of_the_formats(modu
 def test_a_format_imports_nothing_that_computes(module):
     """So a reader of a file depends on its layout alone."""
     path = Path(*module.__name__.split(".")).with_suffix(".py")
-    imported = _with_imports({path}) - {path}
+    imported = _with_imports({path}) - {path, Path("pipeline/camera/classes.py")}
     assert {file.parent for file in imported} == {Path("pipeline/base")}
+
+
+def test_the_table_of_classes_is_that_of_the_code():
+    _, _, text = (ROOT / "data/README.md").read_text().partition("\n| trainId | ")
+    table, _, _ = text.partition("\n\n")
+    expected = []
+    for number, (name, colour) in enumerate(zip(classes.NAMES, classes.COLOURS, strict=True)):
+        expected.append(f"| {number} | {name} | {', '.join(str(value) for value in colour)} |")
+    assert table.splitlines()[2:] == expected
 
 
 def test_every_format_is_shown():
@@ -91,6 +106,24 @@ def test_files_have_the_datasets_units_and_types_of_the_formats(files):
             assert file.datasets[name].dtype.name in rows[name].types, name
             assert file.datasets[name].ndim == rows[name].ndim, name
     assert written == {module.STAGE: {*module.UNITS} for module in FORMATS}
+
+
+@pytest.mark.parametrize("module", DESCRIBED, ids=lambda module: module.STAGE)
+def test_files_describe_their_datasets_and_classes(module, files):
+    """In the words of data/README.md."""
+    rows = documented(module.STAGE)
+    described = set()
+    for of_file, file in open_all(files):
+        if of_file is module:
+            assert {*file.meanings} == {*file.datasets}
+            described |= {*file.datasets}
+            for name in {*file.datasets} - COMMON:
+                assert file.meanings[name] == rows[name].meaning
+            if "cls" in file:
+                attributes = file.datasets["cls"].attrs
+                assert (*attributes["class_names"].astype(str),) == classes.NAMES
+                np.testing.assert_array_equal(attributes["class_colours"], classes.COLOURS)
+    assert described == {*module.UNITS}
 
 
 def open_all(files: list[Path]) -> Iterator[tuple[ModuleType, DriveReader]]:

@@ -35,6 +35,8 @@ _PIXELS = hdf5plugin.Blosc(cname="zstd", clevel=3, shuffle=hdf5plugin.Blosc.SHUF
 COLUMN_TYPES = ("float32", "uint8")
 # Attribute of a dataset [P,C] with C factors, 1 or -1, that give its rows in the mirror image.
 MIRROR_SIGNS = "mirror_signs"
+# Attribute of a dataset with a text that says what its numbers mean.
+MEANING = "meaning"
 # Largest size in bytes of a text in an attribute. HDF5 has no checksum of a larger attribute if
 # there are many of them. The settings of a file have about 400 bytes.
 _MAX_TEXT_BYTES = 4000
@@ -56,6 +58,8 @@ class Column(NamedTuple):
     # Factors of the C components of a row in the mirror image, 1 or -1. They are empty for datasets
     # whose mirror image the code knows.
     signs: tuple[int, ...] = ()
+    # What the numbers mean. It is empty for datasets that the format of the file describes.
+    meaning: str = ""
 
 
 @contextmanager
@@ -125,15 +129,24 @@ class DriveWriter(ExitStack):
     """Write one drive's file. The file appears if the block of this context manager succeeds."""
 
     def __init__(
-        self, path: Path, *, stage: str, version: int, drive: str, params: Mapping[str, Any]
+        self,
+        path: Path,
+        *,
+        stage: str,
+        version: int,
+        drive: str,
+        params: Mapping[str, Any],
+        described: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
         """Store what is written at the end: attributes, and `params` as one of them.
 
         `version` is that of the layout of the stage's files. `params` maps sections of params.yaml
-        to their content, which is JSON-able.
+        to their content, which is JSON-able. `described` maps datasets to attributes that describe
+        them, beside unit, pointer and signs.
         """
         super().__init__()
         self.path = path
+        self._described = dict(described or {})
         self.attrs: dict[str, Any] = {"schema": version, "stage": stage, "drive": drive}
         self.attrs["params"] = json.dumps(params, sort_keys=True)
         # Datasets stay open until the end. HDF5 writes chunks when a dataset is closed, so the
@@ -160,6 +173,7 @@ class DriveWriter(ExitStack):
         unit: str = "",
         pointer: str = "",
         signs: tuple[int, ...] = (),
+        meaning: str = "",
     ) -> None:
         """Add `rows` [n, ...] at the end of dataset `name`, which the first call creates.
 
@@ -177,6 +191,8 @@ class DriveWriter(ExitStack):
                 attributes["pointer"] = pointer
             if signs:
                 attributes[MIRROR_SIGNS] = np.array(signs, np.int8)
+            if meaning:
+                attributes[MEANING] = meaning
             self._create_dataset(name, rows[:0], attributes, fletcher32=True, **options)
         dataset = self._datasets[name]
         dataset.resize(len(dataset) + len(rows), axis=0)
@@ -188,7 +204,7 @@ class DriveWriter(ExitStack):
     ) -> None:
         """Create a dataset with `options` of h5py's create_dataset."""
         dataset = self._file.create_dataset(name, data=array, **options)
-        _write_attributes(dataset, attributes)
+        _write_attributes(dataset, {**attributes, **self._described.get(name, {})})
         self._datasets[name] = dataset
 
     def __enter__(self) -> Self:
@@ -220,6 +236,8 @@ class DriveReader(ExitStack):
             self.datasets = _check_datasets(file)
             # Name of a dataset → its unit.
             self.units = _read_names(self.datasets, "unit")
+            # Name of a dataset → what its numbers mean. Files of earlier revisions do not say it.
+            self.meanings = _read_names(self.datasets, MEANING)
             # Name of a ragged dataset → name of the dataset with the first row of each frame.
             self.pointers = _read_names(self.datasets, "pointer")
             # Name of a dataset → factors of its components in the mirror image.

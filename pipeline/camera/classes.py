@@ -80,6 +80,10 @@ COLOURS = np.array(
     dtype=np.uint8,
 )
 
+# Attributes of a dataset of class numbers that name and colour the classes, so that a reader of the
+# file needs no table.
+ATTRIBUTES = {"class_names": np.array(NAMES, "S"), "class_colours": COLOURS}
+
 
 def colour_classes(classes: np.ndarray) -> np.ndarray:
     """Return the RGB colours, uint8 [..., 3], of class numbers [...]. Void is black."""

@@ -62,8 +62,13 @@ class Cloud:
                 problem = f"has no column {name!r} (it has {', '.join(file.signs) or 'none'})"
                 fix = "Add it to clouds.columns, and make the clouds again: dvc repro clouds"
                 raise InputError(problem, file.path, fix)
-            values = file.row(name, rows)
-            further[name] = Column(values, file.units.get(name, ""), POINTER, file.signs[name])
+            further[name] = Column(
+                file.row(name, rows),
+                file.units.get(name, ""),
+                POINTER,
+                file.signs[name],
+                file.meanings.get(name, ""),
+            )
         return cls.from_arrays(file.row("xyz", rows), file.row("cls", rows), further)
 
     @property

@@ -57,10 +57,12 @@ class FurtherColumn(NamedTuple):
     # Type in the file. uint8, which the function returns itself, has only signs of 1, and is not in
     # metres.
     type: Literal["float32", "uint8"] = "float32"
+    # What the numbers mean, for readers of the files.
+    meaning: str = ""
 
     def with_rows(self, rows: np.ndarray) -> Column:
         """Return the column with these rows [P,C]."""
-        return Column(rows.astype(self.type), self.unit, POINTER, self.signs)
+        return Column(rows.astype(self.type), self.unit, POINTER, self.signs, self.meaning)
 
     def empty(self) -> Column:
         """Return the column without rows."""
@@ -75,7 +77,14 @@ def intensity(points: Points) -> np.ndarray:
 # Source of clouds → its further columns by name.
 SOURCES: dict[str, dict[str, FurtherColumn]] = {
     "pseudo": {},
-    "lidar": {"intensity": FurtherColumn(intensity, signs=(1,), unit="reflectance, 0 to 1")},
+    "lidar": {
+        "intensity": FurtherColumn(
+            intensity,
+            signs=(1,),
+            unit="reflectance, 0 to 1",
+            meaning="reflectance of the surface, as the scanner measured it",
+        )
+    },
 }
 
 

@@ -20,7 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pipeline.base import store
-from pipeline.base.store import Column
+from pipeline.base.store import MEANING, Column
+from pipeline.camera import classes
 
 STAGE = "graphs"
 # Versions of the layout that are read. The last one is written. Graphs of version 8 also have the
@@ -39,6 +40,31 @@ UNITS = {
     "image": "RGB",
     "ptr": "row",
     "indices_ptr": "row",
+}
+# Dataset → its attributes beside the unit. Further columns bring their own from clouds.
+DESCRIBED: dict[str, dict[str, Any]] = {
+    "frame": {MEANING: "KITTI's frame number"},
+    "time_s": {MEANING: "time since the first frame of the drive"},
+    "xyz": {
+        MEANING: "camera coordinates (x right, y down, z forward) of the points that were drawn at "
+        "random from the cloud, within crop_m if that is set"
+    },
+    "cls": {MEANING: "class, or void (255), as in clouds", **classes.ATTRIBUTES},
+    "degree": {MEANING: "neighbours of a point after pruning, without itself; all 0 without k"},
+    "indices": {
+        MEANING: "neighbours, numbered within the frame, point after point: a symmetric CSR matrix"
+    },
+    "edges_knn": {MEANING: "kNN edges before pruning, k per point"},
+    "edges_kept": {
+        MEANING: "kNN edges after pruning. indices has more entries: two for each connected pair, "
+        "also if only one of them is a nearest neighbour of the other"
+    },
+    "image": {
+        MEANING: "images of the frames that have one, with source: ingest. Such a file has no "
+        "points"
+    },
+    "ptr": {MEANING: "first point or image of each frame"},
+    "indices_ptr": {MEANING: "first neighbour of each frame"},
 }
 
 Arrays = dict[str, np.ndarray]
@@ -153,7 +179,9 @@ class Graphs(store.DriveReader):
 
 def create_graphs(path: Path, *, drive: str, params: Mapping[str, Any]) -> store.DriveWriter:
     """Return the writer of a graph file."""
-    return store.DriveWriter(path, stage=STAGE, version=VERSIONS[-1], drive=drive, params=params)
+    return store.DriveWriter(
+        path, stage=STAGE, version=VERSIONS[-1], drive=drive, params=params, described=DESCRIBED
+    )
 
 
 def open_graphs(path: str | Path) -> Graphs:

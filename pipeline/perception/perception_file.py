@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pipeline.base.store import DriveReader, DriveWriter
+from pipeline.base.store import MEANING, DriveReader, DriveWriter
+from pipeline.camera import classes
 
 STAGE = "perception"
 # Versions of the layout that are read. The last one is written.
@@ -16,11 +17,20 @@ UNITS = {
     "depth_m": "1/256 m, 0 = none",
     "cls": "Cityscapes trainId",
 }
+# Dataset → its attributes beside the unit.
+DESCRIBED: dict[str, dict[str, Any]] = {
+    "frame": {MEANING: "KITTI's frame number"},
+    "time_s": {MEANING: "time since the first frame of the drive"},
+    "depth_m": {MEANING: "depth along the optical axis; the sky has none"},
+    "cls": {MEANING: "classes of the pixels", **classes.ATTRIBUTES},
+}
 
 
 def create_perception(path: Path, *, drive: str, params: Mapping[str, Any]) -> DriveWriter:
     """Return the writer of a perception file."""
-    return DriveWriter(path, stage=STAGE, version=VERSIONS[-1], drive=drive, params=params)
+    return DriveWriter(
+        path, stage=STAGE, version=VERSIONS[-1], drive=drive, params=params, described=DESCRIBED
+    )
 
 
 def open_perception(path: Path) -> DriveReader:

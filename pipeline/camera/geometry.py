@@ -30,6 +30,10 @@ def back_project(depth_m: np.ndarray, K: np.ndarray) -> np.ndarray:
     """Return the camera-frame point of each pixel, [H,W,3] metres (paper eq. 6).
 
     `depth_m` [H,W] is the distance along the optical axis (z), in metres.
+
+    >>> K = np.array([[2.0, 0, 1], [0, 2, 0], [0, 0, 1]])  # focal length 2, principal point (1, 0)
+    >>> back_project(np.array([[4.0, 4.0, 8.0]]), K).tolist()
+    [[[-2.0, 0.0, 4.0], [0.0, 0.0, 4.0], [4.0, 0.0, 8.0]]]
     """
     return depth_m[..., None] * camera_rays(K, depth_m.shape)
 

@@ -35,6 +35,10 @@ def nearest_neighbours(xyz: np.ndarray, k: int) -> np.ndarray:
     """Return the rows [P,min(k,P-1)] of the nearest other points of each point [P,3].
 
     The nearest point comes first.
+
+    >>> xyz = np.array([[0, 0, 10], [1, 0, 10], [3, 0, 10], [7, 0, 10]])
+    >>> nearest_neighbours(xyz, k=2).tolist()
+    [[1, 2], [0, 2], [1, 0], [2, 1]]
     """
     count = len(xyz)
     k = min(k, count - 1)
@@ -73,6 +77,17 @@ def prune(
 
     All edges within a class of `cls` [P] are kept, and a random share `keep_inter_class` of the
     edges between classes. Raises InputError if a point has more than 255 neighbours.
+
+    Three points are neighbours of each other. The last one is of another class, so it loses both
+    connections.
+
+    >>> matrix = undirected(np.array([[1, 2], [0, 2], [1, 0]]))
+    >>> cls = np.array([0, 0, 13])
+    >>> graph = prune(matrix, cls, keep_inter_class=0.0, rng=np.random.default_rng(0))
+    >>> graph.degree.tolist(), graph.indices.tolist()
+    ([1, 1, 0], [1, 0])
+    >>> graph.edges_knn, graph.edges_kept
+    (6, 2)
     """
     column = matrix.indices
     row = np.repeat(np.arange(len(cls), dtype=column.dtype), np.diff(matrix.indptr))

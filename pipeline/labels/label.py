@@ -32,6 +32,12 @@ def steering_angle(
     In reverse, v and ψ̇ both change their sign, so the formula still holds, and left stays positive.
     At standstill, it divides noise by noise, so the angle can be anything up to ±π/2. The angle is
     0 if both are exactly 0.
+
+    >>> yaw_rate_radps = np.array([0.2, 0.0, 0.0])
+    >>> speed_mps = np.array([10.0, 10.0, 0.0])
+    >>> angle_rad = steering_angle(yaw_rate_radps, speed_mps, wheelbase_m=2.7)
+    >>> np.rad2deg(angle_rad).round(2).tolist()
+    [3.09, 0.0, 0.0]
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         angle = np.arctan(wheelbase_m * yaw_rate_radps / speed_mps)

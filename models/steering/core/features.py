@@ -24,6 +24,15 @@ def node_features(xyz: Tensor, cls: Tensor, semantics: float) -> Tensor:
         cls: trainIds, uint8 [N]; void has a zero one-hot.
         semantics: λ in [0,1].
     Returns [N, NODE_FEATURES] in the dtype of `xyz`, each column O(1) over a street.
+
+    >>> xyz = torch.tensor([[10.0, 1.65, 40.0]])
+    >>> features = node_features(xyz, torch.tensor([classes.CAR]), semantics=0.5)
+    >>> features.shape
+    torch.Size([1, 25])
+    >>> features[0, :3].tolist()  # x, y and z
+    [1.0, 0.0, 1.0]
+    >>> features[0, GEOMETRY:].tolist().index(0.5) == classes.CAR
+    True
     """
     x, y, z = xyz.unbind(1)
     distance = torch.hypot(x, z).clamp_min(1.0)

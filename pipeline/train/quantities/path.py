@@ -81,7 +81,16 @@ class Target(Quantity):
         return np.rad2deg((values * np.diff(self.edges_m)).sum(axis=-1))
 
     def errors(self, predicted: np.ndarray, truth: np.ndarray) -> np.ndarray:
-        """Return the distance in metres between both paths at the far end of each range."""
+        """Return the displacement at the far end of each range: the distance between both paths.
+
+        A car that turns left on a radius of 10 m leaves a straight path:
+
+        >>> labels = {"wheelbase_m": 2.7, "min_speed_mps": 1.0, "ahead_m": [0, 5, 10]}
+        >>> straight_1pm = np.array([[0.0, 0.0]])
+        >>> bend_1pm = np.array([[0.1, 0.1]])
+        >>> Target(labels).errors(bend_1pm, straight_1pm).round(2).tolist()  # in metres
+        [[1.24, 4.86]]
+        """
         offset_m = end_points(predicted, self.edges_m) - end_points(truth, self.edges_m)
         return np.linalg.norm(offset_m, axis=-1)
 

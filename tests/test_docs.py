@@ -9,6 +9,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Annotated, Any, Literal
 
+import h5py
 import numpy as np
 import pandas as pd
 import pytest
@@ -23,12 +24,13 @@ from pipeline.base import store
 from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError
 from pipeline.base.params import parse, read_yaml
+from pipeline.camera import classes
 from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.geometry import CAMERA_HEIGHT_M
 from pipeline.check.settings import Params
 from pipeline.clouds import columns
 from pipeline.clouds.cloud import Cloud
-from pipeline.evaluate.own_metrics import METRICS
+from pipeline.evaluate.own_metrics import METRICS, Metric
 from pipeline.graphs.graph_file import open_graphs
 from pipeline.labels.label_file import open_labels
 from pipeline.report import tables
@@ -84,6 +86,16 @@ def code_block(part: str) -> str:
     """Return the first code block of the pages that contains a text, without its fences."""
     blocks = (block for page in PAGES for block in page.read_text().split("```")[1::2])
     return next(block for block in blocks if part in block)
+
+
+def test_every_python_block_is_run():
+    """A test names it by code_block, and runs it; of README, the example has its lines."""
+    tests = [path.read_text() for path in (ROOT / "tests").glob("test_*.py")]
+    parts = re.findall(r"""code_block\((["'])(.+?)\1\)""", "".join(tests))
+    blocks = (block for page in PAGES for block in page.read_text().split("```")[1::2])
+    for block in blocks:
+        if block.startswith("python\n"):
+            assert [part for _, part in parts if code_block(part) == block], block
 
 
 def headings(page: Path) -> set[str]:
@@ -249,6 +261,21 @@ def test_the_quantity_of_the_documentation_is_trained_evaluated_and_shown(tmp_pa
     assert shown == {"net": rows["curvature-0/net"]["nmse"]}
 
 
+def test_the_edges_of_the_data_card_are_those_of_a_batch(tmp_path, monkeypatch):
+    drive = "2026_01_21_drive_0004"
+    frame = np.arange(8)
+    path = tmp_path / f"data/graphs/semantic/{drive}.h5"
+    artefacts.write_graphs(path, np.full(8, 0.1), frame, points=20)
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {"h5py": h5py, "np": np, "drive": drive}
+    exec(code_block('["indices_ptr"]').removeprefix("python\n"), names)
+    with open_graphs(path) as graphs:
+        batch = from_arrays(artefacts.collate((graphs, 7, 8)))
+    assert isinstance(batch, GraphBatch)
+    np.testing.assert_array_equal(names["edge_index"], batch.edge_index)
+    assert (*names["class_names"],) == classes.NAMES
+
+
 def test_the_column_of_the_documentation_goes_from_the_points_into_a_network(tmp_path, monkeypatch):
     """Normals of a street of planes; stage check, clouds, graphs, training and export have them."""
     for source in columns.SOURCES.values():
@@ -343,8 +370,9 @@ def test_a_metric_of_the_documentation_is_right_in_both_units(
     tmp_path, monkeypatch, predict, label, error, factor
 ):
     """The error is a share of the truth, which is 0.01 times the frame's number."""
-    names = {"METRICS": METRICS, "np": np}
+    names = {"METRICS": METRICS, "Metric": Metric, "np": np}
     monkeypatch.setitem(METRICS, "within_2_deg", None)  # so that it is removed afterwards
+    monkeypatch.setitem(METRICS, "of_speed", Metric(lambda *_: 0.0, units=("m/s",)))
     exec(code_block("def within_2_deg").removeprefix("python\n"), names)
     content = examples.metrics("net", error**2, {"odometry": error**2}, predict=predict)
     values = examples.compare(tmp_path, content)
@@ -358,3 +386,5 @@ def test_a_metric_of_the_documentation_is_right_in_both_units(
     sections += tables.nmse_tables(values, f"{predict}-0")
     shown = [section.table.get(f"within_2_deg {label}".strip(), []) for section in sections]
     assert f"{share:.3f}" in [cell for cells in shown for cell in cells]
+    titles = [title for section in sections for title in section.table]
+    assert [title for title in titles if "of_speed" in title] == []

@@ -17,7 +17,7 @@ import pandas as pd
 from pipeline.base.errors import InputError
 from pipeline.evaluate import statistics
 from pipeline.evaluate.drift import measure_drift
-from pipeline.evaluate.own_metrics import METRICS
+from pipeline.evaluate.own_metrics import METRICS, Metric
 from pipeline.evaluate.settings import BASELINES, NO_LEARNING, Evaluate
 from pipeline.evaluate.statistics import FrameErrors
 from pipeline.train.quantity import Quantity
@@ -188,11 +188,15 @@ def compare_methods(predictions: Predictions, settings: Evaluate) -> pd.DataFram
 
 
 def check_metrics() -> None:
-    """Raise InputError if one of METRICS has the name of another column."""
-    for name in METRICS:
+    """Raise InputError if one of METRICS has the name of another column, or no units."""
+    for name, metric in METRICS.items():
         if name in (*COLUMNS, *FACTS, "model"):
             problem = f"metric {name} has the name of a column of the tables"
             raise InputError(problem, "pipeline/evaluate/own_metrics.py", "Rename it")
+        if not isinstance(metric, Metric) or not isinstance(metric.units, tuple):
+            problem = f"metric {name} does not name its units"
+            fix = f'Write METRICS["{name}"] = Metric(FUNCTION, units=("rad",))'
+            raise InputError(problem, "pipeline/evaluate/own_metrics.py", fix)
 
 
 def _error_row(
@@ -237,10 +241,11 @@ def _column_errors(
     if len(columns) == 1:
         row["mse"] = float(errors.error[:, counted].mean()) if counted.any() else None
         values = truth[:, columns[0]]
-        for name in METRICS:
-            row[name] = _compute_metric(
-                name, values, predicted[..., columns[0]], quantity, columns[0]
-            )
+        for name, metric in METRICS.items():
+            if quantity.unit in metric.units:
+                row[name] = _compute_metric(
+                    name, values, predicted[..., columns[0]], quantity, columns[0]
+                )
     return row
 
 
@@ -248,7 +253,7 @@ def _compute_metric(
     name: str, truth: np.ndarray, predicted: np.ndarray, quantity: Quantity, column: int
 ) -> float | None:
     """Return the value of one of METRICS, or None without frames."""
-    value = METRICS[name](truth, predicted, quantity, column) if len(truth) else None
+    value = METRICS[name].compute(truth, predicted, quantity, column) if len(truth) else None
     if value is not None and not math.isfinite(value):
         problem = f"metric {name} returned {value}"
         fix = "Return a finite number, or None where there is none"

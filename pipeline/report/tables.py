@@ -307,8 +307,9 @@ def _nmse_cells(
     for label in dict.fromkeys(["", *list_ranges(table)]):
         row = table.loc[(label, name)]
         cells[f"nmse {label}".strip()] = _error_cell(row, NMSE, page=page)
-        for metric in METRICS:
-            cells[f"{metric} {label}".strip()] = value_text(row[metric], ".3f")
+        for title, metric in METRICS.items():
+            if quantity.unit in metric.units:
+                cells[f"{title} {label}".strip()] = value_text(row[title], ".3f")
     mae = table.loc[("", name), "mae"]
     cells[f"MAE {quantity.shown_unit}"] = value_text(mae, quantity.shown_format)
     return cells
@@ -426,7 +427,7 @@ def _model_cells(content: Mapping[str, Any]) -> dict[str, str]:
     if entry["spatial"] != "blind":
         unpruned = content["edges_per_frame_unpruned"]
         cells["points"] = value_text(content["points_per_frame"], ",.0f")
-        cells["edges"] = value_text(unpruned, ",.0f")
+        cells["edges"] = value_text(content["edges_per_frame"], ",.0f")
         cells["pruned"] = value_text(
             1 - content["edges_per_frame"] / unpruned if unpruned else None, ".0%"
         )

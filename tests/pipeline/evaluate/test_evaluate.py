@@ -15,7 +15,7 @@ from pipeline.evaluate.error_table import (
     error_table,
     frame_errors,
 )
-from pipeline.evaluate.own_metrics import METRICS
+from pipeline.evaluate.own_metrics import METRICS, Metric
 from pipeline.evaluate.predictions import Case, prediction_table, read_odometry
 from pipeline.evaluate.settings import Evaluate
 from pipeline.train.loss import Scale
@@ -85,17 +85,19 @@ def test_errors_by_hand():
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "message"),
+    ("name", "metric", "message"),
     [
-        ("worst", float("nan"), "metric worst returned nan"),
-        ("nmse", 0.5, "metric nmse has the name of a column"),
-        ("parameters", 0.5, "metric parameters has the name of a column"),
+        ("worst", Metric(lambda *_: np.nan, ("rad",)), "metric worst returned nan"),
+        ("nmse", Metric(lambda *_: 0.5, ("rad",)), "metric nmse has the name of a column"),
+        ("parameters", Metric(lambda *_: 0.5, ("rad",)), "metric parameters has the name of"),
+        ("worst", lambda *_: 0.5, "metric worst does not name its units"),
+        ("worst", Metric(lambda *_: 0.5, "rad"), "metric worst does not name its units"),
     ],
 )
-def test_a_metric_without_a_number_or_a_name_of_its_own_is_refused(
-    monkeypatch, name, value, message
+def test_a_metric_without_a_number_units_or_a_name_of_its_own_is_refused(
+    monkeypatch, name, metric, message
 ):
-    monkeypatch.setitem(METRICS, name, lambda *_: value)
+    monkeypatch.setitem(METRICS, name, metric)
     with pytest.raises(InputError, match=message):
         by_hand(np.ones(3), np.ones(3))
 

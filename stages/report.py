@@ -72,7 +72,7 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
             origin["duration"] = format_duration(run)
         content = page.Page(
             sentences=sentences,
-            doubts=[*doubts, *tables.few_turns(values)],
+            doubts=[*doubts, *tables.few_turns(values), *tables.few_drives(values)],
             picture=bend,
             results=page.list_results(figures, values, tasks),
             details=details,

@@ -16,6 +16,8 @@ from pipeline.train.quantity import Measure
 
 # Least number of independent parts of drives for a verdict on two methods.
 LEAST_DRIVES = 10
+# Verdict if there are fewer.
+TOO_FEW_DRIVES = "too few drives"
 
 
 class FrameErrors(NamedTuple):
@@ -196,10 +198,10 @@ def judge_difference(bounds: Sequence[float] | None, seeds: int, drives: int, di
     fewer, and `drives` the number of parts of drives. `digits` are the decimal places of the bounds
     in tables: a bound that is 0 there excludes nothing.
     """
+    if drives < LEAST_DRIVES:
+        return TOO_FEW_DRIVES
     if seeds < 2:
         return "too few seeds (train.seeds)"
-    if drives < LEAST_DRIVES:
-        return "too few drives"
     if bounds is not None and round(bounds[1], digits) < 0:
         return "better"
     if bounds is not None and round(bounds[0], digits) > 0:

@@ -232,6 +232,14 @@ def few_turns(values: pd.DataFrame) -> list[str]:
     return [f"{problem}, too few to tell models apart"]
 
 
+def few_drives(values: pd.DataFrame) -> list[str]:
+    """Return doubts: one if the test drives are too few for a verdict, otherwise none."""
+    if statistics.TOO_FEW_DRIVES not in values["verdict"].to_numpy():
+        return []
+    least = f"at least {statistics.LEAST_DRIVES} are needed, and a long drive counts as several"
+    return [f"the test drives are too few ({least}), so their errors mean nothing for other roads"]
+
+
 # Tables of steering. With `page`, they are those of index.html, which have an interval below its
 # value. Values of all ranges together have the range "".
 

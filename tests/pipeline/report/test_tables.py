@@ -243,9 +243,11 @@ def test_the_best_validated_model_has_a_verdict(
         if predict == "path":
             content["val"] = {name: {"nmse": 1 - error}, f"at 5 m/{name}": {"error": error}}
 
-    def verdict_of(seeds: list[int]) -> str:
+    def verdict_of(seeds: list[int], doubts: int = 0) -> str:
         models = [model | {"seeds": seeds} for model in (other, net)]
-        table = compare(tmp_path, *models).loc[f"{predict}-0"]
+        rows = compare(tmp_path, *models)
+        assert len(tables.few_drives(rows)) == doubts
+        table = rows.loc[f"{predict}-0"]
         assert values.rank_models(table)[0] == "net"
         assert values.best_baseline(table) == rival
         driven_rad = 0.01 * metres * np.delete(np.arange(7, 30), 13).mean()
@@ -257,7 +259,8 @@ def test_the_best_validated_model_has_a_verdict(
     assert verdict_of([0, 1]) == verdict
     blocks = examples.SETTINGS.model_copy(update={"bootstrap_block_frames": 6})
     monkeypatch.setattr(examples, "SETTINGS", blocks)
-    assert verdict_of([0, 1]) == "too few drives"
+    for seeds in ([0], [0, 1]):
+        assert verdict_of(seeds, doubts=1) == "too few drives"
 
 
 def test_few_turning_frames_are_doubted(tmp_path):

@@ -52,7 +52,8 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
             sections += tables.nmse_tables(values, task.name)
         sections += [tables.models_table(tasks), *tables.scores_tables(scores)]
         parts = [section.markdown() for section in sections if section.table.size]
-        table = "\n\n".join([text, *parts, tables.write_definitions()])
+        table = "\n\n".join([text, *parts])
+        table = f"{table}\n\n{tables.write_definitions(table)}"
         store.write_text(folder.new / "table.md", table.lstrip())
 
         figures = folder.new / "figures"
@@ -65,7 +66,6 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
         lines = [facts["line"] for facts in scores.get("recorded", {}).values()]
         notes, doubts = split_doubts(lines)
         details["Notes"] = [*encoder.get("sources", []), *notes]
-        details["Definitions"] = [f"{word}: {text}" for word, text in tables.DEFINITIONS.items()]
         run = read_run()
         origin = describe_origin()
         if "started_s" in run:
@@ -79,6 +79,8 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
             origin=origin,
             settings=run.get("settings", {}),
         )
+        words = tables.define_words(page.text_of(content))
+        details["Definitions"] = [f"{word}: {meaning}" for word, meaning in words.items()]
         page.write_page(folder.new / "index.html", content)
     print(text, f"Tables: {out.absolute()}/table.md. Page: {out.absolute()}/index.html", sep="\n")
     return out

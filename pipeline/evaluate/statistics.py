@@ -18,6 +18,8 @@ from pipeline.train.quantity import Measure
 LEAST_DRIVES = 10
 # Verdict if there are fewer.
 TOO_FEW_DRIVES = "too few drives"
+# Largest number of decimal places that a small error gets beyond those of its measure.
+FURTHER_DIGITS = 3
 
 
 class FrameErrors(NamedTuple):
@@ -201,7 +203,7 @@ def judge_difference(bounds: Sequence[float] | None, seeds: int, drives: int, di
     if drives < LEAST_DRIVES:
         return TOO_FEW_DRIVES
     if seeds < 2:
-        return "too few seeds (train.seeds)"
+        return "too few seeds"
     if bounds is not None and round(bounds[1], digits) < 0:
         return "better"
     if bounds is not None and round(bounds[0], digits) > 0:
@@ -222,10 +224,10 @@ def error_text(row: Mapping[str, Any], measure: Measure) -> str:
     value = value_of(row)
     if value is None:
         return "unknown"
-    text = format(value, measure.form)
+    text = number_text(value, measure)
     if len(row["seeds"]) > 1:
-        text += f" ± {format(np.std(row['seeds'], ddof=1), measure.form)}"
-    return f"{text} ({bounds_text(row, measure.form)})"
+        text += f" ± {number_text(np.std(row['seeds'], ddof=1), measure)}"
+    return f"{text} ({error_bounds_text(row, measure)})"
 
 
 def value_of(row: Mapping[str, Any]) -> float | None:
@@ -236,8 +238,36 @@ def value_of(row: Mapping[str, Any]) -> float | None:
     return None
 
 
-def bounds_text(row: Mapping[str, Any], form: str) -> str:
-    """Return the interval of a row of errors or differences as text."""
+def number_text(value: float, measure: Measure) -> str:
+    """Return an error as text, with further decimal places if it would print as 0 but is not 0."""
+    digits = measure.digits
+    while round(value, digits) == 0 and value != 0 and digits < measure.digits + FURTHER_DIGITS:
+        digits += 1
+    if round(value, digits) == 0:
+        digits = measure.digits
+    return format(value, f"z.{digits}f")
+
+
+def error_bounds_text(row: Mapping[str, Any], measure: Measure) -> str:
+    """Return the interval of a row of errors as text."""
     if pd.isna(row.get("low")):
-        return "too short for an interval"
-    return f"{row['low']:{form}} to {row['high']:{form}}"
+        return no_interval_text(row)
+    return f"{number_text(row['low'], measure)} to {number_text(row['high'], measure)}"
+
+
+def bounds_text(row: Mapping[str, Any], form: str) -> str:
+    """Return the interval of a row of differences as text, with the digits of their verdict."""
+    if pd.isna(row.get("low")):
+        return no_interval_text(row)
+    return f"{signed_text(row['low'], form)} to {signed_text(row['high'], form)}"
+
+
+def no_interval_text(row: Mapping[str, Any]) -> str:
+    """Return why a row has no interval. Rows of differences have no number of drives."""
+    return "one test drive: no interval" if row.get("drives") == 1 else "no interval"
+
+
+def signed_text(value: float, form: str) -> str:
+    """Return a difference as text. A difference that prints as 0 has no sign."""
+    text = format(value, form)
+    return text if text.strip("+-0.") else text.lstrip("+-")

@@ -108,8 +108,7 @@ def _set_title(panel: Axes, title: str) -> None:
 
 def draw_errors(folder: Path, task: str, table: pd.DataFrame) -> Picture:
     """Draw the errors of models and baselines with their 95 % intervals, a line for each value."""
-    # The dotted line is the baseline zero, and persistence gets the truth.
-    names = [name for name in list_methods(table) if name not in ("zero", "persistence")]
+    names = list_methods(table)
     labels = list_ends(table) or list(dict.fromkeys(["", *list_ranges(table)]))
     measure = measure_of(table, task, labels[0])
     zero = lead_errors(table)["zero"]
@@ -183,7 +182,7 @@ def draw_learning(folder: Path, values: pd.DataFrame, train: Path) -> Picture | 
                 name = ""  # further seeds are not in the legend
         panel.set_ylim(bottom=0)
         _set_title(panel, title_of(task))
-    panels[-1].set_xlabel("epoch")
+        panel.set(xlabel="epoch", ylabel="nmse, or training loss")
     path = folder / "learning.png"
     street_view.save_figure(figure, path)
     caption = "Each line is a seed: nmse on the validation drives; dotted, without these, the "
@@ -240,9 +239,9 @@ def draw_over_time(folder: Path, task: Task, table: pd.DataFrame) -> Picture | N
             time_s = rows["time_s"] - rows["time_s"].iloc[0]
             panel.plot(time_s, rows[kind], color=chart_colour(kind), label=kind)
         panel.axhline(0, color=GREY, linewidth=0.8)
-        panel.set(ylim=(-limit or -1, limit or 1), ylabel=quantity.axis_title())
+        panel.set(ylim=(-limit or -1, limit or 1), xlabel="time in s")
+        panel.set_ylabel(f"{quantity.shown_title}\nin {quantity.axis_title()}")
         _set_title(panel, f"{rank} drive, {drive}")
-    panels[-1].set_xlabel("time in s")
     path = folder / f"time-{task.name}.png"
     street_view.save_figure(figure, path)
     caption = f"The {quantity.shown_title} over time, in the drives of median and largest error of "
@@ -277,23 +276,23 @@ def draw_bend(folder: Path, task: Task, table: pd.DataFrame, data: Path) -> Pict
     if not shown["cost"].notna().any():
         return None
     bend = median_bend(shown)
-    file = data / f"ingest/{bend['drive']}.h5"
-    if not file.is_file():
+    drive = bend["drive"]
+    files = [(open_ingest, data / f"ingest/{drive}.h5")]
+    files.append((open_perception, data / f"perception/{drive}.h5"))
+    if not files[0][1].is_file():
         return None
-    with open_ingest(file) as images:
-        image = street_view.read_view(bend["frame"], images).rgb
-        camera = read_camera(images)
-    if image is None:
+    with ExitStack() as stack:
+        opened = [stack.enter_context(read(path)) for read, path in files if path.is_file()]
+        view = street_view.read_view(bend["frame"], *opened)
+        camera = read_camera(opened[0])
+    if view.rgb is None:
         return None
 
-    is_bend = (shown["drive"] == bend["drive"]) & (shown["frame"] == bend["frame"])
-    paths = {}
-    for kind, values in curve_values(task, table).items():
-        (curvature_1pm,) = quantity.curvature(values[is_bend])
-        paths[kind] = street_view.path_steps(curvature_1pm, quantity.edges_m)
-    height, width = image.shape[:2]
+    paths = read_paths(task, table, bend["drive"], bend["frame"])
+    height, width = view.rgb.shape[:2]
     figure = Figure(figsize=(WIDTH, WIDTH * height / width))
-    street_view.draw_paths_in_image(figure.add_axes((0, 0, 1, 1)), image, camera, paths)
+    panel = figure.add_axes((0, 0, 1, 1))
+    street_view.draw_paths_in_image(panel, view.rgb, camera, paths, view.depth_m)
     path = folder / "bend.jpg"
     street_view.save_figure(figure, path)
 
@@ -301,13 +300,25 @@ def draw_bend(folder: Path, task: Task, table: pd.DataFrame, data: Path) -> Pict
     driven = f"the path of the driven {quantity.title}"
     if quantity.is_ahead:
         driven = f"the path that the car drove in the next {quantity.edges_m[-1]:g} m"
-    caption = f"Frame {bend['frame']} of {bend['drive']}, a bend of median error. Red is {driven}, "
+    caption = f"Frame {bend['frame']} of {drive}, a bend of median error. Red is {driven}, "
     caption += f"green the prediction of `{models['predicted']}`"
     if "without the scene" in models:
         caption += f", blue that of `{models['without the scene']}`, without the scene"
     if "odometry" in paths:
         caption += ", orange *odometry*"
-    return Picture(path, f"{caption}.")
+    return Picture(path, f"{caption}. A path ends where something stands in front of it.")
+
+
+def read_paths(task: Task, table: pd.DataFrame, drive: str, frame: int) -> dict[str, np.ndarray]:
+    """Return kind of a curve → curvature of each step of its path, in a frame."""
+    quantity = task.predictions.quantity
+    frames = task.predictions.frames
+    is_frame = (frames["drive"] == drive) & (frames["frame"] == frame)
+    paths = {}
+    for kind, values in curve_values(task, table).items():
+        (curvature_1pm,) = quantity.curvature(values[is_frame])
+        paths[kind] = street_view.path_steps(curvature_1pm, quantity.edges_m)
+    return paths
 
 
 def draw_chain(folder: Path, task: Task, table: pd.DataFrame, data: Path) -> Picture | None:

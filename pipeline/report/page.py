@@ -25,9 +25,9 @@ Content = Sequence[str | Section | Picture | None]
 class Page:
     """The content of the page from top to bottom."""
 
-    sentences: Sequence[str]  # the question with its answer, the verdict, and more
+    sentences: Sequence[str]  # the verdict, its interval, and more
     doubts: Sequence[str]
-    picture: Picture | None  # what stands below the verdict
+    picture: Picture | None  # what stands below the sentences
     results: Content
     details: dict[str, Content]  # title → content that is folded
     origin: Mapping[str, str]  # revision, date, machine; preset and duration if a preset runs
@@ -68,7 +68,7 @@ def list_details(
         content[f"nmse by range: {title}"] = tables.nmse_tables(values, task.name, page=True)
         content[f"Differences and sizes: {title}"] = [
             tables.differences_table(values, task.name, page=True),
-            Section("Sizes", section.table[others]),
+            Section("Sizes", tables.without_dashes(section.table[others])),
         ]
         content[f"Test drives: {title}"] = [drawings.draw_over_time(folder, task, table)]
     for task in tasks[:1]:
@@ -77,6 +77,23 @@ def list_details(
         content["Learning curves"] = [drawings.draw_learning(folder, values, data / "train")]
         content["Models"] = [tables.models_table(tasks)]
     return content
+
+
+def text_of(page: Page) -> str:
+    """Return the words of a page, without its settings and what is drawn in its pictures."""
+    parts = [*page.sentences, *page.doubts]
+    items = [page.picture, *page.results]
+    for title, content in page.details.items():
+        parts.append(title)
+        items += content
+    for item in items:
+        if isinstance(item, Section):
+            parts.append(item.markdown())
+        elif isinstance(item, Picture):
+            parts.append(item.caption)
+        elif item is not None:
+            parts.append(item)
+    return "\n".join(parts)
 
 
 def write_page(path: Path, page: Page) -> None:

@@ -21,6 +21,10 @@ from pipeline.graphs.graph_file import edge_pairs
 
 # Width of a picture in inches, at which its letters are readable on a screen of 400 pixels.
 WIDTH = 5.0
+# Pixels per inch of a picture.
+DPI = 160
+# Width of the line of a path in points, 3 pixels.
+PATH_WIDTH = 3 * 72 / DPI
 # Near end of the depth scale in metres. Smaller depths have the colour of this end.
 NEAR_M = 4.0
 # Far end of the depth scale in metres. Larger depths have the colour of this end.
@@ -39,6 +43,13 @@ COLOURS = {
     "without the scene": (70, 160, 255),
     "predicted": (0, 200, 60),
 }
+# Dashes of the line of a path, in line widths: drawn, left out. Others are solid. The line below one
+# with dashes shows in its gaps.
+DASHES = {"predicted": (3.0, 2.5), "without the scene": (1.0, 1.5), "odometry": (1.0, 4.0)}
+# Style of the box behind letters in an image.
+BACKDROP = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 2.0}
+# Depth of a pixel, relative to that of the path there, below which something stands in front of it.
+HIDDEN_SHARE = 0.75
 # Half the distance in metres between the two lines of a path.
 HALF_TRACK_M = 0.8
 # Length in metres of the steps of a path.
@@ -132,19 +143,45 @@ def draw_points(panel: Axes, view: View) -> None:
     x, _, z = xyz[low_first].T
     colours = classes.colour_classes(cls[low_first]) / 255
     panel.scatter(x, z, s=size, c=colours, linewidths=0)
-    panel.set(xlabel="x in m", ylabel="z in m", aspect="equal", xlim=X_SHOWN_M, ylim=Z_SHOWN_M)
+    panel.set(xlabel="to the right in m", ylabel="ahead in m")
+    panel.set(aspect="equal", xlim=X_SHOWN_M, ylim=Z_SHOWN_M)
 
 
 def draw_paths_in_image(
-    panel: Axes, image: np.ndarray, camera: Camera, paths: Mapping[str, np.ndarray]
+    panel: Axes,
+    image: np.ndarray,
+    camera: Camera,
+    paths: Mapping[str, np.ndarray],
+    depth_m: np.ndarray | None = None,
 ) -> None:
-    """Draw the wheels' tracks of paths into an image. `paths` is kind → curvature of each step."""
+    """Draw the wheels' tracks of paths into an image, with a legend.
+
+    `paths` is kind → curvature of each step. With the depth [H,W] of the image, a track ends where
+    something stands in front of it.
+    """
     panel.imshow(image, interpolation="bilinear")
     panel.set_axis_off()
     panel.autoscale(False)
     for kind, curvature_1pm in paths.items():
-        for wheel in wheel_tracks(curvature_1pm, camera):
-            panel.plot(*wheel.T, color=chart_colour(kind), linewidth=1.5)
+        label = kind
+        for wheel in wheel_tracks(curvature_1pm, camera, depth_m=depth_m):
+            (line,) = panel.plot(
+                *wheel.T, color=chart_colour(kind), linewidth=PATH_WIDTH, label=label
+            )
+            if kind in DASHES:
+                line.set_dashes(DASHES[kind])
+            label = ""  # the second track is not in the legend
+    panel.legend(
+        loc="upper left",
+        ncols=len(paths),
+        fontsize="small",
+        handlelength=2.5,
+        borderaxespad=0.3,
+        fancybox=False,
+        facecolor=BACKDROP["facecolor"],
+        edgecolor=BACKDROP["edgecolor"],
+        framealpha=BACKDROP["alpha"],
+    )
 
 
 def draw_sheet(title: str, view: View, graph: View | None = None) -> Figure:
@@ -178,7 +215,7 @@ def draw_sheet(title: str, view: View, graph: View | None = None) -> Figure:
     return figure
 
 
-def save_figure(figure: Figure, path: Path, dpi: int = 160) -> None:
+def save_figure(figure: Figure, path: Path, dpi: int = DPI) -> None:
     """Write `figure` to a PNG or JPEG file in one step.
 
     The file names no version of a program, so that the same figure gives the same bytes.
@@ -191,15 +228,22 @@ def save_figure(figure: Figure, path: Path, dpi: int = 160) -> None:
         figure.savefig(unfinished, format=kind, dpi=dpi, **options)
 
 
-def wheel_tracks(curvature_1pm: np.ndarray, camera: Camera, slope: float = 0.0) -> list[np.ndarray]:
+def wheel_tracks(
+    curvature_1pm: np.ndarray,
+    camera: Camera,
+    slope: float = 0.0,
+    depth_m: np.ndarray | None = None,
+) -> list[np.ndarray]:
     """Return the pixels (u, v) of the left and the right wheel's track, each [N,2].
 
-    A track ends where it turns back to the camera.
+    A track ends where it turns back to the camera, or behind something.
 
     Args:
         curvature_1pm: curvature [N] of each step of STEP_M, left positive.
         camera: camera at its height over the road.
         slope: metres by which the road falls per metre ahead, in the camera's frame.
+        depth_m: depth of each pixel in metres [H,W], 0 where it is unknown. Without it, nothing is
+            in front of a track.
     """
     middle, heading_rad = path_positions(curvature_1pm)
     tracks = []
@@ -208,14 +252,33 @@ def wheel_tracks(curvature_1pm: np.ndarray, camera: Camera, slope: float = 0.0) 
         down_m = camera.height_m + slope * wheel.real
         uv, z = project(np.stack([-wheel.imag, down_m, wheel.real], axis=1), camera.K)
 
-        # The track is drawn from its first point in front of the camera to the first one behind it.
+        # The track starts at its first point in front of the camera. The rest of it would be a hook
+        # in the image from where it comes nearer again.
+        is_shown = (z > NEAREST_M) & (np.diff(z, prepend=-np.inf) > 0)
+        if depth_m is not None:
+            is_shown &= ~is_hidden(uv, z, depth_m)
         start = int(np.argmax(z > NEAREST_M))
-        behind = np.flatnonzero(z[start:] <= NEAREST_M)
-        end = start + behind[0] if len(behind) else len(uv)
+        ends = np.flatnonzero(~is_shown[start:])
+        end = start + ends[0] if len(ends) else len(uv)
         # Pixels far outside of the image are moved, since OpenCV's coordinates end at 32,767.
         limit = 5 * camera.size[1]
         tracks.append(np.clip(uv[start:end], -limit, limit))
     return tracks
+
+
+def is_hidden(uv: np.ndarray, z_m: np.ndarray, depth_m: np.ndarray) -> np.ndarray:
+    """Return whether something stands in front of points, bool [N].
+
+    The points have the pixels `uv` [N,2] and the depths `z_m` [N]. Points outside of the image,
+    whose depth is `depth_m` [H,W], are not hidden.
+    """
+    height, width = depth_m.shape
+    inside = (z_m > 0) & (uv > -0.5).all(axis=1) & (uv < [width - 0.5, height - 0.5]).all(axis=1)
+    column, row = np.rint(uv[inside]).astype(int).T
+    seen_m = depth_m[row, column]
+    hidden = np.zeros(len(uv), bool)
+    hidden[inside] = (seen_m > 0) & (seen_m < HIDDEN_SHARE * z_m[inside])
+    return hidden
 
 
 def path_positions(curvature_1pm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

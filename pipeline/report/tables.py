@@ -1,5 +1,7 @@
 """Write the values of results.json as tables of text, and as sentences."""
 
+import math
+import re
 from collections.abc import Mapping, Sequence
 from textwrap import fill
 from typing import Any, NamedTuple
@@ -18,6 +20,7 @@ from pipeline.report.values import (
     lead_label,
     list_ends,
     list_methods,
+    list_models,
     list_ranges,
     measure_of,
     quantity_of,
@@ -34,21 +37,21 @@ NONE = "–"
 LARGE_SHARE = 0.25
 # Number of turning frames in the training drives below which models cannot be told apart.
 LEAST_TURNING = 20
-# Words that the tables use → their meanings.
+# Words of tables and sentences → their meanings. Those of a text define only what it names.
 DEFINITIONS = {
-    "error at an end": (
-        "the distance between the predicted and the driven path after that length of path, both "
-        "with the mean curvature of each range; the mean over frames, so that slow stretches count "
-        "more per metre. It resembles the final displacement error (FDE) of other work, but "
-        "compares at equal lengths instead of equal times."
+    "displacement": (
+        "the distance between the predicted and the driven path after a length of path, both with "
+        "the mean curvature of each range; the mean over frames, so that slow stretches count more "
+        "per metre. It resembles the final displacement error (FDE) of other work, but compares at "
+        "equal lengths instead of equal times."
     ),
     "nmse": (
         "MSE / MSE of always predicting zero: 0 is perfect, 1 is useless. Without a range, it is "
         "the mean over the ranges."
     ),
-    "intervals": (
-        "after ± stands the standard deviation between seeds. In parentheses or below stands the "
-        "95 % interval, bootstrapped over roads and seeds."
+    "interval": (
+        "in parentheses or below an error stands its 95 % interval, bootstrapped over roads and "
+        "seeds. After ± stands the standard deviation between seeds."
     ),
     "MAE": "mean absolute error, with its unit.",
     "drift": (
@@ -56,7 +59,7 @@ DEFINITIONS = {
         "angles, m per 100 m of way (Figure 5 of the paper). Both have the measured speed."
     ),
     "edges": "directed kNN edges per frame after pruning, of networks that get them.",
-    "paper": (
+    "paper: test MSE": (
         "MSE in the paper's Table 2. It is too large for rad² of this label (docs/paper.md), so "
         "only ratios can be compared."
     ),
@@ -68,19 +71,47 @@ DEFINITIONS = {
         "seed is too few to compare methods: add some to train.seeds. Fewer than ten drives are "
         "too few, too."
     ),
-    "claims": (
+    "the paper's claims": (
         "nmse and mean absolute error of both networks; MSE of the first relative to the second's, "
         "in the paper's Table 2 and here; the verdict is by the paired difference in nmse."
     ),
-    "scores": (
-        "means over frames of the errors of the encoder's depth, from 1 to 80 m in KITTI's Eigen "
-        "crop. Only pixels with a predicted depth count, and coverage is their share. "
-        "ground_plane_… is a level road on the same pixels, which an encoder that has learned "
-        "depth beats. mean_iou is over the classes in the truth. motion is measured in images, and "
-        "compared with recorded motion. valid is the share of the frames that are measured. nmse "
-        "is that of the steering angle, over `judged` frames. A frame that is not measured has the "
-        "angle of the frame before."
+    "error / depth": (
+        "mean over frames of the mean of |d − d*| / d*, of depths from 1 to 80 m in KITTI's Eigen "
+        "crop. Only pixels with a predicted depth d and a true depth d* count."
     ),
+    "within 25 %": "share of the pixels whose d / d* is between 1 / 1.25 and 1.25.",
+    "coverage": "share of the pixels with a true depth that have a predicted one.",
+    "level road": (
+        "depth by a level road on the same pixels, which an encoder that has learned depth beats."
+    ),
+    "mean IoU": "intersection over union, mean over the classes in the truth.",
+    "frames measured": (
+        "share of the frames whose motion is measured in the images. A frame that is not measured "
+        "has the angle of the frame before."
+    ),
+}
+# Part of the scores → title of its table.
+SCORES = {
+    "depth_dense": "Depth, compared with dense truth",
+    "depth_lidar": "Depth, compared with LiDAR",
+    "ground_plane_dense": "Depth of a level road, compared with dense truth",
+    "ground_plane_lidar": "Depth of a level road, compared with LiDAR",
+    "classes": "Classes, compared with dense truth",
+    "motion": "Motion by visual odometry, compared with recorded motion",
+}
+# Score → its column.
+SCORE_HEADS = {
+    "abs_rel": "error / depth",
+    "rmse_m": "RMSE, m",
+    "delta1": "within 25 %",
+    "mean_iou": "mean IoU",
+    "pixel_accuracy": "pixel accuracy",
+    "valid": "frames measured",
+    "judged": "frames with an angle",
+    "yaw_rmse_degps": "yaw rate: RMSE, deg/s",
+    "yaw_median_degps": "median error, deg/s",
+    "speed_ratio": "speed: measured / recorded",
+    "nmse": "nmse of the angle",
 }
 
 
@@ -119,43 +150,70 @@ def value_text(value: Any, form: str = "") -> str:
     return NONE if pd.isna(value) else format(value, form).replace("-", "−")
 
 
+def error_text(row: pd.Series, measure: Measure) -> str:
+    """Return the error of a row, or NONE if it has none."""
+    value = statistics.value_of(row)
+    return NONE if value is None else statistics.number_text(value, measure)
+
+
+def difference_text(row: Mapping[str, Any] | pd.Series, form: str) -> str:
+    """Return the difference of a row as text with a typographic minus."""
+    value = statistics.value_of(row)
+    return NONE if value is None else statistics.signed_text(value, form).replace("-", "−")
+
+
 def bounds_text(row: Mapping[str, Any] | pd.Series, form: str) -> str:
-    """Return the interval of a row of values as text with a typographic minus."""
+    """Return the interval of a row of differences as text with a typographic minus."""
     return statistics.bounds_text(row, form).replace("-", "−")
 
 
-def error_text(row: pd.Series, measure: Measure, form: str = "") -> str:
-    """Return the error of a row with its unit."""
-    value = value_text(statistics.value_of(row), form or measure.form)
-    return f"{value} {measure.unit}".strip()
-
-
-def interval_text(row: pd.Series, measure: Measure, form: str = "") -> str:
-    """Return the interval of a row with its unit."""
-    unit = "" if pd.isna(row["low"]) else measure.unit
-    return f"{bounds_text(row, form or measure.form)} {unit}".strip()
+def with_unit(text: str, measure: Measure) -> str:
+    """Return a number as text with the unit of its measure."""
+    return f"{text} {measure.unit}".strip()
 
 
 def _table_of(rows: Mapping[str, Mapping[str, str]], name: str) -> pd.DataFrame:
-    """Return a table of rows, without columns that have no value. `name` is that of its index."""
+    """Return a table of rows. `name` is that of its index."""
     table = pd.DataFrame.from_dict(rows, orient="index").fillna(NONE).rename_axis(name)
-    return table.loc[:, (table != NONE).any()]
+    return without_dashes(table)
+
+
+def without_dashes(table: pd.DataFrame) -> pd.DataFrame:
+    """Return a table without rows and columns that have no value."""
+    has_value = table != NONE
+    return table.loc[has_value.any(axis=1), has_value.any()]
 
 
 # Sentences
 
 
 def write_sentences(values: pd.DataFrame, absent: Sequence[str] = ()) -> list[str]:
-    """Return sentences on the results: the question with its answer, the verdict, and more.
+    """Return sentences on the results: the verdict, its interval, and one on each task.
 
     Names of models are between backticks, and those of baselines between asterisks. `absent` are
     models without results on this machine, which the last sentence names.
     """
-    lines: list[str] = []
+    # A task without an error, for instance since its test has no bend, has no sentence.
+    tasks = []
     for task in values.index.unique("task"):
-        lines = _describe_best(values.loc[task], task)
-        if lines:
-            break
+        table = values.loc[task]
+        if statistics.value_of(table.loc[(lead_label(table), rank_models(table)[0])]) is not None:
+            tasks.append(task)
+    lines = []
+    if tasks:
+        table = values.loc[tasks[0]]
+        lines = [_write_headline(table, tasks[0]), _describe_difference(table, tasks[0])]
+        explained = {measure_of(table, tasks[0], lead_label(table))}
+        # The headline has compared the first task with a baseline if no network lacks the scene.
+        compared = _choose_rival(table) in BASELINES
+        for task in tasks[compared:]:
+            table = values.loc[task]
+            line = _compare_with_baseline(table, task)
+            measure = measure_of(table, task, lead_label(table))
+            if measure not in explained:
+                line += f" {_explain_measure(table, measure)}"
+            lines.append(line)
+            explained.add(measure)
     if absent:
         lines.append(
             f"No result here: {', '.join(absent)}. To fetch those of another machine: dvc pull "
@@ -164,63 +222,142 @@ def write_sentences(values: pd.DataFrame, absent: Sequence[str] = ()) -> list[st
     return lines
 
 
-def _describe_best(table: pd.DataFrame, task: str) -> list[str]:
-    """Return sentences on the best model, or none if it has no error: the test has no bend."""
-    name = rank_models(table)[0]
-    label = lead_label(table)
-    rows = table.loc[label]
-    row = rows.loc[name]
-    if statistics.value_of(row) is None:
-        return []
-    quantity = quantity_of(task)
-    measure = measure_of(table, task, label)
+def _choose_rival(table: pd.DataFrame) -> str:
+    """Return what the headline compares the best model with.
+
+    This is the best model without the scene, if the best model sees it, or the best baseline.
+    """
     blind = without_scene(table)
-    baseline = best_baseline(table)
-    baseline_error = error_text(rows.loc[baseline], measure)
+    sees_scene = bool(table.loc[("", rank_models(table)[0]), "scene"])
+    return blind if blind and sees_scene else best_baseline(table)
 
-    # The headline compares with a network that lacks the scene, if there is one.
-    drives = "1 drive" if row["drives"] == 1 else f"{row['drives']} drives"
-    title = f"{measure.title} {label}".strip()
-    error = f"an error ({title}) of {error_text(row, measure)} on {drives} that it was not trained "
-    error += "on"
-    if blind and table.loc[("", name), "scene"]:
-        rival = f"`{blind}`"
-        question = f"Does the scene help to predict the {title_of(task)}?"
-        answer = f"Network `{name}` sees the scene and has {error}. Network {rival} does not see "
-        answer += f"it and has {error_text(rows.loc[blind], measure)}."
+
+def _write_headline(table: pd.DataFrame, task: str) -> str:
+    """Return the verdict on the best model with both errors, in at most 20 words."""
+    name = rank_models(table)[0]
+    rival = _choose_rival(table)
+    label = lead_label(table)
+    error, rival_error = _shorten_pair(table, task, name, rival)
+    title = title_of(task)
+    clause = f"{label}, the {title} is off by" if label else f"the nmse of the {title} is"
+
+    verdict = read_difference(table, name, rival)["verdict"]
+    if rival in BASELINES:
+        if verdict == "better":
+            return f"`{name}` is better than *{rival}*: {clause} {error} instead of {rival_error}."
+        if verdict == "worse":
+            return f"*{rival}* is better than `{name}`: {clause} {rival_error} instead of {error}."
+        return f"No difference shown: {clause} {error} with `{name}`, {rival_error} with *{rival}*."
+    if verdict == "better":
+        return f"The scene helps: {clause} {error} instead of {rival_error}."
+    if verdict == "worse":
+        return f"Worse with the scene: {clause} {error} instead of {rival_error}."
+    return f"No difference shown: {clause} {error}, without the scene {rival_error}."
+
+
+def _shorten_pair(table: pd.DataFrame, task: str, name: str, rival: str) -> list[str]:
+    """Return the errors of two methods with two digits, or with those of tables if they agree."""
+    label = lead_label(table)
+    measure = measure_of(table, task, label)
+    texts = []
+    for method in (name, rival):
+        value = statistics.value_of(table.loc[(label, method)]) or 0.0
+        digits = 1 - math.floor(math.log10(value)) if value else 0
+        texts.append(f"{value:.{min(max(digits, 0), measure.digits)}f}")
+    if texts[0] == texts[1] or not all(text.strip("0.") for text in texts):
+        texts = [error_text(table.loc[(label, method)], measure) for method in (name, rival)]
+    return [with_unit(text, measure) for text in texts]
+
+
+def _describe_difference(table: pd.DataFrame, task: str) -> str:
+    """Return the difference that the headline is read from, with its interval, and its meaning."""
+    name = rank_models(table)[0]
+    rival = _choose_rival(table)
+    label = lead_label(table)
+    measure = measure_of(table, task, label)
+    if rival in BASELINES:
+        first = _describe_network(table)
+        second = f"*{rival}* ({NO_LEARNING[rival]})"
     else:
-        rival = f"*{baseline}*"
-        question = f"How well does a network predict the {title_of(task)}?"
-        answer = f"Network `{name}` has {error}. Without a network, {rival} "
-        answer += f"({NO_LEARNING[baseline]}) has {baseline_error}."
+        first = f"network `{name}`, which sees the scene,"
+        second = f"`{rival}`, which does not,"
+    title = f"{measure.title} {label}".strip()
+    difference = _difference_with_bounds(table, name, rival, measure)
+    text = f"The {title} of {first} minus that of {second} is {difference}."
 
-    choice = "validation error" if is_validated(table) else "test error (there is no validation)"
-    meaning = measure.meaning
-    ranges = [] if label else list_ranges(table)
-    if len(ranges) > 1:
-        meaning += f" Here it is the mean over the ranges {', '.join(ranges)}."
-    mae = quantity.text(table.loc[("", name), "mae"])
-    explained = [
-        f"*{name}*: {NO_LEARNING[name]}" for name in list_methods(table) if name in NO_LEARNING
-    ]
-    return [
-        f"{question} {answer} {meaning}",
-        f"Verdict on `{name}` against {rival}: {_verdict_text(table, name, rival, measure)}.",
-        f"The 95 % interval of the error of `{name}` is {interval_text(row, measure)}. `{name}` "
-        f"has the least {choice} of the networks. Its mean absolute error of the "
-        f"{quantity.shown_title} is {mae}.",
-        f"Predictions without a network: {'; '.join(explained)}. The best of them is *{baseline}*, "
-        f"with an error of {baseline_error}. Verdict on `{name}` against it: "
-        f"{_verdict_text(table, name, baseline, measure)}.",
-    ]
+    # Say what the verdict is based on, or why there is none.
+    row = table.loc[(label, name)]
+    verdict = read_difference(table, name, rival)["verdict"]
+    drives = "one test drive" if row["drives"] == 1 else f"{row['drives']} test drives"
+    seeds = "one seed" if len(row["seeds"]) == 1 else f"{len(row['seeds'])} seeds"
+    if verdict == "too few seeds":
+        text += " One seed is too few for a verdict: add some to train.seeds."
+    elif verdict == "too few drives":
+        text += f" A verdict needs ten test drives, and there are {row['drives']}."
+    else:
+        text += f" It is the mean over {drives} and {seeds}."
+    return f"{text} {_explain_measure(table, measure)}"
 
 
-def _verdict_text(table: pd.DataFrame, name: str, rival: str, measure: Measure) -> str:
-    """Return the verdict on a model against a rival, with the difference of their errors."""
-    row = read_difference(table, name, rival.strip("`*"))
-    difference = error_text(row, measure, measure.signed_form)
-    bounds = interval_text(row, measure, measure.signed_form)
-    return f"{row['verdict']} (difference {difference}, 95 % interval {bounds})"
+def _explain_measure(table: pd.DataFrame, measure: Measure) -> str:
+    """Return what the error that leads is."""
+    ranges = list_ranges(table)
+    if lead_label(table) or len(ranges) == 1:
+        return measure.meaning
+    return f"{measure.meaning} Here it is the mean over the ranges {', '.join(ranges)}."
+
+
+def _describe_network(table: pd.DataFrame) -> str:
+    """Return the name of the best model, and by which error it is the best of several."""
+    text = f"network `{rank_models(table)[0]}`"
+    if len(list_models(table)) == 1:
+        return text
+    if is_validated(table):
+        return f"{text} (with the least validation error)"
+    return f"{text} (with the least test error, since there is no validation)"
+
+
+def _difference_with_bounds(table: pd.DataFrame, name: str, rival: str, measure: Measure) -> str:
+    """Return the paired difference of a model from another or a baseline, with its interval."""
+    row = read_difference(table, name, rival)
+    difference = with_unit(difference_text(row, measure.signed_form), measure)
+    if pd.isna(row["low"]):
+        of_model = table.loc[(lead_label(table), name)]
+        return f"{difference} ({statistics.no_interval_text(of_model)})"
+    bounds = with_unit(bounds_text(row, measure.signed_form), measure)
+    return f"{difference}, 95 % interval {bounds}"
+
+
+def _compare_with_baseline(table: pd.DataFrame, task: str) -> str:
+    """Return a sentence that compares the best model of a task with the best baseline."""
+    name = rank_models(table)[0]
+    baseline = best_baseline(table)
+    label = lead_label(table)
+    measure = measure_of(table, task, label)
+    error, baseline_error = _shorten_pair(table, task, name, baseline)
+    verdict = read_difference(table, name, baseline)["verdict"]
+
+    network = _describe_network(table)
+    without = f"*{baseline}* ({NO_LEARNING[baseline]})"
+    if verdict == "better":
+        text = f"{network} is better than the best prediction without a network, {without}"
+        order = f"{error} instead of {baseline_error}"
+    elif verdict == "worse":
+        verb = "is better than"
+        if baseline == "odometry" and not quantity_of(task).is_ahead:
+            verb = "measures it better than"
+        text = f"{without} {verb} {network}"
+        order = f"{baseline_error} instead of {error}"
+    else:
+        text = f"no difference is shown between {network} and {without}"
+        order = f"{error} and {baseline_error}"
+    title = title_of(task)
+    by = f"{measure.title} {label}".strip()
+    difference = _difference_with_bounds(table, name, baseline, measure)
+    return (
+        f"{title[:1].upper()}{title[1:]}: {text}, by the {by}: {order}. The difference, "
+        f"`{name}` minus *{baseline}*, is {difference}."
+    )
 
 
 def few_turns(values: pd.DataFrame) -> list[str]:
@@ -349,11 +486,11 @@ def _first_cell(name: str, *, page: bool) -> str:
 def _error_cell(row: pd.Series, measure: Measure, *, page: bool) -> str:
     """Return the text of an error, with the interval of a model's."""
     _, name = row.name
-    value = value_text(statistics.value_of(row), measure.form)
+    value = error_text(row, measure)
     if name in BASELINES or value == NONE:
         return value
     if page:
-        return f"{value}\n{bounds_text(row, measure.form)}"
+        return f"{value}\n{statistics.error_bounds_text(row, measure)}"
     return statistics.error_text(row, measure)
 
 
@@ -384,12 +521,11 @@ def _differences(
 
 def _difference_cell(row: pd.Series, measure: Measure, *, page: bool) -> str:
     """Return the text of a paired difference, with its interval, and its verdict if it has one."""
-    value = statistics.value_of(row)
-    if value is None:
+    text = difference_text(row, measure.signed_form)
+    if text == NONE:
         return NONE
-    text = value_text(value, measure.signed_form)
     bounds = bounds_text(row, measure.signed_form)
-    verdict = "" if pd.isna(row["verdict"]) else f" {row['verdict']}"
+    verdict = "" if pd.isna(row.get("verdict")) else f" {row['verdict']}"
     return f"{text}{verdict}\n{bounds}" if page else f"{text} ({bounds}){verdict}"
 
 
@@ -414,7 +550,7 @@ def claims_table(values: pd.DataFrame, task: str) -> Section:
             "mean error, °": ", ".join(value_text(model["mae"], form) for model in (first, second)),
             "MSE ratio: paper": value_text(paper.mse_ratio(claim), ".2f"),
             "here": value_text(first["nmse"] / second["nmse"] if second["nmse"] else None, ".2f"),
-            "difference in nmse": f"{value_text(row['nmse'], '+.3f')} ({bounds_text(row, '+.3f')})",
+            "difference in nmse": _difference_cell(row.drop("verdict"), NMSE, page=False),
         }
     return Section("The paper's claims", _table_of(rows, "the paper's claim"))
 
@@ -458,7 +594,7 @@ def scores_tables(scores: Mapping[str, Any]) -> list[Section]:
     for part in parts["test"]:
         rows = {split: _score_cells(parts[split][part]) for split in SPLITS if parts[split][part]}
         if rows:
-            sections.append(Section(f"Scores: {part}", _table_of(rows, "split")))
+            sections.append(Section(SCORES[part], _table_of(rows, "split")))
     return sections
 
 
@@ -467,13 +603,23 @@ def _score_cells(values: Mapping[str, Any]) -> dict[str, str]:
     cells = {}
     for key, value in values.items():
         if not isinstance(value, dict):
-            cells[key] = value_text(value, "" if isinstance(value, int) else ".3g")
+            head = SCORE_HEADS.get(key, key)
+            cells[head] = value_text(value, "" if isinstance(value, int) else ".3g")
     return cells
 
 
-def write_definitions() -> str:
-    """Return the DEFINITIONS in Markdown."""
+def define_words(text: str) -> dict[str, str]:
+    """Return those of DEFINITIONS whose words are in a text."""
+    return {
+        word: meaning
+        for word, meaning in DEFINITIONS.items()
+        if re.search(rf"\b{re.escape(word)}(?!\w)", text, re.IGNORECASE)
+    }
+
+
+def write_definitions(text: str) -> str:
+    """Return the definitions of the words of a text in Markdown."""
     lines = "## Definitions\n\n"
-    for word, meaning in DEFINITIONS.items():
+    for word, meaning in define_words(text).items():
         lines += fill(f"- {word}: {meaning}", 110, subsequent_indent="  ") + "\n"
     return lines

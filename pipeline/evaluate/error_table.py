@@ -20,6 +20,7 @@ from pipeline.evaluate.drift import measure_drift
 from pipeline.evaluate.own_metrics import METRICS, Metric
 from pipeline.evaluate.settings import BASELINES, NO_LEARNING, Evaluate
 from pipeline.evaluate.statistics import FrameErrors
+from pipeline.labels.label import TURNING_RAD
 from pipeline.train.quantity import Quantity
 
 # Columns of a table of errors or differences, without METRICS. A row has an nmse, or an error in
@@ -145,6 +146,12 @@ def frame_errors(predictions: Predictions, method: str) -> dict[str, FrameErrors
     for label, columns in predictions.ranges.items():
         errors[label] = statistics.count_frames(square[..., columns], truth[:, columns] ** 2)
     return errors
+
+
+def is_turning(quantity: Quantity, values: np.ndarray) -> np.ndarray:
+    """Return whether the values [F,R] of a quantity turn in any of its columns, bool [F]."""
+    angle_rad = np.arctan(quantity.curvature(values) * quantity.car.wheelbase_m)
+    return (np.abs(angle_rad) > TURNING_RAD).any(axis=1)
 
 
 def error_table(

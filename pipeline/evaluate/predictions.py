@@ -15,6 +15,7 @@ import torch
 from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS
 from pipeline.base.store import read_index
+from pipeline.evaluate.error_table import is_turning
 from pipeline.graphs.graph_file import open_graphs
 from pipeline.labels import label
 from pipeline.motion.motion_file import open_motion, read_causal
@@ -226,7 +227,5 @@ def turning_frames(drives: Sequence[LabelledDrive]) -> int:
     """Return the number of frames whose target turns, in any of its columns."""
     frames = 0
     for drive in drives:
-        quantity = drive.quantity
-        angle_rad = np.arctan(quantity.curvature(drive.target) * quantity.car.wheelbase_m)
-        frames += int((np.abs(angle_rad) > label.TURNING_RAD).any(axis=1).sum())
+        frames += int(is_turning(drive.quantity, drive.target).sum())
     return frames

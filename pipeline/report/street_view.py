@@ -43,9 +43,13 @@ COLOURS = {
     "without the scene": (70, 160, 255),
     "predicted": (0, 200, 60),
 }
-# Dashes of the line of a path, in line widths: drawn, left out. Others are solid. The line below one
-# with dashes shows in its gaps.
-DASHES = {"predicted": (3.0, 2.5), "without the scene": (1.0, 1.5), "odometry": (1.0, 4.0)}
+# Line styles of paths: offset, and lengths drawn and left out in line widths. Other lines are
+# solid. A path that lies below such a line shows in its gaps.
+LINE_STYLES = {
+    "predicted": (0, (3.0, 2.5)),
+    "without the scene": (0, (1.0, 1.5)),
+    "odometry": (0, (1.0, 4.0)),
+}
 # Style of the box behind letters in an image.
 BACKDROP = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 2.0}
 # Depth of a pixel, relative to that of the path there, below which something stands in front of it.
@@ -61,6 +65,15 @@ NEAREST_M = 1.0
 def chart_colour(kind: str) -> tuple[float, ...]:
     """Return one of COLOURS as Matplotlib's numbers from 0 to 1."""
     return tuple(value / 255 for value in COLOURS[kind])
+
+
+def path_style(kind: str) -> dict[str, Any]:
+    """Return how a path is drawn, as arguments of Axes.plot."""
+    return {
+        "color": chart_colour(kind),
+        "linewidth": PATH_WIDTH,
+        "linestyle": LINE_STYLES.get(kind, "-"),
+    }
 
 
 class View(NamedTuple):
@@ -165,11 +178,7 @@ def draw_paths_in_image(
     for kind, curvature_1pm in paths.items():
         label = kind
         for wheel in wheel_tracks(curvature_1pm, camera, depth_m=depth_m):
-            (line,) = panel.plot(
-                *wheel.T, color=chart_colour(kind), linewidth=PATH_WIDTH, label=label
-            )
-            if kind in DASHES:
-                line.set_dashes(DASHES[kind])
+            panel.plot(*wheel.T, **path_style(kind), label=label)
             label = ""  # the second track is not in the legend
     panel.legend(
         loc="upper left",
@@ -182,6 +191,19 @@ def draw_paths_in_image(
         edgecolor=BACKDROP["edgecolor"],
         framealpha=BACKDROP["alpha"],
     )
+
+
+def write_in_image(panel: Axes, text: str) -> None:
+    """Write a text into the upper right corner of an image, on a backdrop."""
+    corner = {"transform": panel.transAxes, "ha": "right", "va": "top"}
+    panel.text(0.99, 0.97, text, fontsize="small", bbox=BACKDROP, **corner)
+
+
+def draw_paths_from_above(panel: Axes, paths: Mapping[str, np.ndarray]) -> None:
+    """Draw paths over the points of :func:`draw_points`. `paths` is as in draw_paths_in_image."""
+    for kind, curvature_1pm in paths.items():
+        place_m, _ = path_positions(curvature_1pm)
+        panel.plot(-place_m.imag, place_m.real, **path_style(kind))
 
 
 def draw_sheet(title: str, view: View, graph: View | None = None) -> Figure:

@@ -1,6 +1,7 @@
 """Stage report: all files from what is there, the same bytes each time."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -59,7 +60,7 @@ def test_all_files_are_written_and_repeat(tmp_path):
     errors = json.loads(made[0]["error.json"])
     assert [*errors] == ["scene", "sa-gnn-ncp"]
     error_m = errors["scene"]
-    sentence = f"Network `scene` has an error (displacement at 5 m) of {error_m:.2f} m on 2 drives"
+    sentence = f"at 5 m, the path ahead is off by {error_m:.2f} m with `scene`"
     assert sentence in " ".join(text.split())
     assert errors["sa-gnn-ncp"] == pytest.approx(0.2)
     curves = "model,seed,epoch,learning_rate,train_loss,val_nmse\n"
@@ -77,3 +78,11 @@ def test_all_files_are_written_and_repeat(tmp_path):
     page = made[0]["index.html"].decode()
     for part in ("No result here: absent.", "<p>doubt: speed of 3</p>", "angle of 2", "b0.pt: its"):
         assert part in page
+
+    # Each definition is of a word that the page has elsewhere.
+    body, definitions = page.split("<summary>Definitions</summary>")
+    words = re.findall("<p>([^:]+):", definitions.partition("</details>")[0])
+    shown = re.sub("<[^>]*>", " ", body.partition("<body>")[2])
+    assert {"displacement", "nmse", "MAE", "edges"} <= {*words}
+    assert not {"the paper's claims", "coverage", "level road"} & {*words}
+    assert [word for word in words if word.lower() not in shown.lower()] == []

@@ -19,7 +19,7 @@ from pipeline.evaluate.own_metrics import METRICS, Metric
 from pipeline.evaluate.predictions import Case, prediction_table, read_odometry
 from pipeline.evaluate.settings import Evaluate
 from pipeline.train.loss import Scale
-from pipeline.train.quantity import load_quantity
+from pipeline.train.quantity import Measure, load_quantity
 from pipeline.train.targets import LabelledDrive
 from tests import artefacts
 from tests.small_model import entry, read_drives
@@ -162,6 +162,14 @@ def test_a_pair_has_one_interval_and_only_the_error_that_leads_has_a_verdict():
 
 
 @pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.003, "0.003"), (0.0004, "0.0004"), (1.234, "1.23"), (0, "0.00"), (1e-9, "0.00")],
+)
+def test_a_small_error_is_not_printed_as_0(value, text):
+    assert statistics.number_text(value, Measure("displacement", "m", 2, "")) == text
+
+
+@pytest.mark.parametrize(
     ("bounds", "digits", "verdict"),
     [
         ((-0.3, -0.006), 2, "better"),
@@ -174,7 +182,7 @@ def test_a_pair_has_one_interval_and_only_the_error_that_leads_has_a_verdict():
 )
 def test_a_bound_that_is_printed_as_0_excludes_nothing(bounds, digits, verdict):
     assert statistics.judge_difference(bounds, 2, 10, digits) == verdict
-    assert statistics.bounds_text({"low": -0.004, "high": 0.3}, "+z.2f") == "+0.00 to +0.30"
+    assert statistics.bounds_text({"low": -0.004, "high": 0.3}, "+z.2f") == "0.00 to +0.30"
 
 
 @pytest.mark.parametrize("source", ["oxts", "visual"])

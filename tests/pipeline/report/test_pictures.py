@@ -4,6 +4,7 @@ import h5py
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from pipeline.camera.camera import Camera
 from pipeline.camera.classes import VOID
@@ -14,9 +15,13 @@ from pipeline.ingest.stored_camera import read_camera
 from pipeline.perception.perception_file import open_perception
 from pipeline.report import drawings
 from pipeline.report.street_view import (
+    DPI,
     HALF_TRACK_M,
+    HIDDEN_SHARE,
     STEP_M,
+    WIDTH,
     chart_colour,
+    draw_paths_in_image,
     path_steps,
     read_view,
     wheel_tracks,
@@ -67,6 +72,37 @@ def test_the_wheels_on_a_straight_road_meet_at_the_horizon():
     np.testing.assert_allclose(uphill[:, 1], left[:, 1] - 10)
 
 
+def test_a_track_ends_behind_what_stands_in_front_of_it():
+    """Something 10 m ahead covers the right half of the image. The other depth is unknown."""
+    depth_m = np.zeros(CAMERA.size)
+    depth_m[:, 160:] = 10.0
+    whole = wheel_tracks(np.zeros(60), CAMERA)
+    left, right = wheel_tracks(np.zeros(60), CAMERA, depth_m=depth_m)
+    np.testing.assert_array_equal(left, whole[0])
+    assert len(right) < len(whole[1])
+    farthest_m = 100 * 1.5 / (right[-1, 1] - 40)
+    assert farthest_m == pytest.approx(10 / HIDDEN_SHARE, abs=STEP_M)
+
+
+def test_a_track_ends_where_it_turns_back_to_the_camera():
+    """Half a circle of 10 m to the left: the left wheel is 9.2 m ahead, the right one 10.8 m."""
+    for track, ahead_m in zip(wheel_tracks(np.full(63, 0.1), CAMERA), (9.2, 10.8), strict=True):
+        assert (np.diff(track[:, 1]) < 0).all()
+        assert 100 * 1.5 / (track[-1, 1] - 40) == pytest.approx(ahead_m, abs=0.1)
+
+
+def test_one_of_two_coinciding_paths_is_seen_in_the_gaps_of_the_other():
+    figure = Figure()
+    panel = figure.add_axes((0, 0, 1, 1))
+    paths = dict.fromkeys(("driven", "predicted", "without the scene"), np.zeros(40))
+    draw_paths_in_image(panel, np.zeros((96, 320, 3), np.uint8), CAMERA, paths)
+    styles = [line.get_linestyle() for line in panel.lines]
+    assert styles == ["-", "-", "--", "--", "--", "--"]
+    assert [text.get_text() for text in panel.get_legend().get_texts()] == [*paths]
+    assert panel.lines[0].get_linewidth() * DPI / 72 == pytest.approx(3)
+    assert WIDTH * DPI >= 800
+
+
 @pytest.mark.parametrize("with_classes", [True, False])
 def test_pictures_show_what_the_encoder_has(tmp_path, monkeypatch, with_classes):
     titles: list[str] = []
@@ -106,6 +142,7 @@ def test_the_picture_of_a_bend_shows_the_paths_with_and_without_the_scene(tmp_pa
     (task,), values = examples.load(tmp_path, *nmse)
     with open_ingest(tmp_path / f"ingest/{DRIVE}.h5") as images:
         camera = read_camera(images)
+        depth_m = read_view(29, images).depth_m
 
     def plot(_: Axes, x: np.ndarray, y: np.ndarray, **style: object) -> None:
         drawn.append((style["color"], np.stack([x, y], axis=1)))
@@ -116,7 +153,7 @@ def test_the_picture_of_a_bend_shows_the_paths_with_and_without_the_scene(tmp_pa
     tracks = iter(drawn)
     for kind, error in (("driven", 0), ("predicted", 0.1), ("without the scene", 0.6)):
         steps = np.full(20, 0.29 * (1 + np.sqrt(error)))
-        for expected in wheel_tracks(steps, camera):
+        for expected in wheel_tracks(steps, camera, depth_m=depth_m):
             colour, track = next(tracks)
             assert colour == chart_colour(kind)
             np.testing.assert_allclose(track, expected)

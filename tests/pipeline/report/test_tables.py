@@ -1,10 +1,13 @@
 """The table of values, the paper's networks and claims, tables, sentences, and DVC's metrics."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from pipeline.report import paper, tables, values
+from pipeline.scores import motion_scores, pixels
 from pipeline.scores.pixels import Scores
 from pipeline.train.entry import Entry
 from stages import preset
@@ -178,7 +181,7 @@ def test_the_best_model_is_compared_with_the_best_baseline_and_the_other_models(
     assert differences.index.tolist() == ["path − *odometry*", "path − path-blind"]
     cell = differences["at 5 m, m"].iloc[1]
     assert cell.startswith(difference)
-    assert cell.endswith("too few seeds (train.seeds)")
+    assert cell.endswith("too few seeds")
     assert differences["at 10 m, m"].iloc[1].endswith(")")  # only one error has a verdict
     section = tables.results_table(table, "path-0")
     assert section.table.loc["path ✓", "error at 5 m, m"].startswith(f"{error_m['path']:.2f} (")
@@ -190,10 +193,14 @@ def test_the_best_model_is_compared_with_the_best_baseline_and_the_other_models(
     assert by_range.table.loc["path", "nmse 0-5 m"] == "0.200 (0.200 to 0.200)"
     assert by_range.table.loc["*odometry*", "nmse 5-10 m"] == "0.400"
     assert in_nmse.table["5-10 m"].iloc[1] == "−0.300 (−0.300 to −0.300)"
-    headline, line, *_ = tables.write_sentences(table)
-    assert f"does not see it and has {error_m['blind']:.2f} m." in headline
-    assert line.startswith("Verdict on `path` against `path-blind`: too few seeds")
-    assert f"(difference {difference} m, 95 % interval" in line
+    headline, line, compared = tables.write_sentences(table)
+    errors = f"{error_m['path']:.2f} m, without the scene {error_m['blind']:.2f} m"
+    assert headline == f"No difference shown: at 5 m, the path ahead is off by {errors}."
+    assert "of network `path`, which sees the scene, minus that of `path-blind`" in line
+    assert f"is {difference} m, 95 % interval" in line
+    assert "One seed is too few for a verdict" in line
+    assert compared.startswith("Path ahead: no difference is shown between network `path` (with")
+    assert "the least test error, since there is no validation) and *odometry*" in compared
 
 
 def test_published_values_without_ends_show_their_nmse(tmp_path):
@@ -213,9 +220,9 @@ def test_published_values_without_ends_show_their_nmse(tmp_path):
     assert results.loc["path ✓", "nmse 0-5 m"] == "0.200 (0.200 to 0.200)"
     assert tables.nmse_tables(table, "path-0") == []
     headline, line, *_ = tables.write_sentences(table)
-    assert "an error (nmse) of 0.200 on 2 drives" in headline
-    assert "the mean over the ranges 0-5 m, 5-10 m." in headline
-    assert line.endswith("better (difference −0.300, 95 % interval −0.300 to −0.300).")
+    assert headline == "The scene helps: the nmse of the path ahead is 0.20 instead of 0.50."
+    assert "is −0.300, 95 % interval −0.300 to −0.300. It is the mean over 2 test drives" in line
+    assert line.endswith("the mean over the ranges 0-5 m, 5-10 m.")
 
 
 @pytest.mark.parametrize(
@@ -255,12 +262,72 @@ def test_the_best_validated_model_has_a_verdict(
         assert table.loc[("", "net"), "mae"] == pytest.approx(mae_deg)
         return values.read_difference(table, "net", rival)["verdict"]
 
-    assert verdict_of([0]) == "too few seeds (train.seeds)"
+    assert verdict_of([0]) == "too few seeds"
     assert verdict_of([0, 1]) == verdict
     blocks = examples.SETTINGS.model_copy(update={"bootstrap_block_frames": 6})
     monkeypatch.setattr(examples, "SETTINGS", blocks)
     for seeds in ([0], [0, 1]):
         assert verdict_of(seeds, doubts=1) == "too few drives"
+
+
+@pytest.mark.parametrize("with_blind", [True, False])
+@pytest.mark.parametrize("verdict", ["better", "worse", "no difference shown", "too few drives"])
+@pytest.mark.parametrize("predict", ["angle", "path"])
+def test_the_headline_has_the_verdict_and_both_errors_in_20_words(
+    tmp_path, predict, verdict, with_blind
+):
+    """Errors of 0.004 and 0.006 differ in the digit that tables would round away."""
+    baselines = {"regression": 0.006 if verdict != "worse" else 0.002}
+    models = [metrics("path", 0.004, baselines, predict=predict)]
+    rival = "regression"
+    if with_blind:
+        rival = "path-blind"
+        models.append(metrics(rival, 0.006, baselines, predict=predict, spatial="blind"))
+    validation = {"nmse": 0.1, "error": 0.1}
+    for content, factor in zip(models, (1, 2), strict=False):
+        error = {key: factor * value for key, value in validation.items()}
+        content["val"] = {content["model"]: error, f"at 5 m/{content['model']}": error}
+    table = compare(tmp_path, *(model | {"seeds": [0, 1]} for model in models))
+    lead = values.lead_label(table.loc[f"{predict}-0"])
+    table.loc[(f"{predict}-0", lead, f"path - {rival}"), "verdict"] = verdict
+    headline, line, *_ = tables.write_sentences(table)
+    assert len(headline.split()) <= 20
+    start = {
+        ("better", True): "The scene helps: ",
+        ("worse", True): "Worse with the scene: ",
+        ("better", False): "`path` is better than *regression*: ",
+        ("worse", False): "*regression* is better than `path`: ",
+    }.get((verdict, with_blind), "No difference shown: ")
+    assert headline.startswith(start)
+    first, second = re.findall(r"\d\.\d+", headline)
+    assert first != second
+    assert ("A verdict needs ten test drives, and there are 2." in line) == (
+        verdict == "too few drives"
+    )
+
+
+def test_odometry_measures_the_present_angle_better_and_one_drive_has_no_interval(tmp_path):
+    baselines = {"odometry": 0.003}
+    table = examples.predictions(0.08, baselines=baselines)
+    table = table[table["drive"] == examples.DRIVES[0]]
+    examples.write_model(tmp_path, metrics("net", 0.08) | {"seeds": [0, 1]}, table)
+    _, one_drive = examples.load(tmp_path, "net")
+    _, line = tables.write_sentences(one_drive)
+    assert "is +0.077 (one test drive: no interval). A verdict needs ten test drives" in line
+    cell = tables.results_table(one_drive, "angle-0", page=True).table.loc["`net` ✓", "nmse"]
+    assert cell == "0.080\none test drive: no interval"
+
+    net = metrics("net", 0.08, baselines) | {"seeds": [0, 1]}
+    blind = metrics("blind", 0.5, baselines, spatial="blind") | {"seeds": [0, 1]}
+    *_, line = tables.write_sentences(compare(tmp_path / "two", net, blind))
+    assert line.startswith("Steering angle: *odometry* (what the images show")
+    assert "measures it better than network `net`" in line
+    assert "by the nmse: 0.003 instead of 0.080. The difference, `net` minus *odometry*" in line
+
+
+def test_a_text_gets_the_definitions_of_its_words_only():
+    text = "the nmse of *zero*, and its edges; coverages, knowledges"
+    assert [*tables.define_words(text)] == ["nmse", "edges", "zero"]
 
 
 def test_few_turning_frames_are_doubted(tmp_path):
@@ -279,19 +346,28 @@ def test_scores_have_a_table_per_part_and_a_row_per_split():
     motion = {"drives": 20, "nmse": None, "speed_ratio": 0.99457, "yaw_rmse_degps": 0.27210444}
     report["motion"] = {"train": None, "val": None, "test": motion}
     sections = tables.scores_tables(report)
-    assert [section.title.split()[1] for section in sections] == [
-        "depth_lidar",
-        "classes",
-        "motion",
-    ]
+    titles = ["Depth, compared with LiDAR", "Classes, compared with dense truth"]
+    titles.append("Motion by visual odometry, compared with recorded motion")
+    assert [section.title for section in sections] == titles
     rows = [section.table.reset_index().to_dict("records") for section in sections]
+    within = {"frames": "1", "error / depth": "0.2", "RMSE, m": "2", "within 25 %": "1"}
+    exact = within | {"error / depth": "0", "RMSE, m": "0"}
+    speed = {"speed: measured / recorded": "0.995", "yaw rate: RMSE, deg/s": "0.272"}
     assert rows == [
         [
-            {"split": "val", "frames": "1", "abs_rel": "0.2", "rmse_m": "2", "delta1": "1"}
-            | {"coverage": "1"},
-            {"split": "test", "frames": "1", "abs_rel": "0", "rmse_m": "0", "delta1": "1"}
-            | {"coverage": "1"},
+            {"split": "val"} | within | {"coverage": "1"},
+            {"split": "test"} | exact | {"coverage": "1"},
         ],
-        [{"split": "test", "frames": "1", "mean_iou": "0.5", "pixel_accuracy": "0.5"}],
-        [{"split": "test", "drives": "20", "speed_ratio": "0.995", "yaw_rmse_degps": "0.272"}],
+        [{"split": "test", "frames": "1", "mean IoU": "0.5", "pixel accuracy": "0.5"}],
+        [{"split": "test", "drives": "20"} | speed],
     ]
+
+
+def test_names_of_the_code_have_words_in_tables_of_scores():
+    motion = motion_scores.summarise_errors([motion_scores.MotionErrors(*np.ones((5, 3)))])
+    report = Scores().to_report()
+    assert report.keys() | {"motion"} == tables.SCORES.keys()
+    for head in tables.SCORE_HEADS.values():
+        assert "_" not in head
+    numbers = {key for key in motion if "_" in key} | {*pixels.DEPTH_ERRORS}
+    assert numbers <= tables.SCORE_HEADS.keys()

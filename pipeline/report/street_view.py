@@ -47,7 +47,7 @@ COLOURS = {
 # solid. A path that lies below such a line shows in its gaps.
 LINE_STYLES = {
     "predicted": (0, (3.0, 2.5)),
-    "without the scene": (0, (1.0, 1.5)),
+    "without the scene": (0, (1.5, 1.0)),
     "odometry": (0, (1.0, 4.0)),
 }
 # Style of the box behind letters in an image.

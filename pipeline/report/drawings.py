@@ -149,7 +149,7 @@ def _draw_interval(
     value = statistics.value_of(row)
     if value is None:
         return
-    panel.text(1.03 * limit, line, format(value, measure.form), va="center")
+    panel.text(1.03 * limit, line, statistics.number_text(value, measure), va="center")
     farthest = value
     if not pd.isna(row["low"]):
         panel.plot([row["low"], row["high"]], [line, line], color=colour, linewidth=2)

@@ -183,8 +183,9 @@ def draw_paths_in_image(
     panel.legend(
         loc="upper left",
         ncols=len(paths),
-        fontsize="small",
-        handlelength=2.5,
+        fontsize="medium",
+        handlelength=2,
+        columnspacing=1,
         borderaxespad=0.3,
         fancybox=False,
         facecolor=BACKDROP["facecolor"],
@@ -196,7 +197,7 @@ def draw_paths_in_image(
 def write_in_image(panel: Axes, text: str) -> None:
     """Write a text into the upper right corner of an image, on a backdrop."""
     corner = {"transform": panel.transAxes, "ha": "right", "va": "top"}
-    panel.text(0.99, 0.97, text, fontsize="small", bbox=BACKDROP, **corner)
+    panel.text(0.99, 0.97, text, fontsize="medium", bbox=BACKDROP, **corner)
 
 
 def draw_paths_from_above(panel: Axes, paths: Mapping[str, np.ndarray]) -> None:

@@ -194,7 +194,7 @@ def test_the_best_model_is_compared_with_the_best_baseline_and_the_other_models(
     assert by_range.table.loc["*odometry*", "nmse 5-10 m"] == "0.400"
     assert in_nmse.table["5-10 m"].iloc[1] == "−0.300 (−0.300 to −0.300)"
     headline, line, compared = tables.write_sentences(table)
-    errors = f"{error_m['path']:.2f} m, without the scene {error_m['blind']:.2f} m"
+    errors = f"{error_m['path']:.2f} m, without the scene {error_m['blind']:.1f} m"
     assert headline == f"No difference shown: at 5 m, the path ahead is off by {errors}."
     assert "of network `path`, which sees the scene, minus that of `path-blind`" in line
     assert f"is {difference} m, 95 % interval" in line

@@ -109,7 +109,7 @@ SCORE_HEADS = {
     "valid": "frames measured",
     "judged": "frames with an angle",
     "yaw_rmse_degps": "yaw rate: RMSE, deg/s",
-    "yaw_median_degps": "median error, deg/s",
+    "yaw_median_degps": "yaw rate: median error, deg/s",
     "speed_ratio": "speed: measured / recorded",
     "nmse": "nmse of the angle",
 }

@@ -306,7 +306,11 @@ def test_the_headline_has_the_verdict_and_both_errors_in_20_words(
     )
 
 
-def test_odometry_measures_the_present_angle_better_and_one_drive_has_no_interval(tmp_path):
+def test_odometry_measures_the_present_angle_better_and_one_drive_has_no_interval(
+    tmp_path, monkeypatch
+):
+    whole_drives = examples.SETTINGS.model_copy(update={"bootstrap_block_frames": 200})
+    monkeypatch.setattr(examples, "SETTINGS", whole_drives)
     baselines = {"odometry": 0.003}
     table = examples.predictions(0.08, baselines=baselines)
     table = table[table["drive"] == examples.DRIVES[0]]

@@ -133,6 +133,7 @@ def test_pictures_show_what_the_encoder_has(tmp_path, monkeypatch, with_classes)
 def test_the_picture_of_a_bend_shows_the_paths_with_and_without_the_scene(tmp_path, monkeypatch):
     """The drive turns most at frame 29, the last one. The tracks are left and right wheels'."""
     drawn: list[tuple[object, np.ndarray]] = []
+    draw = Axes.plot
     street.write_drive(tmp_path / "ingest", DRIVE, 30)
     nmse = {"path": 0.1, "path-blind": 0.6}
     for model, spatial in (("path", "gnn"), ("path-blind", "blind")):
@@ -144,8 +145,9 @@ def test_the_picture_of_a_bend_shows_the_paths_with_and_without_the_scene(tmp_pa
         camera = read_camera(images)
         depth_m = read_view(29, images).depth_m
 
-    def plot(_: Axes, x: np.ndarray, y: np.ndarray, **style: object) -> None:
+    def plot(panel: Axes, x: np.ndarray, y: np.ndarray, **style: object) -> None:
         drawn.append((style["color"], np.stack([x, y], axis=1)))
+        draw(panel, x, y, **style)
 
     monkeypatch.setattr(Axes, "plot", plot)
     picture = drawings.draw_bend(tmp_path, task, values.loc["path-0"], tmp_path)

@@ -306,9 +306,8 @@ def test_the_headline_has_the_verdict_and_both_errors_in_20_words(
     )
 
 
-def test_odometry_measures_the_present_angle_better_and_one_drive_has_no_interval(
-    tmp_path, monkeypatch
-):
+def test_one_test_drive_has_no_interval(tmp_path, monkeypatch):
+    """A drive that is longer than a block would be cut into parts."""
     whole_drives = examples.SETTINGS.model_copy(update={"bootstrap_block_frames": 200})
     monkeypatch.setattr(examples, "SETTINGS", whole_drives)
     baselines = {"odometry": 0.003}
@@ -321,9 +320,12 @@ def test_odometry_measures_the_present_angle_better_and_one_drive_has_no_interva
     cell = tables.results_table(one_drive, "angle-0", page=True).table.loc["`net` ✓", "nmse"]
     assert cell == "0.080\none test drive: no interval"
 
+
+def test_a_sentence_says_that_odometry_measures_the_present_angle_better(tmp_path):
+    baselines = {"odometry": 0.003}
     net = metrics("net", 0.08, baselines) | {"seeds": [0, 1]}
     blind = metrics("blind", 0.5, baselines, spatial="blind") | {"seeds": [0, 1]}
-    *_, line = tables.write_sentences(compare(tmp_path / "two", net, blind))
+    *_, line = tables.write_sentences(compare(tmp_path, net, blind))
     assert line.startswith("Steering angle: *odometry* (what the images show")
     assert "measures it better than network `net`" in line
     assert "by the nmse: 0.003 instead of 0.080. The difference, `net` minus *odometry*" in line

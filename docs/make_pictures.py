@@ -139,8 +139,8 @@ def draw_frame(
     for panel, title in zip(panels, PANELS, strict=True):
         panel.set_title(title, loc="left", fontsize="small", pad=3)
     panels[3].tick_params(labelsize="x-small")
-    panels[3].xaxis.label.set_size("x-small")
-    panels[3].yaxis.label.set_size("x-small")
+    panels[3].xaxis.label.set_fontsize("x-small")
+    panels[3].yaxis.label.set_fontsize("x-small")
 
     png = io.BytesIO()
     figure.savefig(png, format="png")

@@ -60,7 +60,7 @@ def pages() -> dict[Path, str]:
     def table(match: re.Match[str]) -> str:
         start, name, end = match.groups()
         if name not in tables:
-            raise InputError(f"settings: {name}: {closest(name, tables)}")
+            raise InputError(f"settings: {name}: {closest(name, [*tables])}")
         return start + tables[name] + end
 
     texts = {}

@@ -92,7 +92,7 @@ def list_tasks(model: Model, folder: StageFolder, workers: int | None) -> list[T
     """
     code = folder.code.hash()
     files = [file_hash(path) for path in model.input_files()]
-    tasks = []
+    tasks = list[Task]()
     for run in runs.list_runs(folder.new, model.settings.seeds):
         key = stage_key(code, model.inputs(run.seed), files)
         # Of networks that are trained in parallel, only the first has a bar on a terminal.

@@ -75,7 +75,7 @@ def write_page(path: Path, view: View, title: str) -> None:
     image = ""
     if view.rgb is not None:
         _, png = cv2.imencode(".png", cv2.cvtColor(view.rgb, cv2.COLOR_RGB2BGR))
-        encoded = base64.b64encode(png).decode()
+        encoded = base64.b64encode(png.tobytes()).decode()
         image = f'<img alt="the image of the frame" src="data:image/png;base64,{encoded}">'
     plot = figure.to_html(
         div_id="space",

@@ -151,7 +151,7 @@ def frame_errors(predictions: Predictions, method: str) -> dict[str, FrameErrors
 def is_turning(quantity: Quantity, values: np.ndarray) -> np.ndarray:
     """Return whether the values [F,R] of a quantity turn in any of its columns, bool [F]."""
     angle_rad = np.arctan(quantity.curvature(values) * quantity.car.wheelbase_m)
-    return (np.abs(angle_rad) > TURNING_RAD).any(axis=1)
+    return np.any(np.abs(angle_rad) > TURNING_RAD, axis=1)
 
 
 def error_table(

@@ -196,8 +196,16 @@ def draw_paths_in_image(
 
 def write_in_image(panel: Axes, text: str) -> None:
     """Write a text into the upper right corner of an image, on a backdrop."""
-    corner = {"transform": panel.transAxes, "ha": "right", "va": "top"}
-    panel.text(0.99, 0.97, text, fontsize="medium", bbox=BACKDROP, **corner)
+    panel.text(
+        0.99,
+        0.97,
+        text,
+        transform=panel.transAxes,
+        horizontalalignment="right",
+        verticalalignment="top",
+        fontsize="medium",
+        bbox=BACKDROP,
+    )
 
 
 def draw_paths_from_above(panel: Axes, paths: Mapping[str, np.ndarray]) -> None:

@@ -2,6 +2,7 @@
 
     python -m docs.make_pictures path      # docs/path.webp
     python -m docs.make_pictures sample    # docs/sample.png
+    python -m docs.make_pictures street    # docs/street.png, after the command of docs/measure.md
 
 The moving picture shows a test road. It is the one with the median difference in the error that
 leads, the displacement at 20 m, between the best network and the best one without the scene. The
@@ -168,5 +169,25 @@ def sample(data: Data = Path("data"), out: Path = DOCS / "sample.png") -> None:
     print(f"{out}: {len(drives)} drives, {out.stat().st_size / 1e6:.1f} MB")
 
 
+def street(
+    measured: Path = Path("out/udacity/motion.csv"), out: Path = DOCS / "street.png"
+) -> None:
+    """Draw the measured steering angle of the clip of a real street beside that of its log."""
+    table = pd.read_csv(measured)
+    figure = Figure(figsize=(6.8, 2.6), layout="constrained")
+    panel = figure.subplots()
+    for column, kind, name in (
+        ("driven_rad", "driven", "log of the steering wheel, divided by the steering ratio"),
+        ("measured_rad", "predicted", "measured in the images"),
+    ):
+        angle_deg = np.degrees(table[column])
+        panel.plot(table["time_s"], angle_deg, color=street_view.chart_colour(kind), label=name)
+    panel.axhline(0, color="0.8", linewidth=0.8, zorder=0)
+    panel.set(xlabel="time in s", ylabel="angle of the front wheels\nin degrees, left positive")
+    panel.legend(loc="lower left", frameon=False)
+    street_view.save_figure(figure, out)
+    print(f"{out}: {len(table)} frames")
+
+
 if __name__ == "__main__":
-    console.run(path, sample)
+    console.run(path, sample, street)

@@ -27,7 +27,7 @@ _LAYOUT = {
         "y": 1.02,
         "yanchor": "bottom",
     },
-    "margin": {"l": 0, "r": 0, "t": 90, "b": 0},
+    "margin": {"l": 0, "r": 0, "t": 70, "b": 20},
     "scene": {
         "xaxis": {"title": "right, m", "range": [_LOWEST_M[0], _HIGHEST_M[0]]},
         "yaxis": {"title": "ahead, m", "range": [_LOWEST_M[1], _HIGHEST_M[1]]},
@@ -36,7 +36,7 @@ _LAYOUT = {
         "aspectmode": "manual",
         "aspectratio": dict(zip("xyz", (_HIGHEST_M - _LOWEST_M) / 31, strict=True)),
         # The view is from behind and above the car.
-        "camera": {"eye": {"x": 0, "y": -1.5, "z": 0.9}, "center": {"z": -0.25}},
+        "camera": {"eye": {"x": 0, "y": -2.0, "z": 1.2}, "center": {"z": -0.2}},
     },
 }
 

@@ -24,7 +24,7 @@ from pipeline.motion.facts import check_unit
 from pipeline.motion.measure import measure_drive
 from pipeline.perception.perceive import perceive_drive
 from pipeline.perception.settings import Perception
-from steer.measured import measured_key, take_measured
+from steer.measurement import measurement_key, reuse_measurement
 
 # Names of the files that :func:`run_chain` writes.
 INGEST = "ingest.h5"
@@ -104,7 +104,7 @@ def _open_files(path: Path, files: kitti.KittiDrive, reading: Reading) -> Source
     return Source(path, files, kitti.read_drive(files, reading))
 
 
-class Measured(NamedTuple):
+class Measurement(NamedTuple):
     """What :func:`run_chain` measured."""
 
     # Summary of the motion, see :func:`pipeline.motion.measure.measure_drive`.
@@ -121,7 +121,7 @@ def run_chain(
     perception: Perception,
     encoder: Path,
     earlier: Path | None = None,
-) -> Measured:
+) -> Measurement:
     """Write ingest.h5, perception.h5 and motion.h5 of a source to the folder `work`.
 
     `encoder` is the folder of an encoder. If `earlier`, an output folder of `steer measure`, has
@@ -136,10 +136,11 @@ def run_chain(
         bar.set_description("ingest")
         summary = write_drive(ingest, source.drive, source.name, "kitti", reading, bar.update)
 
-        key = measured_key(ingest, perception, encoder)
-        facts = take_measured(earlier, work, key) if earlier else None
+        key = measurement_key(ingest, perception, encoder)
+        facts = reuse_measurement(earlier, work, key) if earlier else None
         if facts is not None:
-            return Measured(facts, key)
+            source.drive.notes.append(f"depth, classes and motion are those in {earlier}")
+            return Measurement(facts, key)
 
         # Damaged frames, and frames without an image, are left out of the next file.
         bar.reset(summary["frames"])
@@ -159,4 +160,4 @@ def run_chain(
         bar.set_description("motion")
         facts = measure_drive(work / MOTION, ingest, perceived, advance=bar.update)
     check_unit({source.name: facts})
-    return Measured(facts, key)
+    return Measurement(facts, key)

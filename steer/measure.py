@@ -22,7 +22,7 @@ from pipeline.perception.settings import Perception
 from pipeline.train.trained import Trained
 from steer import predict
 from steer.chain import INGEST, open_source, run_chain
-from steer.measured import find_drive, keep_measured
+from steer.measurement import find_drive, save_measurement
 from steer.outcome import Outcome, Results, comparison_lines
 from steer.pictures import draw_track, write_overlay
 
@@ -79,7 +79,7 @@ def measure_source(
         )
         if model:
             source = predict.adapt_source(model, source)
-        measured = run_chain(
+        measurement = run_chain(
             source,
             work,
             reading=reading,
@@ -88,7 +88,7 @@ def measure_source(
             earlier=earlier,
         )
 
-        results = Results.read(source, work, measured.facts, car, smooth=model is None)
+        results = Results.read(source, work, measurement.facts, car, smooth=model is None)
         results.doubts += find_warnings(encoder, "float32", [work / INGEST])
         comparison = results.compare_angles("measured")
         if model:
@@ -108,7 +108,7 @@ def measure_source(
             )
             if model is None:
                 folder = source.files.folder
-                keep_measured(results_folder, work, measured.key, measured.facts, folder)
+                save_measurement(results_folder, work, measurement.key, measurement.facts, folder)
             if video:
                 write_overlay(results_folder / "overlay.mp4", source, results, car.wheelbase_m)
     files = sorted(out.iterdir()) if out else []

@@ -157,8 +157,16 @@ def test_a_measured_folder_is_not_measured_again(folder, tmp_path, monkeypatch):
     moved = (tmp_path / "out").rename(tmp_path / "moved")
     predicted = api.predict(moved, folder / "data/train/points", encoder=encoder)
     assert frames == []
+    assert any(note.startswith("depth, classes and motion are those") for note in predicted.notes)
     pd.testing.assert_series_equal(predicted.table["valid"], expected["valid"])
     assert predicted.table["predicted_rad"].notna().sum() >= 9
+
+    record = moved / "measurement/measurement.json"
+    complete = record.read_text()
+    record.write_text(complete.replace('"drive": "', '"drive": "elsewhere/'))
+    with pytest.raises(InputError, match="moved: its drive is missing"):
+        api.predict(moved, folder / "data/train/points", encoder=encoder)
+    record.write_text(complete)
 
     other = shutil.copytree(encoder, tmp_path / "encoder")
     content = checkpoint.load(other / "encoder.pt")

@@ -80,7 +80,8 @@ def merge_preset(name: str, params: Path = PARAMS) -> dict[str, Any]:
 
     Mappings are merged key by key. Any other value replaces the old one. null removes a key, so
     that its default applies. ``"*": null`` in a mapping removes all of its earlier keys, so that,
-    for instance, all models are replaced. Raises InputError if the file or the preset is invalid,
+    for instance, all models are replaced. A mapping below ``"*"`` changes each of them. Raises
+    InputError if the file or the preset is invalid,
     or there is no such preset.
     """
     preset = PRESETS / f"{name}.yaml"
@@ -96,9 +97,14 @@ def merge_preset(name: str, params: Path = PARAMS) -> dict[str, Any]:
 
 def _apply_changes(content: dict[str, Any], changes: dict[str, Any]) -> None:
     """Apply the changes of a preset to nested mappings."""
-    if "*" in changes:
+    if "*" in changes and changes["*"] is None:
         content.clear()
+    elif "*" in changes:
+        for entry in content.values():
+            _apply_changes(entry, changes["*"])
     for key, value in changes.items():
+        if key == "*":
+            continue
         if value is None:
             content.pop(key, None)
         elif isinstance(value, dict) and isinstance(content.get(key), dict):

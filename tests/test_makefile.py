@@ -71,6 +71,16 @@ def make(checkout: Path, target: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+def test_preset_quick_trains_each_model_for_two_epochs(tmp_path):
+    """Also models of your own, in place of those of the project."""
+    content = yaml.safe_load((ROOT / "params.yaml").read_text())
+    content["models"] = {"mine": content["models"]["sa-gnn-ncp"] | {"epochs": 12}}
+    (tmp_path / "params.yaml").write_text(yaml.safe_dump(content))
+    settings = preset.merge_preset("quick", tmp_path / "params.yaml")
+    assert {name: entry["epochs"] for name, entry in settings["models"].items()} == {"mine": 2}
+    assert settings["ingest"]["source"] == "sample"
+
+
 @pytest.mark.slow
 def test_a_preset_runs_in_a_copy_of_the_code(checkout):
     """Also where `runs` is on another disk."""

@@ -1,4 +1,4 @@
-"""Say how far a training is within an epoch: by a bar, or by a line after five seconds."""
+"""Print the progress within an epoch: a bar, or a line after five seconds."""
 
 import sys
 import time
@@ -19,7 +19,7 @@ B = TypeVar("B")
 
 @dataclass
 class Progress:
-    """Says how far the training of a network is, which may be in another process."""
+    """Prints the progress of the training of a network, which may run in another process."""
 
     title: str
     epochs: int
@@ -29,7 +29,7 @@ class Progress:
     has_begun: bool = False
 
     def watch_steps(self, batches: Iterable[B], epoch: int, steps: int) -> Iterator[B]:
-        """Yield the batches of an epoch, one for each of its steps, and say how many are done.
+        """Yield the batches of an epoch, one for each of its steps, and print the progress.
 
         Each epoch has a bar. Without a bar, the first epoch prints a line after five seconds, and
         another one after the first step if that takes longer.

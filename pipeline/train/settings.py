@@ -37,7 +37,8 @@ class Train(Section):
         ge=0,
         lt=1,
         description="decay per step of the exponential moving average of the weights, which are "
-        "validated and saved. 0 is no average",
+        "validated and saved. The epoch with the lowest error, averaged over three epochs, is "
+        "saved. 0 is no average of the weights",
     )
 
     @field_validator("seeds")

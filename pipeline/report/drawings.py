@@ -277,14 +277,20 @@ def draw_bend(folder: Path, task: Task, table: pd.DataFrame, data: Path) -> Pict
         return None
     bend = median_bend(shown)
     drive = bend["drive"]
-    files = [(open_ingest, data / f"ingest/{drive}.h5")]
-    files.append((open_perception, data / f"perception/{drive}.h5"))
-    if not files[0][1].is_file():
+    ingest = data / f"ingest/{drive}.h5"
+    perception = data / f"perception/{drive}.h5"
+    if not ingest.is_file():
         return None
-    with ExitStack() as stack:
-        opened = [stack.enter_context(read(path)) for read, path in files if path.is_file()]
-        view = street_view.read_view(bend["frame"], *opened)
-        camera = read_camera(opened[0])
+
+    # Rendered streets have true depth. Other images have that of the encoder.
+    with open_ingest(ingest) as images:
+        view = street_view.read_view(bend["frame"], images)
+        camera = read_camera(images)
+    depth_kind = "true"
+    if view.depth_m is None and perception.is_file():
+        with open_perception(perception) as perceived:
+            view = view._replace(depth_m=street_view.read_view(bend["frame"], perceived).depth_m)
+        depth_kind = "perceived"
     if view.rgb is None:
         return None
 
@@ -306,7 +312,10 @@ def draw_bend(folder: Path, task: Task, table: pd.DataFrame, data: Path) -> Pict
         caption += f", blue that of `{models['without the scene']}`, without the scene"
     if "odometry" in paths:
         caption += ", orange *odometry*"
-    return Picture(path, f"{caption}. A path ends where something stands in front of it.")
+    caption += "."
+    if view.depth_m is not None:
+        caption += f" A path ends where something stands in front of it, by the {depth_kind} depth."
+    return Picture(path, caption)
 
 
 def read_paths(task: Task, table: pd.DataFrame, drive: str, frame: int) -> dict[str, np.ndarray]:

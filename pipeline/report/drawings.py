@@ -292,17 +292,18 @@ def draw_bend(folder: Path, task: Task, table: pd.DataFrame, data: Path) -> Pict
         camera = read_camera(images)
     if view.rgb is None:
         return None
+    depth_m = view.depth_m
     depth_kind = "true"
-    if view.depth_m is None and perception.is_file():
+    if depth_m is None and perception.is_file():
         with open_perception(perception) as perceived:
-            view = view._replace(depth_m=street_view.read_view(bend["frame"], perceived).depth_m)
+            depth_m = street_view.read_view(bend["frame"], perceived).depth_m
         depth_kind = "perceived"
 
     paths = read_paths(task, table, bend["drive"], bend["frame"])
     height, width = view.rgb.shape[:2]
     figure = Figure(figsize=(WIDTH, WIDTH * height / width))
     panel = figure.add_axes((0, 0, 1, 1))
-    street_view.draw_paths_in_image(panel, view.rgb, camera, paths, view.depth_m)
+    street_view.draw_paths_in_image(panel, view.rgb, camera, paths, depth_m)
     path = folder / "bend.jpg"
     street_view.save_figure(figure, path)
 
@@ -317,7 +318,7 @@ def draw_bend(folder: Path, task: Task, table: pd.DataFrame, data: Path) -> Pict
     if "odometry" in paths:
         caption += ", orange *odometry*"
     caption += "."
-    if view.depth_m is not None:
+    if depth_m is not None:
         caption += f" A path ends where something stands in front of it, by the {depth_kind} depth."
     return Picture(path, caption)
 

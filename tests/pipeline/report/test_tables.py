@@ -310,21 +310,9 @@ def test_the_headline_has_the_verdict_and_both_errors_in_20_words(
 @pytest.mark.parametrize(
     ("scene", "blind", "start"),
     [
-        (
-            [0.2, 0.2],
-            0.1,
-            "Worse with the scene: {} 0.20 instead of ",
-        ),
-        (
-            [0.1, 0.3],
-            0.15,
-            "No difference shown: {} 0.20, without ",
-        ),
-        (
-            [0.1, 0.1],
-            0.2,
-            "The scene helps: {} 0.10 instead of 0.20.",
-        ),
+        ([0.2, 0.2], 0.1, "Worse with the scene: {} 0.20 instead of "),
+        ([0.1, 0.3], 0.15, "No difference shown: {} 0.20, without "),
+        ([0.1, 0.1], 0.2, "The scene helps: {} 0.10 instead of 0.20."),
     ],
 )
 def test_the_scene_is_judged_if_the_best_network_does_not_see_it(tmp_path, scene, blind, start):

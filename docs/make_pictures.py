@@ -76,7 +76,9 @@ def path(
         for frame in turning_frames(task, drive).itertuples():
             view = street_view.read_view(frame.frame, images, perceived, graphs)
             paths = drawings.read_paths(task, table, drive, frame.frame)
-            pictures.append(draw_frame(view, camera, paths, frame.time_s))
+            # The depth that hides paths is the true one where the images have it.
+            depth_m = street_view.read_view(frame.frame, perceived, images).depth_m
+            pictures.append(draw_frame(view, camera, paths, depth_m, frame.time_s))
     first, *others = pictures
     first.save(
         out,
@@ -124,13 +126,20 @@ def turning_frames(task: Task, drive: str) -> pd.DataFrame:
 
 
 def draw_frame(
-    view: street_view.View, camera: Camera, paths: dict[str, np.ndarray], time_s: float
+    view: street_view.View,
+    camera: Camera,
+    paths: dict[str, np.ndarray],
+    depth_m: np.ndarray | None,
+    time_s: float,
 ) -> Image.Image:
-    """Return a frame of the moving picture. `paths` is kind → curvature of each step."""
+    """Return a frame of the moving picture.
+
+    `paths` is kind → curvature of each step. They end where the depth [H,W] hides them.
+    """
     figure = Figure(figsize=SIZE, dpi=street_view.DPI)
     panels = [figure.add_axes(place) for place in PANELS.values()]
     _, *perceived = view.images().values()
-    street_view.draw_paths_in_image(panels[0], np.asarray(view.rgb), camera, paths, view.depth_m)
+    street_view.draw_paths_in_image(panels[0], np.asarray(view.rgb), camera, paths, depth_m)
     street_view.write_in_image(panels[0], f"{time_s:.1f} s")
     for panel, pixels in zip(panels[1:3], perceived, strict=True):
         panel.imshow(pixels, interpolation="nearest")

@@ -40,6 +40,7 @@ COLUMNS = [
     "worst_share",
     "drift",
     "verdict",
+    "parts",
 ]
 # Columns that stage report adds to the rows of models → what they are.
 FACTS = {
@@ -301,8 +302,9 @@ def _compare_pair(
     errors: Mapping[str, FrameErrors],
     settings: Evaluate,
 ) -> dict[str, Any]:
-    """Return the paired difference of a model from its rival, with a verdict if its label leads.
+    """Return the paired difference of a model from its rival.
 
+    If its label leads, it has a verdict, and the number of parts of drives that this is read from.
     `errors` is method → errors of the label.
     """
     first = errors[model]
@@ -320,9 +322,10 @@ def _compare_pair(
         if rival not in BASELINES:
             seeds = min(seeds, len(second.error))
         part = statistics.number_parts(predictions.drive, settings.bootstrap_block_frames)
-        drives = len(np.unique(part[first.counted.any(axis=1)]))
+        parts = len(np.unique(part[first.counted.any(axis=1)]))
         digits = quantity.measure.digits
-        row["verdict"] = statistics.judge_difference(bounds, seeds, drives, digits)
+        row["verdict"] = statistics.judge_difference(bounds, seeds, parts, digits)
+        row["parts"] = parts
     return row
 
 

@@ -35,6 +35,7 @@ from pipeline.report.values import (
     measure_of,
     rank_models,
     title_of,
+    with_scene,
     without_scene,
 )
 from pipeline.train.quantity import Measure
@@ -63,8 +64,11 @@ class Picture(NamedTuple):
 
 
 def curve_kinds(table: pd.DataFrame) -> dict[str, str]:
-    """Return kind of a curve → model, for the best model and the best one without the scene."""
-    models = {"predicted": rank_models(table)[0]}
+    """Return kind of a curve → model, for the best model with and the best without the scene.
+
+    The prediction is that of the best model if none gets the scene.
+    """
+    models = {"predicted": with_scene(table) or rank_models(table)[0]}
     blind = without_scene(table)
     if blind and blind != models["predicted"]:
         models["without the scene"] = blind
@@ -204,7 +208,7 @@ def curve_values(task: Task, table: pd.DataFrame) -> dict[str, np.ndarray]:
 def shown_values(task: Task, table: pd.DataFrame) -> pd.DataFrame:
     """Return the frames with the number that charts show, in a column for each kind of curve.
 
-    A further column, cost, is the squared error of the best model's first seed.
+    A further column, cost, is the squared error of the model that predicts, of its first seed.
     """
     shown = task.predictions.frames.copy()
     for kind, values in curve_values(task, table).items():
@@ -214,7 +218,7 @@ def shown_values(task: Task, table: pd.DataFrame) -> pd.DataFrame:
 
 
 def typical_drives(shown: pd.DataFrame) -> dict[str, str]:
-    """Return drive → rank, for the median and the worst drive by the best model's error."""
+    """Return drive → rank, for the median and the worst drive by the cost."""
     costs = shown.groupby("drive")["cost"].mean().dropna()
     drives = costs.sort_values(kind="stable").index
     if len(drives) < 2:
@@ -277,22 +281,29 @@ def draw_bend(folder: Path, task: Task, table: pd.DataFrame, data: Path) -> Pict
         return None
     bend = median_bend(shown)
     drive = bend["drive"]
-    files = [(open_ingest, data / f"ingest/{drive}.h5")]
-    files.append((open_perception, data / f"perception/{drive}.h5"))
-    if not files[0][1].is_file():
+    ingest = data / f"ingest/{drive}.h5"
+    perception = data / f"perception/{drive}.h5"
+    if not ingest.is_file():
         return None
-    with ExitStack() as stack:
-        opened = [stack.enter_context(read(path)) for read, path in files if path.is_file()]
-        view = street_view.read_view(bend["frame"], *opened)
-        camera = read_camera(opened[0])
+
+    # Rendered streets have true depth. Other images have that of the encoder.
+    with open_ingest(ingest) as images:
+        view = street_view.read_view(bend["frame"], images)
+        camera = read_camera(images)
     if view.rgb is None:
         return None
+    depth_m = view.depth_m
+    depth_kind = "true"
+    if depth_m is None and perception.is_file():
+        with open_perception(perception) as perceived:
+            depth_m = street_view.read_view(bend["frame"], perceived).depth_m
+        depth_kind = "perceived"
 
     paths = read_paths(task, table, bend["drive"], bend["frame"])
     height, width = view.rgb.shape[:2]
     figure = Figure(figsize=(WIDTH, WIDTH * height / width))
     panel = figure.add_axes((0, 0, 1, 1))
-    street_view.draw_paths_in_image(panel, view.rgb, camera, paths, view.depth_m)
+    street_view.draw_paths_in_image(panel, view.rgb, camera, paths, depth_m)
     path = folder / "bend.jpg"
     street_view.save_figure(figure, path)
 
@@ -306,7 +317,10 @@ def draw_bend(folder: Path, task: Task, table: pd.DataFrame, data: Path) -> Pict
         caption += f", blue that of `{models['without the scene']}`, without the scene"
     if "odometry" in paths:
         caption += ", orange *odometry*"
-    return Picture(path, f"{caption}. A path ends where something stands in front of it.")
+    caption += "."
+    if depth_m is not None:
+        caption += f" A path ends where something stands in front of it, by the {depth_kind} depth."
+    return Picture(path, caption)
 
 
 def read_paths(task: Task, table: pd.DataFrame, drive: str, frame: int) -> dict[str, np.ndarray]:

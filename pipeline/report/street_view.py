@@ -54,6 +54,9 @@ LINE_STYLES = {
 BACKDROP = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 2.0}
 # Depth of a pixel, relative to that of the path there, below which something stands in front of it.
 HIDDEN_SHARE = 0.75
+# Number of consecutive steps of a path, 2 m in all, that are hidden where a track ends. Fewer are
+# errors of the depth, or a thing that hides no more than a gap of the track.
+HIDDEN_STEPS = 4
 # Half the distance in metres between the two lines of a path.
 HALF_TRACK_M = 0.8
 # Length in metres of the steps of a path.
@@ -267,7 +270,8 @@ def wheel_tracks(
 ) -> list[np.ndarray]:
     """Return the pixels (u, v) of the left and the right wheel's track, each [N,2].
 
-    A track ends where it turns back to the camera, or behind something.
+    A track ends where it turns back to the camera, or where HIDDEN_STEPS of its steps lie behind
+    something, before the first of them.
 
     Args:
         curvature_1pm: curvature [N] of each step of STEP_M, left positive.
@@ -287,7 +291,7 @@ def wheel_tracks(
         # in the image from where it comes nearer again.
         is_shown = (z > NEAREST_M) & (np.diff(z, prepend=-np.inf) > 0)
         if depth_m is not None:
-            is_shown &= ~is_hidden(uv, z, depth_m)
+            is_shown &= ~starts_run(is_hidden(uv, z, depth_m), HIDDEN_STEPS)
         start = int(np.argmax(z > NEAREST_M))
         ends = np.flatnonzero(~is_shown[start:])
         end = start + ends[0] if len(ends) else len(uv)
@@ -310,6 +314,12 @@ def is_hidden(uv: np.ndarray, z_m: np.ndarray, depth_m: np.ndarray) -> np.ndarra
     hidden = np.zeros(len(uv), bool)
     hidden[inside] = (seen_m > 0) & (seen_m < HIDDEN_SHARE * z_m[inside])
     return hidden
+
+
+def starts_run(values: np.ndarray, length: int) -> np.ndarray:
+    """Return whether each of `values`, bool [N], and those after it are True, `length` in all."""
+    count_true = np.convolve(values, np.ones(length, int))[length - 1 :]
+    return count_true == length
 
 
 def path_positions(curvature_1pm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

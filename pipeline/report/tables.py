@@ -17,6 +17,7 @@ from pipeline.report.values import (
     Task,
     best_baseline,
     is_validated,
+    lead_errors,
     lead_label,
     list_ends,
     list_methods,
@@ -27,6 +28,7 @@ from pipeline.report.values import (
     rank_models,
     read_difference,
     title_of,
+    with_scene,
     without_scene,
 )
 from pipeline.train.quantity import NMSE, Measure, Quantity
@@ -204,9 +206,10 @@ def write_sentences(values: pd.DataFrame, absent: Sequence[str] = ()) -> list[st
         table = values.loc[tasks[0]]
         lines = [_write_headline(table, tasks[0]), _describe_difference(table, tasks[0])]
         explained = {measure_of(table, tasks[0], lead_label(table))}
-        # The headline has compared the first task with a baseline if no network lacks the scene.
-        compared = _choose_rival(table) in BASELINES
-        for task in tasks[compared:]:
+        _, rival = _choose_pair(table)
+        # A headline that compares with a baseline needs no further sentence on the first task.
+        further = tasks[1:] if rival in BASELINES else tasks
+        for task in further:
             table = values.loc[task]
             line = _compare_with_baseline(table, task)
             measure = measure_of(table, task, lead_label(table))
@@ -222,24 +225,30 @@ def write_sentences(values: pd.DataFrame, absent: Sequence[str] = ()) -> list[st
     return lines
 
 
-def _choose_rival(table: pd.DataFrame) -> str:
-    """Return what the headline compares the best model with.
+def _choose_pair(table: pd.DataFrame) -> tuple[str, str]:
+    """Return the two methods that the headline compares.
 
-    This is the best model without the scene, if the best model sees it, or the best baseline.
+    These are the best model with the scene and the best one without it, whichever is better. If
+    there are not both, they are the best model and the best baseline.
     """
+    seeing = with_scene(table)
     blind = without_scene(table)
-    sees_scene = bool(table.loc[("", rank_models(table)[0]), "scene"])
-    return blind if blind and sees_scene else best_baseline(table)
+    if seeing and blind:
+        return seeing, blind
+    return rank_models(table)[0], best_baseline(table)
 
 
 def _write_headline(table: pd.DataFrame, task: str) -> str:
-    """Return the verdict on the best model with both errors, in at most 20 words."""
-    name = rank_models(table)[0]
-    rival = _choose_rival(table)
+    """Return the verdict on two methods with both errors, in at most 20 words."""
+    name, rival = _choose_pair(table)
     label = lead_label(table)
     error, rival_error = _shorten_pair(table, task, name, rival)
     title = title_of(task)
-    clause = f"{label}, the {title} is off by" if label else f"the nmse of the {title} is"
+    # A comma opens the number of frames ahead, and another one closes it.
+    comma = "," if "," in title else ""
+    clause = f"the nmse of the {title}{comma} is"
+    if label:
+        clause = f"the {title} ({label}){comma} is off by"
 
     verdict = read_difference(table, name, rival)["verdict"]
     if rival in BASELINES:
@@ -256,23 +265,39 @@ def _write_headline(table: pd.DataFrame, task: str) -> str:
 
 
 def _shorten_pair(table: pd.DataFrame, task: str, name: str, rival: str) -> list[str]:
-    """Return the errors of two methods with two digits, or with those of tables if they agree."""
-    label = lead_label(table)
-    measure = measure_of(table, task, label)
-    texts = []
-    for method in (name, rival):
-        value = statistics.value_of(table.loc[(label, method)]) or 0.0
-        digits = 1 - math.floor(math.log10(value)) if value else 0
-        texts.append(f"{value:.{min(max(digits, 0), measure.digits)}f}")
-    if texts[0] == texts[1] or not all(text.strip("0.") for text in texts):
-        texts = [error_text(table.loc[(label, method)], measure) for method in (name, rival)]
+    """Return the errors of two methods with two digits, or with as many as tell them apart.
+
+    Errors that differ in none of the further decimal places have those of tables.
+    """
+    measure = measure_of(table, task, lead_label(table))
+    errors = lead_errors(table)[[name, rival]].tolist()
+    texts = [_two_digits(error, measure) for error in errors]
+    for digits in range(measure.digits, measure.digits + statistics.FURTHER_DIGITS + 1):
+        if _are_apart(errors, texts):
+            break
+        texts = [f"{error:.{digits}f}" for error in errors]
+    if not _are_apart(errors, texts):
+        texts = [statistics.number_text(error, measure) for error in errors]
     return [with_unit(text, measure) for text in texts]
 
 
+def _two_digits(error: float, measure: Measure) -> str:
+    """Return an error with two significant digits, and no more decimal places than in tables."""
+    digits = 1 - math.floor(math.log10(error)) if error else 0
+    return f"{error:.{min(max(digits, 0), measure.digits)}f}"
+
+
+def _are_apart(errors: Sequence[float], texts: Sequence[str]) -> bool:
+    """Return whether the texts of two errors differ, and only an error of 0 prints as 0."""
+    for error, text in zip(errors, texts, strict=True):
+        if error and not text.strip("0."):
+            return False
+    return texts[0] != texts[1]
+
+
 def _describe_difference(table: pd.DataFrame, task: str) -> str:
-    """Return the difference that the headline is read from, with its interval, and its meaning."""
-    name = rank_models(table)[0]
-    rival = _choose_rival(table)
+    """Return the difference that the headline is read from, its interval, basis and meaning."""
+    name, rival = _choose_pair(table)
     label = lead_label(table)
     measure = measure_of(table, task, label)
     if rival in BASELINES:
@@ -283,20 +308,24 @@ def _describe_difference(table: pd.DataFrame, task: str) -> str:
         second = f"`{rival}`, which does not,"
     title = f"{measure.title} {label}".strip()
     difference = _difference_with_bounds(table, name, rival, measure)
-    text = f"The {title} of {first} minus that of {second} is {difference}."
+    basis = _describe_basis(table, name, rival)
+    meaning = _explain_measure(table, measure)
+    return f"The {title} of {first} minus that of {second} is {difference}. {basis} {meaning}"
 
-    # Say what the verdict is based on, or why there is none.
-    row = table.loc[(label, name)]
-    verdict = read_difference(table, name, rival)["verdict"]
+
+def _describe_basis(table: pd.DataFrame, name: str, rival: str) -> str:
+    """Return a sentence on what a verdict is based on, or why there is none."""
+    difference = read_difference(table, name, rival)
+    if difference["verdict"] == "too few seeds":
+        return "One seed is too few for a verdict: add some to train.seeds."
+    if difference["verdict"] == statistics.TOO_FEW_DRIVES:
+        parts = "is one" if difference["parts"] == 1 else f"are {difference['parts']}"
+        least = statistics.LEAST_DRIVES
+        return f"A verdict needs {least} test drives or parts of long ones, and there {parts}."
+    row = table.loc[(lead_label(table), name)]
     drives = "one test drive" if row["drives"] == 1 else f"{row['drives']} test drives"
     seeds = "one seed" if len(row["seeds"]) == 1 else f"{len(row['seeds'])} seeds"
-    if verdict == "too few seeds":
-        text += " One seed is too few for a verdict: add some to train.seeds."
-    elif verdict == "too few drives":
-        text += f" A verdict needs ten test drives, and there are {row['drives']}."
-    else:
-        text += f" It is the mean over {drives} and {seeds}."
-    return f"{text} {_explain_measure(table, measure)}"
+    return f"It is the mean over {drives} and {seeds}."
 
 
 def _explain_measure(table: pd.DataFrame, measure: Measure) -> str:

@@ -149,15 +149,13 @@ def from_json(rows: Mapping[str, Any]) -> pd.DataFrame:
 def dvc_metrics(values: pd.DataFrame) -> dict[str, dict[str, float]]:
     """Return metric → model → its number, as ``dvc metrics show`` prints them: a row per metric.
 
-    The metric `error` is the one that leads. Metrics of METRICS are those of all frames, or of a
-    path the range that ends where this error is.
+    The metric `error` is the one that leads. Metrics of METRICS are those of a quantity's only
+    range, or of the range that ends where this error is.
     """
     rows: dict[str, dict[str, float]] = {name: {} for name in ("error", *METRICS)}
     for task in values.index.unique("task"):
         table = values.loc[task]
-        ends = list_ends(table)
-        label = lead_label(table)
-        part = list_ranges(table)[ends.index(label)] if label else ""
+        part = _lead_range(table)
         for model in rank_models(table):
             numbers = {"error": lead_errors(table)[model]}
             for name in METRICS:
@@ -166,6 +164,18 @@ def dvc_metrics(values: pd.DataFrame) -> dict[str, dict[str, float]]:
                 if not pd.isna(number):
                     rows[name][model] = float(f"{number:.5g}")
     return rows
+
+
+def _lead_range(table: pd.DataFrame) -> str:
+    """Return the range that ends where the error that leads is, or "" if no end is one of a range.
+
+    METRICS have no value in the range "" of a quantity with several ranges.
+    """
+    ends = list_ends(table)
+    ranges = list_ranges(table)
+    if len(ends) != len(ranges):
+        return ""
+    return dict(zip(ends, ranges, strict=True)).get(lead_label(table), "")
 
 
 def frames_of(tasks: Sequence[Task]) -> dict[str, str]:
@@ -243,6 +253,12 @@ def rank_models(table: pd.DataFrame) -> list[str]:
         order = table.loc[""]["validation"].astype(float)
     order = order[list_models(table)]
     return order.sort_values(kind="stable").index.tolist()
+
+
+def with_scene(table: pd.DataFrame) -> str | None:
+    """Return the best model that gets the scene, if there is one."""
+    seeing = [name for name in rank_models(table) if table.loc[("", name), "scene"]]
+    return seeing[0] if seeing else None
 
 
 def without_scene(table: pd.DataFrame) -> str | None:

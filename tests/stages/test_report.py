@@ -60,7 +60,7 @@ def test_all_files_are_written_and_repeat(tmp_path):
     errors = json.loads(made[0]["error.json"])
     assert [*errors] == ["scene", "sa-gnn-ncp"]
     error_m = errors["scene"]
-    sentence = f"at 5 m, the path ahead is off by {error_m:.2f} m with `scene`"
+    sentence = f"the path ahead (at 5 m) is off by {error_m:.2f} m with `scene`"
     assert sentence in " ".join(text.split())
     assert errors["sa-gnn-ncp"] == pytest.approx(0.2)
     curves = "model,seed,epoch,learning_rate,train_loss,val_nmse\n"

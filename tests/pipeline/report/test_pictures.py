@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from pipeline.camera.camera import Camera
 from pipeline.camera.classes import VOID
+from pipeline.camera.images import to_units
 from pipeline.clouds.cloud import clouds_drive
 from pipeline.clouds.settings import Clouds
 from pipeline.ingest.ingest_file import open_ingest
@@ -18,6 +19,7 @@ from pipeline.report.street_view import (
     DPI,
     HALF_TRACK_M,
     HIDDEN_SHARE,
+    HIDDEN_STEPS,
     STEP_M,
     WIDTH,
     chart_colour,
@@ -84,6 +86,17 @@ def test_a_track_ends_behind_what_stands_in_front_of_it():
     assert farthest_m == pytest.approx(10 / HIDDEN_SHARE, abs=STEP_M)
 
 
+def test_a_track_goes_on_behind_what_hides_few_of_its_steps():
+    """Something 1 m ahead covers the pixels of some steps from the sixth on."""
+    whole = wheel_tracks(np.zeros(60), CAMERA)[1]
+    for hidden_steps, is_cut in ((HIDDEN_STEPS - 1, False), (HIDDEN_STEPS, True)):
+        depth_m = np.zeros(CAMERA.size)
+        column, row = np.rint(whole[5 : 5 + hidden_steps]).astype(int).T
+        depth_m[row, column] = 1.0
+        _, track = wheel_tracks(np.zeros(60), CAMERA, depth_m=depth_m)
+        np.testing.assert_array_equal(track, whole[:5] if is_cut else whole)
+
+
 def test_a_track_ends_where_it_turns_back_to_the_camera():
     """Half a circle of 10 m to the left: the left wheel is 9.2 m ahead, the right one 10.8 m."""
     for track, ahead_m in zip(wheel_tracks(np.full(63, 0.1), CAMERA), (9.2, 10.8), strict=True):
@@ -130,11 +143,22 @@ def test_pictures_show_what_the_encoder_has(tmp_path, monkeypatch, with_classes)
     assert [title.endswith("; black: no class") for title in from_above] == [not with_classes]
 
 
-def test_the_picture_of_a_bend_shows_the_paths_with_and_without_the_scene(tmp_path, monkeypatch):
-    """The drive turns most at frame 29, the last one. The tracks are left and right wheels'."""
+@pytest.mark.parametrize("depth_kind", ["true", "perceived", None])
+def test_the_picture_of_a_bend_shows_the_paths_with_and_without_the_scene(
+    tmp_path, monkeypatch, depth_kind
+):
+    """The drive turns most at frame 29, the last one. The tracks are left and right wheels'.
+
+    The perceived depth is that of a wall 5 m ahead.
+    """
     drawn: list[tuple[object, np.ndarray]] = []
     draw = Axes.plot
-    street.write_drive(tmp_path / "ingest", DRIVE, 30)
+    street.write_drive(tmp_path / "ingest", DRIVE, 30, dense=depth_kind == "true")
+    if depth_kind:
+        perception = tmp_path / "perception"
+        street.write_perception(perception, tmp_path / "ingest", DRIVE)
+        with h5py.File(perception / f"{DRIVE}.h5", "a") as file:
+            file["depth_m"][:] = to_units(np.full(file["depth_m"].shape, 5.0))
     nmse = {"path": 0.1, "path-blind": 0.6}
     for model, spatial in (("path", "gnn"), ("path-blind", "blind")):
         content = metrics(model, predict="path", spatial=spatial)
@@ -144,6 +168,9 @@ def test_the_picture_of_a_bend_shows_the_paths_with_and_without_the_scene(tmp_pa
     with open_ingest(tmp_path / f"ingest/{DRIVE}.h5") as images:
         camera = read_camera(images)
         depth_m = read_view(29, images).depth_m
+    assert (depth_m is not None) == (depth_kind == "true")
+    if depth_kind == "perceived":
+        depth_m = np.full(camera.size, 5.0)
 
     def plot(panel: Axes, x: np.ndarray, y: np.ndarray, **style: object) -> None:
         drawn.append((style["color"], np.stack([x, y], axis=1)))
@@ -152,6 +179,8 @@ def test_the_picture_of_a_bend_shows_the_paths_with_and_without_the_scene(tmp_pa
     monkeypatch.setattr(Axes, "plot", plot)
     picture = drawings.draw_bend(tmp_path, task, values.loc["path-0"], tmp_path)
     assert picture.path.is_file()
+    told = picture.caption.partition(" A path ends where something stands in front of it")[2]
+    assert told == (f", by the {depth_kind} depth." if depth_kind else "")
     tracks = iter(drawn)
     for kind, error in (("driven", 0), ("predicted", 0.1), ("without the scene", 0.6)):
         steps = np.full(20, 0.29 * (1 + np.sqrt(error)))

@@ -6,10 +6,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from pipeline.evaluate.own_metrics import METRICS, Metric
 from pipeline.report import paper, tables, values
 from pipeline.scores import motion_scores, pixels
 from pipeline.scores.pixels import Scores
 from pipeline.train.entry import Entry
+from pipeline.train.quantities import path
+from pipeline.train.quantities.path import Target
 from stages import preset
 from tests.pipeline.report import examples
 from tests.pipeline.report.examples import compare, metrics
@@ -73,9 +76,8 @@ def test_values_have_errors_differences_and_validation_and_are_read_again(tmp_pa
     assert "verdict" in rows["path-0/at 5 m/path - path-blind"]
     assert "verdict" not in rows["path-0/path - path-blind"]
     shown = values.dvc_metrics(table)
-    assert shown["path-0/5-10 m/path"].keys() == {"nmse", "mae"}
-    assert shown["path-0/at 5 m/path"].keys() == {"error"}
-    assert not [key for key in shown if " - " in key]
+    errors = {name: rows[f"path-0/at 5 m/{name}"]["error"] for name in ("path", "path-blind")}
+    assert shown == {"error": pytest.approx(errors)}
     assert values.to_json(values.from_json(rows)) == rows
 
 
@@ -195,7 +197,7 @@ def test_the_best_model_is_compared_with_the_best_baseline_and_the_other_models(
     assert in_nmse.table["5-10 m"].iloc[1] == "−0.300 (−0.300 to −0.300)"
     headline, line, compared = tables.write_sentences(table)
     errors = f"{error_m['path']:.2f} m, without the scene {error_m['blind']:.1f} m"
-    assert headline == f"No difference shown: at 5 m, the path ahead is off by {errors}."
+    assert headline == f"No difference shown: the path ahead (at 5 m) is off by {errors}."
     assert "of network `path`, which sees the scene, minus that of `path-blind`" in line
     assert f"is {difference} m, 95 % interval" in line
     assert "One seed is too few for a verdict" in line
@@ -289,7 +291,7 @@ def test_the_headline_has_the_verdict_and_both_errors_in_20_words(
         content["val"] = {content["model"]: error, f"at 5 m/{content['model']}": error}
     table = compare(tmp_path, *(model | {"seeds": [0, 1]} for model in models))
     lead = values.lead_label(table.loc[f"{predict}-0"])
-    table.loc[(f"{predict}-0", lead, f"path - {rival}"), "verdict"] = verdict
+    table.loc[(f"{predict}-0", lead, f"path - {rival}"), ["verdict", "parts"]] = [verdict, 4]
     headline, line, *_ = tables.write_sentences(table)
     assert len(headline.split()) <= 20
     start = {
@@ -301,9 +303,68 @@ def test_the_headline_has_the_verdict_and_both_errors_in_20_words(
     assert headline.startswith(start)
     first, second = re.findall(r"\d\.\d+", headline)
     assert first != second
-    assert ("A verdict needs ten test drives, and there are 2." in line) == (
-        verdict == "too few drives"
-    )
+    reason = "A verdict needs 10 test drives or parts of long ones, and there are 4."
+    assert (reason in line) == (verdict == "too few drives")
+
+
+@pytest.mark.parametrize(
+    ("scene", "blind", "start"),
+    [
+        ([0.2, 0.2], 0.1, "Worse with the scene: {} 0.20 instead of "),
+        ([0.1, 0.3], 0.15, "No difference shown: {} 0.20, without "),
+        ([0.1, 0.1], 0.2, "The scene helps: {} 0.10 instead of 0.20."),
+    ],
+)
+def test_the_scene_is_judged_if_the_best_network_does_not_see_it(tmp_path, scene, blind, start):
+    """Networks are ranked by validation, and compared on the test drives."""
+    models = []
+    for name, nmse, spatial, error in (
+        ("net", scene, "gnn", 0.2),
+        ("net-blind", blind, "blind", 0.1),
+    ):
+        content = metrics(name, nmse, spatial=spatial) | {"seeds": [0, 1]}
+        models.append(content | {"val": {name: {"nmse": error}}})
+    table = compare(tmp_path, *models)
+    assert values.rank_models(table.loc["angle-0"]) == ["net-blind", "net"]
+    headline, line, compared = tables.write_sentences(table)
+    assert headline.startswith(start.format("the nmse of the steering angle is"))
+    assert "of network `net`, which sees the scene, minus that of `net-blind`" in line
+    assert "network `net-blind` (with the least validation error)" in compared
+
+
+def test_errors_get_digits_until_they_differ(tmp_path):
+    """Ten frames ahead, whose number is between commas."""
+    baselines = {"regression": 0.3104}
+    for nmse, texts in ((0.3101, "0.3101 with `net`, 0.3104"), (0.3104, "0.310 with `net`, 0.310")):
+        rows = compare(tmp_path, metrics("net", nmse, baselines, horizon=10))
+        headline, *_ = tables.write_sentences(rows)
+        subject = "the nmse of the steering angle, 10 frames ahead, is"
+        assert headline == f"No difference shown: {subject} {texts} with *regression*."
+
+
+def test_metrics_of_your_own_have_a_row_where_an_end_is_that_of_a_range(tmp_path, monkeypatch):
+    """The quantity's other ends are not those of its two ranges."""
+
+    class Final(Target):
+        def __init__(self, labels, horizon=0):
+            super().__init__(labels, horizon)
+            self.ends = ["final"]
+            self.lead = "final"
+
+        def errors(self, predicted, truth):
+            return super().errors(predicted, truth)[..., -1:]
+
+    share = Metric(lambda truth, predicted, quantity, column: column / 2, units=("1/m",))
+    monkeypatch.setitem(METRICS, "share", share)
+    rows = compare(tmp_path, metrics("path", predict="path"), metrics("net"))
+    assert values.dvc_metrics(rows)["share"] == {"path": 0.0}
+    monkeypatch.setattr(path, "Target", Final)
+    rows = compare(tmp_path, metrics("path", predict="path"))
+    shown = values.dvc_metrics(rows)
+    assert shown["error"].keys() == {"path"}
+    assert shown["share"] == {}
+    headline, *_ = tables.write_sentences(rows)
+    assert "the path ahead (final) is off by" in headline
 
 
 def test_one_test_drive_has_no_interval(tmp_path, monkeypatch):
@@ -316,7 +377,8 @@ def test_one_test_drive_has_no_interval(tmp_path, monkeypatch):
     examples.write_model(tmp_path, metrics("net", 0.08) | {"seeds": [0, 1]}, table)
     _, one_drive = examples.load(tmp_path, "net")
     _, line = tables.write_sentences(one_drive)
-    assert "is +0.077 (one test drive: no interval). A verdict needs ten test drives" in line
+    assert "is +0.077 (one test drive: no interval). A verdict needs" in line
+    assert "needs 10 test drives or parts of long ones, and there is one." in line
     cell = tables.results_table(one_drive, "angle-0", page=True).table.loc["`net` ✓", "nmse"]
     assert cell == "0.080\none test drive: no interval"
 

@@ -12,9 +12,16 @@ from pipeline.base import store
 from pipeline.base.params import load_section, read_entries
 from pipeline.base.summary import split_doubts
 from pipeline.evaluate.settings import Evaluate
+from pipeline.ingest.settings import Ingest
 from pipeline.report import drawings, page, tables
 from pipeline.report.curves import gather_curves
 from pipeline.report.values import dvc_metrics, frames_of, gather_values, load_tasks, to_json
+
+# Sentence about results on the embedded sample.
+RENDERED = (
+    "All streets are rendered. At each turn, barriers close the streets that the car does not "
+    "take, so the scene shows where the path goes."
+)
 
 
 def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
@@ -44,6 +51,8 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
         store.write_text(folder.new / "curves.csv", curves_csv)
 
         sentences = tables.write_sentences(values, absent)
+        if load_section(Ingest, params).source == "sample":
+            sentences.append(RENDERED)
         text = "\n\n".join(fill(sentence, 110) for sentence in sentences)
         sections = [tables.results_table(values, task.name) for task in tasks]
         sections += [tables.claims_table(values, task.name) for task in tasks]

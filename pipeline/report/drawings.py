@@ -255,22 +255,24 @@ def draw_over_time(folder: Path, task: Task, table: pd.DataFrame) -> Picture | N
 
 
 def median_bend(shown: pd.DataFrame) -> pd.Series:
-    """Return the sharpest frame of a drive.
+    """Return the first frame of a drive that has half of its largest turn ahead.
 
     The drive is that of median error among the half of the drives that turn most.
     """
     counted = shown.dropna(subset="cost")
     drive = counted["drive"]
+    turn = counted["driven"].abs()
 
-    # The sharpest frame of each drive, and the half of the drives that turn most.
-    sharpest_row = counted["driven"].abs().groupby(drive).idxmax()
-    sharpest = counted.loc[sharpest_row].set_index("drive", drop=False)
-    by_turn = sharpest["driven"].abs().sort_values(kind="stable")
-    turning = by_turn.index[len(by_turn) // 2 :]
+    # The half of the drives that turn most.
+    largest = turn.groupby(drive).max().sort_values(kind="stable")
+    turning = largest.index[len(largest) // 2 :]
 
     cost = counted["cost"].groupby(drive).sum()
     by_cost = cost[turning].sort_values(kind="stable")
-    return sharpest.loc[by_cost.index[len(by_cost) // 2]]
+    name = by_cost.index[len(by_cost) // 2]
+    # In later frames, the bend may have left the image.
+    turns = (drive == name) & (turn >= largest[name] / 2)
+    return counted[turns].iloc[0]
 
 
 def draw_bend(folder: Path, task: Task, table: pd.DataFrame, data: Path) -> Picture | None:

@@ -8,8 +8,9 @@ from pipeline.base.params import Count, Positive, Section, Seed
 class Train(Section):
     epochs: Count = Field(description="largest number of epochs")
     patience: Count = Field(
-        description="epochs without a lower validation error after which training stops. Without "
-        "validation drives, it has no effect"
+        description="epochs without a lower validation error, averaged over three epochs, after "
+        "which training stops. It has no effect from `epochs` on, or without validation drives. "
+        "Below half of `epochs` it may stop while the learning rate is still high"
     )
     seeds: list[Seed] = Field(
         min_length=1, description="one network of each model is trained per seed"

@@ -5,17 +5,20 @@ import re
 from pathlib import Path
 
 import pytest
+import yaml
 
 from pipeline.base import store
+from pipeline.base.checkout import ROOT
 from pipeline.scores.pixels import Scores
 from stages import report
 from tests.pipeline.report import examples
 
 
 def run(folder: Path, *models: str) -> str:
-    settings = "{bootstrap_samples: 9, bootstrap_block_frames: 5, seed: 0}"
-    entries = ", ".join(f"{model}: {{}}" for model in models)
-    (folder / "params.yaml").write_text(f"models: {{{entries}}}\nevaluate: {settings}\n")
+    params = yaml.safe_load((ROOT / "params.yaml").read_text())
+    params["models"] = {model: {} for model in models}
+    params["evaluate"] |= {"bootstrap_samples": 9, "bootstrap_block_frames": 5}
+    (folder / "params.yaml").write_text(yaml.safe_dump(params))
     assert report.main(folder, params=folder / "params.yaml") == folder / "report"
     return (folder / "report/table.md").read_text()
 
@@ -23,7 +26,9 @@ def run(folder: Path, *models: str) -> str:
 def test_a_machine_that_only_evaluated_gets_a_page(tmp_path):
     """Without the folders of other stages, there are no scores, no images and no curves."""
     examples.write_model(tmp_path, examples.metrics("mine"))
-    assert "## Results: steering angle" in run(tmp_path, "mine", "sa-gnn-ncp")
+    text = run(tmp_path, "mine", "sa-gnn-ncp")
+    assert "## Results: steering angle" in text
+    assert "All streets are rendered." in text
     report_folder = tmp_path / "report"
     assert "No result here: sa-gnn-ncp." in (report_folder / "index.html").read_text()
     pictures = {path.name for path in (report_folder / "figures").iterdir()}

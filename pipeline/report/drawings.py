@@ -255,9 +255,10 @@ def draw_over_time(folder: Path, task: Task, table: pd.DataFrame) -> Picture | N
 
 
 def median_bend(shown: pd.DataFrame) -> pd.Series:
-    """Return the first frame of a drive that has half of its largest turn ahead.
+    """Return the first frame of a drive that has nearly all of its largest turn ahead.
 
-    The drive is that of median error among the half of the drives that turn most.
+    The drive is that of median error among the half of the drives that turn most. Drives that begin
+    in their bend, most of which the image then does not show, are left out if there are others.
     """
     counted = shown.dropna(subset="cost")
     drive = counted["drive"]
@@ -265,13 +266,16 @@ def median_bend(shown: pd.DataFrame) -> pd.Series:
 
     # The half of the drives that turn most.
     largest = turn.groupby(drive).max().sort_values(kind="stable")
+    first = turn.groupby(drive).first()[largest.index]
+    begins_before = largest[first < largest / 2]
+    if len(begins_before):
+        largest = begins_before
     turning = largest.index[len(largest) // 2 :]
 
     cost = counted["cost"].groupby(drive).sum()
     by_cost = cost[turning].sort_values(kind="stable")
     name = by_cost.index[len(by_cost) // 2]
-    # In later frames, the bend may have left the image.
-    turns = (drive == name) & (turn >= largest[name] / 2)
+    turns = (drive == name) & (turn >= 0.9 * largest[name])
     return counted[turns].iloc[0]
 
 

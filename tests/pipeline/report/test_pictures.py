@@ -167,7 +167,7 @@ def test_the_picture_of_a_bend_shows_the_paths_with_and_without_the_scene(
     (task,), values = examples.load(tmp_path, *nmse)
     with open_ingest(tmp_path / f"ingest/{DRIVE}.h5") as images:
         camera = read_camera(images)
-        depth_m = read_view(15, images).depth_m
+        depth_m = read_view(27, images).depth_m
     assert (depth_m is not None) == (depth_kind == "true")
     if depth_kind == "perceived":
         depth_m = np.full(camera.size, 5.0)
@@ -183,7 +183,7 @@ def test_the_picture_of_a_bend_shows_the_paths_with_and_without_the_scene(
     assert told == (f", by the {depth_kind} depth." if depth_kind else "")
     tracks = iter(drawn)
     for kind, error in (("driven", 0), ("predicted", 0.1), ("without the scene", 0.6)):
-        steps = np.full(20, 0.15 * (1 + np.sqrt(error)))
+        steps = np.full(20, 0.27 * (1 + np.sqrt(error)))
         for expected in wheel_tracks(steps, camera, depth_m=depth_m):
             colour, track = next(tracks)
             assert colour == chart_colour(kind)

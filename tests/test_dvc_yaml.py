@@ -154,7 +154,7 @@ def test_sections_that_a_stage_reads_are_its_params(name):
         if module == "pipeline.train.entry":
             read.add("models")
     # check depends on the whole file; of models, report reads only names.
-    expected = {"check": set(), "report": {"models", "evaluate"}}
+    expected = {"check": set(), "report": {"models", "evaluate", "ingest"}}
     listed = {param.split(".")[0] for param in STAGES[name].get("params", [])}
     assert listed == expected.get(name, read)
 

@@ -81,8 +81,7 @@ def merge_preset(name: str, params: Path = PARAMS) -> dict[str, Any]:
     Mappings are merged key by key. Any other value replaces the old one. null removes a key, so
     that its default applies. ``"*": null`` in a mapping removes all of its earlier keys, so that,
     for instance, all models are replaced. A mapping below ``"*"`` changes each of them. Raises
-    InputError if the file or the preset is invalid,
-    or there is no such preset.
+    InputError if the file or the preset is invalid, or there is no such preset.
     """
     preset = PRESETS / f"{name}.yaml"
     if not preset.is_file():

@@ -26,7 +26,8 @@ from pipeline.base import store
 from pipeline.base.checkout import ROOT
 from pipeline.base.errors import InputError
 from pipeline.base.params import read_yaml
-from pipeline.report import tables
+from pipeline.report import number_text, tables
+from pipeline.report.section import to_markdown
 from pipeline.report.values import from_json
 
 # Key → values of a row, as in results.json.
@@ -103,15 +104,15 @@ def pages(runs: Sequence[Mapping[str, Any]]) -> dict[Path, str]:
         row = rows[run][key]
         form = f"z.{PLACES[column]}f"
         if " - " in key:
-            bounds = tables.bounds_text(row, f"+{form}")
-            return f"{tables.value_text(row[column], f'+{form}')} ({bounds}){comment}"
+            bounds = number_text.bounds_text(row, f"+{form}")
+            return f"{number_text.value_text(row[column], f'+{form}')} ({bounds}){comment}"
         return f"{row[column]:{form}}{comment}"
 
     def table(match: re.Match[str]) -> str:
         start, run, task, name, columns, end = match.groups()
         full = TABLES[name](from_json(rows[run]), task).table.reset_index()
         heads = columns.split("; ")
-        return start + tables.to_markdown(full[heads].set_index(heads[0])) + end
+        return start + to_markdown(full[heads].set_index(heads[0])) + end
 
     def origin(match: re.Match[str]) -> str:
         comment, run = match.groups()

@@ -13,8 +13,10 @@ from pipeline.base.params import load_section, read_entries
 from pipeline.base.summary import split_doubts
 from pipeline.evaluate.settings import Evaluate
 from pipeline.ingest.settings import Ingest
-from pipeline.report import drawings, page, tables
+from pipeline.report import drawings, page, sentences, tables
 from pipeline.report.curves import gather_curves
+from pipeline.report.definitions import define_words, write_definitions
+from pipeline.report.scores_tables import scores_tables
 from pipeline.report.values import dvc_metrics, frames_of, gather_values, load_tasks, to_json
 
 # Sentence about results on the embedded sample.
@@ -50,19 +52,19 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
         curves_csv = curves.to_csv(index=False, lineterminator="\n")
         store.write_text(folder.new / "curves.csv", curves_csv)
 
-        sentences = tables.write_sentences(values, absent)
+        findings = sentences.write_sentences(values, absent)
         if load_section(Ingest, params).source == "sample":
-            sentences.append(RENDERED)
-        text = "\n\n".join(fill(sentence, 110) for sentence in sentences)
+            findings.append(RENDERED)
+        text = "\n\n".join(fill(sentence, 110) for sentence in findings)
         sections = [tables.results_table(values, task.name) for task in tasks]
         sections += [tables.claims_table(values, task.name) for task in tasks]
         sections += [tables.differences_table(values, task.name) for task in tasks]
         for task in tasks:
             sections += tables.nmse_tables(values, task.name)
-        sections += [tables.models_table(tasks), *tables.scores_tables(scores)]
+        sections += [tables.models_table(tasks), *scores_tables(scores)]
         parts = [section.markdown() for section in sections if section.table.size]
         table = "\n\n".join([text, *parts])
-        table = f"{table}\n\n{tables.write_definitions(table)}"
+        table = f"{table}\n\n{write_definitions(table)}"
         store.write_text(folder.new / "table.md", table.lstrip())
 
         figures = folder.new / "figures"
@@ -71,7 +73,7 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
         for task in tasks[:1]:
             bend = drawings.draw_bend(figures, task, values.loc[task.name], data)
         details = page.list_details(figures, values, tasks, data)
-        details["Depth, classes and motion"] = tables.scores_tables(scores)
+        details["Depth, classes and motion"] = scores_tables(scores)
         lines = [facts["line"] for facts in scores.get("recorded", {}).values()]
         notes, doubts = split_doubts(lines)
         details["Notes"] = [*encoder.get("sources", []), *notes]
@@ -80,15 +82,15 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
         if "started_s" in run:
             origin["duration"] = format_duration(run)
         content = page.Page(
-            sentences=sentences,
-            doubts=[*doubts, *tables.few_turns(values), *tables.few_drives(values)],
+            sentences=findings,
+            doubts=[*doubts, *sentences.few_turns(values), *sentences.few_drives(values)],
             picture=bend,
             results=page.list_results(figures, values, tasks),
             details=details,
             origin=origin,
             settings=run.get("settings", {}),
         )
-        words = tables.define_words(page.text_of(content))
+        words = define_words(page.text_of(content))
         details["Definitions"] = [f"{word}: {meaning}" for word, meaning in words.items()]
         page.write_page(folder.new / "index.html", content)
     print(text, f"Tables: {out.absolute()}/table.md. Page: {out.absolute()}/index.html", sep="\n")

@@ -14,7 +14,7 @@ from markupsafe import Markup, escape
 from pipeline.evaluate.own_metrics import METRICS
 from pipeline.report import drawings, tables
 from pipeline.report.drawings import Picture
-from pipeline.report.tables import Section
+from pipeline.report.section import Section, without_dashes
 from pipeline.report.values import Task, title_of
 
 # A paragraph, a table or a picture, which is None if it was not drawn.
@@ -68,7 +68,7 @@ def list_details(
         content[f"nmse by range: {title}"] = tables.nmse_tables(values, task.name, page=True)
         content[f"Differences and sizes: {title}"] = [
             tables.differences_table(values, task.name, page=True),
-            Section("Sizes", tables.without_dashes(section.table[others])),
+            Section("Sizes", without_dashes(section.table[others])),
         ]
         content[f"Test drives: {title}"] = [drawings.draw_over_time(folder, task, table)]
     for task in tasks[:1]:

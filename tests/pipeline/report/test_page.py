@@ -9,7 +9,7 @@ import pandas as pd
 
 from pipeline.report import page
 from pipeline.report.drawings import Picture
-from pipeline.report.tables import Section
+from pipeline.report.section import Section
 
 EVIL = "x</script><script>alert(1)</script>"
 

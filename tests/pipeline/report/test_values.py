@@ -1,0 +1,171 @@
+"""The table of values, the paper's networks, and DVC's metrics."""
+
+import numpy as np
+import pytest
+
+from pipeline.evaluate.own_metrics import METRICS, Metric
+from pipeline.report import paper, sentences, values
+from pipeline.train.entry import Entry
+from pipeline.train.quantities import path
+from pipeline.train.quantities.path import Target
+from stages import preset
+from tests.pipeline.report import examples
+from tests.pipeline.report.examples import compare, metrics
+
+
+def test_tasks_and_rows_are_sorted_with_baselines_last(tmp_path):
+    table = compare(
+        tmp_path,
+        metrics("path", predict="path"),
+        metrics("far", baselines={"odometry": 0.5}, horizon=10),
+        metrics("ours", spatial="pyg", baselines={"odometry": 0.04}),
+        metrics("do-gnn-ncp", baselines={"persistence": 0.01}, input="depth", semantics=0.0),
+        metrics("gnn-lstm", input="lidar-50k", temporal="lstm", semantics=0.0),
+    )
+    titles = [values.title_of(task) for task in table.index.unique("task")]
+    assert titles == ["path ahead", "steering angle", "steering angle, 10 frames ahead"]
+    angle = table.loc["angle-0"]
+    assert values.list_methods(angle) == [
+        *["gnn-lstm", "do-gnn-ncp", "ours"],
+        *["zero", "train_mean", "odometry", "persistence"],
+    ]
+    assert values.list_ranges(table.loc["path-0"]) == ["0-5 m", "5-10 m"]
+    assert values.list_ends(table.loc["path-0"]) == ["at 5 m", "at 10 m"]
+    assert values.list_ranges(angle) == [""]
+    assert values.list_ends(angle) == []
+
+
+@pytest.mark.parametrize("name", ["kitti", "table2"])
+def test_networks_of_the_presets_are_the_papers(name):
+    published = set()
+    for model, settings in preset.merge_preset(name)["models"].items():
+        entry = Entry.model_validate(settings)
+        if paper.is_network(model, entry.model_dump()):
+            published.add(model)
+    expected = {model for claim in paper.CLAIMS for model in (claim.model, claim.rival)}
+    if name == "kitti":
+        expected = {model for model in expected if paper.NETWORKS[model].test_mse}
+    assert published >= expected
+
+
+def test_a_network_with_the_papers_name_and_other_settings_is_not_the_papers():
+    assert paper.is_network("sa-gnn-ncp", examples.ENTRY | {"cell": "eq4", "features": 64})
+    other = {"temporal": "lstm", "semantics": 0.0, "alpha": 5.0, "equivariant": True, "width": 0.5}
+    for key, value in other.items():
+        assert not paper.is_network("sa-gnn-ncp", examples.ENTRY | {key: value}), key
+
+
+def test_values_have_errors_differences_and_validation_and_are_read_again(tmp_path):
+    validation = {"path": {"nmse": 0.9}, "at 5 m/path": {"error": 0.123456}}
+    scene = metrics("path", [0.2, 0.4], predict="path") | {"val": validation}
+    blind = metrics("path-blind", 0.9, predict="path", spatial="blind")
+    table = compare(tmp_path, scene, blind)
+    rows = values.to_json(table)
+    far = {"nmse": 0.3, "unit": "deg", "frames": 44, "drives": 2, "seeds": [0.3]}
+    assert far.items() <= rows["path-0/5-10 m/path"].items()
+    assert rows["path-0/5-10 m/path - path-blind"]["nmse"] == -0.6
+    mean = {"lead": "at 5 m", "validation": 0.12346, "parameters": 9259, "edges": 5160.0}
+    assert mean.items() <= rows["path-0/path"].items()
+    end = {"unit": "m", "frames": 44, "drives": 2, "worst_drive": examples.DRIVES[1]}
+    assert end.items() <= rows["path-0/at 5 m/path"].items()
+    assert "verdict" in rows["path-0/at 5 m/path - path-blind"]
+    assert "verdict" not in rows["path-0/path - path-blind"]
+    shown = values.dvc_metrics(table)
+    errors = {name: rows[f"path-0/at 5 m/{name}"]["error"] for name in ("path", "path-blind")}
+    assert shown == {"error": pytest.approx(errors)}
+    assert values.to_json(values.from_json(rows)) == rows
+
+
+def test_all_rows_are_compared_on_common_frames_with_one_zero(tmp_path):
+    """On its own frames the window of 4 is worse, since it also predicts frames 3 to 6.
+
+    Odometry begins at frame 9.
+    """
+    baselines = {"odometry": 0.5, "regression": 0.5}
+    short = examples.predictions(0.3, baselines=baselines)
+    long = examples.predictions(0.5, baselines=baselines)
+    for table in (short, long):
+        table.loc[table["frame"] < 9, "odometry_steering_rad"] = np.nan
+    short.loc[short["frame"].between(3, 6), "predicted_steering_rad"] = 1.0
+    examples.write_model(tmp_path, metrics("short", 0.9, window=4), short)
+    examples.write_model(tmp_path, metrics("long", 0.5, window=8) | {"seeds": [0, 1]}, long)
+    _, all_values = examples.load(tmp_path, "long", "short")
+    angle = all_values.loc["angle-0"]
+    assert values.rank_models(angle) == ["short", "long"]
+    nmse = angle.loc[""]["nmse"].astype(float)
+    unknown = (7**2 + 8**2) / sum(np.delete(np.arange(7, 30), 13) ** 2)
+    expected = {"short": 0.3, "long": 0.5, "zero": 1.0, "odometry": 0.5 * (1 + unknown)}
+    assert nmse[[*expected]].tolist() == pytest.approx([*expected.values()])
+    assert set(angle.loc[""].loc[values.list_methods(angle), "frames"]) == {2 * 22}
+    difference = values.read_difference(angle, "short", "long")
+    assert difference[["nmse", "low", "high"]].tolist() == pytest.approx([-0.2] * 3)
+
+
+@pytest.mark.parametrize(
+    ("nmse", "baselines", "rival", "verdict"),
+    [
+        (0.2, {"train_mean": 2.0}, "zero", "better"),
+        (0.2, {"odometry": 0.6, "regression": 0.4, "persistence": 0.01}, "regression", "better"),
+        ([0.1, 0.4], {"odometry": 0.3}, "odometry", "no difference shown"),
+        (0.6, {"odometry": 0.05}, "odometry", "worse"),
+    ],
+)
+@pytest.mark.parametrize(("predict", "metres"), [("angle", 1), ("path", 10)])
+def test_the_best_validated_model_has_a_verdict(
+    tmp_path, monkeypatch, nmse, baselines, rival, verdict, predict, metres
+):
+    """Methods are compared with two seeds.
+
+    The two drives have ten parts that count as drives, or eight.
+    """
+    other = metrics("other", 0.01, baselines, predict=predict)
+    net = metrics("net", nmse, baselines, predict=predict)
+    for content, error in ((other, 0.4), (net, 0.3)):
+        name = content["model"]
+        content["val"] = {name: {"nmse": error}}
+        if predict == "path":
+            content["val"] = {name: {"nmse": 1 - error}, f"at 5 m/{name}": {"error": error}}
+
+    def verdict_of(seeds: list[int], doubts: int = 0) -> str:
+        models = [model | {"seeds": seeds} for model in (other, net)]
+        rows = compare(tmp_path, *models)
+        assert len(sentences.few_drives(rows)) == doubts
+        table = rows.loc[f"{predict}-0"]
+        assert values.rank_models(table)[0] == "net"
+        assert values.best_baseline(table) == rival
+        driven_rad = 0.01 * metres * np.delete(np.arange(7, 30), 13).mean()
+        mae_deg = np.rad2deg(driven_rad * np.sqrt(nmse).mean())
+        assert table.loc[("", "net"), "mae"] == pytest.approx(mae_deg)
+        return values.read_difference(table, "net", rival)["verdict"]
+
+    assert verdict_of([0]) == "too few seeds"
+    assert verdict_of([0, 1]) == verdict
+    blocks = examples.SETTINGS.model_copy(update={"bootstrap_block_frames": 6})
+    monkeypatch.setattr(examples, "SETTINGS", blocks)
+    for seeds in ([0], [0, 1]):
+        assert verdict_of(seeds, doubts=1) == "too few drives"
+
+
+def test_metrics_of_your_own_have_a_row_where_an_end_is_that_of_a_range(tmp_path, monkeypatch):
+    """The quantity's other ends are not those of its two ranges."""
+
+    class Final(Target):
+        def __init__(self, labels, horizon=0):
+            super().__init__(labels, horizon)
+            self.ends = ["final"]
+            self.lead = "final"
+
+        def errors(self, predicted, truth):
+            return super().errors(predicted, truth)[..., -1:]
+
+    share = Metric(lambda truth, predicted, quantity, column: column / 2, units=("1/m",))
+    monkeypatch.setitem(METRICS, "share", share)
+    rows = compare(tmp_path, metrics("path", predict="path"), metrics("net"))
+    assert values.dvc_metrics(rows)["share"] == {"path": 0.0}
+    monkeypatch.setattr(path, "Target", Final)
+    rows = compare(tmp_path, metrics("path", predict="path"))
+    shown = values.dvc_metrics(rows)
+    assert shown["error"].keys() == {"path"}
+    assert shown["share"] == {}
+    headline, *_ = sentences.write_sentences(rows)
+    assert "the path ahead (final) is off by" in headline

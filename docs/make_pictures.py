@@ -193,7 +193,7 @@ def street(
         panel.plot(table["time_s"], angle_deg, color=street_view.chart_colour(kind), label=name)
     panel.axhline(0, color="0.8", linewidth=0.8, zorder=0)
     panel.set(xlabel="time in s", ylabel="angle of the front wheels\nin degrees, left positive")
-    panel.legend(loc="lower left", frameon=False)
+    figure.legend(loc="outside upper left", ncols=2, frameon=False)
     street_view.save_figure(figure, out)
     print(f"{out}: {len(table)} frames")
 

@@ -46,7 +46,7 @@ VALUE = re.compile(r"[−+]?\d+\.\d+(?: \([^()]*\))?(<!-- (\w+)/([^:>]+?)(?::(\w
 # The origin of a run in a page: brackets, and a comment with RUN.
 ORIGIN = re.compile(r"\([^()]*\)(<!-- (\w+) -->)")
 # Column → decimal places of its values.
-PLACES = {"nmse": 3, "error": 2, "mae": 2}
+PLACES = {"nmse": 3, "value": 3, "error": 2, "mae": 2}
 
 
 def collect(
@@ -94,9 +94,8 @@ def pages(runs: Sequence[Mapping[str, Any]]) -> dict[Path, str]:
     origins = {}
     for run in runs:
         rows.setdefault(run["preset"], {}).update(run["results"])
-        origins[run["preset"]] = ", ".join(
-            str(run[key]) for key in ("revision", "date", "machine") if key in run
-        )
+        facts = [str(run[key]) for key in ("revision", "date", "machine") if key in run]
+        origins[run["preset"]] = f"revision {', '.join(facts)}"
 
     def value(match: re.Match[str]) -> str:
         comment, run, key, column = match.groups()

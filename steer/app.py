@@ -64,7 +64,7 @@ def show(
     """Print a file's attributes, datasets and settings.
 
     \b
-    steer show data/graphs/semantic/2026_01_21_drive_0004.h5
+    steer show data/graphs/semantic/2026_06_01_drive_0004.h5
     steer show data/train/sa-gnn-ncp/best.pt
     """
     import yaml
@@ -95,8 +95,8 @@ def view(
     Points far from the car are left out. Of many points and edges, only some are shown.
 
     \b
-    steer view data/graphs/semantic/2026_01_21_drive_0004.h5
-    steer view data/graphs/semantic/2026_01_21_drive_0004.h5 --frame 7 --out graph.html
+    steer view data/graphs/semantic/2026_06_01_drive_0004.h5
+    steer view data/graphs/semantic/2026_06_01_drive_0004.h5 --frame 7 --out graph.html
     """
     from pipeline.jobs.outputs import find_free
 
@@ -123,8 +123,8 @@ def export(
     of its pixel if the frame's image is in data/ingest.
 
     \b
-    steer export data/clouds/pseudo/2026_01_21_drive_0004.h5 --frame 7 cloud.ply
-    steer export data/graphs/semantic/2026_01_21_drive_0004.h5 --frame 7 graph.pcd
+    steer export data/clouds/pseudo/2026_06_01_drive_0004.h5 --frame 7 cloud.ply
+    steer export data/graphs/semantic/2026_06_01_drive_0004.h5 --frame 7 graph.pcd
     """
     from steer import export as exporting
 

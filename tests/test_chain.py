@@ -198,11 +198,13 @@ def test_a_new_drive_costs_one_drive_per_stage(folder):
 def test_a_network_is_added_by_a_file_and_trained_alone(folder):
     network = code_block("class Height(nn.Module)").removeprefix("python\n")
     (folder / "models/steering/spatial/height.py").write_text(network)
+    network = code_block("class GRU(RecurrentCell)").removeprefix("python\n")
+    (folder / "models/steering/temporal/gru.py").write_text(network)
     models = yaml.safe_load((folder / "params.yaml").read_text())["models"]
     models["mine"] = {
         "input": "semantic",
         "spatial": "height",
-        "temporal": "lstm",
+        "temporal": "gru",
         "semantics": 1.0,
     }
     edit_params(folder, models=models)
@@ -254,6 +256,6 @@ def test_a_second_machine_reads_shared_clouds_and_makes_other_graphs(folder, sec
     lines = code_block("np.intersect1d").removeprefix("python\n")
     names: dict[str, Any] = {}
     monkeypatch.chdir(second)
-    exec(lines.replace("2026_01_21_drive_0004", next(iter(drives))), names)
+    exec(lines.replace("2026_06_01_drive_0004", next(iter(drives))), names)
     assert names["xyz"].shape == (len(names["cls"]), 3)
     assert np.isfinite(names["steering_rad"])

@@ -59,6 +59,7 @@ PLACEHOLDERS = {
     "models/steering/spatial/height.py",
     "models/steering/spatial/NAME.py",
     "models/steering/spatial/surface.py",
+    "models/steering/temporal/gru.py",
     "pipeline/train/quantities/curvature.py",
     "presets/NAME.yaml",
     "presets/monday.yaml",
@@ -99,6 +100,17 @@ def test_every_python_block_is_run():
     for block in blocks:
         if block.startswith("python\n"):
             assert [part for _, part in parts if code_block(part) == block], block
+
+
+def test_drives_of_examples_are_those_of_the_demo():
+    """In code blocks of pages, and in the help of steer."""
+    drives = parse(Params, read_yaml(ROOT / "params.yaml")).ingest.drives.splits()
+    texts = [path.read_text() for path in (ROOT / "steer").rglob("*.py")]
+    for page in (ROOT / "data/README.md", ROOT / "docs/models.md"):
+        texts += page.read_text().split("```")[1::2]
+    named = {*re.findall(r"2026_\d\d_\d\d_drive_\d{4}", "\n".join(texts))}
+    assert named
+    assert named <= {*drives}
 
 
 def headings(page: Path) -> set[str]:
@@ -265,7 +277,7 @@ def test_the_quantity_of_the_documentation_is_trained_evaluated_and_shown(tmp_pa
 
 
 def test_the_edges_of_the_data_card_are_those_of_a_batch(tmp_path, monkeypatch):
-    drive = "2026_01_21_drive_0004"
+    drive = "2026_06_01_drive_0004"
     frame = np.arange(8)
     path = tmp_path / f"data/graphs/semantic/{drive}.h5"
     artefacts.write_graphs(path, np.full(8, 0.1), frame, points=20)

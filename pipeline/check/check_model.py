@@ -59,6 +59,10 @@ def check_model(entry: Entry, settings: Params) -> None:
     if variant.source == "clouds/lidar" and not settings.ingest.lidar:
         raise InputError(f"input = {entry.input!r} needs scans, but ingest.lidar is false")
     _check_columns(entry, variant, settings)
+    if variant.points and variant.points > settings.clouds.max_points:
+        problem = f"graphs.{entry.input}.points = {variant.points} is above clouds.max_points"
+        fix = "Raise clouds.max_points, for which all clouds are made again, or lower the points"
+        raise InputError(f"{problem} = {settings.clouds.max_points}", fix=fix)
     if entry.network.reads_edges and not variant.k and variant.kind == "graph":
         problem = f"spatial = {entry.spatial!r} reads edges, but graphs.{entry.input} has none"
         raise InputError(problem, fix=f"Set graphs.{entry.input}.k, for instance to 6")

@@ -8,7 +8,7 @@ measured has valid = 0 and no numbers. quality.json says how certain the scale i
 \b
 steer measure street.mp4 --fov 65
 steer measure street.mp4 --fov 65 --camera-height 1.4 --wheel wheel.csv --steering-ratio 14.8
-steer measure data/sample/2026_01_21/2026_01_21_drive_0004_sync --encoder data/encoder
+steer measure data/sample/2026_06_01/2026_06_01_drive_0004_sync --encoder data/encoder
 """
 
 from pathlib import Path

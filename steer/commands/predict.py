@@ -8,7 +8,7 @@ the measured motion, without means over later frames: see steer measure.
 
 \b
 steer predict street.mp4 --fov 65 --model runs/monday/data/train/motion
-steer predict data/sample/2026_01_21/2026_01_21_drive_0001_sync --model models/steering/sample_path
+steer predict data/sample/2026_06_01/2026_06_01_drive_0001_sync --model models/steering/sample_path
 """
 
 from pathlib import Path

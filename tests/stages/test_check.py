@@ -105,6 +105,11 @@ def test_weights_are_looked_for_where_stage_encoder_will_run(tmp_path):
             ["intensity"],
             "graphs.lidar has column 'intensity', but the clouds lack it. Add it to clouds.columns",
         ),
+        (
+            "graphs.semantic.points",
+            70000,
+            "graphs.semantic.points = 70000 is above clouds.max_points = 12000. Raise",
+        ),
         (f"{MODEL}.input", "image", "spatial.*gnn.*images"),
         ("models.cnn-ncp.input", "semantic", "spatial.*cnn.*expects images"),
         (

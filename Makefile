@@ -23,7 +23,7 @@ demo: setup            ## run the complete chain on the embedded sample and prin
 	dvc repro check labels motion graphs
 	@mkdir -p .dvc/tmp && rm -f .dvc/tmp/train@*  # errors, shown after all models have ended; xargs stops at DVC's 255
 	@dvc stage list --name-only | grep '^train@' | xargs -n 1 -P 2 sh -c \
-	'dvc --wait-for-lock repro --single-item $$0 2>.dvc/tmp/$$0 || exit 1' || { cat .dvc/tmp/train@* >&2; exit 1; }
+	'dvc --wait-for-lock repro --single-item $$0 evaluate@$${0#train@} 2>.dvc/tmp/$$0 || exit 1' || { cat .dvc/tmp/train@* >&2; exit 1; }
 	dvc repro
 	@cat data/report/table.md && echo "Open data/report/index.html in a browser."
 

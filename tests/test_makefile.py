@@ -31,7 +31,7 @@ init) mkdir .dvc ;;
 stage) echo train@fails train@works | tr ' ' '\\n' ;;
 --wait-for-lock)
   case "$4" in train@fails) echo "$4: loss is nan" >&2; exit 255 ;; esac
-  sleep 0.5; echo "trained $4" >> {log} ;;
+  sleep 0.5; echo "made $4 $5" >> {log} ;;
 repro)
   mkdir -p data/report && ls stages > dvc.lock
   [ ! -e stages/broken.py ] || exit 255
@@ -229,7 +229,7 @@ def test_the_demo_ends_all_trainings_before_it_shows_a_failure(checkout):
     assert done.returncode != 0
     calls = (checkout / "calls").read_text().splitlines()
     assert calls[0] == "config --local core.no_scm true"
-    assert calls[-1] == "trained train@works"
+    assert calls[-1] == "made train@works evaluate@works"
     assert "train@fails: loss is nan" in done.stderr
 
 

@@ -66,6 +66,9 @@ def check_model(entry: Entry, settings: Params) -> None:
     if entry.network.reads_edges and not variant.k and variant.kind == "graph":
         problem = f"spatial = {entry.spatial!r} reads edges, but graphs.{entry.input} has none"
         raise InputError(problem, fix=f"Set graphs.{entry.input}.k, for instance to 6")
+    if entry.window == 1 and entry.override(settings.train).batch_spans == 1:
+        problem = "window: 1 and batch_spans: 1 make steps of a single frame, which has no variance"
+        raise InputError(problem, fix="Set batch_spans to 2 or more")
     runs.check_splits(settings.ingest.drives.splits())
     with error_context(f"predict: {entry.predict}"):
         check_quantity(quantity, settings.labels)

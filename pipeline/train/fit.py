@@ -78,6 +78,7 @@ class Fit:
         self.scale = Scale.from_drives(self.train)
         dtype = next(self.net.parameters()).dtype
         self._gain = torch.from_numpy(self.scale.gain).to(self.net.device, dtype)
+        self._offset = torch.from_numpy(self.scale.offset).to(self.net.device, dtype)
         self._std = torch.from_numpy(self.scale.std).to(self.net.device, dtype)
 
         # The mean and variance of features are averaged over steps, too, since a single step has
@@ -226,35 +227,41 @@ class Fit:
 
             error, weight = self._batch_error(net, batch)
             self.optimiser.zero_grad(set_to_none=True)
-            (error / weight).backward()  # type: ignore[no-untyped-call]
+            # All targets of a step may be unknown. Then the minimum avoids 0 / 0.
+            (error / weight.clamp_min(1e-6)).backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(net.parameters(), self.settings.clip_norm)
             self.optimiser.step()
-            self._update_average(first=epoch == 1 and step == 0)
+            self._update_average((epoch - 1) * len(steps) + step)
             errors.append(error.detach())
             weights.append(weight)
 
         # The sums of errors and weights are read once per epoch, so that no step waits for a GPU.
         sums = torch.stack(errors + weights).double().view(2, -1).sum(1)
         error_sum, weight_sum = sums.tolist()
+        if not weight_sum:
+            problem = f"no target of epoch {epoch} is known after the scene is scaled"
+            fix = "Set train.rescale: 1, or let labels.ahead_m begin at 0"
+            raise InputError(problem, self.entry.predict, fix)
         return error_sum / weight_sum, learning_rate
 
     def _batch_error(self, net: SteeringNet, batch: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
         """Return the weighted sum of a batch's errors, and the sum of the weights."""
-        residual, weight = batch_targets(batch, self._gain, self._std, self.entry.alpha)
+        residual, weight = batch_targets(
+            batch, self._gain, self._offset, self._std, self.entry.alpha
+        )
         output = net(*net.inputs(batch))
         robust = self.train[0].quantity.is_robust
         error = weighted_loss(output, residual, weight, robust=robust)
-        # Each span has a valid target, but all ranges of a scaled path may be unknown. Then all
-        # weights are 0, the sum of errors is 0, and the minimum avoids 0 / 0.
-        return error, weight.sum().clamp_min(1e-6)
+        return error, weight.sum()
 
     @torch.no_grad()
-    def _update_average(self, first: bool) -> None:
-        """Move the averaged parameters towards those of the network.
+    def _update_average(self, steps: int) -> None:
+        """Move the averaged parameters towards those of the network, after `steps` earlier steps.
 
-        In the first step, parameters are copied. Buffers are copied in every step.
+        Over the first steps the average is a plain mean, since much of the random initialisation
+        would otherwise remain after a short training. Buffers are copied in every step.
         """
-        weight = 1.0 if first else 1 - self.settings.average
+        weight = max(1 - self.settings.average, 1 / (steps + 1))
         torch._foreach_lerp_([*self.average.parameters()], [*self.net.parameters()], weight)
         torch._foreach_copy_([*self.average.buffers()], [*self.net.buffers()])
 

@@ -15,12 +15,13 @@ from pipeline.train.targets import LabelledDrive
 
 @dataclass(frozen=True)
 class Scale:
-    """y = gain · base + std · output, in each of R columns.
+    """y = gain · base + offset + std · output, in each of R columns.
 
     - y is the predicted value.
     - base is the measured value of the window's last frame, or 0 for a model without motion or with
       `base: none`.
     - gain is the regression coefficient of y on base if the quantity lies ahead of the car, or 1.
+    - offset is the mean of y - gain · base, or 0 for an odd quantity, as left and right are alike.
     - std is the standard deviation of y - gain · base.
 
     So an output of 0 means the best prediction from base alone. `mean` is that of y, and serves a
@@ -29,6 +30,7 @@ class Scale:
 
     names: list[str]  # Quantity.columns
     gain: np.ndarray
+    offset: np.ndarray
     std: np.ndarray
     mean: np.ndarray
 
@@ -49,18 +51,21 @@ class Scale:
 
         base = np.concatenate([drive.base for drive in drives])
         gain = fit_gain(base, y) if quantity.is_ahead else np.ones(y.shape[1])
-        std = np.nanstd(y - gain * base, axis=0)
-        std = np.maximum(std, 1e-6)  # std is 0 on a straight road
-        return cls(quantity.columns, gain, std, np.nanmean(y, axis=0))
+        rest = y - gain * base
+        offset = np.zeros(y.shape[1]) if quantity.is_odd else np.nanmean(rest, axis=0)
+        std = np.maximum(np.nanstd(rest, axis=0), 1e-6)  # it is 0 on a straight road
+        return cls(quantity.columns, gain, offset, std, np.nanmean(y, axis=0))
 
     @classmethod
     def parse(cls, content: dict[str, Any]) -> "Scale":
         """Return the scale that has this :attr:`content`. Raises TypeError or ValueError.
 
-        Older checkpoints also have ``odometry_gain``, which stage evaluate fits now.
+        Older checkpoints lack ``offset``, which was 0, and have ``odometry_gain``, which stage
+        evaluate fits now.
         """
         fields = {name: value for name, value in content.items() if name != "odometry_gain"}
         arrays = {name: np.array(value) for name, value in fields.items() if name != "names"}
+        arrays.setdefault("offset", np.zeros_like(arrays["std"]))
         return cls(**fields | arrays)
 
     @property
@@ -71,7 +76,7 @@ class Scale:
 
     def decode(self, output: np.ndarray, base: np.ndarray) -> np.ndarray:
         """Return the predictions of outputs for base, each [...,R]."""
-        return np.asarray(self.gain * base + self.std * output)
+        return np.asarray(self.gain * base + self.offset + self.std * output)
 
 
 def mean_nmse(drives: Sequence[LabelledDrive], predictions: Sequence[np.ndarray]) -> float:
@@ -100,18 +105,18 @@ def fit_gain(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def batch_targets(
-    batch: Mapping[str, Tensor], gain: Tensor, std: Tensor, alpha: float
+    batch: Mapping[str, Tensor], gain: Tensor, offset: Tensor, std: Tensor, alpha: float
 ) -> tuple[Tensor, Tensor]:
     """Return the outputs that the network should have, and their weights, both [W,R].
 
-    A weight is exp(α |target|) as in eq. 9, and 0 for an unknown target. `gain` and `std` [R] are
-    the fields of :class:`Scale`.
+    A weight is exp(α |target|) as in eq. 9, and 0 for an unknown target. `gain`, `offset` and `std`
+    [R] are the fields of :class:`Scale`.
     """
     base = batch["base"].to(std.dtype)
     target = batch["target"].to(std.dtype)
     is_known = target.isfinite()
     target = target.nan_to_num()  # 0 × NaN is NaN
-    residual = (target - gain * base) / std
+    residual = (target - gain * base - offset) / std
     return residual, is_known * torch.exp(alpha * target.abs())
 
 

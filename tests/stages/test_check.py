@@ -111,6 +111,18 @@ def test_weights_are_looked_for_where_stage_encoder_will_run(tmp_path):
             "graphs.semantic.points = 70000 is above clouds.max_points = 12000. Raise",
         ),
         (f"{MODEL}.input", "image", "spatial.*gnn.*images"),
+        (
+            MODEL,
+            {
+                "input": "semantic",
+                "spatial": "gnn",
+                "temporal": "ncp",
+                "semantics": 1.0,
+                "window": 1,
+                "batch_spans": 1,
+            },
+            "make steps of a single frame, which has no variance. Set batch_spans to 2",
+        ),
         ("models.cnn-ncp.input", "semantic", "spatial.*cnn.*expects images"),
         (
             f"{MODEL}.input",

@@ -188,6 +188,7 @@ PATH = {"predict": "path"}
         ({}, PATH, r"labels/2026.*needs labels.ahead_m.*repro labels"),
         ({"frames": 5, "ahead_m": EDGES_M}, PATH, "no window of 4 consecutive .* known path ahead"),
         ({"frames": 20, "ahead_m": EDGES_M}, PATH, "no frame has a known path ahead 10-20 m in"),
+        ({"ahead_m": [5, 10]}, PATH, "no target of epoch 1 is known after the scene is scaled"),
         ({}, {}, f"every known steering angle of {TEST} is 0"),
         ({}, {"motion": "visual"}, "motion is not measured in any frame"),
         ({"points": 0}, {}, "0 points in all frames of .*, raise clouds.max_depth_m"),

@@ -42,7 +42,7 @@ def folder(tmp_path) -> Path:
 
 
 def case(drive: LabelledDrive, *seeds: np.ndarray, mean: float = 0.0) -> Case:
-    scale = Scale(["steering_rad"], np.ones(1), np.ones(1), np.array([mean]))
+    scale = Scale(["steering_rad"], np.ones(1), np.zeros(1), np.ones(1), np.array([mean]))
     odometry = read_odometry(drive, entry(horizon=drive.quantity.horizon))
     return Case(drive, seeds, scale, odometry, odometry_gain=np.array([0.5]))
 

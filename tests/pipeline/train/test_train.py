@@ -317,14 +317,16 @@ def test_items_come_in_order_and_a_bounded_number_ahead_of_their_use(threads):
 
 
 @pytest.mark.parametrize("reading", [{"horizon": 5}, {"predict": "path"}])
-def test_scale_is_the_regression_and_spread_of_the_residual(tmp_path, reading):
-    """The gain is the regression's for a path; an angle's is 1."""
+def test_scale_is_the_regression_and_spread_of_the_residual(tmp_path, monkeypatch, reading):
+    """The gain is the regression's for a path; an angle's is 1. Both are odd."""
     artefacts.write_dataset(tmp_path, DRIVES, frames=40, points=12, ahead_m=[0, 5, 10])
     for name, factor in zip(NAMES, (0.2, -0.3), strict=True):
         steering_rad = factor * np.sin(np.arange(40) / 5)
         artefacts.write_steered(tmp_path / f"motion/{name}.h5", steering_rad)
     drives = read(tmp_path, motion="visual", **reading)
     scale = Scale.from_drives(drives)
+    monkeypatch.setattr(type(drives[0].quantity), "is_odd", False)
+    uncentred = Scale.from_drives(drives)
     truth = np.concatenate([drive.target for drive in drives])
     base = np.concatenate([drive.base for drive in drives])
     for number in range(len(scale.names)):
@@ -334,19 +336,23 @@ def test_scale_is_the_regression_and_spread_of_the_residual(tmp_path, reading):
         y = truth[known, number]
         (best,), *_ = np.linalg.lstsq(x[:, None], y, rcond=None)
         assert scale.gain[number] == (pytest.approx(best) if "predict" in reading else 1)
-        assert scale.std[number] == pytest.approx(np.std(y - scale.gain[number] * x))
+        residual = y - scale.gain[number] * x
+        assert scale.offset[number] == 0
+        assert uncentred.offset[number] == pytest.approx(residual.mean())
+        assert scale.std[number] == uncentred.std[number] == pytest.approx(residual.std())
         assert scale.mean[number] == pytest.approx(y.mean())
 
 
 def test_targets_of_a_step_are_standardised_and_weighted_and_decode_undoes_it():
-    scale = Scale(["a"], gain=np.array([0.5]), std=np.array([0.2]), mean=np.zeros(1))
+    scale = Scale(["a"], np.array([0.5]), np.array([0.1]), np.array([0.2]), np.zeros(1))
     target = torch.tensor([[0.2], [-0.3], [torch.nan]]).double()
     base = torch.tensor([[0.1], [0.0], [0.0]]).double()
     gain = torch.from_numpy(scale.gain)
+    offset = torch.from_numpy(scale.offset)
     std = torch.from_numpy(scale.std)
     batch = {"target": target, "base": base}
-    residual, weight = loss.batch_targets(batch, gain, std, alpha=2.0)
-    assert residual[:, 0].tolist() == pytest.approx([0.75, -1.5, 0.0])
+    residual, weight = loss.batch_targets(batch, gain, offset, std, alpha=2.0)
+    assert residual[:, 0].tolist() == pytest.approx([0.25, -2.0, -0.5])
     assert weight[:, 0].tolist() == pytest.approx([np.exp(0.4), np.exp(0.6), 0.0])
     decoded = Scale.parse(scale.content).decode(residual.numpy(), base.numpy())
     np.testing.assert_allclose(decoded[:2], target[:2])
@@ -376,7 +382,9 @@ def write_model(folder: Path, change: dict[str, Any] | None = None) -> Path:
         "kind": trained.KIND,
         "name": "net",
         "seeds": [0],
-        "scale": Scale(["steering_rad"], np.ones(1), np.array([0.12]), np.zeros(1)).content,
+        "scale": Scale(
+            ["steering_rad"], np.ones(1), np.zeros(1), np.array([0.12]), np.zeros(1)
+        ).content,
         "contents": {"kind": "graph"},
         "entry": model.model_dump(mode="json"),
         "settings": artefacts.LABELS,
@@ -458,7 +466,7 @@ def test_a_split_without_training_drives_is_refused():
 def test_three_steps_are_those_of_adamw_with_warm_up_and_an_average_of_the_weights(folder):
     """The optimiser is written out. Vectors have no weight decay."""
     model = entry(spatial="gnn", temporal="lstm", features=8, layers=[8])
-    change = {"epochs": 2, "learning_rate": 0.002, "weight_decay": 9.0, "average": 0.9}
+    change = {"epochs": 2, "learning_rate": 0.002, "weight_decay": 9.0, "average": 0.6}
     change |= {"span_windows": 6, "batch_spans": 3, "clip_norm": 0.5}
     settings = Train(**SETTINGS | change)
     torch.manual_seed(0)
@@ -489,7 +497,7 @@ def test_three_steps_are_those_of_adamw_with_warm_up_and_an_average_of_the_weigh
             torch.stack([weights.grad.square().sum() for weights in trained_weights]).sum().sqrt()
         )
         clip = min(1.0, 0.5 / norm.item())
-        kept = 0.9 if step else 0.0
+        kept = min(0.6, step / (step + 1))  # a plain mean at first
         for number, weights in enumerate(trained_weights):
             gradient = weights.grad * clip
             mean[number] = 0.9 * mean[number] + 0.1 * gradient

@@ -231,7 +231,7 @@ class Fit:
             (error / weight.clamp_min(1e-6)).backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(net.parameters(), self.settings.clip_norm)
             self.optimiser.step()
-            self._update_average((epoch - 1) * len(steps) + step)
+            self._update_average(first=epoch == 1 and step == 0)
             errors.append(error.detach())
             weights.append(weight)
 
@@ -255,13 +255,12 @@ class Fit:
         return error, weight.sum()
 
     @torch.no_grad()
-    def _update_average(self, steps: int) -> None:
-        """Move the averaged parameters towards those of the network, after `steps` earlier steps.
+    def _update_average(self, first: bool) -> None:
+        """Move the averaged parameters towards those of the network.
 
-        Over the first steps the average is a plain mean, since much of the random initialisation
-        would otherwise remain after a short training. Buffers are copied in every step.
+        In the first step, parameters are copied. Buffers are copied in every step.
         """
-        weight = max(1 - self.settings.average, 1 / (steps + 1))
+        weight = 1.0 if first else 1 - self.settings.average
         torch._foreach_lerp_([*self.average.parameters()], [*self.net.parameters()], weight)
         torch._foreach_copy_([*self.average.buffers()], [*self.net.buffers()])
 

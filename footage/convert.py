@@ -2,8 +2,8 @@
 
 A recording is a video, several that follow each other, or a folder of images, with logs of the car.
 Its drives are ``NAME/NAME_drive_0001_sync`` and so on, with the files ``image_02/data/%010d.jpg``,
-``image_02/timestamps.txt``, ``motion.csv`` and ``steering.csv``. They share the calibration in
-``NAME/``.
+``image_02/timestamps.txt``, ``motion.csv`` and ``steering.csv``. Frame numbers are left out where
+images are missing. The drives share the calibration in ``NAME/``.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -26,6 +26,7 @@ from footage.video import Images, check_numbers, open_images
 from pipeline.base.errors import InputError, error_context
 from pipeline.camera.camera import Camera
 from pipeline.ingest.calibration import write_calibration
+from pipeline.ingest.clocks import is_gap
 from pipeline.ingest.packets import VALUE_FILES, format_times, write_values
 from pipeline.motion.horizon import HeadingFinder, compute_horizon
 
@@ -42,6 +43,9 @@ JPEG = (
 DAY = "2000_01_01"
 # Seconds left out between the parts of a recording, as neighbouring images are almost the same.
 GAP_S = 2.0
+# Most frame numbers that are left out at a gap in time. It is the longest horizon of a target, so
+# that no frame before a gap has a target after it; each number is a line of timestamps.txt.
+MOST_LEFT_OUT = 10_000
 
 
 class Recording(NamedTuple):
@@ -75,18 +79,62 @@ class Drive:
     """A drive that is being written."""
 
     folder: Path
+    # Usual time in seconds from one image to the next.
+    step_s: float
     # Times of the written images in the recording.
     times_s: list[float] = field(default_factory=list)
+    # Their frame numbers.
+    numbers: list[int] = field(default_factory=list)
 
     def write_image(self, image: np.ndarray, time_s: float, *, png: bool) -> None:
         """Write the next image, RGB uint8 [H,W,3]."""
+        number = self._next_number(time_s)
         suffix = ".png" if png else ".jpg"
-        path = self.folder / f"image_02/data/{len(self.times_s):010d}{suffix}"
+        path = self.folder / f"image_02/data/{number:010d}{suffix}"
         path.parent.mkdir(parents=True, exist_ok=True)
         pixels = cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
         _, content = cv2.imencode(suffix, pixels, [] if png else JPEG)
         path.write_bytes(content.tobytes())
         self.times_s.append(time_s)
+        self.numbers.append(number)
+
+    def _next_number(self, time_s: float) -> int:
+        """Return the frame number of an image that follows the last one.
+
+        Later stages take frames with neighbouring numbers for consecutive ones. After a gap in
+        time, the numbers of the images that are missing are therefore left out, as in KITTI.
+        """
+        if not self.numbers:
+            return 0
+        step_s = time_s - self.times_s[-1]
+        steps = 1
+        if is_gap(step_s, self.step_s):
+            left_out = round(step_s / self.step_s) - 1
+            steps += min(left_out, MOST_LEFT_OUT)
+        return self.numbers[-1] + steps
+
+    def format_times(self, start_s: float) -> bytes:
+        """Return the content of timestamps.txt, where time 0 is that of `start_s`.
+
+        Line i belongs to frame i. The numbers that are left out have lines, too, whose times are
+        interpolated.
+        """
+        lines = np.arange(self.numbers[-1] + 1)
+        times_s = np.interp(lines, self.numbers, self.times_s)
+        return format_times(times_s - start_s, DAY, 0.0)
+
+    def note_gaps(self) -> list[str]:
+        """Return a note if frame numbers are left out."""
+        rows = np.flatnonzero(np.diff(self.numbers) > 1)
+        if not len(rows):
+            return []
+        steps_s = np.diff(self.times_s)
+        row = rows[np.argmax(steps_s[rows])]
+        return [
+            f"{self.folder.name}: gaps in time: {len(rows)}, the longest of {steps_s[row]:.1f} s "
+            f"after frame {self.numbers[row]}; the next frame is {self.numbers[row + 1]}, so that "
+            "nothing crosses the gap"
+        ]
 
 
 class Converted(NamedTuple):
@@ -180,7 +228,8 @@ def convert(
     borders = BorderFinder()
 
     numbers = range(1, len(shares) + 1)
-    drives = [Drive(folder / f"{name}_drive_{number:04d}_sync") for number in numbers]
+    step_s = recording.step_s * recording.find_stride(hz)
+    drives = [Drive(folder / f"{name}_drive_{number:04d}_sync", step_s) for number in numbers]
     is_written = parts >= 0
     frames = int(is_written.sum())
     with tqdm(total=frames, desc="convert", unit=" images", disable=None) as bar:
@@ -221,8 +270,7 @@ def convert(
         "options": options.model_dump(mode="json", by_alias=True, exclude_defaults=True),
         "recordings": [describe_file(file.path) for file in recording.files],
     }
-    frame_hz = 1 / (recording.step_s * recording.find_stride(hz))
-    return Converted(drives, camera, hz=frame_hz, notes=notes, record=record)
+    return Converted(drives, camera, hz=1 / step_s, notes=notes, record=record)
 
 
 def _divide_parts(recording: Recording, shares: Sequence[float], hz: float) -> np.ndarray:
@@ -252,10 +300,12 @@ def _write_values(recording: Recording, drives: Sequence[Drive]) -> list[str]:
     Raises InputError if a log has no value in a drive.
     """
     tables = []
+    notes = []
     for drive in drives:
         times_s = np.array(drive.times_s)
-        stamps = format_times(times_s - recording.times_s[0], DAY, 0.0)
+        stamps = drive.format_times(recording.times_s[0])
         (drive.folder / "image_02/timestamps.txt").write_bytes(stamps)
+        notes += drive.note_gaps()
 
         values = {name: log.interpolate(times_s) for name, log in recording.logs.items()}
         for name, column in values.items():
@@ -265,11 +315,10 @@ def _write_values(recording: Recording, drives: Sequence[Drive]) -> list[str]:
         for file, columns in VALUE_FILES.items():
             logged = {name: values[name] for name in columns if name in values}
             if logged:
-                write_values(drive.folder / file, logged)
+                write_values(drive.folder / file, drive.numbers, logged)
         tables.append(pd.DataFrame(values))
 
     table = pd.concat(tables)
-    notes = []
     for name in table:
         column = table[name].dropna()
         known = f"{name} is known at {len(column):,} of {len(table):,} images"

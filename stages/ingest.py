@@ -11,6 +11,7 @@ from pipeline.base.checkout import in_checkout
 from pipeline.base.errors import error_context
 from pipeline.base.hashes import digest
 from pipeline.base.params import load_section
+from pipeline.base.summary import DOUBT
 from pipeline.ingest import drive as datasets
 from pipeline.ingest import validate
 from pipeline.ingest.datasets import kitti
@@ -55,8 +56,13 @@ def main(
 
         summaries = make_drives(folder, jobs, reading, log_format="{frames} frames{counts}")
         steps_s = {drive: summary["step_s"] for drive, summary in summaries.items()}
-        doubt = validate.rate_doubt(steps_s, settings.drives.train)
-        if doubt:
+        doubts = []
+        for drive, summary in summaries.items():
+            doubts += [f"{DOUBT}{drive}: {doubt}" for doubt in summary["doubts"]]
+        rate_doubt = validate.rate_doubt(steps_s, settings.drives.train)
+        if rate_doubt:
+            doubts.append(rate_doubt)
+        for doubt in doubts:
             print(doubt, flush=True)
     return out
 

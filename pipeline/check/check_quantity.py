@@ -62,7 +62,7 @@ def check_quantity(quantity: Quantity, settings: Labels) -> None:
 def _write_drive(path: Path, settings: Labels) -> np.ndarray:
     """Write the labels of a drive on a winding road as stage labels does.
 
-    Returns its steering angles [F].
+    Speed and yaw rate are NaN in the frames of unknown motion. Returns the steering angles [F].
     """
     time_s = np.arange(FRAMES) * STEP_S
     yaw_rate_radps = YAW_RATE_RADPS * np.sin(time_s)
@@ -75,6 +75,9 @@ def _write_drive(path: Path, settings: Labels) -> np.ndarray:
 
     car = Car(settings.wheelbase_m, settings.min_speed_mps)
     labels = steering_labels(yaw_rate_radps, speed_mps, car)
+    if settings.angle == "recorded":
+        # A recorded angle is a valid label also where the speed is unknown.
+        labels = labels._replace(valid=labels.valid | np.isnan(speed_mps))
     params = {"labels": settings.model_dump()}
     with create_labels(path, drive=path.stem, params=params) as file:
         file.attrs["measured"] = int(settings.are_measured)

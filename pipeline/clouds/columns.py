@@ -4,6 +4,7 @@ A source of clouds names its columns here, in SOURCES. `clouds.columns` of param
 of them. docs/models.md has an example.
 """
 
+import re
 from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple
 
@@ -33,6 +34,14 @@ _ARRAYS = ("windows", "dt_s", "base", "motion", "target", "prepared")
 _ATTRIBUTES = ("positions", "class", "colors")
 # Endings of names of datasets and arrays that belong to another one.
 _ENDINGS = ("ptr", "_signs")
+# First words of units that are lengths, in small letters. Only the unit "m" itself is scaled with
+# the points, so any other length would silently stay as it is.
+_LENGTHS = (
+    *("m", "dm", "cm", "mm", "km"),
+    *("metre", "metres", "meter", "meters"),
+    *("centimetre", "centimetres", "centimeter", "centimeters"),
+    *("millimetre", "millimetres", "millimeter", "millimeters"),
+)
 
 
 class Points(NamedTuple):
@@ -52,7 +61,8 @@ class FurtherColumn(NamedTuple):
     compute: Callable[[Points], np.ndarray]
     # Factors of the C numbers in the mirror image: -1 for a component to the right, otherwise 1.
     signs: tuple[int, ...]
-    # Unit of the numbers. What is in "m" is scaled together with the points (train.rescale).
+    # Unit of the numbers. What is in "m" is scaled together with the points (train.rescale), and
+    # no other unit of length is accepted.
     unit: str
     # Type in the file. uint8, which the function returns itself, has only signs of 1, and is not in
     # metres.
@@ -104,6 +114,11 @@ def check_column(name: str) -> None:
         if further.type == "uint8" and (further.unit == "m" or -1 in further.signs):
             problem = "uint8 cannot change its sign, and cannot be scaled"
             raise InputError(problem, f"column {name!r}", "Use float32")
+        first_word = re.split(r"[\s,;:(]", further.unit.strip().lower())[0]
+        if first_word in _LENGTHS and further.unit != "m":
+            problem = f"unit = {further.unit!r} is a length that is not scaled with the points"
+            fix = "Compute metres, with unit = 'm', and describe them in meaning"
+            raise InputError(problem, f"column {name!r}", fix)
 
 
 def compute_columns(source: str, names: Sequence[str], points: Points) -> dict[str, Column]:

@@ -34,7 +34,7 @@ def find_ways(drive: np.ndarray, known: np.ndarray) -> list[np.ndarray]:
     """Return the rows of each way: consecutive frames of a drive that are known.
 
     `drive` [N] is the number of each frame's drive, and `known`, bool [N], tells whether the frame
-    has a label and a prediction. Ways of a single frame are left out.
+    has a label, a prediction and a speed. Ways of a single frame are left out.
     """
     rows = np.flatnonzero(known)
     ends = (np.diff(rows) > 1) | (np.diff(drive[rows]) != 0)
@@ -59,16 +59,19 @@ def measure_drift(
         true_rad: labelled angles [N], NaN in frames that do not count.
         predicted_rad: predicted angles [N].
         drive: number [N] of each frame's drive.
-        frames: the frames [N], with columns time_s and speed_mps.
+        frames: the frames [N], with columns time_s and speed_mps, NaN if unknown.
         car: the car of the labels.
     """
     error_m = 0.0
     length_m = 0.0
-    for rows in find_ways(drive, np.isfinite(true_rad) & np.isfinite(predicted_rad)):
-        speed_mps = frames["speed_mps"].to_numpy()[rows]
+    speed_mps = frames["speed_mps"].to_numpy()
+    # A recorded angle is a label also where the speed is unknown, but such a frame has no path.
+    known = np.isfinite(true_rad) & np.isfinite(predicted_rad) & np.isfinite(speed_mps)
+    for rows in find_ways(drive, known):
+        way_mps = speed_mps[rows]
         time_s = frames["time_s"].to_numpy()[rows]
-        true = integrate_path(true_rad[rows], speed_mps, time_s, car.wheelbase_m)
-        predicted = integrate_path(predicted_rad[rows], speed_mps, time_s, car.wheelbase_m)
+        true = integrate_path(true_rad[rows], way_mps, time_s, car.wheelbase_m)
+        predicted = integrate_path(predicted_rad[rows], way_mps, time_s, car.wheelbase_m)
         error_m += float(np.linalg.norm(predicted[-1] - true[-1]))
         length_m += float(np.linalg.norm(np.diff(true, axis=0), axis=1).sum())
     return 100 * error_m / length_m if length_m else None

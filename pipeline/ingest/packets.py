@@ -219,10 +219,10 @@ def read_values(path: Path) -> dict[str, dict[int, float]]:
     return {name: by_frame[name].to_dict() for name in limits}
 
 
-def write_values(path: Path, values: Mapping[str, np.ndarray]) -> None:
-    """Write name → value [F] of the frames 0 to F - 1 as :func:`read_values` reads it.
+def write_values(path: Path, frames: Sequence[int], values: Mapping[str, np.ndarray]) -> None:
+    """Write name → value [F] of frames with F numbers as :func:`read_values` reads it.
 
     An unknown value, NaN, is an empty cell.
     """
-    table = pd.DataFrame(values)
+    table = pd.DataFrame(values, index=frames)
     table.to_csv(path, index_label="frame", float_format="%.9f")

@@ -22,6 +22,7 @@ from pipeline.camera.camera import Camera, Frame
 from pipeline.camera.classes import COUNT, VOID
 from pipeline.camera.images import DEPTH_UNITS_PER_M, MAX_UNITS, format_size
 from pipeline.camera.pinhole import check_pinhole
+from pipeline.ingest.clocks import is_gap
 from pipeline.ingest.columns import list_fault
 from pipeline.ingest.drive import LIMITS, Drive
 from pipeline.ingest.packets import COLUMNS, extract_motion
@@ -296,6 +297,26 @@ def note_gaps(number: np.ndarray, time_s: np.ndarray) -> list[str]:
             f"{steps_s[row]:.2f} s after frame {number[row]}"
         )
     return notes
+
+
+def doubt_gaps(number: np.ndarray, time_s: np.ndarray) -> list[str]:
+    """Return a doubt if frames with neighbouring numbers [F] have a gap between their times [F].
+
+    All later stages take such frames for consecutive ones.
+    """
+    if len(number) < 2:
+        return []
+    steps_s = np.diff(time_s)
+    rows = np.flatnonzero((np.diff(number) == 1) & is_gap(steps_s, float(np.median(steps_s))))
+    if not len(rows):
+        return []
+    row = rows[np.argmax(steps_s[rows])]
+    more = f" (and {len(rows) - 1} more)" if len(rows) > 1 else ""
+    return [
+        f"{DOUBT}frames {number[row]} and {number[row + 1]} are {steps_s[row]:.1f} s apart{more}, "
+        "but count as consecutive, so windows, targets and paths cross the gap. Leave out the "
+        "numbers of the missing frames"
+    ]
 
 
 def note_unmatched(

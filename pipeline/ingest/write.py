@@ -13,7 +13,7 @@ import numpy as np
 
 from pipeline.base.errors import DamagedFile, InputError
 from pipeline.base.store import DriveWriter
-from pipeline.base.summary import Summary
+from pipeline.base.summary import Summary, split_doubts
 from pipeline.camera.camera import camera_height
 from pipeline.camera.classes import VOID
 from pipeline.camera.images import resize_image, resize_nearest, to_units
@@ -78,10 +78,11 @@ def write_drive(
     """Write a drive of `dataset`, with images cropped around the horizon and resized.
 
     `advance` is called with the number of frames that were written since its last call. Returns the
-    numbers of frames, images, scans and so on, the median step ``step_s`` between frames, and
-    ``counts``, a text about them. Raises InputError if the drive has no frames or is not valid, see
-    pipeline/ingest/validate.py. After the last frame, raises a DamagedFile that lists all damaged
-    files or, if ``ingest.on_damaged`` is skip, InputError if all files of a kind are damaged.
+    numbers of frames, images, scans and so on, the median step ``step_s`` between frames,
+    ``counts``, a text about them, and ``doubts``, a list of texts. Raises InputError if the drive
+    has no frames or is not valid, see pipeline/ingest/validate.py. After the last frame, raises a
+    DamagedFile that lists all damaged files or, if ``ingest.on_damaged`` is skip, InputError if all
+    files of a kind are damaged.
     """
     validate.check_drive(drive)
     values = validate.check_values(drive.values)
@@ -144,6 +145,7 @@ def write_drive(
         time_s -= time_s[0]
         step_s = validate.check_steps(time_s)
         notes = validate.note_gaps(number, time_s)
+        notes += validate.doubt_gaps(number, time_s)
         notes += validate.note_unmatched(values, drive.values, number.tolist())
         file.put("frame", number)
         file.put("time_s", time_s, UNITS["time_s"])
@@ -165,8 +167,15 @@ def write_drive(
         drive.notes.append(f"{len(faults)} damaged files left out")
 
     texts = [f"{counts[key]} {text}" for key, text in COUNTS.items() if counts[key]]
-    text = "".join(f", {text}" for text in texts + drive.notes)
-    return {"frames": len(rows), **counts, "step_s": step_s, "counts": text}
+    facts, doubts = split_doubts(drive.notes)
+    text = "".join(f", {text}" for text in texts + facts)
+    return {
+        "frames": len(rows),
+        **counts,
+        "step_s": step_s,
+        "counts": text,
+        "doubts": doubts,
+    }
 
 
 def _list_damage(faults: list[DamagedFile]) -> DamagedFile:

@@ -47,10 +47,10 @@ def steering_angle(
 def steering_labels(yaw_rate_radps: np.ndarray, speed_mps: np.ndarray, car: Car) -> Labels:
     """Return the labels that follow from yaw rates and speeds [F].
 
-    In a frame whose motion is unknown, both are NaN. A label is valid if the car is at least as
+    An unknown rate or speed is NaN. A label is valid if both are known, and the car is at least as
     fast as its minimum speed, ahead or in reverse.
     """
-    is_known = np.isfinite(speed_mps)
+    is_known = np.isfinite(speed_mps) & np.isfinite(yaw_rate_radps)
     angle_rad = steering_angle(yaw_rate_radps, speed_mps, car.wheelbase_m)
     moves = is_known & (np.abs(speed_mps) >= car.min_speed_mps)
     return Labels(

@@ -28,7 +28,7 @@ UNITS = {
 class Labels(NamedTuple):
     """Labels of a drive's frames [F].
 
-    An unknown speed or yaw rate is NaN here, and 0 in a file.
+    An unknown speed or yaw rate is NaN, also where a recorded angle is valid.
     """
 
     steering_rad: np.ndarray  # float64, left positive; 0 where unknown

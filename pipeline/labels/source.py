@@ -63,15 +63,16 @@ def write_labels(
 ) -> None:
     """Write the labels of frames [F], and their path ahead if the settings have `ahead_m`.
 
-    Unknown speeds and yaw rates are written as 0.
+    Unknown speeds and yaw rates are written as NaN. As 0, they would be the truth of a quantity
+    that reads them where labels are valid.
     """
     columns = {
         "frame": np.asarray(frame, np.int32),
         "time_s": time_s,
         "steering_rad": labels.steering_rad,
         "valid": labels.valid.astype(np.uint8),
-        "speed_mps": np.nan_to_num(labels.speed_mps),
-        "yaw_rate_radps": np.nan_to_num(labels.yaw_rate_radps),
+        "speed_mps": labels.speed_mps,
+        "yaw_rate_radps": labels.yaw_rate_radps,
         "curvature_1pm": np.tan(labels.steering_rad) / settings.wheelbase_m,
     }
     if settings.ahead_m:

@@ -2,15 +2,27 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
-from footage.convert import GAP_S
+from footage.convert import GAP_S, Converted
 from pipeline.base.errors import InputError
+from pipeline.base.summary import split_doubts
 from pipeline.ingest.calibration import read_calibration
+from pipeline.ingest.datasets import kitti
 from pipeline.ingest.packets import read_values
+from pipeline.ingest.write import write_drive
+from pipeline.labels.label_file import open_labels
+from pipeline.labels.settings import Labels
+from pipeline.labels.source import labels_drive
+from pipeline.train.entry import Entry
+from pipeline.train.targets import read_drive as read_labelled
+from pipeline.train.windows import split_spans
+from steer.measure import READING
+from tests.artefacts import write_graphs
 from tests.footage.videos import (
     convert,
     images_of,
@@ -99,6 +111,88 @@ def test_parts_have_gaps_and_the_values_of_their_log(tmp_path):
 
     with pytest.raises(InputError, match=r"part of 5 % has fewer than 2 images \(19.9 s in all\)"):
         convert(tmp_path / "shares", images, shares=[90, 5, 5], fps=10)
+
+
+# Times of images of which 60 s are missing, as those of a dashcam's two files, and their numbers.
+BROKEN_S = [*(np.arange(30) / 10), *(62.9 + np.arange(30) / 10)]
+NUMBERS = [*range(30), *range(629, 659)]
+
+
+@pytest.fixture
+def broken(tmp_path) -> Converted:
+    """Convert these images to the folder ``drives``, with a log: 8 m/s, and the angle rises."""
+    times = tmp_path / "times.txt"
+    times.write_text("".join(f"{time_s:.3f}\n" for time_s in BROKEN_S))
+    log = tmp_path / "log.csv"
+    rows = "".join(f"{time_s:.3f},8,0.1,{time_s / 100:.4f}\n" for time_s in BROKEN_S)
+    log.write_text(f"time_s,speed_mps,yaw_rate_radps,wheel_rad\n{rows}")
+    images = write_folder(tmp_path / "images", pictures(60))
+    logs = {"motion": log, "wheel": log, "steering_ratio": 1.0}
+    return convert(tmp_path / "drives", images, times=times, **logs)
+
+
+def test_a_gap_in_time_leaves_out_the_numbers_of_missing_images(tmp_path, broken):
+    """Images, times and logs have the numbers of the images that exist, as in KITTI."""
+    drive = read(tmp_path / "drives")
+    assert [*drive.find_images(2)] == NUMBERS
+    np.testing.assert_array_equal(images_of(drive), pictures(60))
+    np.testing.assert_allclose(times_of(drive), BROKEN_S, atol=1e-8)
+    expected_rad = dict(zip(NUMBERS, np.array(BROKEN_S) / 100, strict=True))
+    angles_rad = read_values(drive.folder / "steering.csv")["steering_rad"]
+    assert angles_rad == pytest.approx(expected_rad, abs=1e-4)
+    speeds_mps = read_values(drive.folder / "motion.csv")["speed_mps"]
+    assert speeds_mps == dict.fromkeys(NUMBERS, 8.0)
+    note = "gaps in time: 1, the longest of 60.0 s after frame 29; the next frame is 629"
+    assert any(note in line for line in broken.notes)
+
+    # An image that is removed later changes no other's time.
+    (drive.folder / "image_02/data/0000000640.png").unlink()
+    np.testing.assert_allclose(times_of(read(tmp_path / "drives")), np.delete(BROKEN_S, 41))
+
+
+def test_no_path_window_or_target_crosses_a_gap_in_time(tmp_path, broken):
+    """A path of 5 m takes 0.625 s, so the last seven frames of a part have none."""
+    opened = kitti.read_drive(read(tmp_path / "drives"), READING)
+    write_drive(tmp_path / "ingest.h5", opened, "a", "kitti", READING)
+    assert split_doubts(opened.notes) == (["gaps in the numbers of frames: 1"], [])
+    settings = Labels(wheelbase_m=2.7, min_speed_mps=1.0, ahead_m=[0.0, 5.0])
+    labels_drive(tmp_path / "labels/a.h5", tmp_path / "ingest.h5", settings=settings)
+    with open_labels(tmp_path / "labels/a.h5") as file:
+        assert file.frame.tolist() == NUMBERS
+        assert np.flatnonzero(file["ahead_valid"]).tolist() == [*range(23), *range(30, 53)]
+        angle_rad = file["steering_rad"]
+
+    write_graphs(tmp_path / "graphs/a.h5", angle_rad, np.array(NUMBERS), points=8)
+    options: dict[str, Any] = {"input": "graphs", "spatial": "gnn", "temporal": "lstm"}
+    entry = Entry.model_validate({**options, "semantics": 1.0, "window": 4, "horizon": 10})
+    folders = (tmp_path / name for name in ("graphs", "labels", "motion"))
+    drive = read_labelled(*folders, "a", entry)
+    assert drive.stretches == [(0, 30), (30, 60)]
+    assert np.flatnonzero(np.isfinite(drive.target[:, 0])).tolist() == [*range(20), *range(30, 50)]
+    for span in split_spans([drive], window=4, windows=5):
+        assert span.stop <= 30 or span.start >= 30
+
+
+@pytest.mark.parametrize(
+    ("steps_s", "expected"),
+    [
+        ([0.1, 0.1, 1.0, 0.1], [0, 1, 2, 3, 4]),
+        ([0.1, 0.1, 1.5, 0.1], [0, 1, 2, 17, 18]),
+        # Time lapse, and gaps of days.
+        ([1.5, 1.5, 4.0, 1.5], [0, 1, 2, 3, 4]),
+        ([1.5, 1.5, 6.0, 1.5], [0, 1, 2, 6, 7]),
+        ([0.1, 0.1, 1e6, 0.1], [0, 1, 2, 10003, 10004]),
+    ],
+)
+def test_a_gap_is_much_longer_than_a_step(tmp_path, steps_s, expected):
+    times_s = np.cumsum([0.0, *steps_s])
+    times = tmp_path / "times.txt"
+    times.write_text("".join(f"{time_s:.3f}\n" for time_s in times_s))
+    images = write_folder(tmp_path / "images", pictures(5))
+    convert(tmp_path / "drives", images, times=times)
+    drive = read(tmp_path / "drives")
+    assert [*drive.find_images(2)] == expected
+    np.testing.assert_allclose(times_of(drive), times_s, atol=1e-8)
 
 
 def test_a_distorted_image_is_rectified_and_a_large_one_made_smaller(tmp_path):

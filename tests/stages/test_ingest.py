@@ -41,6 +41,18 @@ def run(tmp_path: Path, **settings: Any) -> DriveReader:
     return open_ingest(folder / f"{DRIVE}.h5")
 
 
+def test_a_gap_in_time_between_neighbouring_numbers_is_doubted(tmp_path, capsys):
+    folder = write_drive(tmp_path / "raw")
+    run(tmp_path)
+    assert "doubt" not in capsys.readouterr().out
+    seconds = [25.0, 25.1, 45.2, 45.3]
+    stamps = "".join(f"2011-09-26 13:02:{second:.9f}\n" for second in seconds)
+    write(folder / "oxts/timestamps.txt", stamps)
+    run(tmp_path)
+    doubt = f"\ndoubt: {DRIVE}: frames 1 and 2 are 20.1 s apart, but count as consecutive"
+    assert doubt in capsys.readouterr().out
+
+
 def test_rows_go_by_frame_number(tmp_path):
     """Frame 5 lacks its image, 3 its scan, and 6 its packet."""
     folder = write_drive(tmp_path / "raw", frames=[2, 3, 5, 6, 7], truth=True)

@@ -61,18 +61,23 @@ def recorded(tmp_path) -> Path:
 
 
 def test_measured_and_recorded_labels_are_valid_unless_the_car_is_slow_or_stands(recorded):
+    speed_mps = [np.nan, 5, np.nan, 0.5, np.nan]
     for file in run(recorded, source="motion"):
         assert file.attrs["measured"] == 1
         expected_rad = np.arctan([0, 2.7 * 0.1, 0, 2.7, 0])
         np.testing.assert_allclose(file["steering_rad"], expected_rad, rtol=0.05)
         np.testing.assert_array_equal(file["valid"], [0, 1, 0, 0, 0])
-        np.testing.assert_allclose(file["speed_mps"], [0, 5, 0, 0.5, 0], rtol=0.05)  # filtered
+        np.testing.assert_allclose(file["speed_mps"], speed_mps, rtol=0.05)  # filtered
     for file in run(recorded, source="motion", angle="recorded"):
         assert file.attrs["measured"] == 0
         np.testing.assert_array_equal(file["steering_rad"], [0.1, 0, 0.2, 0.3, 0.4])
         # 8 is measured, and slow; in 9 nothing moves
         np.testing.assert_array_equal(file["valid"], [1, 0, 1, 0, 0])
-        np.testing.assert_allclose(file["speed_mps"], [0, 5, 0, 0.5, 0], rtol=0.05)
+        # The angle of 7 is a target, but its speed is none: unknown is not 0.
+        np.testing.assert_allclose(file["speed_mps"], speed_mps, rtol=0.05)
+        # The yaw rate is that of the recorded angle, which 6 lacks.
+        is_known = np.isfinite(file["yaw_rate_radps"])
+        assert is_known.tolist() == [False, False, False, True, False]
 
 
 @pytest.mark.parametrize("mode", ["posmode", "velmode", "orimode"])
@@ -98,6 +103,17 @@ def test_an_interpolated_packet_is_no_target_and_ends_the_path_ahead(tmp_path, m
             has_path = file["ahead_valid"]
             assert np.flatnonzero(has_path).tolist() == [*range(15), *range(21, 25)]
             np.testing.assert_allclose(file["ahead_1pm"][has_path == 1], curvatures_1pm[angle])
+
+
+def test_a_known_speed_without_a_yaw_rate_is_no_label(tmp_path):
+    """The angle is computed from both, so it is neither valid nor NaN."""
+    write_ingest(tmp_path / "ingest", speed=[10.0, 10.0, 10.0], yaw_rate=[0.1, np.nan, 0.1])
+    for file in run(tmp_path, ahead_m=[0, 1]):
+        np.testing.assert_array_equal(file["valid"], [1, 0, 1])
+        assert np.isfinite(file["steering_rad"]).all()
+        np.testing.assert_array_equal(file["speed_mps"], 10.0)
+        assert np.isnan(file["yaw_rate_radps"]).tolist() == [False, True, False]
+        assert not file["ahead_valid"].any()
 
 
 @pytest.mark.parametrize("settings", [{}, {"angle": "recorded"}])

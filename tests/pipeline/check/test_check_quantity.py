@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import InputError
+from pipeline.base.store import DriveReader
 from pipeline.check.check_quantity import check_quantity
 from pipeline.labels.settings import Labels
 from pipeline.train import quantity
@@ -20,11 +21,26 @@ def check(target: type[quantity.Quantity], **settings: Any) -> None:
     check_quantity(target(labels.model_dump()), labels)
 
 
-@pytest.mark.parametrize("source", ["ingest", "motion"])
+@pytest.mark.parametrize("labels", [{}, {"source": "motion"}, {"angle": "recorded"}])
 @pytest.mark.parametrize("name", quantity.NAMES)
-def test_our_own_quantities_keep_the_contract(name, source):
+def test_our_own_quantities_keep_the_contract(name, labels):
     for ahead_m in (EDGES_M, [3.0, 7.0]):
-        check(quantity.load_quantity(name), ahead_m=ahead_m, source=source)
+        check(quantity.load_quantity(name), ahead_m=ahead_m, **labels)
+
+
+@pytest.mark.parametrize(("source_of_angle", "unknown"), [("computed", 0), ("recorded", 10)])
+def test_a_quantity_is_tried_on_valid_labels_of_unknown_speed(source_of_angle, unknown):
+    """Only a recorded angle is valid without a speed."""
+    counts = list[int]()
+
+    def read(target: quantity.Quantity, labels: DriveReader) -> np.ndarray:
+        speed_mps = np.where(labels["valid"], labels["speed_mps"], 0.0)
+        counts.append(int(np.isnan(speed_mps).sum()))
+        return speed_mps[:, None]
+
+    methods = {"read": read, "rescale": lambda target, values, factor: values}
+    check(type("Target", (angle.Target,), methods), angle=source_of_angle)
+    assert counts == [unknown]
 
 
 @pytest.mark.parametrize(

@@ -135,6 +135,10 @@ def test_an_unsuitable_array_of_a_column_is_refused(monkeypatch, values, kind, p
         ("mine", {"signs": (0,)}, r"column 'mine': signs = \(0,\), expected"),
         ("mine", {"type": "uint8", "signs": (-1,)}, "column 'mine': uint8 cannot change its sign"),
         ("mine", {"type": "uint8", "unit": "m"}, "column 'mine': .* cannot be scaled"),
+        *(
+            ("mine", {"unit": unit}, f"column 'mine': unit = '{unit}' is a length.* Compute metres")
+            for unit in ("cm", "mm", "km", "Metres", "meters", "m below the camera", "m, downwards")
+        ),
     ],
 )
 def test_a_column_that_cannot_be_stored_is_refused(monkeypatch, name, changes, problem):
@@ -143,3 +147,10 @@ def test_a_column_that_cannot_be_stored_is_refused(monkeypatch, name, changes, p
     monkeypatch.setitem(columns.SOURCES["lidar"], name, further)
     with pytest.raises(InputError, match=problem):
         columns.check_column(name)
+
+
+@pytest.mark.parametrize("unit", ["", "m", "m/s", "1/m", "mm/s", "unit vector", "mean grey"])
+def test_a_column_in_metres_or_of_another_kind_is_accepted(monkeypatch, unit):
+    further = FurtherColumn(lambda points: points.xyz, signs=(1,), unit=unit)
+    monkeypatch.setitem(columns.SOURCES["lidar"], "mine", further)
+    columns.check_column("mine")

@@ -15,12 +15,14 @@ STEPS = 101  # 10 m/s for 10 s
 FRAMES = pd.DataFrame({"time_s": np.arange(STEPS) / 10, "speed_mps": 10.0})
 
 
-def off(predicted_rad: float, unlabelled: int | None = None) -> float | None:
+def off(
+    predicted_rad: float, unlabelled: int | None = None, frames: pd.DataFrame = FRAMES
+) -> float | None:
     """Return the drift of a constant angle on a straight road."""
     true_rad = np.where(np.arange(STEPS) == unlabelled, np.nan, 0.0)
     drive = np.zeros(STEPS, int)
     return measure_drift(
-        true_rad, np.full(STEPS, predicted_rad), drive, FRAMES, label.Car(2.7, 1.0)
+        true_rad, np.full(STEPS, predicted_rad), drive, frames, label.Car(2.7, 1.0)
     )
 
 
@@ -41,6 +43,12 @@ def test_drift_is_the_final_distance_per_100_m():
     assert off(0.01) == pytest.approx(0.01 * 100**2 / 2 / 2.7, rel=0.02)
     assert off(0.01, 50) == pytest.approx(0.01 * 49 * 100 / 2 / 2.7, rel=0.02)
     assert off(np.nan) is None
+
+
+def test_a_frame_of_unknown_speed_ends_a_way_as_one_without_a_label_does():
+    speed_mps = np.where(np.arange(STEPS) == 50, np.nan, 10.0)
+    assert off(0.01, frames=FRAMES.assign(speed_mps=speed_mps)) == off(0.01, unlabelled=50)
+    assert off(0.01, frames=FRAMES.assign(speed_mps=np.nan)) is None
 
 
 def test_a_step_uses_speed_and_angle_of_its_end():

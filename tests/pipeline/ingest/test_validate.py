@@ -1,5 +1,6 @@
 """What a dataset's file may return: read rightly, noted, or refused with one line."""
 
+import re
 import weakref
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -9,6 +10,7 @@ import pandas as pd
 import pytest
 
 from pipeline.base.errors import InputError
+from pipeline.base.summary import split_doubts
 from pipeline.camera.camera import Camera, Frame
 from pipeline.ingest import validate
 from pipeline.ingest.drive import Drive, load_dataset
@@ -110,12 +112,47 @@ def test_healthy_drives(tmp_path, drive, notes):
             make_drive(times=[0, 0.1, 0.2, 0.4, 0.5, 0.6]),
             "gaps in time between neighbouring numbers: 1, the longest of 0.20 s after frame 3",
         ),
+        (
+            make_drive(times=[0, 0.1, 0.2, 60.2, 60.3, 60.4]),
+            "gaps in time between neighbouring numbers: 1, the longest of 60.00 s after frame 3",
+        ),
     ],
 )
 def test_gaps_are_noted(tmp_path, drive, note):
     summary = write_drive(tmp_path / "a.h5", drive, "a", "mine", READING)
     assert drive.notes[0] == note
     assert summary["counts"].count(note) == 1
+
+
+@pytest.mark.parametrize(
+    ("numbers", "times_s", "doubt"),
+    [
+        # 0.14 s is the longest step of KITTI's drives, and lost frames keep their numbers.
+        ([1, 2, 3, 4, 5, 6], [0, 0.1, 0.2, 0.34, 0.4, 0.5], None),
+        ([1, 2, 3, 24, 25, 26], [0, 0.1, 0.2, 2.3, 2.4, 2.5], None),
+        ([1, 2, 3, 4, 5, 6], [0, 0.1, 0.2, 1.2, 1.3, 1.4], None),
+        ([1, 2, 3, 4, 5, 6], [0, 2, 4, 9, 11, 13], None),
+        (
+            [1, 2, 3, 4, 5, 6],
+            [0, 0.1, 0.2, 60.3, 60.4, 60.5],
+            "frames 3 and 4 are 60.1 s apart, but count as consecutive.* Leave out the numbers",
+        ),
+        (
+            [1, 2, 3, 4, 5, 6],
+            [0, 2.1, 2.2, 2.3, 2.4, 5.4],
+            r"frames 5 and 6 are 3.0 s apart \(and 1 more\), but count as consecutive",
+        ),
+    ],
+)
+def test_consecutive_numbers_over_a_gap_in_time_are_doubted(tmp_path, numbers, times_s, doubt):
+    drive = make_drive(numbers=numbers, times=times_s, angles=dict.fromkeys(numbers, 0.1))
+    summary = write_drive(tmp_path / "a.h5", drive, "a", "mine", READING)
+    notes, doubts = split_doubts(drive.notes)
+    assert summary["doubts"] == doubts
+    assert "apart" not in " ".join([*notes, summary["counts"]])
+    assert len(doubts) == (doubt is not None)
+    if doubt:
+        assert re.match(doubt, doubts[0])
 
 
 def test_a_frame_without_a_packet(tmp_path):

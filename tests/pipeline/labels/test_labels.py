@@ -36,11 +36,11 @@ def test_measured_angle_repeats_where_motion_is_unusable():
 
 
 def test_unknown_and_slow_motion_give_no_valid_label():
-    """The angle is 0 where the motion is unknown. The least speed itself is fast enough."""
-    speed = np.array([np.nan, 0.9, 1.0, -1.0])
-    labels = label.steering_labels(np.array([np.nan, 0.1, 0.1, 0.1]), speed, CAR)
-    assert labels.valid.tolist() == [False, False, True, True]
-    assert labels.steering_rad[0] == 0
+    """The angle is 0 where speed or yaw rate is unknown. The least speed itself is fast enough."""
+    speed = np.array([np.nan, 0.9, 1.0, -1.0, 9.0, np.nan])
+    labels = label.steering_labels(np.array([np.nan, 0.1, 0.1, 0.1, np.nan, 0.1]), speed, CAR)
+    assert labels.valid.tolist() == [False, False, True, True, False, False]
+    assert labels.steering_rad[[0, 4, 5]].tolist() == [0, 0, 0]
     assert labels.steering_rad[2] == pytest.approx(np.arctan(L * 0.1))
 
 

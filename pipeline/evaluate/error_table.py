@@ -18,7 +18,7 @@ from pipeline.base.errors import InputError
 from pipeline.evaluate import statistics
 from pipeline.evaluate.drift import measure_drift
 from pipeline.evaluate.own_metrics import METRICS, Metric
-from pipeline.evaluate.settings import BASELINES, NO_LEARNING, Evaluate
+from pipeline.evaluate.settings import BASELINES, MEASURED, NO_LEARNING, Evaluate
 from pipeline.evaluate.statistics import FrameErrors
 from pipeline.labels.label import TURNING_RAD
 from pipeline.train.quantity import Quantity
@@ -99,6 +99,9 @@ def common_frames(tables: Mapping[str, pd.DataFrame], quantity: Quantity) -> Pre
     `tables` is model → its table of predictions. A frame counts if it has a valid true value, and
     if every model and seed predicts it. If several models have a baseline, it is that of the first
     model. A baseline is used if it has a value wherever the truth has one.
+
+    Before the first measurement of a drive, odometry and its regression are 0, also if nothing is
+    measured in the complete drive. They are left out if nothing is measured in any drive.
     """
     indexed = {model: table.set_index(["drive", "frame"]) for model, table in tables.items()}
     frames = pd.concat(indexed.values()).groupby(level=[0, 1]).first()
@@ -118,10 +121,9 @@ def common_frames(tables: Mapping[str, pd.DataFrame], quantity: Quantity) -> Pre
     baselines = {"zero": np.zeros_like(truth)}
     for name in BASELINES[1:]:
         baselines[name] = values(frames, name)
-
-    # Before the first measurement, odometry is 0, as in the regression.
-    before = np.isnan(baselines["odometry"]) & np.isfinite(baselines["regression"])
-    baselines["odometry"] = np.where(before, 0.0, baselines["odometry"])
+    for name in MEASURED:
+        if np.isfinite(baselines[name]).any():
+            baselines[name] = np.nan_to_num(baselines[name])
 
     for name, value in baselines.items():
         if np.isfinite(value[np.isfinite(truth)]).all():

@@ -11,6 +11,8 @@ NO_LEARNING = {
     "odometry": "what the images show of the car's present motion, by visual odometry",
     "regression": "odometry times a factor that was fitted on the training drives",
 }
+# Those that are known only from the first measurement of a drive on.
+MEASURED = ("odometry", "regression")
 # Names of all baselines. persistence repeats true values, which no model gets.
 BASELINES = (*NO_LEARNING, "persistence")
 

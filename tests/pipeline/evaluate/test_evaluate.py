@@ -63,6 +63,34 @@ def test_invalid_and_early_frames_do_not_count(folder):
     assert row["low"] <= row["nmse"] <= row["high"]
 
 
+@pytest.mark.parametrize(
+    ("measured", "baselines"),
+    [
+        (NAMES, ["zero", "train_mean", "odometry", "regression", "persistence"]),
+        (NAMES[:1], ["zero", "train_mean", "odometry", "regression", "persistence"]),
+        ([], ["zero", "train_mean", "persistence"]),
+    ],
+)
+def test_odometry_is_0_in_drives_where_nothing_is_measured(folder, measured, baselines):
+    """It counts there as before the first measurement, and no drive removes it from the others."""
+    valid = np.arange(30) > 2
+    cases = []
+    for drive in read(folder):
+        is_measured = valid & (drive.name in measured)
+        artefacts.write_steered(drive.motion_file, drive.target[:, 0], is_measured)
+        cases.append(case(drive, drive.target))
+    predictions = common_frames(
+        {"net": prediction_table("net", [0], cases)}, cases[0].drive.quantity
+    )
+    assert [*predictions.predicted] == ["net", *baselines]
+    for name, factor in {"odometry": 1.0, "regression": 0.5}.items():
+        if measured:
+            is_known = predictions.frames["drive"].isin(measured) & np.tile(valid, 2)
+            expected = np.where(is_known, factor * predictions.truth[:, 0], 0)
+            values = predictions.predicted[name][0, :, 0]
+            np.testing.assert_allclose(values, expected, rtol=1e-4, atol=1e-9)
+
+
 def by_hand(truth: np.ndarray, predicted: np.ndarray) -> pd.Series:
     """Return the errors of predictions [N] for the steering angles [N] of a drive."""
     quantity = load_quantity("angle")(artefacts.LABELS["labels"])

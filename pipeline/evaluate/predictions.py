@@ -223,9 +223,14 @@ def model_facts(
     return facts
 
 
-def turning_frames(drives: Sequence[LabelledDrive]) -> int:
-    """Return the number of frames whose target turns, in any of its columns."""
+def turning_frames(drives: Sequence[LabelledDrive]) -> int | None:
+    """Return the number of frames whose target turns, in any of its columns.
+
+    It is None for a quantity that does not determine a path, such as a speed.
+    """
     frames = 0
+    has_path = False
     for drive in drives:
         frames += int(is_turning(drive.quantity, drive.target).sum())
-    return frames
+        has_path |= bool(np.isfinite(drive.quantity.curvature(drive.target)).any())
+    return frames if has_path else None

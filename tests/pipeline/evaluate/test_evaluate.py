@@ -16,9 +16,15 @@ from pipeline.evaluate.error_table import (
     frame_errors,
 )
 from pipeline.evaluate.own_metrics import METRICS, Metric
-from pipeline.evaluate.predictions import Case, prediction_table, read_odometry
+from pipeline.evaluate.predictions import (
+    Case,
+    prediction_table,
+    read_odometry,
+    turning_frames,
+)
 from pipeline.evaluate.settings import Evaluate
 from pipeline.train.loss import Scale
+from pipeline.train.quantities.angle import Target
 from pipeline.train.quantity import Measure, load_quantity
 from pipeline.train.targets import LabelledDrive
 from tests import artefacts
@@ -241,6 +247,14 @@ def test_odometry_needs_measured_frames_and_other_labels(folder, monkeypatch, so
     assert list(baselines(0)) == [*without, *present]
     # At horizon 0, the frame's own truth is the target.
     np.testing.assert_allclose(baselines(0)["persistence"], np.r_[[[0]], first.target[:-1]])
+
+
+def test_a_quantity_without_a_path_has_no_number_of_turning_frames(folder, monkeypatch):
+    drives = read(folder)
+    turns = np.concatenate([np.abs(drive.target) > 0.02 for drive in drives])
+    assert turning_frames(drives) == turns.sum() > 0
+    monkeypatch.setattr(Target, "curvature", lambda self, values: np.full_like(values, np.nan))
+    assert turning_frames(drives) is None
 
 
 @pytest.mark.parametrize(

@@ -207,6 +207,7 @@ def model_facts(
     facts = {
         "model": name,
         "entry": first.entry.model_dump(mode="json"),
+        "sees_frames": first.entry.network.sees_frames,
         "seeds": first.seeds,
         "drives": usable,
         "turning_frames": turning_frames(drives["train"]),

@@ -33,6 +33,7 @@ from pipeline.report.values import (
     quantity_of,
     rank_models,
     read_difference,
+    sees_scene,
     title_of,
 )
 from pipeline.train.quantity import NMSE, Measure, Quantity
@@ -228,7 +229,7 @@ def _model_cells(content: Mapping[str, Any]) -> dict[str, str]:
     """Return the cells of a model, from its metrics.json."""
     entry = content["entry"]
     cells = {"input": entry["input"]}
-    if entry["spatial"] != "blind":
+    if sees_scene(content):
         unpruned = content["edges_per_frame_unpruned"]
         cells["points"] = value_text(content["points_per_frame"], ",.0f")
         cells["edges"] = value_text(content["edges_per_frame"], ",.0f")

@@ -112,16 +112,23 @@ def _is_papers(content: Mapping[str, Any]) -> bool:
     return paper.is_network(content["model"], content["entry"])
 
 
+def sees_scene(content: Mapping[str, Any]) -> bool:
+    """Return whether a model gets the scene, by its metrics.json.
+
+    Files of earlier revisions do not say so. Only the network `blind` did not get it then.
+    """
+    return bool(content.get("sees_frames", content["entry"]["spatial"] != "blind"))
+
+
 def _model_facts(content: Mapping[str, Any], quantity: Quantity) -> dict[str, Any]:
     """Return the FACTS of a model that predicts a quantity, from its metrics.json."""
     name = content["model"]
-    gets_scene = content["entry"]["spatial"] != "blind"
     key = f"{quantity.lead}/{name}" if quantity.lead else name
     return {
         "ends": [*quantity.ends] or None,
         "lead": quantity.lead or None,
         "validation": statistics.value_of(content["val"][key]) if content["val"] else None,
-        "scene": gets_scene,
+        "scene": sees_scene(content),
         "paper": _is_papers(content),
         "parameters": content["parameters"],
         "edges": content["edges_per_frame"],

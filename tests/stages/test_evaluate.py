@@ -14,7 +14,16 @@ from pipeline.graphs import graph_file
 from pipeline.train.trained import load_model
 from tests import artefacts
 from tests.kitti_drive import contents
-from tests.small_model import EDGES_M, SPLITS, TEST, run_evaluate, run_train, write_params
+from tests.small_model import (
+    EDGES_M,
+    SPLITS,
+    TEST,
+    UsersOptions,
+    add_users_network,
+    run_evaluate,
+    run_train,
+    write_params,
+)
 
 COLUMNS = {
     "angle": ["steering_rad"],
@@ -86,6 +95,15 @@ def test_drives_without_a_window_are_not_listed(folder):
     drives = ["2026_01_01_drive_0003"]
     assert load_model(run_train(folder)).drives == drives
     assert read_metrics(run_evaluate(folder))["drives"]["train"] == drives
+
+
+@pytest.mark.parametrize(("spatial", "sees"), [("gnn", True), ("users", False)])
+def test_metrics_say_whether_the_network_sees_its_frames(folder, monkeypatch, spatial, sees):
+    add_users_network(monkeypatch)
+    monkeypatch.setattr(UsersOptions, "sees_frames", sees)
+    write_params(folder, {"spatial": spatial, "equivariant": False}, epochs=1)
+    run_train(folder)
+    assert read_metrics(run_evaluate(folder))["sees_frames"] is sees
 
 
 def test_other_ranges_than_in_training_are_refused(folder):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.evaluate.own_metrics import METRICS, Metric
-from pipeline.report import paper, sentences, values
+from pipeline.report import paper, sentences, tables, values
 from pipeline.train.entry import Entry
 from pipeline.train.quantities import path
 from pipeline.train.quantities.path import Target
@@ -74,6 +74,24 @@ def test_values_have_errors_differences_and_validation_and_are_read_again(tmp_pa
     errors = {name: rows[f"path-0/at 5 m/{name}"]["error"] for name in ("path", "path-blind")}
     assert shown == {"error": pytest.approx(errors)}
     assert values.to_json(values.from_json(rows)) == rows
+
+
+@pytest.mark.parametrize(
+    ("spatial", "facts", "sees"),
+    [
+        ("gnn", {"sees_frames": True}, True),
+        ("gnn", {}, True),
+        ("blind", {"sees_frames": False}, False),
+        ("blind", {}, False),
+        ("mine", {"sees_frames": False}, False),
+    ],
+)
+def test_a_network_that_does_not_see_its_frames_has_no_scene(tmp_path, spatial, facts, sees):
+    """Files of earlier revisions have no key sees_frames: there, the name tells."""
+    examples.write_model(tmp_path, metrics("net", spatial=spatial) | facts)
+    tasks, table = examples.load(tmp_path, "net")
+    assert (values.with_scene(table.loc["angle-0"]) == "net") == sees
+    assert ("points" in tables.models_table(tasks).table) == sees
 
 
 def test_all_rows_are_compared_on_common_frames_with_one_zero(tmp_path):

@@ -109,7 +109,7 @@ def _add_columns(values: pd.DataFrame) -> pd.DataFrame:
 
 def _is_papers(content: Mapping[str, Any]) -> bool:
     """Return whether a model is that of the paper, by its metrics.json."""
-    return paper.is_network(content["model"], content["entry"])
+    return paper.is_network(content["model"], content["entry"], content["variant"])
 
 
 def sees_scene(content: Mapping[str, Any]) -> bool:

@@ -26,6 +26,14 @@ ENTRY = {
     "predict": "angle",
     "scene": "same",
 }
+# Name of an input → its settings.
+VARIANTS: dict[str, dict[str, Any]] = {
+    "semantic": {"source": "clouds/pseudo", "k": 6, "keep_inter_class": 0.2},
+    "depth": {"source": "clouds/pseudo", "k": 6},
+    "lidar": {"source": "clouds/lidar", "k": 6},
+    "lidar-50k": {"source": "clouds/lidar", "k": 6},
+    "lidar-pointnet2": {"source": "clouds/lidar"},
+}
 LABELS = {"wheelbase_m": 2.5, "min_speed_mps": 1.0, "ahead_m": [0, 5, 10]}
 ANGLE = ("steering_rad",)
 PATH = ("path_0-5m_1pm", "path_5-10m_1pm")
@@ -48,7 +56,7 @@ def metrics(
         "entry": ENTRY | entry,
         "seeds": [0],
         "parameters": 9259,
-        "variant": {"source": "clouds/pseudo", "k": 6, "keep_inter_class": 0.2},
+        "variant": VARIANTS[entry.get("input", ENTRY["input"])],
         "turning_frames": 1200,
         "points_per_frame": 1000.0,
         "edges_per_frame": 5160.0,

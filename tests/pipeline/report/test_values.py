@@ -38,9 +38,10 @@ def test_tasks_and_rows_are_sorted_with_baselines_last(tmp_path):
 @pytest.mark.parametrize("name", ["kitti", "table2"])
 def test_networks_of_the_presets_are_the_papers(name):
     published = set()
-    for model, settings in preset.merge_preset(name)["models"].items():
+    params = preset.merge_preset(name)
+    for model, settings in params["models"].items():
         entry = Entry.model_validate(settings)
-        if paper.is_network(model, entry.model_dump()):
+        if paper.is_network(model, entry.model_dump(), params["graphs"][entry.input]):
             published.add(model)
     expected = {model for claim in paper.CLAIMS for model in (claim.model, claim.rival)}
     if name == "kitti":
@@ -49,10 +50,35 @@ def test_networks_of_the_presets_are_the_papers(name):
 
 
 def test_a_network_with_the_papers_name_and_other_settings_is_not_the_papers():
-    assert paper.is_network("sa-gnn-ncp", examples.ENTRY | {"cell": "eq4", "features": 64})
+    variant = examples.VARIANTS["semantic"]
+    network = examples.ENTRY | {"cell": "eq4", "features": 64}
+    assert paper.is_network("sa-gnn-ncp", network, variant)
     other = {"temporal": "lstm", "semantics": 0.0, "alpha": 5.0, "equivariant": True, "width": 0.5}
     for key, value in other.items():
-        assert not paper.is_network("sa-gnn-ncp", examples.ENTRY | {key: value}), key
+        assert not paper.is_network("sa-gnn-ncp", examples.ENTRY | {key: value}, variant), key
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "is_papers"),
+    [
+        ("sa-gnn-ncp", {"points": 50, "crop_m": [-15, -10, 15, 30]}, True),
+        ("sa-gnn-ncp", {"keep_inter_class": 1.0}, False),
+        ("sa-gnn-ncp", {"k": 0}, False),
+        ("sa-gnn-ncp", {"source": "clouds/lidar"}, False),
+        ("keep-100", {"keep_inter_class": 1.0}, True),
+        ("keep-100", {"keep_inter_class": 0.2}, False),
+        ("gnn-ncp", {"source": "clouds/pseudo"}, False),
+        ("pointnet2-ncp", {"k": 6}, True),
+    ],
+)
+def test_a_network_with_another_input_under_the_papers_name_is_not_the_papers(
+    name, changes, is_papers
+):
+    """The claims need the source of the points, edges, and pruning or none."""
+    network = paper.NETWORKS[name]
+    entry = examples.ENTRY | network._asdict() | {"width": 1.0}
+    variant = examples.VARIANTS[network.input] | changes
+    assert paper.is_network(name, entry, variant) == is_papers
 
 
 def test_values_have_errors_differences_and_validation_and_are_read_again(tmp_path):

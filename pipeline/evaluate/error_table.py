@@ -76,6 +76,11 @@ class Predictions:
         number, _ = self.frames["drive"].factorize()
         return number
 
+    def parts(self, settings: Evaluate) -> np.ndarray:
+        """Return the number [N] of each frame's part of a drive, which the bootstrap draws."""
+        time_s = self.frames["time_s"].to_numpy()
+        return statistics.number_parts(self.drive, time_s, settings.bootstrap_block_s)
+
     @property
     def frames_text(self) -> str:
         """Which frames count, in words."""
@@ -214,7 +219,7 @@ def _error_row(
 ) -> dict[str, Any]:
     """Return the error of a method with its interval, as the mean over the seeds."""
     counted = errors.counted.any(axis=1)
-    bounds = statistics.bootstrap_interval(errors, predictions.drive, settings)
+    bounds = statistics.bootstrap_interval(errors, predictions.parts(settings), settings)
     low, high = bounds or (None, None)
     seeds = [errors._replace(error=seed[None]) for seed in errors.error]
     row: dict[str, Any] = {
@@ -311,7 +316,8 @@ def _compare_pair(
     """
     first = errors[model]
     second = errors[rival]
-    bounds = statistics.bootstrap_interval(first, predictions.drive, settings, second)
+    part = predictions.parts(settings)
+    bounds = statistics.bootstrap_interval(first, part, settings, second)
     low, high = bounds or (None, None)
     mean = first.error.mean(axis=0, keepdims=True) - second.error.mean(axis=0)
     difference = statistics.mean_error(first._replace(error=mean))
@@ -323,7 +329,6 @@ def _compare_pair(
         seeds = len(first.error)
         if rival not in BASELINES:
             seeds = min(seeds, len(second.error))
-        part = statistics.number_parts(predictions.drive, settings.bootstrap_block_frames)
         parts = len(np.unique(part[first.counted.any(axis=1)]))
         digits = quantity.measure.digits
         row["verdict"] = statistics.judge_difference(bounds, seeds, parts, digits)

@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from pipeline.base.params import Count, Section, Seed
+from pipeline.base.params import Positive, Section, Seed
 
 # Baselines that use neither a network nor the truth → what they predict.
 NO_LEARNING = {
@@ -19,8 +19,8 @@ BASELINES = (*NO_LEARNING, "persistence")
 
 class Evaluate(Section):
     bootstrap_samples: int = Field(ge=1, le=100_000, description="draws of the bootstrap")
-    bootstrap_block_frames: Count = Field(
-        description="frames of a block. A drive of two or more blocks is cut into parts of at "
-        "least this length, which count as drives. At 10 Hz, 200 frames are 20 s"
+    bootstrap_block_s: Positive = Field(
+        description="length of a block in seconds. A drive of two or more blocks is cut into parts "
+        "of at least this length, which count as drives"
     )
     seed: Seed = Field(description="seed of the draws")

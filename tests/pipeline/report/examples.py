@@ -11,7 +11,7 @@ from pipeline.base import store
 from pipeline.evaluate.settings import Evaluate
 from pipeline.report.values import Task, gather_values, load_tasks
 
-SETTINGS = Evaluate(bootstrap_samples=50, bootstrap_block_frames=5, seed=0)
+SETTINGS = Evaluate(bootstrap_samples=50, bootstrap_block_s=0.5, seed=0)
 DRIVES = ("2026_01_03_drive_0002", "2026_01_03_drive_0003")
 ENTRY = {
     "input": "semantic",

@@ -184,7 +184,7 @@ def test_the_best_validated_model_has_a_verdict(
 
     assert verdict_of([0]) == "too few seeds"
     assert verdict_of([0, 1]) == verdict
-    blocks = examples.SETTINGS.model_copy(update={"bootstrap_block_frames": 6})
+    blocks = examples.SETTINGS.model_copy(update={"bootstrap_block_s": 0.6})
     monkeypatch.setattr(examples, "SETTINGS", blocks)
     for seeds in ([0], [0, 1]):
         assert verdict_of(seeds, doubts=1) == "too few drives"

@@ -1,5 +1,8 @@
 """Section ``evaluate``: how the intervals of a model's errors are computed."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from pydantic import Field
 
 from pipeline.base.params import Positive, Section, Seed
@@ -24,3 +27,11 @@ class Evaluate(Section):
         "of at least this length, which count as drives"
     )
     seed: Seed = Field(description="seed of the draws")
+
+
+def find_difference(first: Mapping[str, Any], second: Mapping[str, Any]) -> str | None:
+    """Return the first key whose values differ in two sections of settings, or None."""
+    for key in sorted({*first, *second}):
+        if first.get(key) != second.get(key):
+            return key
+    return None

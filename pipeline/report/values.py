@@ -23,6 +23,7 @@ from typing import Any
 import pandas as pd
 
 from pipeline.base import store
+from pipeline.base.errors import InputError
 from pipeline.evaluate import statistics
 from pipeline.evaluate.error_table import (
     COLUMNS,
@@ -34,7 +35,7 @@ from pipeline.evaluate.error_table import (
     to_records,
 )
 from pipeline.evaluate.own_metrics import METRICS
-from pipeline.evaluate.settings import BASELINES, NO_LEARNING, Evaluate
+from pipeline.evaluate.settings import BASELINES, NO_LEARNING, Evaluate, find_difference
 from pipeline.report import paper
 from pipeline.train.quantity import NMSE, Measure, Quantity, load_quantity
 
@@ -54,7 +55,7 @@ class Task:
 def load_tasks(folders: Mapping[str, Path]) -> list[Task]:
     """Load the results of models. `folders` is model → its folder of stage evaluate.
 
-    Raises InputError if a file is missing.
+    Raises InputError if a file is missing, or if models of a task have labels of other settings.
     """
     metrics = {}
     for model, folder in folders.items():
@@ -73,6 +74,7 @@ def load_tasks(folders: Mapping[str, Path]) -> list[Task]:
     tasks = []
     for predict, horizon in ordered:
         models = by_task[predict, horizon]
+        _check_labels(models)
         tables = {}
         for model in models:
             path = folders[model] / "predictions.csv"
@@ -81,6 +83,23 @@ def load_tasks(folders: Mapping[str, Path]) -> list[Task]:
         predictions = common_frames(tables, load_quantity(predict)(labels, horizon))
         tasks.append(Task(f"{predict}-{horizon}", models, predictions))
     return tasks
+
+
+def _check_labels(models: Mapping[str, Mapping[str, Any]]) -> None:
+    """Raise InputError if the labels of a task's models differ, which have one truth.
+
+    `models` is model → its metrics.json.
+    """
+    first, *others = models
+    expected = models[first]["labels"]
+    for name in others:
+        labels = models[name]["labels"]
+        key = find_difference(expected, labels)
+        if key is not None:
+            problem = f"{first} was evaluated with labels.{key} = {expected.get(key, 'not set')}"
+            problem += f", {name} with {labels.get(key, 'not set')}"
+            fix = f"Evaluate both with the same labels: dvc repro evaluate@{first} evaluate@{name}"
+            raise InputError(problem, fix=fix)
 
 
 def gather_values(tasks: Sequence[Task], settings: Evaluate) -> pd.DataFrame:

@@ -114,3 +114,24 @@ def test_other_ranges_than_in_training_are_refused(folder):
         InputError, match=r"the labels have path_0-5m_1pm, .*, the trained model predicts path_0-5m"
     ):
         run_evaluate(folder)
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "before", "after"),
+    [
+        ("labels", "wheelbase_m", "2.7", "3.5"),
+        ("graphs", "keep_inter_class", "0.2", "1.0"),
+        ("graphs", "points", "not set", "50"),
+    ],
+)
+def test_files_of_other_settings_than_in_training_are_refused(
+    folder, monkeypatch, section, key, before, after
+):
+    write_params(folder, epochs=1)
+    run_train(folder)
+    settings = {"labels": artefacts.LABELS, "graphs": artefacts.GRAPHS}[section]
+    monkeypatch.setitem(settings, section, settings[section] | {key: float(after)})
+    artefacts.write_dataset(folder, SPLITS, frames=60, points=80, ahead_m=EDGES_M)
+    problem = rf"{section}\.{key} is {after}.*, but model net was trained with {before}\. Train it"
+    with pytest.raises(InputError, match=problem):
+        run_evaluate(folder)

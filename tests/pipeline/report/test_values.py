@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from pipeline.base.errors import InputError
 from pipeline.evaluate.own_metrics import METRICS, Metric
 from pipeline.report import paper, sentences, tables, values
 from pipeline.train.entry import Entry
@@ -118,6 +119,20 @@ def test_a_network_that_does_not_see_its_frames_has_no_scene(tmp_path, spatial, 
     tasks, table = examples.load(tmp_path, "net")
     assert (values.with_scene(table.loc["angle-0"]) == "net") == sees
     assert ("points" in tables.models_table(tasks).table) == sees
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "text"),
+    [("wheelbase_m", 3.5, "= 2.5, b with 3.5"), ("source", "motion", "= not set, b with motion")],
+)
+def test_models_with_labels_of_other_settings_are_not_compared(tmp_path, key, value, text):
+    """Tasks of their own have a truth of their own."""
+    other = metrics("b") | {"labels": examples.LABELS | {key: value}}
+    fix = r"dvc repro evaluate@a evaluate@b"
+    with pytest.raises(InputError, match=rf"a was evaluated with labels\.{key} {text}.*{fix}"):
+        compare(tmp_path, metrics("a"), other)
+    ahead = other | {"entry": other["entry"] | {"horizon": 10}}
+    assert len(compare(tmp_path, metrics("a"), ahead).index.unique("task")) == 2
 
 
 def test_all_rows_are_compared_on_common_frames_with_one_zero(tmp_path):

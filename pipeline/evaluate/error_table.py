@@ -47,6 +47,7 @@ FACTS = {
     "ends": "labels of the errors in the quantity's own measure, if it has any",
     "lead": "the label of the error that leads, if it is not the nmse over all columns",
     "validation": "the error that leads, on the validation drives",
+    "validation_frames": "number of their frames that count",
     "scene": "whether the model gets the scene",
     "paper": "whether the model is that of the paper's name",
     "parameters": "number of weights",

@@ -18,6 +18,8 @@ NO_LEARNING = {
 MEASURED = ("odometry", "regression")
 # Names of all baselines. persistence repeats true values, which no model gets.
 BASELINES = (*NO_LEARNING, "persistence")
+# Split → file of a model with the predictions of its drives.
+PREDICTIONS = {"val": "validation.csv", "test": "predictions.csv"}
 
 
 class Evaluate(Section):

@@ -24,6 +24,7 @@ from pipeline.report.section import Section, to_table
 from pipeline.report.values import (
     Task,
     best_baseline,
+    has_common_validation,
     is_validated,
     lead_label,
     list_ends,
@@ -51,6 +52,8 @@ def results_table(values: pd.DataFrame, task: str, *, page: bool = False) -> Sec
     chosen = rank_models(table)[0]
     with_paper = claims_table(values, task).table.size > 0
     notes = [f"✓ has the least {'validation' if is_validated(table) else 'test'} error."]
+    if is_validated(table) and not has_common_validation(table):
+        notes.append("Each validation error is over the frames that the model predicts itself.")
     rows = {}
     for name in list_methods(table):
         row = table.loc[("", name)]

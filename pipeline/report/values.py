@@ -32,10 +32,17 @@ from pipeline.evaluate.error_table import (
     common_frames,
     compare_methods,
     error_table,
+    frame_errors,
     to_records,
 )
 from pipeline.evaluate.own_metrics import METRICS
-from pipeline.evaluate.settings import BASELINES, NO_LEARNING, Evaluate, find_difference
+from pipeline.evaluate.settings import (
+    BASELINES,
+    NO_LEARNING,
+    PREDICTIONS,
+    Evaluate,
+    find_difference,
+)
 from pipeline.report import paper
 from pipeline.train.quantity import NMSE, Measure, Quantity, load_quantity
 
@@ -50,6 +57,8 @@ class Task:
     name: str  # in keys and file names, for instance angle-0, angle-10 or path-0
     models: dict[str, dict[str, Any]]  # model → its metrics.json, those of the paper first
     predictions: Predictions
+    # Those of the validation drives. None if a model lacks them, as earlier revisions do.
+    validation: Predictions | None = None
 
 
 def load_tasks(folders: Mapping[str, Path]) -> list[Task]:
@@ -75,14 +84,23 @@ def load_tasks(folders: Mapping[str, Path]) -> list[Task]:
     for predict, horizon in ordered:
         models = by_task[predict, horizon]
         _check_labels(models)
-        tables = {}
-        for model in models:
-            path = folders[model] / "predictions.csv"
-            tables[model] = pd.read_csv(path, dtype={"drive": str})
         labels = next(iter(models.values()))["labels"]
-        predictions = common_frames(tables, load_quantity(predict)(labels, horizon))
-        tasks.append(Task(f"{predict}-{horizon}", models, predictions))
+        quantity = load_quantity(predict)(labels, horizon)
+        of_task = {model: folders[model] for model in models}
+        predictions = _read_predictions(of_task, "test", quantity)
+        validation = None
+        if all((folder / PREDICTIONS["val"]).is_file() for folder in of_task.values()):
+            validation = _read_predictions(of_task, "val", quantity)
+        tasks.append(Task(f"{predict}-{horizon}", models, predictions, validation))
     return tasks
+
+
+def _read_predictions(folders: Mapping[str, Path], split: str, quantity: Quantity) -> Predictions:
+    """Read what models predict in the drives of a split. `folders` is model → its folder."""
+    tables = {}
+    for model, folder in folders.items():
+        tables[model] = pd.read_csv(folder / PREDICTIONS[split], dtype={"drive": str})
+    return common_frames(tables, quantity)
 
 
 def _check_labels(models: Mapping[str, Mapping[str, Any]]) -> None:
@@ -108,10 +126,7 @@ def gather_values(tasks: Sequence[Task], settings: Evaluate) -> pd.DataFrame:
     for task in tasks:
         methods = [*task.predictions.predicted]
         table = error_table(task.predictions, methods, settings)
-        quantity = task.predictions.quantity
-        facts = {}
-        for model, content in task.models.items():
-            facts["", model] = _model_facts(content, quantity)
+        facts = {("", model): _model_facts(task, model) for model in task.models}
         table = table.join(pd.DataFrame.from_dict(facts, orient="index", dtype=object))
         rows[task.name] = pd.concat([table, compare_methods(task.predictions, settings)])
     values = (
@@ -139,14 +154,16 @@ def sees_scene(content: Mapping[str, Any]) -> bool:
     return bool(content.get("sees_frames", content["entry"]["spatial"] != "blind"))
 
 
-def _model_facts(content: Mapping[str, Any], quantity: Quantity) -> dict[str, Any]:
-    """Return the FACTS of a model that predicts a quantity, from its metrics.json."""
-    name = content["model"]
-    key = f"{quantity.lead}/{name}" if quantity.lead else name
+def _model_facts(task: Task, model: str) -> dict[str, Any]:
+    """Return the FACTS of a model of a task, from its metrics.json."""
+    content = task.models[model]
+    quantity = task.predictions.quantity
+    validation, validation_frames = _validation_error(task, model)
     return {
         "ends": [*quantity.ends] or None,
         "lead": quantity.lead or None,
-        "validation": statistics.value_of(content["val"][key]) if content["val"] else None,
+        "validation": validation,
+        "validation_frames": validation_frames,
         "scene": sees_scene(content),
         "paper": _is_papers(content),
         "parameters": content["parameters"],
@@ -154,6 +171,23 @@ def _model_facts(content: Mapping[str, Any], quantity: Quantity) -> dict[str, An
         "turning_frames": content["turning_frames"],
         "untrained": content["untrained"],
     }
+
+
+def _validation_error(task: Task, model: str) -> tuple[float | None, int | None]:
+    """Return the error of a model that leads on the validation drives, and the frames that count.
+
+    These are the frames that all models of the task predict, or if a model lacks its predictions,
+    the frames that this model predicts itself.
+    """
+    label = task.predictions.quantity.lead
+    if task.validation is not None:
+        errors = frame_errors(task.validation, model)[label]
+        return statistics.mean_error(errors), int(errors.counted.any(axis=1).sum())
+    of_model = task.models[model]["val"]
+    if not of_model:
+        return None, None
+    row = of_model[f"{label}/{model}" if label else model]
+    return statistics.value_of(row), row.get("frames")
 
 
 def to_json(values: pd.DataFrame) -> dict[str, Any]:
@@ -253,6 +287,11 @@ def list_methods(table: pd.DataFrame) -> list[str]:
 def is_validated(table: pd.DataFrame) -> bool:
     """Return whether all models have a validation error."""
     return bool(table.loc[""].loc[list_models(table), "validation"].notna().all())
+
+
+def has_common_validation(table: pd.DataFrame) -> bool:
+    """Return whether the validation errors of all models are of equally many frames."""
+    return bool(table.loc[""].loc[list_models(table), "validation_frames"].nunique() < 2)
 
 
 def lead_label(table: pd.DataFrame) -> str:

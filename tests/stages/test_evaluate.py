@@ -65,6 +65,13 @@ def test_errors_are_means_over_seeds_and_files_repeat(folder, predicted):
     mse = [metrics["test"][name]["mse"] for name in ranges]
     np.testing.assert_allclose(mse, np.mean(errors, axis=0), rtol=1e-3)
 
+    validation = pd.read_csv(evaluated / "validation.csv", dtype={"drive": str})
+    assert [*validation["drive"].unique()] == metrics["drives"]["val"]
+    truth = validation[[f"true_{column}" for column in columns]].to_numpy()
+    values = validation[[f"predicted_{column}" for column in columns]].to_numpy()
+    mse = [metrics["val"][name]["mse"] for name in ranges]
+    np.testing.assert_allclose(mse, np.nanmean((values - truth) ** 2, axis=0), rtol=1e-3)
+
     labels = [h5py.File(folder / f"labels/{drive}.h5") for drive in metrics["drives"]["train"]]
     name, limit = {"angle": ("steering_rad", 0.02), "path": ("ahead_1pm", 1 / 135)}[predicted]
     turns = np.abs(np.concatenate([file[name][:].reshape(60, -1) for file in labels])) > limit

@@ -97,8 +97,13 @@ def predictions(
     return pd.concat(tables, ignore_index=True)
 
 
-def write_model(data: Path, content: dict[str, Any], table: pd.DataFrame | None = None) -> None:
-    """Write metrics.json and predictions.csv below data/evaluate.
+def write_model(
+    data: Path,
+    content: dict[str, Any],
+    table: pd.DataFrame | None = None,
+    validation: pd.DataFrame | None = None,
+) -> None:
+    """Write metrics.json and predictions.csv below data/evaluate, and validation.csv if given.
 
     A table without seeds is that of each seed.
     """
@@ -107,10 +112,13 @@ def write_model(data: Path, content: dict[str, Any], table: pd.DataFrame | None 
     if table is None:
         test = next(iter(content["test"].values()))
         table = predictions(test["nmse"], [*content["test"]], test["baselines"])
-    seeds = [table]
-    if "seed" not in table:
-        seeds = [table.assign(seed=seed) for seed in content["seeds"]]
-    pd.concat(seeds).assign(model=content["model"]).to_csv(folder / "predictions.csv", index=False)
+    for file, predicted in {"predictions.csv": table, "validation.csv": validation}.items():
+        if predicted is None:
+            continue
+        seeds = [predicted]
+        if "seed" not in predicted:
+            seeds = [predicted.assign(seed=seed) for seed in content["seeds"]]
+        pd.concat(seeds).assign(model=content["model"]).to_csv(folder / file, index=False)
 
 
 def load(data: Path, *models: str) -> tuple[list[Task], pd.DataFrame]:

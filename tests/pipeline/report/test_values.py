@@ -161,6 +161,36 @@ def test_all_rows_are_compared_on_common_frames_with_one_zero(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("files", "ranks", "errors"),
+    [
+        (["short", "long"], ["short", "long"], [0.3, 0.5]),
+        (["short"], ["long", "short"], [0.9, 0.5]),
+        ([], ["long", "short"], [0.9, 0.5]),
+    ],
+)
+def test_models_are_validated_on_common_frames(tmp_path, files, ranks, errors):
+    """On its own frames the window of 4 is worse, since it also predicts frames 3 to 6.
+
+    Without the predictions of all models, which earlier revisions lack, a note says so.
+    """
+    tables_of = {"short": examples.predictions(0.3), "long": examples.predictions(0.5)}
+    is_early = tables_of["short"]["frame"].between(3, 6)
+    tables_of["short"].loc[is_early, "predicted_steering_rad"] = 1.0
+    for name, error, frames in (("short", 0.9, 52), ("long", 0.5, 44)):
+        content = metrics(name) | {"val": {name: {"nmse": error, "frames": frames}}}
+        validation = tables_of[name] if name in files else None
+        examples.write_model(tmp_path, content, validation=validation)
+    _, all_values = examples.load(tmp_path, "short", "long")
+    angle = all_values.loc["angle-0"]
+    assert values.rank_models(angle) == ranks
+    assert angle.loc[""].loc[["short", "long"], "validation"].tolist() == pytest.approx(errors)
+    note = tables.results_table(all_values, "angle-0").note
+    assert "✓ has the least validation error." in note
+    is_own = "Each validation error is over the frames that the model predicts itself." in note
+    assert is_own == (len(files) < 2)
+
+
+@pytest.mark.parametrize(
     ("nmse", "baselines", "rival", "verdict"),
     [
         (0.2, {"train_mean": 2.0}, "zero", "better"),

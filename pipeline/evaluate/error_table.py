@@ -65,6 +65,7 @@ class Predictions:
     frames: pd.DataFrame  # columns drive, frame, time_s and speed_mps [N], in time order
     truth: np.ndarray  # true values [N,R], NaN in frames that do not count
     predicted: dict[str, np.ndarray]  # method → predictions [S,N,R]
+    unmeasured: Sequence[str] = ()  # drives without measured motion, if others have some
 
     @property
     def models(self) -> list[str]:
@@ -127,6 +128,12 @@ def common_frames(tables: Mapping[str, pd.DataFrame], quantity: Quantity) -> Pre
     baselines = {"zero": np.zeros_like(truth)}
     for name in BASELINES[1:]:
         baselines[name] = values(frames, name)
+    is_measured = np.isfinite(baselines["odometry"]).any(axis=1)
+    unmeasured: list[str] = []
+    if is_measured.any():
+        drives = frames.index.get_level_values("drive")
+        counted = np.isfinite(truth).any(axis=1)
+        unmeasured = sorted({*drives[counted]} - {*drives[is_measured]})
     for name in MEASURED:
         if np.isfinite(baselines[name]).any():
             baselines[name] = np.nan_to_num(baselines[name])
@@ -135,7 +142,7 @@ def common_frames(tables: Mapping[str, pd.DataFrame], quantity: Quantity) -> Pre
         if np.isfinite(value[np.isfinite(truth)]).all():
             predicted[name] = value[None]
     columns = ["drive", "frame", "time_s", "speed_mps"]
-    return Predictions(quantity, frames.reset_index()[columns], truth, predicted)
+    return Predictions(quantity, frames.reset_index()[columns], truth, predicted, unmeasured)
 
 
 def frame_errors(predictions: Predictions, method: str) -> dict[str, FrameErrors]:

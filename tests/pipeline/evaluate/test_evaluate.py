@@ -95,6 +95,7 @@ def test_odometry_is_0_in_drives_where_nothing_is_measured(folder, measured, bas
         {"net": prediction_table("net", [0], cases)}, cases[0].drive.quantity
     )
     assert [*predictions.predicted] == ["net", *baselines]
+    assert predictions.unmeasured == [name for name in NAMES if measured and name not in measured]
     for name, factor in {"odometry": 1.0, "regression": 0.5}.items():
         if measured:
             is_known = predictions.frames["drive"].isin(measured) & np.tile(valid, 2)

@@ -23,7 +23,7 @@ from pipeline.evaluate.predictions import (
     prediction_table,
     read_drives,
 )
-from pipeline.evaluate.settings import Evaluate
+from pipeline.evaluate.settings import PREDICTIONS, Evaluate
 from pipeline.train import runs, trained
 
 
@@ -32,7 +32,7 @@ def main(
     data: Path = Path("data"),
     params: Path = Path("params.yaml"),
 ) -> Path:
-    """Write metrics.json and, for the test drives, predictions.csv. Return the model's folder.
+    """Write metrics.json and predictions of validation and test drives. Return the model's folder.
 
     Errors are means over the seeds, in the frames that this model predicts. Stage report has those
     in the frames that all models predict.
@@ -73,8 +73,10 @@ def main(
                 flush=True,
             )
         store.write_json(folder.new / "metrics.json", result, sort_keys=False)
-        text = tables["test"].to_csv(index=False, lineterminator="\n", float_format="%.9f")
-        store.write_text(folder.new / "predictions.csv", text)
+        for split, file in PREDICTIONS.items():
+            if split in tables:
+                text = tables[split].to_csv(index=False, lineterminator="\n", float_format="%.9f")
+                store.write_text(folder.new / file, text)
     row = result["test"][f"{quantity.lead}/{name}" if quantity.lead else name]
     title = f"{quantity.measure.title} {quantity.lead}".strip()
     text = f"{statistics.error_text(row, quantity.measure)} {quantity.measure.unit}".strip()

@@ -81,9 +81,12 @@ def main(data: Path = Path("data"), params: Path = Path("params.yaml")) -> Path:
         origin = describe_origin()
         if "started_s" in run:
             origin["duration"] = format_duration(run)
+        doubts += sentences.unmeasured_drives(tasks)
+        doubts += sentences.few_turns(values)
+        doubts += sentences.few_drives(values)
         content = page.Page(
             sentences=findings,
-            doubts=[*doubts, *sentences.few_turns(values), *sentences.few_drives(values)],
+            doubts=doubts,
             picture=bend,
             results=page.list_results(figures, values, tasks),
             details=details,

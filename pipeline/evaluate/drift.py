@@ -30,14 +30,16 @@ def integrate_path(
     return np.concatenate([np.zeros((1, 2)), np.cumsum(steps_m, axis=0)])
 
 
-def find_ways(drive: np.ndarray, known: np.ndarray) -> list[np.ndarray]:
+def find_ways(drive: np.ndarray, frame: np.ndarray, known: np.ndarray) -> list[np.ndarray]:
     """Return the rows of each way: consecutive frames of a drive that are known.
 
-    `drive` [N] is the number of each frame's drive, and `known`, bool [N], tells whether the frame
-    has a label, a prediction and a speed. Ways of a single frame are left out.
+    `drive` [N] is the number of each frame's drive, `frame` [N] its number in the drive, and
+    `known`, bool [N], tells whether it has a label, a prediction and a speed. Ways of a single
+    frame are left out.
     """
     rows = np.flatnonzero(known)
-    ends = (np.diff(rows) > 1) | (np.diff(drive[rows]) != 0)
+    # Frames that the drive lacks have no row, so the rows beside them are consecutive.
+    ends = (np.diff(frame[rows]) != 1) | (np.diff(drive[rows]) != 0)
     pieces = np.split(rows, np.flatnonzero(ends) + 1)
     return [way for way in pieces if len(way) > 1]
 
@@ -59,7 +61,7 @@ def measure_drift(
         true_rad: labelled angles [N], NaN in frames that do not count.
         predicted_rad: predicted angles [N].
         drive: number [N] of each frame's drive.
-        frames: the frames [N], with columns time_s and speed_mps, NaN if unknown.
+        frames: the frames [N], with columns frame, time_s and speed_mps, NaN if unknown.
         car: the car of the labels.
     """
     error_m = 0.0
@@ -67,7 +69,7 @@ def measure_drift(
     speed_mps = frames["speed_mps"].to_numpy()
     # A recorded angle is a label also where the speed is unknown, but such a frame has no path.
     known = np.isfinite(true_rad) & np.isfinite(predicted_rad) & np.isfinite(speed_mps)
-    for rows in find_ways(drive, known):
+    for rows in find_ways(drive, frames["frame"].to_numpy(), known):
         way_mps = speed_mps[rows]
         time_s = frames["time_s"].to_numpy()[rows]
         true = integrate_path(true_rad[rows], way_mps, time_s, car.wheelbase_m)

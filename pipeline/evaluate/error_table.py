@@ -18,7 +18,7 @@ from pipeline.base.errors import InputError
 from pipeline.evaluate import statistics
 from pipeline.evaluate.drift import measure_drift
 from pipeline.evaluate.own_metrics import METRICS, Metric
-from pipeline.evaluate.settings import BASELINES, NO_LEARNING, Evaluate
+from pipeline.evaluate.settings import BASELINES, MEASURED, NO_LEARNING, Evaluate
 from pipeline.evaluate.statistics import FrameErrors
 from pipeline.labels.label import TURNING_RAD
 from pipeline.train.quantity import Quantity
@@ -47,6 +47,7 @@ FACTS = {
     "ends": "labels of the errors in the quantity's own measure, if it has any",
     "lead": "the label of the error that leads, if it is not the nmse over all columns",
     "validation": "the error that leads, on the validation drives",
+    "validation_frames": "number of their frames that count",
     "scene": "whether the model gets the scene",
     "paper": "whether the model is that of the paper's name",
     "parameters": "number of weights",
@@ -64,6 +65,7 @@ class Predictions:
     frames: pd.DataFrame  # columns drive, frame, time_s and speed_mps [N], in time order
     truth: np.ndarray  # true values [N,R], NaN in frames that do not count
     predicted: dict[str, np.ndarray]  # method → predictions [S,N,R]
+    unmeasured: Sequence[str] = ()  # drives without measured motion, if others have some
 
     @property
     def models(self) -> list[str]:
@@ -75,6 +77,11 @@ class Predictions:
         """The number [N] of each frame's drive."""
         number, _ = self.frames["drive"].factorize()
         return number
+
+    def parts(self, settings: Evaluate) -> np.ndarray:
+        """Return the number [N] of each frame's part of a drive, which the bootstrap draws."""
+        time_s = self.frames["time_s"].to_numpy()
+        return statistics.number_parts(self.drive, time_s, settings.bootstrap_block_s)
 
     @property
     def frames_text(self) -> str:
@@ -99,6 +106,9 @@ def common_frames(tables: Mapping[str, pd.DataFrame], quantity: Quantity) -> Pre
     `tables` is model → its table of predictions. A frame counts if it has a valid true value, and
     if every model and seed predicts it. If several models have a baseline, it is that of the first
     model. A baseline is used if it has a value wherever the truth has one.
+
+    Before the first measurement of a drive, odometry and its regression are 0, also if nothing is
+    measured in the complete drive. They are left out if nothing is measured in any drive.
     """
     indexed = {model: table.set_index(["drive", "frame"]) for model, table in tables.items()}
     frames = pd.concat(indexed.values()).groupby(level=[0, 1]).first()
@@ -118,16 +128,21 @@ def common_frames(tables: Mapping[str, pd.DataFrame], quantity: Quantity) -> Pre
     baselines = {"zero": np.zeros_like(truth)}
     for name in BASELINES[1:]:
         baselines[name] = values(frames, name)
-
-    # Before the first measurement, odometry is 0, as in the regression.
-    before = np.isnan(baselines["odometry"]) & np.isfinite(baselines["regression"])
-    baselines["odometry"] = np.where(before, 0.0, baselines["odometry"])
+    is_measured = np.isfinite(baselines["odometry"]).any(axis=1)
+    unmeasured: list[str] = []
+    if is_measured.any():
+        drives = frames.index.get_level_values("drive")
+        counted = np.isfinite(truth).any(axis=1)
+        unmeasured = sorted({*drives[counted]} - {*drives[is_measured]})
+    for name in MEASURED:
+        if np.isfinite(baselines[name]).any():
+            baselines[name] = np.nan_to_num(baselines[name])
 
     for name, value in baselines.items():
         if np.isfinite(value[np.isfinite(truth)]).all():
             predicted[name] = value[None]
     columns = ["drive", "frame", "time_s", "speed_mps"]
-    return Predictions(quantity, frames.reset_index()[columns], truth, predicted)
+    return Predictions(quantity, frames.reset_index()[columns], truth, predicted, unmeasured)
 
 
 def frame_errors(predictions: Predictions, method: str) -> dict[str, FrameErrors]:
@@ -212,7 +227,7 @@ def _error_row(
 ) -> dict[str, Any]:
     """Return the error of a method with its interval, as the mean over the seeds."""
     counted = errors.counted.any(axis=1)
-    bounds = statistics.bootstrap_interval(errors, predictions.drive, settings)
+    bounds = statistics.bootstrap_interval(errors, predictions.parts(settings), settings)
     low, high = bounds or (None, None)
     seeds = [errors._replace(error=seed[None]) for seed in errors.error]
     row: dict[str, Any] = {
@@ -309,7 +324,8 @@ def _compare_pair(
     """
     first = errors[model]
     second = errors[rival]
-    bounds = statistics.bootstrap_interval(first, predictions.drive, settings, second)
+    part = predictions.parts(settings)
+    bounds = statistics.bootstrap_interval(first, part, settings, second)
     low, high = bounds or (None, None)
     mean = first.error.mean(axis=0, keepdims=True) - second.error.mean(axis=0)
     difference = statistics.mean_error(first._replace(error=mean))
@@ -321,7 +337,6 @@ def _compare_pair(
         seeds = len(first.error)
         if rival not in BASELINES:
             seeds = min(seeds, len(second.error))
-        part = statistics.number_parts(predictions.drive, settings.bootstrap_block_frames)
         parts = len(np.unique(part[first.counted.any(axis=1)]))
         digits = quantity.measure.digits
         row["verdict"] = statistics.judge_difference(bounds, seeds, parts, digits)

@@ -16,6 +16,7 @@ from pipeline.base.errors import InputError
 from pipeline.base.params import SPLITS
 from pipeline.base.store import read_index
 from pipeline.evaluate.error_table import is_turning
+from pipeline.evaluate.settings import find_difference
 from pipeline.graphs.graph_file import open_graphs
 from pipeline.labels import label
 from pipeline.motion.motion_file import open_motion, read_causal
@@ -23,10 +24,13 @@ from pipeline.train.entry import Entry
 from pipeline.train.frames import Files
 from pipeline.train.loss import Scale, fit_gain
 from pipeline.train.targets import LabelledDrive, read_drive
-from pipeline.train.trained import Trained
+from pipeline.train.trained import Trained, without_removed
 
 # Number of training drives that are predicted. Their errors tell whether a seed failed to train.
 TRAIN_DRIVES = 8
+# Sections of settings that a model and the files that judge it have in common. Drives may be of
+# another dataset, camera or encoder.
+COMPARED = ("labels", "clouds", "graphs")
 # Key of metrics.json → name of a count per frame in graph files, of which the key has the mean.
 SIZES = {
     "points_per_frame": "points",
@@ -99,7 +103,8 @@ def read_drives(
     """Return split → drives of a model, of which `first` is a network.
 
     `variant`, `labels` and `motion` are the folders of the graphs, the labels and the measured
-    motion. Raises InputError if the labels have other columns than the network.
+    motion. Raises InputError if the labels have other columns than the network, or if labels or
+    graphs are of other settings than those of its training.
     """
     drives: dict[str, list[LabelledDrive]] = {split: [] for split in SPLITS}
     for name, split in read_index(variant, stage="graphs").items():
@@ -109,8 +114,24 @@ def read_drives(
             problem = f"the labels have {', '.join(columns)}"
             problem += f", the trained model predicts {', '.join(first.scale.names)}"
             raise InputError(problem, drive.labels, f"Train it again: dvc repro train@{first.name}")
+        _check_settings(first, drive)
         drives[split].append(drive)
     return drives
+
+
+def _check_settings(first: Trained, drive: LabelledDrive) -> None:
+    """Raise InputError if labels or graphs of a drive have other settings than in training."""
+    for section in COMPARED:
+        of_model = first.settings.get(section, {})
+        # Files of earlier revisions may have removed keys, which checkpoints are read without.
+        of_drive = without_removed(drive.settings.get(section, {}))
+        key = find_difference(of_model, of_drive)
+        if key is not None:
+            trained = of_model.get(key, "not set")
+            problem = f"{section}.{key} is {of_drive.get(key, 'not set')}"
+            problem += f", but model {first.name} was trained with {trained}"
+            path = drive.labels if section == "labels" else drive.graphs
+            raise InputError(problem, path, f"Train it again: dvc repro train@{first.name}")
 
 
 def choose_training(drives: Sequence[LabelledDrive], window: int) -> list[LabelledDrive]:
@@ -207,6 +228,7 @@ def model_facts(
     facts = {
         "model": name,
         "entry": first.entry.model_dump(mode="json"),
+        "sees_frames": first.entry.network.sees_frames,
         "seeds": first.seeds,
         "drives": usable,
         "turning_frames": turning_frames(drives["train"]),
@@ -223,9 +245,14 @@ def model_facts(
     return facts
 
 
-def turning_frames(drives: Sequence[LabelledDrive]) -> int:
-    """Return the number of frames whose target turns, in any of its columns."""
+def turning_frames(drives: Sequence[LabelledDrive]) -> int | None:
+    """Return the number of frames whose target turns, in any of its columns.
+
+    It is None for a quantity that does not determine a path, such as a speed.
+    """
     frames = 0
+    has_path = False
     for drive in drives:
         frames += int(is_turning(drive.quantity, drive.target).sum())
-    return frames
+        has_path |= bool(np.isfinite(drive.quantity.curvature(drive.target)).any())
+    return frames if has_path else None

@@ -18,6 +18,8 @@ from pipeline.train.quantity import Measure
 LEAST_DRIVES = 10
 # Verdict if there are fewer.
 TOO_FEW_DRIVES = "too few drives"
+# Share of a block by which the last part of a drive may be shorter, since times are rounded.
+BLOCK_TOLERANCE = 1e-3
 # Largest number of decimal places that a small error gets beyond those of its measure.
 FURTHER_DIGITS = 3
 
@@ -76,13 +78,13 @@ def find_worst(errors: FrameErrors, drive: np.ndarray) -> tuple[int, float] | No
 
 def bootstrap_interval(
     errors: FrameErrors,
-    drive: np.ndarray,
+    part: np.ndarray,
     settings: Evaluate,
     other: FrameErrors | None = None,
 ) -> list[float] | None:
     """Return the 95 % interval of Σ error / Σ weight over other roads and seeds, from a bootstrap.
 
-    Parts of drives (:func:`number_parts`) are drawn with replacement, and so are the seeds of each
+    Parts of drives are drawn with replacement, and so are the seeds of each
     model, independently of the parts. The variance of n drawn values is too small by a factor of
     (n - 1) / n. So deviations from the mean are multiplied by √(n / (n - 1)), for seeds as for
     parts. With one seed, the interval does not include the spread of other seeds. The result is
@@ -90,15 +92,14 @@ def bootstrap_interval(
 
     Args:
         errors: errors of a model.
-        drive: number [N] of each frame's drive.
-        settings: number of draws, frames of a part, and seed of the draws.
+        part: number [N] of each frame's part of a drive, see :func:`number_parts`.
+        settings: number and seed of the draws.
         other: errors of a second model, with the same weights. With them, the interval is that of
             the paired difference, which is narrower if both models err on the same roads.
     """
     # Sum errors and weights over the frames of each part that count.
     models = [errors] if other is None else [errors, other]
     counted = np.all([model.counted for model in models], axis=0)  # [N,C]
-    part = number_parts(drive, settings.bootstrap_block_frames)
     weight = sums_by_part(errors.weight[None], counted, part)[0]  # [D,C]
     sums = [sums_by_part(model.error, counted, part) for model in models]  # each [S,D,C]
 
@@ -180,17 +181,29 @@ def drawn_error(errors: np.ndarray, drawn_parts: np.ndarray, seeds: np.ndarray) 
     return np.einsum("bs,bsc->bc", seeds, by_seed) / len(errors)
 
 
-def number_parts(drive: np.ndarray, block_frames: int) -> np.ndarray:
-    """Return the number [N] of each frame's part, by the number [N] of its drive.
+def number_parts(drive: np.ndarray, time_s: np.ndarray, block_s: float) -> np.ndarray:
+    """Return the number [N] of each frame's part, by the number [N] of its drive and its time [N].
 
-    A short drive is one part. A drive of at least two blocks of `block_frames` frames is cut into
-    equal parts of at least one block each.
+    A short drive is one part. A drive of at least two blocks of `block_s` is cut into parts of
+    equally many frames, of at least one block each. Time in which the drive has no frames does not
+    count.
     """
     lengths = []
-    for frames in np.split(drive, np.flatnonzero(np.diff(drive)) + 1):
-        blocks = max(len(frames) // block_frames, 1)
-        lengths += [len(part) for part in np.array_split(frames, blocks)]
+    for times_s in np.split(time_s, np.flatnonzero(np.diff(drive)) + 1):
+        blocks = math.floor(drive_length_s(times_s) / block_s + BLOCK_TOLERANCE)
+        lengths += [len(part) for part in np.array_split(times_s, max(blocks, 1))]
     return np.repeat(np.arange(len(lengths)), lengths)
+
+
+def drive_length_s(time_s: np.ndarray) -> float:
+    """Return how long a drive is that has frames at some times [F], without its gaps.
+
+    The last frame lasts as long as the others. A step of more than twice the median is a gap.
+    """
+    if len(time_s) < 2:
+        return 0.0
+    steps_s = np.diff(time_s)
+    return len(time_s) * float(steps_s[steps_s <= 2 * np.median(steps_s)].mean())
 
 
 def judge_difference(bounds: Sequence[float] | None, seeds: int, drives: int, digits: int) -> str:

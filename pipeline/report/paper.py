@@ -1,6 +1,7 @@
 """List the networks of the paper's claims, with settings (Table 1) and errors (Table 2).
 
-A model is compared with the paper if it has the name and the settings of such a network.
+A model is compared with the paper if it has the name and the settings of such a network, and if the
+graph variant of its input has the settings that the claims need.
 """
 
 from collections.abc import Mapping
@@ -19,6 +20,23 @@ class Network(NamedTuple):
     test_mse: float | None = None
 
 
+class Input(NamedTuple):
+    """A graph variant, with the settings that the paper's claims need."""
+
+    source: str
+    has_edges: bool = False
+    is_pruned: bool = False  # between classes
+
+
+# Name of a network's input → its variant.
+INPUTS = {
+    "image": Input("ingest"),
+    "lidar": Input("clouds/lidar", has_edges=True),
+    "lidar-50k": Input("clouds/lidar", has_edges=True),
+    "lidar-pointnet2": Input("clouds/lidar"),
+    "depth": Input("clouds/pseudo", has_edges=True),
+    "semantic": Input("clouds/pseudo", has_edges=True, is_pruned=True),
+}
 # Name of a model → network, in the order of the paper's Table 2. The last two are not in the paper:
 # sa-gnn-ncp with all edges (variant depth is semantic without pruning), and with λ = 0.
 NETWORKS = {
@@ -64,13 +82,14 @@ CLAIMS = (
 )
 
 
-def is_network(name: str, entry: Mapping[str, Any]) -> bool:
+def is_network(name: str, entry: Mapping[str, Any], variant: Mapping[str, Any]) -> bool:
     """Return whether a model has the name and the settings of one of NETWORKS.
 
-    `entry` holds the model's settings. The width of a network with PointNet++ may differ.
+    `entry` holds the model's settings, and `variant` those of its input. The width of a network
+    with PointNet++ may differ.
     """
     network = NETWORKS.get(name)
-    if network is None:
+    if network is None or not _is_input(network.input, variant):
         return False
     # The first five fields are settings. Settings that a model lacks are not compared. Only the
     # paper's CNN weights frames (alpha).
@@ -80,6 +99,21 @@ def is_network(name: str, entry: Mapping[str, Any]) -> bool:
     if network.spatial != "pointnet2":
         expected["width"] = 1.0
     return all(entry.get(key, value) == value for key, value in expected.items())
+
+
+def _is_input(name: str, variant: Mapping[str, Any]) -> bool:
+    """Return whether a graph variant has the settings of one of INPUTS.
+
+    `variant` lacks keys that have their defaults. Edges of points that the paper's network does not
+    read may differ.
+    """
+    expected = INPUTS[name]
+    if variant.get("source") != expected.source:
+        return False
+    if not expected.has_edges:
+        return True
+    is_pruned = variant.get("keep_inter_class", 1.0) < 1
+    return variant.get("k", 0) > 0 and is_pruned == expected.is_pruned
 
 
 def mse_ratio(claim: Claim) -> float | None:

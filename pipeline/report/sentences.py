@@ -9,6 +9,7 @@ from pipeline.evaluate import statistics
 from pipeline.evaluate.settings import BASELINES, NO_LEARNING
 from pipeline.report.number_text import bounds_text, difference_text, with_unit
 from pipeline.report.values import (
+    Task,
     best_baseline,
     is_validated,
     lead_errors,
@@ -236,6 +237,17 @@ def few_turns(values: pd.DataFrame) -> list[str]:
         return []
     problem = f"{least} frames of the training drives turn (radius below 135 m)"
     return [f"{problem}, too few to tell models apart"]
+
+
+def unmeasured_drives(tasks: Sequence[Task]) -> list[str]:
+    """Return doubts: one if nothing is measured in some of the test drives, otherwise none."""
+    drives: set[str] = set()
+    for task in tasks:
+        drives.update(task.predictions.unmeasured)
+    if not drives:
+        return []
+    names = ", ".join(sorted(drives))
+    return [f"no motion is measured in {names}, where odometry and regression count as 0"]
 
 
 def few_drives(values: pd.DataFrame) -> list[str]:

@@ -24,6 +24,7 @@ from pipeline.report.section import Section, to_table
 from pipeline.report.values import (
     Task,
     best_baseline,
+    has_common_validation,
     is_validated,
     lead_label,
     list_ends,
@@ -33,6 +34,7 @@ from pipeline.report.values import (
     quantity_of,
     rank_models,
     read_difference,
+    sees_scene,
     title_of,
 )
 from pipeline.train.quantity import NMSE, Measure, Quantity
@@ -50,6 +52,8 @@ def results_table(values: pd.DataFrame, task: str, *, page: bool = False) -> Sec
     chosen = rank_models(table)[0]
     with_paper = claims_table(values, task).table.size > 0
     notes = [f"✓ has the least {'validation' if is_validated(table) else 'test'} error."]
+    if is_validated(table) and not has_common_validation(table):
+        notes.append("Each validation error is over the frames that the model predicts itself.")
     rows = {}
     for name in list_methods(table):
         row = table.loc[("", name)]
@@ -228,7 +232,7 @@ def _model_cells(content: Mapping[str, Any]) -> dict[str, str]:
     """Return the cells of a model, from its metrics.json."""
     entry = content["entry"]
     cells = {"input": entry["input"]}
-    if entry["spatial"] != "blind":
+    if sees_scene(content):
         unpruned = content["edges_per_frame_unpruned"]
         cells["points"] = value_text(content["points_per_frame"], ",.0f")
         cells["edges"] = value_text(content["edges_per_frame"], ",.0f")

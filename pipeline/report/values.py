@@ -23,6 +23,7 @@ from typing import Any
 import pandas as pd
 
 from pipeline.base import store
+from pipeline.base.errors import InputError
 from pipeline.evaluate import statistics
 from pipeline.evaluate.error_table import (
     COLUMNS,
@@ -31,10 +32,17 @@ from pipeline.evaluate.error_table import (
     common_frames,
     compare_methods,
     error_table,
+    frame_errors,
     to_records,
 )
 from pipeline.evaluate.own_metrics import METRICS
-from pipeline.evaluate.settings import BASELINES, NO_LEARNING, Evaluate
+from pipeline.evaluate.settings import (
+    BASELINES,
+    NO_LEARNING,
+    PREDICTIONS,
+    Evaluate,
+    find_difference,
+)
 from pipeline.report import paper
 from pipeline.train.quantity import NMSE, Measure, Quantity, load_quantity
 
@@ -49,12 +57,14 @@ class Task:
     name: str  # in keys and file names, for instance angle-0, angle-10 or path-0
     models: dict[str, dict[str, Any]]  # model → its metrics.json, those of the paper first
     predictions: Predictions
+    # Those of the validation drives. None if a model lacks them, as earlier revisions do.
+    validation: Predictions | None = None
 
 
 def load_tasks(folders: Mapping[str, Path]) -> list[Task]:
     """Load the results of models. `folders` is model → its folder of stage evaluate.
 
-    Raises InputError if a file is missing.
+    Raises InputError if a file is missing, or if models of a task have labels of other settings.
     """
     metrics = {}
     for model, folder in folders.items():
@@ -73,14 +83,41 @@ def load_tasks(folders: Mapping[str, Path]) -> list[Task]:
     tasks = []
     for predict, horizon in ordered:
         models = by_task[predict, horizon]
-        tables = {}
-        for model in models:
-            path = folders[model] / "predictions.csv"
-            tables[model] = pd.read_csv(path, dtype={"drive": str})
+        _check_labels(models)
         labels = next(iter(models.values()))["labels"]
-        predictions = common_frames(tables, load_quantity(predict)(labels, horizon))
-        tasks.append(Task(f"{predict}-{horizon}", models, predictions))
+        quantity = load_quantity(predict)(labels, horizon)
+        of_task = {model: folders[model] for model in models}
+        predictions = _read_predictions(of_task, "test", quantity)
+        validation = None
+        if all((folder / PREDICTIONS["val"]).is_file() for folder in of_task.values()):
+            validation = _read_predictions(of_task, "val", quantity)
+        tasks.append(Task(f"{predict}-{horizon}", models, predictions, validation))
     return tasks
+
+
+def _read_predictions(folders: Mapping[str, Path], split: str, quantity: Quantity) -> Predictions:
+    """Read what models predict in the drives of a split. `folders` is model → its folder."""
+    tables = {}
+    for model, folder in folders.items():
+        tables[model] = pd.read_csv(folder / PREDICTIONS[split], dtype={"drive": str})
+    return common_frames(tables, quantity)
+
+
+def _check_labels(models: Mapping[str, Mapping[str, Any]]) -> None:
+    """Raise InputError if the labels of a task's models differ, which have one truth.
+
+    `models` is model → its metrics.json.
+    """
+    first, *others = models
+    expected = models[first]["labels"]
+    for name in others:
+        labels = models[name]["labels"]
+        key = find_difference(expected, labels)
+        if key is not None:
+            problem = f"{first} was evaluated with labels.{key} = {expected.get(key, 'not set')}"
+            problem += f", {name} with {labels.get(key, 'not set')}"
+            fix = f"Evaluate both with the same labels: dvc repro evaluate@{first} evaluate@{name}"
+            raise InputError(problem, fix=fix)
 
 
 def gather_values(tasks: Sequence[Task], settings: Evaluate) -> pd.DataFrame:
@@ -89,10 +126,7 @@ def gather_values(tasks: Sequence[Task], settings: Evaluate) -> pd.DataFrame:
     for task in tasks:
         methods = [*task.predictions.predicted]
         table = error_table(task.predictions, methods, settings)
-        quantity = task.predictions.quantity
-        facts = {}
-        for model, content in task.models.items():
-            facts["", model] = _model_facts(content, quantity)
+        facts = {("", model): _model_facts(task, model) for model in task.models}
         table = table.join(pd.DataFrame.from_dict(facts, orient="index", dtype=object))
         rows[task.name] = pd.concat([table, compare_methods(task.predictions, settings)])
     values = (
@@ -109,25 +143,51 @@ def _add_columns(values: pd.DataFrame) -> pd.DataFrame:
 
 def _is_papers(content: Mapping[str, Any]) -> bool:
     """Return whether a model is that of the paper, by its metrics.json."""
-    return paper.is_network(content["model"], content["entry"])
+    return paper.is_network(content["model"], content["entry"], content["variant"])
 
 
-def _model_facts(content: Mapping[str, Any], quantity: Quantity) -> dict[str, Any]:
-    """Return the FACTS of a model that predicts a quantity, from its metrics.json."""
-    name = content["model"]
-    gets_scene = content["entry"]["spatial"] != "blind"
-    key = f"{quantity.lead}/{name}" if quantity.lead else name
+def sees_scene(content: Mapping[str, Any]) -> bool:
+    """Return whether a model gets the scene, by its metrics.json.
+
+    Files of earlier revisions do not say so. Only the network `blind` did not get it then.
+    """
+    return bool(content.get("sees_frames", content["entry"]["spatial"] != "blind"))
+
+
+def _model_facts(task: Task, model: str) -> dict[str, Any]:
+    """Return the FACTS of a model of a task, from its metrics.json."""
+    content = task.models[model]
+    quantity = task.predictions.quantity
+    validation, validation_frames = _validation_error(task, model)
     return {
         "ends": [*quantity.ends] or None,
         "lead": quantity.lead or None,
-        "validation": statistics.value_of(content["val"][key]) if content["val"] else None,
-        "scene": gets_scene,
+        "validation": validation,
+        "validation_frames": validation_frames,
+        "scene": sees_scene(content),
         "paper": _is_papers(content),
         "parameters": content["parameters"],
         "edges": content["edges_per_frame"],
         "turning_frames": content["turning_frames"],
         "untrained": content["untrained"],
     }
+
+
+def _validation_error(task: Task, model: str) -> tuple[float | None, int | None]:
+    """Return the error of a model that leads on the validation drives, and the frames that count.
+
+    These are the frames that all models of the task predict, or if a model lacks its predictions,
+    the frames that this model predicts itself.
+    """
+    label = task.predictions.quantity.lead
+    if task.validation is not None:
+        errors = frame_errors(task.validation, model)[label]
+        return statistics.mean_error(errors), int(errors.counted.any(axis=1).sum())
+    of_model = task.models[model]["val"]
+    if not of_model:
+        return None, None
+    row = of_model[f"{label}/{model}" if label else model]
+    return statistics.value_of(row), row.get("frames")
 
 
 def to_json(values: pd.DataFrame) -> dict[str, Any]:
@@ -227,6 +287,11 @@ def list_methods(table: pd.DataFrame) -> list[str]:
 def is_validated(table: pd.DataFrame) -> bool:
     """Return whether all models have a validation error."""
     return bool(table.loc[""].loc[list_models(table), "validation"].notna().all())
+
+
+def has_common_validation(table: pd.DataFrame) -> bool:
+    """Return whether the validation errors of all models are of equally many frames."""
+    return bool(table.loc[""].loc[list_models(table), "validation_frames"].nunique() < 2)
 
 
 def lead_label(table: pd.DataFrame) -> str:

@@ -154,17 +154,17 @@ def _print_once(text: str) -> None:
 
 def _parse_checkpoint(content: dict[str, Any]) -> dict[str, Any]:
     """Return the fields of Trained, all except `net`, from the content of a checkpoint."""
-    entry = Entry.model_validate(_without_removed(content["entry"]))
+    entry = Entry.model_validate(without_removed(content["entry"]))
     fields = {name: content[name] for name in ("name", "seeds", "settings", "drives", "fps")}
     fields["datasets"] = content.get("datasets", [])
-    contents = Contents(**_without_removed(content["contents"]))
+    contents = Contents(**without_removed(content["contents"]))
     settings = content["settings"]
-    graphs = _without_removed(settings.get("graphs", {}))
+    graphs = without_removed(settings.get("graphs", {}))
     fields["settings"] = settings | {"graphs": graphs}
     return fields | {"entry": entry, "contents": contents, "scale": Scale.parse(content["scale"])}
 
 
-def _without_removed(values: Mapping[str, Any]) -> dict[str, Any]:
+def without_removed(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return settings without the removed keys. Raises InputError if another value is needed."""
     for key, value in REMOVED.items():
         if values.get(key, value) != value:

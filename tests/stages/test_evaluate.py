@@ -14,7 +14,16 @@ from pipeline.graphs import graph_file
 from pipeline.train.trained import load_model
 from tests import artefacts
 from tests.kitti_drive import contents
-from tests.small_model import EDGES_M, SPLITS, TEST, run_evaluate, run_train, write_params
+from tests.small_model import (
+    EDGES_M,
+    SPLITS,
+    TEST,
+    UsersOptions,
+    add_users_network,
+    run_evaluate,
+    run_train,
+    write_params,
+)
 
 COLUMNS = {
     "angle": ["steering_rad"],
@@ -56,6 +65,13 @@ def test_errors_are_means_over_seeds_and_files_repeat(folder, predicted):
     mse = [metrics["test"][name]["mse"] for name in ranges]
     np.testing.assert_allclose(mse, np.mean(errors, axis=0), rtol=1e-3)
 
+    validation = pd.read_csv(evaluated / "validation.csv", dtype={"drive": str})
+    assert [*validation["drive"].unique()] == metrics["drives"]["val"]
+    truth = validation[[f"true_{column}" for column in columns]].to_numpy()
+    values = validation[[f"predicted_{column}" for column in columns]].to_numpy()
+    mse = [metrics["val"][name]["mse"] for name in ranges]
+    np.testing.assert_allclose(mse, np.nanmean((values - truth) ** 2, axis=0), rtol=1e-3)
+
     labels = [h5py.File(folder / f"labels/{drive}.h5") for drive in metrics["drives"]["train"]]
     name, limit = {"angle": ("steering_rad", 0.02), "path": ("ahead_1pm", 1 / 135)}[predicted]
     turns = np.abs(np.concatenate([file[name][:].reshape(60, -1) for file in labels])) > limit
@@ -88,6 +104,15 @@ def test_drives_without_a_window_are_not_listed(folder):
     assert read_metrics(run_evaluate(folder))["drives"]["train"] == drives
 
 
+@pytest.mark.parametrize(("spatial", "sees"), [("gnn", True), ("users", False)])
+def test_metrics_say_whether_the_network_sees_its_frames(folder, monkeypatch, spatial, sees):
+    add_users_network(monkeypatch)
+    monkeypatch.setattr(UsersOptions, "sees_frames", sees)
+    write_params(folder, {"spatial": spatial, "equivariant": False}, epochs=1)
+    run_train(folder)
+    assert read_metrics(run_evaluate(folder))["sees_frames"] is sees
+
+
 def test_other_ranges_than_in_training_are_refused(folder):
     write_params(folder, {"predict": "path"}, epochs=1)
     run_train(folder)
@@ -95,4 +120,25 @@ def test_other_ranges_than_in_training_are_refused(folder):
     with pytest.raises(
         InputError, match=r"the labels have path_0-5m_1pm, .*, the trained model predicts path_0-5m"
     ):
+        run_evaluate(folder)
+
+
+@pytest.mark.parametrize(
+    ("section", "key", "before", "after"),
+    [
+        ("labels", "wheelbase_m", "2.7", "3.5"),
+        ("graphs", "keep_inter_class", "0.2", "1.0"),
+        ("graphs", "points", "not set", "50"),
+    ],
+)
+def test_files_of_other_settings_than_in_training_are_refused(
+    folder, monkeypatch, section, key, before, after
+):
+    write_params(folder, epochs=1)
+    run_train(folder)
+    settings = {"labels": artefacts.LABELS, "graphs": artefacts.GRAPHS}[section]
+    monkeypatch.setitem(settings, section, settings[section] | {key: float(after)})
+    artefacts.write_dataset(folder, SPLITS, frames=60, points=80, ahead_m=EDGES_M)
+    problem = rf"{section}\.{key} is {after}.*, but model net was trained with {before}\. Train it"
+    with pytest.raises(InputError, match=problem):
         run_evaluate(folder)

@@ -17,7 +17,7 @@ from tests.pipeline.report import examples
 def run(folder: Path, *models: str) -> str:
     params = yaml.safe_load((ROOT / "params.yaml").read_text())
     params["models"] = {model: {} for model in models}
-    params["evaluate"] |= {"bootstrap_samples": 9, "bootstrap_block_frames": 5}
+    params["evaluate"] |= {"bootstrap_samples": 9, "bootstrap_block_s": 0.5}
     (folder / "params.yaml").write_text(yaml.safe_dump(params))
     assert report.main(folder, params=folder / "params.yaml") == folder / "report"
     return (folder / "report/table.md").read_text()

@@ -10,6 +10,7 @@ import yaml
 from models.steering.core import options
 from pipeline.base import params
 from pipeline.base.errors import InputError
+from pipeline.evaluate.settings import Evaluate
 from pipeline.graphs.settings import Variant
 from pipeline.ingest.settings import Ingest
 from pipeline.train.settings import Train
@@ -55,6 +56,11 @@ def merge(path: Path) -> dict[str, Any]:
         (read_train, "train: 1\ntrain: 2\n", "invalid YAML.*duplicate key"),
         (read_train, "trian: {}", r"no section 'train': did you mean trian\?"),
         (read_train, "", "expected sections"),
+        (
+            partial(params.load_section, Evaluate),
+            "evaluate: {bootstrap_block_frames: 200}",
+            r"unknown key 'bootstrap_block_frames': did you mean bootstrap_block_s\b",
+        ),
         (
             partial(params.load_entry, Variant, "graphs", "a"),
             "graphs: {a: {cloud: lidar}}",

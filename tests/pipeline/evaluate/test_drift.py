@@ -12,18 +12,27 @@ from pipeline.ingest.datasets.kitti import KittiDrive
 from pipeline.labels import label
 
 STEPS = 101  # 10 m/s for 10 s
-FRAMES = pd.DataFrame({"time_s": np.arange(STEPS) / 10, "speed_mps": 10.0})
+FRAMES = pd.DataFrame(
+    {"frame": np.arange(STEPS), "time_s": np.arange(STEPS) / 10, "speed_mps": 10.0}
+)
 
 
 def off(
-    predicted_rad: float, unlabelled: int | None = None, frames: pd.DataFrame = FRAMES
+    predicted_rad: float,
+    unlabelled: int | None = None,
+    lost: int | None = None,
+    frames: pd.DataFrame = FRAMES,
 ) -> float | None:
-    """Return the drift of a constant angle on a straight road."""
+    """Return the drift of a constant angle on a straight road, with a frame that has no label.
+
+    A frame that is lost has no row.
+    """
     true_rad = np.where(np.arange(STEPS) == unlabelled, np.nan, 0.0)
-    drive = np.zeros(STEPS, int)
-    return measure_drift(
-        true_rad, np.full(STEPS, predicted_rad), drive, frames, label.Car(2.7, 1.0)
-    )
+    rows = np.delete(np.arange(STEPS), [] if lost is None else lost)
+    drive = np.zeros(len(rows), int)
+    predicted = np.full(len(rows), predicted_rad)
+    car = label.Car(2.7, 1.0)
+    return measure_drift(true_rad[rows], predicted, drive, frames.iloc[rows], car)
 
 
 def test_ways_end_with_their_drive_and_where_a_label_or_a_prediction_is_missing():
@@ -31,9 +40,11 @@ def test_ways_end_with_their_drive_and_where_a_label_or_a_prediction_is_missing(
     known[:7] = False
     known[[20, 50, 99]] = False
     drive = np.arange(STEPS) // 60
-    pieces = [(rows[0], rows[-1]) for rows in find_ways(drive, known)]
-    assert pieces == [(7, 19), (21, 49), (51, 59), (60, 98)]
-    assert find_ways(drive, np.zeros(STEPS, bool)) == []
+    # Frame 35 of the first drive is lost.
+    frame = np.arange(STEPS) % 60 + (np.arange(STEPS) >= 35)
+    pieces = [(rows[0], rows[-1]) for rows in find_ways(drive, frame, known)]
+    assert pieces == [(7, 19), (21, 34), (35, 49), (51, 59), (60, 98)]
+    assert find_ways(drive, frame, np.zeros(STEPS, bool)) == []
 
 
 def test_drift_is_the_final_distance_per_100_m():
@@ -42,6 +53,7 @@ def test_drift_is_the_final_distance_per_100_m():
     # steps each.
     assert off(0.01) == pytest.approx(0.01 * 100**2 / 2 / 2.7, rel=0.02)
     assert off(0.01, 50) == pytest.approx(0.01 * 49 * 100 / 2 / 2.7, rel=0.02)
+    assert off(0.01, lost=50) == off(0.01, 50)
     assert off(np.nan) is None
 
 

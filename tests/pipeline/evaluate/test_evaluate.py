@@ -16,9 +16,15 @@ from pipeline.evaluate.error_table import (
     frame_errors,
 )
 from pipeline.evaluate.own_metrics import METRICS, Metric
-from pipeline.evaluate.predictions import Case, prediction_table, read_odometry
+from pipeline.evaluate.predictions import (
+    Case,
+    prediction_table,
+    read_odometry,
+    turning_frames,
+)
 from pipeline.evaluate.settings import Evaluate
 from pipeline.train.loss import Scale
+from pipeline.train.quantities.angle import Target
 from pipeline.train.quantity import Measure, load_quantity
 from pipeline.train.targets import LabelledDrive
 from tests import artefacts
@@ -32,7 +38,13 @@ def read(folder: Path, horizon: int = 0) -> list[LabelledDrive]:
 
 
 def settings(block: int, samples: int) -> Evaluate:
-    return Evaluate(bootstrap_block_frames=block, bootstrap_samples=samples, seed=0)
+    """Return settings with blocks of some frames at 10 Hz."""
+    return Evaluate(bootstrap_block_s=block / 10, bootstrap_samples=samples, seed=0)
+
+
+def parts(drive: np.ndarray, block: int) -> np.ndarray:
+    """Return the parts of drives [N] at 10 Hz, with blocks of some frames."""
+    return statistics.number_parts(drive, np.arange(len(drive)) / 10, block / 10)
 
 
 @pytest.fixture
@@ -61,6 +73,35 @@ def test_invalid_and_early_frames_do_not_count(folder):
     assert row["drives"] == 2
     assert row["mse"] == pytest.approx(0.01**2)
     assert row["low"] <= row["nmse"] <= row["high"]
+
+
+@pytest.mark.parametrize(
+    ("measured", "baselines"),
+    [
+        (NAMES, ["zero", "train_mean", "odometry", "regression", "persistence"]),
+        (NAMES[:1], ["zero", "train_mean", "odometry", "regression", "persistence"]),
+        ([], ["zero", "train_mean", "persistence"]),
+    ],
+)
+def test_odometry_is_0_in_drives_where_nothing_is_measured(folder, measured, baselines):
+    """It counts there as before the first measurement, and no drive removes it from the others."""
+    valid = np.arange(30) > 2
+    cases = []
+    for drive in read(folder):
+        is_measured = valid & (drive.name in measured)
+        artefacts.write_steered(drive.motion_file, drive.target[:, 0], is_measured)
+        cases.append(case(drive, drive.target))
+    predictions = common_frames(
+        {"net": prediction_table("net", [0], cases)}, cases[0].drive.quantity
+    )
+    assert [*predictions.predicted] == ["net", *baselines]
+    assert predictions.unmeasured == [name for name in NAMES if measured and name not in measured]
+    for name, factor in {"odometry": 1.0, "regression": 0.5}.items():
+        if measured:
+            is_known = predictions.frames["drive"].isin(measured) & np.tile(valid, 2)
+            expected = np.where(is_known, factor * predictions.truth[:, 0], 0)
+            values = predictions.predicted[name][0, :, 0]
+            np.testing.assert_allclose(values, expected, rtol=1e-4, atol=1e-9)
 
 
 def by_hand(truth: np.ndarray, predicted: np.ndarray) -> pd.Series:
@@ -215,6 +256,14 @@ def test_odometry_needs_measured_frames_and_other_labels(folder, monkeypatch, so
     np.testing.assert_allclose(baselines(0)["persistence"], np.r_[[[0]], first.target[:-1]])
 
 
+def test_a_quantity_without_a_path_has_no_number_of_turning_frames(folder, monkeypatch):
+    drives = read(folder)
+    turns = np.concatenate([np.abs(drive.target) > 0.02 for drive in drives])
+    assert turning_frames(drives) == turns.sum() > 0
+    monkeypatch.setattr(Target, "curvature", lambda self, values: np.full_like(values, np.nan))
+    assert turning_frames(drives) is None
+
+
 @pytest.mark.parametrize(
     ("nmse", "untrained"),
     [
@@ -240,7 +289,8 @@ def interval(
     """Return the interval of the nmse for errors [N] or [S,N] in rad."""
     first = squared_errors(np.atleast_2d(error) ** 2, steering)
     second = None if other is None else squared_errors(np.atleast_2d(other) ** 2, steering)
-    return statistics.bootstrap_interval(first, drive, settings(block, samples), second)
+    part = parts(drive, block)
+    return statistics.bootstrap_interval(first, part, settings(block, samples), second)
 
 
 def squared_errors(square: np.ndarray, truth: np.ndarray) -> statistics.FrameErrors:
@@ -272,15 +322,26 @@ def test_intervals_of_paired_differences_are_as_wide_as_the_errors(drives, frame
         true = rng.normal(size=len(drive))
         first = squared_errors(squared_error(true, 0.146), true)
         second = squared_errors(squared_error(true, 0.124), true)
-        low, high = statistics.bootstrap_interval(first, drive, settings(100, 300), second)
+        part = parts(drive, 100)
+        low, high = statistics.bootstrap_interval(first, part, settings(100, 300), second)
         errors.append(1.96 * (low + high - 2 * (0.146 - 0.124)) / (high - low))
     # Over 12 seeds: 0.97 ± 0.07 for twenty drives, 1.02 ± 0.04 for one.
     assert 0.7 < np.std(errors) < 1.3
 
 
 def test_drives_of_two_or_more_blocks_are_cut_into_equal_parts():
-    part = statistics.number_parts(np.repeat([4, 7, 2, 3], [5, 9, 10, 27]), 5)
+    part = parts(np.repeat([4, 7, 2, 3], [5, 9, 10, 27]), 5)
     assert np.bincount(part).tolist() == [5, 9, 5, 5, 6, 6, 5, 5, 5]
+
+
+@pytest.mark.parametrize("rate", [5, 10, 29.97, 30])
+@pytest.mark.parametrize(("length_s", "gap_s", "count"), [(70, 0, 3), (200, 0, 10), (70, 3600, 3)])
+def test_parts_of_drives_are_as_long_in_seconds_at_each_rate(rate, length_s, gap_s, count):
+    """A gap in the middle of a drive does not count. Times have an offset and are rounded."""
+    time_s = np.round(1000 + np.arange(np.ceil(length_s * rate)) / rate, 3)
+    time_s[len(time_s) // 2 :] += gap_s
+    part = statistics.number_parts(np.zeros(len(time_s)), time_s, 20.0)
+    assert part.max() + 1 == count
 
 
 def test_interval_draws_parts_and_widens_their_deviation():
@@ -344,5 +405,6 @@ def test_the_difference_of_two_models_has_a_narrower_interval():
     truth = np.stack([steering] * 3, axis=-1)
     errors = squared_errors(first[..., None] ** 2 * columns, truth)
     others = squared_errors(second[..., None] ** 2 * columns, truth)
-    paired = statistics.bootstrap_interval(errors, drive, settings(50, 500), others)
+    part = parts(drive, 50)
+    paired = statistics.bootstrap_interval(errors, part, settings(50, 500), others)
     assert paired == pytest.approx([2 * low, 2 * high])

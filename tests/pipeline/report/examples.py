@@ -11,7 +11,7 @@ from pipeline.base import store
 from pipeline.evaluate.settings import Evaluate
 from pipeline.report.values import Task, gather_values, load_tasks
 
-SETTINGS = Evaluate(bootstrap_samples=50, bootstrap_block_frames=5, seed=0)
+SETTINGS = Evaluate(bootstrap_samples=50, bootstrap_block_s=0.5, seed=0)
 DRIVES = ("2026_01_03_drive_0002", "2026_01_03_drive_0003")
 ENTRY = {
     "input": "semantic",
@@ -25,6 +25,14 @@ ENTRY = {
     "horizon": 0,
     "predict": "angle",
     "scene": "same",
+}
+# Name of an input → its settings.
+VARIANTS: dict[str, dict[str, Any]] = {
+    "semantic": {"source": "clouds/pseudo", "k": 6, "keep_inter_class": 0.2},
+    "depth": {"source": "clouds/pseudo", "k": 6},
+    "lidar": {"source": "clouds/lidar", "k": 6},
+    "lidar-50k": {"source": "clouds/lidar", "k": 6},
+    "lidar-pointnet2": {"source": "clouds/lidar"},
 }
 LABELS = {"wheelbase_m": 2.5, "min_speed_mps": 1.0, "ahead_m": [0, 5, 10]}
 ANGLE = ("steering_rad",)
@@ -48,7 +56,7 @@ def metrics(
         "entry": ENTRY | entry,
         "seeds": [0],
         "parameters": 9259,
-        "variant": {"source": "clouds/pseudo", "k": 6, "keep_inter_class": 0.2},
+        "variant": VARIANTS[entry.get("input", ENTRY["input"])],
         "turning_frames": 1200,
         "points_per_frame": 1000.0,
         "edges_per_frame": 5160.0,
@@ -89,8 +97,13 @@ def predictions(
     return pd.concat(tables, ignore_index=True)
 
 
-def write_model(data: Path, content: dict[str, Any], table: pd.DataFrame | None = None) -> None:
-    """Write metrics.json and predictions.csv below data/evaluate.
+def write_model(
+    data: Path,
+    content: dict[str, Any],
+    table: pd.DataFrame | None = None,
+    validation: pd.DataFrame | None = None,
+) -> None:
+    """Write metrics.json and predictions.csv below data/evaluate, and validation.csv if given.
 
     A table without seeds is that of each seed.
     """
@@ -99,10 +112,13 @@ def write_model(data: Path, content: dict[str, Any], table: pd.DataFrame | None 
     if table is None:
         test = next(iter(content["test"].values()))
         table = predictions(test["nmse"], [*content["test"]], test["baselines"])
-    seeds = [table]
-    if "seed" not in table:
-        seeds = [table.assign(seed=seed) for seed in content["seeds"]]
-    pd.concat(seeds).assign(model=content["model"]).to_csv(folder / "predictions.csv", index=False)
+    for file, predicted in {"predictions.csv": table, "validation.csv": validation}.items():
+        if predicted is None:
+            continue
+        seeds = [predicted]
+        if "seed" not in predicted:
+            seeds = [predicted.assign(seed=seed) for seed in content["seeds"]]
+        pd.concat(seeds).assign(model=content["model"]).to_csv(folder / file, index=False)
 
 
 def load(data: Path, *models: str) -> tuple[list[Task], pd.DataFrame]:

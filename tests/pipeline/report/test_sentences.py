@@ -2,12 +2,14 @@
 
 import re
 
+import numpy as np
 import pytest
 
 from pipeline.report import (
     sentences,
     values,
 )
+from tests.pipeline.report import examples
 from tests.pipeline.report.examples import compare, metrics
 
 
@@ -91,7 +93,30 @@ def test_a_sentence_says_that_odometry_measures_the_present_angle_better(tmp_pat
     assert "by the nmse: 0.003 instead of 0.080. The difference, `net` minus *odometry*" in line
 
 
-def test_few_turning_frames_are_doubted(tmp_path):
-    (doubt,) = sentences.few_turns(compare(tmp_path, metrics("net") | {"turning_frames": 19}))
-    assert doubt.startswith("19 frames of the training drives turn")
-    assert sentences.few_turns(compare(tmp_path, metrics("net") | {"turning_frames": 20})) == []
+@pytest.mark.parametrize(
+    ("frames", "doubts"),
+    [
+        ([19], ["19 frames of the training drives turn"]),
+        ([20], []),
+        ([None], []),
+        ([None, 19], ["19 frames of the training drives turn"]),
+    ],
+)
+def test_few_turning_frames_are_doubted(tmp_path, frames, doubts):
+    """A quantity that does not determine a path has no number of them."""
+    models = []
+    for number, turning in enumerate(frames):
+        models.append(metrics(f"net-{number}", horizon=number) | {"turning_frames": turning})
+    found = sentences.few_turns(compare(tmp_path, *models))
+    assert [doubt.partition(" (")[0] for doubt in found] == doubts
+
+
+def test_drives_without_measured_motion_are_named(tmp_path):
+    content = metrics("net", baselines={"odometry": 0.1})
+    table = examples.predictions(baselines={"odometry": 0.1})
+    for drives in ([], [examples.DRIVES[1]]):
+        table.loc[table["drive"].isin(drives), "odometry_steering_rad"] = np.nan
+        examples.write_model(tmp_path, content, table)
+        tasks, _ = examples.load(tmp_path, "net")
+        text = "no motion is measured in {}, where odometry and regression count as 0"
+        assert sentences.unmeasured_drives(tasks) == [text.format(drive) for drive in drives]

@@ -140,7 +140,7 @@ def test_published_values_without_ends_show_their_nmse(tmp_path):
 
 def test_one_test_drive_has_no_interval(tmp_path, monkeypatch):
     """A drive that is longer than a block would be cut into parts."""
-    whole_drives = examples.SETTINGS.model_copy(update={"bootstrap_block_frames": 200})
+    whole_drives = examples.SETTINGS.model_copy(update={"bootstrap_block_s": 20.0})
     monkeypatch.setattr(examples, "SETTINGS", whole_drives)
     baselines = {"odometry": 0.003}
     table = examples.predictions(0.08, baselines=baselines)

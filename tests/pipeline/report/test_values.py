@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from pipeline.base.errors import InputError
 from pipeline.evaluate.own_metrics import METRICS, Metric
-from pipeline.report import paper, sentences, values
+from pipeline.report import paper, sentences, tables, values
 from pipeline.train.entry import Entry
 from pipeline.train.quantities import path
 from pipeline.train.quantities.path import Target
@@ -38,9 +39,10 @@ def test_tasks_and_rows_are_sorted_with_baselines_last(tmp_path):
 @pytest.mark.parametrize("name", ["kitti", "table2"])
 def test_networks_of_the_presets_are_the_papers(name):
     published = set()
-    for model, settings in preset.merge_preset(name)["models"].items():
+    params = preset.merge_preset(name)
+    for model, settings in params["models"].items():
         entry = Entry.model_validate(settings)
-        if paper.is_network(model, entry.model_dump()):
+        if paper.is_network(model, entry.model_dump(), params["graphs"][entry.input]):
             published.add(model)
     expected = {model for claim in paper.CLAIMS for model in (claim.model, claim.rival)}
     if name == "kitti":
@@ -49,10 +51,35 @@ def test_networks_of_the_presets_are_the_papers(name):
 
 
 def test_a_network_with_the_papers_name_and_other_settings_is_not_the_papers():
-    assert paper.is_network("sa-gnn-ncp", examples.ENTRY | {"cell": "eq4", "features": 64})
+    variant = examples.VARIANTS["semantic"]
+    network = examples.ENTRY | {"cell": "eq4", "features": 64}
+    assert paper.is_network("sa-gnn-ncp", network, variant)
     other = {"temporal": "lstm", "semantics": 0.0, "alpha": 5.0, "equivariant": True, "width": 0.5}
     for key, value in other.items():
-        assert not paper.is_network("sa-gnn-ncp", examples.ENTRY | {key: value}), key
+        assert not paper.is_network("sa-gnn-ncp", examples.ENTRY | {key: value}, variant), key
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "is_papers"),
+    [
+        ("sa-gnn-ncp", {"points": 50, "crop_m": [-15, -10, 15, 30]}, True),
+        ("sa-gnn-ncp", {"keep_inter_class": 1.0}, False),
+        ("sa-gnn-ncp", {"k": 0}, False),
+        ("sa-gnn-ncp", {"source": "clouds/lidar"}, False),
+        ("keep-100", {"keep_inter_class": 1.0}, True),
+        ("keep-100", {"keep_inter_class": 0.2}, False),
+        ("gnn-ncp", {"source": "clouds/pseudo"}, False),
+        ("pointnet2-ncp", {"k": 6}, True),
+    ],
+)
+def test_a_network_with_another_input_under_the_papers_name_is_not_the_papers(
+    name, changes, is_papers
+):
+    """The claims need the source of the points, edges, and pruning or none."""
+    network = paper.NETWORKS[name]
+    entry = examples.ENTRY | network._asdict() | {"width": 1.0}
+    variant = examples.VARIANTS[network.input] | changes
+    assert paper.is_network(name, entry, variant) == is_papers
 
 
 def test_values_have_errors_differences_and_validation_and_are_read_again(tmp_path):
@@ -74,6 +101,38 @@ def test_values_have_errors_differences_and_validation_and_are_read_again(tmp_pa
     errors = {name: rows[f"path-0/at 5 m/{name}"]["error"] for name in ("path", "path-blind")}
     assert shown == {"error": pytest.approx(errors)}
     assert values.to_json(values.from_json(rows)) == rows
+
+
+@pytest.mark.parametrize(
+    ("spatial", "facts", "sees"),
+    [
+        ("gnn", {"sees_frames": True}, True),
+        ("gnn", {}, True),
+        ("blind", {"sees_frames": False}, False),
+        ("blind", {}, False),
+        ("mine", {"sees_frames": False}, False),
+    ],
+)
+def test_a_network_that_does_not_see_its_frames_has_no_scene(tmp_path, spatial, facts, sees):
+    """Files of earlier revisions have no key sees_frames: there, the name tells."""
+    examples.write_model(tmp_path, metrics("net", spatial=spatial) | facts)
+    tasks, table = examples.load(tmp_path, "net")
+    assert (values.with_scene(table.loc["angle-0"]) == "net") == sees
+    assert ("points" in tables.models_table(tasks).table) == sees
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "text"),
+    [("wheelbase_m", 3.5, "= 2.5, b with 3.5"), ("source", "motion", "= not set, b with motion")],
+)
+def test_models_with_labels_of_other_settings_are_not_compared(tmp_path, key, value, text):
+    """Tasks of their own have a truth of their own."""
+    other = metrics("b") | {"labels": examples.LABELS | {key: value}}
+    fix = r"dvc repro evaluate@a evaluate@b"
+    with pytest.raises(InputError, match=rf"a was evaluated with labels\.{key} {text}.*{fix}"):
+        compare(tmp_path, metrics("a"), other)
+    ahead = other | {"entry": other["entry"] | {"horizon": 10}}
+    assert len(compare(tmp_path, metrics("a"), ahead).index.unique("task")) == 2
 
 
 def test_all_rows_are_compared_on_common_frames_with_one_zero(tmp_path):
@@ -99,6 +158,36 @@ def test_all_rows_are_compared_on_common_frames_with_one_zero(tmp_path):
     assert set(angle.loc[""].loc[values.list_methods(angle), "frames"]) == {2 * 22}
     difference = values.read_difference(angle, "short", "long")
     assert difference[["nmse", "low", "high"]].tolist() == pytest.approx([-0.2] * 3)
+
+
+@pytest.mark.parametrize(
+    ("files", "ranks", "errors"),
+    [
+        (["short", "long"], ["short", "long"], [0.3, 0.5]),
+        (["short"], ["long", "short"], [0.9, 0.5]),
+        ([], ["long", "short"], [0.9, 0.5]),
+    ],
+)
+def test_models_are_validated_on_common_frames(tmp_path, files, ranks, errors):
+    """On its own frames the window of 4 is worse, since it also predicts frames 3 to 6.
+
+    Without the predictions of all models, which earlier revisions lack, a note says so.
+    """
+    tables_of = {"short": examples.predictions(0.3), "long": examples.predictions(0.5)}
+    is_early = tables_of["short"]["frame"].between(3, 6)
+    tables_of["short"].loc[is_early, "predicted_steering_rad"] = 1.0
+    for name, error, frames in (("short", 0.9, 52), ("long", 0.5, 44)):
+        content = metrics(name) | {"val": {name: {"nmse": error, "frames": frames}}}
+        validation = tables_of[name] if name in files else None
+        examples.write_model(tmp_path, content, validation=validation)
+    _, all_values = examples.load(tmp_path, "short", "long")
+    angle = all_values.loc["angle-0"]
+    assert values.rank_models(angle) == ranks
+    assert angle.loc[""].loc[["short", "long"], "validation"].tolist() == pytest.approx(errors)
+    note = tables.results_table(all_values, "angle-0").note
+    assert "✓ has the least validation error." in note
+    is_own = "Each validation error is over the frames that the model predicts itself." in note
+    assert is_own == (len(files) < 2)
 
 
 @pytest.mark.parametrize(
@@ -140,7 +229,7 @@ def test_the_best_validated_model_has_a_verdict(
 
     assert verdict_of([0]) == "too few seeds"
     assert verdict_of([0, 1]) == verdict
-    blocks = examples.SETTINGS.model_copy(update={"bootstrap_block_frames": 6})
+    blocks = examples.SETTINGS.model_copy(update={"bootstrap_block_s": 0.6})
     monkeypatch.setattr(examples, "SETTINGS", blocks)
     for seeds in ([0], [0, 1]):
         assert verdict_of(seeds, doubts=1) == "too few drives"

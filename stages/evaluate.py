@@ -60,11 +60,16 @@ def main(
                 cases = predict_cases(models, drives_of_split, odometry_gain)
                 tables[split] = prediction_table(name, first.seeds, cases)
                 predictions = common_frames({name: tables[split]}, quantity)
-                result[split] = to_records(error_table(predictions, [name], settings))
+                methods = [name, "train_mean"] if split == "train" else [name]
+                result[split] = to_records(error_table(predictions, methods, settings))
         result["frames"] = predictions.frames_text
 
-        nmse = result["train"][name]["seeds"] if result["train"] else []
-        stuck = statistics.find_untrained(np.array(nmse, float))
+        stuck = []
+        if result["train"]:
+            nmse = result["train"][name]["seeds"]
+            # It is unknown if all these drives are straight, and 0 if all their values are equal.
+            mean_nmse = result["train"]["train_mean"].get("nmse") or 1.0
+            stuck = statistics.find_untrained(np.array(nmse, float), mean_nmse)
         result["untrained"] = [first.seeds[number] for number in stuck]
         for number in stuck:
             print(

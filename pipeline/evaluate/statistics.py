@@ -224,12 +224,15 @@ def judge_difference(bounds: Sequence[float] | None, seeds: int, drives: int, di
     return "no difference shown"
 
 
-def find_untrained(nmse: np.ndarray) -> list[int]:
+def find_untrained(nmse: np.ndarray, mean_nmse: float) -> list[int]:
     """Return the rows of the seeds that failed to train, by their nmse [S] on the training drives.
 
-    A seed failed if its nmse is above 0.9, or above both 0.5 and twice the median of all seeds.
+    Errors count relative to that of always predicting zero, or the mean, of which `mean_nmse` is
+    the nmse, whichever is smaller: to predict the mean of a speed is no achievement. A seed failed
+    if this ratio is above 0.9, or above both 0.5 and twice the median of all seeds.
     """
-    return np.flatnonzero((nmse > 0.9) | (nmse > 0.5) & (nmse > 2 * np.median(nmse))).tolist()
+    ratio = nmse / min(mean_nmse, 1.0)
+    return np.flatnonzero((ratio > 0.9) | (ratio > 0.5) & (ratio > 2 * np.median(ratio))).tolist()
 
 
 def error_text(row: Mapping[str, Any], measure: Measure) -> str:

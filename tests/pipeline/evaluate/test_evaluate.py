@@ -265,17 +265,18 @@ def test_a_quantity_without_a_path_has_no_number_of_turning_frames(folder, monke
 
 
 @pytest.mark.parametrize(
-    ("nmse", "untrained"),
+    ("nmse", "mean_nmse", "untrained"),
     [
-        ([0.1, 0.2, 0.6], [2]),
-        ([0.3, 0.4, 0.6], []),
-        ([0.95, 0.1], [0]),
-        ([0.95], [0]),
-        ([np.nan, 0.1], []),
+        ([0.1, 0.2, 0.6], 1.0, [2]),
+        ([0.3, 0.4, 0.6], 1.0, []),
+        ([0.95, 0.1], 1.1, [0]),
+        ([0.95], 1.0, [0]),
+        ([np.nan, 0.1], 1.0, []),
+        ([0.095, 0.02], 0.1, [0]),  # of a speed, whose mean is far from zero
     ],
 )
-def test_seeds_that_did_not_train(nmse, untrained):
-    assert statistics.find_untrained(np.array(nmse)) == untrained
+def test_seeds_that_did_not_train(nmse, mean_nmse, untrained):
+    assert statistics.find_untrained(np.array(nmse), mean_nmse) == untrained
 
 
 def interval(

@@ -35,6 +35,7 @@ from pipeline.graphs.graph_file import open_graphs
 from pipeline.labels.label_file import open_labels
 from pipeline.report import tables
 from pipeline.train import quantity, trained
+from pipeline.train.entry import Entry
 from stages import check, clouds, graphs, preset, report
 from steer.app import app
 from steer.export import export_points
@@ -111,6 +112,14 @@ def test_drives_of_examples_are_those_of_the_demo():
     named = {*re.findall(r"2026_\d\d_\d\d_drive_\d{4}", "\n".join(texts))}
     assert named
     assert named <= {*drives}
+
+
+def test_the_models_of_the_documentation_for_a_recording_are_valid():
+    models = yaml.safe_load(code_block("path-blind: {input: depth").removeprefix("yaml\n"))
+    for name, model in models.items():
+        entry = Entry.model_validate(model)
+        assert entry.predicts_ahead
+        assert entry.network.sees_frames == (name == "path")
 
 
 def headings(page: Path) -> set[str]:

@@ -35,6 +35,15 @@ def read_metrics(evaluated: Path) -> dict[str, Any]:
     return json.loads((evaluated / "metrics.json").read_text())
 
 
+def test_a_seed_that_did_not_train_is_named(folder, capsys):
+    write_params(folder, epochs=1, learning_rate=1e-9, seeds=[0])
+    run_train(folder)
+    metrics = read_metrics(run_evaluate(folder))
+    assert metrics["untrained"] == [0]
+    assert metrics["train"]["train_mean"]["nmse"] > 0.9
+    assert "net: seed 0 failed to train: nmse" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize("predicted", COLUMNS)
 def test_errors_are_means_over_seeds_and_files_repeat(folder, predicted):
     columns = COLUMNS[predicted]
